@@ -1,0 +1,59 @@
+"""Array fields that check their shape and travel through JSON as nested lists."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import PlainSerializer, PlainValidator
+
+Array = NDArray[np.float64]
+
+
+def _shaped(*shape: int | None) -> tuple[PlainValidator, PlainSerializer]:
+    """Validator and serialiser of a finite float array; None leaves a dimension free."""
+    wanted = " x ".join("n" if size is None else str(size) for size in shape)
+
+    def check(value: Any) -> Array:
+        try:
+            array = np.array(value, dtype=float)
+        except (TypeError, ValueError):
+            raise ValueError(f"expected {wanted} numbers, found {value!r:.60}") from None
+        fits = array.ndim == len(shape) and all(
+            size in (None, found) for size, found in zip(shape, array.shape, strict=True)
+        )
+        if not fits:
+            found = " x ".join(map(str, array.shape)) or "a single number"
+            raise ValueError(f"expected {wanted} numbers, found {found}")
+        if not np.isfinite(array).all():
+            raise ValueError("expected finite numbers, found NaN or infinity")
+        array.setflags(write=False)  # the dataclasses that hold it are frozen
+        return array
+
+    return PlainValidator(check), PlainSerializer(lambda array: array.tolist())
+
+
+Vector3 = Annotated[Array, *_shaped(3)]
+Vector = Annotated[Array, *_shaped(None)]
+Vectors3 = Annotated[Array, *_shaped(None, 3)]
+Matrix3 = Annotated[Array, *_shaped(3, 3)]
+Matrix = Annotated[Array, *_shaped(None, None)]
+
+
+def _rigid(array: Array) -> Array:
+    R = array[:3, :3]
+    if np.abs(R @ R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0:
+        raise ValueError("expected a rigid transform, found a rotation part that is not a rotation")
+    if np.abs(array[3] - [0, 0, 0, 1]).max() > 1e-9:
+        raise ValueError(f"expected a last row of 0 0 0 1, found {array[3].tolist()}")
+    return array
+
+
+_validate44, _serialise = _shaped(4, 4)
+Transform = Annotated[
+    Array,
+    PlainValidator(lambda value: _rigid(_validate44.func(value))),  # pyright: ignore
+    _serialise,
+]
+"""A (4, 4) rigid transform."""

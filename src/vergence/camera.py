@@ -1,0 +1,146 @@
+"""Pinhole camera with distortion: project, normalise, and the Jacobians of both.
+
+Frame `cam` is OpenCV's: x right, y down, z forward; pixel (0, 0) is the centre of the top-left
+pixel. Distortion is OpenCV's (k1, k2, p1, p2, k3), so that both agree to the last digit; unlike
+OpenCV, the matrix may have skew (the paper's Eq. 2). See docs/conventions.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import field
+
+import numpy as np
+from pydantic import ConfigDict, PositiveInt
+from pydantic.dataclasses import dataclass
+
+from vergence.arrays import Array, Matrix3, Vector
+
+
+@dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
+class Camera:
+    """Intrinsic parameters of one camera."""
+
+    width: PositiveInt
+    """Image width [px]."""
+    height: PositiveInt
+    """Image height [px]."""
+    matrix: Matrix3
+    """A of Eq. 2: [[alpha, gamma, u0], [0, beta, v0], [0, 0, 1]] [px]."""
+    distortion: Vector = field(default_factory=lambda: np.zeros(5))
+    """(k1, k2, p1, p2, k3)."""
+
+    def __post_init__(self) -> None:
+        if self.distortion.shape != (5,):
+            raise ValueError(f"distortion has 5 coefficients, found {self.distortion.size}")
+        if self.matrix[0, 0] <= 0 or self.matrix[1, 1] <= 0:
+            raise ValueError("focal lengths are positive, found one that is not")
+
+
+def _distort(camera: Camera, xy: Array) -> Array:
+    """Return distorted normalised coordinates (..., 2) of undistorted ones (..., 2)."""
+    k1, k2, p1, p2, k3 = camera.distortion
+    x, y = xy[..., 0], xy[..., 1]
+    r2 = x * x + y * y
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    return np.stack(
+        [
+            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+        ],
+        axis=-1,
+    )
+
+
+def _distort_jacobian(camera: Camera, xy: Array) -> Array:
+    """Return d distorted / d undistorted, (..., 2, 2)."""
+    k1, k2, p1, p2, k3 = camera.distortion
+    x, y = xy[..., 0], xy[..., 1]
+    r2 = x * x + y * y
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = 2 * (k1 + r2 * (2 * k2 + 3 * r2 * k3))  # d radial / d x = slope * x
+    xx = radial + slope * x * x + 2 * p1 * y + 6 * p2 * x
+    yy = radial + slope * y * y + 6 * p1 * y + 2 * p2 * x
+    cross = slope * x * y + 2 * p1 * x + 2 * p2 * y
+    return np.stack([xx, cross, cross, yy], axis=-1).reshape(*xy.shape[:-1], 2, 2)
+
+
+def project(camera: Camera, points_cam: Array) -> Array:
+    """Return the pixels (..., 2) of points (..., 3) in frame cam (Eq. 1, with distortion).
+
+    Points that are not in front of the camera, and NaN, give NaN.
+    """
+    z = points_cam[..., 2:]
+    xy = points_cam[..., :2] / np.where(z > 0, z, np.nan)
+    return _distort(camera, xy) @ camera.matrix[:2, :2].T + camera.matrix[:2, 2]
+
+
+def project_jacobians(camera: Camera, points_cam: Array) -> tuple[Array, Array, Array]:
+    """Return pixels (..., 2), their Jacobians by point (..., 2, 3) and by intrinsics (..., 2, 9).
+
+    The intrinsics are in the order (fx, fy, cx, cy, k1, k2, p1, p2, k3).
+    """
+    z = points_cam[..., 2]
+    inv_z = 1 / np.where(z > 0, z, np.nan)
+    xy = points_cam[..., :2] * inv_z[..., None]
+    x, y = xy[..., 0], xy[..., 1]
+    zero, one = np.zeros_like(x), np.ones_like(x)
+    d_xy = np.stack([inv_z, zero, -x * inv_z, zero, inv_z, -y * inv_z], axis=-1)
+    d_xy = d_xy.reshape(*x.shape, 2, 3)
+    K = camera.matrix[:2, :2]
+    d_point = K @ _distort_jacobian(camera, xy) @ d_xy
+    distorted = _distort(camera, xy)
+    r2 = x * x + y * y
+    d_k = np.stack(
+        [
+            np.stack([x * r2, x * r2**2, 2 * x * y, r2 + 2 * x * x, x * r2**3], axis=-1),
+            np.stack([y * r2, y * r2**2, r2 + 2 * y * y, 2 * x * y, y * r2**3], axis=-1),
+        ],
+        axis=-2,
+    )
+    d_f = np.stack([distorted[..., 0], zero, one, zero, zero, distorted[..., 1], zero, one], -1)
+    d_intrinsics = np.concatenate([d_f.reshape(*x.shape, 2, 4), K @ d_k], axis=-1)
+    return distorted @ K.T + camera.matrix[:2, 2], d_point, d_intrinsics
+
+
+def normalise(camera: Camera, pixels: Array) -> Array:
+    """Return undistorted normalised coordinates (x/z, y/z) (..., 2) of pixels (..., 2).
+
+    Newton's method to machine precision. Pixels beyond the reach of the distortion polynomial
+    (where it folds over) give NaN.
+    """
+    wanted = (pixels - camera.matrix[:2, 2]) @ np.linalg.inv(camera.matrix[:2, :2]).T
+    if not camera.distortion.any():
+        return wanted
+    xy = wanted.copy()
+    error = np.full(xy.shape, np.inf)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        for _ in range(20):
+            error = _distort(camera, xy) - wanted
+            if not np.nanmax(np.abs(error), initial=0.0) > 1e-15:
+                break
+            J = _distort_jacobian(camera, xy)
+            det = J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0]
+            step_x = J[..., 1, 1] * error[..., 0] - J[..., 0, 1] * error[..., 1]
+            step_y = J[..., 0, 0] * error[..., 1] - J[..., 1, 0] * error[..., 0]
+            xy = xy - np.stack([step_x, step_y], axis=-1) / det[..., None]
+        J = _distort_jacobian(camera, xy)
+        det = J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0]
+        good = (np.abs(error).max(axis=-1) < 1e-9) & (det > 0)
+    return np.where(good[..., None], xy, np.nan)
+
+
+def undistort(camera: Camera, pixels: Array) -> Array:
+    """Return distortion-corrected pixels (..., 2): what Eqs. 1-4 speak of."""
+    return normalise(camera, pixels) @ camera.matrix[:2, :2].T + camera.matrix[:2, 2]
+
+
+def pinhole(
+    width: int,
+    height: int,
+    focal_px: float | tuple[float, float],
+    distortion: tuple[float, ...] = (0.0,) * 5,
+) -> Camera:
+    """Return a camera whose principal point is the middle of its image."""
+    fx, fy = focal_px if isinstance(focal_px, tuple) else (focal_px, focal_px)
+    matrix = np.array([[fx, 0, (width - 1) / 2], [0, fy, (height - 1) / 2], [0, 0, 1]])
+    return Camera(width=width, height=height, matrix=matrix, distortion=np.array(distortion))

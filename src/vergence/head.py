@@ -1,0 +1,123 @@
+"""HeadCalibration: all that the estimators need to know of a head; JSON in and out.
+
+The frame `head` has its origin midway between the rotation centres of the eyes and the axes of
+the left eye's base frame (x forward, y left, z up).
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from dataclasses import field
+from pathlib import Path
+from typing import Literal
+
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
+
+from vergence.arrays import Array, Transform
+from vergence.camera import Camera
+from vergence.errors import VergenceError
+from vergence.geometry import inverse, pose
+from vergence.kinematics import EyeAxes, Neck, T_base_eye, T_body_head
+
+Side = Literal["left", "right"]
+
+
+@dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
+class MountedCamera:
+    """A camera and where it sits in its eye."""
+
+    eye: Side
+    intrinsics: Camera
+    T_eye_cam: Transform
+    """Pose of the camera in the eye: T_ec of the paper."""
+
+
+@dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
+class HeadCalibration:
+    """Everything that calibration finds of a head, and nothing that only a twin could know."""
+
+    cameras: dict[str, MountedCamera]
+    """By name: left_wide, left_narrow, right_wide, right_narrow (a head may have fewer). The
+    paper calls the wide camera peripheral and the narrow one foveal."""
+    T_rbase_lbase: Transform
+    """Pose of the left eye's base frame in the right one's: T_e^rl of the paper (Eq. 10)."""
+    axes: dict[Side, EyeAxes] = field(
+        default_factory=lambda: {"left": EyeAxes(), "right": EyeAxes()}
+    )
+    neck: Neck = field(default_factory=Neck)
+    """From the design, not calibrated; without joints the head is the body."""
+    format: Literal["vergence-head-calibration-1"] = "vergence-head-calibration-1"
+
+    def camera(self, name: str) -> MountedCamera:
+        """Return a camera by its name.
+
+        Raises:
+            VergenceError: there is none of that name.
+        """
+        if name not in self.cameras:
+            known = ", ".join(self.cameras)
+            raise VergenceError(f"No camera is called {name!r}; this head has: {known}.")
+        return self.cameras[name]
+
+
+def T_head_base(calibration: HeadCalibration, eye: Side) -> Array:
+    """Return the pose (4, 4) of an eye's base frame in frame head."""
+    T_lbase_rbase = inverse(calibration.T_rbase_lbase)
+    T_head_lbase = pose(t=-T_lbase_rbase[:3, 3] / 2)
+    return T_head_lbase if eye == "left" else T_head_lbase @ T_lbase_rbase
+
+
+def T_base_cam(calibration: HeadCalibration, camera: str, angles: Array) -> Array:
+    """Return poses (..., 4, 4) of a camera in its eye's base frame, at (..., 2) pan and tilt."""
+    mounted = calibration.camera(camera)
+    return T_base_eye(angles, calibration.axes[mounted.eye]) @ mounted.T_eye_cam
+
+
+def T_body_base(calibration: HeadCalibration, eye: Side, neck_angles: Array) -> Array:
+    """Return poses (..., 4, 4) of an eye's base frame in frame body: T_be(neck) of Eq. 12."""
+    return T_body_head(calibration.neck, neck_angles) @ T_head_base(calibration, eye)
+
+
+def T_narrow_wide(calibration: HeadCalibration, eye: Side) -> Array:
+    """Return the pose (4, 4) of the wide camera in the narrow one: R_fp, t_fp of Sec. III."""
+    wide, narrow = (calibration.camera(f"{eye}_{lens}") for lens in ("wide", "narrow"))
+    return inverse(narrow.T_eye_cam) @ wide.T_eye_cam
+
+
+_ADAPTER = TypeAdapter(HeadCalibration)
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a text file under a temporary name, then rename it: never half a file."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+        os.chmod(name, 0o644)  # mkstemp's files are private
+        os.replace(name, path)
+    except OSError as error:
+        raise VergenceError(f"Cannot write {path}: {error.strerror}.") from error
+
+
+def save(calibration: HeadCalibration, path: Path) -> None:
+    """Write a calibration as JSON."""
+    write_whole(path, _ADAPTER.dump_json(calibration, indent=1).decode() + "\n")
+
+
+def load(path: Path) -> HeadCalibration:
+    """Read a calibration from JSON.
+
+    Raises:
+        VergenceError: the file is missing, not JSON, or a field of it is not valid.
+    """
+    try:
+        return _ADAPTER.validate_json(path.read_bytes())
+    except OSError as error:
+        raise VergenceError(f"Cannot read the calibration {path}: {error.strerror}.") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "the file"
+        raise VergenceError(f"{path} is not a head calibration: {where}: {first['msg']}.") from None
