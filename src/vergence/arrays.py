@@ -20,6 +20,8 @@ def _shaped(*shape: int | None) -> tuple[PlainValidator, PlainSerializer]:
             array = np.array(value, dtype=float)
         except (TypeError, ValueError):
             raise ValueError(f"expected {wanted} numbers, found {value!r:.60}") from None
+        if array.size == 0 and None in shape:  # JSON's [] has lost the other dimensions
+            array = array.reshape([0 if size is None else size for size in shape])
         fits = array.ndim == len(shape) and all(
             size in (None, found) for size, found in zip(shape, array.shape, strict=True)
         )

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass
 
-from vergence.arrays import Array, Vectors3
+from vergence.arrays import Array, Vector3, Vectors3
 from vergence.geometry import pose, rotation
 
 EYES = ("left", "right")
@@ -66,8 +66,8 @@ class Neck:
     """(n, 3) unit vectors, from the body outwards."""
     points_m: Vectors3 = field(default_factory=lambda: np.empty((0, 3)))
     """(n, 3) a point on each axis."""
-    head_m: Vectors3 = field(default_factory=lambda: np.zeros((1, 3)))
-    """(1, 3) origin of frame head."""
+    head_m: Vector3 = field(default_factory=lambda: np.zeros(3))
+    """Origin of frame head."""
 
 
 def T_body_head(neck: Neck, angles: Array) -> Array:
@@ -76,4 +76,4 @@ def T_body_head(neck: Neck, angles: Array) -> Array:
     for k, (axis, point) in enumerate(zip(neck.axes, neck.points_m, strict=True)):
         R = rotation(angles[..., k, None] * axis)
         T = T @ pose(R, point - R @ point)
-    return T @ pose(t=neck.head_m[0])
+    return T @ pose(t=neck.head_m)
