@@ -1,0 +1,97 @@
+"""Intrinsic parameters of one camera from views of a flat pattern (Zhang, by OpenCV)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import cv2
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.camera import Camera
+from vergence.errors import VergenceError
+from vergence.geometry import pose, rotation
+
+LensModel = Literal["none", "k1", "k1k2", "radial-tangential"]
+"""Which distortion is fitted: none, k1, k1 and k2, or (k1, k2, p1, p2)."""
+
+_FLAGS = {
+    "none": cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST,
+    "k1": cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST,
+    "k1k2": cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST,
+    "radial-tangential": cv2.CALIB_FIX_K3,
+}
+assert set(_FLAGS) == set(get_args(LensModel))
+
+# OpenCV's default of 30 iterations stops short of the optimum where distortion is strong.
+CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-14)
+
+
+@dataclass(frozen=True, eq=False)
+class Intrinsics:
+    """What Zhang's method gives for one camera."""
+
+    camera: Camera
+    rms_px: float
+    """Root mean square of the distance between corners and their reprojections."""
+    views: int
+
+
+def calibrate_intrinsics(
+    corners: Array, points: Array, *, size: tuple[int, int], lens_model: LensModel
+) -> Intrinsics:
+    """Fit a camera to views of a flat pattern.
+
+    Args:
+        corners: (V, K, 2) pixels; NaN where a corner was not seen.
+        points: (K, 3) the pattern's corners in frame target.
+        size: width and height of the images [px].
+        lens_model: which distortion coefficients are free.
+
+    Raises:
+        VergenceError: fewer than three views with four corners or more.
+    """
+    seen = np.isfinite(corners).all(axis=2)
+    usable = seen.sum(axis=1) >= 4
+    if usable.sum() < 3:
+        raise VergenceError(
+            f"Intrinsics need at least 3 views of the board, found {usable.sum()}; "
+            "show the whole board to the camera at different angles."
+        )
+    views = [(points[s], c[s]) for c, s in zip(corners[usable], seen[usable], strict=True)]
+    rms, matrix, distortion, *_ = cv2.calibrateCamera(
+        [p.astype(np.float32) for p, _ in views],
+        [c.astype(np.float32).reshape(-1, 1, 2) for _, c in views],
+        size,
+        np.eye(3),  # only the type of these two is used: no guess is given
+        np.zeros(5),
+        flags=_FLAGS[lens_model],
+        criteria=CRITERIA,
+    )
+    camera = Camera(width=size[0], height=size[1], matrix=matrix, distortion=distortion.ravel()[:5])
+    return Intrinsics(camera, float(rms), len(views))
+
+
+def target_poses(camera: Camera, corners: Array, points: Array) -> Array:
+    """Return T_cam_target (V, 4, 4) of each view; NaN where fewer than six corners are seen.
+
+    Args:
+        camera: with its distortion.
+        corners: (V, K, 2) pixels; NaN where a corner was not seen.
+        points: (K, 3) the pattern's corners in frame target.
+    """
+    poses = np.full((len(corners), 4, 4), np.nan)
+    for v, view in enumerate(corners):
+        seen = np.isfinite(view).all(axis=1)
+        if seen.sum() < 6:
+            continue
+        found, rvec, tvec = cv2.solvePnP(
+            points[seen], view[seen], camera.matrix, camera.distortion, flags=cv2.SOLVEPNP_ITERATIVE
+        )
+        if found:
+            rvec, tvec = cv2.solvePnPRefineLM(
+                points[seen], view[seen], camera.matrix, camera.distortion, rvec, tvec
+            )
+            poses[v] = pose(rotation(rvec.ravel()), tvec.ravel())
+    return poses

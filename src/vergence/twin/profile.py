@@ -1,0 +1,176 @@
+"""Error profiles: every imperfection of the twin, in one frozen configuration.
+
+A source acts in the hardware (mounting, optics, sensors: `[mounting]`, `[axes]`, `[optics]`,
+`[image]`, `[joints]`) or in how the calibration was made (`[calibration]`). What can only be
+written into a finished calibration stands apart, in `[by_hand]`. Everything random is drawn from
+the seed of the run: the profile gives standard deviations.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from vergence.calibration.intrinsics import LensModel
+from vergence.errors import VergenceError
+
+Spread = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Number = Annotated[float, Field(allow_inf_nan=False)]
+PerJoint = tuple[Number, Number, Number, Number]
+"""Left pan, left tilt, right pan, right tilt."""
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Mounting(_Section):
+    """How the cameras sit in the as-built head; calibration is there to find it."""
+
+    rotation_deg: Spread = 0.0
+    """Standard deviation of each camera's mounting, about each axis."""
+    translation_mm: Spread = 0.0
+    """Standard deviation of each camera's mounting, along each axis."""
+    base_rotation_deg: Spread = 0.0
+    """Standard deviation of the right eye's base against the left one's, about each axis."""
+    base_translation_mm: Spread = 0.0
+    """Standard deviation of the right eye's rotation centre, along each axis."""
+    baseline_mm: Annotated[float, Field(ge=20, le=300)] | None = None
+    """Distance of the eyes' rotation centres; none: the model's."""
+
+
+class Axes(_Section):
+    """How far the eyes' axes are from orthogonal and intersecting; the paper assumes neither."""
+
+    nonorthogonality_deg: Spread = 0.0
+    distance_mm: Spread = 0.0
+
+
+class Optics(_Section):
+    """Lenses and sensors of the as-built head."""
+
+    focal_percent: Spread = 0.0
+    """Standard deviation of each camera's focal length, in percent of the nominal one."""
+    principal_px: Spread = 0.0
+    """Standard deviation of each camera's principal point, along each axis."""
+    distortion: bool = True
+    """Whether the wide lenses distort."""
+
+
+class Image(_Section):
+    """What the sensor adds to the picture."""
+
+    noise_grey: Annotated[float, Field(ge=0, le=50)] = 0.0
+    """Standard deviation of white noise in each pixel and colour [grey levels]."""
+    blur_px: Annotated[float, Field(ge=0, le=5)] = 0.0
+    """Standard deviation of a Gaussian blur [px]."""
+
+
+class Joints(_Section):
+    """The joint sensors: reading = gain * (angle a delay ago, plus backlash) + offset + noise."""
+
+    noise_deg: Spread = 0.0
+    """Standard deviation of white noise in each reading."""
+    counts_per_turn: Annotated[int, Field(ge=0)] = 0
+    """Steps of the encoder in a full turn; 0: no quantisation."""
+    gain_percent: PerJoint = (0.0, 0.0, 0.0, 0.0)
+    """How much too large each reading is."""
+    offset_deg: PerJoint = (0.0, 0.0, 0.0, 0.0)
+    """Constant error of each reading."""
+    backlash_deg: Annotated[float, Field(ge=0, le=10)] = 0.0
+    """Width of the play between the sensor and the eye."""
+    delay_ms: Annotated[float, Field(ge=-200, le=200)] = 0.0
+    """Age of the reading when the image is taken; negative: the image is the older one."""
+
+
+class CalibrationMade(_Section):
+    """How the calibration was made."""
+
+    wide_lens: LensModel = "radial-tangential"
+    """Distortion model that was fitted to the wide cameras."""
+    square_percent: Annotated[float, Field(gt=-50, lt=50, allow_inf_nan=False)] = 0.0
+    """How much larger the printed squares are than the software was told."""
+
+
+class ByHand(_Section):
+    """Errors written into the finished calibration, each for both eyes.
+
+    T_rbase_lbase is computed again by Eq. 10, so that straight gaze stays exact, as on a robot.
+    """
+
+    focal_percent_28: Number = 0.0
+    """Focal length of the 2.8 mm lenses."""
+    focal_percent_40: Number = 0.0
+    """Focal length of the 4.0 mm lenses."""
+    roll_deg: Number = 0.0
+    """Turn of the mounting about the optical axis: + in the left eye, - in the right."""
+    axial_mm: Number = 0.0
+    """Shift of the mounting along the optical axis."""
+
+
+class Fitted(_Section):
+    """One number that was fitted to the paper's figures."""
+
+    name: str
+    value: Number
+    unit: str
+    meaning: str
+    how: str
+
+
+class ErrorProfile(_Section):
+    """All imperfections; the default has none."""
+
+    name: str = "none"
+    description: str = ""
+    mounting: Mounting = Mounting()
+    axes: Axes = Axes()
+    optics: Optics = Optics()
+    image: Image = Image()
+    joints: Joints = Joints()
+    calibration: CalibrationMade = CalibrationMade()
+    by_hand: ByHand = ByHand()
+    fitted: tuple[Fitted, ...] = ()
+
+
+def shipped() -> list[str]:
+    """Return the names of the profiles that come with the package."""
+    folder = resources.files("vergence.twin") / "profiles"
+    return sorted(p.name.removesuffix(".toml") for p in folder.iterdir())
+
+
+def load_profile(name_or_file: str) -> ErrorProfile:
+    """Read a profile by its name, or from a TOML file.
+
+    Raises:
+        VergenceError: no such profile or file, not TOML, or a value that is unknown or impossible.
+    """
+    if name_or_file in shipped():
+        text = (resources.files("vergence.twin") / "profiles" / f"{name_or_file}.toml").read_text()
+    elif not name_or_file.endswith(".toml"):
+        raise VergenceError(
+            f"No error profile is called {name_or_file!r}; there are {', '.join(shipped())}, "
+            "and files that end in .toml."
+        )
+    else:
+        try:
+            text = Path(name_or_file).read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
+            raise VergenceError(
+                f"Cannot read the error profile {name_or_file}: {reason}."
+            ) from error
+    try:
+        return ErrorProfile.model_validate(tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise VergenceError(f"{name_or_file} is not valid TOML: {error}.") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise VergenceError(
+            f"{name_or_file} is not an error profile: {where} = {first['input']!r}: {first['msg']}."
+        ) from None

@@ -1,0 +1,38 @@
+"""The joint sensors: what is read when the eyes stand at true angles."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.twin.profile import Joints
+
+
+def play(angles: Array, width: float, start: Array | None = None) -> Array:
+    """Return the sensor side (T, J) of a play of the given width, over successive angles (T, J).
+
+    The sensor is pushed along when the eye reaches either end of the play; a motion that turns
+    back crosses the whole width before the sensor follows.
+
+    Args:
+        angles: (T, J) true angles in their order of time [rad].
+        width: full width of the play [rad].
+        start: (J,) sensor side before the first; None: in the middle of the play.
+    """
+    sensed = np.empty_like(angles)
+    last = angles[0] if start is None else start
+    for k, angle in enumerate(angles):
+        last = np.clip(last, angle - width / 2, angle + width / 2)
+        sensed[k] = last
+    return sensed
+
+
+def read(sensed: Array, joints: Joints, rng: np.random.Generator) -> Array:
+    """Return readings (N, J) [rad] of sensor-side angles (N, J); J columns of EYE_JOINTS."""
+    noise = rng.normal(0.0, np.radians(joints.noise_deg), sensed.shape)
+    gain = 1 + np.array(joints.gain_percent) / 100
+    reading = gain * sensed + np.radians(joints.offset_deg) + noise
+    if joints.counts_per_turn:
+        step = 2 * np.pi / joints.counts_per_turn
+        reading = np.round(reading / step) * step
+    return reading
