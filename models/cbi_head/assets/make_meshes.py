@@ -106,7 +106,7 @@ def shell() -> Mesh:
     """The helmet: a lip that goes inwards from the opening, then rings to the back of the head."""
     phi = np.linspace(0.0, 2.0 * np.pi, AROUND, endpoint=False)
     edge = opening_edge(phi)
-    rings = [surface(edge + s * (0.995 * np.pi - edge), phi) for s in np.linspace(0.0, 1.0, ALONG)]
+    rings = [surface(edge + s * (0.9995 * np.pi - edge), phi) for s in np.linspace(0.0, 1.0, ALONG)]
     lip = rings[0] * (1.0, 0.94, 0.94) - (LIP_DEPTH, 0.0, 0.0)
     inwards = -np.stack((np.zeros(AROUND), np.cos(phi), np.sin(phi)), -1)
     vertices = np.stack([lip, rings[0], *rings])

@@ -43,7 +43,8 @@ def noise(size: int, *, seed: int, mean: float, contrast: float) -> NDArray[np.u
     while cells <= size:
         coarse = rng.uniform(-1.0, 1.0, (cells, cells))
         # Three tiles a side, of which the middle one is kept: the texture repeats seamlessly.
-        tiled = cv2.resize(np.tile(coarse, (3, 3)), (3 * size, 3 * size), interpolation=cv2.INTER_CUBIC)
+        tiled = np.tile(coarse, (3, 3))
+        tiled = cv2.resize(tiled, (3 * size, 3 * size), interpolation=cv2.INTER_CUBIC)
         total += tiled[size : 2 * size, size : 2 * size]
         cells *= 2
     total = (total - total.mean()) / total.std()
@@ -66,9 +67,9 @@ def textures() -> dict[str, NDArray[np.uint8]]:
     """All textures by file name."""
     return {
         "board.png": chessboard(),
-        "wall.png": noise(512, seed=1, mean=140.0, contrast=42.0),
-        "floor.png": noise(512, seed=2, mean=105.0, contrast=36.0),
-        "object.png": noise(256, seed=3, mean=130.0, contrast=50.0),
+        "wall.png": noise(512, seed=1, mean=158.0, contrast=24.0),
+        "floor.png": noise(512, seed=2, mean=95.0, contrast=20.0),
+        "object.png": noise(256, seed=3, mean=150.0, contrast=34.0),
     }
 
 
@@ -76,7 +77,8 @@ def main() -> None:
     for name, image in textures().items():
         path = ASSETS / name
         cv2.imwrite(str(path), image, [cv2.IMWRITE_PNG_COMPRESSION, 9])
-        print(f"{path.name}: {image.shape[1]} x {image.shape[0]}, {path.stat().st_size / 1e3:.0f} kB")
+        height, width = image.shape
+        print(f"{path.name}: {width} x {height}, {path.stat().st_size / 1e3:.0f} kB")
 
 
 if __name__ == "__main__":
