@@ -129,6 +129,12 @@ def normalise(camera: Camera, pixels: Array) -> Array:
     return np.where(good[..., None], xy, np.nan)
 
 
+def normalise_area(camera: Camera, xy: Array) -> Array:
+    """Return the area (...,) in the plane z = 1 of one pixel at undistorted xy (..., 2)."""
+    scale = np.linalg.det(camera.matrix[:2, :2])
+    return 1 / (scale * np.linalg.det(_distort_jacobian(camera, xy)))
+
+
 def undistort(camera: Camera, pixels: Array) -> Array:
     """Return distortion-corrected pixels (..., 2): what Eqs. 1-4 speak of."""
     return normalise(camera, pixels) @ camera.matrix[:2, :2].T + camera.matrix[:2, 2]

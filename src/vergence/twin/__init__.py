@@ -1,0 +1,33 @@
+"""The digital twin: plays the part of the hardware, and alone knows the truth.
+
+Only this package imports mujoco. MuJoCo chooses its OpenGL when it is imported, and nothing falls
+back by itself, so the choice is made here.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+
+from vergence.errors import VergenceError
+
+if sys.platform.startswith("linux"):
+    os.environ.setdefault("MUJOCO_GL", "egl")  # renders without a screen
+
+NO_OPENGL = (
+    "Rendering needs OpenGL, and MUJOCO_GL={backend} gave none ({reason}); install Mesa's drivers "
+    "(Debian: apt-get install libegl1 libgl1-mesa-dri) and leave MUJOCO_GL unset or egl."
+)
+
+
+def no_opengl(reason: object) -> VergenceError:
+    """Return the error for a machine that cannot render."""
+    backend = os.environ.get("MUJOCO_GL", "(unset)")
+    first_line = (str(reason) or type(reason).__name__).splitlines()[0]
+    return VergenceError(NO_OPENGL.format(backend=backend, reason=first_line))
+
+
+try:
+    import mujoco  # noqa: F401
+except (ImportError, AttributeError, RuntimeError, OSError) as error:
+    raise no_opengl(error) from error

@@ -1,0 +1,233 @@
+"""Sparse, robust Gauss-Newton steps for the adjustment of `problem`.
+
+Blocks of latent unknowns are eliminated one by one (the Schur complement), which leaves a small
+dense system in the shared ones: the cost grows linearly with the number of views.
+
+Levels of noise enter as precisions, 1 / sigma^2. Corners beyond `OUTLIER` standard deviations lose
+weight as in Cauchy's loss; within, the loss is quadratic, so that good data lose nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from vergence.arrays import Array
+from vergence.calibration.problem import (
+    Index,
+    Problem,
+    State,
+    advance,
+    calibration_size,
+    corner_errors,
+    jacobians,
+    joint_errors,
+    size,
+)
+
+OUTLIER = 4.0
+"""Standard deviations; a good corner exceeds it once in 3000, a good joint reading in 16000."""
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Standard deviations, with a group for each kind of reading."""
+
+    pixel_px: float
+    """Of one coordinate of a corner."""
+    joint: Array
+    """(groups,) [rad], or [m] for translations of eye poses."""
+    group: Index
+    """(n,) group of each latent unknown of a block."""
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """Robust weights between 0 and 1."""
+
+    corner: Array
+    """(M, K), 0 where not seen."""
+    joint: Array
+    """(B, n)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """The problem linearised: J^T W J and -J^T W r of the corners in pixels, and joint errors."""
+
+    gg: Array
+    """(G, G)."""
+    gl: Array
+    """(B, G, n)."""
+    ll: Array
+    """(B, n, n)."""
+    g: Array
+    """(G,)."""
+    latent: Array
+    """(B, n)."""
+    sum_squares: float
+    """Weighted squares of the corner errors [px^2]."""
+    count: float
+    """Of corner coordinates with a weight."""
+    joint_errors: Array
+    """(B, n)."""
+    joint_weights: Array
+    """(B, n)."""
+    rate: Array
+    """(B, n): the joint errors change by minus this with the time offset."""
+    time: int
+    """Which shared unknown is the time offset."""
+
+
+@dataclass(frozen=True, eq=False)
+class Factors:
+    """The normal equations for given noise, with the latent unknowns eliminated."""
+
+    basis: Array
+    """(G, F) columns: the free directions of the shared unknowns."""
+    ll_inverse: Array
+    """(B, n, n)."""
+    coupling: Array
+    """(B, n, F) ll_inverse times the latent rows of the matrix."""
+    schur: Array
+    """(F, F)."""
+    right: tuple[Array, Array]
+    """(F,), (B, n)."""
+
+
+def linearise(problem: Problem, state: State, weights: Weights) -> Linear:
+    """Return the problem linearised at a state."""
+    G, (B, n) = size(problem), problem.reading.shape
+    shared, index, latent = jacobians(problem, state)
+    error = corner_errors(problem, state)
+    root = np.sqrt(weights.corner)[..., None]
+    M = len(index)
+    J = (shared * root[..., None]).reshape(M, -1, index.shape[1])
+    L = (latent * root[..., None]).reshape(M, -1, n)
+    r = (error * root).reshape(M, -1, 1)
+    J_T, L_T = np.swapaxes(J, 1, 2), np.swapaxes(L, 1, 2)
+    gg, g = np.zeros((G, G)), np.zeros(G)
+    np.add.at(gg, (index[:, :, None], index[:, None, :]), J_T @ J)
+    np.add.at(g, index, -(J_T @ r)[..., 0])
+    gl, ll, rhs = np.zeros((B, G, n)), np.zeros((B, n, n)), np.zeros((B, n))
+    np.add.at(gl, (problem.block[:, None], index), J_T @ L)
+    np.add.at(ll, problem.block, L_T @ L)
+    np.add.at(rhs, problem.block, -(L_T @ r)[..., 0])
+    return Linear(
+        gg, gl, ll, g, rhs,
+        sum_squares=float((r**2).sum()),
+        count=2.0 * np.count_nonzero(weights.corner),
+        joint_errors=joint_errors(problem, state),
+        joint_weights=weights.joint,
+        rate=problem.rate,
+        time=calibration_size(problem) - 1,
+    )  # fmt: skip
+
+
+def factorise(linear: Linear, noise: Noise, basis: Array, damping: float = 0.0) -> Factors:
+    """Return the normal equations for given noise.
+
+    Args:
+        linear: from linearise.
+        noise: standard deviations.
+        basis: (G, F) free directions; the step is basis @ something.
+        damping: Levenberg and Marquardt's, relative to the diagonal.
+    """
+    pixel = noise.pixel_px**-2
+    joint = linear.joint_weights * noise.joint[noise.group] ** -2
+    n = joint.shape[1]
+    eye = np.eye(n, dtype=bool)
+    ll = pixel * linear.ll + np.where(eye, joint[:, :, None], 0.0)
+    ll = ll + damping * np.where(eye, ll, 0.0)
+    timing = linear.rate * joint
+    row = basis[linear.time]  # what the time offset contributes in each free direction
+    gl = pixel * (basis.T @ linear.gl) - row[:, None] * timing[:, None, :]
+    gg = pixel * (basis.T @ linear.gg @ basis)
+    gg += np.outer(row, row) * (linear.rate * timing).sum()
+    gg[np.diag_indices_from(gg)] *= 1 + damping
+    right_g = pixel * (basis.T @ linear.g) + row * (timing * linear.joint_errors).sum()
+    right_l = pixel * linear.latent - joint * linear.joint_errors
+    ll_inverse = np.linalg.inv(ll)
+    coupling = ll_inverse @ np.swapaxes(gl, 1, 2)
+    F = basis.shape[1]
+    schur = gg - gl.transpose(1, 0, 2).reshape(F, -1) @ coupling.reshape(-1, F)
+    return Factors(basis, ll_inverse, coupling, (schur + schur.T) / 2, (right_g, right_l))
+
+
+def step(factors: Factors) -> tuple[Array, Array]:
+    """Return the Gauss-Newton step: along the free directions (F,), and latent (B, n)."""
+    right_g, right_l = factors.right
+    reduced = right_g - np.einsum("bnf,bn->f", factors.coupling, right_l)
+    free = cho_solve(cholesky(factors.schur), reduced)
+    latent = (factors.ll_inverse @ right_l[..., None])[..., 0] - factors.coupling @ free
+    return free, latent
+
+
+def cholesky(matrix: Array) -> tuple[Array, bool]:
+    """Factor a positive definite matrix; a ridge far below rounding keeps null ones solvable."""
+    ridge = 1e-13 * np.trace(matrix) / len(matrix) if len(matrix) else 0.0
+    return cho_factor(matrix + ridge * np.eye(len(matrix)), lower=True)
+
+
+def robust_weights(problem: Problem, state: State, noise: Noise) -> Weights:
+    """Return Cauchy's weights beyond OUTLIER and 1 within."""
+    corner = np.linalg.norm(corner_errors(problem, state), axis=-1) / noise.pixel_px
+    joint = np.abs(joint_errors(problem, state)) / noise.joint[noise.group]
+    return Weights(np.where(problem.seen, _weight(corner), 0.0), _weight(joint))
+
+
+def inliers(weights: Weights) -> Weights:
+    """Return 1 for what lies within OUTLIER and 0 for the rest."""
+    return Weights((weights.corner == 1).astype(float), (weights.joint == 1).astype(float))
+
+
+def cost(problem: Problem, state: State, noise: Noise) -> float:
+    """Return the robust sum of squares in units of the noise; infinite behind a camera."""
+    corner = np.linalg.norm(corner_errors(problem, state), axis=-1) / noise.pixel_px
+    joint = joint_errors(problem, state) / noise.joint[noise.group]
+    total = _loss(corner).sum() + _loss(joint).sum()
+    return float(total) if np.isfinite(total) else np.inf
+
+
+def minimise(
+    problem: Problem, state: State, noise: Noise, basis: Array, *, iterations: int = 60
+) -> tuple[State, bool]:
+    """Return the state of least cost for given noise, and whether it converged (Levenberg)."""
+    damping, lowest = 1e-6, cost(problem, state, noise)
+    for _ in range(iterations):
+        linear = linearise(problem, state, robust_weights(problem, state, noise))
+        while True:
+            factors = factorise(linear, noise, basis, damping)
+            free, latent = step(factors)
+            gain = float(free @ factors.right[0] + (latent * factors.right[1]).sum())
+            # A step of a ten-thousandth of a standard deviation changes nothing.
+            if gain < 1e-8:
+                return state, True
+            trial = _try(problem, state, basis @ free, latent)
+            found = np.inf if trial is None else cost(problem, trial, noise)
+            if trial is not None and found <= lowest + 1e-12 * abs(lowest):
+                state, lowest, damping = trial, found, max(damping / 10, 1e-12)
+                break
+            damping = max(damping, 1e-7) * 10
+            if damping > 1e8:
+                return state, False
+    return state, False
+
+
+def _try(problem: Problem, state: State, shared: Array, latent: Array) -> State | None:
+    try:
+        return advance(problem, state, shared, latent)
+    except ValueError:  # a focal length of less than nothing
+        return None
+
+
+def _weight(s: Array) -> Array:
+    return np.where(s <= OUTLIER, 1.0, (OUTLIER / np.maximum(s, OUTLIER)) ** 2)
+
+
+def _loss(s: Array) -> NDArray[np.float64]:
+    beyond = np.maximum(np.abs(s), OUTLIER)
+    return np.minimum(np.abs(s), OUTLIER) ** 2 + 2 * OUTLIER**2 * np.log(beyond / OUTLIER)

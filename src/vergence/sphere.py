@@ -1,0 +1,72 @@
+"""Find a coloured sphere in an image, without the bias of its outline's centre.
+
+The outline of a sphere is an ellipse whose centre is not the image of the sphere's centre: off
+the optical axis the two differ by a fraction of the sphere's own size. What is measured is the
+area and the centroid of the ellipse in the undistorted plane z = 1, from all pixels weighted by
+how much of each the sphere covers; both follow from the cone of rays that touch the sphere, and
+the cone's axis goes through its centre.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.camera import Camera, normalise, normalise_area, project
+
+_REDNESS = np.array([[1.0, -0.5, -0.5]])  # zero for grey, whatever its brightness
+_HALF = 100  # grey levels of redness above which a pixel belongs to the sphere for certain
+
+
+def find_sphere(image: np.ndarray, camera: Camera) -> Array:
+    """Return the pixel (2,) of the centre of a red sphere, distortion included.
+
+    The centroid is exact for a sphere of one flat colour before a grey background, however the
+    camera averages over its pixels, since coverage then enters linearly.
+
+    Args:
+        image: (H, W, 3) uint8, RGB.
+        camera: intrinsics of the camera that took it.
+
+    Returns:
+        NaN where no red region of four pixels or more lies wholly within the image.
+    """
+    mask = cv2.inRange(cv2.transform(image, _REDNESS), np.array([_HALF]), np.array([255]))
+    count, _, stats, _ = cv2.connectedComponentsWithStats(mask)
+    if count < 2:
+        return np.full(2, np.nan)
+    left, top, width, height, area = stats[1 + stats[1:, cv2.CC_STAT_AREA].argmax()]
+    margin = 3  # the edge's soft pixels: blur and anti-aliasing reach two pixels, and one for luck
+    u0, v0, u1, v1 = left - margin, top - margin, left + width + margin, top + height + margin
+    if area < 4 or u0 < 0 or v0 < 0 or u1 > image.shape[1] or v1 > image.shape[0]:
+        return np.full(2, np.nan)
+    window = image[v0:v1, u0:u1].astype(float)
+    redness = window @ _REDNESS[0]
+    cover = redness / np.median(redness[redness > _HALF])
+    u, v = np.meshgrid(np.arange(u0, u1), np.arange(v0, v1))
+    pixels = np.stack([u, v], axis=-1).reshape(-1, 2).astype(float)
+    xy = normalise(camera, pixels)
+    weights = cover.ravel() * normalise_area(camera, xy)
+    if not np.isfinite(xy).all() or not weights.sum() > 0:
+        return np.full(2, np.nan)
+    ray = _cone_axis(weights @ xy / weights.sum(), weights.sum())
+    return project(camera, ray)
+
+
+def _cone_axis(centroid: Array, area: float) -> Array:
+    """Return the unit axis (3,) of the cone whose section with z = 1 has this centroid and area.
+
+    With c the axis and s the sine of half the opening angle, the ellipse has the centre
+    c_xy c_z / (c_z^2 - s^2) and the area pi s^2 sqrt(1 - s^2) / (c_z^2 - s^2)^(3/2).
+    """
+    s2, axis = 0.0, np.array([*centroid, 1.0]) / np.hypot(1, np.linalg.norm(centroid))
+    for _ in range(50):  # a contraction by about s^2, which is far below one
+        before = axis
+        gap = axis[2] ** 2 - s2
+        s2 = min(area / np.pi * gap**1.5 / np.sqrt(1 - s2), 0.5 * axis[2] ** 2)
+        xy = centroid * (axis[2] ** 2 - s2) / axis[2]
+        axis = np.array([*xy, np.sqrt(max(1 - xy @ xy, 1e-12))])
+        if np.abs(axis - before).max() < 1e-14:
+            break
+    return axis

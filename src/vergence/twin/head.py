@@ -1,0 +1,212 @@
+"""The twin itself: moves, looks, reads its sensors, and hands out frames as a real head would."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from types import TracebackType
+
+import mujoco
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.dataset import Frame
+from vergence.experiments.paper import Lens
+from vergence.geometry import inverse, transform
+from vergence.head import HeadCalibration
+from vergence.kinematics import EYE_JOINTS, NECK_JOINTS
+from vergence.twin.model import (
+    CAMERAS,
+    JOINTS,
+    T_world_body,
+    as_built_head,
+    compile_head,
+    nominal_head,
+)
+from vergence.twin.profile import ErrorProfile
+from vergence.twin.renderer import Negative, Renderer, overscan_sizes
+from vergence.twin.sensors import play, read
+
+_TICK_STEPS = 5
+"""Physics steps of 1 ms between two commands and two entries of the joints' history."""
+_HISTORY = 64
+"""Entries kept: 0.32 s, beyond the longest delay that a profile may have."""
+_AWAY = np.array([0.0, 0.0, -10.0])  # below the floor, where no camera looks
+_EYES = slice(len(NECK_JOINTS), len(NECK_JOINTS) + len(EYE_JOINTS))
+
+
+@dataclass(frozen=True, eq=False)
+class Exposure:
+    """A frame before its pictures are developed."""
+
+    time_s: float
+    eye_angles: Array
+    neck_angles: Array
+    negatives: tuple[Negative, ...]
+
+
+class Twin:
+    """A simulated head in its room. Use it in a `with` block: it holds OpenGL's resources.
+
+    `truth` and `true_angles` are for evaluation only: nothing that estimates may ask for them.
+    """
+
+    def __init__(self, profile: ErrorProfile, *, seed: int = 0, lens: Lens = "2.8mm"):
+        """Build a head.
+
+        Args:
+            profile: its imperfections.
+            seed: of everything random; the same seed gives the same head, whatever the lens.
+            lens: of the wide cameras.
+
+        Raises:
+            VergenceError: there is no OpenGL, or the model cannot be loaded.
+        """
+        self.profile = profile
+        self.nominal: HeadCalibration = nominal_head(lens)
+        self.truth: HeadCalibration = as_built_head(self.nominal, profile, seed)
+        self.model = compile_head(self.truth, overscan_sizes(self.truth))
+        self._data = mujoco.MjData(self.model)
+        self._seen = mujoco.MjData(self.model)  # the pose at which pictures are taken
+        self._rng = np.random.default_rng([seed, 3])
+        self._addresses = [self.model.joint(name).qposadr[0] for name in JOINTS]
+        self._actuators = [self.model.actuator(name).id for name in JOINTS]
+        mujoco.mj_resetDataKeyframe(self.model, self._data, self.model.key("home").id)
+        mujoco.mj_forward(self.model, self._data)
+        self._times = np.full(_HISTORY, 0.0)
+        self._true = np.tile(self._data.qpos[self._addresses], (_HISTORY, 1))
+        self._sensed = self._true.copy()
+        self._renderer = Renderer(self.model, self.truth, profile.image, seed)
+        self.place_board(None)
+        self.place_object(None)
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time."""
+        return float(self._data.time)
+
+    def advance(self, until_s: float, command: Callable[[float], Array] | Array) -> None:
+        """Step the physics.
+
+        Args:
+            until_s: simulated time at which to stop.
+            command: (7,) wanted angles in the order of model.JOINTS, or a function of the time
+                that gives them. They are servoed at 1 kHz and renewed every 5 ms.
+        """
+        width = np.radians(self.profile.joints.backlash_deg)
+        while (left := round((until_s - self._data.time) * 1000)) > 0:
+            ctrl = command(self._data.time) if callable(command) else command
+            self._data.ctrl[self._actuators] = ctrl
+            mujoco.mj_step(self.model, self._data, nstep=min(left, _TICK_STEPS))
+            angles = self._data.qpos[self._addresses]
+            sensed = play(angles[None], width, self._sensed[-1])[0] if width else angles
+            for history, latest in (
+                (self._times, self._data.time),
+                (self._true, angles),
+                (self._sensed, sensed),
+            ):
+                history[:-1] = history[1:]
+                history[-1] = latest
+
+    def settle(self, command: Array, seconds: float = 0.6) -> None:
+        """Go to a posture (7,) and wait until the motion has died away."""
+        self.advance(self.time_s + seconds, command)
+
+    def _at(self, history: Array, time_s: float) -> Array:
+        return np.array([np.interp(time_s, self._times, column) for column in history.T])
+
+    def _moments(self) -> tuple[float, float]:
+        """Return when the image and when the joints are sampled, if a frame is taken now."""
+        delay = self.profile.joints.delay_ms * 1e-3
+        return self.time_s - max(0.0, -delay), self.time_s - max(0.0, delay)
+
+    def true_angles(self) -> Array:
+        """Return the true (7,) angles at the moment of the image, if a frame is taken now."""
+        return self._at(self._true, self._moments()[0])
+
+    def true_object(self) -> Array:
+        """Return where the object is (3,) [m], in the left eye's base frame."""
+        T_world_lbase = self._T_world_lbase()
+        return transform(inverse(T_world_lbase), self._data.body("object").xpos)
+
+    def expose(self, cameras: Sequence[str] = CAMERAS) -> Exposure:
+        """Take a frame: render, and read the sensors."""
+        image_s, joint_s = self._moments()
+        self._seen.qpos[:] = self._data.qpos
+        self._seen.qpos[self._addresses] = self._at(self._true, image_s)
+        self._seen.mocap_pos[:] = self._data.mocap_pos
+        self._seen.mocap_quat[:] = self._data.mocap_quat
+        mujoco.mj_kinematics(self.model, self._seen)
+        mujoco.mj_camlight(self.model, self._seen)
+        negatives = tuple(self._renderer.expose(self._seen, name) for name in cameras)
+        sensed = self._at(self._sensed, joint_s)
+        eye_angles = read(sensed[None, _EYES], self.profile.joints, self._rng)[0]
+        return Exposure(self.time_s, eye_angles, sensed[: len(NECK_JOINTS)], negatives)
+
+    def develop(self, exposure: Exposure) -> Frame:
+        """Finish the pictures of an exposure; may run in another thread than expose."""
+        return Frame(
+            time_s=exposure.time_s,
+            joint_time_s=exposure.time_s,
+            eye_angles=exposure.eye_angles,
+            neck_angles=exposure.neck_angles,
+            images={n.camera: self._renderer.develop(n) for n in exposure.negatives},
+        )
+
+    def capture(self, cameras: Sequence[str] = CAMERAS) -> Frame:
+        """Take a frame and finish its pictures."""
+        return self.develop(self.expose(cameras))
+
+    def _T_world_lbase(self) -> Array:
+        T_world_head = T_world_body(self._data, "head")
+        pan = self.model.body("left_pan")
+        return T_world_head @ _pose(pan.pos, pan.quat)
+
+    def _place(self, body: str, T_lbase_body: Array | None) -> None:
+        mocap = self.model.body(body).mocapid[0]
+        if T_lbase_body is None:
+            self._data.mocap_pos[mocap] = _AWAY
+        else:
+            T = self._T_world_lbase() @ T_lbase_body
+            self._data.mocap_pos[mocap] = T[:3, 3]
+            mujoco.mju_mat2Quat(self._data.mocap_quat[mocap], T[:3, :3].ravel())
+        mujoco.mj_kinematics(self.model, self._data)
+
+    def place_board(self, T_lbase_target: Array | None) -> None:
+        """Put the board at a pose (4, 4) in the left eye's base frame; None takes it away."""
+        self._place("board", T_lbase_target)
+
+    def place_object(self, position: Array | None) -> None:
+        """Put the object at (3,) [m] in the left eye's base frame; None takes it away."""
+        T = None if position is None else np.eye(4)
+        if T is not None:
+            T[:3, 3] = position
+        self._place("object", T)
+
+    def body_poses(self) -> dict[str, Array]:
+        """Return by name the world pose (4, 4) of every body, at the last exposure."""
+        names = [self.model.body(b).name for b in range(self.model.nbody)]
+        return {name: T_world_body(self._seen, name) for name in names}
+
+    def close(self) -> None:
+        """Free OpenGL's resources."""
+        self._renderer.close()
+
+    def __enter__(self) -> Twin:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def _pose(pos: Array, quat_wxyz: Array) -> Array:
+    R = np.empty(9)
+    mujoco.mju_quat2Mat(R, quat_wxyz)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R.reshape(3, 3), pos
+    return T

@@ -1,0 +1,185 @@
+"""From the MJCF model to a nominal head, to an as-built head, and back to a compiled model.
+
+The names that the model uses are looked up here and nowhere else.
+"""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+from typing import cast
+
+import mujoco
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.camera import Camera
+from vergence.errors import VergenceError
+from vergence.experiments.paper import Lens
+from vergence.geometry import pose, rotation
+from vergence.head import HeadCalibration, MountedCamera, Side, T_head_base
+from vergence.kinematics import EYE_JOINTS, EYES, NECK_JOINTS, EyeAxes, Neck
+from vergence.twin.profile import ErrorProfile
+
+CAMERAS = ("left_wide", "right_wide", "left_narrow", "right_narrow")
+JOINTS = (*NECK_JOINTS, *EYE_JOINTS)
+"""Order of qpos and ctrl."""
+
+R_MJCAM_CAM = np.diag([1.0, -1.0, -1.0])  # MuJoCo's cameras look along -z with +y up
+
+FOCAL_MM: dict[Lens, float] = {"2.8mm": 2.8, "4.0mm": 4.0}
+# Barrel distortion that is usual for such lenses on a 1/2" sensor: 10 % and 4 % at the edge.
+DISTORTION: dict[Lens, tuple[float, ...]] = {
+    "2.8mm": (-0.12, 0.02, 0.0005, -0.0005, 0.0),
+    "4.0mm": (-0.09, 0.015, 0.0005, -0.0005, 0.0),
+}
+
+
+def model_folder() -> Path:
+    """Return the folder of the MJCF files: beside the code when installed, else in the checkout."""
+    packaged = Path(str(resources.files("vergence"))) / "models" / "cbi_head"
+    return packaged if packaged.is_dir() else Path(__file__).parents[3] / "models" / "cbi_head"
+
+
+def load_spec() -> mujoco.MjSpec:
+    """Read the scene: the head, a room, the calibration board and the object."""
+    path = model_folder() / "scene.xml"
+    try:
+        return mujoco.MjSpec.from_file(str(path))
+    except ValueError as error:
+        raise VergenceError(f"Cannot load the model {path}: {error}.") from error
+
+
+def nominal_head(lens: Lens) -> HeadCalibration:
+    """Return the head as designed, with a lens in the wide cameras."""
+    spec = load_spec()
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    bases = {eye: data.body(f"{eye}_pan").xpos for eye in EYES}
+    body = data.body("body").xpos
+    joints = [data.joint(name) for name in NECK_JOINTS]
+    cameras = {}
+    for name in CAMERAS:
+        camera, eye = model.camera(name), cast(Side, name.split("_")[0])
+        width, height = (int(size) for size in model.cam_resolution[camera.id])
+        pitch_m = model.cam_sensorsize[camera.id, 0] / width
+        wide = name.endswith("wide")
+        focal_m = FOCAL_MM[lens] * 1e-3 if wide else model.cam_intrinsic[camera.id, 0]
+        matrix = np.diag([focal_m / pitch_m, focal_m / pitch_m, 1.0])
+        matrix[:2, 2] = (width - 1) / 2, (height - 1) / 2
+        cameras[name] = MountedCamera(
+            eye=eye,
+            intrinsics=Camera(
+                width=width,
+                height=height,
+                matrix=matrix,
+                distortion=np.array(DISTORTION[lens]) if wide else np.zeros(5),
+            ),
+            T_eye_cam=pose(_matrix(camera.quat) @ R_MJCAM_CAM, camera.pos),
+        )
+    return HeadCalibration(
+        cameras=cameras,
+        T_rbase_lbase=pose(t=bases["left"] - bases["right"]),
+        neck=Neck(
+            axes=np.array([joint.xaxis for joint in joints]),
+            points_m=np.array([joint.xanchor - body for joint in joints]),
+            head_m=(bases["left"] + bases["right"]) / 2 - body,
+        ),
+    )
+
+
+def as_built_head(nominal: HeadCalibration, profile: ErrorProfile, seed: int) -> HeadCalibration:
+    """Return the true head: the nominal one with the profile's errors, drawn from the seed.
+
+    Every draw is made whatever the profile, so that profiles share their random numbers.
+    """
+    rng = np.random.default_rng([seed, 1])
+    mounting, optics = profile.mounting, profile.optics
+    cameras = {}
+    for name, mounted in nominal.cameras.items():
+        turn = rng.normal(0, np.radians(mounting.rotation_deg), 3)
+        shift = rng.normal(0, mounting.translation_mm * 1e-3, 3)
+        focal = 1 + rng.normal(0, optics.focal_percent / 100)
+        principal = rng.normal(0, optics.principal_px, 2)
+        camera = mounted.intrinsics
+        matrix = camera.matrix.copy()
+        matrix[[0, 1], [0, 1]] *= focal
+        matrix[:2, 2] += principal
+        cameras[name] = MountedCamera(
+            eye=mounted.eye,
+            intrinsics=Camera(
+                width=camera.width,
+                height=camera.height,
+                matrix=matrix,
+                distortion=camera.distortion * optics.distortion,
+            ),
+            T_eye_cam=pose(t=shift) @ mounted.T_eye_cam @ pose(rotation(turn)),
+        )
+    T_rbase_lbase = nominal.T_rbase_lbase.copy()
+    if mounting.baseline_mm is not None:
+        T_rbase_lbase[:3, 3] *= mounting.baseline_mm * 1e-3 / np.linalg.norm(T_rbase_lbase[:3, 3])
+    T_rbase_lbase = T_rbase_lbase @ pose(
+        rotation(rng.normal(0, np.radians(mounting.base_rotation_deg), 3)),
+        rng.normal(0, mounting.base_translation_mm * 1e-3, 3),
+    )
+    axes = {
+        eye: EyeAxes(
+            nonorthogonality_rad=rng.normal(0, np.radians(profile.axes.nonorthogonality_deg)),
+            axis_distance_m=rng.normal(0, profile.axes.distance_mm * 1e-3),
+        )
+        for eye in cast(tuple[Side, Side], EYES)
+    }
+    return HeadCalibration(
+        cameras=cameras, T_rbase_lbase=T_rbase_lbase, axes=axes, neck=nominal.neck
+    )
+
+
+def compile_head(head: HeadCalibration, overscan: dict[str, tuple[int, int]]) -> mujoco.MjModel:
+    """Compile the scene with the head as given.
+
+    Args:
+        head: the as-built head; its lens distortion is the renderer's affair.
+        overscan: by camera, the width and height [px] to render, at the camera's own focal
+            length; the image lies in the middle of it.
+    """
+    spec = load_spec()
+    for eye in cast(tuple[Side, Side], EYES):
+        T = T_head_base(head, eye)
+        pan, tilt = spec.body(f"{eye}_pan"), spec.joint(f"{eye}_tilt")
+        pan.pos, pan.quat = T[:3, 3], _quat(T[:3, :3])
+        axes = head.axes[eye]
+        spec.body(f"{eye}_eye").pos = [axes.axis_distance_m, 0, 0]
+        tilt.axis = [0, np.cos(axes.nonorthogonality_rad), np.sin(axes.nonorthogonality_rad)]
+    for name, mounted in head.cameras.items():
+        camera, T = spec.camera(name), mounted.T_eye_cam
+        nominal_width = camera.resolution[0]
+        camera.pos = T[:3, 3]
+        camera.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+        camera.quat = _quat(T[:3, :3] @ R_MJCAM_CAM)
+        intrinsics, size = mounted.intrinsics, np.array(overscan[name])
+        centre = (np.array([intrinsics.width, intrinsics.height]) - 1) / 2
+        camera.sensor_size = camera.sensor_size[0] / nominal_width * size
+        camera.resolution = size
+        camera.focal_pixel = intrinsics.matrix[[0, 1], [0, 1]]
+        camera.focal_length = [0, 0]
+        camera.principal_pixel = centre - intrinsics.matrix[:2, 2]
+    return spec.compile()
+
+
+def _matrix(quat_wxyz: Array) -> Array:
+    R = np.empty(9)
+    mujoco.mju_quat2Mat(R, quat_wxyz)
+    return R.reshape(3, 3)
+
+
+def _quat(R: Array) -> Array:
+    quat_wxyz = np.empty(4)
+    mujoco.mju_mat2Quat(quat_wxyz, np.ascontiguousarray(R).ravel())
+    return quat_wxyz
+
+
+def T_world_body(data: mujoco.MjData, name: str) -> Array:
+    """Return the pose (4, 4) of a body in the world."""
+    body = data.body(name)
+    return pose(body.xmat.reshape(3, 3), body.xpos)

@@ -1,0 +1,139 @@
+"""Cameras: render with MuJoCo, distort, blur, add noise.
+
+A picture is taken in two steps. `expose` renders, in the thread that owns OpenGL, and draws the
+random numbers; `develop` does the rest and may run in another thread, so that it overlaps with
+the next rendering.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import TracebackType
+
+import cv2
+import mujoco
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.camera import Camera, normalise
+from vergence.errors import VergenceError
+from vergence.head import HeadCalibration
+from vergence.twin import no_opengl
+from vergence.twin.profile import Image
+
+_NOISE_MARGIN = 256  # a noise picture is a window of a larger one, at one of 256 x 256 places
+
+
+@dataclass(frozen=True, eq=False)
+class Negative:
+    """A rendered picture before distortion, blur and noise."""
+
+    camera: str
+    rendered: np.ndarray
+    noise_at: tuple[int, int]
+
+
+def overscan_sizes(head: HeadCalibration) -> dict[str, tuple[int, int]]:
+    """Return by camera the width and height [px] that a pinhole picture must have.
+
+    It must hold all that the distorted image shows; cameras without distortion need no more
+    than their own size.
+    """
+    sizes = {}
+    for name, mounted in head.cameras.items():
+        camera = mounted.intrinsics
+        if not camera.distortion.any():
+            sizes[name] = (camera.width, camera.height)
+            continue
+        map_px = _pinhole_map(camera, (camera.width, camera.height))
+        if not np.isfinite(map_px).all():
+            raise VergenceError(f"The distortion of {name} folds over within its image.")
+        reach = np.abs(map_px - [(camera.width - 1) / 2, (camera.height - 1) / 2]).max(axis=(0, 1))
+        sizes[name] = tuple(int(2 * np.ceil(r + 2)) for r in reach)
+    return sizes
+
+
+def _pinhole_map(camera: Camera, size: tuple[int, int]) -> Array:
+    """Return for each pixel (H, W, 2) of the camera where it lies in a pinhole picture."""
+    v, u = np.mgrid[: camera.height, : camera.width].astype(float)
+    xy = normalise(camera, np.stack([u, v], axis=-1))
+    shift = (np.array(size) - [camera.width, camera.height]) / 2
+    return xy @ camera.matrix[:2, :2].T + camera.matrix[:2, 2] + shift
+
+
+class Renderer:
+    """The four cameras of a compiled head. Belongs to the thread that made it; close it."""
+
+    def __init__(self, model: mujoco.MjModel, head: HeadCalibration, image: Image, seed: int):
+        """Open OpenGL.
+
+        Args:
+            model: compiled with the overscan sizes of the head.
+            head: the as-built head, for its lens distortion.
+            image: noise and blur.
+            seed: of the noise.
+
+        Raises:
+            VergenceError: there is no OpenGL.
+        """
+        self._image = image
+        self._rng = np.random.default_rng([seed, 2])
+        sizes = overscan_sizes(head)
+        self._sizes = sizes
+        self._maps = {
+            name: cv2.convertMaps(
+                _pinhole_map(mounted.intrinsics, sizes[name]).astype(np.float32), None, cv2.CV_16SC2
+            )
+            for name, mounted in head.cameras.items()
+            if mounted.intrinsics.distortion.any()
+        }
+        height = max(m.intrinsics.height for m in head.cameras.values()) + _NOISE_MARGIN
+        width = max(m.intrinsics.width for m in head.cameras.values()) + _NOISE_MARGIN
+        noise = self._rng.normal(0, image.noise_grey, (height, width, 3))
+        self._noise = np.round(noise).astype(np.int16) if image.noise_grey else None
+        self._renderers: dict[tuple[int, int], mujoco.Renderer] = {}
+        try:
+            for size in set(sizes.values()):
+                self._renderers[size] = mujoco.Renderer(model, height=size[1], width=size[0])
+        except Exception as error:  # each backend raises its own kind
+            self.close()
+            raise no_opengl(error) from error
+        for renderer in self._renderers.values():  # the room is closed: nothing of these is seen
+            for flag in ("SKYBOX", "HAZE", "SHADOW", "REFLECTION"):
+                renderer.scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{flag}")] = 0
+
+    def expose(self, data: mujoco.MjData, camera: str) -> Negative:
+        """Render one camera and draw its noise."""
+        renderer = self._renderers[self._sizes[camera]]
+        renderer.update_scene(data, camera=camera)
+        v, u = self._rng.integers(0, _NOISE_MARGIN, 2)
+        return Negative(camera, renderer.render(), (int(v), int(u)))
+
+    def develop(self, negative: Negative) -> np.ndarray:
+        """Return the image (H, W, 3) uint8 that the camera gives."""
+        image = negative.rendered
+        if negative.camera in self._maps:
+            image = cv2.remap(image, *self._maps[negative.camera], cv2.INTER_LINEAR)
+        if self._image.blur_px:
+            image = cv2.GaussianBlur(image, (0, 0), self._image.blur_px)
+        if self._noise is not None:
+            v, u = negative.noise_at
+            window = self._noise[v : v + image.shape[0], u : u + image.shape[1]]
+            image = cv2.add(image, window, dtype=cv2.CV_8U)
+        return image
+
+    def close(self) -> None:
+        """Free OpenGL's resources."""
+        for renderer in self._renderers.values():
+            renderer.close()
+
+    def __enter__(self) -> Renderer:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
