@@ -6,14 +6,17 @@ The robot alone, before a plain backdrop, with shadows and a studio's three ligh
 has neither, because its images are measured, and shadows cost time.
 """
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's compiled module has no type stubs.
+
 import os
 from pathlib import Path
 
 os.environ.setdefault("MUJOCO_GL", "egl")
 
-import cv2  # noqa: E402
-import mujoco  # noqa: E402
-import numpy as np  # noqa: E402
+import cv2
+import mujoco
+import numpy as np
 
 MODEL = Path(__file__).parent
 WIDTH, HEIGHT = 840, 840

@@ -4,8 +4,8 @@ Run from anywhere (the meshes are written beside this file):
 
     python models/cbi_head/assets/make_meshes.py
 
-The surface is |x/a|^n + |y/b|^n + |z/c|^n = 1 about `CENTRE`, in coordinates of the body `head` [m].
-It is meshed in rings about the x axis, so that the first ring is the opening's edge.
+The surface is |x/a|^n + |y/b|^n + |z/c|^n = 1 about `CENTRE`, in coordinates of the body `head`
+[m]. It is meshed in rings about the x axis, so that the first ring is the opening's edge.
 """
 
 from dataclasses import dataclass

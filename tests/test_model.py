@@ -1,0 +1,305 @@
+"""The MuJoCo model of the head and its scene: frames, optics, servos, and what the cameras see."""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's compiled module has no type stubs.
+
+import itertools
+import os
+import runpy
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+os.environ.setdefault("MUJOCO_GL", "egl")
+
+import cv2
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+MODEL = Path(__file__).parents[1] / "models" / "cbi_head"
+SIDES = ("left", "right")
+JOINT_RANGE_DEG = {
+    "neck_pitch": (-30, 40),
+    "neck_roll": (-30, 30),
+    "neck_yaw": (-50, 50),
+    "left_pan": (-35, 35),
+    "left_tilt": (-30, 30),
+    "right_pan": (-35, 35),
+    "right_tilt": (-30, 30),
+}
+FOCAL_PX = {"wide": 280.0, "narrow": 1200.0}
+WIDTH, HEIGHT = 640, 480
+OVERSCAN = 1.4
+"""Lens distortion is made from a pinhole image this much wider than the final one."""
+EYE_RANGE_RAD = 0.30
+
+CORNERS = np.array([(0.03 * i, 0.03 * j, 0.0) for j in range(6) for i in range(9)])
+R_WORLD_FACING = np.array([(0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0)])
+"""Attitude of a board that faces the head squarely."""
+
+
+@pytest.fixture
+def model() -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_path(str(MODEL / "scene.xml"))
+
+
+@pytest.fixture
+def data(model: mujoco.MjModel) -> mujoco.MjData:
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+    mujoco.mj_forward(model, data)
+    return data
+
+
+@pytest.fixture
+def render(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[Callable[[str], NDArray]]:
+    """A function from a camera's name to its RGB image."""
+    with mujoco.Renderer(model, HEIGHT, WIDTH) as renderer:
+
+        def image(camera: str) -> NDArray:
+            mujoco.mj_forward(model, data)
+            renderer.update_scene(data, camera)
+            return renderer.render()
+
+        yield image
+
+
+def place(model: mujoco.MjModel, data: mujoco.MjData, body: str, pos, R_world_body=None) -> None:
+    """Put a mocap body somewhere [m, world]."""
+    mocap = model.body(body).mocapid[0]
+    data.mocap_pos[mocap] = pos
+    if R_world_body is not None:
+        data.mocap_quat[mocap] = Rotation.from_matrix(R_world_body).as_quat(scalar_first=True)
+    mujoco.mj_forward(model, data)
+
+
+def project(data: mujoco.MjData, camera: str, p_world: NDArray) -> NDArray[np.float64]:
+    """Pixels (N, 2), in OpenCV's convention, of points (N, 3)."""
+    x, y, z = ((p_world - data.cam(camera).xpos) @ data.cam(camera).xmat.reshape(3, 3)).T
+    focal = FOCAL_PX[camera.split("_")[1]]
+    return np.stack((focal * x / -z + (WIDTH - 1) / 2, focal * y / z + (HEIGHT - 1) / 2), axis=-1)
+
+
+def redness(image: NDArray) -> NDArray[np.float64]:
+    red, green, blue = np.moveaxis(image.astype(float) / 255.0, -1, 0)
+    return red - (green + blue) / 2.0
+
+
+@pytest.mark.parametrize("file", ["cbi_head.xml", "scene.xml"])
+def test_random_control_raises_no_warning(file: str) -> None:
+    model = mujoco.MjModel.from_xml_path(str(MODEL / file))
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(0)
+    low, high = model.actuator_ctrlrange.T
+    for step in range(round(2.0 / model.opt.timestep)):
+        if step % 10 == 0:
+            data.ctrl[:] = rng.uniform(low, high)
+        mujoco.mj_step(model, data)
+    assert [warning.number for warning in data.warning] == [0] * len(data.warning)
+    assert np.isfinite(data.qpos).all()
+    assert data.ncon == 0
+
+
+def test_joints_actuators_and_sensors_share_names_and_ranges(model: mujoco.MjModel) -> None:
+    assert [model.joint(i).name for i in range(model.njnt)] == list(JOINT_RANGE_DEG)
+    assert [model.actuator(i).name for i in range(model.nu)] == list(JOINT_RANGE_DEG)
+    sensors = [f"{joint}_{kind}" for kind in ("pos", "vel") for joint in JOINT_RANGE_DEG]
+    assert [model.sensor(i).name for i in range(model.nsensor)] == sensors
+    for name, limits_deg in JOINT_RANGE_DEG.items():
+        np.testing.assert_allclose(model.joint(name).range, np.radians(limits_deg), atol=1e-6)
+        np.testing.assert_allclose(model.actuator(name).ctrlrange, model.joint(name).range)
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_pan_and_tilt_axes_are_orthogonal_and_meet_in_the_base(
+    model: mujoco.MjModel, data: mujoco.MjData, side: str
+) -> None:
+    data.qpos[:] = np.random.default_rng(1).uniform(*model.jnt_range.T)
+    mujoco.mj_forward(model, data)
+    pan, tilt = data.joint(f"{side}_pan"), data.joint(f"{side}_tilt")
+    assert pan.xaxis @ tilt.xaxis == pytest.approx(0.0, abs=1e-12)
+    np.testing.assert_allclose(pan.xanchor, tilt.xanchor, atol=1e-12)
+    np.testing.assert_allclose(pan.xanchor, data.site(f"{side}_base").xpos, atol=1e-12)
+
+
+def test_head_origin_is_midway_between_the_eyes(data: mujoco.MjData) -> None:
+    left, right = (data.site(f"{side}_base").xpos for side in SIDES)
+    np.testing.assert_allclose((left + right) / 2.0, data.body("head").xpos, atol=1e-12)
+    np.testing.assert_allclose(left - right, (0.0, 0.092, 0.0), atol=1e-12)
+    np.testing.assert_allclose(data.body("head").xpos, (0.0, 0.0, 1.20), atol=1e-12)
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_positive_pan_looks_left_and_positive_tilt_looks_down(
+    model: mujoco.MjModel, data: mujoco.MjData, side: str
+) -> None:
+    data.joint(f"{side}_pan").qpos[0] = pan = 0.2
+    data.joint(f"{side}_tilt").qpos[0] = tilt = 0.1
+    mujoco.mj_forward(model, data)
+    forward = -data.cam(f"{side}_wide").xmat.reshape(3, 3)[:, 2]
+    assert forward[1] > 0.0
+    assert forward[2] < 0.0
+    R_base_eye = Rotation.from_euler("ZY", (pan, tilt)).as_matrix()
+    np.testing.assert_allclose(data.body(f"{side}_eye").xmat.reshape(3, 3), R_base_eye, atol=1e-12)
+
+
+@pytest.mark.parametrize("lens", list(FOCAL_PX))
+@pytest.mark.parametrize("side", SIDES)
+def test_cameras_have_the_stated_focal_length(model: mujoco.MjModel, side: str, lens: str) -> None:
+    camera = model.cam(f"{side}_{lens}").id
+    size_px = model.cam_resolution[camera]
+    focal_px = model.cam_intrinsic[camera, :2] / model.cam_sensorsize[camera] * size_px
+    np.testing.assert_array_equal(size_px, (WIDTH, HEIGHT))
+    np.testing.assert_allclose(focal_px, FOCAL_PX[lens], rtol=1e-6)
+    np.testing.assert_array_equal(model.cam_intrinsic[camera, 2:], 0.0)
+
+
+def test_narrow_cameras_are_30_mm_below_the_wide_ones(model: mujoco.MjModel) -> None:
+    for side in SIDES:
+        offset = model.cam(f"{side}_narrow").pos - model.cam(f"{side}_wide").pos
+        np.testing.assert_allclose(offset, (0.0, 0.0, -0.030), atol=1e-12)
+
+
+def robot_pixels(model: mujoco.MjModel, data: mujoco.MjData, *, scale: float) -> int:
+    """Pixels that show the robot, over the range of the eyes, in `scale` times wider images."""
+    model.cam_sensorsize[:] *= scale
+    root = model.body("body").id
+    count = 0
+    with mujoco.Renderer(model, 120, 160) as renderer:
+        renderer.enable_segmentation_rendering()
+        extremes = (-EYE_RANGE_RAD, 0.0, EYE_RANGE_RAD)
+        for pan_l, tilt_l, pan_r, tilt_r in itertools.product(extremes, repeat=4):
+            data.joint("left_pan").qpos[0], data.joint("left_tilt").qpos[0] = pan_l, tilt_l
+            data.joint("right_pan").qpos[0], data.joint("right_tilt").qpos[0] = pan_r, tilt_r
+            mujoco.mj_forward(model, data)
+            for side in SIDES:
+                renderer.update_scene(data, f"{side}_wide")
+                ids, kinds = np.moveaxis(renderer.render(), -1, 0)
+                geoms = ids[kinds == mujoco.mjtObj.mjOBJ_GEOM]
+                count += int((model.body_rootid[model.geom_bodyid[geoms]] == root).sum())
+    return count
+
+
+def test_no_wide_camera_sees_the_robot_itself(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    assert robot_pixels(model, data, scale=OVERSCAN) == 0
+
+
+def test_a_much_wider_lens_would_see_the_robot(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """The test above could fail."""
+    assert robot_pixels(model, data, scale=3.0) > 0
+
+
+@pytest.mark.parametrize(
+    ("camera", "distance_m", "tolerance_px"),
+    [("left_wide", 0.60, 0.05), ("right_narrow", 1.0, 0.05)],
+)
+def test_corners_of_a_frontal_board_are_where_its_frame_says(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    render: Callable[[str], NDArray],
+    camera: str,
+    distance_m: float,
+    tolerance_px: float,
+) -> None:
+    place(model, data, "object", (0.5, 1.5, 0.8))
+    centre = data.cam(camera).xpos + np.array((distance_m, 0.0, 0.0))
+    errors = []
+    # A few sub-pixel positions: a single one could be lucky.
+    for offset in np.random.default_rng(2).uniform(-0.004, 0.004, (4, 3)):
+        place(model, data, "board", centre + offset + (0.0, 0.12, 0.075), R_WORLD_FACING)
+        grey = cv2.cvtColor(render(camera), cv2.COLOR_RGB2GRAY)
+        found, corners = cv2.findChessboardCornersSB(grey, (9, 6), flags=cv2.CALIB_CB_ACCURACY)
+        assert found
+        corners = corners.reshape(-1, 2)
+        board = data.body("board")
+        expected = project(data, camera, board.xpos + CORNERS @ board.xmat.reshape(3, 3).T)
+        if np.linalg.norm(corners[0] - expected[0]) > np.linalg.norm(corners[-1] - expected[0]):
+            corners = corners[::-1]
+        errors.append(corners - expected)
+    assert np.abs(np.mean(errors, axis=(0, 1))).max() < 0.02
+    assert np.sqrt(np.mean(np.square(errors))) < tolerance_px
+
+
+def test_board_is_black_outside_its_first_corner_and_evenly_bright_at_any_attitude(
+    model: mujoco.MjModel, data: mujoco.MjData, render: Callable[[str], NDArray]
+) -> None:
+    place(model, data, "object", (0.5, 1.5, 0.8))
+    rng = np.random.default_rng(3)
+    for _ in range(8):
+        axis = rng.normal(size=3)
+        turn = Rotation.from_rotvec(np.pi / 4.0 * axis / np.linalg.norm(axis)).as_matrix()
+        R_world_board = R_WORLD_FACING @ turn
+        centre = data.cam("left_wide").xpos + np.array((0.5, 0.0, 0.0))
+        place(model, data, "board", centre - R_world_board @ (0.12, 0.075, 0.0), R_world_board)
+        image = render("left_wide")
+        for square, low, high in (((-0.015, -0.015, 0.0), 0, 59), ((0.015, -0.015, 0.0), 200, 250)):
+            p_world = data.body("board").xpos + R_world_board @ square
+            column, row = np.round(project(data, "left_wide", p_world[None])[0]).astype(int)
+            assert (image[row, column] >= low).all()
+            assert (image[row, column] <= high).all()
+
+
+@pytest.mark.parametrize("camera", ["left_wide", "right_narrow"])
+def test_object_is_flat_red_and_nothing_else_is_red(
+    model: mujoco.MjModel, data: mujoco.MjData, render: Callable[[str], NDArray], camera: str
+) -> None:
+    centre = data.cam(camera).xpos + np.array((0.45, 0.0, 0.0))
+    place(model, data, "object", centre)
+    radius_px = FOCAL_PX[camera.split("_")[1]] * 0.020 / 0.45
+    rows, columns = np.indices((HEIGHT, WIDTH))
+    distance_px = np.hypot(columns - (WIDTH - 1) / 2, rows - (HEIGHT - 1) / 2)
+    image = render(camera)
+    assert (image[distance_px < radius_px - 1.0] == (255, 0, 0)).all()
+    assert redness(image)[distance_px > radius_px + 1.5].max() <= 0.01
+
+
+def test_no_view_of_the_room_is_red(
+    model: mujoco.MjModel, data: mujoco.MjData, render: Callable[[str], NDArray]
+) -> None:
+    place(model, data, "object", (0.0, 0.0, -1.0))
+    for neck_yaw, pitch in itertools.product((-0.8, 0.0, 0.8), (-0.4, 0.6)):
+        data.joint("neck_yaw").qpos[0], data.joint("neck_pitch").qpos[0] = neck_yaw, pitch
+        assert redness(render("left_wide")).max() <= 0.01
+
+
+@pytest.mark.parametrize("joint", ["left_pan", "right_tilt"])
+def test_eyes_are_fast_follow_closely_and_do_not_overshoot(
+    model: mujoco.MjModel, data: mujoco.MjData, joint: str
+) -> None:
+    speed, angle = [], []
+    for _ in range(200):
+        data.actuator(joint).ctrl[0] = 0.35
+        mujoco.mj_step(model, data)
+        speed.append(data.joint(joint).qvel[0])
+        angle.append(data.joint(joint).qpos[0])
+    assert max(speed) > 10.0
+    assert max(angle) < 0.35 * 1.02
+    assert angle[-1] == pytest.approx(0.35, abs=1e-3)
+
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    errors = []
+    while data.time < 3.0:
+        data.actuator(joint).ctrl[0] = 0.25 * np.sin(data.time)
+        mujoco.mj_step(model, data)
+        errors.append(data.joint(joint).qpos[0] - 0.25 * np.sin(data.time))
+    assert np.abs(errors).max() < 1.5e-3
+
+
+def test_textures_and_meshes_are_made_by_their_scripts() -> None:
+    for name, image in runpy.run_path(str(MODEL / "assets/make_textures.py"))["textures"]().items():
+        stored = cv2.imread(str(MODEL / "assets" / name), cv2.IMREAD_UNCHANGED)
+        np.testing.assert_array_equal(stored, image, err_msg=name)
+    meshes = runpy.run_path(str(MODEL / "assets/make_meshes.py"))
+    for name, closed in (("shell", True), ("crest", False)):
+        text = (MODEL / "assets" / f"{name}.obj").read_text()
+        assert text.count("\nv ") == meshes[name]().vertices[..., 0].size
+        assert text == meshes[name]().obj(closed=closed)
+
+
+def test_assets_stay_small() -> None:
+    sizes = {path.name: path.stat().st_size for path in (MODEL / "assets").iterdir()}
+    assert max(size for name, size in sizes.items() if name.endswith(".png")) < 300e3
+    assert sum(sizes.values()) < 1e6
+    assert (MODEL / "cbi_head.png").stat().st_size < 200e3
