@@ -1,0 +1,108 @@
+"""How far off a located point is: the paper's Eqs. 20-21 and their generalisation.
+
+Eqs. 20-21 hold on the optical axis of two parallel cameras, and are for a first idea and for
+designing a head; `point_covariance` holds for any sample of any head.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vergence.active_stereo import locate
+from vergence.arrays import Array
+from vergence.head import HeadCalibration
+
+_PIXEL_STEP_PX = 1e-2  # of the central differences: rounding and curvature both stay below 1e-7
+_JOINT_STEP_RAD = 3e-5
+
+
+def depth_error(
+    depth_m: ArrayLike, baseline_m: ArrayLike, focal_px: ArrayLike, disparity_error_px: ArrayLike
+) -> Array:
+    """Eq. 20: return the error in depth (...,) [m] that an error in disparity makes.
+
+    Args:
+        depth_m: from the centres of the cameras.
+        baseline_m: between the centres of the cameras.
+        focal_px: of both cameras.
+        disparity_error_px: of the difference between the two image positions.
+    """
+    depth, baseline, focal = (np.asarray(a, float) for a in (depth_m, baseline_m, focal_px))
+    return depth**2 / (baseline * focal) * np.asarray(disparity_error_px, float)
+
+
+def disparity_error(focal_px: ArrayLike, orientation_error_rad: ArrayLike) -> Array:
+    """Eq. 21: return the error in disparity (...,) [px] of a wrong angle between the cameras."""
+    return np.asarray(focal_px, float) * np.tan(np.asarray(orientation_error_rad, float))
+
+
+def predicted_depth_std(
+    depth_m: ArrayLike,
+    baseline_m: ArrayLike,
+    focal_px: ArrayLike,
+    *,
+    joint_std_rad: ArrayLike = 0.0,
+    pixel_std_px: ArrayLike = 0.0,
+    camera_ahead_m: ArrayLike = 0.0,
+) -> Array:
+    """Return the standard deviation of depth (...,) [m] by Eqs. 20-21.
+
+    Noise is white and independent in the two eyes, so their parts add as squares. Only pan
+    counts: on the axis, tilt moves both images along the direction that has no disparity.
+
+    Args:
+        depth_m: from the centres of the cameras.
+        baseline_m: between the centres of the cameras.
+        focal_px: of both cameras.
+        joint_std_rad: of each joint's reading.
+        pixel_std_px: of each coordinate of the object's position in each image.
+        camera_ahead_m: how far the cameras' centres sit ahead of the eyes' rotation centres. A
+            wrong pan also shifts a camera that does so, which Eq. 21 leaves out.
+    """
+    lever = 1 + np.asarray(camera_ahead_m, float) / np.asarray(depth_m, float)
+    turned = lever * disparity_error(focal_px, np.sqrt(2) * np.asarray(joint_std_rad, float))
+    matched = np.sqrt(2) * np.asarray(pixel_std_px, float)
+    return depth_error(depth_m, baseline_m, focal_px, np.hypot(turned, matched))
+
+
+def point_covariance(
+    calibration: HeadCalibration,
+    pixels_l: Array,
+    pixels_r: Array,
+    eye_angles: Array,
+    *,
+    pixel_std_px: ArrayLike,
+    joint_std_rad: ArrayLike,
+    cameras: tuple[str, str] = ("left_wide", "right_wide"),
+) -> Array:
+    """Return the covariance (N, 3, 3) [m^2] of what `locate` returns, to first order.
+
+    Args:
+        calibration: of the head, taken as exact.
+        pixels_l: (N, 2) pixels in the left camera, distortion included.
+        pixels_r: (N, 2) pixels in the right camera.
+        eye_angles: (N, 4) joint readings [rad] in the order of kinematics.EYE_JOINTS.
+        pixel_std_px: standard deviation of (left u, left v, right u, right v); a number stands
+            for all, and (4,) or (N, 4) are taken as they are.
+        joint_std_rad: standard deviation of each reading, likewise.
+        cameras: names of the left and the right camera.
+
+    Returns:
+        Covariances in the left eye's base frame, NaN where a sample cannot be located.
+
+    Raises:
+        VergenceError: shapes do not fit, or the head has no such camera.
+    """
+    locate(calibration, pixels_l, pixels_r, eye_angles, cameras=cameras)  # checks the shapes
+    inputs = np.concatenate([pixels_l, pixels_r, eye_angles], axis=1)
+    steps = np.repeat([_PIXEL_STEP_PX, _JOINT_STEP_RAD], 4)
+    moved = inputs + np.concatenate([np.diag(steps), -np.diag(steps)])[:, None]  # (16, N, 8)
+    flat = moved.reshape(-1, 8)
+    located = locate(calibration, flat[:, :2], flat[:, 2:4], flat[:, 4:], cameras=cameras)
+    forward, backward = located.points.reshape(2, 8, -1, 3)
+    jacobian = (forward - backward) / (2 * steps[:, None, None])  # (8, N, 3)
+    n = len(inputs)
+    stds = [np.broadcast_to(std, (n, 4)) for std in (pixel_std_px, joint_std_rad)]
+    spread = jacobian * np.concatenate(stds, axis=1).T[:, :, None]
+    return np.einsum("kni,knj->nij", spread, spread)
