@@ -1,0 +1,561 @@
+"""Recordings for the rerun viewer: one file a figure, that explains itself when it is opened.
+
+The only module that imports rerun. The entities:
+
+    /world/<body>                      poses of the head's bodies, with their shapes below
+    /world/<side>_eye/<camera>         pinhole, with /image, /detected and /truth below
+    /world/left_base                   the left eye's base frame: estimates, rays, true object
+    /estimate/x, y, z                  the estimates [m]; /statistics/... and /paper/... beside them
+    /joints/<joint>                    joint readings [rad]
+    /report                            markdown
+
+on the timelines `sim_time` [s] and `frame`. A pixel's centre is at +0.5 here and at 0 in the rest
+of the project.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+import pyarrow as pa
+import rerun as rr
+import rerun.blueprint as rrb
+from rerun.chunk import RrdReader
+from scipy.spatial.transform import Rotation
+
+from vergence.arrays import Array
+from vergence.dataset import Frame
+from vergence.errors import VergenceError
+from vergence.experiments.paper import Figure
+from vergence.experiments.statistics import Statistics
+from vergence.geometry import inverse, transform
+from vergence.head import HeadCalibration, T_base_cam
+from vergence.kinematics import EYE_JOINTS, EYES
+
+if TYPE_CHECKING:  # the twin, and with it mujoco, is not needed to record a real head
+    from vergence.twin.appearance import VisualGeom
+
+APPLICATION = "vergence"  # the same for every recording: no dots or slashes
+
+AXIS_COLOURS = {"x": (31, 90, 255), "y": (0, 150, 40), "z": (225, 30, 30)}
+"""The paper's: x (depth) blue, y green, z red."""
+_PALE = {"x": (150, 185, 255), "y": (140, 215, 150), "z": (255, 165, 160)}
+_PAPER = (150, 150, 150)
+_JOINT_COLOURS = {
+    "left_pan": (230, 120, 20),
+    "left_tilt": (240, 190, 90),
+    "right_pan": (30, 140, 170),
+    "right_tilt": (120, 200, 215),
+}
+_BACKGROUND = (236, 239, 243)
+_EYE_HEIGHT_M = 1.2
+"""Of the model, above the floor; the neck stays straight in the experiments."""
+_ALPHA = {"object": 0.35}
+"""Bodies that one must see through: most estimates lie in the object."""
+_DETECTED, _TRUTH = (255, 230, 0), (0, 240, 255)
+_ESTIMATE, _TRAIL, _RAY, _SPREAD = (20, 60, 220), (120, 150, 235), (250, 150, 30), (70, 80, 100)
+_FRUSTUM_M = {"wide": 0.045, "narrow": 0.16}
+"""Distance at which an image is drawn before its camera: both are then about as large."""
+_JPEG_QUALITY = 40
+"""Sensor noise inflates JPEG: 24 kB for a 640 x 480 image with noise of 3 grey levels, and 54 kB
+at 85, for no more to see."""
+_TRAIL_S = 10.0
+"""How long an estimate stays bright."""
+_SPEED = 3.0
+"""Playback, in recorded seconds a second: the eyes' period of 2 pi s is slow to watch."""
+
+
+def _title(figure: Figure) -> str:
+    return f"Fig. {figure.number} - {figure.motion}, {figure.lens.removesuffix('mm')} mm"
+
+
+def _cameras(head: HeadCalibration) -> dict[str, str]:
+    """Return the entity of each camera."""
+    return {name: f"world/{mounted.eye}_eye/{name}" for name, mounted in head.cameras.items()}
+
+
+def blueprint(figure: Figure, head: HeadCalibration) -> rrb.Blueprint:
+    """Return the layout of a figure's recording, complete as it opens.
+
+    Args:
+        figure: the one that is recorded; its object and the head fill the 3-D view.
+        head: whose cameras are shown.
+    """
+    axes = [
+        rrb.TimeSeriesView(
+            name=f"{axis}{' = depth' if axis == 'x' else ''} [m]: bright estimate, pale mean and "
+            "± std, grey the paper's",
+            origin="/",
+            contents=[f"+ /{kind}/{axis}" for kind in ("paper", "statistics", "estimate")],
+            axis_x=rrb.TimeAxis(link="LinkToGlobal"),
+            plot_legend=rrb.PlotLegend(visible=False),
+        )
+        for axis in AXIS_COLOURS
+    ]
+    joints = rrb.TimeSeriesView(
+        name="joint readings [rad]",
+        origin="joints",
+        axis_x=rrb.TimeAxis(link="LinkToGlobal"),
+        plot_legend=rrb.PlotLegend(corner="RightTop"),
+    )
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(
+                _head_view(figure, head),
+                rrb.Grid(*_camera_views(head), grid_columns=2),
+                row_shares=[6, 7],
+            ),
+            rrb.Vertical(*axes, joints),
+            rrb.Vertical(
+                rrb.TextDocumentView(name="report", origin="report"),
+                _close_up(figure),
+                row_shares=[5, 4],
+            ),
+            column_shares=[6, 5, 4],
+        ),
+        rrb.TimePanel(
+            timeline="sim_time",
+            state="collapsed",
+            playback_speed=_SPEED,
+            loop_mode="all",
+            play_state="playing",
+        ),
+        auto_views=False,
+        collapse_panels=True,
+    )
+
+
+def _head_view(figure: Figure, head: HeadCalibration) -> rrb.Spatial3DView:
+    marks = [
+        f"- {entity}/{mark}" for entity in _cameras(head).values() for mark in ("detected", "truth")
+    ]
+    depth = figure.mean_m[0]
+    middle = np.array([0.42 * depth - 0.02, 0.5 * figure.mean_m[1], _EYE_HEIGHT_M - 0.02])
+    return rrb.Spatial3DView(
+        name=f"{_title(figure)}: head, lines of sight, estimates",
+        origin="world",
+        contents=["+ $origin/**", "- world/left_base/spread", *marks],
+        background=rrb.Background(color=_BACKGROUND),
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(
+            position=middle + np.array([0.35, 0.85, 0.40]) * (0.27 + 0.75 * depth),
+            look_target=middle,
+            eye_up=(0, 0, 1),
+        ),
+        overrides=_TRAILS,
+    )
+
+
+def _close_up(figure: Figure) -> rrb.Spatial3DView:
+    """Return a view of the estimates around the object, from the left eye's side."""
+    middle = np.array(figure.mean_m)
+    return rrb.Spatial3DView(
+        name="close-up: estimates in the object, 2 std",
+        origin="world/left_base",
+        contents=["+ $origin/**", "+ world/object/**"],
+        background=rrb.Background(color=_BACKGROUND),
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(
+            position=middle + np.array([-0.25, 0.85, 0.45]) * (0.05 + 5 * figure.std_m[0]),
+            look_target=middle,
+            eye_up=(0, 0, 1),
+        ),
+        overrides=_TRAILS,
+    )
+
+
+def _camera_views(head: HeadCalibration) -> list[rrb.Spatial2DView]:
+    entities = _cameras(head)
+    names = [f"{eye}_{lens}" for lens in ("wide", "narrow") for eye in EYES]
+    return [
+        rrb.Spatial2DView(
+            name=f"{name.replace('_', ' ')}: + found, ○ truth",
+            origin=entities[name],
+            contents=["+ $origin/**"],
+            visual_bounds=rrb.VisualBounds2D(
+                x_range=(0, head.camera(name).intrinsics.width),
+                y_range=(0, head.camera(name).intrinsics.height),
+            ),
+        )
+        for name in names
+        if name in entities
+    ]
+
+
+def _visible(seconds: float | None) -> rrb.VisibleTimeRanges:
+    """Return that the last so many seconds up to the cursor are shown; None: all of them."""
+    boundary = rr.TimeRangeBoundary
+    start = boundary.infinite() if seconds is None else boundary.cursor_relative(seconds=-seconds)
+    now = boundary.cursor_relative(seconds=0)
+    return rrb.VisibleTimeRanges(rrb.VisibleTimeRange("sim_time", start=start, end=now))
+
+
+_TRAILS = {
+    "world/left_base/trail": _visible(None),
+    "world/left_base/recent": _visible(_TRAIL_S),
+}
+
+
+@contextmanager
+def figure_recording(
+    path: Path, figure: Figure, head: HeadCalibration, geoms: Sequence[VisualGeom]
+) -> Iterator[rr.RecordingStream]:
+    """Record a figure in a `with` block.
+
+    The file appears under its name only when the block ends well: an interrupted run leaves no
+    half a file.
+
+    Args:
+        path: of the `.rrd` file; one that is there is replaced.
+        figure: which one.
+        head: whose cameras are drawn, as it is believed to be.
+        geoms: the head's shapes.
+
+    Raises:
+        VergenceError: the file cannot be written.
+    """
+    rr.set_strict_mode(True)  # by default bad data is dropped with a warning
+    part = path.with_name(f".{path.name}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.write_bytes(b"")  # rerun's own message names neither the folder nor the reason
+    except OSError as error:
+        raise VergenceError(f"Cannot write {path}: {error.strerror}.") from error
+    try:
+        # The viewer takes recordings of one id for one: those of two runs must differ.
+        recording_id = f"{path.resolve().parent.name}-{path.stem}"
+        with rr.RecordingStream(APPLICATION, recording_id=recording_id) as rec:
+            rec.save(part, default_blueprint=blueprint(figure, head))
+            rec.set_log_time_enabled(False)  # recordings of one seed stay comparable
+            rec.send_recording_name(f"{_title(figure)} ({path.resolve().parent.name})")
+            rec.log("world", rr.ViewCoordinates.FLU, static=True)
+            _log_geoms(rec, geoms)
+            _log_cameras(rec, head)
+            _log_styles(rec)
+            yield rec
+        try:
+            os.replace(part, path)
+        except OSError as error:
+            raise VergenceError(f"Cannot write {path}: {error.strerror}.") from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _quaternions(T: Array) -> Array:
+    """Return (..., 4) xyzw of poses (..., 4, 4)."""
+    return Rotation.from_matrix(T[..., :3, :3]).as_quat()
+
+
+def _log_geoms(rec: rr.RecordingStream, geoms: Sequence[VisualGeom]) -> None:
+    batches: dict[tuple[str, str], list[VisualGeom]] = {}
+    for geom in geoms:
+        batches.setdefault((geom.body, geom.shape), []).append(geom)
+    for (body, shape), batch in batches.items():
+        entity = f"world/{body}/shape/{shape}"
+        T = np.array([geom.T_body_geom for geom in batch])
+        size = np.array([geom.size for geom in batch])
+        rgba = np.array([geom.rgba for geom in batch]) * [1, 1, 1, _ALPHA.get(body, 1)]
+        colors = np.round(255 * rgba).astype(np.uint8)
+        at = {"centers": T[:, :3, 3], "quaternions": _quaternions(T), "colors": colors}
+        at["fill_mode"] = "solid"
+        if shape == "box":
+            rec.log(entity, rr.Boxes3D(half_sizes=size, **at), static=True)
+        elif shape == "ellipsoid":
+            rec.log(entity, rr.Ellipsoids3D(half_sizes=size, **at), static=True)
+        elif shape == "sphere":
+            rec.log(entity, rr.Ellipsoids3D(half_sizes=size[:, [0, 0, 0]], **at), static=True)
+        elif shape == "cylinder":
+            cylinders = rr.Cylinders3D(lengths=2 * size[:, 1], radii=size[:, 0], **at)
+            rec.log(entity, cylinders, static=True)
+        elif shape == "capsule":
+            # rerun's capsule begins at its origin; MuJoCo's has it in the middle.
+            start = at.pop("centers") - size[:, 1:2] * T[:, :3, 2]
+            capsules = rr.Capsules3D(
+                lengths=2 * size[:, 1], radii=size[:, 0], translations=start, **at
+            )
+            rec.log(entity, capsules, static=True)
+        else:
+            for k, geom in enumerate(batch):
+                rec.log(f"{entity}_{k}", _mesh(geom, colors[k]), static=True)
+
+
+def _mesh(geom: VisualGeom, color: np.ndarray) -> rr.Mesh3D:
+    R, t = geom.T_body_geom[:3, :3], geom.T_body_geom[:3, 3]
+    if geom.triangles is not None and geom.normals is not None:
+        return rr.Mesh3D(
+            vertex_positions=geom.triangles.reshape(-1, 3) @ R.T + t,
+            vertex_normals=geom.normals.reshape(-1, 3) @ R.T,
+            albedo_factor=color,
+        )
+    x, y = geom.size[:2]
+    corners = np.array([[-x, y, 0], [x, y, 0], [x, -y, 0], [-x, -y, 0]])
+    return rr.Mesh3D(
+        vertex_positions=corners @ R.T + t,
+        vertex_normals=np.tile(R[:, 2], (4, 1)),
+        vertex_texcoords=[[0, 0], [1, 0], [1, 1], [0, 1]],
+        triangle_indices=[[0, 2, 1], [0, 3, 2]],
+        albedo_texture=geom.texture,
+        albedo_factor=color,
+    )
+
+
+def _log_cameras(rec: rr.RecordingStream, head: HeadCalibration) -> None:
+    for name, entity in _cameras(head).items():
+        mounted = head.camera(name)
+        camera, T_eye_cam = mounted.intrinsics, mounted.T_eye_cam
+        image_from_camera = camera.matrix.copy()
+        image_from_camera[:2, 2] += 0.5
+        rec.log(
+            entity,
+            rr.Transform3D(
+                translation=T_eye_cam[:3, 3], quaternion=rr.Quaternion(xyzw=_quaternions(T_eye_cam))
+            ),
+            rr.Pinhole(
+                image_from_camera=image_from_camera,
+                width=camera.width,
+                height=camera.height,
+                image_plane_distance=_FRUSTUM_M[name.split("_")[1]],
+            ),
+            static=True,
+        )
+
+
+def _log_styles(rec: rr.RecordingStream) -> None:
+    for axis, color in AXIS_COLOURS.items():
+        # Plots average the samples that share a pixel, unless told to keep the extremes.
+        lines = rr.SeriesLines(
+            names=f"{axis} estimate", colors=color, widths=1.5, aggregation_policy="MinMax"
+        )
+        rec.log(f"estimate/{axis}", lines, static=True)
+        names = ["mean", "mean + std", "mean - std"]
+        lines = rr.SeriesLines(names=names, colors=[_PALE[axis]] * 3, widths=[2.5, 1.5, 1.5])
+        rec.log(f"statistics/{axis}", lines, static=True)
+        names = ["paper's mean", "paper's + std", "paper's - std"]
+        lines = rr.SeriesLines(names=names, colors=[_PAPER] * 3, widths=[2.5, 1.5, 1.5])
+        rec.log(f"paper/{axis}", lines, static=True)
+    for joint in EYE_JOINTS:
+        lines = rr.SeriesLines(names=joint.replace("_", " "), colors=_JOINT_COLOURS[joint])
+        rec.log(f"joints/{joint}", lines, static=True)
+
+
+def log_frame(
+    rec: rr.RecordingStream,
+    *,
+    time_s: float,
+    index: int,
+    frame: Frame | None,
+    body_poses: Mapping[str, Array],
+    detected: Mapping[str, Array],
+    truth: Mapping[str, Array],
+) -> None:
+    """Record one moment; may be called from another thread.
+
+    Args:
+        rec: the recording.
+        time_s: since the first sample.
+        index: of the sample.
+        frame: images; None: only the head moves.
+        body_poses: by name, poses (4, 4) in the world.
+        detected: by camera, the pixel (2,) at which the object was found; NaN: not found.
+        truth: by camera, the pixel (2,) at which it truly is.
+    """
+    rec.set_time("sim_time", duration=time_s)
+    rec.set_time("frame", sequence=index)
+    for body, T in body_poses.items():
+        if body != "world":
+            quaternion = rr.Quaternion(xyzw=_quaternions(T))
+            rec.log(f"world/{body}", rr.Transform3D(translation=T[:3, 3], quaternion=quaternion))
+    for name, image in ({} if frame is None else frame.images).items():
+        entity = f"world/{name.split('_')[0]}_eye/{name}"
+        bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+        _, jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+        rec.log(
+            f"{entity}/image",
+            rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg"),
+        )
+        height, width = image.shape[:2]
+        found = _within(detected.get(name), width, height)
+        arms = np.array([[[-9.0, 0], [9, 0]], [[0, -9], [0, 9]]])
+        strips = [found + arm for arm in arms] if found is not None else []
+        rec.log(f"{entity}/detected", rr.LineStrips2D(strips, colors=[_DETECTED], radii=[1.0]))
+        centre = _within(truth.get(name), width, height)
+        centers = np.empty((0, 2)) if centre is None else centre[None]
+        rings = rr.Ellipses2D(
+            centers=centers,
+            half_sizes=np.full_like(centers, 20),
+            colors=[_TRUTH],
+            line_radii=[1.0],
+        )
+        rec.log(f"{entity}/truth", rings)
+
+
+def _within(pixel: Array | None, width: int, height: int) -> Array | None:
+    """Return a pixel in rerun's coordinates if it lies in the image, else None."""
+    if pixel is None or not (np.abs(pixel * 2 + 1 - (width, height)) <= (width, height)).all():
+        return None
+    return pixel + 0.5
+
+
+def _columns(time_s: Array, index: np.ndarray) -> list[rr.TimeColumn]:
+    # A float array would be truncated to nanoseconds, while set_time rounds.
+    nanoseconds = np.round(time_s * 1e9).astype("timedelta64[ns]")
+    return [
+        rr.TimeColumn("sim_time", duration=nanoseconds),
+        rr.TimeColumn("frame", sequence=index),
+    ]
+
+
+def log_series(
+    rec: rr.RecordingStream,
+    *,
+    figure: Figure,
+    head: HeadCalibration,
+    time_s: Array,
+    points: Array,
+    object_m: Array,
+    eye_angles: Array,
+    T_world_lbase: Array,
+    statistics: Statistics,
+) -> None:
+    """Record what was estimated, as curves and as a trail in space.
+
+    Args:
+        rec: the recording.
+        figure: which one, for the paper's values beside ours.
+        head: the calibration, for the lines of sight.
+        time_s: (N,) since the first sample.
+        points: (N, 3) estimates in the left eye's base frame; samples with NaN are left out.
+        object_m: (3,) where the object truly is, in the same frame.
+        eye_angles: (N, 4) joint readings.
+        T_world_lbase: (4, 4) where that frame is.
+        statistics: of the points.
+    """
+    index = np.arange(len(time_s))
+    for joint, angles in zip(EYE_JOINTS, eye_angles.T, strict=True):
+        scalars = rr.Scalars.columns(scalars=angles)
+        rec.send_columns(f"joints/{joint}", _columns(time_s, index), scalars)
+    good = np.isfinite(points).all(axis=1)
+    times, points = _columns(time_s[good], index[good]), points[good]
+    for k, axis in enumerate(AXIS_COLOURS):
+        rec.send_columns(f"estimate/{axis}", times, rr.Scalars.columns(scalars=points[:, k]))
+        for kind, mean, std in (
+            ("statistics", statistics.mean_m[k], statistics.std_m[k]),
+            ("paper", figure.mean_m[k], figure.std_m[k]),
+        ):
+            levels = np.tile([mean, mean + std, mean - std], (2, 1))
+            if len(time_s) and np.isfinite(levels).all():
+                ends = _columns(time_s[[0, -1]], index[[0, -1]])
+                rec.send_columns(f"{kind}/{axis}", ends, rr.Scalars.columns(scalars=levels))
+    _log_space(rec, times, points, T_world_lbase)
+    _log_rays(rec, times, points, head, eye_angles[good])
+
+
+def _log_space(
+    rec: rr.RecordingStream,
+    times: list[rr.TimeColumn],
+    points: Array,
+    T_world_lbase: Array,
+) -> None:
+    rec.log(
+        "world/left_base",
+        rr.Transform3D(
+            translation=T_world_lbase[:3, 3],
+            quaternion=rr.Quaternion(xyzw=_quaternions(T_world_lbase)),
+        ),
+        static=True,
+    )
+    if len(points) > 3:
+        variances, axes = np.linalg.eigh(np.cov(points.T))
+        axes[:, 0] *= np.linalg.det(axes)  # a rotation, not a reflection
+        ellipsoid = rr.Ellipsoids3D(
+            centers=[points.mean(0)],
+            half_sizes=[2 * np.sqrt(np.maximum(variances, 0))],
+            quaternions=[rr.Quaternion(xyzw=Rotation.from_matrix(axes).as_quat())],
+            colors=[_SPREAD],
+            fill_mode="majorwireframe",
+        )
+        rec.log("world/left_base/spread", ellipsoid, static=True)
+    for name, radius, color in (
+        ("trail", -1.5, _TRAIL),
+        ("recent", -2.5, _ESTIMATE),
+        ("estimate", -6, _ESTIMATE),
+    ):
+        entity = f"world/left_base/{name}"
+        rec.log(entity, rr.Points3D.from_fields(radii=radius, colors=color), static=True)
+        rec.send_columns(entity, times, rr.Points3D.columns(positions=points))
+
+
+def _log_rays(
+    rec: rr.RecordingStream,
+    times: list[rr.TimeColumn],
+    points: Array,
+    head: HeadCalibration,
+    eye_angles: Array,
+) -> None:
+    """Draw the lines from both wide cameras to the estimate."""
+    left = T_base_cam(head, "left_wide", eye_angles[:, :2])[:, :3, 3]
+    right = T_base_cam(head, "right_wide", eye_angles[:, 2:])[:, :3, 3]
+    right = transform(inverse(head.T_rbase_lbase), right)
+    strips = np.stack([left, points, right], axis=1)
+    entity = "world/left_base/rays"
+    rec.log(entity, rr.LineStrips3D.from_fields(colors=[_RAY], radii=[-1.0]), static=True)
+    rec.send_columns(entity, times, rr.LineStrips3D.columns(strips=list(strips)))
+
+
+def log_report(rec: rr.RecordingStream, markdown: str) -> None:
+    """Record the report of a figure."""
+    rec.log("report", rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN), static=True)
+
+
+def log_statistics(
+    rec: rr.RecordingStream, *, figure: Figure, object_m: Array, statistics: Statistics
+) -> None:
+    """Record a figure's statistics as a property of the recording."""
+    rec.send_property(
+        "statistics",
+        rr.AnyValues(
+            figure=figure.number,
+            paper_mean_m=np.array(figure.mean_m),
+            paper_std_m=np.array(figure.std_m),
+            object_m=object_m,
+            mean_m=statistics.mean_m,
+            std_m=statistics.std_m,
+            samples=statistics.samples,
+            dropped=statistics.dropped,
+        ),
+    )
+
+
+def read_series(
+    path: Path,
+    entity: str,
+    *,
+    component: str = "Scalars:scalars",
+    timeline: str = "sim_time",
+) -> tuple[Array, Array]:
+    """Return times (N,) [s] and values (N, ...) of one series of a recording, in time order.
+
+    Args:
+        path: of the `.rrd` file.
+        entity: for example `/estimate/x`.
+        component: for example `Points3D:positions`.
+        timeline: `sim_time`, or `frame`, whose times are sample numbers.
+    """
+    times, values = [], []
+    stream = RrdReader(path).stream()
+    for chunk in stream.filter(content=entity, components=component, has_timeline=timeline):
+        batch = chunk.to_record_batch()
+        times.append(batch.column(timeline).cast(pa.int64()).to_numpy())
+        values.append(np.array([row[0] for row in batch.column(component).to_pylist()]))
+    if not times:
+        raise VergenceError(f"{path} has no series {entity} on the timeline {timeline}.")
+    t = np.concatenate(times)
+    order = np.argsort(t, kind="stable")
+    seconds = t[order] * (1e-9 if timeline == "sim_time" else 1)
+    return seconds, np.concatenate(values)[order]

@@ -1,0 +1,98 @@
+"""What the model looks like: its visible shapes, for whoever draws the head without MuJoCo."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import mujoco
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.geometry import pose
+
+Shape = Literal["box", "sphere", "ellipsoid", "cylinder", "capsule", "plane", "mesh"]
+
+_SHAPES: dict[int, Shape] = {
+    mujoco.mjtGeom.mjGEOM_BOX: "box",
+    mujoco.mjtGeom.mjGEOM_SPHERE: "sphere",
+    mujoco.mjtGeom.mjGEOM_ELLIPSOID: "ellipsoid",
+    mujoco.mjtGeom.mjGEOM_CYLINDER: "cylinder",
+    mujoco.mjtGeom.mjGEOM_CAPSULE: "capsule",
+    mujoco.mjtGeom.mjGEOM_PLANE: "plane",
+    mujoco.mjtGeom.mjGEOM_MESH: "mesh",
+}
+_VISUAL_GROUPS = (0, 1, 2)
+"""Drawn by MuJoCo unless told otherwise; group 3 is the head's collision shapes."""
+_ROOM = 0
+"""Body id of the world: walls and furniture, which would hide the head in a view from outside."""
+
+
+@dataclass(frozen=True, eq=False)
+class VisualGeom:
+    """One visible shape, fixed to a body."""
+
+    body: str
+    shape: Shape
+    size: Array
+    """(3,) [m], MuJoCo's: half sizes of a box, an ellipsoid and a plane, radius of a sphere, radius
+    and half length along z of a cylinder and a capsule; a mesh has its size in its triangles."""
+    T_body_geom: Array
+    """(4, 4)."""
+    rgba: Array
+    """(4,) from 0 to 1."""
+    texture: np.ndarray | None = None
+    """(H, W, 3) uint8, RGB, of a plane: spread over it once, the first row at +y, from -x to +x."""
+    triangles: Array | None = None
+    """(F, 3, 3) corners [m] of a mesh, in frame geom."""
+    normals: Array | None = None
+    """(F, 3, 3) unit normals at the corners of a mesh."""
+
+
+def visual_geoms(model: mujoco.MjModel) -> list[VisualGeom]:
+    """Return the visible shapes of every body, without the room and the collision shapes."""
+    geoms = []
+    for k in range(model.ngeom):
+        if model.geom_group[k] not in _VISUAL_GROUPS or model.geom_bodyid[k] == _ROOM:
+            continue
+        shape = _SHAPES.get(int(model.geom_type[k]))
+        material = int(model.geom_matid[k])
+        rgba = model.geom_rgba[k] if material < 0 else model.mat_rgba[material]
+        if shape is None or rgba[3] == 0:
+            continue
+        R = np.empty(9)
+        mujoco.mju_quat2Mat(R, model.geom_quat[k])
+        triangles, normals = _mesh(model, k) if shape == "mesh" else (None, None)
+        geoms.append(
+            VisualGeom(
+                body=model.body(model.geom_bodyid[k]).name,
+                shape=shape,
+                size=model.geom_size[k].copy(),
+                T_body_geom=pose(R.reshape(3, 3), model.geom_pos[k]),
+                rgba=rgba.astype(float),
+                texture=_texture(model, material) if shape == "plane" and material >= 0 else None,
+                triangles=triangles,
+                normals=normals,
+            )
+        )
+    return geoms
+
+
+def _mesh(model: mujoco.MjModel, geom: int) -> tuple[Array, Array]:
+    """Return corners and normals (F, 3, 3) of a mesh: MuJoCo numbers the two separately."""
+    mesh = int(model.geom_dataid[geom])
+    first = int(model.mesh_faceadr[mesh])
+    faces = slice(first, first + int(model.mesh_facenum[mesh]))
+    corners = model.mesh_vert[model.mesh_vertadr[mesh] + model.mesh_face[faces]]
+    normals = model.mesh_normal[model.mesh_normaladr[mesh] + model.mesh_facenormal[faces]]
+    return corners.astype(float), normals.astype(float)
+
+
+def _texture(model: mujoco.MjModel, material: int) -> np.ndarray | None:
+    texture = int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB])
+    if texture < 0:
+        return None
+    height, width = int(model.tex_height[texture]), int(model.tex_width[texture])
+    channels, start = int(model.tex_nchannel[texture]), int(model.tex_adr[texture])
+    image = model.tex_data[start : start + height * width * channels]
+    return image.reshape(height, width, channels)[:, :, :3].copy()
