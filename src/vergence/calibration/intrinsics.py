@@ -9,20 +9,27 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.camera import Camera
+from vergence.calibration.polish import board_jacobians, iterate, polish_intrinsics
+from vergence.camera import Camera, project
 from vergence.errors import VergenceError
-from vergence.geometry import pose, rotation
+from vergence.geometry import exp, pose, rotation, transform
 
 LensModel = Literal["none", "k1", "k1k2", "radial-tangential"]
 """Which distortion is fitted: none, k1, k1 and k2, or (k1, k2, p1, p2)."""
 
+_FREE = {  # of (fx, fy, cx, cy, k1, k2, p1, p2, k3)
+    "none": np.array([1, 1, 1, 1, 0, 0, 0, 0, 0], dtype=bool),
+    "k1": np.array([1, 1, 1, 1, 1, 0, 0, 0, 0], dtype=bool),
+    "k1k2": np.array([1, 1, 1, 1, 1, 1, 0, 0, 0], dtype=bool),
+    "radial-tangential": np.array([1, 1, 1, 1, 1, 1, 1, 1, 0], dtype=bool),
+}
 _FLAGS = {
     "none": cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST,
     "k1": cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST,
     "k1k2": cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST,
     "radial-tangential": cv2.CALIB_FIX_K3,
 }
-assert set(_FLAGS) == set(get_args(LensModel))
+assert set(_FLAGS) == set(_FREE) == set(get_args(LensModel))
 
 # OpenCV's default of 30 iterations stops short of the optimum where distortion is strong.
 CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-14)
@@ -41,7 +48,7 @@ class Intrinsics:
 def calibrate_intrinsics(
     corners: Array, points: Array, *, size: tuple[int, int], lens_model: LensModel
 ) -> Intrinsics:
-    """Fit a camera to views of a flat pattern.
+    """Fit a camera to views of a flat pattern: OpenCV's method, polished in double precision.
 
     Args:
         corners: (V, K, 2) pixels; NaN where a corner was not seen.
@@ -60,7 +67,7 @@ def calibrate_intrinsics(
             "show the whole board to the camera at different angles."
         )
     views = [(points[s], c[s]) for c, s in zip(corners[usable], seen[usable], strict=True)]
-    rms, matrix, distortion, *_ = cv2.calibrateCamera(
+    _, matrix, distortion, rvecs, tvecs = cv2.calibrateCamera(
         [p.astype(np.float32) for p, _ in views],
         [c.astype(np.float32).reshape(-1, 1, 2) for _, c in views],
         size,
@@ -69,8 +76,11 @@ def calibrate_intrinsics(
         flags=_FLAGS[lens_model],
         criteria=CRITERIA,
     )
-    camera = Camera(width=size[0], height=size[1], matrix=matrix, distortion=distortion.ravel()[:5])
-    return Intrinsics(camera, float(rms), len(views))
+    start = Camera(width=size[0], height=size[1], matrix=matrix, distortion=distortion.ravel()[:5])
+    poses = pose(rotation(np.array(rvecs).reshape(-1, 3)), np.array(tvecs).reshape(-1, 3))
+    camera, poses = polish_intrinsics(start, _FREE[lens_model], poses, corners[usable], points)
+    errors = corners[usable] - project(camera, transform(poses[:, None], points))
+    return Intrinsics(camera, float(np.sqrt(2 * np.nanmean(errors**2))), int(usable.sum()))
 
 
 def target_poses(camera: Camera, corners: Array, points: Array) -> Array:
@@ -90,8 +100,26 @@ def target_poses(camera: Camera, corners: Array, points: Array) -> Array:
             points[seen], view[seen], camera.matrix, camera.distortion, flags=cv2.SOLVEPNP_ITERATIVE
         )
         if found:
-            rvec, tvec = cv2.solvePnPRefineLM(
-                points[seen], view[seen], camera.matrix, camera.distortion, rvec, tvec
-            )
             poses[v] = pose(rotation(rvec.ravel()), tvec.ravel())
+    usable = np.isfinite(poses).all(axis=(1, 2))
+    if usable.any():
+        poses[usable] = _polish_poses(camera, poses[usable], corners[usable], points)
+    return poses
+
+
+def _polish_poses(camera: Camera, poses: Array, corners: Array, points: Array) -> Array:
+    """Return the poses (V, 4, 4) at the minimum of the reprojection errors, by Gauss-Newton."""
+    seen = np.isfinite(corners)
+
+    def step() -> float:
+        nonlocal poses
+        pixels, d_pose, _, _ = board_jacobians(camera, poses, points)
+        J = np.where(seen[..., None], d_pose, 0.0).reshape(len(poses), -1, 6)
+        residuals = np.where(seen, corners - pixels, 0.0).reshape(len(poses), -1, 1)
+        J_T = np.swapaxes(J, 1, 2)
+        xi = np.linalg.solve(J_T @ J, J_T @ residuals)[:, :, 0]
+        poses = poses @ exp(xi)
+        return float(np.abs(xi).max())
+
+    iterate(step)
     return poses

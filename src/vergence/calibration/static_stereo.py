@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.intrinsics import CRITERIA
+from vergence.calibration.intrinsics import CRITERIA, target_poses
+from vergence.calibration.polish import polish_pair
 from vergence.camera import Camera
 from vergence.errors import VergenceError
 from vergence.geometry import pose
@@ -17,7 +18,8 @@ def calibrate_pair(
 ) -> tuple[Array, float]:
     """Return T_b_a (4, 4) of two rigidly connected cameras, and the RMS residual [px].
 
-    OpenCV's bundle adjustment of the relative pose, with the intrinsics held.
+    OpenCV's bundle adjustment of the relative pose with the intrinsics held, polished in double
+    precision.
 
     Args:
         corners_a: (V, K, 2) pixels in camera a; NaN where a corner was not seen.
@@ -35,7 +37,7 @@ def calibrate_pair(
         raise VergenceError(
             "The pose between two cameras needs views in which both see the board, found none."
         )
-    rms, *_, R, t, _E, _F = cv2.stereoCalibrate(
+    *_, R, t, _E, _F = cv2.stereoCalibrate(
         [points[s].astype(np.float32) for s in both[usable]],
         [c[s].astype(np.float32) for c, s in zip(corners_a[usable], both[usable], strict=True)],
         [c[s].astype(np.float32) for c, s in zip(corners_b[usable], both[usable], strict=True)],
@@ -47,4 +49,8 @@ def calibrate_pair(
         flags=cv2.CALIB_FIX_INTRINSIC,
         criteria=CRITERIA,
     )
-    return pose(R, t.ravel()), float(rms)
+    seen_a, seen_b = (
+        np.where(both[usable][..., None], c[usable], np.nan) for c in (corners_a, corners_b)
+    )
+    T_a_target = target_poses(a, seen_a, points)
+    return polish_pair(pose(R, t.ravel()), T_a_target, (seen_a, seen_b), points, (a, b))

@@ -29,7 +29,7 @@ WIDE_VIEWS = 18
 """Boards near the eyes, for the wide cameras and the static stereo."""
 NARROW_VIEWS = 12
 """Boards for each narrow camera, seen by its wide one too."""
-ORIENTATIONS = 24
+ORIENTATIONS = 60
 """Eye orientations at which the fixed board is seen."""
 _MARGIN_RAD = 0.055  # room for the board's white margin, and for cameras that sit a few degrees off
 _R_LBASE_FACING = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # the board's x right, y down
@@ -68,10 +68,11 @@ def plan(head: HeadCalibration, seed: int) -> list[Shot]:
             shots.append(Shot(len(shots), T, straight, pair))
     fixed = len(shots)
     T_fixed = _facing((0.60, 0.0, 0.0), np.array([0.25, -0.2, 0.05]))
-    # Directions spread evenly over an ellipse (sunflower): pan and tilt vary independently.
-    k = np.arange(ORIENTATIONS) + 0.5
-    radius, turn = np.sqrt(k / ORIENTATIONS), k * np.pi * (3 - np.sqrt(5))
-    gaze = np.stack([0.28 * radius * np.cos(turn), 0.25 * radius * np.sin(turn)], axis=-1)
+    # Directions spread evenly over an ellipse (sunflower): pan and tilt vary independently. Its
+    # innermost three are left out, since they would pass for straight gaze.
+    k = np.arange(3, ORIENTATIONS + 3) + 0.5
+    radius, turn = np.sqrt(k / (ORIENTATIONS + 3)), k * np.pi * (3 - np.sqrt(5))
+    gaze = np.stack([0.30 * radius * np.cos(turn), 0.26 * radius * np.sin(turn)], axis=-1)
     shots += [Shot(fixed, T_fixed, np.tile(angles, 2), wide) for angles in gaze]
     return shots
 

@@ -68,15 +68,26 @@ class Twin:
         self.model = compile_head(self.truth, overscan_sizes(self.truth))
         self._data = mujoco.MjData(self.model)
         self._seen = mujoco.MjData(self.model)  # the pose at which pictures are taken
-        self._rng = np.random.default_rng([seed, 3])
+        self._seed = seed
         self._addresses = [self.model.joint(name).qposadr[0] for name in JOINTS]
         self._actuators = [self.model.actuator(name).id for name in JOINTS]
+        self._renderer = Renderer(self.model, self.truth, profile.image, seed)
+        self.restart(0)
+
+    def restart(self, run: int) -> None:
+        """Go back to time zero and the home posture, with nothing in the room.
+
+        Args:
+            run: number of the run: its noise depends on this and the seed alone, not on what
+                the head did before.
+        """
+        self._rng = np.random.default_rng([self._seed, 3, run])
+        self._renderer.restart(run)
         mujoco.mj_resetDataKeyframe(self.model, self._data, self.model.key("home").id)
         mujoco.mj_forward(self.model, self._data)
         self._times = np.full(_HISTORY, 0.0)
         self._true = np.tile(self._data.qpos[self._addresses], (_HISTORY, 1))
         self._sensed = self._true.copy()
-        self._renderer = Renderer(self.model, self.truth, profile.image, seed)
         self.place_board(None)
         self.place_object(None)
 
@@ -126,7 +137,7 @@ class Twin:
 
     def true_object(self) -> Array:
         """Return where the object is (3,) [m], in the left eye's base frame."""
-        T_world_lbase = self._T_world_lbase()
+        T_world_lbase = self.T_world_lbase()
         return transform(inverse(T_world_lbase), self._data.body("object").xpos)
 
     def expose(self, cameras: Sequence[str] = CAMERAS) -> Exposure:
@@ -157,7 +168,8 @@ class Twin:
         """Take a frame and finish its pictures."""
         return self.develop(self.expose(cameras))
 
-    def _T_world_lbase(self) -> Array:
+    def T_world_lbase(self) -> Array:
+        """Return the pose (4, 4) of the left eye's base frame in the world."""
         T_world_head = T_world_body(self._data, "head")
         pan = self.model.body("left_pan")
         return T_world_head @ _pose(pan.pos, pan.quat)
@@ -167,7 +179,7 @@ class Twin:
         if T_lbase_body is None:
             self._data.mocap_pos[mocap] = _AWAY
         else:
-            T = self._T_world_lbase() @ T_lbase_body
+            T = self.T_world_lbase() @ T_lbase_body
             self._data.mocap_pos[mocap] = T[:3, 3]
             mujoco.mju_mat2Quat(self._data.mocap_quat[mocap], T[:3, :3].ravel())
         mujoco.mj_kinematics(self.model, self._data)

@@ -124,11 +124,13 @@ def as_built_head(nominal: HeadCalibration, profile: ErrorProfile, seed: int) ->
         rng.normal(0, mounting.base_translation_mm * 1e-3, 3),
     )
     axes = {
-        eye: EyeAxes(
-            nonorthogonality_rad=rng.normal(0, np.radians(profile.axes.nonorthogonality_deg)),
-            axis_distance_m=rng.normal(0, profile.axes.distance_mm * 1e-3),
+        eye: EyeAxes(nonorthogonality_rad=np.radians(turn), axis_distance_m=distance * 1e-3)
+        for eye, turn, distance in zip(
+            cast(tuple[Side, Side], EYES),
+            profile.axes.nonorthogonality_deg,
+            profile.axes.distance_mm,
+            strict=True,
         )
-        for eye in cast(tuple[Side, Side], EYES)
     }
     return HeadCalibration(
         cameras=cameras, T_rbase_lbase=T_rbase_lbase, axes=axes, neck=nominal.neck

@@ -20,6 +20,8 @@ from vergence.errors import VergenceError
 
 Spread = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Number = Annotated[float, Field(allow_inf_nan=False)]
+PerEye = tuple[Number, Number]
+"""Left, right."""
 PerJoint = tuple[Number, Number, Number, Number]
 """Left pan, left tilt, right pan, right tilt."""
 
@@ -46,8 +48,10 @@ class Mounting(_Section):
 class Axes(_Section):
     """How far the eyes' axes are from orthogonal and intersecting; the paper assumes neither."""
 
-    nonorthogonality_deg: Spread = 0.0
-    distance_mm: Spread = 0.0
+    nonorthogonality_deg: PerEye = (0.0, 0.0)
+    """Turn of the tilt axis about the eye's forward axis."""
+    distance_mm: PerEye = (0.0, 0.0)
+    """Distance of the tilt axis ahead of the pan axis."""
 
 
 class Optics(_Section):

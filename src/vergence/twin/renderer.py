@@ -77,7 +77,8 @@ class Renderer:
             VergenceError: there is no OpenGL.
         """
         self._image = image
-        self._rng = np.random.default_rng([seed, 2])
+        self._seed = seed
+        self.restart(0)
         sizes = overscan_sizes(head)
         self._sizes = sizes
         self._maps = {
@@ -101,6 +102,10 @@ class Renderer:
         for renderer in self._renderers.values():  # the room is closed: nothing of these is seen
             for flag in ("SKYBOX", "HAZE", "SHADOW", "REFLECTION"):
                 renderer.scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{flag}")] = 0
+
+    def restart(self, run: int) -> None:
+        """Draw the noise from now on from the seed and the number of a run."""
+        self._rng = np.random.default_rng([self._seed, 2, run])
 
     def expose(self, data: mujoco.MjData, camera: str) -> Negative:
         """Render one camera and draw its noise."""
