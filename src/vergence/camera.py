@@ -64,6 +64,14 @@ def _distort_jacobian(camera: Camera, xy: Array) -> Array:
     return np.stack([xx, cross, cross, yy], axis=-1).reshape(*xy.shape[:-1], 2, 2)
 
 
+def _fold(camera: Camera) -> float:
+    """Return x^2 + y^2 at which the radial polynomial first stops rising; infinity: nowhere."""
+    k1, k2, _, _, k3 = camera.distortion
+    inverse = np.roots([1, 3 * k1, 5 * k2, 7 * k3])  # of 1 / (x^2 + y^2), where the slope is zero
+    rising = max((root.real for root in inverse if root.imag == 0 < root.real), default=0.0)
+    return 1 / rising if rising > 0 else np.inf
+
+
 def project(camera: Camera, points_cam: Array) -> Array:
     """Return the pixels (..., 2) of points (..., 3) in frame cam (Eq. 1, with distortion).
 
@@ -126,6 +134,7 @@ def normalise(camera: Camera, pixels: Array) -> Array:
         J = _distort_jacobian(camera, xy)
         det = J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0]
         good = (np.abs(error).max(axis=-1) < 1e-9) & (det > 0)
+        good &= (xy**2).sum(axis=-1) < _fold(camera)  # further out, another sheet reaches back
     return np.where(good[..., None], xy, np.nan)
 
 

@@ -1,0 +1,194 @@
+"""Projection, its inverse and its derivatives; OpenCV as the yardstick."""
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from heads import random_camera
+from vergence.camera import (
+    Camera,
+    normalise,
+    normalise_area,
+    pinhole,
+    project,
+    project_jacobians,
+    undistort,
+)
+
+seeds = st.integers(0, 2**32 - 1)
+WIDE = pinhole(640, 480, 280.0, (-0.12, 0.02, 0.0005, -0.0005, 0.0))
+"""The strongest distortion that the twin has."""
+
+
+def points_in_view(camera: Camera, n: int, rng: np.random.Generator) -> np.ndarray:
+    """Return points (n, 3) in frame cam whose pixels are spread over the image."""
+    pixels = rng.uniform([0, 0], [camera.width - 1, camera.height - 1], (n, 2))
+    xy = normalise(camera, pixels)
+    return np.concatenate([xy, np.ones((n, 1))], axis=1) * rng.uniform(0.2, 3, (n, 1))
+
+
+@given(seeds)
+def test_a_pixel_is_the_intrinsic_matrix_times_the_point_up_to_scale(seed: int):
+    """Eqs. 1-2: s u = A [R t] y with R = I, t = 0, skew included, for corrected pixels."""
+    rng = np.random.default_rng(seed)
+    camera = random_camera(rng)
+    points = points_in_view(camera, 20, rng)
+    corrected = undistort(camera, project(camera, points))
+    homogeneous = points @ camera.matrix.T
+    np.testing.assert_allclose(corrected, homogeneous[:, :2] / homogeneous[:, 2:], atol=1e-9)
+
+
+def test_equation_1_holds_for_corrected_pixels_only():
+    """Eq. 1 holds after the distortion has been corrected, not before."""
+    point = np.array([[0.5, 0.3, 1.0]])
+    as_seen = project(WIDE, point)
+    pinhole_pixel = point[:, :2] / point[:, 2:] * 280 + [319.5, 239.5]
+    assert np.abs(as_seen - pinhole_pixel).max() > 5
+    np.testing.assert_allclose(undistort(WIDE, as_seen), pinhole_pixel, atol=1e-9)
+
+
+@given(seeds)
+def test_normalise_undoes_project(seed: int):
+    rng = np.random.default_rng(seed)
+    camera = random_camera(rng)
+    points = points_in_view(camera, 50, rng)
+    xy = normalise(camera, project(camera, points))
+    np.testing.assert_allclose(xy, points[:, :2] / points[:, 2:], atol=1e-12)
+
+
+def test_project_undoes_normalise_up_to_the_corners_of_the_image():
+    u, v = np.meshgrid(np.linspace(0, 639, 17), np.linspace(0, 479, 13))
+    pixels = np.stack([u, v], axis=-1)
+    points = np.concatenate([normalise(WIDE, pixels), np.ones((13, 17, 1))], axis=-1)
+    np.testing.assert_allclose(project(WIDE, points), pixels, atol=1e-11)
+
+
+@given(seeds)
+def test_project_agrees_with_opencv(seed: int):
+    rng = np.random.default_rng(seed)
+    camera = random_camera(rng)
+    matrix = camera.matrix.copy()
+    matrix[0, 1] = 0  # OpenCV knows no skew
+    distortion = np.array([*camera.distortion[:4], rng.normal(0, 0.005)])
+    camera = Camera(width=640, height=480, matrix=matrix, distortion=distortion)
+    points = rng.uniform([-0.6, -0.5, 0.8], [0.6, 0.5, 2.0], (30, 3))
+    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, distortion)
+    np.testing.assert_allclose(project(camera, points), expected.reshape(-1, 2), atol=1e-10)
+
+
+@given(seeds)
+def test_the_jacobians_agree_with_numerical_ones(seed: int):
+    rng = np.random.default_rng(seed)
+    camera = random_camera(rng)
+    points = points_in_view(camera, 6, rng)
+    pixels, d_point, d_intrinsics = project_jacobians(camera, points)
+    np.testing.assert_allclose(pixels, project(camera, points), atol=1e-12)
+    h = 1e-6
+    for axis, step in enumerate(np.eye(3) * h):
+        slope = (project(camera, points + step) - project(camera, points - step)) / (2 * h)
+        np.testing.assert_allclose(d_point[..., axis], slope, rtol=1e-5, atol=1e-4)
+    entries = [(0, 0), (1, 1), (0, 2), (1, 2)]
+    for k in range(9):
+        ends = []
+        for sign in (1, -1):
+            matrix, distortion = camera.matrix.copy(), camera.distortion.copy()
+            if k < 4:
+                matrix[entries[k]] += sign * h
+            else:
+                distortion[k - 4] += sign * h
+            ends.append(project(Camera(640, 480, matrix, distortion), points))
+        slope = (ends[0] - ends[1]) / (2 * h)
+        np.testing.assert_allclose(d_intrinsics[..., k], slope, rtol=1e-5, atol=1e-4)
+
+
+@given(seeds)
+def test_normalise_area_is_the_determinant_of_normalise(seed: int):
+    rng = np.random.default_rng(seed)
+    camera = random_camera(rng)
+    pixels = rng.uniform([50, 50], [590, 430], (10, 2))
+    h = 1e-3
+    sides = [
+        (normalise(camera, pixels + step) - normalise(camera, pixels - step)) / (2 * h)
+        for step in np.eye(2) * h
+    ]
+    area = np.linalg.det(np.stack(sides, axis=-1))
+    np.testing.assert_allclose(normalise_area(camera, normalise(camera, pixels)), area, rtol=1e-7)
+
+
+def test_points_that_are_not_in_front_project_to_nan():
+    points = np.array([[0.1, 0.2, -1.0], [0.1, 0.2, 0.0], [np.nan, 0, 1], [0, 0, np.nan]])
+    assert np.isnan(project(WIDE, points)).any(axis=1).all()
+    assert np.isnan(project_jacobians(WIDE, points)[0]).any(axis=1).all()
+    assert np.isfinite(project(WIDE, np.array([0.1, 0.2, 1e-9]))).all()
+
+
+def test_pixels_beyond_the_fold_of_the_distortion_normalise_to_nan():
+    camera = pinhole(640, 480, 280.0, (-0.3, 0, 0, 0, 0))
+    # r (1 - 0.3 r^2) rises up to r = 1.054, where it is 0.703: 197 px from the centre.
+    centre = np.array([319.5, 239.5])
+    inside = centre + np.array([[196.0, 0], [0, 190.0]])
+    # From 300 px on, the polynomial comes back on the far side of the fold with its sign turned.
+    outside = centre + np.array([[198.0, 0], [0, 250.0], [300, 0], [-600, 500]])
+    assert np.isfinite(normalise(camera, inside)).all()
+    assert np.isnan(normalise(camera, outside)).all()
+    assert np.isnan(undistort(camera, outside)).all()
+
+
+def test_a_polynomial_that_rises_again_beyond_its_fold_is_not_followed_there():
+    camera = pinhole(640, 480, 280.0, (-0.6, 0.12, 0, 0, 0))
+    # Rises up to r = 0.858, where it is 0.535, falls, and rises again from r = 1.505.
+    xy = np.stack([np.linspace(0, 3, 301), np.zeros(301)], axis=-1)
+    pixels = project(camera, np.concatenate([xy, np.ones((301, 1))], axis=1))
+    found = normalise(camera, pixels)
+    np.testing.assert_allclose(found[:85], xy[:85], atol=1e-9)
+    reached = np.linalg.norm(found, axis=1)
+    assert np.nanmax(reached) < 0.859
+    assert np.isnan(reached[pixels[:, 0] > 319.5 + 0.536 * 280]).all()
+
+
+def test_nan_pixels_leave_their_neighbours_alone():
+    pixels = np.array([[100.0, 80.0], [np.nan, 3.0], [500.0, 400.0]])
+    xy = normalise(WIDE, pixels)
+    np.testing.assert_array_equal(xy[[0, 2]], normalise(WIDE, pixels[[0, 2]]))
+    assert np.isnan(xy[1]).all()
+
+
+def test_without_distortion_normalise_is_linear():
+    xy = normalise(pinhole(640, 480, (280.0, 300.0)), np.array([319.5 + 28, 239.5 - 30]))
+    np.testing.assert_allclose(xy, [0.1, -0.1], atol=1e-15)
+
+
+def test_the_middle_of_the_image_lies_between_the_middle_pixels():
+    camera = pinhole(640, 480, 280.0)
+    np.testing.assert_array_equal(project(camera, np.array([0.0, 0.0, 1.0])), [319.5, 239.5])
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"matrix": np.eye(2)}, "expected 3 x 3 numbers, found 2 x 2"),
+        ({"matrix": -np.eye(3)}, "focal lengths are positive"),
+        ({"matrix": np.full((3, 3), np.nan)}, "NaN"),
+        ({"distortion": np.zeros(4)}, "5 coefficients, found 4"),
+        ({"distortion": ["a"] * 5}, "expected n numbers"),
+        ({"width": 0}, "greater than 0"),
+        ({"skew": 1.0}, "skew"),
+    ],
+)
+def test_an_impossible_camera_is_refused(change: dict, says: str):
+    valid = {"width": 640, "height": 480, "matrix": np.eye(3) * [280.0, 280.0, 1.0]}
+    Camera(**valid)
+    with pytest.raises(ValidationError, match=says):
+        Camera(**(valid | change))
+
+
+def test_a_camera_cannot_be_changed_behind_its_back():
+    matrix = np.diag([280.0, 280.0, 1.0])
+    camera = Camera(width=640, height=480, matrix=matrix)
+    matrix[0, 0] = 1
+    assert camera.matrix[0, 0] == 280
+    with pytest.raises(ValueError, match="read-only"):
+        camera.matrix[0, 0] = 1
