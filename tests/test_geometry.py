@@ -1,0 +1,123 @@
+"""Rigid transforms: the axioms of SE(3), and the logarithm where it is delicate."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from vergence.geometry import angle, exp, hat, inverse, log, pose, rotation, rotvec, transform
+
+coordinates = st.floats(-2, 2)
+vectors = arrays(float, 3, elements=coordinates)
+# Angles on all scales down to denormal ones, and up to pi.
+angles = st.one_of(
+    st.floats(0, np.pi), st.sampled_from([0.0, 1e-300, 1e-12, 1e-8, 1e-4, np.pi - 1e-9])
+)
+
+
+@st.composite
+def twists(draw: st.DrawFn, angles: st.SearchStrategy[float] = angles) -> np.ndarray:
+    """Exponential coordinates (6,): an axis times an angle, and a translation."""
+    axis = draw(vectors.filter(lambda v: np.linalg.norm(v) > 1e-3))
+    turn = axis / np.linalg.norm(axis) * draw(angles)
+    return np.concatenate([turn, draw(vectors)])
+
+
+poses = twists().map(exp)
+
+
+def assert_same(a: np.ndarray, b: np.ndarray, tolerance: float = 1e-12) -> None:
+    np.testing.assert_allclose(a, b, rtol=0, atol=tolerance)
+
+
+@given(poses, poses)
+def test_the_product_of_poses_is_a_pose(A: np.ndarray, B: np.ndarray):
+    R = (A @ B)[:3, :3]
+    assert_same(R @ R.T, np.eye(3))
+    assert np.linalg.det(R) == pytest.approx(1)
+    assert_same((A @ B)[3], [0, 0, 0, 1])
+
+
+@given(poses, poses, poses)
+def test_products_associate(A: np.ndarray, B: np.ndarray, C: np.ndarray):
+    assert_same((A @ B) @ C, A @ (B @ C))
+
+
+@given(poses)
+def test_identity_and_inverse_are_what_they_are_called(T: np.ndarray):
+    assert_same(T @ pose(), T)
+    assert_same(T @ inverse(T), np.eye(4))
+    assert_same(inverse(T) @ T, np.eye(4))
+
+
+@given(poses, poses, vectors)
+def test_poses_act_on_points_one_after_the_other(A: np.ndarray, B: np.ndarray, p: np.ndarray):
+    assert_same(transform(A @ B, p), transform(A, transform(B, p)))
+    assert_same((A @ [*p, 1])[:3], transform(A, p))
+
+
+@given(poses, vectors, vectors)
+def test_poses_keep_distances(T: np.ndarray, p: np.ndarray, q: np.ndarray):
+    moved = np.linalg.norm(transform(T, p) - transform(T, q))
+    assert moved == pytest.approx(np.linalg.norm(p - q), abs=1e-12)
+
+
+@given(twists(st.floats(0, np.pi - 1e-3)))
+def test_log_undoes_exp_below_pi(xi: np.ndarray):
+    assert_same(log(exp(xi)), xi, 1e-11)
+
+
+@pytest.mark.parametrize("small", [0.0, 1e-300, 1e-16, 1e-12, 1e-9, 1e-7, 1e-5, 1e-3])
+def test_log_undoes_exp_near_the_identity(small: float):
+    xi = np.array([0.6 * small, -0.8 * small, 0, 0.3, -0.2, 1.5])
+    assert_same(log(exp(xi)), xi, 1e-13)
+
+
+@given(twists(st.floats(0, 1e-5)))
+def test_exp_is_one_plus_its_argument_near_the_identity(xi: np.ndarray):
+    expected = np.eye(4)
+    expected[:3, :3] += hat(xi[:3])
+    expected[:3, 3] = xi[3:] + np.cross(xi[:3], xi[3:]) / 2
+    assert_same(exp(xi), expected, 1e-9)
+
+
+@pytest.mark.parametrize("gap", [0.0, 1e-15, 1e-12, 1e-8, 1e-5, 1e-3])
+def test_exp_undoes_log_at_pi(gap: float):
+    rng = np.random.default_rng(0)
+    axes = rng.normal(size=(200, 3))
+    axes[:3] = np.eye(3)
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    T = pose(rotation(axes * (np.pi - gap)), rng.normal(size=(200, 3)))
+    xi = log(T)
+    assert_same(exp(xi), T, 1e-9)
+    assert_same(np.linalg.norm(xi[:, :3], axis=1), np.pi - gap, 1e-9)
+
+
+@given(twists(st.floats(0, np.pi)))
+def test_rotvec_undoes_rotation_and_angle_is_its_length(xi: np.ndarray):
+    R = rotation(xi[:3])
+    assert_same(rotation(rotvec(R)), R)
+    assert angle(R) == pytest.approx(np.linalg.norm(xi[:3]), abs=1e-8)
+
+
+@given(vectors, vectors)
+def test_hat_is_the_matrix_of_the_cross_product(v: np.ndarray, w: np.ndarray):
+    assert_same(hat(v) @ w, np.cross(v, w))
+    assert_same(hat(v), -hat(v).T)
+
+
+def test_a_turn_is_right_handed():
+    assert_same(rotation([0, 0, np.pi / 2]) @ [1, 0, 0], [0, 1, 0])
+    assert_same(rotation([0, np.pi / 2, 0]) @ [1, 0, 0], [0, 0, -1])
+
+
+def test_leading_dimensions_are_batches():
+    rng = np.random.default_rng(1)
+    xi = rng.normal(size=(4, 5, 6))
+    T, p = exp(xi), rng.normal(size=(5, 3))
+    assert T.shape == (4, 5, 4, 4)
+    assert_same(transform(T, p)[2, 3], transform(T[2, 3], p[3]))
+    assert_same(inverse(T)[1, 4], inverse(T[1, 4]))
+    assert_same(log(T)[3, 0], log(T[3, 0]))
+    assert pose(t=p).shape == (5, 4, 4)
