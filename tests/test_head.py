@@ -1,0 +1,143 @@
+"""The calibration file, and the frames that follow from it."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from heads import plain_head, random_head
+from vergence.errors import VergenceError
+from vergence.geometry import inverse, transform
+from vergence.head import (
+    HeadCalibration,
+    T_base_cam,
+    T_body_base,
+    T_head_base,
+    T_narrow_wide,
+    load,
+    save,
+    write_whole,
+)
+from vergence.kinematics import T_base_eye, T_body_head
+
+
+@pytest.fixture
+def head() -> HeadCalibration:
+    return random_head(np.random.default_rng(5))
+
+
+@pytest.fixture
+def file(head: HeadCalibration, tmp_path: Path) -> Path:
+    save(head, tmp_path / "head.json")
+    return tmp_path / "head.json"
+
+
+def test_a_calibration_comes_back_from_its_file_to_the_last_digit(
+    head: HeadCalibration, file: Path
+):
+    again = load(file)
+    assert list(again.cameras) == list(head.cameras)
+    for name, mounted in head.cameras.items():
+        other = again.cameras[name]
+        assert other.eye == mounted.eye
+        np.testing.assert_array_equal(other.T_eye_cam, mounted.T_eye_cam)
+        np.testing.assert_array_equal(other.intrinsics.matrix, mounted.intrinsics.matrix)
+        np.testing.assert_array_equal(other.intrinsics.distortion, mounted.intrinsics.distortion)
+    np.testing.assert_array_equal(again.T_rbase_lbase, head.T_rbase_lbase)
+    assert vars(again.axes["right"]) == vars(head.axes["right"])
+    np.testing.assert_array_equal(again.neck.points_m, head.neck.points_m)
+    save(again, file.with_name("again.json"))
+    assert file.read_bytes() == file.with_name("again.json").read_bytes()
+
+
+def test_a_head_without_a_neck_travels_through_json(tmp_path: Path):
+    save(plain_head(0.09, 280.0), tmp_path / "plain.json")
+    assert load(tmp_path / "plain.json").neck.axes.shape == (0, 3)
+
+
+def test_the_head_frame_lies_midway_between_the_eyes_with_the_left_eyes_axes(
+    head: HeadCalibration,
+):
+    left, right = T_head_base(head, "left"), T_head_base(head, "right")
+    np.testing.assert_allclose(left[:3, 3] + right[:3, 3], 0, atol=1e-16)
+    np.testing.assert_array_equal(left[:3, :3], np.eye(3))
+    np.testing.assert_allclose(inverse(right) @ left, head.T_rbase_lbase, atol=1e-15)
+
+
+def test_the_left_eye_is_on_the_left():
+    assert T_head_base(plain_head(0.09, 280.0), "left")[1, 3] == pytest.approx(0.045)
+
+
+def test_frames_compose(head: HeadCalibration):
+    angles, neck = np.array([[0.1, -0.2]]), np.array([[0.1, 0.2, -0.3]])
+    np.testing.assert_allclose(
+        T_base_cam(head, "right_wide", angles),
+        T_base_eye(angles, head.axes["right"]) @ head.cameras["right_wide"].T_eye_cam,
+    )
+    np.testing.assert_allclose(
+        T_body_base(head, "right", neck), T_body_head(head.neck, neck) @ T_head_base(head, "right")
+    )
+
+
+def test_the_pose_of_the_wide_camera_in_the_narrow_one_maps_wide_to_narrow(head: HeadCalibration):
+    point = np.array([0.1, -0.2, 1.0])  # in the wide camera
+    in_eye = transform(head.cameras["left_wide"].T_eye_cam, point)
+    in_narrow = transform(inverse(head.cameras["left_narrow"].T_eye_cam), in_eye)
+    np.testing.assert_allclose(transform(T_narrow_wide(head, "left"), point), in_narrow)
+
+
+def test_an_unknown_camera_is_answered_with_the_known_ones(head: HeadCalibration):
+    with pytest.raises(VergenceError, match=r"'middle'.*left_wide, left_narrow, right_wide"):
+        head.camera("middle")
+
+
+def test_a_missing_file_is_named(tmp_path: Path):
+    with pytest.raises(VergenceError, match=r"no\.json: No such file"):
+        load(tmp_path / "no.json")
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "says"),
+    [
+        (["T_rbase_lbase", 0, 0], 2.0, "not a rotation"),
+        (["T_rbase_lbase", 3], [0, 0, 0, 2], "last row of 0 0 0 1"),
+        (["T_rbase_lbase"], [[1, 0], [0, 1]], "expected 4 x 4 numbers, found 2 x 2"),
+        (["cameras", "left_wide", "T_eye_cam", 1, 3], "NaN", "left_wide.*NaN"),
+        (["cameras", "left_wide", "intrinsics", "width"], -1, "left_wide.intrinsics.width"),
+        (["cameras", "left_wide", "eye"], "third", "left_wide.eye"),
+        (["axes", "left", "pan_gain"], "much", "axes.left.pan_gain"),
+        (["format"], "other", "vergence-head-calibration-1"),
+        (["surplus"], 1, "surplus"),
+    ],
+)
+def test_a_wrong_field_is_named(file: Path, path: list, value: object, says: str):
+    content = json.loads(file.read_text())
+    place = content
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = value
+    file.write_text(json.dumps(content))
+    with pytest.raises(VergenceError, match=says):
+        load(file)
+
+
+@pytest.mark.parametrize("text", [b"", b"{", b"[]", b"\xff\xfe", b"null"])
+def test_a_file_that_is_no_calibration_is_refused(tmp_path: Path, text: bytes):
+    (tmp_path / "head.json").write_bytes(text)
+    with pytest.raises(VergenceError, match=r"head\.json is not a head calibration"):
+        load(tmp_path / "head.json")
+
+
+def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path):
+    target = tmp_path / "new" / "file.txt"
+    write_whole(target, "one")
+    write_whole(target, "two")
+    assert [path.name for path in target.parent.iterdir()] == ["file.txt"]
+    assert target.read_text() == "two"
+    (tmp_path / "plain").write_text("")
+    with pytest.raises(VergenceError, match="Cannot write"):
+        write_whole(tmp_path / "plain" / "file.txt", "three")
+    with pytest.raises(VergenceError, match="Cannot write"):
+        write_whole(target.parent, "a folder is in the way")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["new", "plain"]
