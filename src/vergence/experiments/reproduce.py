@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from vergence.experiments.paper import FIGURES, Figure
 from vergence.experiments.replay import Replay, Sample, replay, sample_times, written_by_hand
 from vergence.experiments.report import figure_report, report
 from vergence.experiments.sequence import look, plan
-from vergence.head import save, write_whole
+from vergence.head import HeadCalibration, save, write_whole
 from vergence.plots import paper_figures
 from vergence.twin.appearance import visual_geoms
 from vergence.twin.head import Twin
@@ -36,7 +37,9 @@ class Reproduction:
     profile: ErrorProfile
     seed: int
     calibrations: dict[str, PaperCalibration]
-    """By lens."""
+    """By lens, as they were made."""
+    heads: dict[str, HeadCalibration]
+    """By lens, as they are used: with the errors that the profile writes in by hand."""
     replays: dict[int, Replay]
     """By figure."""
 
@@ -59,16 +62,28 @@ def reproduce(
     """
     chosen = _checked(figures, seed, duration_s, rate_hz)
     _writable(out)
-    done = Reproduction(profile, seed, {}, {})
+    done = Reproduction(profile, seed, {}, {}, {})
     with _progress() as progress:
         try:
             for lens in sorted({figure.lens for figure in chosen}):
                 with Twin(profile, seed=seed, lens=lens) as twin:
-                    done.calibrations[lens] = _calibrate(twin, lens, seed, out, progress)
+                    found = _calibrate(twin, lens, seed, out, progress)
+                    done.calibrations[lens] = found
+                    done.heads[lens] = written_by_hand(found.head, profile.by_hand, lens)
                     for figure in chosen:
                         if figure.lens == lens:
                             times = sample_times(figure, duration_s, rate_hz)
-                            _replay(twin, done, figure, times, out, progress)
+                            label = f"figure {figure.number}, {figure.motion}"
+                            task = progress.add_task(label, total=len(times))
+                            done.replays[figure.number] = record_replay(
+                                twin,
+                                done.heads[lens],
+                                figure,
+                                times,
+                                out / f"fig{figure.number:02d}.rrd",
+                                profile=profile,
+                                done=partial(progress.advance, task),
+                            )
                             _write(out, done)
         finally:
             if done.replays:
@@ -85,9 +100,14 @@ def _checked(
         raise VergenceError(f"Asked for {asked}; the paper's experiments are figures 6 to 11.")
     if seed < 0:
         raise VergenceError(f"The seed must be a whole number from 0, found {seed}.")
-    for name, unit, value, most in (("duration", "s", duration_s, 3600), ("rate", "Hz", rate_hz, 200)):
+    for name, unit, value, most in (
+        ("duration", "s", duration_s, 3600),
+        ("rate", "Hz", rate_hz, 200),
+    ):
         if value is not None and not 0 < value <= most:
-            raise VergenceError(f"The {name} must be above 0 and at most {most} {unit}, found {value}.")
+            raise VergenceError(
+                f"The {name} must be above 0 and at most {most} {unit}, found {value}."
+            )
     chosen = [FIGURES[number] for number in sorted(set(figures))]
     for figure in chosen:
         times = sample_times(figure, duration_s, rate_hz)
@@ -118,9 +138,7 @@ def _progress() -> Progress:
     )
 
 
-def _calibrate(
-    twin: Twin, lens: str, seed: int, out: Path, progress: Progress
-) -> PaperCalibration:
+def _calibrate(twin: Twin, lens: str, seed: int, out: Path, progress: Progress) -> PaperCalibration:
     shots = plan(twin.nominal, seed)
     task = progress.add_task(f"calibrating, {lens} lens", total=len(shots))
     views = look(twin, shots, done=lambda: progress.advance(task))
@@ -129,14 +147,27 @@ def _calibrate(
     return found
 
 
-def _replay(
-    twin: Twin, done: Reproduction, figure: Figure, times: Array, out: Path, progress: Progress
-) -> None:
-    believed = written_by_hand(
-        done.calibrations[figure.lens].head, done.profile.by_hand, figure.lens
-    )
-    task = progress.add_task(f"figure {figure.number}, {figure.motion}", total=len(times))
-    path = out / f"fig{figure.number:02d}.rrd"
+def record_replay(
+    twin: Twin,
+    believed: HeadCalibration,
+    figure: Figure,
+    times_s: Array,
+    path: Path,
+    *,
+    profile: ErrorProfile,
+    done: Callable[[], None] = lambda: None,
+) -> Replay:
+    """Replay one figure on rendered images, and record it.
+
+    Args:
+        twin: the head, with the figure's lens.
+        believed: the calibration that is used.
+        figure: which one.
+        times_s: (N,) of the samples.
+        path: of the recording.
+        profile: for the report in the recording.
+        done: called after each sample.
+    """
     with recording.figure_recording(path, figure, believed, visual_geoms(twin.model)) as rec:
 
         def watch(sample: Sample) -> None:
@@ -150,26 +181,29 @@ def _replay(
                 truth=sample.truth,
             )
 
-        result = replay(
-            twin,
-            believed,
-            figure,
-            times,
-            watch=watch,
-            watch_every=max(1, len(times) // _PICTURES),
-            done=lambda: progress.advance(task),
-        )
+        every = picture_interval(times_s)
+        result = replay(twin, believed, figure, times_s, watch=watch, watch_every=every, done=done)
         recording.log_series(
             rec,
-            time_s=times,
+            figure=figure,
+            head=believed,
+            time_s=times_s,
             points=result.located.points,
             object_m=result.object_m,
             eye_angles=result.observations.eye_angles,
             statistics=result.statistics,
             T_world_lbase=twin.T_world_lbase(),
         )
-        recording.log_report(rec, figure_report(result, done.profile, believed))
-    done.replays[figure.number] = result
+        recording.log_statistics(
+            rec, figure=figure, object_m=result.object_m, statistics=result.statistics
+        )
+        recording.log_report(rec, figure_report(result, profile, believed))
+    return result
+
+
+def picture_interval(times_s: Array) -> int:
+    """Return of how many samples one is recorded with its pictures."""
+    return max(1, len(times_s) // _PICTURES)
 
 
 def _write(out: Path, done: Reproduction) -> None:
@@ -192,4 +226,7 @@ def _write(out: Path, done: Reproduction) -> None:
         "figures": figures,
     }
     write_whole(out / "statistics.json", json.dumps(summary, indent=1) + "\n")
-    write_whole(out / "report.md", report(done.replays, done.calibrations, done.profile, done.seed))
+    write_whole(
+        out / "report.md",
+        report(done.replays, done.calibrations, done.heads, done.profile, done.seed),
+    )

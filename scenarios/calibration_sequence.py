@@ -1,0 +1,47 @@
+"""The calibration sequence (Sec. II, Fig. 4): look at a board, calibrate, compare with the truth.
+
+python scenarios/calibration_sequence.py [--lens 4.0mm] [--profile noise-only]
+"""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import tyro
+
+from vergence.calibration.pipeline import calibrate
+from vergence.experiments.paper import Lens
+from vergence.experiments.sequence import look, plan
+from vergence.geometry import angle, inverse
+from vergence.head import save
+from vergence.twin.head import Twin
+from vergence.twin.profile import load_profile
+
+OUT = Path("runs/calibration")
+SHOWN = 6  # views of the fixed board in the picture, as many as in the paper's Fig. 4
+
+
+def main(out: Path = OUT, profile: str = "ideal", lens: Lens = "2.8mm", seed: int = 0) -> None:
+    out.mkdir(parents=True, exist_ok=True)
+    with Twin(load_profile(profile), seed=seed, lens=lens) as twin:
+        shots = plan(twin.nominal, seed)
+        found = calibrate(look(twin, shots), neck=twin.nominal.neck)
+        columns = []
+        for shot in shots[-SHOWN:]:  # the last ones have the board at rest
+            twin.place_board(shot.T_lbase_target)
+            twin.settle(np.concatenate([np.zeros(3), shot.eye_angles]))
+            columns.append(np.vstack(list(twin.capture(shot.cameras).images.values())))
+    save(found.head, out / "calibration.json")
+    cv2.imwrite(
+        str(out / "sequence.png"), cv2.resize(np.hstack(columns)[..., ::-1], None, fx=0.4, fy=0.4)
+    )
+    for name, camera in found.head.cameras.items():
+        true = twin.truth.cameras[name]
+        error = inverse(true.T_eye_cam) @ camera.T_eye_cam
+        turned, moved = np.degrees(angle(error[:3, :3])), 1e3 * np.linalg.norm(error[:3, 3])
+        scale = camera.intrinsics.matrix[0, 0] / true.intrinsics.matrix[0, 0] - 1
+        print(f"{name}: {turned:.3f} degrees, {moved:.2f} mm, focal length {100 * scale:+.2f} %")
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,29 @@
+"""Figs. 8 and 9: an object at 1.1 m, 2.8 mm lenses, parallel and divergent motion.
+
+python scenarios/far.py [--profile ideal] [--duration 20]
+"""
+
+from pathlib import Path
+
+import tyro
+
+from vergence.experiments.reproduce import reproduce
+from vergence.twin.profile import load_profile
+
+FIGURES = (8, 9)
+OUT = Path("runs/far")
+
+
+def main(
+    out: Path = OUT, profile: str = "paper", seed: int = 0, duration: float | None = None
+) -> None:
+    done = reproduce(
+        out, figures=FIGURES, profile=load_profile(profile), seed=seed, duration_s=duration
+    )
+    for number in FIGURES:
+        x, y, z = 1e3 * done.replays[number].statistics.std_m
+        print(f"Fig. {number}: std {x:.0f} mm in depth, {y:.0f} and {z:.0f} mm across")
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

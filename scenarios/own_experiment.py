@@ -1,0 +1,34 @@
+"""An experiment of your own: does the position stay put while the eyes converge on the object?
+
+python scenarios/own_experiment.py
+"""
+
+import numpy as np
+
+from vergence.active_stereo import locate
+from vergence.calibration.pipeline import calibrate
+from vergence.experiments.sequence import look, plan
+from vergence.sphere import find_sphere
+from vergence.twin.head import Twin
+from vergence.twin.profile import load_profile
+
+OBJECT_M = np.array([0.5, -0.046, 0.0])  # midway between the eyes, from the left one
+VERGENCE_RAD = np.linspace(-0.05, 0.20, 12)  # each eye turns inwards by this
+
+
+def main() -> None:
+    with Twin(load_profile("ideal"), seed=0) as twin:
+        head = calibrate(look(twin, plan(twin.nominal, seed=0))).head
+        twin.place_object(OBJECT_M)
+        for turn in VERGENCE_RAD:
+            twin.settle(np.array([0, 0, 0, -turn, 0, turn, 0]))  # neck, left eye, right eye
+            frame = twin.capture(("left_wide", "right_wide"))
+            left, right = (
+                find_sphere(frame.images[n], head.camera(n).intrinsics) for n in frame.images
+            )
+            point = locate(head, left[None], right[None], frame.eye_angles[None]).points[0]
+            print(f"vergence {2 * turn:+.2f} rad: error {np.round(1e3 * (point - OBJECT_M), 1)} mm")
+
+
+if __name__ == "__main__":
+    main()
