@@ -19,7 +19,7 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -59,6 +59,8 @@ _EYE_HEIGHT_M = 1.2
 _ALPHA = {"object": 0.35}
 """Bodies that one must see through: most estimates lie in the object."""
 _DETECTED, _TRUTH = (255, 230, 0), (0, 240, 255)
+_CROSS = np.array([[[-9.0, 0.0], [9.0, 0.0]], [[0.0, -9.0], [0.0, 9.0]]])
+_RING_PX = 20.0
 _ESTIMATE, _TRAIL, _RAY, _SPREAD = (20, 60, 220), (120, 150, 235), (250, 150, 30), (70, 80, 100)
 _FRUSTUM_M = {"wide": 0.045, "narrow": 0.16}
 """Distance at which an image is drawn before its camera: both are then about as large."""
@@ -135,8 +137,8 @@ def _head_view(figure: Figure, head: HeadCalibration) -> rrb.Spatial3DView:
     marks = [
         f"- {entity}/{mark}" for entity in _cameras(head).values() for mark in ("detected", "truth")
     ]
-    depth = figure.mean_m[0]
-    middle = np.array([0.42 * depth - 0.02, 0.5 * figure.mean_m[1], _EYE_HEIGHT_M - 0.02])
+    back, front = -0.20, figure.mean_m[0] + 2 * figure.std_m[0]  # of all that is to be seen
+    middle = np.array([(back + front) / 2, 0.3 * figure.mean_m[1], _EYE_HEIGHT_M - 0.03])
     return rrb.Spatial3DView(
         name=f"{_title(figure)}: head, lines of sight, estimates",
         origin="world",
@@ -144,7 +146,7 @@ def _head_view(figure: Figure, head: HeadCalibration) -> rrb.Spatial3DView:
         background=rrb.Background(color=_BACKGROUND),
         line_grid=False,
         eye_controls=rrb.EyeControls3D(
-            position=middle + np.array([0.35, 0.85, 0.40]) * (0.27 + 0.75 * depth),
+            position=middle + np.array([0.30, 0.85, 0.42]) * (0.10 + 0.80 * (front - back)),
             look_target=middle,
             eye_up=(0, 0, 1),
         ),
@@ -162,7 +164,7 @@ def _close_up(figure: Figure) -> rrb.Spatial3DView:
         background=rrb.Background(color=_BACKGROUND),
         line_grid=False,
         eye_controls=rrb.EyeControls3D(
-            position=middle + np.array([-0.25, 0.85, 0.45]) * (0.05 + 5 * figure.std_m[0]),
+            position=middle + np.array([-0.25, 0.85, 0.45]) * (0.05 + 4 * figure.std_m[0]),
             look_target=middle,
             eye_up=(0, 0, 1),
         ),
@@ -196,7 +198,7 @@ def _visible(seconds: float | None) -> rrb.VisibleTimeRanges:
     return rrb.VisibleTimeRanges(rrb.VisibleTimeRange("sim_time", start=start, end=now))
 
 
-_TRAILS = {
+_TRAILS: dict[Any, rrb.VisibleTimeRanges] = {
     "world/left_base/trail": _visible(None),
     "world/left_base/recent": _visible(_TRAIL_S),
 }
@@ -322,8 +324,13 @@ def _log_cameras(rec: rr.RecordingStream, head: HeadCalibration) -> None:
                 height=camera.height,
                 image_plane_distance=_FRUSTUM_M[name.split("_")[1]],
             ),
+            rr.TransformAxes3D(0),  # else the viewer draws axes as long as the frustum
             static=True,
         )
+        cross = rr.LineStrips2D.from_fields(colors=_DETECTED, radii=1.0)
+        rec.log(f"{entity}/detected", cross, static=True)
+        ring = rr.Ellipses2D.from_fields(colors=_TRUTH, line_radii=1.0)
+        rec.log(f"{entity}/truth", ring, static=True)
 
 
 def _log_styles(rec: rr.RecordingStream) -> None:
@@ -367,10 +374,12 @@ def log_frame(
     """
     rec.set_time("sim_time", duration=time_s)
     rec.set_time("frame", sequence=index)
-    for body, T in body_poses.items():
-        if body != "world":
-            quaternion = rr.Quaternion(xyzw=_quaternions(T))
-            rec.log(f"world/{body}", rr.Transform3D(translation=T[:3, 3], quaternion=quaternion))
+    bodies = [body for body in body_poses if body != "world"]
+    if bodies:
+        T = np.array([body_poses[body] for body in bodies])
+        for body, translation, quaternion in zip(bodies, T[:, :3, 3], _quaternions(T), strict=True):
+            at = rr.Transform3D(translation=translation, quaternion=quaternion)
+            rec.log(f"world/{body}", at)
     for name, image in ({} if frame is None else frame.images).items():
         entity = f"world/{name.split('_')[0]}_eye/{name}"
         bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
@@ -380,26 +389,21 @@ def log_frame(
             rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg"),
         )
         height, width = image.shape[:2]
-        found = _within(detected.get(name), width, height)
-        arms = np.array([[[-9.0, 0], [9, 0]], [[0, -9], [0, 9]]])
-        strips = [found + arm for arm in arms] if found is not None else []
-        rec.log(f"{entity}/detected", rr.LineStrips2D(strips, colors=[_DETECTED], radii=[1.0]))
-        centre = _within(truth.get(name), width, height)
-        centers = np.empty((0, 2)) if centre is None else centre[None]
-        rings = rr.Ellipses2D(
-            centers=centers,
-            half_sizes=np.full_like(centers, 20),
-            colors=[_TRUTH],
-            line_radii=[1.0],
+        crosses = [centre + _CROSS for centre in _within(detected.get(name), width, height)]
+        strips = np.concatenate(crosses) if crosses else []
+        rec.log(f"{entity}/detected", rr.LineStrips2D.from_fields(strips=strips))
+        centers = _within(truth.get(name), width, height)
+        rec.log(
+            f"{entity}/truth",
+            rr.Ellipses2D.from_fields(centers=centers, half_sizes=np.full_like(centers, _RING_PX)),
         )
-        rec.log(f"{entity}/truth", rings)
 
 
-def _within(pixel: Array | None, width: int, height: int) -> Array | None:
-    """Return a pixel in rerun's coordinates if it lies in the image, else None."""
-    if pixel is None or not (np.abs(pixel * 2 + 1 - (width, height)) <= (width, height)).all():
-        return None
-    return pixel + 0.5
+def _within(pixel: Array | None, width: int, height: int) -> Array:
+    """Return a pixel in rerun's coordinates (1, 2), or (0, 2) if it is not in the image."""
+    if pixel is None or not (np.abs(2 * pixel + 1 - (width, height)) <= (width, height)).all():
+        return np.empty((0, 2))
+    return pixel[None] + 0.5
 
 
 def _columns(time_s: Array, index: np.ndarray) -> list[rr.TimeColumn]:
