@@ -1,0 +1,338 @@
+"""Stereo with moving eyes: Eqs. 3-4 and 10-12, their misprints, and answers to bad input."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from heads import plain_head, point_in_camera, random_head
+from vergence.active_stereo import (
+    Status,
+    camera_transform,
+    fixed_transform,
+    in_body,
+    in_head,
+    locate,
+    triangulate,
+)
+from vergence.camera import pinhole, project
+from vergence.errors import VergenceError
+from vergence.geometry import inverse, transform
+from vergence.head import HeadCalibration, T_base_cam, T_body_base
+from vergence.kinematics import T_base_eye
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def random_samples(
+    head: HeadCalibration, rng: np.random.Generator, n: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return n points (n, 3) before the head, eye angles (n, 4) and pixels (n, 2) of both eyes."""
+    points = rng.uniform([0.3, -0.1, -0.1], [1.5, 0.1, 0.1], (n, 3))
+    eyes = rng.uniform(-0.25, 0.25, (n, 4))
+    pixels = [
+        project(head.cameras[name].intrinsics, point_in_camera(head, name, eyes, points))
+        for name in ("left_wide", "right_wide")
+    ]
+    return points, eyes, pixels[0], pixels[1]
+
+
+@given(seeds)
+def test_exact_pixels_and_readings_give_the_exact_point(seed: int):
+    """Eqs. 3, 4, 10, 11, 12 together, for heads with every imperfection that is calibrated."""
+    rng = np.random.default_rng(seed)
+    head = random_head(rng)
+    points, eyes, left, right = random_samples(head, rng, 20)
+    located = locate(head, left, right, eyes)
+    assert (located.status == Status.OK).all()
+    np.testing.assert_allclose(located.points, points, atol=1e-9)
+
+
+@given(seeds)
+def test_the_narrow_cameras_locate_as_well(seed: int):
+    rng = np.random.default_rng(seed)
+    head = random_head(rng)
+    names = ("left_narrow", "right_narrow")
+    points, eyes, *_ = random_samples(head, rng, 5)
+    pixels = [
+        project(head.cameras[name].intrinsics, point_in_camera(head, name, eyes, points))
+        for name in names
+    ]
+    located = locate(head, *pixels, eyes, cameras=names)
+    np.testing.assert_allclose(located.points, points, atol=1e-9)
+
+
+# The equations one by one, and their misprints
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(11)
+
+
+@pytest.fixture
+def head(rng: np.random.Generator) -> HeadCalibration:
+    return random_head(rng, distorted=False)
+
+
+def stereo_pose(head: HeadCalibration, eyes: np.ndarray) -> np.ndarray:
+    """Return T_rcam_lcam (N, 4, 4), straight from the poses of the two cameras."""
+    T_lbase_lcam = T_base_cam(head, "left_wide", eyes[:, :2])
+    T_rbase_rcam = T_base_cam(head, "right_wide", eyes[:, 2:])
+    return inverse(T_rbase_rcam) @ head.T_rbase_lbase @ T_lbase_lcam
+
+
+def test_equation_3_needs_the_scale_that_the_printed_form_omits(
+    head: HeadCalibration, rng: np.random.Generator
+):
+    """Eq. 3: s u = A y; printed without s, which holds at depth 1 only."""
+    points, eyes, left, _ = random_samples(head, rng, 10)
+    y_l = point_in_camera(head, "left_wide", eyes, points)
+    right_side = y_l @ head.cameras["left_wide"].intrinsics.matrix.T
+    homogeneous = np.concatenate([left, np.ones((10, 1))], axis=1)
+    np.testing.assert_allclose(y_l[:, 2:] * homogeneous, right_side, atol=1e-9)
+    assert (np.abs(homogeneous - right_side).max(axis=1) > 0.1).all()
+
+
+def test_equation_4_maps_from_the_left_camera_to_the_right_one(
+    head: HeadCalibration, rng: np.random.Generator
+):
+    """Eq. 4: s u_r = A_r T_rcam_lcam y_l.
+
+    Printed T_c^l has lost its r, and the prose has it map from right to left, which misses.
+    """
+    points, eyes, _, right = random_samples(head, rng, 10)
+    y_l = point_in_camera(head, "left_wide", eyes, points)
+    T_rcam_lcam = stereo_pose(head, eyes)
+    camera = head.cameras["right_wide"].intrinsics
+    np.testing.assert_allclose(project(camera, transform(T_rcam_lcam, y_l)), right, atol=1e-9)
+    printed = project(camera, transform(inverse(T_rcam_lcam), y_l))
+    assert (np.abs(printed - right).max(axis=1) > 10).all()
+
+
+@given(seeds)
+def test_triangulation_solves_equations_3_and_4_exactly(seed: int):
+    """Eqs. 3-4: the least-squares solution of exact data is the point itself."""
+    rng = np.random.default_rng(seed)
+    head = random_head(rng)
+    points, eyes, left, right = random_samples(head, rng, 10)
+    cameras = [head.cameras[name].intrinsics for name in ("left_wide", "right_wide")]
+    located = triangulate(left, right, *cameras, stereo_pose(head, eyes))
+    y_l = point_in_camera(head, "left_wide", eyes, points)
+    np.testing.assert_allclose(located.points, y_l, atol=1e-9)
+
+
+def equation_10_terms(head: HeadCalibration, eyes: np.ndarray) -> dict[str, np.ndarray]:
+    """Return what Eqs. 10-11 are made of, at eye angles (N, 4)."""
+    return {
+        "T_base_eye_r": T_base_eye(eyes[:, 2:], head.axes["right"]),
+        "T_eye_cam_r": head.cameras["right_wide"].T_eye_cam,
+        "T_eye_cam_l": head.cameras["left_wide"].T_eye_cam,
+        "T_base_eye_l": T_base_eye(eyes[:, :2], head.axes["left"]),
+    }
+
+
+def test_equation_10_gives_the_same_wherever_the_eyes_look(
+    head: HeadCalibration, rng: np.random.Generator
+):
+    """Eq. 10 holds as printed: T_rbase_lbase is constant, whatever theta_0 was."""
+    eyes = rng.uniform(-0.25, 0.25, (20, 4))
+    T = fixed_transform(T_rcam_lcam=stereo_pose(head, eyes), **equation_10_terms(head, eyes))
+    np.testing.assert_allclose(T, np.broadcast_to(head.T_rbase_lbase, T.shape), atol=1e-14)
+
+
+def test_equation_10_needs_the_camera_in_the_eye_and_not_the_eye_in_the_camera(
+    head: HeadCalibration, rng: np.random.Generator
+):
+    """Eq. 10: with T_ec in the sense that Eqs. 5 and 11 print, nothing is constant."""
+    eyes = rng.uniform(-0.25, 0.25, (20, 4))
+    terms = equation_10_terms(head, eyes)
+    terms["T_eye_cam_r"], terms["T_eye_cam_l"] = (
+        inverse(terms["T_eye_cam_r"]),
+        inverse(terms["T_eye_cam_l"]),
+    )
+    T = fixed_transform(T_rcam_lcam=stereo_pose(head, eyes), **terms)
+    assert np.ptp(T[:, :3, :3], axis=0).max() > 0.1
+
+
+def composes(*chain: tuple[str, str]) -> bool:
+    """Return whether T_a_b, T_b_c, ... have adjacent letters that cancel."""
+    return all(left[1] == right[0] for left, right in pairwise(chain))
+
+
+def test_the_printed_order_of_equation_11_cannot_be_composed():
+    """Eq. 11: neither sense of each symbol makes the printed order's letters cancel."""
+    T_ec_r, T_e_rl, T_ec_l = ("reye", "rcam"), ("rbase", "lbase"), ("leye", "lcam")
+    T_er_l, T_er_r = ("lbase", "leye"), ("rbase", "reye")
+
+    def inv(T: tuple[str, str]) -> tuple[str, str]:
+        return T[::-1]
+
+    mended = (inv(T_ec_r), inv(T_er_r), T_e_rl, T_er_l, T_ec_l)
+    assert composes(*mended)
+    assert (mended[0][0], mended[-1][1]) == ("rcam", "lcam")
+    assert composes(T_er_r, T_ec_r, ("rcam", "lcam"), inv(T_ec_l), inv(T_er_l))  # Eq. 10
+    printed = (T_ec_r, T_e_rl, inv(T_ec_l), T_er_l, inv(T_er_r), T_ec_l)
+    assert not composes(*printed)
+    for flip_ec in (False, True):
+        for flip_er in (False, True):
+            for flip_e in (False, True):
+                senses = (flip_ec, flip_e, flip_ec, flip_er, flip_er, flip_ec)
+                turned = [inv(T) if flip else T for T, flip in zip(printed, senses, strict=True)]
+                assert not composes(*turned)
+
+
+def printed_11(T_rbase_lbase: np.ndarray, terms: dict[str, np.ndarray]) -> np.ndarray:
+    return (
+        terms["T_eye_cam_r"]
+        @ T_rbase_lbase
+        @ inverse(terms["T_eye_cam_l"])
+        @ terms["T_base_eye_l"]
+        @ inverse(terms["T_base_eye_r"])
+        @ terms["T_eye_cam_l"]
+    )
+
+
+def test_equation_11_gives_the_static_calibration_back_at_theta_0(
+    head: HeadCalibration, rng: np.random.Generator
+):
+    """Eqs. 10-11: mended, Eq. 11 undoes Eq. 10; as printed, it does not even at theta = 0."""
+    for eyes in (np.zeros((1, 4)), rng.uniform(-0.1, 0.1, (5, 4))):
+        terms = equation_10_terms(head, eyes)
+        static = stereo_pose(head, eyes)
+        T_rbase_lbase = fixed_transform(T_rcam_lcam=static, **terms)
+        mended = camera_transform(T_rbase_lbase=T_rbase_lbase, **terms)
+        np.testing.assert_allclose(mended, static, atol=1e-14)
+        printed = printed_11(T_rbase_lbase, terms)
+        assert (np.abs(printed - static).max(axis=(1, 2)) > 0.5).all()
+
+
+def test_equation_11_follows_the_eyes(head: HeadCalibration, rng: np.random.Generator):
+    """Eq. 11: mended, it maps a point from the left to the right camera wherever the eyes look."""
+    points, eyes, *_ = random_samples(head, rng, 20)
+    terms = equation_10_terms(head, eyes)
+    y_l, y_r = (point_in_camera(head, name, eyes, points) for name in ("left_wide", "right_wide"))
+    mended = camera_transform(T_rbase_lbase=head.T_rbase_lbase, **terms)
+    np.testing.assert_allclose(transform(mended, y_l), y_r, atol=1e-13)
+    misses = np.linalg.norm(transform(printed_11(head.T_rbase_lbase, terms), y_l) - y_r, axis=1)
+    assert (misses > 0.1).all()
+
+
+def test_equation_12_gives_the_same_body_point_wherever_eyes_and_neck_look(
+    head: HeadCalibration, rng: np.random.Generator
+):
+    """Eq. 12: y_b = T_be(neck) T_er(theta) T_ec y_l; with T_ec^-1 the point would wander."""
+    in_body_m = np.array([1.0, 0.1, 0.2])
+    neck = rng.uniform(-0.1, 0.1, (20, 3))
+    eyes = rng.uniform(-0.25, 0.25, (20, 4))
+    T_body_lbase = T_body_base(head, "left", neck)
+    y_l = point_in_camera(head, "left_wide", eyes, transform(inverse(T_body_lbase), in_body_m))
+    T_er, T_ec = T_base_eye(eyes[:, :2], head.axes["left"]), head.cameras["left_wide"].T_eye_cam
+    y_b = transform(T_body_lbase @ T_er @ T_ec, y_l)
+    np.testing.assert_allclose(y_b, np.tile(in_body_m, (20, 1)), atol=1e-14)
+    wandering = transform(T_body_lbase @ T_er @ inverse(T_ec), y_l)
+    assert np.ptp(wandering, axis=0).max() > 0.1
+
+
+@given(seeds)
+def test_locating_in_the_body_is_equation_12(seed: int):
+    """Eq. 12, from pixels, eye readings and neck readings to the body."""
+    rng = np.random.default_rng(seed)
+    head = random_head(rng)
+    points, eyes, left, right = random_samples(head, rng, 10)
+    neck = rng.uniform(-0.5, 0.5, (10, 3))
+    expected = transform(T_body_base(head, "left", neck), points)
+    located = locate(head, left, right, eyes)
+    np.testing.assert_allclose(in_body(head, located.points, neck), expected, atol=1e-9)
+
+
+def test_the_head_frame_lies_half_a_baseline_to_the_right_of_the_left_eye():
+    head = plain_head(0.09, 280.0)
+    np.testing.assert_allclose(in_head(head, np.array([[1.0, 0, 0]])), [[1.0, 0.045, 0]])
+
+
+# What is not a point
+
+
+def test_nan_is_not_seen_and_leaves_the_others_alone(
+    head: HeadCalibration, rng: np.random.Generator
+):
+    points, eyes, left, right = random_samples(head, rng, 5)
+    left[0, 1], right[1, 0], eyes[2, 3] = np.nan, np.nan, np.nan
+    eyes[3, 0] = np.inf
+    located = locate(head, left, right, eyes)
+    assert located.status.tolist() == [Status.NOT_SEEN] * 4 + [Status.OK]
+    assert np.isnan(located.points[:4]).all()
+    np.testing.assert_allclose(located.points[4], points[4], atol=1e-9)
+
+
+def test_parallel_rays_are_called_parallel():
+    head = plain_head(0.09, 280.0)
+    pixels = np.array([[319.5, 239.5], [400.0, 100.0]])
+    located = locate(head, pixels, pixels, np.zeros((2, 4)))
+    assert located.status.tolist() == [Status.PARALLEL] * 2
+    assert np.isnan(located.points).all()
+
+
+def test_rays_that_meet_far_away_are_not_called_parallel():
+    head = plain_head(0.09, 280.0)
+    left = np.array([[319.5 + 1e-3, 239.5]])
+    located = locate(head, left, np.array([[319.5, 239.5]]), np.zeros((1, 4)))
+    assert located.status[0] == Status.OK
+    assert located.points[0, 0] == pytest.approx(0.09 * 280 / 1e-3, rel=1e-6)
+
+
+def test_rays_that_meet_behind_the_head_are_called_behind():
+    head = plain_head(0.09, 280.0)
+    left, right = np.array([[300.0, 239.5]]), np.array([[340.0, 239.5]])  # crossed disparity
+    located = locate(head, left, right, np.zeros((1, 4)))
+    assert located.status[0] == Status.BEHIND
+    assert np.isnan(located.points).all()
+
+
+def test_a_pixel_beyond_the_lens_is_not_seen():
+    head = plain_head(0.09, 280.0)
+    barrel = pinhole(640, 480, 280.0, (-0.3, 0, 0, 0, 0))
+    mounted = replace(head.cameras["left_wide"], intrinsics=barrel)
+    head = replace(head, cameras=head.cameras | {"left_wide": mounted})
+    left = np.array([[530.0, 239.5], [619.5, 239.5], [np.inf, 239.5], [330.0, 239.5]])
+    located = locate(head, left, np.tile([319.5, 239.5], (4, 1)), np.zeros((4, 4)))
+    assert located.status.tolist() == [Status.NOT_SEEN] * 3 + [Status.OK]
+
+
+def test_no_samples_give_no_points(head: HeadCalibration):
+    located = locate(head, np.empty((0, 2)), np.empty((0, 2)), np.empty((0, 4)))
+    assert located.points.shape == (0, 3)
+    assert located.status.shape == (0,)
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "eyes", "says"),
+    [
+        ((4, 3), (4, 2), (4, 4), r"pixels_l of shape \(4, 2\), found \(4, 3\)"),
+        ((4, 2), (5, 2), (4, 4), r"pixels_r of shape \(4, 2\), found \(5, 2\)"),
+        ((4, 2), (4, 2), (4,), r"eye_angles of shape \(4, 4\), found \(4,\)"),
+        ((4, 2), (4, 2), (4, 7), r"eye_angles of shape \(4, 4\), found \(4, 7\)"),
+        ((2,), (2,), (4,), r"pixels_l of shape \(2, 2\), found \(2,\)"),
+    ],
+)
+def test_wrong_shapes_are_named(
+    head: HeadCalibration, left: tuple, right: tuple, eyes: tuple, says: str
+):
+    with pytest.raises(VergenceError, match=says):
+        locate(head, np.zeros(left), np.zeros(right), np.zeros(eyes))
+
+
+def test_an_unknown_camera_is_refused(head: HeadCalibration):
+    with pytest.raises(VergenceError, match="No camera is called 'left'"):
+        locate(head, np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 4)), cameras=("left", "r"))
+
+
+def test_samples_do_not_see_each_other(head: HeadCalibration, rng: np.random.Generator):
+    _, eyes, left, right = random_samples(head, rng, 1000)
+    together = locate(head, left, right, eyes).points
+    alone = [locate(head, left[[k]], right[[k]], eyes[[k]]).points[0] for k in (0, 500, 999)]
+    np.testing.assert_allclose(together[[0, 500, 999]], alone, atol=1e-12)
