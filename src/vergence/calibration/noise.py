@@ -83,6 +83,14 @@ def estimate_noise(
     return Components(_with(noise, s), spread, now.redundancy)
 
 
+def redundancy(linear: Linear, noise: Noise, basis: Array) -> Array:
+    """Return (1 + groups,) how many residuals of each group such noise would leave over.
+
+    At a generous noise, less than one of a group says that its level cannot be estimated.
+    """
+    return _evaluate(linear, noise, _log_variances(noise), basis).redundancy
+
+
 def _log_variances(noise: Noise) -> Array:
     return 2 * np.log(np.array([noise.pixel_px, *noise.joint]))
 
@@ -94,7 +102,8 @@ def _with(noise: Noise, s: Array) -> Noise:
 
 def _joint_floor(linear: Linear, noise: Noise) -> Array:
     """Return (groups,) log variances below which a group's readings count as exact."""
-    alone = np.linalg.inv(linear.ll)[:, *np.diag_indices(linear.ll.shape[1])]
+    seen = np.linalg.cond(linear.ll) < 1e12  # a block may have lost all its corners as outliers
+    alone = np.linalg.inv(linear.ll[seen])[:, *np.diag_indices(linear.ll.shape[1])]
     told = noise.pixel_px**2 * np.median(alone, axis=0)
     groups = [told[noise.group == k].min() for k in range(len(noise.joint))]
     return np.log(FLOOR_JOINT**2 * np.array(groups))
@@ -113,7 +122,7 @@ def _evaluate(linear: Linear, noise: Noise, s: Array, basis: Array) -> _Evaluati
     counts = [linear.count]
     for k in range(len(noise.joint)):
         squares.append((inverse_variance * error**2)[group == k].sum())
-        counts.append(np.count_nonzero(used[group == k]))
+        counts.append(float(np.count_nonzero(used[group == k])))
     squares, counts = np.array(squares), np.array(counts, dtype=float)
     told, shared = _swallowed(linear, factors, inverse_variance, noise)
     unknowns = basis.shape[1] + latent.size

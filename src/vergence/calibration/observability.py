@@ -9,16 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import null_space
 
 from vergence.arrays import Array
 from vergence.calibration.problem import (
-    AXES,
     POSE,
     Problem,
     State,
     calibration_size,
-    names,
     size,
 )
 from vergence.calibration.solver import Linear, Noise, factorise
@@ -32,28 +29,24 @@ AXES_RULER = (0.1, 0.1, 0.05, 0.05, 0.05, 0.005)
 TIME_S = 0.1
 UNKNOWN = 1e3
 """Standard deviation, in rulers, that stands for "not determined at all"."""
-
-AXIS_WORDS = {
-    "rx": "rotation about x",
-    "ry": "rotation about y",
-    "rz": "rotation about z",
-    "tx": "translation along x",
-    "ty": "translation along y",
-    "tz": "translation along z",
-}
+WEAK = 0.3
+"""Standard deviation, in rulers, from which a direction deserves a warning: 0.9 degrees, 3 mm."""
 
 
 @dataclass(frozen=True, eq=False)
 class Observability:
-    """What the data determine."""
+    """What the data determine; c is the number of unknowns of the calibration."""
 
     basis: Array
-    """(G, F) free directions of the shared unknowns, each a ruler long."""
+    """(G, F) free directions of the shared unknowns."""
     held: Array
-    """(G', c) directions of the calibration that are not observable, in rulers, one a row."""
+    """(H, c) directions of the calibration that are not observable, each one ruler long."""
+    weak: Array
+    """(W, c) directions that are observable, but hardly."""
+    held_std: Array
+    """(H,) what the data alone know of the held directions, in rulers."""
     covariance: Array
-    """(c, c) of the calibration's unknowns, the placements' left out; where nothing is known,
-    UNKNOWN rulers."""
+    """(c, c) of the calibration; where nothing is known, UNKNOWN rulers."""
 
 
 def rulers(problem: Problem, state: State) -> Array:
@@ -79,31 +72,29 @@ def observe(problem: Problem, state: State, linear: Linear, noise: Noise) -> Obs
     by the rulers; directions of eigenvalue below 1 are held.
     """
     scale = np.diag(rulers(problem, state))[:, problem.free]
-    calibration = np.flatnonzero(problem.free) < calibration_size(problem)
+    c = calibration_size(problem)
+    mine = np.flatnonzero(problem.free) < c
     S = factorise(linear, noise, scale).schur
-    boards = S[np.ix_(~calibration, ~calibration)]
+    boards = S[np.ix_(~mine, ~mine)]
     # Nothing but the start tells where a board stands that shows too few corners.
     boards = boards + UNKNOWN**-2 * np.eye(len(boards))
-    across = S[np.ix_(calibration, ~calibration)]
-    information = S[np.ix_(calibration, calibration)] - across @ np.linalg.solve(boards, across.T)
+    across = S[np.ix_(mine, ~mine)]
+    information = S[np.ix_(mine, mine)] - across @ np.linalg.solve(boards, across.T)
     values, vectors = np.linalg.eigh(information)
-    kept = values > 1
-    directions = np.eye(len(S))
-    directions = np.concatenate(
-        [
-            _embed(vectors[:, kept], calibration),
-            directions[:, ~calibration],
-        ],
-        axis=1,
+    values = np.maximum(values, UNKNOWN**-2)
+    kept, hardly = values > 1, (values > 1) & (values < WEAK**-2)
+    directions = scale[:, mine] @ vectors
+    return Observability(
+        basis=np.concatenate([directions[:, kept], scale[:, ~mine]], axis=1),
+        held=_unscaled(vectors[:, ~kept], problem.free[:c]),
+        weak=_unscaled(vectors[:, hardly], problem.free[:c]),
+        held_std=values[~kept] ** -0.5,
+        covariance=(directions / values @ directions.T)[:c, :c],
     )
-    scaled = vectors / np.maximum(values, UNKNOWN**-2) @ vectors.T
-    D = scale[: calibration_size(problem)][:, calibration]
-    held = np.zeros((int((~kept).sum()), calibration_size(problem)))
-    held[:, problem.free[: held.shape[1]]] = vectors[:, ~kept].T
-    return Observability(scale @ directions, held, D @ scaled @ D.T)
 
 
-def _embed(vectors: Array, rows: np.ndarray) -> Array:
-    out = np.zeros((len(rows), vectors.shape[1]))
-    out[rows] = vectors
-    return out
+def _unscaled(vectors: Array, free: np.ndarray) -> Array:
+    """Return (H, c) of eigenvectors (free, H), with zeros for what is not free."""
+    rows = np.zeros((vectors.shape[1], len(free)))
+    rows[:, free] = vectors.T
+    return rows

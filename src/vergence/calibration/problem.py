@@ -4,10 +4,10 @@ A corner P of a board passes through
 `p_cam = T_cam_eye T_eye_base(u) T_base_lbase T_lbase_target P`, and then through the lens. The
 unknowns fall into two kinds:
 
-- *shared* ones, in one vector of `size(problem)` entries named by `names(problem)`: for each camera
+- *shared* ones, in one vector named by `calibration_names`: for each camera
   fx, fy, cx, cy [px], k1, k2, p1, p2, k3 and the 6 of T_eye_cam; the 6 of T_rbase_lbase; the 6
   fields of EyeAxes for each eye; the time offset [s]; the 6 of each placement of the board,
-  T_lbase_target;
+  T_lbase_target, which follow without names;
 - *latent* ones, n for each eye in each view: the readings u [rad] of pan and tilt as they would be
   without noise (n = 2) or, for eye poses given as 4x4 matrices, their errors (n = 6). An eye in a
   view is a *block*: every residual meets one block only, so blocks are eliminated one by one.
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from vergence.arrays import Array
 from vergence.camera import Camera, project, project_jacobians
 from vergence.geometry import hat, inverse, pose, rotation, rotvec, transform
-from vergence.kinematics import EyeAxes
+from vergence.kinematics import EYES, EyeAxes
 
 Index = NDArray[np.intp]
 
@@ -98,18 +98,20 @@ def calibration_size(problem: Problem) -> int:
     return PER_CAMERA * len(problem.cameras) + len(POSE) + 2 * len(AXES) + 1
 
 
-def names(problem: Problem) -> tuple[str, ...]:
-    """Return the names of the shared unknowns, in their order."""
-    cameras = [
-        f"{camera}.{name}"
-        for camera in problem.cameras
-        for name in (*INTRINSICS, *(f"T_eye_cam.{name}" for name in POSE))
-    ]
-    head = [f"T_rbase_lbase.{name}" for name in POSE]
-    axes = [f"{eye}.{name}" for eye in ("left", "right") for name in AXES]
-    placements = (size(problem) - calibration_size(problem)) // len(POSE)
-    boards = [f"placement {p}.{name}" for p in range(placements) for name in POSE]
-    return (*cameras, *head, *axes, "time_offset_s", *boards)
+def calibration_names(cameras: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names of the shared unknowns of a head with these cameras, in their order."""
+    own = (*INTRINSICS, *(f"T_eye_cam.{name}" for name in POSE))
+    return (
+        *(f"{camera}.{name}" for camera in cameras for name in own),
+        *(f"T_rbase_lbase.{name}" for name in POSE),
+        *(f"{eye}.{name}" for eye in EYES for name in AXES),
+        "time_offset_s",
+    )
+
+
+def axes_row(axes: EyeAxes) -> list[float]:
+    """Return the fields of EyeAxes in the order of AXES."""
+    return [getattr(axes, name) for name in AXES]
 
 
 def pose_difference(T: Array, T_reference: Array) -> Array:

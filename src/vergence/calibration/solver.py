@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from vergence.arrays import Array
@@ -42,6 +41,8 @@ class Noise:
     """(groups,) [rad], or [m] for translations of eye poses."""
     group: Index
     """(n,) group of each latent unknown of a block."""
+    outlier: float = OUTLIER
+    """Standard deviations beyond which a residual loses weight."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +151,7 @@ def factorise(linear: Linear, noise: Noise, basis: Array, damping: float = 0.0) 
     gg[np.diag_indices_from(gg)] *= 1 + damping
     right_g = pixel * (basis.T @ linear.g) + row * (timing * linear.joint_errors).sum()
     right_l = pixel * linear.latent - joint * linear.joint_errors
-    ll_inverse = np.linalg.inv(ll)
+    ll_inverse: Array = np.linalg.inv(ll).astype(float, copy=False)
     coupling = ll_inverse @ np.swapaxes(gl, 1, 2)
     F = basis.shape[1]
     schur = gg - gl.transpose(1, 0, 2).reshape(F, -1) @ coupling.reshape(-1, F)
@@ -176,7 +177,9 @@ def robust_weights(problem: Problem, state: State, noise: Noise) -> Weights:
     """Return Cauchy's weights beyond OUTLIER and 1 within."""
     corner = np.linalg.norm(corner_errors(problem, state), axis=-1) / noise.pixel_px
     joint = np.abs(joint_errors(problem, state)) / noise.joint[noise.group]
-    return Weights(np.where(problem.seen, _weight(corner), 0.0), _weight(joint))
+    return Weights(
+        np.where(problem.seen, _weight(corner, noise.outlier), 0.0), _weight(joint, noise.outlier)
+    )
 
 
 def inliers(weights: Weights) -> Weights:
@@ -188,7 +191,7 @@ def cost(problem: Problem, state: State, noise: Noise) -> float:
     """Return the robust sum of squares in units of the noise; infinite behind a camera."""
     corner = np.linalg.norm(corner_errors(problem, state), axis=-1) / noise.pixel_px
     joint = joint_errors(problem, state) / noise.joint[noise.group]
-    total = _loss(corner).sum() + _loss(joint).sum()
+    total = _loss(corner, noise.outlier).sum() + _loss(joint, noise.outlier).sum()
     return float(total) if np.isfinite(total) else np.inf
 
 
@@ -224,10 +227,10 @@ def _try(problem: Problem, state: State, shared: Array, latent: Array) -> State 
         return None
 
 
-def _weight(s: Array) -> Array:
-    return np.where(s <= OUTLIER, 1.0, (OUTLIER / np.maximum(s, OUTLIER)) ** 2)
+def _weight(s: Array, outlier: float) -> Array:
+    return (outlier / np.maximum(s, outlier)) ** 2 if np.isfinite(outlier) else np.ones_like(s)
 
 
-def _loss(s: Array) -> NDArray[np.float64]:
-    beyond = np.maximum(np.abs(s), OUTLIER)
-    return np.minimum(np.abs(s), OUTLIER) ** 2 + 2 * OUTLIER**2 * np.log(beyond / OUTLIER)
+def _loss(s: Array, outlier: float) -> Array:
+    within, beyond = np.minimum(np.abs(s), outlier), np.maximum(np.abs(s) / outlier, 1.0)
+    return within**2 + (2 * outlier**2 * np.log(beyond) if np.isfinite(outlier) else 0.0)

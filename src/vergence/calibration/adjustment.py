@@ -1,0 +1,145 @@
+"""The whole estimate: unknowns, levels of noise and what is observable, until they agree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.calibration.noise import Components, estimate_noise, redundancy
+from vergence.calibration.observability import Observability, observe
+from vergence.calibration.problem import Problem, State, corner_errors
+from vergence.calibration.solver import (
+    OUTLIER,
+    Linear,
+    Noise,
+    Weights,
+    inliers,
+    linearise,
+    minimise,
+    robust_weights,
+)
+from vergence.errors import VergenceError
+
+GENEROUS_JOINT = 0.01
+"""First guess of the joint noise [rad or m]: large, so that good readings are not taken for
+outliers before the level is known."""
+USUAL_JOINT = 0.002
+"""Assumed where the data cannot tell the joint noise [rad or m]: 0.1 degrees."""
+ROUNDS = 40
+
+
+@dataclass(frozen=True, eq=False)
+class Adjusted:
+    """The result of an adjustment."""
+
+    state: State
+    components: Components
+    observability: Observability
+    """Its covariance allows for the levels of noise being estimates themselves."""
+    weights: Weights
+    """1 for inliers, 0 for outliers and what was not seen."""
+    assumed: np.ndarray
+    """(groups,) whether a joint noise is USUAL_JOINT, for want of data."""
+    converged: bool
+
+
+def adjust(
+    problem: Problem,
+    start: State,
+    group: np.ndarray,
+    *,
+    pixel_std_px: float | None = None,
+    joint_std: Array | None = None,
+    outlier: float = OUTLIER,
+) -> Adjusted:
+    """Return the maximum a posteriori, its levels of noise, and what the data determine.
+
+    Args:
+        problem: the data.
+        start: where to start, within the reach of Gauss-Newton.
+        group: (n,) group of joint noise of each latent unknown.
+        pixel_std_px: of one coordinate of a corner; None: estimated.
+        joint_std: (groups,) of the readings; None: estimated.
+        outlier: standard deviations beyond which a residual loses weight.
+
+    Raises:
+        VergenceError: there are more unknowns than data.
+    """
+    groups = int(group.max()) + 1
+    told = np.array([pixel_std_px is not None] + [joint_std is not None] * groups)
+    first = Noise(
+        max(_median_level(problem, start), 0.1) if pixel_std_px is None else pixel_std_px,
+        np.full(groups, GENEROUS_JOINT) if joint_std is None else joint_std,
+        group,
+        outlier,
+    )
+    linear, seen = _survey(problem, start, first)
+    left = redundancy(linear, first, seen.basis)
+    if left[0] < 1:
+        raise VergenceError(
+            f"There are {linear.count:.0f} corner coordinates for more unknowns than that; "
+            "record more views of the board."
+        )
+    assumed = ~told[1:] & (left[1:] < 1)
+    told[1:] |= assumed
+    noise = replace(first, joint=np.where(assumed, USUAL_JOINT, first.joint))
+    state, agreed, converged = start, False, False
+    components = Components(noise, np.zeros(1 + groups), left)
+    for _ in range(ROUNDS):
+        state, converged = minimise(problem, state, noise, seen.basis)
+        # Inliers choose the level and the level the inliers: keep half of the corners among them.
+        least = 0.0 if told[0] else 0.8 * _median_level(problem, state)
+        noise = replace(noise, pixel_px=max(noise.pixel_px, least))
+        linear = _linear(problem, state, noise)
+        components = estimate_noise(linear, noise, seen.basis, told)
+        change = np.abs(np.log(_levels(components.noise) / _levels(noise))).max()
+        noise, before = components.noise, seen
+        linear, seen = _survey(problem, state, noise)
+        if len(seen.held) > len(before.held):
+            state = start  # what turns out to be unobservable has wandered
+        agreed = change < 1e-3 and len(seen.held) == len(before.held)
+        if agreed:
+            break
+    certain = observe(problem, state, linear, _allowing_for_estimation(components))
+    return Adjusted(
+        state,
+        components,
+        replace(seen, covariance=certain.covariance),
+        inliers(robust_weights(problem, state, noise)),
+        assumed,
+        converged and agreed,
+    )
+
+
+def _linear(problem: Problem, state: State, noise: Noise) -> Linear:
+    return linearise(problem, state, inliers(robust_weights(problem, state, noise)))
+
+
+def _survey(problem: Problem, state: State, noise: Noise) -> tuple[Linear, Observability]:
+    linear = _linear(problem, state, noise)
+    return linear, observe(problem, state, linear, noise)
+
+
+def _median_level(problem: Problem, state: State) -> float:
+    """Return the pixel noise by the median, which half of the corners cannot spoil."""
+    lengths = np.linalg.norm(corner_errors(problem, state), axis=-1)[problem.seen]
+    return float(np.nanmedian(lengths)) / np.sqrt(2 * np.log(2))
+
+
+def _levels(noise: Noise) -> Array:
+    return np.array([noise.pixel_px, *noise.joint])
+
+
+def _allowing_for_estimation(components: Components) -> Noise:
+    """Return levels that are larger by what is not known about them.
+
+    For a level that is well known the variance grows by the factor 1 + Var(log sigma^2), which
+    for nu degrees of freedom is nu / (nu - 2) to first order: Student's t has that variance. For
+    one that is indistinguishable from zero it grows by the standard deviation of sigma^2.
+    """
+    v = components.log_variance
+    factor = np.sqrt(1 + v / (1 + np.sqrt(v)))
+    noise = components.noise
+    return replace(noise, pixel_px=noise.pixel_px * factor[0], joint=noise.joint * factor[1:])

@@ -1,0 +1,178 @@
+"""What is not observable, why, and what to record instead: in words."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.calibration.adjustment import Adjusted
+from vergence.calibration.problem import Problem, State, calibration_names, eye_poses
+from vergence.geometry import rotvec
+from vergence.kinematics import EYES
+
+SMALL_RAD = 0.05
+"""Motion below this is small beside the +-0.25 rad of a good recording."""
+GOOD_RAD = 0.25
+NAMED = 0.3
+"""A direction's components of this size, relative to the largest, are named."""
+
+_WORDS = {
+    "rx": "rotation about x",
+    "ry": "rotation about y",
+    "rz": "rotation about z",
+    "tx": "translation along x",
+    "ty": "translation along y",
+    "tz": "translation along z",
+}
+
+
+def warnings(problem: Problem, found: Adjusted) -> tuple[str, ...]:
+    """Return a sentence for everything that a reader of the result must know."""
+    observability, noise = found.observability, found.components.noise
+    said = []
+    for what, rows in (
+        ("not observable, and stays at its start", observability.held),
+        ("hardly observable", observability.weak),
+    ):
+        for subject, eyes in _subjects(problem, rows):
+            needed = _needed(found) if rows is observability.held else GOOD_RAD
+            causes = _causes(problem, found, eyes, needed)
+            said.append(f"{subject}: {what}; {causes}.")
+    for k in np.flatnonzero(found.assumed):
+        said.append(
+            f"The noise of the joint readings cannot be told from these views; {noise.joint[k]:g} "
+            "was assumed: let the eyes look at each board from several angles."
+        )
+    corners = np.count_nonzero(problem.seen)
+    outliers = corners - np.count_nonzero(found.weights.corner)
+    if outliers > 0.01 * corners:
+        said.append(
+            f"{outliers} of {corners} corners lie beyond {noise.outlier:g} standard deviations of "
+            f"{noise.pixel_px:.2g} px and lost their weight: look at the views with the largest "
+            "residuals."
+        )
+    if not found.converged:
+        said.append("The estimate did not converge: do not trust it.")
+    return tuple(said)
+
+
+def _subjects(problem: Problem, rows: Array) -> list[tuple[str, list[int]]]:
+    """Return what the directions are about, merged by whom they concern, and the eyes of these."""
+    labels = calibration_names(problem.cameras)
+    merged: dict[tuple[str, ...], dict[str, list[str]]] = {}
+    for row in _sparse(rows):
+        parts: dict[str, list[str]] = {}
+        for i in np.flatnonzero(np.abs(row) > NAMED * np.abs(row).max()):
+            owner, part = _words(labels[i])
+            parts.setdefault(owner, []).append(part)
+        group = merged.setdefault(tuple(parts), {owner: [] for owner in parts})
+        for owner, words in parts.items():
+            group[owner] += [word for word in words if word not in group[owner]]
+    subjects = []
+    for owners, parts in merged.items():
+        text = " together with ".join(f"{owner} {_list(parts[owner])}".strip() for owner in owners)
+        subjects.append((text, sorted({eye for o in owners for eye in _eyes_of(problem, o)})))
+    return subjects
+
+
+def _words(name: str) -> tuple[str, str]:
+    """Return whom an unknown belongs to, and what it is."""
+    owner, _, part = name.rpartition(".")
+    return (owner or name, _WORDS.get(part, part if owner else ""))
+
+
+def _eyes_of(problem: Problem, owner: str) -> list[int]:
+    camera = owner.removesuffix(".T_eye_cam")
+    if camera in problem.cameras:
+        return [int(problem.eye[problem.cameras.index(camera)])]
+    return [EYES.index(owner)] if owner in EYES else [0, 1]
+
+
+def _causes(problem: Problem, found: Adjusted, eyes: list[int], needed: float) -> str:
+    """Return what the motion of the eyes lacks."""
+    present = [e for e in eyes if (problem.block_eye == e).any()]
+    if len(eyes) == 2 and not _placements_of_both(problem):
+        return "no board stands where both eyes see it; show the same board to both"
+    causes = [cause for e in present for cause in _motion(problem, found, e, needed)]
+    if causes:
+        return ", ".join(causes)
+    return (
+        "the views do not tell it from other unknowns; record more of them, with pan and tilt "
+        f"moved by {GOOD_RAD} rad and boards at several distances and slants"
+    )
+
+
+def _placements_of_both(problem: Problem) -> bool:
+    eye = problem.eye[problem.camera]
+    return bool(set(problem.placement[eye == 0]) & set(problem.placement[eye == 1]))
+
+
+def _motion(problem: Problem, found: Adjusted, eye: int, needed: float) -> list[str]:
+    """Return what is wrong with the motion of one eye before boards at rest."""
+    whose = "the eye" if len(problem.cameras) == 1 else f"the {EYES[eye]} eye"
+    mine = problem.eye[problem.camera] == eye
+    pairs = np.unique(np.stack([problem.placement[mine], problem.block[mine]]), axis=1)
+    _, which, counts = np.unique(pairs[0], return_inverse=True, return_counts=True)
+    if counts.max() < 2:
+        return [f"{whose} sees each board in one view only; let it move before a board at rest"]
+    if problem.poses is not None:
+        return _turning(problem, found.state, pairs[1], which, whose, needed)
+    angles = found.state.latent[pairs[1]]
+    means = np.stack([np.bincount(which, column) / counts for column in angles.T], axis=-1)
+    away = angles - means[which]
+    noise = found.components.noise
+    causes = []
+    for k, joint in enumerate(("pan", "tilt")):
+        rms, reach = np.sqrt((away[:, k] ** 2).mean()), np.abs(away[:, k]).max()
+        level = noise.joint[noise.group[k]]
+        if rms <= 1.5 * level:
+            causes.append(
+                f"all {joint} motion of {whose} ({reach:.2g} rad) is no larger than its noise "
+                f"({level:.2g} rad); move {joint} by at least {needed:.2f} rad"
+            )
+        elif reach < SMALL_RAD:
+            causes.append(
+                f"{joint} of {whose} moves by {reach:.2g} rad only; "
+                f"move {joint} by at least {needed:.2f} rad"
+            )
+    return causes
+
+
+def _turning(
+    problem: Problem, state: State, blocks: np.ndarray, which: np.ndarray, whose: str, needed: float
+) -> list[str]:
+    """Return what the rotations of general eye poses lack."""
+    R = eye_poses(problem, state)[blocks, :3, :3]
+    first = np.unique(which, return_index=True)[1]
+    turns = rotvec(np.swapaxes(R[first][which], 1, 2) @ R)
+    reach = np.linalg.svd(turns, compute_uv=False) / np.sqrt(len(turns))
+    if reach[0] < SMALL_RAD:
+        return [f"{whose} turns by {reach[0]:.2g} rad only; turn it by at least {needed:.2f} rad"]
+    if reach[1] < SMALL_RAD:
+        return [
+            f"all turns of {whose} share one axis to within {reach[1]:.2g} rad; "
+            f"turn it about another axis as well, by at least {needed:.2f} rad"
+        ]
+    return []
+
+
+def _needed(found: Adjusted) -> float:
+    """Return the motion that would help [rad]: a standard deviation goes with 1 / motion."""
+    worst = float(found.observability.held_std.max(initial=1.0))
+    return float(np.clip(SMALL_RAD * worst, 0.1, GOOD_RAD))
+
+
+def _sparse(rows: Array) -> Array:
+    """Return a basis of the same space with the zeros that pivoted elimination gives."""
+    rows = rows.copy()
+    for k in range(len(rows)):
+        i, j = np.unravel_index(np.abs(rows[k:]).argmax(), rows[k:].shape)
+        rows[[k, k + i]] = rows[[k + i, k]]
+        rows[k] /= rows[k, j]
+        others = np.arange(len(rows)) != k
+        rows[others] -= np.outer(rows[others, j], rows[k])
+    return rows
+
+
+def _list(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]

@@ -1,0 +1,202 @@
+"""From corners and readings to a Problem and the State to start from."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.calibration.intrinsics import target_poses
+from vergence.calibration.pipeline import Views
+from vergence.calibration.problem import (
+    AXES,
+    INTRINSICS,
+    PER_CAMERA,
+    POSE,
+    Problem,
+    State,
+    axes_row,
+    calibration_names,
+    corner_errors,
+    eye_poses,
+)
+from vergence.calibration.target import corner_points
+from vergence.camera import Camera
+from vergence.errors import VergenceError
+from vergence.geometry import inverse
+from vergence.head import HeadCalibration
+from vergence.kinematics import EYES, EyeAxes
+
+LEAST_CORNERS = 6
+"""Of a board in an image, for it to say where the board is."""
+CANDIDATES = 12
+"""Views from which the start of a board's place is chosen."""
+
+
+def one_eye(
+    camera: Camera,
+    T_eye_cam: Array,
+    axes: EyeAxes,
+    angles: Array | None,
+    poses: Array | None,
+    pixels: Array,
+    points: Array,
+) -> tuple[Problem, State]:
+    """Return the problem of one camera of known intrinsics before a board at rest, and its start.
+
+    Args:
+        camera: intrinsics.
+        T_eye_cam: (4, 4) to start from.
+        axes: of the eye.
+        angles: (N, 2) readings, or None where there are poses.
+        poses: (N, 4, 4) T_base_eye as read, or None where there are angles.
+        pixels: (N, K, 2); NaN where not seen. Views without corners are left out.
+        points: (K, 3) in frame target.
+    """
+    seen = np.asarray(np.isfinite(pixels).all(axis=-1))
+    used = np.flatnonzero(seen.any(axis=1))
+    if not len(used):
+        raise VergenceError("The camera sees no corner of the board.")
+    zeros = np.zeros(len(used), dtype=np.intp)
+    reading = np.zeros((len(used), len(POSE))) if angles is None else angles[used]
+    free = np.zeros(len(calibration_names(("camera",))) + len(POSE), dtype=bool)
+    free[len(INTRINSICS) : PER_CAMERA] = free[-len(POSE) :] = True
+    problem = Problem(
+        cameras=("camera",),
+        eye=zeros[:1],
+        camera=zeros,
+        block=np.arange(len(used)),
+        placement=zeros,
+        pixels=np.where(seen[..., None], pixels, 0.0)[used],
+        seen=seen[used],
+        points=np.broadcast_to(points, (len(used), *points.shape)),
+        block_view=used,
+        block_eye=zeros,
+        reading=reading,
+        rate=np.zeros_like(reading),
+        poses=None if poses is None else poses[used],
+        free=free,
+    )
+    state = State(
+        lenses=(camera,),
+        T_eye_cam=T_eye_cam[None],
+        T_rbase_lbase=np.eye(4),
+        axes=np.array([axes_row(axes)] * 2),
+        time_offset_s=0.0,
+        T_lbase_target=np.eye(4)[None],
+        latent=reading,
+    )
+    return problem, _placed(problem, state)
+
+
+def whole_head(
+    start: HeadCalibration,
+    views: Views,
+    *,
+    rates: Array | None,
+    poses: Array | None,
+    hold: Collection[str],
+) -> tuple[Problem, State, np.ndarray]:
+    """Return the problem of a head, its start, and the (P,) numbers of its placements.
+
+    Args:
+        start: calibration to start from; cameras that see no board are left out.
+        views: corners and readings.
+        rates: (V, 4) [rad/s] of the readings, or None.
+        poses: (V, 2, 4, 4) poses of the eyes as read, or None for pan and tilt.
+        hold: names of parameters that keep their start.
+    """
+    cameras = tuple(
+        name
+        for name in start.cameras
+        if name in views.corners and np.isfinite(views.corners[name]).all(axis=-1).any()
+    )
+    if not cameras:
+        raise VergenceError(f"None of {', '.join(start.cameras)} sees a board.")
+    mounted = [start.cameras[name] for name in cameras]
+    eye = np.array([EYES.index(each.eye) for each in mounted], dtype=np.intp)
+    corners = np.stack([views.corners[name] for name in cameras])
+    seen = np.asarray(np.isfinite(corners).all(axis=-1))
+    # Without one view that says where it is, a placement is of no use.
+    telling = (seen.sum(axis=2) >= LEAST_CORNERS).any(axis=0)
+    numbers = np.unique(views.placement[telling])
+    camera, view = np.nonzero(seen.any(axis=2) & np.isin(views.placement, numbers))
+    pairs, block = np.unique(np.stack([view, eye[camera]], axis=1), axis=0, return_inverse=True)
+    block_view, block_eye = pairs.T
+    if poses is None:
+        reading = views.eye_angles.reshape(-1, 2, 2)[block_view, block_eye]
+        speed = np.zeros_like(views.eye_angles) if rates is None else rates
+        rate = speed.reshape(-1, 2, 2)[block_view, block_eye]
+        finite = np.isfinite(reading).all(axis=1) & np.isfinite(rate).all(axis=1)
+    else:
+        poses = poses[block_view, block_eye]
+        finite = np.isfinite(poses).all(axis=(1, 2))
+        reading = rate = np.zeros((len(pairs), len(POSE)))
+    if not finite.all():
+        v, e = pairs[~finite][0]
+        raise VergenceError(
+            f"The {EYES[e]} eye sees a board in view {v}, but its joint reading or rate is not "
+            "finite; leave the view out."
+        )
+    names = calibration_names(cameras)
+    without_joints = () if poses is None else (*AXES, "time_offset_s")
+    free = [n not in hold and n.rpartition(".")[2] not in without_joints for n in names]
+    problem = Problem(
+        cameras=cameras,
+        eye=eye,
+        camera=camera,
+        block=block.ravel(),
+        placement=np.searchsorted(numbers, views.placement[view]),
+        pixels=np.where(seen[..., None], corners, 0.0)[camera, view],
+        seen=seen[camera, view],
+        points=np.broadcast_to(corner_points(views.board), (*seen[camera, view].shape, 3)),
+        block_view=block_view,
+        block_eye=block_eye,
+        reading=reading,
+        rate=rate,
+        poses=poses,
+        free=np.array(free + [True] * (len(POSE) * len(numbers))),
+    )
+    state = State(
+        lenses=tuple(each.intrinsics for each in mounted),
+        T_eye_cam=np.stack([each.T_eye_cam for each in mounted]),
+        T_rbase_lbase=start.T_rbase_lbase,
+        axes=np.array([axes_row(start.axes["left"]), axes_row(start.axes["right"])]),
+        time_offset_s=0.0,
+        T_lbase_target=np.broadcast_to(np.eye(4), (len(numbers), 4, 4)),
+        latent=reading,
+    )
+    return problem, _placed(problem, state), numbers
+
+
+def _placed(problem: Problem, state: State) -> State:
+    """Return the state with each placement where the view says that explains the others best."""
+    placements = len(state.T_lbase_target)
+    T_cam_target = np.full((len(problem.camera), 4, 4), np.nan)
+    for c, lens in enumerate(state.lenses):
+        chosen = problem.camera == c
+        pixels = np.where(problem.seen[..., None], problem.pixels, np.nan)[chosen]
+        T_cam_target[chosen] = target_poses(lens, pixels, problem.points[0])
+    right = problem.eye[problem.camera] == 1
+    T_base_lbase = np.where(right[:, None, None], state.T_rbase_lbase, np.eye(4))
+    T_base_cam = eye_poses(problem, state)[problem.block] @ state.T_eye_cam[problem.camera]
+    found = inverse(T_base_lbase) @ T_base_cam @ T_cam_target
+    known = np.isfinite(found).all(axis=(1, 2))
+    offers = [np.flatnonzero(known & (problem.placement == p)) for p in range(placements)]
+    if not all(len(offer) for offer in offers):
+        raise VergenceError(
+            f"A board whose place is to be found needs {LEAST_CORNERS} corners in one image."
+        )
+    best, lowest = state.T_lbase_target, np.full(placements, np.inf)
+    for k in range(CANDIDATES):
+        # Spread over the views, so that one bad stretch cannot be all there is to choose from.
+        offered = found[[offer[k * len(offer) // CANDIDATES] for offer in offers]]
+        errors = corner_errors(problem, replace(state, T_lbase_target=offered))
+        lengths = np.nan_to_num(np.linalg.norm(errors, axis=-1), nan=np.inf)
+        total = np.bincount(problem.placement, np.minimum(lengths, 1e3).sum(axis=1), placements)
+        better = total < lowest
+        best = np.where(better[:, None, None], offered, best)
+        lowest = np.minimum(lowest, total)
+    return replace(state, T_lbase_target=best)
