@@ -1,0 +1,260 @@
+"""T_eye_cam by Park and Martin: Eqs. 5-9, their misprints, degenerate motion, noise."""
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from heads import R_EYE_CAM, random_pose
+from vergence.calibration.eye_camera import motion_pairs, park_martin, solve_rotation
+from vergence.calibration.intrinsics import target_poses
+from vergence.calibration.target import Chessboard, corner_points
+from vergence.camera import pinhole, project
+from vergence.errors import VergenceError
+from vergence.geometry import angle, hat, inverse, log, pose, rotation, rotvec, transform
+from vergence.kinematics import T_base_eye
+
+seeds = st.integers(0, 2**32 - 1)
+T_BASE_TARGET = pose(R_EYE_CAM @ rotation([0.2, -0.3, 0.1]), [0.6, 0.1, 0.05])
+
+
+def mounted(rng: np.random.Generator) -> np.ndarray:
+    """Return a T_eye_cam a few degrees and millimetres off the design."""
+    return random_pose(rng, 0.06, 0.003) @ pose(R_EYE_CAM, [0.02, 0, 0.01])
+
+
+def views(
+    X: np.ndarray, rng: np.random.Generator, n: int = 20
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return T_base_eye and T_cam_target (n, 4, 4) and the angles (n, 2) of a panning eye."""
+    angles = rng.uniform(-0.25, 0.25, (n, 2))
+    eyes = T_base_eye(angles)
+    return eyes, inverse(eyes @ X) @ T_BASE_TARGET, angles
+
+
+def assert_same(a: np.ndarray, b: np.ndarray, tolerance: float = 1e-12) -> None:
+    np.testing.assert_allclose(a, b, rtol=0, atol=tolerance)
+
+
+# The equations one by one
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(3)
+
+
+@pytest.fixture
+def X(rng: np.random.Generator) -> np.ndarray:
+    return mounted(rng)
+
+
+def test_the_printed_equation_5_says_that_the_board_never_moves(
+    X: np.ndarray, rng: np.random.Generator
+):
+    """Eq. 5: printed with j where 0 belongs, its right side is the identity for every X."""
+    T_er, T_co, _ = views(X, rng)
+    printed_right = X @ T_er @ inverse(T_er) @ inverse(X)
+    assert_same(printed_right, np.broadcast_to(np.eye(4), printed_right.shape))
+    printed_left = inverse(T_co[0]) @ T_co
+    assert (angle(printed_left[1:, :3, :3]) > 0.01).all()
+
+
+@pytest.mark.parametrize("sense", ["camera in eye", "eye in camera"])
+def test_equation_5_fails_with_the_index_mended_alone(
+    X: np.ndarray, rng: np.random.Generator, sense: str
+):
+    """Eq. 5: with 0 for j, it still fails for both senses of T_ec: the board's poses, too, stand
+    in the opposite sense."""
+    T_er, T_co, _ = views(X, rng)
+    T_ec = X if sense == "camera in eye" else inverse(X)
+    left = inverse(T_co[0]) @ T_co
+    right = T_ec @ T_er[0] @ inverse(T_er) @ inverse(T_ec)
+    assert (np.abs(left - right)[1:].max(axis=(1, 2)) > 0.01).all()
+
+
+@given(seeds)
+def test_equations_5_and_6_hold_in_the_consistent_form(seed: int):
+    """Eqs. 5-6: A X = X B with X = T_eye_cam, A of the eye and B of the camera, all pairs."""
+    rng = np.random.default_rng(seed)
+    X = mounted(rng)
+    A, B = motion_pairs(*views(X, rng)[:2])
+    assert A.shape == (190, 4, 4)
+    assert_same(A @ X, X @ B)
+
+
+def test_equations_5_and_6_fail_with_the_eye_in_the_camera(X: np.ndarray, rng: np.random.Generator):
+    """Eq. 6: with X = T_cam_eye, the sense that Eq. 5 prints, A X = X B fails."""
+    A, B = motion_pairs(*views(X, rng)[:2])
+    wrong = inverse(X)
+    assert np.median(np.abs(A @ wrong - wrong @ B).max(axis=(1, 2))) > 0.1
+
+
+@given(seeds)
+def test_equation_7_holds_the_other_way_round(seed: int):
+    """Eq. 7: a = R_X b, where the printed form has R_X a = b."""
+    rng = np.random.default_rng(seed)
+    X = mounted(rng)
+    A, B = motion_pairs(*views(X, rng)[:2])
+    a, b, R_X = rotvec(A[:, :3, :3]), rotvec(B[:, :3, :3]), X[:3, :3]
+    assert_same(b @ R_X.T, a)
+    assert np.median(np.linalg.norm(a @ R_X.T - b, axis=1)) > 0.1
+    # The relation of the logarithms that leads to it, likewise: [a] = R_X [b] R_X^T.
+    assert_same(R_X @ hat(b) @ R_X.T, hat(a))
+
+
+@given(seeds)
+def test_equation_8_holds_as_printed(seed: int):
+    """Eq. 8: (I - R_A) t_X = t_A - R_X t_B."""
+    rng = np.random.default_rng(seed)
+    X = random_pose(rng)
+    A = np.array([random_pose(rng) for _ in range(5)])
+    B = inverse(X) @ A @ X
+    left = (np.eye(3) - A[:, :3, :3]) @ X[:3, 3]
+    assert_same(left, A[:, :3, 3] - B[:, :3, 3] @ X[:3, :3].T)
+
+
+def equation_9(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return (M^T M)^(-1/2) M^T with M = sum b a^T, letter by letter."""
+    M = sum(np.outer(b_j, a_j) for a_j, b_j in zip(a, b, strict=True))
+    values, vectors = np.linalg.eigh(M.T @ M)
+    return vectors @ np.diag(values**-0.5) @ vectors.T @ M.T
+
+
+@given(seeds)
+def test_equation_9_solves_the_consistent_equation_7_and_not_the_printed_one(seed: int):
+    """Eq. 9 is right for a = R_X b; where R_X a = b, as printed, it returns the transpose."""
+    rng = np.random.default_rng(seed)
+    R_X = random_pose(rng)[:3, :3]
+    b = rng.normal(size=(10, 3))
+    assert_same(equation_9(b @ R_X.T, b), R_X, 1e-10)
+    a = rng.normal(size=(10, 3))
+    assert_same(equation_9(a, a @ R_X.T), R_X.T, 1e-10)
+
+
+@given(seeds)
+def test_our_rotation_is_that_of_equation_9(seed: int):
+    """Eq. 9: the singular value decomposition gives the same, also from noisy vectors."""
+    rng = np.random.default_rng(seed)
+    R_X = random_pose(rng)[:3, :3]
+    b = rng.normal(size=(10, 3))
+    a = b @ R_X.T + rng.normal(0, 0.05, b.shape)
+    assert_same(solve_rotation(a, b), equation_9(a, b), 1e-9)
+
+
+def test_equation_9_minimises_the_errors_of_equation_7(rng: np.random.Generator):
+    """Eq. 9: no small turn of its solution has a smaller sum of squares."""
+    b = rng.normal(size=(30, 3))
+    a = b @ random_pose(rng)[:3, :3].T + rng.normal(0, 0.1, b.shape)
+
+    def cost(R: np.ndarray) -> float:
+        return float(((a - b @ R.T) ** 2).sum())
+
+    R_X = solve_rotation(a, b)
+    assert all(cost(R_X) < cost(R_X @ rotation(d)) for d in 0.01 * rng.normal(size=(50, 3)))
+
+
+def test_two_axes_determine_the_rotation(rng: np.random.Generator):
+    """Eq. 9 as printed is singular for exactly two axes; handedness supplies the third."""
+    R_X = random_pose(rng)[:3, :3]
+    b = np.array([[0.3, 0, 0], [0, 0.2, 0], [-0.1, 0.1, 0]])
+    assert_same(solve_rotation(b @ R_X.T, b), R_X)
+
+
+# The estimator
+
+
+@given(seeds)
+def test_exact_views_give_the_exact_pose(seed: int):
+    """Eqs. 5-9 on exact data."""
+    rng = np.random.default_rng(seed)
+    X = mounted(rng)
+    T_er, T_co, _ = views(X, rng)
+    assert_same(park_martin(T_er, T_co), X)
+
+
+@given(seeds)
+def test_any_rigid_motion_serves(seed: int):
+    """Nothing in it assumes that the axes intersect: the eye may shift as well."""
+    rng = np.random.default_rng(seed)
+    X = random_pose(rng)
+    T_er = np.array([random_pose(rng, 1.0) for _ in range(8)])
+    assert_same(park_martin(T_er, inverse(T_er @ X) @ T_BASE_TARGET), X, 1e-10)
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_turning_about_one_axis_is_refused(X: np.ndarray, joint: int):
+    angles = np.zeros((10, 2))
+    angles[:, joint] = np.linspace(-0.25, 0.25, 10)
+    eyes = T_base_eye(angles)
+    with pytest.raises(VergenceError, match=r"share one axis.*both pans and tilts"):
+        park_martin(eyes, inverse(eyes @ X) @ T_BASE_TARGET)
+
+
+def test_an_eye_that_does_not_move_is_refused(X: np.ndarray):
+    eyes = T_base_eye(np.full((5, 2), 0.1))
+    with pytest.raises(VergenceError, match="share one axis"):
+        park_martin(eyes, inverse(eyes @ X) @ T_BASE_TARGET)
+
+
+@pytest.mark.parametrize(
+    ("eyes", "boards", "says"),
+    [
+        (np.eye(4)[None].repeat(2, 0), np.eye(4)[None].repeat(2, 0), "at least 3 views.*found 2"),
+        (np.eye(4)[None].repeat(4, 0), np.eye(4)[None].repeat(5, 0), "same shape"),
+        (np.zeros((4, 3, 3)), np.zeros((4, 3, 3)), "same shape"),
+        (np.full((4, 4, 4), np.nan), np.eye(4)[None].repeat(4, 0), "finite poses"),
+    ],
+)
+def test_unusable_views_are_refused(eyes: np.ndarray, boards: np.ndarray, says: str):
+    with pytest.raises(VergenceError, match=says):
+        park_martin(eyes, boards)
+
+
+OPENCV_HAS_IT = [cv2.calibrateHandEye] if hasattr(cv2, "calibrateHandEye") else []
+"""OpenCV 5 has dropped it."""
+
+
+def test_opencv_agrees_where_it_still_has_the_method(X: np.ndarray, rng: np.random.Generator):
+    """Its PARK method solves the same equations, but from pairs of successive views."""
+    T_er, T_co, _ = views(X, rng)
+    for calibrate in OPENCV_HAS_IT:
+        R, t = calibrate(
+            list(T_er[:, :3, :3]),
+            list(T_er[:, :3, 3]),
+            list(T_co[:, :3, :3]),
+            list(T_co[:, :3, 3]),
+            method=cv2.CALIB_HAND_EYE_PARK,
+        )
+        assert_same(pose(R, t.ravel()), park_martin(T_er, T_co), 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("joint_deg", "expected_deg", "expected_mm"),
+    [(0.0, 0.038, 0.30), (0.1, 0.091, 0.32), (0.3, 0.237, 0.44)],
+)
+def test_noise_leaves_the_errors_that_the_method_is_known_for_and_no_bias(
+    joint_deg: float, expected_deg: float, expected_mm: float
+):
+    """Median errors of 20 views within 0.25 rad, corners with 0.1 px, a board at 0.4 m."""
+    rng = np.random.default_rng(17)
+    camera = pinhole(640, 480, 280.0)
+    points = corner_points(Chessboard(9, 6, 0.03))
+    T_base_target = pose(T_BASE_TARGET[:3, :3], [0.4, 0, 0]) @ pose(t=-points.mean(axis=0))
+    errors = []
+    for _ in range(40):
+        X = mounted(rng)
+        angles = rng.uniform(-0.25, 0.25, (20, 2))
+        T_co = inverse(T_base_eye(angles) @ X) @ T_base_target
+        corners = project(camera, transform(T_co[:, None], points))
+        corners = corners + rng.normal(0, 0.1, corners.shape)
+        readings = angles + rng.normal(0, np.radians(joint_deg), angles.shape)
+        found = park_martin(T_base_eye(readings), target_poses(camera, corners, points))
+        errors.append(log(inverse(X) @ found))
+    turn = np.degrees(np.linalg.norm(np.array(errors)[:, :3], axis=1))
+    shift = 1e3 * np.linalg.norm(np.array(errors)[:, 3:], axis=1)
+    assert expected_deg / 1.6 < np.median(turn) < 1.6 * expected_deg
+    assert expected_mm / 1.6 < np.median(shift) < 1.6 * expected_mm
+    standard_error = np.std(errors, axis=0) / np.sqrt(len(errors))
+    assert (np.abs(np.mean(errors, axis=0)) < 3.5 * standard_error).all(), "biased"
