@@ -50,6 +50,7 @@ def predicted_depth_std(
 
     Noise is white and independent in the two eyes, so their parts add as squares. Only pan
     counts: on the axis, tilt moves both images along the direction that has no disparity.
+    Within 1.3 % from five baselines on; closer by, the half baseline is no small angle.
 
     Args:
         depth_m: from the centres of the cameras.

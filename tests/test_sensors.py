@@ -1,0 +1,76 @@
+"""What the joint sensors read."""
+
+import numpy as np
+import pytest
+
+from vergence.twin.profile import Joints
+from vergence.twin.sensors import play, read
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(2)
+
+
+ANGLES = np.random.default_rng(0).uniform(-0.25, 0.25, (2000, 4))
+
+
+def test_a_perfect_sensor_reads_the_angle(rng: np.random.Generator):
+    np.testing.assert_array_equal(read(ANGLES, Joints(), rng), ANGLES)
+
+
+def test_gain_and_offset_belong_to_each_joint(rng: np.random.Generator):
+    joints = Joints(gain_percent=(1, 0, -2, 0), offset_deg=(0, 0.5, 0, -1))
+    expected = ANGLES * [1.01, 1, 0.98, 1] + np.radians([0, 0.5, 0, -1])
+    np.testing.assert_allclose(read(ANGLES, joints, rng), expected, atol=1e-15)
+
+
+def test_noise_is_white_and_of_the_stated_size(rng: np.random.Generator):
+    error = np.degrees(read(ANGLES, Joints(noise_deg=0.1), rng) - ANGLES)
+    np.testing.assert_allclose(error.std(axis=0), 0.1, rtol=0.06)
+    np.testing.assert_allclose(error.mean(axis=0), 0, atol=0.01)
+    correlations = np.corrcoef(np.concatenate([error[1:].T, error[:-1].T]))
+    assert np.abs(correlations - np.eye(8)).max() < 0.1
+
+
+def test_readings_are_whole_counts(rng: np.random.Generator):
+    readings = read(ANGLES, Joints(counts_per_turn=4096), rng)
+    counts = readings * 4096 / (2 * np.pi)
+    np.testing.assert_allclose(counts, np.round(counts), atol=1e-9)
+    step = 2 * np.pi / 4096
+    assert np.abs(readings - ANGLES).max() <= step / 2 + 1e-15
+    assert (readings - ANGLES).std() == pytest.approx(step / np.sqrt(12), rel=0.03)
+
+
+def test_the_same_seed_gives_the_same_readings():
+    joints = Joints(noise_deg=0.1)
+    one, same, other = (read(ANGLES, joints, np.random.default_rng(s)) for s in (1, 1, 2))
+    np.testing.assert_array_equal(one, same)
+    assert (one != other).all()
+
+
+def test_the_sensor_follows_only_after_the_play_is_crossed():
+    eye = np.array([[0.0], [0.4], [1.0], [0.7], [0.2], [0.0], [0.1]])
+    sensed = play(eye, 1.0)  # half of it to either side
+    np.testing.assert_allclose(sensed[:, 0], [0.0, 0.0, 0.5, 0.5, 0.5, 0.5, 0.5])
+    # From 1.0 the eye must go back to 0.0, the whole width, before the sensor moves.
+    np.testing.assert_allclose(
+        play(np.array([[1.0], [0.0], [-0.1]]), 1.0, np.array([0.5]))[-1], 0.4
+    )
+
+
+def test_the_sensor_never_lags_by_more_than_half_the_play():
+    eye = np.cumsum(np.random.default_rng(4).normal(0, 0.1, (500, 4)), axis=0)
+    error = play(eye, 0.3) - eye
+    assert np.abs(error).max() <= 0.15 + 1e-12
+    assert np.abs(error).max() > 0.149
+
+
+def test_play_without_width_is_no_play():
+    np.testing.assert_array_equal(play(ANGLES, 0.0), ANGLES)
+
+
+def test_play_goes_on_from_where_it_was_left():
+    eye = np.cumsum(np.random.default_rng(5).normal(0, 0.1, (100, 4)), axis=0)
+    first = play(eye[:40], 0.3)
+    np.testing.assert_array_equal(play(eye[40:], 0.3, first[-1]), play(eye, 0.3)[40:])

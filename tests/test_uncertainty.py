@@ -1,0 +1,176 @@
+"""How far off a located point is: Eqs. 20-21 and the covariance, against simulation."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from heads import plain_head, random_head
+from test_active_stereo import random_samples
+from vergence.active_stereo import locate
+from vergence.camera import project
+from vergence.errors import VergenceError
+from vergence.geometry import rotation
+from vergence.head import HeadCalibration
+from vergence.uncertainty import (
+    depth_error,
+    disparity_error,
+    point_covariance,
+    predicted_depth_std,
+)
+
+
+def test_depth_error_is_the_slope_of_depth_over_disparity():
+    """Eq. 20: with z = b f / d, dz/dd = z^2 / (b f)."""
+    z, b, f, small = 1.1, 0.092, 280.0, 1e-4
+    nearer, farther = (b * f / (b * f / z + sign * small) for sign in (1, -1))
+    assert depth_error(z, b, f, small) == pytest.approx((farther - nearer) / 2)
+
+
+def test_depth_error_grows_with_the_square_of_depth():
+    """Eq. 20."""
+    assert depth_error(2.0, 0.1, 280.0, 1.0) == pytest.approx(4 * depth_error(1.0, 0.1, 280.0, 1.0))
+
+
+@given(st.floats(-0.3, 0.3), st.floats(100, 2000))
+def test_disparity_error_is_how_far_a_turned_camera_sees_its_own_centre(turn: float, focal: float):
+    """Eq. 21: sigma_d = f tan(alpha) for the pixel at the image's centre."""
+    camera = plain_head(0.09, focal).cameras["left_wide"].intrinsics
+    seen = project(camera, rotation([0, turn, 0]) @ [0, 0, 1.0])
+    assert seen[0] - 319.5 == pytest.approx(disparity_error(focal, turn), abs=1e-9)
+
+
+def test_orientation_error_makes_focal_length_no_help_in_depth():
+    """Eqs. 20-21 together: a longer lens does not improve what wrong orientation spoils."""
+    depths = [depth_error(1.0, 0.09, f, disparity_error(f, 2e-3)) for f in (280.0, 400.0, 1200.0)]
+    np.testing.assert_allclose(depths, depths[0])
+
+
+def simulate(
+    head: HeadCalibration,
+    pixels: np.ndarray,
+    eyes: np.ndarray,
+    pixel_std: float,
+    joint_std: float,
+    n: int = 100_000,
+) -> np.ndarray:
+    """Return the covariance (3, 3) of noisy estimates of one sample: pixels (2, 2), eyes (4,)."""
+    rng = np.random.default_rng(8)
+    left, right = pixels[:, None] + rng.normal(0, pixel_std, (2, n, 2))
+    return np.cov(locate(head, left, right, eyes + rng.normal(0, joint_std, (n, 4))).points.T)
+
+
+@pytest.mark.parametrize("depth", [0.426, 0.642, 1.106])
+@pytest.mark.parametrize(
+    ("focal", "joint_deg", "pixel"), [(280, 0.1, 0), (280, 0, 0.5), (400, 0.1, 0.5)]
+)
+def test_the_closed_form_agrees_with_simulation_on_the_axis(
+    depth: float, focal: float, joint_deg: float, pixel: float
+):
+    """Eqs. 20-21: within 1.3 %, where sigma_z is below 8 % of z, and z above 5 baselines."""
+    ahead, baseline = 0.02, 0.075
+    head = plain_head(baseline, focal, camera_m=((ahead, 0, 0),) * 2)
+    in_left = np.array([baseline / 2, 0, depth])  # midway between the eyes: y = -b/2 is x = b/2
+    camera = head.cameras["left_wide"].intrinsics
+    pixels = np.array([project(camera, in_left), project(camera, in_left - [baseline, 0, 0])])
+    observed = simulate(head, pixels, np.zeros(4), pixel, np.radians(joint_deg))
+    predicted = predicted_depth_std(
+        depth,
+        baseline,
+        focal,
+        joint_std_rad=np.radians(joint_deg),
+        pixel_std_px=pixel,
+        camera_ahead_m=ahead,
+    )
+    assert predicted / depth < 0.08
+    assert predicted == pytest.approx(np.sqrt(observed[0, 0]), rel=0.013)
+
+
+def test_the_closed_form_without_the_cameras_lever_is_too_small():
+    """Eq. 21 turns the camera about its own centre, while an eye turns about another one."""
+    plain = predicted_depth_std(0.426, 0.092, 280.0, joint_std_rad=2e-3)
+    assert predicted_depth_std(
+        0.426, 0.092, 280.0, joint_std_rad=2e-3, camera_ahead_m=0.02
+    ) == pytest.approx(plain * 1.047, rel=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_covariance_agrees_with_simulation_anywhere(seed: int):
+    rng = np.random.default_rng(seed)
+    head = random_head(rng)
+    _, eyes, left, right = random_samples(head, rng, 1)
+    predicted = point_covariance(
+        head, left, right, eyes, pixel_std_px=0.2, joint_std_rad=np.radians(0.03)
+    )[0]
+    observed = simulate(head, np.stack([left[0], right[0]]), eyes[0], 0.2, np.radians(0.03))
+    # Along the axes of the observed ellipsoid: 1.1 % for curvature, and sampling error.
+    ratio = np.linalg.eigvals(np.linalg.solve(observed, predicted)).real
+    np.testing.assert_allclose(np.sqrt(ratio), 1, atol=0.016)
+    np.testing.assert_array_equal(predicted, predicted.T)
+
+
+def test_the_covariance_agrees_with_the_closed_form_on_the_axis():
+    """Eqs. 20-21 against the Jacobian: equal up to the squared angle of the half baseline."""
+    head = plain_head(0.092, 280.0, camera_m=((0.02, 0, 0),) * 2)
+    camera = head.cameras["left_wide"].intrinsics
+    pixels = project(camera, np.array([[0.046, 0, 1.0], [-0.046, 0, 1.0]]))
+    noise = {"joint_std_rad": 1e-3, "pixel_std_px": 0.3}
+    covariance = point_covariance(head, pixels[:1], pixels[1:], np.zeros((1, 4)), **noise)[0]
+    closed = predicted_depth_std(1.0, 0.092, 280.0, camera_ahead_m=0.02, **noise)
+    assert np.sqrt(covariance[0, 0]) == pytest.approx(closed, rel=0.003)
+
+
+def test_each_input_may_have_its_own_noise():
+    rng = np.random.default_rng(1)
+    head = random_head(rng)
+    _, eyes, left, right = random_samples(head, rng, 7)
+    parts = np.zeros((7, 3, 3))
+    for k in range(4):
+        parts += point_covariance(
+            head, left, right, eyes, pixel_std_px=0.3 * np.eye(4)[k], joint_std_rad=0
+        )
+        parts += point_covariance(
+            head,
+            left,
+            right,
+            eyes,
+            pixel_std_px=0,
+            joint_std_rad=np.tile(1e-3 * np.eye(4)[k], (7, 1)),
+        )
+    whole = point_covariance(head, left, right, eyes, pixel_std_px=0.3, joint_std_rad=1e-3)
+    np.testing.assert_allclose(parts, whole, rtol=1e-9, atol=1e-18)
+
+
+def test_what_cannot_be_located_has_no_covariance():
+    head = plain_head(0.09, 280.0)
+    left = np.array([[320.0, 240.0], [np.nan, 240.0], [340.0, 240.0]])
+    right = np.array([[320.0, 240.0], [300.0, 240.0], [320.0, 240.0]])
+    covariance = point_covariance(
+        head, left, right, np.zeros((3, 4)), pixel_std_px=0.1, joint_std_rad=0
+    )
+    assert np.isnan(covariance[:2]).all()
+    assert np.isfinite(covariance[2]).all()
+
+
+def test_no_samples_have_no_covariances():
+    covariance = point_covariance(
+        plain_head(0.09, 280.0),
+        np.empty((0, 2)),
+        np.empty((0, 2)),
+        np.empty((0, 4)),
+        pixel_std_px=0.1,
+        joint_std_rad=0,
+    )
+    assert covariance.shape == (0, 3, 3)
+
+
+def test_wrong_shapes_are_refused():
+    with pytest.raises(VergenceError, match="pixels_r"):
+        point_covariance(
+            plain_head(0.09, 280.0),
+            np.zeros((2, 2)),
+            np.zeros((3, 2)),
+            np.zeros((2, 4)),
+            pixel_std_px=0.1,
+            joint_std_rad=0,
+        )
