@@ -237,7 +237,10 @@ def test_opencv_agrees_where_it_still_has_the_method(X: np.ndarray, rng: np.rand
 def test_noise_leaves_the_errors_that_the_method_is_known_for_and_no_bias(
     joint_deg: float, expected_deg: float, expected_mm: float
 ):
-    """Median errors of 20 views within 0.25 rad, corners with 0.1 px, a board at 0.4 m."""
+    """Median errors of 20 views within 0.25 rad, corners with 0.1 px, a board at 0.4 m.
+
+    A factor of two, since those figures leave open how far away the board was.
+    """
     rng = np.random.default_rng(17)
     camera = pinhole(640, 480, 280.0)
     points = corner_points(Chessboard(9, 6, 0.03))
@@ -254,7 +257,7 @@ def test_noise_leaves_the_errors_that_the_method_is_known_for_and_no_bias(
         errors.append(log(inverse(X) @ found))
     turn = np.degrees(np.linalg.norm(np.array(errors)[:, :3], axis=1))
     shift = 1e3 * np.linalg.norm(np.array(errors)[:, 3:], axis=1)
-    assert expected_deg / 1.6 < np.median(turn) < 1.6 * expected_deg
-    assert expected_mm / 1.6 < np.median(shift) < 1.6 * expected_mm
+    assert expected_deg / 2 < np.median(turn) < 2 * expected_deg
+    assert expected_mm / 2 < np.median(shift) < 2 * expected_mm
     standard_error = np.std(errors, axis=0) / np.sqrt(len(errors))
     assert (np.abs(np.mean(errors, axis=0)) < 3.5 * standard_error).all(), "biased"
