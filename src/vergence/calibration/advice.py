@@ -12,7 +12,9 @@ from vergence.kinematics import EYES
 
 SMALL_RAD = 0.05
 """Motion below this is small beside the +-0.25 rad of a good recording."""
-GOOD_RAD = 0.25
+ADVISED = "by at least 0.1 rad, better 0.25"
+"""Twenty views within 0.03 rad know a mounting to 0.2 degrees and 1 mm, within 0.1 rad to 0.05
+degrees and 0.4 mm, at 0.1 px and 0.1 degrees of noise."""
 NAMED = 0.3
 """A direction's components of this size, relative to the largest, are named."""
 
@@ -31,13 +33,11 @@ def warnings(problem: Problem, found: Adjusted) -> tuple[str, ...]:
     observability, noise = found.observability, found.components.noise
     said = []
     for what, rows in (
-        ("not observable, and stays at its start", observability.held),
+        ("not observable, and left at the start", observability.held),
         ("hardly observable", observability.weak),
     ):
         for subject, eyes in _subjects(problem, rows):
-            needed = _needed(found) if rows is observability.held else GOOD_RAD
-            causes = _causes(problem, found, eyes, needed)
-            said.append(f"{subject}: {what}; {causes}.")
+            said.append(f"{subject}: {what}; {_causes(problem, found, eyes)}.")
     for k in np.flatnonzero(found.assumed):
         said.append(
             f"The noise of the joint readings cannot be told from these views; {noise.joint[k]:g} "
@@ -61,13 +61,13 @@ def _subjects(problem: Problem, rows: Array) -> list[tuple[str, list[int]]]:
     labels = calibration_names(problem.cameras)
     merged: dict[tuple[str, ...], dict[str, list[str]]] = {}
     for row in _sparse(rows):
-        parts: dict[str, list[str]] = {}
+        parts: dict[str, list[str]] = {}  # dictionaries keep the order of the unknowns
         for i in np.flatnonzero(np.abs(row) > NAMED * np.abs(row).max()):
             owner, part = _words(labels[i])
             parts.setdefault(owner, []).append(part)
         group = merged.setdefault(tuple(parts), {owner: [] for owner in parts})
         for owner, words in parts.items():
-            group[owner] += [word for word in words if word not in group[owner]]
+            group[owner] += words
     subjects = []
     for owners, parts in merged.items():
         text = " together with ".join(f"{owner} {_list(parts[owner])}".strip() for owner in owners)
@@ -77,7 +77,7 @@ def _subjects(problem: Problem, rows: Array) -> list[tuple[str, list[int]]]:
 
 def _words(name: str) -> tuple[str, str]:
     """Return whom an unknown belongs to, and what it is."""
-    owner, _, part = name.rpartition(".")
+    owner, _, part = name.removeprefix("camera.").rpartition(".")
     return (owner or name, _WORDS.get(part, part if owner else ""))
 
 
@@ -85,20 +85,22 @@ def _eyes_of(problem: Problem, owner: str) -> list[int]:
     camera = owner.removesuffix(".T_eye_cam")
     if camera in problem.cameras:
         return [int(problem.eye[problem.cameras.index(camera)])]
-    return [EYES.index(owner)] if owner in EYES else [0, 1]
+    if owner in EYES:
+        return [EYES.index(owner)]
+    return [0, 1] if len(problem.cameras) > 1 else [int(problem.eye[0])]
 
 
-def _causes(problem: Problem, found: Adjusted, eyes: list[int], needed: float) -> str:
+def _causes(problem: Problem, found: Adjusted, eyes: list[int]) -> str:
     """Return what the motion of the eyes lacks."""
     present = [e for e in eyes if (problem.block_eye == e).any()]
     if len(eyes) == 2 and not _placements_of_both(problem):
         return "no board stands where both eyes see it; show the same board to both"
-    causes = [cause for e in present for cause in _motion(problem, found, e, needed)]
+    causes = [cause for e in present for cause in _motion(problem, found, e)]
     if causes:
         return ", ".join(causes)
     return (
         "the views do not tell it from other unknowns; record more of them, with pan and tilt "
-        f"moved by {GOOD_RAD} rad and boards at several distances and slants"
+        "moved by 0.25 rad and boards at several distances and slants"
     )
 
 
@@ -107,7 +109,7 @@ def _placements_of_both(problem: Problem) -> bool:
     return bool(set(problem.placement[eye == 0]) & set(problem.placement[eye == 1]))
 
 
-def _motion(problem: Problem, found: Adjusted, eye: int, needed: float) -> list[str]:
+def _motion(problem: Problem, found: Adjusted, eye: int) -> list[str]:
     """Return what is wrong with the motion of one eye before boards at rest."""
     whose = "the eye" if len(problem.cameras) == 1 else f"the {EYES[eye]} eye"
     mine = problem.eye[problem.camera] == eye
@@ -116,7 +118,7 @@ def _motion(problem: Problem, found: Adjusted, eye: int, needed: float) -> list[
     if counts.max() < 2:
         return [f"{whose} sees each board in one view only; let it move before a board at rest"]
     if problem.poses is not None:
-        return _turning(problem, found.state, pairs[1], which, whose, needed)
+        return _turning(problem, found.state, pairs[1], which, whose)
     angles = found.state.latent[pairs[1]]
     means = np.stack([np.bincount(which, column) / counts for column in angles.T], axis=-1)
     away = angles - means[which]
@@ -128,18 +130,20 @@ def _motion(problem: Problem, found: Adjusted, eye: int, needed: float) -> list[
         if rms <= 1.5 * level:
             causes.append(
                 f"all {joint} motion of {whose} ({reach:.2g} rad) is no larger than its noise "
-                f"({level:.2g} rad); move {joint} by at least {needed:.2f} rad"
+                f"({level:.2g} rad); move {joint} {ADVISED}"
             )
         elif reach < SMALL_RAD:
             causes.append(
-                f"{joint} of {whose} moves by {reach:.2g} rad only; "
-                f"move {joint} by at least {needed:.2f} rad"
+                f"{joint} of {whose} moves by {reach:.2g} rad only; move {joint} {ADVISED}"
             )
+    together = np.linalg.svd(away, compute_uv=False)[-1] / np.sqrt(len(away))
+    if not causes and together < SMALL_RAD / 3:
+        causes.append(f"pan and tilt of {whose} move together; move one without the other")
     return causes
 
 
 def _turning(
-    problem: Problem, state: State, blocks: np.ndarray, which: np.ndarray, whose: str, needed: float
+    problem: Problem, state: State, blocks: np.ndarray, which: np.ndarray, whose: str
 ) -> list[str]:
     """Return what the rotations of general eye poses lack."""
     R = eye_poses(problem, state)[blocks, :3, :3]
@@ -147,19 +151,13 @@ def _turning(
     turns = rotvec(np.swapaxes(R[first][which], 1, 2) @ R)
     reach = np.linalg.svd(turns, compute_uv=False) / np.sqrt(len(turns))
     if reach[0] < SMALL_RAD:
-        return [f"{whose} turns by {reach[0]:.2g} rad only; turn it by at least {needed:.2f} rad"]
+        return [f"{whose} turns by {reach[0]:.2g} rad only; turn it {ADVISED}"]
     if reach[1] < SMALL_RAD:
         return [
             f"all turns of {whose} share one axis to within {reach[1]:.2g} rad; "
-            f"turn it about another axis as well, by at least {needed:.2f} rad"
+            f"turn it about another axis as well, {ADVISED}"
         ]
     return []
-
-
-def _needed(found: Adjusted) -> float:
-    """Return the motion that would help [rad]: a standard deviation goes with 1 / motion."""
-    worst = float(found.observability.held_std.max(initial=1.0))
-    return float(np.clip(SMALL_RAD * worst, 0.1, GOOD_RAD))
 
 
 def _sparse(rows: Array) -> Array:
@@ -175,4 +173,6 @@ def _sparse(rows: Array) -> Array:
 
 
 def _list(words: list[str]) -> str:
+    order = list(_WORDS.values())
+    words = sorted(set(words), key=lambda word: order.index(word) if word in order else -1)
     return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]

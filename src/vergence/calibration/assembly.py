@@ -120,8 +120,8 @@ def whole_head(
     corners = np.stack([views.corners[name] for name in cameras])
     seen = np.asarray(np.isfinite(corners).all(axis=-1))
     # Without one view that says where it is, a placement is of no use.
-    telling = (seen.sum(axis=2) >= LEAST_CORNERS).any(axis=0)
-    numbers = np.unique(views.placement[telling])
+    points = corner_points(views.board)
+    numbers = np.unique(views.placement[_telling(points, seen).any(axis=0)])
     camera, view = np.nonzero(seen.any(axis=2) & np.isin(views.placement, numbers))
     pairs, block = np.unique(np.stack([view, eye[camera]], axis=1), axis=0, return_inverse=True)
     block_view, block_eye = pairs.T
@@ -151,7 +151,7 @@ def whole_head(
         placement=np.searchsorted(numbers, views.placement[view]),
         pixels=np.where(seen[..., None], corners, 0.0)[camera, view],
         seen=seen[camera, view],
-        points=np.broadcast_to(corner_points(views.board), (*seen[camera, view].shape, 3)),
+        points=np.broadcast_to(points, (len(camera), *points.shape)),
         block_view=block_view,
         block_eye=block_eye,
         reading=reading,
@@ -171,12 +171,22 @@ def whole_head(
     return problem, _placed(problem, state), numbers
 
 
+def _telling(points: Array, seen: np.ndarray) -> np.ndarray:
+    """Return (...,) where the seen (..., K) corners say where the board is: enough, not in line."""
+    count = seen.sum(axis=-1)
+    weight = seen / np.maximum(count, 1)[..., None]
+    mean = weight @ points
+    second = np.einsum("...k,ki,kj->...ij", weight, points, points, optimize=True)
+    spread = np.linalg.eigvalsh(second - mean[..., :, None] * mean[..., None, :])
+    return (count >= LEAST_CORNERS) & (spread[..., 1] > 1e-3 * np.maximum(spread[..., 2], 1e-30))
+
+
 def _placed(problem: Problem, state: State) -> State:
     """Return the state with each placement where the view says that explains the others best."""
     placements = len(state.T_lbase_target)
     T_cam_target = np.full((len(problem.camera), 4, 4), np.nan)
     for c, lens in enumerate(state.lenses):
-        chosen = problem.camera == c
+        chosen = (problem.camera == c) & _telling(problem.points[0], problem.seen)
         pixels = np.where(problem.seen[..., None], problem.pixels, np.nan)[chosen]
         T_cam_target[chosen] = target_poses(lens, pixels, problem.points[0])
     right = problem.eye[problem.camera] == 1
@@ -187,7 +197,8 @@ def _placed(problem: Problem, state: State) -> State:
     offers = [np.flatnonzero(known & (problem.placement == p)) for p in range(placements)]
     if not all(len(offer) for offer in offers):
         raise VergenceError(
-            f"A board whose place is to be found needs {LEAST_CORNERS} corners in one image."
+            f"A board whose place is to be found needs {LEAST_CORNERS} corners in one image, not "
+            "all on one line."
         )
     best, lowest = state.T_lbase_target, np.full(placements, np.inf)
     for k in range(CANDIDATES):

@@ -218,6 +218,13 @@ def refine(
         for name in start.cameras
         if name not in problem.cameras
     )
+    seen = np.stack([np.isfinite(views.corners[name]) for name in problem.cameras])
+    lost = np.setdiff1d(np.flatnonzero(seen.any(axis=(0, 2, 3))), problem.block_view)
+    if len(lost):
+        unseen += (
+            f"Views {', '.join(map(str, lost))} were left out: no image of these boards shows "
+            "enough corners.",
+        )
     return Refined(
         head=_head(start, problem, found),
         time_offset_s=found.state.time_offset_s,
