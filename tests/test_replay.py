@@ -1,0 +1,246 @@
+"""The experiments without images: the table of sensitivities, and facts that need no fit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from heads import plain_head
+from vergence.experiments import replay
+from vergence.experiments.paper import FIGURES, Figure
+from vergence.experiments.replay import estimate, observe_points, written_by_hand
+from vergence.experiments.trajectories import PERIOD_S, eye_angles
+from vergence.geometry import inverse
+from vergence.head import HeadCalibration, T_base_cam
+from vergence.twin.profile import ByHand, ErrorProfile, Joints
+
+FOCAL_PX = {"2.8mm": 280.0, "4.0mm": 400.0}
+SAMPLES = 3000
+"""At so many, the spreads of white noise are sampled to 1.3 %."""
+PERFECT = ErrorProfile()
+
+
+def table_head(figure: Figure) -> HeadCalibration:
+    """Return the head for which the table was computed."""
+    return plain_head(
+        0.075,
+        FOCAL_PX[figure.lens],
+        camera_m=((0.004, 0.001, 0.010), (0.003, -0.0015, 0.0105)),
+        mounting_deg=((0.8, -0.5, 0.7), (-0.6, 0.9, -0.5)),
+    )
+
+
+@pytest.fixture
+def _up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the table's version of Eqs. 22-23, positive tilt looks up."""
+    monkeypatch.setattr(
+        replay, "eye_angles", lambda motion, t: eye_angles(motion, t) * [1, -1, 1, -1]
+    )
+
+
+def run(figure: Figure, profile: ErrorProfile = PERFECT, pixel_noise: float = 0.0) -> replay.Replay:
+    """Replay a figure over its full combined period; by-hand errors go into the calibration."""
+    truth = table_head(figure)
+    times = np.arange(SAMPLES) * PERIOD_S[figure.motion] / SAMPLES
+    observations = observe_points(
+        truth, profile, figure, times, pixel_noise=pixel_noise, rng=np.random.default_rng(6)
+    )
+    believed = written_by_hand(truth, profile.by_hand, figure.lens)
+    return estimate(believed, figure, np.array(figure.mean_m), observations)
+
+
+def spread_mm(
+    figure: Figure, profile: ErrorProfile = PERFECT, pixel_noise: float = 0.0
+) -> np.ndarray:
+    """Return the standard deviations (3,) of the estimates [mm]."""
+    statistics = run(figure, profile, pixel_noise).statistics
+    assert statistics.dropped == 0
+    return 1e3 * statistics.std_m
+
+
+def joints(**kwargs: object) -> ErrorProfile:
+    return ErrorProfile(joints=Joints.model_validate(kwargs))
+
+
+def by_hand(**kwargs: float) -> ErrorProfile:
+    return ErrorProfile(by_hand=ByHand(**kwargs))
+
+
+SOURCES = {
+    "joint noise 0.1 deg": (joints(noise_deg=0.1), 0.0),
+    "matching noise 5.6 um": (PERFECT, 0.56),  # of a sensor with 10 um pixels: 6.4 mm for 640
+    "readings 10 ms old": (joints(delay_ms=10), 0.0),
+    "pan gain 1 %": (joints(gain_percent=(1, 0, 1, 0)), 0.0),
+    "mounting roll 1 deg": (by_hand(roll_deg=1), 0.0),
+    "mounting 5 mm along the axis": (by_hand(axial_mm=5), 0.0),
+    "focal length 1 %": (by_hand(focal_percent_28=1), 0.0),
+}
+TABLE_MM = {
+    "joint noise 0.1 deg": "5.8/0.6/1.3 5.7/0.7/1.4 39/2.4/1.4 39/2.4/1.4 15/4.8/1.3 15/4.8/1.3",
+    "matching noise 5.6 um": "6.2/0.6/1.5 6.1/0.8/1.5 42/2.6/1.5 43/2.6/1.5 10/3.4/0.9 10/3.4/0.9",
+    "readings 10 ms old": "0.1/0.8/0.5 4.6/0.4/1.1 0.2/2.0/1.3 31/2.4/0.8 0.7/1.0/0.7 11/4.2/0.9",
+    "pan gain 1 %": "0.1/0.8/0.0 5.7/0.7/1.3 0.2/2.0/0.0 39/2.4/0.3 0.7/1.0/0.0 15/4.9/1.0",
+    "mounting roll 1 deg": "14/0.5/3.0 9.8/1.2/2.5 94/4.6/0.6 68/4.1/2.4 35/12/2.5 25/8.4/2.2",
+    "mounting 5 mm along the axis": (
+        "0.1/0.9/0.9 6.6/0.8/1.7 0.1/0.9/0.9 18/1.1/0.6 0.1/0.9/0.9 10/3.4/0.9"
+    ),
+    "focal length 1 %": "0.3/0.7/0.7 5.2/0.7/1.3 0.7/1.8/1.9 37/2.3/1.4 0/0/0 0/0/0",
+}
+"""Spread x/y/z per unit of each source, Figs. 6 to 11."""
+
+
+@pytest.mark.usefixtures("_up")
+@pytest.mark.parametrize("source", SOURCES)
+def test_the_table_of_sensitivities_is_met_within_ten_percent(source: str):
+    """Eqs. 3-4, 10-12, 22-23 together, with each error source alone; entries of 1 mm and more."""
+    expected = np.array([[float(x) for x in c.split("/")] for c in TABLE_MM[source].split()])
+    found = np.array([spread_mm(figure, *SOURCES[source]) for figure in FIGURES.values()])
+    large = expected >= 1
+    np.testing.assert_allclose(found[large], expected[large], rtol=0.1)
+    assert (found[~large] < 1.1).all()
+
+
+@pytest.mark.parametrize("number", FIGURES)
+def test_without_an_error_every_sample_is_exact(number: int):
+    located = run(FIGURES[number]).located
+    expected = np.tile(FIGURES[number].mean_m, (SAMPLES, 1))
+    np.testing.assert_allclose(located.points, expected, atol=1e-9)
+
+
+def test_the_readings_are_older_than_the_image_by_the_delay():
+    for delay_ms, image_back, reading_back in ((10, 0.0, 0.010), (-10, 0.010, 0.0)):
+        figure, times = FIGURES[7], np.linspace(1, 2, 50)
+        truth = table_head(figure)
+        rng = np.random.default_rng(0)
+        seen = observe_points(truth, joints(delay_ms=delay_ms), figure, times, rng=rng)
+        np.testing.assert_allclose(seen.eye_angles, eye_angles("divergent", times - reading_back))
+        exact = observe_points(truth, PERFECT, figure, times - image_back, rng=rng)
+        np.testing.assert_allclose(seen.pixels_l, exact.pixels_l)
+
+
+def test_backlash_has_been_wound_up_before_the_first_sample():
+    figure = FIGURES[6]
+    times = np.arange(200) * PERIOD_S["parallel"] / 200
+    truth, rng = table_head(figure), np.random.default_rng(0)
+    once = observe_points(truth, joints(backlash_deg=0.5), figure, times, rng=rng)
+    twice = observe_points(
+        truth, joints(backlash_deg=0.5), figure, times + PERIOD_S["parallel"], rng=rng
+    )
+    np.testing.assert_allclose(once.eye_angles, twice.eye_angles, atol=1e-12)
+    lag = np.abs(once.eye_angles - eye_angles("parallel", times))
+    assert lag.max() == pytest.approx(np.radians(0.25))
+    assert lag[0].max() > np.radians(0.2)
+
+
+def test_by_hand_errors_leave_straight_gaze_exact():
+    """Eq. 10 is computed again from the wrong values: theta = 0 stays as it was calibrated."""
+    truth = table_head(FIGURES[6])
+    wrong = written_by_hand(truth, ByHand(roll_deg=1, axial_mm=5), "2.8mm")
+
+    def stereo(head: HeadCalibration) -> np.ndarray:
+        left, right = (T_base_cam(head, f"{eye}_wide", np.zeros(2)) for eye in ("left", "right"))
+        return inverse(right) @ head.T_rbase_lbase @ left
+
+    np.testing.assert_allclose(stereo(wrong), stereo(truth), atol=1e-14)
+    assert np.abs(wrong.T_rbase_lbase - truth.T_rbase_lbase).max() > 1e-3
+
+
+def test_by_hand_focal_lengths_belong_to_a_lens():
+    truth = table_head(FIGURES[6])
+    errors = ByHand(focal_percent_28=1, focal_percent_40=-2)
+    for lens, factor in (("2.8mm", 1.01), ("4.0mm", 0.98)):
+        matrix = written_by_hand(truth, errors, lens).cameras["right_wide"].intrinsics.matrix
+        assert matrix[0, 0] == pytest.approx(280 * factor)
+        assert matrix[1, 1] == pytest.approx(280 * factor)
+        assert matrix[0, 2] == 319.5
+
+
+def test_by_hand_nothing_leaves_the_calibration_alone():
+    truth = table_head(FIGURES[6])
+    assert written_by_hand(truth, ByHand(), "2.8mm") is truth
+
+
+# Facts without a fit
+
+NOISES = {"joints": (joints(noise_deg=0.1), 0.0), "pixels": (PERFECT, 0.3)}
+
+
+def ahead(depth_m: float) -> Figure:
+    """Return a parallel experiment with the object straight ahead between the eyes."""
+    return replace(FIGURES[6], mean_m=(depth_m, -0.0375, 0.0))
+
+
+@pytest.mark.parametrize("noise", NOISES)
+def test_parallel_depth_spread_grows_as_the_square_of_depth(noise: str):
+    """Eq. 20: between the depths of Figs. 6 and 8, within 10 %."""
+    near, far = (spread_mm(ahead(z), *NOISES[noise])[0] for z in (0.426, 1.106))
+    assert far / near == pytest.approx((1.106 / 0.426) ** 2, rel=0.1)
+
+
+@pytest.mark.parametrize("noise", NOISES)
+@pytest.mark.parametrize("number", FIGURES)
+def test_depth_is_the_component_that_spreads_most(noise: str, number: int):
+    x, y, z = spread_mm(FIGURES[number], *NOISES[noise])
+    assert x > 2 * y
+    assert x > 2 * z
+
+
+SHARED = {name: SOURCES[name] for name in ("readings 10 ms old", "pan gain 1 %")}
+"""Errors that both eyes have in common."""
+
+
+@pytest.mark.parametrize("source", SHARED)
+@pytest.mark.parametrize("parallel", [6, 8, 10])
+def test_errors_that_both_eyes_share_vanish_from_parallel_depth(source: str, parallel: int):
+    along = spread_mm(FIGURES[parallel], *SHARED[source])[0]
+    across = spread_mm(FIGURES[parallel + 1], *SHARED[source])[0]
+    assert along < 1
+    assert across > 4
+    assert across > 10 * along
+
+
+def test_white_noise_alone_makes_parallel_and_divergent_motion_equally_bad():
+    for noise in NOISES.values():
+        for parallel in (6, 8, 10):
+            one, two = (spread_mm(FIGURES[n], *noise)[0] for n in (parallel, parallel + 1))
+            assert two / one == pytest.approx(1, abs=0.08)
+
+
+@pytest.mark.parametrize("parallel", [6, 8, 10])
+def test_noise_and_a_shared_error_together_make_divergent_motion_worse(parallel: int):
+    both = joints(noise_deg=0.1, delay_ms=10)
+    one, two = (spread_mm(FIGURES[n], both)[0] for n in (parallel, parallel + 1))
+    assert two / one > 1.15
+
+
+def test_the_same_seed_gives_the_same_spreads_and_another_seed_others():
+    figure = FIGURES[7]
+    truth, profile = table_head(figure), joints(noise_deg=0.1)
+
+    def once(seed: int) -> np.ndarray:
+        seen = observe_points(
+            truth,
+            profile,
+            figure,
+            np.arange(50.0),
+            pixel_noise=0.1,
+            rng=np.random.default_rng(seed),
+        )
+        return estimate(truth, figure, np.array(figure.mean_m), seen).statistics.std_m
+
+    np.testing.assert_array_equal(once(1), once(1))
+    assert (once(1) != once(2)).all()
+
+
+def test_samples_in_which_the_object_was_not_found_are_dropped_and_counted():
+    figure = FIGURES[6]
+    truth = table_head(figure)
+    seen = observe_points(truth, PERFECT, figure, np.arange(10.0), rng=np.random.default_rng(0))
+    seen.pixels_l[[2, 5]] = np.nan
+    statistics = estimate(truth, figure, np.array(figure.mean_m), seen).statistics
+    assert (statistics.samples, statistics.dropped) == (8, 2)
+    np.testing.assert_allclose(statistics.mean_m, figure.mean_m, atol=1e-12)
+    seen.pixels_r[:] = np.nan
+    statistics = estimate(truth, figure, np.array(figure.mean_m), seen).statistics
+    assert (statistics.samples, statistics.dropped) == (0, 10)
+    assert np.isnan(statistics.mean_m).all()
