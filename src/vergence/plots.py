@@ -24,8 +24,8 @@ from vergence.experiments.statistics import Statistics
 
 AXIS_COLOURS = {"x": "#1f4fd8", "y": "#0b8a2e", "z": "#d62222"}
 """The paper's: x (depth) blue, y green, z red."""
-_PANEL_INCHES = (8.0, 5.8)
-_DPI = 100  # six panels: 1600 x 1800 pixels with the heading
+_PANEL_INCHES, _HEADING_INCHES = (8.0, 5.8), 0.6
+_DPI = 100  # six panels: 1600 x 1800 pixels
 _FIRST = 6  # the paper's experiments come in pairs from here: parallel left, divergent right
 _STYLE: dict[str, Any] = {"fontsize": 12}
 
@@ -78,7 +78,9 @@ def paper_figures(path: Path, results: Sequence[FigureResult]) -> None:
     columns = sorted({column for _, column in place.values()})
     width, height = _PANEL_INCHES
     canvas = Canvas(
-        figsize=(width * len(columns), height * len(rows) + 0.6), dpi=_DPI, layout="constrained"
+        figsize=(width * len(columns), height * len(rows) + _HEADING_INCHES),
+        dpi=_DPI,
+        layout="constrained",
     )
     FigureCanvasAgg(canvas)
     canvas.suptitle(
@@ -127,8 +129,8 @@ def _panel(axes: Axes, result: FigureResult) -> None:
     axes.add_artist(_table(axes, figure, result.statistics))
 
 
-def _table(axes: Axes, figure: Figure, statistics: Statistics) -> Artist:
-    """Return mean ± standard deviation [mm], the paper's beside ours, a row for each axis."""
+def _cells(figure: Figure, statistics: Statistics) -> list[list[str]]:
+    """Return the columns of the table: the axes, mean ± std in the paper and here, their ratio."""
     columns = [["", "x = depth", "y", "z"], ["paper [mm]"], ["here [mm]"], ["std here / paper"]]
     for k in range(3):
         paper_mm, paper_std_mm = 1e3 * figure.mean_m[k], 1e3 * figure.std_m[k]
@@ -137,14 +139,18 @@ def _table(axes: Axes, figure: Figure, statistics: Statistics) -> Artist:
         columns[1].append(f"{paper_mm:.0f} ± {paper_std_mm:.0f}")
         columns[2].append(f"{mm:.1f} ± {std_mm:.1f}" if located else "not located")
         columns[3].append(f"{std_mm / paper_std_mm:.2f}" if located else "")
+    return columns
+
+
+def _table(axes: Axes, figure: Figure, statistics: Statistics) -> Artist:
+    """Return the table, midway between the curve of x and the others, where none runs."""
     packed: list[Artist] = []
-    for column in columns:
+    for column in _cells(figure, statistics):
         cells: list[Artist] = [
             TextArea(text.replace("-", "\N{MINUS SIGN}"), textprops={"color": colour, **_STYLE})
             for text, colour in zip(column, ["0.25", *AXIS_COLOURS.values()], strict=True)
         ]
         packed.append(VPacker(children=cells, align="right", pad=0, sep=4))
-    # Midway between x and the others, where no curve runs.
     middle = (figure.mean_m[0] - 2 * figure.std_m[0] + max(figure.mean_m[1:])) / 2
     box = AnchoredOffsetbox(
         loc="center",

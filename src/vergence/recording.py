@@ -1,20 +1,22 @@
 """Recordings for the rerun viewer: one file a figure, that explains itself when it is opened.
 
-The only module that imports rerun. The entities:
+The only module that imports rerun. The entities, on the timelines `sim_time` [s] and `frame`:
 
-    /world/<body>                      poses of the head's bodies, with their shapes below
-    /world/<side>_eye/<camera>         pinhole, with /image, /detected and /truth below
-    /world/left_base                   the left eye's base frame: estimates, rays, true object
-    /estimate/x, y, z                  the estimates [m]; /statistics/... and /paper/... beside them
-    /joints/<joint>                    joint readings [rad]
-    /report                            markdown
+    /world/<body>                 poses of the head's bodies and of the object, with their shapes
+    /world/<side>_eye/<camera>    a pinhole, with its /image, and the object /detected and in /truth
+    /world/left_base              the left eye's base frame, with the estimates
+    /estimate/x, y, z             the estimates [m], all their digits
+    /estimate_mean/x, y, z        their mean, and mean ± standard deviation
+    /paper/x, y, z                the paper's
+    /joints/<joint>               joint readings [rad]
+    /report                       markdown
 
-on the timelines `sim_time` [s] and `frame`. A pixel's centre is at +0.5 here and at 0 in the rest
-of the project.
+A pixel's centre is at +0.5 in rerun, and at 0 in the rest of the project.
 """
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -23,7 +25,6 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
-import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
@@ -59,9 +60,9 @@ _EYE_HEIGHT_M = 1.2
 _ALPHA = {"object": 0.35}
 """Bodies that one must see through: most estimates lie in the object."""
 _DETECTED, _TRUTH = (255, 230, 0), (0, 240, 255)
-_CROSS = np.array([[[-9.0, 0.0], [9.0, 0.0]], [[0.0, -9.0], [0.0, 9.0]]])
+_ESTIMATE, _OLD, _RAY, _OBJECT = (20, 60, 220), (120, 150, 235), (250, 150, 30), (60, 60, 60)
+_CROSS_PX = np.array([[[-9.0, 0.0], [9.0, 0.0]], [[0.0, -9.0], [0.0, 9.0]]])
 _RING_PX = 20.0
-_ESTIMATE, _TRAIL, _RAY, _SPREAD = (20, 60, 220), (120, 150, 235), (250, 150, 30), (70, 80, 100)
 _FRUSTUM_M = {"wide": 0.045, "narrow": 0.16}
 """Distance at which an image is drawn before its camera: both are then about as large."""
 _JPEG_QUALITY = 40
@@ -89,23 +90,18 @@ def blueprint(figure: Figure, head: HeadCalibration) -> rrb.Blueprint:
         figure: the one that is recorded; its object and the head fill the 3-D view.
         head: whose cameras are shown.
     """
+    whole = rrb.TimeAxis(link="LinkToGlobal")
     axes = [
         rrb.TimeSeriesView(
-            name=f"{axis}{' = depth' if axis == 'x' else ''} [m]: bright estimate, pale mean and "
-            "± std, grey the paper's",
+            name=f"{label} [m]: bright estimate, pale mean and ± std, grey the paper's",
             origin="/",
-            contents=[f"+ /{kind}/{axis}" for kind in ("paper", "statistics", "estimate")],
-            axis_x=rrb.TimeAxis(link="LinkToGlobal"),
+            contents=[f"+ /{kind}/{axis}" for kind in ("paper", "estimate_mean", "estimate")],
+            axis_x=whole,
             plot_legend=rrb.PlotLegend(visible=False),
         )
-        for axis in AXIS_COLOURS
+        for axis, label in zip(AXIS_COLOURS, ("x = depth", "y", "z"), strict=True)
     ]
-    joints = rrb.TimeSeriesView(
-        name="joint readings [rad]",
-        origin="joints",
-        axis_x=rrb.TimeAxis(link="LinkToGlobal"),
-        plot_legend=rrb.PlotLegend(corner="RightTop"),
-    )
+    joints = rrb.TimeSeriesView(name="joint readings [rad]", origin="joints", axis_x=whole)
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(
@@ -139,69 +135,67 @@ def _head_view(figure: Figure, head: HeadCalibration) -> rrb.Spatial3DView:
     ]
     back, front = -0.20, figure.mean_m[0] + 2 * figure.std_m[0]  # of all that is to be seen
     middle = np.array([(back + front) / 2, 0.3 * figure.mean_m[1], _EYE_HEIGHT_M - 0.03])
-    return rrb.Spatial3DView(
-        name=f"{_title(figure)}: head, lines of sight, estimates",
+    return _view_3d(
+        f"{_title(figure)}: head, lines of sight, estimates",
         origin="world",
         contents=["+ $origin/**", "- world/left_base/spread", *marks],
-        background=rrb.Background(color=_BACKGROUND),
-        line_grid=False,
-        eye_controls=rrb.EyeControls3D(
-            position=middle + np.array([0.30, 0.85, 0.42]) * (0.10 + 0.80 * (front - back)),
-            look_target=middle,
-            eye_up=(0, 0, 1),
-        ),
-        overrides=_TRAILS,
+        middle=middle,
+        eye=middle + np.array([0.30, 0.85, 0.42]) * (0.10 + 0.74 * (front - back)),
     )
 
 
 def _close_up(figure: Figure) -> rrb.Spatial3DView:
-    """Return a view of the estimates around the object, from the left eye's side."""
     middle = np.array(figure.mean_m)
-    return rrb.Spatial3DView(
-        name="close-up: estimates in the object, 2 std",
+    return _view_3d(
+        "close-up: object, estimates and their 2-std ellipsoid",
         origin="world/left_base",
         contents=["+ $origin/**", "+ world/object/**"],
-        background=rrb.Background(color=_BACKGROUND),
-        line_grid=False,
-        eye_controls=rrb.EyeControls3D(
-            position=middle + np.array([-0.25, 0.85, 0.45]) * (0.05 + 4 * figure.std_m[0]),
-            look_target=middle,
-            eye_up=(0, 0, 1),
-        ),
-        overrides=_TRAILS,
+        middle=middle,
+        eye=middle + np.array([-0.25, 0.85, 0.45]) * (0.06 + 2.8 * figure.std_m[0]),
     )
 
 
-def _camera_views(head: HeadCalibration) -> list[rrb.Spatial2DView]:
-    entities = _cameras(head)
-    names = [f"{eye}_{lens}" for lens in ("wide", "narrow") for eye in EYES]
-    return [
-        rrb.Spatial2DView(
-            name=f"{name.replace('_', ' ')}: + found, ○ truth",
-            origin=entities[name],
-            contents=["+ $origin/**"],
-            visual_bounds=rrb.VisualBounds2D(
-                x_range=(0, head.camera(name).intrinsics.width),
-                y_range=(0, head.camera(name).intrinsics.height),
-            ),
-        )
-        for name in names
-        if name in entities
-    ]
+def _view_3d(
+    name: str, *, origin: str, contents: list[str], middle: Array, eye: Array
+) -> rrb.Spatial3DView:
+    overrides: dict[Any, rrb.VisibleTimeRanges] = {
+        "world/left_base/trail": _last_seconds(None),
+        "world/left_base/recent": _last_seconds(_TRAIL_S),
+    }
+    return rrb.Spatial3DView(
+        name=name,
+        origin=origin,
+        contents=contents,
+        background=rrb.Background(color=_BACKGROUND),
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(position=eye, look_target=middle, eye_up=(0, 0, 1)),
+        overrides=overrides,
+    )
 
 
-def _visible(seconds: float | None) -> rrb.VisibleTimeRanges:
-    """Return that the last so many seconds up to the cursor are shown; None: all of them."""
+def _last_seconds(seconds: float | None) -> rrb.VisibleTimeRanges:
+    """Show what was logged in so many seconds before the cursor; None: since the beginning."""
     boundary = rr.TimeRangeBoundary
     start = boundary.infinite() if seconds is None else boundary.cursor_relative(seconds=-seconds)
     now = boundary.cursor_relative(seconds=0)
     return rrb.VisibleTimeRanges(rrb.VisibleTimeRange("sim_time", start=start, end=now))
 
 
-_TRAILS: dict[Any, rrb.VisibleTimeRanges] = {
-    "world/left_base/trail": _visible(None),
-    "world/left_base/recent": _visible(_TRAIL_S),
-}
+def _camera_views(head: HeadCalibration) -> list[rrb.Spatial2DView]:
+    views = []
+    entities = _cameras(head)
+    for name in (f"{eye}_{lens}" for lens in ("wide", "narrow") for eye in EYES):
+        if name in entities:
+            camera = head.camera(name).intrinsics
+            bounds = rrb.VisualBounds2D(x_range=(0, camera.width), y_range=(0, camera.height))
+            views.append(
+                rrb.Spatial2DView(
+                    name=f"{name.replace('_', ' ')}: + found, ○ truth",
+                    origin=entities[name],
+                    visual_bounds=bounds,
+                )
+            )
+    return views
 
 
 @contextmanager
@@ -224,34 +218,40 @@ def figure_recording(
     """
     rr.set_strict_mode(True)  # by default bad data is dropped with a warning
     part = path.with_name(f".{path.name}.part")
+    folder = path.resolve().parent
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_bytes(b"")  # rerun's own message names neither the folder nor the reason
+        if path.is_dir():  # found out now, not when all is recorded
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        folder.mkdir(parents=True, exist_ok=True)
+        part.write_bytes(b"")  # rerun's own message names neither the file nor the reason
     except OSError as error:
         raise VergenceError(f"Cannot write {path}: {error.strerror}.") from error
     try:
         # The viewer takes recordings of one id for one: those of two runs must differ.
-        recording_id = f"{path.resolve().parent.name}-{path.stem}"
-        with rr.RecordingStream(APPLICATION, recording_id=recording_id) as rec:
+        with rr.RecordingStream(APPLICATION, recording_id=f"{folder.name}-{path.stem}") as rec:
             rec.save(part, default_blueprint=blueprint(figure, head))
             rec.set_log_time_enabled(False)  # recordings of one seed stay comparable
-            rec.send_recording_name(f"{_title(figure)} ({path.resolve().parent.name})")
+            rec.send_recording_name(f"{_title(figure)} ({folder.name})")
             rec.log("world", rr.ViewCoordinates.FLU, static=True)
             _log_geoms(rec, geoms)
             _log_cameras(rec, head)
             _log_styles(rec)
             yield rec
-        try:
-            os.replace(part, path)
-        except OSError as error:
-            raise VergenceError(f"Cannot write {path}: {error.strerror}.") from error
+        os.replace(part, path)
+    except OSError as error:
+        raise VergenceError(f"Cannot write {path}: {error.strerror}.") from error
     finally:
         part.unlink(missing_ok=True)
 
 
-def _quaternions(T: Array) -> Array:
-    """Return (..., 4) xyzw of poses (..., 4, 4)."""
-    return Rotation.from_matrix(T[..., :3, :3]).as_quat()
+def _quaternions(R: Array) -> Array:
+    """Return (..., 4) xyzw of rotations (..., 3, 3)."""
+    return Rotation.from_matrix(R).as_quat()
+
+
+def _at(T: Array) -> rr.Transform3D:
+    quaternion = rr.Quaternion(xyzw=_quaternions(T[:3, :3]))
+    return rr.Transform3D(translation=T[:3, 3], quaternion=quaternion)
 
 
 def _log_geoms(rec: rr.RecordingStream, geoms: Sequence[VisualGeom]) -> None:
@@ -264,27 +264,26 @@ def _log_geoms(rec: rr.RecordingStream, geoms: Sequence[VisualGeom]) -> None:
         size = np.array([geom.size for geom in batch])
         rgba = np.array([geom.rgba for geom in batch]) * [1, 1, 1, _ALPHA.get(body, 1)]
         colors = np.round(255 * rgba).astype(np.uint8)
-        at = {"centers": T[:, :3, 3], "quaternions": _quaternions(T), "colors": colors}
-        at["fill_mode"] = "solid"
+        look: dict[str, Any] = {"colors": colors, "fill_mode": "solid"}
+        look["quaternions"] = _quaternions(T[:, :3, :3])
+        centers = T[:, :3, 3]
         if shape == "box":
-            rec.log(entity, rr.Boxes3D(half_sizes=size, **at), static=True)
-        elif shape == "ellipsoid":
-            rec.log(entity, rr.Ellipsoids3D(half_sizes=size, **at), static=True)
-        elif shape == "sphere":
-            rec.log(entity, rr.Ellipsoids3D(half_sizes=size[:, [0, 0, 0]], **at), static=True)
-        elif shape == "cylinder":
-            cylinders = rr.Cylinders3D(lengths=2 * size[:, 1], radii=size[:, 0], **at)
-            rec.log(entity, cylinders, static=True)
-        elif shape == "capsule":
-            # rerun's capsule begins at its origin; MuJoCo's has it in the middle.
-            start = at.pop("centers") - size[:, 1:2] * T[:, :3, 2]
-            capsules = rr.Capsules3D(
-                lengths=2 * size[:, 1], radii=size[:, 0], translations=start, **at
-            )
-            rec.log(entity, capsules, static=True)
+            solids = rr.Boxes3D(half_sizes=size, centers=centers, **look)
+        elif shape in ("sphere", "ellipsoid"):
+            half_sizes = size[:, [0, 0, 0]] if shape == "sphere" else size
+            solids = rr.Ellipsoids3D(half_sizes=half_sizes, centers=centers, **look)
+        elif shape in ("cylinder", "capsule"):
+            look |= {"radii": size[:, 0], "lengths": 2 * size[:, 1]}
+            if shape == "cylinder":
+                solids = rr.Cylinders3D(centers=centers, **look)
+            else:  # rerun's capsule begins at its origin; MuJoCo's has it in the middle
+                starts = centers - size[:, 1:2] * T[:, :3, 2]
+                solids = rr.Capsules3D(translations=starts, **look)
         else:
             for k, geom in enumerate(batch):
-                rec.log(f"{entity}_{k}", _mesh(geom, colors[k]), static=True)
+                rec.log(f"{entity}/{k}", _mesh(geom, colors[k]), static=True)
+            continue
+        rec.log(entity, solids, static=True)
 
 
 def _mesh(geom: VisualGeom, color: np.ndarray) -> rr.Mesh3D:
@@ -310,14 +309,11 @@ def _mesh(geom: VisualGeom, color: np.ndarray) -> rr.Mesh3D:
 def _log_cameras(rec: rr.RecordingStream, head: HeadCalibration) -> None:
     for name, entity in _cameras(head).items():
         mounted = head.camera(name)
-        camera, T_eye_cam = mounted.intrinsics, mounted.T_eye_cam
-        image_from_camera = camera.matrix.copy()
+        camera, image_from_camera = mounted.intrinsics, mounted.intrinsics.matrix.copy()
         image_from_camera[:2, 2] += 0.5
         rec.log(
             entity,
-            rr.Transform3D(
-                translation=T_eye_cam[:3, 3], quaternion=rr.Quaternion(xyzw=_quaternions(T_eye_cam))
-            ),
+            _at(mounted.T_eye_cam),
             rr.Pinhole(
                 image_from_camera=image_from_camera,
                 width=camera.width,
@@ -336,19 +332,27 @@ def _log_cameras(rec: rr.RecordingStream, head: HeadCalibration) -> None:
 def _log_styles(rec: rr.RecordingStream) -> None:
     for axis, color in AXIS_COLOURS.items():
         # Plots average the samples that share a pixel, unless told to keep the extremes.
-        lines = rr.SeriesLines(
-            names=f"{axis} estimate", colors=color, widths=1.5, aggregation_policy="MinMax"
-        )
-        rec.log(f"estimate/{axis}", lines, static=True)
-        names = ["mean", "mean + std", "mean - std"]
-        lines = rr.SeriesLines(names=names, colors=[_PALE[axis]] * 3, widths=[2.5, 1.5, 1.5])
-        rec.log(f"statistics/{axis}", lines, static=True)
-        names = ["paper's mean", "paper's + std", "paper's - std"]
-        lines = rr.SeriesLines(names=names, colors=[_PAPER] * 3, widths=[2.5, 1.5, 1.5])
-        rec.log(f"paper/{axis}", lines, static=True)
-    for joint in EYE_JOINTS:
-        lines = rr.SeriesLines(names=joint.replace("_", " "), colors=_JOINT_COLOURS[joint])
-        rec.log(f"joints/{joint}", lines, static=True)
+        curve = rr.SeriesLines(names=axis, colors=color, widths=1.5, aggregation_policy="MinMax")
+        rec.log(f"estimate/{axis}", curve, static=True)
+        for entity, color3, name in (
+            (f"estimate_mean/{axis}", _PALE[axis], "mean"),
+            (f"paper/{axis}", _PAPER, "paper's mean"),
+        ):
+            names = [name, f"{name} + std", f"{name} - std"]
+            levels = rr.SeriesLines(names=names, colors=[color3] * 3, widths=[2.5, 1.5, 1.5])
+            rec.log(entity, levels, static=True)
+    for joint, color in _JOINT_COLOURS.items():
+        curve = rr.SeriesLines(names=joint.replace("_", " "), colors=color)
+        rec.log(f"joints/{joint}", curve, static=True)
+    for name, radius_px, color in (
+        ("trail", 1.5, _OLD),
+        ("recent", 2.5, _ESTIMATE),
+        ("estimate", 6.0, _ESTIMATE),
+    ):
+        points = rr.Points3D.from_fields(radii=-radius_px, colors=color)  # negative: in pixels
+        rec.log(f"world/left_base/{name}", points, static=True)
+    rays = rr.LineStrips3D.from_fields(colors=_RAY, radii=-1.0)
+    rec.log("world/left_base/rays", rays, static=True)
 
 
 def log_frame(
@@ -377,31 +381,28 @@ def log_frame(
     bodies = [body for body in body_poses if body != "world"]
     if bodies:
         T = np.array([body_poses[body] for body in bodies])
-        for body, translation, quaternion in zip(bodies, T[:, :3, 3], _quaternions(T), strict=True):
+        quaternions = _quaternions(T[:, :3, :3])
+        for body, translation, quaternion in zip(bodies, T[:, :3, 3], quaternions, strict=True):
             at = rr.Transform3D(translation=translation, quaternion=quaternion)
             rec.log(f"world/{body}", at)
     for name, image in ({} if frame is None else frame.images).items():
         entity = f"world/{name.split('_')[0]}_eye/{name}"
         bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
         _, jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
-        rec.log(
-            f"{entity}/image",
-            rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg"),
-        )
-        height, width = image.shape[:2]
-        crosses = [centre + _CROSS for centre in _within(detected.get(name), width, height)]
+        encoded = rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg")
+        rec.log(f"{entity}/image", encoded)
+        size = (image.shape[1], image.shape[0])
+        crosses = [pixel + _CROSS_PX for pixel in _within(detected.get(name), size)]
         strips = np.concatenate(crosses) if crosses else []
         rec.log(f"{entity}/detected", rr.LineStrips2D.from_fields(strips=strips))
-        centers = _within(truth.get(name), width, height)
-        rec.log(
-            f"{entity}/truth",
-            rr.Ellipses2D.from_fields(centers=centers, half_sizes=np.full_like(centers, _RING_PX)),
-        )
+        centers = _within(truth.get(name), size)
+        radii = np.full_like(centers, _RING_PX)
+        rec.log(f"{entity}/truth", rr.Ellipses2D.from_fields(centers=centers, half_sizes=radii))
 
 
-def _within(pixel: Array | None, width: int, height: int) -> Array:
+def _within(pixel: Array | None, size: tuple[int, int]) -> Array:
     """Return a pixel in rerun's coordinates (1, 2), or (0, 2) if it is not in the image."""
-    if pixel is None or not (np.abs(2 * pixel + 1 - (width, height)) <= (width, height)).all():
+    if pixel is None or not (np.abs(2 * pixel + 1 - size) <= size).all():
         return np.empty((0, 2))
     return pixel[None] + 0.5
 
@@ -449,67 +450,44 @@ def log_series(
     for k, axis in enumerate(AXIS_COLOURS):
         rec.send_columns(f"estimate/{axis}", times, rr.Scalars.columns(scalars=points[:, k]))
         for kind, mean, std in (
-            ("statistics", statistics.mean_m[k], statistics.std_m[k]),
+            ("estimate_mean", statistics.mean_m[k], statistics.std_m[k]),
             ("paper", figure.mean_m[k], figure.std_m[k]),
         ):
             levels = np.tile([mean, mean + std, mean - std], (2, 1))
             if len(time_s) and np.isfinite(levels).all():
                 ends = _columns(time_s[[0, -1]], index[[0, -1]])
                 rec.send_columns(f"{kind}/{axis}", ends, rr.Scalars.columns(scalars=levels))
-    _log_space(rec, times, points, T_world_lbase)
-    _log_rays(rec, times, points, head, eye_angles[good])
-
-
-def _log_space(
-    rec: rr.RecordingStream,
-    times: list[rr.TimeColumn],
-    points: Array,
-    T_world_lbase: Array,
-) -> None:
-    rec.log(
-        "world/left_base",
-        rr.Transform3D(
-            translation=T_world_lbase[:3, 3],
-            quaternion=rr.Quaternion(xyzw=_quaternions(T_world_lbase)),
-        ),
-        static=True,
-    )
+    rec.log("world/left_base", _at(T_world_lbase), static=True)
+    marker = rr.Points3D([object_m], radii=-4.0, colors=_OBJECT)
+    rec.log("world/left_base/object", marker, static=True)
     if len(points) > 3:
-        variances, axes = np.linalg.eigh(np.cov(points.T))
-        axes[:, 0] *= np.linalg.det(axes)  # a rotation, not a reflection
-        ellipsoid = rr.Ellipsoids3D(
-            centers=[points.mean(0)],
-            half_sizes=[2 * np.sqrt(np.maximum(variances, 0))],
-            quaternions=[rr.Quaternion(xyzw=Rotation.from_matrix(axes).as_quat())],
-            colors=[_SPREAD],
-            fill_mode="majorwireframe",
-        )
-        rec.log("world/left_base/spread", ellipsoid, static=True)
-    for name, radius, color in (
-        ("trail", -1.5, _TRAIL),
-        ("recent", -2.5, _ESTIMATE),
-        ("estimate", -6, _ESTIMATE),
-    ):
+        rec.log("world/left_base/spread", _ellipsoid(points), static=True)
+    for name in ("trail", "recent", "estimate"):
         entity = f"world/left_base/{name}"
-        rec.log(entity, rr.Points3D.from_fields(radii=radius, colors=color), static=True)
         rec.send_columns(entity, times, rr.Points3D.columns(positions=points))
+    rays = rr.LineStrips3D.columns(strips=list(_lines_of_sight(head, points, eye_angles[good])))
+    rec.send_columns("world/left_base/rays", times, rays)
 
 
-def _log_rays(
-    rec: rr.RecordingStream,
-    times: list[rr.TimeColumn],
-    points: Array,
-    head: HeadCalibration,
-    eye_angles: Array,
-) -> None:
-    """Draw the lines from both wide cameras to the estimate."""
+def _ellipsoid(points: Array) -> rr.Ellipsoids3D:
+    """Return the ellipsoid of two standard deviations around the mean of points (N, 3)."""
+    variances, axes = np.linalg.eigh(np.cov(points.T))
+    axes[:, 0] *= np.linalg.det(axes)  # a rotation, not a reflection
+    return rr.Ellipsoids3D(
+        centers=[points.mean(axis=0)],
+        half_sizes=[2 * np.sqrt(np.maximum(variances, 0))],
+        quaternions=[rr.Quaternion(xyzw=_quaternions(axes))],
+        colors=_OBJECT,
+        fill_mode="majorwireframe",
+    )
+
+
+def _lines_of_sight(head: HeadCalibration, points: Array, eye_angles: Array) -> Array:
+    """Return (N, 3, 3): left wide camera, point, right one, in the left eye's base frame."""
     left = T_base_cam(head, "left_wide", eye_angles[:, :2])[:, :3, 3]
     right = T_base_cam(head, "right_wide", eye_angles[:, 2:])[:, :3, 3]
     right = transform(inverse(head.T_rbase_lbase), right)
-    strips = np.stack([left, points, right], axis=1)
-    entity = "world/left_base/rays"
-    rec.log(entity, rr.LineStrips3D.from_fields(colors=[_RAY], radii=[-1.0]), static=True)
-    rec.send_columns(entity, times, rr.LineStrips3D.columns(strips=list(strips)))
+    return np.stack([left, points, right], axis=1)
 
 
 def log_report(rec: rr.RecordingStream, markdown: str) -> None:
@@ -543,23 +521,30 @@ def read_series(
     component: str = "Scalars:scalars",
     timeline: str = "sim_time",
 ) -> tuple[Array, Array]:
-    """Return times (N,) [s] and values (N, ...) of one series of a recording, in time order.
+    """Return times (N,) [s] and values of one series of a recording, in time order.
 
     Args:
         path: of the `.rrd` file.
         entity: for example `/estimate/x`.
         component: for example `Points3D:positions`.
         timeline: `sim_time`, or `frame`, whose times are sample numbers.
+
+    Returns:
+        Values (N, ...); (N, k, ...) where k of them were logged at a time, as in `/paper/x`.
+
+    Raises:
+        VergenceError: the recording has no such series.
     """
-    times, values = [], []
+    times: list[np.ndarray] = []
+    rows: list[Any] = []
     stream = RrdReader(path).stream()
     for chunk in stream.filter(content=entity, components=component, has_timeline=timeline):
         batch = chunk.to_record_batch()
-        times.append(batch.column(timeline).cast(pa.int64()).to_numpy())
-        values.append(np.array([row[0] for row in batch.column(component).to_pylist()]))
+        times.append(batch.column(timeline).cast("int64").to_numpy())
+        rows += batch.column(component).to_pylist()
     if not times:
-        raise VergenceError(f"{path} has no series {entity} on the timeline {timeline}.")
-    t = np.concatenate(times)
+        raise VergenceError(f"{path} has no {component} at {entity} on the timeline {timeline}.")
+    t, values = np.concatenate(times), np.array(rows)
     order = np.argsort(t, kind="stable")
-    seconds = t[order] * (1e-9 if timeline == "sim_time" else 1)
-    return seconds, np.concatenate(values)[order]
+    seconds = t[order] * (1e-9 if timeline == "sim_time" else 1.0)
+    return seconds, (values[:, 0] if values.shape[1] == 1 else values)[order]

@@ -1,5 +1,8 @@
 """What the model looks like: its visible shapes, for whoever draws the head without MuJoCo."""
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's compiled module has no type stubs.
+
 from __future__ import annotations
 
 from dataclasses import dataclass

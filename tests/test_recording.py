@@ -1,0 +1,368 @@
+"""The recordings: whole or not there, and with the numbers that were passed."""
+
+import subprocess
+import sys
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import rerun as rr
+from rerun.chunk import RrdReader
+
+from vergence import recording
+from vergence.arrays import Array
+from vergence.dataset import Frame
+from vergence.errors import VergenceError
+from vergence.experiments.paper import FIGURES
+from vergence.experiments.statistics import describe
+from vergence.experiments.trajectories import eye_angles
+from vergence.geometry import pose, transform
+from vergence.head import HeadCalibration
+from vergence.twin.appearance import VisualGeom, visual_geoms
+from vergence.twin.model import load_spec, model_folder, nominal_head
+
+FIGURE = FIGURES[6]
+OBJECT = np.array(FIGURE.mean_m)
+SAMPLES, EVERY, DROPPED = 24, 4, (5, 11)
+TIMES: Array = np.round(np.arange(SAMPLES) * 0.1178, 3).astype(float)
+T_WORLD_LBASE = pose(t=[0.0, 0.046, 1.2])
+IN_IMAGE, OUTSIDE, NOT_FOUND = (
+    np.array([320.25, 200.0]),
+    np.array([700.0, 200.0]),
+    np.full(2, np.nan),
+)
+
+
+@pytest.fixture(scope="module")
+def head() -> HeadCalibration:
+    return nominal_head("2.8mm")
+
+
+@pytest.fixture(scope="module")
+def geoms() -> list[VisualGeom]:
+    return visual_geoms(load_spec().compile())
+
+
+def estimates(seed: int = 0) -> np.ndarray:
+    points = np.random.default_rng(seed).normal(OBJECT, FIGURE.std_m, (SAMPLES, 3))
+    points[list(DROPPED)] = np.nan
+    return points
+
+
+def noisy_image(rng: np.random.Generator) -> np.ndarray:
+    """A picture as the twin's cameras give it: smooth, with noise of 3 grey levels."""
+    coarse = rng.uniform(60, 190, (12, 16)).astype(np.float32)
+    smooth = cv2.resize(coarse, (640, 480), interpolation=cv2.INTER_CUBIC)
+    noise = rng.normal(0, 3, (480, 640, 3))
+    return np.clip(smooth[:, :, None] + noise, 0, 255).astype(np.uint8)
+
+
+def frame(head: HeadCalibration, index: int) -> Frame:
+    rng = np.random.default_rng(index)
+    return Frame(
+        time_s=TIMES[index],
+        joint_time_s=TIMES[index],
+        eye_angles=eye_angles(FIGURE.motion, TIMES)[index],
+        neck_angles=np.zeros(3),
+        images={name: noisy_image(rng) for name in head.cameras},
+    )
+
+
+def log_all(rec: rr.RecordingStream, head: HeadCalibration, seed: int = 0) -> None:
+    for index in range(0, SAMPLES, EVERY):
+        recording.log_frame(
+            rec,
+            time_s=TIMES[index],
+            index=index,
+            frame=frame(head, index),
+            body_poses={"head": pose(t=[0, 0, 1.2]), "left_eye": T_WORLD_LBASE},
+            detected={"left_wide": IN_IMAGE, "left_narrow": NOT_FOUND},
+            truth={"left_wide": IN_IMAGE, "left_narrow": OUTSIDE},
+        )
+    points = estimates(seed)
+    recording.log_series(
+        rec,
+        figure=FIGURE,
+        head=head,
+        time_s=TIMES,
+        points=points,
+        object_m=OBJECT,
+        eye_angles=eye_angles(FIGURE.motion, TIMES),
+        T_world_lbase=T_WORLD_LBASE,
+        statistics=describe(points),
+    )
+    recording.log_statistics(rec, figure=FIGURE, object_m=OBJECT, statistics=describe(points))
+    recording.log_report(rec, "# Fig. 6\n\nA report.")
+
+
+@pytest.fixture(scope="module")
+def recorded(
+    tmp_path_factory: pytest.TempPathFactory, head: HeadCalibration, geoms: list[VisualGeom]
+) -> Path:
+    path = tmp_path_factory.mktemp("run") / "fig06.rrd"
+    with recording.figure_recording(path, FIGURE, head, geoms) as rec:
+        log_all(rec, head)
+    return path
+
+
+def components(path: Path, entity: str, component: str) -> list:
+    """Return every row of a component, static ones too."""
+    rows = []
+    for chunk in RrdReader(path).stream().filter(content=entity, components=component):
+        rows += chunk.to_record_batch().column(component).to_pylist()
+    return rows
+
+
+def test_a_recording_passes_the_viewers_own_check(recorded: Path):
+    command = [sys.executable, "-m", "rerun", "rrd", "verify", str(recorded)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_recording_brings_its_layout(recorded: Path):
+    stores = RrdReader(recorded)
+    assert len(stores.blueprints()) == 1
+    assert stores.blueprints()[0].application_id == stores.recordings()[0].application_id
+
+
+def test_a_recording_has_only_its_own_timelines(recorded: Path):
+    names = set()
+    for chunk in RrdReader(recorded).stream():
+        names |= set(chunk.to_record_batch().schema.names)
+    assert names >= {"sim_time", "frame"}
+    assert not names & {"log_time", "log_tick"}
+
+
+def test_series_come_back_to_the_last_digit(recorded: Path):
+    located = np.delete(np.arange(SAMPLES), DROPPED)
+    for k, axis in enumerate("xyz"):
+        times, values = recording.read_series(recorded, f"/estimate/{axis}")
+        np.testing.assert_array_equal(values, estimates()[located, k])
+        np.testing.assert_allclose(times, TIMES[located], rtol=0, atol=1e-12)
+    numbers, _ = recording.read_series(recorded, "/estimate/x", timeline="frame")
+    np.testing.assert_array_equal(numbers, located)
+    _, pan = recording.read_series(recorded, "/joints/left_pan")
+    np.testing.assert_array_equal(pan, eye_angles(FIGURE.motion, TIMES)[:, 0])
+
+
+def test_the_spread_and_the_papers_span_the_whole_time(recorded: Path):
+    statistics = describe(estimates())
+    times, ours = recording.read_series(recorded, "/estimate_mean/z")
+    _, papers = recording.read_series(recorded, "/paper/z")
+    np.testing.assert_allclose(times, TIMES[[0, -1]], atol=1e-12)
+    for levels, mean, std in (
+        (ours, statistics.mean_m[2], statistics.std_m[2]),
+        (papers, FIGURE.mean_m[2], FIGURE.std_m[2]),
+    ):
+        np.testing.assert_array_equal(levels, np.tile([mean, mean + std, mean - std], (2, 1)))
+
+
+def test_statistics_travel_as_a_property(recorded: Path):
+    assert components(recorded, "/__properties/statistics", "std_m") == [
+        describe(estimates()).std_m.tolist()
+    ]
+    assert components(recorded, "/__properties/statistics", "dropped") == [[len(DROPPED)]]
+
+
+def test_estimates_hang_in_the_left_eyes_base_frame(recorded: Path):
+    entity = "/world/left_base"
+    (translation,) = components(recorded, entity, "Transform3D:translation")
+    np.testing.assert_allclose(translation[0], T_WORLD_LBASE[:3, 3], atol=1e-6)
+    _, trail = recording.read_series(recorded, f"{entity}/trail", component="Points3D:positions")
+    np.testing.assert_allclose(trail, np.delete(estimates(), DROPPED, axis=0), atol=1e-6)
+
+
+def test_lines_of_sight_start_at_the_cameras(recorded: Path, head: HeadCalibration):
+    straight = recording._lines_of_sight(head, OBJECT[None], np.zeros((1, 4)))[0]
+    np.testing.assert_allclose(straight[0], head.cameras["left_wide"].T_eye_cam[:3, 3])
+    in_right_base = transform(head.T_rbase_lbase, straight[2])
+    np.testing.assert_allclose(
+        in_right_base, head.cameras["right_wide"].T_eye_cam[:3, 3], atol=1e-12
+    )
+    _, strips = recording.read_series(
+        recorded, "/world/left_base/rays", component="LineStrips3D:strips"
+    )
+    assert strips.shape == (SAMPLES - len(DROPPED), 3, 3)
+
+
+def test_images_are_small_and_still_the_images(recorded: Path, head: HeadCalibration):
+    rows = components(recorded, "/world/left_eye/left_wide/image", "EncodedImage:blob")
+    assert len(rows) == SAMPLES // EVERY
+    blob = np.array(rows[1][0], np.uint8)
+    assert len(blob) < 26_000
+    decoded = np.array(cv2.imdecode(blob, cv2.IMREAD_COLOR_RGB), float)
+    error = decoded - frame(head, EVERY).images["left_wide"]
+    assert np.sqrt((error**2).mean()) < 4.5  # little more than the noise
+
+
+def test_marks_lie_half_a_pixel_on_and_only_within_the_image(recorded: Path):
+    def rings(camera: str) -> list:
+        return components(recorded, f"/world/left_eye/{camera}/truth", "Ellipses2D:centers")
+
+    def crosses(camera: str) -> list:
+        return components(recorded, f"/world/left_eye/{camera}/detected", "LineStrips2D:strips")
+
+    np.testing.assert_allclose(rings("left_wide")[0], [IN_IMAGE + 0.5])
+    np.testing.assert_allclose(np.mean(crosses("left_wide")[0], axis=(0, 1)), IN_IMAGE + 0.5)
+    assert rings("left_narrow") == [[]] * (SAMPLES // EVERY)
+    assert crosses("left_narrow") == [[]] * (SAMPLES // EVERY)
+
+
+def test_frames_may_come_from_another_thread(tmp_path: Path, head: HeadCalibration):
+    path = tmp_path / "fig06.rrd"
+    with (
+        recording.figure_recording(path, FIGURE, head, []) as rec,
+        ThreadPoolExecutor(max_workers=1) as worker,
+    ):
+        worker.submit(log_all, rec, head).result()
+    times, _ = recording.read_series(
+        path, "/world/left_eye/left_wide/image", component="EncodedImage:media_type"
+    )
+    np.testing.assert_allclose(times, TIMES[::EVERY], atol=1e-12)
+
+
+def test_same_input_gives_the_same_series(
+    recorded: Path, tmp_path: Path, head: HeadCalibration, geoms: list[VisualGeom]
+):
+    again, other = tmp_path / "again.rrd", tmp_path / "other.rrd"
+    for path, seed in ((again, 0), (other, 1)):
+        with recording.figure_recording(path, FIGURE, head, geoms) as rec:
+            log_all(rec, head, seed)
+    first, second, third = (
+        recording.read_series(path, "/estimate/x")[1] for path in (recorded, again, other)
+    )
+    np.testing.assert_array_equal(first, second)
+    assert (first != third).all()
+
+
+def test_recordings_of_two_runs_are_not_taken_for_one(
+    recorded: Path, tmp_path: Path, head: HeadCalibration
+):
+    path = tmp_path / recorded.name
+    with recording.figure_recording(path, FIGURE, head, []):
+        pass
+    ids = {RrdReader(p).recordings()[0].recording_id for p in (recorded, path)}
+    assert len(ids) == 2
+
+
+def interrupt(path: Path, head: HeadCalibration, interruption: type[BaseException]) -> None:
+    with recording.figure_recording(path, FIGURE, head, []) as rec:
+        recording.log_report(rec, "half")
+        raise interruption
+
+
+@pytest.mark.parametrize("interruption", [ValueError, KeyboardInterrupt])
+def test_an_interrupted_recording_leaves_nothing(
+    tmp_path: Path, head: HeadCalibration, interruption: type[BaseException]
+):
+    with pytest.raises(interruption):
+        interrupt(tmp_path / "new" / "fig06.rrd", head, interruption)
+    assert list((tmp_path / "new").iterdir()) == []
+
+
+def test_an_interrupted_recording_spares_the_one_before(tmp_path: Path, head: HeadCalibration):
+    path = tmp_path / "fig06.rrd"
+    path.write_text("before")
+    with pytest.raises(KeyboardInterrupt):
+        interrupt(path, head, KeyboardInterrupt)
+    assert path.read_text() == "before"
+
+
+def test_a_recording_has_its_name_only_when_it_is_whole(tmp_path: Path, head: HeadCalibration):
+    path = tmp_path / "fig06.rrd"
+    with recording.figure_recording(path, FIGURE, head, []):
+        assert not path.exists()
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def in_a_file(folder: Path) -> Path:
+    (folder / "file").write_text("")
+    return folder / "file" / "fig06.rrd"
+
+
+def at_a_folder(folder: Path) -> Path:
+    (folder / "fig06.rrd").mkdir()
+    return folder / "fig06.rrd"
+
+
+@pytest.mark.parametrize("place", [in_a_file, at_a_folder])
+def test_a_path_that_cannot_be_written_is_one_sentence(
+    tmp_path: Path, head: HeadCalibration, place: Callable[[Path], Path]
+):
+    path = place(tmp_path)
+    with pytest.raises(VergenceError) as caught, recording.figure_recording(path, FIGURE, head, []):
+        pass
+    message = str(caught.value)
+    assert str(path) in message
+    assert message.endswith(".")
+    assert "\n" not in message
+
+
+def test_bad_data_is_refused_not_dropped(tmp_path: Path, head: HeadCalibration):
+    with (
+        pytest.raises(ValueError, match="length"),
+        recording.figure_recording(tmp_path / "fig06.rrd", FIGURE, head, []) as rec,
+    ):
+        rec.send_columns(
+            "estimate/x",
+            [rr.TimeColumn("frame", sequence=[0, 1])],
+            rr.Scalars.columns(scalars=[0.0]),
+        )
+
+
+def test_a_missing_series_is_named(recorded: Path):
+    with pytest.raises(VergenceError, match="/estimate/w"):
+        recording.read_series(recorded, "/estimate/w")
+
+
+def test_a_run_without_estimates_can_be_recorded(tmp_path: Path, head: HeadCalibration):
+    path = tmp_path / "fig06.rrd"
+    points = np.full((SAMPLES, 3), np.nan)
+    with recording.figure_recording(path, FIGURE, head, []) as rec:
+        recording.log_series(
+            rec,
+            figure=FIGURE,
+            head=head,
+            time_s=TIMES,
+            points=points,
+            object_m=OBJECT,
+            eye_angles=np.zeros((SAMPLES, 4)),
+            T_world_lbase=T_WORLD_LBASE,
+            statistics=describe(points),
+        )
+    times, _ = recording.read_series(path, "/joints/right_tilt")
+    assert len(times) == SAMPLES
+
+
+def test_every_part_of_the_head_is_drawn_and_nothing_else(geoms: list[VisualGeom]):
+    model = load_spec().compile()
+    drawn = {geom.body for geom in geoms}
+    assert drawn >= {"head", "left_eye", "right_eye", "left_pan", "right_pan", "object", "board"}
+    assert "world" not in drawn
+    collision = sum(model.geom_group == 3)
+    room = sum(model.geom_bodyid == 0)
+    assert len(geoms) == model.ngeom - collision - room
+
+
+def test_meshes_are_drawn_where_the_model_has_them(geoms: list[VisualGeom]):
+    shell = next(geom for geom in geoms if geom.body == "head" and geom.triangles is not None)
+    assert shell.triangles is not None
+    assert shell.normals is not None
+    corners = transform(shell.T_body_geom, shell.triangles.reshape(-1, 3))
+    lines = (model_folder() / "assets" / "shell.obj").read_text().splitlines()
+    vertices = np.array([line.split()[1:] for line in lines if line.startswith("v ")], float)
+    for bound in (np.min, np.max):
+        np.testing.assert_allclose(bound(corners, axis=0), bound(vertices, axis=0), atol=2e-5)
+    np.testing.assert_allclose(np.linalg.norm(shell.normals, axis=-1), 1, atol=1e-5)
+
+
+def test_the_board_brings_its_chessboard(geoms: list[VisualGeom]):
+    (board,) = (geom for geom in geoms if geom.body == "board" and geom.shape == "plane")
+    assert board.texture is not None
+    height, width = board.texture.shape[:2]
+    assert width / height == pytest.approx(board.size[0] / board.size[1])
+    assert board.texture.min() < 60
+    assert board.texture.max() > 200
