@@ -50,9 +50,47 @@ def find_corners(image: np.ndarray, board: Chessboard) -> Array | None:
     if not found or corners is None:
         return None
     corners = corners.reshape(-1, 2).astype(float)
+    grid = corners.reshape(board.rows, board.columns, 2)
+    spacing = min(np.linalg.norm(np.diff(grid, axis=k), axis=2).min() for k in (0, 1))
+    corners = refine_corners(grey, corners, radius_px=int(np.clip(spacing / 4, 2, 5)))
     if (board.columns + board.rows) % 2 and _first_square_is_white(grey, corners, board):
         corners = corners[::-1]
     return np.ascontiguousarray(corners)
+
+
+def refine_corners(grey: np.ndarray, corners: Array, *, radius_px: int) -> Array:
+    """Move corners (K, 2) onto the saddle points of the grey levels around them.
+
+    Around a corner the slightly blurred image is a saddle; a quadratic is fitted to a disc and
+    its stationary point taken, three times over (after Lucchese and Mitra, 2002). On rendered
+    boards that lean or are near this is free of the errors of up to half a pixel that single
+    corners of OpenCV's detector have there.
+
+    Args:
+        grey: (H, W) uint8.
+        corners: (K, 2) px, right to about a pixel.
+        radius_px: of the disc; it must stay clear of the neighbouring corners.
+
+    Returns:
+        (K, 2) px; a corner around which there is no saddle within a pixel and a half stays.
+    """
+    blurred = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 0.7)
+    v, u = np.mgrid[-radius_px : radius_px + 1, -radius_px : radius_px + 1]
+    disc = u * u + v * v <= (radius_px + 0.2) ** 2
+    u, v = u[disc].astype(float), v[disc].astype(float)
+    fit = np.linalg.pinv(np.stack([u * u, u * v, v * v, u, v, np.ones_like(u)], axis=-1))
+    refined = corners.copy()
+    for _ in range(3):
+        at = (refined[:, None] + np.stack([u, v], axis=-1)).astype(np.float32)
+        grey_levels = cv2.remap(blurred, at[..., 0], at[..., 1], cv2.INTER_CUBIC)
+        a, b, c, d, e, _ = (grey_levels @ fit.T).T
+        det = 4 * a * c - b * b  # negative at a saddle
+        with np.errstate(divide="ignore", invalid="ignore"):
+            step = np.stack([b * e - 2 * c * d, b * d - 2 * a * e], axis=-1) / det[:, None]
+        step[(det >= 0) | (np.abs(step).max(axis=1) > 1.5)] = np.nan
+        refined += step
+    lost = ~(np.abs(refined - corners).max(axis=1) < 1.5)
+    return np.where(lost[:, None], corners, refined)
 
 
 def _first_square_is_white(grey: np.ndarray, corners: Array, board: Chessboard) -> bool:

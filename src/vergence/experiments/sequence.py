@@ -28,7 +28,7 @@ BOARD = Chessboard(columns=9, rows=6, square_m=0.030)
 WIDE_VIEWS = 18
 """Boards near the eyes, for the wide cameras and the static stereo."""
 NARROW_VIEWS = 12
-"""Boards for each narrow camera, seen by its wide one too."""
+"""Boards for each narrow camera, seen by both wide ones too."""
 ORIENTATIONS = 60
 """Eye orientations at which the fixed board is seen."""
 _MARGIN_RAD = 0.055  # room for the board's white margin, and for cameras that sit a few degrees off
@@ -62,10 +62,10 @@ def plan(head: HeadCalibration, seed: int) -> list[Shot]:
         T = _held_board(head, wide, (0.28, 0.65), 0.7, rng)
         shots.append(Shot(len(shots), T, straight, wide))
     for eye in EYES:
-        pair = (f"{eye}_wide", f"{eye}_narrow")
+        trio = (*wide, f"{eye}_narrow")
         for _ in range(NARROW_VIEWS):
-            T = _held_board(head, pair, (0.72, 1.1), 0.6, rng)
-            shots.append(Shot(len(shots), T, straight, pair))
+            T = _held_board(head, trio, (0.72, 1.1), 0.6, rng)
+            shots.append(Shot(len(shots), T, straight, trio))
     fixed = len(shots)
     T_fixed = _facing((0.60, 0.0, 0.0), np.array([0.25, -0.2, 0.05]))
     # Directions spread evenly over an ellipse (sunflower): pan and tilt vary independently. Its
