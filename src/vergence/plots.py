@@ -137,7 +137,9 @@ def _cells(figure: Figure, statistics: Statistics) -> list[list[str]]:
         mm, std_mm = 1e3 * statistics.mean_m[k], 1e3 * statistics.std_m[k]
         located = bool(np.isfinite(std_mm))
         columns[1].append(f"{paper_mm:.0f} ± {paper_std_mm:.0f}")
-        columns[2].append(f"{mm:.1f} ± {std_mm:.1f}" if located else "not located")
+        digits = 1 if std_mm >= 1 else 2
+        ours = f"{mm:.{digits}f} ± {std_mm:.{digits}f}"
+        columns[2].append(ours if located else "not located")
         columns[3].append(f"{std_mm / paper_std_mm:.2f}" if located else "")
     return columns
 

@@ -90,7 +90,9 @@ def blueprint(figure: Figure, head: HeadCalibration) -> rrb.Blueprint:
         figure: the one that is recorded; its object and the head fill the 3-D view.
         head: whose cameras are shown.
     """
-    whole = rrb.TimeAxis(link="LinkToGlobal")
+    # Without it a plot keeps the range of what was loaded when it was first drawn.
+    ever = rr.TimeRangeBoundary.infinite()
+    whole = rrb.TimeAxis(view_range=rr.TimeRange(start=ever, end=ever))
     axes = [
         rrb.TimeSeriesView(
             name=f"{label} [m]: bright estimate, pale mean and ± std, grey the paper's",
