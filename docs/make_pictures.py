@@ -22,7 +22,7 @@ from rerun.experimental import ViewerClient  # experimental: its names change be
 
 IMAGES = Path(__file__).parent / "images"
 MOST_BYTES = 250_000
-MOMENT_S = 24.2
+MOMENT_S = 20.3
 """When the screenshot is taken: all four cameras of Fig. 6 see the object, and there is a trail."""
 PORT = 9987
 
