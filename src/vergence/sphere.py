@@ -47,8 +47,10 @@ def find_sphere(image: np.ndarray, camera: Camera) -> Array:
     u, v = np.meshgrid(np.arange(u0, u1), np.arange(v0, v1))
     pixels = np.stack([u, v], axis=-1).reshape(-1, 2).astype(float)
     xy = normalise(camera, pixels)
+    if not np.isfinite(xy).all():
+        return np.full(2, np.nan)
     weights = cover.ravel() * normalise_area(camera, xy)
-    if not np.isfinite(xy).all() or not weights.sum() > 0:
+    if not weights.sum() > 0:
         return np.full(2, np.nan)
     ray = _cone_axis(weights @ xy / weights.sum(), weights.sum())
     return project(camera, ray)
@@ -60,13 +62,13 @@ def _cone_axis(centroid: Array, area: float) -> Array:
     With c the axis and s the sine of half the opening angle, the ellipse has the centre
     c_xy c_z / (c_z^2 - s^2) and the area pi s^2 sqrt(1 - s^2) / (c_z^2 - s^2)^(3/2).
     """
-    s2, axis = 0.0, np.array([*centroid, 1.0]) / np.hypot(1, np.linalg.norm(centroid))
+    s2, c_z2, m2 = 0.0, 1.0, centroid @ centroid
     for _ in range(50):  # a contraction by about s^2, which is far below one
-        before = axis
-        gap = axis[2] ** 2 - s2
-        s2 = min(area / np.pi * gap**1.5 / np.sqrt(1 - s2), 0.5 * axis[2] ** 2)
-        xy = centroid * (axis[2] ** 2 - s2) / axis[2]
-        axis = np.array([*xy, np.sqrt(max(1 - xy @ xy, 1e-12))])
-        if np.abs(axis - before).max() < 1e-14:
+        before = s2
+        # |c| = 1 makes the first of the two a quadratic equation in c_z^2.
+        c_z2 = (1 + 2 * m2 * s2 + np.sqrt(1 + 4 * m2 * s2 * (1 - s2))) / (2 * (1 + m2))
+        s2 = min(area / np.pi * (c_z2 - s2) ** 1.5 / np.sqrt(1 - s2), 0.5 * c_z2)
+        if abs(s2 - before) < 1e-15:
             break
-    return axis
+    c_z = np.sqrt(c_z2)
+    return np.array([*(centroid * (c_z2 - s2) / c_z), c_z])
