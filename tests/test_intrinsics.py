@@ -1,0 +1,123 @@
+"""One camera from views of a flat board, and the board's poses."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vergence.calibration.intrinsics import calibrate_intrinsics, target_poses
+from vergence.calibration.target import Chessboard, corner_points
+from vergence.camera import Camera, project
+from vergence.errors import VergenceError
+from vergence.geometry import pose, rotation, transform
+
+POINTS = corner_points(Chessboard(9, 6, 0.03))
+SIZE = (640, 480)
+
+
+def boards(n: int, rng: np.random.Generator) -> np.ndarray:
+    """Return T_cam_target (n, 4, 4) of boards before a camera."""
+    turn = pose(rotation(rng.uniform(-0.6, 0.6, (n, 3))))
+    where = pose(t=rng.uniform([-0.12, -0.08, 0.3], [0.12, 0.08, 0.6], (n, 3)))
+    return where @ turn @ pose(t=-POINTS.mean(axis=0))
+
+
+def lens(rng: np.random.Generator, *free: int) -> Camera:
+    """Return a camera with the given distortion coefficients, others zero."""
+    f = rng.uniform(250, 450)
+    matrix = np.array([[f, 0, rng.normal(320, 8)], [0, f * 1.01, rng.normal(240, 8)], [0, 0, 1]])
+    distortion = np.zeros(5)
+    distortion[list(free)] = np.array([-0.12, 0.02, 5e-4, -5e-4, 0])[list(free)]
+    return Camera(*SIZE, matrix, distortion)
+
+
+def views(camera: Camera, T_cam_target: np.ndarray) -> np.ndarray:
+    return project(camera, transform(T_cam_target[:, None], POINTS))
+
+
+@pytest.mark.parametrize(
+    ("model", "free"),
+    [("none", ()), ("k1", (0,)), ("k1k2", (0, 1)), ("radial-tangential", (0, 1, 2, 3))],
+)
+def test_exact_corners_give_the_exact_camera(model, free: tuple[int, ...]):
+    """Eqs. 1-2, with each lens model: to 1e-9."""
+    rng = np.random.default_rng(4)
+    camera = lens(rng, *free)
+    found = calibrate_intrinsics(
+        views(camera, boards(10, rng)), POINTS, size=SIZE, lens_model=model
+    )
+    np.testing.assert_allclose(found.camera.matrix, camera.matrix, atol=1e-9)
+    np.testing.assert_allclose(found.camera.distortion, camera.distortion, atol=1e-10)
+    assert found.rms_px < 1e-10
+    assert found.views == 10
+
+
+def test_corners_that_were_not_seen_are_left_out():
+    rng = np.random.default_rng(5)
+    camera = lens(rng, 0, 1, 2, 3)
+    corners = views(camera, boards(12, rng))
+    corners[rng.uniform(size=corners.shape[:2]) < 0.3] = np.nan
+    corners[3], corners[7, 3:] = np.nan, np.nan
+    found = calibrate_intrinsics(corners, POINTS, size=SIZE, lens_model="radial-tangential")
+    np.testing.assert_allclose(found.camera.matrix, camera.matrix, atol=1e-8)
+    assert found.views == 10
+
+
+def test_noise_leaves_errors_of_its_own_size():
+    """The residual is the noise; parameters stay within a few of their standard errors."""
+    rng = np.random.default_rng(6)
+    camera = lens(rng, 0, 1)
+    corners = views(camera, boards(20, rng))
+    corners = corners + rng.normal(0, 0.1, corners.shape)
+    found = calibrate_intrinsics(corners, POINTS, size=SIZE, lens_model="k1k2")
+    assert found.rms_px == pytest.approx(0.1 * np.sqrt(2), rel=0.1)
+    assert np.abs(found.camera.matrix - camera.matrix).max() < 0.7
+
+
+def test_the_polished_minimum_is_one():
+    """No parameter can be moved, with the poses free, to a smaller residual."""
+    rng = np.random.default_rng(7)
+    camera = lens(rng, 0)
+    corners = views(camera, boards(8, rng))
+    corners = corners + rng.normal(0, 0.2, corners.shape)
+    found = calibrate_intrinsics(corners, POINTS, size=SIZE, lens_model="k1")
+
+    def cost(matrix: np.ndarray) -> float:
+        moved = Camera(*SIZE, matrix, found.camera.distortion)
+        return float(((corners - views(moved, target_poses(moved, corners, POINTS))) ** 2).sum())
+
+    least = cost(found.camera.matrix)
+    for place in ((0, 0), (1, 1), (0, 2), (1, 2)):
+        for step in (-0.05, 0.05):
+            matrix = found.camera.matrix.copy()
+            matrix[place] += step
+            assert cost(matrix) > least
+
+
+@pytest.mark.parametrize("usable", [0, 2])
+def test_too_few_views_are_refused(usable: int):
+    rng = np.random.default_rng(8)
+    corners = views(lens(rng), boards(5, rng))
+    corners[usable:, 3:] = np.nan
+    with pytest.raises(VergenceError, match=f"at least 3 views of the board, found {usable}"):
+        calibrate_intrinsics(corners, POINTS, size=SIZE, lens_model="none")
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=20)
+def test_exact_corners_give_the_exact_poses(seed: int):
+    rng = np.random.default_rng(seed)
+    camera, T = lens(rng, 0, 1, 2, 3), boards(5, rng)
+    np.testing.assert_allclose(target_poses(camera, views(camera, T), POINTS), T, atol=1e-10)
+
+
+def test_a_pose_needs_six_corners():
+    rng = np.random.default_rng(9)
+    camera, T = lens(rng), boards(3, rng)
+    corners = views(camera, T)
+    corners[0, 5:] = np.nan
+    corners[1, :20] = np.nan
+    poses = target_poses(camera, corners, POINTS)
+    assert np.isnan(poses[0]).all()
+    np.testing.assert_allclose(poses[1:], T[1:], atol=1e-10)
+    assert np.isnan(target_poses(camera, corners[:1], POINTS)).all()

@@ -1,0 +1,72 @@
+"""The pose between two cameras that see the same board."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from heads import random_camera, random_pose
+from test_intrinsics import POINTS, boards, views
+from vergence.calibration.static_stereo import calibrate_pair
+from vergence.camera import Camera
+from vergence.errors import VergenceError
+from vergence.geometry import inverse, log, pose
+
+
+def pair(
+    rng: np.random.Generator, n: int = 8
+) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray], tuple[Camera, Camera]]:
+    """Return T_b_a, corners (n, K, 2) in both cameras, and the cameras, without skew."""
+    cameras = []
+    for _ in range(2):
+        camera = random_camera(rng)
+        matrix = camera.matrix * (1 - np.eye(3, k=1))  # OpenCV knows no skew
+        cameras.append(Camera(640, 480, matrix, camera.distortion))
+    T_b_a = random_pose(rng, 0.05, 0.002) @ pose(t=[0.09, 0, 0])
+    T_a_target = pose(t=[-0.045, 0, 0]) @ boards(n, rng)
+    corners = views(cameras[0], T_a_target), views(cameras[1], T_b_a @ T_a_target)
+    return T_b_a, corners, (cameras[0], cameras[1])
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=15)
+def test_exact_corners_give_the_exact_pose(seed: int):
+    T_b_a, corners, cameras = pair(np.random.default_rng(seed))
+    found, rms = calibrate_pair(*corners, POINTS, *cameras)
+    np.testing.assert_allclose(found, T_b_a, atol=1e-10)
+    assert rms < 1e-9
+
+
+def test_one_view_is_enough():
+    T_b_a, corners, cameras = pair(np.random.default_rng(1), n=1)
+    found, _ = calibrate_pair(*corners, POINTS, *cameras)
+    np.testing.assert_allclose(found, T_b_a, atol=1e-9)
+
+
+def test_only_corners_that_both_cameras_saw_count():
+    rng = np.random.default_rng(2)
+    T_b_a, corners, cameras = pair(rng)
+    for seen in corners:
+        seen[rng.uniform(size=seen.shape[:2]) < 0.3] = np.nan
+    corners[0][3], corners[1][5, 4:] = np.nan, np.nan
+    found, rms = calibrate_pair(*corners, POINTS, *cameras)
+    np.testing.assert_allclose(found, T_b_a, atol=1e-9)
+    assert rms < 1e-9
+
+
+def test_noise_leaves_an_error_of_its_own_size():
+    rng = np.random.default_rng(3)
+    T_b_a, corners, cameras = pair(rng, n=15)
+    noisy = [c + rng.normal(0, 0.1, c.shape) for c in corners]
+    found, rms = calibrate_pair(*noisy, POINTS, *cameras)
+    error = log(inverse(T_b_a) @ found)
+    assert np.degrees(np.linalg.norm(error[:3])) < 0.05
+    assert np.linalg.norm(error[3:]) < 5e-4
+    assert rms == pytest.approx(0.1 * np.sqrt(2), rel=0.1)
+
+
+def test_cameras_that_never_saw_the_board_together_are_refused():
+    _, corners, cameras = pair(np.random.default_rng(4))
+    corners[0][:4], corners[1][4:] = np.nan, np.nan
+    with pytest.raises(VergenceError, match="both see the board, found none"):
+        calibrate_pair(*corners, POINTS, *cameras)
