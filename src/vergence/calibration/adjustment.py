@@ -85,7 +85,7 @@ def adjust(
     assumed = ~told[1:] & (left[1:] < 1)
     told[1:] |= assumed
     noise = replace(first, joint=np.where(assumed, USUAL_JOINT, first.joint))
-    state, agreed, converged = start, False, False
+    state, agreed, converged, restarted = start, False, False, False
     components = Components(noise, np.zeros(1 + groups), left)
     for _ in range(ROUNDS):
         state, converged = minimise(problem, state, noise, seen.basis)
@@ -98,7 +98,9 @@ def adjust(
         noise, before = components.noise, seen
         linear, seen = _survey(problem, state, noise)
         if len(seen.held) > len(before.held):
-            state = start  # what turns out to be unobservable has wandered
+            state, restarted = start, True  # what turns out to be unobservable has wandered
+        elif restarted and len(seen.held) < len(before.held):
+            seen = before  # once wandered, always held: taking turns would never end
         agreed = change < 1e-3 and len(seen.held) == len(before.held)
         if agreed:
             break

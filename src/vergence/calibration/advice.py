@@ -15,6 +15,8 @@ SMALL_RAD = 0.05
 ADVISED = "by at least 0.1 rad, better 0.25"
 """Twenty views within 0.03 rad know a mounting to 0.2 degrees and 1 mm, within 0.1 rad to 0.05
 degrees and 0.4 mm, at 0.1 px and 0.1 degrees of noise."""
+SENSE = 6.0
+"""Motion, as a multiple of the noise of its mean, from which its sense is beyond doubt."""
 NAMED = 0.3
 """A direction's components of this size, relative to the largest, are named."""
 
@@ -38,6 +40,8 @@ def warnings(problem: Problem, found: Adjusted) -> tuple[str, ...]:
     ):
         for subject, eyes in _subjects(problem, rows):
             said.append(f"{subject}: {what}; {_causes(problem, found, eyes)}.")
+    for e in np.unique(problem.block_eye):
+        said += _senses(problem, found, int(e))
     for k in np.flatnonzero(found.assumed):
         said.append(
             f"The noise of the joint readings cannot be told from these views; {noise.joint[k]:g} "
@@ -111,17 +115,13 @@ def _placements_of_both(problem: Problem) -> bool:
 
 def _motion(problem: Problem, found: Adjusted, eye: int) -> list[str]:
     """Return what is wrong with the motion of one eye before boards at rest."""
-    whose = "the eye" if len(problem.cameras) == 1 else f"the {EYES[eye]} eye"
-    mine = problem.eye[problem.camera] == eye
-    pairs = np.unique(np.stack([problem.placement[mine], problem.block[mine]]), axis=1)
-    _, which, counts = np.unique(pairs[0], return_inverse=True, return_counts=True)
-    if counts.max() < 2:
+    whose = _whose(problem, eye)
+    blocks, which = _views(problem, eye)
+    if np.bincount(which).max() < 2:
         return [f"{whose} sees each board in one view only; let it move before a board at rest"]
     if problem.poses is not None:
-        return _turning(problem, found.state, pairs[1], which, whose)
-    angles = found.state.latent[pairs[1]]
-    means = np.stack([np.bincount(which, column) / counts for column in angles.T], axis=-1)
-    away = angles - means[which]
+        return _turning(problem, found.state, blocks, which, whose)
+    away = _away(found.state.latent[blocks], which)
     noise = found.components.noise
     causes = []
     for k, joint in enumerate(("pan", "tilt")):
@@ -140,6 +140,45 @@ def _motion(problem: Problem, found: Adjusted, eye: int) -> list[str]:
     if not causes and together < SMALL_RAD / 3:
         causes.append(f"pan and tilt of {whose} move together; move one without the other")
     return causes
+
+
+def _senses(problem: Problem, found: Adjusted, eye: int) -> list[str]:
+    """Return a sentence for each joint whose motion is so small that its sense is uncertain.
+
+    A mounting turned about the other axis by half a turn then fits as well: no covariance, which
+    looks at one solution only, can tell.
+    """
+    blocks, which = _views(problem, eye)
+    if problem.poses is not None or np.bincount(which).max() < 2:
+        return []
+    length = np.linalg.norm(_away(found.state.latent[blocks], which), axis=0)
+    noise = found.components.noise
+    return [
+        f"Readings of {joint} of {_whose(problem, eye)} hardly follow its motion: the noise is "
+        f"{level:.2g} rad, and even the sense of the motion is uncertain; do not trust the result."
+        for joint, size, level in zip(
+            ("pan", "tilt"), length, noise.joint[noise.group], strict=True
+        )
+        if size < SENSE * level
+    ]
+
+
+def _views(problem: Problem, eye: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the blocks in which an eye sees boards, and before which placement it does."""
+    mine = problem.eye[problem.camera] == eye
+    pairs = np.unique(np.stack([problem.block[mine], problem.placement[mine]]), axis=1)
+    return pairs[0], np.unique(pairs[1], return_inverse=True)[1]
+
+
+def _away(angles: Array, which: np.ndarray) -> Array:
+    """Return the angles (N, 2) less their mean before each placement."""
+    counts = np.bincount(which)
+    means = np.stack([np.bincount(which, column) / counts for column in angles.T], axis=-1)
+    return angles - means[which]
+
+
+def _whose(problem: Problem, eye: int) -> str:
+    return "the eye" if len(problem.cameras) == 1 else f"the {EYES[eye]} eye"
 
 
 def _turning(
