@@ -1,0 +1,133 @@
+"""Error profiles: what ships loads, what is wrong is refused by name."""
+
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+
+from vergence.errors import VergenceError
+from vergence.twin.profile import ErrorProfile, load_profile, shipped
+
+
+@pytest.fixture
+def write(tmp_path: Path):
+    def write(text: str | bytes) -> str:
+        path = tmp_path / "mine.toml"
+        path.write_bytes(text.encode() if isinstance(text, str) else text)
+        return str(path)
+
+    return write
+
+
+def test_the_three_profiles_ship():
+    assert {"ideal", "noise-only", "paper"} <= set(shipped())
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_what_ships_loads_under_its_own_name(name: str):
+    profile = load_profile(name)
+    assert profile.name == name
+    assert profile.description.endswith(".")
+
+
+def test_ideal_has_noise_in_the_image_and_mounting_errors_only():
+    profile = load_profile("ideal")
+    assert profile.image.noise_grey > 0
+    assert profile.mounting.rotation_deg > 0
+    perfect = ErrorProfile()
+    assert profile.joints == perfect.joints
+    assert profile.axes == perfect.axes
+    assert profile.by_hand == perfect.by_hand
+    assert profile.calibration == perfect.calibration
+
+
+def test_noise_only_is_ideal_with_white_noise_in_the_joints():
+    ideal, noisy = load_profile("ideal"), load_profile("noise-only")
+    assert noisy.joints.noise_deg > 0
+    quiet = noisy.joints.model_copy(update={"noise_deg": 0.0})
+    same = {"name": ideal.name, "description": ideal.description, "joints": quiet}
+    assert noisy.model_copy(update=same) == ideal
+
+
+def test_paper_has_at_most_six_fitted_parameters():
+    assert len(load_profile("paper").fitted) <= 6
+
+
+def test_an_empty_file_is_a_perfect_head(write):
+    assert load_profile(write("")) == ErrorProfile()
+
+
+def test_values_arrive_where_they_belong(write):
+    profile = load_profile(
+        write("[joints]\ndelay_ms = -26\ngain_percent = [1, 2, 3, 4]\n[optics]\ndistortion = false")
+    )
+    assert profile.joints.delay_ms == -26
+    assert profile.joints.gain_percent == (1, 2, 3, 4)
+    assert profile.optics.distortion is False
+
+
+WRONG = {
+    "[joints]\nnoise_degree = 1": "joints.noise_degree",
+    "[sensors]\nnoise_deg = 1": "sensors",
+    "[joints]\nnoise_deg = -1": "joints.noise_deg = -1",
+    "[joints]\nnoise_deg = nan": "joints.noise_deg = nan",
+    "[joints]\nnoise_deg = inf": "joints.noise_deg = inf",
+    "[joints]\nnoise_deg = 'much'": "joints.noise_deg = 'much'",
+    "[joints]\ngain_percent = [1, 2]": "joints.gain_percent",
+    "[joints]\ngain_percent = 1": "joints.gain_percent = 1",
+    "[joints]\ncounts_per_turn = 4096.5": "joints.counts_per_turn = 4096.5",
+    "[joints]\ncounts_per_turn = -4096": "joints.counts_per_turn = -4096",
+    "[joints]\nbacklash_deg = 90": "joints.backlash_deg = 90",
+    "[joints]\ndelay_ms = 1000": "joints.delay_ms = 1000",
+    "[mounting]\nbaseline_mm = 0": "mounting.baseline_mm = 0",
+    "[mounting]\nrotation_deg = -0.1": "mounting.rotation_deg",
+    "[image]\nnoise_grey = 300": "image.noise_grey = 300",
+    "[image]\nblur_px = -1": "image.blur_px = -1",
+    "[optics]\ndistortion = 'none'": "optics.distortion = 'none'",
+    "[calibration]\nwide_lens = 'fisheye'": "calibration.wide_lens = 'fisheye'",
+    "[calibration]\nsquare_percent = -50": "calibration.square_percent",
+    "[by_hand]\nfocal_percent = 1": "by_hand.focal_percent",
+    "[[fitted]]\nname = 'x'": "fitted.0.value",
+    "joints = 3": "joints = 3",
+}
+
+
+@pytest.mark.parametrize("text", WRONG)
+def test_an_unknown_or_impossible_value_is_refused_by_name(write, text: str):
+    with pytest.raises(VergenceError, match=r"mine\.toml is not an error profile") as caught:
+        load_profile(write(text))
+    assert WRONG[text] in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["[joints", "noise = ", "a = 1\na = 2"])
+def test_malformed_toml_is_refused(write, text: str):
+    with pytest.raises(VergenceError, match=r"mine\.toml is not valid TOML"):
+        load_profile(write(text))
+
+
+def test_a_file_that_is_no_text_is_refused(write):
+    with pytest.raises(VergenceError, match="not UTF-8 text"):
+        load_profile(write(b"\xff\xfe\x00"))
+
+
+def test_a_missing_file_is_named(tmp_path: Path):
+    with pytest.raises(VergenceError, match=r"Cannot read .*none\.toml: No such file"):
+        load_profile(str(tmp_path / "none.toml"))
+
+
+def test_a_folder_is_no_profile(tmp_path: Path):
+    (tmp_path / "folder.toml").mkdir()
+    with pytest.raises(VergenceError, match="Is a directory"):
+        load_profile(str(tmp_path / "folder.toml"))
+
+
+@pytest.mark.parametrize("name", ["perfect", "Ideal", "", "ideal.yaml", "../ideal"])
+def test_an_unknown_name_is_answered_with_the_known_ones(name: str):
+    with pytest.raises(VergenceError, match=r"there are ideal, noise-only, paper"):
+        load_profile(name)
+
+
+def test_a_profile_cannot_be_changed():
+    with pytest.raises(ValidationError, match="frozen"):
+        ErrorProfile().name = "other"  # pyright: ignore

@@ -1,0 +1,236 @@
+"""The twin against MuJoCo, and what its frames show and hide."""
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import fields
+
+import mujoco
+import numpy as np
+import pytest
+
+from vergence.dataset import Frame
+from vergence.geometry import pose
+from vergence.head import HeadCalibration, T_base_cam, T_body_base
+from vergence.kinematics import T_base_eye
+from vergence.twin.head import Twin
+from vergence.twin.model import (
+    CAMERAS,
+    JOINTS,
+    R_MJCAM_CAM,
+    T_world_body,
+    as_built_head,
+    compile_head,
+    nominal_head,
+)
+from vergence.twin.profile import Axes, ErrorProfile, Image, Joints, Mounting, Optics
+from vergence.twin.renderer import overscan_sizes
+
+EVERYTHING = ErrorProfile(
+    mounting=Mounting(
+        rotation_deg=2,
+        translation_mm=3,
+        base_rotation_deg=1,
+        base_translation_mm=2,
+        baseline_mm=80,
+    ),
+    axes=Axes(nonorthogonality_deg=(1.0, -0.7), distance_mm=(0.8, -0.5)),
+    optics=Optics(focal_percent=2, principal_px=5),
+    image=Image(noise_grey=2, blur_px=0.5),
+    joints=Joints(noise_deg=0.05, gain_percent=(1, 2, -1, 0), offset_deg=(0.2, 0, 0, -0.3)),
+)
+NOTHING_SEEN: tuple[str, ...] = ()
+NECK = slice(0, 3)
+EYES = slice(3, 7)
+
+
+def built(seed: int) -> HeadCalibration:
+    return as_built_head(nominal_head("2.8mm"), EVERYTHING, seed)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_truth_has_its_cameras_where_mujoco_has_them(seed: int):
+    """At random angles of all seven joints, with every imperfection: to 1e-9."""
+    truth = built(seed)
+    model = compile_head(truth, overscan_sizes(truth))
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(seed)
+    for _ in range(10):
+        angles = rng.uniform(-0.4, 0.4, len(JOINTS))
+        for name, angle in zip(JOINTS, angles, strict=True):
+            data.joint(name).qpos = angle
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_camlight(model, data)
+        for name in CAMERAS:
+            eye = truth.cameras[name].eye
+            pan_tilt = angles[EYES][:2] if eye == "left" else angles[EYES][2:]
+            T = T_world_body(data, "body") @ T_body_base(truth, eye, angles[NECK])
+            T = T @ T_base_cam(truth, name, pan_tilt) @ pose(R_MJCAM_CAM)
+            camera = data.camera(name)
+            np.testing.assert_allclose(T[:3, 3], camera.xpos, atol=1e-9)
+            np.testing.assert_allclose(T[:3, :3], camera.xmat.reshape(3, 3), atol=1e-9)
+
+
+def test_the_same_seed_builds_the_same_head_and_another_seed_another():
+    one, same, other = built(0), built(0), built(1)
+    np.testing.assert_array_equal(one.T_rbase_lbase, same.T_rbase_lbase)
+    assert np.abs(one.T_rbase_lbase - other.T_rbase_lbase).max() > 1e-4
+    for name in CAMERAS:
+        a, b, c = (head.cameras[name] for head in (one, same, other))
+        np.testing.assert_array_equal(a.T_eye_cam, b.T_eye_cam)
+        np.testing.assert_array_equal(a.intrinsics.matrix, b.intrinsics.matrix)
+        assert np.abs(a.T_eye_cam - c.T_eye_cam).max() > 1e-4
+        assert np.abs(a.intrinsics.matrix - c.intrinsics.matrix).max() > 0.1
+
+
+def test_profiles_share_their_random_numbers():
+    nominal = nominal_head("2.8mm")
+    small, large = (
+        as_built_head(nominal, ErrorProfile(mounting=Mounting(translation_mm=mm)), 3)
+        for mm in (1.0, 2.0)
+    )
+    shifts = [
+        head.cameras["right_narrow"].T_eye_cam[:3, 3]
+        - nominal.cameras["right_narrow"].T_eye_cam[:3, 3]
+        for head in (small, large)
+    ]
+    np.testing.assert_allclose(2 * shifts[0], shifts[1], atol=1e-15)
+
+
+def test_without_imperfection_the_head_is_the_nominal_one():
+    nominal = nominal_head("4.0mm")
+    truth = as_built_head(nominal, ErrorProfile(), 5)
+    np.testing.assert_array_equal(truth.T_rbase_lbase, nominal.T_rbase_lbase)
+    for name in CAMERAS:
+        a, b = truth.cameras[name], nominal.cameras[name]
+        np.testing.assert_allclose(a.T_eye_cam, b.T_eye_cam, atol=1e-16)
+        np.testing.assert_array_equal(a.intrinsics.matrix, b.intrinsics.matrix)
+
+
+def test_the_lenses_have_the_papers_focal_lengths():
+    for lens, focal in (("2.8mm", 280.0), ("4.0mm", 400.0)):
+        cameras = nominal_head(lens).cameras
+        assert cameras["left_wide"].intrinsics.matrix[0, 0] == pytest.approx(focal)
+        assert cameras["left_narrow"].intrinsics.matrix[0, 0] > 2.5 * focal
+
+
+# Frames
+
+Make = Callable[..., Twin]
+
+
+@pytest.fixture
+def make() -> Iterator[Make]:
+    """Make twins, and close them in the end."""
+    with ExitStack() as stack:
+        yield lambda *args, **kwargs: stack.enter_context(Twin(*args, **kwargs))
+
+
+def sweep(time_s: float) -> np.ndarray:
+    """Return a command (7,) that moves all eye joints at up to 1 rad/s."""
+    swing = 0.2 * np.sin(5 * time_s + np.array([0.0, 1.0, 2.0, 3.0]))
+    return np.concatenate([np.zeros(3), swing])
+
+
+def test_the_same_seed_takes_the_same_frame_and_another_seed_another(make: Make):
+    frames = []
+    for seed in (4, 4, 5):
+        twin = make(EVERYTHING, seed=seed)
+        twin.place_object(np.array([0.5, 0, 0]))
+        twin.advance(0.05, sweep)
+        frames.append(twin.capture(("left_wide", "right_narrow")))
+    one, same, other = frames
+    for name in one.images:
+        assert one.images[name].tobytes() == same.images[name].tobytes()
+        assert (one.images[name] != other.images[name]).mean() > 0.3
+    np.testing.assert_array_equal(one.eye_angles, same.eye_angles)
+    assert (one.eye_angles != other.eye_angles).all()
+
+
+def test_a_frame_carries_what_a_real_head_would_give_and_no_truth(make: Make):
+    twin = make(EVERYTHING, seed=0)
+    twin.advance(0.1, sweep)
+    frame = twin.capture(("left_wide", "left_narrow"))
+    known = {"time_s", "joint_time_s", "eye_angles", "neck_angles", "images"}
+    assert {field.name for field in fields(Frame)} == known
+    assert set(vars(frame)) == known
+    assert list(frame.images) == ["left_wide", "left_narrow"]
+    for image in frame.images.values():
+        assert type(image) is np.ndarray
+        assert image.shape == (480, 640, 3)
+        assert image.dtype == np.uint8
+    error = np.degrees(np.abs(frame.eye_angles - twin.true_angles()[EYES]))
+    assert error[0] > 0.05  # the offset of 0.2 degrees is in the readings
+    assert frame.time_s == frame.joint_time_s == pytest.approx(0.1)
+
+
+def test_readings_are_as_old_as_the_delay_says(make: Make):
+    twin = make(ErrorProfile(joints=Joints(delay_ms=26)), seed=0)
+    twin.advance(0.5, sweep)
+    before = twin.true_angles()[EYES]
+    twin.advance(0.526, sweep)
+    exposure = twin.expose(NOTHING_SEEN)
+    np.testing.assert_allclose(exposure.eye_angles, before, atol=1e-12)
+    assert np.abs(exposure.eye_angles - twin.true_angles()[EYES]).max() > 0.01
+
+
+def test_with_a_negative_delay_the_image_is_the_older_one(make: Make):
+    twin = make(ErrorProfile(joints=Joints(delay_ms=-26)), seed=0)
+    twin.advance(0.5, sweep)
+    before = twin.expose(NOTHING_SEEN).eye_angles
+    twin.advance(0.526, sweep)
+    after = twin.expose(NOTHING_SEEN).eye_angles
+    assert np.abs(after - before).max() > 0.01
+    np.testing.assert_allclose(twin.true_angles()[EYES], before, atol=1e-12)
+    # And that is where the eye stands in the picture.
+    poses = twin.body_poses()
+    R_head_eye = poses["head"][:3, :3].T @ poses["left_eye"][:3, :3]
+    np.testing.assert_allclose(R_head_eye, T_base_eye(before[:2])[:3, :3], atol=1e-9)
+
+
+def test_backlash_shows_when_a_posture_is_reached_from_both_sides(make: Make):
+    twin = make(ErrorProfile(joints=Joints(backlash_deg=0.5)), seed=0)
+    errors = []
+    for start in (0.1, -0.1):
+        twin.settle(np.array([0, 0, 0, start, start, start, start]))
+        twin.settle(np.zeros(7))
+        exposure = twin.expose(NOTHING_SEEN)
+        errors.append(np.degrees(exposure.eye_angles - twin.true_angles()[EYES]))
+    # A servo that overshoots by a little takes that much of the play back.
+    np.testing.assert_allclose(errors[0] - errors[1], 0.5, atol=0.05)
+
+
+def test_readings_of_a_coarse_encoder_come_in_steps(make: Make):
+    twin = make(ErrorProfile(joints=Joints(counts_per_turn=1000)), seed=0)
+    step = 2 * np.pi / 1000
+    for time_s in (0.1, 0.2, 0.3):
+        twin.advance(time_s, sweep)
+        angles = twin.expose(NOTHING_SEEN).eye_angles
+        np.testing.assert_allclose(angles / step, np.round(angles / step), atol=1e-9)
+        assert np.abs(angles - twin.true_angles()[EYES]).max() <= step / 2 + 1e-12
+
+
+def test_the_object_stands_where_it_was_put(make: Make):
+    twin = make(EVERYTHING, seed=2)
+    where = np.array([0.6, 0.17, -0.04])
+    twin.place_object(where)
+    np.testing.assert_allclose(twin.true_object(), where, atol=1e-12)
+
+
+def test_the_eyes_follow_their_commands(make: Make):
+    twin = make(ErrorProfile(), seed=0)
+    goal = np.array([0.1, -0.1, 0.2, 0.25, -0.2, -0.15, 0.1])
+    twin.settle(goal, seconds=1.5)
+    np.testing.assert_allclose(twin.true_angles()[EYES], goal[EYES], atol=2e-3)
+
+
+def test_a_later_run_does_not_depend_on_what_came_before(make: Make):
+    twin = make(EVERYTHING, seed=1)
+    frames = []
+    for before in (0.0, 0.2):
+        twin.restart(0)
+        twin.advance(before, sweep)
+        twin.restart(7)
+        twin.advance(0.1, sweep)
+        frames.append(twin.capture(("right_wide",)))
+    np.testing.assert_array_equal(frames[0].eye_angles, frames[1].eye_angles)
+    np.testing.assert_array_equal(frames[0].images["right_wide"], frames[1].images["right_wide"])
