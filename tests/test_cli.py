@@ -1,0 +1,136 @@
+"""The command line: mistakes end in one sentence and exit code 2, and runs in what was promised."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from vergence import cli
+from vergence.errors import VergenceError
+from vergence.head import load
+
+BAD_PROFILES = {
+    "unknown section": "[jionts]\nnoise_deg = 1\n",
+    "unknown value": "[joints]\nnoise = 1\n",
+    "negative noise": "[joints]\nnoise_deg = -1\n",
+    "noise that is text": '[joints]\nnoise_deg = "much"\n',
+    "noise that is not finite": "[joints]\nnoise_deg = nan\n",
+    "three gains for four joints": "[joints]\ngain_percent = [1, 2, 3]\n",
+    "unknown lens model": '[calibration]\nwide_lens = "fisheye"\n',
+    "delay beyond the sensors' memory": "[joints]\ndelay_ms = 1000\n",
+    "not TOML": "[joints\n",
+}
+
+BAD_ARGUMENTS = {
+    "unknown figure": (["--figures", "5"], "figures 6 to 11"),
+    "figure that is text": (["--figures", "six"], "figures"),
+    "negative rate": (["--rate", "-1"], "rate"),
+    "zero rate": (["--rate", "0"], "rate"),
+    "rate beyond the physics": (["--rate", "5000"], "rate"),
+    "negative duration": (["--duration", "-3"], "duration"),
+    "infinite duration": (["--duration", "inf"], "duration"),
+    "duration that is not a number": (["--duration", "nan"], "duration"),
+    "too short for two samples": (["--duration", "0.001"], "duration"),
+    "negative seed": (["--seed", "-1"], "seed"),
+    "seed that is a fraction": (["--seed", "0.5"], "seed"),
+    "unknown profile": (["--profile", "perfect"], "ideal, noise-only, paper"),
+    "missing profile file": (["--profile", "missing.toml"], "missing.toml"),
+    "profile that is a folder": (["--profile", "folder.toml"], "folder.toml"),
+    "folder that is a file": (["--out", "file"], "file"),
+    "unknown option": (["--fast"], "--fast"),
+}
+
+
+def run(arguments: list[str], capsys: pytest.CaptureFixture, monkeypatch) -> tuple[int, str]:
+    """Return the exit code and what stood on standard error."""
+    monkeypatch.setattr(sys, "argv", ["vergence", "reproduce", *arguments])
+    with pytest.raises(SystemExit) as stopped:
+        cli.main()
+    written = capsys.readouterr()
+    code = stopped.value.code
+    assert isinstance(code, int)
+    return code, written.err + written.out
+
+
+@pytest.mark.parametrize("case", BAD_ARGUMENTS)
+def test_bad_argument_ends_in_a_sentence(case, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    Path("file").write_text("in the way")
+    Path("folder.toml").mkdir()
+    arguments, named = BAD_ARGUMENTS[case]
+    code, text = run(arguments, capsys, monkeypatch)
+    assert code == 2
+    assert named in text
+    assert "Traceback" not in text
+
+
+@pytest.mark.parametrize("case", BAD_PROFILES)
+def test_bad_profile_ends_in_a_sentence_that_names_the_value(case, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    Path("mine.toml").write_text(BAD_PROFILES[case])
+    code, text = run(["--profile", "mine.toml"], capsys, monkeypatch)
+    assert code == 2
+    assert text.count("\n") == 1
+    assert "mine.toml" in text
+
+
+@pytest.mark.parametrize(
+    ("content", "named"),
+    [
+        ("", "JSON"),
+        ("{}", "cameras"),
+        ('{"cameras": {}, "T_rbase_lbase": [[1, 2], [3, 4]]}', "T_rbase_lbase"),
+        (
+            '{"cameras": {}, "T_rbase_lbase": [[2,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}',
+            "rigid",
+        ),
+    ],
+)
+def test_corrupt_calibration_is_refused_in_a_sentence(content, named, tmp_path):
+    path = tmp_path / "calibration.json"
+    path.write_text(content)
+    with pytest.raises(VergenceError, match=named) as refused:
+        load(path)
+    assert "\n" not in str(refused.value)
+
+
+def test_missing_calibration_is_refused_in_a_sentence(tmp_path):
+    with pytest.raises(VergenceError, match="No such file"):
+        load(tmp_path / "none.json")
+
+
+def test_missing_opengl_says_what_to_install():
+    done = subprocess.run(
+        [sys.executable, "-m", "vergence.cli", "reproduce", "--figures", "6"],
+        env={**os.environ, "MUJOCO_GL": "osmesa", "PYOPENGL_PLATFORM": "osmesa"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert "libegl1" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_the_seed_of_a_run_is_written_down(tmp_path, monkeypatch):
+    out = tmp_path / "run"
+    arguments = ["--figures", "6", "--duration", "2", "--rate", "4", "--seed", "3"]
+    monkeypatch.setattr(
+        sys, "argv", ["vergence", "reproduce", "--out", str(out), "--profile", "ideal", *arguments]
+    )
+    cli.main()
+    summary = json.loads((out / "statistics.json").read_text())
+    assert summary["seed"] == 3
+    assert summary["profile"] == "ideal"
+    assert summary["fitted_parameters"] == 0
+    assert list(summary["figures"]) == ["6"]
+    assert {path.name for path in out.iterdir()} == {
+        "calibration-2.8mm.json",
+        "fig06.rrd",
+        "figures.png",
+        "report.md",
+        "statistics.json",
+    }
