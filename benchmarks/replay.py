@@ -8,6 +8,7 @@ several rounds, which alternate so that a busy machine slows both.
     python benchmarks/replay.py [--samples 200] [--rounds 3]
 """
 
+# pyright: reportAttributeAccessIssue=false
 import tempfile
 import time
 from pathlib import Path

@@ -84,7 +84,7 @@ def triangulate(
     rows = np.concatenate(
         [u[:, :, None] * P[:, 2:, :] - P[:, :2, :] for u, P in ((u_l, P_l), (u_r, P_r))], axis=1
     )  # (N, 4, 4): four equations, (x, y, z, 1)
-    seen = np.isfinite(rows).all(axis=(1, 2))
+    seen = np.asarray(np.isfinite(rows).all(axis=(1, 2)))
     rows = np.where(seen[:, None, None], rows, np.eye(4))
     M, b = rows[:, :, :3], -rows[:, :, 3:]
     # The scaled system's smallest singular value vanishes when the rays are parallel.

@@ -19,9 +19,7 @@ from vergence.arrays import Array, Transform
 from vergence.camera import Camera
 from vergence.errors import VergenceError
 from vergence.geometry import inverse, pose
-from vergence.kinematics import EyeAxes, Neck, T_base_eye, T_body_head
-
-Side = Literal["left", "right"]
+from vergence.kinematics import EyeAxes, Neck, Side, T_base_eye, T_body_head
 
 
 @dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))

@@ -7,6 +7,7 @@ pan first: `R_base_eye = Rz(pan) Ry(tilt)`.
 from __future__ import annotations
 
 from dataclasses import field
+from typing import Literal
 
 import numpy as np
 from pydantic import ConfigDict
@@ -15,7 +16,8 @@ from pydantic.dataclasses import dataclass
 from vergence.arrays import Array, Vector3, Vectors3
 from vergence.geometry import pose, rotation
 
-EYES = ("left", "right")
+Side = Literal["left", "right"]
+EYES: tuple[Side, Side] = ("left", "right")
 EYE_JOINTS = ("left_pan", "left_tilt", "right_pan", "right_tilt")
 """Order of the columns wherever the angles of both eyes stand in one (N, 4) array."""
 NECK_JOINTS = ("neck_pitch", "neck_roll", "neck_yaw")

@@ -45,6 +45,11 @@ class Intrinsics:
     views: int
 
 
+def seen_corners(corners: Array) -> np.ndarray:
+    """Return (..., K) of bool: which corners (..., K, 2) were seen."""
+    return np.asarray(np.isfinite(corners).all(axis=-1))
+
+
 def calibrate_intrinsics(
     corners: Array, points: Array, *, size: tuple[int, int], lens_model: LensModel
 ) -> Intrinsics:
@@ -59,7 +64,7 @@ def calibrate_intrinsics(
     Raises:
         VergenceError: fewer than three views with four corners or more.
     """
-    seen = np.isfinite(corners).all(axis=2)
+    seen = seen_corners(corners)
     usable = seen.sum(axis=1) >= 4
     if usable.sum() < 3:
         raise VergenceError(
@@ -76,7 +81,12 @@ def calibrate_intrinsics(
         flags=_FLAGS[lens_model],
         criteria=CRITERIA,
     )
-    start = Camera(width=size[0], height=size[1], matrix=matrix, distortion=distortion.ravel()[:5])
+    start = Camera(
+        width=size[0],
+        height=size[1],
+        matrix=np.asarray(matrix, float),
+        distortion=np.asarray(distortion, float).ravel()[:5],
+    )
     poses = pose(rotation(np.array(rvecs).reshape(-1, 3)), np.array(tvecs).reshape(-1, 3))
     camera, poses = polish_intrinsics(start, _FREE[lens_model], poses, corners[usable], points)
     errors = corners[usable] - project(camera, transform(poses[:, None], points))
@@ -93,7 +103,7 @@ def target_poses(camera: Camera, corners: Array, points: Array) -> Array:
     """
     poses = np.full((len(corners), 4, 4), np.nan)
     for v, view in enumerate(corners):
-        seen = np.isfinite(view).all(axis=1)
+        seen = seen_corners(view)
         if seen.sum() < 6:
             continue
         found, rvec, tvec = cv2.solvePnP(

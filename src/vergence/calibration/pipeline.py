@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 
@@ -20,14 +19,15 @@ from vergence.calibration.intrinsics import (
     Intrinsics,
     LensModel,
     calibrate_intrinsics,
+    seen_corners,
     target_poses,
 )
 from vergence.calibration.static_stereo import calibrate_pair
-from vergence.calibration.target import Chessboard, corner_points
+from vergence.calibration.target import Board, corner_points
 from vergence.camera import Camera
 from vergence.errors import VergenceError
 from vergence.geometry import inverse
-from vergence.head import HeadCalibration, MountedCamera, Side
+from vergence.head import HeadCalibration, MountedCamera
 from vergence.kinematics import EYES, Neck, T_base_eye
 
 STRAIGHT_RAD = 0.05
@@ -39,7 +39,7 @@ eyes' deliberate motions lie well above."""
 class Views:
     """What the cameras saw of the board: V moments, K corners."""
 
-    board: Chessboard
+    board: Board
     placement: np.ndarray
     """(V,) of int: views with the same number show the board at the same place."""
     eye_angles: Array
@@ -99,11 +99,11 @@ def calibrate(
         cameras["left_wide"],
         cameras["right_wide"],
     )
-    both = np.isfinite(views.corners["left_wide"]).all(axis=(1, 2))
-    both &= np.isfinite(views.corners["right_wide"]).all(axis=(1, 2))
+    both = seen_corners(views.corners["left_wide"]).all(axis=1)
+    both &= seen_corners(views.corners["right_wide"]).all(axis=1)
     mounted: dict[str, MountedCamera] = {}
     eye_views = {}
-    for k, eye in enumerate(cast(tuple[Side, Side], EYES)):
+    for k, eye in enumerate(EYES):
         angles = views.eye_angles[:, 2 * k : 2 * k + 2]
         wide = f"{eye}_wide"
         T_eye_wide, eye_views[eye] = _eye_camera(views, wide, cameras[wide], angles, points)
@@ -141,7 +141,7 @@ def _eye_camera(
     views: Views, name: str, camera: Camera, angles: Array, points: Array
 ) -> tuple[Array, int]:
     """Return T_eye_cam (4, 4) from the placement seen at the most eye orientations."""
-    seen = np.isfinite(views.corners[name]).all(axis=2).sum(axis=1) >= 6
+    seen = seen_corners(views.corners[name]).sum(axis=1) >= 6
     if not seen.any():
         raise VergenceError(f"The board was never found in the images of {name}.")
     numbers, counts = np.unique(views.placement[seen], return_counts=True)

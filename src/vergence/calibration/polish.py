@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vergence.arrays import Array
 from vergence.camera import Camera, project_jacobians
@@ -72,7 +73,7 @@ def iterate(step: Callable[[], float]) -> None:
 
 
 def polish_intrinsics(
-    camera: Camera, free: Array, T_cam_target: Array, corners: Array, points: Array
+    camera: Camera, free: NDArray[np.bool_], T_cam_target: Array, corners: Array, points: Array
 ) -> tuple[Camera, Array]:
     """Return the camera, and T_cam_target (V, 4, 4), at the minimum of the cost.
 

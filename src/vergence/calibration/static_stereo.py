@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.intrinsics import CRITERIA, target_poses
+from vergence.calibration.intrinsics import CRITERIA, seen_corners, target_poses
 from vergence.calibration.polish import polish_pair
 from vergence.camera import Camera
 from vergence.errors import VergenceError
@@ -31,7 +31,7 @@ def calibrate_pair(
     Raises:
         VergenceError: no view shows six common corners.
     """
-    both = np.isfinite(corners_a).all(axis=2) & np.isfinite(corners_b).all(axis=2)
+    both = seen_corners(corners_a) & seen_corners(corners_b)
     usable = both.sum(axis=1) >= 6
     if not usable.any():
         raise VergenceError(

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from vergence.experiments.paper import Figure
 from vergence.experiments.statistics import Statistics, describe
 from vergence.experiments.trajectories import PERIOD_S, default_duration_s, eye_angles
 from vergence.geometry import inverse, pose, rotation, transform
-from vergence.head import HeadCalibration, MountedCamera, Side, T_base_cam
+from vergence.head import HeadCalibration, MountedCamera, T_base_cam
 from vergence.kinematics import EYES, NECK_JOINTS, T_base_eye
 from vergence.sphere import find_sphere
 from vergence.twin.head import Exposure, Twin
@@ -246,7 +245,7 @@ def static_kept(before: HeadCalibration, after: HeadCalibration) -> HeadCalibrat
         @ before.T_rbase_lbase
         @ T_base_cam(before, "left_wide", straight)
     )
-    eyes = {eye: T_base_eye(straight, after.axes[eye]) for eye in cast(tuple[Side, Side], EYES)}
+    eyes = {eye: T_base_eye(straight, after.axes[eye]) for eye in EYES}
     T_rbase_lbase = fixed_transform(
         eyes["right"],
         after.camera("right_wide").T_eye_cam,

@@ -24,6 +24,7 @@ from vergence.head import HeadCalibration, save, write_whole
 from vergence.plots import paper_figures
 from vergence.twin.appearance import visual_geoms
 from vergence.twin.head import Twin
+from vergence.twin.model import FOCAL_MM
 from vergence.twin.profile import ErrorProfile
 
 _PICTURES = 160
@@ -65,26 +66,28 @@ def reproduce(
     done = Reproduction(profile, seed, {}, {}, {})
     with _progress() as progress:
         try:
-            for lens in sorted({figure.lens for figure in chosen}):
+            for lens in FOCAL_MM:
+                through_it = [figure for figure in chosen if figure.lens == lens]
+                if not through_it:
+                    continue
                 with Twin(profile, seed=seed, lens=lens) as twin:
                     found = _calibrate(twin, lens, seed, out, progress)
                     done.calibrations[lens] = found
                     done.heads[lens] = written_by_hand(found.head, profile.by_hand, lens)
-                    for figure in chosen:
-                        if figure.lens == lens:
-                            times = sample_times(figure, duration_s, rate_hz)
-                            label = f"figure {figure.number}, {figure.motion}"
-                            task = progress.add_task(label, total=len(times))
-                            done.replays[figure.number] = record_replay(
-                                twin,
-                                done.heads[lens],
-                                figure,
-                                times,
-                                out / f"fig{figure.number:02d}.rrd",
-                                profile=profile,
-                                done=partial(progress.advance, task),
-                            )
-                            _write(out, done)
+                    for figure in through_it:
+                        times = sample_times(figure, duration_s, rate_hz)
+                        label = f"figure {figure.number}, {figure.motion}"
+                        task = progress.add_task(label, total=len(times))
+                        done.replays[figure.number] = record_replay(
+                            twin,
+                            done.heads[lens],
+                            figure,
+                            times,
+                            out / f"fig{figure.number:02d}.rrd",
+                            profile=profile,
+                            done=partial(progress.advance, task),
+                        )
+                        _write(out, done)
         finally:
             if done.replays:
                 paper_figures(out / "figures.png", list(done.replays.values()))

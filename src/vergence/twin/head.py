@@ -1,5 +1,6 @@
 """The twin itself: moves, looks, reads its sensors, and hands out frames as a real head would."""
 
+# pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence

@@ -3,11 +3,11 @@
 The names that the model uses are looked up here and nowhere else.
 """
 
+# pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
 from importlib import resources
 from pathlib import Path
-from typing import cast
 
 import mujoco
 import numpy as np
@@ -17,8 +17,8 @@ from vergence.camera import Camera
 from vergence.errors import VergenceError
 from vergence.experiments.paper import Lens
 from vergence.geometry import pose, rotation
-from vergence.head import HeadCalibration, MountedCamera, Side, T_head_base
-from vergence.kinematics import EYE_JOINTS, EYES, NECK_JOINTS, EyeAxes, Neck
+from vergence.head import HeadCalibration, MountedCamera, T_head_base
+from vergence.kinematics import EYE_JOINTS, EYES, NECK_JOINTS, EyeAxes, Neck, Side
 from vergence.twin.profile import ErrorProfile
 
 CAMERAS = ("left_wide", "right_wide", "left_narrow", "right_narrow")
@@ -61,7 +61,7 @@ def nominal_head(lens: Lens) -> HeadCalibration:
     joints = [data.joint(name) for name in NECK_JOINTS]
     cameras = {}
     for name in CAMERAS:
-        camera, eye = model.camera(name), cast(Side, name.split("_")[0])
+        camera, eye = model.camera(name), EYES[name.startswith("right")]
         width, height = (int(size) for size in model.cam_resolution[camera.id])
         pitch_m = model.cam_sensorsize[camera.id, 0] / width
         wide = name.endswith("wide")
@@ -123,10 +123,10 @@ def as_built_head(nominal: HeadCalibration, profile: ErrorProfile, seed: int) ->
         rotation(rng.normal(0, np.radians(mounting.base_rotation_deg), 3)),
         rng.normal(0, mounting.base_translation_mm * 1e-3, 3),
     )
-    axes = {
+    axes: dict[Side, EyeAxes] = {
         eye: EyeAxes(nonorthogonality_rad=np.radians(turn), axis_distance_m=distance * 1e-3)
         for eye, turn, distance in zip(
-            cast(tuple[Side, Side], EYES),
+            EYES,
             profile.axes.nonorthogonality_deg,
             profile.axes.distance_mm,
             strict=True,
@@ -146,7 +146,7 @@ def compile_head(head: HeadCalibration, overscan: dict[str, tuple[int, int]]) ->
             length; the image lies in the middle of it.
     """
     spec = load_spec()
-    for eye in cast(tuple[Side, Side], EYES):
+    for eye in EYES:
         T = T_head_base(head, eye)
         pan, tilt = spec.body(f"{eye}_pan"), spec.joint(f"{eye}_tilt")
         pan.pos, pan.quat = T[:3, 3], _quat(T[:3, :3])

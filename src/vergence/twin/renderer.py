@@ -5,6 +5,7 @@ random numbers; `develop` does the rest and may run in another thread, so that i
 the next rendering.
 """
 
+# pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -83,7 +84,9 @@ class Renderer:
         self._sizes = sizes
         self._maps = {
             name: cv2.convertMaps(
-                _pinhole_map(mounted.intrinsics, sizes[name]).astype(np.float32), None, cv2.CV_16SC2
+                _pinhole_map(mounted.intrinsics, sizes[name]).astype(np.float32),
+                np.empty(0, np.float32),
+                cv2.CV_16SC2,
             )
             for name, mounted in head.cameras.items()
             if mounted.intrinsics.distortion.any()
@@ -118,7 +121,8 @@ class Renderer:
         """Return the image (H, W, 3) uint8 that the camera gives."""
         image = negative.rendered
         if negative.camera in self._maps:
-            image = cv2.remap(image, *self._maps[negative.camera], cv2.INTER_LINEAR)
+            at, fraction = self._maps[negative.camera]
+            image = cv2.remap(image, at, fraction, cv2.INTER_LINEAR)
         if self._image.blur_px:
             image = cv2.GaussianBlur(image, (0, 0), self._image.blur_px)
         if self._noise is not None:
