@@ -15,7 +15,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.camera import Camera, normalise, normalise_area, project
 
-_REDNESS = np.array([[1.0, -0.5, -0.5]])  # zero for grey, whatever its brightness
+_REDNESS = np.array([1.0, -0.5, -0.5])  # zero for grey, whatever its brightness
 _HALF = 100  # grey levels of redness above which a pixel belongs to the sphere for certain
 
 
@@ -32,17 +32,20 @@ def find_sphere(image: np.ndarray, camera: Camera) -> Array:
     Returns:
         NaN where no red region of four pixels or more lies wholly within the image.
     """
-    mask = cv2.inRange(cv2.transform(image, _REDNESS), np.array([_HALF]), np.array([255]))
-    count, _, stats, _ = cv2.connectedComponentsWithStats(mask)
-    if count < 2:
+    red, green, blue = cv2.split(image)
+    redness8 = cv2.subtract(red, cv2.addWeighted(green, 0.5, blue, 0.5, 0))
+    _, mask = cv2.threshold(redness8, _HALF, 255, cv2.THRESH_BINARY)
+    outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    if not outlines:
         return np.full(2, np.nan)
-    left, top, width, height, area = stats[1 + stats[1:, cv2.CC_STAT_AREA].argmax()]
+    left, top, width, height = cv2.boundingRect(max(outlines, key=cv2.contourArea))
+    area = cv2.countNonZero(mask[top : top + height, left : left + width])
     margin = 3  # the edge's soft pixels: blur and anti-aliasing reach two pixels, and one for luck
     u0, v0, u1, v1 = left - margin, top - margin, left + width + margin, top + height + margin
     if area < 4 or u0 < 0 or v0 < 0 or u1 > image.shape[1] or v1 > image.shape[0]:
         return np.full(2, np.nan)
     window = image[v0:v1, u0:u1].astype(float)
-    redness = window @ _REDNESS[0]
+    redness = window @ _REDNESS
     cover = redness / np.median(redness[redness > _HALF])
     u, v = np.meshgrid(np.arange(u0, u1), np.arange(v0, v1))
     pixels = np.stack([u, v], axis=-1).reshape(-1, 2).astype(float)
