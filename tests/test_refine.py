@@ -178,6 +178,18 @@ def test_corners_may_be_missing():
     np.testing.assert_array_equal(np.isnan(found.residuals_px), np.isnan(recording.pixels))
 
 
+@pytest.mark.parametrize("flips", [1, 6])
+def test_boards_numbered_from_the_wrong_end_are_left_out_and_named(flips: int):
+    recording = record(40, joint_std=0.001, pixel_std_px=0.1)
+    recording.pixels[:flips] = recording.pixels[:flips, ::-1]
+    found = solve(recording)
+    off = pose_difference(found.T_eye_cam, recording.T_eye_cam)
+    assert (np.abs(off) < 4 * np.sqrt(np.diag(found.covariance))).all()
+    numbers = ", ".join(map(str, range(flips)))
+    assert found.warnings[0].startswith(f"Views {numbers} were left out")
+    assert len(found.warnings) == 1
+
+
 # Eye poses that are no pan and tilt.
 
 
@@ -527,6 +539,18 @@ def test_images_that_show_too_little_of_a_board_are_named():
     found = refine(spoilt(head, rng), replace(views, corners=corners))
     assert any(text.startswith("Views 5 were left out") for text in found.warnings)
     assert np.isnan(found.T_base_eye[5]).all()
+
+
+def test_a_board_that_one_camera_numbers_from_the_wrong_end_is_left_out_and_named():
+    rng = np.random.default_rng(29)
+    head = random_head(rng)
+    views, _ = views_of(head, rng, joint_std=1e-3, pixel_std_px=0.1)
+    whole = np.isfinite(views.corners["left_wide"]).all(axis=(1, 2)) & (views.placement >= 12)
+    view = int(np.flatnonzero(whole)[3])
+    views.corners["left_wide"][view] = views.corners["left_wide"][view, ::-1]
+    found = refine(spoilt(head, rng), views)
+    assert (np.abs(errors(found, head)) <= 4.5 * stated_std(found)).all()
+    assert found.warnings[0].startswith(f"Views {view} of left_wide were left out")
 
 
 def test_a_missing_reading_is_refused_with_its_view():

@@ -47,7 +47,7 @@ def warnings(problem: Problem, found: Adjusted) -> tuple[str, ...]:
             f"The noise of the joint readings cannot be told from these views; {noise.joint[k]:g} "
             "was assumed: let the eyes look at each board from several angles."
         )
-    corners = np.count_nonzero(problem.seen)
+    corners = int(np.count_nonzero(problem.seen))
     outliers = corners - np.count_nonzero(found.weights.corner)
     if outliers > 0.01 * corners:
         said.append(
@@ -57,6 +57,20 @@ def warnings(problem: Problem, found: Adjusted) -> tuple[str, ...]:
         )
     if not found.converged:
         said.append("The estimate did not converge: do not trust it.")
+    return tuple(dict.fromkeys(said))  # pan and tilt may share one
+
+
+def left_out(problem: Problem) -> tuple[str, ...]:
+    """Return a sentence for each camera of which views contradict the others."""
+    said = []
+    for c, camera in enumerate(problem.cameras):
+        lost = problem.block_view[problem.block[(problem.camera == c) & ~problem.seen.any(axis=1)]]
+        if len(lost):
+            subject = "" if len(problem.cameras) == 1 else f" of {camera}"
+            said.append(
+                f"Views {', '.join(map(str, np.sort(lost)))}{subject} were left out: they show the "
+                "board turned against its other views, as when it is numbered from the wrong end."
+            )
     return tuple(said)
 
 

@@ -25,7 +25,7 @@ from vergence.calibration.problem import (
 from vergence.calibration.target import corner_points
 from vergence.camera import Camera
 from vergence.errors import VergenceError
-from vergence.geometry import inverse
+from vergence.geometry import angle, inverse
 from vergence.head import HeadCalibration
 from vergence.kinematics import EYES, EyeAxes
 
@@ -33,6 +33,11 @@ LEAST_CORNERS = 6
 """Of a board in an image, for it to say where the board is."""
 CANDIDATES = 12
 """Views from which the start of a board's place is chosen."""
+FAR_PX = 50.0
+"""Reprojection error that says no more than a larger one, when views vote on a board's place."""
+TURNED_RAD = 0.5
+"""A board turned by more than this against the other views of its placement contradicts them; the
+start is better than that, and a board numbered from the wrong end is turned by pi."""
 
 
 def one_eye(
@@ -88,7 +93,7 @@ def one_eye(
         T_lbase_target=np.eye(4)[None],
         latent=reading,
     )
-    return problem, _placed(problem, state)
+    return _placed(problem, state)
 
 
 def whole_head(
@@ -141,8 +146,12 @@ def whole_head(
             "finite; leave the view out."
         )
     names = calibration_names(cameras)
+    blind = [f"{side}.{name}" for e, side in enumerate(EYES) if e not in eye for name in AXES]
     without_joints = () if poses is None else (*AXES, "time_offset_s")
-    free = [n not in hold and n.rpartition(".")[2] not in without_joints for n in names]
+    free = [
+        n not in hold and n not in blind and n.rpartition(".")[2] not in without_joints
+        for n in names
+    ]
     problem = Problem(
         cameras=cameras,
         eye=eye,
@@ -168,7 +177,7 @@ def whole_head(
         T_lbase_target=np.broadcast_to(np.eye(4), (len(numbers), 4, 4)),
         latent=reading,
     )
-    return problem, _placed(problem, state), numbers
+    return *_placed(problem, state), numbers
 
 
 def _telling(points: Array, seen: np.ndarray) -> np.ndarray:
@@ -181,8 +190,11 @@ def _telling(points: Array, seen: np.ndarray) -> np.ndarray:
     return (count >= LEAST_CORNERS) & (spread[..., 1] > 1e-3 * np.maximum(spread[..., 2], 1e-30))
 
 
-def _placed(problem: Problem, state: State) -> State:
-    """Return the state with each placement where the view says that explains the others best."""
+def _placed(problem: Problem, state: State) -> tuple[Problem, State]:
+    """Return the state with each placement where the view says that explains the others best.
+
+    Views that contradict it lose their corners.
+    """
     placements = len(state.T_lbase_target)
     T_cam_target = np.full((len(problem.camera), 4, 4), np.nan)
     for c, lens in enumerate(state.lenses):
@@ -206,8 +218,12 @@ def _placed(problem: Problem, state: State) -> State:
         offered = found[[offer[k * len(offer) // CANDIDATES] for offer in offers]]
         errors = corner_errors(problem, replace(state, T_lbase_target=offered))
         lengths = np.nan_to_num(np.linalg.norm(errors, axis=-1), nan=np.inf)
-        total = np.bincount(problem.placement, np.minimum(lengths, 1e3).sum(axis=1), placements)
+        total = np.bincount(problem.placement, np.minimum(lengths, FAR_PX).sum(axis=1), placements)
         better = total < lowest
         best = np.where(better[:, None, None], offered, best)
         lowest = np.minimum(lowest, total)
-    return replace(state, T_lbase_target=best)
+    turn = np.swapaxes(best[problem.placement][:, :3, :3], 1, 2) @ found[:, :3, :3]
+    seen = problem.seen.copy()
+    seen[known] &= angle(turn[known])[:, None] < TURNED_RAD
+    pixels = np.where(seen[..., None], problem.pixels, 0.0)
+    return replace(problem, seen=seen, pixels=pixels), replace(state, T_lbase_target=best)

@@ -20,7 +20,6 @@ from vergence.arrays import Array
 from vergence.calibration import advice
 from vergence.calibration.adjustment import Adjusted, adjust
 from vergence.calibration.assembly import one_eye, whole_head
-from vergence.calibration.eye_camera import park_martin
 from vergence.calibration.intrinsics import target_poses
 from vergence.calibration.pipeline import Views
 from vergence.calibration.problem import (
@@ -33,6 +32,7 @@ from vergence.calibration.problem import (
     eye_poses,
     lens_vector,
 )
+from vergence.calibration.robust_start import robust_park_martin
 from vergence.calibration.solver import OUTLIER
 from vergence.camera import Camera
 from vergence.errors import VergenceError
@@ -134,7 +134,7 @@ def refine_eye_camera(
     if start is None:
         T_cam_target = target_poses(camera, pixels, points)
         known = np.isfinite(T_cam_target).all(axis=(1, 2))
-        start = park_martin(T_read[known], T_cam_target[known])
+        start = robust_park_martin(T_read[known], T_cam_target[known])
     poses = T_read if angles is None else None
     problem, state = one_eye(camera, start, axes, angles, poses, pixels, points)
     group = np.array([0, 0] if poses is None else [0, 0, 0, 1, 1, 1])
@@ -158,7 +158,7 @@ def refine_eye_camera(
         residuals_px=residuals,
         pixel_std_px=found.components.noise.pixel_px,
         joint_std=tuple(map(float, found.components.noise.joint)),
-        warnings=advice.warnings(problem, found),
+        warnings=advice.left_out(problem) + advice.warnings(problem, found),
     )
 
 
@@ -235,7 +235,7 @@ def refine(
         T_lbase_target=dict(zip(numbers.tolist(), found.state.T_lbase_target, strict=True)),
         T_base_eye=true_poses,
         residuals_px=residuals,
-        warnings=unseen + advice.warnings(problem, found),
+        warnings=unseen + advice.left_out(problem) + advice.warnings(problem, found),
     )
 
 

@@ -138,7 +138,8 @@ def factorise(linear: Linear, noise: Noise, basis: Array, damping: float = 0.0) 
         damping: Levenberg and Marquardt's, relative to the diagonal.
     """
     pixel = noise.pixel_px**-2
-    joint = linear.joint_weights * noise.joint[noise.group] ** -2
+    # A reading keeps a trace of weight: without it, an eye that lost its corners would be nowhere.
+    joint = np.maximum(linear.joint_weights, 1e-9) * noise.joint[noise.group] ** -2
     n = joint.shape[1]
     eye = np.eye(n, dtype=bool)
     ll = pixel * linear.ll + np.where(eye, joint[:, :, None], 0.0)
