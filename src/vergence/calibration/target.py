@@ -6,15 +6,24 @@ board; corner (i, j) is at (i, j, 0) times the size of a square.
 
 from __future__ import annotations
 
+from typing import Literal
+
 import cv2
 import numpy as np
-from pydantic import ConfigDict, PositiveFloat, PositiveInt
+from pydantic import ConfigDict, FiniteFloat, PositiveFloat, PositiveInt
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Array
 
+DICTIONARIES = tuple(
+    sorted(name for name in dir(cv2.aruco) if name.startswith("DICT_") and name.isupper())
+)
+"""OpenCV's sets of markers."""
+LARGE_PX = 1_500_000
+"""Images of more pixels are not enlarged before markers are looked for."""
 
-@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+
+@dataclass(frozen=True, config=ConfigDict(extra="forbid", allow_inf_nan=False))
 class Chessboard:
     """A chessboard, counted in inner corners."""
 
@@ -22,29 +31,99 @@ class Chessboard:
     rows: PositiveInt
     square_m: PositiveFloat
     """Side of a square [m]; a board of unknown size has 1, and lengths come in squares."""
+    kind: Literal["chessboard"] = "chessboard"
 
 
-def corner_points(board: Chessboard) -> Array:
+@dataclass(frozen=True, config=ConfigDict(extra="forbid", allow_inf_nan=False))
+class Charuco:
+    """A chessboard with a marker in every white square, counted in squares, as OpenCV does.
+
+    The markers number its corners: part of a board is enough, and none is numbered from the
+    wrong end.
+    """
+
+    squares_x: PositiveInt
+    squares_y: PositiveInt
+    square_m: PositiveFloat
+    """Side of a square [m]."""
+    marker_m: FiniteFloat
+    """Side of a marker [m]."""
+    dictionary: str
+    """Of the markers: OpenCV's name, such as DICT_4X4_50."""
+    legacy: bool = False
+    """Whether the board was made by OpenCV before 4.6, which began boards of an even number of
+    rows with a white square."""
+    kind: Literal["charuco"] = "charuco"
+
+    def __post_init__(self) -> None:
+        if min(self.squares_x, self.squares_y) < 3 or max(self.squares_x, self.squares_y) > 100:
+            found = f"{self.squares_x} x {self.squares_y}"
+            raise ValueError(f"a ChArUco board has 3 to 100 squares each way, found {found}")
+        if not 0 < self.marker_m < self.square_m:
+            raise ValueError(
+                f"marker_m lies between 0 and square_m = {self.square_m}, found {self.marker_m}"
+            )
+        if self.dictionary not in DICTIONARIES:
+            known = ", ".join(DICTIONARIES)
+            raise ValueError(f"dictionary is one of {known}; found {self.dictionary!r}")
+        needed, there = self.squares_x * self.squares_y // 2, len(_markers(self).bytesList)
+        if needed > there:
+            raise ValueError(f"the board has {needed} markers, but {self.dictionary} only {there}")
+
+    @property
+    def columns(self) -> int:
+        """Inner corners in a row."""
+        return self.squares_x - 1
+
+    @property
+    def rows(self) -> int:
+        """Inner corners in a column."""
+        return self.squares_y - 1
+
+
+Board = Chessboard | Charuco
+
+
+def _markers(board: Charuco) -> cv2.aruco.Dictionary:
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
+
+
+def opencv_board(board: Charuco) -> cv2.aruco.CharucoBoard:
+    """Return OpenCV's object of a board: it can draw it, for printing."""
+    size = (board.squares_x, board.squares_y)
+    made = cv2.aruco.CharucoBoard(size, board.square_m, board.marker_m, _markers(board))
+    made.setLegacyPattern(board.legacy)
+    return made
+
+
+def corner_points(board: Board) -> Array:
     """Return the inner corners (rows * columns, 3) [m] in frame target, row by row."""
     j, i = np.mgrid[: board.rows, : board.columns]
     return np.stack([i, j, np.zeros_like(i)], axis=-1).reshape(-1, 3) * board.square_m
 
 
-def find_corners(image: np.ndarray, board: Chessboard) -> Array | None:
+def find_corners(image: np.ndarray, board: Board) -> Array | None:
     """Return the inner corners (rows * columns, 2) [px] in the order of corner_points.
 
-    A chessboard whose corner counts differ in parity looks different from its two ends, and is
-    numbered so that the square outside the first corner is black. Other boards keep the order
-    in which OpenCV found them, which may be turned by 180 degrees.
+    Of a ChArUco board the corners that were not seen are NaN. A chessboard is found as a whole:
+    one whose corner counts differ in parity looks different from its two ends, and is numbered
+    so that the square outside the first corner is black; others keep the order in which OpenCV
+    found them, which may be turned by 180 degrees.
 
     Args:
-        image: (H, W) or (H, W, 3) uint8.
+        image: (H, W) or (H, W, 3) uint8, RGB.
         board: what to look for.
 
     Returns:
-        The corners, or None where the whole board was not found.
+        The corners, or None where no board was found.
     """
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    if isinstance(board, Charuco):
+        return _find_charuco(grey, board)
+    return _find_chessboard(grey, board)
+
+
+def _find_chessboard(grey: np.ndarray, board: Chessboard) -> Array | None:
     size = (board.columns, board.rows)
     found, corners = cv2.findChessboardCornersSB(grey, size, flags=cv2.CALIB_CB_ACCURACY)
     if not found or corners is None:
@@ -56,6 +135,45 @@ def find_corners(image: np.ndarray, board: Chessboard) -> Array | None:
     if (board.columns + board.rows) % 2 and _first_square_is_white(grey, corners, board):
         corners = corners[::-1]
     return np.ascontiguousarray(corners)
+
+
+def _find_charuco(grey: np.ndarray, board: Charuco) -> Array | None:
+    parameters = cv2.aruco.CharucoParameters()
+    parameters.minMarkers = 1  # beside a corner; what is not a saddle is thrown out below
+    parameters.tryRefineMarkers = True
+    detector = cv2.aruco.CharucoDetector(opencv_board(board), parameters)
+    # Markers of 15 px, as in a wide image at arm's length, are read twice as often when enlarged.
+    scale = 2 if grey.size < LARGE_PX else 1
+    large = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+    found, numbers, _, _ = detector.detectBoard(large)
+    if found is None or numbers is None or not len(numbers):
+        return None
+    corners = np.full((board.rows * board.columns, 2), np.nan)
+    seen = np.asarray(numbers, dtype=int).ravel()
+    corners[seen] = (np.reshape(found, (-1, 2)) + 0.5) / scale - 0.5
+    grid = corners.reshape(board.rows, board.columns, 2)
+    sides = [np.linalg.norm(np.diff(grid, axis=k), axis=2).ravel() for k in (0, 1)]
+    spacing = np.concatenate(sides)
+    if not np.isfinite(spacing).any():  # no two neighbours
+        return None
+    # The markers begin close to the corners; both do so alike, and leave the saddle its place.
+    radius_px = int(np.clip(np.nanmin(spacing) / 5, 2, 5))
+    corners[seen] = _saddles(grey, corners[seen], radius_px)
+    _drop_misplaced(corners, corner_points(board)[:, :2], 0.4 * float(np.nanmedian(spacing)))
+    return corners if np.isfinite(corners).any() else None
+
+
+def _drop_misplaced(corners: Array, points: Array, tolerance_px: float) -> None:
+    """Set to NaN the corners (K, 2) of markers that were misread: not where the others say.
+
+    The tolerance leaves room for what the lens bends.
+    """
+    seen = np.flatnonzero(np.isfinite(corners[:, 0]))
+    if len(seen) < 6:  # too few to tell the odd one out
+        return
+    _, inside = cv2.findHomography(points[seen], corners[seen], cv2.RANSAC, tolerance_px)
+    if inside is not None:
+        corners[seen[~np.asarray(inside, dtype=bool).ravel()]] = np.nan
 
 
 def refine_corners(grey: np.ndarray, corners: Array, *, radius_px: int) -> Array:
@@ -74,6 +192,12 @@ def refine_corners(grey: np.ndarray, corners: Array, *, radius_px: int) -> Array
     Returns:
         (K, 2) px; a corner around which there is no saddle within a pixel and a half stays.
     """
+    refined = _saddles(grey, corners, radius_px)
+    return np.where(np.isnan(refined), corners, refined)
+
+
+def _saddles(grey: np.ndarray, corners: Array, radius_px: int) -> Array:
+    """Return the saddle points (K, 2) near the corners (K, 2); NaN where there is none."""
     blurred = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 0.7)
     v, u = np.mgrid[-radius_px : radius_px + 1, -radius_px : radius_px + 1]
     disc = u * u + v * v <= (radius_px + 0.2) ** 2
@@ -90,7 +214,7 @@ def refine_corners(grey: np.ndarray, corners: Array, *, radius_px: int) -> Array
         step[(det >= 0) | (np.abs(step).max(axis=1) > 1.5)] = np.nan
         refined += step
     lost = ~(np.abs(refined - corners).max(axis=1) < 1.5)
-    return np.where(lost[:, None], corners, refined)
+    return np.where(lost[:, None], np.nan, refined)
 
 
 def _first_square_is_white(grey: np.ndarray, corners: Array, board: Chessboard) -> bool:
