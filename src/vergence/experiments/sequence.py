@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.pipeline import Views
-from vergence.calibration.target import Chessboard, corner_points, find_corners
+from vergence.calibration.target import Board, Chessboard, corner_points, find_corners
 from vergence.camera import project
 from vergence.geometry import inverse, pose, rotation, transform
 from vergence.head import HeadCalibration, T_base_cam
@@ -31,6 +31,8 @@ NARROW_VIEWS = 12
 """Boards for each narrow camera, seen by both wide ones too."""
 ORIENTATIONS = 60
 """Eye orientations at which the fixed board is seen."""
+T_LBASE_FIXED = (0.60, 0.0, 0.0), (0.25, -0.2, 0.05)
+"""Where the fixed board has its middle [m], and how it is turned from facing the head [rad]."""
 _MARGIN_RAD = 0.055  # room for the board's white margin, and for cameras that sit a few degrees off
 _R_LBASE_FACING = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # the board's x right, y down
 
@@ -47,62 +49,73 @@ class Shot:
     cameras: tuple[str, ...]
 
 
-def plan(head: HeadCalibration, seed: int) -> list[Shot]:
+def plan(
+    head: HeadCalibration,
+    seed: int,
+    *,
+    board: Board = BOARD,
+    views: tuple[int, int, int] = (WIDE_VIEWS, NARROW_VIEWS, ORIENTATIONS),
+) -> list[Shot]:
     """Return the sequence of views for a head as designed.
 
     Args:
         head: the nominal head.
         seed: of the places at which the board is held.
+        board: what is held.
+        views: how many for the wide cameras, for each narrow camera, and of the fixed board.
     """
+    wide_views, narrow_views, orientations = views
     rng = np.random.default_rng([seed, 4])
     straight = np.zeros(4)
     shots: list[Shot] = []
     wide = ("left_wide", "right_wide")
-    for _ in range(WIDE_VIEWS):
-        T = _held_board(head, wide, (0.28, 0.65), 0.7, rng)
+    for _ in range(wide_views):
+        T = _held_board(head, board, wide, (0.28, 0.65), 0.7, rng)
         shots.append(Shot(len(shots), T, straight, wide))
     for eye in EYES:
         trio = (*wide, f"{eye}_narrow")
-        for _ in range(NARROW_VIEWS):
-            T = _held_board(head, trio, (0.72, 1.1), 0.6, rng)
+        for _ in range(narrow_views):
+            T = _held_board(head, board, trio, (0.72, 1.1), 0.6, rng)
             shots.append(Shot(len(shots), T, straight, trio))
     fixed = len(shots)
-    T_fixed = _facing((0.60, 0.0, 0.0), np.array([0.25, -0.2, 0.05]))
+    T_fixed = _facing(board, *map(np.array, T_LBASE_FIXED))
     # Directions spread evenly over an ellipse (sunflower): pan and tilt vary independently. Its
     # innermost three are left out, since they would pass for straight gaze.
-    k = np.arange(3, ORIENTATIONS + 3) + 0.5
-    radius, turn = np.sqrt(k / (ORIENTATIONS + 3)), k * np.pi * (3 - np.sqrt(5))
+    k = np.arange(3, orientations + 3) + 0.5
+    radius, turn = np.sqrt(k / (orientations + 3)), k * np.pi * (3 - np.sqrt(5))
     gaze = np.stack([0.30 * radius * np.cos(turn), 0.26 * radius * np.sin(turn)], axis=-1)
     shots += [Shot(fixed, T_fixed, np.tile(angles, 2), wide) for angles in gaze]
     return shots
 
 
-def _facing(centre: Sequence[float] | Array, turn: Array) -> Array:
+def _facing(board: Board, centre: Sequence[float] | Array, turn: Array) -> Array:
     """Return T_lbase_target of a board around a centre, turned from facing the head."""
-    middle = corner_points(BOARD).mean(axis=0)
+    middle = corner_points(board).mean(axis=0)
     return pose(_R_LBASE_FACING @ rotation(turn), centre) @ pose(t=-middle)
 
 
-def _visible(head: HeadCalibration, name: str, T_lbase_target: Array) -> bool:
+def visible(head: HeadCalibration, board: Board, name: str, shot: Shot) -> np.ndarray:
+    """Return (K,) which corners a camera sees well clear of its image's edge."""
     camera = head.camera(name).intrinsics
-    uv = _project(head, name, Shot(0, T_lbase_target, np.zeros(4), ()))
+    uv = project_board(head, board, name, shot)
     size = np.array([camera.width, camera.height])
     margin = _MARGIN_RAD * camera.matrix[0, 0]
-    return bool((uv > margin).all() and (uv < size - 1 - margin).all())
+    return ((uv > margin) & (uv < size - 1 - margin)).all(axis=1)
 
 
-def _project(head: HeadCalibration, name: str, shot: Shot) -> Array:
+def project_board(head: HeadCalibration, board: Board, name: str, shot: Shot) -> Array:
     """Return the corners' pixels (K, 2) in a camera of a head that stands as the shot says."""
     mounted = head.camera(name)
     left = mounted.eye == "left"
     T_base_target = shot.T_lbase_target if left else head.T_rbase_lbase @ shot.T_lbase_target
     angles = shot.eye_angles[:2] if left else shot.eye_angles[2:]
     T_cam_target = inverse(T_base_cam(head, name, angles)) @ T_base_target
-    return project(mounted.intrinsics, transform(T_cam_target, corner_points(BOARD)))
+    return project(mounted.intrinsics, transform(T_cam_target, corner_points(board)))
 
 
 def _held_board(
     head: HeadCalibration,
+    board: Board,
     cameras: Sequence[str],
     depth_m: tuple[float, float],
     lean_rad: float,
@@ -116,16 +129,19 @@ def _held_board(
         depth = rng.uniform(*depth_m)
         y, z = rng.uniform(-slope, slope, 2) * depth
         turn = rng.uniform(-1, 1, 3) * [lean_rad, lean_rad, 0.3]
-        T = _facing((depth, y + eye_y, z), turn)
-        if all(_visible(head, camera, T) for camera in cameras):
+        T = _facing(board, (depth, y + eye_y, z), turn)
+        shot = Shot(0, T, np.zeros(4), ())
+        if all(visible(head, board, camera, shot).all() for camera in cameras):
             return T
     raise AssertionError("the board fits into no image at these depths")
 
 
-def told_board(profile: ErrorProfile) -> Chessboard:
-    """Return the board as the software was told: wrong where the print came out larger."""
+def told_board(profile: ErrorProfile, board: Board = BOARD) -> Board:
+    """Return a board as the software was told: wrong where the print came out larger."""
     printed = 1 + profile.calibration.square_percent / 100
-    return Chessboard(BOARD.columns, BOARD.rows, BOARD.square_m / printed)
+    if isinstance(board, Chessboard):
+        return replace(board, square_m=board.square_m / printed)
+    return replace(board, square_m=board.square_m / printed, marker_m=board.marker_m / printed)
 
 
 def look(twin: Twin, shots: Sequence[Shot], *, done: Callable[[], None] = lambda: None) -> Views:
@@ -170,7 +186,7 @@ def look_at_points(
     true_angles = np.array([shot.eye_angles for shot in shots])
     found = []
     for shot in shots:
-        seen = {name: _project(truth, name, shot) for name in shot.cameras}
+        seen = {name: project_board(truth, BOARD, name, shot) for name in shot.cameras}
         found.append({n: uv + rng.normal(0, pixel_noise, uv.shape) for n, uv in seen.items()})
     return _views(truth, profile, shots, read(true_angles, profile.joints, rng), found)
 

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.calibration.target import Charuco
 from vergence.dataset import Frame
 from vergence.experiments.paper import Lens
 from vergence.geometry import inverse, transform
@@ -52,13 +53,21 @@ class Twin:
     `truth` and `true_angles` are for evaluation only: nothing that estimates may ask for them.
     """
 
-    def __init__(self, profile: ErrorProfile, *, seed: int = 0, lens: Lens = "2.8mm"):
+    def __init__(
+        self,
+        profile: ErrorProfile,
+        *,
+        seed: int = 0,
+        lens: Lens = "2.8mm",
+        board: Charuco | None = None,
+    ):
         """Build a head.
 
         Args:
             profile: its imperfections.
             seed: of everything random; the same seed gives the same head, whatever the lens.
             lens: of the wide cameras.
+            board: in the place of the scene's chessboard.
 
         Raises:
             VergenceError: there is no OpenGL, or the model cannot be loaded.
@@ -66,7 +75,7 @@ class Twin:
         self.profile = profile
         self.nominal: HeadCalibration = nominal_head(lens)
         self.truth: HeadCalibration = as_built_head(self.nominal, profile, seed)
-        self.model = compile_head(self.truth, overscan_sizes(self.truth))
+        self.model = compile_head(self.truth, overscan_sizes(self.truth), board=board)
         self._data = mujoco.MjData(self.model)
         self._seen = mujoco.MjData(self.model)  # the pose at which pictures are taken
         self._seed = seed

@@ -13,12 +13,14 @@ import mujoco
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.calibration.target import Charuco
 from vergence.camera import Camera
 from vergence.errors import VergenceError
 from vergence.experiments.paper import Lens
 from vergence.geometry import pose, rotation
 from vergence.head import HeadCalibration, MountedCamera, T_head_base
 from vergence.kinematics import EYE_JOINTS, EYES, NECK_JOINTS, EyeAxes, Neck, Side
+from vergence.twin.board import put_charuco
 from vergence.twin.profile import ErrorProfile
 
 CAMERAS = ("left_wide", "right_wide", "left_narrow", "right_narrow")
@@ -137,15 +139,23 @@ def as_built_head(nominal: HeadCalibration, profile: ErrorProfile, seed: int) ->
     )
 
 
-def compile_head(head: HeadCalibration, overscan: dict[str, tuple[int, int]]) -> mujoco.MjModel:
+def compile_head(
+    head: HeadCalibration,
+    overscan: dict[str, tuple[int, int]],
+    *,
+    board: Charuco | None = None,
+) -> mujoco.MjModel:
     """Compile the scene with the head as given.
 
     Args:
         head: the as-built head; its lens distortion is the renderer's affair.
         overscan: by camera, the width and height [px] to render, at the camera's own focal
             length; the image lies in the middle of it.
+        board: to be put in the place of the scene's chessboard.
     """
     spec = load_spec()
+    if board is not None:
+        put_charuco(spec, board)
     for eye in EYES:
         T = T_head_base(head, eye)
         pan, tilt = spec.body(f"{eye}_pan"), spec.joint(f"{eye}_tilt")
