@@ -1,0 +1,217 @@
+"""Sec. III: Eqs. 13-19, and the eye angles that centre a point in both eyes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from heads import point_in_camera, random_head
+from vergence.camera import Camera, project
+from vergence.errors import VergenceError
+from vergence.foveation import (
+    eye_angles_to,
+    foveal_miss,
+    gaze_angles,
+    ideal_wide_pixel,
+    ideal_wide_slope,
+    project_both,
+    reachable,
+    wide_from_narrow,
+)
+from vergence.geometry import inverse, pose, transform
+from vergence.head import HeadCalibration, T_narrow_wide
+from vergence.kinematics import EYES
+from vergence.sphere import find_sphere
+from vergence.twin.head import Twin
+from vergence.twin.profile import load_profile
+
+SEEDS = range(20)
+DEPTHS = np.geomspace(0.15, 50, 40)
+
+
+def head(seed: int, *, distorted: bool = True) -> HeadCalibration:
+    """Return a random head whose two cameras of an eye are 30 mm apart."""
+    made = random_head(np.random.default_rng(seed), distorted=distorted)
+    cameras = {
+        name: replace(mounted, T_eye_cam=pose(t=[0, 0, -0.03]) @ mounted.T_eye_cam)
+        if name.endswith("narrow")
+        else mounted
+        for name, mounted in made.cameras.items()
+    }
+    return replace(made, cameras=cameras)
+
+
+def on_axis(depths: np.ndarray) -> np.ndarray:
+    return depths[:, None] * np.array([0.0, 0, 1])
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_equation_13_is_the_inverse_of_the_pose_of_the_wide_camera_in_the_narrow_one(seed: int):
+    points = np.random.default_rng(seed).normal(size=(50, 3))
+    for eye in EYES:
+        T = T_narrow_wide(head(seed), eye)
+        expected = transform(inverse(T), points)
+        np.testing.assert_allclose(wide_from_narrow(T, points), expected, atol=1e-14)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_equations_14_to_17_are_the_projections_of_the_head(seed: int):
+    made, rng = head(seed), np.random.default_rng(seed)
+    points = rng.uniform([0.3, -0.1, -0.1], [1.5, 0.1, 0.1], (50, 3))
+    eyes = rng.uniform(-0.1, 0.1, (50, 4))
+    for eye in EYES:
+        in_narrow = point_in_camera(made, f"{eye}_narrow", eyes, points)
+        for name, pixels in zip(
+            (f"{eye}_narrow", f"{eye}_wide"), project_both(made, eye, in_narrow), strict=True
+        ):
+            camera = made.camera(name).intrinsics
+            exact = project(camera, point_in_camera(made, name, eyes, points))
+            np.testing.assert_allclose(pixels, exact, rtol=0, atol=1e-9)
+
+
+def test_equations_14_to_19_are_those_printed_once_principal_point_and_distortion_are_off():
+    made = head(3, distorted=False)
+    x, y, z = 0.05, -0.02, 0.6
+    for eye in EYES:
+        A_f, A_p = (made.camera(f"{eye}_{c}").intrinsics.matrix for c in ("narrow", "wide"))
+        T = T_narrow_wide(made, eye)
+        (r1, r2, r3), t = T[:3, :3].T, T[:3, 3]
+        d = np.array([x, y, z]) - t
+        u_f, v_f = (A_f[0, 0] * x + A_f[0, 1] * y) / z, A_f[1, 1] * y / z
+        u_p = (A_p[0, 0] * r1 @ d + A_p[0, 1] * r2 @ d) / (r3 @ d)
+        v_p = A_p[1, 1] * r2 @ d / (r3 @ d)
+        narrow, wide = project_both(made, eye, np.array([x, y, z]))
+        np.testing.assert_allclose(narrow - A_f[:2, 2], [u_f, v_f], atol=1e-10)
+        np.testing.assert_allclose(wide - A_p[:2, 2], [u_p, v_p], atol=1e-10)
+        below = r3 @ t - r3[2] * z
+        slope = A_p[0, 0] * r1[2] + A_p[0, 1] * r2[2]
+        u_hat = (A_p[0, 0] * r1 @ t + A_p[0, 1] * r2 @ t - slope * z) / below
+        v_hat = (A_p[1, 1] * r2 @ t - A_p[1, 1] * r2[2] * z) / below
+        ideal = ideal_wide_pixel(made, eye, z) - A_p[:2, 2]
+        np.testing.assert_allclose(ideal, [u_hat, v_hat], atol=1e-10)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_point_held_at_the_ideal_position_falls_on_the_principal_point_of_the_fovea(seed: int):
+    made = head(seed)
+    for eye in EYES:
+        narrow, wide = project_both(made, eye, on_axis(DEPTHS))
+        centre = made.camera(f"{eye}_narrow").intrinsics.matrix[:2, 2]
+        np.testing.assert_allclose(narrow, np.tile(centre, (len(DEPTHS), 1)), rtol=0, atol=1e-9)
+        ideal = ideal_wide_pixel(made, eye, DEPTHS)
+        np.testing.assert_allclose(ideal, wide, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_ideal_position_converges_to_its_limit_as_one_over_depth(seed: int):
+    made = head(seed)
+    for eye in EYES:
+        limit = ideal_wide_pixel(made, eye, np.inf)
+        gaps = np.linalg.norm(ideal_wide_pixel(made, eye, [1e2, 1e3, 1e6]) - limit, axis=1)
+        assert gaps[0] < 1
+        np.testing.assert_allclose(gaps[1] / gaps[0], 0.1, rtol=1e-2)
+        assert gaps[2] < 1e-4
+        np.testing.assert_array_equal(ideal_wide_slope(made, eye, np.inf), 0)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_slope_is_the_derivative_by_depth(seed: int):
+    made = head(seed)
+    for eye in EYES:
+        step = 1e-5 * DEPTHS
+        after, before = (ideal_wide_pixel(made, eye, DEPTHS + s) for s in (step, -step))
+        numeric = (after - before) / (2 * step[:, None])
+        slope = ideal_wide_slope(made, eye, DEPTHS)
+        np.testing.assert_allclose(slope, numeric, rtol=1e-5, atol=1e-8)
+
+
+def test_equations_18_and_19_do_not_depend_on_the_foveal_intrinsics():
+    made = head(0)
+    for eye in EYES:
+        name = f"{eye}_narrow"
+        other = Camera(
+            width=320,
+            height=200,
+            matrix=np.array([[2000.0, 7, 100], [0, 900, 50], [0, 0, 1]]),
+            distortion=np.array([-0.3, 0.1, 0.01, 0, 0]),
+        )
+        cameras = made.cameras | {name: replace(made.camera(name), intrinsics=other)}
+        changed = replace(made, cameras=cameras)
+        np.testing.assert_array_equal(
+            ideal_wide_pixel(changed, eye, DEPTHS), ideal_wide_pixel(made, eye, DEPTHS)
+        )
+
+
+def test_an_error_in_depth_costs_less_the_farther_the_point():
+    made = head(1)
+    near, far = (np.linalg.norm(foveal_miss(made, "left", z, 1.1 * z)) for z in (0.3, 1.5))
+    assert 4 < near / far < 6  # as 1 / z for an error of 10 %
+    np.testing.assert_allclose(foveal_miss(made, "left", np.inf, np.inf), 0, atol=1e-9)
+    assert np.linalg.norm(foveal_miss(made, "left", 1e6, 1e5)) < 0.01
+
+
+@pytest.mark.parametrize("depth", [0.0, -1.0, np.nan])
+def test_a_depth_that_is_none_is_refused(depth: float):
+    with pytest.raises(VergenceError, match="above 0 m"):
+        ideal_wide_pixel(head(0), "left", [1.0, depth])
+
+
+@pytest.mark.parametrize("lens", ["narrow", "wide"])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_gaze_angles_centre_a_point_in_both_eyes_exactly(seed: int, lens):
+    made = head(seed)
+    points = np.random.default_rng(seed).uniform([0.25, -0.8, -0.6], [3, 0.8, 0.6], (200, 3))
+    points[:, 1:] *= points[:, :1]
+    angles = gaze_angles(made, points, lens=lens)
+    assert angles.shape == (200, 4)
+    for eye in EYES:
+        in_cam = point_in_camera(made, f"{eye}_{lens}", angles, points)
+        assert (in_cam[:, 2] > 0).all()
+        assert np.abs(in_cam[:, :2] / in_cam[:, 2:]).max() < 1e-12
+
+
+def test_eyes_converge_on_what_is_near():
+    near, far = gaze_angles(head(2), np.array([[0.3, -0.04, 0], [3.0, -0.04, 0]]))
+    assert near[0] - near[2] < far[0] - far[2]  # left pans right, right pans left
+
+
+def test_points_that_no_gaze_centres_are_nan_and_leave_the_others_alone():
+    points = np.array([[np.nan, 0, 1], [0, 0, 1], [0.001, 0, 0], [0.5, 0, 0], [0, 0, 0]])
+    angles = eye_angles_to(head(0), "left", points)
+    np.testing.assert_array_equal(np.isfinite(angles).all(axis=1), [False] * 3 + [True, False])
+    alone = eye_angles_to(head(0), "left", points[3])
+    np.testing.assert_allclose(alone, angles[3], atol=1e-14)
+
+
+def test_only_angles_within_all_limits_are_reachable():
+    limits = np.array([[-0.6, 0.6], [-0.5, 0.5]])
+    angles = np.array([[0.1, 0.1], [0.7, 0], [0, -0.6], [np.nan, 0]])
+    np.testing.assert_array_equal(reachable(angles, limits), [True, False, False, False])
+
+
+def test_a_rendered_object_held_at_the_ideal_position_is_in_the_middle_of_the_fovea():
+    """On the twin's own pictures, and with its truth: 0.3 px in all four images."""
+    with Twin(load_profile("ideal"), seed=3) as twin:
+        for point in (np.array([0.35, 0.05, -0.06]), np.array([0.9, -0.2, 0.1])):
+            twin.place_object(point)
+            twin.settle(np.concatenate([np.zeros(3), gaze_angles(twin.truth, point)]))
+            frame = twin.capture()
+            for eye in EYES:
+                narrow = twin.truth.camera(f"{eye}_narrow").intrinsics
+                seen = find_sphere(frame.images[f"{eye}_narrow"], narrow)
+                assert np.linalg.norm(seen - narrow.matrix[:2, 2]) < 0.3
+                eyes = twin.true_angles()[None, 3:]
+                depth = point_in_camera(twin.truth, f"{eye}_narrow", eyes, point[None])[0, 2]
+                wide = twin.truth.camera(f"{eye}_wide").intrinsics
+                seen = find_sphere(frame.images[f"{eye}_wide"], wide)
+                ideal = ideal_wide_pixel(twin.truth, eye, depth)
+                assert np.linalg.norm(seen - ideal) < 0.3
+
+
+def test_the_whole_is_vectorised():
+    """Ten thousand depths and ten thousand gazes take no loop over samples."""
+    assert ideal_wide_pixel(head(0), "left", np.full((1000, 10), 0.5)).shape == (1000, 10, 2)
+    points = np.broadcast_to([0.5, 0.0, 0.0], (100, 100, 3))
+    assert gaze_angles(head(0), points).shape == (100, 100, 4)
+    one, all_of_them = gaze_angles(head(0), points[0, 0]), gaze_angles(head(0), points)
+    np.testing.assert_allclose(all_of_them, np.broadcast_to(one, (100, 100, 4)), atol=1e-12)
