@@ -8,7 +8,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.noise import Components, estimate_noise, redundancy
-from vergence.calibration.observability import Observability, observe
+from vergence.calibration.observability import Observability, observe, whole_basis
 from vergence.calibration.problem import Problem, State, corner_errors
 from vergence.calibration.solver import (
     OUTLIER,
@@ -42,6 +42,10 @@ class Adjusted:
     """1 for inliers, 0 for outliers and what was not seen."""
     assumed: np.ndarray
     """(groups,) whether a joint noise is USUAL_JOINT, for want of data."""
+    told: np.ndarray
+    """(groups,) whether a joint noise was given."""
+    spare: Array
+    """(groups,) how many readings a generous noise would leave over: what a level rests on."""
     converged: bool
 
 
@@ -75,8 +79,8 @@ def adjust(
         group,
         outlier,
     )
-    linear, seen = _survey(problem, start, first)
-    left = redundancy(linear, first, seen.basis)
+    basis, linear = whole_basis(problem, start), _linear(problem, start, first)
+    left = redundancy(linear, first, basis)
     if left[0] < 1:
         raise VergenceError(
             f"There are {linear.count:.0f} corner coordinates for more unknowns than that; "
@@ -85,25 +89,27 @@ def adjust(
     assumed = ~told[1:] & (left[1:] < 1)
     told[1:] |= assumed
     noise = replace(first, joint=np.where(assumed, USUAL_JOINT, first.joint))
-    state, agreed, converged, restarted = start, False, False, False
-    components = Components(noise, np.zeros(1 + groups), left)
+    state, components, seen = start, Components(noise, np.zeros(1 + groups), left), None
+    agreed, converged, restarted = False, False, False
     for _ in range(ROUNDS):
-        state, converged = minimise(problem, state, noise, seen.basis)
+        state, converged = minimise(problem, state, noise, basis)
         # Inliers choose the level and the level the inliers: keep half of the corners among them.
         least = 0.0 if told[0] else 0.8 * _median_level(problem, state)
         noise = replace(noise, pixel_px=max(noise.pixel_px, least))
         linear = _linear(problem, state, noise)
-        components = estimate_noise(linear, noise, seen.basis, told)
+        components = estimate_noise(linear, noise, basis, told)
         change = np.abs(np.log(_levels(components.noise) / _levels(noise))).max()
-        noise, before = components.noise, seen
-        linear, seen = _survey(problem, state, noise)
-        if len(seen.held) > len(before.held):
+        noise, before = components.noise, 0 if seen is None else len(seen.held)
+        found = observe(problem, state, _linear(problem, state, noise), noise)
+        # Where a direction was held once it stays held: taking turns would never end.
+        if seen is None or not (restarted and len(found.held) < before):
+            seen, basis = found, found.basis
+        agreed = change < 1e-3 and len(seen.held) == before
+        if len(seen.held) > before:
             state, restarted = start, True  # what turns out to be unobservable has wandered
-        elif restarted and len(seen.held) < len(before.held):
-            seen = before  # once wandered, always held: taking turns would never end
-        agreed = change < 1e-3 and len(seen.held) == len(before.held)
         if agreed:
             break
+    assert seen is not None
     certain = observe(problem, state, linear, _allowing_for_estimation(components))
     return Adjusted(
         state,
@@ -111,17 +117,14 @@ def adjust(
         replace(seen, covariance=certain.covariance),
         inliers(robust_weights(problem, state, noise)),
         assumed,
+        np.full(groups, joint_std is not None),
+        left[1:],
         converged and agreed,
     )
 
 
 def _linear(problem: Problem, state: State, noise: Noise) -> Linear:
     return linearise(problem, state, inliers(robust_weights(problem, state, noise)))
-
-
-def _survey(problem: Problem, state: State, noise: Noise) -> tuple[Linear, Observability]:
-    linear = _linear(problem, state, noise)
-    return linear, observe(problem, state, linear, noise)
 
 
 def _median_level(problem: Problem, state: State) -> float:

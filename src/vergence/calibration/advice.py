@@ -17,6 +17,8 @@ ADVISED = "by at least 0.1 rad, better 0.25"
 degrees and 0.4 mm, at 0.1 px and 0.1 degrees of noise."""
 SENSE = 6.0
 """Motion, as a multiple of the noise of its mean, from which its sense is beyond doubt."""
+FEW = 6
+"""Degrees of freedom below which a level of noise has tails that no covariance tells."""
 NAMED = 0.3
 """A direction's components of this size, relative to the largest, are named."""
 
@@ -46,6 +48,11 @@ def warnings(problem: Problem, found: Adjusted) -> tuple[str, ...]:
         said.append(
             f"The noise of the joint readings cannot be told from these views; {noise.joint[k]:g} "
             "was assumed: let the eyes look at each board from several angles."
+        )
+    for spare in found.spare[~found.assumed & ~found.told & (found.spare < FEW)]:
+        said.append(
+            f"The noise of the joint readings rests on {spare:.0f} readings more than it takes to "
+            "fit them: the stated accuracy is rough; record more views."
         )
     corners = int(np.count_nonzero(problem.seen))
     outliers = corners - np.count_nonzero(found.weights.corner)

@@ -1,7 +1,7 @@
 """Which directions of the unknowns the data cannot determine, and what to say about them.
 
-The yardstick is what a ruler and a data sheet tell without any calibration: a direction that the
-data know worse than that is called not observable, keeps its start, and is reported in words.
+The yardstick is what a ruler and a data sheet tell without any calibration. A direction that the
+data know `HELD` times worse keeps its start, and one that they know hardly better is reported too.
 """
 
 from __future__ import annotations
@@ -29,6 +29,9 @@ AXES_RULER = (0.1, 0.1, 0.05, 0.05, 0.05, 0.005)
 TIME_S = 0.1
 UNKNOWN = 1e3
 """Standard deviation, in rulers, that stands for "not determined at all"."""
+HELD = 5.0
+"""Standard deviation, in rulers, from which a direction is held: 14 degrees, 5 cm. One that is
+known better is estimated: the start may be worse still, and would spoil what is observable."""
 WEAK = 0.3
 """Standard deviation, in rulers, from which a direction deserves a warning: 0.9 degrees, 3 mm."""
 
@@ -43,8 +46,6 @@ class Observability:
     """(H, c) directions of the calibration that are not observable, each one ruler long."""
     weak: Array
     """(W, c) directions that are observable, but hardly."""
-    held_std: Array
-    """(H,) what the data alone know of the held directions, in rulers."""
     covariance: Array
     """(c, c) of the calibration; where nothing is known, UNKNOWN rulers."""
 
@@ -65,13 +66,18 @@ def rulers(problem: Problem, state: State) -> Array:
     return np.array(scales + ([ROTATION_RAD] * 3 + [TRANSLATION_M] * 3) * placements)
 
 
+def whole_basis(problem: Problem, state: State) -> Array:
+    """Return (G, F) directions, a ruler long each, of all that is free."""
+    return np.diag(rulers(problem, state))[:, problem.free]
+
+
 def observe(problem: Problem, state: State, linear: Linear, noise: Noise) -> Observability:
-    """Return which directions of the calibration are known better than by a ruler.
+    """Return which directions of the calibration the data determine.
 
     The information on the calibration alone (placements and latent angles eliminated) is scaled
-    by the rulers; directions of eigenvalue below 1 are held.
+    by the rulers, and its eigenvectors are the directions.
     """
-    scale = np.diag(rulers(problem, state))[:, problem.free]
+    scale = whole_basis(problem, state)
     c = calibration_size(problem)
     mine = np.flatnonzero(problem.free) < c
     S = factorise(linear, noise, scale).schur
@@ -82,13 +88,13 @@ def observe(problem: Problem, state: State, linear: Linear, noise: Noise) -> Obs
     information = S[np.ix_(mine, mine)] - across @ np.linalg.solve(boards, across.T)
     values, vectors = np.linalg.eigh(information)
     values = np.maximum(values, UNKNOWN**-2)
-    kept, hardly = values > 1, (values > 1) & (values < WEAK**-2)
+    kept = values > HELD**-2
+    hardly = kept & (values < WEAK**-2)
     directions = scale[:, mine] @ vectors
     return Observability(
         basis=np.concatenate([directions[:, kept], scale[:, ~mine]], axis=1),
         held=_unscaled(vectors[:, ~kept], problem.free[:c]),
         weak=_unscaled(vectors[:, hardly], problem.free[:c]),
-        held_std=values[~kept] ** -0.5,
         covariance=(directions / values @ directions.T)[:c, :c],
     )
 

@@ -26,6 +26,7 @@ from vergence.calibration.problem import (
     joint_errors,
     size,
 )
+from vergence.errors import VergenceError
 
 OUTLIER = 4.0
 """Standard deviations; a good corner exceeds it once in 3000, a good joint reading in 16000."""
@@ -169,9 +170,14 @@ def step(factors: Factors) -> tuple[Array, Array]:
 
 
 def cholesky(matrix: Array) -> tuple[Array, bool]:
-    """Factor a positive definite matrix; a ridge far below rounding keeps null ones solvable."""
-    ridge = 1e-13 * np.trace(matrix) / len(matrix) if len(matrix) else 0.0
-    return cho_factor(matrix + ridge * np.eye(len(matrix)), lower=True)
+    """Factor a positive definite matrix; the least ridge that works keeps null ones solvable."""
+    unit = np.trace(matrix) / max(len(matrix), 1) * np.eye(len(matrix))
+    for ridge in 10.0 ** np.arange(-13, -3):
+        try:
+            return cho_factor(matrix + ridge * unit, lower=True)
+        except np.linalg.LinAlgError:
+            continue
+    raise VergenceError("The adjustment's equations are not finite; look for wild input.")
 
 
 def robust_weights(problem: Problem, state: State, noise: Noise) -> Weights:
