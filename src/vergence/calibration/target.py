@@ -19,6 +19,9 @@ DICTIONARIES = tuple(
     sorted(name for name in dir(cv2.aruco) if name.startswith("DICT_") and name.isupper())
 )
 """OpenCV's sets of markers."""
+ITERATIONS = 5
+SETTLED_PX = 0.05
+"""A corner that still moves further in the last of the iterations is not a clear saddle."""
 LARGE_PX = 1_500_000
 """Images of more pixels are not enlarged before markers are looked for."""
 
@@ -105,10 +108,11 @@ def corner_points(board: Board) -> Array:
 def find_corners(image: np.ndarray, board: Board) -> Array | None:
     """Return the inner corners (rows * columns, 2) [px] in the order of corner_points.
 
-    Of a ChArUco board the corners that were not seen are NaN. A chessboard is found as a whole:
-    one whose corner counts differ in parity looks different from its two ends, and is numbered
-    so that the square outside the first corner is black; others keep the order in which OpenCV
-    found them, which may be turned by 180 degrees.
+    Corners that were not seen are NaN. Of a ChArUco board a part is enough. A chessboard is found
+    as a whole, but for single corners that are no clear saddles; one whose corner counts differ
+    in parity looks different from its two ends, and is numbered so that the square outside the
+    first corner is black; others keep the order in which OpenCV found them, which may be turned
+    by 180 degrees.
 
     Args:
         image: (H, W) or (H, W, 3) uint8, RGB.
@@ -131,10 +135,9 @@ def _find_chessboard(grey: np.ndarray, board: Chessboard) -> Array | None:
     corners = corners.reshape(-1, 2).astype(float)
     grid = corners.reshape(board.rows, board.columns, 2)
     spacing = min(np.linalg.norm(np.diff(grid, axis=k), axis=2).min() for k in (0, 1))
-    corners = refine_corners(grey, corners, radius_px=int(np.clip(spacing / 4, 2, 5)))
     if (board.columns + board.rows) % 2 and _first_square_is_white(grey, corners, board):
         corners = corners[::-1]
-    return np.ascontiguousarray(corners)
+    return _saddles(grey, np.ascontiguousarray(corners), int(np.clip(spacing / 4, 2, 5)))
 
 
 def _find_charuco(grey: np.ndarray, board: Charuco) -> Array | None:
@@ -151,16 +154,38 @@ def _find_charuco(grey: np.ndarray, board: Charuco) -> Array | None:
     corners = np.full((board.rows * board.columns, 2), np.nan)
     seen = np.asarray(numbers, dtype=int).ravel()
     corners[seen] = (np.reshape(found, (-1, 2)) + 0.5) / scale - 0.5
-    grid = corners.reshape(board.rows, board.columns, 2)
-    sides = [np.linalg.norm(np.diff(grid, axis=k), axis=2).ravel() for k in (0, 1)]
-    spacing = np.concatenate(sides)
-    if not np.isfinite(spacing).any():  # no two neighbours
-        return None
-    # The markers begin close to the corners; both do so alike, and leave the saddle its place.
-    radius_px = int(np.clip(np.nanmin(spacing) / 5, 2, 5))
-    corners[seen] = _saddles(grey, corners[seen], radius_px)
-    _drop_misplaced(corners, corner_points(board)[:, :2], 0.4 * float(np.nanmedian(spacing)))
+    shortest = _shortest_diagonals(corners.reshape(board.rows, board.columns, 2)).ravel()
+    corners[~np.isfinite(shortest)] = np.nan  # without neighbours its scale is not known
+    # Inside the white between a corner and its two markers, which the saddle knows nothing of.
+    margin = (1 - board.marker_m / board.square_m) / 2
+    radii = np.clip(np.nan_to_num(0.84 * margin * shortest), 2, 5).astype(int)
+    for radius_px in np.unique(radii[np.isfinite(shortest)]):
+        these = (radii == radius_px) & np.isfinite(corners[:, 0])
+        corners[these] = _saddles(grey, corners[these], int(radius_px))
+    size = np.array(grey.shape[::-1])
+    clear = radii[:, None] + 2
+    corners[~((corners >= clear) & (corners <= size - 1 - clear)).all(axis=1)] = np.nan
+    _drop_misplaced(corners, corner_points(board)[:, :2], 0.3 * float(np.nanmedian(shortest)))
     return corners if np.isfinite(corners).any() else None
+
+
+def _shortest_diagonals(grid: Array) -> Array:
+    """Return (rows, columns) of corners (rows, columns, 2): shortest diagonal of its squares [px].
+
+    NaN for a corner without neighbours both along its row and along its column.
+    """
+    padded = np.pad(grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
+    centre = padded[1:-1, 1:-1]
+    beside = {-1: padded[1:-1, :-2] - centre, 1: padded[1:-1, 2:] - centre}
+    below = {-1: padded[:-2, 1:-1] - centre, 1: padded[2:, 1:-1] - centre}
+    diagonals = [
+        np.linalg.norm(beside[i] + sign * below[j], axis=-1)
+        for i in (-1, 1)
+        for j in (-1, 1)
+        for sign in (-1, 1)
+    ]
+    shortest = np.fmin.reduce(diagonals)
+    return np.asarray(shortest)
 
 
 def _drop_misplaced(corners: Array, points: Array, tolerance_px: float) -> None:
@@ -180,7 +205,7 @@ def refine_corners(grey: np.ndarray, corners: Array, *, radius_px: int) -> Array
     """Move corners (K, 2) onto the saddle points of the grey levels around them.
 
     Around a corner the slightly blurred image is a saddle; a quadratic is fitted to a disc and
-    its stationary point taken, three times over (after Lucchese and Mitra, 2002). On rendered
+    its stationary point taken, until it rests (after Lucchese and Mitra, 2002). On rendered
     boards that lean or are near this is free of the errors of up to half a pixel that single
     corners of OpenCV's detector have there.
 
@@ -204,7 +229,8 @@ def _saddles(grey: np.ndarray, corners: Array, radius_px: int) -> Array:
     u, v = u[disc].astype(float), v[disc].astype(float)
     fit = np.linalg.pinv(np.stack([u * u, u * v, v * v, u, v, np.ones_like(u)], axis=-1))
     refined = corners.copy()
-    for _ in range(3):
+    step = np.zeros_like(corners)
+    for _ in range(ITERATIONS):
         at = (refined[:, None] + np.stack([u, v], axis=-1)).astype(np.float32)
         grey_levels = cv2.remap(blurred, at[..., 0], at[..., 1], cv2.INTER_CUBIC)
         a, b, c, d, e, _ = (grey_levels @ fit.T).T
@@ -214,6 +240,7 @@ def _saddles(grey: np.ndarray, corners: Array, radius_px: int) -> Array:
         step[(det >= 0) | (np.abs(step).max(axis=1) > 1.5)] = np.nan
         refined += step
     lost = ~(np.abs(refined - corners).max(axis=1) < 1.5)
+    lost |= ~(np.abs(step).max(axis=1) < SETTLED_PX)
     return np.where(lost[:, None], np.nan, refined)
 
 
