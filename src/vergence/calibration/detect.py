@@ -147,7 +147,10 @@ def look_for(
     grey: np.ndarray, board: Board, least_corners: int = LEAST_CORNERS
 ) -> tuple[Array | None, str]:
     """Return the corners (K, 2) [px] in an image (H, W) uint8, or None and the reason."""
-    corners = find_corners(grey, board)
+    try:
+        corners = find_corners(grey, board)
+    except cv2.error as error:  # images of a few pixels, for example
+        return None, f"OpenCV cannot look for the board ({error.err})"
     if corners is None:
         return None, _why_not(grey)
     count = int(np.isfinite(corners).all(axis=1).sum())
