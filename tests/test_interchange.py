@@ -1,0 +1,383 @@
+"""Other programs' formats: round trips are exact, and what a format cannot say is refused."""
+
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from heads import random_head, random_pose
+from vergence.camera import Camera, project
+from vergence.errors import VergenceError
+from vergence.geometry import inverse, pose, rotation, rotvec
+from vergence.head import HeadCalibration, T_base_cam, T_body_base, T_head_base
+from vergence.interchange import kalibr, opencv, ros, urdf
+from vergence.interchange.formats import export_head, import_head
+from vergence.kinematics import EYES, NECK_JOINTS, EyeAxes, Neck, T_body_head
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def plain(seed: int) -> HeadCalibration:
+    """Return a random head without skew, which no format has a field for."""
+    head = random_head(np.random.default_rng(seed))
+    cameras = {}
+    for name, mounted in head.cameras.items():
+        matrix = mounted.intrinsics.matrix.copy()
+        matrix[0, 1] = 0
+        cameras[name] = replace(mounted, intrinsics=replace(mounted.intrinsics, matrix=matrix))
+    return replace(head, cameras=cameras)
+
+
+def with_distortion(head: HeadCalibration, k3: float) -> HeadCalibration:
+    left = head.cameras["left_wide"]
+    distortion = left.intrinsics.distortion.copy()
+    distortion[4] = k3
+    intrinsics = replace(left.intrinsics, distortion=distortion)
+    return replace(
+        head, cameras={**head.cameras, "left_wide": replace(left, intrinsics=intrinsics)}
+    )
+
+
+def same_camera(a: Camera, b: Camera) -> bool:
+    return (
+        (a.width, a.height) == (b.width, b.height)
+        and bool((a.matrix == b.matrix).all())
+        and bool((a.distortion == b.distortion).all())
+    )
+
+
+def rays(rng: np.random.Generator) -> np.ndarray:
+    return rng.uniform([-0.5, -0.4, 0.5], [0.5, 0.4, 2.0], (50, 3))
+
+
+@pytest.mark.parametrize("suffix", opencv.SUFFIXES)
+def test_a_head_survives_opencv_to_the_last_digit(tmp_path, suffix):
+    head = with_distortion(plain(1), 0.0123456789)
+    opencv.save(head, tmp_path / f"head{suffix}")
+    back = opencv.load(tmp_path / f"head{suffix}")
+    assert list(back.cameras) == list(head.cameras)
+    for name, mounted in head.cameras.items():
+        assert same_camera(back.cameras[name].intrinsics, mounted.intrinsics)
+        assert (back.cameras[name].T_eye_cam == mounted.T_eye_cam).all()
+        assert back.cameras[name].eye == mounted.eye
+    assert (back.T_rbase_lbase == head.T_rbase_lbase).all()
+    assert all(vars(back.axes[eye]) == vars(head.axes[eye]) for eye in EYES)
+    for name in ("axes", "points_m", "head_m"):
+        assert (getattr(back.neck, name) == getattr(head.neck, name)).all()
+
+
+def test_a_head_without_a_neck_survives_opencv(tmp_path):
+    head = replace(plain(2), neck=Neck())
+    opencv.save(head, tmp_path / "head.yml")
+    assert opencv.load(tmp_path / "head.yml").neck.axes.shape == (0, 3)
+
+
+def test_opencv_alone_reads_what_it_needs_to_project(tmp_path):
+    head = plain(3)
+    opencv.save(head, tmp_path / "head.yml")
+    storage = cv2.FileStorage(str(tmp_path / "head.yml"), cv2.FILE_STORAGE_READ)
+    node = storage.getNode("cameras").getNode("right_wide")
+    points = rays(np.random.default_rng(0))
+    matrix, distortion = (
+        node.getNode(k).mat() for k in ("camera_matrix", "distortion_coefficients")
+    )
+    pixels, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, distortion)
+    wanted = project(head.cameras["right_wide"].intrinsics, points)
+    np.testing.assert_allclose(pixels.reshape(-1, 2), wanted, atol=1e-9)
+    assert storage.getNode("T_rbase_lbase").mat().shape == (4, 4)
+
+
+@given(seed=SEEDS)
+def test_intrinsics_survive_kalibr_and_ros_to_the_last_digit(seed, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("out")
+    head = plain(seed)
+    kalibr.save(head, folder / "camchain.yaml")
+    chain = kalibr.load(folder / "camchain.yaml")
+    ros.save(head, folder / "info")
+    infos = ros.load(folder / "info")
+    assert list(chain.cameras) == list(head.cameras)
+    assert set(infos) == set(head.cameras)
+    for name, mounted in head.cameras.items():
+        assert same_camera(chain.cameras[name], mounted.intrinsics)
+        assert same_camera(infos[name], mounted.intrinsics)
+
+
+def test_a_camchain_has_every_field_that_kalibr_requires(tmp_path):
+    head = plain(4)
+    kalibr.save(head, tmp_path / "camchain.yaml")
+    content = yaml.safe_load((tmp_path / "camchain.yaml").read_text())
+    assert list(content) == ["cam0", "cam1", "cam2", "cam3"]
+    required = {
+        "camera_model",
+        "intrinsics",
+        "distortion_model",
+        "distortion_coeffs",
+        "resolution",
+        "rostopic",
+        "cam_overlaps",
+    }
+    for k, cam in enumerate(content.values()):
+        assert set(cam) == required | ({"T_cn_cnm1"} if k else set())
+        assert (cam["camera_model"], cam["distortion_model"]) == ("pinhole", "radtan")
+
+
+def radtan(cam: dict, points: np.ndarray) -> np.ndarray:
+    """Return pixels by Kalibr's own formulas (aslam_cv RadialTangentialDistortion)."""
+    x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
+    k1, k2, p1, p2 = cam["distortion_coeffs"]
+    rho = x * x + y * y
+    radial = k1 * rho + k2 * rho**2
+    u = x + x * radial + 2 * p1 * x * y + p2 * (rho + 2 * x * x)
+    v = y + y * radial + 2 * p2 * x * y + p1 * (rho + 2 * y * y)
+    fu, fv, pu, pv = cam["intrinsics"]
+    return np.stack([fu * u + pu, fv * v + pv], axis=-1)
+
+
+def test_a_camchain_projects_as_the_head_does(tmp_path):
+    head = plain(5)
+    kalibr.save(head, tmp_path / "camchain.yaml")
+    content = yaml.safe_load((tmp_path / "camchain.yaml").read_text())
+    points = rays(np.random.default_rng(1))
+    for cam, mounted in zip(content.values(), head.cameras.values(), strict=True):
+        np.testing.assert_allclose(
+            radtan(cam, points), project(mounted.intrinsics, points), atol=1e-9
+        )
+
+
+def test_a_camchain_leads_from_camera_to_camera(tmp_path):
+    head = plain(6)
+    angles = np.array([0.1, -0.2, 0.05, 0.15])
+    kalibr.save(head, tmp_path / "camchain.yaml", eye_angles=angles)
+    chain = kalibr.load(tmp_path / "camchain.yaml")
+    T = np.eye(4)  # from cam0, left_wide, to the last one, right_narrow
+    for step in chain.T_cn_cnm1[1:]:
+        assert step is not None
+        T = step @ T
+    T_lbase_first = T_base_cam(head, "left_wide", angles[:2])
+    T_rbase_last = T_base_cam(head, "right_narrow", angles[2:])
+    np.testing.assert_allclose(
+        T, inverse(T_rbase_last) @ head.T_rbase_lbase @ T_lbase_first, atol=1e-12
+    )
+
+
+def test_a_camchain_brings_a_head_all_but_its_wide_mountings(tmp_path):
+    head = plain(7)
+    rng = np.random.default_rng(7)
+    cameras = {
+        name: m if name.endswith("wide") else replace(m, T_eye_cam=random_pose(rng))
+        for name, m in head.cameras.items()
+    }
+    start = replace(plain(8), cameras=cameras, axes=head.axes)
+    kalibr.save(head, tmp_path / "camchain.yaml")
+    back = import_head(tmp_path / "camchain.yaml", "kalibr", start=start)
+    np.testing.assert_allclose(back.T_rbase_lbase, head.T_rbase_lbase, atol=1e-12)
+    for name, mounted in head.cameras.items():
+        np.testing.assert_allclose(back.cameras[name].T_eye_cam, mounted.T_eye_cam, atol=1e-12)
+
+
+def test_a_camchain_of_other_programs_is_read(tmp_path):
+    (tmp_path / "camchain.yaml").write_text(
+        "cam0: {camera_model: pinhole, distortion_model: radtan, rostopic: /left_wide/image_raw,\n"
+        "  distortion_coeffs: [-0.1, 2e-2, 1e-5, 0], intrinsics: [280, 281, 319.5, 239.5],\n"
+        "  resolution: [640, 480], T_cam_imu: [[1, 0]], timeshift_cam_imu: 0.0}\n"
+    )
+    camera = kalibr.load(tmp_path / "camchain.yaml").cameras["left_wide"]
+    assert camera.distortion.tolist() == [-0.1, 0.02, 1e-5, 0, 0]
+
+
+def test_a_camera_info_has_every_field_that_ros_requires(tmp_path):
+    head = plain(9)
+    ros.save(head, tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {f"{name}.yaml" for name in head.cameras}
+    info = yaml.safe_load((tmp_path / "left_wide.yaml").read_text())
+    shapes = {
+        "camera_matrix": (3, 3),
+        "distortion_coefficients": (1, 5),
+        "rectification_matrix": (3, 3),
+        "projection_matrix": (3, 4),
+    }
+    assert set(info) == {
+        "image_width", "image_height", "camera_name", "distortion_model", *shapes
+    }  # fmt: skip
+    assert info["distortion_model"] == "plumb_bob"
+    for name, (rows, cols) in shapes.items():
+        assert (info[name]["rows"], info[name]["cols"]) == (rows, cols)
+        assert len(info[name]["data"]) == rows * cols
+    points = rays(np.random.default_rng(2))
+    K = np.reshape(info["camera_matrix"]["data"], (3, 3))
+    D = np.array(info["distortion_coefficients"]["data"])
+    pixels, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), K, D)
+    wanted = project(head.cameras["left_wide"].intrinsics, points)
+    np.testing.assert_allclose(pixels.reshape(-1, 2), wanted, atol=1e-9)
+
+
+class Tree:
+    """A little forward kinematics of URDF, written from its specification."""
+
+    def __init__(self, path: Path):
+        self.joints = {}
+        for joint in ElementTree.parse(path).getroot().iter("joint"):
+            name, child = joint.get("name"), joint.find("child")
+            assert child is not None
+            self.joints[child.get("link")] = (name, joint)
+
+    def T_root(self, link: str, angles: dict[str, float]) -> np.ndarray:
+        if link not in self.joints:
+            return np.eye(4)
+        name, joint = self.joints[link]
+        origin, axis, mimic = (joint.find(tag) for tag in ("origin", "axis", "mimic"))
+        roll, pitch, yaw = map(float, origin.get("rpy").split())
+        R = rotation([0, 0, yaw]) @ rotation([0, pitch, 0]) @ rotation([roll, 0, 0])
+        T = pose(R, np.array(origin.get("xyz").split(), dtype=float))
+        if joint.get("type") == "revolute":
+            angle = angles[name if mimic is None else mimic.get("joint")]
+            if mimic is not None:
+                angle = float(mimic.get("multiplier")) * angle + float(mimic.get("offset"))
+            T = T @ pose(rotation(angle * np.array(axis.get("xyz").split(), dtype=float)))
+        return self.T_root(joint.find("parent").get("link"), angles) @ T
+
+
+@given(seed=SEEDS)
+def test_the_urdf_moves_as_the_head_does(seed, tmp_path_factory):
+    path = tmp_path_factory.mktemp("out") / "head.urdf"
+    head = plain(seed)
+    urdf.save(head, path)
+    tree = Tree(path)
+    rng = np.random.default_rng(seed)
+    neck, eyes = rng.uniform(-0.5, 0.5, 3), rng.uniform(-0.5, 0.5, 4)
+    angles = dict(zip(NECK_JOINTS, neck, strict=True))
+    angles |= dict(zip(("left_pan", "left_tilt", "right_pan", "right_tilt"), eyes, strict=True))
+    np.testing.assert_allclose(
+        tree.T_root("head", angles), T_body_head(head.neck, neck), atol=1e-12
+    )
+    for name, mounted in head.cameras.items():
+        T_body_eye_base = T_body_base(head, mounted.eye, neck)
+        np.testing.assert_allclose(
+            tree.T_root(f"{mounted.eye}_base", angles), T_body_eye_base, atol=1e-12
+        )
+        two = eyes[:2] if mounted.eye == "left" else eyes[2:]
+        wanted = T_body_eye_base @ T_base_cam(head, name, two)
+        np.testing.assert_allclose(tree.T_root(f"{name}_optical_frame", angles), wanted, atol=1e-12)
+
+
+def test_a_head_with_perfect_axes_has_plain_joints(tmp_path):
+    head = replace(plain(10), axes={"left": EyeAxes(), "right": EyeAxes()}, neck=Neck())
+    urdf.save(head, tmp_path / "head.urdf", limits={"left_pan": (-0.6, 0.6)})
+    robot = ElementTree.parse(tmp_path / "head.urdf").getroot()
+    revolute = {j.get("name"): j for j in robot.iter("joint") if j.get("type") == "revolute"}
+    assert set(revolute) == {"left_pan", "left_tilt", "right_pan", "right_tilt"}
+    assert all(j.find("mimic") is None for j in revolute.values())
+    limit = revolute["left_pan"].find("limit")
+    assert limit is not None
+    assert (limit.get("lower"), limit.get("upper")) == ("-0.6", "0.6")
+    links = [link.get("name") for link in robot.iter("link")]
+    assert len(links) == len(set(links))
+    children = [child.get("link") for child in robot.iter("child")]
+    assert sorted([*children, "body"], key=str) == sorted(links, key=str)
+    T = Tree(tmp_path / "head.urdf").T_root("right_base", {})
+    np.testing.assert_allclose(T, T_head_base(head, "right"), atol=1e-12)
+
+
+@pytest.mark.parametrize("pitch", [np.pi / 2, -np.pi / 2])
+@pytest.mark.parametrize("yaw", [0.0, 0.7, -2.0])
+def test_the_urdf_turns_a_camera_that_looks_straight_up_or_down_rightly(tmp_path, pitch, yaw):
+    R_eye_link = rotation([0, 0, yaw]) @ rotation([0, pitch, 0])
+    head = plain(11)
+    T_eye_cam = pose(R_eye_link @ urdf.R_LINK_OPTICAL)
+    cameras = {"left_wide": replace(head.cameras["left_wide"], T_eye_cam=T_eye_cam)}
+    urdf.save(replace(head, cameras=cameras), tmp_path / "head.urdf")
+    angles = {"neck_pitch": 0.0, "neck_roll": 0.0, "neck_yaw": 0.0}
+    angles |= {f"{eye}_{joint}": 0.1 for eye in EYES for joint in ("pan", "tilt")}
+    tree = Tree(tmp_path / "head.urdf")
+    T_eye = tree.T_root("left_eye", angles)
+    found = inverse(T_eye) @ tree.T_root("left_wide_optical_frame", angles)
+    assert np.abs(rotvec(found[:3, :3].T @ T_eye_cam[:3, :3])).max() < 1e-7
+
+
+@pytest.mark.parametrize("format_name", ["kalibr", "ros", "opencv"])
+def test_skew_is_refused_by_formats_that_have_no_field_for_it(tmp_path, format_name):
+    head = random_head(np.random.default_rng(12))
+    with pytest.raises(VergenceError, match="left_wide has a skew") as refused:
+        export_head(head, tmp_path / "out.yml", format_name)
+    assert "\n" not in str(refused.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_k3_is_refused_by_kalibr_and_kept_by_ros(tmp_path):
+    head = with_distortion(plain(13), 0.004)
+    with pytest.raises(VergenceError, match=r"left_wide has k3 = 0\.004.*opencv or ros"):
+        kalibr.save(head, tmp_path / "camchain.yaml")
+    ros.save(head, tmp_path)
+    assert ros.load(tmp_path / "left_wide.yaml")["left_wide"].distortion[4] == 0.004
+
+
+def test_kalibr_and_ros_need_a_head_to_start_from(tmp_path):
+    ros.save(plain(14), tmp_path)
+    with pytest.raises(VergenceError, match="name a head calibration"):
+        import_head(tmp_path, "ros")
+
+
+def test_a_camera_that_the_head_has_not_is_named(tmp_path):
+    head = plain(15)
+    ros.save(head, tmp_path)
+    start = replace(head, cameras={"left_wide": head.cameras["left_wide"]})
+    with pytest.raises(VergenceError, match="No camera is called 'left_narrow'"):
+        import_head(tmp_path, "ros", start=start)
+
+
+def test_names_that_lead_out_of_the_folder_are_refused(tmp_path):
+    head = plain(16)
+    cameras = {"../left_wide": head.cameras["left_wide"]}
+    with pytest.raises(VergenceError, match="letters, digits"):
+        ros.save(replace(head, cameras=cameras), tmp_path / "info")
+    assert list(tmp_path.iterdir()) == []
+
+
+@given(data=st.data())
+def test_damaged_files_are_refused_in_one_sentence_or_read(data, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("damaged")
+    head = plain(17)
+    name, format_name = data.draw(
+        st.sampled_from([("head.yml", "opencv"), ("camchain.yaml", "kalibr"), ("info", "ros")])
+    )
+    export_head(head, folder / name, format_name)
+    file = folder / name if format_name != "ros" else folder / name / "left_wide.yaml"
+    text = file.read_text()
+    lines = text.splitlines()
+    k = data.draw(st.integers(0, len(lines) - 1))
+    how = data.draw(st.sampled_from(["cut", "drop", "garble", "nan", "empty"]))
+    if how == "cut":
+        text = "\n".join(lines[:k])
+    elif how == "drop":
+        text = "\n".join(lines[:k] + lines[k + 1 :])
+    elif how == "garble":
+        text = "\n".join([*lines[:k], data.draw(st.text(max_size=20)), *lines[k + 1 :]])
+    elif how == "nan":
+        text = "\n".join([*lines[:k], lines[k].replace("0.", ".nan "), *lines[k + 1 :]])
+    else:
+        text = ""
+    file.write_text(text, encoding="utf-8")
+    try:
+        back = import_head(folder / name, format_name, start=head)
+        message = ""
+    except VergenceError as error:
+        back, message = head, str(error)
+    assert "\n" not in message
+    assert set(back.cameras) <= set(head.cameras)
+
+
+@pytest.mark.parametrize("format_name", ["kalibr", "ros", "opencv"])
+def test_a_missing_file_is_named(tmp_path, format_name):
+    with pytest.raises(VergenceError, match=r"none\.yml"):
+        import_head(tmp_path / "none.yml", format_name, start=plain(18))
+
+
+def test_opencv_says_which_endings_it_knows(tmp_path):
+    with pytest.raises(VergenceError, match=r"\.yml, \.yaml, \.xml, \.json"):
+        opencv.save(plain(19), tmp_path / "head.txt")
