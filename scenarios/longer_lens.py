@@ -18,10 +18,19 @@ OUT = Path("runs/longer_lens")
 
 
 def main(
-    out: Path = OUT, profile: str = "paper", seed: int = 0, duration: float | None = None
+    out: Path = OUT,
+    profile: str = "paper",
+    seed: int = 0,
+    duration: float | None = None,
+    rate: float | None = None,
 ) -> None:
     done = reproduce(
-        out, figures=FIGURES, profile=load_profile(profile), seed=seed, duration_s=duration
+        out,
+        figures=FIGURES,
+        profile=load_profile(profile),
+        seed=seed,
+        duration_s=duration,
+        rate_hz=rate,
     )
     for number in FIGURES:
         x, y, z = 1e3 * done.replays[number].statistics.std_m

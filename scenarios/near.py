@@ -15,10 +15,19 @@ OUT = Path("runs/near")
 
 
 def main(
-    out: Path = OUT, profile: str = "paper", seed: int = 0, duration: float | None = None
+    out: Path = OUT,
+    profile: str = "paper",
+    seed: int = 0,
+    duration: float | None = None,
+    rate: float | None = None,
 ) -> None:
     done = reproduce(
-        out, figures=FIGURES, profile=load_profile(profile), seed=seed, duration_s=duration
+        out,
+        figures=FIGURES,
+        profile=load_profile(profile),
+        seed=seed,
+        duration_s=duration,
+        rate_hz=rate,
     )
     parallel, divergent = (done.replays[number].statistics for number in FIGURES)
     print(f"divergent / parallel depth spread: {divergent.std_m[0] / parallel.std_m[0]:.2f}")

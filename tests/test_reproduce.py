@@ -1,0 +1,165 @@
+"""The main job: statistics of the figures on rendered images, recordings, repeatability."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vergence.calibration.pipeline import calibrate
+from vergence.experiments import reproduce as main_job
+from vergence.experiments.paper import FIGURES
+from vergence.experiments.replay import estimate, observe_points, sample_times, written_by_hand
+from vergence.experiments.reproduce import reproduce
+from vergence.experiments.sequence import look_at_points, plan
+from vergence.experiments.statistics import describe
+from vergence.experiments.trajectories import default_duration_s
+from vergence.recording import read_series
+from vergence.twin.model import FOCAL_MM, as_built_head, nominal_head
+from vergence.twin.profile import load_profile
+
+PAPER_STD = np.array([figure.std_m for figure in FIGURES.values()])
+
+
+def point_level(profile_name: str, seed: int, samples: int = 640) -> tuple[np.ndarray, np.ndarray]:
+    """Return standard deviations (6, 3) and errors of the mean (6, 3) [m] without images.
+
+    The noise of corners and object is what their detectors have on this twin's images.
+    """
+    profile = load_profile(profile_name)
+    std, error = [], []
+    for lens in FOCAL_MM:
+        nominal = nominal_head(lens)
+        truth, rng = as_built_head(nominal, profile, seed), np.random.default_rng(seed)
+        views = look_at_points(truth, profile, plan(nominal, seed), pixel_noise=0.035, rng=rng)
+        head = written_by_hand(calibrate(views).head, profile.by_hand, lens)
+        for figure in FIGURES.values():
+            if figure.lens == lens:
+                times = sample_times(figure, None, samples / default_duration_s(figure.motion))
+                seen = observe_points(truth, profile, figure, times, pixel_noise=0.03, rng=rng)
+                ours = estimate(head, figure, np.array(figure.mean_m), seen).statistics
+                std.append(ours.std_m)
+                error.append(ours.mean_m - figure.mean_m)
+    return np.array(std), np.array(error)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_one_set_of_sources_gives_the_spreads_of_all_six_figures(seed):
+    std, error = point_level("paper", seed)
+    ratio = std / PAPER_STD
+    assert np.exp(np.abs(np.log(ratio))).max() < 1.5
+    assert (np.abs(ratio - 1) <= 0.25).sum() >= 11
+    assert np.abs(ratio[:, 0] - 1).max() < 0.27
+    assert (np.abs(error[:, 0]) < 2 * std[:, 0]).all()
+    assert (np.linalg.norm(error[:, 1:], axis=1) < 0.010).all()
+
+
+def test_the_profile_paper_names_its_fitted_numbers():
+    profile = load_profile("paper")
+    assert 0 < len(profile.fitted) <= 6
+    values = json.dumps(profile.model_dump(exclude={"fitted"}))
+    for fitted in profile.fitted:
+        assert str(fitted.value) in values, f"{fitted.name} is not what the profile says"
+
+
+def test_noise_alone_makes_divergent_motion_no_worse_than_parallel():
+    """The paper's ratios are 2.0, 1.55 and 1.53."""
+    depth = np.mean([point_level("noise-only", seed, 1500)[0][:, 0] for seed in range(3)], axis=0)
+    np.testing.assert_allclose(depth[1::2] / depth[::2], 1, atol=0.10)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> Path:
+    """Figs. 6 and 7 over their full periods, coarsely sampled, on rendered images."""
+    out = tmp_path_factory.mktemp("paper")
+    reproduce(out, figures=(7, 6), profile=load_profile("paper"), seed=0, rate_hz=1.2)
+    return out
+
+
+def statistics(folder: Path) -> dict:
+    return json.loads((folder / "statistics.json").read_text())
+
+
+def test_rendered_spreads_are_those_of_the_paper(run):
+    """At a quarter of the samples; a spread is then known to 6-8 %."""
+    figures = statistics(run)["figures"]
+    assert list(figures) == ["6", "7"]
+    for found in figures.values():
+        std, paper = np.array(found["std_m"]), np.array(found["paper_std_m"])
+        assert np.exp(np.abs(np.log(std / paper))).max() < 1.6
+        assert abs(std[0] / paper[0] - 1) < 0.35
+        error = np.array(found["mean_m"]) - found["object_m"]
+        assert abs(error[0]) < 2 * std[0]
+        assert np.hypot(*error[1:]) < 0.010
+        assert found["samples"] + found["dropped"] in (90, 226)
+        assert found["dropped"] == 0
+
+
+def test_recordings_are_valid_and_hold_the_statistics(run):
+    for number, found in statistics(run)["figures"].items():
+        path = run / f"fig{int(number):02d}.rrd"
+        verified = subprocess.run(
+            [sys.executable, "-m", "rerun", "rrd", "verify", str(path)],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert verified.returncode == 0, verified.stderr
+        series = [read_series(path, f"/estimate/{axis}")[1] for axis in "xyz"]
+        ours = describe(np.stack(series, axis=-1))
+        assert ours.mean_m.tolist() == found["mean_m"]
+        assert ours.std_m.tolist() == found["std_m"]
+        assert ours.samples == found["samples"]
+
+
+def test_report_and_plots_are_there(run):
+    report = (run / "report.md").read_text()
+    assert "6 of its numbers were fitted" in report
+    assert "| 7 | divergent | 2.8mm |" in report
+    assert (run / "figures.png").stat().st_size > 10_000
+
+
+def short(out: Path, seed: int) -> dict:
+    reproduce(out, figures=(6,), profile=load_profile("paper"), seed=seed, duration_s=2, rate_hz=3)
+    return statistics(out)["figures"]["6"]
+
+
+def test_the_same_seed_gives_the_same_digits_and_another_seed_others(tmp_path):
+    first, again, other = (
+        short(tmp_path / "a", 1),
+        short(tmp_path / "b", 1),
+        short(tmp_path / "c", 2),
+    )
+    assert first == again
+    assert first["std_m"] != other["std_m"]
+
+
+def test_an_interrupted_run_leaves_the_finished_figures(tmp_path, monkeypatch):
+    def interrupted(twin, believed, figure, *args, **kwargs):
+        if figure.number == 7:
+            raise KeyboardInterrupt
+        return replay(twin, believed, figure, *args, **kwargs)
+
+    replay = main_job.replay
+    monkeypatch.setattr(main_job, "replay", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        reproduce(
+            tmp_path,
+            figures=(6, 7),
+            profile=load_profile("ideal"),
+            seed=0,
+            duration_s=2,
+            rate_hz=3,
+        )
+    assert list(statistics(tmp_path)["figures"]) == ["6"]
+    times, values = read_series(tmp_path / "fig06.rrd", "/estimate/x")
+    assert len(times) == len(values) == 6
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "calibration-2.8mm.json",
+        "fig06.rrd",
+        "figures.png",
+        "report.md",
+        "statistics.json",
+    }
