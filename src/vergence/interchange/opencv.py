@@ -9,18 +9,23 @@ neck:     axes (nx3), points_m (nx3), head_m (1x3)
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import cv2
 import numpy as np
+import yaml
 from pydantic import TypeAdapter, ValidationError
 
+from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.head import HeadCalibration
 from vergence.interchange.limits import check_names, refuse_skew
@@ -103,65 +108,101 @@ def _write(head: HeadCalibration, name: str) -> None:
 def load(path: Path) -> HeadCalibration:
     """Read a head that `save` wrote, or somebody else in the same form.
 
+    Not with cv2.FileStorage, whose parser now and then ends the whole process at a damaged file.
+
     Raises:
-        VergenceError: the file is missing, OpenCV cannot read it, or a field is not valid.
+        VergenceError: the file is missing, cannot be read, or a field is not valid.
     """
     _check_suffix(path)
-    if not path.is_file():
-        raise VergenceError(f"There is no file {path}.")
+    readers = {".xml": _from_xml, ".json": json.loads}
     try:
-        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-        content = _content(storage)
-        storage.release()
-        if not content["cameras"]:
-            raise VergenceError(f"{path} has no cameras.")
-        return _ADAPTER.validate_python(content)
+        text = path.read_text(encoding="utf-8-sig")
+        content = readers.get(path.suffix, _from_yaml)(text)
+        return _ADAPTER.validate_python(_arranged(content))
+    except OSError as error:
+        raise VergenceError(f"Cannot read {path}: {error.strerror}.") from error
     except ValidationError as error:
         where = ".".join(map(str, error.errors()[0]["loc"])) or "the file"
         raise VergenceError(f"{path}: {where}: {first_message(error)}.") from None
-    except (cv2.error, SystemError, ValueError, OverflowError):  # OpenCV, at broken files
-        raise VergenceError(f"{path} is not a file that OpenCV's FileStorage can read.") from None
+    except KeyError as error:
+        raise VergenceError(f"{path}: {error.args[0]} is missing.") from None
+    except (yaml.YAMLError, ElementTree.ParseError, ValueError, TypeError, RecursionError) as error:
+        reason = " ".join(str(error).split()).rstrip(".")
+        raise VergenceError(f"{path} is not a file of OpenCV's FileStorage: {reason}.") from None
 
 
-def _content(storage: cv2.FileStorage) -> dict[str, Any]:
+class _Loader(yaml.SafeLoader):
+    """Knows OpenCV's matrices, as plain mappings."""
+
+
+def _matrix(loader: yaml.SafeLoader, node: yaml.Node) -> dict[Hashable, Any]:
+    if not isinstance(node, yaml.MappingNode):
+        raise ValueError("an opencv-matrix is not a mapping")
+    return loader.construct_mapping(node, deep=True)
+
+
+_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _matrix)
+
+
+def _from_yaml(text: str) -> Any:
+    # OpenCV 4 begins with %YAML:1.0, which is not quite YAML.
+    return yaml.load(re.sub(r"\A%YAML[^\n]*", "", text), Loader=_Loader)
+
+
+def _from_xml(text: str) -> Any:
+    def value(element: ElementTree.Element) -> Any:
+        if len(element):
+            return {child.tag: value(child) for child in element}
+        return (element.text or "").strip().strip('"')
+
+    return value(ElementTree.fromstring(text))
+
+
+def _arranged(content: Any) -> dict[str, Any]:
+    """Return what HeadCalibration is validated from."""
     cameras = {}
-    listed = storage.getNode("cameras")
-    for name in listed.keys() if listed.isMap() else ():
-        node = listed.getNode(name)
+    for name, camera in _mapping(content, "cameras").items():
         cameras[name] = {
-            "eye": node.getNode("eye").string(),
+            "eye": camera["eye"],
             "intrinsics": {
-                "width": int(node.getNode("image_width").real()),
-                "height": int(node.getNode("image_height").real()),
-                "matrix": _mat(node, "camera_matrix"),
-                "distortion": np.ravel(_mat(node, "distortion_coefficients")),
+                "width": camera["image_width"],
+                "height": camera["image_height"],
+                "matrix": _mat(camera, "camera_matrix"),
+                "distortion": _mat(camera, "distortion_coefficients").ravel(),
             },
-            "T_eye_cam": _mat(node, "T_eye_cam"),
+            "T_eye_cam": _mat(camera, "T_eye_cam"),
         }
-    content: dict[str, Any] = {"cameras": cameras, "T_rbase_lbase": _mat(storage, "T_rbase_lbase")}
-    axes = storage.getNode("axes")
-    if not axes.isNone():
-        keys = [field.name for field in fields(EyeAxes)]
-        content["axes"] = {
-            eye: {key: _number(axes.getNode(eye), key) for key in keys} for eye in EYES
-        }
-    neck = storage.getNode("neck")
-    if not neck.isNone():
-        content["neck"] = {
+    if not cameras:
+        raise ValueError("it has no cameras")
+    neck = _mapping(content, "neck")
+    return {
+        "cameras": cameras,
+        "T_rbase_lbase": _mat(content, "T_rbase_lbase"),
+        "axes": {
+            eye: {field.name: _mapping(axes, eye)[field.name] for field in fields(EyeAxes)}
+            for axes in [_mapping(content, "axes")]
+            for eye in EYES
+        },
+        "neck": {
             "axes": _mat(neck, "axes"),
             "points_m": _mat(neck, "points_m"),
-            "head_m": np.ravel(_mat(neck, "head_m")),
-        }
-    return content
+            "head_m": _mat(neck, "head_m").ravel(),
+        },
+    }
 
 
-def _number(parent: Any, key: str) -> float | None:
-    node = parent.getNode(key)
-    return None if node.isNone() else node.real()
+def _mapping(parent: Any, key: str) -> dict[str, Any]:
+    found = parent[key]
+    if not isinstance(found, dict):
+        raise ValueError(f"{key} is not a mapping")
+    return found
 
 
-def _mat(parent: Any, key: str) -> Any:
-    """Return a matrix; [] where there is none, or an empty one."""
-    node = parent.getNode(key)
-    matrix = None if node.isNone() else node.mat()
-    return [] if matrix is None else matrix
+def _mat(parent: Any, key: str) -> Array:
+    """Return a matrix (rows, cols)."""
+    matrix = _mapping(parent, key)
+    rows, cols, data = int(matrix["rows"]), int(matrix["cols"]), matrix["data"]
+    numbers = np.array(data.split() if isinstance(data, str) else data, dtype=float)
+    if numbers.shape != (rows * cols,):
+        raise ValueError(f"{key} is {rows} x {cols}, but has {numbers.size} numbers")
+    return numbers.reshape(rows, cols)
