@@ -21,6 +21,7 @@ from vergence.experiments.statistics import describe
 from vergence.experiments.trajectories import eye_angles
 from vergence.geometry import pose, transform
 from vergence.head import HeadCalibration
+from vergence.recording.shapes import lines_of_sight
 from vergence.twin.appearance import VisualGeom, visual_geoms
 from vergence.twin.model import load_spec, model_folder, nominal_head
 
@@ -176,7 +177,7 @@ def test_estimates_hang_in_the_left_eyes_base_frame(recorded: Path):
 
 
 def test_lines_of_sight_start_at_the_cameras(recorded: Path, head: HeadCalibration):
-    straight = recording._lines_of_sight(head, OBJECT[None], np.zeros((1, 4)))[0]
+    straight = lines_of_sight(head, OBJECT[None], np.zeros((1, 4)))[0]
     np.testing.assert_allclose(straight[0], head.cameras["left_wide"].T_eye_cam[:3, 3])
     in_right_base = transform(head.T_rbase_lbase, straight[2])
     np.testing.assert_allclose(

@@ -1,0 +1,51 @@
+"""Read a recording back, for tests and for other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rerun.chunk import RrdReader
+
+from vergence.arrays import Array
+from vergence.errors import VergenceError
+
+if TYPE_CHECKING:  # the twin, and with it mujoco, is not needed to record a real head
+    pass
+
+
+def read_series(
+    path: Path,
+    entity: str,
+    *,
+    component: str = "Scalars:scalars",
+    timeline: str = "sim_time",
+) -> tuple[Array, Array]:
+    """Return times (N,) [s] and values of one series of a recording, in time order.
+
+    Args:
+        path: of the `.rrd` file.
+        entity: for example `/estimate/x`.
+        component: for example `Points3D:positions`.
+        timeline: `sim_time`, or `frame`, whose times are sample numbers.
+
+    Returns:
+        Values (N, ...); (N, k, ...) where k of them were logged at a time, as in `/paper/x`.
+
+    Raises:
+        VergenceError: the recording has no such series.
+    """
+    times: list[np.ndarray] = []
+    rows: list[Any] = []
+    stream = RrdReader(path).stream()
+    for chunk in stream.filter(content=entity, components=component, has_timeline=timeline):
+        batch = chunk.to_record_batch()
+        times.append(batch.column(timeline).cast("int64").to_numpy())
+        rows += batch.column(component).to_pylist()
+    if not times:
+        raise VergenceError(f"{path} has no {component} at {entity} on the timeline {timeline}.")
+    t, values = np.concatenate(times), np.array(rows)
+    order = np.argsort(t, kind="stable")
+    seconds = t[order] * (1e-9 if timeline == "sim_time" else 1.0)
+    return seconds, (values[:, 0] if values.shape[1] == 1 else values)[order]
