@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from vergence.arrays import Array
 from vergence.camera import normalise, project, project_jacobians
 from vergence.errors import VergenceError
-from vergence.geometry import hat, inverse, pose, rotation, transform
+from vergence.geometry import hat, inverse, transform
 from vergence.head import HeadCalibration, T_narrow_wide
 from vergence.kinematics import EYES, Side
 
@@ -166,11 +166,8 @@ def eye_angles_to(
     error = np.full(angles.shape, np.inf)
     front = np.zeros(p.shape[:-1], dtype=bool)
     for _ in range(_NEWTON_STEPS):
-        R_pan, R_tilt = (
-            rotation(angles[..., k, None] * axis) for k, axis in ((0, pan_axis), (1, tilt_axis))
-        )
-        panned = transform(inverse(pose(R_pan)), p)
-        in_eye = transform(inverse(pose(R_tilt)), panned - shift)
+        panned = _turned_back(p, pan_axis, angles[..., 0])
+        in_eye = _turned_back(panned - shift, tilt_axis, angles[..., 1])
         in_cam = (in_eye - mounted.T_eye_cam[:3, 3]) @ R_cam_eye.T
         front = in_cam[..., 2] > 0
         z = np.where(front, in_cam[..., 2], 1.0)[..., None]
@@ -178,7 +175,7 @@ def eye_angles_to(
         if (np.abs(error[front]) < _CENTRED).all():
             break
         # A turn of the eye turns the point the other way.
-        by_pan = -transform(inverse(pose(R_tilt)), panned @ hat(pan_axis).T)
+        by_pan = -_turned_back(panned @ hat(pan_axis).T, tilt_axis, angles[..., 1])
         by_tilt = -(in_eye @ hat(tilt_axis).T)
         d_cam = np.stack([by_pan @ R_cam_eye.T, by_tilt @ R_cam_eye.T], axis=-1)  # (..., 3, 2)
         J = (d_cam[..., :2, :] - error[..., None] * d_cam[..., 2:, :]) / z[..., None]
@@ -196,6 +193,12 @@ def eye_angles_to(
     gain = np.array([axes.pan_gain, axes.tilt_gain])
     readings = (angles - [axes.pan_offset_rad, axes.tilt_offset_rad]) / gain
     return np.where(good[..., None], readings, np.nan)
+
+
+def _turned_back(v: Array, axis: Array, angle: Array) -> Array:
+    """Return vectors (..., 3) in a frame that is turned by angles (...,) about a unit axis (3,)."""
+    cos, sin = np.cos(angle)[..., None], np.sin(angle)[..., None]
+    return cos * v - sin * (v @ hat(axis).T) + (1 - cos) * (v @ axis)[..., None] * axis
 
 
 def gaze_angles(
@@ -221,4 +224,5 @@ def reachable(angles: Array, limits_rad: Array) -> np.ndarray:
 
     NaN is not reachable.
     """
-    return ((angles >= limits_rad[:, 0]) & (angles <= limits_rad[:, 1])).all(axis=-1)
+    within = (angles >= limits_rad[:, 0]) & (angles <= limits_rad[:, 1])
+    return np.asarray(within.all(axis=-1))
