@@ -1,0 +1,95 @@
+"""A moving point, fused over time: a Kalman filter of constant velocity.
+
+Position and velocity are in one fixed frame; each measurement brings its own covariance (see
+`uncertainty.point_covariance`), which in stereo is long along the line of sight. Between
+measurements the velocity changes as white noise in the acceleration would change it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vergence.arrays import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """What is known of a point at one time."""
+
+    time_s: float
+    mean: Array
+    """(6,) position [m], velocity [m/s]."""
+    covariance: Array
+    """(6, 6)."""
+
+    @property
+    def position(self) -> Array:
+        """(3,) [m]."""
+        return self.mean[:3]
+
+    @property
+    def velocity(self) -> Array:
+        """(3,) [m/s]."""
+        return self.mean[3:]
+
+
+def begin(time_s: float, point: Array, covariance: Array, *, speed_std_m_s: float) -> Track:
+    """Return a track of one measurement, of whose velocity nothing is known but its usual size.
+
+    Args:
+        time_s: of the measurement.
+        point: (3,) [m].
+        covariance: (3, 3) of the point [m^2].
+        speed_std_m_s: of each component of the velocity.
+    """
+    P = np.zeros((6, 6))
+    P[:3, :3], P[3:, 3:] = covariance, speed_std_m_s**2 * np.eye(3)
+    return Track(time_s, np.concatenate([point, np.zeros(3)]), P)
+
+
+def predict(track: Track, time_s: float, *, acceleration_density: float) -> Track:
+    """Return the track at a later time.
+
+    Args:
+        track: as it was.
+        time_s: not before the track's.
+        acceleration_density: spectral density of the acceleration [m^2/s^3]: the variance that
+            each component of the velocity gains in a second.
+    """
+    dt = time_s - track.time_s
+    F = np.eye(6)
+    F[:3, 3:] = dt * np.eye(3)
+    growth = np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+    Q = acceleration_density * np.kron(growth, np.eye(3))
+    return Track(time_s, F @ track.mean, F @ track.covariance @ F.T + Q)
+
+
+def surprise(track: Track, point: Array, covariance: Array) -> float:
+    """Return the squared Mahalanobis distance of a measurement; 3 in the mean if all is right.
+
+    Args:
+        track: at the time of the measurement.
+        point: (3,) [m].
+        covariance: (3, 3) of the point [m^2].
+    """
+    gap = point - track.position
+    return float(gap @ np.linalg.solve(track.covariance[:3, :3] + covariance, gap))
+
+
+def update(track: Track, point: Array, covariance: Array) -> Track:
+    """Return the track after a measurement at its own time.
+
+    Args:
+        track: at the time of the measurement.
+        point: (3,) [m].
+        covariance: (3, 3) of the point [m^2].
+    """
+    P = track.covariance
+    gain = np.linalg.solve(P[:3, :3] + covariance, P[:3]).T  # P H^T S^-1, with S symmetric
+    keep = np.eye(6)
+    keep[:, :3] -= gain
+    # Joseph's form stays symmetric and positive where the short one loses digits.
+    P = keep @ P @ keep.T + gain @ covariance @ gain.T
+    return replace(track, mean=track.mean + gain @ (point - track.position), covariance=P)

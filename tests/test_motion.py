@@ -1,0 +1,80 @@
+"""Commands to the joints."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vergence.calibration.target import Chessboard
+from vergence.dataset import Dataset, Description
+from vergence.motion import Command, Limits, RecordedHead, commanded, setpoint, stay
+from vergence.twin.model import JOINTS, load_spec
+
+LIMITS = Limits()
+SEVEN = st.lists(st.floats(-2, 2), min_size=7, max_size=7).map(np.array)
+
+
+def command(start=0.0, goal=0.0, rate=0.0, time_s=1.0) -> Command:
+    return Command(time_s, *(np.full(7, x) for x in (start, goal, rate)), LIMITS)
+
+
+@given(start=SEVEN, goal=SEVEN, rate=SEVEN, time_s=st.floats(1, 3))
+def test_set_points_keep_ranges_and_speeds(start, goal, rate, time_s):
+    start = np.clip(start, *LIMITS.range_rad.T)
+    now = setpoint(Command(1.0, start, goal, rate, LIMITS), time_s)
+    assert (now >= LIMITS.range_rad[:, 0]).all()
+    assert (now <= LIMITS.range_rad[:, 1]).all()
+    assert (np.abs(now - start) <= LIMITS.speed_rad_s * (time_s - 1) + 1e-12).all()
+
+
+def test_a_goal_within_reach_is_reached_and_followed_while_it_moves():
+    moving = command(goal=0.1, rate=0.5)
+    np.testing.assert_allclose(setpoint(moving, 1.05), 0.125)
+    np.testing.assert_array_equal(setpoint(moving, 0.5), 0)  # not before its time
+
+
+def test_a_goal_stops_when_no_further_command_comes():
+    moving = command(goal=0.1, rate=0.5)
+    np.testing.assert_allclose(setpoint(moving, 1.1), setpoint(moving, 9.0))
+
+
+def test_what_was_in_force_can_be_asked_for_later():
+    commands = [stay(np.zeros(7), LIMITS, 0.0), command(goal=0.2), stay(np.ones(7), LIMITS, 2.0)]
+    np.testing.assert_array_equal(commanded(commands, -1.0), 0)
+    np.testing.assert_array_equal(commanded(commands, 0.9), 0)
+    np.testing.assert_allclose(commanded(commands, 1.5), 0.2)
+
+
+def test_the_default_limits_are_those_of_the_model():
+    model = load_spec().compile()
+    ranges = np.array([model.joint(name).range for name in JOINTS])
+    np.testing.assert_allclose(LIMITS.range_rad, ranges, atol=1e-5)
+
+
+def test_a_recording_is_a_head_that_goes_where_it_went(tmp_path: Path):
+    n = 3
+    times = np.arange(n) / 30
+    description = Description.__new__(Description)
+    object.__setattr__(description, "board", Chessboard(columns=9, rows=6, square_m=0.03))
+    dataset = Dataset(
+        folder=tmp_path,
+        description=description,
+        lines=np.arange(n) + 2,
+        time_s=times,
+        joint_time_s=times,
+        eye_angles=np.arange(4.0 * n).reshape(n, 4),
+        T_base_eye=None,
+        neck_angles=np.zeros((n, 3)),
+        placement=np.zeros(n, int),
+        moving=np.zeros(n, bool),
+        files={},
+    )
+    head = RecordedHead(dataset)
+    seen = [head.read(()) for _ in range(n + 1)]
+    assert seen.pop() is None
+    head.command(command(goal=0.3))
+    assert head.now_s() == pytest.approx(times[-1])
+    angles = np.array([frame.eye_angles for frame in seen if frame is not None])
+    np.testing.assert_array_equal(angles, dataset.eye_angles)
