@@ -1,0 +1,252 @@
+"""Closed-loop gaze: find an object, turn to it, keep it on the fovea, know where it is.
+
+Pure functions: `step` takes the state, a frame and the time, and returns the next state, which
+holds the command for the joints. All that it knows comes from frames and from its own commands.
+
+One law serves all phases. Where the object appears in an eye's image, seen from where that eye was
+sent at the moment of the image, gives the direction to it, and the depth of the track the point;
+the angles that centre the point are the goal. For the narrow image this is a closed loop, whose
+goal is the present posture once the error is zero, whatever the gains of the joints; for the wide
+image it is Eqs. 18-19. On top of it goes how the angles to the tracked point change, with its
+velocity and with the motion of the neck: the feed-forward of smooth pursuit, and the
+vestibulo-ocular reflex.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.dataset import Frame
+from vergence.foveation import eye_angles_to, gaze_angles
+from vergence.gaze_sight import (
+    EYE_ANGLES,
+    best_camera,
+    chain,
+    measure,
+    posture_at_image,
+    rays_to,
+    see,
+)
+from vergence.gaze_state import NARROW, WIDE, Phase, Settings, State, start
+from vergence.geometry import inverse, transform
+from vergence.head import T_body_base
+from vergence.kinematics import EYES, Side
+from vergence.motion import EYES_4, HEAD_JOINTS, NECK, Command, Head, commanded, setpoint, stay
+from vergence.tracking_filter import Track
+
+__all__ = ["NARROW", "WIDE", "Phase", "Settings", "State", "look", "start", "step"]
+
+_RATE_STEP_S = 1e-3
+_SEARCH_RAD = np.array(
+    [(0, 0), (0.5, 0), (-0.5, 0), (-0.5, 0.3), (0.5, 0.3), (0.5, -0.3), (-0.5, -0.3)]
+)
+"""Pan and tilt of the places to which a search looks, one after the other."""
+
+
+def look(
+    head: Head,
+    settings: Settings,
+    state: State,
+    until_s: float,
+    *,
+    watch: Callable[[State, Frame | None], None] = lambda state, frame: None,
+) -> State:
+    """Run the control loop on a head until a time of its clock.
+
+    Args:
+        head: what is controlled.
+        settings: of the controller.
+        state: to go on from.
+        until_s: when to stop.
+        watch: is shown every state and the frame that led to it.
+    """
+    while head.now_s() < until_s:
+        frame = head.read(state.cameras)
+        state = step(settings, state, frame, head.now_s())
+        head.command(state.command)
+        watch(state, frame)
+    return state
+
+
+def step(settings: Settings, state: State, frame: Frame | None, now_s: float) -> State:
+    """Return the next state: see, estimate, decide, command.
+
+    Args:
+        settings: of the controller.
+        state: the present one.
+        frame: the latest; None, one that was here before, or one older than that: nothing new.
+        now_s: from when on the command can take effect, not before the frame's time stamp.
+    """
+    if frame is None or frame.time_s <= state.frame_s:
+        return _without_news(settings, state, now_s)
+    state = see(settings, state, frame)
+    if frame.time_s < state.landing_s:
+        return replace(state, cameras=(*WIDE, *NARROW))
+    posture = posture_at_image(settings, state, frame)
+    rays = rays_to(settings, state, posture)
+    if not rays:
+        return _without_news(settings, state, now_s)
+    state = replace(measure(settings, state, frame, posture), seen_s=frame.time_s)
+    return _follow(settings, state, frame, rays, now_s)
+
+
+def _angles_to(settings: Settings, points_body: Array, neck: Array) -> Array:
+    """Return the eye angles (N, 4) to points (N, 3) in frame body at neck angles (N, 3)."""
+    T_lbase_body = inverse(T_body_base(settings.calibration, "left", chain(settings, neck)))
+    return gaze_angles(settings.calibration, transform(T_lbase_body, points_body))
+
+
+def _follow(
+    settings: Settings,
+    state: State,
+    frame: Frame,
+    rays: Mapping[Side, tuple[Array, Array]],
+    now_s: float,
+) -> State:
+    """Return the state with the command that brings the object onto both foveas, and keeps it."""
+    calibration, posture = settings.calibration, posture_at_image(settings, state, frame)
+    aim = state.aim
+    if aim is None:  # seen by one eye, never yet by both: look there with both
+        (eye, (centre, ray)) = next(iter(rays.items()))
+        point = centre + settings.first_depth_m * ray / np.linalg.norm(ray)
+        if eye == "right":
+            point = transform(inverse(calibration.T_rbase_lbase), point)
+        goal = gaze_angles(calibration, point)
+        return _send(settings, state, goal, np.zeros(4), now_s)
+    start_now = setpoint(state.command, now_s)
+    neck_then = posture[NECK]
+    neck_now = neck_then + start_now[NECK] - commanded(state.commands, frame.time_s)[NECK]
+    version = _angles_to(settings, aim.position[None], neck_now[None])[0]
+    state = _turn_neck(settings, state, version, now_s)
+    moments = np.array([frame.time_s, now_s, now_s + _RATE_STEP_S])
+    velocity = aim.velocity * _is_moving(settings, aim)
+    points = aim.position + (moments - frame.time_s)[:, None] * velocity
+    necks = np.stack([neck_then, neck_now, neck_now + _RATE_STEP_S * state.neck_rate])
+    then, now, soon = _angles_to(settings, points, necks)
+    goal, rate = now.copy(), (soon - now) / _RATE_STEP_S
+    T_base_body = {
+        eye: inverse(T_body_base(calibration, eye, chain(settings, neck_then))) for eye in EYES
+    }
+    for eye, (centre, ray) in rays.items():
+        away = transform(T_base_body[eye], aim.position) - centre
+        along = np.linalg.norm(away) / np.linalg.norm(ray)
+        seen = eye_angles_to(calibration, eye, centre + along * ray)
+        goal[EYE_ANGLES[eye]] = seen + (now - then)[EYE_ANGLES[eye]]
+    return _send(settings, state, goal, rate, now_s)
+
+
+def _turn_neck(settings: Settings, state: State, eyes: Array, now_s: float) -> State:
+    """Choose the neck's speed: the eyes have gone ahead, the neck makes them comfortable.
+
+    Args:
+        settings: of the controller.
+        state: the present one.
+        eyes: (4,) angles of the eyes to the object.
+        now_s: the time.
+    """
+    if not settings.use_neck or not np.isfinite(eyes).all():
+        return state
+    away = np.array([eyes[[1, 3]].mean(), 0.0, eyes[[0, 2]].mean()])  # pitch, roll, yaw
+    begins, ends = settings.comfort_rad
+    turning = np.abs(away).max() > (ends if state.neck_turning else begins)
+    wanted = np.zeros(3)
+    if turning:
+        top = settings.neck_speed_rad_s
+        wanted = np.clip(settings.neck_gain_hz * away, -top, top)
+    change = settings.neck_acceleration_rad_s2 * min(now_s - state.command.time_s, 0.1)
+    rate = state.neck_rate + np.clip(wanted - state.neck_rate, -change, change)
+    at = setpoint(state.command, now_s)[NECK]
+    lower, upper = settings.limits.range_rad[NECK].T
+    blocked = np.isin(HEAD_JOINTS[NECK], state.stuck)
+    blocked |= ((at >= upper) & (rate > 0)) | ((at <= lower) & (rate < 0))
+    return replace(state, neck_turning=bool(turning), neck_rate=np.where(blocked, 0.0, rate))
+
+
+def _send(settings: Settings, state: State, goal: Array, rate: Array, now_s: float) -> State:
+    """Return the state with a command for the eyes and the neck, and the phase it means."""
+    at = setpoint(state.command, now_s)
+    goal = np.where(np.isfinite(goal), goal, at[EYES_4])
+    rate = np.where(np.isfinite(rate), rate, 0.0)
+    lower, upper = settings.limits.range_rad[EYES_4].T
+    distance = np.abs(np.clip(goal, lower, upper) - at[EYES_4])
+    foveal = all(best_camera(state, eye) == f"{eye}_narrow" for eye in EYES)
+    landing = state.landing_s
+    if distance.max() > settings.saccade_rad or state.phase is Phase.LOST:
+        phase = Phase.SACCADE
+        landing = now_s + (distance / settings.limits.speed_rad_s[EYES_4]).max() + settings.settle_s
+    elif not foveal:
+        phase = Phase.SACCADE
+    else:
+        moving = state.aim is not None and _is_moving(settings, state.aim)
+        phase = Phase.PURSUIT if moving else Phase.FIXATION
+    command = Command(
+        now_s,
+        at,
+        np.concatenate([at[NECK], goal]),
+        np.concatenate([state.neck_rate, rate]),
+        settings.limits,
+    )
+    inner = foveal and phase is not Phase.SACCADE and _well_inside(settings, state)
+    return replace(
+        state,
+        phase=phase,
+        since_s=state.since_s if phase is state.phase else now_s,
+        commands=(*state.commands[-15:], command),
+        landing_s=landing,
+        cameras=NARROW if inner else (*WIDE, *NARROW),
+    )
+
+
+def _is_moving(settings: Settings, track: Track) -> bool:
+    """Return whether a point moves across the line of sight from the origin."""
+    distance = np.linalg.norm(track.position)
+    across = np.linalg.norm(np.cross(track.position / distance, track.velocity))
+    return bool(across > settings.moving_rad_s * distance)
+
+
+def _well_inside(settings: Settings, state: State) -> bool:
+    """Return whether the object is so far from the edge that the wide images can be spared."""
+    for name in NARROW:
+        camera = settings.calibration.camera(name).intrinsics
+        size = np.array([camera.width, camera.height])
+        off = np.abs(2 * state.pixels[name] + 1 - size) / size
+        if not (off < settings.outer).all():
+            return False
+    return True
+
+
+def _without_news(settings: Settings, state: State, now_s: float) -> State:
+    """Return the state when there is no new frame, or none that shows the object."""
+    state = replace(state, cameras=(*WIDE, *NARROW))
+    if state.phase is not Phase.LOST:
+        if now_s - max(state.seen_s, state.landing_s) < settings.lost_s:
+            return state  # the command in force goes on, and stops by itself
+        still = stay(setpoint(state.command, now_s), settings.limits, now_s)
+        return replace(
+            state,
+            phase=Phase.LOST,
+            since_s=now_s,
+            commands=(*state.commands[-15:], still),
+            track=None,
+            aim=None,
+            measured=None,
+            measured_covariance=None,
+            neck_rate=np.zeros(3),
+            neck_turning=False,
+        )
+    searched = now_s - state.since_s - settings.search_s
+    if searched < 0:
+        return state
+    pan, tilt = _SEARCH_RAD[int(searched / settings.dwell_s) % len(_SEARCH_RAD)]
+    neck = np.array([0.0, 0.0, pan * settings.use_neck])
+    goal = np.concatenate([neck, np.tile([pan, tilt], 2)])
+    if (goal == state.command.goal).all():
+        return state
+    at = setpoint(state.command, now_s)
+    command = Command(now_s, at, goal, np.zeros(len(HEAD_JOINTS)), settings.limits)
+    landing = now_s + (np.abs(goal - at) / settings.limits.speed_rad_s).max() + settings.settle_s
+    return replace(state, commands=(*state.commands[-15:], command), landing_s=landing)

@@ -1,0 +1,162 @@
+"""From a frame to where the object is: by eye a ray, by both eyes a point and its tracks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from vergence.active_stereo import in_body, locate
+from vergence.arrays import Array
+from vergence.camera import normalise
+from vergence.dataset import Frame
+from vergence.gaze_state import Settings, State
+from vergence.head import T_base_cam, T_body_base
+from vergence.kinematics import EYES, Side
+from vergence.motion import EYES_4, HEAD_JOINTS, NECK, commanded
+from vergence.sphere import find_sphere
+from vergence.tracking_filter import Track, begin, predict, surprise, update
+from vergence.uncertainty import point_covariance
+
+EYE_ANGLES: dict[Side, slice] = {"left": slice(0, 2), "right": slice(2, 4)}
+"""Pan and tilt of an eye among the four angles of both."""
+
+
+def chain(settings: Settings, posture: Array) -> Array:
+    """Return the neck's angles that the calibration's chain takes: none where it has none."""
+    return posture[..., : len(settings.calibration.neck.axes)]
+
+
+def see(settings: Settings, state: State, frame: Frame) -> State:
+    """Find the object in a new frame's images, and the joints that do not follow.
+
+    Args:
+        settings: of the controller.
+        state: before the frame; images that it did not ask for are left alone.
+        frame: the frame.
+    """
+    pixels = {
+        name: find_sphere(image, settings.calibration.camera(name).intrinsics)
+        for name, image in frame.images.items()
+        if name in state.cameras
+    }
+    sent, earlier = (commanded(state.commands, frame.joint_time_s - ago) for ago in (0, 0.1))
+    read = np.concatenate([frame.neck_angles, frame.eye_angles])
+    at_rest = np.abs(sent - earlier) < settings.stuck_rad / 3
+    stuck = at_rest & (np.abs(read - sent) > settings.stuck_rad)
+    # A joint that was stuck is free again when it is where it was sent, at rest or not.
+    still = np.isin(HEAD_JOINTS, state.stuck) & (np.abs(read - sent) > settings.stuck_rad)
+    names = tuple(name for name, is_so in zip(HEAD_JOINTS, stuck | still, strict=True) if is_so)
+    return replace(
+        state,
+        pixels=pixels,
+        frame_s=frame.time_s,
+        stuck=names,
+        measured=None,
+        measured_covariance=None,
+    )
+
+
+def _read_at_image(state: State, frame: Frame) -> Array:
+    """Return readings (7,) carried from their own time to that of the image."""
+    read = np.concatenate([frame.neck_angles, frame.eye_angles])
+    if frame.time_s == frame.joint_time_s:
+        return read
+    sent = [commanded(state.commands, t) for t in (frame.joint_time_s, frame.time_s)]
+    return read + sent[1] - sent[0]
+
+
+def posture_at_image(settings: Settings, state: State, frame: Frame) -> Array:
+    """Return where the joints (7,) were at the image, in the terms of commands.
+
+    That is where they were sent: readings have noise and gains, which a loop that is closed by
+    the image need not have. The neck is heavy, and lags; there and where a joint is stuck, the
+    reading is the better one.
+    """
+    read = _read_at_image(state, frame)
+    sent = commanded(state.commands, frame.time_s)
+    use_reading = np.isin(HEAD_JOINTS, state.stuck)
+    use_reading[NECK] = True
+    return np.where(use_reading, read, sent)
+
+
+def best_camera(state: State, eye: Side) -> str | None:
+    """Return the camera of an eye that sees the object best."""
+    for lens in ("narrow", "wide"):
+        pixel = state.pixels.get(f"{eye}_{lens}")
+        if pixel is not None and np.isfinite(pixel).all():
+            return f"{eye}_{lens}"
+    return None
+
+
+def rays_to(settings: Settings, state: State, posture: Array) -> dict[Side, tuple[Array, Array]]:
+    """Return by eye that sees the object a ray in its base frame: from where, and where to."""
+    rays: dict[Side, tuple[Array, Array]] = {}
+    for eye in EYES:
+        name = best_camera(state, eye)
+        if name is None:
+            continue
+        xy = normalise(settings.calibration.camera(name).intrinsics, state.pixels[name])
+        T = T_base_cam(settings.calibration, name, posture[EYES_4][EYE_ANGLES[eye]])
+        rays[eye] = T[:3, 3], T[:3, :3] @ np.array([*xy, 1.0])
+    return rays
+
+
+def measure(settings: Settings, state: State, frame: Frame, posture: Array) -> State:
+    """Bring both tracks up to a frame: the one to report by readings, the other by commands.
+
+    Args:
+        settings: of the controller.
+        state: with the pixels of the frame.
+        frame: the frame.
+        posture: (7,) by commands, from `posture_at_image`.
+    """
+    found = _locate(settings, state, np.stack([_read_at_image(state, frame), posture]))
+    read, sent = (None, None) if found is None else found
+    return replace(
+        state,
+        measured=None if read is None else read[0],
+        measured_covariance=None if read is None else read[1],
+        track=_fuse(settings, state.track, frame.time_s, read),
+        aim=_fuse(settings, state.aim, frame.time_s, sent),
+    )
+
+
+def _locate(settings: Settings, state: State, postures: Array) -> list[tuple[Array, Array]] | None:
+    """Return the object (3,) and its covariance (3, 3) in frame body, at postures (2, 7).
+
+    The first posture is by readings, the second by commands.
+    """
+    left, right = best_camera(state, "left"), best_camera(state, "right")
+    if left is None or right is None:
+        return None
+    pixels_l, pixels_r = (np.tile(state.pixels[name], (2, 1)) for name in (left, right))
+    eyes, neck = postures[:, EYES_4], chain(settings, postures)
+    located = locate(settings.calibration, pixels_l, pixels_r, eyes, cameras=(left, right))
+    covariances = point_covariance(
+        settings.calibration,
+        pixels_l,
+        pixels_r,
+        eyes,
+        pixel_std_px=settings.pixel_std_px,
+        joint_std_rad=np.repeat([[settings.joint_std_rad], [settings.sent_std_rad]], 4, axis=1),
+        cameras=(left, right),
+    )
+    if not np.isfinite(covariances).all():
+        return None
+    R = T_body_base(settings.calibration, "left", neck)[:, :3, :3]
+    points = in_body(settings.calibration, located.points, neck)
+    return list(zip(points, R @ covariances @ np.swapaxes(R, 1, 2), strict=True))
+
+
+def _fuse(
+    settings: Settings, track: Track | None, time_s: float, measured: tuple[Array, Array] | None
+) -> Track | None:
+    """Return a track at a time, after a measurement, if there is one."""
+    if track is not None:
+        track = predict(track, time_s, acceleration_density=settings.acceleration_density)
+    if measured is None:
+        return track
+    if track is None or surprise(track, *measured) > settings.surprise_limit:
+        return begin(time_s, *measured, speed_std_m_s=settings.speed_std_m_s)
+    return update(track, *measured)

@@ -1,0 +1,150 @@
+"""A head that moves at once to where it is sent and draws what it sees: gaze without MuJoCo."""
+
+from collections.abc import Callable, Sequence
+
+import cv2
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.camera import pinhole, project
+from vergence.dataset import Frame
+from vergence.foveation import gaze_angles
+from vergence.geometry import inverse, pose, rotation, transform
+from vergence.head import HeadCalibration, MountedCamera, T_base_cam, T_body_base
+from vergence.kinematics import EYES, Neck
+from vergence.motion import EYES_4, NECK, Command, Limits, setpoint, stay
+
+PERIOD_S = 1 / 30
+_RADIUS_M = 0.02
+_R_EYE_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+def four_cameras() -> HeadCalibration:
+    """Return a head like the model's: wide lenses that distort, narrow ones 30 mm below."""
+    rng = np.random.default_rng(0)
+    cameras = {}
+    for eye in EYES:
+        for lens, focal, z, k in (("wide", 280.0, 0.01, -0.12), ("narrow", 1200.0, -0.02, 0.0)):
+            turn = rotation(rng.normal(0, 0.01, 3))
+            cameras[f"{eye}_{lens}"] = MountedCamera(
+                eye=eye,
+                intrinsics=pinhole(640, 480, focal, (k, 0.02 * (k != 0), 0, 0, 0)),
+                T_eye_cam=pose(turn @ _R_EYE_CAM, [0.02, 0, z]),
+            )
+    neck = Neck(
+        axes=np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, 1]]),
+        points_m=np.array([[0, 0, 0.07], [0, 0, 0.105], [0, 0, 0.14]]),
+        head_m=np.array([0.06, 0, 0.2]),
+    )
+    return HeadCalibration(cameras=cameras, T_rbase_lbase=pose(t=[0, 0.092, 0]), neck=neck)
+
+
+class DrawnHead:
+    """Behind the protocol of motion.Head; the path of the object is in frame body, None: hidden.
+
+    What can go wrong is given as functions of the number of the frame or of the time.
+    """
+
+    def __init__(
+        self,
+        path: Callable[[float], Array | None],
+        *,
+        latency_s: float = 0.0,
+        dropped: Callable[[int], bool] = lambda number: False,
+        repeated: Callable[[int], bool] = lambda number: False,
+        stuck: Callable[[float], Array | None] = lambda time_s: None,
+        joint_noise_rad: float = 0.0,
+        joint_gain: float = 1.0,
+        joint_lag_s: float = 0.0,
+    ):
+        self.calibration, self.path = four_cameras(), path
+        self.latency_s, self.dropped, self.repeated = latency_s, dropped, repeated
+        self.stuck, self.joint_lag_s = stuck, joint_lag_s
+        self.noise, self.gain = joint_noise_rad, joint_gain
+        self.commands: list[Command] = [stay(np.zeros(7), Limits(), -1.0)]
+        self.number, self.time_s = -1, 0.0
+        self.last: Frame | None = None
+        self.rng = np.random.default_rng(0)
+        self._blank = np.full((480, 640, 3), 90, np.uint8)
+
+    def now_s(self) -> float:
+        return self.time_s
+
+    def command(self, command: Command) -> None:
+        self.commands.append(command)
+
+    def posture(self, time_s: float) -> Array:
+        """Return where the joints truly are (7,); NaN in `stuck` means free."""
+        in_force = [command for command in self.commands if command.time_s <= time_s]
+        angles = setpoint(in_force[-1], time_s)
+        held = self.stuck(time_s)
+        return angles if held is None else np.where(np.isnan(held), angles, held)
+
+    def read(self, cameras: Sequence[str]) -> Frame | None:
+        self.number += 1
+        image_s = self.number * PERIOD_S
+        self.time_s = image_s + self.latency_s
+        if self.dropped(self.number):
+            return None
+        if self.repeated(self.number) and self.last is not None:
+            return self.last
+        joint_s = max(image_s - self.joint_lag_s, 0.0)
+        reading = self.posture(joint_s)
+        reading[EYES_4] = self.gain * reading[EYES_4] + self.rng.normal(0, self.noise, 4)
+        self.last = Frame(
+            image_s,
+            joint_s,
+            reading[EYES_4],
+            reading[NECK],
+            {name: self._draw(name, image_s) for name in cameras},
+        )
+        return self.last
+
+    def in_camera(self, name: str, time_s: float) -> Array | None:
+        """Return the object (3,) in frame cam."""
+        point = self.path(time_s)
+        if point is None:
+            return None
+        angles, eye = self.posture(time_s), self.calibration.cameras[name].eye
+        eyes = angles[EYES_4][:2] if eye == "left" else angles[EYES_4][2:]
+        T = T_body_base(self.calibration, eye, angles[NECK]) @ T_base_cam(
+            self.calibration, name, eyes
+        )
+        return transform(inverse(T), point)
+
+    def _draw(self, name: str, time_s: float) -> np.ndarray:
+        image, point = self._blank.copy(), self.in_camera(name, time_s)
+        if point is None or point[2] <= 0.05:
+            return image
+        camera = self.calibration.cameras[name].intrinsics
+        with np.errstate(over="ignore"):
+            centre = project(camera, point)
+        if not (np.abs(centre) < 2000).all() or np.hypot(*point[:2]) > 2 * point[2]:
+            return image
+        radius = camera.matrix[0, 0] * _RADIUS_M / point[2]
+        u, v, r = (round(float(x) * 16) for x in (*centre, radius))
+        return cv2.circle(image, (u, v), r, (220, 20, 20), -1, cv2.LINE_AA, 4)
+
+    def errors_px(self, time_s: float) -> Array:
+        """Return how far (2,) the object is from the centres of the narrow images."""
+        errors = []
+        for eye in EYES:
+            point = self.in_camera(f"{eye}_narrow", time_s)
+            camera = self.calibration.cameras[f"{eye}_narrow"].intrinsics
+            where = np.full(2, np.nan) if point is None else project(camera, point)
+            errors.append(np.linalg.norm(where - camera.matrix[:2, 2]))
+        return np.array(errors)
+
+
+def point_at(pan_deg: float, tilt_deg: float, distance_m: float) -> Array:
+    """Return a point (3,) in frame body, in a direction from the resting head."""
+    pan, tilt = np.radians([pan_deg, tilt_deg])
+    ray = np.array([np.cos(pan) * np.cos(tilt), np.sin(pan) * np.cos(tilt), -np.sin(tilt)])
+    return four_cameras().neck.head_m + distance_m * ray
+
+
+def straight_to(point_body: Array) -> Array:
+    """Return the eye angles (4,) to a point when the neck is straight."""
+    head = four_cameras()
+    T = inverse(T_body_base(head, "left", np.zeros(3)))
+    return gaze_angles(head, transform(T, point_body))

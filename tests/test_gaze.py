@@ -1,0 +1,234 @@
+"""The controller of the gaze, on a head that draws its own images; on the twin: test_foveate.py."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from drawn_head import DrawnHead, four_cameras, point_at, straight_to
+from vergence.arrays import Array
+from vergence.dataset import Frame
+from vergence.gaze import NARROW, Phase, Settings, State, look, start, step
+from vergence.geometry import transform
+from vergence.head import T_body_base
+from vergence.motion import EYES_4, HEAD_JOINTS, NECK, Limits, setpoint
+
+SETTINGS = Settings(calibration=four_cameras())
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What happened."""
+
+    head: DrawnHead
+    states: list[State]
+    times: Array
+    """(N,) of the images."""
+    errors: Array
+    """(N, 2) px."""
+
+    @property
+    def phases(self) -> list[Phase]:
+        return [state.phase for state in self.states]
+
+    def after(self, time_s: float) -> Array:
+        return self.errors[self.times >= time_s]
+
+
+def run(head: DrawnHead, seconds: float, settings: Settings = SETTINGS) -> Run:
+    states: list[State] = []
+
+    def keep(state: State, frame: Frame | None) -> None:
+        states.append(state)
+
+    look(head, settings, start(settings, np.zeros(7), 0.0), seconds, watch=keep)
+    times = np.arange(len(states)) / 30
+    return Run(head, states, times, np.array([head.errors_px(t) for t in times]))
+
+
+def circling(speed_m_s: float, distance_m: float = 0.6) -> Callable[[float], Array]:
+    """Return the path of a point that goes round a circle of 8 cm radius before the head."""
+    middle = point_at(0, 5, distance_m)
+
+    def path(time_s: float) -> Array:
+        turn = speed_m_s / 0.08 * time_s
+        return middle + 0.08 * np.array([0.3 * np.sin(turn), np.cos(turn), np.sin(turn)])
+
+    return path
+
+
+@pytest.mark.parametrize(
+    ("pan", "tilt", "distance"), [(18, -15, 0.35), (-20, 20, 1.5), (2, 1, 0.8)]
+)
+def test_a_still_object_comes_to_the_middle_of_both_foveas_and_stays(pan, tilt, distance):
+    target = point_at(pan, tilt, distance)
+    done = run(DrawnHead(lambda _: target), 0.5)
+    assert done.after(0.2).max() < 0.5
+    assert set(done.phases[6:]) == {Phase.FIXATION}
+    np.testing.assert_allclose(done.states[-1].command.goal[EYES_4], straight_to(target), atol=1e-3)
+
+
+def test_fixation_asks_for_the_narrow_images_only():
+    done = run(DrawnHead(lambda _: point_at(10, 5, 0.7)), 0.5)
+    assert set(done.states[-1].pixels) == set(NARROW)
+
+
+def test_the_position_in_the_body_is_known_all_the_while():
+    target = point_at(-15, 8, 0.6)
+    done = run(DrawnHead(lambda _: target), 0.6)
+    for state in done.states[3:]:
+        assert state.track is not None
+        assert np.linalg.norm(state.track.position - target) < 2e-3
+
+
+def test_a_moving_object_is_not_followed_from_behind():
+    path = circling(0.2)
+    done = run(DrawnHead(path), 3.0)
+    assert set(done.phases[15:]) == {Phase.PURSUIT}
+    assert np.sqrt((done.after(0.5) ** 2).mean()) < 8
+    # Without the feed-forward, the eyes would be behind by the motion of a frame: 13 px.
+    blind = replace(SETTINGS, moving_rad_s=np.inf)
+    behind = run(DrawnHead(path), 3.0, blind)
+    assert np.sqrt((behind.after(0.5) ** 2).mean()) > 12
+
+
+@pytest.mark.parametrize("latency", [0.02, 0.06, 0.1])
+def test_frames_that_come_late_are_taken_for_the_time_of_their_stamp(latency):
+    still = run(DrawnHead(lambda _: point_at(15, -10, 0.6), latency_s=latency), 1.5)
+    assert still.after(0.7).max() < 0.5
+    moving = run(DrawnHead(circling(0.15), latency_s=latency), 3.0)
+    assert Phase.LOST not in moving.phases[20:]
+    assert np.sqrt((moving.after(1.0) ** 2).mean()) < 25
+
+
+def test_readings_that_are_older_than_the_image_are_carried_to_it():
+    done = run(DrawnHead(circling(0.2), joint_lag_s=0.02), 2.0)
+    path = circling(0.2)
+    errors = [
+        np.linalg.norm(state.measured - path(state.frame_s))
+        for state in done.states[10:]
+        if state.measured is not None
+    ]
+    assert np.median(errors) < 2e-3
+
+
+def test_frames_that_come_twice_or_not_at_all_do_no_harm():
+    head = DrawnHead(circling(0.15), dropped=lambda n: n % 7 == 3, repeated=lambda n: n % 5 == 4)
+    done = run(head, 4.0)
+    assert Phase.LOST not in done.phases[10:]
+    assert np.sqrt((done.after(0.6) ** 2).mean()) < 20
+
+
+def test_an_older_frame_than_the_last_changes_nothing():
+    head = DrawnHead(lambda _: point_at(10, 0, 0.5))
+    done = run(head, 0.3)
+    old = replace(head.last, time_s=0.1)
+    after = step(SETTINGS, done.states[-1], old, head.now_s())
+    assert after.command is done.states[-1].command
+    assert after.track is done.states[-1].track
+
+
+def test_without_frames_the_motion_stops_by_itself_and_the_loss_is_said():
+    head = DrawnHead(circling(0.2), dropped=lambda n: n >= 30)
+    done = run(head, 2.0)
+    assert done.phases[29] is Phase.PURSUIT
+    assert done.phases[-1] is Phase.LOST
+    # It may search, but within its limits.
+    for t in np.arange(1.0, 2.0, 0.01):
+        assert (np.abs(head.posture(t)) <= np.abs(Limits().range_rad).max(axis=1) + 1e-12).all()
+
+
+def test_a_hidden_object_is_lost_and_found_again():
+    path = circling(0.2)
+    done = run(DrawnHead(lambda t: None if 1.0 <= t < 1.5 else path(t)), 3.0)
+    assert Phase.LOST in done.phases[30:46]
+    assert Phase.LOST not in done.phases[48:]
+    assert done.after(2.0).max() < 32
+
+
+def test_an_object_beyond_the_view_is_searched_for_and_found():
+    target = point_at(62, 0, 0.8)
+    done = run(DrawnHead(lambda _: target), 5.0, replace(SETTINGS, use_neck=True))
+    assert done.phases[0] is Phase.LOST
+    assert done.phases[-1] is Phase.FIXATION
+    assert done.errors[-1].max() < 2
+
+
+def test_a_joint_that_sticks_is_named_and_the_rest_goes_on():
+    held = np.full(7, np.nan)
+    held[HEAD_JOINTS.index("left_pan")] = 0.0
+    target = point_at(15, 8, 0.6)
+    head = DrawnHead(lambda _: target, stuck=lambda t: held if t < 1.5 else None)
+    done = run(head, 3.0)
+    during = done.states[40]
+    assert during.stuck == ("left_pan",)
+    assert done.errors[40, 1] < 1
+    assert during.track is not None
+    assert np.linalg.norm(during.track.position - target) < 5e-3
+    assert done.states[-1].stuck == ()
+    assert done.errors[-1].max() < 1
+
+
+def test_gains_and_noise_of_the_readings_do_not_reach_the_fovea():
+    head = DrawnHead(lambda _: point_at(18, 12, 0.7), joint_gain=0.97, joint_noise_rad=2.5e-3)
+    done = run(head, 2.0, replace(SETTINGS, joint_std_rad=2.5e-3))
+    assert np.quantile(done.after(0.5), 0.95) < 3
+
+
+def test_what_only_one_eye_sees_is_looked_at_by_both():
+    hidden = point_at(50, 0, 0.25)  # beyond the right eye's image, within the left one's
+    done = run(DrawnHead(lambda _: hidden), 1.5, replace(SETTINGS, use_neck=True))
+    assert done.phases[-1] is not Phase.LOST
+    assert done.errors[-1].max() < 5
+
+
+@pytest.mark.parametrize("shift", [(-28, 30), (20, -40)])
+def test_eyes_go_first_the_neck_follows_and_the_image_stays(shift):
+    before, after = point_at(shift[0], 0, 0.9), point_at(shift[1], 8, 0.9)
+    head = DrawnHead(lambda t: before if t < 2 else after)
+    done = run(head, 5.0, replace(SETTINGS, use_neck=True))
+    necks = np.array([head.posture(t)[NECK] for t in done.times])
+    turning = np.abs(np.gradient(necks[:, 2], done.times)) > 0.05
+    foveated = np.zeros(len(done.times), bool)
+    for start_s, end_s in ((0.0, 2.0), (2.0, 5.0)):
+        inside = (done.times >= start_s) & (done.times < end_s)
+        reached = np.flatnonzero(inside & (done.errors.max(axis=1) < 5))
+        foveated[reached[0] : np.flatnonzero(inside)[-1] + 1] = True
+        assert done.errors[inside][-1].max() < 2
+        # The eyes end comfortable, since the neck has taken over.
+        last = head.posture(done.times[inside][-1])
+        assert np.abs(last[EYES_4][[0, 2]].mean()) < 0.06
+    assert (turning & foveated).sum() > 20
+    assert done.errors[turning & foveated].max() < 20
+
+
+def test_the_neck_stays_where_it_is_for_small_shifts():
+    head = DrawnHead(lambda _: point_at(9, 5, 0.8))
+    run(head, 1.0, replace(SETTINGS, use_neck=True))
+    np.testing.assert_array_equal(head.posture(1.0)[NECK], 0)
+
+
+@pytest.mark.parametrize("pan", [80, -80])
+def test_no_limit_of_range_or_speed_is_ever_exceeded(pan):
+    head = DrawnHead(lambda t: point_at(pan * np.sin(t), 40 * np.sin(1.7 * t), 0.6))
+    done = run(head, 4.0, replace(SETTINGS, use_neck=True))
+    times = np.arange(0, 4.0, 1e-3)
+    postures = np.array([head.posture(t) for t in times])
+    limits = Limits()
+    assert (postures >= limits.range_rad[:, 0] - 1e-12).all()
+    assert (postures <= limits.range_rad[:, 1] + 1e-12).all()
+    speeds = np.abs(np.diff(postures, axis=0)) / 1e-3
+    assert (speeds <= limits.speed_rad_s * (1 + 1e-6)).all()
+    assert all(np.isfinite(setpoint(s.command, s.frame_s + 0.01)).all() for s in done.states)
+
+
+def test_a_head_without_a_calibrated_neck_works_in_frame_head():
+    plain = replace(four_cameras(), neck=type(four_cameras().neck)())
+    target = point_at(10, 5, 0.6)
+    done = run(DrawnHead(lambda _: target), 0.4, Settings(calibration=plain))
+    T = T_body_base(four_cameras(), "left", np.zeros(3))
+    assert done.states[-1].track is not None
+    in_body = done.states[-1].track.position + four_cameras().neck.head_m
+    assert np.linalg.norm(in_body - target) < 3e-3
+    assert np.isfinite(transform(T, target)).all()
