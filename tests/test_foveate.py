@@ -1,0 +1,74 @@
+"""The experiments with the gaze on the twin, small: the calibration is given, not made."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vergence.errors import VergenceError
+from vergence.experiments import foveate as module
+from vergence.experiments.foveate import Trial, foveate, run_trial, summary, targets
+from vergence.gaze import Settings
+from vergence.twin.head import Twin
+from vergence.twin.profile import ErrorProfile, load_profile
+
+
+def test_targets_fill_the_stated_space_and_follow_the_seed():
+    where = targets(500, 3)
+    pan, tilt = np.arctan2(where[:, 1], where[:, 0]), np.arctan2(-where[:, 2], where[:, 0])
+    for angle in (pan, tilt):
+        assert np.abs(angle).max() <= np.radians(20)
+        assert np.abs(angle).max() > np.radians(19)
+    assert where[:, 0].min() > 0.3
+    assert where[:, 0].max() < 1.5
+    np.testing.assert_array_equal(targets(500, 3), where)
+    np.testing.assert_array_equal(targets(5, 3).shape, (5, 3))
+
+
+@pytest.mark.parametrize(("profile", "worst_px"), [("ideal", 1.0), ("paper", 15.0)])
+def test_an_object_that_appears_comes_to_the_centre_of_both_foveas(profile: str, worst_px: float):
+    with Twin(load_profile(profile), seed=1) as twin:
+        settings = Settings(calibration=twin.truth, joint_std_rad=2.6e-3)
+        trials = [run_trial(twin, settings, k, target) for k, target in enumerate(targets(3, 7))]
+    for trial in trials:
+        assert not trial.lost
+        assert trial.time_s[-1] <= 0.5
+        assert trial.final_px < worst_px
+        assert trial.errors_px[0].max() > 10
+    assert {trial.phases[0] for trial in trials} == {"saccade"}
+
+
+def made(*errors: float, lost: bool = False) -> Trial:
+    both = np.array([[error, 0.0] for error in errors])
+    return Trial(np.zeros(3), 0.1 * np.arange(len(errors)), both, ("saccade",) * len(errors), lost)
+
+
+def test_a_trial_settles_when_it_stays_within_the_bound():
+    assert made(300, 5, 20, 3, 1).settle_s == pytest.approx(0.3)
+    assert made(2, 1).settle_s == 0
+    assert made(2, 9).settle_s == np.inf
+    assert made(2, np.inf).settle_s == np.inf
+
+
+def test_the_summary_counts_the_worse_eye():
+    found = summary([made(100, 2.0), made(100, 4.0), made(100, 50.0, lost=True)])
+    assert (found.trials, found.median_px, found.p95_px, found.lost) == (3, 4.0, 50.0, 1)
+    assert found.settle_s_p95 is None
+
+
+def test_the_summary_is_written_as_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def given(twin: Twin, seed: int) -> Settings:
+        return Settings(calibration=twin.truth)
+
+    monkeypatch.setattr(module, "calibrated", given)
+    found, trials = foveate(trials=1, seed=2, profile=ErrorProfile(), out=tmp_path / "new")
+    written = json.loads((tmp_path / "new" / "foveate.json").read_text())
+    assert list(written) == ["trials", "median_px", "p95_px", "settle_s_p95", "lost"]
+    assert written["trials"] == len(trials) == found.trials == 1
+
+
+@pytest.mark.parametrize(("trials", "seed"), [(0, 0), (-3, 0), (20_000, 0), (1, -1)])
+def test_what_cannot_be_is_refused(trials: int, seed: int):
+    with pytest.raises(VergenceError, match=r"Asked for|The seed"):
+        foveate(trials=trials, seed=seed, profile=ErrorProfile())
