@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -33,6 +35,17 @@ assert set(_FLAGS) == set(_FREE) == set(get_args(LensModel))
 
 # OpenCV's default of 30 iterations stops short of the optimum where distortion is strong.
 CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-14)
+
+
+@contextmanager
+def repeatable() -> Iterator[None]:
+    """Let OpenCV use one thread: with several its sums differ in their last digits every time."""
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(threads)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,15 +85,16 @@ def calibrate_intrinsics(
             "show the whole board to the camera at different angles."
         )
     views = [(points[s], c[s]) for c, s in zip(corners[usable], seen[usable], strict=True)]
-    _, matrix, distortion, rvecs, tvecs = cv2.calibrateCamera(
-        [p.astype(np.float32) for p, _ in views],
-        [c.astype(np.float32).reshape(-1, 1, 2) for _, c in views],
-        size,
-        np.eye(3),  # only the type of these two is used: no guess is given
-        np.zeros(5),
-        flags=_FLAGS[lens_model],
-        criteria=CRITERIA,
-    )
+    with repeatable():
+        _, matrix, distortion, rvecs, tvecs = cv2.calibrateCamera(
+            [p.astype(np.float32) for p, _ in views],
+            [c.astype(np.float32).reshape(-1, 1, 2) for _, c in views],
+            size,
+            np.eye(3),  # only the type of these two is used: no guess is given
+            np.zeros(5),
+            flags=_FLAGS[lens_model],
+            criteria=CRITERIA,
+        )
     start = Camera(
         width=size[0],
         height=size[1],

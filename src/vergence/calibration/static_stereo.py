@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.intrinsics import CRITERIA, seen_corners, target_poses
+from vergence.calibration.intrinsics import CRITERIA, repeatable, seen_corners, target_poses
 from vergence.calibration.polish import polish_pair
 from vergence.camera import Camera
 from vergence.errors import VergenceError
@@ -37,18 +37,19 @@ def calibrate_pair(
         raise VergenceError(
             "The pose between two cameras needs views in which both see the board, found none."
         )
-    *_, R, t, _E, _F = cv2.stereoCalibrate(
-        [points[s].astype(np.float32) for s in both[usable]],
-        [c[s].astype(np.float32) for c, s in zip(corners_a[usable], both[usable], strict=True)],
-        [c[s].astype(np.float32) for c, s in zip(corners_b[usable], both[usable], strict=True)],
-        a.matrix.copy(),
-        a.distortion.copy(),
-        b.matrix.copy(),
-        b.distortion.copy(),
-        (a.width, a.height),
-        flags=cv2.CALIB_FIX_INTRINSIC,
-        criteria=CRITERIA,
-    )
+    with repeatable():
+        *_, R, t, _E, _F = cv2.stereoCalibrate(
+            [points[s].astype(np.float32) for s in both[usable]],
+            [c[s].astype(np.float32) for c, s in zip(corners_a[usable], both[usable], strict=True)],
+            [c[s].astype(np.float32) for c, s in zip(corners_b[usable], both[usable], strict=True)],
+            a.matrix.copy(),
+            a.distortion.copy(),
+            b.matrix.copy(),
+            b.distortion.copy(),
+            (a.width, a.height),
+            flags=cv2.CALIB_FIX_INTRINSIC,
+            criteria=CRITERIA,
+        )
     seen_a, seen_b = (
         np.where(both[usable][..., None], c[usable], np.nan) for c in (corners_a, corners_b)
     )
