@@ -1,13 +1,20 @@
 """How well T_eye_cam is found, and how true the stated accuracy is, over many simulated trials.
 
     python benchmarks/eye_camera_monte_carlo.py
-    python benchmarks/eye_camera_monte_carlo.py --trials 1000 --distance-m 0.5 --motion uniform
+    python benchmarks/eye_camera_monte_carlo.py --trials 1000 --distance-m 0.4 --motion uniform
 
 One eye with a camera of known intrinsics looks at a board at rest; corners and joint readings
 carry normal noise whose levels no estimator is told. Compared are Park and Martin's closed form
 (the paper's), adjustment with the joint readings taken as exact, and `refine_eye_camera`, whose
-true joint angles are unknowns; beside it the same when told both levels, which no estimator can
-beat. Exits with 1 when a bar is missed.
+true joint angles are unknowns; beside it the same when told both levels, for what not being told
+costs. Exits with 1 when a bar is missed.
+
+Two kinds of bar. The relative one (1.05 times the better of the two others) holds in any geometry.
+The absolute one comes from a table whose board, distance, motion and focal length are not recorded,
+so that it can be passed or missed by the choice of them: of 20 geometries (280 and 400 px, grid and
+uniform motion, 0.35 to 0.7 m) none reproduces the table's own columns for Park and Martin and for
+exact joints. At 280 px the grid at 0.5 m comes nearest and is the default. At 0.4 m the absolute
+bars are met, but exact joints then err only 0.6 of what the table has: that geometry is easier.
 """
 
 from __future__ import annotations
@@ -36,7 +43,7 @@ from vergence.kinematics import T_base_eye
 
 BARS = {0.0: (0.014, 0.10), 0.02: (0.025, 0.17), 0.1: (0.064, 0.23), 0.3: (0.124, 0.24)}
 """Median error [deg, mm] at each joint noise [deg] of an estimate that was told both levels of
-noise, in one recording of this kind; the bar is 1.1 times that."""
+noise, in a recording of which not all is known (see above); the bar is 1.1 times that."""
 METHODS = ("Park-Martin", "exact joints", "latent joints", "told the noise")
 R_EYE_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """A camera that looks along the eye's x axis, its image upright."""
@@ -52,7 +59,7 @@ class Config:
     workers: int = 2
     """Processes; the results do not depend on it."""
     focal_px: float = 280.0
-    distance_m: float = 0.4
+    distance_m: float = 0.5
     """From the eye to the board of 9 x 6 corners and 30 mm squares."""
     spread_rad: float = 0.25
     """Pan and tilt stay within plus and minus this."""
@@ -130,25 +137,35 @@ def main(config: Config) -> int:
     with multiprocessing.get_context("spawn").Pool(config.workers) as pool:
         results = pool.starmap(run, jobs, chunksize=10)
     print(f"Median error of T_eye_cam [deg / mm], {config.trials} trials each; {config}\n")
-    print("| joint noise | " + " | ".join(METHODS) + " | bar | in 95 % region | max std | warned |")
-    print("|---" * (len(METHODS) + 5) + "|")
+    print(
+        "| joint noise | "
+        + " | ".join(METHODS)
+        + " | relative bar | absolute bar | in 95 % region "
+        "| max std | warned |"
+    )
+    print("|---" * (len(METHODS) + 6) + "|")
     missed = []
     for row, (level, reference) in enumerate(BARS.items()):
         mine = results[row * config.trials : (row + 1) * config.trials]
         trials = [trial for trial in mine if isinstance(trial, Trial)]
         missed += [f"{level}: a trial failed: {trial}" for trial in mine if isinstance(trial, str)]
         medians = np.median([trial.errors for trial in trials], axis=0)
-        bar = np.minimum(1.1 * np.array(reference), 1.05 * medians[:2].min(axis=0))
+        bars = {
+            "relative": 1.05 * medians[:2].min(axis=0),
+            "absolute": 1.1 * np.array(reference),
+        }
         covered = np.mean([trial.probability < 0.95 for trial in trials])
         worst = max(trial.standardised for trial in trials)
-        cells = [f"{deg:.4f} / {mm:.3f}" for deg, mm in [*medians, bar]]
+        cells = [f"{deg:.4f} / {mm:.3f}" for deg, mm in [*medians, *bars.values()]]
         warned = sum(trial.warned for trial in trials)
         print(
             f"| {level} deg | {' | '.join(cells)} | {100 * covered:.1f} % | {worst:.1f} "
             f"| {warned} |"
         )
-        if (medians[2] > bar).any():
-            missed.append(f"{level}: the median of latent joints is above its bar")
+        for kind, bar in bars.items():
+            if (medians[2] > bar).any():
+                also = "; so is that of one told the noise" if (medians[3] > bar).any() else ""
+                missed.append(f"{level}: the median of latent joints is above its {kind} bar{also}")
         if any(trial.standardised > 10 and not trial.warned for trial in trials):
             missed.append(f"{level}: an error beyond ten standard deviations without a warning")
     print("\n" + ("\n".join(missed) if missed else "All bars are met."))
