@@ -22,6 +22,9 @@ DICTIONARIES = tuple(
 ITERATIONS = 5
 SETTLED_PX = 0.05
 """A corner that still moves further in the last of the iterations is not a clear saddle."""
+UNEVEN = 0.1
+"""A corner looks the same turned by half a turn. One that differs by more than this part of its
+contrast, and more than its neighbours do for noise, is half hidden."""
 LARGE_PX = 1_500_000
 """Images of more pixels are not enlarged before markers are looked for."""
 
@@ -155,6 +158,8 @@ def _find_charuco(grey: np.ndarray, board: Charuco) -> Array | None:
     seen = np.asarray(numbers, dtype=int).ravel()
     corners[seen] = (np.reshape(found, (-1, 2)) + 0.5) / scale - 0.5
     shortest = _shortest_diagonals(corners.reshape(board.rows, board.columns, 2)).ravel()
+    if not np.isfinite(shortest).any():
+        return None
     corners[~np.isfinite(shortest)] = np.nan  # without neighbours its scale is not known
     # Inside the white between a corner and its two markers, which the saddle knows nothing of.
     margin = (1 - board.marker_m / board.square_m) / 2
@@ -230,9 +235,13 @@ def _saddles(grey: np.ndarray, corners: Array, radius_px: int) -> Array:
     fit = np.linalg.pinv(np.stack([u * u, u * v, v * v, u, v, np.ones_like(u)], axis=-1))
     refined = corners.copy()
     step = np.zeros_like(corners)
+    uneven = np.zeros(len(corners))
     for _ in range(ITERATIONS):
         at = (refined[:, None] + np.stack([u, v], axis=-1)).astype(np.float32)
         grey_levels = cv2.remap(blurred, at[..., 0], at[..., 1], cv2.INTER_CUBIC)
+        # The disc's points are in order, so that the mirrored ones are those from the end.
+        uneven = np.abs(grey_levels - grey_levels[:, ::-1]).mean(axis=1)
+        uneven /= np.maximum(np.ptp(grey_levels, axis=1), 1)
         a, b, c, d, e, _ = (grey_levels @ fit.T).T
         det = 4 * a * c - b * b  # negative at a saddle
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -241,6 +250,7 @@ def _saddles(grey: np.ndarray, corners: Array, radius_px: int) -> Array:
         refined += step
     lost = ~(np.abs(refined - corners).max(axis=1) < 1.5)
     lost |= ~(np.abs(step).max(axis=1) < SETTLED_PX)
+    lost |= uneven > max(UNEVEN, 4 * float(np.median(uneven)))
     return np.where(lost[:, None], np.nan, refined)
 
 
