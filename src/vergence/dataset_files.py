@@ -122,7 +122,7 @@ def _table(path: Path) -> tuple[list[str], list[_Row]]:
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             reader = csv.reader(file, strict=True)
-            header = [name.strip() for name in next(reader, [])]
+            header = [" ".join(name.split()) for name in next(reader, [])]
             if not any(header):
                 raise VergenceError(f"{path} is empty; its first line names the columns.")
             if len(header) == 1 and ";" in header[0]:
