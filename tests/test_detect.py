@@ -1,0 +1,214 @@
+"""Finding the board in a dataset: what is found is right, what fails has its reason."""
+
+import json
+import os
+
+import cv2
+import numpy as np
+import pytest
+from rich.progress import Progress
+
+from recordings import (
+    CHARUCO,
+    CHESSBOARD,
+    description,
+    held,
+    picture,
+    rows,
+    seen_dataset,
+    small_dataset,
+    write_dataset,
+    write_table,
+)
+from vergence.calibration.detect import detect, look_for
+from vergence.calibration.target import Charuco, Chessboard, corner_points, find_corners
+from vergence.dataset_files import load
+from vergence.errors import VergenceError
+
+
+@pytest.mark.parametrize("board", [CHESSBOARD, CHARUCO], ids=["chessboard", "charuco"])
+def test_corners_of_every_image_stand_at_its_row_and_camera(tmp_path, board):
+    truth = seen_dataset(tmp_path / "set", board)
+    dataset = load(tmp_path / "set")
+    found = detect(dataset)
+    assert found.failures == ()
+    assert found.views.board == board
+    assert found.views.sizes == {"left_wide": (280, 240), "right_wide": (280, 240)}
+    for camera, files in dataset.files.items():
+        for row, name in enumerate(files):
+            corners = found.views.corners[camera][row]
+            if name is None:
+                assert np.isnan(corners).all()
+            else:
+                np.testing.assert_allclose(corners, truth[name], atol=0.1)
+    assert (found.views.placement == dataset.placement).all()
+    assert (found.views.eye_angles == dataset.eye_angles).all()
+    assert found.rates is None
+
+
+def test_progress_reaches_its_end(tmp_path):
+    seen_dataset(tmp_path / "set", CHARUCO, 2)
+    with Progress(disable=True) as progress:
+        detect(load(tmp_path / "set"), progress=progress)
+        assert progress.tasks[0].completed == progress.tasks[0].total == 3
+
+
+@pytest.mark.parametrize("corner", ["left", "right", "top", "bottom"])
+def test_part_of_a_charuco_board_gives_the_right_corners(corner):
+    image, truth = picture(CHARUCO, held(0, shift=20), (280, 240))
+    seen = {
+        "left": np.s_[:, 130:],
+        "right": np.s_[:, :130],
+        "top": np.s_[78:],
+        "bottom": np.s_[:110],
+    }
+    part = np.full_like(image, 120)
+    part[seen[corner]] = image[seen[corner]]
+    found = find_corners(part, CHARUCO)
+    assert found is not None
+    finite = np.isfinite(found[:, 0])
+    assert 6 <= finite.sum() < len(truth)
+    np.testing.assert_allclose(found[finite], truth[finite], atol=0.15)
+
+
+def test_charuco_corners_keep_their_numbers_when_the_board_is_upside_down():
+    turn = np.array([[-1, 0, 280], [0, -1, 240], [0, 0, 1.0]])
+    image, truth = picture(CHARUCO, turn @ held(1), (280, 240))
+    found = find_corners(image, CHARUCO)
+    assert found is not None
+    np.testing.assert_allclose(found, truth, atol=0.1)
+
+
+def test_charuco_points_begin_at_the_first_inner_corner():
+    points = corner_points(CHARUCO)
+    assert points.shape == (20, 3)
+    assert points[[0, 1, 5]].tolist() == [[0, 0, 0], [0.03, 0, 0], [0, 0.03, 0]]
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"squares_x": 2}, "3 to 100 squares"),
+        ({"marker_m": 0.04}, "marker_m lies between"),
+        ({"marker_m": 0.0}, "marker_m lies between"),
+        ({"dictionary": "DICT_9X9"}, "dictionary is one of"),
+        ({"squares_x": 12, "squares_y": 12}, "has 72 markers, but DICT_4X4_50 only 50"),
+    ],
+)
+def test_impossible_charuco_boards_are_refused(change, named):
+    with pytest.raises(ValueError, match=named):
+        Charuco(**{**vars(CHARUCO), **change})
+
+
+def board_image() -> np.ndarray:
+    return picture(CHESSBOARD, held(0), (280, 240))[0]
+
+
+@pytest.mark.parametrize(
+    ("image", "reason"),
+    [
+        (board_image() // 10, "too dark"),
+        (np.full((240, 280), 250, np.uint8), "overexposed"),
+        (cv2.GaussianBlur(board_image(), (0, 0), 12), "blurred"),
+        (np.random.default_rng(0).integers(0, 255, (240, 280), dtype=np.uint8), "was not found"),
+        (np.zeros((1, 1), np.uint8), ""),
+    ],
+    ids=["dark", "bright", "blurred", "noise", "one pixel"],
+)
+def test_an_image_without_a_board_gives_its_reason(image, reason):
+    corners, found = look_for(image, CHESSBOARD)
+    assert corners is None
+    assert reason in found
+    assert found
+
+
+def test_too_few_corners_are_a_failure():
+    image, _ = picture(CHARUCO, held(0), (280, 240))
+    image[:, 110:] = 120
+    corners, reason = look_for(image, CHARUCO, least_corners=15)
+    assert corners is None
+    assert "15 are needed" in reason
+
+
+def test_an_unreadable_image_fails_alone(tmp_path):
+    seen_dataset(tmp_path / "set", CHARUCO)
+    (tmp_path / "set" / "images" / "left_2.png").write_bytes(b"\x89PNG and no more")
+    found = detect(load(tmp_path / "set"))
+    assert [(f.row, f.line, f.camera) for f in found.failures] == [(2, 4, "left_wide")]
+    assert str(found.failures[0]) == "line 4, images/left_2.png: the file is not a readable image"
+    assert np.isfinite(found.views.corners["right_wide"][2]).all()
+
+
+def test_a_camera_that_stands_still_is_noticed(tmp_path):
+    seen_dataset(tmp_path / "set", CHARUCO)
+    folder = tmp_path / "set" / "images"
+    (folder / "left_2.png").write_bytes((folder / "left_1.png").read_bytes())
+    found = detect(load(tmp_path / "set"))
+    assert [f.reason for f in found.failures] == ["the same picture as in line 3"]
+
+
+def test_one_picture_from_two_cameras_is_refused(tmp_path):
+    seen_dataset(tmp_path / "set", CHARUCO)
+    folder = tmp_path / "set" / "images"
+    (folder / "right_2.png").write_bytes((folder / "left_2.png").read_bytes())
+    with pytest.raises(VergenceError, match=r"line 4: .*right_2\.png .* same picture as .*left_2"):
+        detect(load(tmp_path / "set"))
+
+
+def test_images_of_another_size_are_refused(tmp_path):
+    seen_dataset(tmp_path / "set", CHARUCO)
+    done, data = cv2.imencode(".png", np.zeros((120, 140), np.uint8))
+    assert done
+    (tmp_path / "set" / "images" / "left_2.png").write_bytes(data.tobytes())
+    with pytest.raises(VergenceError, match=r"line 4: left_wide: .* 140 x 120 .* 280 x 240"):
+        detect(load(tmp_path / "set"))
+
+
+def test_a_dataset_that_shows_nothing_is_refused(tmp_path):
+    small_dataset(tmp_path / "set")
+    with pytest.raises(VergenceError, match=r"No image of .* shows a chessboard of 6 x 5 inner"):
+        detect(load(tmp_path / "set"))
+
+
+def test_squares_counted_for_inner_corners_are_recognised(tmp_path):
+    seen_dataset(tmp_path / "set", CHESSBOARD)
+    about = description(Chessboard(7, 6, 0.03), (280, 240))
+    (tmp_path / "set" / "dataset.json").write_text(json.dumps(about))
+    with pytest.raises(VergenceError, match=r"one of 6 x 5 is there.*not its squares"):
+        detect(load(tmp_path / "set"))
+
+
+def test_exchanged_eyes_are_remarked_at_straight_gaze(tmp_path):
+    seen_dataset(tmp_path / "set", CHARUCO)
+    table = rows(3)
+    for row in table:
+        row |= dict.fromkeys(("left_pan", "left_tilt", "right_pan", "right_tilt"), 0.0)
+    write_table(tmp_path / "set", table)
+    assert detect(load(tmp_path / "set")).remarks == ()
+    for row in table:
+        row["left_wide"], row["right_wide"] = row["right_wide"], row["left_wide"]
+    write_table(tmp_path / "set", table)
+    remarks = detect(load(tmp_path / "set")).remarks
+    assert len(remarks) == 1
+    assert "left and right exchanged" in remarks[0]
+
+
+def test_a_camera_that_sees_no_board_is_remarked(tmp_path):
+    image, _ = picture(CHARUCO, held(0), (280, 240))
+    noise = np.random.default_rng(1).integers(0, 255, (240, 280), dtype=np.uint8)
+    table = rows(1)
+    images = {table[0]["left_wide"]: image, table[0]["right_wide"]: noise}
+    write_dataset(tmp_path / "set", table, description(CHARUCO, (280, 240)), images)
+    found = detect(load(tmp_path / "set"))
+    assert found.remarks == ("right_wide never sees the board.",)
+    assert len(found.failures) == 1
+
+
+def test_detection_does_not_depend_on_the_number_of_threads(tmp_path, monkeypatch):
+    seen_dataset(tmp_path / "set", CHARUCO)
+    dataset = load(tmp_path / "set")
+    many = detect(dataset)
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)
+    one = detect(dataset)
+    for camera, corners in many.views.corners.items():
+        np.testing.assert_array_equal(corners, one.views.corners[camera])

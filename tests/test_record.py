@@ -1,0 +1,157 @@
+"""Recording on the twin: what is written is a dataset, and the truth beside it is true."""
+
+import json
+
+import numpy as np
+import pytest
+
+from vergence.calibration.detect import Detections, detect
+from vergence.calibration.target import corner_points
+from vergence.camera import project
+from vergence.dataset import Dataset
+from vergence.dataset_files import load
+from vergence.errors import VergenceError
+from vergence.experiments import record as module
+from vergence.experiments import truth as truth_file
+from vergence.experiments.record import CHARUCO, record
+from vergence.experiments.sequence import BOARD
+from vergence.experiments.truth import Truth
+from vergence.geometry import inverse, transform
+from vergence.head import T_base_cam
+from vergence.kinematics import EYES, T_base_eye
+from vergence.twin.profile import ErrorProfile, load_profile
+
+PROFILE = ErrorProfile.model_validate(
+    {
+        "name": "test",
+        "mounting": {"rotation_deg": 0.7, "translation_mm": 2.0},
+        "image": {"noise_grey": 1.5, "blur_px": 0.4},
+        "joints": {
+            "noise_deg": 0.02,
+            "delay_ms": 20,
+            "gain_percent": [1.0, 0.0, -0.5, 0.0],
+            "offset_deg": [0.3, 0.0, 0.0, -0.2],
+        },
+        "calibration": {"square_percent": 2.0},
+    }
+)
+
+
+@pytest.fixture(scope="module", params=["chessboard", "charuco"])
+def recorded(request, tmp_path_factory) -> tuple[Dataset, Detections, Truth]:
+    """A small recording with moving frames at its end."""
+    out = tmp_path_factory.mktemp("out") / request.param
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "MOVING_FRAMES", 12)
+        images = record(out, profile=PROFILE, seed=2, frames=14, target=request.param, moving=True)
+    assert len(list((out / "images").iterdir())) == images
+    dataset = load(out)
+    return dataset, detect(dataset), truth_file.load(out / "truth.json")
+
+
+def test_the_kinds_of_views_are_all_there(recorded):
+    dataset, found, _ = recorded
+    assert len(dataset) == 26
+    assert dataset.moving.tolist() == [False] * 14 + [True] * 12
+    counts = np.bincount(dataset.placement)
+    assert (counts[:-1] == 1).all()  # held near the head, once each
+    assert counts[-1] == len(dataset) - len(counts) + 1  # and one at rest
+    for name, corners in found.views.corners.items():
+        views = np.isfinite(corners).all(axis=2).sum(axis=1) >= 6
+        assert views.sum() >= 3, name
+
+
+def test_nearly_every_image_shows_the_board(recorded):
+    dataset, found, _ = recorded
+    images = sum(name is not None for files in dataset.files.values() for name in files)
+    assert len(found.failures) <= 0.05 * images
+
+
+def test_corners_lie_where_the_truth_says(recorded):
+    dataset, found, truth = recorded
+    points = corner_points(truth.board)
+    for name, mounted in truth.head.cameras.items():
+        eye = EYES.index(mounted.eye)
+        T_base_lbase = truth.head.T_rbase_lbase if eye else np.eye(4)
+        errors = []
+        for row in range(len(dataset)):
+            T_base_target = T_base_lbase @ truth.T_lbase_target[int(dataset.placement[row])]
+            # True angles need no gain and offset; these axes are perfect otherwise.
+            T_cam_base = inverse(
+                T_base_eye(truth.eye_angles[row, 2 * eye : 2 * eye + 2]) @ mounted.T_eye_cam
+            )
+            uv = project(mounted.intrinsics, transform(T_cam_base @ T_base_target, points))
+            errors.append(found.views.corners[name][row] - uv)
+        assert np.sqrt(np.nanmean(np.square(errors))) < 0.08
+        assert np.nanmax(np.abs(errors)) < 0.5
+
+
+def test_the_true_axes_turn_readings_into_true_angles(recorded):
+    dataset, _, truth = recorded
+    still = ~dataset.moving
+    for eye in EYES:
+        columns = slice(0, 2) if eye == "left" else slice(2, 4)
+        wide = f"{eye}_wide"
+        seen = T_base_cam(truth.head, wide, dataset.eye_angles[still, columns])
+        true = T_base_eye(truth.eye_angles[still, columns]) @ truth.head.cameras[wide].T_eye_cam
+        angle = np.abs(seen[:, :3, :3] - true[:, :3, :3]).max()
+        assert angle < 5 * np.radians(0.02)
+
+
+def test_the_true_delay_explains_the_moving_readings(recorded):
+    dataset, found, truth = recorded
+    assert truth.time_offset_s == 0.02
+    assert found.rates is not None
+    moving, axes = dataset.moving, truth.head.axes["left"]
+    read = axes.pan_gain * dataset.eye_angles[moving, 0] + axes.pan_offset_rad
+    late = axes.pan_gain * found.rates[moving, 0]
+    behind = truth.eye_angles[moving, 0] - read
+    offset = behind @ late / (late @ late)
+    assert offset == pytest.approx(0.02, abs=0.003)
+    assert (found.rates[~moving] == 0).all()
+
+
+def test_the_truth_is_in_one_file_alone(recorded):
+    dataset, _, truth = recorded
+    about = json.loads((dataset.folder / "dataset.json").read_text())
+    assert set(about["cameras"]) == set(truth.head.cameras)
+    assert all("intrinsics" not in camera for camera in about["cameras"].values())
+    assert {p.name for p in dataset.folder.iterdir()} == {
+        "dataset.json",
+        "frames.csv",
+        "images",
+        "truth.json",
+    }
+
+
+def test_a_wrongly_printed_board_is_true_only_in_the_truth(recorded):
+    dataset, _, truth = recorded
+    told = dataset.description.board
+    assert truth.board.square_m == pytest.approx(1.02 * told.square_m)
+    assert truth.board in (BOARD, CHARUCO)
+
+
+def test_the_same_seed_gives_the_same_dataset(tmp_path):
+    for name in ("a", "b"):
+        record(tmp_path / name, profile=load_profile("ideal"), seed=3, frames=12)
+    for path in sorted((tmp_path / "a").rglob("*.*")):
+        assert path.read_bytes() == (tmp_path / "b" / path.relative_to(tmp_path / "a")).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ({"frames": 5}, "at least 12 frames; asked for 5"),
+        ({"seed": -1}, "whole number from 0, found -1"),
+    ],
+)
+def test_what_cannot_be_recorded_is_refused(tmp_path, arguments, sentence):
+    with pytest.raises(VergenceError, match=sentence):
+        record(tmp_path / "set", profile=PROFILE, **arguments)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_in_use_is_refused_before_anything_is_rendered(tmp_path):
+    (tmp_path / "mine.txt").write_text("keep")
+    with pytest.raises(VergenceError, match="not empty"):
+        record(tmp_path, profile=PROFILE)
