@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Annotated, Literal
 
 import tyro
 from rich.console import Console
+from rich.progress import Progress
 
 from vergence.errors import VergenceError
 
@@ -44,7 +46,146 @@ def reproduce(
     console.print(f"To look at one: rerun {out / recordings.split()[0]}")
 
 
-COMMANDS = {"reproduce": reproduce}
+def record(
+    *,
+    out: Path,
+    profile: str = "ideal",
+    seed: int = 0,
+    frames: int = 60,
+    lens: Literal["2.8mm", "4.0mm"] = "2.8mm",
+    target: Literal["chessboard", "charuco"] = "chessboard",
+    moving: bool = False,
+) -> None:
+    """Record a dataset on the twin, with the truth beside it in truth.json.
+
+    Args:
+        out: Folder, new or empty.
+        profile: Error profile: ideal, paper, noise-only, or a TOML file.
+        seed: Of everything random.
+        frames: Frames in which the eyes stand still.
+        lens: Of the wide cameras.
+        target: Board that is shown to the head.
+        moving: Whether five seconds follow in which the eyes move before the board.
+    """
+    from vergence.experiments.record import record as run
+    from vergence.twin.profile import load_profile
+
+    chosen = load_profile(profile)
+    images = run(
+        out, profile=chosen, seed=seed, frames=frames, lens=lens, target=target, moving=moving
+    )
+    print(f"Wrote {images} images, dataset.json, frames.csv and truth.json to {out}.")
+    print(f"To calibrate: vergence calibrate {out} --out calibration.json")
+
+
+def calibrate(
+    dataset: Annotated[Path, tyro.conf.Positional],
+    /,
+    *,
+    out: Path,
+    report: Path | None = None,
+    method: Literal["refined", "paper"] = "refined",
+    json: Path | None = None,
+) -> None:
+    """Calibrate a head from a dataset, and say how well.
+
+    Args:
+        dataset: Folder with dataset.json, frames.csv and images.
+        out: JSON file of the calibration.
+        report: Folder for report.md and its pictures.
+        method: The paper's steps, or one estimate of everything that starts from them.
+        json: File for the accuracy alone, in figures.
+    """
+    from vergence.calibration.solve import solve
+    from vergence.calibration_report import summary, write_json, write_report
+    from vergence.head import save
+
+    with Progress(console=Console(stderr=True)) as progress:
+        solved = solve(dataset, method=method, progress=progress)
+    save(solved.head, out)
+    if json is not None:
+        write_json(solved, json)
+    if report is not None:
+        write_report(solved, report)
+    print("\n".join([*summary(solved), f"Wrote {out}."]))
+
+
+def evaluate(
+    calibration: Annotated[Path, tyro.conf.Positional],
+    /,
+    *,
+    truth: Path,
+    json: Path | None = None,
+) -> None:
+    """Hold a calibration against the truth of a dataset from the twin.
+
+    Args:
+        calibration: JSON file that `vergence calibrate` wrote.
+        truth: truth.json of the dataset.
+        json: File for all errors.
+    """
+    from vergence.experiments import evaluate as evaluation
+    from vergence.experiments import truth as truth_file
+    from vergence.head import load
+
+    found = evaluation.evaluate(load(calibration), truth_file.load(truth))
+    if json is not None:
+        evaluation.save(found, json)
+    print(evaluation.as_text(found))
+
+
+def export(
+    calibration: Annotated[Path, tyro.conf.Positional],
+    /,
+    *,
+    format: Literal["kalibr", "ros", "opencv", "urdf"],
+    out: Path,
+) -> None:
+    """Write a calibration in another program's format.
+
+    Args:
+        calibration: JSON file that `vergence calibrate` wrote.
+        format: ros writes a folder, the others a file.
+        out: What to write.
+    """
+    from vergence.head import load
+    from vergence.interchange.formats import export_head
+
+    export_head(load(calibration), out, format)
+    print(f"Wrote {out}.")
+
+
+def import_(
+    path: Annotated[Path, tyro.conf.Positional],
+    /,
+    *,
+    format: Literal["kalibr", "ros", "opencv"],
+    out: Path,
+    start: Path | None = None,
+) -> None:
+    """Make a calibration from another program's files.
+
+    Args:
+        path: File, or for ros a folder of them.
+        format: opencv holds all of a head; kalibr cameras and their poses, ros cameras alone.
+        out: JSON file of the calibration.
+        start: Calibration that says what kalibr and ros files do not.
+    """
+    from vergence.head import load, save
+    from vergence.interchange.formats import import_head
+
+    save(import_head(path, format, start=None if start is None else load(start)), out)
+    print(f"Wrote {out}.")
+
+
+COMMANDS = {
+    "reproduce": reproduce,
+    "record": record,
+    "calibrate": calibrate,
+    "evaluate": evaluate,
+    "export": export,
+    "import": import_,
+}
 
 
 def main() -> None:

@@ -12,10 +12,11 @@ from dataclasses import field
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
-from vergence.arrays import Array, Transform
+from vergence.arrays import Array, Matrix, Transform
 from vergence.camera import Camera
 from vergence.errors import VergenceError
 from vergence.geometry import inverse, pose
@@ -33,6 +34,47 @@ class MountedCamera:
 
 
 @dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
+class HeldOut:
+    """How well views were predicted that the calibration had not seen."""
+
+    folds: int
+    """Into how many parts the views were divided; each was predicted from the others."""
+    transfer_views: int
+    """Views that both eyes saw."""
+    transfer_px: float | None
+    """Root mean square distance of corners from where the board's pose in the other eye, the
+    joint readings and the calibration put them; None: no such view."""
+    point_views: int
+    """Views of a board at rest that other views show too."""
+    point_mm: float | None
+    """Root mean square distance of triangulated corners from where the other views put them."""
+    expected_mm: float | None
+    """What point_mm should be by the stated noise and covariance; None: these are not stated."""
+    distance_m: float | None
+    """Of these corners from the left eye, in the mean."""
+
+
+@dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
+class Accuracy:
+    """How well a calibration is known; see docs/calibration.md."""
+
+    method: Literal["refined", "paper"]
+    parameters: tuple[str, ...] = ()
+    """Names of what was estimated, such as left_wide.fx, left_wide.T_eye_cam.rx, left.pan_gain;
+    px, rad, m, s. Empty for the paper's method, which states no accuracy."""
+    covariance: Matrix = field(default_factory=lambda: np.empty((0, 0)))
+    """In the order of parameters. Poses change along the axes of the frame that they map into."""
+    pixel_std_px: float | None = None
+    """Noise of one coordinate of a corner."""
+    joint_std: tuple[float, ...] = ()
+    """Noise of the readings [rad]: of all joints, or of pan and tilt; for eyes whose poses are
+    given, rotation [rad] and translation [m]."""
+    held_out: HeldOut | None = None
+    warnings: tuple[str, ...] = ()
+    """What the data could not determine, and what to record instead."""
+
+
+@dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
 class HeadCalibration:
     """Everything that calibration finds of a head, and nothing that only a twin could know."""
 
@@ -46,6 +88,10 @@ class HeadCalibration:
     )
     neck: Neck = field(default_factory=Neck)
     """From the design, not calibrated; without joints the head is the body."""
+    time_offset_s: float = 0.0
+    """An image shows the joints this much later than their reading."""
+    accuracy: Accuracy | None = None
+    """None: nobody has said; files of other programs and heads as designed have none."""
     format: Literal["vergence-head-calibration-1"] = "vergence-head-calibration-1"
 
     def camera(self, name: str) -> MountedCamera:

@@ -1,0 +1,146 @@
+"""A dataset in, a calibrated head with its accuracy out: what `vergence calibrate` calls."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from rich.progress import Progress
+
+from vergence.arrays import Array
+from vergence.calibration import pipeline
+from vergence.calibration.accuracy import Observations, held_out
+from vergence.calibration.detect import Detections, detect
+from vergence.calibration.intrinsics import LensModel
+from vergence.calibration.pipeline import PaperCalibration
+from vergence.calibration.refine import Refined, refine
+from vergence.dataset import Dataset
+from vergence.dataset_files import load
+from vergence.errors import VergenceError
+from vergence.head import Accuracy, HeadCalibration, HeldOut
+
+Method = Literal["refined", "paper"]
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """A calibration and all that a report says of it."""
+
+    head: HeadCalibration
+    """With its accuracy."""
+    dataset: Dataset
+    detections: Detections
+    start: PaperCalibration
+    """By the paper's method."""
+    refined: Refined | None
+    """None: the paper's method was asked for."""
+
+
+def solve(
+    folder: Path,
+    *,
+    method: Method = "refined",
+    wide_lens: LensModel = "radial-tangential",
+    progress: Progress | None = None,
+) -> Solved:
+    """Calibrate a head from a dataset folder.
+
+    Args:
+        folder: see docs/dataset.md.
+        method: the paper's steps, or one estimate of everything that starts from them.
+        wide_lens: distortion of the wide cameras; the narrow ones have none.
+        progress: gets bars; None: silent.
+
+    Raises:
+        VergenceError: the dataset is faulty, or too poor for any answer.
+    """
+    dataset = load(folder)
+    detections = detect(dataset, progress=progress)
+    seen = Observations(detections.views, detections.rates, detections.T_base_eye)
+    task = progress.add_task("calibrating", total=3) if progress else None
+
+    def advance() -> None:
+        if progress and task is not None:
+            progress.advance(task)
+
+    still = ~dataset.moving
+    start = paper(seen, still, wide_lens)
+    advance()
+    if method == "paper":
+        refined, head = None, start.head
+        advance()
+        checked, said = _checked(
+            seen, lambda part: paper(part, np.ones(len(part.views.placement), bool), wide_lens).head
+        )
+        accuracy = Accuracy(method="paper", held_out=checked, warnings=said)
+    else:
+        refined = _refined(start.head, seen)
+        advance()
+        head = with_accuracy(refined)
+        assert head.accuracy is not None
+        checked, said = _checked(seen, lambda part: again(refined, part))
+        accuracy = replace(
+            head.accuracy, held_out=checked, warnings=(*head.accuracy.warnings, *said)
+        )
+    advance()
+    return Solved(replace(head, accuracy=accuracy), dataset, detections, start, refined)
+
+
+def paper(seen: Observations, still: np.ndarray, wide_lens: LensModel) -> PaperCalibration:
+    """Return the paper's calibration from the views (V,) in which the eyes stood still."""
+    return pipeline.calibrate(seen.take(still).views, wide_lens=wide_lens)
+
+
+def _refined(start: HeadCalibration, seen: Observations) -> Refined:
+    return refine(start, seen.views, rates=seen.rates, eye_poses_read=seen.T_base_eye)
+
+
+def again(whole: Refined, part: Observations) -> HeadCalibration:
+    """Return the calibration from a part of the views, at the noise that all of them show."""
+    levels = whole.joint_std
+    # refine takes one level for all joints when it is told; the folds are but little the worse.
+    told = _mean_level(levels) if part.T_base_eye is None else (levels[0], levels[-1])
+    head = with_accuracy(
+        refine(
+            whole.head,
+            part.views,
+            rates=part.rates,
+            eye_poses_read=part.T_base_eye,
+            pixel_std_px=whole.pixel_std_px,
+            joint_std=told,
+        )
+    )
+    assert head.accuracy is not None
+    return replace(head, accuracy=replace(head.accuracy, joint_std=levels))
+
+
+def with_accuracy(refined: Refined) -> HeadCalibration:
+    """Return the head of a refinement with what is known of its accuracy."""
+    estimated = np.flatnonzero(np.diag(refined.covariance) > 0)
+    accuracy = Accuracy(
+        method="refined",
+        parameters=tuple(refined.parameters[i] for i in estimated),
+        covariance=_symmetric(refined.covariance[np.ix_(estimated, estimated)]),
+        pixel_std_px=refined.pixel_std_px,
+        joint_std=refined.joint_std,
+        warnings=refined.warnings,
+    )
+    return replace(refined.head, time_offset_s=refined.time_offset_s, accuracy=accuracy)
+
+
+def _mean_level(levels: tuple[float, ...]) -> float:
+    return float(np.sqrt(np.mean(np.square(levels))))
+
+
+def _symmetric(matrix: Array) -> Array:
+    return (matrix + matrix.T) / 2
+
+
+def _checked(seen: Observations, calibrate) -> tuple[HeldOut | None, tuple[str, ...]]:
+    """Return the held-out error, or why there is none."""
+    try:
+        return held_out(seen, calibrate), ()
+    except VergenceError as error:
+        return None, (f"There is no held-out error: {error}",)

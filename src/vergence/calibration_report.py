@@ -1,0 +1,197 @@
+"""The report of a calibration: the first ten lines say whether it is good, how good, what next."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.calibration.accuracy import calibration_covariance
+from vergence.calibration.intrinsics import seen_corners
+from vergence.calibration.solve import Solved
+from vergence.head import HeadCalibration, write_whole
+from vergence.kinematics import EYES
+from vergence.uncertainty import point_covariance
+
+MISFIT = 1.5
+"""Held-out error, as a multiple of what the noise explains, from which something is amiss; with
+the ten views or more of a usual fold set it stays below by far."""
+FAILURES_NAMED = 20
+DISTANCES_M = (0.3, 0.6, 1.0)
+_TURNS_RAD = 0.2
+
+
+def verdict(solved: Solved) -> tuple[str, str]:
+    """Return one word, and what to do next."""
+    accuracy = solved.head.accuracy
+    assert accuracy is not None
+    if accuracy.warnings:
+        return "DOUBTFUL", f"Next: {accuracy.warnings[0]}"
+    if accuracy.method == "paper":
+        return (
+            "UNKNOWN",
+            "Next: the paper's method states no accuracy; calibrate with --method refined.",
+        )
+    checked = accuracy.held_out
+    assert checked is not None
+    if checked.point_mm is not None and checked.expected_mm is not None:
+        ratio = checked.point_mm / checked.expected_mm
+        if ratio > MISFIT:
+            return (
+                "DOUBTFUL",
+                f"Next: held-out points are {ratio:.1f} times as wrong as the noise explains; look "
+                "for backlash, a board that moved or bends, and time stamps of moving eyes.",
+            )
+    table = distances(solved.head)
+    if any(by_calibration > by_reading for _, by_calibration, by_reading in table):
+        return "FAIR", "Next: record more views; the calibration adds more than a reading's noise."
+    return "GOOD", "Next: nothing; joint readings, not the calibration, limit what is measured."
+
+
+def distances(head: HeadCalibration) -> list[tuple[float, float, float]]:
+    """Return at some distances what the calibration and what a reading adds to a point [mm].
+
+    Root mean square over a motion: both eyes fixate a point while the gaze goes round. Empty
+    where the head states no covariance, or has not a wide camera in each eye.
+    """
+    accuracy = head.accuracy
+    pair = ("left_wide", "right_wide")
+    if accuracy is None or not accuracy.parameters or not set(pair) <= set(head.cameras):
+        return []
+    rows = []
+    for distance in DISTANCES_M:
+        pixels_l, pixels_r, angles = motion(head, distance)
+        of_head = calibration_covariance(head, pixels_l, pixels_r, angles)
+        of_reading = point_covariance(
+            head,
+            pixels_l,
+            pixels_r,
+            angles,
+            pixel_std_px=accuracy.pixel_std_px or 0.0,
+            joint_std_rad=np.tile(accuracy.joint_std, 4)[:4],
+        )
+        both = (
+            1e3 * float(np.sqrt(np.trace(each, axis1=1, axis2=2).mean()))
+            for each in (of_head, of_reading)
+        )
+        rows.append((distance, *both))
+    return rows
+
+
+def motion(head: HeadCalibration, distance_m: float) -> tuple[Array, Array, Array]:
+    """Return pixels and readings (8, 2), (8, 2), (8, 4) of a point ahead while the gaze circles.
+
+    Both eyes turn by 0.2 rad, in the same sense; the point stays in the middle of the head.
+    """
+    from vergence.calibration.parameters import without_offsets
+    from vergence.camera import project
+    from vergence.geometry import inverse, transform
+    from vergence.head import T_base_cam
+
+    plain = without_offsets(head)
+    phase = np.arange(8) * np.pi / 4
+    angles = _TURNS_RAD * np.stack([np.cos(phase), np.sin(phase)] * 2, axis=1)
+    T_lbase_rbase = inverse(plain.T_rbase_lbase)
+    point = np.array([distance_m, 0.0, 0.0]) + T_lbase_rbase[:3, 3] / 2
+    pixels = []
+    for k, eye in enumerate(EYES):
+        in_base = point if eye == "left" else transform(plain.T_rbase_lbase, point)
+        T = T_base_cam(plain, f"{eye}_wide", angles[:, 2 * k : 2 * k + 2])
+        camera = plain.cameras[f"{eye}_wide"].intrinsics
+        pixels.append(project(camera, transform(inverse(T), in_base[None])))
+    return pixels[0], pixels[1], angles
+
+
+def summary(solved: Solved) -> list[str]:
+    """Return at most ten lines: good or not, how good, what to do next."""
+    accuracy = solved.head.accuracy
+    assert accuracy is not None
+    word, following = verdict(solved)
+    lines = [f"{word}: {_seen(solved)}."]
+    if accuracy.pixel_std_px is not None:
+        levels = " and ".join(f"{np.degrees(s):.3f}" for s in accuracy.joint_std)
+        lines.append(
+            f"Noise: {accuracy.pixel_std_px:.3f} px in corners, {levels} degrees in readings."
+        )
+    checked = accuracy.held_out
+    if checked is not None and checked.transfer_px is not None:
+        lines.append(
+            f"Held out: a corner carried from eye to eye is off by {checked.transfer_px:.2f} px "
+            f"({checked.transfer_views} views, {checked.folds} folds)."
+        )
+    if checked is not None and checked.point_mm is not None:
+        expected = checked.expected_mm
+        noise = "" if expected is None else f"; the noise explains {expected:.2f} mm"
+        lines.append(
+            f"Held out: a point at {checked.distance_m:.2f} m is off by {checked.point_mm:.2f} mm"
+            f"{noise}."
+        )
+    table = distances(solved.head)
+    if table:
+        parts = ", ".join(f"{mm:.2f} mm at {distance:g} m" for distance, mm, _ in table)
+        lines.append(f"Of this the calibration itself adds (1 std): {parts}.")
+    if len(accuracy.warnings) > 1:
+        lines.append(f"{len(accuracy.warnings)} warnings, listed in the report.")
+    lines.append(following)
+    return lines
+
+
+def _seen(solved: Solved) -> str:
+    views = solved.detections.views
+    found = sum(int(seen_corners(c).any(axis=1).sum()) for c in views.corners.values())
+    failed = len(solved.detections.failures)
+    images = f"the board found in {found} of {found + failed} images"
+    return f"{len(views.corners)} cameras, {len(views.placement)} views, {images}"
+
+
+def figures(solved: Solved) -> dict[str, Any]:
+    """Return the accuracy in figures, for programs."""
+    accuracy = solved.head.accuracy
+    assert accuracy is not None
+    word, following = verdict(solved)
+    checked = accuracy.held_out
+    return {
+        "verdict": word,
+        "next": following,
+        "method": accuracy.method,
+        "pixel_std_px": accuracy.pixel_std_px,
+        "joint_std": list(accuracy.joint_std),
+        "time_offset_ms": 1e3 * solved.head.time_offset_s,
+        "held_out": None if checked is None else vars(checked),
+        "point_std": [
+            {"distance_m": d, "calibration_mm": a, "reading_mm": b}
+            for d, a, b in distances(solved.head)
+        ],
+        "std": dict(
+            zip(accuracy.parameters, np.sqrt(np.diag(accuracy.covariance)).tolist(), strict=True)
+        ),
+        "warnings": list(accuracy.warnings),
+        "remarks": list(solved.detections.remarks),
+        "failures": [str(failure) for failure in solved.detections.failures],
+    }
+
+
+def write_json(solved: Solved, path: Path) -> None:
+    """Write the accuracy in figures."""
+    write_whole(path, json.dumps(figures(solved), indent=1, allow_nan=False) + "\n")
+
+
+def write_report(solved: Solved, folder: Path) -> None:
+    """Write report.md and its pictures into a folder."""
+    write_whole(folder / "report.md", as_markdown(solved))
+
+
+def as_markdown(solved: Solved) -> str:
+    """Return the report."""
+    accuracy = solved.head.accuracy
+    assert accuracy is not None
+    lines = ["# Calibration", ""]
+    for line in summary(solved):
+        lines += [line + "  "]
+    lines += ["", "## Warnings", ""]
+    said = (*accuracy.warnings, *solved.detections.remarks)
+    lines += [f"- {line}" for line in said] or ["None."]
+    return "\n".join(lines) + "\n"
