@@ -13,7 +13,6 @@ import tempfile
 import time
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import tyro
 
@@ -33,6 +32,8 @@ PROFILE = load_profile("ideal")
 
 def bare_seconds(twin: Twin, times_s: Array) -> float:
     """Return how long the same frames take with nothing but MuJoCo's renderer."""
+    import mujoco  # after vergence.twin, which chooses its OpenGL
+
     model, data = twin.model, mujoco.MjData(twin.model)
     sizes = overscan_sizes(twin.truth)
     eyes = [model.joint(name).qposadr[0] for name in JOINTS[-4:]]

@@ -16,7 +16,8 @@ if sys.platform.startswith("linux"):
 
 NO_OPENGL = (
     "Rendering needs OpenGL, and MUJOCO_GL={backend} gave none ({reason}); install Mesa's drivers "
-    "(Debian: apt-get install libegl1 libgl1-mesa-dri) and leave MUJOCO_GL unset or egl."
+    "(Debian: apt-get install libegl1 libgl1-mesa-dri), leave MUJOCO_GL unset or egl, and import "
+    "vergence.twin before mujoco."
 )
 
 
