@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +12,19 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.accuracy import calibration_covariance
 from vergence.calibration.intrinsics import seen_corners
+from vergence.calibration.parameters import without_offsets
 from vergence.calibration.solve import Solved
-from vergence.head import HeadCalibration, write_whole
+from vergence.camera import project
+from vergence.geometry import inverse, transform
+from vergence.head import HeadCalibration, T_base_cam, write_whole
 from vergence.kinematics import EYES
 from vergence.uncertainty import point_covariance
 
 MISFIT = 1.5
 """Held-out error, as a multiple of what the noise explains, from which something is amiss; with
 the ten views or more of a usual fold set it stays below by far."""
+SMALL = 0.002
+"""Error of a point, relative to its distance, that is small whatever the noise of a reading."""
 FAILURES_NAMED = 20
 DISTANCES_M = (0.3, 0.6, 1.0)
 _TURNS_RAD = 0.2
@@ -45,12 +51,16 @@ def verdict(solved: Solved) -> tuple[str, str]:
                 f"Next: held-out points are {ratio:.1f} times as wrong as the noise explains; look "
                 "for backlash, a board that moved or bends, and time stamps of moving eyes.",
             )
-    table = distances(solved.head)
-    if any(by_calibration > by_reading for _, by_calibration, by_reading in table):
-        return "FAIR", "Next: record more views; the calibration adds more than a reading's noise."
-    return "GOOD", "Next: nothing; joint readings, not the calibration, limit what is measured."
+    for distance, by_calibration, by_reading in distances(solved.head):
+        if by_calibration > max(by_reading, SMALL * 1e3 * distance):
+            return "FAIR", (
+                f"Next: record more views; at {distance:g} m the calibration adds "
+                f"{by_calibration:.1f} mm, more than the noise of a reading."
+            )
+    return "GOOD", "Next: nothing; more views would not make points much better."
 
 
+@lru_cache(maxsize=4)
 def distances(head: HeadCalibration) -> list[tuple[float, float, float]]:
     """Return at some distances what the calibration and what a reading adds to a point [mm].
 
@@ -86,11 +96,6 @@ def motion(head: HeadCalibration, distance_m: float) -> tuple[Array, Array, Arra
 
     Both eyes turn by 0.2 rad, in the same sense; the point stays in the middle of the head.
     """
-    from vergence.calibration.parameters import without_offsets
-    from vergence.camera import project
-    from vergence.geometry import inverse, transform
-    from vergence.head import T_base_cam
-
     plain = without_offsets(head)
     phase = np.arange(8) * np.pi / 4
     angles = _TURNS_RAD * np.stack([np.cos(phase), np.sin(phase)] * 2, axis=1)

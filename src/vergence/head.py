@@ -52,6 +52,9 @@ class HeldOut:
     """What point_mm should be by the stated noise and covariance; None: these are not stated."""
     distance_m: float | None
     """Of these corners from the left eye, in the mean."""
+    scatter: float | None = None
+    """How much more the calibrations of the folds differ than their covariance says, as a ratio
+    of standard deviations; 1 where the noise model is right."""
 
 
 @dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))

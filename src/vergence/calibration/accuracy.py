@@ -7,7 +7,7 @@ that is located at given eye angles, by what is uncertain of the calibration?
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from vergence.active_stereo import locate
 from vergence.arrays import Array
 from vergence.calibration.intrinsics import seen_corners, target_poses
-from vergence.calibration.parameters import changed
+from vergence.calibration.parameters import changed, difference
 from vergence.calibration.pipeline import Views
 from vergence.calibration.target import corner_points
 from vergence.camera import project
@@ -88,10 +88,8 @@ def held_out(
             f"{len(observations.views.placement)}."
         )
     number = folds(observations.views.placement, count)
-    errors = [
-        _fold(calibrate(observations.take(number != k)), observations, number == k)
-        for k in range(count)
-    ]
+    heads = [calibrate(observations.take(number != k)) for k in range(count)]
+    errors = [_fold(head, observations, number == k) for k, head in enumerate(heads)]
     pixels, points, expected, distances = (
         [each for fold in errors for each in fold[kind]]
         for kind in ("pixels", "points", "expected", "distances")
@@ -104,7 +102,29 @@ def held_out(
         point_mm=_rms(points, 1e3),
         expected_mm=_rms(expected, 1e3),
         distance_m=float(np.concatenate(distances).mean()) if distances else None,
+        scatter=scatter(heads),
     )
+
+
+def scatter(heads: Sequence[HeadCalibration]) -> float | None:
+    """Return by how much calibrations without one fold each scatter more than they say they do.
+
+    The jackknife over folds: its standard deviation of a parameter is that of the scatter, times
+    (k - 1) / sqrt(k). It knows nothing of the noise model: where the errors of a view's corners
+    are not independent it exceeds the stated one. None where no covariance is stated.
+    """
+    accuracy = heads[0].accuracy
+    if accuracy is None or not accuracy.parameters:
+        return None
+    names = set.intersection(*(set(h.accuracy.parameters if h.accuracy else ()) for h in heads))
+    rows = [i for i, name in enumerate(accuracy.parameters) if name in names]
+    away = [difference(head, heads[0]) for head in heads]
+    values = np.array([[each[accuracy.parameters[i]] for i in rows] for each in away])
+    k = len(heads)
+    variance = (k - 1) / k * ((values - values.mean(axis=0)) ** 2).sum(axis=0)
+    # What is stated is that of k - 1 of k folds.
+    stated_variance = np.diag(accuracy.covariance)[rows] * (k - 1) / k
+    return float(np.sqrt((variance / stated_variance).mean()))
 
 
 def _rms(errors: list[Array], unit: float = 1.0) -> float | None:
@@ -176,24 +196,25 @@ def _located(
     repeated = np.repeat(angles, K, axis=0)
     located = locate(head, left, right, repeated, cameras=pair).points.reshape(V, K, 3)
     seen = np.asarray(np.isfinite(located).all(axis=2))
+    usable = np.zeros_like(seen)
+    place = np.zeros_like(located)
     for number in np.unique(views.placement[mine]):
         there = views.placement == number
-        others = there & ~mine & np.asarray(seen.any(axis=1))
-        if not others.any():
-            continue
-        counts = seen[others].sum(axis=0)
-        place = np.nansum(located[others], axis=0) / np.maximum(counts, 1)[:, None]
-        for row in np.flatnonzero(there & mine):
-            usable = seen[row] & (counts > 0)
-            if not usable.any():
-                continue
-            found["points"].append(np.linalg.norm(located[row] - place, axis=1)[usable])
-            found["distances"].append(np.linalg.norm(located[row], axis=1)[usable])
-            if head.accuracy and head.accuracy.parameters:
-                left_px, right_px = (views.corners[name][row][usable] for name in pair)
-                readings = np.repeat(angles[row : row + 1], usable.sum(), axis=0)
-                spread = predicted_covariance(head, left_px, right_px, readings)
-                found["expected"].append(np.sqrt(np.trace(spread, axis1=1, axis2=2)))
+        counts = seen[there & ~mine].sum(axis=0)
+        mean = np.nansum(located[there & ~mine], axis=0) / np.maximum(counts, 1)[:, None]
+        usable[there & mine] = seen[there & mine] & (counts > 0)
+        place[there & mine] = mean
+    rows = np.flatnonzero(np.asarray(usable.any(axis=1)))
+    for row in rows:
+        here = usable[row]
+        found["points"].append(np.linalg.norm(located[row, here] - place[row, here], axis=1))
+        found["distances"].append(np.linalg.norm(located[row, here], axis=1))
+    if len(rows) and head.accuracy and head.accuracy.parameters:
+        # One corner of each view stands for it: a view's corners are equally far away.
+        corner = [np.flatnonzero(usable[row])[usable[row].sum() // 2] for row in rows]
+        left_px, right_px = (views.corners[name][rows, corner] for name in pair)
+        spread = predicted_covariance(head, left_px, right_px, angles[rows])
+        found["expected"].append(np.sqrt(np.trace(spread, axis1=1, axis2=2)))
 
 
 def predicted_covariance(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -12,8 +13,8 @@ from rich.progress import Progress
 from vergence.arrays import Array
 from vergence.calibration import pipeline
 from vergence.calibration.accuracy import Observations, held_out
-from vergence.calibration.detect import Detections, detect
-from vergence.calibration.intrinsics import LensModel
+from vergence.calibration.detect import LEAST_CORNERS, Detections, detect
+from vergence.calibration.intrinsics import LensModel, seen_corners
 from vergence.calibration.pipeline import PaperCalibration
 from vergence.calibration.refine import Refined, refine
 from vergence.dataset import Dataset
@@ -22,6 +23,11 @@ from vergence.errors import VergenceError
 from vergence.head import Accuracy, HeadCalibration, HeldOut
 
 Method = Literal["refined", "paper"]
+LEAST_VIEWS = 3
+"""Of a camera, for its intrinsics."""
+MOST_SCATTER = 2.0
+"""Ratio of standard deviations from which the stated ones are called too small. The folds tell it
+to about a tenth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +63,9 @@ def solve(
         VergenceError: the dataset is faulty, or too poor for any answer.
     """
     dataset = load(folder)
+    _check_complete(dataset)
     detections = detect(dataset, progress=progress)
+    _check_seen(detections, ~dataset.moving)
     seen = Observations(detections.views, detections.rates, detections.T_base_eye)
     task = progress.add_task("calibrating", total=3) if progress else None
 
@@ -86,6 +94,35 @@ def solve(
         )
     advance()
     return Solved(replace(head, accuracy=accuracy), dataset, detections, start, refined)
+
+
+def _check_complete(dataset: Dataset) -> None:
+    absent = {"left_wide", "right_wide"} - set(dataset.files)
+    if absent:
+        raise VergenceError(
+            f"{dataset.folder} has no camera {' and no '.join(sorted(absent))}; the paper's "
+            "method, from which the calibration starts, needs a wide camera in each eye."
+        )
+    if dataset.T_base_eye is not None:
+        raise VergenceError(
+            f"{dataset.folder} gives poses of the eyes; the paper's method, from which the "
+            "calibration starts, needs pan and tilt. In Python, refine takes poses and a start."
+        )
+    if dataset.moving.all():
+        raise VergenceError(
+            f"{dataset.folder} has moving rows only; the calibration starts from views in which "
+            "the eyes stand still."
+        )
+
+
+def _check_seen(detections: Detections, still: np.ndarray) -> None:
+    for name, corners in detections.views.corners.items():
+        enough = seen_corners(corners[still]).sum(axis=1) >= LEAST_CORNERS
+        if enough.sum() < LEAST_VIEWS:
+            raise VergenceError(
+                f"{name} shows the board in {enough.sum()} images at rest; its calibration needs "
+                f"at least {LEAST_VIEWS}, better 10, at different distances and slants."
+            )
 
 
 def paper(seen: Observations, still: np.ndarray, wide_lens: LensModel) -> PaperCalibration:
@@ -138,9 +175,18 @@ def _symmetric(matrix: Array) -> Array:
     return (matrix + matrix.T) / 2
 
 
-def _checked(seen: Observations, calibrate) -> tuple[HeldOut | None, tuple[str, ...]]:
+def _checked(
+    seen: Observations, calibrate: Callable[[Observations], HeadCalibration]
+) -> tuple[HeldOut | None, tuple[str, ...]]:
     """Return the held-out error, or why there is none."""
     try:
-        return held_out(seen, calibrate), ()
+        found = held_out(seen, calibrate)
     except VergenceError as error:
         return None, (f"There is no held-out error: {error}",)
+    if found.scatter is not None and found.scatter > MOST_SCATTER:
+        return found, (
+            f"Calibrations from parts of the views scatter {found.scatter:.1f} times as much as "
+            "stated: the errors of the corners are not independent (a board that bends, blur), "
+            "and true errors are larger than the stated ones by as much at least.",
+        )
+    return found, ()
