@@ -24,6 +24,7 @@ from vergence.dataset import Frame
 from vergence.foveation import eye_angles_to, gaze_angles
 from vergence.gaze_sight import (
     EYE_ANGLES,
+    aim_by_one_eye,
     best_camera,
     chain,
     measure,
@@ -90,7 +91,8 @@ def step(settings: Settings, state: State, frame: Frame | None, now_s: float) ->
     rays = rays_to(settings, state, posture)
     if not rays:
         return _without_news(settings, state, now_s)
-    state = replace(measure(settings, state, frame, posture), seen_s=frame.time_s)
+    state = measure(settings, state, frame, posture)
+    state = replace(aim_by_one_eye(settings, state, posture, rays), seen_s=frame.time_s)
     return _follow(settings, state, frame, rays, now_s)
 
 
@@ -110,13 +112,7 @@ def _follow(
     """Return the state with the command that brings the object onto both foveas, and keeps it."""
     calibration, posture = settings.calibration, posture_at_image(settings, state, frame)
     aim = state.aim
-    if aim is None:  # seen by one eye, never yet by both: look there with both
-        (eye, (centre, ray)) = next(iter(rays.items()))
-        point = centre + settings.first_depth_m * ray / np.linalg.norm(ray)
-        if eye == "right":
-            point = transform(inverse(calibration.T_rbase_lbase), point)
-        goal = gaze_angles(calibration, point)
-        return _send(settings, state, goal, np.zeros(4), now_s)
+    assert aim is not None  # what is seen by one eye at least has been aimed at
     start_now = setpoint(state.command, now_s)
     neck_then = posture[NECK]
     neck_now = neck_then + start_now[NECK] - commanded(state.commands, frame.time_s)[NECK]
@@ -178,7 +174,7 @@ def _send(settings: Settings, state: State, goal: Array, rate: Array, now_s: flo
     if distance.max() > settings.saccade_rad or state.phase is Phase.LOST:
         phase = Phase.SACCADE
         landing = now_s + (distance / settings.limits.speed_rad_s[EYES_4]).max() + settings.settle_s
-    elif not foveal:
+    elif not foveal or (goal < lower).any() or (goal > upper).any():  # the neck is to come
         phase = Phase.SACCADE
     else:
         moving = state.aim is not None and _is_moving(settings, state.aim)
@@ -229,6 +225,7 @@ def _without_news(settings: Settings, state: State, now_s: float) -> State:
         return replace(
             state,
             phase=Phase.LOST,
+            searched=0,
             since_s=now_s,
             commands=(*state.commands[-15:], still),
             track=None,
@@ -238,15 +235,17 @@ def _without_news(settings: Settings, state: State, now_s: float) -> State:
             neck_rate=np.zeros(3),
             neck_turning=False,
         )
-    searched = now_s - state.since_s - settings.search_s
-    if searched < 0:
+    if now_s < state.since_s + settings.search_s or now_s < state.landing_s + settings.dwell_s:
         return state
-    pan, tilt = _SEARCH_RAD[int(searched / settings.dwell_s) % len(_SEARCH_RAD)]
+    pan, tilt = _SEARCH_RAD[state.searched % len(_SEARCH_RAD)]
     neck = np.array([0.0, 0.0, pan * settings.use_neck])
     goal = np.concatenate([neck, np.tile([pan, tilt], 2)])
-    if (goal == state.command.goal).all():
-        return state
     at = setpoint(state.command, now_s)
     command = Command(now_s, at, goal, np.zeros(len(HEAD_JOINTS)), settings.limits)
     landing = now_s + (np.abs(goal - at) / settings.limits.speed_rad_s).max() + settings.settle_s
-    return replace(state, commands=(*state.commands[-15:], command), landing_s=landing)
+    return replace(
+        state,
+        commands=(*state.commands[-15:], command),
+        landing_s=landing,
+        searched=state.searched + 1,
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from vergence.arrays import Array
 from vergence.camera import normalise
 from vergence.dataset import Frame
 from vergence.gaze_state import Settings, State
+from vergence.geometry import inverse, transform
 from vergence.head import T_base_cam, T_body_base
 from vergence.kinematics import EYES, Side
 from vergence.motion import EYES_4, HEAD_JOINTS, NECK, commanded
@@ -120,6 +122,35 @@ def measure(settings: Settings, state: State, frame: Frame, posture: Array) -> S
         track=_fuse(settings, state.track, frame.time_s, read),
         aim=_fuse(settings, state.aim, frame.time_s, sent),
     )
+
+
+def aim_by_one_eye(
+    settings: Settings, state: State, posture: Array, rays: Mapping[Side, tuple[Array, Array]]
+) -> State:
+    """Return the state with an aim on the ray of the only eye that sees the object.
+
+    Unless the aim that there is lies near that ray: then it is the better one, as it knows the
+    depth. Once both eyes see the object, the measurement takes over from the guess.
+
+    Args:
+        settings: of the controller.
+        state: after `measure`.
+        posture: (7,) at the frame.
+        rays: by eye, from `rays_to`.
+    """
+    if len(rays) != 1:
+        return state
+    ((eye, (centre, ray)),) = rays.items()
+    T_body_eye = T_body_base(settings.calibration, eye, chain(settings, posture))
+    ray = ray / np.linalg.norm(ray)
+    if state.aim is not None:
+        away = transform(inverse(T_body_eye), state.aim.position) - centre
+        if ray @ away > np.cos(settings.astray_rad) * np.linalg.norm(away):
+            return state
+    point = transform(T_body_eye, centre + settings.first_depth_m * ray)
+    guess = (settings.first_depth_m / 3) ** 2 * np.eye(3)
+    aim = begin(state.frame_s, point, guess, speed_std_m_s=settings.speed_std_m_s)
+    return replace(state, aim=aim, track=None)
 
 
 def _locate(settings: Settings, state: State, postures: Array) -> list[tuple[Array, Array]] | None:

@@ -53,12 +53,14 @@ class Settings:
     """Angular speed from which an object is pursued, not fixated: a pixel of the fovea a frame."""
     lost_s: float = 0.2
     """Without a measurement until the object counts as lost."""
-    search_s: float = 0.8
+    search_s: float = 0.6
     """Lost, until a search begins: things reappear near where they went."""
     dwell_s: float = 0.3
-    """At each place of a search."""
+    """At each place of a search, once the eyes stand there."""
     first_depth_m: float = 1.0
     """Assumed of what only one eye sees."""
+    astray_rad: float = 0.1
+    """Between the sight of one eye and the aim, from which the aim is given up."""
     outer: float = 0.6
     """Share of the narrow image beyond which the wide images are asked for too."""
     surprise_limit: float = 60.0
@@ -104,6 +106,8 @@ class State:
     would make the eyes tremble, but as wrong as the joints' gains."""
     stuck: tuple[str, ...] = ()
     """Joints that do not follow."""
+    searched: int = 0
+    """Places that were looked to since it was lost."""
     neck_turning: bool = False
     neck_rate: Array = field(default_factory=lambda: np.zeros(3))
 
