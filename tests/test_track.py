@@ -1,0 +1,84 @@
+"""Following on the twin, with its physics and its renders; the calibration is given, not made."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vergence.arrays import Array
+from vergence.errors import VergenceError
+from vergence.experiments import track as module
+from vergence.experiments.live import TwinHead, foveal_errors
+from vergence.experiments.track import SPEED_M_S, follow, smooth_path, track
+from vergence.gaze import Settings, look, start
+from vergence.motion import Limits
+from vergence.twin.head import Twin
+from vergence.twin.profile import ErrorProfile, load_profile
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_paths_keep_to_their_space_and_come_to_the_stated_speed(seed: int):
+    path = smooth_path(seed, 20.0)
+    times = np.linspace(0, 20, 8001)
+    points = np.array([path(t) for t in times])
+    assert points[:, 0].min() >= 0.4
+    assert points[:, 0].max() <= 1.0
+    assert np.abs(np.arctan2(points[:, 1], points[:, 0])).max() <= 0.3
+    speeds = np.linalg.norm(np.diff(points, axis=0), axis=1) / (times[1] - times[0])
+    assert speeds.max() == pytest.approx(SPEED_M_S, rel=0.02)
+
+
+def test_a_moving_object_stays_on_both_foveas_and_is_found_again_after_it_was_hidden():
+    with Twin(load_profile("paper"), seed=1) as twin:
+        settings = Settings(calibration=twin.truth, joint_std_rad=2.6e-3)
+        found = follow(twin, settings, 0, smooth_path(4, 3.0), 2.4, hidden_s=1.0)
+    assert found.found_again
+    assert found.in_both > 0.9
+    assert found.rms_px < 32
+    assert found.position_rms_m < found.single_frame_rms_m
+
+
+def test_a_gaze_shift_shared_with_the_neck_keeps_the_image_still():
+    """Nearly 60 degrees, on the twin's own heavy neck: less than 20 px while it turns."""
+    before, after = (0.9 * np.array([np.cos(a), np.sin(a), 0.1]) for a in np.radians([-26.0, 26.0]))
+    seen: list[tuple[float, Array, Array]] = []
+    with Twin(load_profile("ideal"), seed=1) as twin:
+        settings = Settings(calibration=twin.truth, use_neck=True)
+        head = TwinHead(twin, 0, lambda t: before if t < 0.8 else after)
+
+        def keep(*_: object) -> None:
+            seen.append((twin.time_s, foveal_errors(twin, twin.truth), twin.true_angles()))
+
+        look(head, settings, start(settings, np.zeros(7), 0.0), 2.0, watch=keep)
+    times = np.array([t for t, _, _ in seen])
+    errors, angles = np.array([e.max() for _, e, _ in seen]), np.array([a for _, _, a in seen])
+    limits = Limits().range_rad
+    assert (angles >= limits[:, 0] - 1e-3).all()
+    assert (angles <= limits[:, 1] + 1e-3).all()
+    turning = np.abs(np.gradient(angles[:, 2], times)) > 0.05
+    for first, last in ((0.0, 0.8), (0.8, 2.1)):
+        inside = (times >= first) & (times < last)
+        reached = np.flatnonzero(inside & (errors < 10))[0]
+        on_target = inside & (np.arange(len(times)) >= reached)
+        assert (turning & on_target).sum() > 8
+        assert errors[on_target].max() < 20
+        assert errors[inside][-1] < 3
+    assert np.degrees(np.ptp(angles[:, 2])) > 30
+
+
+def test_the_summary_is_written_as_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def given(twin: Twin, seed: int) -> Settings:
+        return Settings(calibration=twin.truth)
+
+    monkeypatch.setattr(module, "calibrated", given)
+    monkeypatch.setattr(module, "SHORTEST_S", 1.0)
+    found = track(seconds=1.2, profile=ErrorProfile(), out=tmp_path)
+    written = json.loads((tmp_path / "track.json").read_text())
+    assert written["frames"] == found.frames > 5
+
+
+@pytest.mark.parametrize(("seconds", "seed"), [(0.0, 0), (1e9, 0), (10.0, -1)])
+def test_what_cannot_be_is_refused(seconds: float, seed: int):
+    with pytest.raises(VergenceError, match=r"A run takes|The seed"):
+        track(seconds=seconds, seed=seed, profile=ErrorProfile())
