@@ -1,0 +1,22 @@
+"""What travels with the package when it is installed as a wheel."""
+
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+from vergence.twin.profile import shipped
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_the_wheel_carries_model_and_profiles(tmp_path):
+    command = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--quiet", "-w", str(tmp_path)]
+    done = subprocess.run([*command, str(ROOT)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    (wheel,) = tmp_path.glob("vergence-*.whl")
+    names = set(zipfile.ZipFile(wheel).namelist())
+    scene = "vergence/models/cbi_head/scene.xml"
+    assets = {f"vergence/{p.relative_to(ROOT)}" for p in (ROOT / "models").rglob("assets/*.png")}
+    profiles = {f"vergence/twin/profiles/{name}.toml" for name in shipped()}
+    assert {scene, *assets, *profiles} <= names
