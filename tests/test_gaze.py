@@ -84,20 +84,20 @@ def test_the_position_in_the_body_is_known_all_the_while():
 
 def test_a_moving_object_is_not_followed_from_behind():
     path = circling(0.2)
-    done = run(DrawnHead(path), 3.0)
+    done = run(DrawnHead(path), 2.0)
     assert set(done.phases[15:]) == {Phase.PURSUIT}
     assert np.sqrt((done.after(0.5) ** 2).mean()) < 8
     # Without the feed-forward, the eyes would be behind by the motion of a frame: 13 px.
     blind = replace(SETTINGS, moving_rad_s=np.inf)
-    behind = run(DrawnHead(path), 3.0, blind)
+    behind = run(DrawnHead(path), 2.0, blind)
     assert np.sqrt((behind.after(0.5) ** 2).mean()) > 12
 
 
-@pytest.mark.parametrize("latency", [0.02, 0.06, 0.1])
+@pytest.mark.parametrize("latency", [0.02, 0.1])
 def test_frames_that_come_late_are_taken_for_the_time_of_their_stamp(latency):
-    still = run(DrawnHead(lambda _: point_at(15, -10, 0.6), latency_s=latency), 1.5)
+    still = run(DrawnHead(lambda _: point_at(15, -10, 0.6), latency_s=latency), 1.0)
     assert still.after(0.7).max() < 0.5
-    moving = run(DrawnHead(circling(0.15), latency_s=latency), 3.0)
+    moving = run(DrawnHead(circling(0.15), latency_s=latency), 2.0)
     assert Phase.LOST not in moving.phases[20:]
     assert np.sqrt((moving.after(1.0) ** 2).mean()) < 25
 
@@ -115,7 +115,7 @@ def test_readings_that_are_older_than_the_image_are_carried_to_it():
 
 def test_frames_that_come_twice_or_not_at_all_do_no_harm():
     head = DrawnHead(circling(0.15), dropped=lambda n: n % 7 == 3, repeated=lambda n: n % 5 == 4)
-    done = run(head, 4.0)
+    done = run(head, 3.0)
     assert Phase.LOST not in done.phases[10:]
     assert np.sqrt((done.after(0.6) ** 2).mean()) < 20
 
@@ -186,12 +186,12 @@ def test_what_only_one_eye_sees_is_looked_at_by_both():
 @pytest.mark.parametrize("shift", [(-28, 30), (20, -40)])
 def test_eyes_go_first_the_neck_follows_and_the_image_stays(shift):
     before, after = point_at(shift[0], 0, 0.9), point_at(shift[1], 8, 0.9)
-    head = DrawnHead(lambda t: before if t < 2 else after)
-    done = run(head, 5.0, replace(SETTINGS, use_neck=True))
+    head = DrawnHead(lambda t: before if t < 1.4 else after)
+    done = run(head, 3.6, replace(SETTINGS, use_neck=True))
     necks = np.array([head.posture(t)[NECK] for t in done.times])
     turning = np.abs(np.gradient(necks[:, 2], done.times)) > 0.05
     foveated = np.zeros(len(done.times), bool)
-    for start_s, end_s in ((0.0, 2.0), (2.0, 5.0)):
+    for start_s, end_s in ((0.0, 1.4), (1.4, 3.6)):
         inside = (done.times >= start_s) & (done.times < end_s)
         reached = np.flatnonzero(inside & (done.errors.max(axis=1) < 5))
         foveated[reached[0] : np.flatnonzero(inside)[-1] + 1] = True
@@ -212,8 +212,8 @@ def test_the_neck_stays_where_it_is_for_small_shifts():
 @pytest.mark.parametrize("pan", [80, -80])
 def test_no_limit_of_range_or_speed_is_ever_exceeded(pan):
     head = DrawnHead(lambda t: point_at(pan * np.sin(t), 40 * np.sin(1.7 * t), 0.6))
-    done = run(head, 4.0, replace(SETTINGS, use_neck=True))
-    times = np.arange(0, 4.0, 1e-3)
+    done = run(head, 3.0, replace(SETTINGS, use_neck=True))
+    times = np.arange(0, 3.0, 1e-3)
     postures = np.array([head.posture(t) for t in times])
     limits = Limits()
     assert (postures >= limits.range_rad[:, 0] - 1e-12).all()
