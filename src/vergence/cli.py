@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from typing import Annotated, Literal
@@ -96,8 +97,10 @@ def calibrate(
         method: The paper's steps, or one estimate of everything that starts from them.
         json: File for the accuracy alone, in figures.
     """
+    # Its matrices are small: threads of linear algebra would wait for each other. Before numpy.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from vergence.calibration.solve import solve
-    from vergence.calibration_report import summary, write_json, write_report
+    from vergence.experiments.calibration_report import summary, write_json, write_report
     from vergence.head import save
 
     with Progress(console=Console(stderr=True)) as progress:

@@ -1,4 +1,4 @@
-"""figures.png: the paper's Figs. 6-11, ours, with the paper's statistics beside ours.
+"""Pictures: the paper's Figs. 6-11 with its statistics beside ours, and those of calibrations.
 
 The only module that imports matplotlib. It draws with Agg into a file and never opens a window.
 """
@@ -6,7 +6,7 @@ The only module that imports matplotlib. It draws with Agg into a file and never
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -94,6 +94,11 @@ def paper_figures(path: Path, results: Sequence[FigureResult]) -> None:
     for result in results:
         row, column = place[result.figure.number]
         _panel(grid[rows.index(row), columns.index(column)], result)
+    _save(canvas, path)
+
+
+def _save(canvas: Canvas, path: Path) -> None:
+    """Write a PNG under a temporary name, then rename it: never half a file."""
     part = path.with_name(f".{path.name}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -163,3 +168,128 @@ def _table(axes: Axes, figure: Figure, statistics: Statistics) -> Artist:
     )
     box.patch.set(alpha=0.85, edgecolor="0.8")
     return box
+
+
+def coverage(
+    path: Path,
+    corners: Mapping[str, Array],
+    sizes: Mapping[str, tuple[int, int]],
+    eye_angles: Mapping[str, Array],
+) -> None:
+    """Draw where in the images the board was seen, and where the eyes looked.
+
+    Args:
+        path: of the PNG.
+        corners: by camera, (V, K, 2) [px]; NaN where not seen.
+        sizes: by camera, width and height [px].
+        eye_angles: by eye, (V, 2) pan and tilt [rad].
+
+    Raises:
+        VergenceError: the file cannot be written.
+    """
+    canvas, panels = _grid(len(corners) + len(eye_angles), "Where the board was seen")
+    for axes, (name, pixels) in zip(panels, corners.items(), strict=False):
+        axes.plot(*pixels.reshape(-1, 2).T, ".", markersize=1.5, color="#1f4fd8")
+        _frame(axes, sizes[name])
+        seen = int(np.isfinite(pixels[..., 0]).sum(axis=1).astype(bool).sum())
+        axes.set_title(f"{name}, {seen} views", fontsize=11, loc="left")
+    for axes, (eye, angles) in zip(panels[len(corners) :], eye_angles.items(), strict=True):
+        axes.plot(*np.degrees(angles).T, ".", markersize=5, color="#d62222")
+        axes.set(xlabel="pan [deg]", ylabel="tilt [deg], positive down")
+        axes.set_title(f"{eye} eye", fontsize=11, loc="left")
+        axes.axis("equal")
+        axes.grid(color="0.9", linewidth=0.6)
+    _save(canvas, path)
+
+
+def residuals(
+    path: Path,
+    corners: Mapping[str, Array],
+    errors: Mapping[str, Array],
+    sizes: Mapping[str, tuple[int, int]],
+    eye_angles: Mapping[str, Array],
+) -> None:
+    """Draw residuals as arrows over the image, enlarged, and their size over the joint angles.
+
+    Args:
+        path: of the PNG.
+        corners: by camera, (V, K, 2) [px].
+        errors: by camera, (V, K, 2) projected minus seen [px]; NaN where not seen.
+        sizes: by camera, width and height [px].
+        eye_angles: by camera, (V, 2) pan and tilt of its eye [rad].
+
+    Raises:
+        VergenceError: the file cannot be written.
+    """
+    canvas, panels = _grid(3 * len(corners), "What is left after the fit", columns=3)
+    for k, (name, pixels) in enumerate(corners.items()):
+        over_image, over_pan, over_tilt = panels[3 * k : 3 * k + 3]
+        points, arrows = pixels.reshape(-1, 2), errors[name].reshape(-1, 2)
+        seen = np.asarray(np.isfinite(points + arrows).all(axis=1))
+        size = float(np.sqrt((arrows[seen] ** 2).sum(axis=1).mean())) if seen.any() else 0.0
+        enlarged = 0.02 * sizes[name][0] / max(size, 1e-9)
+        over_image.quiver(
+            *points[seen].T,
+            *(enlarged * arrows[seen]).T,
+            angles="xy",
+            scale_units="xy",
+            scale=1,
+            width=0.0015,
+            color="#1f4fd8",
+        )
+        _frame(over_image, sizes[name])
+        title = f"{name}: rms {size:.3f} px, arrows x {enlarged:.0f}"
+        over_image.set_title(title, fontsize=11, loc="left")
+        length = np.linalg.norm(errors[name], axis=2)
+        for axes, angles, joint in zip(
+            (over_pan, over_tilt), eye_angles[name].T, ("pan", "tilt"), strict=True
+        ):
+            across = np.repeat(np.degrees(angles)[:, None], length.shape[1], axis=1)
+            axes.plot(across.ravel(), length.ravel(), ".", markersize=1.5, color="#0b8a2e")
+            axes.set(xlabel=f"{joint} [deg]", ylabel="residual [px]")
+            axes.grid(color="0.9", linewidth=0.6)
+    _save(canvas, path)
+
+
+def views(path: Path, shown: Mapping[str, tuple[np.ndarray, Array, Array]]) -> None:
+    """Draw images with the corners that were seen, and the residuals as arrows, 100 times as long.
+
+    Args:
+        path: of the PNG.
+        shown: by title, image (H, W, 3), corners (K, 2) [px] and errors (K, 2) [px].
+
+    Raises:
+        VergenceError: the file cannot be written.
+    """
+    canvas, panels = _grid(len(shown), "The worst views; arrows: residuals x 100")
+    for axes, (title, (image, corners, errors)) in zip(panels, shown.items(), strict=True):
+        axes.imshow(image)
+        axes.plot(*corners.T, "+", markersize=4, color="#0b8a2e")
+        seen = np.asarray(np.isfinite(errors).all(axis=1))
+        axes.quiver(
+            *corners[seen].T,
+            *(100 * errors[seen]).T,
+            angles="xy",
+            scale_units="xy",
+            scale=1,
+            width=0.003,
+            color="#d62222",
+        )
+        axes.set_axis_off()
+        axes.set_title(title, fontsize=10, loc="left")
+    _save(canvas, path)
+
+
+def _grid(count: int, title: str, *, columns: int = 2) -> tuple[Canvas, list[Axes]]:
+    rows = -(-count // columns)
+    canvas = Canvas(figsize=(5.2 * columns, 4.0 * rows + 0.4), dpi=_DPI, layout="constrained")
+    FigureCanvasAgg(canvas)
+    canvas.suptitle(title, fontsize=13)
+    panels = list(canvas.subplots(rows, columns, squeeze=False).flat)
+    for spare in panels[count:]:
+        spare.set_visible(False)
+    return canvas, panels[:count]
+
+
+def _frame(axes: Axes, size: tuple[int, int]) -> None:
+    axes.set(xlim=(-0.5, size[0] - 0.5), ylim=(size[1] - 0.5, -0.5), aspect="equal")

@@ -67,6 +67,18 @@ def difference(head: HeadCalibration, reference: HeadCalibration) -> dict[str, f
     return dict(zip(names, map(float, values), strict=True))
 
 
+def values_of(head: HeadCalibration) -> dict[str, float | None]:
+    """Return by name the value of each parameter; None for those of poses."""
+    values: list[float | None] = []
+    for mounted in head.cameras.values():
+        values += [*map(float, lens_vector(mounted.intrinsics)), *[None] * 6]
+    values += [None] * 6
+    for eye in EYES:
+        values += axes_row(head.axes[eye])
+    values.append(head.time_offset_s)
+    return dict(zip(calibration_names(tuple(head.cameras)), values, strict=True))
+
+
 def changed(head: HeadCalibration, parameters: Sequence[str], change: Array) -> HeadCalibration:
     """Return a head with the named parameters changed by (c,).
 

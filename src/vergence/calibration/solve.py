@@ -73,15 +73,12 @@ def solve(
         if progress and task is not None:
             progress.advance(task)
 
-    still = ~dataset.moving
-    start = paper(seen, still, wide_lens)
+    start = paper(seen, wide_lens)
     advance()
     if method == "paper":
         refined, head = None, start.head
         advance()
-        checked, said = _checked(
-            seen, lambda part: paper(part, np.ones(len(part.views.placement), bool), wide_lens).head
-        )
+        checked, said = _checked(seen, lambda part: paper(part, wide_lens).head)
         accuracy = Accuracy(method="paper", held_out=checked, warnings=said)
     else:
         refined = _refined(start.head, seen)
@@ -125,8 +122,11 @@ def _check_seen(detections: Detections, still: np.ndarray) -> None:
             )
 
 
-def paper(seen: Observations, still: np.ndarray, wide_lens: LensModel) -> PaperCalibration:
-    """Return the paper's calibration from the views (V,) in which the eyes stood still."""
+def paper(seen: Observations, wide_lens: LensModel) -> PaperCalibration:
+    """Return the paper's calibration from the views in which the eyes stood still."""
+    still = np.ones(len(seen.views.placement), bool)
+    if seen.rates is not None:
+        still = np.asarray((seen.rates == 0).all(axis=1))
     return pipeline.calibrate(seen.take(still).views, wide_lens=wide_lens)
 
 

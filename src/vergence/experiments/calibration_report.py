@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from vergence import plots
 from vergence.arrays import Array
 from vergence.calibration.accuracy import calibration_covariance
 from vergence.calibration.intrinsics import seen_corners
-from vergence.calibration.parameters import without_offsets
+from vergence.calibration.parameters import values_of, without_offsets
 from vergence.calibration.solve import Solved
 from vergence.camera import project
 from vergence.geometry import inverse, transform
@@ -26,6 +27,7 @@ the ten views or more of a usual fold set it stays below by far."""
 SMALL = 0.002
 """Error of a point, relative to its distance, that is small whatever the noise of a reading."""
 FAILURES_NAMED = 20
+WORST_SHOWN, WORST_LISTED = 4, 10
 DISTANCES_M = (0.3, 0.6, 1.0)
 _TURNS_RAD = 0.2
 
@@ -186,17 +188,99 @@ def write_json(solved: Solved, path: Path) -> None:
 
 def write_report(solved: Solved, folder: Path) -> None:
     """Write report.md and its pictures into a folder."""
+    views, eyes = solved.detections.views, solved.dataset.description.eyes
+    angles = {eye: views.eye_angles[:, 2 * k : 2 * k + 2] for k, eye in enumerate(EYES)}
+    plots.coverage(
+        folder / "coverage.png", views.corners, views.sizes, {eye: angles[eye] for eye in eyes}
+    )
+    if solved.refined is not None:
+        errors = solved.refined.residuals_px
+        corners = {name: views.corners[name] for name in errors}
+        of_camera = {name: angles[solved.head.cameras[name].eye] for name in errors}
+        plots.residuals(folder / "residuals.png", corners, errors, views.sizes, of_camera)
+        shown = {}
+        for size, name, row in worst(solved)[:WORST_SHOWN]:
+            image = solved.dataset.image(name, row)
+            if image is not None:
+                title = f"line {solved.dataset.lines[row]}, {name}: rms {size:.3f} px"
+                shown[title] = (image, views.corners[name][row], errors[name][row])
+        plots.views(folder / "worst_views.png", shown)
     write_whole(folder / "report.md", as_markdown(solved))
+
+
+def worst(solved: Solved) -> list[tuple[float, str, int]]:
+    """Return residual (root mean square, px), camera and row of all views, the worst first."""
+    if solved.refined is None:
+        return []
+    found = []
+    for name, errors in solved.refined.residuals_px.items():
+        squares = (errors**2).sum(axis=2)
+        for row in np.flatnonzero(np.asarray(np.isfinite(squares).any(axis=1))):
+            found.append((float(np.sqrt(np.nanmean(squares[row]))), name, int(row)))
+    return sorted(found, reverse=True)
 
 
 def as_markdown(solved: Solved) -> str:
     """Return the report."""
     accuracy = solved.head.accuracy
     assert accuracy is not None
-    lines = ["# Calibration", ""]
-    for line in summary(solved):
-        lines += [line + "  "]
-    lines += ["", "## Warnings", ""]
+    lines = ["# Calibration", "", *(f"{line}  " for line in summary(solved)), ""]
     said = (*accuracy.warnings, *solved.detections.remarks)
-    lines += [f"- {line}" for line in said] or ["None."]
-    return "\n".join(lines) + "\n"
+    lines += ["## Warnings", "", *([f"- {line}" for line in said] or ["None."]), ""]
+    lines += ["## Accuracy of points", "", *_points(solved), ""]
+    lines += ["## Parameters", "", *_parameters(solved.head), ""]
+    lines += ["## Images", "", "![coverage](coverage.png)", ""]
+    if solved.refined is not None:
+        lines += ["![residuals](residuals.png)", "", "![worst views](worst_views.png)", ""]
+        lines += ["| worst views | camera | residual [px] |", "|---|---|---|"]
+        lines += [
+            f"| line {solved.dataset.lines[row]} | {name} | {size:.3f} |"
+            for size, name, row in worst(solved)[:WORST_LISTED]
+        ]
+        lines.append("")
+    failures = solved.detections.failures
+    if failures:
+        lines += [f"{len(failures)} images gave no corners:", ""]
+        lines += [f"- {failure}" for failure in failures[:FAILURES_NAMED]]
+        if len(failures) > FAILURES_NAMED:
+            lines.append(f"- and {len(failures) - FAILURES_NAMED} more, all in the JSON file")
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _points(solved: Solved) -> list[str]:
+    table = distances(solved.head)
+    if not table:
+        return ["Not stated: see `vergence calibrate --method refined`."]
+    lines = [
+        "Standard deviation of a point ahead, located with the wide cameras, while the gaze goes",
+        "round by 0.2 rad: what the calibration adds, the same for every reading at these angles,",
+        "and what the noise of one reading and its pixels adds.",
+        "",
+        "| distance [m] | calibration [mm] | reading [mm] |",
+        "|---|---|---|",
+    ]
+    lines += [f"| {d:g} | {a:.2f} | {b:.2f} |" for d, a, b in table]
+    checked = solved.head.accuracy.held_out if solved.head.accuracy else None
+    if checked is not None and checked.scatter is not None:
+        lines += ["", f"Folds scatter {checked.scatter:.2f} times as much as stated."]
+    return lines
+
+
+def _parameters(head: HeadCalibration) -> list[str]:
+    accuracy = head.accuracy
+    assert accuracy is not None
+    values = values_of(head)
+    stds = dict(
+        zip(accuracy.parameters, np.sqrt(np.diag(accuracy.covariance)).tolist(), strict=True)
+    )
+    lines = [
+        "Poses are given by their standard deviations alone; see the calibration file. Angles in",
+        "radians, lengths in metres, focal lengths and centres in pixels, time in seconds.",
+        "",
+        "| parameter | value | std |",
+        "|---|---|---|",
+    ]
+    for name, value in values.items():
+        std = f"{stds[name]:.2g}" if name in stds else "held"
+        lines.append(f"| {name} | {'' if value is None else f'{value:.6g}'} | {std} |")
+    return lines
