@@ -1,14 +1,17 @@
 """From a dataset folder to a calibrated head, through the command line."""
 
 import json
+import re
+import shutil
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from heads import plain_head
 from vergence import cli
-from vergence.head import load
+from vergence.head import load, save
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
@@ -52,4 +55,53 @@ def test_a_recorded_head_is_calibrated_and_evaluated(recorded, tmp_path, monkeyp
         assert camera["focal_percent"] < 0.5
     stated = json.loads(accuracy.read_text())
     assert stated["verdict"] in printed
+    assert {path.name for path in report.iterdir()} == {
+        "report.md",
+        "coverage.png",
+        "residuals.png",
+        "worst_views.png",
+    }
     assert (report / "report.md").read_text().splitlines()[2].startswith(stated["verdict"])
+
+
+def test_the_paper_s_method_states_no_accuracy(recorded, tmp_path, monkeypatch, capsys):
+    out = tmp_path / "paper.json"
+    run(monkeypatch, "calibrate", recorded, "--out", out, "--method", "paper")
+    assert capsys.readouterr().out.startswith(("UNKNOWN", "DOUBTFUL"))  # never "GOOD"
+    accuracy = load(out).accuracy
+    assert accuracy is not None
+    assert accuracy.method == "paper"
+    assert not accuracy.parameters
+
+
+def test_an_exported_head_comes_back(tmp_path, monkeypatch):
+    save(plain_head(0.07, 300.0), tmp_path / "head.json")
+    there, back = tmp_path / "head.yml", tmp_path / "back.json"
+    run(monkeypatch, "export", tmp_path / "head.json", "--format", "opencv", "--out", there)
+    run(monkeypatch, "import", there, "--format", "opencv", "--out", back)
+    np.testing.assert_array_equal(
+        load(back).T_rbase_lbase, load(tmp_path / "head.json").T_rbase_lbase
+    )
+
+
+@pytest.mark.parametrize(
+    ("keep", "named"),
+    [
+        (lambda row: row < 0, "frames.csv"),
+        (lambda row: row < 2, "shows the board in [02] images at rest"),
+    ],
+)
+def test_too_little_data_ends_in_a_sentence(keep, named, recorded, tmp_path, monkeypatch, capsys):
+    folder = tmp_path / "dataset"
+    folder.mkdir()
+    shutil.copytree(recorded / "images", folder / "images")
+    (folder / "dataset.json").write_text((recorded / "dataset.json").read_text())
+    head, *rows = (recorded / "frames.csv").read_text().splitlines()
+    rows = [row for k, row in enumerate(rows) if keep(k)]
+    (folder / "frames.csv").write_text("\n".join([head, *rows]) + "\n")
+    with pytest.raises(SystemExit) as stopped:
+        run(monkeypatch, "calibrate", folder, "--out", tmp_path / "c.json")
+    assert stopped.value.code == 2
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert re.search(named, said)
+    assert not (tmp_path / "c.json").exists()

@@ -1,0 +1,76 @@
+"""Errors against the truth: named, standardised, and none that is a choice of convention."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from heads import random_head
+from vergence.calibration.parameters import changed, without_offsets
+from vergence.calibration.target import Chessboard
+from vergence.errors import VergenceError
+from vergence.experiments.evaluate import as_text, evaluate, save
+from vergence.experiments.truth import Truth
+from vergence.head import Accuracy, HeadCalibration
+from vergence.twin.profile import ErrorProfile
+
+NAMES = ("left_wide.fx", "left_wide.fy", "left_wide.T_eye_cam.tx", "T_rbase_lbase.rz")
+STD = np.array([0.2, 0.2, 1e-3, 1e-3])
+
+
+def truth_of(head: HeadCalibration) -> Truth:
+    return Truth(
+        head=head,
+        time_offset_s=0.01,
+        eye_angles=np.zeros((1, 4)),
+        T_lbase_target={0: np.eye(4)},
+        board=Chessboard(columns=9, rows=6, square_m=0.03),
+        seed=0,
+        lens="2.8mm",
+        profile=ErrorProfile(),
+    )
+
+
+@pytest.fixture
+def head() -> HeadCalibration:
+    return random_head(np.random.default_rng(7))
+
+
+def stating(head: HeadCalibration, change: np.ndarray) -> HeadCalibration:
+    accuracy = Accuracy(method="refined", parameters=NAMES, covariance=np.diag(STD**2))
+    return replace(changed(head, NAMES, change), accuracy=accuracy, time_offset_s=0.01)
+
+
+def test_offsets_that_no_image_tells_are_no_error(head):
+    found = evaluate(replace(without_offsets(head), time_offset_s=0.01), truth_of(head))
+    assert max(abs(each.error) for each in found.parameters.values()) < 1e-12
+    assert found.base_rotation_deg < 1e-5
+    assert not found.regions
+
+
+def test_errors_are_counted_in_their_standard_deviations(head):
+    plain = without_offsets(head)
+    found = evaluate(stating(plain, STD * [1, -3, 0.5, 0]), truth_of(head))
+    scores = [found.parameters[name].standardised for name in NAMES]
+    np.testing.assert_allclose(np.array(scores, float), [1, -3, 0.5, 0], atol=1e-6)
+    assert [found.parameters[name].within_95 for name in NAMES] == [True, False, True, True]
+    assert found.parameters["left_wide.cx"].std is None
+    assert found.regions["left_wide"].distance == pytest.approx(np.hypot(1, 3))
+    assert not found.regions["left_wide"].holds_truth
+    assert found.regions["T_rbase_lbase"].holds_truth
+    assert found.cameras["left_wide"].translation_mm == pytest.approx(0.5)
+    assert "outside: left_wide\n" in as_text(found)
+
+
+def test_a_truth_of_another_head_is_refused(head):
+    fewer = {name: m for name, m in head.cameras.items() if name != "right_narrow"}
+    with pytest.raises(VergenceError, match="no camera right_narrow"):
+        evaluate(head, truth_of(replace(head, cameras=fewer)))
+
+
+def test_an_evaluation_without_accuracy_says_so(head, tmp_path: Path):
+    found = evaluate(head, truth_of(head))
+    assert "states no accuracy" in as_text(found)
+    save(found, tmp_path / "errors.json")
+    assert '"focal_percent"' in (tmp_path / "errors.json").read_text()
