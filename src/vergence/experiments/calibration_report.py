@@ -24,6 +24,8 @@ from vergence.uncertainty import point_covariance
 MISFIT = 1.5
 """Held-out error, as a multiple of what the noise explains, from which something is amiss; with
 the ten views or more of a usual fold set it stays below by far."""
+PART = 1 / 3
+"""Of the noise of a reading, which a calibration may add: it makes a twentieth of the whole."""
 SMALL = 0.002
 """Error of a point, relative to its distance, that is small whatever the noise of a reading."""
 FAILURES_NAMED = 20
@@ -54,10 +56,10 @@ def verdict(solved: Solved) -> tuple[str, str]:
                 "for backlash, a board that moved or bends, and time stamps of moving eyes.",
             )
     for distance, by_calibration, by_reading in distances(solved.head):
-        if by_calibration > max(by_reading, SMALL * 1e3 * distance):
+        if by_calibration > max(PART * by_reading, SMALL * 1e3 * distance):
             return "FAIR", (
-                f"Next: record more views; at {distance:g} m the calibration adds "
-                f"{by_calibration:.1f} mm, more than the noise of a reading."
+                f"Next: record more views, or larger eye motion; at {distance:g} m the calibration "
+                f"adds {by_calibration:.1f} mm to the {by_reading:.1f} mm of a reading's noise."
             )
     return "GOOD", "Next: nothing; more views would not make points much better."
 
