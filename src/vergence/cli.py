@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from json import dumps
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -181,6 +182,74 @@ def import_(
     print(f"Wrote {out}.")
 
 
+def foveate(
+    *,
+    trials: int = 100,
+    seed: int = 0,
+    profile: str = "ideal",
+    out: Path | None = None,
+    json: Path | None = None,
+) -> None:
+    """Let objects appear, and turn both eyes until the narrow images are centred on them.
+
+    Args:
+        trials: How many objects.
+        seed: Of everything random.
+        profile: Error profile: ideal, paper, noise-only, or a TOML file.
+        out: Folder for foveate.json.
+        json: File for the summary.
+    """
+    from dataclasses import asdict
+
+    from vergence.experiments.foveate import foveate as run
+    from vergence.twin.profile import load_profile
+
+    chosen = load_profile(profile)
+    with Progress(console=Console(stderr=True)) as progress:
+        task = progress.add_task("foveating", total=trials)
+        found, _ = run(
+            trials=trials, seed=seed, profile=chosen, out=out, done=lambda: progress.advance(task)
+        )
+    _summarise(asdict(found), json)
+
+
+def track(
+    *,
+    seconds: float = 60.0,
+    seed: int = 0,
+    profile: str = "ideal",
+    out: Path | None = None,
+    json: Path | None = None,
+) -> None:
+    """Follow a moving object with both narrow cameras; it is hidden once on its way.
+
+    Args:
+        seconds: Length of the run [s].
+        seed: Of everything random.
+        profile: Error profile: ideal, paper, noise-only, or a TOML file.
+        out: Folder for track.json.
+        json: File for the summary.
+    """
+    from dataclasses import asdict
+
+    from vergence.experiments.track import track as run
+    from vergence.twin.profile import load_profile
+
+    _summarise(
+        asdict(run(seconds=seconds, seed=seed, profile=load_profile(profile), out=out)), json
+    )
+
+
+def _summarise(summary: dict[str, object], path: Path | None) -> None:
+    """Print a summary, and write it where a file is named."""
+    from vergence.head import write_whole
+
+    text = dumps(summary, indent=1)
+    if path is not None:
+        write_whole(path, text + "\n")
+    print(text)
+
+
 COMMANDS = {
     "reproduce": reproduce,
     "record": record,
@@ -188,6 +257,8 @@ COMMANDS = {
     "evaluate": evaluate,
     "export": export,
     "import": import_,
+    "foveate": foveate,
+    "track": track,
 }
 
 
