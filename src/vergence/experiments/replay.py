@@ -61,7 +61,7 @@ class Replay:
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One sample with its pictures and its truth, for those who look on."""
+    """One sample with its truth, for those who look on."""
 
     index: int
     time_s: float
@@ -88,7 +88,7 @@ def replay(
     times_s: Array,
     *,
     watch: Callable[[Sample], None] | None = None,
-    watch_every: int = 1,
+    pictures_every: int = 1,
     done: Callable[[], None] = lambda: None,
 ) -> Replay:
     """Replay a figure on rendered images.
@@ -98,9 +98,9 @@ def replay(
         calibration: what is believed of the head.
         figure: which one.
         times_s: (N,) of the samples, rising.
-        watch: is shown samples with the pictures of all cameras, in their order, from another
-            thread.
-        watch_every: shows every so manieth; the others are rendered only where they are needed.
+        watch: is shown the samples in their order, from another thread.
+        pictures_every: every so manieth sample has the pictures of all cameras; the others are
+            rendered only where they are needed, by the wide ones.
         done: called after each sample.
     """
     start = _LEAD_S
@@ -118,13 +118,15 @@ def replay(
         try:
             for index, time_s in enumerate(times_s):
                 twin.advance(start + time_s, command)
-                seen = watch is not None and index % watch_every == 0
-                exposure = twin.expose(tuple(twin.truth.cameras) if seen else WIDE)
+                pictured = watch is not None and index % pictures_every == 0
+                exposure = twin.expose(tuple(twin.truth.cameras) if pictured else WIDE)
                 if len(pending) > index - 3 >= 0:
                     pending[index - 3].result()  # keeps few pictures in memory, shows errors early
-                args = (twin.true_angles(), twin.true_object(), twin.body_poses()) if seen else None
+                truth = (twin.true_angles(), twin.true_object(), twin.body_poses())
                 pending.append(
-                    worker.submit(_observe, twin, calibration, exposure, index, time_s, watch, args)
+                    worker.submit(
+                        _observe, twin, calibration, exposure, index, time_s, watch, truth
+                    )
                 )
                 done()
         except BaseException:
@@ -147,7 +149,7 @@ def _observe(
     index: int,
     time_s: float,
     watch: Callable[[Sample], None] | None,
-    truth: tuple[Array, Array, dict[str, Array]] | None,
+    truth: tuple[Array, Array, dict[str, Array]],
 ) -> tuple[Array, dict[str, Array]]:
     """Develop and search the pictures of one exposure; show them to who watches."""
     frame = twin.develop(exposure)
@@ -155,7 +157,7 @@ def _observe(
         name: find_sphere(image, calibration.camera(name).intrinsics)
         for name, image in frame.images.items()
     }
-    if watch is not None and truth is not None:
+    if watch is not None:
         angles, where, body_poses = truth
         eyes = angles[len(NECK_JOINTS) :]
         shown = {name: see(twin.truth, name, eyes[None], where)[0] for name in frame.images}

@@ -171,6 +171,7 @@ def record_replay(
         profile: for the report in the recording.
         done: called after each sample.
     """
+    every = picture_interval(times_s)
     with recording.figure_recording(path, figure, believed, visual_geoms(twin.model)) as rec:
 
         def watch(sample: Sample) -> None:
@@ -178,14 +179,15 @@ def record_replay(
                 rec,
                 time_s=sample.time_s,
                 index=sample.index,
-                frame=sample.frame,
+                frame=sample.frame if sample.index % every == 0 else None,
                 body_poses=sample.body_poses,
                 detected=sample.detected,
                 truth=sample.truth,
             )
 
-        every = picture_interval(times_s)
-        result = replay(twin, believed, figure, times_s, watch=watch, watch_every=every, done=done)
+        result = replay(
+            twin, believed, figure, times_s, watch=watch, pictures_every=every, done=done
+        )
         recording.log_series(
             rec,
             figure=figure,
