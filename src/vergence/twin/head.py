@@ -14,16 +14,18 @@ from vergence.arrays import Array
 from vergence.calibration.target import Charuco
 from vergence.dataset import Frame
 from vergence.experiments.paper import Lens
-from vergence.geometry import inverse, transform
+from vergence.geometry import inverse, pose, transform
 from vergence.head import HeadCalibration
 from vergence.kinematics import EYE_JOINTS, NECK_JOINTS
 from vergence.twin.model import (
     CAMERAS,
     JOINTS,
+    R_of_quat,
     T_world_body,
     as_built_head,
     compile_head,
     nominal_head,
+    quat_of_R,
 )
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.renderer import Negative, Renderer, overscan_sizes
@@ -182,7 +184,7 @@ class Twin:
         """Return the pose (4, 4) of the left eye's base frame in the world."""
         T_world_head = T_world_body(self._data, "head")
         pan = self.model.body("left_pan")
-        return T_world_head @ _pose(pan.pos, pan.quat)
+        return T_world_head @ pose(R_of_quat(pan.quat), pan.pos)
 
     def _place(self, body: str, T_lbase_body: Array | None) -> None:
         mocap = self.model.body(body).mocapid[0]
@@ -191,7 +193,7 @@ class Twin:
         else:
             T = self.T_world_lbase() @ T_lbase_body
             self._data.mocap_pos[mocap] = T[:3, 3]
-            mujoco.mju_mat2Quat(self._data.mocap_quat[mocap], T[:3, :3].ravel())
+            self._data.mocap_quat[mocap] = quat_of_R(T[:3, :3])
         mujoco.mj_kinematics(self.model, self._data)
 
     def place_board(self, T_lbase_target: Array | None) -> None:
@@ -200,10 +202,7 @@ class Twin:
 
     def place_object(self, position: Array | None) -> None:
         """Put the object at (3,) [m] in the left eye's base frame; None takes it away."""
-        T = None if position is None else np.eye(4)
-        if T is not None:
-            T[:3, 3] = position
-        self._place("object", T)
+        self._place("object", None if position is None else pose(t=position))
 
     def body_poses(self) -> dict[str, Array]:
         """Return by name the world pose (4, 4) of every body, at the last exposure."""
@@ -224,11 +223,3 @@ class Twin:
         traceback: TracebackType | None,
     ) -> None:
         self.close()
-
-
-def _pose(pos: Array, quat_wxyz: Array) -> Array:
-    R = np.empty(9)
-    mujoco.mju_quat2Mat(R, quat_wxyz)
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R.reshape(3, 3), pos
-    return T

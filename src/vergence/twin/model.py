@@ -78,7 +78,7 @@ def nominal_head(lens: Lens) -> HeadCalibration:
                 matrix=matrix,
                 distortion=np.array(DISTORTION[lens]) if wide else np.zeros(5),
             ),
-            T_eye_cam=pose(_matrix(camera.quat) @ R_MJCAM_CAM, camera.pos),
+            T_eye_cam=pose(R_of_quat(camera.quat) @ R_MJCAM_CAM, camera.pos),
         )
     return HeadCalibration(
         cameras=cameras,
@@ -159,7 +159,7 @@ def compile_head(
     for eye in EYES:
         T = T_head_base(head, eye)
         pan, tilt = spec.body(f"{eye}_pan"), spec.joint(f"{eye}_tilt")
-        pan.pos, pan.quat = T[:3, 3], _quat(T[:3, :3])
+        pan.pos, pan.quat = T[:3, 3], quat_of_R(T[:3, :3])
         axes = head.axes[eye]
         spec.body(f"{eye}_eye").pos = [axes.axis_distance_m, 0, 0]
         tilt.axis = [0, np.cos(axes.nonorthogonality_rad), np.sin(axes.nonorthogonality_rad)]
@@ -168,7 +168,7 @@ def compile_head(
         nominal_width = camera.resolution[0]
         camera.pos = T[:3, 3]
         camera.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-        camera.quat = _quat(T[:3, :3] @ R_MJCAM_CAM)
+        camera.quat = quat_of_R(T[:3, :3] @ R_MJCAM_CAM)
         intrinsics, size = mounted.intrinsics, np.array(overscan[name])
         centre = (np.array([intrinsics.width, intrinsics.height]) - 1) / 2
         camera.sensor_size = camera.sensor_size[0] / nominal_width * size
@@ -179,13 +179,15 @@ def compile_head(
     return spec.compile()
 
 
-def _matrix(quat_wxyz: Array) -> Array:
+def R_of_quat(quat_wxyz: Array) -> Array:
+    """Return the rotation (3, 3) of MuJoCo's quaternion (4,), scalar first."""
     R = np.empty(9)
     mujoco.mju_quat2Mat(R, quat_wxyz)
     return R.reshape(3, 3)
 
 
-def _quat(R: Array) -> Array:
+def quat_of_R(R: Array) -> Array:
+    """Return MuJoCo's quaternion (4,), scalar first, of a rotation (3, 3)."""
     quat_wxyz = np.empty(4)
     mujoco.mju_mat2Quat(quat_wxyz, np.ascontiguousarray(R).ravel())
     return quat_wxyz

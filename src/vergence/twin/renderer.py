@@ -9,7 +9,6 @@ the next rendering.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from types import TracebackType
 
 import cv2
 import mujoco
@@ -135,14 +134,3 @@ class Renderer:
         """Free OpenGL's resources."""
         for renderer in self._renderers.values():
             renderer.close()
-
-    def __enter__(self) -> Renderer:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        value: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()
