@@ -14,7 +14,8 @@ from vergence.arrays import Array
 from vergence.camera import Camera, undistort
 from vergence.errors import VergenceError
 from vergence.geometry import inverse, transform
-from vergence.head import HeadCalibration, T_base_cam, T_body_base, T_head_base
+from vergence.head import HeadCalibration, T_body_base, T_head_base
+from vergence.kinematics import T_base_eye
 
 
 class Status(IntEnum):
@@ -133,9 +134,15 @@ def locate(
     mounted_l, mounted_r = (calibration.camera(name) for name in cameras)
     readable = np.isfinite(eye_angles).all(axis=1, keepdims=True)
     angles = np.where(readable, eye_angles, 0.0)
-    T_lbase_lcam = T_base_cam(calibration, cameras[0], angles[:, :2])
-    T_rbase_rcam = T_base_cam(calibration, cameras[1], angles[:, 2:])
-    T_rcam_lcam = inverse(T_rbase_rcam) @ calibration.T_rbase_lbase @ T_lbase_lcam  # Eq. 11
+    T_lbase_eye = T_base_eye(angles[:, :2], calibration.axes[mounted_l.eye])
+    T_rbase_eye = T_base_eye(angles[:, 2:], calibration.axes[mounted_r.eye])
+    T_rcam_lcam = camera_transform(
+        T_rbase_eye,
+        mounted_r.T_eye_cam,
+        calibration.T_rbase_lbase,
+        mounted_l.T_eye_cam,
+        T_lbase_eye,
+    )
     located = triangulate(
         np.where(readable, pixels_l, np.nan),
         pixels_r,
@@ -143,6 +150,7 @@ def locate(
         mounted_r.intrinsics,
         T_rcam_lcam,
     )
+    T_lbase_lcam = T_lbase_eye @ mounted_l.T_eye_cam
     return Located(transform(T_lbase_lcam, located.points), located.status)
 
 
