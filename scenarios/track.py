@@ -18,8 +18,9 @@ def main(out: Path = OUT, profile: str = "paper", seed: int = 0, seconds: float 
     print(f"in both narrow images in {found.in_both:.1%} of {found.frames} frames")
     print(f"distance from their centres: {found.rms_px:.1f} px rms")
     print(
-        f"position error: {1e3 * found.position_rms_m:.1f} mm rms, "
-        f"{1e3 * found.single_frame_rms_m:.1f} mm by single frames"
+        f"position error: {1e3 * found.position_rms_m:.2f} mm rms, "
+        f"{1e3 * found.single_frame_rms_m:.2f} mm by single frames, "
+        f"{1e3 * found.wide_rms_m:.2f} mm by the wide images"
     )
 
 

@@ -16,6 +16,7 @@ from vergence.geometry import inverse, transform
 from vergence.head import T_base_cam, T_body_base
 from vergence.kinematics import EYES, Side
 from vergence.motion import EYES_4, HEAD_JOINTS, NECK, commanded
+from vergence.scatter import observe
 from vergence.sphere import find_sphere
 from vergence.tracking_filter import Track, begin, predict, surprise, update
 from vergence.uncertainty import point_covariance
@@ -114,13 +115,23 @@ def measure(settings: Settings, state: State, frame: Frame, posture: Array) -> S
         posture: (7,) by commands, from `posture_at_image`.
     """
     found = _locate(settings, state, np.stack([_read_at_image(state, frame), posture]))
-    read, sent = (None, None) if found is None else found
+    if found is None:
+        return replace(
+            state,
+            track=_ahead(settings, state.track, frame.time_s),
+            aim=_ahead(settings, state.aim, frame.time_s),
+        )
+    read, sent = found
+    scatter = observe(state.scatter, frame.time_s, *read)
+    aim_scatter = observe(state.aim_scatter, frame.time_s, *sent)
     return replace(
         state,
-        measured=None if read is None else read[0],
-        measured_covariance=None if read is None else read[1],
-        track=_fuse(settings, state.track, frame.time_s, read),
-        aim=_fuse(settings, state.aim, frame.time_s, sent),
+        measured=read[0],
+        measured_covariance=read[1],
+        scatter=scatter,
+        aim_scatter=aim_scatter,
+        track=_fuse(settings, state.track, frame.time_s, *read, scatter.share),
+        aim=_fuse(settings, state.aim, frame.time_s, *sent, aim_scatter.share),
     )
 
 
@@ -149,7 +160,7 @@ def aim_by_one_eye(
             return state
     point = transform(T_body_eye, centre + settings.first_depth_m * ray)
     guess = (settings.first_depth_m / 3) ** 2 * np.eye(3)
-    aim = begin(state.frame_s, point, guess, speed_std_m_s=settings.speed_std_m_s)
+    aim = _begin(settings, state.frame_s, point, guess)
     return replace(state, aim=aim, track=None)
 
 
@@ -180,14 +191,35 @@ def _locate(settings: Settings, state: State, postures: Array) -> list[tuple[Arr
     return list(zip(points, R @ covariances @ np.swapaxes(R, 1, 2), strict=True))
 
 
+def _begin(settings: Settings, time_s: float, point: Array, covariance: Array) -> Track:
+    return begin(
+        time_s,
+        point,
+        covariance,
+        speed_std_m_s=settings.speed_std_m_s,
+        acceleration_std_m_s2=settings.acceleration_std_m_s2,
+    )
+
+
+def _ahead(settings: Settings, track: Track | None, time_s: float) -> Track | None:
+    """Return a track at a time, if there is one."""
+    return None if track is None else predict(track, time_s, jerk_density=settings.jerk_density)
+
+
 def _fuse(
-    settings: Settings, track: Track | None, time_s: float, measured: tuple[Array, Array] | None
-) -> Track | None:
-    """Return a track at a time, after a measurement, if there is one."""
-    if track is not None:
-        track = predict(track, time_s, acceleration_density=settings.acceleration_density)
-    if measured is None:
-        return track
-    if track is None or surprise(track, *measured) > settings.surprise_limit:
-        return begin(time_s, *measured, speed_std_m_s=settings.speed_std_m_s)
-    return update(track, *measured)
+    settings: Settings,
+    track: Track | None,
+    time_s: float,
+    point: Array,
+    covariance: Array,
+    share: float,
+) -> Track:
+    """Return a track at a time, after a measurement.
+
+    Whether the measurement belongs to the track is judged by how wrong it may be; what it
+    weighs, by how much measurements scatter: by its `share` of the covariance.
+    """
+    track = _ahead(settings, track, time_s)
+    if track is None or surprise(track, point, covariance) > settings.surprise_limit:
+        return _begin(settings, time_s, point, covariance)
+    return update(track, point, share * covariance)

@@ -11,6 +11,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.head import HeadCalibration
 from vergence.motion import Command, Limits, stay
+from vergence.scatter import Scatter
 from vergence.tracking_filter import Track
 
 NARROW, WIDE = ("left_narrow", "right_narrow"), ("left_wide", "right_wide")
@@ -41,10 +42,12 @@ class Settings:
     """Of a joint reading, with all that the two eyes do not share."""
     sent_std_rad: float = 2e-4
     """Of a joint against where it was sent."""
-    acceleration_density: float = 0.1
-    """Of the object [m^2/s^3]: 0.3 m/s more or less in a second."""
+    jerk_density: float = 0.25
+    """Of the object [m^2/s^5]: an acceleration of 0.5 m/s^2 more or less in a second."""
     speed_std_m_s: float = 0.3
     """Of an object that is seen for the first time."""
+    acceleration_std_m_s2: float = 0.5
+    """Likewise."""
     saccade_rad: float = 0.12
     """Error from which a correction is a saccade: half the way to the edge of the fovea."""
     settle_s: float = 0.02
@@ -104,6 +107,10 @@ class State:
     aim: Track | None = None
     """The same from commands instead of readings, for control: without the readings' noise, which
     would make the eyes tremble, but as wrong as the joints' gains."""
+    scatter: Scatter = field(default_factory=Scatter)
+    """Of the measurements by readings: the track weighs them by it."""
+    aim_scatter: Scatter = field(default_factory=Scatter)
+    """Of those by commands."""
     stuck: tuple[str, ...] = ()
     """Joints that do not follow."""
     searched: int = 0

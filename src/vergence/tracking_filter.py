@@ -1,8 +1,9 @@
-"""A moving point, fused over time: a Kalman filter of constant velocity.
+"""A moving point, fused over time: a Kalman filter of position, velocity and acceleration.
 
-Position and velocity are in one fixed frame; each measurement brings its own covariance (see
+All are in one fixed frame; each measurement brings its own covariance (see
 `uncertainty.point_covariance`), which in stereo is long along the line of sight. Between
-measurements the velocity changes as white noise in the acceleration would change it.
+measurements the motion changes as white noise in the jerk, or in the acceleration, would change
+it. With neither jerk nor a first acceleration it is the filter of constant velocity.
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ class Track:
 
     time_s: float
     mean: Array
-    """(6,) position [m], velocity [m/s]."""
+    """(9,) position [m], velocity [m/s], acceleration [m/s^2]."""
     covariance: Array
-    """(6, 6)."""
+    """(9, 9)."""
 
     @property
     def position(self) -> Array:
@@ -32,37 +33,55 @@ class Track:
     @property
     def velocity(self) -> Array:
         """(3,) [m/s]."""
-        return self.mean[3:]
+        return self.mean[3:6]
 
 
-def begin(time_s: float, point: Array, covariance: Array, *, speed_std_m_s: float) -> Track:
-    """Return a track of one measurement, of whose velocity nothing is known but its usual size.
+def begin(
+    time_s: float,
+    point: Array,
+    covariance: Array,
+    *,
+    speed_std_m_s: float,
+    acceleration_std_m_s2: float = 0.0,
+) -> Track:
+    """Return a track of one measurement, of whose motion nothing is known but its usual size.
 
     Args:
         time_s: of the measurement.
         point: (3,) [m].
         covariance: (3, 3) of the point [m^2].
         speed_std_m_s: of each component of the velocity.
+        acceleration_std_m_s2: of each component of the acceleration.
     """
-    P = np.zeros((6, 6))
-    P[:3, :3], P[3:, 3:] = covariance, speed_std_m_s**2 * np.eye(3)
-    return Track(time_s, np.concatenate([point, np.zeros(3)]), P)
+    P = np.diag(np.repeat([0.0, speed_std_m_s**2, acceleration_std_m_s2**2], 3))
+    P[:3, :3] = covariance
+    return Track(time_s, np.concatenate([point, np.zeros(6)]), P)
 
 
-def predict(track: Track, time_s: float, *, acceleration_density: float) -> Track:
+def predict(
+    track: Track, time_s: float, *, acceleration_density: float = 0.0, jerk_density: float = 0.0
+) -> Track:
     """Return the track at a later time.
 
     Args:
         track: as it was.
         time_s: not before the track's.
-        acceleration_density: spectral density of the acceleration [m^2/s^3]: the variance that
-            each component of the velocity gains in a second.
+        acceleration_density: spectral density of white noise in the acceleration [m^2/s^3]: the
+            variance that each component of the velocity gains by it in a second.
+        jerk_density: the same of the jerk [m^2/s^5] and the acceleration.
     """
     dt = time_s - track.time_s
-    F = np.eye(6)
-    F[:3, 3:] = dt * np.eye(3)
-    growth = np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
-    Q = acceleration_density * np.kron(growth, np.eye(3))
+    motion = np.array([[1, dt, dt**2 / 2], [0, 1, dt], [0, 0, 1]])
+    by_jerk = np.array(
+        [
+            [dt**5 / 20, dt**4 / 8, dt**3 / 6],
+            [dt**4 / 8, dt**3 / 3, dt**2 / 2],
+            [dt**3 / 6, dt**2 / 2, dt],
+        ]
+    )
+    by_acceleration = np.array([[dt**3 / 3, dt**2 / 2, 0], [dt**2 / 2, dt, 0], [0, 0, 0]])
+    growth = jerk_density * by_jerk + acceleration_density * by_acceleration
+    F, Q = np.kron(motion, np.eye(3)), np.kron(growth, np.eye(3))
     return Track(time_s, F @ track.mean, F @ track.covariance @ F.T + Q)
 
 
@@ -88,7 +107,7 @@ def update(track: Track, point: Array, covariance: Array) -> Track:
     """
     P = track.covariance
     gain = np.linalg.solve(P[:3, :3] + covariance, P[:3]).T  # P H^T S^-1, with S symmetric
-    keep = np.eye(6)
+    keep = np.eye(9)
     keep[:, :3] -= gain
     # Joseph's form stays symmetric and positive where the short one loses digits.
     P = keep @ P @ keep.T + gain @ covariance @ gain.T

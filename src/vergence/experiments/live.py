@@ -50,6 +50,9 @@ class Delivery:
     period_s: float = FRAME_S
     latency_s: float = 0.0
     """From the moment of an image until the controller has it; less than the period."""
+    all_every: int = 0
+    """Of so many frames one has the images of all cameras, whether they were asked for or not:
+    for who looks on, recording or not, so that looking on changes nothing. 0: none."""
 
 
 class TwinHead:
@@ -88,7 +91,7 @@ class TwinHead:
         self._T_world_start = twin.T_world_lbase()
         limits = Limits() if limits is None else limits
         self._command = stay(np.zeros(len(HEAD_JOINTS)), limits, twin.time_s)
-        self._next_s = twin.time_s
+        self._next_s, self._number = twin.time_s, 0
         joints = twin.profile.joints
         self._gain = 1 + np.array(joints.gain_percent) / 100
         self._offset = np.radians(joints.offset_deg)
@@ -106,7 +109,10 @@ class TwinHead:
         self._advance(self._next_s)
         self._next_s = round(self._next_s + self.delivery.period_s, 6)
         self.place()
-        frame = self.twin.capture(tuple(cameras))
+        every = self.delivery.all_every
+        show_all = every > 0 and self._number % every == 0
+        self._number += 1
+        frame = self.twin.capture(tuple(self.twin.truth.cameras) if show_all else tuple(cameras))
         self._advance(frame.time_s + self.delivery.latency_s)
         return frame
 

@@ -13,20 +13,23 @@ from pathlib import Path
 
 import numpy as np
 
+from vergence.active_stereo import locate
 from vergence.arrays import Array
 from vergence.dataset import Frame
 from vergence.errors import VergenceError
 from vergence.experiments.live import (
     FRAME_S,
+    Delivery,
     TwinHead,
     calibrated,
     foveal_errors,
     in_both_foveas,
 )
-from vergence.gaze import Settings, State, look, start
+from vergence.gaze import WIDE, Settings, State, look, start
 from vergence.geometry import inverse, transform
-from vergence.head import T_body_base, T_head_base, write_whole
+from vergence.head import HeadCalibration, T_body_base, T_head_base, write_whole
 from vergence.motion import HEAD_JOINTS, NECK
+from vergence.sphere import find_sphere
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
 
@@ -38,6 +41,8 @@ DIRECTION_RAD = (0.30, 0.22)
 HIDDEN_S = 0.5
 ACQUIRE_S = 0.5
 """From its first appearance until the count begins; after it was hidden, nothing is left out."""
+ALL_EVERY = 6
+"""Of so many frames one has all images, to compare the lenses by and to look at."""
 _GRID = 6000
 SHORTEST_S, LONGEST_S = 3.0, 3600.0
 
@@ -57,6 +62,8 @@ class Summary:
     """Of the fused estimate, over frames that have a single-frame estimate too."""
     single_frame_rms_m: float
     """Of stereo by each of these frames alone."""
+    wide_rms_m: float
+    """Of stereo by the wide images alone, over the frames that have them: one in ALL_EVERY."""
     found_again: bool
     """Whether it was in both narrow images again within a second of its return."""
 
@@ -121,12 +128,14 @@ def follow(
             return None
         return transform(T_lbase_head, path_head(time_s))
 
-    head = TwinHead(twin, run, path, limits=settings.limits)
+    delivery = Delivery(all_every=ALL_EVERY)
+    head = TwinHead(twin, run, path, limits=settings.limits, delivery=delivery)
     times: list[float] = []
     inside: list[bool] = []
     distances: list[Array] = []
     fused: list[float] = []
     single: list[float] = []
+    wide: list[float] = []
 
     def keep(state: State, frame: Frame | None) -> None:
         watch(state, frame)
@@ -135,19 +144,21 @@ def follow(
         times.append(frame.time_s)
         inside.append(in_both_foveas(twin))
         distances.append(foveal_errors(twin, settings.calibration))
+        where = twin.true_object()
         if state.measured is not None and state.track is not None:
             neck = frame.neck_angles[NECK][: len(settings.calibration.neck.axes)]
-            T_body_lbase = T_body_base(settings.calibration, "left", neck)
-            truth = transform(T_body_lbase, twin.true_object())
+            truth = transform(T_body_base(settings.calibration, "left", neck), where)
             fused.append(float(np.sum((state.track.position - truth) ** 2)))
             single.append(float(np.sum((state.measured - truth) ** 2)))
+        if all(name in frame.images for name in WIDE):
+            wide.append(float(np.sum((by_wide_images(settings.calibration, frame) - where) ** 2)))
 
     state = start(settings, np.zeros(len(HEAD_JOINTS)), head.now_s())
     look(head, settings, state, seconds - FRAME_S, watch=keep)
     time, seen = np.array(times), np.array(inside)
     back = seen[(time >= ends) & (time < ends + 1.0)]
     if not seen.any() or not fused:
-        return Summary(seconds, len(times), 0.0, np.inf, np.inf, np.inf, False)
+        return Summary(seconds, len(times), 0.0, np.inf, np.inf, np.inf, np.inf, False)
     return Summary(
         seconds=seconds,
         frames=len(times),
@@ -155,8 +166,20 @@ def follow(
         rms_px=float(np.sqrt((np.array(distances)[seen] ** 2).mean())),
         position_rms_m=float(np.sqrt(np.mean(fused))),
         single_frame_rms_m=float(np.sqrt(np.mean(single))),
+        wide_rms_m=float(np.sqrt(np.nanmean(wide))),
         found_again=hidden_s is None or bool(back.any()),
     )
+
+
+def by_wide_images(calibration: HeadCalibration, frame: Frame) -> Array:
+    """Return the object (3,) [m] in the left eye's base frame by stereo of the wide images.
+
+    NaN where one of them does not show it.
+    """
+    pixels = [
+        find_sphere(frame.images[name], calibration.camera(name).intrinsics)[None] for name in WIDE
+    ]
+    return locate(calibration, pixels[0], pixels[1], frame.eye_angles[None]).points[0]
 
 
 def track(

@@ -1,0 +1,74 @@
+"""How well moving objects are followed: many runs of `vergence track`, each with its own seed.
+
+    python benchmarks/track_statistics.py [--profile ideal] [--runs 20] [--seconds 60]
+
+Takes a few minutes a run. Each is kept in a file of the output folder, so that an interrupted
+series goes on where it was; delete the folder to begin again, as after a change of the software.
+"""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from vergence.experiments.track import track
+from vergence.twin.profile import load_profile
+
+OUT = Path("runs/track_statistics")
+IN_BOTH, RMS_PX = 0.99, 32.0
+"""Bars: least share of the frames in both narrow images, greatest distance from their centres."""
+
+
+def summaries(out: Path, profile: str, runs: int, seconds: float) -> list[dict[str, float]]:
+    """Return what runs came to, and run those that are not there yet."""
+    found = []
+    for seed in range(runs):
+        folder = out / f"{profile}-{seconds:g}s-{seed}"
+        if not (folder / "track.json").is_file():
+            track(seconds=seconds, seed=seed, profile=load_profile(profile), out=folder)
+        found.append(json.loads((folder / "track.json").read_text()))
+        print(row(f"{seed}", found[-1]), flush=True)
+    return found
+
+
+def row(name: str, found: dict[str, float]) -> str:
+    """Return a line of the table."""
+    position = (f"{1e3 * found[key]:.3f}" for key in ("position_rms_m", "single_frame_rms_m"))
+    return (
+        f"| {name} | {found['in_both']:.2%} | {found['rms_px']:.2f} | {' | '.join(position)} "
+        f"| {1e3 * found['wide_rms_m']:.2f} | {'yes' if found['found_again'] else 'no'} |"
+    )
+
+
+def main(profile: str = "ideal", runs: int = 20, seconds: float = 60.0, out: Path = OUT) -> None:
+    """Print a table of all runs, and how many meet the bars.
+
+    Args:
+        profile: error profile.
+        runs: how many, with seeds from 0.
+        seconds: length of each.
+        out: folder for what each run came to.
+    """
+    print(
+        "| seed | in both narrow images | from their centres, rms px | position, rms mm: fused "
+        "| one frame | by the wide images | found again |"
+    )
+    print("|---|---|---|---|---|---|---|")
+    found = summaries(out, profile, runs, seconds)
+    values = {key: np.array([float(run[key]) for run in found]) for key in found[0]}
+    print(row("median", {key: float(np.median(value)) for key, value in values.items()}))
+    better = values["position_rms_m"] < values["single_frame_rms_m"]
+    for name, met in (
+        (f"in both narrow images in {IN_BOTH:.0%} of the frames", values["in_both"] >= IN_BOTH),
+        (f"at most {RMS_PX:.0f} px rms from their centres", values["rms_px"] <= RMS_PX),
+        ("fused better than one frame", better),
+        ("found again", values["found_again"] == 1),
+    ):
+        print(f"{name}: {met.sum()} of {len(met)} runs")
+    gain = 1 - (values["position_rms_m"] / values["single_frame_rms_m"]) ** 2
+    print(f"variance that fusing removes: median {np.median(gain):.2%}, least {gain.min():.2%}")
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
