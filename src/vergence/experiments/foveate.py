@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,8 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.dataset import Frame
 from vergence.errors import VergenceError
-from vergence.experiments.live import FRAME_S, TwinHead, calibrated, foveal_errors
+from vergence.experiments.gaze_record import recorded
+from vergence.experiments.live import FRAME_S, Delivery, TwinHead, calibrated, foveal_errors
 from vergence.gaze import NARROW, Phase, Settings, State, look, start
 from vergence.geometry import inverse, transform
 from vergence.head import T_head_base, write_whole
@@ -31,6 +33,10 @@ DEPTH_M = (0.3, 1.5)
 SETTLED_PX = 8.0
 """Within which both eyes must stay to the end to count as settled."""
 MOST_TRIALS = 10_000
+PLAYBACK = 0.25
+"""Recorded seconds a second: a saccade is over in 60 ms."""
+RECORDED = 10
+"""Trials that are recorded: more make the recording large, not clearer."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +110,8 @@ def run_trial(
     """
     T_lbase_head = inverse(T_head_base(twin.truth, "left"))
     target = transform(T_lbase_head, target_head)
-    head = TwinHead(twin, run, lambda _: target, limits=settings.limits)
+    delivery = Delivery(all_every=1)  # a trial is short: look at all of it
+    head = TwinHead(twin, run, lambda _: target, limits=settings.limits, delivery=delivery)
     state = start(settings, np.zeros(len(HEAD_JOINTS)), head.now_s())
     times: list[float] = []
     errors: list[Array] = []
@@ -151,7 +158,8 @@ def foveate(
         trials: how many.
         seed: of everything random.
         profile: imperfections of the head.
-        out: folder for foveate.json; None: nothing is written.
+        out: folder for foveate.json and foveate.rrd, which shows the first RECORDED trials one
+            after the other; None: nothing is written.
         done: called after each trial.
 
     Raises:
@@ -164,10 +172,36 @@ def foveate(
     made = []
     with Twin(profile, seed=seed) as twin:
         settings = calibrated(twin, seed)
-        for run, target in enumerate(targets(trials, seed)):
+        where = targets(trials, seed)
+        if out is not None:
+            title = f"foveate, profile {profile.name}, seed {seed}"
+            file = out / "foveate.rrd"
+            with recorded(file, twin, settings, title=title, speed=PLAYBACK) as (record, report):
+                for run, target in enumerate(where[:RECORDED]):
+                    watch = partial(record, lanes={"object": f"{run + 1}"})
+                    made.append(run_trial(twin, settings, run + 1, target, watch=watch))
+                    done()
+                report += [f"# {title}", "", *as_markdown(made)]
+        for run, target in enumerate(where[len(made) :], start=len(made)):
             made.append(run_trial(twin, settings, run + 1, target))
             done()
     found = summary(made)
     if out is not None:
         write_whole(out / "foveate.json", json.dumps(asdict(found), indent=1) + "\n")
     return found, made
+
+
+def as_markdown(trials: list[Trial]) -> list[str]:
+    """Return the lines of a report on a few trials."""
+    rows = [
+        f"| {number} | {np.linalg.norm(trial.target_head):.2f} | {trial.errors_px[0].max():.0f} "
+        f"| {trial.final_px:.2f} | {trial.settle_s:.2f} |"
+        for number, trial in enumerate(trials, start=1)
+    ]
+    return [
+        f"The first {len(trials)} objects, each looked at for {WITHIN_S} s.",
+        "",
+        "| object | distance [m] | off at first [px] | at last [px] | within 8 px after [s] |",
+        "|---|---|---|---|---|",
+        *rows,
+    ]

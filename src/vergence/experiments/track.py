@@ -17,6 +17,7 @@ from vergence.active_stereo import locate
 from vergence.arrays import Array
 from vergence.dataset import Frame
 from vergence.errors import VergenceError
+from vergence.experiments.gaze_record import recorded
 from vergence.experiments.live import (
     FRAME_S,
     Delivery,
@@ -196,7 +197,7 @@ def track(
         seconds: how long.
         seed: of everything random.
         profile: imperfections of the head.
-        out: folder for track.json; None: nothing is written.
+        out: folder for track.json and track.rrd; None: nothing is written.
         watch: is shown every state and its frame.
 
     Raises:
@@ -210,7 +211,30 @@ def track(
     with Twin(profile, seed=seed) as twin:
         settings = calibrated(twin, seed)
         path = smooth_path(seed, seconds)
-        found = follow(twin, settings, 1, path, seconds, hidden_s=hidden_s, watch=watch)
-    if out is not None:
-        write_whole(out / "track.json", json.dumps(asdict(found), indent=1) + "\n")
+        if out is None:
+            return follow(twin, settings, 1, path, seconds, hidden_s=hidden_s, watch=watch)
+        title = f"track, profile {profile.name}, seed {seed}"
+        with recorded(out / "track.rrd", twin, settings, title=title) as (record, report):
+
+            def both(state: State, frame: Frame | None) -> None:
+                watch(state, frame)
+                record(state, frame)
+
+            found = follow(twin, settings, 1, path, seconds, hidden_s=hidden_s, watch=both)
+            report += [f"# {title}", "", *as_markdown(found, hidden_s)]
+    write_whole(out / "track.json", json.dumps(asdict(found), indent=1) + "\n")
     return found
+
+
+def as_markdown(found: Summary, hidden_s: float) -> list[str]:
+    """Return the lines of a report."""
+    return [
+        f"An object at up to {SPEED_M_S} m/s; hidden from {hidden_s:.1f} s for {HIDDEN_S} s.",
+        "",
+        f"- in both narrow images in {found.in_both:.1%} of {found.frames} frames",
+        f"- {found.rms_px:.2f} px rms from their centres",
+        f"- position: {1e3 * found.position_rms_m:.2f} mm rms, "
+        f"{1e3 * found.single_frame_rms_m:.2f} mm by single frames, "
+        f"{1e3 * found.wide_rms_m:.2f} mm by the wide images alone",
+        f"- found again: {'yes' if found.found_again else 'no'}",
+    ]

@@ -1,6 +1,7 @@
-"""Recordings for the rerun viewer: one file a figure, that explains itself when it is opened.
+"""Recordings for the rerun viewer: files that explain themselves when they are opened.
 
-The only package that imports rerun. The entities, on the timelines `sim_time` [s] and `frame`:
+The only package that imports rerun. The entities of a figure's recording (those of the gaze are
+in `recording.gaze`), on the timelines `sim_time` [s] and `frame`:
 
     /world/<body>                 poses of the head's bodies and of the object, with their shapes
     /world/<side>_eye/<camera>    a pinhole, with its /image, and the object /detected and in /truth
@@ -16,12 +17,13 @@ A pixel's centre is at +0.5 in rerun, and at 0 in the rest of the project.
 
 from vergence.recording.figure import (
     figure_recording,
-    log_frame,
     log_report,
     log_series,
     log_statistics,
 )
+from vergence.recording.frame import log_frame
 from vergence.recording.layout import blueprint
+from vergence.recording.opening import recording_file
 from vergence.recording.reading import read_series
 
 __all__ = [
@@ -32,4 +34,5 @@ __all__ = [
     "log_series",
     "log_statistics",
     "read_series",
+    "recording_file",
 ]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -12,10 +13,9 @@ from vergence.arrays import Array
 from vergence.experiments.paper import Figure
 from vergence.head import HeadCalibration
 from vergence.kinematics import EYES
-
-if TYPE_CHECKING:  # the twin, and with it mujoco, is not needed to record a real head
-    pass
 from vergence.recording import style
+
+_TRAILS = {"world/left_base/trail": None, "world/left_base/recent": style.TRAIL_S}
 
 
 def title(figure: Figure) -> str:
@@ -34,9 +34,7 @@ def blueprint(figure: Figure, head: HeadCalibration) -> rrb.Blueprint:
         figure: the one that is recorded; its object and the head fill the 3-D view.
         head: whose cameras are shown.
     """
-    # Without it a plot keeps the range of what was loaded when it was first drawn.
-    ever = rr.TimeRangeBoundary.infinite()
-    whole = rrb.TimeAxis(view_range=rr.TimeRange(start=ever, end=ever))
+    whole = whole_time()
     axes = [
         rrb.TimeSeriesView(
             name=f"{label} [m]: bright estimate, pale mean and ± std, grey the paper's",
@@ -52,7 +50,7 @@ def blueprint(figure: Figure, head: HeadCalibration) -> rrb.Blueprint:
         rrb.Horizontal(
             rrb.Vertical(
                 _head_view(figure, head),
-                rrb.Grid(*_camera_views(head), grid_columns=2),
+                rrb.Grid(*camera_views(head, marks="+ found, ○ truth"), grid_columns=2),
                 row_shares=[6, 7],
             ),
             rrb.Vertical(*axes, joints),
@@ -75,6 +73,13 @@ def blueprint(figure: Figure, head: HeadCalibration) -> rrb.Blueprint:
     )
 
 
+def whole_time() -> rrb.TimeAxis:
+    """Return the time axis of a plot that shows all there is."""
+    # Without it a plot keeps the range of what was loaded when it was first drawn.
+    ever = rr.TimeRangeBoundary.infinite()
+    return rrb.TimeAxis(view_range=rr.TimeRange(start=ever, end=ever))
+
+
 def _head_view(figure: Figure, head: HeadCalibration) -> rrb.Spatial3DView:
     marks = [
         f"- {entity}/{mark}"
@@ -83,32 +88,49 @@ def _head_view(figure: Figure, head: HeadCalibration) -> rrb.Spatial3DView:
     ]
     back, front = -0.20, figure.mean_m[0] + 2 * figure.std_m[0]  # of all that is to be seen
     middle = np.array([(back + front) / 2, 0.3 * figure.mean_m[1], style.EYE_HEIGHT_M - 0.03])
-    return _view_3d(
+    return view_3d(
         f"{title(figure)}: head, lines of sight, estimates",
         origin="world",
         contents=["+ $origin/**", "- world/left_base/spread", *marks],
         middle=middle,
         eye=middle + np.array([0.30, 0.85, 0.42]) * (0.10 + 0.74 * (front - back)),
+        trails=_TRAILS,
     )
 
 
 def _close_up(figure: Figure) -> rrb.Spatial3DView:
     middle = np.array(figure.mean_m)
-    return _view_3d(
+    return view_3d(
         "close-up: object, estimates and their 2-std ellipsoid",
         origin="world/left_base",
         contents=["+ $origin/**", "+ world/object/**"],
         middle=middle,
         eye=middle + np.array([-0.25, 0.85, 0.45]) * (0.06 + 2.8 * figure.std_m[0]),
+        trails=_TRAILS,
     )
 
 
-def _view_3d(
-    name: str, *, origin: str, contents: list[str], middle: Array, eye: Array
+def view_3d(
+    name: str,
+    *,
+    origin: str,
+    contents: list[str],
+    middle: Array,
+    eye: Array,
+    trails: Mapping[str, float | None],
 ) -> rrb.Spatial3DView:
+    """Return a view in space.
+
+    Args:
+        name: its title.
+        origin: entity in whose frame it is drawn.
+        contents: what is drawn.
+        middle: (3,) what it looks at.
+        eye: (3,) from where.
+        trails: by entity, for how many seconds before the cursor it stays; None: for ever.
+    """
     overrides: dict[Any, rrb.VisibleTimeRanges] = {
-        "world/left_base/trail": _last_seconds(None),
-        "world/left_base/recent": _last_seconds(style.TRAIL_S),
+        entity: _last_seconds(seconds) for entity, seconds in trails.items()
     }
     return rrb.Spatial3DView(
         name=name,
@@ -129,7 +151,8 @@ def _last_seconds(seconds: float | None) -> rrb.VisibleTimeRanges:
     return rrb.VisibleTimeRanges(rrb.VisibleTimeRange("sim_time", start=start, end=now))
 
 
-def _camera_views(head: HeadCalibration) -> list[rrb.Spatial2DView]:
+def camera_views(head: HeadCalibration, *, marks: str) -> list[rrb.Spatial2DView]:
+    """Return a view of each camera, the wide ones first; what its marks mean is in its title."""
     views = []
     entities = camera_entities(head)
     for name in (f"{eye}_{lens}" for lens in ("wide", "narrow") for eye in EYES):
@@ -138,7 +161,7 @@ def _camera_views(head: HeadCalibration) -> list[rrb.Spatial2DView]:
             bounds = rrb.VisualBounds2D(x_range=(0, camera.width), y_range=(0, camera.height))
             views.append(
                 rrb.Spatial2DView(
-                    name=f"{name.replace('_', ' ')}: + found, ○ truth",
+                    name=f"{name.replace('_', ' ')}: {marks}",
                     origin=entities[name],
                     visual_bounds=bounds,
                 )

@@ -34,3 +34,19 @@ TRAIL_S = 10.0
 """How long an estimate stays bright."""
 SPEED = 3.0
 """Playback, in recorded seconds a second: the eyes' period of 2 pi s is slow to watch."""
+NECK_COLOURS = {
+    "neck_pitch": (150, 60, 160),
+    "neck_roll": (110, 110, 110),
+    "neck_yaw": (40, 120, 60),
+}
+HEAD_JOINT_COLOURS = NECK_COLOURS | JOINT_COLOURS
+STATE_COLOURS = {
+    "saccade": (230, 120, 20),
+    "pursuit": (31, 90, 255),
+    "fixation": (0, 150, 40),
+    "lost": (200, 30, 60),
+}
+AIM, HAND = (255, 255, 255, 110), (170, 40, 150)
+AXIS_M = 1.0
+"""How long a narrow camera's axis is drawn, while nobody knows how far the object is."""
+GAZE_TRAIL_S = 4.0
