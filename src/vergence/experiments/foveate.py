@@ -175,8 +175,14 @@ def foveate(
         where = targets(trials, seed)
         if out is not None:
             title = f"foveate, profile {profile.name}, seed {seed}"
-            file = out / "foveate.rrd"
-            with recorded(file, twin, settings, title=title, speed=PLAYBACK) as (record, report):
+            with recorded(
+                out / "foveate.rrd",
+                twin,
+                settings,
+                title=title,
+                reach_m=DEPTH_M[1],
+                speed=PLAYBACK,
+            ) as (record, report):
                 for run, target in enumerate(where[:RECORDED]):
                     watch = partial(record, lanes={"object": f"{run + 1}"})
                     made.append(run_trial(twin, settings, run + 1, target, watch=watch))

@@ -55,7 +55,7 @@ class Watch(Protocol):
 
 @contextmanager
 def recorded(
-    path: Path, twin: Twin, settings: Settings, *, title: str, speed: float = 1.0
+    path: Path, twin: Twin, settings: Settings, *, title: str, reach_m: float, speed: float = 1.0
 ) -> Iterator[tuple[Watch, list[str]]]:
     """Record in a `with` block; whoever shows states to the watch need not know of recordings.
 
@@ -67,6 +67,7 @@ def recorded(
         twin: the head; its truth is drawn beside what the controller knows.
         settings: of the controller.
         title: of the recording.
+        reach_m: how far away objects come [m], for the view in space.
         speed: of the playback, in recorded seconds a second.
 
     Yields:
@@ -76,7 +77,7 @@ def recorded(
         VergenceError: the file cannot be written.
     """
     head = settings.calibration
-    layout = gaze_blueprint(title, head, speed=speed)
+    layout = gaze_blueprint(title, head, reach_m=reach_m, speed=speed)
     moments: list[Moment] = []
     report: list[str] = []
     with recording.recording_file(path, title, layout, head, visual_geoms(twin.model)) as rec:

@@ -214,7 +214,8 @@ def track(
         if out is None:
             return follow(twin, settings, 1, path, seconds, hidden_s=hidden_s, watch=watch)
         title = f"track, profile {profile.name}, seed {seed}"
-        with recorded(out / "track.rrd", twin, settings, title=title) as (record, report):
+        file, reach = out / "track.rrd", DEPTH_M[1]
+        with recorded(file, twin, settings, title=title, reach_m=reach) as (record, report):
 
             def both(state: State, frame: Frame | None) -> None:
                 watch(state, frame)

@@ -223,7 +223,7 @@ def _joint(joint: str, kind: str = "") -> str:
 
 
 def log_gaze_series(rec: rr.RecordingStream, moments: Sequence[Moment]) -> None:
-    """Record curves, trails and states of all moments, in their order; NaN is left out."""
+    """Record curves, trails and states of all moments, in their order."""
     if not moments:
         return
     time_s, index = np.array([m.time_s for m in moments]), np.arange(len(moments))
@@ -244,10 +244,9 @@ def log_gaze_series(rec: rr.RecordingStream, moments: Sequence[Moment]) -> None:
         series[_joint(joint)] = np.array([m.readings[k] for m in moments])
         series[_joint(joint, "sent_")] = np.array([m.sent[k] for m in moments])
     for entity, values in series.items():
-        good = np.isfinite(values)
-        if good.any():
-            times = time_columns(time_s[good], index[good])
-            rec.send_columns(entity, times, rr.Scalars.columns(scalars=values[good]))
+        if np.isfinite(values).any():
+            times = time_columns(time_s, index)  # NaN and all: a curve breaks there
+            rec.send_columns(entity, times, rr.Scalars.columns(scalars=values))
     for points, names in ((fused, ("trail", "estimate")), (hand, ("hand_trail",))):
         good = np.isfinite(points).all(axis=1)
         for name in names if good.any() else ():

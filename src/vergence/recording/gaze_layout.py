@@ -10,23 +10,27 @@ from vergence.recording import style
 from vergence.recording.layout import camera_entities, camera_views, view_3d, whole_time
 
 TRAILS = {"world/gaze/trail": style.GAZE_TRAIL_S, "world/gaze/hand_trail": style.GAZE_TRAIL_S}
-_MIDDLE = np.array([0.25, 0.0, style.EYE_HEIGHT_M - 0.05])
-_EYE = np.array([-0.35, 1.05, style.EYE_HEIGHT_M + 0.62])
+_FROM = np.array([-0.45, 0.75, 0.50])
 """From above and behind the left shoulder: the eyes' axes are seen to meet."""
+ERROR_PX = 50.0
+"""End of the axis of the gaze error: beyond it there is a saccade, within it what counts."""
 
 
-def gaze_blueprint(title: str, head: HeadCalibration, *, speed: float) -> rrb.Blueprint:
+def gaze_blueprint(
+    title: str, head: HeadCalibration, *, reach_m: float, speed: float
+) -> rrb.Blueprint:
     """Return the layout, complete as it opens.
 
     Args:
         title: of the view in space.
         head: whose cameras are shown.
+        reach_m: how far away objects come, which the view in space shall show.
         speed: of the playback, in recorded seconds a second.
     """
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(
-                _space(title, head),
+                _space(title, head, reach_m),
                 rrb.Grid(
                     *camera_views(head, marks="long cross aim, + found, ○ truth"), grid_columns=2
                 ),
@@ -34,15 +38,25 @@ def gaze_blueprint(title: str, head: HeadCalibration, *, speed: float) -> rrb.Bl
             ),
             rrb.Vertical(
                 rrb.StateTimelineView(name="what it is doing", origin="doing"),
-                _plot("object from the centre of the narrow images [px]", "gaze_error"),
-                _plot("position in the body [m]: bright estimate, pale truth", "position"),
-                _plot("error of the position [mm]: bright fused, grey one frame", "error"),
-                _plot("eyes [rad]: bright readings, pale where they were sent", "eyes"),
+                _plot(
+                    "object from the centre of the narrow images [px], cut off: "
+                    "orange left eye, teal right",
+                    "gaze_error",
+                    axis_y=rrb.ScalarAxis(range=(0, ERROR_PX), zoom_lock=True),
+                ),
+                _plot(
+                    "position in the body [m], pale the truth: x (depth) blue, y green, z red",
+                    "position",
+                ),
+                _plot("distance from the truth [mm]: blue fused, grey one frame", "error"),
+                _plot("eyes [rad], pale where sent: orange left, teal right, light tilt", "eyes"),
                 rrb.Tabs(
                     rrb.TextDocumentView(name="report", origin="report"),
-                    _plot("neck [rad]: bright readings, pale where it was sent", "neck"),
+                    _plot(
+                        "neck [rad], pale where sent: pitch violet, roll grey, yaw green", "neck"
+                    ),
                 ),
-                row_shares=[2.2, 4, 3.5, 3.5, 3.5, 3.5],
+                row_shares=[3.2, 4, 3.5, 3.5, 3.5, 4],
             ),
             column_shares=[6, 5],
         ),
@@ -58,26 +72,28 @@ def gaze_blueprint(title: str, head: HeadCalibration, *, speed: float) -> rrb.Bl
     )
 
 
-def _plot(name: str, origin: str) -> rrb.TimeSeriesView:
+def _plot(name: str, origin: str, *, axis_y: rrb.ScalarAxis | None = None) -> rrb.TimeSeriesView:
     return rrb.TimeSeriesView(
         name=name,
         origin=origin,
         axis_x=whole_time(),
-        plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop),
+        axis_y=axis_y,
+        plot_legend=rrb.PlotLegend(visible=False),  # it would hide the latest samples
     )
 
 
-def _space(title: str, head: HeadCalibration) -> rrb.Spatial3DView:
+def _space(title: str, head: HeadCalibration, reach_m: float) -> rrb.Spatial3DView:
     marks = [
         f"- {entity}/{mark}"
         for entity in camera_entities(head).values()
         for mark in ("detected", "truth", "aim")
     ]
+    middle = np.array([reach_m / 2 - 0.1, 0.0, style.EYE_HEIGHT_M - 0.04])
     return view_3d(
         f"{title}: head, axes of the narrow cameras, estimate and truth",
         origin="world",
         contents=["+ $origin/**", "- world/board/**", *marks],
-        middle=_MIDDLE,
-        eye=_EYE,
+        middle=middle,
+        eye=middle + (0.15 + 0.75 * reach_m) * _FROM,
         trails=TRAILS,
     )
