@@ -61,22 +61,18 @@ class PaperCalibration:
     eye_views: Mapping[str, int]
 
 
-def calibrate(
-    views: Views, *, wide_lens: LensModel = "radial-tangential", neck: Neck | None = None
-) -> PaperCalibration:
-    """Calibrate a head with a wide camera, and perhaps a narrow one, in each eye.
+def lenses(views: Views, *, wide_lens: LensModel = "radial-tangential") -> dict[str, Intrinsics]:
+    """Return the intrinsics of every camera by Zhang's method: the first step.
 
     Args:
-        views: all views of the board. Those with the gaze straight give the static stereo, those
-            that share a placement while the eyes move give T_eye_cam.
+        views: all views of the board; from which end a view is numbered is no matter here.
         wide_lens: distortion fitted to the wide cameras; the narrow ones have none (Sec. II-A).
-        neck: the neck's chain, from the design.
 
     Raises:
-        VergenceError: a step has not the views it needs.
+        VergenceError: a camera has fewer than three views.
     """
     points = corner_points(views.board)
-    intrinsics = {
+    return {
         name: calibrate_intrinsics(
             corners,
             points,
@@ -85,6 +81,29 @@ def calibrate(
         )
         for name, corners in views.corners.items()
     }
+
+
+def calibrate(
+    views: Views,
+    *,
+    wide_lens: LensModel = "radial-tangential",
+    neck: Neck | None = None,
+    intrinsics: Mapping[str, Intrinsics] | None = None,
+) -> PaperCalibration:
+    """Calibrate a head with a wide camera, and perhaps a narrow one, in each eye.
+
+    Args:
+        views: all views of the board. Those with the gaze straight give the static stereo, those
+            that share a placement while the eyes move give T_eye_cam.
+        wide_lens: distortion fitted to the wide cameras; the narrow ones have none (Sec. II-A).
+        neck: the neck's chain, from the design.
+        intrinsics: what `lenses` gave, where it was called before.
+
+    Raises:
+        VergenceError: a step has not the views it needs.
+    """
+    points = corner_points(views.board)
+    intrinsics = lenses(views, wide_lens=wide_lens) if intrinsics is None else intrinsics
     straight = (np.abs(views.eye_angles) < STRAIGHT_RAD).all(axis=1)
     if not straight.any():
         raise VergenceError(
