@@ -12,6 +12,10 @@ from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.experiments.paper import FIGURES, Figure
 from vergence.experiments.statistics import Statistics, describe
+from vergence.plots import paper
+from vergence.plots.depth import by_disparity, miss_px
+from vergence.twin.model import nominal_head
+from vergence.uncertainty import depth_error
 
 SAMPLES = 200
 
@@ -79,7 +83,7 @@ def test_some_figures_keep_their_places(
 
 def test_the_table_states_the_papers_numbers_and_ours():
     result_ = result(9)
-    columns = plots._cells(result_.figure, result_.statistics)
+    columns = paper._cells(result_.figure, result_.statistics)
     assert columns[1][1:] == ["1109 ± 102", "17 ± 11", "1 ± 7"]
     mean_mm, std_mm = 1e3 * result_.statistics.mean_m[0], 1e3 * result_.statistics.std_m[0]
     assert columns[2][1] == f"{mean_mm:.1f} ± {std_mm:.1f}"
@@ -90,7 +94,7 @@ def test_a_figure_that_located_nothing_says_so(tmp_path: Path):
     nothing = result(6, dropped=SAMPLES)
     plots.paper_figures(tmp_path / "figures.png", [nothing])
     assert (tmp_path / "figures.png").exists()
-    assert plots._cells(nothing.figure, nothing.statistics)[2][1:] == ["not located"] * 3
+    assert paper._cells(nothing.figure, nothing.statistics)[2][1:] == ["not located"] * 3
 
 
 def test_the_folder_holds_the_picture_and_nothing_else(tmp_path: Path):
@@ -105,3 +109,27 @@ def test_a_path_that_cannot_be_written_is_one_sentence(tmp_path: Path):
     with pytest.raises(VergenceError, match=r"^Cannot write .*figures\.png: .*\.$"):
         plots.paper_figures(tmp_path / "figures.png", [result(6)])
     assert [path.name for path in tmp_path.iterdir()] == ["figures.png"]
+
+
+def test_the_cost_of_depth_is_drawn_as_computed(tmp_path: Path):
+    head = nominal_head("2.8mm")
+    plots.depth(tmp_path / "depth.png", head)
+    image = cv2.imread(str(tmp_path / "depth.png"))
+    assert image is not None
+    for html in ("#1e8caa", "#12389b", "#4a7fe0", "#8fb4f0"):
+        assert colour_near(image, html) > 100
+
+
+def test_a_right_depth_costs_nothing_and_a_wrong_one_less_and_less_with_distance():
+    head, depths = nominal_head("2.8mm"), np.array([0.3, 0.6, 1.2, 2.4])
+    np.testing.assert_allclose(miss_px(head, depths, np.zeros(4), eye="right"), 0, atol=1e-9)
+    cost = miss_px(head, depths, np.full(4, 1e-4), eye="left")
+    np.testing.assert_allclose(cost[:-1] / cost[1:], 4, rtol=1e-2)  # as 1 / depth^2
+
+
+def test_an_error_of_disparity_costs_the_same_near_and_far():
+    head, depths = nominal_head("2.8mm"), np.array([0.3, 1.0, 5.0])
+    wrong = by_disparity(head, depths, 1.0)
+    np.testing.assert_allclose(wrong[0], depth_error(0.3, 0.092, 280, 1.0), rtol=0.02)
+    cost = miss_px(head, depths, wrong, eye="left")
+    np.testing.assert_allclose(cost, cost[0], rtol=0.01)

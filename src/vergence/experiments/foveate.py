@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from vergence import plots
 from vergence.arrays import Array
 from vergence.dataset import Frame
 from vergence.errors import VergenceError
@@ -159,7 +160,7 @@ def foveate(
         seed: of everything random.
         profile: imperfections of the head.
         out: folder for foveate.json and foveate.rrd, which shows the first RECORDED trials one
-            after the other; None: nothing is written.
+            after the other, and depth.png; None: nothing is written.
         done: called after each trial.
 
     Raises:
@@ -174,6 +175,7 @@ def foveate(
         settings = calibrated(twin, seed)
         where = targets(trials, seed)
         if out is not None:
+            plots.depth(out / "depth.png", settings.calibration)
             title = f"foveate, profile {profile.name}, seed {seed}"
             with recorded(
                 out / "foveate.rrd",

@@ -8,8 +8,8 @@ the end (`log_gaze_series`). Beside the entities of every recording there are
     /doing/<lane>                   what it is doing: phase, and what else the experiment tells
     /gaze_error/left, right         object from the centre of the narrow image [px], truly
     /position/x, y, z, true_x, ...  estimate and truth [m], in frame body
-    /error/fused, one_frame         distance of the estimates from the truth [mm]
-    /eyes/<joint>, sent_<joint>     readings and commands [rad]; /neck likewise
+    /error/fused, by_one_frame         distance of the estimates from the truth [mm]
+    /eyes/<joint>, command_<joint>     readings and commands [rad]; /neck likewise
 """
 
 from __future__ import annotations
@@ -189,13 +189,13 @@ def log_gaze_styles(rec: rr.RecordingStream, head: HeadCalibration, T_world_body
         curves[f"position/{axis}"] = label, style.AXIS_COLOURS[axis]
     for eye, joint in zip(EYES, ("left_pan", "right_pan"), strict=True):
         curves[f"gaze_error/{eye}"] = f"{eye} eye", style.JOINT_COLOURS[joint]
-    curves["error/one_frame"] = "one frame", style.PAPER
+    curves["error/by_one_frame"] = "one frame", style.PAPER
     curves["error/fused"] = "fused", style.ESTIMATE
     curves["error/hand"] = "hand from the object", style.HAND
     for joint, color in style.HEAD_JOINT_COLOURS.items():
         name = joint.replace("_", " ").removeprefix("neck ")
         pale = tuple(round(0.45 * level + 0.55 * 255) for level in color)
-        curves[_joint(joint, "sent_")] = f"{name}, sent", (pale[0], pale[1], pale[2])
+        curves[_joint(joint, "command_")] = f"{name}, sent", (pale[0], pale[1], pale[2])
         curves[_joint(joint)] = name, color
     for entity, (name, color) in curves.items():
         line = rr.SeriesLines(names=name, colors=color, widths=1.5, aggregation_policy="MinMax")
@@ -233,7 +233,7 @@ def log_gaze_series(rec: rr.RecordingStream, moments: Sequence[Moment]) -> None:
     )
     series: dict[str, Array] = {
         "error/fused": 1e3 * np.linalg.norm(fused - truth, axis=1),
-        "error/one_frame": 1e3 * np.linalg.norm(one_frame - truth, axis=1),
+        "error/by_one_frame": 1e3 * np.linalg.norm(one_frame - truth, axis=1),
         "error/hand": 1e3 * np.linalg.norm(hand - truth, axis=1),
     }
     for k, axis in enumerate(style.AXIS_COLOURS):
@@ -242,7 +242,7 @@ def log_gaze_series(rec: rr.RecordingStream, moments: Sequence[Moment]) -> None:
         series[f"gaze_error/{eye}"] = errors[:, k]
     for k, joint in enumerate(HEAD_JOINTS):
         series[_joint(joint)] = np.array([m.readings[k] for m in moments])
-        series[_joint(joint, "sent_")] = np.array([m.sent[k] for m in moments])
+        series[_joint(joint, "command_")] = np.array([m.sent[k] for m in moments])
     for entity, values in series.items():
         if np.isfinite(values).any():
             times = time_columns(time_s, index)  # NaN and all: a curve breaks there
