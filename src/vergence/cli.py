@@ -240,6 +240,37 @@ def track(
     )
 
 
+def grasp(
+    *,
+    trials: int = 10,
+    seed: int = 0,
+    profile: str = "ideal",
+    out: Path | None = None,
+    json: Path | None = None,
+) -> None:
+    """Take objects that are held out, with a hand that goes by what the eyes see of it.
+
+    Args:
+        trials: How many objects.
+        seed: Of everything random.
+        profile: Error profile: ideal, paper, noise-only, or a TOML file.
+        out: Folder for grasp.json and grasp.rrd.
+        json: File for the summary.
+    """
+    from dataclasses import asdict
+
+    from vergence.experiments.grasp import grasp as run
+    from vergence.twin.profile import load_profile
+
+    chosen = load_profile(profile)
+    with Progress(console=Console(stderr=True)) as progress:
+        task = progress.add_task("grasping", total=trials)
+        found, _ = run(
+            trials=trials, seed=seed, profile=chosen, out=out, done=lambda: progress.advance(task)
+        )
+    _summarise(asdict(found), json)
+
+
 def _summarise(summary: dict[str, object], path: Path | None) -> None:
     """Print a summary, and write it where a file is named."""
     from vergence.head import write_whole
@@ -259,6 +290,7 @@ COMMANDS = {
     "import": import_,
     "foveate": foveate,
     "track": track,
+    "grasp": grasp,
 }
 
 

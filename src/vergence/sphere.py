@@ -9,6 +9,8 @@ the cone's axis goes through its centre.
 
 from __future__ import annotations
 
+from typing import Literal
+
 import cv2
 import numpy as np
 
@@ -19,8 +21,10 @@ _REDNESS = np.array([1.0, -0.5, -0.5])  # zero for grey, whatever its brightness
 _HALF = 100  # grey levels of redness above which a pixel belongs to the sphere for certain
 
 
-def find_sphere(image: np.ndarray, camera: Camera) -> Array:
-    """Return the pixel (2,) of the centre of a red sphere, distortion included.
+def find_sphere(
+    image: np.ndarray, camera: Camera, *, colour: Literal["red", "blue"] = "red"
+) -> Array:
+    """Return the pixel (2,) of the centre of a coloured sphere, distortion included.
 
     The centroid is exact for a sphere of one flat colour before a grey background, however the
     camera averages over its pixels, since coverage then enters linearly.
@@ -28,10 +32,13 @@ def find_sphere(image: np.ndarray, camera: Camera) -> Array:
     Args:
         image: (H, W, 3) uint8, RGB.
         camera: intrinsics of the camera that took it.
+        colour: of the sphere.
 
     Returns:
-        NaN where no red region of four pixels or more lies wholly within the image.
+        NaN where no region of this colour, of four pixels or more lies wholly within the image.
     """
+    if colour == "blue":
+        image = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     red, green, blue = cv2.split(image)
     redness8 = cv2.subtract(red, cv2.addWeighted(green, 0.5, blue, 0.5, 0))
     _, mask = cv2.threshold(redness8, _HALF, 255, cv2.THRESH_BINARY)

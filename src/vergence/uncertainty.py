@@ -95,6 +95,55 @@ def point_covariance(
     Raises:
         VergenceError: shapes do not fit, or the head has no such camera.
     """
+    jacobian = _jacobian(calibration, pixels_l, pixels_r, eye_angles, cameras)
+    stds = _stds(len(pixels_l), pixel_std_px, joint_std_rad)
+    return _covariance(jacobian, stds)
+
+
+def difference_covariance(
+    calibration: HeadCalibration,
+    pixels_a: tuple[Array, Array],
+    pixels_b: tuple[Array, Array],
+    eye_angles: Array,
+    *,
+    pixel_std_px: ArrayLike,
+    joint_std_rad: ArrayLike,
+    cameras: tuple[str, str] = ("left_wide", "right_wide"),
+) -> Array:
+    """Return the covariance (N, 3, 3) [m^2] of the vector from a point b to a point a.
+
+    Both are seen by the same cameras at the same readings, so that what is wrong with the
+    readings is wrong for both, and cancels as far as the two are near each other.
+
+    Args:
+        calibration: of the head, taken as exact.
+        pixels_a: of the one point, (N, 2) in the left and (N, 2) in the right camera.
+        pixels_b: of the other, likewise.
+        eye_angles: (N, 4) joint readings [rad] in the order of kinematics.EYE_JOINTS.
+        pixel_std_px: as for `point_covariance`, of either point.
+        joint_std_rad: likewise.
+        cameras: names of the left and the right camera.
+
+    Returns:
+        Covariances in the left eye's base frame, NaN where a sample cannot be located.
+
+    Raises:
+        VergenceError: shapes do not fit, or the head has no such camera.
+    """
+    a, b = (_jacobian(calibration, *p, eye_angles, cameras) for p in (pixels_a, pixels_b))
+    jacobian = np.concatenate([a[:4], -b[:4], a[4:] - b[4:]])  # (12, N, 3)
+    stds = _stds(len(eye_angles), pixel_std_px, joint_std_rad)
+    return _covariance(jacobian, np.concatenate([stds[:, :4], stds], axis=1))
+
+
+def _jacobian(
+    calibration: HeadCalibration,
+    pixels_l: Array,
+    pixels_r: Array,
+    eye_angles: Array,
+    cameras: tuple[str, str],
+) -> Array:
+    """Return how points change (8, N, 3) with four pixel coordinates and four joint angles."""
     locate(calibration, pixels_l, pixels_r, eye_angles, cameras=cameras)  # checks the shapes
     inputs = np.concatenate([pixels_l, pixels_r, eye_angles], axis=1)
     steps = np.repeat([_PIXEL_STEP_PX, _JOINT_STEP_RAD], 4)
@@ -102,8 +151,17 @@ def point_covariance(
     flat = moved.reshape(-1, 8)
     located = locate(calibration, flat[:, :2], flat[:, 2:4], flat[:, 4:], cameras=cameras)
     forward, backward = located.points.reshape(2, 8, -1, 3)
-    jacobian = (forward - backward) / (2 * steps[:, None, None])  # (8, N, 3)
-    n = len(inputs)
-    stds = [np.broadcast_to(std, (n, 4)) for std in (pixel_std_px, joint_std_rad)]
-    spread = jacobian * np.concatenate(stds, axis=1).T[:, :, None]
+    return (forward - backward) / (2 * steps[:, None, None])
+
+
+def _stds(n: int, pixel_std_px: ArrayLike, joint_std_rad: ArrayLike) -> Array:
+    """Return standard deviations (N, 8) of pixel coordinates and joint angles."""
+    return np.concatenate(
+        [np.broadcast_to(std, (n, 4)) for std in (pixel_std_px, joint_std_rad)], axis=1
+    )
+
+
+def _covariance(jacobian: Array, stds: Array) -> Array:
+    """Return covariances (N, 3, 3) from (K, N, 3) and (N, K)."""
+    spread = jacobian * stds.T[:, :, None]
     return np.einsum("kni,knj->nij", spread, spread)

@@ -102,6 +102,7 @@ class Twin:
         self._sensed = self._true.copy()
         self.place_board(None)
         self.place_object(None)
+        self.place_hand(None)
 
     @property
     def time_s(self) -> float:
@@ -203,6 +204,23 @@ class Twin:
     def place_object(self, position: Array | None) -> None:
         """Put the object at (3,) [m] in the left eye's base frame; None takes it away."""
         self._place("object", None if position is None else pose(t=position))
+
+    def place_hand(self, T_lbase_hand: Array | None, *, opening_m: float = 0.0) -> None:
+        """Put the hand at a pose (4, 4) in the left eye's base frame; None takes it away.
+
+        Args:
+            T_lbase_hand: its origin is where the centre of what it grasps should be.
+            opening_m: between the faces of the fingers.
+        """
+        self._place("hand", T_lbase_hand)
+        for side, sign in (("left", 1), ("right", -1)):
+            shift = pose(t=[0, sign * opening_m / 2, 0])
+            T = None if T_lbase_hand is None else T_lbase_hand @ shift
+            self._place(f"hand_{side}_finger", T)
+
+    def true_hand(self) -> Array:
+        """Return the pose (4, 4) of the hand in the left eye's base frame."""
+        return inverse(self.T_world_lbase()) @ T_world_body(self._data, "hand")
 
     def body_poses(self) -> dict[str, Array]:
         """Return by name the world pose (4, 4) of every body, at the last exposure."""

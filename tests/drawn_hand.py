@@ -1,0 +1,84 @@
+"""A hand that flies where it is sent, with a marker that the drawn head sees: no MuJoCo."""
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+
+from drawn_head import DrawnHead
+from vergence.arrays import Array
+from vergence.camera import project
+from vergence.geometry import inverse, pose, transform
+from vergence.head import T_base_cam, T_body_base
+from vergence.motion import EYES_4, NECK
+from vergence.reach_state import HandCommand, HandReading, hand_goal
+
+MARKER_HAND = np.array([-0.026, 0.0, -0.052])
+_RADIUS_M, _SPEED_M_S, _CLOSING_S, _TICK_S = 0.010, 0.5, 0.1, 0.005
+
+
+class DrawnHand:
+    """Behind the protocol of reach_state.Hand; its arm is elsewhere than it believes."""
+
+    def __init__(self, home: Array, T_body_arm: Array, now_s: Callable[[], float]):
+        self.position, self.T_body_arm, self._now_s = home.copy(), T_body_arm, now_s
+        self.time_s, self.closing_s = 0.0, 0.0
+        self.sent = HandCommand(0.0, home, np.zeros(3))
+
+    def read(self) -> HandReading:
+        self.advance(self._now_s())
+        return HandReading(self.time_s, pose(t=self.position), self.closing_s >= _CLOSING_S)
+
+    def command(self, command: HandCommand) -> None:
+        self.sent = command
+
+    def advance(self, until_s: float) -> None:
+        while (dt := min(until_s - self.time_s, _TICK_S)) > 1e-9:
+            away = hand_goal(self.sent, self.time_s)[0] - self.position
+            distance = float(np.linalg.norm(away))
+            step = min(_SPEED_M_S * dt, 0.2 * distance)
+            self.position = self.position + away * (step / max(distance, 1e-9))
+            self.closing_s = self.closing_s + dt if self.sent.close else 0.0
+            self.time_s += dt
+
+    def true(self, point: Array) -> Array:
+        """Return where a point (3,) of the hand's coordinates truly is, in frame body."""
+        return transform(self.T_body_arm, point)
+
+
+class DrawnHeadWithHand(DrawnHead):
+    """The drawn head; a function of the time says when the hand's marker is to be seen."""
+
+    def __init__(
+        self,
+        path: Callable[[float], Array | None],
+        *,
+        home: Array,
+        T_body_arm: Array | None = None,
+        shown: Callable[[float], bool] = lambda time_s: True,
+        **faults,
+    ):
+        super().__init__(path, **faults)
+        self.hand = DrawnHand(home, np.eye(4) if T_body_arm is None else T_body_arm, self.now_s)
+        self.shown = shown
+
+    def _draw(self, name: str, time_s: float) -> np.ndarray:
+        image = super()._draw(name, time_s)
+        if not self.shown(time_s):
+            return image
+        self.hand.advance(time_s)
+        angles, mounted = self.posture(time_s), self.calibration.cameras[name]
+        eyes = angles[EYES_4][:2] if mounted.eye == "left" else angles[EYES_4][2:]
+        T_body_cam = T_body_base(self.calibration, mounted.eye, angles[NECK]) @ T_base_cam(
+            self.calibration, name, eyes
+        )
+        marker = self.hand.true(self.hand.position + MARKER_HAND)
+        point = transform(inverse(T_body_cam), marker)
+        if point[2] <= 0.05 or np.hypot(*point[:2]) > 1.5 * point[2]:
+            return image
+        centre = project(mounted.intrinsics, point)
+        radius = mounted.intrinsics.matrix[0, 0] * _RADIUS_M / point[2]
+        if not (np.abs(centre) < 2000).all():
+            return image
+        u, v, r = (round(float(x) * 16) for x in (*centre, radius))
+        return cv2.circle(image, (u, v), r, (20, 20, 220), -1, cv2.LINE_AA, 4)
