@@ -29,6 +29,8 @@ class Recording:
     """Eye angles at which a board at rest is seen."""
     reach_rad: tuple[float, float] = (0.25, 0.22)
     """Of pan and of tilt."""
+    together: bool = False
+    """Whether tilt does what pan does."""
     lean_rad: float = 0.6
     """By which boards are slanted, at most."""
     slant_rad: tuple[float, float] | None = None
@@ -66,6 +68,7 @@ def observe(
     k = np.arange(3, count + 3) + 0.5
     radius, turn = np.sqrt(k / (count + 3)), k * np.pi * (3 - np.sqrt(5))
     gaze = radius[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1) * how.reach_rad
+    gaze = gaze[:, [0, 0]] if how.together else gaze
     angles = np.concatenate([np.zeros((still, 4)), np.tile(gaze, 2)])
     slants = rng.uniform(-how.lean_rad, how.lean_rad, (still + 1, 2))
     if how.slant_rad is not None:

@@ -121,3 +121,42 @@ def test_a_pose_needs_six_corners():
     assert np.isnan(poses[0]).all()
     np.testing.assert_allclose(poses[1:], T[1:], atol=1e-10)
     assert np.isnan(target_poses(camera, corners[:1], POINTS)).all()
+
+
+def test_a_single_row_of_corners_tells_no_pose():
+    rng = np.random.default_rng(12)
+    camera = lens(rng, 0)
+    corners = views(camera, boards(2, rng))
+    row = POINTS[:, 1] == POINTS[0, 1]
+    assert row.sum() >= 6
+    corners[0, ~row] = np.nan
+    found = target_poses(camera, corners, POINTS)
+    assert np.isnan(found[0]).all()
+    assert np.isfinite(found[1]).all()
+
+
+def test_the_stated_deviation_of_the_focal_length_is_true():
+    rng = np.random.default_rng(13)
+    camera = lens(rng)
+    exact = views(camera, boards(8, rng))
+    off, stated = [], []
+    for _ in range(20):
+        noisy = exact + rng.normal(0, 0.2, exact.shape)
+        found = calibrate_intrinsics(noisy, POINTS, size=SIZE, lens_model="none")
+        off.append(found.camera.matrix[[0, 1], [0, 1]] - camera.matrix[[0, 1], [0, 1]])
+        stated.append(found.focal_std_px)
+    # The deviation of twenty is known to a sixth.
+    np.testing.assert_allclose(
+        np.sqrt(np.mean(np.square(off), axis=0)), np.mean(stated, 0), rtol=0.5
+    )
+
+
+@pytest.mark.parametrize("model", ["none", "radial-tangential"])
+def test_boards_that_all_face_the_camera_tell_no_focal_length(model):
+    rng = np.random.default_rng(14)
+    camera = lens(rng)
+    facing = pose(rotation(rng.uniform(-1, 1, (8, 1)) * [0, 0, 1.0]))
+    facing[:, :3, 3] = rng.uniform([-0.1, -0.1, 0.4], [0.0, 0.0, 0.8], (8, 3))
+    corners = views(camera, facing) + rng.normal(0, 0.1, (8, len(POINTS), 2))
+    with pytest.raises(VergenceError, match=r"fx and fy are not observable.*slant the board by 20"):
+        calibrate_intrinsics(corners, POINTS, size=SIZE, lens_model=model)

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.polish import board_jacobians, iterate, polish_intrinsics
+from vergence.calibration.polish import board_jacobians, intrinsics_std, iterate, polish_intrinsics
 from vergence.camera import Camera, project
 from vergence.errors import VergenceError
 from vergence.geometry import exp, pose, rotation, transform
@@ -37,6 +37,15 @@ assert set(_FLAGS) == set(_FREE) == set(get_args(LensModel))
 CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-14)
 
 
+USELESS = 0.2
+"""Standard deviation of a focal length, relative to it, from which it is refused: a ruler and the
+data sheet know it better."""
+_UNTOLD = (
+    "The focal lengths fx and fy are not observable: the boards are seen at one angle only, or too "
+    "few of them; slant the board by 20 to 40 degrees, in different directions."
+)
+
+
 @contextmanager
 def repeatable() -> Iterator[None]:
     """Let OpenCV use one thread: with several its sums differ in their last digits every time."""
@@ -56,6 +65,9 @@ class Intrinsics:
     rms_px: float
     """Root mean square of the distance between corners and their reprojections."""
     views: int
+    focal_std_px: tuple[float, float]
+    """Standard deviations of fx and fy, if all corners have independent errors of the size that
+    is left."""
 
 
 def seen_corners(corners: Array) -> np.ndarray:
@@ -75,7 +87,8 @@ def calibrate_intrinsics(
         lens_model: which distortion coefficients are free.
 
     Raises:
-        VergenceError: fewer than three views with four corners or more.
+        VergenceError: fewer than three views with four corners or more, or boards that do not
+            tell the focal length.
     """
     seen = seen_corners(corners)
     usable = seen.sum(axis=1) >= 4
@@ -84,7 +97,17 @@ def calibrate_intrinsics(
             f"Intrinsics need at least 3 views of the board, found {usable.sum()}; "
             "show the whole board to the camera at different angles."
         )
-    views = [(points[s], c[s]) for c, s in zip(corners[usable], seen[usable], strict=True)]
+    try:
+        return _fitted(corners[usable], points, size, lens_model)
+    except (cv2.error, ValueError, np.linalg.LinAlgError):
+        # The steps of the fit lead to a lens that is none.
+        raise VergenceError(_UNTOLD) from None
+
+
+def _fitted(
+    corners: Array, points: Array, size: tuple[int, int], lens_model: LensModel
+) -> Intrinsics:
+    views = [(points[s], c[s]) for c, s in zip(corners, seen_corners(corners), strict=True)]
     with repeatable():
         _, matrix, distortion, rvecs, tvecs = cv2.calibrateCamera(
             [p.astype(np.float32) for p, _ in views],
@@ -102,13 +125,21 @@ def calibrate_intrinsics(
         distortion=np.asarray(distortion, float).ravel()[:5],
     )
     poses = pose(rotation(np.array(rvecs).reshape(-1, 3)), np.array(tvecs).reshape(-1, 3))
-    camera, poses = polish_intrinsics(start, _FREE[lens_model], poses, corners[usable], points)
-    errors = corners[usable] - project(camera, transform(poses[:, None], points))
-    return Intrinsics(camera, float(np.sqrt(2 * np.nanmean(errors**2))), int(usable.sum()))
+    free = _FREE[lens_model]
+    camera, poses = polish_intrinsics(start, free, poses, corners, points)
+    errors = corners - project(camera, transform(poses[:, None], points))
+    std = intrinsics_std(camera, free, poses, corners, points)[:2]
+    if not (std < USELESS * camera.matrix[[0, 1], [0, 1]]).all():
+        raise VergenceError(_UNTOLD)
+    rms = float(np.sqrt(2 * np.nanmean(errors**2)))
+    return Intrinsics(camera, rms, len(corners), (float(std[0]), float(std[1])))
 
 
 def target_poses(camera: Camera, corners: Array, points: Array) -> Array:
-    """Return T_cam_target (V, 4, 4) of each view; NaN where fewer than six corners are seen.
+    """Return T_cam_target (V, 4, 4) of each view.
+
+    NaN where fewer than six corners are seen, or where these lie on one line, about which the
+    board could turn.
 
     Args:
         camera: with its distortion.
@@ -118,7 +149,7 @@ def target_poses(camera: Camera, corners: Array, points: Array) -> Array:
     poses = np.full((len(corners), 4, 4), np.nan)
     for v, view in enumerate(corners):
         seen = seen_corners(view)
-        if seen.sum() < 6:
+        if seen.sum() < 6 or _in_line(points[seen]):
             continue
         found, rvec, tvec = cv2.solvePnP(
             points[seen], view[seen], camera.matrix, camera.distortion, flags=cv2.SOLVEPNP_ITERATIVE
@@ -129,6 +160,12 @@ def target_poses(camera: Camera, corners: Array, points: Array) -> Array:
     if usable.any():
         poses[usable] = _polish_poses(camera, poses[usable], corners[usable], points)
     return poses
+
+
+def _in_line(points: Array) -> bool:
+    """Return whether points (N, 3) lie on one line, as corners of a single row do."""
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(spread[1] < 1e-3 * spread[0])
 
 
 def _polish_poses(camera: Camera, poses: Array, corners: Array, points: Array) -> Array:

@@ -69,18 +69,19 @@ def lenses(views: Views, *, wide_lens: LensModel = "radial-tangential") -> dict[
         wide_lens: distortion fitted to the wide cameras; the narrow ones have none (Sec. II-A).
 
     Raises:
-        VergenceError: a camera has fewer than three views.
+        VergenceError: a camera has fewer than three views, or they do not tell its focal length.
     """
     points = corner_points(views.board)
-    return {
-        name: calibrate_intrinsics(
-            corners,
-            points,
-            size=views.sizes[name],
-            lens_model=wide_lens if name.endswith("wide") else "none",
-        )
-        for name, corners in views.corners.items()
-    }
+    found = {}
+    for name, corners in views.corners.items():
+        model = wide_lens if name.endswith("wide") else "none"
+        try:
+            found[name] = calibrate_intrinsics(
+                corners, points, size=views.sizes[name], lens_model=model
+            )
+        except VergenceError as error:
+            raise VergenceError(f"{name}: {error}") from None
+    return found
 
 
 def calibrate(

@@ -107,6 +107,29 @@ def polish_intrinsics(
     return build(), T_cam_target
 
 
+def intrinsics_std(
+    camera: Camera, free: NDArray[np.bool_], T_cam_target: Array, corners: Array, points: Array
+) -> Array:
+    """Return the standard deviations of the free intrinsics, by the residuals at the optimum.
+
+    Args: see polish_intrinsics. Infinite where the views do not tell one.
+    """
+    seen = np.isfinite(corners)
+    pixels, d_pose, _, d_intrinsics = board_jacobians(camera, T_cam_target, points)
+    residuals = np.where(seen, corners - pixels, 0.0)
+    d_view, d_shared = _rows(d_pose, seen), _rows(d_intrinsics[..., free], seen)
+    d_view_T = np.swapaxes(d_view, 1, 2)
+    inner = d_shared - d_view @ np.linalg.solve(d_view_T @ d_view, d_view_T @ d_shared)
+    H = (np.swapaxes(inner, 1, 2) @ inner).sum(axis=0)
+    spare = np.count_nonzero(seen) - 6 * len(T_cam_target) - np.count_nonzero(free)
+    scale = np.sqrt(np.diag(H))
+    if spare < 1 or not (scale > 0).all():
+        return np.full(len(scale), np.inf)
+    values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
+    variance = (vectors**2 / np.maximum(values, 1e-15)).sum(axis=1) / scale**2
+    return np.sqrt(variance * (residuals**2).sum() / spare)
+
+
 def polish_pair(
     T_b_a: Array,
     T_a_target: Array,

@@ -11,11 +11,11 @@ import numpy as np
 from rich.progress import Progress
 
 from vergence.arrays import Array
-from vergence.calibration import pipeline
+from vergence.calibration import flips, pipeline, sufficiency
 from vergence.calibration.accuracy import Observations, held_out
 from vergence.calibration.detect import LEAST_CORNERS, Detections, detect
 from vergence.calibration.intrinsics import LensModel, seen_corners
-from vergence.calibration.pipeline import PaperCalibration
+from vergence.calibration.pipeline import PaperCalibration, Views
 from vergence.calibration.refine import Refined, refine
 from vergence.dataset import Dataset
 from vergence.dataset_files import load
@@ -31,6 +31,22 @@ to about a tenth."""
 
 
 @dataclass(frozen=True, eq=False)
+class Answer:
+    """What calibration makes of observations."""
+
+    head: HeadCalibration
+    """With its accuracy."""
+    start: PaperCalibration
+    """By the paper's method."""
+    refined: Refined | None
+    """None: the paper's method was asked for."""
+    seen: Observations
+    """With boards that were numbered from the wrong end turned."""
+    remarks: tuple[str, ...]
+    """What was repaired."""
+
+
+@dataclass(frozen=True, eq=False)
 class Solved:
     """A calibration and all that a report says of it."""
 
@@ -38,6 +54,7 @@ class Solved:
     """With its accuracy."""
     dataset: Dataset
     detections: Detections
+    """With boards that were numbered from the wrong end turned."""
     start: PaperCalibration
     """By the paper's method."""
     refined: Refined | None
@@ -65,7 +82,6 @@ def solve(
     dataset = load(folder)
     _check_complete(dataset)
     detections = detect(dataset, progress=progress)
-    _check_seen(detections, ~dataset.moving)
     seen = Observations(detections.views, detections.rates, detections.T_base_eye)
     task = progress.add_task("calibrating", total=3) if progress else None
 
@@ -73,24 +89,89 @@ def solve(
         if progress and task is not None:
             progress.advance(task)
 
-    start = paper(seen, wide_lens)
-    advance()
-    if method == "paper":
-        refined, head = None, start.head
-        advance()
-        checked, said = _checked(seen, lambda part: paper(part, wide_lens).head)
-        accuracy = Accuracy(method="paper", held_out=checked, warnings=said)
+    found = answer(seen, method=method, wide_lens=wide_lens, done=advance)
+    detections = replace(
+        detections, views=found.seen.views, remarks=(*detections.remarks, *found.remarks)
+    )
+    return Solved(found.head, dataset, detections, found.start, found.refined)
+
+
+def answer(
+    seen: Observations,
+    *,
+    method: Method = "refined",
+    wide_lens: LensModel = "radial-tangential",
+    done: Callable[[], None] = lambda: None,
+) -> Answer:
+    """Calibrate a head from corners and readings, and predict each fold of them from the others.
+
+    Args:
+        seen: what the cameras saw of the board, and how the eyes stood.
+        method: the paper's steps, or one estimate of everything that starts from them.
+        wide_lens: distortion of the wide cameras; the narrow ones have none.
+        done: called after each of three steps.
+
+    Raises:
+        VergenceError: the observations are too poor for any answer, or contradict themselves.
+    """
+    found = estimate(seen, method=method, wide_lens=wide_lens, done=done)
+    refined = found.refined
+    if refined is None:
+        checked, said = _checked(found.seen, lambda part: paper(part, wide_lens).head)
     else:
-        refined = _refined(start.head, seen)
-        advance()
+        checked, said = _checked(found.seen, lambda part: again(refined, part))
+    done()
+    accuracy = found.head.accuracy
+    assert accuracy is not None
+    accuracy = replace(accuracy, held_out=checked, warnings=(*accuracy.warnings, *said))
+    return replace(found, head=replace(found.head, accuracy=accuracy))
+
+
+def estimate(
+    seen: Observations,
+    *,
+    method: Method = "refined",
+    wide_lens: LensModel = "radial-tangential",
+    done: Callable[[], None] = lambda: None,
+) -> Answer:
+    """Calibrate a head from corners and readings; its accuracy lacks the held-out error.
+
+    Args and errors: see answer.
+    """
+    still = _still(seen)
+    _check_seen(seen.views, still)
+    lenses = pipeline.lenses(seen.take(still).views, wide_lens=wide_lens)
+    repaired = flips.repair(
+        seen.views,
+        {name: each.camera for name, each in lenses.items()},
+        T_base_eye_read=seen.T_base_eye,
+    )
+    seen = replace(seen, views=repaired.views)
+    eyes = {name: name.partition("_")[0] for name in lenses}
+    sufficiency.check_motion(seen.take(still), lenses, eyes)
+    start = pipeline.calibrate(seen.take(still).views, intrinsics=lenses)
+    done()
+    refined = _refined(start.head, seen)
+    done()
+    if method == "paper":
+        head, accuracy = start.head, Accuracy(method="paper")
+        focal = {name: each.focal_std_px for name, each in lenses.items()}
+    else:
         head = with_accuracy(refined)
         assert head.accuracy is not None
-        checked, said = _checked(seen, lambda part: again(refined, part))
-        accuracy = replace(
-            head.accuracy, held_out=checked, warnings=(*head.accuracy.warnings, *said)
-        )
-    advance()
-    return Solved(replace(head, accuracy=accuracy), dataset, detections, start, refined)
+        accuracy = head.accuracy
+        std = dict(zip(refined.parameters, np.sqrt(np.diag(refined.covariance)), strict=True))
+        focal = {name: (std[f"{name}.fx"], std[f"{name}.fy"]) for name in head.cameras}
+    # What the data cannot determine is the same for either method, and so is what looks odd.
+    doubts = sufficiency.doubts(seen, head, focal)
+    said = (*flips.warnings(repaired), *doubts, *refined.warnings)
+    return Answer(
+        replace(head, accuracy=replace(accuracy, warnings=said)),
+        start,
+        refined if method == "refined" else None,
+        seen,
+        flips.remarks(repaired),
+    )
 
 
 def _check_complete(dataset: Dataset) -> None:
@@ -112,22 +193,27 @@ def _check_complete(dataset: Dataset) -> None:
         )
 
 
-def _check_seen(detections: Detections, still: np.ndarray) -> None:
-    for name, corners in detections.views.corners.items():
+def _check_seen(views: Views, still: np.ndarray) -> None:
+    for name, corners in views.corners.items():
         enough = seen_corners(corners[still]).sum(axis=1) >= LEAST_CORNERS
         if enough.sum() < LEAST_VIEWS:
             raise VergenceError(
-                f"{name} shows the board in {enough.sum()} images at rest; its calibration needs "
-                f"at least {LEAST_VIEWS}, better 10, at different distances and slants."
+                f"{name} shows the board in {enough.sum()} images at rest: fx, fy and T_eye_cam "
+                f"are not observable; record at least {LEAST_VIEWS}, better 10, at different "
+                "distances and slants."
             )
 
 
 def paper(seen: Observations, wide_lens: LensModel) -> PaperCalibration:
     """Return the paper's calibration from the views in which the eyes stood still."""
-    still = np.ones(len(seen.views.placement), bool)
-    if seen.rates is not None:
-        still = np.asarray((seen.rates == 0).all(axis=1))
-    return pipeline.calibrate(seen.take(still).views, wide_lens=wide_lens)
+    return pipeline.calibrate(seen.take(_still(seen)).views, wide_lens=wide_lens)
+
+
+def _still(seen: Observations) -> np.ndarray:
+    """Return (V,) in which views the eyes stood still."""
+    if seen.rates is None:
+        return np.ones(len(seen.views.placement), bool)
+    return np.asarray((seen.rates == 0).all(axis=1))
 
 
 def _refined(start: HeadCalibration, seen: Observations) -> Refined:

@@ -1,0 +1,126 @@
+"""Poor recordings are refused or doubted, whichever method is asked for, with what they lack."""
+
+from typing import Literal
+
+import numpy as np
+import pytest
+
+from observed import Recording, head, observe, with_corners
+from vergence.calibration.accuracy import Observations
+from vergence.calibration.intrinsics import target_poses
+from vergence.calibration.solve import Method, estimate
+from vergence.calibration.target import corner_points
+from vergence.camera import project
+from vergence.errors import VergenceError
+from vergence.geometry import pose, rotation, transform
+
+METHODS: tuple[Method, ...] = ("refined", "paper")
+
+
+def recorded(recording: Recording, seed: int = 0) -> Observations:
+    rng = np.random.default_rng(seed)
+    return observe(head(rng), rng, recording)
+
+
+def sentences(seen: Observations, method: Literal["refined", "paper"]) -> str:
+    """Return what is said, refused or warned: a recording that is not in order must get some."""
+    try:
+        accuracy = estimate(seen, method=method).head.accuracy
+    except VergenceError as refusal:
+        return str(refusal)
+    assert accuracy is not None
+    return " ".join(accuracy.warnings)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_good_recording_is_not_doubted(method: Method):
+    assert sentences(recorded(Recording(reach_rad=(0.3, 0.3))), method) == ""
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    ("reach", "hidden", "cause", "advice"),
+    [
+        ((0.25, 0), "rotation about z and translation along z", "tilt of the {} eye moves by 0.00",
+         "move tilt by at least 0.1 rad"),
+        ((0, 0.25), "rotation about y and translation along y", "pan of the {} eye moves by 0.00",
+         "move pan by at least 0.1 rad"),
+        ((0.0087, 0.0087), "rotation and translation", "the {} eye turns by 0.00",
+         "move pan and tilt by at least 0.1 rad"),
+    ],
+    ids=["pan only", "tilt only", "too little"],
+)  # fmt: skip
+def test_motion_that_leaves_a_direction_open_is_refused(
+    reach: tuple[float, float],
+    hidden: str,
+    cause: str,
+    advice: str,
+    method: Method,
+):
+    noisy = Recording(reach_rad=reach, joint_std_rad=np.radians(0.3))
+    said = sentences(recorded(noisy), method)
+    for eye in ("left", "right"):
+        assert f"{eye}_wide.T_eye_cam {hidden}: not observable; {cause.format(eye)}" in said
+    assert advice in said
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_pan_and_tilt_that_move_together_are_refused(method: Method):
+    said = sentences(recorded(Recording(together=True)), method)
+    assert "rotation and translation along one axis: not observable; pan and tilt of" in said
+    assert "move one without the other" in said
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("slant", [(0.0, 0.0), (0.5, 0.2)])
+def test_boards_at_one_angle_are_doubted(slant: tuple[float, float], method: Method):
+    said = sentences(recorded(Recording(slant_rad=slant)), method)
+    assert "left_wide.fx and fy, right_wide.fx and fy: hardly observable, all boards stand" in said
+    assert "slant the board by 20 to 40 degrees" in said
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_camera_that_sees_boards_at_one_angle_from_one_side_is_refused(method: Method):
+    rng = np.random.default_rng(3)
+    truth = head(rng, narrow=True)
+    seen = observe(truth, rng)
+    # Boards that face the narrow camera squarely, at several distances.
+    name = "left_narrow"
+    points = corner_points(seen.views.board)
+    corners = np.full_like(seen.views.corners[name], np.nan)
+    lens = truth.cameras[name].intrinsics
+
+    for k, distance in enumerate(np.linspace(0.7, 1.1, 8)):
+        T = pose(rotation(np.array([0, 0, 0.05 * k])), [-0.1, -0.07, distance])
+        corners[k] = project(lens, transform(T, points)) + rng.normal(0, 0.1, (len(points), 2))
+    assert np.isfinite(target_poses(lens, corners[:8], points)).all()
+    said = sentences(with_corners(seen, left_narrow=corners), method)
+    assert said.startswith("left_narrow: The focal lengths fx and fy are not observable")
+    assert "slant the board" in said
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    ("recording", "count"),
+    [(Recording(straight=1, orientations=1), 2), (Recording(straight=2, orientations=0), 2)],
+)
+def test_two_views_are_refused(recording: Recording, count: int, method: Method):
+    said = sentences(recorded(recording), method)
+    assert said.startswith(f"left_wide shows the board in {count} images at rest: fx, fy and T_eye")
+    assert "record at least 3, better 10, at different distances and slants" in said
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_eyes_that_never_move_are_refused(method: Method):
+    said = sentences(recorded(Recording(orientations=0)), method)
+    assert "left_wide.T_eye_cam rotation and translation: not observable" in said
+    assert "sees a board at rest in one view only" in said
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("name", ["left_wide", "right_wide"])
+def test_a_camera_that_never_finds_the_board_is_refused(name: str, method: Method):
+    seen = recorded(Recording())
+    nothing = np.full_like(seen.views.corners[name], np.nan)
+    said = sentences(with_corners(seen, **{name: nothing}), method)
+    assert said.startswith(f"{name} shows the board in 0 images at rest: fx, fy and T_eye_cam are")
