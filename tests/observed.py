@@ -31,6 +31,8 @@ class Recording:
     """Of pan and of tilt."""
     together: bool = False
     """Whether tilt does what pan does."""
+    alike: bool = True
+    """Whether both eyes do the same."""
     lean_rad: float = 0.6
     """By which boards are slanted, at most."""
     slant_rad: tuple[float, float] | None = None
@@ -69,7 +71,8 @@ def observe(
     radius, turn = np.sqrt(k / (count + 3)), k * np.pi * (3 - np.sqrt(5))
     gaze = radius[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1) * how.reach_rad
     gaze = gaze[:, [0, 0]] if how.together else gaze
-    angles = np.concatenate([np.zeros((still, 4)), np.tile(gaze, 2)])
+    other = gaze if how.alike else rng.permutation(gaze)
+    angles = np.concatenate([np.zeros((still, 4)), np.concatenate([gaze, other], axis=1)])
     slants = rng.uniform(-how.lean_rad, how.lean_rad, (still + 1, 2))
     if how.slant_rad is not None:
         slants[:] = how.slant_rad

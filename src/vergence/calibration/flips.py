@@ -132,6 +132,18 @@ def turned(views: Views, turns: Mapping[str, np.ndarray]) -> Views:
     return replace(views, corners=corners)
 
 
+def nearest(R_cam_target: Array, board: Board) -> Array:
+    """Return rotations (N, 3, 3) of a board at rest, turned so that they are nearest each other.
+
+    For motion well below half a right angle; readings are not needed.
+    """
+    R = _turns(board)
+    if isinstance(board, Charuco) or len(R_cam_target) < 2:
+        return R_cam_target
+    off = _apart(R_cam_target[:, None], R_cam_target[None], R)
+    return R_cam_target @ R[_synchronised(off * SPREAD_RAD)[0]]
+
+
 def remarks(found: Repaired) -> tuple[str, ...]:
     """Return a sentence that names the views that were turned, if there are any."""
     named = _named({name: turns != 0 for name, turns in found.turns.items()})

@@ -11,7 +11,7 @@ import numpy as np
 from rich.progress import Progress
 
 from vergence.arrays import Array
-from vergence.calibration import flips, pipeline, sufficiency
+from vergence.calibration import flips, pipeline, readings, sufficiency
 from vergence.calibration.accuracy import Observations, held_out
 from vergence.calibration.detect import LEAST_CORNERS, Detections, detect
 from vergence.calibration.intrinsics import LensModel, seen_corners
@@ -141,13 +141,14 @@ def estimate(
     still = _still(seen)
     _check_seen(seen.views, still)
     lenses = pipeline.lenses(seen.take(still).views, wide_lens=wide_lens)
+    eyes = {name: name.partition("_")[0] for name in lenses}
+    readings.check_readings(seen.take(still), lenses, eyes)
     repaired = flips.repair(
         seen.views,
         {name: each.camera for name, each in lenses.items()},
         T_base_eye_read=seen.T_base_eye,
     )
     seen = replace(seen, views=repaired.views)
-    eyes = {name: name.partition("_")[0] for name in lenses}
     sufficiency.check_motion(seen.take(still), lenses, eyes)
     start = pipeline.calibrate(seen.take(still).views, intrinsics=lenses)
     done()
@@ -163,7 +164,7 @@ def estimate(
         std = dict(zip(refined.parameters, np.sqrt(np.diag(refined.covariance)), strict=True))
         focal = {name: (std[f"{name}.fx"], std[f"{name}.fy"]) for name in head.cameras}
     # What the data cannot determine is the same for either method, and so is what looks odd.
-    doubts = sufficiency.doubts(seen, head, focal)
+    doubts = (*readings.doubts(head), *sufficiency.doubts(seen, head, focal))
     said = (*flips.warnings(repaired), *doubts, *refined.warnings)
     return Answer(
         replace(head, accuracy=replace(accuracy, warnings=said)),

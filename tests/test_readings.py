@@ -1,0 +1,171 @@
+"""Readings and images that do not belong together are never calibrated without a word."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from observed import Recording, head, observe, with_readings
+from vergence.calibration.accuracy import Observations
+from vergence.calibration.flips import turned
+from vergence.calibration.intrinsics import Intrinsics
+from vergence.calibration.parameters import difference
+from vergence.calibration.readings import check_readings, doubts
+from vergence.calibration.solve import estimate
+from vergence.errors import VergenceError
+from vergence.geometry import pose
+from vergence.head import HeadCalibration
+
+GOOD = Recording(reach_rad=(0.3, 0.3), joint_std_rad=np.radians(0.2))
+
+
+def recorded(seed: int = 0, *, alike: bool = True) -> tuple[HeadCalibration, Observations]:
+    """Return a head and what it sees, with eyes that move alike, or each by itself."""
+    rng = np.random.default_rng(seed)
+    truth = head(rng)
+    return truth, observe(truth, rng, replace(GOOD, alike=alike))
+
+
+def exchanged_images(seen: Observations) -> Observations:
+    corners = dict(seen.views.corners)
+    corners["left_wide"], corners["right_wide"] = corners["right_wide"], corners["left_wide"]
+    return replace(seen, views=replace(seen.views, corners=corners))
+
+
+def exchanged_readings(seen: Observations) -> Observations:
+    return with_readings(seen, seen.views.eye_angles[:, [2, 3, 0, 1]])
+
+
+def refusal(seen: Observations) -> str:
+    with pytest.raises(VergenceError) as refused:
+        estimate(seen)
+    return str(refused.value)
+
+
+def test_exchanged_images_are_told_from_exchanged_readings():
+    _, seen = recorded(alike=False)
+    assert "exchanged in the images." in refusal(exchanged_images(seen))
+    assert "exchanged in the columns of the joint readings." in refusal(exchanged_readings(seen))
+    both = refusal(exchanged_images(exchanged_readings(seen)))
+    assert "left and right are exchanged in the images and joint readings" in both
+
+
+def test_exchanged_images_are_noticed_where_the_eyes_moved_alike():
+    _, seen = recorded()
+    said = refusal(exchanged_images(seen))
+    assert said.startswith("left_wide stands to the right of right_wide by the images")
+    assert "exchanged in the images, or images and joint readings" in said
+
+
+@pytest.mark.parametrize(
+    ("column", "factor", "said"),
+    [
+        (0, np.degrees(1), "times the readings of left_pan: they are degrees; set joints.left_pan"),
+        (3, np.radians(1), "times the readings of right_tilt: they are radians; set joints.right"),
+        (2, 3.0, "times the readings of right_pan: check its unit, its gear and its column."),
+        (0, -1.0, "left_pan counts the other way; set joints.left_pan.sign to its opposite"),
+        (3, -1.0, "right_tilt counts the other way; set joints.right_tilt.sign to its opposite"),
+    ],
+)
+def test_a_joint_that_is_not_what_it_is_said_to_be_is_named(column: int, factor: float, said: str):
+    _, seen = recorded()
+    angles = seen.views.eye_angles.copy()
+    angles[:, column] *= factor
+    assert said in refusal(with_readings(seen, angles))
+
+
+def test_pan_and_tilt_that_are_exchanged_are_named():
+    _, seen = recorded()
+    said = refusal(with_readings(seen, seen.views.eye_angles[:, [1, 0, 2, 3]]))
+    assert "left_pan and left_tilt are exchanged" in said
+
+
+def test_a_joint_that_is_always_read_the_same_is_named():
+    _, seen = recorded()
+    said = refusal(with_readings(seen, seen.views.eye_angles * [1, 1, 0, 1]))
+    assert "The readings of right_pan hardly change (0 rad), though right_wide turns" in said
+
+
+def test_readings_of_other_moments_are_refused():
+    _, seen = recorded()
+    angles = np.random.default_rng(0).permutation(seen.views.eye_angles)
+    said = refusal(with_readings(seen, angles))
+    assert "% of the turns that left_wide makes before a board at rest" in said
+
+
+def test_both_joints_of_an_eye_that_count_the_other_way_are_doubted():
+    _, seen = recorded()
+    found = estimate(with_readings(seen, seen.views.eye_angles * [-1, -1, 1, 1]))
+    assert found.head.accuracy is not None
+    text = " ".join(found.head.accuracy.warnings)
+    assert "the bases of the eyes are turned by 180 degrees against each other" in text
+
+
+def test_both_eyes_that_count_the_other_way_are_refused():
+    _, seen = recorded()
+    said = refusal(with_readings(seen, -seen.views.eye_angles))
+    assert "or pan and tilt both count the other way" in said
+
+
+def test_a_head_whose_eyes_are_not_side_by_side_is_doubted():
+    truth, _ = recorded()
+    above = replace(truth, T_rbase_lbase=pose(t=[0, 0.01, 0.07]))
+    (said,) = doubts(above)
+    assert said.startswith("T_rbase_lbase puts the left eye 10 mm to the left of the right one,")
+    assert doubts(truth) == []
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=10)
+def test_good_readings_are_never_refused(seed: int):
+    rng = np.random.default_rng(seed)
+    truth = head(rng)
+    seen = observe(truth, rng, replace(GOOD, alike=bool(seed % 2)))
+    turns = {
+        name: (rng.permutation(len(corners)) < len(corners) // 3).astype(int)
+        for name, corners in seen.views.corners.items()
+    }
+    check(replace(seen, views=turned(seen.views, turns)), truth)
+
+
+def check(seen: Observations, truth: HeadCalibration) -> None:
+    lenses = {
+        name: Intrinsics(mounted.intrinsics, 0.1, 30, (0.1, 0.1))
+        for name, mounted in truth.cameras.items()
+    }
+    check_readings(seen, lenses, {name: truth.cameras[name].eye for name in lenses})
+
+
+SPOILT = {
+    "signs": lambda angles, rng: angles * rng.choice([-1.0, 1.0], 4),
+    "columns": lambda angles, rng: angles[:, rng.permutation(4)],
+    "units": lambda angles, rng: angles * rng.choice([1.0, np.degrees(1), np.radians(1)], 4),
+    "a dead joint": lambda angles, rng: np.where(np.arange(4) == rng.integers(4), 0.0, angles),
+    "noise": lambda angles, rng: angles + rng.normal(0, 0.3, angles.shape),
+    "another order": lambda angles, rng: rng.permutation(angles),
+}
+
+
+@given(seed=st.integers(0, 10**6), how=st.sampled_from(sorted(SPOILT)), images=st.booleans())
+@settings(max_examples=12)
+def test_spoilt_readings_end_in_words_or_in_the_truth(seed: int, how: str, images: bool):
+    rng = np.random.default_rng(seed)
+    truth, seen = recorded(seed % 5, alike=bool(rng.integers(2)))
+    seen = with_readings(seen, SPOILT[how](seen.views.eye_angles, rng))
+    if images:
+        seen = exchanged_images(seen)
+    try:
+        found = estimate(seen)
+    except VergenceError:
+        return
+    assert found.head.accuracy is not None
+    if not found.head.accuracy.warnings:
+        off = difference(found.head, truth)
+        assert off_by(off, "T_eye_cam.r") < np.radians(1)
+        assert off_by(off, "T_rbase_lbase.t") < 0.005
+
+
+def off_by(off: dict[str, float], part: str) -> float:
+    return max(abs(value) for name, value in off.items() if part in name)
