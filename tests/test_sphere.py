@@ -110,3 +110,12 @@ def test_pixels_beyond_the_lens_are_not_found():
     image = np.full((480, 640, 3), 110, np.uint8)
     image[20:40, 20:40] = RED
     assert np.isnan(find_sphere(image, folding)).all()
+
+
+def test_a_blue_sphere_is_found_beside_a_red_one_and_neither_for_the_other():
+    red = picture(WIDE, at(WIDE, (300.2, 200.4), 0.5))
+    blue = picture(WIDE, at(WIDE, (330.7, 280.1), 0.5))[..., ::-1]
+    both = np.where(np.abs(blue - GREY).max(axis=-1, keepdims=True) > 0, blue, red)
+    for colour, pixel in (("red", (300.2, 200.4)), ("blue", (330.7, 280.1))):
+        np.testing.assert_allclose(find_sphere(both, WIDE, colour=colour), pixel, atol=0.02)
+    assert np.isnan(find_sphere(red, WIDE, colour="blue")).all()

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from heads import plain_head, random_head
-from test_active_stereo import random_samples
+from test_active_stereo import point_in_camera, random_samples
 from vergence.active_stereo import locate
 from vergence.camera import project
 from vergence.errors import VergenceError
@@ -14,6 +14,7 @@ from vergence.geometry import rotation
 from vergence.head import HeadCalibration
 from vergence.uncertainty import (
     depth_error,
+    difference_covariance,
     disparity_error,
     point_covariance,
     predicted_depth_std,
@@ -174,3 +175,31 @@ def test_wrong_shapes_are_refused():
             pixel_std_px=0.1,
             joint_std_rad=0,
         )
+
+
+def test_the_covariance_of_a_difference_leaves_out_what_is_shared():
+    """Two points 60 mm apart at the same wrong readings, against simulation."""
+    rng, n, pixel_std, joint_std = np.random.default_rng(5), 100_000, 0.1, 2e-3
+    head = random_head(np.random.default_rng(3))
+    points = np.array([[0.5, 0.03, 0.0], [0.48, 0.02, -0.05]])
+    eyes = np.tile([0.12, 0.02, -0.06, 0.03], (2, 1))
+    pixels = [
+        project(head.cameras[name].intrinsics, point_in_camera(head, name, eyes, points))
+        for name in ("left_wide", "right_wide")
+    ]
+    turned = eyes[0] + rng.normal(0, joint_std, (n, 4))
+    a, b = (
+        locate(head, *(p[k] + rng.normal(0, pixel_std, (n, 2)) for p in pixels), turned).points
+        for k in (0, 1)
+    )
+    stated = difference_covariance(
+        head,
+        (pixels[0][:1], pixels[1][:1]),
+        (pixels[0][1:], pixels[1][1:]),
+        eyes[:1],
+        pixel_std_px=pixel_std,
+        joint_std_rad=joint_std,
+    )[0]
+    found = np.cov((a - b).T)
+    np.testing.assert_allclose(found, stated, atol=0.03 * np.trace(stated))
+    assert np.trace(found) < 0.1 * np.trace(np.cov(a.T))
