@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from vergence.calibration.saddle import curvatures
 from vergence.calibration.target import Chessboard, corner_points, find_corners
 from vergence.camera import normalise, pinhole, project
 from vergence.geometry import inverse, pose, rotation, transform
@@ -92,6 +93,46 @@ def test_a_board_whose_counts_have_the_same_parity_looks_alike_from_both_ends():
 
 def test_a_board_that_leaves_the_image_is_not_found():
     assert find_corners(picture(pose(t=[0.2, 0, 0]) @ POSES["facing"]), BOARD) is None
+
+
+@pytest.mark.parametrize("out_px", [0, 14, 21, 28, 35])
+def test_a_board_half_out_of_sight_is_not_taken_for_one_that_is_shifted_by_a_square(out_px: int):
+    pose_there = held((0.2, 0.3, 0.06), 0.4)
+    image = picture(pose_there)
+    true = project(CAMERA, transform(pose_there, corner_points(BOARD)))
+    edge = int(true[:, 0].max()) + 30 - out_px
+    found = find_corners(np.ascontiguousarray(image[:, :edge]), BOARD)
+    assert found is not None or out_px > 0
+    if found is not None:
+        assert np.nanmax(np.abs(found - true)) < 0.5
+
+
+def test_the_bend_of_the_grid_is_that_of_the_image():
+    """A plane seen through the camera is bent by its second derivatives."""
+    T = POSES["leaning"]
+    true = project(CAMERA, transform(T, corner_points(BOARD))).reshape(6, 9, 2)
+    bend = curvatures(true)
+
+    def image_of(offset_m: np.ndarray) -> np.ndarray:
+        points = corner_points(BOARD).reshape(6, 9, 3)[2, 4] + [*offset_m, 0.0]
+        return project(CAMERA, transform(T, points))
+
+    a, b = (image_of(0.001 * side) - image_of(-0.001 * side) for side in np.eye(2))
+    M = np.linalg.inv(np.stack([a, b], axis=-1) / 0.002)
+    for u in np.eye(2) * 5, np.ones((1, 2)) * 4:
+        for offset in u:
+            there, back = image_of(M @ offset), image_of(-(M @ offset))
+            bent = (there + back) / 2 - true[2, 4]
+            x, y = offset
+            np.testing.assert_allclose(bend[2, 4] @ [x * x, x * y, y * y], bent, atol=0.004)
+            assert np.abs(bent).max() > 0.02
+
+
+def test_a_gap_in_the_grid_is_bent_as_its_neighbours_or_not_at_all():
+    grid = project(CAMERA, transform(POSES["facing"], corner_points(BOARD))).reshape(6, 9, 2)
+    grid[2, 3] = np.nan
+    assert np.isfinite(curvatures(grid)).all()
+    assert not curvatures(np.full((6, 9, 2), np.nan)).any()
 
 
 def test_a_board_with_other_counts_is_not_found():

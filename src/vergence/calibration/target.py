@@ -14,17 +14,17 @@ from pydantic import ConfigDict, FiniteFloat, PositiveFloat, PositiveInt
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Array
+from vergence.calibration.saddle import clearances, quadrants, refine_grid
 
 DICTIONARIES = tuple(
     sorted(name for name in dir(cv2.aruco) if name.startswith("DICT_") and name.isupper())
 )
 """OpenCV's sets of markers."""
-ITERATIONS = 5
-SETTLED_PX = 0.05
-"""A corner that still moves further in the last of the iterations is not a clear saddle."""
-UNEVEN = 0.1
-"""A corner looks the same turned by half a turn. One that differs by more than this part of its
-contrast, and more than its neighbours do for noise, is half hidden."""
+CLEAR = 0.4
+"""The disc around a corner reaches this part of the way to the nearest other edge. On drawn boards
+anything from 0.3 to 0.6 gives the same error."""
+LEAST_CLEAR_PX = 4
+"""Corners whose neighbours' edges are nearer err by 0.05 px and more, and all towards one side."""
 LARGE_PX = 1_500_000
 """Images of more pixels are not enlarged before markers are looked for."""
 
@@ -140,11 +140,16 @@ def _find_chessboard(grey: np.ndarray, board: Chessboard) -> Array | None:
     if not found or corners is None:
         return None
     corners = corners.reshape(-1, 2).astype(float)
-    grid = corners.reshape(board.rows, board.columns, 2)
-    spacing = min(np.linalg.norm(np.diff(grid, axis=k), axis=2).min() for k in (0, 1))
     if (board.columns + board.rows) % 2 and _first_square_is_white(grey, corners, board):
         corners = corners[::-1]
-    return _saddles(grey, np.ascontiguousarray(corners), int(np.clip(spacing / 4, 2, 5)))
+    grid = corners.reshape(board.rows, board.columns, 2)
+    clear = clearances(grid)
+    grid = np.where(clear[..., None] < LEAST_CLEAR_PX, np.nan, grid)
+    grid = refine_grid(grey, grid, CLEAR * clear)
+    rim = grid[0], grid[-1], grid[:, 0], grid[:, -1]
+    if any(np.isnan(line).all() for line in rim):
+        return None  # the board's own rim was taken for a row, as its other end is out of sight
+    return grid.reshape(-1, 2)
 
 
 def _find_charuco(grey: np.ndarray, board: Charuco) -> Array | None:
@@ -161,19 +166,14 @@ def _find_charuco(grey: np.ndarray, board: Charuco) -> Array | None:
     corners = np.full((board.rows * board.columns, 2), np.nan)
     seen = np.asarray(numbers, dtype=int).ravel()
     corners[seen] = (np.reshape(found, (-1, 2)) + 0.5) / scale - 0.5
-    shortest = _shortest_diagonals(corners.reshape(board.rows, board.columns, 2)).ravel()
+    grid = corners.reshape(board.rows, board.columns, 2)
+    shortest = _shortest_diagonals(grid)
     if not np.isfinite(shortest).any():
         return None
-    corners[~np.isfinite(shortest)] = np.nan  # without neighbours its scale is not known
+    grid[~np.isfinite(shortest)] = np.nan  # without neighbours its scale is not known
     # Inside the white between a corner and its two markers, which the saddle knows nothing of.
     margin = (1 - board.marker_m / board.square_m) / 2
-    radii = np.clip(np.nan_to_num(0.84 * margin * shortest), 2, 5).astype(int)
-    for radius_px in np.unique(radii[np.isfinite(shortest)]):
-        these = (radii == radius_px) & np.isfinite(corners[:, 0])
-        corners[these] = _saddles(grey, corners[these], int(radius_px))
-    size = np.array(grey.shape[::-1])
-    clear = radii[:, None] + 2
-    corners[~((corners >= clear) & (corners <= size - 1 - clear)).all(axis=1)] = np.nan
+    corners = refine_grid(grey, grid, 0.84 * margin * shortest - 0.5).reshape(-1, 2)
     _drop_misplaced(corners, corner_points(board)[:, :2], 0.3 * float(np.nanmedian(shortest)))
     return corners if np.isfinite(corners).any() else None
 
@@ -183,18 +183,12 @@ def _shortest_diagonals(grid: Array) -> Array:
 
     NaN for a corner without neighbours both along its row and along its column.
     """
-    padded = np.pad(grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
-    centre = padded[1:-1, 1:-1]
-    beside = {-1: padded[1:-1, :-2] - centre, 1: padded[1:-1, 2:] - centre}
-    below = {-1: padded[:-2, 1:-1] - centre, 1: padded[2:, 1:-1] - centre}
     diagonals = [
-        np.linalg.norm(beside[i] + sign * below[j], axis=-1)
-        for i in (-1, 1)
-        for j in (-1, 1)
+        np.linalg.norm(along + sign * across, axis=-1)
+        for along, across in quadrants(grid)
         for sign in (-1, 1)
     ]
-    shortest = np.fmin.reduce(diagonals)
-    return np.asarray(shortest)
+    return np.asarray(np.fmin.reduce(diagonals))
 
 
 def _drop_misplaced(corners: Array, points: Array, tolerance_px: float) -> None:
@@ -208,54 +202,6 @@ def _drop_misplaced(corners: Array, points: Array, tolerance_px: float) -> None:
     _, inside = cv2.findHomography(points[seen], corners[seen], cv2.RANSAC, tolerance_px)
     if inside is not None:
         corners[seen[~np.asarray(inside, dtype=bool).ravel()]] = np.nan
-
-
-def refine_corners(grey: np.ndarray, corners: Array, *, radius_px: int) -> Array:
-    """Move corners (K, 2) onto the saddle points of the grey levels around them.
-
-    Around a corner the slightly blurred image is a saddle; a quadratic is fitted to a disc and
-    its stationary point taken, until it rests (after Lucchese and Mitra, 2002). On rendered
-    boards that lean or are near this is free of the errors of up to half a pixel that single
-    corners of OpenCV's detector have there.
-
-    Args:
-        grey: (H, W) uint8.
-        corners: (K, 2) px, right to about a pixel.
-        radius_px: of the disc; it must stay clear of the neighbouring corners.
-
-    Returns:
-        (K, 2) px; a corner around which there is no saddle within a pixel and a half stays.
-    """
-    refined = _saddles(grey, corners, radius_px)
-    return np.where(np.isnan(refined), corners, refined)
-
-
-def _saddles(grey: np.ndarray, corners: Array, radius_px: int) -> Array:
-    """Return the saddle points (K, 2) near the corners (K, 2); NaN where there is none."""
-    blurred = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 0.7)
-    v, u = np.mgrid[-radius_px : radius_px + 1, -radius_px : radius_px + 1]
-    disc = u * u + v * v <= (radius_px + 0.2) ** 2
-    u, v = u[disc].astype(float), v[disc].astype(float)
-    fit = np.linalg.pinv(np.stack([u * u, u * v, v * v, u, v, np.ones_like(u)], axis=-1))
-    refined = corners.copy()
-    step = np.zeros_like(corners)
-    uneven = np.zeros(len(corners))
-    for _ in range(ITERATIONS):
-        at = (refined[:, None] + np.stack([u, v], axis=-1)).astype(np.float32)
-        grey_levels = cv2.remap(blurred, at[..., 0], at[..., 1], cv2.INTER_CUBIC)
-        # The disc's points are in order, so that the mirrored ones are those from the end.
-        uneven = np.abs(grey_levels - grey_levels[:, ::-1]).mean(axis=1)
-        uneven /= np.maximum(np.ptp(grey_levels, axis=1), 1)
-        a, b, c, d, e, _ = (grey_levels @ fit.T).T
-        det = 4 * a * c - b * b  # negative at a saddle
-        with np.errstate(divide="ignore", invalid="ignore"):
-            step = np.stack([b * e - 2 * c * d, b * d - 2 * a * e], axis=-1) / det[:, None]
-        step[(det >= 0) | (np.abs(step).max(axis=1) > 1.5)] = np.nan
-        refined += step
-    lost = ~(np.abs(refined - corners).max(axis=1) < 1.5)
-    lost |= ~(np.abs(step).max(axis=1) < SETTLED_PX)
-    lost |= uneven > max(UNEVEN, 4 * float(np.median(uneven)))
-    return np.where(lost[:, None], np.nan, refined)
 
 
 def _first_square_is_white(grey: np.ndarray, corners: Array, board: Chessboard) -> bool:

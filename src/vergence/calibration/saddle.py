@@ -1,0 +1,164 @@
+"""Corners of a chessboard to a hundredth of a pixel: saddle points of the grey levels.
+
+Around a corner the slightly blurred image is a saddle. A quadratic is fitted to it in a disc, and
+its stationary point taken (after Lucchese and Mitra, 2002). Two edges that cross look the same
+when turned by half a turn, from wherever they are seen, so that the size of the disc does not
+matter. A lens bends them: then the disc is bent likewise, by as much as the grid of corners around
+it is bent.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from scipy.ndimage import map_coordinates, spline_filter
+
+from vergence.arrays import Array
+
+RADII_PX = 2, 7
+ITERATIONS = 5
+REACH_PX = 1.5
+"""A corner is not sought further away than this."""
+SETTLED_PX = 0.05
+"""A corner that still moves further in the last of the iterations is not a clear saddle."""
+UNEVEN = 0.1
+"""A corner looks the same turned by half a turn. One that differs by more than this part of its
+contrast, and more than its neighbours do for noise, is half hidden."""
+_SPLINE_REACH_PX = 12  # so far the edge of a picture is felt in its spline, and the blur
+
+
+def refine_grid(grey: np.ndarray, grid: Array, radii_px: Array) -> Array:
+    """Move the corners of a board onto the saddle points of the grey levels around them.
+
+    Args:
+        grey: (H, W) uint8.
+        grid: (rows, columns, 2) the board's inner corners [px], right to about a pixel; NaN where
+            one is not known.
+        radii_px: (rows, columns) how far from a corner there is nothing but its own two edges;
+            taken within RADII_PX.
+
+    Returns:
+        (rows, columns, 2) px; NaN where there is no clear saddle, or too near the image's edge.
+    """
+    shape = grid.shape
+    radii = np.clip(np.nan_to_num(np.round(radii_px)), *RADII_PX).astype(int).ravel()
+    straight = _saddles(grey, grid.reshape(-1, 2), radii, np.zeros((grid[..., 0].size, 2, 3)))
+    # The bend needs corners that are better than those that were given.
+    bend = curvatures(straight.reshape(shape)).reshape(-1, 2, 3)
+    return _saddles(grey, straight, radii, bend).reshape(shape)
+
+
+def clearances(grid: Array) -> Array:
+    """Return (rows, columns) how far corners (rows, columns, 2) lie from the nearest other edge."""
+    heights = []
+    for along, across in quadrants(grid):
+        area = np.abs(along[..., 0] * across[..., 1] - along[..., 1] * across[..., 0])
+        sides = np.maximum(np.linalg.norm(along, axis=-1), np.linalg.norm(across, axis=-1))
+        heights.append(area / sides)
+    return np.asarray(np.fmin.reduce(heights))
+
+
+def quadrants(grid: Array) -> list[tuple[Array, Array]]:
+    """Return the sides (rows, columns, 2) of the four squares around each corner, from it.
+
+    NaN where there is no neighbour.
+    """
+    padded = np.pad(grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
+    centre = padded[1:-1, 1:-1]
+    beside = (padded[1:-1, :-2] - centre, padded[1:-1, 2:] - centre)
+    below = (padded[:-2, 1:-1] - centre, padded[2:, 1:-1] - centre)
+    return [(along, across) for along in beside for across in below]
+
+
+def curvatures(grid: Array) -> Array:
+    """Return how the image of a plane bends around its corners (rows, columns, 2).
+
+    By differences of neighbours; a corner that lacks some of them has the bend of the one beside
+    it, or none.
+
+    Returns:
+        (rows, columns, 2, 3): what u^2, u v and v^2 [px] from a corner add to x and y.
+    """
+    rows, columns = grid.shape[:2]
+    bend = np.full((rows, columns, 2, 3), np.nan)
+    here, left, right = grid[1:-1, 1:-1], grid[1:-1, :-2], grid[1:-1, 2:]
+    above, below = grid[:-2, 1:-1], grid[2:, 1:-1]
+    p, r = left + right - 2 * here, above + below - 2 * here
+    q = (grid[2:, 2:] + grid[:-2, :-2] - grid[2:, :-2] - grid[:-2, 2:]) / 4
+    along, across = (right - left) / 2, (below - above) / 2
+    area = along[..., 0] * across[..., 1] - along[..., 1] * across[..., 0]
+    area = np.where(np.abs(area) > 1, area, np.nan)[..., None]  # NaN: a neighbour is missing
+    s_u, s_v = across[..., 1:] / area, -across[..., :1] / area  # of u, v, in steps of the grid
+    t_u, t_v = -along[..., 1:] / area, along[..., :1] / area
+    bend[1:-1, 1:-1] = np.stack(
+        [
+            (p * s_u**2 + 2 * q * s_u * t_u + r * t_u**2) / 2,
+            p * s_u * s_v + q * (s_u * t_v + s_v * t_u) + r * t_u * t_v,
+            (p * s_v**2 + 2 * q * s_v * t_v + r * t_v**2) / 2,
+        ],
+        axis=-1,
+    )
+    for axis in (1, 0):  # the rim, and places beside a gap
+        for step in (1, -1):
+            beside = np.roll(bend, step, axis=axis)
+            beside[(slice(None),) * axis + (0 if step == 1 else -1,)] = np.nan
+            bend = np.where(np.isnan(bend), beside, bend)
+    return np.nan_to_num(bend)
+
+
+def _saddles(grey: np.ndarray, corners: Array, radii_px: np.ndarray, bend: Array) -> Array:
+    """Return the saddle points (K, 2) near the corners (K, 2); NaN where there is none.
+
+    Each is sought in a disc of its own radius (K,) and bend (K, 2, 3); one that leaves the image
+    is none.
+    """
+    refined, uneven = np.full(corners.shape, np.nan), np.full(len(corners), np.nan)
+    margin = radii_px[:, None] + 2
+    size = np.array(grey.shape[::-1])
+    inside = ((corners >= margin) & (corners <= size - 1 - margin)).all(axis=1)
+    if not inside.any():
+        return refined
+    reach = int(radii_px.max()) + _SPLINE_REACH_PX
+    low = np.maximum(np.floor(corners[inside].min(axis=0)).astype(int) - reach, 0)
+    high = np.ceil(corners[inside].max(axis=0)).astype(int) + reach + 1
+    part = grey[low[1] : high[1], low[0] : high[0]].astype(np.float32)
+    # A spline, for cv2.remap's cubic interpolation is off by 0.03 px on a mere ramp of grey.
+    spline = spline_filter(cv2.GaussianBlur(part, (0, 0), 0.7), order=3, mode="mirror")
+    for radius_px in np.unique(radii_px[inside]):
+        these = inside & (radii_px == radius_px)
+        found, uneven[these] = _rest(spline, corners[these] - low, int(radius_px), bend[these])
+        refined[these] = found + low
+    refined[uneven > max(UNEVEN, 4 * float(np.nanmedian(uneven)))] = np.nan
+    return refined
+
+
+def _rest(spline: Array, corners: Array, radius_px: int, bend: Array) -> tuple[Array, Array]:
+    """Return the saddle points (K, 2) of a spline near corners (K, 2), NaN where there is none.
+
+    And (K,) how much the grey levels around each change when turned by half a turn, as a part of
+    their contrast.
+    """
+    v, u = np.mgrid[-radius_px : radius_px + 1, -radius_px : radius_px + 1]
+    disc = u * u + v * v <= (radius_px + 0.2) ** 2
+    u, v = u[disc].astype(float), v[disc].astype(float)
+    squares = np.stack([u * u, u * v, v * v], axis=-1)
+    fit = np.linalg.pinv(np.column_stack([squares, u, v, np.ones_like(u)]))
+    bent = np.stack([u, v], axis=-1) + squares @ np.swapaxes(bend, 1, 2)
+    refined = corners.copy()
+    step = np.zeros_like(corners)
+    uneven = np.zeros(len(corners))
+    for _ in range(ITERATIONS):
+        at = (refined[:, None] + bent).transpose(2, 0, 1)[::-1]
+        grey_levels = map_coordinates(spline, at, order=3, prefilter=False, mode="mirror")
+        # The disc's points are in order, so that the mirrored ones are those from the end.
+        uneven = np.abs(grey_levels - grey_levels[:, ::-1]).mean(axis=1)
+        uneven /= np.maximum(np.ptp(grey_levels, axis=1), 1)
+        a, b, c, d, e, _ = (grey_levels @ fit.T).T
+        det = 4 * a * c - b * b  # negative at a saddle
+        with np.errstate(divide="ignore", invalid="ignore"):
+            step = np.stack([b * e - 2 * c * d, b * d - 2 * a * e], axis=-1) / det[:, None]
+        step[(det >= 0) | ~(np.abs(step).max(axis=1) <= REACH_PX)] = np.nan
+        refined += step
+    lost = ~(np.abs(refined - corners).max(axis=1) < REACH_PX)
+    lost |= ~(np.abs(step).max(axis=1) < SETTLED_PX)
+    return np.where(lost[:, None], np.nan, refined), uneven
