@@ -58,7 +58,7 @@ class Trial:
     unaided_m: float
     """The same, had the hand gone by its encoders to where the eyes saw the object."""
     sights: tuple[Sight, ...]
-    """How wrong the eyes were, frame by frame."""
+    """How wrong the eyes were, frame by frame, until the fingers began to close."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,8 @@ def run_trial(
 
     def keep(state: State, frame: Frame | None) -> None:
         seen = None if frame is None else sight(twin, settings.gaze, state.gaze, frame)
-        if seen is not None:
+        # Fingers that close hide the object's edges: that says nothing of the distance.
+        if seen is not None and state.phase not in (Phase.CLOSE, Phase.HELD):
             sights.append(seen)
         watch(state, frame)
 

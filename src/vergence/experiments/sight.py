@@ -137,4 +137,4 @@ def _rms(values: Sequence[float] | Array) -> float:
 
 def _scatter(steps: Sequence[float]) -> float:
     """Return the standard deviation of what differs by these steps from one frame to the next."""
-    return _rms(steps) / np.sqrt(2)
+    return _rms(steps) / float(np.sqrt(2))

@@ -1,0 +1,58 @@
+"""How well hand-held objects are grasped: `vergence grasp` for many heads, each with its own seed.
+
+    python benchmarks/grasp_statistics.py [--profile paper] [--seeds 50] [--trials 1]
+
+Takes about a minute a seed, most of it for the calibration. Each is kept in a file of the output
+folder, so that an interrupted series goes on where it was; delete the folder to begin again, as
+after a change of the software.
+"""
+
+import json
+import pickle
+from dataclasses import asdict
+from pathlib import Path
+
+import tyro
+
+from vergence.experiments.grasp import Trial, as_markdown, grasp, summary
+from vergence.twin.profile import load_profile
+
+OUT = Path("runs/grasp_statistics")
+
+
+def trials_of(out: Path, profile: str, seed: int, trials: int) -> list[Trial]:
+    """Return the trials of one head, and make them if they are not there yet."""
+    path = out / f"{profile}-{seed}-{trials}.pickle"
+    if not path.is_file():
+        _, made = grasp(trials=trials, seed=seed, profile=load_profile(profile))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(pickle.dumps(made))
+    return pickle.loads(path.read_bytes())  # written by this script
+
+
+def main(profile: str = "paper", seeds: int = 50, trials: int = 1, out: Path = OUT) -> None:
+    """Print where each hand closed, and what all came to.
+
+    Args:
+        profile: error profile.
+        seeds: how many heads, with seeds from 0.
+        trials: with each.
+        out: folder for what each head came to, and for the summary.
+    """
+    made: list[Trial] = []
+    for seed in range(seeds):
+        for trial in trials_of(out, profile, seed, trials):
+            made.append(trial)
+            print(
+                f"{seed}: {trial.phase.value} after {trial.seconds:.2f} s, "
+                f"{1e3 * trial.miss_m:.1f} mm from the centre, "
+                f"{1e3 * trial.unaided_m:.0f} mm unseen",
+                flush=True,
+            )
+    found = summary(made)
+    print("\n".join(as_markdown(found)))
+    (out / f"{profile}.json").write_text(json.dumps(asdict(found), indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
