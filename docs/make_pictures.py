@@ -1,9 +1,10 @@
 """Make the pictures of the documents from a run's results.
 
     vergence reproduce --out runs/paper
-    python docs/make_pictures.py runs/paper
+    vergence foveate --trials 10 --profile paper --out runs/foveate
+    python docs/make_pictures.py --paper runs/paper --gaze runs/foveate
 
-The screenshot is taken by rerun's viewer without a screen; it needs a Vulkan driver (Debian:
+Screenshots are taken by rerun's viewer without a screen; it needs a Vulkan driver (Debian:
 apt-get install mesa-vulkan-drivers).
 """
 
@@ -24,6 +25,8 @@ IMAGES = Path(__file__).parent / "images"
 MOST_BYTES = 250_000
 MOMENT_S = 20.3
 """When the screenshot is taken: all four cameras of Fig. 6 see the object, and there is a trail."""
+GAZE_S = 1.16
+"""Of the third object: found, and nearly in the middle."""
 PORT = 9987
 
 
@@ -65,19 +68,36 @@ def shrink(image: np.ndarray, width: int) -> np.ndarray:
     return cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
 
 
+def of_paper(run: Path) -> None:
+    """Make the pictures of a run of `vergence reproduce`."""
+    write_small(IMAGES / "figures.png", shrink(picture(run / "figures.png"), 1200))
+    write_small(IMAGES / "recording.png", shrink(screenshot(run / "fig06.rrd", MOMENT_S), 1440))
+
+
+def of_gaze(run: Path) -> None:
+    """Make the pictures of a run of `vergence foveate`."""
+    write_small(IMAGES / "depth.png", shrink(picture(run / "depth.png"), 1200))
+    write_small(IMAGES / "gaze.png", shrink(screenshot(run / "foveate.rrd", GAZE_S), 1440))
+
+
+def picture(path: Path) -> np.ndarray:
+    """Return an image (H, W, 3), BGR, from a file."""
+    image = cv2.imread(str(path))
+    if image is None:
+        sys.exit(f"There is no picture {path}; the docstring has the commands that make it.")
+    return image
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description="Make the pictures of the documents.")
-    parser.add_argument("run", type=Path, help="folder that `vergence reproduce` wrote")
-    parser.add_argument("--moment", type=float, default=MOMENT_S, help="of the screenshot [s]")
+    parser.add_argument("--paper", type=Path, help="folder that `vergence reproduce` wrote")
+    parser.add_argument("--gaze", type=Path, help="folder that `vergence foveate` wrote")
     args = parser.parse_args()
-    figures = cv2.imread(str(args.run / "figures.png"))
-    if figures is None or not (args.run / "fig06.rrd").is_file():
-        sys.exit(f"{args.run} holds no figures.png or no fig06.rrd; run `vergence reproduce`.")
     IMAGES.mkdir(exist_ok=True)
-    write_small(IMAGES / "figures.png", shrink(figures, 1200))
-    write_small(
-        IMAGES / "recording.png", shrink(screenshot(args.run / "fig06.rrd", args.moment), 1440)
-    )
+    if args.paper is not None:
+        of_paper(args.paper)
+    if args.gaze is not None:
+        of_gaze(args.gaze)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,8 @@
 """The experiments with the gaze on the twin, small: the calibration is given, not made."""
 
 import json
+import re
+import runpy
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +12,13 @@ from vergence.errors import VergenceError
 from vergence.experiments import foveate as module
 from vergence.experiments.foveate import Trial, foveate, run_trial, summary, targets
 from vergence.gaze import Settings
+from vergence.geometry import inverse, transform
+from vergence.recording import read_series
 from vergence.twin.head import Twin
+from vergence.twin.in_sight import in_sight
 from vergence.twin.profile import ErrorProfile, load_profile
+
+SCENARIO = Path(__file__).parents[1] / "scenarios" / "foveate.py"
 
 
 def test_targets_fill_the_stated_space_and_follow_the_seed():
@@ -24,6 +31,22 @@ def test_targets_fill_the_stated_space_and_follow_the_seed():
     assert where[:, 0].max() < 1.5
     np.testing.assert_array_equal(targets(500, 3), where)
     np.testing.assert_array_equal(targets(5, 3).shape, (5, 3))
+
+
+def test_places_that_cannot_be_seen_are_drawn_anew_and_the_others_stay():
+    before = targets(50, 3)
+    after = targets(50, 3, free=lambda places: places[:, 0] < 1.2)
+    assert (after[:, 0] < 1.2).all()
+    kept = before[:, 0] < 1.2
+    np.testing.assert_array_equal(after[kept], before[kept])
+
+
+def test_what_stands_in_the_room_is_in_the_way():
+    with Twin(ErrorProfile()) as twin:
+        box = transform(inverse(twin.T_world_lbase()), np.array([1.52, 0.12, 0.78]))
+        beyond, before, beside = 1.2 * box, 0.5 * box, box + np.array([0, 0.5, 0.3])
+        seen = in_sight(twin, np.array([box, beyond, before, beside]), margin_m=0.02)
+    assert seen.tolist() == [False, False, True, True]
 
 
 @pytest.mark.parametrize(("profile", "worst_px"), [("ideal", 1.0), ("paper", 15.0)])
@@ -66,6 +89,21 @@ def test_the_summary_is_written_as_json(tmp_path: Path, monkeypatch: pytest.Monk
     written = json.loads((tmp_path / "new" / "foveate.json").read_text())
     assert list(written) == ["trials", "median_px", "p95_px", "settle_s_p95", "lost"]
     assert written["trials"] == len(trials) == found.trials == 1
+    times, errors = read_series(tmp_path / "new" / "foveate.rrd", "/gaze_error/right")
+    np.testing.assert_allclose(times, trials[0].time_s, atol=1e-9)
+    np.testing.assert_array_equal(errors, trials[0].errors_px[:, 1])
+    assert (tmp_path / "new" / "depth.png").is_file()
+
+
+def test_the_scenario_says_what_it_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    def given(twin: Twin, seed: int) -> Settings:
+        return Settings(calibration=twin.truth)
+
+    monkeypatch.setattr(module, "calibrated", given)
+    runpy.run_path(str(SCENARIO))["main"](out=tmp_path, trials=1)
+    assert re.search(r"distance from the centre: median 0\.\d\d px", capsys.readouterr().out)
 
 
 @pytest.mark.parametrize(("trials", "seed"), [(0, 0), (-3, 0), (20_000, 0), (1, -1)])

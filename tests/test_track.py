@@ -1,6 +1,8 @@
 """Following on the twin, with its physics and its renders; the calibration is given, not made."""
 
 import json
+import re
+import runpy
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +11,16 @@ import pytest
 from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.experiments import track as module
-from vergence.experiments.live import TwinHead, foveal_errors
+from vergence.experiments.live import FRAME_S, TwinHead, foveal_errors
 from vergence.experiments.track import SPEED_M_S, follow, smooth_path, track
 from vergence.gaze import Settings, look, start
 from vergence.motion import Limits
+from vergence.recording import read_series
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile, load_profile
+
+LENSES = ("wide", "narrow")
+SCENARIO = Path(__file__).parents[1] / "scenarios" / "track.py"
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -37,6 +43,7 @@ def test_a_moving_object_stays_on_both_foveas_and_is_found_again_after_it_was_hi
     assert found.in_both > 0.9
     assert found.rms_px < 32
     assert found.position_rms_m < found.single_frame_rms_m
+    assert 0 < found.wide_rms_m < 0.1
 
 
 def test_a_gaze_shift_shared_with_the_neck_keeps_the_image_still():
@@ -76,6 +83,29 @@ def test_the_summary_is_written_as_json(tmp_path: Path, monkeypatch: pytest.Monk
     found = track(seconds=1.2, profile=ErrorProfile(), out=tmp_path)
     written = json.loads((tmp_path / "track.json").read_text())
     assert written["frames"] == found.frames > 5
+    times, _ = read_series(tmp_path / "track.rrd", "/position/x")
+    np.testing.assert_allclose(times, FRAME_S * np.arange(37), atol=1e-9)
+
+
+def test_the_scenario_says_what_it_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    def given(twin: Twin, seed: int) -> Settings:
+        return Settings(calibration=twin.truth)
+
+    monkeypatch.setattr(module, "calibrated", given)
+    monkeypatch.setattr(module, "SHORTEST_S", 0.7)
+    runpy.run_path(str(SCENARIO))["main"](out=tmp_path, seconds=0.7)
+    assert re.search(r"in both narrow images in \d+\.\d% of \d+", capsys.readouterr().out)
+
+
+def test_stereo_by_the_narrow_images_beats_that_by_the_wide_ones():
+    """Eq. 20: in proportion to the focal lengths, if the pixels are as good."""
+    with Twin(load_profile("ideal"), seed=2) as twin:
+        settings = Settings(calibration=twin.truth)
+        found = follow(twin, settings, 0, smooth_path(2, 3.0), 1.6)
+    focal = [twin.truth.camera(f"left_{lens}").intrinsics.matrix[0, 0] for lens in LENSES]
+    assert found.wide_rms_m > focal[1] / focal[0] * found.single_frame_rms_m
 
 
 @pytest.mark.parametrize(("seconds", "seed"), [(0.0, 0), (1e9, 0), (10.0, -1)])

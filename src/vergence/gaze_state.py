@@ -42,11 +42,12 @@ class Settings:
     """Of a joint reading, with all that the two eyes do not share."""
     sent_std_rad: float = 2e-4
     """Of a joint against where it was sent."""
-    jerk_density: float = 0.25
-    """Of the object [m^2/s^5]: an acceleration of 0.5 m/s^2 more or less in a second."""
+    jerk_density: float = 1.0
+    """Of the object [m^2/s^5]: an acceleration of 1 m/s^2 more or less in a second, with which what
+    moves at 0.3 m/s turns round in 0.6 s. Less would lag behind such turns."""
     speed_std_m_s: float = 0.3
     """Of an object that is seen for the first time."""
-    acceleration_std_m_s2: float = 0.5
+    acceleration_std_m_s2: float = 1.0
     """Likewise."""
     saccade_rad: float = 0.12
     """Error from which a correction is a saccade: half the way to the edge of the fovea."""

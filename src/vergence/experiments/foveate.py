@@ -26,11 +26,14 @@ from vergence.geometry import inverse, transform
 from vergence.head import T_head_base, write_whole
 from vergence.motion import HEAD_JOINTS
 from vergence.twin.head import Twin
+from vergence.twin.in_sight import in_sight
 from vergence.twin.profile import ErrorProfile
 
 WITHIN_S = 0.5
 DIRECTION_RAD = float(np.radians(20))
 DEPTH_M = (0.3, 1.5)
+OBJECT_M = 0.02
+"""Radius of what appears."""
 SETTLED_PX = 8.0
 """Within which both eyes must stay to the end to count as settled."""
 MOST_TRIALS = 10_000
@@ -81,15 +84,33 @@ class Trial:
         return float(self.time_s[first]) if first < len(self.time_s) else np.inf
 
 
-def targets(trials: int, seed: int) -> Array:
+def targets(
+    trials: int,
+    seed: int,
+    *,
+    free: Callable[[Array], np.ndarray] = lambda places: np.ones(len(places), bool),
+) -> Array:
     """Return where the objects appear (trials, 3) [m], in frame head.
 
     Directions are spread evenly over +-20 degrees of pan and of tilt, depths evenly over theirs.
+
+    Args:
+        trials: how many.
+        seed: of the places.
+        free: tells of places (N, 3) whether an object can be seen there (N,); where not, another
+            place is drawn.
     """
     rng = np.random.default_rng([seed, 5])
-    pan, tilt = rng.uniform(-DIRECTION_RAD, DIRECTION_RAD, (2, trials))
-    depth = rng.uniform(*DEPTH_M, trials)
-    return depth[:, None] * np.stack([np.ones(trials), np.tan(pan), -np.tan(tilt)], axis=-1)
+
+    def draw(count: int) -> Array:
+        pan, tilt = rng.uniform(-DIRECTION_RAD, DIRECTION_RAD, (2, count))
+        depth = rng.uniform(*DEPTH_M, count)
+        return depth[:, None] * np.stack([np.ones(count), np.tan(pan), -np.tan(tilt)], axis=-1)
+
+    where = draw(trials)
+    while not (good := free(where)).all():
+        where[~good] = draw(int((~good).sum()))
+    return where
 
 
 def run_trial(
@@ -173,7 +194,12 @@ def foveate(
     made = []
     with Twin(profile, seed=seed) as twin:
         settings = calibrated(twin, seed)
-        where = targets(trials, seed)
+        T_lbase_head = inverse(T_head_base(twin.truth, "left"))
+
+        def free(places: Array) -> np.ndarray:  # there is furniture in the room
+            return in_sight(twin, transform(T_lbase_head, places), margin_m=OBJECT_M)
+
+        where = targets(trials, seed, free=free)
         if out is not None:
             plots.depth(out / "depth.png", settings.calibration)
             title = f"foveate, profile {profile.name}, seed {seed}"
