@@ -19,7 +19,7 @@ from vergence.dataset import (
     Description,
     Frame,
     pose_columns,
-    reading_rates,
+    runs,
 )
 from vergence.dataset_files import load
 from vergence.dataset_writer import Entry, write
@@ -146,7 +146,7 @@ def test_poses_take_the_place_of_angles(folder):
     assert dataset.T_base_eye is not None
     assert (dataset.T_base_eye == T).all()
     assert np.isnan(dataset.eye_angles).all()
-    assert reading_rates(dataset) is None
+    assert not runs(dataset).any()
     table[2]["left_T00"] = "2.0"
     write_table(folder, table)
     assert "line 4: left_T00 to left_T33 are not a rigid transform" in refusal(folder)
@@ -416,34 +416,20 @@ def moving_dataset(folder: Path, count: int, **extra: Any) -> None:
     write_table(folder, table)
 
 
-def test_rates_of_smooth_readings_are_right_to_a_thousandth(tmp_path):
-    moving_dataset(tmp_path / "set", 60)
-    dataset = load(tmp_path / "set")
-    rates = reading_rates(dataset)
-    truth = -0.6 * np.sin(3 * dataset.joint_time_s[:, None] + np.arange(4))
-    assert rates is not None
-    np.testing.assert_allclose(rates[3:-3], truth[3:-3], atol=6e-4)
-    np.testing.assert_allclose(
-        rates, truth, atol=6e-3
-    )  # at the ends all neighbours are on one side
-
-
-def test_eyes_that_stand_still_have_no_rates(tmp_path):
-    moving_dataset(tmp_path / "set", 12)
+def test_rows_of_one_motion_share_a_number(tmp_path):
+    moving_dataset(tmp_path / "set", 20)
     dataset = load(tmp_path / "set")
     dataset.moving[:5] = False
-    rates = reading_rates(dataset)
-    assert rates is not None
-    assert (rates[:5] == 0).all()
-    assert (rates[5:] != 0).any()
+    dataset.joint_time_s[12:] += 1.0  # a gap
+    np.testing.assert_array_equal(runs(dataset), np.repeat([0, 1, 2], [5, 7, 8]))
     dataset.moving[:] = False
-    assert reading_rates(dataset) is None
+    assert not runs(dataset).any()
 
 
 def test_a_motion_of_two_rows_is_refused(tmp_path):
     moving_dataset(tmp_path / "set", 2)
     with pytest.raises(VergenceError, match="moving rows come at least 3 in sequence"):
-        reading_rates(load(tmp_path / "set"))
+        runs(load(tmp_path / "set"))
 
 
 def entries(count: int, rng: np.random.Generator) -> list[Entry]:

@@ -43,7 +43,7 @@ def test_corners_of_every_image_stand_at_its_row_and_camera(tmp_path, board):
                 np.testing.assert_allclose(corners, truth[name], atol=0.1)
     assert (found.views.placement == dataset.placement).all()
     assert (found.views.eye_angles == dataset.eye_angles).all()
-    assert found.rates is None
+    assert found.timing is None
 
 
 def test_progress_reaches_its_end(tmp_path):

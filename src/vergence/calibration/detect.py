@@ -15,7 +15,8 @@ from rich.progress import Progress
 from vergence.arrays import Array
 from vergence.calibration.pipeline import STRAIGHT_RAD, Views
 from vergence.calibration.target import Board, Chessboard, find_corners
-from vergence.dataset import Dataset, decode, reading_rates
+from vergence.calibration.timing import Timing
+from vergence.dataset import Dataset, decode, runs
 from vergence.errors import VergenceError
 
 LEAST_CORNERS = 6
@@ -48,8 +49,8 @@ class Detections:
     """All that calibration needs of a dataset; V views are its rows."""
 
     views: Views
-    rates: Array | None
-    """(V, 4) how fast the readings change [rad/s]; None: the eyes stood still."""
+    timing: Timing | None
+    """When the readings were taken; None: the eyes stood still."""
     T_base_eye: Array | None
     """(V, 2, 4, 4) poses of the eyes, where the dataset gives them instead of angles."""
     failures: tuple[Failure, ...]
@@ -129,7 +130,9 @@ def detect(
         if each.corners is None
     )
     remarks = (*dataset.remarks, *_blind(views), *_exchanged(views))
-    return Detections(views, reading_rates(dataset), dataset.T_base_eye, failures, remarks)
+    timed = dataset.moving.any() and dataset.T_base_eye is None
+    timing = Timing(dataset.joint_time_s, runs(dataset)) if timed else None
+    return Detections(views, timing, dataset.T_base_eye, failures, remarks)
 
 
 def _look(dataset: Dataset, camera: str, row: int, least_corners: int) -> _Seen:

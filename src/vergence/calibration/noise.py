@@ -43,20 +43,20 @@ class _Evaluation:
 
 
 def estimate_noise(
-    linear: Linear, noise: Noise, basis: Array, held: np.ndarray, *, iterations: int = 40
+    linear: Linear, noise: Noise, held: np.ndarray, *, iterations: int = 40
 ) -> Components:
     """Return the noise levels of greatest restricted likelihood.
 
     Args:
-        linear: the problem linearised near its optimum, with outliers weighted 0.
+        linear: the problem linearised near its optimum, with outliers weighted 0, along what is
+            free.
         noise: where to start.
-        basis: (G, F) free directions of the shared unknowns.
         held: (1 + groups,) which levels are known and stay.
     """
     s = _log_variances(noise)
     floor = np.concatenate([[2 * np.log(FLOOR_PX)], _joint_floor(linear, noise)])
     s = np.where(held, s, np.maximum(s, floor))
-    now = _evaluate(linear, noise, s, basis)
+    now = _evaluate(linear, noise, s)
     for _ in range(iterations):
         # At its floor a level has nothing left to lose; leave it out of the scoring step.
         stuck = held | ((s <= floor + 1e-9) & (now.score <= 0))
@@ -66,7 +66,7 @@ def estimate_noise(
         move = np.clip(np.linalg.solve(fisher, np.where(stuck, 0, now.score)), -2, 2)
         for _ in range(12):
             trial_s = np.where(stuck, s, np.maximum(s + move, floor))
-            trial = _evaluate(linear, noise, trial_s, basis)
+            trial = _evaluate(linear, noise, trial_s)
             if trial.minus_two_log_likelihood <= now.minus_two_log_likelihood + 1e-9:
                 break
             move = move / 3
@@ -83,12 +83,12 @@ def estimate_noise(
     return Components(_with(noise, s), spread, now.redundancy)
 
 
-def redundancy(linear: Linear, noise: Noise, basis: Array) -> Array:
+def redundancy(linear: Linear, noise: Noise) -> Array:
     """Return (1 + groups,) how many residuals of each group such noise would leave over.
 
     At a generous noise, less than one of a group says that its level cannot be estimated.
     """
-    return _evaluate(linear, noise, _log_variances(noise), basis).redundancy
+    return _evaluate(linear, noise, _log_variances(noise)).redundancy
 
 
 def _log_variances(noise: Noise) -> Array:
@@ -109,23 +109,23 @@ def _joint_floor(linear: Linear, noise: Noise) -> Array:
     return np.log(FLOOR_JOINT**2 * np.array(groups))
 
 
-def _evaluate(linear: Linear, noise: Noise, s: Array, basis: Array) -> _Evaluation:
+def _evaluate(linear: Linear, noise: Noise, s: Array) -> _Evaluation:
     """Return the restricted likelihood, its gradient and Fisher information in s = log sigma^2."""
     noise = _with(noise, s)
-    factors = factorise(linear, noise, basis)
+    factors = factorise(linear, noise)
     free, latent = step(factors)
     used = linear.joint_weights > 0
-    error = linear.joint_errors + latent - linear.rate * (basis[linear.time] @ free)
+    error = linear.joint_errors + latent - linear.rate * (linear.time @ free)
     group = np.broadcast_to(noise.group, error.shape)
     inverse_variance = used * noise.joint[group] ** -2
-    squares = [_corner_squares(linear, basis @ free, latent) / noise.pixel_px**2]
+    squares = [_corner_squares(linear, free, latent) / noise.pixel_px**2]
     counts = [linear.count]
     for k in range(len(noise.joint)):
         squares.append((inverse_variance * error**2)[group == k].sum())
         counts.append(float(np.count_nonzero(used[group == k])))
     squares, counts = np.array(squares), np.array(counts, dtype=float)
     told, shared = _swallowed(linear, factors, inverse_variance, noise)
-    unknowns = basis.shape[1] + latent.size
+    unknowns = len(free) + latent.size
     redundancy = counts - np.concatenate([[unknowns - told.sum()], told])
     # With M the residual projector, F_gh = |M_gh|^2 / 2, and M M = M gives the corners' row.
     joint = shared + np.diag(counts[1:] - 2 * told)
@@ -163,8 +163,7 @@ def _swallowed(
     """
     root = np.sqrt(inverse_variance)
     own = factors.ll_inverse * root[:, :, None] * root[:, None, :]
-    row = factors.basis[linear.time]
-    U = (factors.coupling + linear.rate[:, :, None] * row) * root[:, :, None]
+    U = (factors.coupling + linear.rate[:, :, None] * linear.time) * root[:, :, None]
     L, _ = cholesky(factors.schur)
     B, n, F = U.shape
     Z = solve_triangular(L, U.reshape(-1, F).T, lower=True).T.reshape(B, n, F)

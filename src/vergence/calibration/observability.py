@@ -18,7 +18,7 @@ from vergence.calibration.problem import (
     calibration_size,
     size,
 )
-from vergence.calibration.solver import Linear, Noise, factorise
+from vergence.calibration.solver import Linear, Noise, along, factorise
 
 ROTATION_RAD = 0.05
 """How well a ruler knows a mounting: about 3 degrees ..."""
@@ -80,7 +80,7 @@ def observe(problem: Problem, state: State, linear: Linear, noise: Noise) -> Obs
     scale = whole_basis(problem, state)
     c = calibration_size(problem)
     mine = np.flatnonzero(problem.free) < c
-    S = factorise(linear, noise, scale).schur
+    S = factorise(along(linear, scale), noise).schur
     boards = S[np.ix_(~mine, ~mine)]
     # Nothing but the start tells where a board stands that shows too few corners.
     boards = boards + UNKNOWN**-2 * np.eye(len(boards))

@@ -1,4 +1,4 @@
-"""The adjustment behind `refine`: its unknowns, its residuals and their analytic derivatives.
+"""The adjustment behind `refine`: its unknowns and its residuals.
 
 A corner P of a board passes through
 `p_cam = T_cam_eye T_eye_base(u) T_base_lbase T_lbase_target P`, and then through the lens. The
@@ -24,8 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.arrays import Array
-from vergence.camera import Camera, project, project_jacobians
-from vergence.geometry import hat, inverse, pose, rotation, rotvec, transform
+from vergence.calibration import timing
+from vergence.calibration.timing import Stencil
+from vergence.camera import Camera, project
+from vergence.geometry import inverse, pose, rotation, rotvec, transform
 from vergence.kinematics import EYES, EyeAxes
 
 Index = NDArray[np.intp]
@@ -61,8 +63,10 @@ class Problem:
     """(B,) 0 or 1."""
     reading: Array
     """(B, n) angles [rad]; zeros for eye poses."""
-    rate: Array
-    """(B, n) by which the reading changes [1/s]."""
+    around: Stencil | None
+    """The neighbours of each block in time; None: the eyes stood still."""
+    course: Array
+    """(B, n, timing.DEGREE) how the latent unknowns go on in time; see followed."""
     poses: Array | None
     """(B, 4, 4) T_base_eye as read; None: pan and tilt."""
     free: NDArray[np.bool_]
@@ -162,17 +166,36 @@ def advance(problem: Problem, state: State, shared: Array, latent: Array) -> Sta
 
 
 def joint_errors(problem: Problem, state: State) -> Array:
-    """Return (B, n): by how much the noise-free readings differ from the readings."""
-    return state.latent - problem.reading - state.time_offset_s * problem.rate
+    """Return (B, n): by how much the noise-free readings differ from the readings.
+
+    The latent angles are those of the image's moment, which is time_offset_s after the reading's.
+    """
+    return state.latent + timing.change(problem.course, -state.time_offset_s) - problem.reading
+
+
+def joint_rates(problem: Problem, state: State) -> Array:
+    """Return (B, n): how fast the joints moved when they were read [1/s]."""
+    return timing.rate(problem.course, -state.time_offset_s)
+
+
+def followed(problem: Problem, state: State) -> Problem:
+    """Return the problem with the eyes' course in time taken from the latent angles.
+
+    These know the images: they are nearer to the truth than readings, whose noise would make the
+    eyes look faster, and the time offset smaller, than it is.
+    """
+    if problem.around is None:
+        return problem
+    return replace(problem, course=timing.coefficients(problem.around, state.latent))
 
 
 def eye_poses(problem: Problem, state: State) -> Array:
     """Return T_base_eye (B, 4, 4) at the latent joint angles (the paper's T_er)."""
-    R, t, _ = _eyes(problem, state)
+    R, t, _ = eye_parts(problem, state)
     return pose(R, t)
 
 
-def _eyes(problem: Problem, state: State) -> tuple[Array, Array, Array]:
+def eye_parts(problem: Problem, state: State) -> tuple[Array, Array, Array]:
     """Return R_base_eye (B, 3, 3), t_base_eye (B, 3), R_base_pan (B, 3, 3) of every block."""
     if problem.poses is not None:
         T = moved(problem.poses, state.latent)
@@ -197,110 +220,3 @@ def corner_errors(problem: Problem, state: State) -> Array:
         chosen = problem.camera == c
         projected[chosen] = project(lens, points[chosen])
     return np.where(problem.seen[..., None], projected - problem.pixels, 0.0)
-
-
-def jacobians(problem: Problem, state: State) -> tuple[Array, Index, Array]:
-    """Return the derivatives of corner_errors.
-
-    Returns:
-        (M, K, 2, 33) by the shared unknowns that a detection meets, (M, 33) which these are, and
-        (M, K, 2, n) by the latent ones of its block. Zero where a corner is not seen.
-    """
-    camera, block = problem.camera, problem.block
-    right = problem.eye[camera] == 1
-    R_eye, t_eye, R_pan = (array[block][:, None] for array in _eyes(problem, state))
-    R_rl = np.where(right[:, None, None], state.T_rbase_lbase[:3, :3], np.eye(3))[:, None]
-    t_rl = np.where(right[:, None], state.T_rbase_lbase[:3, 3], 0.0)[:, None]
-    T_target = state.T_lbase_target[problem.placement][:, None]
-    T_mount = state.T_eye_cam[camera][:, None]
-
-    p_turned = _apply(T_target[..., :3, :3], problem.points)
-    p_lbase = p_turned + T_target[..., :3, 3]
-    p_swung = _apply(R_rl, p_lbase)
-    p_arm = p_swung + t_rl - t_eye  # from the eye's origin, along the axes of its base
-    p_eye = _apply(_t(R_eye), p_arm)
-    p_mount = p_eye - T_mount[..., :3, 3]
-    p_cam = _apply(_t(T_mount[..., :3, :3]), p_mount)
-
-    M, K = problem.seen.shape
-    by_point, by_lens = np.empty((M, K, 2, 3)), np.empty((M, K, 2, 9))
-    for c, lens in enumerate(state.lenses):
-        chosen = camera == c
-        _, by_point[chosen], by_lens[chosen] = project_jacobians(lens, p_cam[chosen])
-
-    by_eye = by_point @ _t(T_mount[..., :3, :3])
-    by_base = by_eye @ _t(R_eye)
-    by_lbase = by_base @ R_rl
-    by_mount = np.concatenate([by_eye @ hat(p_mount), -by_eye], axis=-1)
-    by_rl = np.concatenate([-by_base @ hat(p_swung), by_base], axis=-1) * right[:, None, None, None]
-    by_target = np.concatenate([-by_lbase @ hat(p_turned), by_lbase], axis=-1)
-    if problem.poses is None:
-        by_axes, by_latent = _joint_jacobians(problem, state, by_eye, p_eye, p_arm, R_eye, R_pan)
-    else:
-        turn = by_base @ hat(p_arm) @ _left_jacobian(state.latent[:, :3])[block][:, None]
-        by_latent = np.concatenate([turn, -by_base], axis=-1)
-        by_axes = np.zeros((M, K, 2, 6))
-
-    C = len(problem.cameras)
-    head = PER_CAMERA * C
-    index = np.concatenate(
-        [
-            PER_CAMERA * camera[:, None] + np.arange(PER_CAMERA),
-            np.broadcast_to(head + np.arange(6), (M, 6)),
-            head + 6 + 6 * problem.eye[camera][:, None] + np.arange(6),
-            calibration_size(problem) + 6 * problem.placement[:, None] + np.arange(6),
-        ],
-        axis=1,
-    )
-    shared = np.concatenate([by_lens, by_mount, by_rl, by_axes, by_target], axis=-1)
-    seen = problem.seen[..., None, None]
-    return np.where(seen, shared, 0.0), index, np.where(seen, by_latent, 0.0)
-
-
-def _joint_jacobians(
-    problem: Problem,
-    state: State,
-    by_eye: Array,
-    p_eye: Array,
-    p_arm: Array,
-    R_eye: Array,
-    R_pan: Array,
-) -> tuple[Array, Array]:
-    """Return derivatives by the 6 fields of EyeAxes and by the 2 latent readings.
-
-    p_eye = R_tilt^T q with q = R_pan^T p_arm, and R_tilt = Rx(e) Ry(tilt) Rx(-e) where e is the
-    non-orthogonality, from which the derivative by e follows.
-    """
-    axes = state.axes[problem.block_eye][problem.block]
-    latent = state.latent[problem.block]
-    x, z = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
-    tilt_axis = np.stack([np.zeros(len(axes)), np.cos(axes[:, 4]), np.sin(axes[:, 4])], axis=-1)
-    R_tilt_T = _t(R_eye) @ R_pan
-    q = _apply(_t(R_pan), p_arm)
-    ahead = q + axes[:, None, 5:] * x  # the tilt axis travels with pan
-    by_pan = -_apply(R_tilt_T, np.cross(z, ahead))
-    by_tilt = -np.cross(tilt_axis[:, None], p_eye)
-    by_skew = np.cross(x, p_eye) - _apply(R_tilt_T, np.cross(x, q))
-    by_distance = np.broadcast_to(-_apply(R_tilt_T, x), p_eye.shape)
-    columns = np.stack([by_pan, by_tilt, by_skew, by_distance], axis=-1)  # (M, K, 3, 4)
-    pan_tilt, others = np.split(by_eye @ columns, 2, axis=-1)
-    by_axes = np.concatenate([pan_tilt * latent[:, None, None], pan_tilt, others], axis=-1)
-    return by_axes, pan_tilt * axes[:, None, None, :2]
-
-
-def _left_jacobian(phi: Array) -> Array:
-    """Return (B, 3, 3): exp(phi + d) = exp(J d) exp(phi); a series, for turns well below 1 rad."""
-    term = np.broadcast_to(np.eye(3), (*phi.shape, 3))
-    total = term.copy()
-    for k in range(2, 12):
-        term = term @ hat(phi) / k
-        total += term
-    return total
-
-
-def _apply(R: Array, points: Array) -> Array:
-    return (R @ points[..., None])[..., 0]
-
-
-def _t(R: Array) -> Array:
-    return np.swapaxes(R, -1, -2)

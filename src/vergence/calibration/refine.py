@@ -34,6 +34,7 @@ from vergence.calibration.problem import (
 )
 from vergence.calibration.robust_start import robust_park_martin
 from vergence.calibration.solver import OUTLIER
+from vergence.calibration.timing import Timing
 from vergence.camera import Camera
 from vergence.errors import VergenceError
 from vergence.head import HeadCalibration, MountedCamera
@@ -166,7 +167,7 @@ def refine(
     start: HeadCalibration,
     views: Views,
     *,
-    rates: Array | None = None,
+    timing: Timing | None = None,
     eye_poses_read: Array | None = None,
     hold: Collection[str] | None = None,
     pixel_std_px: float | None = None,
@@ -178,8 +179,8 @@ def refine(
     Args:
         start: the paper's calibration, or another that is about right.
         views: corners and joint readings.
-        rates: (V, 4) how fast the readings change [rad/s], in the order of kinematics.EYE_JOINTS;
-            None: the eyes stood still, and the time offset is not estimated.
+        timing: when the readings were taken, where eyes moved; None: they stood still, and the
+            time offset is not estimated.
         eye_poses_read: (V, 2, 4, 4) poses of the left and the right eye in their bases, for eyes
             that do not pan and tilt; they take the place of the readings.
         hold: names of parameters that keep their start; None: held_by_default.
@@ -192,9 +193,11 @@ def refine(
         VergenceError: shapes do not fit, a reading that is needed is not finite, or there are
             fewer data than unknowns.
     """
-    hold = held_by_default(start, timed=rates is not None) if hold is None else hold
-    _check_head(start, views, rates, eye_poses_read, hold)
-    problem, state, numbers = whole_head(start, views, rates=rates, poses=eye_poses_read, hold=hold)
+    hold = held_by_default(start, timed=timing is not None) if hold is None else hold
+    _check_head(start, views, timing, eye_poses_read, hold)
+    problem, state, numbers = whole_head(
+        start, views, timing=timing, poses=eye_poses_read, hold=hold
+    )
     one_level = joint_std is not None or len(problem.reading) < OWN_LEVELS
     group = np.array([0, 0] if one_level else [0, 1])
     if eye_poses_read is not None:
@@ -245,7 +248,7 @@ def held_by_default(start: HeadCalibration, *, timed: bool) -> set[str]:
     - Offsets of the joints: an offset of tilt is a turn of T_eye_cam, one of pan a turn of the
       base frame, and no image tells them apart.
     - Distortion coefficients that are zero at the start: they are not in the lens model.
-    - The time offset, where no rates of the joints are known.
+    - The time offset, where the eyes stood still.
     """
     held = {f"{eye}.{joint}_offset_rad" for eye in EYES for joint in ("pan", "tilt")}
     for camera, mounted in start.cameras.items():
@@ -322,14 +325,14 @@ def _check_eye_camera(eye: Array, pixels: Array, points: Array) -> None:
 def _check_head(
     start: HeadCalibration,
     views: Views,
-    rates: Array | None,
+    timing: Timing | None,
     poses: Array | None,
     hold: Collection[str],
 ) -> None:
     V = len(views.placement)
     wanted: dict[str, tuple[Array, tuple[int, ...]]] = {"eye_angles": (views.eye_angles, (V, 4))}
-    if rates is not None:
-        wanted["rates"] = (rates, (V, 4))
+    if timing is not None:
+        wanted["time_s"], wanted["run"] = (timing.time_s, (V,)), (timing.run, (V,))
     if poses is not None:
         wanted["eye_poses_read"] = (poses, (V, 2, 4, 4))
     for name, (array, shape) in wanted.items():

@@ -82,7 +82,7 @@ def solve(
     dataset = load(folder)
     _check_complete(dataset)
     detections = detect(dataset, progress=progress)
-    seen = Observations(detections.views, detections.rates, detections.T_base_eye)
+    seen = Observations(detections.views, detections.timing, detections.T_base_eye)
     task = progress.add_task("calibrating", total=3) if progress else None
 
     def advance() -> None:
@@ -212,13 +212,13 @@ def paper(seen: Observations, wide_lens: LensModel) -> PaperCalibration:
 
 def _still(seen: Observations) -> np.ndarray:
     """Return (V,) in which views the eyes stood still."""
-    if seen.rates is None:
+    if seen.timing is None:
         return np.ones(len(seen.views.placement), bool)
-    return np.asarray((seen.rates == 0).all(axis=1))
+    return seen.timing.run == 0
 
 
 def _refined(start: HeadCalibration, seen: Observations) -> Refined:
-    return refine(start, seen.views, rates=seen.rates, eye_poses_read=seen.T_base_eye)
+    return refine(start, seen.views, timing=seen.timing, eye_poses_read=seen.T_base_eye)
 
 
 def again(whole: Refined, part: Observations) -> HeadCalibration:
@@ -230,7 +230,7 @@ def again(whole: Refined, part: Observations) -> HeadCalibration:
         refine(
             whole.head,
             part.views,
-            rates=part.rates,
+            timing=part.timing,
             eye_poses_read=part.T_base_eye,
             pixel_std_px=whole.pixel_std_px,
             joint_std=told,

@@ -9,12 +9,14 @@ weight as in Cauchy's loss; within, the loss is quadratic, so that good data los
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse import csr_array
 
 from vergence.arrays import Array
+from vergence.calibration.derivatives import jacobians
 from vergence.calibration.problem import (
     Index,
     Problem,
@@ -22,8 +24,9 @@ from vergence.calibration.problem import (
     advance,
     calibration_size,
     corner_errors,
-    jacobians,
+    followed,
     joint_errors,
+    joint_rates,
     size,
 )
 from vergence.errors import VergenceError
@@ -58,7 +61,10 @@ class Weights:
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """The problem linearised: J^T W J and -J^T W r of the corners in pixels, and joint errors."""
+    """The problem linearised: J^T W J and -J^T W r of the corners in pixels, and joint errors.
+
+    G counts the shared unknowns, or the directions of them that are free (see along).
+    """
 
     gg: Array
     """(G, G)."""
@@ -78,26 +84,26 @@ class Linear:
     """(B, n)."""
     joint_weights: Array
     """(B, n)."""
+    corner_weights: Array
+    """(M, K)."""
     rate: Array
     """(B, n): the joint errors change by minus this with the time offset."""
-    time: int
-    """Which shared unknown is the time offset."""
+    time: Array
+    """(G,) how the time offset changes with each shared unknown."""
 
 
 @dataclass(frozen=True, eq=False)
 class Factors:
     """The normal equations for given noise, with the latent unknowns eliminated."""
 
-    basis: Array
-    """(G, F) columns: the free directions of the shared unknowns."""
     ll_inverse: Array
     """(B, n, n)."""
     coupling: Array
-    """(B, n, F) ll_inverse times the latent rows of the matrix."""
+    """(B, n, G) ll_inverse times the latent rows of the matrix."""
     schur: Array
-    """(F, F)."""
+    """(G, G)."""
     right: tuple[Array, Array]
-    """(F,), (B, n)."""
+    """(G,), (B, n)."""
 
 
 def linearise(problem: Problem, state: State, weights: Weights) -> Linear:
@@ -124,18 +130,32 @@ def linearise(problem: Problem, state: State, weights: Weights) -> Linear:
         count=2.0 * np.count_nonzero(weights.corner),
         joint_errors=joint_errors(problem, state),
         joint_weights=weights.joint,
-        rate=problem.rate,
-        time=calibration_size(problem) - 1,
+        corner_weights=weights.corner,
+        rate=joint_rates(problem, state),
+        time=np.eye(1, G, calibration_size(problem) - 1)[0],
     )  # fmt: skip
 
 
-def factorise(linear: Linear, noise: Noise, basis: Array, damping: float = 0.0) -> Factors:
+def along(linear: Linear, basis: Array) -> Linear:
+    """Return the linear problem in the directions of a basis (G, F) of the shared unknowns."""
+    rows = csr_array(basis.T)  # boards have directions of their own: most of it is zeros
+    B, G, n = linear.gl.shape
+    gl = rows @ linear.gl.transpose(1, 0, 2).reshape(G, B * n)
+    return replace(
+        linear,
+        gg=rows @ (rows @ linear.gg).T,
+        gl=np.ascontiguousarray(gl.reshape(-1, B, n).transpose(1, 0, 2)),
+        g=rows @ linear.g,
+        time=rows @ linear.time,
+    )
+
+
+def factorise(linear: Linear, noise: Noise, damping: float = 0.0) -> Factors:
     """Return the normal equations for given noise.
 
     Args:
-        linear: from linearise.
+        linear: from linearise, along what is free.
         noise: standard deviations.
-        basis: (G, F) free directions; the step is basis @ something.
         damping: Levenberg and Marquardt's, relative to the diagonal.
     """
     pixel = noise.pixel_px**-2
@@ -146,22 +166,21 @@ def factorise(linear: Linear, noise: Noise, basis: Array, damping: float = 0.0) 
     ll = pixel * linear.ll + np.where(eye, joint[:, :, None], 0.0)
     ll = ll + damping * np.where(eye, ll, 0.0)
     timing = linear.rate * joint
-    row = basis[linear.time]  # what the time offset contributes in each free direction
-    gl = pixel * (basis.T @ linear.gl) - row[:, None] * timing[:, None, :]
-    gg = pixel * (basis.T @ linear.gg @ basis)
-    gg += np.outer(row, row) * (linear.rate * timing).sum()
+    row = linear.time
+    gl = pixel * linear.gl - row[:, None] * timing[:, None, :]
+    gg = pixel * linear.gg + np.outer(row, row) * (linear.rate * timing).sum()
     gg[np.diag_indices_from(gg)] *= 1 + damping
-    right_g = pixel * (basis.T @ linear.g) + row * (timing * linear.joint_errors).sum()
+    right_g = pixel * linear.g + row * (timing * linear.joint_errors).sum()
     right_l = pixel * linear.latent - joint * linear.joint_errors
     ll_inverse: Array = np.linalg.inv(ll).astype(float, copy=False)
     coupling = ll_inverse @ np.swapaxes(gl, 1, 2)
-    F = basis.shape[1]
-    schur = gg - gl.transpose(1, 0, 2).reshape(F, -1) @ coupling.reshape(-1, F)
-    return Factors(basis, ll_inverse, coupling, (schur + schur.T) / 2, (right_g, right_l))
+    G = len(gg)
+    schur = gg - gl.transpose(1, 0, 2).reshape(G, -1) @ coupling.reshape(-1, G)
+    return Factors(ll_inverse, coupling, (schur + schur.T) / 2, (right_g, right_l))
 
 
 def step(factors: Factors) -> tuple[Array, Array]:
-    """Return the Gauss-Newton step: along the free directions (F,), and latent (B, n)."""
+    """Return the Gauss-Newton step: along the shared unknowns (G,), and latent (B, n)."""
     right_g, right_l = factors.right
     reduced = right_g - np.einsum("bnf,bn->f", factors.coupling, right_l)
     free = cho_solve(cholesky(factors.schur), reduced)
@@ -194,6 +213,12 @@ def inliers(weights: Weights) -> Weights:
     return Weights((weights.corner == 1).astype(float), (weights.joint == 1).astype(float))
 
 
+def same(weights: Weights, linear: Linear) -> bool:
+    """Return whether a linear problem has these weights."""
+    corner, joint = linear.corner_weights, linear.joint_weights
+    return np.array_equal(weights.corner, corner) and np.array_equal(weights.joint, joint)
+
+
 def cost(problem: Problem, state: State, noise: Noise) -> float:
     """Return the robust sum of squares in units of the noise; infinite behind a camera."""
     corner = np.linalg.norm(corner_errors(problem, state), axis=-1) / noise.pixel_px
@@ -204,27 +229,37 @@ def cost(problem: Problem, state: State, noise: Noise) -> float:
 
 def minimise(
     problem: Problem, state: State, noise: Noise, basis: Array, *, iterations: int = 60
-) -> tuple[State, bool]:
-    """Return the state of least cost for given noise, and whether it converged (Levenberg)."""
+) -> tuple[State, bool, Linear]:
+    """Return the state of least cost for given noise, whether it converged, and what it is from.
+
+    Levenberg and Marquardt's method; the linear problem is that of the state where it converged.
+    """
+    problem = followed(problem, state)
     damping, lowest = 1e-6, cost(problem, state, noise)
-    for _ in range(iterations):
+    while True:
         linear = linearise(problem, state, robust_weights(problem, state, noise))
+        free_linear, iterations = along(linear, basis), iterations - 1
         while True:
-            factors = factorise(linear, noise, basis, damping)
+            factors = factorise(free_linear, noise, damping)
             free, latent = step(factors)
             gain = float(free @ factors.right[0] + (latent * factors.right[1]).sum())
             # A step of a ten-thousandth of a standard deviation changes nothing.
             if gain < 1e-8:
-                return state, True
+                return state, True, linear
             trial = _try(problem, state, basis @ free, latent)
             found = np.inf if trial is None else cost(problem, trial, noise)
             if trial is not None and found <= lowest + 1e-12 * abs(lowest):
-                state, lowest, damping = trial, found, max(damping / 10, 1e-12)
+                state, damping = trial, max(damping / 10, 1e-12)
+                if problem.around is not None:
+                    problem = followed(problem, state)
+                    found = cost(problem, state, noise)
+                lowest = found
                 break
             damping = max(damping, 1e-7) * 10
             if damping > 1e8:
-                return state, False
-    return state, False
+                return state, False, linear
+        if iterations == 0:
+            return state, False, linearise(problem, state, robust_weights(problem, state, noise))
 
 
 def _try(problem: Problem, state: State, shared: Array, latent: Array) -> State | None:

@@ -1,0 +1,263 @@
+"""Whether the stated accuracy of a whole head is true, over many heads that nobody built.
+
+    python benchmarks/whole_head_monte_carlo.py
+    python benchmarks/whole_head_monte_carlo.py --trials 40 --out /tmp/trials.jsonl
+
+Each trial draws a head (baseline, lenses, mountings, gains, axes), a recording of 10 to 18 boards
+at straight gaze, 8 to 12 for each narrow camera and 30 to 60 eye orientations before a board at
+rest, pixel noise of 0.03 to 0.3 px and joint noise of 0, 0.02, 0.1 or 0.3 degrees. It is calibrated
+as `vergence calibrate` does: the paper's method, then `refine`, with no noise told. Then a point at
+rest is located while the eyes move.
+
+Printed are the share of trials in which the stated 95 % region holds the truth, and how the errors
+of the located point compare with `accuracy.predicted_covariance`. Errors are counted as
+`vergence evaluate` counts them. With `--out` finished trials are kept, and not run again.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+from rich.progress import track
+from scipy.stats import chi2
+
+from simulated_head import HEIGHT, WIDTH, Noise, pixels_seen, random_head, still_recording
+from vergence.active_stereo import locate
+from vergence.arrays import Array
+from vergence.calibration.accuracy import Observations, predicted_covariance
+from vergence.calibration.parameters import difference, without_offsets
+from vergence.calibration.refine import refine
+from vergence.calibration.solve import paper, with_accuracy
+from vergence.errors import VergenceError
+from vergence.head import HeadCalibration
+from vergence.kinematics import EYES
+from vergence.uncertainty import point_covariance
+
+JOINT_DEG = (0.0, 0.02, 0.1, 0.3)
+PIXEL_PX = (0.03, 0.3)
+KINDS = ("T_eye_cam", "T_rbase_lbase", "intrinsics", "axes")
+"""Of regions."""
+JUDGED = ("T_eye_cam", "T_rbase_lbase", "intrinsics")
+BAR, POINT_BAR = (0.93, 0.97), 0.10
+"""Share of truths in 95 % regions; relative error of a point's standard deviation."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """How many trials, and where they are kept."""
+
+    trials: int = 500
+    seed: int = 0
+    first: int = 0
+    """Number of the first trial."""
+    out: Path | None = None
+    """JSON lines, one a trial; those in it already are taken as they are."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What came of one trial."""
+
+    number: int
+    joint_deg: float
+    pixel_px: float
+    probability: dict[str, float]
+    """By region: the stated probability of a smaller error; uniform where the statement is true."""
+    largest: float
+    """The largest error of a parameter in stated standard deviations."""
+    point: float
+    """Mean square error of a located point in units of its predicted variance: 1 if true."""
+    point_calibration: float
+    """The same for what the calibration alone does to a point; its samples share one error."""
+    point_mm: float
+    """Root mean square error of a located point."""
+    warnings: int
+    failure: str = ""
+
+
+def run(seed: int, number: int) -> Trial:
+    """Simulate, calibrate and judge one head."""
+    rng = np.random.default_rng([seed, number])
+    joint_deg = float(rng.choice(JOINT_DEG))
+    noise = Noise(
+        pixel_px=float(np.exp(rng.uniform(*np.log(PIXEL_PX)))), joint_rad=np.radians(joint_deg)
+    )
+    truth = random_head(rng)
+    views = still_recording(
+        truth,
+        rng,
+        noise,
+        wide_views=int(rng.integers(10, 19)),
+        narrow_views=int(rng.integers(8, 13)),
+        orientations=int(rng.integers(30, 61)),
+        spread_rad=rng.uniform(0.22, 0.3),
+    )
+    seen = Observations(views, None, None)
+    try:
+        refined = refine(paper(seen, "radial-tangential").head, views)
+    except VergenceError as error:
+        return Trial(number, joint_deg, noise.pixel_px, {}, 0, 0, 0, 0, 0, failure=str(error))
+    head = with_accuracy(refined)
+    assert head.accuracy is not None
+    off = difference(head, truth)
+    names, covariance = head.accuracy.parameters, head.accuracy.covariance
+    error = np.array([off[name] for name in names])
+    point, alone, rms = judge_point(head, truth, noise, rng)
+    return Trial(
+        number,
+        joint_deg,
+        noise.pixel_px,
+        probabilities(names, covariance, error),
+        float(np.abs(error / np.sqrt(np.diag(covariance))).max()),
+        point,
+        alone,
+        rms,
+        len(refined.warnings),
+    )
+
+
+def probabilities(names: tuple[str, ...], covariance: Array, error: Array) -> dict[str, float]:
+    """Return by region the stated probability of an error smaller than this one (c,)."""
+    found = {}
+    region = np.array([name.rpartition(".")[0] for name in names])
+    for each in dict.fromkeys(region.tolist()):
+        rows = np.flatnonzero(region == each)
+        scale = np.sqrt(np.diag(covariance)[rows])
+        correlation = covariance[np.ix_(rows, rows)] / np.outer(scale, scale)
+        score = error[rows] / scale
+        squared = score @ np.linalg.pinv(correlation, hermitian=True) @ score
+        found[each] = float(chi2.cdf(squared, len(rows)))
+    return found
+
+
+def judge_point(
+    head: HeadCalibration, truth: HeadCalibration, noise: Noise, rng: np.random.Generator
+) -> tuple[float, float, float]:
+    """Return Trial.point, point_calibration and point_mm, of a point that is located 40 times."""
+    plain = without_offsets(truth)
+    for _ in range(1000):
+        at = np.array([rng.uniform(0.4, 1.2), *rng.uniform(-0.1, 0.1, 2)])
+        phase = np.linspace(0, 2 * np.pi, 40, endpoint=False)[:, None] * [1, 2, 1, 3]
+        readings = rng.uniform(-0.1, 0.1, 4) + rng.uniform(0.05, 0.15, 4) * np.cos(phase)
+        points = np.tile(at, (len(readings), 1, 1))
+        exact = [pixels_seen(plain, f"{eye}_wide", points, readings) for eye in ("left", "right")]
+        if all(((uv > 0) & (uv < [WIDTH - 1, HEIGHT - 1])).all() for uv in exact):
+            break
+    else:
+        raise AssertionError("no motion keeps the point in view")
+    left, right = (uv[:, 0] for uv in exact)
+    by_calibration = locate(head, left, right, readings).points - at
+    predicted = predicted_covariance(head, left, right, readings)
+    assert head.accuracy is not None
+    of_calibration = predicted - point_covariance(
+        head,
+        left,
+        right,
+        readings,
+        pixel_std_px=head.accuracy.pixel_std_px or 0.0,
+        joint_std_rad=np.tile(head.accuracy.joint_std, 4)[:4],
+    )
+    left, right = (uv + rng.normal(0, noise.pixel_px, uv.shape) for uv in (left, right))
+    readings = readings + rng.normal(0, noise.joint_rad, readings.shape)
+    error = locate(head, left, right, readings).points - at
+    return (
+        _mean_square(error, predicted),
+        _mean_square(by_calibration, of_calibration),
+        float(1e3 * np.sqrt((error**2).sum(axis=1).mean())),
+    )
+
+
+def _mean_square(errors: Array, covariance: Array) -> float:
+    """Return the mean square of errors (N, 3) in units of the variance: 1 where it is true."""
+    return float(np.mean(errors[:, None] @ np.linalg.solve(covariance, errors[..., None])) / 3)
+
+
+def kind(region: str) -> str:
+    """Return the kind of a region by its name."""
+    name = region.rpartition(".")[2]
+    if name.endswith(("wide", "narrow")):
+        return "intrinsics"
+    return "axes" if name in EYES else name
+
+
+def shares(trials: list[Trial]) -> dict[str, float]:
+    """Return by kind the share of regions that hold the truth."""
+    found = [(kind(name), p < 0.95) for trial in trials for name, p in trial.probability.items()]
+    return {each: float(np.mean([held for k, held in found if k == each])) for each in KINDS}
+
+
+def ratio(squares: list[float]) -> float:
+    """Return the ratio of observed to predicted standard deviation."""
+    return float(np.sqrt(np.mean(squares)))
+
+
+def missed(trials: list[Trial]) -> list[str]:
+    """Return the bars that these trials miss, in words."""
+    good = [trial for trial in trials if not trial.failure]
+    said = [f"trial {t.number} failed: {t.failure}" for t in trials if t.failure]
+    held = shares(good)
+    said += [
+        f"{each}: {100 * held[each]:.1f} % of the regions hold the truth"
+        for each in JUDGED
+        if not BAR[0] <= held[each] <= BAR[1]
+    ]
+    observed = ratio([trial.point for trial in good])
+    if abs(observed - 1) > POINT_BAR:
+        said.append(f"a point scatters {observed:.2f} times as much as predicted")
+    said += [
+        f"trial {t.number}: an error of {t.largest:.0f} standard deviations without a warning"
+        for t in good
+        if t.largest > 10 and not t.warnings
+    ]
+    return said
+
+
+def main(config: Config) -> int:
+    """Run what has not been run, print the table, and return 1 if a bar is missed."""
+    done: dict[int, Trial] = {}
+    if config.out and config.out.exists():
+        kept = [Trial(**json.loads(line)) for line in config.out.read_text().splitlines()]
+        done = {trial.number: trial for trial in kept}
+    numbers = range(config.first, config.first + config.trials)
+    for number in track([n for n in numbers if n not in done], description="trials"):
+        done[number] = run(config.seed, number)
+        if config.out:
+            with config.out.open("a") as file:
+                file.write(json.dumps(asdict(done[number])) + "\n")
+    trials = [done[number] for number in numbers]
+    print(table(trials))
+    print("\n" + ("\n".join(missed(trials)) or "All bars are met."))
+    return 1 if missed(trials) else 0
+
+
+def table(trials: list[Trial]) -> str:
+    """Return the results by joint noise, as Markdown."""
+    lines = [
+        "| joint noise | trials | " + " | ".join(KINDS) + " | point: observed / predicted "
+        "| by the calibration alone | largest error [std] | warned |",
+        "|---" * (len(KINDS) + 6) + "|",
+    ]
+    good = [trial for trial in trials if not trial.failure]
+    rows: list[tuple[str, list[Trial]]] = [
+        (f"{level:g}°", [t for t in good if t.joint_deg == level]) for level in JOINT_DEG
+    ]
+    for name, mine in [*rows, ("all", good)]:
+        if mine:
+            cells = [f"{100 * share:.1f} %" for share in shares(mine).values()]
+            cells += [
+                f"{ratio([t.point for t in mine]):.3f}",
+                f"{ratio([t.point_calibration for t in mine]):.3f}",
+                f"{max(t.largest for t in mine):.1f}",
+                str(sum(t.warnings > 0 for t in mine)),
+            ]
+            lines.append(f"| {name} | {len(mine)} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main(tyro.cli(Config, description=__doc__)))

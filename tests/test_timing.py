@@ -1,0 +1,66 @@
+"""Readings are moved in time along what their neighbours say, and offsets are found to a part."""
+
+import numpy as np
+import pytest
+
+import time_offset
+from vergence.arrays import Array
+from vergence.calibration.timing import (
+    Timing,
+    change,
+    coefficients,
+    moved_readings,
+    rate,
+    stencil,
+)
+
+SWING = 2 * np.pi  # 1 Hz
+
+
+def swing(t: Array) -> Array:
+    return 0.25 * np.cos(SWING * t[:, None] + np.arange(2))
+
+
+@pytest.mark.parametrize("late_s", [-0.04, 0.04])
+def test_motion_of_1_hz_at_30_hz_is_moved_by_40_ms_to_a_few_ten_thousandths(late_s: float):
+    t = np.arange(60) / 30
+    moved = moved_readings(swing(t), Timing(t, np.ones(60, dtype=int)), late_s)
+    np.testing.assert_allclose(moved[7:-7], swing(t + late_s)[7:-7], atol=3e-4 * 0.25)
+    np.testing.assert_allclose(moved, swing(t + late_s), atol=3e-2 * 0.25)  # at the ends
+
+
+@pytest.mark.parametrize("seconds", [-0.1, 0.0, 0.03])
+def test_cubics_are_followed_exactly_even_with_gaps(seconds: float):
+    rng = np.random.default_rng(0)
+    t = np.sort(rng.uniform(0, 1, 40))
+    powers = np.polynomial.Polynomial(rng.normal(size=4))
+    course = coefficients(stencil(t, np.ones(40, dtype=int)), powers(t)[:, None])
+    there = powers(t + seconds) - powers(t)
+    np.testing.assert_allclose(change(course, seconds)[:, 0], there, atol=1e-6)
+    np.testing.assert_allclose(rate(course, seconds)[:, 0], powers.deriv()(t + seconds), atol=1e-6)
+
+
+def test_eyes_at_rest_and_other_motions_have_no_part_in_it():
+    t = np.concatenate([np.zeros(5), np.arange(20) / 30, 0.7 + np.arange(20) / 30])
+    run = np.repeat([0, 2, 5], [5, 20, 20])
+    values = np.where(run[:, None] == 2, swing(t), 1e6)
+    moved = moved_readings(values, Timing(t, run), 0.03) - values
+    assert (moved[run == 0] == 0).all()
+    np.testing.assert_allclose(moved[run == 5], 0, atol=1e-6)
+    assert np.abs(moved[run == 2]).max() < 0.1
+
+
+def test_three_views_give_a_straight_line():
+    t = np.array([0.0, 0.1, 0.2])
+    moved = moved_readings(t[:, None] * [1.0, -2.0], Timing(t, np.ones(3, dtype=int)), 0.05)
+    np.testing.assert_allclose(moved, (t + 0.05)[:, None] * [1.0, -2.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("offset_ms", [-40, 40])
+def test_offsets_are_found_to_half_a_millisecond_and_gains_to_a_thousandth(offset_ms: int):
+    config = time_offset.Config(orientations=20, frames=90, pixel_std_px=0.05)
+    found = time_offset.run(config, 0.02, offset_ms, number=0)
+    assert abs(found.offset[0]) < 0.5e-3
+    assert np.abs(found.gains[0]).max() < 1e-3
+    assert abs(found.offset[0]) < 4 * found.offset[1]
+    assert (np.abs(found.gains[0]) < 4 * found.gains[1]).all()
