@@ -130,7 +130,9 @@ def difference_covariance(
     Raises:
         VergenceError: shapes do not fit, or the head has no such camera.
     """
-    a, b = (_jacobian(calibration, *p, eye_angles, cameras) for p in (pixels_a, pixels_b))
+    left, right = (np.concatenate(sides) for sides in zip(pixels_a, pixels_b, strict=True))
+    both = _jacobian(calibration, left, right, np.tile(eye_angles, (2, 1)), cameras)
+    a, b = np.split(both, 2, axis=1)
     jacobian = np.concatenate([a[:4], -b[:4], a[4:] - b[4:]])  # (12, N, 3)
     stds = _stds(len(eye_angles), pixel_std_px, joint_std_rad)
     return _covariance(jacobian, np.concatenate([stds[:, :4], stds], axis=1))
