@@ -33,6 +33,8 @@ class Recording:
     """Whether tilt does what pan does."""
     alike: bool = True
     """Whether both eyes do the same."""
+    gaze_rad: tuple[float, float] = (0.0, 0.0)
+    """Pan and tilt of both eyes before the boards of which each stands elsewhere."""
     lean_rad: float = 0.6
     """By which boards are slanted, at most."""
     slant_rad: tuple[float, float] | None = None
@@ -72,7 +74,8 @@ def observe(
     gaze = radius[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1) * how.reach_rad
     gaze = gaze[:, [0, 0]] if how.together else gaze
     other = gaze if how.alike else rng.permutation(gaze)
-    angles = np.concatenate([np.zeros((still, 4)), np.concatenate([gaze, other], axis=1)])
+    ahead = np.tile(how.gaze_rad, (still, 2))
+    angles = np.concatenate([ahead, np.concatenate([gaze, other], axis=1)])
     slants = rng.uniform(-how.lean_rad, how.lean_rad, (still + 1, 2))
     if how.slant_rad is not None:
         slants[:] = how.slant_rad

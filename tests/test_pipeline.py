@@ -14,6 +14,7 @@ from vergence.experiments.replay import estimate, observe_points
 from vergence.experiments.sequence import BOARD, look, look_at_points, plan, told_board
 from vergence.experiments.trajectories import PERIOD_S
 from vergence.head import HeadCalibration
+from vergence.kinematics import T_base_eye
 from vergence.twin.head import Twin
 from vergence.twin.model import as_built_head, nominal_head
 from vergence.twin.profile import CalibrationMade, ErrorProfile, Mounting, Optics
@@ -90,10 +91,56 @@ def test_a_head_without_narrow_cameras_is_calibrated_as_well():
     assert_same(found.head.T_rbase_lbase, truth.T_rbase_lbase)
 
 
-def test_without_straight_gaze_there_is_no_static_stereo():
-    _, views = exact_views("2.8mm", ErrorProfile(), 0)
-    with pytest.raises(VergenceError, match=r"all eye angles within 0\.05 rad of zero"):
-        calibrate(replace(views, eye_angles=views.eye_angles + 0.5))
+def test_without_straight_gaze_the_eyes_are_related_by_what_both_see():
+    truth, views = exact_views("2.8mm", ErrorProfile(), 0)
+    moved = (np.abs(views.eye_angles) > 0.05).any(axis=1)
+    wide = {name: c[moved] for name, c in views.corners.items() if name.endswith("wide")}
+    found = calibrate(
+        replace(
+            views,
+            placement=views.placement[moved],
+            eye_angles=views.eye_angles[moved],
+            corners=wide,
+        )
+    )
+    assert found.stereo_rms_px is None
+    assert_same(found.head.T_rbase_lbase, truth.T_rbase_lbase, 1e-8)
+
+
+def test_eye_poses_take_the_place_of_angles():
+    truth, views = exact_views("2.8mm", ErrorProfile(), 0)
+    angles = views.eye_angles
+    poses = np.stack([T_base_eye(angles[:, :2]), T_base_eye(angles[:, 2:])], axis=1)
+    unknown = replace(views, eye_angles=np.full_like(angles, np.nan))
+    found = calibrate(unknown, eye_poses_read=poses)
+    assert_same(found.head.T_rbase_lbase, truth.T_rbase_lbase)
+    for name, mounted in truth.cameras.items():
+        assert_same(found.head.cameras[name].T_eye_cam, mounted.T_eye_cam)
+
+
+def test_cameras_may_have_any_names_and_an_eye_several():
+    truth, views = exact_views("2.8mm", ErrorProfile(), 0)
+    names = {"left_wide": "port", "left_narrow": "far", "right_wide": "starboard"}
+    named = replace(
+        views,
+        corners={new: views.corners[old] for old, new in names.items()},
+        sizes={new: views.sizes[old] for old, new in names.items()},
+        eyes={"port": "left", "far": "left", "starboard": "right"},
+    )
+    found = calibrate(named)
+    for old, new in names.items():
+        assert found.head.cameras[new].eye == truth.cameras[old].eye
+        assert_same(found.head.cameras[new].T_eye_cam, truth.cameras[old].T_eye_cam, 1e-8)
+    with pytest.raises(VergenceError, match="Which eye does port sit in"):
+        calibrate(replace(named, eyes={}))
+
+
+def test_a_head_may_have_one_eye():
+    truth, views = exact_views("2.8mm", ErrorProfile(), 0)
+    left = {name: c for name, c in views.corners.items() if name.startswith("left")}
+    found = calibrate(replace(views, corners=left))
+    assert_same(found.head.cameras["left_wide"].T_eye_cam, truth.cameras["left_wide"].T_eye_cam)
+    assert_same(found.head.T_rbase_lbase, np.eye(4))
 
 
 def test_without_moving_eyes_there_is_no_eye_camera_pose():

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Collection
 from dataclasses import field
 from pathlib import Path
 from typing import Literal
@@ -20,7 +21,7 @@ from vergence.arrays import Array, Matrix, Transform
 from vergence.camera import Camera
 from vergence.errors import VergenceError
 from vergence.geometry import inverse, pose
-from vergence.kinematics import EyeAxes, Neck, Side, T_base_eye, T_body_head
+from vergence.kinematics import EYES, EyeAxes, Neck, Side, T_base_eye, T_body_head
 
 
 @dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
@@ -72,6 +73,8 @@ class Accuracy:
     joint_std: tuple[float, ...] = ()
     """Noise of the readings [rad]: of all joints, or of pan and tilt; for eyes whose poses are
     given, rotation [rad] and translation [m]."""
+    eye_motion: Literal["pan-tilt", "poses"] = "pan-tilt"
+    """Whether the eyes were read as angles or as poses."""
     held_out: HeldOut | None = None
     warnings: tuple[str, ...] = ()
     """What the data could not determine, and what to record instead."""
@@ -82,10 +85,11 @@ class HeadCalibration:
     """Everything that calibration finds of a head, and nothing that only a twin could know."""
 
     cameras: dict[str, MountedCamera]
-    """By name: left_wide, left_narrow, right_wide, right_narrow (a head may have fewer). The
-    paper calls the wide camera peripheral and the narrow one foveal."""
+    """By name: left_wide, left_narrow, right_wide, right_narrow (a head may have fewer, or call
+    them otherwise). The paper calls the wide camera peripheral and the narrow one foveal."""
     T_rbase_lbase: Transform
-    """Pose of the left eye's base frame in the right one's: T_e^rl of the paper (Eq. 10)."""
+    """Pose of the left eye's base frame in the right one's: T_e^rl of the paper (Eq. 10); the
+    identity for a head of one eye."""
     axes: dict[Side, EyeAxes] = field(
         default_factory=lambda: {"left": EyeAxes(), "right": EyeAxes()}
     )
@@ -107,6 +111,25 @@ class HeadCalibration:
             known = ", ".join(self.cameras)
             raise VergenceError(f"No camera is called {name!r}; this head has: {known}.")
         return self.cameras[name]
+
+
+def main_camera(names: Collection[str], eye: Side) -> str:
+    """Return which of an eye's cameras it looks around with: its wide one, or else its first.
+
+    Args:
+        names: of the cameras of this eye, at least one.
+        eye: whose.
+    """
+    return f"{eye}_wide" if f"{eye}_wide" in names else next(iter(names))
+
+
+def main_pair(calibration: HeadCalibration) -> tuple[str, str] | None:
+    """Return the main camera of the left and of the right eye; None for a head of one eye."""
+    own = [
+        [name for name, mounted in calibration.cameras.items() if mounted.eye == eye]
+        for eye in EYES
+    ]
+    return (main_camera(own[0], "left"), main_camera(own[1], "right")) if all(own) else None
 
 
 def T_head_base(calibration: HeadCalibration, eye: Side) -> Array:

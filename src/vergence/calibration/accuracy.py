@@ -8,7 +8,7 @@ that is located at given eye angles, by what is uncertain of the calibration?
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from vergence.calibration.timing import Timing, moved_readings
 from vergence.camera import project
 from vergence.errors import VergenceError
 from vergence.geometry import inverse, transform
-from vergence.head import Accuracy, HeadCalibration, HeldOut
+from vergence.head import Accuracy, HeadCalibration, HeldOut, main_pair
 from vergence.kinematics import EYES, T_base_eye
 from vergence.uncertainty import point_covariance
 
@@ -44,12 +44,11 @@ class Observations:
 
     def take(self, rows: np.ndarray) -> Observations:
         """Return some of the views, by index or by truth."""
-        views = Views(
-            board=self.views.board,
+        views = replace(
+            self.views,
             placement=self.views.placement[rows],
             eye_angles=self.views.eye_angles[rows],
             corners={name: corners[rows] for name, corners in self.views.corners.items()},
-            sizes=self.views.sizes,
         )
         return Observations(
             views,
@@ -137,13 +136,13 @@ def _fold(
 ) -> dict[str, list[Array]]:
     """Return the errors of the views of one fold, an array of corners for each view."""
     found: dict[str, list[Array]] = {"pixels": [], "points": [], "expected": [], "distances": []}
-    for lens in ("wide", "narrow"):
-        pair = (f"left_{lens}", f"right_{lens}")
-        if not set(pair) <= set(head.cameras) & set(observations.views.corners):
-            continue
-        found["pixels"] += _transferred(head, observations, mine, pair)
-        if lens == "wide" and observations.T_base_eye is None:
-            _located(head, observations, mine, pair, found)
+    main, narrow = main_pair(head), ("left_narrow", "right_narrow")
+    if main is not None:
+        found["pixels"] += _transferred(head, observations, mine, main)
+        if observations.T_base_eye is None:
+            _located(head, observations, mine, main, found)
+    if set(narrow) <= set(head.cameras) and main != narrow:
+        found["pixels"] += _transferred(head, observations, mine, narrow)
     return found
 
 
@@ -214,7 +213,7 @@ def _located(
         # One corner of each view stands for it: a view's corners are equally far away.
         corner = [np.flatnonzero(usable[row])[usable[row].sum() // 2] for row in rows]
         left_px, right_px = (views.corners[name][rows, corner] for name in pair)
-        spread = predicted_covariance(head, left_px, right_px, angles[rows])
+        spread = predicted_covariance(head, left_px, right_px, angles[rows], cameras=pair)
         found["expected"].append(np.sqrt(np.trace(spread, axis1=1, axis2=2)))
 
 

@@ -117,6 +117,7 @@ def detect(
         eye_angles=dataset.eye_angles,
         corners=corners,
         sizes={name: (camera.width, camera.height) for name, camera in cameras.items()},
+        eyes={name: camera.eye for name, camera in cameras.items()},
     )
     failures = tuple(
         Failure(

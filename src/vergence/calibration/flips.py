@@ -24,7 +24,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.intrinsics import target_poses
-from vergence.calibration.pipeline import Views
+from vergence.calibration.pipeline import Views, eyes_of
 from vergence.calibration.robust_start import robust_park_martin
 from vergence.calibration.target import Board, Charuco, corner_points
 from vergence.camera import Camera
@@ -83,7 +83,6 @@ def repair(
     views: Views,
     lenses: Mapping[str, Camera],
     *,
-    eyes: Mapping[str, str] | None = None,
     T_base_eye_read: Array | None = None,
 ) -> Repaired:
     """Number all boards of a placement from the same end.
@@ -93,7 +92,6 @@ def repair(
     Args:
         views: corners and joint readings.
         lenses: by camera; preliminary intrinsics will do. Cameras that are not there are left.
-        eyes: by camera, which eye it sits in; None: as its name begins.
         T_base_eye_read: (V, 2, 4, 4) poses of the left and the right eye in their bases, where
             these are given instead of angles.
     """
@@ -102,11 +100,11 @@ def repair(
     unclear = {name: np.zeros(V, dtype=bool) for name in views.corners}
     if isinstance(views.board, Charuco):
         return Repaired(views, turns, unclear)
-    eyes = {name: name.partition("_")[0] for name in lenses} if eyes is None else eyes
+    eyes = eyes_of(views)
     R = _turns(views.board)
     sights = {}
     for name, lens in lenses.items():
-        e = [*EYES].index("right" if eyes[name] == "right" else "left")
+        e = EYES.index(eyes[name])
         if T_base_eye_read is None:
             T = T_base_eye(views.eye_angles[:, 2 * e : 2 * e + 2])
         else:

@@ -16,6 +16,7 @@ from vergence.arrays import Array
 from vergence.calibration import flips
 from vergence.calibration.accuracy import Observations
 from vergence.calibration.intrinsics import Intrinsics, target_poses
+from vergence.calibration.pipeline import eyes_of
 from vergence.calibration.target import corner_points
 from vergence.errors import VergenceError
 from vergence.geometry import angle, inverse, rotvec
@@ -25,7 +26,8 @@ from vergence.kinematics import EYES
 LEAST_VIEWS = 6
 """Of a board at rest, to say something about readings."""
 LEAST_TURN_RAD = 0.02
-"""Root mean square, about one axis; less is too near to the noise of readings."""
+"""Root mean square, about the second axis; less is too near to the noise of readings, and says
+nothing of one of the joints. `sufficiency` and the refinement speak of such motion."""
 FOLLOWED = 0.8
 """Part of the turns' variance that good readings explain at least: at the least turn, with noise
 of half a degree."""
@@ -64,15 +66,12 @@ class _Fit:
     """(2,) standard deviations of the readings [rad]."""
 
 
-def check_readings(
-    seen: Observations, lenses: Mapping[str, Intrinsics], eyes: Mapping[str, str]
-) -> None:
+def check_readings(seen: Observations, lenses: Mapping[str, Intrinsics]) -> None:
     """Refuse readings that the images contradict.
 
     Args:
         seen: views at rest.
         lenses: by camera.
-        eyes: by camera, which eye it sits in.
 
     Raises:
         VergenceError: says which readings, and what they seem to be.
@@ -83,7 +82,7 @@ def check_readings(
         name: target_poses(lens.camera, seen.views.corners[name], corner_points(seen.views.board))
         for name, lens in lenses.items()
     }
-    found = {}
+    found, eyes = {}, eyes_of(seen.views)
     for e, eye in enumerate(EYES):
         own = [_turns(seen, name, e, poses[name]) for name in lenses if eyes[name] == eye]
         told = [each for each in own if each is not None]
@@ -133,9 +132,9 @@ def _turns(seen: Observations, name: str, e: int, T_cam_target: Array) -> _Turns
         return None
     R = flips.nearest(T_cam_target[rows, :3, :3], seen.views.board)
     # A camera that turns by T sees a board at rest turn by its inverse.
-    turn = rotvec(R[:1] @ np.swapaxes(R, 1, 2))[:, :]
+    turn = rotvec(R[:1] @ np.swapaxes(R, 1, 2))
     turn = turn - turn.mean(axis=0)
-    if np.sqrt((turn**2).sum(axis=1).mean()) < LEAST_TURN_RAD:
+    if np.linalg.svd(turn, compute_uv=False)[1] < LEAST_TURN_RAD * np.sqrt(len(turn)):
         return None
     return _Turns(name, e, rows, turn)
 

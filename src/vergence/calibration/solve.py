@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -14,13 +14,14 @@ from vergence.arrays import Array
 from vergence.calibration import flips, pipeline, readings, sufficiency
 from vergence.calibration.accuracy import Observations, held_out
 from vergence.calibration.detect import LEAST_CORNERS, Detections, detect
-from vergence.calibration.intrinsics import LensModel, seen_corners
-from vergence.calibration.pipeline import PaperCalibration, Views
-from vergence.calibration.refine import Refined, refine
+from vergence.calibration.intrinsics import Intrinsics, LensModel, seen_corners
+from vergence.calibration.pipeline import PaperCalibration, Views, eyes_of
+from vergence.calibration.problem import POSE
+from vergence.calibration.refine import Refined, held_by_default, refine
 from vergence.dataset import Dataset
 from vergence.dataset_files import load
 from vergence.errors import VergenceError
-from vergence.head import Accuracy, HeadCalibration, HeldOut
+from vergence.head import Accuracy, HeadCalibration, HeldOut, main_pair
 
 Method = Literal["refined", "paper"]
 LEAST_VIEWS = 3
@@ -80,7 +81,7 @@ def solve(
         VergenceError: the dataset is faulty, or too poor for any answer.
     """
     dataset = load(folder)
-    _check_complete(dataset)
+    _check_rest(dataset)
     detections = detect(dataset, progress=progress)
     seen = Observations(detections.views, detections.timing, detections.T_base_eye)
     task = progress.add_task("calibrating", total=3) if progress else None
@@ -141,19 +142,19 @@ def estimate(
     still = _still(seen)
     _check_seen(seen.views, still)
     lenses = pipeline.lenses(seen.take(still).views, wide_lens=wide_lens)
-    eyes = {name: name.partition("_")[0] for name in lenses}
-    readings.check_readings(seen.take(still), lenses, eyes)
+    readings.check_readings(seen.take(still), lenses)
     repaired = flips.repair(
         seen.views,
         {name: each.camera for name, each in lenses.items()},
         T_base_eye_read=seen.T_base_eye,
     )
     seen = replace(seen, views=repaired.views)
-    sufficiency.check_motion(seen.take(still), lenses, eyes)
-    start = pipeline.calibrate(seen.take(still).views, intrinsics=lenses)
+    sufficiency.check_motion(seen.take(still), lenses)
+    start = paper(seen, wide_lens, lenses)
     done()
     refined = _refined(start.head, seen)
     done()
+    motion = "pan-tilt" if seen.T_base_eye is None else "poses"
     if method == "paper":
         head, accuracy = start.head, Accuracy(method="paper")
         focal = {name: each.focal_std_px for name, each in lenses.items()}
@@ -167,7 +168,7 @@ def estimate(
     doubts = (*readings.doubts(head), *sufficiency.doubts(seen, head, focal))
     said = (*flips.warnings(repaired), *doubts, *refined.warnings)
     return Answer(
-        replace(head, accuracy=replace(accuracy, warnings=said)),
+        replace(head, accuracy=replace(accuracy, eye_motion=motion, warnings=said)),
         start,
         refined if method == "refined" else None,
         seen,
@@ -175,18 +176,7 @@ def estimate(
     )
 
 
-def _check_complete(dataset: Dataset) -> None:
-    absent = {"left_wide", "right_wide"} - set(dataset.files)
-    if absent:
-        raise VergenceError(
-            f"{dataset.folder} has no camera {' and no '.join(sorted(absent))}; the paper's "
-            "method, from which the calibration starts, needs a wide camera in each eye."
-        )
-    if dataset.T_base_eye is not None:
-        raise VergenceError(
-            f"{dataset.folder} gives poses of the eyes; the paper's method, from which the "
-            "calibration starts, needs pan and tilt. In Python, refine takes poses and a start."
-        )
+def _check_rest(dataset: Dataset) -> None:
     if dataset.moving.all():
         raise VergenceError(
             f"{dataset.folder} has moving rows only; the calibration starts from views in which "
@@ -205,20 +195,43 @@ def _check_seen(views: Views, still: np.ndarray) -> None:
             )
 
 
-def paper(seen: Observations, wide_lens: LensModel) -> PaperCalibration:
-    """Return the paper's calibration from the views in which the eyes stood still."""
-    return pipeline.calibrate(seen.take(_still(seen)).views, wide_lens=wide_lens)
+def paper(
+    seen: Observations, wide_lens: LensModel, lenses: Mapping[str, Intrinsics] | None = None
+) -> PaperCalibration:
+    """Return the paper's calibration from the views in which the eyes stood still.
+
+    Args:
+        seen: all views.
+        wide_lens: see solve.
+        lenses: of these views, where they are known.
+    """
+    rest = seen.take(_still(seen))
+    return pipeline.calibrate(
+        rest.views, wide_lens=wide_lens, intrinsics=lenses, eye_poses_read=rest.T_base_eye
+    )
 
 
 def _still(seen: Observations) -> np.ndarray:
     """Return (V,) in which views the eyes stood still."""
-    if seen.timing is None:
-        return np.ones(len(seen.views.placement), bool)
-    return seen.timing.run == 0
+    return np.ones(len(seen.views.placement), bool) if seen.timing is None else seen.timing.run == 0
 
 
 def _refined(start: HeadCalibration, seen: Observations) -> Refined:
-    return refine(start, seen.views, timing=seen.timing, eye_poses_read=seen.T_base_eye)
+    return refine(
+        start,
+        seen.views,
+        timing=seen.timing,
+        eye_poses_read=seen.T_base_eye,
+        hold=_held(start, seen),
+    )
+
+
+def _held(start: HeadCalibration, seen: Observations) -> set[str]:
+    """Return what is not estimated: with one eye, where the other one is."""
+    held = held_by_default(start, timed=seen.timing is not None)
+    if main_pair(start) is None:
+        held |= {f"T_rbase_lbase.{name}" for name in POSE}
+    return held
 
 
 def again(whole: Refined, part: Observations) -> HeadCalibration:
@@ -232,6 +245,7 @@ def again(whole: Refined, part: Observations) -> HeadCalibration:
             part.views,
             timing=part.timing,
             eye_poses_read=part.T_base_eye,
+            hold=_held(whole.head, part),
             pixel_std_px=whole.pixel_std_px,
             joint_std=told,
         )
@@ -270,6 +284,8 @@ def _checked(
         found = held_out(seen, calibrate)
     except VergenceError as error:
         return None, (f"There is no held-out error: {error}",)
+    if not found.transfer_views and len(set(eyes_of(seen.views).values())) > 1:
+        return found, ("There is no held-out error: no view shows the board to both eyes.",)
     if found.scatter is not None and found.scatter > MOST_SCATTER:
         return found, (
             f"Calibrations from parts of the views scatter {found.scatter:.1f} times as much as "

@@ -15,6 +15,7 @@ from vergence.arrays import Array
 from vergence.calibration.accuracy import Observations
 from vergence.calibration.advice import ADVISED
 from vergence.calibration.intrinsics import Intrinsics, target_poses
+from vergence.calibration.pipeline import eyes_of
 from vergence.calibration.target import corner_points
 from vergence.errors import VergenceError
 from vergence.geometry import rotvec
@@ -31,20 +32,17 @@ FOCAL_PART = 0.004
 SLANT = "slant the board by 20 to 40 degrees, in different directions"
 
 
-def check_motion(
-    seen: Observations, lenses: Mapping[str, Intrinsics], eyes: Mapping[str, str]
-) -> None:
+def check_motion(seen: Observations, lenses: Mapping[str, Intrinsics]) -> None:
     """Refuse eyes that turn too little, or about one axis only, before each board at rest.
 
     Args:
         seen: views at rest, all numbered from the same end.
         lenses: by camera.
-        eyes: by camera, which eye it sits in.
 
     Raises:
         VergenceError: names what is not observable, and what to move by how much.
     """
-    said = []
+    said, eyes = [], eyes_of(seen.views)
     for e, eye in enumerate(EYES):
         found = {}
         for name in lenses:

@@ -17,7 +17,7 @@ from vergence.calibration.parameters import values_of, without_offsets
 from vergence.calibration.solve import Solved
 from vergence.camera import project
 from vergence.geometry import inverse, transform
-from vergence.head import HeadCalibration, T_base_cam, write_whole
+from vergence.head import HeadCalibration, T_base_cam, main_pair, write_whole
 from vergence.kinematics import EYES
 from vergence.uncertainty import point_covariance
 
@@ -55,7 +55,13 @@ def verdict(solved: Solved) -> tuple[str, str]:
                 f"Next: held-out points are {ratio:.1f} times as wrong as the noise explains; look "
                 "for backlash, a board that moved or bends, and time stamps of moving eyes.",
             )
-    for distance, by_calibration, by_reading in distances(solved.head):
+    table = distances(solved.head)
+    if not table:
+        return "UNKNOWN", (
+            "Next: look at the standard deviations; the accuracy of a point is stated for heads of "
+            "two eyes that pan and tilt."
+        )
+    for distance, by_calibration, by_reading in table:
         if by_calibration > max(PART * by_reading, SMALL * 1e3 * distance):
             return "FAIR", (
                 f"Next: record more views, or larger eye motion; at {distance:g} m the calibration "
@@ -69,16 +75,17 @@ def distances(head: HeadCalibration) -> list[tuple[float, float, float]]:
     """Return at some distances what the calibration and what a reading adds to a point [mm].
 
     Root mean square over a motion: both eyes fixate a point while the gaze goes round. Empty
-    where the head states no covariance, or has not a wide camera in each eye.
+    where the head states no covariance, has one eye, or eyes that do not pan and tilt.
     """
-    accuracy = head.accuracy
-    pair = ("left_wide", "right_wide")
-    if accuracy is None or not accuracy.parameters or not set(pair) <= set(head.cameras):
+    accuracy, pair = head.accuracy, main_pair(head)
+    if accuracy is None or not accuracy.parameters or pair is None:
+        return []
+    if accuracy.eye_motion == "poses":
         return []
     rows = []
     for distance in DISTANCES_M:
-        pixels_l, pixels_r, angles = motion(head, distance)
-        of_head = calibration_covariance(head, pixels_l, pixels_r, angles)
+        pixels_l, pixels_r, angles = motion(head, distance, pair)
+        of_head = calibration_covariance(head, pixels_l, pixels_r, angles, cameras=pair)
         of_reading = point_covariance(
             head,
             pixels_l,
@@ -86,6 +93,7 @@ def distances(head: HeadCalibration) -> list[tuple[float, float, float]]:
             angles,
             pixel_std_px=accuracy.pixel_std_px or 0.0,
             joint_std_rad=np.tile(accuracy.joint_std, 4)[:4],
+            cameras=pair,
         )
         both = (
             1e3 * float(np.sqrt(np.trace(each, axis1=1, axis2=2).mean()))
@@ -95,7 +103,9 @@ def distances(head: HeadCalibration) -> list[tuple[float, float, float]]:
     return rows
 
 
-def motion(head: HeadCalibration, distance_m: float) -> tuple[Array, Array, Array]:
+def motion(
+    head: HeadCalibration, distance_m: float, pair: tuple[str, str]
+) -> tuple[Array, Array, Array]:
     """Return pixels and readings (8, 2), (8, 2), (8, 4) of a point ahead while the gaze circles.
 
     Both eyes turn by 0.2 rad, in the same sense; the point stays in the middle of the head.
@@ -108,8 +118,8 @@ def motion(head: HeadCalibration, distance_m: float) -> tuple[Array, Array, Arra
     pixels = []
     for k, eye in enumerate(EYES):
         in_base = point if eye == "left" else transform(plain.T_rbase_lbase, point)
-        T = T_base_cam(plain, f"{eye}_wide", angles[:, 2 * k : 2 * k + 2])
-        camera = plain.cameras[f"{eye}_wide"].intrinsics
+        T = T_base_cam(plain, pair[k], angles[:, 2 * k : 2 * k + 2])
+        camera = plain.cameras[pair[k]].intrinsics
         pixels.append(project(camera, transform(inverse(T), in_base[None])))
     return pixels[0], pixels[1], angles
 
