@@ -196,7 +196,7 @@ def foveate(
         trials: How many objects.
         seed: Of everything random.
         profile: Error profile: ideal, paper, noise-only, or a TOML file.
-        out: Folder for foveate.json.
+        out: Folder for foveate.json, the recording foveate.rrd of the first ten, and depth.png.
         json: File for the summary.
     """
     from dataclasses import asdict
@@ -211,6 +211,8 @@ def foveate(
             trials=trials, seed=seed, profile=chosen, out=out, done=lambda: progress.advance(task)
         )
     _summarise(asdict(found), json)
+    if out is not None:
+        print(f"To look at it: rerun {out / 'foveate.rrd'}", file=sys.stderr)
 
 
 def track(
@@ -227,7 +229,7 @@ def track(
         seconds: Length of the run [s].
         seed: Of everything random.
         profile: Error profile: ideal, paper, noise-only, or a TOML file.
-        out: Folder for track.json.
+        out: Folder for track.json and the recording track.rrd.
         json: File for the summary.
     """
     from dataclasses import asdict
@@ -238,6 +240,8 @@ def track(
     _summarise(
         asdict(run(seconds=seconds, seed=seed, profile=load_profile(profile), out=out)), json
     )
+    if out is not None:
+        print(f"To look at it: rerun {out / 'track.rrd'}", file=sys.stderr)
 
 
 def grasp(
