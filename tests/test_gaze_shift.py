@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 
 from vergence.arrays import Array
-from vergence.experiments.gaze_shift import ANGLE_RAD, DISTANCE_M, EACH_S, _judged, objects
+from vergence.experiments.gaze_shift import (
+    ANGLE_RAD,
+    DISTANCE_M,
+    EACH_S,
+    _judged,
+    number_at,
+    objects,
+)
 from vergence.motion import Limits
 
 TIME: Array = np.arange(0, 2 * EACH_S - 0.05, 0.1).astype(float)
@@ -61,3 +68,8 @@ def test_a_joint_beyond_its_range_is_found():
     angles[-3, 3] = Limits().range_rad[3, 1] + 0.01
     found = _judged(Limits(), TIME, np.zeros(len(TIME)), angles, 1, 0.7)
     assert found.beyond_rad == pytest.approx(0.01)
+
+
+def test_the_change_falls_into_one_frame_whatever_the_rounding():
+    times = 21 * EACH_S + np.array([-1e-3, -1e-9, 0, 1e-9])
+    assert number_at(times).tolist() == [20, 21, 21, 21]

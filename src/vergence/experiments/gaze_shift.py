@@ -67,6 +67,11 @@ def _angle(a: Array, b: Array) -> float:
     return float(np.arccos(a @ b / np.linalg.norm(a) / np.linalg.norm(b)))
 
 
+def number_at(time_s: float | Array) -> Array:
+    """Return which object stands there at times (...), by one rule however times are rounded."""
+    return np.floor(np.round(np.asarray(time_s, float) / EACH_S, 6))
+
+
 def shift_gaze(twin: Twin, settings: Settings, run: int, places_head: Array) -> list[Shift]:
     """Show objects one after the other; return what each change but the first came to.
 
@@ -79,7 +84,7 @@ def shift_gaze(twin: Twin, settings: Settings, run: int, places_head: Array) -> 
     places = transform(inverse(T_head_base(twin.truth, "left")), places_head)
 
     def path(time_s: float) -> Array:
-        return places[min(int(time_s / EACH_S), len(places) - 1)]
+        return places[min(int(number_at(time_s)), len(places) - 1)]
 
     head = TwinHead(twin, run, path, limits=settings.limits)
     times: list[float] = []
@@ -106,7 +111,7 @@ def _judged(
 ) -> Shift:
     """Return what became of the object of a number, from the course of the whole run."""
     turning = np.abs(np.gradient(angle[:, NECK], time, axis=0)).max(axis=1) > TURNING_RAD_S
-    here = np.floor(time / EACH_S + 1e-9) == number
+    here = number_at(time) == number
     reached = np.flatnonzero(here & (error < SETTLED_PX))
     after = here & (time >= (time[reached[0]] if len(reached) else np.inf))
     lower, upper = limits.range_rad.T
