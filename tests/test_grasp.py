@@ -1,6 +1,7 @@
 """Grasping on the twin, with its physics and its renders; the calibration is given, not made."""
 
 import json
+import runpy
 import sys
 from collections.abc import Callable
 from itertools import pairwise
@@ -29,6 +30,8 @@ from vergence.sphere import find_sphere
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
 
+ROOT = Path(__file__).parents[1]
+
 
 def test_the_hand_closes_on_the_object_though_joints_and_arm_are_wrong(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
@@ -43,18 +46,36 @@ def test_the_hand_closes_on_the_object_though_joints_and_arm_are_wrong(
 
     monkeypatch.setattr(module, "calibrated", given)
     monkeypatch.setattr(module, "held_out", near)
-    arguments = ["grasp", "--trials", "1", "--profile", "paper", "--seed", "1"]
-    places = ["--out", str(tmp_path), "--json", str(tmp_path / "summary.json")]
-    monkeypatch.setattr(sys, "argv", ["vergence", *arguments, *places])
-    cli.main()
-    capsys.readouterr()
-    found = json.loads((tmp_path / "summary.json").read_text())
-    assert found == json.loads((tmp_path / "grasp.json").read_text())
+    scenario = runpy.run_path(str(ROOT / "scenarios" / "grasp.py"))
+    scenario["main"](out=tmp_path, profile="paper", seed=1, trials=1)
+    assert "within 10 mm of the centre: 100% of 1" in capsys.readouterr().out
+    found = json.loads((tmp_path / "grasp.json").read_text())
     assert (tmp_path / "grasp.rrd").stat().st_size > 10_000
     assert found["trials"] == found["held"] == 1
     assert found["within"] == 1.0
     assert found["worst_mm"] < 1e3 * WITHIN_M
     assert found["unaided_median_mm"] > 1.5 * found["worst_mm"]
+
+
+def test_the_command_line_prints_and_writes_the_summary(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+):
+    made = [module.Trial(Phase.HELD, 4.0, 0.002, 0.03, tuple(sights(1.0)))]
+    asked: list[dict[str, object]] = []
+
+    def given(**arguments: object) -> tuple[module.Summary, list[module.Trial]]:
+        asked.append(arguments)
+        return summary(made), made
+
+    monkeypatch.setattr(module, "grasp", given)
+    arguments = ["--trials", "7", "--seed", "3", "--json", str(tmp_path / "summary.json")]
+    monkeypatch.setattr(sys, "argv", ["vergence", "grasp", *arguments, "--out", str(tmp_path)])
+    cli.main()
+    printed = json.loads(capsys.readouterr().out)
+    assert printed == json.loads((tmp_path / "summary.json").read_text())
+    assert (asked[0]["trials"], asked[0]["seed"], asked[0]["out"]) == (7, 3, tmp_path)
+    assert printed["median_mm"] == pytest.approx(2.0)
+    assert set(printed["by_distance"][0]) >= {"from_m", "to_m", "depth_scatter_mm", "eq20_mm"}
 
 
 def test_hand_and_marker_are_drawn_where_they_are():
@@ -175,5 +196,5 @@ def test_what_cannot_be_is_refused(trials: int, seed: int):
 
 
 def test_the_scenario_names_its_own_command():
-    text = (Path(__file__).parents[1] / "scenarios" / "grasp.py").read_text()
+    text = (ROOT / "scenarios" / "grasp.py").read_text()
     assert "python scenarios/grasp.py" in text
