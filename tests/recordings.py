@@ -7,8 +7,11 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pytest
 
 from vergence.calibration.target import Charuco, Chessboard, opencv_board
+from vergence.dataset_files import load
+from vergence.errors import VergenceError
 
 CHESSBOARD = Chessboard(columns=6, rows=5, square_m=0.03)
 CHARUCO = Charuco(squares_x=6, squares_y=5, square_m=0.03, marker_m=0.022, dictionary="DICT_4X4_50")
@@ -141,3 +144,35 @@ def seen_dataset(
                 images[row[camera]], corners[row[camera]] = picture(board, H, (280, 240))
     write_dataset(folder, table, description(board, (280, 240)), images)
     return corners
+
+
+def change_about(folder: Path, change: dict[str, Any]) -> None:
+    """Change fields of dataset.json; a dotted name reaches inside, None removes."""
+    about = json.loads((folder / "dataset.json").read_text())
+    for name, value in change.items():
+        *path, last = name.split(".")
+        inside = about
+        for part in path:
+            inside = inside[part]
+        if value is None:
+            del inside[last]
+        else:
+            inside[last] = value
+    (folder / "dataset.json").write_text(json.dumps(about))
+
+
+def change_cell(folder: Path, row: int, column: str, value: str) -> None:
+    """Change a cell of a small dataset's frames.csv."""
+    table = rows(4)
+    table[row][column] = value
+    write_table(folder, table)
+
+
+def refusal(folder: Path) -> str:
+    """Return the one sentence in which loading a dataset ends."""
+    with pytest.raises(VergenceError) as refused:
+        load(folder)
+    message = str(refused.value)
+    assert "\n" not in message
+    assert message.endswith(".")
+    return message

@@ -1,18 +1,25 @@
 """Heads that are not built like this project's: one eye, other names, poses, no straight gaze."""
 
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from observed import Recording, as_poses, head, observe
+from observed import BOARD, Recording, as_poses, head, observe
+from recordings import description, write_dataset
+from vergence import cli
+from vergence.calibration import solve as solving
 from vergence.calibration.accuracy import Observations
+from vergence.calibration.detect import Detections
 from vergence.calibration.parameters import difference
 from vergence.calibration.solve import Answer, Method, answer, estimate
+from vergence.dataset import Dataset, pose_columns
 from vergence.errors import VergenceError
 from vergence.geometry import pose
-from vergence.head import HeadCalibration, main_pair
-from vergence.kinematics import Side
+from vergence.head import HeadCalibration, load, main_pair
+from vergence.kinematics import EYE_JOINTS, EYES, Side
 
 QUIET = Recording(reach_rad=(0.3, 0.3), joint_std_rad=np.radians(0.05))
 METHODS: tuple[Method, ...] = ("refined", "paper")
@@ -128,3 +135,55 @@ def test_eyes_that_never_see_one_board_together_are_refused():
     corners["right_wide"][1::2] = np.nan
     with pytest.raises(VergenceError, match="T_rbase_lbase is not observable: no view shows the"):
         estimate(replace(seen, views=replace(seen.views, corners=corners)))
+
+
+def write_folder(folder: Path, seen: Observations, eyes: dict[str, Side]) -> None:
+    """Write a dataset of these cameras whose images show nothing."""
+    views = seen.views
+    about = description(BOARD, (640, 480)) | {
+        "cameras": {name: {"eye": eye, "width": 640, "height": 480} for name, eye in eyes.items()}
+    }
+    poses = seen.T_base_eye
+    if poses is not None:
+        about |= {"joints": {}, "eye_motion": "poses"}
+    table = []
+    for v, placement in enumerate(views.placement):
+        row = {"time_s": v + 1.0, "joint_time_s": v + 1.0, "placement": placement}
+        if poses is None:
+            row |= dict(zip(EYE_JOINTS, views.eye_angles[v].tolist(), strict=True))
+        else:
+            for k, eye in enumerate(EYES):
+                columns = pose_columns(eye)
+                row |= dict(zip(columns, poses[v, k].ravel().tolist(), strict=True))
+        table.append(row | {name: f"images/{name}_{v}.png" for name in eyes})
+    images = {row[name]: np.zeros((1, 1), np.uint8) for row in table for name in eyes}
+    write_dataset(folder, table, about, images)
+
+
+@pytest.mark.parametrize("poses", [False, True])
+def test_other_heads_go_all_the_way_from_a_folder_to_a_report(
+    poses: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+):
+    truth, seen = recorded(9)
+    eyes: dict[str, Side] = {"port": "left", "starboard": "right"}
+    seen = only(seen, {"left_wide": "port", "right_wide": "starboard"}, eyes)
+    seen = as_poses(seen) if poses else seen
+    write_folder(tmp_path / "set", seen, eyes)
+    # Corners as if they had been found.
+    found = Detections(seen.views, None, seen.T_base_eye, (), ())
+    monkeypatch.setattr(solving, "detect", lambda *_, **__: found)
+    monkeypatch.setattr(Dataset, "image", lambda *_: np.zeros((480, 640, 3), np.uint8))
+    out, report = tmp_path / "head.json", tmp_path / "report"
+    arguments = [tmp_path / "set", "--out", out, "--report", report]
+    monkeypatch.setattr(sys, "argv", ["vergence", "calibrate", *map(str, arguments)])
+    cli.main()
+    printed = capsys.readouterr().out
+    assert printed.startswith("UNKNOWN" if poses else ("GOOD", "FAIR"))
+    assert ("mm in eye poses" in printed) == poses
+    assert (report / "report.md").read_text().startswith("# Calibration")
+    calibrated = load(out)
+    assert main_pair(calibrated) == ("port", "starboard")
+    assert calibrated.accuracy is not None
+    assert calibrated.accuracy.eye_motion == ("poses" if poses else "pan-tilt")
+    off = calibrated.T_rbase_lbase[:3, 3] - truth.T_rbase_lbase[:3, 3]
+    assert np.abs(off).max() < 0.004

@@ -6,6 +6,7 @@ module says what it holds; `dataset_files` reads and writes it.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass as plain_dataclass
 from dataclasses import field
@@ -24,8 +25,6 @@ from vergence.errors import VergenceError
 from vergence.head import Side
 from vergence.kinematics import EYE_JOINTS, EYES, NECK_JOINTS
 
-CAMERAS = tuple(f"{eye}_{lens}" for eye in EYES for lens in ("wide", "narrow"))
-
 
 def _one_of(names: tuple[str, ...]) -> AfterValidator:
     def check(name: str) -> str:
@@ -36,7 +35,16 @@ def _one_of(names: tuple[str, ...]) -> AfterValidator:
     return AfterValidator(check)
 
 
-CameraName = Annotated[str, _one_of(CAMERAS)]
+def _plain(name: str) -> str:
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,63}", name) or name in EYES:
+        raise ValueError(
+            "a camera's name begins with a letter, has letters, digits, - and _, and is not the "
+            "name of an eye"
+        )
+    return name
+
+
+CameraName = Annotated[str, AfterValidator(_plain)]
 JointName = Annotated[str, _one_of((*EYE_JOINTS, *NECK_JOINTS))]
 
 DESCRIPTION, FRAMES = "dataset.json", "frames.csv"
@@ -110,10 +118,11 @@ class Description:
         if not self.cameras:
             raise ValueError("cameras is empty; a dataset has at least one")
         for name, camera in self.cameras.items():
-            if not name.startswith(camera.eye):
+            side = name.partition("_")[0]
+            if side in EYES and side != camera.eye:
                 raise ValueError(
-                    f"cameras.{name}.eye is {camera.eye!r}; {name} sits in the "
-                    f"{name.partition('_')[0]} eye: are left and right exchanged?"
+                    f"cameras.{name}.eye is {camera.eye!r}; {name} sits in the {side} eye: are "
+                    "left and right exchanged?"
                 )
             known = camera.intrinsics
             if known and (known.width, known.height) != (camera.width, camera.height):
@@ -141,7 +150,12 @@ class Description:
         missing = [name for name in wanted if name not in self.joints]
         if self.eye_motion == "pan-tilt" and missing:
             raise ValueError(f"joints.{missing[0]} is missing; that eye has a camera")
-        reserved = {TIME, JOINT_TIME, PLACEMENT, MOVING, *CAMERAS}
+        reserved = {TIME, JOINT_TIME, PLACEMENT, MOVING, *self.cameras}
+        taken = {TIME, JOINT_TIME, PLACEMENT, MOVING} & set(self.cameras)
+        if self.eye_motion == "poses":
+            taken |= {name for eye in EYES for name in pose_columns(eye)} & set(self.cameras)
+        if taken:
+            raise ValueError(f"no camera can be called {min(taken)}, which is another column")
         for name, joint in self.joints.items():
             if joint.column in reserved or not joint.column.strip():
                 raise ValueError(

@@ -1,0 +1,242 @@
+"""Datasets that are not in order end in one sentence, whatever is wrong with them."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from recordings import (
+    change_about,
+    change_cell,
+    refusal,
+    rows,
+    small_dataset,
+    write_table,
+)
+from vergence.dataset_files import load
+from vergence.errors import VergenceError
+from vergence.kinematics import EYE_JOINTS
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    small_dataset(tmp_path / "set")
+    return tmp_path / "set"
+
+
+@pytest.mark.parametrize(
+    ("row", "column", "value", "sentence"),
+    [
+        (1, "time_s", "10", "line 3: time_s = 10 repeats that of line 2"),
+        (2, "time_s", "9.5", "line 4: time_s = 9.5 is earlier than that of line 3"),
+        (2, "joint_time_s", "10.51", "line 4: joint_time_s = 10.51 repeats"),
+        (0, "joint_time_s", "7.5", "line 2: time_s and joint_time_s lie 2.5 s apart"),
+        (1, "time_s", "", "line 3: time_s is blank"),
+        (1, "time_s", "1_0.5", "line 3: time_s is '1_0.5', not a number"),
+        (1, "left_pan", "nan", "line 3: left_pan is nan; every number is finite"),
+        (1, "left_pan", "-Infinity", "line 3: left_pan is -Infinity"),
+        (1, "left_pan", "1e999", "line 3: left_pan is '1e999'"),
+        (1, "left_pan", "0,2", "line 3: left_pan is '0,2', not a number such as 0.25"),
+        (3, "left_tilt", "17.2", "half a turn; if it is in degrees, set joints.left_tilt.unit"),
+        (1, "placement", "-1", "line 3: placement is '-1'; it is blank or a whole number"),
+        (1, "placement", "1.5", "line 3: placement is '1.5'"),
+        (1, "left_wide", "images/left_0.png", "is also the image of left_wide in line 2"),
+        (1, "left_wide", "images/../images/left_0.png", "is also the image of left_wide in line 2"),
+        (1, "left_wide", "images/none.png", "line 3: left_wide: 'images/none.png': there is no"),
+        (1, "left_wide", "images", "line 3: left_wide: 'images': there is no such file"),
+        (1, "left_wide", "../secret.png", "'../secret.png' leads out of the dataset's folder"),
+        (1, "left_wide", "/etc/passwd", "'/etc/passwd' leads out of the dataset's folder"),
+        (1, "left_wide", "a\0b", "is not a possible file name"),
+        (1, "left_wide", "x" * 5000, "is not a possible file name"),
+    ],
+)
+def test_a_bad_cell_is_named_by_its_line(folder, row, column, value, sentence):
+    (folder.parent / "secret.png").write_bytes(b"")
+    change_cell(folder, row, column, value)
+    assert sentence in refusal(folder)
+
+
+def test_links_that_leave_the_folder_are_refused(folder):
+    (folder.parent / "secret.png").write_bytes(b"")
+    (folder / "images" / "left_0.png").unlink()
+    (folder / "images" / "left_0.png").symlink_to(folder.parent / "secret.png")
+    assert "leads out of the dataset's folder" in refusal(folder)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"format": "vergence-dataset-9"}, "format: Input should be 'vergence-dataset-1'"),
+        ({"cameras": None}, "cameras: Field required"),
+        ({"cameras": {}}, "cameras is empty"),
+        ({"cameras.left_wide.width": 0}, "cameras.left_wide.width: Input should be greater"),
+        ({"cameras.left_wide.width": "32"}, "cameras.left_wide.width: Input should be a valid int"),
+        ({"cameras.left_wide.eye": "right"}, "are left and right exchanged?"),
+        ({"cameras.left_wide.eye": "middle"}, "cameras.left_wide.eye: Input should be 'left' or"),
+        ({"cameras.cam 0": {"eye": "left", "width": 1, "height": 1}}, "a camera's name begins"),
+        ({"cameras.left": {"eye": "left", "width": 1, "height": 1}}, "is not the name of an eye"),
+        ({"cameras.time_s": {"eye": "left", "width": 1, "height": 1}}, "called time_s, which is"),
+        ({"cameras.left_wide.colour": True}, "cameras.left_wide.colour: Unexpected keyword"),
+        ({"board.kind": None}, "board: Unable to extract tag"),
+        ({"board.columns": 2}, "count inner corners, 3 to 100 each; found 2 x 5"),
+        ({"board.square_m": 30}, "board.square_m is 30.0 m"),
+        ({"board.square_m": 0}, "board.square_m: Input should be greater than 0"),
+        ({"joints.left_pan": None}, "joints.left_pan is missing; that eye has a camera"),
+        ({"joints.left_pan.unit": "degrees"}, "joints.left_pan.unit: Input should be 'rad' or"),
+        ({"joints.left_pan.unit": None}, "joints.left_pan.unit: Field required"),
+        ({"joints.left_pan.sign": 0.5}, "joints.left_pan.sign: Input should be 1 or -1"),
+        ({"joints.left_pan.column": "time_s"}, "not the name of a column of joint readings"),
+        ({"joints.jaw": {"column": "jaw", "unit": "rad"}}, "expected one of left_pan"),
+        ({"eye_motion": "poses"}, "eye_motion is poses, but joints has left_pan"),
+        (
+            {
+                "cameras.left_wide.intrinsics": {
+                    "width": 64,
+                    "height": 24,
+                    "matrix": [[20, 0, 15], [0, 20, 11], [0, 0, 1]],
+                }
+            },
+            "has images of 32 x 24, but its intrinsics are of 64 x 24",
+        ),
+    ],
+)
+def test_a_bad_field_is_named(folder, change, sentence):
+    change_about(folder, change)
+    assert sentence in refusal(folder)
+
+
+@pytest.mark.parametrize("column", ["time_s", "joint_time_s", "placement", "left_pan", "left_wide"])
+def test_a_missing_column_is_named(folder, column):
+    table = rows(4)
+    for row in table:
+        del row[column]
+    write_table(folder, table)
+    assert f"the column {column!r} is missing; found" in refusal(folder)
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        (b"", "is empty; its first line names the columns"),
+        (b"time_s,time_s\n1,2\n", "the column 'time_s' stands there twice"),
+        (b"time_s;joint_time_s\n1;2\n", "separated by semicolons"),
+        (b"time_s,\xff\n", "is not a CSV file in UTF-8"),
+        (b'time_s\n"1', "is not a CSV file in UTF-8"),
+        (b"time_s,joint_time_s\n", "has no frames, only a header"),
+        (b"time_s,joint_time_s\n1\n", "line 2: found 1 fields for 2 columns"),
+    ],
+)
+def test_a_table_that_is_none_is_refused(folder, content, sentence):
+    (folder / "frames.csv").write_bytes(content)
+    assert sentence in refusal(folder)
+
+
+@pytest.mark.parametrize(
+    "content", ["", "{", "[]", '"x"', '{"note": "a", "note": "b"}', "[" * 20_000, "\xff"]
+)
+def test_a_description_that_is_none_is_refused(folder, content):
+    (folder / "dataset.json").write_text(content, encoding="latin-1")
+    assert "dataset.json" in refusal(folder)
+
+
+def test_what_is_missing_is_named(tmp_path, folder):
+    assert "There is no dataset folder" in refusal(tmp_path / "none")
+    (folder / "frames.csv").unlink()
+    assert "There is no frames.csv in" in refusal(folder)
+    (folder / "dataset.json").unlink()
+    assert "There is no dataset.json in" in refusal(folder)
+
+
+def test_a_neck_that_moves_while_the_board_is_said_to_rest_is_noticed(folder):
+    change_about(folder, {"joints.neck_pitch": {"column": "pitch", "unit": "rad"}})
+    table = [row | {"pitch": 0.05 * k, "placement": 3} for k, row in enumerate(rows(3))]
+    write_table(folder, table)
+    assert "line 3: neck_pitch has moved by 0.050 rad since line 2" in refusal(folder)
+
+
+@pytest.mark.parametrize(
+    ("unit", "value", "remark"),
+    [("rad", 2.5, "is its unit deg?"), ("deg", 0.4, "are these radians?")],
+)
+def test_angles_that_look_like_another_unit_are_remarked(folder, unit, value, remark):
+    change_about(folder, {"joints.left_pan.unit": unit})
+    change_cell(folder, 2, "left_pan", str(value))
+    remarks = load(folder).remarks
+    assert len(remarks) == 1
+    assert remark in remarks[0]
+    assert "left_pan" in remarks[0]
+
+
+CELLS = st.one_of(
+    st.text(max_size=12),
+    st.floats().map(repr),
+    st.integers().map(str),
+    st.sampled_from(["", "images/left_0.png", "../x", "1e5", "0.1", "nan", "images/", "é\u0660"]),
+)
+
+
+@given(data=st.data())
+def test_no_damage_to_the_table_is_met_with_a_traceback(data, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("set") / "set"
+    small_dataset(folder)
+    table = [list(rows(4)[0])] + [[str(cell) for cell in row.values()] for row in rows(4)]
+    for _ in range(data.draw(st.integers(1, 3))):
+        k = data.draw(st.integers(0, len(table) - 1))
+        c = data.draw(st.integers(0, len(table[k]) - 1))
+        how = data.draw(st.sampled_from(["cell", "drop", "swap", "double", "shorten"]))
+        if how == "cell":
+            table[k][c] = data.draw(CELLS)
+        elif how == "drop" and len(table) > 1:
+            del table[k]
+        elif how == "swap":
+            table[k], table[-1] = table[-1], table[k]
+        elif how == "double":
+            table.insert(k, list(table[k]))
+        elif how == "shorten" and len(table[k]) > 1:
+            del table[k][c]
+    with (folder / "frames.csv").open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows(table)
+    loads_or_refuses(folder)
+
+
+@given(text=st.text(max_size=40), where=st.floats(0, 1), cut=st.integers(0, 30))
+def test_no_damage_to_the_description_is_met_with_a_traceback(text, where, cut, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("set") / "set"
+    small_dataset(folder)
+    about = (folder / "dataset.json").read_text()
+    at = int(where * len(about))
+    damaged = about[:at] + text + about[at + cut :]
+    (folder / "dataset.json").write_bytes(damaged.encode("utf-8", errors="replace"))
+    loads_or_refuses(folder)
+
+
+def loads_or_refuses(folder: Path) -> None:
+    """Check that what loads is what stands there, and that nothing but VergenceError refuses."""
+    try:
+        dataset = load(folder)
+    except VergenceError as error:
+        message = str(error)
+        dataset = None
+    else:
+        message = ""
+    assert "\n" not in message
+    if dataset is None:
+        return
+    with (folder / "frames.csv").open(encoding="utf-8", newline="") as file:
+        table = [row for row in csv.DictReader(file) if any(v.strip() for v in row.values())]
+    assert len(dataset) == len(table)
+    assert (np.diff(dataset.time_s) > 0).all()
+    assert np.isfinite(dataset.eye_angles).all()
+    assert (np.abs(dataset.eye_angles) <= np.pi).all()
+    joints = dataset.description.joints
+    for k, row in enumerate(table):
+        cells = {name.strip(): cell.strip() for name, cell in row.items()}
+        assert dataset.time_s[k] == float(cells["time_s"])
+        for j, name in enumerate(EYE_JOINTS):
+            if name in joints:
+                read = float(cells[joints[name].column])
+                angle = np.radians(read) if joints[name].unit == "deg" else read
+                assert dataset.eye_angles[k, j] == joints[name].sign * angle

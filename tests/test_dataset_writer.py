@@ -1,0 +1,123 @@
+"""Datasets that are written: what stands there is what was meant, or nothing is."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from heads import random_pose
+from recordings import (
+    CHARUCO,
+    small_dataset,
+)
+from vergence.dataset import (
+    DatasetCamera,
+    DatasetJoint,
+    Description,
+    Frame,
+)
+from vergence.dataset_files import load
+from vergence.dataset_writer import Entry, write
+from vergence.errors import VergenceError
+from vergence.kinematics import EYE_JOINTS, NECK_JOINTS
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    small_dataset(tmp_path / "set")
+    return tmp_path / "set"
+
+
+def entries(count: int, rng: np.random.Generator) -> list[Entry]:
+    return [
+        Entry(
+            frame=Frame(
+                time_s=1.1 * k,
+                joint_time_s=1.1 * k + 0.1,
+                eye_angles=rng.uniform(-0.5, 0.5, 4),
+                neck_angles=np.zeros(3),
+                images={
+                    name: rng.integers(0, 255, (24, 32, 3), dtype=np.uint8)
+                    for name in ("left_wide", "right_wide")[: 1 + k % 2]
+                },
+            ),
+            placement=k // 2 if k else None,
+            moving=k > 2,
+        )
+        for k in range(count)
+    ]
+
+
+def about(**joint: Any) -> Description:
+    return Description(
+        cameras={
+            f"{eye}_wide": DatasetCamera(eye=eye, width=32, height=24) for eye in ("left", "right")
+        },
+        board=CHARUCO,
+        joints={
+            name: DatasetJoint(column=name, **({"unit": "rad"} | joint))
+            for name in (*EYE_JOINTS, *NECK_JOINTS)
+        },
+        note="Umlaute: äöü",
+    )
+
+
+@pytest.mark.parametrize("joint", [{}, {"unit": "deg", "sign": -1}])
+def test_what_is_written_is_read_back(tmp_path, joint):
+    made = entries(5, np.random.default_rng(1))
+    write(tmp_path / "deep" / "set", about(**joint), made)
+    dataset = load(tmp_path / "deep" / "set")
+    assert dataset.description.note == "Umlaute: äöü"
+    assert dataset.description.board == CHARUCO
+    assert dataset.moving.tolist() == [entry.moving for entry in made]
+    for k, entry in enumerate(made):
+        frame = dataset.frame(k)
+        assert (frame.time_s, frame.joint_time_s) == (entry.frame.time_s, entry.frame.joint_time_s)
+        np.testing.assert_allclose(frame.eye_angles, entry.frame.eye_angles, rtol=4e-16)
+        assert list(frame.images) == list(entry.frame.images)
+        for name, image in frame.images.items():
+            grey = entry.frame.images[name] @ [0.299, 0.587, 0.114]
+            assert np.abs(image[..., 0] - grey).max() <= 1
+
+
+def test_written_poses_are_read_back_exactly(tmp_path):
+    rng = np.random.default_rng(2)
+    described = Description(cameras=about().cameras, board=CHARUCO, eye_motion="poses")
+    T = [np.array([random_pose(rng), random_pose(rng)]) for _ in range(3)]
+    made = [
+        Entry(frame=entry.frame, T_base_eye=each)
+        for entry, each in zip(entries(3, rng), T, strict=True)
+    ]
+    write(tmp_path / "set", described, made)
+    assert (load(tmp_path / "set").T_base_eye == np.array(T)).all()
+
+
+def test_a_folder_that_is_not_empty_is_never_overwritten(folder):
+    before = sorted(folder.rglob("*"))
+    with pytest.raises(VergenceError, match="is there already and not empty"):
+        write(folder, about(), entries(2, np.random.default_rng(0)))
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_an_empty_folder_is_used(tmp_path):
+    (tmp_path / "set").mkdir()
+    write(tmp_path / "set", about(), entries(2, np.random.default_rng(0)))
+    assert len(load(tmp_path / "set")) == 2
+
+
+def test_an_interrupted_recording_leaves_nothing_behind(tmp_path):
+    def broken():
+        yield from entries(2, np.random.default_rng(0))
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write(tmp_path / "set", about(), broken())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(VergenceError, match="Cannot") as refused:
+        write(tmp_path / "file" / "set", about(), [])
+    assert "\n" not in str(refused.value)
