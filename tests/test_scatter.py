@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from vergence.scatter import Scatter, observe
+from vergence.tracking_filter import begin, predict, update
 
 STEP_S = 1 / 30
+SETTINGS = {"std": 1.0, "jerk": 1.0}
 R = np.array([[4e-5, 1e-5, 0], [1e-5, 6e-6, 0], [0, 0, 1e-6]])
 
 
@@ -40,3 +42,27 @@ def test_a_gap_is_not_taken_for_scatter():
     times = np.concatenate([STEP_S * np.arange(30), 3 + STEP_S * np.arange(30)])
     points = moving(times) + np.where(times[:, None] > 2, 0.2, 0.0)
     assert after(points, times).share < 0.1
+
+
+def test_a_filter_that_weighs_by_scatter_beats_single_measurements_that_share_an_error():
+    """As with a wrong calibration: what is stated is far more than what scatters."""
+    rng = np.random.default_rng(3)
+    times = STEP_S * np.arange(900)
+    truth = moving(times)
+    shared = np.array([5e-4, 2e-4, -1e-4]) * (1 + 3 * (truth[:, 1:2] + truth[:, 2:3]))
+    points = truth + shared + rng.multivariate_normal(np.zeros(3), 0.005 * R, len(times))
+    squared: dict[bool, float] = {}
+    for weighs in (False, True):
+        scatter, track, fused = Scatter(), None, []
+        for time_s, point in zip(times, points, strict=True):
+            scatter = observe(scatter, float(time_s), point, R)
+            if track is None:
+                track = begin(
+                    0.0, point, R, speed_std_m_s=0.3, acceleration_std_m_s2=SETTINGS["std"]
+                )
+            track = predict(track, float(time_s), jerk_density=SETTINGS["jerk"])
+            track = update(track, point, R * (scatter.share if weighs else 1.0))
+            fused.append(track.position)
+        squared[weighs] = float(np.mean((np.array(fused) - truth)[30:] ** 2))
+    single = float(np.mean((points - truth)[30:] ** 2))
+    assert squared[True] < single < squared[False]
