@@ -149,18 +149,19 @@ def calibrate(
         T_read = _eye_poses(views, eye_poses_read, k)
         main = main_camera(own, eye)
         T_eye_main, eye_views[eye] = _eye_camera(views, main, cameras[main], T_read, points)
+        mounted[main] = MountedCamera(eye=eye, intrinsics=cameras[main], T_eye_cam=T_eye_main)
         for name in own:
-            T = T_eye_main
             if name != main:
-                pair = cameras[main], cameras[name]
                 both = views.corners[main], views.corners[name]
-                T_name_main, _ = calibrate_pair(*both, points, *pair)
-                T = T_eye_main @ inverse(T_name_main)
-            mounted[name] = MountedCamera(eye=eye, intrinsics=cameras[name], T_eye_cam=T)
+                T_name_main, _ = calibrate_pair(*both, points, cameras[main], cameras[name])
+                mounted[name] = MountedCamera(
+                    eye=eye,
+                    intrinsics=cameras[name],
+                    T_eye_cam=T_eye_main @ inverse(T_name_main),
+                )
     T_rbase_lbase, rms, count = _between_the_eyes(views, eye_poses_read, mounted, points)
-    order = {name: mounted[name] for name in cameras}
     head = HeadCalibration(
-        cameras=order, T_rbase_lbase=T_rbase_lbase, neck=Neck() if neck is None else neck
+        cameras=mounted, T_rbase_lbase=T_rbase_lbase, neck=Neck() if neck is None else neck
     )
     return PaperCalibration(head, intrinsics, rms, count, eye_views)
 
