@@ -7,12 +7,14 @@ series goes on where it was; delete the folder to begin again, as after a change
 """
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import tyro
 
 from vergence.experiments.track import track
+from vergence.head import write_whole
 from vergence.twin.profile import load_profile
 
 OUT = Path("runs/track_statistics")
@@ -24,10 +26,11 @@ def summaries(out: Path, profile: str, runs: int, seconds: float) -> list[dict[s
     """Return what runs came to, and run those that are not there yet."""
     found = []
     for seed in range(runs):
-        folder = out / f"{profile}-{seconds:g}s-{seed}"
-        if not (folder / "track.json").is_file():
-            track(seconds=seconds, seed=seed, profile=load_profile(profile), out=folder)
-        found.append(json.loads((folder / "track.json").read_text()))
+        file = out / f"{profile}-{seconds:g}s-{seed}.json"
+        if not file.is_file():
+            made = track(seconds=seconds, seed=seed, profile=load_profile(profile))
+            write_whole(file, json.dumps(asdict(made), indent=1) + "\n")
+        found.append(json.loads(file.read_text()))
         print(row(f"{seed}", found[-1]), flush=True)
     return found
 
@@ -67,7 +70,9 @@ def main(profile: str = "ideal", runs: int = 20, seconds: float = 60.0, out: Pat
     ):
         print(f"{name}: {met.sum()} of {len(met)} runs")
     gain = 1 - (values["position_rms_m"] / values["single_frame_rms_m"]) ** 2
-    print(f"variance that fusing removes: median {np.median(gain):.2%}, least {gain.min():.2%}")
+    print(
+        f"squared error that fusing removes: median {np.median(gain):.2%}, least {gain.min():.2%}"
+    )
 
 
 if __name__ == "__main__":
