@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
+from drawn_hand import MARKER_HAND
 from drawn_head import four_cameras
 from vergence import cli
 from vergence.active_stereo import locate
@@ -24,7 +25,7 @@ from vergence.experiments.sight import EDGES_M, Sight, by_distance
 from vergence.foveation import gaze_angles
 from vergence.gaze import NARROW
 from vergence.gaze import Settings as Gaze
-from vergence.geometry import inverse, rotvec, transform
+from vergence.geometry import inverse, pose, rotvec, transform
 from vergence.reach import HandCommand, Phase
 from vergence.sphere import find_sphere
 from vergence.twin.head import Twin
@@ -84,11 +85,32 @@ def test_hand_and_marker_are_drawn_where_they_are():
         hand.place()
         true = twin.true_hand()
         np.testing.assert_allclose(true[:3, 3], hand.true_point(hand.read().T_body_hand[:3, 3]))
-        marker = transform(true, np.array([-0.026, 0.0, -0.052]))
+        marker = transform(true, MARKER_HAND)
         image = twin.capture(("left_wide",)).images["left_wide"]
         pixel = find_sphere(image, twin.truth.camera("left_wide").intrinsics, colour="blue")
         expected = see(twin.truth, "left_wide", np.zeros((1, 4)), marker)[0]
         np.testing.assert_allclose(pixel, expected, atol=0.15)
+
+
+@pytest.mark.parametrize("direction", [(1.0, 0.2, 0.2), (1.0, -0.2, -0.2)])
+def test_an_open_hand_hides_neither_the_object_nor_the_marker(direction: tuple[float, ...]):
+    where = np.array([0.0, -0.046, 0.0]) + 0.45 * np.array(direction)
+    with Twin(ErrorProfile()) as twin:
+        twin.place_object(where)
+        eyes = gaze_angles(twin.truth, where[None])
+        twin.settle(np.concatenate([np.zeros(3), eyes[0]]))
+        alone = twin.capture(NARROW).images
+        twin.place_hand(pose(t=where), opening_m=OPEN_M)
+        both = twin.capture(NARROW).images
+        marker = where + MARKER_HAND
+        for name in NARROW:
+            lens = twin.truth.camera(name).intrinsics
+            np.testing.assert_allclose(
+                find_sphere(both[name], lens), find_sphere(alone[name], lens), atol=0.05
+            )
+            expected = see(twin.truth, name, twin.true_angles()[None, 3:], marker)[0]
+            found = find_sphere(both[name], lens, colour="blue")
+            np.testing.assert_allclose(found, expected, atol=0.1)
 
 
 def test_nothing_but_the_marker_is_blue():

@@ -200,7 +200,7 @@ def _updated(
 
 
 def _hand_at(readings: tuple[HandReading, ...], time_s: float) -> Array:
-    """Return the pose (4, 4) that the encoders had at a time, between readings as on a line."""
+    """Return the pose (4, 4) that the encoders had at a time: on a line, turned as it is now."""
     T = readings[-1].T_body_hand.copy()
     times = [reading.time_s for reading in readings]
     for k in range(3):

@@ -244,7 +244,7 @@ def as_markdown(found: Summary) -> list[str]:
         ]
     lines += ["", "| distance | depth error, rms | its scatter | Eq. 20 |", "|---|---|---|---|"]
     return lines + [
-        f"| {d.from_m:.2f}-{d.to_m:.2f} m | {d.depth_rms_mm:.1f} mm | "
-        f"{d.depth_scatter_mm:.2f} mm | {d.eq20_mm:.2f} mm |"
+        f"| {d.from_m:.2f}-{d.to_m:.2f} m | {d.depth_rms_mm:.3g} mm | "
+        f"{d.depth_scatter_mm:.3g} mm | {d.eq20_mm:.3g} mm |"
         for d in found.by_distance
     ]
