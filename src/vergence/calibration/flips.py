@@ -23,6 +23,15 @@ from itertools import combinations, product
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.calibration.flip_evidence import (
+    PRIOR,
+    SPREAD_RAD,
+    Links,
+    angles_apart,
+    apart,
+    costs_of_turns,
+    synchronised,
+)
 from vergence.calibration.intrinsics import target_poses
 from vergence.calibration.pipeline import Views, eyes_of
 from vergence.calibration.robust_start import robust_park_martin
@@ -32,20 +41,10 @@ from vergence.errors import VergenceError
 from vergence.geometry import angle, pose, rotation, rotvec
 from vergence.kinematics import EYES, T_base_eye
 
-SPREAD_RAD = 0.05
-"""Between two views of one board, if both are numbered alike: gains of a few percent, joint noise
-of half a degree, preliminary lenses and the planar pose's own error stay below."""
-CAP = 50.0
-"""Most that one comparison weighs: ten times the spread."""
-PRIOR = float(np.log(2.0))
-"""Against a view being turned: at most a third of the views are."""
 CLEAR = 10.0
 """Evidence [nats] below which a view is left as it is, and named."""
 LEAST_MOTION_RAD = 0.03
 """Root mean square motion about the second axis, from which the eye's camera can be placed."""
-
-MOST_OFFERS = 100
-"""Views that each say how two cameras are related; more would not find a better answer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,8 +137,8 @@ def nearest(R_cam_target: Array, board: Board) -> Array:
     R = _turns(board)
     if isinstance(board, Charuco) or len(R_cam_target) < 2:
         return R_cam_target
-    off = _apart(R_cam_target[:, None], R_cam_target[None], R)
-    return R_cam_target @ R[_synchronised(off * SPREAD_RAD)[0]]
+    off = apart(R_cam_target[:, None], R_cam_target[None], R)
+    return R_cam_target @ R[synchronised(off * SPREAD_RAD)[0]]
 
 
 def remarks(found: Repaired) -> tuple[str, ...]:
@@ -203,8 +202,8 @@ def _consistent(sight: _Sight, R: Array) -> _Sight:
     turns, unclear = sight.turns.copy(), sight.unclear.copy()
     for group in groups:
         if len(group) > 1:
-            off = _angles_apart(sight.R_cam_target[group], sight.R_base_eye[group], R)
-            turns[group], evidence = _synchronised(off)
+            off = angles_apart(sight.R_cam_target[group], sight.R_base_eye[group], R)
+            turns[group], evidence = synchronised(off)
             unclear[group] = evidence < CLEAR
     sight = replace(sight, turns=turns, unclear=unclear)
     largest = max(groups, key=len, default=np.arange(0))
@@ -215,62 +214,12 @@ def _consistent(sight: _Sight, R: Array) -> _Sight:
     R_base_target = sight.R_base_eye @ R_eye_cam @ sight.R_cam_target
     for group in groups:
         if len(group) > 1:
-            off = _apart(R_base_target[group][:, None], R_base_target[group][None], R)
-            better, evidence = _synchronised(off)
+            off = apart(R_base_target[group][:, None], R_base_target[group][None], R)
+            better, evidence = synchronised(off)
             clear = evidence >= CLEAR
             if clear.sum() >= (~unclear[group]).sum():
                 turns[group], unclear[group] = better, ~clear
     return replace(sight, turns=turns, unclear=unclear, R_eye_cam=R_eye_cam)
-
-
-def _angles_apart(R_cam_target: Array, R_base_eye: Array, R: Array) -> Array:
-    """Return (N, N, n) how far angles between views are from those of the readings [rad].
-
-    A rotation's angle is the same in every frame: the mounting of the camera is not needed.
-    """
-    between = np.einsum("iab,nbc,jac->ijn", R_cam_target, R, R_cam_target, optimize=True)
-    read = np.einsum("iab,jab->ij", R_base_eye, R_base_eye, optimize=True)
-    return np.abs(_angle(between) - _angle(read)[..., None])
-
-
-def _apart(R_a: Array, R_b: Array, R: Array) -> Array:
-    """Return (..., n) angles between R_a turned and R_b (..., 3, 3)."""
-    return _angle(np.einsum("...ab,nbc,...ac->...n", R_a, R, R_b, optimize=True))
-
-
-def _angle(trace: Array) -> Array:
-    return np.arccos(np.clip((trace - 1) / 2, -1, 1))
-
-
-def _cost(off: Array) -> Array:
-    return np.minimum((off / SPREAD_RAD) ** 2 / 2, CAP)
-
-
-def _synchronised(off: Array) -> tuple[np.ndarray, Array]:
-    """Return turns (N,) and the evidence for each.
-
-    Args:
-        off: (N, N, n) disagreement of views i and j if i is turned by k more than j.
-    """
-    N, n = off.shape[0], off.shape[2]
-    cost = _cost(off)
-    cost[np.arange(N), np.arange(N)] = 0.0
-    relative = cost.argmin(axis=2)  # by how much i is turned more than j
-    i, j = np.indices((N, N))
-
-    def total(turns: np.ndarray) -> float:
-        return float(cost[i, j, (turns[:, None] - turns) % n].sum())
-
-    def options(turns: np.ndarray) -> Array:
-        return np.stack([cost[i, j, (k - turns) % n].sum(axis=1) for k in range(n)], axis=1)
-
-    turns = relative[:, min(range(N), key=lambda r: total(relative[:, r]))]
-    for _ in range(10):
-        turns, before = options(turns).argmin(axis=1), turns
-        if (turns == before).all():
-            break
-    evidence = np.diff(np.sort(options(turns), axis=1)[:, :2], axis=1)[:, 0]
-    return (turns - np.bincount(turns, minlength=n).argmax()) % n, evidence
 
 
 def _mounting(sight: _Sight, chosen: np.ndarray, R: Array) -> Array | None:
@@ -296,7 +245,7 @@ def _together(sights: Mapping[str, _Sight], eyes: Mapping[str, str], R: Array) -
     for a, b in combinations(sights, 2):
         links = _links(sights[a], sights[b], R, same_eye=eyes[a] == eyes[b])
         if len(links.placement):
-            for p, cost in zip(links.placement, _costs_of_turns(links, R), strict=True):
+            for p, cost in zip(links.placement, costs_of_turns(links, R), strict=True):
                 pairs = votes.setdefault(int(p), {})
                 pairs[a, b] = pairs.get((a, b), np.zeros(n)) + cost
     upright = {name: sight.R_cam_target[:, :, 0].mean(axis=0) for name, sight in sights.items()}
@@ -339,23 +288,7 @@ def _connected(pairs: Collection[tuple[str, str]]) -> list[list[str]]:
     return [sorted(names) for names in found]
 
 
-@dataclass(frozen=True, eq=False)
-class _Links:
-    """L times, how a board is turned in two cameras, or in the bases of their eyes."""
-
-    placement: np.ndarray
-    """(L,)."""
-    R_a: Array
-    """(L, 3, 3)."""
-    R_b: Array
-    """(L, 3, 3): R_b = Y R_a, with one rotation Y for all."""
-    slack: Array
-    """(L,) how far that may be wrong because the eyes were not straight [rad]."""
-    weight: Array
-    """(L,) how many views it would take for a link to be wrong."""
-
-
-def _links(a: _Sight, b: _Sight, R: Array, *, same_eye: bool) -> _Links:
+def _links(a: _Sight, b: _Sight, R: Array, *, same_eye: bool) -> Links:
     seen_a, seen_b = (each.R_cam_target @ R[each.turns] for each in (a, b))
     if a.R_eye_cam is not None and b.R_eye_cam is not None:
         placement = np.intersect1d(a.placement[~a.unclear], b.placement[~b.unclear])
@@ -363,13 +296,13 @@ def _links(a: _Sight, b: _Sight, R: Array, *, same_eye: bool) -> _Links:
         groups = [[(e.placement == p) & ~e.unclear for p in placement] for e in (a, b)]
         boards = [_means(R_base, group) for R_base, group in zip(in_base, groups, strict=True)]
         least = np.min([[g.sum() for g in group] for group in groups], axis=0)
-        return _Links(placement, boards[0], boards[1], np.zeros(len(placement)), least)
+        return Links(placement, boards[0], boards[1], np.zeros(len(placement)), least)
     _, i, j = np.intersect1d(a.view, b.view, return_indices=True)
     usable = ~(a.unclear[i] | b.unclear[j])
     i, j = i[usable], j[usable]
     slack = angle(a.R_base_eye[i]) + angle(b.R_base_eye[j])
     slack = np.zeros(len(i)) if same_eye else slack
-    return _Links(a.placement[i], seen_a[i], seen_b[j], slack, np.ones(len(i)))
+    return Links(a.placement[i], seen_a[i], seen_b[j], slack, np.ones(len(i)))
 
 
 def _means(R: Array, groups: Sequence[np.ndarray]) -> Array:
@@ -377,23 +310,3 @@ def _means(R: Array, groups: Sequence[np.ndarray]) -> Array:
     sums = np.array([R[group].sum(axis=0) for group in groups]).reshape(-1, 3, 3)
     U, _, Vt = np.linalg.svd(sums)
     return U @ Vt
-
-
-def _costs_of_turns(links: _Links, R: Array) -> Array:
-    """Return (L, n) what it costs to turn the board of camera b by k more than that of a.
-
-    The rotation between the cameras is unknown: each link offers n of them. A link's cost is that
-    of the rotation that suits it and all others best, less the least of these.
-    """
-    L, n = len(links.placement), len(R)
-    between = np.einsum("lab,nbc,ldc->lnad", links.R_b, R, links.R_a, optimize=True)
-    offering = np.unique(np.linspace(0, L - 1, MOST_OFFERS).astype(int))
-    offers = between[offering].reshape(-1, 9)
-    off = _angle(offers @ between.reshape(-1, 9).T).reshape(len(offers), L, n)
-    slack = np.repeat(links.slack[offering], n)[:, None] + links.slack
-    cost = _cost(np.maximum(off - slack[..., None], 0.0))
-    turned = np.arange(n) > 0
-    least = (cost + PRIOR * links.weight[:, None] * turned).min(axis=2)
-    total = least.sum(axis=1)[:, None, None] - least[..., None] + cost
-    found = total.min(axis=0)
-    return found - found.min(axis=1, keepdims=True)

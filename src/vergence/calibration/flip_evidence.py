@@ -1,0 +1,112 @@
+"""How much it speaks for and against boards being turned: rotations compared, costs in nats.
+
+A cost is minus the logarithm of a likelihood: half the square of an angle, in units of the spread
+that good views have, up to a cap.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vergence.arrays import Array
+
+SPREAD_RAD = 0.05
+"""Between two views of one board, if both are numbered alike: gains of a few percent, joint noise
+of half a degree, preliminary lenses and the planar pose's own error stay below."""
+CAP = 50.0
+"""Most that one comparison weighs: ten times the spread."""
+PRIOR = float(np.log(2.0))
+"""Against a view being turned: at most a third of the views are."""
+MOST_OFFERS = 100
+"""Views of which each says how the others, or two cameras, are related; more find nothing new."""
+
+
+@dataclass(frozen=True, eq=False)
+class Links:
+    """L times, how a board is turned in two cameras, or in the bases of their eyes."""
+
+    placement: np.ndarray
+    """(L,)."""
+    R_a: Array
+    """(L, 3, 3)."""
+    R_b: Array
+    """(L, 3, 3): R_b = Y R_a, with one rotation Y for all."""
+    slack: Array
+    """(L,) how far that may be wrong because the eyes were not straight [rad]."""
+    weight: Array
+    """(L,) how many views it would take for a link to be wrong."""
+
+
+def angles_apart(R_cam_target: Array, R_base_eye: Array, R: Array) -> Array:
+    """Return (N, N, n) how far angles between views are from those of the readings [rad].
+
+    A rotation's angle is the same in every frame: the mounting of the camera is not needed.
+    """
+    between = np.einsum("iab,nbc,jac->ijn", R_cam_target, R, R_cam_target, optimize=True)
+    read = np.einsum("iab,jab->ij", R_base_eye, R_base_eye, optimize=True)
+    return np.abs(angle_of(between) - angle_of(read)[..., None])
+
+
+def apart(R_a: Array, R_b: Array, R: Array) -> Array:
+    """Return (..., n) angles between R_a turned and R_b (..., 3, 3)."""
+    return angle_of(np.einsum("...ab,nbc,...ac->...n", R_a, R, R_b, optimize=True))
+
+
+def angle_of(trace: Array) -> Array:
+    """Return the angles (...,) [rad] of rotations of these traces (...,)."""
+    return np.arccos(np.clip((trace - 1) / 2, -1, 1))
+
+
+def cost_of(off: Array) -> Array:
+    """Return what angles (...,) [rad] cost that should be zero."""
+    return np.minimum((off / SPREAD_RAD) ** 2 / 2, CAP)
+
+
+def synchronised(off: Array) -> tuple[np.ndarray, Array]:
+    """Return turns (N,) and the evidence for each.
+
+    Args:
+        off: (N, N, n) disagreement of views i and j if i is turned by k more than j.
+    """
+    N, n = off.shape[0], off.shape[2]
+    cost = cost_of(off)
+    cost[np.arange(N), np.arange(N)] = 0.0
+    relative = cost.argmin(axis=2)  # by how much i is turned more than j
+    i, j = np.indices((N, N))
+
+    def total(turns: np.ndarray) -> float:
+        return float(cost[i, j, (turns[:, None] - turns) % n].sum())
+
+    def options(turns: np.ndarray) -> Array:
+        return np.stack([cost[i, j, (k - turns) % n].sum(axis=1) for k in range(n)], axis=1)
+
+    references = np.unique(np.linspace(0, N - 1, MOST_OFFERS).astype(int))
+    turns = relative[:, min(references, key=lambda r: total(relative[:, r]))]
+    for _ in range(10):
+        turns, before = options(turns).argmin(axis=1), turns
+        if (turns == before).all():
+            break
+    evidence = np.diff(np.sort(options(turns), axis=1)[:, :2], axis=1)[:, 0]
+    return (turns - np.bincount(turns, minlength=n).argmax()) % n, evidence
+
+
+def costs_of_turns(links: Links, R: Array) -> Array:
+    """Return (L, n) what it costs to turn the board of camera b by k more than that of a.
+
+    The rotation between the cameras is unknown: each link offers n of them. A link's cost is that
+    of the rotation that suits it and all others best, less the least of these.
+    """
+    L, n = len(links.placement), len(R)
+    between = np.einsum("lab,nbc,ldc->lnad", links.R_b, R, links.R_a, optimize=True)
+    offering = np.unique(np.linspace(0, L - 1, MOST_OFFERS).astype(int))
+    offers = between[offering].reshape(-1, 9)
+    off = angle_of(offers @ between.reshape(-1, 9).T).reshape(len(offers), L, n)
+    slack = np.repeat(links.slack[offering], n)[:, None] + links.slack
+    cost = cost_of(np.maximum(off - slack[..., None], 0.0))
+    turned = np.arange(n) > 0
+    least = (cost + PRIOR * links.weight[:, None] * turned).min(axis=2)
+    total = least.sum(axis=1)[:, None, None] - least[..., None] + cost
+    found = total.min(axis=0)
+    return found - found.min(axis=1, keepdims=True)
