@@ -1,0 +1,287 @@
+"""One camera in its eye: exact data give no error, noise the stated one, poor data words."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from heads import R_EYE_CAM, random_pose
+from refining import POINTS, probability
+from vergence.arrays import Array
+from vergence.calibration.problem import (
+    moved,
+    pose_difference,
+)
+from vergence.calibration.refine import (
+    EyeCamera,
+    refine_eye_camera,
+)
+from vergence.camera import pinhole, project
+from vergence.errors import VergenceError
+from vergence.geometry import inverse, pose, rotation, transform
+from vergence.kinematics import T_base_eye
+
+LENS = pinhole(640, 480, 280.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    T_eye_cam: Array
+    readings: Array
+    pixels: Array
+
+
+def record(
+    seed: int,
+    *,
+    joint_std: float = 0.0,
+    pixel_std_px: float = 0.0,
+    views: int = 20,
+    reach: tuple[float, float] = (0.25, 0.25),
+) -> Recording:
+    rng = np.random.default_rng(seed)
+    T_eye_cam = random_pose(rng, 0.04, 0.004) @ pose(R_EYE_CAM, [0.02, 0, 0])
+    angles = rng.uniform(-1, 1, (views, 2)) * reach
+    pixels = see(T_eye_cam, T_base_eye(angles), rng)
+    return Recording(
+        T_eye_cam,
+        angles + rng.normal(0, joint_std, angles.shape),
+        pixels + rng.normal(0, pixel_std_px, pixels.shape),
+    )
+
+
+def see(T_eye_cam: Array, eye_poses: Array, rng: np.random.Generator) -> Array:
+    R = R_EYE_CAM @ rotation(rng.normal(0, 0.3, 3))
+    T_base_target = pose(R, [0.4, 0, 0] - R @ POINTS.mean(axis=0))
+    T_cam_target = inverse(eye_poses @ T_eye_cam) @ T_base_target
+    return project(LENS, transform(T_cam_target[:, None], POINTS))
+
+
+def solve(recording: Recording, **options) -> EyeCamera:
+    return refine_eye_camera(recording.readings, recording.pixels, POINTS, LENS, **options)
+
+
+def size(T: Array, truth: Array) -> Array:
+    """Return degrees and millimetres."""
+    off = pose_difference(T, truth)
+    return np.array([np.degrees(np.linalg.norm(off[:3])), 1e3 * np.linalg.norm(off[3:])])
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=10)
+def test_an_exact_recording_gives_the_mounting_exactly(seed: int):
+    recording = record(seed)
+    found = solve(recording)
+    np.testing.assert_allclose(found.T_eye_cam, recording.T_eye_cam, atol=1e-9)
+    np.testing.assert_allclose(found.T_base_eye, T_base_eye(recording.readings), atol=1e-9)
+    assert np.abs(found.residuals_px).max() < 1e-8
+    assert not found.warnings
+
+
+@pytest.fixture(scope="module")
+def trials() -> list[tuple[Recording, EyeCamera, EyeCamera]]:
+    """Thirty recordings with 0.1 degrees and 0.1 px, refined with latent and with exact joints."""
+    recordings = [record(k, joint_std=np.radians(0.1), pixel_std_px=0.1) for k in range(30)]
+    # Without robustness: exact joints would take half of the views for outliers.
+    return [(r, solve(r), solve(r, joint_std=0, outlier=np.inf)) for r in recordings]
+
+
+def test_latent_joints_err_a_fifth_of_what_exact_joints_do(trials):
+    latent = np.median([size(found.T_eye_cam, r.T_eye_cam) for r, found, _ in trials], axis=0)
+    exact = np.median([size(found.T_eye_cam, r.T_eye_cam) for r, _, found in trials], axis=0)
+    assert (latent < [0.12, 0.5]).all()
+    assert (latent < exact / 3.5).all()
+
+
+def test_stated_regions_hold_the_truth(trials):
+    p = [
+        probability(pose_difference(found.T_eye_cam, r.T_eye_cam), found.covariance)
+        for r, found, _ in trials
+    ]
+    # Of 30, between 25 and 30 are expected in the 95 % region, and 6 to 24 in the 50 % one.
+    assert np.count_nonzero(np.array(p) < 0.95) >= 25
+    assert 6 <= np.count_nonzero(np.array(p) < 0.5) <= 24
+
+
+def test_both_levels_of_noise_are_found(trials):
+    pixel = np.mean([found.pixel_std_px for _, found, _ in trials])
+    joint = np.mean([found.joint_std[0] for _, found, _ in trials])
+    assert pixel == pytest.approx(0.1, rel=0.02)
+    assert joint == pytest.approx(np.radians(0.1), rel=0.08)
+
+
+def test_good_recordings_give_no_warnings(trials):
+    assert not any(found.warnings for _, found, _ in trials)
+
+
+def test_without_joint_noise_the_result_is_that_of_exact_joints():
+    recordings = [record(k, pixel_std_px=0.1) for k in range(12)]
+    latent = [size(solve(r).T_eye_cam, r.T_eye_cam) for r in recordings]
+    exact = [size(solve(r, joint_std=0).T_eye_cam, r.T_eye_cam) for r in recordings]
+    assert (np.mean(latent, axis=0) < 1.05 * np.mean(exact, axis=0)).all()
+
+
+def test_noise_that_is_told_is_used():
+    found = solve(record(1, joint_std=0.002, pixel_std_px=0.1), joint_std=0.004, pixel_std_px=0.3)
+    assert found.joint_std == pytest.approx((0.004,))
+    assert found.pixel_std_px == pytest.approx(0.3)
+
+
+def test_wild_corners_and_a_wild_reading_do_little_harm():
+    recording = record(2, joint_std=0.001, pixel_std_px=0.1)
+    rng = np.random.default_rng(2)
+    wild = rng.random(recording.pixels.shape[:2]) < 0.03
+    recording.pixels[wild] += rng.normal(0, 8, (np.count_nonzero(wild), 2))
+    recording.readings[3, 0] += 0.1
+    found = solve(recording)
+    off = pose_difference(found.T_eye_cam, recording.T_eye_cam)
+    assert (np.abs(off) < 4 * np.sqrt(np.diag(found.covariance))).all()
+    assert found.joint_std[0] < 0.002
+    assert any("corners lie beyond 4 standard deviations" in text for text in found.warnings)
+
+
+def test_corners_may_be_missing():
+    recording = record(3)
+    recording.pixels[0] = np.nan
+    recording.pixels[1:, ::2] = np.nan
+    found = solve(recording)
+    np.testing.assert_allclose(found.T_eye_cam, recording.T_eye_cam, atol=1e-9)
+    np.testing.assert_array_equal(np.isnan(found.residuals_px), np.isnan(recording.pixels))
+
+
+@pytest.mark.parametrize("flips", [1, 6])
+def test_boards_numbered_from_the_wrong_end_are_left_out_and_named(flips: int):
+    recording = record(40, joint_std=0.001, pixel_std_px=0.1)
+    recording.pixels[:flips] = recording.pixels[:flips, ::-1]
+    found = solve(recording)
+    off = pose_difference(found.T_eye_cam, recording.T_eye_cam)
+    assert (np.abs(off) < 4 * np.sqrt(np.diag(found.covariance))).all()
+    numbers = ", ".join(map(str, range(flips)))
+    assert found.warnings[0].startswith(f"Views {numbers} were left out")
+    assert len(found.warnings) == 1
+
+
+# Eye poses that are no pan and tilt.
+
+
+def record_poses(seed: int, std: tuple[float, float], pixel_std_px: float) -> Recording:
+    rng = np.random.default_rng(seed)
+    T_eye_cam = random_pose(rng, 0.04, 0.004) @ pose(R_EYE_CAM, [0.02, 0, 0])
+    poses = pose(rotation(rng.uniform(-0.25, 0.25, (25, 3))), rng.normal(0, 0.02, (25, 3)))
+    pixels = see(T_eye_cam, poses, rng)
+    noise = rng.normal(size=(25, 6)) * np.repeat(std, 3)
+    pixels = pixels + rng.normal(0, pixel_std_px, pixels.shape)
+    return Recording(T_eye_cam, moved(poses, noise), pixels)
+
+
+def test_exact_general_eye_poses_give_the_mounting_exactly():
+    recording = record_poses(4, (0.0, 0.0), 0.0)
+    np.testing.assert_allclose(solve(recording).T_eye_cam, recording.T_eye_cam, atol=1e-9)
+
+
+def test_general_eye_poses_have_noise_in_rotation_and_translation():
+    recordings = [record_poses(k, (0.002, 0.0005), 0.1) for k in range(10)]
+    found = [solve(recording) for recording in recordings]
+    levels = np.mean([f.joint_std for f in found], axis=0)
+    np.testing.assert_allclose(levels, [0.002, 0.0005], rtol=0.1)
+    p = [
+        probability(pose_difference(f.T_eye_cam, r.T_eye_cam), f.covariance)
+        for f, r in zip(found, recordings, strict=True)
+    ]
+    assert max(p) < 0.9999
+    assert np.count_nonzero(np.array(p) < 0.95) >= 7
+
+
+def test_poses_of_pan_and_tilt_are_taken_as_pan_and_tilt():
+    recording = record(5, joint_std=0.002, pixel_std_px=0.1)
+    poses = replace(recording, readings=T_base_eye(recording.readings))
+    np.testing.assert_allclose(solve(poses).T_eye_cam, solve(recording).T_eye_cam, atol=1e-9)
+
+
+# Recordings that cannot support the answer.
+
+
+@pytest.mark.parametrize(
+    ("reach", "words"),
+    [
+        ((0.25, 0), ["T_eye_cam rotation about z and translation along z", "all tilt motion"]),
+        ((0, 0.25), ["T_eye_cam rotation about y and translation along y", "all pan motion"]),
+        ((0, 0), ["rotation about x", "rotation about z", "translation along y", "move pan"]),
+    ],
+)
+def test_an_axis_that_does_not_move_is_named_with_what_it_hides(
+    reach: tuple[float, float], words: list[str]
+):
+    recording = record(6, joint_std=0.002, pixel_std_px=0.1, reach=reach)
+    found = solve(recording, start=recording.T_eye_cam)
+    text = " ".join(found.warnings)
+    assert "not observable" in text
+    assert "is no larger than its noise (0.00" in text
+    assert all(word in text for word in words)
+    assert "by at least 0.1 rad" in text
+
+
+def test_an_unobservable_direction_stays_at_its_start():
+    recording = record(6, joint_std=0.002, pixel_std_px=0.1, reach=(0.25, 0))
+    start = moved(recording.T_eye_cam, np.array([0.01, 0, 0.02, 0, 0.002, 0.004]))
+    off = pose_difference(solve(recording, start=start).T_eye_cam, recording.T_eye_cam)
+    assert off[2] == pytest.approx(0.02, abs=2e-3)
+    assert off[5] == pytest.approx(0.004, abs=1e-3)
+    assert abs(off[0]) < 0.008
+
+
+def test_a_motion_that_is_small_but_seen_leaves_a_large_stated_error():
+    recording = record(7, joint_std=0.001, pixel_std_px=0.1, reach=(0.25, 0.005))
+    found = solve(recording)
+    off = pose_difference(found.T_eye_cam, recording.T_eye_cam)
+    assert probability(off, found.covariance) < 0.99
+    assert any("tilt of the eye moves by 0.0" in text for text in found.warnings)
+
+
+def test_pan_and_tilt_that_move_together_are_named():
+    recording = record(8)
+    angles = np.repeat(recording.readings[:, :1], 2, axis=1)
+    rng = np.random.default_rng(8)
+    pixels = see(recording.T_eye_cam, T_base_eye(angles), rng)
+    together = Recording(
+        recording.T_eye_cam,
+        angles + rng.normal(0, 0.002, angles.shape),
+        pixels + rng.normal(0, 0.1, pixels.shape),
+    )
+    text = " ".join(solve(together, start=recording.T_eye_cam).warnings)
+    assert "observable" in text
+    assert "pan and tilt of the eye move together" in text
+
+
+def test_two_views_are_too_few_and_said_so():
+    recording = record(9, joint_std=0.002, pixel_std_px=0.1, views=2)
+    text = " ".join(solve(recording, start=recording.T_eye_cam).warnings)
+    assert "not observable" in text
+    assert "noise of the joint readings cannot be told" in text
+
+
+def test_general_poses_about_one_axis_are_named():
+    rng = np.random.default_rng(10)
+    T_eye_cam = pose(R_EYE_CAM, [0.02, 0, 0])
+    turns = rng.uniform(-0.25, 0.25, (20, 1)) * [1, 0, 0]
+    poses = pose(rotation(turns), np.full((20, 3), 0.01))
+    found = solve(Recording(T_eye_cam, poses, see(T_eye_cam, poses, rng)), start=T_eye_cam)
+    text = " ".join(found.warnings)
+    assert "rotation about x and translation along x: not observable" in text
+    assert "share one axis" in text
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"readings": np.zeros((20, 3))}, "found \\(20, 3\\)"),
+        ({"readings": np.full((20, 2), np.nan)}, "finite readings"),
+        ({"pixels": np.zeros((19, 54, 2))}, "for 20 views of 54 points"),
+        ({"pixels": np.full((20, 54, 2), np.nan)}, "at least 3 views"),
+    ],
+)
+def test_data_that_do_not_fit_are_refused(changes: dict, message: str):
+    with pytest.raises(VergenceError, match=message):
+        solve(replace(record(11), **changes))
