@@ -7,7 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.noise import Components, estimate_noise, redundancy
+from vergence.calibration.noise import (
+    Components,
+    estimate_noise,
+    image_levels,
+    image_spreads,
+    redundancy,
+)
 from vergence.calibration.observability import Observability, observe, whole_basis
 from vergence.calibration.problem import Problem, State, corner_errors, followed
 from vergence.calibration.solver import (
@@ -16,6 +22,7 @@ from vergence.calibration.solver import (
     Noise,
     Weights,
     along,
+    corner_distances,
     inliers,
     linearise,
     minimise,
@@ -29,7 +36,12 @@ GENEROUS_JOINT = 0.01
 outliers before the level is known."""
 USUAL_JOINT = 0.002
 """Assumed where the data cannot tell the joint noise [rad or m]: 0.1 degrees."""
+WELL_READ = 2.0
+"""Joint noise, as a multiple of what one image tells, up to which readings lead the eyes' course
+in time. At it they hold the latent angles to a fifth, and offsets of 0.1 s still settle."""
 ROUNDS = 40
+WEIGHINGS = 2
+"""How often images are weighed by how much their corners scatter, once all else has settled."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +104,7 @@ def adjust(
     told[1:] |= assumed
     noise = replace(first, joint=np.where(assumed, USUAL_JOINT, first.joint))
     state, components, seen = start, Components(noise, np.zeros(1 + groups), left), None
-    agreed, converged, restarted = False, False, False
+    agreed, converged, restarted, weighings = False, False, False, 0
     for _ in range(ROUNDS):
         state, converged, linear = minimise(problem, state, noise, basis)
         problem = followed(problem, state)
@@ -102,6 +114,8 @@ def adjust(
         linear = _linear(problem, state, noise, known=linear)
         components = estimate_noise(along(linear, basis), noise, told)
         change = np.abs(np.log(_levels(components.noise) / _levels(noise))).max()
+        well = components.noise.joint < WELL_READ * image_levels(linear, noise)
+        problem = replace(problem, read_well=problem.read_well | well[noise.group])
         noise, before = components.noise, 0 if seen is None else len(seen.held)
         linear = _linear(problem, state, noise, known=linear)
         found = observe(problem, state, linear, noise)
@@ -112,7 +126,9 @@ def adjust(
         if len(seen.held) > before:
             state, restarted = start, True  # what turns out to be unobservable has wandered
         if agreed:
-            break
+            if weighings == WEIGHINGS:
+                break
+            problem, weighings = _weighed(problem, state, noise, components), weighings + 1
     assert seen is not None
     certain = observe(problem, state, linear, _allowing_for_estimation(components))
     return Adjusted(
@@ -135,9 +151,17 @@ def _linear(problem: Problem, state: State, noise: Noise, *, known: Linear | Non
     return linearise(problem, state, weights)
 
 
+def _weighed(problem: Problem, state: State, noise: Noise, components: Components) -> Problem:
+    """Return the problem with what is known now of how much the corners of each image scatter."""
+    kept = inliers(robust_weights(problem, state, noise)).corner
+    squares = (kept[..., None] * corner_errors(problem, state) ** 2).sum(axis=(1, 2))
+    left = components.redundancy[0] / max(2 * kept.sum(), 1)  # of each, what the fit has not taken
+    return replace(problem, spread=image_spreads(squares, 2 * left * kept.sum(axis=1)))
+
+
 def _median_level(problem: Problem, state: State) -> float:
     """Return the pixel noise by the median, which half of the corners cannot spoil."""
-    lengths = np.linalg.norm(corner_errors(problem, state), axis=-1)[problem.seen]
+    lengths = corner_distances(problem, state)[problem.seen]
     return float(np.nanmedian(lengths)) / np.sqrt(2 * np.log(2))
 
 

@@ -13,12 +13,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solve_triangular
+from scipy.special import digamma, polygamma
 
 from vergence.arrays import Array
 from vergence.calibration.solver import Factors, Linear, Noise, cholesky, factorise, step
 
 FLOOR_PX = 1e-3
 """No corner is found better than that; keeps exact data from dividing by zero."""
+LEAST_LEFT = 6
+"""An image with fewer residuals left does not say how much its corners scatter."""
 FLOOR_JOINT = 0.05
 """Least joint noise, in units of how well one image tells the joint: results no longer change."""
 
@@ -91,6 +94,30 @@ def redundancy(linear: Linear, noise: Noise) -> Array:
     return _evaluate(linear, noise, _log_variances(noise)).redundancy
 
 
+def image_spreads(squares: Array, counts: Array) -> Array:
+    """Return (M,) by what factor the corners of each image scatter more than typical ones.
+
+    Far and leaning boards have small squares, and larger errors. The log variances of the images
+    are taken for normally distributed (empirical Bayes): where they differ no more than such few
+    corners let them, all are alike.
+
+    Args:
+        squares: (M,) sums of squares of the residuals of each image [px^2].
+        counts: (M,) how many residuals are left over in each after the fit.
+    """
+    told = counts > LEAST_LEFT
+    spreads = np.ones(len(squares))
+    if told.sum() < 2:
+        return spreads
+    nu = counts[told]
+    level = np.log(np.maximum(squares[told] / nu, FLOOR_PX**2)) - digamma(nu / 2) + np.log(nu / 2)
+    chance = polygamma(1, nu / 2)  # the variance of the logarithm of a chi-square
+    differ = max(0.0, float(np.var(level, ddof=1) - chance.mean()))
+    typical = np.average(level, weights=1 / (differ + chance))
+    spreads[told] = np.exp((level - typical) * differ / (differ + chance) / 2)
+    return spreads
+
+
 def _log_variances(noise: Noise) -> Array:
     return 2 * np.log(np.array([noise.pixel_px, *noise.joint]))
 
@@ -100,13 +127,17 @@ def _with(noise: Noise, s: Array) -> Noise:
     return replace(noise, pixel_px=float(sigma[0]), joint=sigma[1:])
 
 
-def _joint_floor(linear: Linear, noise: Noise) -> Array:
-    """Return (groups,) log variances below which a group's readings count as exact."""
+def image_levels(linear: Linear, noise: Noise) -> Array:
+    """Return (groups,) how well one image tells the joints [rad]: the best of each group."""
     seen = np.linalg.cond(linear.ll) < 1e12  # a block may have lost all its corners as outliers
     alone = np.linalg.inv(linear.ll[seen])[:, *np.diag_indices(linear.ll.shape[1])]
     told = noise.pixel_px**2 * np.median(alone, axis=0)
-    groups = [told[noise.group == k].min() for k in range(len(noise.joint))]
-    return np.log(FLOOR_JOINT**2 * np.array(groups))
+    return np.sqrt([told[noise.group == k].min() for k in range(len(noise.joint))])
+
+
+def _joint_floor(linear: Linear, noise: Noise) -> Array:
+    """Return (groups,) log variances below which a group's readings count as exact."""
+    return 2 * np.log(FLOOR_JOINT * image_levels(linear, noise))
 
 
 def _evaluate(linear: Linear, noise: Noise, s: Array) -> _Evaluation:

@@ -57,6 +57,8 @@ class Problem:
     """(M, K)."""
     points: Array
     """(M, K, 3) the corners in frame target [m]."""
+    spread: Array
+    """(M,) by what factor the corners of a detection scatter more than those of a typical one."""
     block_view: Index
     """(B,)."""
     block_eye: Index
@@ -67,6 +69,8 @@ class Problem:
     """The neighbours of each block in time; None: the eyes stood still."""
     course: Array
     """(B, n, timing.DEGREE) how the latent unknowns go on in time; see followed."""
+    read_well: NDArray[np.bool_]
+    """(n,) of which joints the readings know the course better than the images do."""
     poses: Array | None
     """(B, 4, 4) T_base_eye as read; None: pan and tilt."""
     free: NDArray[np.bool_]
@@ -182,11 +186,16 @@ def followed(problem: Problem, state: State) -> Problem:
     """Return the problem with the eyes' course in time taken from the latent angles.
 
     These know the images: they are nearer to the truth than readings, whose noise would make the
-    eyes look faster, and the time offset smaller, than it is.
+    eyes look faster, and the time offset smaller, than it is. Where readings are the better ones
+    the course is theirs, for what follows from itself need not settle.
     """
     if problem.around is None:
         return problem
-    return replace(problem, course=timing.coefficients(problem.around, state.latent))
+    latent = timing.coefficients(problem.around, state.latent)
+    # Seen from the reading's moment time runs the other way: odd powers keep their sign.
+    sign = -((-1.0) ** np.arange(1, timing.DEGREE + 1))
+    reading = sign * timing.coefficients(problem.around, problem.reading)
+    return replace(problem, course=np.where(problem.read_well[:, None], reading, latent))
 
 
 def eye_poses(problem: Problem, state: State) -> Array:
