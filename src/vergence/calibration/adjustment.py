@@ -80,7 +80,8 @@ def adjust(
         group: (n,) group of joint noise of each latent unknown.
         pixel_std_px: of one coordinate of a corner; None: estimated.
         joint_std: (groups,) of the readings; None: estimated.
-        outlier: standard deviations beyond which a residual loses weight.
+        outlier: standard deviations beyond which a residual loses weight; infinite: plain least
+            squares, in which all images count alike.
 
     Raises:
         VergenceError: there are more unknowns than data.
@@ -104,7 +105,8 @@ def adjust(
     told[1:] |= assumed
     noise = replace(first, joint=np.where(assumed, USUAL_JOINT, first.joint))
     state, components, seen = start, Components(noise, np.zeros(1 + groups), left), None
-    agreed, converged, restarted, weighings = False, False, False, 0
+    agreed, converged, restarted = False, False, False
+    weighings = 0 if np.isfinite(outlier) else WEIGHINGS
     for _ in range(ROUNDS):
         state, converged, linear = minimise(problem, state, noise, basis)
         problem = followed(problem, state)

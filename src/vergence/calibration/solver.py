@@ -40,7 +40,7 @@ class Noise:
     """Standard deviations, with a group for each kind of reading."""
 
     pixel_px: float
-    """Of one coordinate of a corner."""
+    """Of one coordinate of a corner, in a typical image; see Problem.spread."""
     joint: Array
     """(groups,) [rad], or [m] for translations of eye poses."""
     group: Index
@@ -77,7 +77,7 @@ class Linear:
     latent: Array
     """(B, n)."""
     sum_squares: float
-    """Weighted squares of the corner errors [px^2]."""
+    """Weighted squares of the corner errors [px^2], of images that all scatter alike."""
     count: float
     """Of corner coordinates with a weight."""
     joint_errors: Array
@@ -111,7 +111,7 @@ def linearise(problem: Problem, state: State, weights: Weights) -> Linear:
     G, (B, n) = size(problem), problem.reading.shape
     shared, index, latent = jacobians(problem, state)
     error = corner_errors(problem, state)
-    root = np.sqrt(weights.corner)[..., None]
+    root = np.sqrt(weights.corner)[..., None] / problem.spread[:, None, None]
     M = len(index)
     J = (shared * root[..., None]).reshape(M, -1, index.shape[1])
     L = (latent * root[..., None]).reshape(M, -1, n)
@@ -201,11 +201,16 @@ def cholesky(matrix: Array) -> tuple[Array, bool]:
 
 def robust_weights(problem: Problem, state: State, noise: Noise) -> Weights:
     """Return Cauchy's weights beyond OUTLIER and 1 within."""
-    corner = np.linalg.norm(corner_errors(problem, state), axis=-1) / noise.pixel_px
+    corner = corner_distances(problem, state) / noise.pixel_px
     joint = np.abs(joint_errors(problem, state)) / noise.joint[noise.group]
     return Weights(
         np.where(problem.seen, _weight(corner, noise.outlier), 0.0), _weight(joint, noise.outlier)
     )
+
+
+def corner_distances(problem: Problem, state: State) -> Array:
+    """Return (M, K) [px] the lengths of the corner errors, of images that all scatter alike."""
+    return np.linalg.norm(corner_errors(problem, state), axis=-1) / problem.spread[:, None]
 
 
 def inliers(weights: Weights) -> Weights:
@@ -221,7 +226,7 @@ def same(weights: Weights, linear: Linear) -> bool:
 
 def cost(problem: Problem, state: State, noise: Noise) -> float:
     """Return the robust sum of squares in units of the noise; infinite behind a camera."""
-    corner = np.linalg.norm(corner_errors(problem, state), axis=-1) / noise.pixel_px
+    corner = corner_distances(problem, state) / noise.pixel_px
     joint = joint_errors(problem, state) / noise.joint[noise.group]
     total = _loss(corner, noise.outlier).sum() + _loss(joint, noise.outlier).sum()
     return float(total) if np.isfinite(total) else np.inf
