@@ -12,8 +12,12 @@ from vergence.errors import VergenceError
 
 MARGIN_SQUARES = 0.5
 """White all around: enough for the markers' black frames at the edge."""
-TEXELS_PER_SQUARE = 60
-"""About six a module of a marker: less blurs the markers, more makes the mipmaps do it."""
+TEXELS_PER_SQUARE = 64
+"""About eight a module of a marker: less blurs the markers, more makes the mipmaps do it. A power
+of two, so that the mipmaps are halved evenly and keep the corners where they are."""
+FINER = 8
+"""OpenCV puts a marker on whole pixels, to one side of its square by up to one: it is drawn so many
+times as large, and averaged."""
 BLACK, WHITE = 25, 235
 """As the chessboard's (models/cbi_head/assets/make_textures.py)."""
 
@@ -24,12 +28,15 @@ def put_charuco(spec: mujoco.MjSpec, board: Charuco) -> None:
     Raises:
         VergenceError: OpenCV cannot draw this board.
     """
-    size = (board.squares_x * TEXELS_PER_SQUARE, board.squares_y * TEXELS_PER_SQUARE)
+    size = np.array([board.squares_x, board.squares_y]) * TEXELS_PER_SQUARE
     try:
-        drawn = opencv_board(board).generateImage(size, marginSize=0, borderBits=1)
+        drawn = opencv_board(board).generateImage(
+            tuple((FINER * size).tolist()), marginSize=0, borderBits=1
+        )
     except cv2.error as error:
         raise VergenceError(f"OpenCV cannot draw the board: {error.err}.") from error
-    grey = np.where(drawn > 127, WHITE, BLACK).astype(np.uint8)
+    drawn = cv2.resize(drawn, size.tolist(), interpolation=cv2.INTER_AREA)
+    grey = np.round(BLACK + drawn * ((WHITE - BLACK) / 255)).astype(np.uint8)
     grey = np.pad(grey, round(MARGIN_SQUARES * TEXELS_PER_SQUARE), constant_values=WHITE)
     done, png = cv2.imencode(".png", grey)
     assert done

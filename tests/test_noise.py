@@ -1,0 +1,44 @@
+"""How much the corners of single images scatter, from their residuals."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vergence.calibration.noise import image_spreads
+
+
+def residual_squares(std: np.ndarray, count: int, seed: int) -> np.ndarray:
+    noise = np.random.default_rng(seed).normal(size=(len(std), count))
+    return ((std[:, None] * noise) ** 2).sum(axis=1)
+
+
+def test_images_that_scatter_alike_count_alike():
+    squares = residual_squares(np.full(60, 0.1), 100, 0)
+    spreads = image_spreads(squares, np.full(60, 100.0))
+    np.testing.assert_allclose(spreads, 1.0, atol=0.03)
+
+
+def test_images_that_scatter_differently_are_told_apart():
+    std = 0.02 * np.exp(np.random.default_rng(1).normal(0, 0.4, 60))
+    spreads = image_spreads(residual_squares(std, 100, 2), np.full(60, 100.0))
+    ratio = spreads / std
+    assert np.std(np.log(ratio)) < 0.08
+
+
+def test_images_of_few_corners_are_believed_less():
+    std = 0.02 * np.exp(np.random.default_rng(1).normal(0, 0.4, 60))
+    counts = np.where(np.arange(60) < 30, 10.0, 100.0)
+    squares = np.where(counts == 10, residual_squares(std, 10, 3), residual_squares(std, 100, 3))
+    spreads = np.abs(np.log(image_spreads(squares, counts)))
+    raw = np.abs(np.log(squares / counts) - np.log(np.median(squares / counts))) / 2
+    assert spreads[:30].mean() / raw[:30].mean() < spreads[30:].mean() / raw[30:].mean()
+
+
+@given(st.lists(st.floats(0, 6), max_size=5))
+def test_images_that_tell_nothing_count_as_typical(counts: list[float]):
+    spreads = image_spreads(np.zeros(len(counts)), np.array(counts))
+    np.testing.assert_array_equal(spreads, 1.0)
+
+
+def test_exact_corners_are_no_trouble():
+    assert np.isfinite(image_spreads(np.zeros(5), np.full(5, 100.0))).all()
