@@ -15,7 +15,7 @@ def residual_squares(std: np.ndarray, count: int, seed: int) -> np.ndarray:
 def test_images_that_scatter_alike_count_alike():
     squares = residual_squares(np.full(60, 0.1), 100, 0)
     spreads = image_spreads(squares, np.full(60, 100.0))
-    np.testing.assert_allclose(spreads, 1.0, atol=0.03)
+    np.testing.assert_allclose(spreads, 1.0, atol=0.06)  # against 0.2 if each went by its own
 
 
 def test_images_that_scatter_differently_are_told_apart():
