@@ -14,7 +14,7 @@ from vergence.calibration import solve as solving
 from vergence.calibration.accuracy import Observations
 from vergence.calibration.detect import Detections
 from vergence.calibration.parameters import difference
-from vergence.calibration.solve import Answer, Method, answer, estimate
+from vergence.calibration.solve import Answer, Method, estimate
 from vergence.dataset import Dataset, pose_columns
 from vergence.errors import VergenceError
 from vergence.geometry import pose
@@ -71,8 +71,7 @@ def test_eye_poses_about_one_axis_are_refused_with_the_axis():
         estimate(as_poses(seen))
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize(("side", "method"), [("left", "refined"), ("right", "paper")])
 def test_a_head_of_one_eye_is_calibrated(side: str, method: Method):
     truth, seen = recorded(3, narrow=True)
     names = {f"{side}_wide": f"{side}_wide", f"{side}_narrow": f"{side}_narrow"}
@@ -89,8 +88,7 @@ def test_a_head_of_one_eye_is_calibrated(side: str, method: Method):
     assert not any("T_rbase" in name for name in found.head.accuracy.parameters)
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_cameras_may_be_called_anything_and_sit_three_in_an_eye(method: Method):
+def test_cameras_may_be_called_anything_and_sit_three_in_an_eye():
     truth, seen = recorded(4, narrow=True)
     third = truth.cameras["left_wide"]
     third = replace(third, T_eye_cam=third.T_eye_cam @ pose(t=[0.01, 0.01, 0]))
@@ -99,21 +97,10 @@ def test_cameras_may_be_called_anything_and_sit_three_in_an_eye(method: Method):
     names = {"left_wide": "port", "left_narrow": "port_narrow", "left_third": "thermal",
              "right_wide": "starboard"}  # fmt: skip
     eyes = {new: truth.cameras[old].eye for old, new in names.items()}
-    found = estimate(only(seen, names, eyes), method=method)
+    found = estimate(only(seen, names, eyes))
     renamed = {new: truth.cameras[old] for old, new in names.items()}
     assert_near(found, replace(truth, cameras=renamed))
     assert main_pair(found.head) == ("port", "starboard")
-
-
-def test_other_names_have_a_held_out_error_as_well():
-    _, seen = recorded(6)
-    names = {"left_wide": "port", "right_wide": "starboard"}
-    found = answer(only(seen, names, {"port": "left", "starboard": "right"}))
-    assert found.head.accuracy is not None
-    checked = found.head.accuracy.held_out
-    assert checked is not None
-    assert checked.point_mm is not None
-    assert checked.transfer_views > 10
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -185,5 +172,9 @@ def test_other_heads_go_all_the_way_from_a_folder_to_a_report(
     assert main_pair(calibrated) == ("port", "starboard")
     assert calibrated.accuracy is not None
     assert calibrated.accuracy.eye_motion == ("poses" if poses else "pan-tilt")
+    checked = calibrated.accuracy.held_out
+    assert checked is not None
+    assert checked.transfer_views > 10
+    assert (checked.point_mm is None) == poses
     off = calibrated.T_rbase_lbase[:3, 3] - truth.T_rbase_lbase[:3, 3]
     assert np.abs(off).max() < 0.004

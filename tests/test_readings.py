@@ -149,7 +149,7 @@ SPOILT = {
 
 
 @given(seed=st.integers(0, 10**6), how=st.sampled_from(sorted(SPOILT)), images=st.booleans())
-@settings(max_examples=12)
+@settings(max_examples=8)
 def test_spoilt_readings_end_in_words_or_in_the_truth(seed: int, how: str, images: bool):
     rng = np.random.default_rng(seed)
     truth, seen = recorded(seed % 5, alike=bool(rng.integers(2)))
