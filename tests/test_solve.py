@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from heads import plain_head
-from vergence import cli
+from vergence import cli, dataset_files
 from vergence.head import load, save
+from vergence.recording import read_series
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
@@ -60,8 +61,26 @@ def test_a_recorded_head_is_calibrated_and_evaluated(recorded, tmp_path, monkeyp
         "coverage.png",
         "residuals.png",
         "worst_views.png",
+        "dataset.rrd",
     }
+    _check_recording(report / "dataset.rrd", recorded, stated)
     assert (report / "report.md").read_text().splitlines()[2].startswith(stated["verdict"])
+
+
+def _check_recording(path: Path, folder: Path, stated: dict) -> None:
+    """Every image of the dataset with a board has its corners and residuals in the recording."""
+    dataset = dataset_files.load(folder)
+    for camera, files in dataset.files.items():
+        entity = f"/world/{camera.partition('_')[0]}_eye/{camera}"
+        images, _ = read_series(
+            path, f"{entity}/image", component="EncodedImage:media_type", timeline="frame"
+        )
+        assert images.tolist() == [row for row, name in enumerate(files) if name is not None]
+        rows, rms = read_series(path, f"/residual/{camera}", timeline="frame")
+        assert set(rows) <= set(images)
+        assert 0.5 < np.median(rms) / (np.sqrt(2) * stated["pixel_std_px"]) < 2
+    _, pan = read_series(path, "/joints/left_pan", timeline="frame")
+    np.testing.assert_array_equal(pan.ravel(), dataset.eye_angles[:, 0])
 
 
 def test_the_paper_s_method_states_no_accuracy(recorded, tmp_path, monkeypatch, capsys):

@@ -94,7 +94,7 @@ def calibrate(
     Args:
         dataset: Folder with dataset.json, frames.csv and images.
         out: JSON file of the calibration.
-        report: Folder for report.md and its pictures.
+        report: Folder for report.md, its pictures and a recording of the dataset.
         method: The paper's steps, or one estimate of everything that starts from them.
         json: File for the accuracy alone, in figures.
     """
@@ -106,11 +106,12 @@ def calibrate(
 
     with Progress(console=Console(stderr=True)) as progress:
         solved = solve(dataset, method=method, progress=progress)
-    save(solved.head, out)
-    if json is not None:
-        write_json(solved, json)
-    if report is not None:
-        write_report(solved, report)
+        save(solved.head, out)
+        if json is not None:
+            write_json(solved, json)
+        if report is not None:
+            task = progress.add_task("writing the report", total=len(solved.dataset))
+            write_report(solved, report, done=lambda: progress.advance(task))
     print("\n".join([*summary(solved), f"Wrote {out}."]))
 
 

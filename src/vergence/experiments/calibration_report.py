@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from vergence.camera import project
 from vergence.geometry import inverse, transform
 from vergence.head import HeadCalibration, T_base_cam, main_pair, write_whole
 from vergence.kinematics import EYES
+from vergence.recording.dataset import record_dataset
 from vergence.uncertainty import point_covariance
 
 MISFIT = 1.5
@@ -200,8 +202,14 @@ def write_json(solved: Solved, path: Path) -> None:
     write_whole(path, json.dumps(figures(solved), indent=1, allow_nan=False) + "\n")
 
 
-def write_report(solved: Solved, folder: Path) -> None:
-    """Write report.md and its pictures into a folder."""
+def write_report(solved: Solved, folder: Path, *, done: Callable[[], None] = lambda: None) -> None:
+    """Write report.md, its pictures and the recording dataset.rrd into a folder.
+
+    Args:
+        solved: the calibration.
+        folder: made if it is not there.
+        done: called after each recorded row.
+    """
     views, eyes = solved.detections.views, solved.dataset.description.eyes
     angles = {eye: views.eye_angles[:, 2 * k : 2 * k + 2] for k, eye in enumerate(EYES)}
     plots.coverage(
@@ -219,7 +227,17 @@ def write_report(solved: Solved, folder: Path) -> None:
                 title = f"line {solved.dataset.lines[row]}, {name}: rms {size:.3f} px"
                 shown[title] = (image, views.corners[name][row], errors[name][row])
         plots.views(folder / "worst_views.png", shown)
-    write_whole(folder / "report.md", as_markdown(solved))
+    text = as_markdown(solved)
+    record_dataset(
+        folder / "dataset.rrd",
+        solved.dataset,
+        solved.detections,
+        solved.head,
+        solved.refined,
+        report=text,
+        done=done,
+    )
+    write_whole(folder / "report.md", text)
 
 
 def worst(solved: Solved) -> list[tuple[float, str, int]]:
@@ -243,7 +261,8 @@ def as_markdown(solved: Solved) -> str:
     lines += ["## Warnings", "", *([f"- {line}" for line in said] or ["None."]), ""]
     lines += ["## Accuracy of points", "", *_points(solved), ""]
     lines += ["## Parameters", "", *_parameters(solved.head), ""]
-    lines += ["## Images", "", "![coverage](coverage.png)", ""]
+    lines += ["## Images", "", "All of them, with corners and residuals: `rerun dataset.rrd`", ""]
+    lines += ["![coverage](coverage.png)", ""]
     if solved.refined is not None:
         lines += ["![residuals](residuals.png)", "", "![worst views](worst_views.png)", ""]
         lines += ["| worst views | camera | residual [px] |", "|---|---|---|"]

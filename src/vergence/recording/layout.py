@@ -152,18 +152,31 @@ def _last_seconds(seconds: float | None) -> rrb.VisibleTimeRanges:
 
 
 def camera_views(head: HeadCalibration, *, marks: str) -> list[rrb.Spatial2DView]:
-    """Return a view of each camera, the wide ones first; what its marks mean is in its title."""
+    """Return a view of each camera, the widest of each eye first; titles say what marks mean."""
     views = []
     entities = camera_entities(head)
-    for name in (f"{eye}_{lens}" for lens in ("wide", "narrow") for eye in EYES):
-        if name in entities:
-            camera = head.camera(name).intrinsics
-            bounds = rrb.VisualBounds2D(x_range=(0, camera.width), y_range=(0, camera.height))
-            views.append(
-                rrb.Spatial2DView(
-                    name=f"{name.replace('_', ' ')}: {marks}",
-                    origin=entities[name],
-                    visual_bounds=bounds,
-                )
+    for name in _by_rank(head):
+        camera = head.camera(name).intrinsics
+        bounds = rrb.VisualBounds2D(x_range=(0, camera.width), y_range=(0, camera.height))
+        views.append(
+            rrb.Spatial2DView(
+                name=f"{name.replace('_', ' ')}: {marks}",
+                origin=entities[name],
+                visual_bounds=bounds,
             )
+        )
     return views
+
+
+def _by_rank(head: HeadCalibration) -> list[str]:
+    """Return the cameras by width of view: the widest of the left eye, of the right one, ..."""
+
+    def narrowness(name: str) -> float:
+        camera = head.camera(name).intrinsics
+        return float(camera.matrix[0, 0] / camera.width)
+
+    ranked = []
+    for k, eye in enumerate(EYES):
+        own = [name for name, mounted in head.cameras.items() if mounted.eye == eye]
+        ranked += [(rank, k, name) for rank, name in enumerate(sorted(own, key=narrowness))]
+    return [name for _, _, name in sorted(ranked)]

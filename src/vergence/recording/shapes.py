@@ -85,6 +85,7 @@ def log_cameras(rec: rr.RecordingStream, head: HeadCalibration) -> None:
     for name, entity in camera_entities(head).items():
         mounted = head.camera(name)
         camera, image_from_camera = mounted.intrinsics, mounted.intrinsics.matrix.copy()
+        lens = float(camera.matrix[0, 0]) / camera.width
         image_from_camera[:2, 2] += 0.5
         rec.log(
             entity,
@@ -93,7 +94,7 @@ def log_cameras(rec: rr.RecordingStream, head: HeadCalibration) -> None:
                 image_from_camera=image_from_camera,
                 width=camera.width,
                 height=camera.height,
-                image_plane_distance=style.FRUSTUM_M[name.split("_")[1]],
+                image_plane_distance=style.FRUSTUM_WIDTH_M * lens,
             ),
             rr.TransformAxes3D(0),  # else the viewer draws axes as long as the frustum
             static=True,

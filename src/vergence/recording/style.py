@@ -25,8 +25,8 @@ DETECTED, TRUTH = (255, 230, 0), (0, 240, 255)
 ESTIMATE, OLD, RAY, OBJECT = (20, 60, 220), (120, 150, 235), (250, 150, 30), (60, 60, 60)
 CROSS_PX = np.array([[[-9.0, 0.0], [9.0, 0.0]], [[0.0, -9.0], [0.0, 9.0]]])
 RING_PX = 20.0
-FRUSTUM_M = {"wide": 0.045, "narrow": 0.16}
-"""Distance at which an image is drawn before its camera: both are then about as large."""
+FRUSTUM_WIDTH_M = 0.095
+"""An image is drawn before its camera at the distance at which it is so wide."""
 JPEG_QUALITY = 40
 """Sensor noise inflates JPEG: 24 kB for a 640 x 480 image with noise of 3 grey levels, and 54 kB
 at 85, for no more to see."""
