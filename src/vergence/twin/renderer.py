@@ -119,7 +119,8 @@ class Renderer:
         """Return the image (H, W, 3) uint8 that the camera gives."""
         image = negative.rendered
         if negative.camera in self._maps:
-            image = cv2.remap(cv2.pyrUp(image), self._maps[negative.camera], None, cv2.INTER_LINEAR)
+            at = self._maps[negative.camera]
+            image = cv2.remap(cv2.pyrUp(image), at, np.empty(0, np.float32), cv2.INTER_LINEAR)
         if self._image.blur_px:
             image = cv2.GaussianBlur(image, (0, 0), self._image.blur_px)
         if self._noise is not None:
