@@ -22,10 +22,10 @@ def command(start=0.0, goal=0.0, rate=0.0, time_s=1.0) -> Command:
 
 @given(start=SEVEN, goal=SEVEN, rate=SEVEN, time_s=st.floats(1, 3))
 def test_set_points_keep_ranges_and_speeds(start, goal, rate, time_s):
-    start = np.clip(start, *LIMITS.range_rad.T)
+    start = np.clip(start, *LIMITS.set_rad.T)
     now = setpoint(Command(1.0, start, goal, rate, LIMITS), time_s)
-    assert (now >= LIMITS.range_rad[:, 0]).all()
-    assert (now <= LIMITS.range_rad[:, 1]).all()
+    assert (now >= LIMITS.set_rad[:, 0]).all()
+    assert (now <= LIMITS.set_rad[:, 1]).all()
     assert (np.abs(now - start) <= LIMITS.speed_rad_s * (time_s - 1) + 1e-12).all()
 
 

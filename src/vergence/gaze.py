@@ -156,7 +156,7 @@ def _turn_neck(settings: Settings, state: State, eyes: Array, now_s: float) -> S
     change = settings.neck_acceleration_rad_s2 * min(now_s - state.command.time_s, 0.1)
     rate = state.neck_rate + np.clip(wanted - state.neck_rate, -change, change)
     at = setpoint(state.command, now_s)[NECK]
-    lower, upper = settings.limits.range_rad[NECK].T
+    lower, upper = settings.limits.set_rad[NECK].T
     blocked = np.isin(HEAD_JOINTS[NECK], state.stuck)
     blocked |= ((at >= upper) & (rate > 0)) | ((at <= lower) & (rate < 0))
     return replace(state, neck_turning=bool(turning), neck_rate=np.where(blocked, 0.0, rate))
@@ -167,7 +167,7 @@ def _send(settings: Settings, state: State, goal: Array, rate: Array, now_s: flo
     at = setpoint(state.command, now_s)
     goal = np.where(np.isfinite(goal), goal, at[EYES_4])
     rate = np.where(np.isfinite(rate), rate, 0.0)
-    lower, upper = settings.limits.range_rad[EYES_4].T
+    lower, upper = settings.limits.set_rad[EYES_4].T
     distance = np.abs(np.clip(goal, lower, upper) - at[EYES_4])
     foveal = all(best_camera(state, eye) == f"{eye}_narrow" for eye in EYES)
     landing = state.landing_s

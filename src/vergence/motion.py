@@ -39,6 +39,13 @@ class Limits:
     """(7, 2) lower and upper end."""
     speed_rad_s: Array = field(default_factory=lambda: np.array([3.0] * 3 + [10.0] * 4))
     """(7,) of the set points."""
+    margin_rad: float = float(np.radians(0.25))
+    """Set points keep this far from the ends of the ranges, since a servo overshoots a little."""
+
+    @property
+    def set_rad(self) -> Array:
+        """(7, 2) lower and upper end of what may be set."""
+        return self.range_rad + self.margin_rad * np.array([1.0, -1.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +71,7 @@ def setpoint(command: Command, time_s: float) -> Array:
     goal = command.goal + command.rate * min(elapsed, command.hold_s)
     reach = command.limits.speed_rad_s * elapsed
     wanted = command.start + np.clip(goal - command.start, -reach, reach)
-    return np.clip(wanted, *command.limits.range_rad.T)
+    return np.clip(wanted, *command.limits.set_rad.T)
 
 
 def commanded(commands: Sequence[Command], time_s: float) -> Array:

@@ -15,7 +15,14 @@ from vergence.calibration.noise import (
     redundancy,
 )
 from vergence.calibration.observability import Observability, observe, whole_basis
-from vergence.calibration.problem import Problem, State, corner_errors, followed
+from vergence.calibration.problem import (
+    Problem,
+    State,
+    calibration_size,
+    corner_errors,
+    followed,
+)
+from vergence.calibration.shared import shared_errors
 from vergence.calibration.solver import (
     OUTLIER,
     Linear,
@@ -51,7 +58,8 @@ class Adjusted:
     state: State
     components: Components
     observability: Observability
-    """Its covariance allows for the levels of noise being estimates themselves."""
+    """Its covariance allows for the levels of noise being estimates themselves, and for errors of
+    corners that images share."""
     weights: Weights
     """1 for inliers, 0 for outliers and what was not seen."""
     assumed: np.ndarray
@@ -61,6 +69,8 @@ class Adjusted:
     spare: Array
     """(groups,) how many readings a generous noise would leave over: what a level rests on."""
     converged: bool
+    shared_px: tuple[float, ...]
+    """By camera: errors of corners that all its images share, rms of one coordinate [px]."""
 
 
 def adjust(
@@ -132,16 +142,19 @@ def adjust(
                 break
             problem, weighings = _weighed(problem, state, noise, components), weighings + 1
     assert seen is not None
+    weights, c = inliers(robust_weights(problem, state, noise)), calibration_size(problem)
+    shared = shared_errors(problem, state, linear, weights, noise, seen.basis)
     certain = observe(problem, state, linear, _allowing_for_estimation(components))
     return Adjusted(
         state,
         components,
-        replace(seen, covariance=certain.covariance),
-        inliers(robust_weights(problem, state, noise)),
+        replace(seen, covariance=certain.covariance + shared.covariance[:c, :c]),
+        weights,
         assumed,
         np.full(groups, joint_std is not None),
         left[1:],
         converged and agreed,
+        shared.rms_px,
     )
 
 

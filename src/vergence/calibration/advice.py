@@ -63,6 +63,15 @@ def warnings(problem: Problem, found: Adjusted) -> tuple[str, ...]:
             f"{noise.pixel_px:.2g} px and lost their weight: look at the views with the largest "
             "residuals."
         )
+    shared = max(found.shared_px)
+    if shared > noise.pixel_px:  # the others may have it from the worst, by where the boards are
+        camera = problem.cameras[found.shared_px.index(shared)]
+        whose = "" if len(problem.cameras) == 1 else f" of {camera}"
+        said.append(
+            f"All images{whose} share errors of {shared:.2g} px, more than single corners "
+            f"scatter ({noise.pixel_px:.2g} px): the lens is not as the model says, or the "
+            "board is not flat; look at the residuals over the image."
+        )
     if not found.converged:
         said.append("The estimate did not converge: do not trust it.")
     return tuple(dict.fromkeys(said))  # pan and tilt may share one

@@ -85,7 +85,7 @@ class Renderer:
         # 0.02 px, with a sign that changes within a pixel; and as floats, for OpenCV's packed maps
         # round to 1/32 px. Either would be the same in every image.
         self._maps = {
-            name: 2 * _pinhole_map(mounted.intrinsics, sizes[name]).astype(np.float32)
+            name: cv2.split(2 * _pinhole_map(mounted.intrinsics, sizes[name]).astype(np.float32))
             for name, mounted in head.cameras.items()
             if mounted.intrinsics.distortion.any()
         }
@@ -119,8 +119,8 @@ class Renderer:
         """Return the image (H, W, 3) uint8 that the camera gives."""
         image = negative.rendered
         if negative.camera in self._maps:
-            at = self._maps[negative.camera]
-            image = cv2.remap(cv2.pyrUp(image), at, np.empty(0, np.float32), cv2.INTER_LINEAR)
+            x, y = self._maps[negative.camera]
+            image = cv2.remap(cv2.pyrUp(image), x, y, cv2.INTER_LINEAR)
         if self._image.blur_px:
             image = cv2.GaussianBlur(image, (0, 0), self._image.blur_px)
         if self._noise is not None:

@@ -1,0 +1,58 @@
+"""Errors that all images of a camera share are seen in the residuals, and make accuracy humble."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from test_other_heads import recorded
+from vergence.calibration.refine import Refined, refine
+from vergence.calibration.solve import estimate
+from vergence.head import HeadCalibration
+from vergence.kinematics import EYES
+
+
+def bent(corners: np.ndarray, size_px: float) -> np.ndarray:
+    """Return corners (..., 2) moved by a field of about so many pixels that no lens model has."""
+    x, y = corners[..., 0] / 320 - 1, corners[..., 1] / 240 - 1
+    field = np.stack([np.cos(4 * x) * y, np.sin(3 * y) * np.cos(2 * x)], axis=-1)
+    return corners + 2 * size_px * field
+
+
+@pytest.fixture(scope="module")
+def heads() -> tuple[HeadCalibration, Refined, Refined]:
+    """A head, its calibration, and that from images whose left corners share an error of 0.4 px."""
+    truth, seen = recorded(9)
+    start = estimate(seen).head
+    plain = refine(start, seen.views)
+    corners = dict(seen.views.corners)
+    corners["left_wide"] = bent(corners["left_wide"], 0.4)
+    return truth, plain, refine(start, replace(seen.views, corners=corners))
+
+
+def std_of(refined: Refined, name: str) -> float:
+    return float(np.sqrt(refined.covariance[(i := refined.parameters.index(name)), i]))
+
+
+def test_without_them_they_are_hardly_taken_for_there(heads):
+    _, plain, _ = heads
+    assert not any("share errors" in warning for warning in plain.warnings)
+
+
+def test_they_are_named_by_camera(heads):
+    _, _, spoilt = heads
+    said = [warning for warning in spoilt.warnings if "share errors" in warning]
+    assert len(said) == 1
+    assert said[0].startswith("All images of left_wide share errors of 0.")
+    assert "the lens is not as the model says" in said[0]
+
+
+def test_they_make_the_stated_accuracy_of_that_camera_worse_and_true(heads):
+    truth, plain, spoilt = heads
+    for name in ("fx", "cx", "k1"):
+        assert std_of(spoilt, f"left_wide.{name}") > 2 * std_of(plain, f"left_wide.{name}")
+    for eye in EYES:
+        camera, true = spoilt.head.cameras[f"{eye}_wide"], truth.cameras[f"{eye}_wide"]
+        off = camera.intrinsics.matrix - true.intrinsics.matrix
+        for name, error in (("fx", off[0, 0]), ("fy", off[1, 1]), ("cx", off[0, 2])):
+            assert abs(error) < 3 * std_of(spoilt, f"{eye}_wide.{name}")
