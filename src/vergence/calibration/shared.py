@@ -6,7 +6,7 @@ which are then wrong by more than independent errors explain; the rest stays in 
 large the field is, is read from that rest; the part that is absorbed is *assumed* to be as large.
 
 The field of each camera is a sum of Legendre polynomials in both coordinates of the image, up to
-`DEGREE`, with coefficients of one standard deviation, which is that of greatest likelihood.
+`DEGREE`, with coefficients of one standard deviation.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial.legendre import legvander2d
 from scipy.linalg import cho_solve
-from scipy.optimize import minimize_scalar
 
 from vergence.arrays import Array
 from vergence.calibration.derivatives import jacobians
@@ -81,7 +80,7 @@ def shared_errors(
         left = np.einsum("mkxa,mkxb->ab", weighed, fields, optimize=True) - taken
         seen = np.einsum("mkxa,mkx->a", weighed, errors[mine])
         seen += right_g.T @ moved[0] + np.einsum("bnk,bn->k", right_l, moved[1])
-        std = _likeliest(left, seen)
+        std = _expected(left, seen)
         absorbed = basis @ free
         covariance += std**2 * absorbed @ absorbed.T
         # Of functions whose mean square is one, for each coordinate.
@@ -101,8 +100,10 @@ def _fields(pixels: Array, width: int, height: int) -> Array:
     return fields
 
 
-def _likeliest(left: Array, seen: Array) -> float:
-    """Return the standard deviation of the coefficients that explains the residuals best.
+def _expected(left: Array, seen: Array) -> float:
+    """Return the standard deviation of the coefficients, as the residuals tell it.
+
+    The root of the mean of its square, over its likelihood: a few directions tell it roughly.
 
     The residuals' projection y onto the fields has the covariance G + s^2 G^2, with G what is left
     of the fields after the fit, in units of the noise.
@@ -115,6 +116,8 @@ def _likeliest(left: Array, seen: Array) -> float:
         variance = g + np.exp(2 * log_std) * g**2
         return float((np.log(variance) + squares / variance).sum())
 
-    small = -0.5 * np.log(g.max()) - 3  # of no effect
-    best = minimize_scalar(cost, bounds=(small, small + 12), method="bounded")
-    return float(np.exp(best.x)) if best.fun < cost(small) else 0.0
+    # From what has no effect to what would be seen in every direction.
+    log_std = np.linspace(-3, 6, 300) - 0.5 * np.log(g.max())
+    costs = np.array([cost(each) for each in log_std])
+    likelihood = np.exp((costs.min() - costs) / 2 + log_std)  # every s alike: ds = s d(log s)
+    return float(np.sqrt(np.average(np.exp(2 * log_std), weights=likelihood)))
