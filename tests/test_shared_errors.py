@@ -43,7 +43,7 @@ def test_they_are_named_by_camera(heads):
     _, _, spoilt = heads
     said = [warning for warning in spoilt.warnings if "share errors" in warning]
     assert len(said) == 1
-    assert said[0].startswith("All images of left_wide share errors of 0.")
+    assert said[0].startswith("All images of left_wide share errors of ")
     assert "the lens is not as the model says" in said[0]
 
 
