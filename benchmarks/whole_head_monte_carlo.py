@@ -1,7 +1,7 @@
 """Whether the stated accuracy of a whole head is true, over many heads that nobody built.
 
     python benchmarks/whole_head_monte_carlo.py
-    python benchmarks/whole_head_monte_carlo.py --trials 40 --out /tmp/trials.jsonl
+    python benchmarks/whole_head_monte_carlo.py --trials 40 --out runs/trials.jsonl
 
 Each trial draws a head (baseline, lenses, mountings, gains, axes), a recording of 10 to 18 boards
 at straight gaze, 8 to 12 for each narrow camera and 30 to 60 eye orientations before a board at
