@@ -81,8 +81,8 @@ class Renderer:
         self.restart(0)
         sizes = overscan_sizes(head)
         self._sizes = sizes
-        # Into a picture of twice the size, for linear interpolation shifts sharp edges by up to
-        # 0.02 px, with a sign that changes within a pixel; and as floats, for OpenCV's packed maps
+        # Into a picture of twice the size, for linear interpolation shifts corners by about
+        # 0.01 px, with a sign that changes within a pixel; and as floats, for OpenCV's packed maps
         # round to 1/32 px. Either would be the same in every image.
         self._maps = {
             name: cv2.split(2 * _pinhole_map(mounted.intrinsics, sizes[name]).astype(np.float32))
