@@ -1,10 +1,11 @@
 """Corners of a chessboard to a hundredth of a pixel: saddle points of the grey levels.
 
-Around a corner the slightly blurred image is a saddle. A quadratic is fitted to it in a disc, and
-its stationary point taken (after Lucchese and Mitra, 2002). Two edges that cross look the same
-when turned by half a turn, from wherever they are seen, so that the size of the disc does not
-matter. A lens bends them: then the disc is bent likewise, by as much as the grid of corners around
-it is bent.
+Around a corner the slightly blurred image is a saddle. A quadratic is fitted to it, and its
+stationary point taken (after Lucchese and Mitra, 2002). Two edges that cross look the same when
+turned by half a turn, from wherever they are seen, so that any neighbourhood will do that looks the
+same too. Here it is two strips, one along each edge: there is the light that tells where the edges
+run, and further off there is only noise, or a marker. A lens bends the edges: then the strips are
+bent likewise, by as much as the grid of corners around them is bent.
 """
 
 from __future__ import annotations
@@ -15,7 +16,11 @@ from scipy.ndimage import map_coordinates, spline_filter
 
 from vergence.arrays import Array
 
-RADII_PX = 2, 7
+REACHES_PX = 2, 10
+"""Least and greatest length of the strips to either side of a corner."""
+HALF_WIDTH_PX = 2.0
+"""Of the strips: an edge, as wide as lenses draw it."""
+_ALONG, _ASIDE = np.linspace(-1, 1, 15), np.linspace(-1, 1, 5)  # where in a strip grey is read
 ITERATIONS = 5
 REACH_PX = 1.5
 """A corner is not sought further away than this."""
@@ -27,25 +32,30 @@ contrast, and more than its neighbours do for noise, is half hidden."""
 _SPLINE_REACH_PX = 12  # so far the edge of a picture is felt in its spline, and the blur
 
 
-def refine_grid(grey: np.ndarray, grid: Array, radii_px: Array) -> Array:
+def refine_grid(
+    grey: np.ndarray, grid: Array, reaches_px: Array, half_widths_px: Array | float = HALF_WIDTH_PX
+) -> Array:
     """Move the corners of a board onto the saddle points of the grey levels around them.
 
     Args:
         grey: (H, W) uint8.
         grid: (rows, columns, 2) the board's inner corners [px], right to about a pixel; NaN where
             one is not known.
-        radii_px: (rows, columns) how far from a corner there is nothing but its own two edges;
-            taken within RADII_PX.
+        reaches_px: (rows, columns) how far along its edges nothing is met; taken within REACHES_PX.
+        half_widths_px: (rows, columns) how far beside its edges nothing is met.
 
     Returns:
-        (rows, columns, 2) px; NaN where there is no clear saddle, or too near the image's edge.
+        (rows, columns, 2) px; NaN where there is no clear saddle, too near the image's edge, or
+        without neighbours in its row and its column.
     """
     shape = grid.shape
-    radii = np.clip(np.nan_to_num(np.round(radii_px)), *RADII_PX).astype(int).ravel()
-    straight = _saddles(grey, grid.reshape(-1, 2), radii, np.zeros((grid[..., 0].size, 2, 3)))
+    reaches = np.clip(np.nan_to_num(reaches_px), *REACHES_PX).ravel()
+    half_widths = np.broadcast_to(half_widths_px, shape[:2]).ravel()
+    strips = _strips(grid, reaches, half_widths)
+    straight = _saddles(grey, grid.reshape(-1, 2), strips, np.zeros((reaches.size, 2, 3)))
     # The bend needs corners that are better than those that were given.
     bend = curvatures(straight.reshape(shape)).reshape(-1, 2, 3)
-    return _saddles(grey, straight, radii, bend).reshape(shape)
+    return _saddles(grey, straight, strips, bend).reshape(shape)
 
 
 def clearances(grid: Array) -> Array:
@@ -106,54 +116,68 @@ def curvatures(grid: Array) -> Array:
     return np.nan_to_num(bend)
 
 
-def _saddles(grey: np.ndarray, corners: Array, radii_px: np.ndarray, bend: Array) -> Array:
+def _strips(grid: Array, reaches_px: Array, half_widths_px: Array) -> Array:
+    """Return where around each corner of a grid grey levels are read (K, 2 P, 2) [px].
+
+    In two strips of P places along its edges; half a turn takes the first of a strip to its last,
+    and so on. NaN for a corner without a neighbour in its row or its column.
+    """
+    (left, above), _, _, (right, below) = quadrants(grid)
+    strips = []
+    for before, after in ((left, right), (above, below)):
+        edge = np.nan_to_num(after) - np.nan_to_num(before)
+        length = np.linalg.norm(edge, axis=-1, keepdims=True)
+        edge = (edge / np.where(length > 0, length, np.nan)).reshape(-1, 1, 1, 2)
+        along = reaches_px[:, None, None, None] * _ALONG[:, None, None] * edge
+        aside = half_widths_px[:, None, None, None] * _ASIDE[:, None] * edge[..., ::-1] * (-1, 1)
+        strips.append((along + aside).reshape(len(edge), -1, 2))
+    return np.concatenate(strips, axis=1)
+
+
+def _saddles(grey: np.ndarray, corners: Array, strips: Array, bend: Array) -> Array:
     """Return the saddle points (K, 2) near the corners (K, 2); NaN where there is none.
 
-    Each is sought in a disc of its own radius (K,) and bend (K, 2, 3); one that leaves the image
-    is none.
+    Each is sought in strips (K, P, 2) and bend (K, 2, 3) of its own; one that leaves the image is
+    none.
     """
     refined, uneven = np.full(corners.shape, np.nan), np.full(len(corners), np.nan)
-    margin = radii_px[:, None] + 2
+    margin = np.abs(strips).max(axis=1) + 2  # NaN is not inside
     size = np.array(grey.shape[::-1])
     inside = ((corners >= margin) & (corners <= size - 1 - margin)).all(axis=1)
     if not inside.any():
         return refined
-    reach = int(radii_px.max()) + _SPLINE_REACH_PX
+    reach = int(np.ceil(margin[inside].max())) + _SPLINE_REACH_PX
     low = np.maximum(np.floor(corners[inside].min(axis=0)).astype(int) - reach, 0)
     high = np.ceil(corners[inside].max(axis=0)).astype(int) + reach + 1
     part = grey[low[1] : high[1], low[0] : high[0]].astype(np.float32)
     # A spline, for cv2.remap's cubic interpolation is off by 0.03 px on a mere ramp of grey.
     spline = spline_filter(cv2.GaussianBlur(part, (0, 0), 0.7), order=3, mode="mirror")
-    for radius_px in np.unique(radii_px[inside]):
-        these = inside & (radii_px == radius_px)
-        found, uneven[these] = _rest(spline, corners[these] - low, int(radius_px), bend[these])
-        refined[these] = found + low
+    found, uneven[inside] = _rest(spline, corners[inside] - low, strips[inside], bend[inside])
+    refined[inside] = found + low
     refined[uneven > max(UNEVEN, 4 * float(np.nanmedian(uneven)))] = np.nan
     return refined
 
 
-def _rest(spline: Array, corners: Array, radius_px: int, bend: Array) -> tuple[Array, Array]:
+def _rest(spline: Array, corners: Array, strips: Array, bend: Array) -> tuple[Array, Array]:
     """Return the saddle points (K, 2) of a spline near corners (K, 2), NaN where there is none.
 
     And (K,) how much the grey levels around each change when turned by half a turn, as a part of
     their contrast.
     """
-    v, u = np.mgrid[-radius_px : radius_px + 1, -radius_px : radius_px + 1]
-    disc = u * u + v * v <= (radius_px + 0.2) ** 2
-    u, v = u[disc].astype(float), v[disc].astype(float)
+    u, v = strips[..., 0], strips[..., 1]
     squares = np.stack([u * u, u * v, v * v], axis=-1)
-    fit = np.linalg.pinv(np.column_stack([squares, u, v, np.ones_like(u)]))
-    bent = np.stack([u, v], axis=-1) + squares @ np.swapaxes(bend, 1, 2)
+    fit = np.linalg.pinv(np.concatenate([squares, strips, np.ones_like(strips[..., :1])], axis=-1))
+    bent = strips + squares @ np.swapaxes(bend, 1, 2)
     refined = corners.copy()
     step = np.zeros_like(corners)
     uneven = np.zeros(len(corners))
     for _ in range(ITERATIONS):
         at = (refined[:, None] + bent).transpose(2, 0, 1)[::-1]
         grey_levels = map_coordinates(spline, at, order=3, prefilter=False, mode="mirror")
-        # The disc's points are in order, so that the mirrored ones are those from the end.
-        uneven = np.abs(grey_levels - grey_levels[:, ::-1]).mean(axis=1)
+        in_strips = grey_levels.reshape(len(grey_levels), 2, -1)
+        uneven = np.abs(in_strips - in_strips[..., ::-1]).mean(axis=(1, 2))
         uneven /= np.maximum(np.ptp(grey_levels, axis=1), 1)
-        a, b, c, d, e, _ = (grey_levels @ fit.T).T
+        a, b, c, d, e, _ = np.einsum("kip,kp->ik", fit, grey_levels)
         det = 4 * a * c - b * b  # negative at a saddle
         with np.errstate(divide="ignore", invalid="ignore"):
             step = np.stack([b * e - 2 * c * d, b * d - 2 * a * e], axis=-1) / det[:, None]

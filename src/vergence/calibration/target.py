@@ -14,17 +14,21 @@ from pydantic import ConfigDict, FiniteFloat, PositiveFloat, PositiveInt
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Array
-from vergence.calibration.saddle import clearances, quadrants, refine_grid
+from vergence.calibration.saddle import HALF_WIDTH_PX, clearances, quadrants, refine_grid
 
 DICTIONARIES = tuple(
     sorted(name for name in dir(cv2.aruco) if name.startswith("DICT_") and name.isupper())
 )
 """OpenCV's sets of markers."""
-CLEAR = 0.4
-"""The disc around a corner reaches this part of the way to the nearest other edge. On drawn boards
-anything from 0.3 to 0.6 gives the same error."""
+CLEAR = 0.6
+"""A corner is sought along its edges to this part of the way to the nearest other edge. The further
+the better, but blurred edges are wide."""
 LEAST_CLEAR_PX = 4
 """Corners whose neighbours' edges are nearer err by 0.05 px and more, and all towards one side."""
+BLUR_PX = 1.2
+"""So near to an edge its blur is felt."""
+LEAST_HALF_WIDTH_PX = 0.8
+"""Of the strips in which a ChArUco corner is sought, however near the markers are."""
 LARGE_PX = 1_500_000
 """Images of more pixels are not enlarged before markers are looked for."""
 
@@ -171,9 +175,11 @@ def _find_charuco(grey: np.ndarray, board: Charuco) -> Array | None:
     if not np.isfinite(shortest).any():
         return None
     grid[~np.isfinite(shortest)] = np.nan  # without neighbours its scale is not known
-    # Inside the white between a corner and its two markers, which the saddle knows nothing of.
+    # Inside the white between an edge and the markers, and clear of the blur of both.
     margin = (1 - board.marker_m / board.square_m) / 2
-    corners = refine_grid(grey, grid, 0.84 * margin * shortest - 0.5).reshape(-1, 2)
+    clear = clearances(grid)
+    half_widths = np.clip(margin * clear - BLUR_PX, LEAST_HALF_WIDTH_PX, HALF_WIDTH_PX)
+    corners = refine_grid(grey, grid, CLEAR * clear, half_widths).reshape(-1, 2)
     _drop_misplaced(corners, corner_points(board)[:, :2], 0.3 * float(np.nanmedian(shortest)))
     return corners if np.isfinite(corners).any() else None
 

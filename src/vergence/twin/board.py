@@ -12,10 +12,10 @@ from vergence.errors import VergenceError
 
 MARGIN_SQUARES = 0.5
 """White all around: enough for the markers' black frames at the edge."""
-TEXELS_PER_SQUARE = 64
-"""About eight a module of a marker: less blurs the markers, more makes the mipmaps do it. A power
+TEXELS_PER_SQUARE = 128
+"""More than the narrow cameras see of it: what is seen larger is drawn with stairs. A power
 of two, so that the mipmaps are halved evenly and keep the corners where they are."""
-FINER = 8
+FINER = 4
 """OpenCV puts a marker on whole pixels, to one side of its square by up to one: it is drawn so many
 times as large, and averaged."""
 BLACK, WHITE = 25, 235
