@@ -122,15 +122,7 @@ def locate(
     Raises:
         VergenceError: shapes do not fit, or the head has no such camera.
     """
-    for name, array, width in (
-        ("pixels_l", pixels_l, 2),
-        ("pixels_r", pixels_r, 2),
-        ("eye_angles", eye_angles, 4),
-    ):
-        if array.ndim != 2 or array.shape != (len(pixels_l), width):
-            raise VergenceError(
-                f"locate needs {name} of shape ({len(pixels_l)}, {width}), found {array.shape}."
-            )
+    check_shapes(pixels_l, pixels_r, eye_angles)
     mounted_l, mounted_r = (calibration.camera(name) for name in cameras)
     readable = np.isfinite(eye_angles).all(axis=1, keepdims=True)
     angles = np.where(readable, eye_angles, 0.0)
@@ -152,6 +144,19 @@ def locate(
     )
     T_lbase_lcam = T_lbase_eye @ mounted_l.T_eye_cam
     return Located(transform(T_lbase_lcam, located.points), located.status)
+
+
+def check_shapes(pixels_l: Array, pixels_r: Array, eye_angles: Array) -> None:
+    """Raise VergenceError unless these are what `locate` takes."""
+    for name, array, width in (
+        ("pixels_l", pixels_l, 2),
+        ("pixels_r", pixels_r, 2),
+        ("eye_angles", eye_angles, 4),
+    ):
+        if array.ndim != 2 or array.shape != (len(pixels_l), width):
+            raise VergenceError(
+                f"locate needs {name} of shape ({len(pixels_l)}, {width}), found {array.shape}."
+            )
 
 
 def in_head(calibration: HeadCalibration, points_lbase: Array) -> Array:

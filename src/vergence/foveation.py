@@ -153,7 +153,7 @@ def eye_angles_to(
     R_cam_eye = mounted.T_eye_cam[:3, :3].T
     shift = np.array([axes.axis_distance_m, 0.0, 0.0])
     alpha = axes.nonorthogonality_rad
-    tilt_axis, pan_axis = np.array([0, np.cos(alpha), np.sin(alpha)]), np.array([0.0, 0, 1])
+    pan_hat, tilt_hat = hat(np.array([[0, 0, 1], [0, np.cos(alpha), np.sin(alpha)]]))
     usable = np.isfinite(points_base).all(axis=-1) & (points_base[..., :2] != 0).any(axis=-1)
     p = np.where(usable[..., None], points_base, [1.0, 0, 0])
     angles = np.stack(
@@ -166,8 +166,8 @@ def eye_angles_to(
     error = np.full(angles.shape, np.inf)
     front = np.zeros(p.shape[:-1], dtype=bool)
     for _ in range(_NEWTON_STEPS):
-        panned = _turned_back(p, pan_axis, angles[..., 0])
-        in_eye = _turned_back(panned - shift, tilt_axis, angles[..., 1])
+        panned = _turned_back(p, pan_hat, angles[..., 0])
+        in_eye = _turned_back(panned - shift, tilt_hat, angles[..., 1])
         in_cam = (in_eye - mounted.T_eye_cam[:3, 3]) @ R_cam_eye.T
         front = in_cam[..., 2] > 0
         z = np.where(front, in_cam[..., 2], 1.0)[..., None]
@@ -175,8 +175,8 @@ def eye_angles_to(
         if (np.abs(error[front]) < _CENTRED).all():
             break
         # A turn of the eye turns the point the other way.
-        by_pan = -_turned_back(panned @ hat(pan_axis).T, tilt_axis, angles[..., 1])
-        by_tilt = -(in_eye @ hat(tilt_axis).T)
+        by_pan = -_turned_back(panned @ pan_hat.T, tilt_hat, angles[..., 1])
+        by_tilt = -(in_eye @ tilt_hat.T)
         d_cam = np.stack([by_pan @ R_cam_eye.T, by_tilt @ R_cam_eye.T], axis=-1)  # (..., 3, 2)
         J = (d_cam[..., :2, :] - error[..., None] * d_cam[..., 2:, :]) / z[..., None]
         det = J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0]
@@ -195,10 +195,11 @@ def eye_angles_to(
     return np.where(good[..., None], readings, np.nan)
 
 
-def _turned_back(v: Array, axis: Array, angle: Array) -> Array:
-    """Return vectors (..., 3) in a frame that is turned by angles (...,) about a unit axis (3,)."""
+def _turned_back(v: Array, axis_hat: Array, angle: Array) -> Array:
+    """Return vectors (..., 3) in a frame turned by angles (...,) about a unit axis, as its hat."""
     cos, sin = np.cos(angle)[..., None], np.sin(angle)[..., None]
-    return cos * v - sin * (v @ hat(axis).T) + (1 - cos) * (v @ axis)[..., None] * axis
+    across = v @ axis_hat.T
+    return v - sin * across + (1 - cos) * (across @ axis_hat.T)
 
 
 def gaze_angles(

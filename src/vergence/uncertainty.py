@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence.active_stereo import locate
+from vergence.active_stereo import check_shapes, locate
 from vergence.arrays import Array
 from vergence.head import HeadCalibration
 
@@ -146,7 +146,7 @@ def _jacobian(
     cameras: tuple[str, str],
 ) -> Array:
     """Return how points change (8, N, 3) with four pixel coordinates and four joint angles."""
-    locate(calibration, pixels_l, pixels_r, eye_angles, cameras=cameras)  # checks the shapes
+    check_shapes(pixels_l, pixels_r, eye_angles)
     inputs = np.concatenate([pixels_l, pixels_r, eye_angles], axis=1)
     steps = np.repeat([_PIXEL_STEP_PX, _JOINT_STEP_RAD], 4)
     moved = inputs + np.concatenate([np.diag(steps), -np.diag(steps)])[:, None]  # (16, N, 8)
