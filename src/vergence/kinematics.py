@@ -51,8 +51,8 @@ def T_base_eye(angles: Array, axes: EyeAxes | None = None) -> Array:
     pan = axes.pan_gain * angles[..., 0] + axes.pan_offset_rad
     tilt = axes.tilt_gain * angles[..., 1] + axes.tilt_offset_rad
     tilt_axis = np.array([0, np.cos(axes.nonorthogonality_rad), np.sin(axes.nonorthogonality_rad)])
-    R_pan = rotation(pan[..., None] * np.array([0.0, 0.0, 1.0]))
-    R_tilt = rotation(tilt[..., None] * tilt_axis)
+    turns = np.stack([pan[..., None] * np.array([0.0, 0.0, 1.0]), tilt[..., None] * tilt_axis])
+    R_pan, R_tilt = rotation(turns)
     return pose(R_pan @ R_tilt, R_pan @ np.array([axes.axis_distance_m, 0.0, 0.0]))
 
 
@@ -75,7 +75,7 @@ class Neck:
 def T_body_head(neck: Neck, angles: Array) -> Array:
     """Return the pose (..., 4, 4) of the head in frame body at neck angles (..., n) [rad]."""
     T = pose(np.broadcast_to(np.eye(3), (*angles.shape[:-1], 3, 3)))
-    for k, (axis, point) in enumerate(zip(neck.axes, neck.points_m, strict=True)):
-        R = rotation(angles[..., k, None] * axis)
-        T = T @ pose(R, point - R @ point)
+    R = rotation(angles[..., None] * neck.axes)
+    for k, point in enumerate(neck.points_m):
+        T = T @ pose(R[..., k, :, :], point - R[..., k, :, :] @ point)
     return T @ pose(t=neck.head_m)

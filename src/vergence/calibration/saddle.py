@@ -29,6 +29,7 @@ SETTLED_PX = 0.05
 UNEVEN = 0.1
 """A corner looks the same turned by half a turn. One that differs by more than this part of its
 contrast, and more than its neighbours do for noise, is half hidden."""
+_BESIDE = 0.25  # squares, for the differences of the board's map
 _SPLINE_REACH_PX = 12  # so far the edge of a picture is felt in its spline, and the blur
 
 
@@ -83,37 +84,59 @@ def quadrants(grid: Array) -> list[tuple[Array, Array]]:
 def curvatures(grid: Array) -> Array:
     """Return how the image of a plane bends around its corners (rows, columns, 2).
 
-    By differences of neighbours; a corner that lacks some of them has the bend of the one beside
-    it, or none.
+    By differences of a smooth map of the whole board, so that corners on its rim, and those that
+    were not found, are bent like all others.
 
     Returns:
-        (rows, columns, 2, 3): what u^2, u v and v^2 [px] from a corner add to x and y.
+        (rows, columns, 2, 3): what u^2, u v and v^2 [px] from a corner add to x and y; zero where
+        too few corners were found to tell.
     """
-    rows, columns = grid.shape[:2]
-    bend = np.full((rows, columns, 2, 3), np.nan)
-    here, left, right = grid[1:-1, 1:-1], grid[1:-1, :-2], grid[1:-1, 2:]
-    above, below = grid[:-2, 1:-1], grid[2:, 1:-1]
+    around = np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), axis=-1) * _BESIDE
+    j, i = np.indices(grid.shape[:2])
+    places = np.stack([i, j], axis=-1)[:, :, None, None] + around
+    mapped = _smooth_map(grid, places.reshape(-1, 2)).reshape(places.shape)
+    above, here, below = (mapped[:, :, k, 1] for k in range(3))
+    left, right = mapped[:, :, 1, 0], mapped[:, :, 1, 2]
     p, r = left + right - 2 * here, above + below - 2 * here
-    q = (grid[2:, 2:] + grid[:-2, :-2] - grid[2:, :-2] - grid[:-2, 2:]) / 4
+    q = mapped[:, :, 2, 2] + mapped[:, :, 0, 0] - mapped[:, :, 2, 0] - mapped[:, :, 0, 2]
     along, across = (right - left) / 2, (below - above) / 2
     area = along[..., 0] * across[..., 1] - along[..., 1] * across[..., 0]
-    area = np.where(np.abs(area) > 1, area, np.nan)[..., None]  # NaN: a neighbour is missing
-    s_u, s_v = across[..., 1:] / area, -across[..., :1] / area  # of u, v, in steps of the grid
+    area = np.where(area == 0, np.nan, area)[..., None]
+    s_u, s_v = across[..., 1:] / area, -across[..., :1] / area  # of u, v, in steps beside a corner
     t_u, t_v = -along[..., 1:] / area, along[..., :1] / area
-    bend[1:-1, 1:-1] = np.stack(
-        [
-            (p * s_u**2 + 2 * q * s_u * t_u + r * t_u**2) / 2,
-            p * s_u * s_v + q * (s_u * t_v + s_v * t_u) + r * t_u * t_v,
-            (p * s_v**2 + 2 * q * s_v * t_v + r * t_v**2) / 2,
-        ],
-        axis=-1,
-    )
-    for axis in (1, 0):  # the rim, and places beside a gap
-        for step in (1, -1):
-            beside = np.roll(bend, step, axis=axis)
-            beside[(slice(None),) * axis + (0 if step == 1 else -1,)] = np.nan
-            bend = np.where(np.isnan(bend), beside, bend)
-    return np.nan_to_num(bend)
+    bend = [
+        (p * s_u**2 + q / 2 * s_u * t_u + r * t_u**2) / 2,
+        p * s_u * s_v + q / 4 * (s_u * t_v + s_v * t_u) + r * t_u * t_v,
+        (p * s_v**2 + q / 2 * s_v * t_v + r * t_v**2) / 2,
+    ]
+    return np.nan_to_num(np.stack(bend, axis=-1))
+
+
+def _smooth_map(grid: Array, places: Array) -> Array:
+    """Return where places (N, 2) on the board, in squares from its first corner, are seen (N, 2).
+
+    A homography, and a polynomial for what the lens adds to it, of a degree for which there are
+    twice as many corners as coefficients. NaN where there are too few corners for that.
+    """
+    seen = np.isfinite(grid[..., 0])
+    j, i = np.nonzero(seen)
+    known, corners = np.column_stack([i, j]).astype(float), grid[seen]
+    degree = max((d for d in range(5) if (d + 1) * (d + 2) <= len(known)), default=0)
+    H = None if degree < 2 else cv2.findHomography(known, corners, 0)[0]
+    if H is None:
+        return np.full(places.shape, np.nan)
+    straight, wanted = (cv2.perspectiveTransform(at[None], H)[0] for at in (known, places))
+    if not np.isfinite(straight).all():
+        return np.full(places.shape, np.nan)
+    middle, size = straight.mean(axis=0), np.ptp(straight, axis=0).max()
+    powers = [(a, b) for a in range(degree + 1) for b in range(degree + 1 - a)]
+
+    def terms(at: Array) -> Array:
+        x, y = ((at - middle) / size).T
+        return np.stack([x**a * y**b for a, b in powers], axis=-1)
+
+    added = np.linalg.lstsq(terms(straight), corners - straight)[0]
+    return wanted + terms(wanted) @ added
 
 
 def _strips(grid: Array, reaches_px: Array, half_widths_px: Array) -> Array:

@@ -21,6 +21,9 @@ from vergence.head import HeadCalibration
 from vergence.twin import no_opengl
 from vergence.twin.profile import Image
 
+FINER = 2
+"""A picture that is to be distorted is rendered with so many times the pixels, along each axis:
+interpolation between the camera's own shifts corners by 0.01 px, in every image alike."""
 _NOISE_MARGIN = 256  # a noise picture is a window of a larger one, at one of 256 x 256 places
 
 
@@ -80,12 +83,13 @@ class Renderer:
         self._seed = seed
         self.restart(0)
         sizes = overscan_sizes(head)
-        self._sizes = sizes
-        # Into a picture of twice the size, for linear interpolation shifts corners by about
-        # 0.01 px, with a sign that changes within a pixel; and as floats, for OpenCV's packed maps
-        # round to 1/32 px. Either would be the same in every image.
+        # As floats, for OpenCV's packed maps round to 1/32 px, in every image alike.
         self._maps = {
-            name: cv2.split(2 * _pinhole_map(mounted.intrinsics, sizes[name]).astype(np.float32))
+            name: cv2.split(
+                (FINER * _pinhole_map(mounted.intrinsics, sizes[name]) + (FINER - 1) / 2).astype(
+                    np.float32
+                )
+            )
             for name, mounted in head.cameras.items()
             if mounted.intrinsics.distortion.any()
         }
@@ -94,8 +98,17 @@ class Renderer:
         noise = self._rng.normal(0, image.noise_grey, (height, width, 3))
         self._noise = np.round(noise).astype(np.int16) if image.noise_grey else None
         self._renderers: dict[tuple[int, int], mujoco.Renderer] = {}
+        self._sizes: dict[str, tuple[int, int]] = {}
+        samples = model.vis.quality.offsamples
         try:
-            for size in set(sizes.values()):
+            for name, (width, height) in sizes.items():
+                finer = FINER if name in self._maps else 1
+                self._sizes[name] = size = finer * width, finer * height
+                if size in self._renderers:
+                    continue
+                model.vis.global_.offwidth, model.vis.global_.offheight = size
+                # Where the pixels are finer, they are the samples.
+                model.vis.quality.offsamples = samples if finer == 1 else 0
                 self._renderers[size] = mujoco.Renderer(model, height=size[1], width=size[0])
         except Exception as error:  # each backend raises its own kind
             self.close()
@@ -120,7 +133,8 @@ class Renderer:
         image = negative.rendered
         if negative.camera in self._maps:
             x, y = self._maps[negative.camera]
-            image = cv2.remap(cv2.pyrUp(image), x, y, cv2.INTER_LINEAR)
+            # 1, 2, 1: the light of about one pixel of the camera, wherever that is.
+            image = cv2.remap(cv2.GaussianBlur(image, (3, 3), 0), x, y, cv2.INTER_LINEAR)
         if self._image.blur_px:
             image = cv2.GaussianBlur(image, (0, 0), self._image.blur_px)
         if self._noise is not None:
