@@ -1,27 +1,36 @@
 """How long one control step takes: detection in the images it asked for, estimate, command.
 
-Rendering is not counted. The object moves, so that the eyes are in pursuit; every eighth step is
-given all four images, as at a hand-over. Time is that of the processor, of all threads, so that
-whatever else runs on the machine does not count.
+Rendering is not counted. First the gaze alone: the object moves, so that the eyes are in pursuit,
+and every eighth step is given all four images, as at a hand-over. Then a whole reach for an object
+that is held out, in which the hand's marker is sought as well. Time is that of the processor, of
+all threads, so that whatever else runs on the machine counts little.
 
     python benchmarks/control_step.py [--frames 120]
 """
 
 import time
+from collections import defaultdict
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import tyro
 
+from vergence import reach
 from vergence.arrays import Array
+from vergence.experiments.grasp import LONGEST_S, held_out
+from vergence.experiments.hand import HeadWithHand, TwinHand, roughly_mounted
 from vergence.experiments.live import FRAME_S, TwinHead
 from vergence.gaze import NARROW, WIDE, Settings, start, step
+from vergence.geometry import inverse, transform
+from vergence.head import T_head_base
 from vergence.motion import HEAD_JOINTS
 from vergence.twin.head import Twin
 from vergence.twin.profile import load_profile
 
 WARM_UP = 5
+FEWEST = 10
+"""Steps of a kind, for a line of their own."""
 
 
 def path(time_s: float) -> Array:
@@ -30,32 +39,62 @@ def path(time_s: float) -> Array:
     return np.array([0.6, 0.08 * np.sin(turn) - 0.046, 0.08 * np.cos(turn)])
 
 
-def main(frames: int = 120) -> None:
+def gaze_steps(twin: Twin, frames: int) -> dict[str, list[float]]:
+    """Return the seconds of steps of the gaze, by how many images they had."""
+    seconds: dict[str, list[float]] = defaultdict(list)
+    head, settings = TwinHead(twin, 0, path), Settings(calibration=twin.truth)
+    state = start(settings, np.zeros(len(HEAD_JOINTS)), head.now_s())
+    for k in range(frames + WARM_UP):
+        cameras = (*WIDE, *NARROW) if k % 8 == 0 else state.cameras
+        frame = head.read(cameras)
+        state = replace(state, cameras=cameras)
+        began = time.process_time()
+        state = step(settings, state, frame, head.now_s())
+        if k >= WARM_UP:
+            seconds[f"gaze, {len(cameras)} images"].append(time.process_time() - began)
+        head.command(state.command)
+    return seconds
+
+
+def reach_steps(twin: Twin, trials: int) -> dict[str, list[float]]:
+    """Return the seconds of steps of reaching for an object, by phase and number of images."""
+    seconds: dict[str, list[float]] = defaultdict(list)
+    settings = reach.Settings(gaze=Settings(calibration=twin.truth))
+    T_lbase_head = inverse(T_head_base(twin.truth, "left"))
+    for run in range(1, trials + 1):
+        object_at = held_out(0, run)
+        head = HeadWithHand(twin, run, lambda t, at=object_at: transform(T_lbase_head, at(t)))
+        head.hand = hand = TwinHand(twin, settings.home, roughly_mounted(0, run))
+        state = reach.start(settings, np.zeros(len(HEAD_JOINTS)), hand.read(), head.now_s())
+        while head.now_s() < LONGEST_S and state.phase is not reach.Phase.HELD:
+            cameras, frame, reading = state.cameras, head.read(state.cameras), hand.read()
+            began = time.process_time()
+            state = reach.step(settings, state, frame, reading, head.now_s())
+            took = time.process_time() - began
+            seconds[f"{state.phase.value}, {len(cameras)} images"].append(took)
+            head.command(state.gaze.command)
+            hand.command(state.command)
+    return seconds
+
+
+def main(frames: int = 120, trials: int = 3) -> None:
     """Print the times of a step.
 
     Args:
-        frames: how many are stepped through.
+        frames: how many are stepped through with the gaze alone.
+        trials: how many objects are reached for.
     """
     cv2.setNumThreads(1)  # one core is what is claimed
-    seconds: dict[int, list[float]] = {2: [], 4: []}
     with Twin(load_profile("ideal")) as twin:
-        head, settings = TwinHead(twin, 0, path), Settings(calibration=twin.truth)
-        state = start(settings, np.zeros(len(HEAD_JOINTS)), head.now_s())
-        for k in range(frames + WARM_UP):
-            cameras = (*WIDE, *NARROW) if k % 8 == 0 else state.cameras
-            frame = head.read(cameras)
-            state = replace(state, cameras=cameras)
-            began = time.process_time()
-            state = step(settings, state, frame, head.now_s())
-            if k >= WARM_UP:
-                seconds.setdefault(len(cameras), []).append(time.process_time() - began)
-            head.command(state.command)
-    for cameras, times in seconds.items():
-        median, worst = np.median(times), np.quantile(times, 0.95)
+        seconds = gaze_steps(twin, frames) | reach_steps(twin, trials)
+    for kind, times in seconds.items():
+        if len(times) < FEWEST:
+            continue
+        median, high = np.median(times), np.quantile(times, 0.95)
         share = median / FRAME_S
         print(
-            f"{cameras} images: median {1e3 * median:.1f} ms, 95 % {1e3 * worst:.1f} ms, "
-            f"{share:.0%} of a frame's {1e3 * FRAME_S:.0f} ms"
+            f"{kind}: median {1e3 * median:.1f} ms, 95 % {1e3 * high:.1f} ms, "
+            f"{share:.0%} of a frame's {1e3 * FRAME_S:.0f} ms ({len(times)} steps)"
         )
 
 

@@ -8,6 +8,7 @@ OpenCV, the matrix may have skew (the paper's Eq. 2). See docs/conventions.md.
 from __future__ import annotations
 
 from dataclasses import field
+from functools import lru_cache
 
 import numpy as np
 from pydantic import ConfigDict, PositiveInt
@@ -64,9 +65,9 @@ def _distort_jacobian(camera: Camera, xy: Array) -> Array:
     return np.stack([xx, cross, cross, yy], axis=-1).reshape(*xy.shape[:-1], 2, 2)
 
 
-def _fold(camera: Camera) -> float:
+@lru_cache
+def _fold(k1: float, k2: float, k3: float) -> float:
     """Return x^2 + y^2 at which the radial polynomial first stops rising; infinity: nowhere."""
-    k1, k2, _, _, k3 = camera.distortion
     inverse = np.roots([1, 3 * k1, 5 * k2, 7 * k3])  # of 1 / (x^2 + y^2), where the slope is zero
     rising = max((root.real for root in inverse if root.imag == 0 < root.real), default=0.0)
     return 1 / rising if rising > 0 else np.inf
@@ -132,7 +133,8 @@ def normalise(camera: Camera, pixels: Array) -> Array:
             xy = xy - np.stack([step_x, step_y], axis=-1) / _det(J)[..., None]
         rising = _det(_distort_jacobian(camera, xy)) > 0
         good = (np.abs(error).max(axis=-1) < 1e-9) & rising
-        good &= (xy**2).sum(axis=-1) < _fold(camera)  # further out, another sheet reaches back
+        k1, k2, _, _, k3 = camera.distortion.tolist()
+        good &= (xy**2).sum(axis=-1) < _fold(k1, k2, k3)  # further out, another sheet reaches back
     return np.where(good[..., None], xy, np.nan)
 
 
