@@ -56,3 +56,13 @@ def test_they_make_the_stated_accuracy_of_that_camera_worse_and_true(heads):
         off = camera.intrinsics.matrix - true.intrinsics.matrix
         for name, error in (("fx", off[0, 0]), ("fy", off[1, 1]), ("cx", off[0, 2])):
             assert abs(error) < 3 * std_of(spoilt, f"{eye}_wide.{name}")
+
+
+def test_what_is_known_of_them_beforehand_is_stated_even_if_it_cannot_be_seen(heads):
+    _, plain, _ = heads
+    _, seen = recorded(9)
+    start = estimate(seen).head
+    told = refine(start, replace(seen.views, shared_px=1.0))
+    np.testing.assert_allclose(told.head.T_rbase_lbase, plain.head.T_rbase_lbase, atol=1e-12)
+    for name in ("left_wide.fx", "right_wide.k1", "left_wide.T_eye_cam.tz"):
+        assert std_of(told, name) > 2 * std_of(plain, name)

@@ -86,6 +86,7 @@ def one_eye(
         course=np.zeros((*reading.shape, DEGREE)),
         read_well=np.zeros(reading.shape[1], dtype=bool),
         poses=None if poses is None else poses[used],
+        shared_px=0.0,
         free=free,
     )
     state = State(
@@ -175,6 +176,7 @@ def whole_head(
         course=np.zeros((*reading.shape, DEGREE)),
         read_well=np.zeros(reading.shape[1], dtype=bool),
         poses=poses,
+        shared_px=views.shared_px,
         free=np.array(free + [True] * (len(POSE) * len(numbers))),
     )
     state = State(

@@ -55,6 +55,9 @@ class Views:
     """By camera: width and height [px]."""
     eyes: Mapping[str, Side] = field(default_factory=dict)
     """By camera, which eye it sits in; left out: as its name begins."""
+    shared_px: float = 0.0
+    """Smooth errors over the image [px] that the corners of all images of a camera are taken to
+    share at least: what is known of how they were found."""
 
 
 def eyes_of(views: Views) -> dict[str, Side]:

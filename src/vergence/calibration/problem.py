@@ -73,6 +73,8 @@ class Problem:
     """(n,) of which joints the readings know the course better than the images do."""
     poses: Array | None
     """(B, 4, 4) T_base_eye as read; None: pan and tilt."""
+    shared_px: float
+    """The errors that all images of a camera share are at least so large."""
     free: NDArray[np.bool_]
     """(G,) which shared unknowns may change."""
 

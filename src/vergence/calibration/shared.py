@@ -4,6 +4,7 @@ A lens that is not quite what its model says, or a corner finder that errs alike
 the image, moves corners by a smooth field over the image. Part of it is absorbed by the unknowns,
 which are then wrong by more than independent errors explain; the rest stays in the residuals. How
 large the field is, is read from that rest; the part that is absorbed is *assumed* to be as large.
+What is known beforehand of how corners were found sets a least size.
 
 The field of each camera is a sum of Legendre polynomials in both coordinates of the image, up to
 `DEGREE`, with coefficients of one standard deviation.
@@ -60,7 +61,8 @@ def shared_errors(
     levels, covariance = [], np.zeros((size(problem), size(problem)))
     for c, lens in enumerate(state.lenses):
         mine = np.flatnonzero(problem.camera == c)
-        if np.count_nonzero(weights.corner[mine]) < LEAST_CORNERS:
+        told = np.count_nonzero(weights.corner[mine]) >= LEAST_CORNERS
+        if not told and not problem.shared_px:
             levels.append(0.0)
             continue
         # Where the corners should be: where they were seen goes with their own errors.
@@ -80,11 +82,12 @@ def shared_errors(
         left = np.einsum("mkxa,mkxb->ab", weighed, fields, optimize=True) - taken
         seen = np.einsum("mkxa,mkx->a", weighed, errors[mine])
         seen += right_g.T @ moved[0] + np.einsum("bnk,bn->k", right_l, moved[1])
-        std = _expected(left, seen)
+        # Of functions whose mean square is one, for each coordinate.
+        per_px = np.sqrt(2 / fields.shape[-1])
+        std = max(_expected(left, seen) if told else 0.0, problem.shared_px * per_px)
         absorbed = basis @ free
         covariance += std**2 * absorbed @ absorbed.T
-        # Of functions whose mean square is one, for each coordinate.
-        levels.append(float(std * np.sqrt(fields.shape[-1] / 2)))
+        levels.append(float(std / per_px))
     return SharedErrors(tuple(levels), covariance)
 
 
