@@ -223,6 +223,17 @@ def test_the_eyes_follow_their_commands(make: Make):
     np.testing.assert_allclose(twin.true_angles()[EYES], goal[EYES], atol=2e-3)
 
 
+def test_the_motion_does_not_depend_on_where_it_is_stopped(make: Make):
+    twin = make(ErrorProfile(), seed=0)
+    ways = []
+    for stops in ([0.5], [0.033, 0.067, 0.1, 0.312, 0.5]):
+        twin.restart(0)
+        for until_s in stops:
+            twin.advance(until_s, sweep)
+        ways.append(twin.true_angles())
+    np.testing.assert_array_equal(*ways)
+
+
 def test_a_later_run_does_not_depend_on_what_came_before(make: Make):
     twin = make(EVERYTHING, seed=1)
     frames = []

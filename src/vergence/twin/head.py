@@ -115,13 +115,22 @@ class Twin:
         Args:
             until_s: simulated time at which to stop.
             command: (7,) wanted angles in the order of model.JOINTS, or a function of the time
-                that gives them. They are servoed at 1 kHz and renewed every 5 ms.
+                that gives them. The function is asked every 5 ms of simulated time, a clock of
+                its own, so that the motion does not depend on where it stops; in between goes a
+                line, which is servoed at 1 kHz.
         """
         width = np.radians(self.profile.joints.backlash_deg)
         while (left := round((until_s - self._data.time) * 1000)) > 0:
-            ctrl = command(self._data.time) if callable(command) else command
-            self._data.ctrl[self._actuators] = ctrl
-            mujoco.mj_step(self.model, self._data, nstep=min(left, _TICK_STEPS))
+            past = round(self._data.time * 1000) % _TICK_STEPS  # since they were renewed
+            begin = self._data.time - past / 1000
+            ends = [
+                command(begin + after / 1000) if callable(command) else command
+                for after in (0, _TICK_STEPS)
+            ]
+            for step in range(past, min(past + left, _TICK_STEPS)):
+                part = step / _TICK_STEPS
+                self._data.ctrl[self._actuators] = (1 - part) * ends[0] + part * ends[1]
+                mujoco.mj_step(self.model, self._data)
             angles = self._data.qpos[self._addresses]
             sensed = play(angles[None], width, self._sensed[-1])[0] if width else angles
             for history, latest in (
