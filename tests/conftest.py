@@ -1,5 +1,9 @@
 """Settings that all tests share."""
 
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices; workers have one core each
+
 from hypothesis import settings
 
 import vergence.twin  # noqa: F401  # chooses OpenGL, before any test imports mujoco

@@ -18,7 +18,6 @@ from recordings import (
     seen_dataset,
     small_dataset,
     write_dataset,
-    write_table,
 )
 from vergence.calibration.detect import detect, look_for
 from vergence.calibration.target import Charuco, Chessboard, corner_points, find_corners
@@ -176,21 +175,6 @@ def test_squares_counted_for_inner_corners_are_recognised(tmp_path):
     (tmp_path / "set" / "dataset.json").write_text(json.dumps(about))
     with pytest.raises(VergenceError, match=r"one of 6 x 5 is there.*not its squares"):
         detect(load(tmp_path / "set"))
-
-
-def test_exchanged_eyes_are_remarked_at_straight_gaze(tmp_path):
-    seen_dataset(tmp_path / "set", CHARUCO)
-    table = rows(3)
-    for row in table:
-        row |= dict.fromkeys(("left_pan", "left_tilt", "right_pan", "right_tilt"), 0.0)
-    write_table(tmp_path / "set", table)
-    assert detect(load(tmp_path / "set")).remarks == ()
-    for row in table:
-        row["left_wide"], row["right_wide"] = row["right_wide"], row["left_wide"]
-    write_table(tmp_path / "set", table)
-    remarks = detect(load(tmp_path / "set")).remarks
-    assert len(remarks) == 1
-    assert "left and right exchanged" in remarks[0]
 
 
 def test_a_camera_that_sees_no_board_is_remarked(tmp_path):

@@ -13,7 +13,7 @@ import numpy as np
 from rich.progress import Progress
 
 from vergence.arrays import Array
-from vergence.calibration.pipeline import STRAIGHT_RAD, Views
+from vergence.calibration.pipeline import Views
 from vergence.calibration.target import Board, Chessboard, find_corners
 from vergence.calibration.timing import Timing
 from vergence.dataset import Dataset, decode, runs
@@ -134,7 +134,7 @@ def detect(
         for each in seen
         if each.corners is None
     )
-    remarks = (*dataset.remarks, *_blind(views), *_exchanged(views))
+    remarks = (*dataset.remarks, *_blind(views))
     timed = dataset.moving.any() and dataset.T_base_eye is None
     timing = Timing(dataset.joint_time_s, runs(dataset)) if timed else None
     return Detections(views, timing, dataset.T_base_eye, failures, remarks)
@@ -231,23 +231,4 @@ def _blind(views: Views) -> list[str]:
         f"{name} never sees the board."
         for name, corners in views.corners.items()
         if not np.isfinite(corners).any()
-    ]
-
-
-def _exchanged(views: Views) -> list[str]:
-    """Return a remark if left and right seem to be exchanged.
-
-    At straight gaze a point lies further to the right in the left image than in the right one.
-    """
-    if not {"left_wide", "right_wide"} <= set(views.corners):
-        return []
-    straight = (np.abs(views.eye_angles) < STRAIGHT_RAD).all(axis=1)
-    left, right = (views.corners[name][straight, :, 0] for name in ("left_wide", "right_wide"))
-    shift = (left / views.sizes["left_wide"][0] - right / views.sizes["right_wide"][0]).ravel()
-    shift = shift[np.isfinite(shift)]
-    if not len(shift) or np.median(shift) > 0:
-        return []
-    return [
-        "At straight gaze the board lies further to the left in the left images than in the right "
-        "ones: are left and right exchanged, or do the eyes squint outwards?"
     ]
