@@ -4,15 +4,23 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from json import dumps
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from rich.console import Console
-from rich.progress import Progress
+from rich.progress import Progress, TaskID
 
 from vergence.errors import VergenceError
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+    from vergence.dataset import Frame
+    from vergence.gaze import State
 
 
 def reproduce(
@@ -200,20 +208,15 @@ def foveate(
         out: Folder for foveate.json, the recording foveate.rrd of the first ten, and depth.png.
         json: File for the summary.
     """
-    from dataclasses import asdict
-
     from vergence.experiments.foveate import foveate as run
     from vergence.twin.profile import load_profile
 
     chosen = load_profile(profile)
-    with Progress(console=Console(stderr=True)) as progress:
-        task = progress.add_task("foveating", total=trials)
+    with _progress("foveating", trials) as (progress, task):
         found, _ = run(
             trials=trials, seed=seed, profile=chosen, out=out, done=lambda: progress.advance(task)
         )
-    _summarise(asdict(found), json)
-    if out is not None:
-        print(f"To look at it: rerun {out / 'foveate.rrd'}", file=sys.stderr)
+    _summarise(found, json, out, "foveate.rrd")
 
 
 def track(
@@ -233,16 +236,17 @@ def track(
         out: Folder for track.json and the recording track.rrd.
         json: File for the summary.
     """
-    from dataclasses import asdict
-
     from vergence.experiments.track import track as run
     from vergence.twin.profile import load_profile
 
-    _summarise(
-        asdict(run(seconds=seconds, seed=seed, profile=load_profile(profile), out=out)), json
-    )
-    if out is not None:
-        print(f"To look at it: rerun {out / 'track.rrd'}", file=sys.stderr)
+    chosen = load_profile(profile)
+    with _progress("following [s]", seconds) as (progress, task):
+
+        def watch(state: State, frame: Frame | None) -> None:
+            progress.update(task, completed=max(0.0, state.frame_s))
+
+        found = run(seconds=seconds, seed=seed, profile=chosen, out=out, watch=watch)
+    _summarise(found, json, out, "track.rrd")
 
 
 def grasp(
@@ -262,28 +266,38 @@ def grasp(
         out: Folder for grasp.json and grasp.rrd.
         json: File for the summary.
     """
-    from dataclasses import asdict
-
     from vergence.experiments.grasp import grasp as run
     from vergence.twin.profile import load_profile
 
     chosen = load_profile(profile)
-    with Progress(console=Console(stderr=True)) as progress:
-        task = progress.add_task("grasping", total=trials)
+    with _progress("grasping", trials) as (progress, task):
         found, _ = run(
             trials=trials, seed=seed, profile=chosen, out=out, done=lambda: progress.advance(task)
         )
-    _summarise(asdict(found), json)
+    _summarise(found, json, out, "grasp.rrd")
 
 
-def _summarise(summary: dict[str, object], path: Path | None) -> None:
-    """Print a summary, and write it where a file is named."""
+@contextmanager
+def _progress(what: str, total: float) -> Iterator[tuple[Progress, TaskID]]:
+    """Show on the terminal how much of the total is done; before that the head is calibrated."""
+    with Progress(console=Console(stderr=True)) as progress:
+        yield progress, progress.add_task(what, total=total)
+
+
+def _summarise(
+    summary: DataclassInstance, path: Path | None, out: Path | None, recording: str
+) -> None:
+    """Print a summary, write it where a file is named, and say what there is to look at."""
+    from dataclasses import asdict
+
     from vergence.head import write_whole
 
-    text = dumps(summary, indent=1)
+    text = dumps(asdict(summary), indent=1)
     if path is not None:
         write_whole(path, text + "\n")
     print(text)
+    if out is not None:
+        print(f"To look at it: rerun {out / recording}", file=sys.stderr)
 
 
 COMMANDS = {
