@@ -240,7 +240,7 @@ def track(
     from vergence.twin.profile import load_profile
 
     chosen = load_profile(profile)
-    with _progress("following [s]", seconds) as (progress, task):
+    with _progress("seconds followed", seconds) as (progress, task):
 
         def watch(state: State, frame: Frame | None) -> None:
             progress.update(task, completed=max(0.0, state.frame_s))
