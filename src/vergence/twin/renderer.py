@@ -8,6 +8,7 @@ the next rendering.
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -48,18 +49,31 @@ def overscan_sizes(head: HeadCalibration) -> dict[str, tuple[int, int]]:
         if not camera.distortion.any():
             sizes[name] = (camera.width, camera.height)
             continue
-        map_px = _pinhole_map(camera, (camera.width, camera.height))
+        rim = np.indices((camera.width, camera.height)).reshape(2, -1).T
+        rim = rim[
+            (rim == 0).any(axis=1) | (rim == [camera.width - 1, camera.height - 1]).any(axis=1)
+        ]
+        map_px = _in_pinhole(camera, rim.astype(float), (camera.width, camera.height))
         if not np.isfinite(map_px).all():
             raise VergenceError(f"The distortion of {name} folds over within its image.")
-        reach = np.abs(map_px - [(camera.width - 1) / 2, (camera.height - 1) / 2]).max(axis=(0, 1))
+        reach = np.abs(map_px - [(camera.width - 1) / 2, (camera.height - 1) / 2]).max(axis=0)
         sizes[name] = tuple(int(2 * np.ceil(r + 2)) for r in reach)
     return sizes
 
 
-def _pinhole_map(camera: Camera, size: tuple[int, int]) -> Array:
-    """Return for each pixel (H, W, 2) of the camera where it lies in a pinhole picture."""
+def _map(camera: Camera, size: tuple[int, int]) -> Sequence[np.ndarray]:
+    """Return for each pixel of the camera x and y (H, W) float32 in its picture, FINER than size.
+
+    As floats, for OpenCV's packed maps round to 1/32 px, in every image alike.
+    """
     v, u = np.mgrid[: camera.height, : camera.width].astype(float)
-    xy = normalise(camera, np.stack([u, v], axis=-1))
+    finer = FINER * _in_pinhole(camera, np.stack([u, v], axis=-1), size) + (FINER - 1) / 2
+    return cv2.split(finer.astype(np.float32))
+
+
+def _in_pinhole(camera: Camera, pixels: Array, size: tuple[int, int]) -> Array:
+    """Return where pixels (..., 2) of a camera lie in a pinhole picture of a width and height."""
+    xy = normalise(camera, pixels)
     shift = (np.array(size) - [camera.width, camera.height]) / 2
     return xy @ camera.matrix[:2, :2].T + camera.matrix[:2, 2] + shift
 
@@ -83,13 +97,8 @@ class Renderer:
         self._seed = seed
         self.restart(0)
         sizes = overscan_sizes(head)
-        # As floats, for OpenCV's packed maps round to 1/32 px, in every image alike.
         self._maps = {
-            name: cv2.split(
-                (FINER * _pinhole_map(mounted.intrinsics, sizes[name]) + (FINER - 1) / 2).astype(
-                    np.float32
-                )
-            )
+            name: _map(mounted.intrinsics, sizes[name])
             for name, mounted in head.cameras.items()
             if mounted.intrinsics.distortion.any()
         }
