@@ -26,7 +26,7 @@ PAPER_STD = np.array([figure.std_m for figure in FIGURES.values()])
 def point_level(profile_name: str, seed: int, samples: int = 640) -> tuple[np.ndarray, np.ndarray]:
     """Return standard deviations (6, 3) and errors of the mean (6, 3) [m] without images.
 
-    The noise of corners and object is what their detectors have on this twin's images.
+    The noise of corners and object is more than their detectors have on this twin's images.
     """
     profile = load_profile(profile_name)
     std, error = [], []

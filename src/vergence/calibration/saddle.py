@@ -19,7 +19,8 @@ from vergence.arrays import Array
 REACHES_PX = 2, 10
 """Least and greatest length of the strips to either side of a corner."""
 HALF_WIDTH_PX = 2.0
-"""Of the strips: an edge, as wide as lenses draw it."""
+"""Of the strips. On drawn boards under blur of 0.5 to 3 px, with and without noise, it errs less
+than 3 and 5, and about as 1, which feels noise under strong blur."""
 _ALONG, _ASIDE = np.linspace(-1, 1, 15), np.linspace(-1, 1, 5)  # where in a strip grey is read
 ITERATIONS = 5
 REACH_PX = 1.5
