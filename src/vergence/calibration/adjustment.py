@@ -47,6 +47,8 @@ WELL_READ = 2.0
 """Joint noise, as a multiple of what one image tells, up to which readings lead the eyes' course
 in time. At it they hold the latent angles to a fifth, and offsets of 0.1 s still settle."""
 ROUNDS = 40
+RELEASES = 2
+"""How often what was held may be let go again."""
 WEIGHINGS = 2
 """How often images are weighed by how much their corners scatter, once all else has settled."""
 
@@ -115,7 +117,7 @@ def adjust(
     told[1:] |= assumed
     noise = replace(first, joint=np.where(assumed, USUAL_JOINT, first.joint))
     state, components, seen = start, Components(noise, np.zeros(1 + groups), left), None
-    agreed, converged, restarted = False, False, False
+    agreed, converged, restarted, releases = False, False, False, 0
     weighings = 0 if np.isfinite(outlier) else WEIGHINGS
     for _ in range(ROUNDS):
         state, converged, linear = minimise(problem, state, noise, basis)
@@ -131,8 +133,10 @@ def adjust(
         noise, before = components.noise, 0 if seen is None else len(seen.held)
         linear = _linear(problem, state, noise, known=linear)
         found = observe(problem, state, linear, noise)
-        # Where a direction was held once it stays held: taking turns would never end.
-        if seen is None or not (restarted and len(found.held) < before):
+        # While the noise settles good readings may pass for outliers, and what they determine for
+        # unobservable: it is released then. Not for ever: taking turns would never end.
+        releases += restarted and len(found.held) < before
+        if seen is None or len(found.held) >= before or releases <= RELEASES:
             seen, basis = found, found.basis
         agreed = change < 1e-3 and len(seen.held) == before
         if len(seen.held) > before:

@@ -84,7 +84,7 @@ def shared_errors(
         seen += right_g.T @ moved[0] + np.einsum("bnk,bn->k", right_l, moved[1])
         # Of functions whose mean square is one, for each coordinate.
         per_px = np.sqrt(2 / fields.shape[-1])
-        std = max(_expected(left, seen) if told else 0.0, problem.shared_px * per_px)
+        std = max(_likeliest(left, seen) if told else 0.0, problem.shared_px * per_px)
         absorbed = basis @ free
         covariance += std**2 * absorbed @ absorbed.T
         levels.append(float(std / per_px))
@@ -103,10 +103,8 @@ def _fields(pixels: Array, width: int, height: int) -> Array:
     return fields
 
 
-def _expected(left: Array, seen: Array) -> float:
-    """Return the standard deviation of the coefficients, as the residuals tell it.
-
-    The root of the mean of its square, over its likelihood: a few directions tell it roughly.
+def _likeliest(left: Array, seen: Array) -> float:
+    """Return the standard deviation of the coefficients, as the residuals tell it: the likeliest.
 
     The residuals' projection y onto the fields has the covariance G + s^2 G^2, with G what is left
     of the fields after the fit, in units of the noise.
@@ -122,5 +120,4 @@ def _expected(left: Array, seen: Array) -> float:
     # From what has no effect to what would be seen in every direction.
     log_std = np.linspace(-3, 6, 300) - 0.5 * np.log(g.max())
     costs = np.array([cost(each) for each in log_std])
-    likelihood = np.exp((costs.min() - costs) / 2 + log_std)  # every s alike: ds = s d(log s)
-    return float(np.sqrt(np.average(np.exp(2 * log_std), weights=likelihood)))
+    return float(np.exp(log_std[costs.argmin()]))
