@@ -11,7 +11,7 @@ from vergence.active_stereo import in_body, locate
 from vergence.arrays import Array
 from vergence.camera import normalise
 from vergence.dataset import Frame
-from vergence.gaze_state import Settings, State
+from vergence.gaze_state import NARROW, WIDE, Settings, State
 from vergence.geometry import inverse, transform
 from vergence.head import T_base_cam, T_body_base
 from vergence.kinematics import EYES, Side
@@ -35,14 +35,16 @@ def see(settings: Settings, state: State, frame: Frame) -> State:
 
     Args:
         settings: of the controller.
-        state: before the frame; images that it did not ask for are left alone.
+        state: before the frame; images that it did not ask for are left alone, and wide ones of
+            an eye whose narrow one shows the object.
         frame: the frame.
     """
-    pixels = {
-        name: find_sphere(image, settings.calibration.camera(name).intrinsics)
-        for name, image in frame.images.items()
-        if name in state.cameras
-    }
+    pixels: dict[str, Array] = {}
+    for name in (*NARROW, *WIDE):
+        mounted = settings.calibration.camera(name)
+        known = best_camera(replace(state, pixels=pixels), mounted.eye)
+        if known is None and name in frame.images and name in state.cameras:
+            pixels[name] = find_sphere(frame.images[name], mounted.intrinsics)
     sent, earlier = (commanded(state.commands, frame.joint_time_s - ago) for ago in (0, 0.1))
     read = np.concatenate([frame.neck_angles, frame.eye_angles])
     at_rest = np.abs(sent - earlier) < settings.stuck_rad / 3
