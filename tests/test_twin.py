@@ -234,6 +234,13 @@ def test_the_motion_does_not_depend_on_where_it_is_stopped(make: Make):
     np.testing.assert_array_equal(*ways)
 
 
+def test_its_cameras_leave_the_model_as_it_was(make: Make):
+    twin = make(ErrorProfile(), seed=0)
+    fresh = compile_head(twin.truth, overscan_sizes(twin.truth))
+    assert twin.model.vis.global_.offwidth == fresh.vis.global_.offwidth
+    assert twin.model.vis.quality.offsamples == fresh.vis.quality.offsamples
+
+
 def test_a_later_run_does_not_depend_on_what_came_before(make: Make):
     twin = make(EVERYTHING, seed=1)
     frames = []

@@ -108,20 +108,23 @@ class Renderer:
         self._noise = np.round(noise).astype(np.int16) if image.noise_grey else None
         self._renderers: dict[tuple[int, int], mujoco.Renderer] = {}
         self._sizes: dict[str, tuple[int, int]] = {}
-        samples = model.vis.quality.offsamples
+        buffer, quality = model.vis.global_, model.vis.quality
+        before = buffer.offwidth, buffer.offheight, quality.offsamples
         try:
             for name, (width, height) in sizes.items():
                 finer = FINER if name in self._maps else 1
                 self._sizes[name] = size = finer * width, finer * height
                 if size in self._renderers:
                     continue
-                model.vis.global_.offwidth, model.vis.global_.offheight = size
+                buffer.offwidth, buffer.offheight = size
                 # Where the pixels are finer, they are the samples.
-                model.vis.quality.offsamples = samples if finer == 1 else 0
+                quality.offsamples = before[-1] if finer == 1 else 0
                 self._renderers[size] = mujoco.Renderer(model, height=size[1], width=size[0])
         except Exception as error:  # each backend raises its own kind
             self.close()
             raise no_opengl(error) from error
+        finally:
+            buffer.offwidth, buffer.offheight, quality.offsamples = before
         for renderer in self._renderers.values():  # the room is closed: nothing of these is seen
             for flag in ("SKYBOX", "HAZE", "SHADOW", "REFLECTION"):
                 renderer.scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{flag}")] = 0
