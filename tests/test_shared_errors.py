@@ -20,14 +20,18 @@ def bent(corners: np.ndarray, size_px: float) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def heads() -> tuple[HeadCalibration, Refined, Refined]:
-    """A head, its calibration, and that from images whose left corners share an error of 0.4 px."""
+def heads() -> tuple[HeadCalibration, Refined, Refined, Refined]:
+    """A head and three calibrations of it.
+
+    Of the second the left images share an error of 0.4 px; the third is told that all share 1 px.
+    """
     truth, seen = recorded(9)
     start = estimate(seen).head
     plain = refine(start, seen.views)
     corners = dict(seen.views.corners)
     corners["left_wide"] = bent(corners["left_wide"], 0.4)
-    return truth, plain, refine(start, replace(seen.views, corners=corners))
+    spoilt = refine(start, replace(seen.views, corners=corners))
+    return truth, plain, spoilt, refine(start, replace(seen.views, shared_px=1.0))
 
 
 def std_of(refined: Refined, name: str) -> float:
@@ -35,12 +39,12 @@ def std_of(refined: Refined, name: str) -> float:
 
 
 def test_without_them_they_are_hardly_taken_for_there(heads):
-    _, plain, _ = heads
+    _, plain, _, _ = heads
     assert not any("share errors" in warning for warning in plain.warnings)
 
 
 def test_they_are_named_by_camera(heads):
-    _, _, spoilt = heads
+    _, _, spoilt, _ = heads
     said = [warning for warning in spoilt.warnings if "share errors" in warning]
     assert len(said) == 1
     assert said[0].startswith("All images of left_wide share errors of ")
@@ -48,7 +52,7 @@ def test_they_are_named_by_camera(heads):
 
 
 def test_they_make_the_stated_accuracy_of_that_camera_worse_and_true(heads):
-    truth, plain, spoilt = heads
+    truth, plain, spoilt, _ = heads
     for name in ("fx", "cx", "k1"):
         assert std_of(spoilt, f"left_wide.{name}") > 2 * std_of(plain, f"left_wide.{name}")
     for eye in EYES:
@@ -59,10 +63,7 @@ def test_they_make_the_stated_accuracy_of_that_camera_worse_and_true(heads):
 
 
 def test_what_is_known_of_them_beforehand_is_stated_even_if_it_cannot_be_seen(heads):
-    _, plain, _ = heads
-    _, seen = recorded(9)
-    start = estimate(seen).head
-    told = refine(start, replace(seen.views, shared_px=1.0))
+    _, plain, _, told = heads
     np.testing.assert_allclose(told.head.T_rbase_lbase, plain.head.T_rbase_lbase, atol=1e-12)
     for name in ("left_wide.fx", "right_wide.k1", "left_wide.T_eye_cam.tz"):
         assert std_of(told, name) > 2 * std_of(plain, name)

@@ -169,7 +169,7 @@ def _send(settings: Settings, state: State, goal: Array, rate: Array, now_s: flo
     rate = np.where(np.isfinite(rate), rate, 0.0)
     lower, upper = settings.limits.set_rad[EYES_4].T
     distance = np.abs(np.clip(goal, lower, upper) - at[EYES_4])
-    foveal = all(best_camera(state, eye) == f"{eye}_narrow" for eye in EYES)
+    foveal = all(best_camera(state.pixels, eye) == f"{eye}_narrow" for eye in EYES)
     landing = state.landing_s
     if distance.max() > settings.saccade_rad or state.phase is Phase.LOST:
         phase = Phase.SACCADE

@@ -41,9 +41,10 @@ def see(settings: Settings, state: State, frame: Frame) -> State:
     """
     pixels: dict[str, Array] = {}
     for name in (*NARROW, *WIDE):
+        if name not in frame.images or name not in state.cameras:
+            continue
         mounted = settings.calibration.camera(name)
-        known = best_camera(replace(state, pixels=pixels), mounted.eye)
-        if known is None and name in frame.images and name in state.cameras:
+        if best_camera(pixels, mounted.eye) is None:
             pixels[name] = find_sphere(frame.images[name], mounted.intrinsics)
     sent, earlier = (commanded(state.commands, frame.joint_time_s - ago) for ago in (0, 0.1))
     read = np.concatenate([frame.neck_angles, frame.eye_angles])
@@ -85,10 +86,10 @@ def posture_at_image(settings: Settings, state: State, frame: Frame) -> Array:
     return np.where(use_reading, read, sent)
 
 
-def best_camera(state: State, eye: Side) -> str | None:
-    """Return the camera of an eye that sees the object best."""
+def best_camera(pixels: Mapping[str, Array], eye: Side) -> str | None:
+    """Return the camera of an eye that sees the object best, by where each sees it."""
     for lens in ("narrow", "wide"):
-        pixel = state.pixels.get(f"{eye}_{lens}")
+        pixel = pixels.get(f"{eye}_{lens}")
         if pixel is not None and np.isfinite(pixel).all():
             return f"{eye}_{lens}"
     return None
@@ -98,7 +99,7 @@ def rays_to(settings: Settings, state: State, posture: Array) -> dict[Side, tupl
     """Return by eye that sees the object a ray in its base frame: from where, and where to."""
     rays: dict[Side, tuple[Array, Array]] = {}
     for eye in EYES:
-        name = best_camera(state, eye)
+        name = best_camera(state.pixels, eye)
         if name is None:
             continue
         xy = normalise(settings.calibration.camera(name).intrinsics, state.pixels[name])
@@ -171,7 +172,7 @@ def _locate(settings: Settings, state: State, postures: Array) -> list[tuple[Arr
 
     The first posture is by readings, the second by commands.
     """
-    left, right = best_camera(state, "left"), best_camera(state, "right")
+    left, right = (best_camera(state.pixels, eye) for eye in EYES)
     if left is None or right is None:
         return None
     pixels_l, pixels_r = (np.tile(state.pixels[name], (2, 1)) for name in (left, right))

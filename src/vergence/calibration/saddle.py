@@ -16,7 +16,7 @@ from scipy.ndimage import map_coordinates, spline_filter
 
 from vergence.arrays import Array
 
-REACHES_PX = 2, 10
+LENGTHS_PX = 2, 10
 """Least and greatest length of the strips to either side of a corner."""
 HALF_WIDTH_PX = 2.0
 """Of the strips. On drawn boards under blur of 0.5 to 3 px, with and without noise, it errs less
@@ -35,7 +35,7 @@ _SPLINE_REACH_PX = 12  # so far the edge of a picture is felt in its spline, and
 
 
 def refine_grid(
-    grey: np.ndarray, grid: Array, reaches_px: Array, half_widths_px: Array | float = HALF_WIDTH_PX
+    grey: np.ndarray, grid: Array, lengths_px: Array, half_widths_px: Array | float = HALF_WIDTH_PX
 ) -> Array:
     """Move the corners of a board onto the saddle points of the grey levels around them.
 
@@ -43,7 +43,7 @@ def refine_grid(
         grey: (H, W) uint8.
         grid: (rows, columns, 2) the board's inner corners [px], right to about a pixel; NaN where
             one is not known.
-        reaches_px: (rows, columns) how far along its edges nothing is met; taken within REACHES_PX.
+        lengths_px: (rows, columns) how far along its edges nothing is met; taken within LENGTHS_PX.
         half_widths_px: (rows, columns) how far beside its edges nothing is met.
 
     Returns:
@@ -51,10 +51,10 @@ def refine_grid(
         without neighbours in its row and its column.
     """
     shape = grid.shape
-    reaches = np.clip(np.nan_to_num(reaches_px), *REACHES_PX).ravel()
+    lengths = np.clip(np.nan_to_num(lengths_px), *LENGTHS_PX).ravel()
     half_widths = np.broadcast_to(half_widths_px, shape[:2]).ravel()
-    strips = _strips(grid, reaches, half_widths)
-    straight = _saddles(grey, grid.reshape(-1, 2), strips, np.zeros((reaches.size, 2, 3)))
+    strips = _strips(grid, lengths, half_widths)
+    straight = _saddles(grey, grid.reshape(-1, 2), strips, np.zeros((lengths.size, 2, 3)))
     # The bend needs corners that are better than those that were given.
     bend = curvatures(straight.reshape(shape)).reshape(-1, 2, 3)
     return _saddles(grey, straight, strips, bend).reshape(shape)
@@ -140,7 +140,7 @@ def _smooth_map(grid: Array, places: Array) -> Array:
     return wanted + terms(wanted) @ added
 
 
-def _strips(grid: Array, reaches_px: Array, half_widths_px: Array) -> Array:
+def _strips(grid: Array, lengths_px: Array, half_widths_px: Array) -> Array:
     """Return where around each corner of a grid grey levels are read (K, 2 P, 2) [px].
 
     In two strips of P places along its edges; half a turn takes the first of a strip to its last,
@@ -152,7 +152,7 @@ def _strips(grid: Array, reaches_px: Array, half_widths_px: Array) -> Array:
         edge = np.nan_to_num(after) - np.nan_to_num(before)
         length = np.linalg.norm(edge, axis=-1, keepdims=True)
         edge = (edge / np.where(length > 0, length, np.nan)).reshape(-1, 1, 1, 2)
-        along = reaches_px[:, None, None, None] * _ALONG[:, None, None] * edge
+        along = lengths_px[:, None, None, None] * _ALONG[:, None, None] * edge
         aside = half_widths_px[:, None, None, None] * _ASIDE[:, None] * edge[..., ::-1] * (-1, 1)
         strips.append((along + aside).reshape(len(edge), -1, 2))
     return np.concatenate(strips, axis=1)

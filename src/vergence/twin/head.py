@@ -121,7 +121,7 @@ class Twin:
         """
         width = np.radians(self.profile.joints.backlash_deg)
         while (left := round((until_s - self._data.time) * 1000)) > 0:
-            past = round(self._data.time * 1000) % _TICK_STEPS  # since they were renewed
+            past = round(self._data.time * 1000) % _TICK_STEPS  # [ms] since it was asked
             begin = self._data.time - past / 1000
             ends = [
                 command(begin + after / 1000) if callable(command) else command
