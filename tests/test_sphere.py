@@ -62,9 +62,9 @@ def test_the_centre_has_no_error_that_follows_the_pixel_grid():
     assert np.abs(errors).max() < 0.02
 
 
-@pytest.mark.parametrize("depth", [0.15, 0.3, 0.6, 1.2])
+@pytest.mark.parametrize("depth", [0.06, 0.15, 0.3, 0.6, 1.2])
 def test_near_and_far_spheres_are_found_alike(depth: float):
-    pixel = (480.0, 330.0)
+    pixel = (440.0, 270.0)
     assert np.abs(find_sphere(picture(WIDE, at(WIDE, pixel, depth)), WIDE) - pixel).max() < 0.02
 
 
@@ -83,6 +83,24 @@ def test_the_largest_red_region_counts():
     image = picture(WIDE, at(WIDE, pixel, 0.4))
     image[100:103, 500:503] = RED
     assert np.abs(find_sphere(image, WIDE) - pixel).max() < 0.02
+
+
+@pytest.mark.parametrize(
+    "expected", [(210.0, 290.0), (290.0, 380.0), (500.0, 100.0), (np.nan,) * 2]
+)
+def test_where_it_is_sought_first_does_not_change_what_is_found(expected: tuple[float, float]):
+    """Around it, cut by the edge of what is searched, elsewhere, and nowhere."""
+    image = picture(WIDE, at(WIDE, (200.4, 300.3), 0.25))
+    found = find_sphere(image, WIDE, near=np.array(expected))
+    np.testing.assert_array_equal(found, find_sphere(image, WIDE))
+
+
+def test_a_region_near_where_it_is_sought_counts_before_a_larger_one():
+    pixel = (200.4, 300.3)
+    image = picture(WIDE, at(WIDE, pixel, 0.4))
+    image[100:200, 450:550] = RED
+    assert np.abs(find_sphere(image, WIDE, near=np.array([190.0, 310.0])) - pixel).max() < 0.02
+    assert np.abs(find_sphere(image, WIDE) - pixel).max() > 100
 
 
 @pytest.mark.parametrize("pixel", [(5.0, 240.0), (636.0, 240.0), (320.0, 3.0), (320.0, 477.0)])

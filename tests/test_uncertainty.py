@@ -14,8 +14,8 @@ from vergence.geometry import rotation
 from vergence.head import HeadCalibration
 from vergence.uncertainty import (
     depth_error,
-    difference_covariance,
     disparity_error,
+    locate_both,
     point_covariance,
     predicted_depth_std,
 )
@@ -192,14 +192,15 @@ def test_the_covariance_of_a_difference_leaves_out_what_is_shared():
         locate(head, *(p[k] + rng.normal(0, pixel_std, (n, 2)) for p in pixels), turned).points
         for k in (0, 1)
     )
-    stated = difference_covariance(
+    there_a, there_b, (stated,) = locate_both(
         head,
         (pixels[0][:1], pixels[1][:1]),
         (pixels[0][1:], pixels[1][1:]),
         eyes[:1],
         pixel_std_px=pixel_std,
         joint_std_rad=joint_std,
-    )[0]
+    )
+    np.testing.assert_allclose([*there_a, *there_b], points, atol=1e-9)
     found = np.cov((a - b).T)
     np.testing.assert_allclose(found, stated, atol=0.03 * np.trace(stated))
     assert np.trace(found) < 0.1 * np.trace(np.cov(a.T))

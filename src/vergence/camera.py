@@ -39,30 +39,33 @@ class Camera:
 
 def _distort(camera: Camera, xy: Array) -> Array:
     """Return distorted normalised coordinates (..., 2) of undistorted ones (..., 2)."""
-    k1, k2, p1, p2, k3 = camera.distortion
-    x, y = xy[..., 0], xy[..., 1]
-    r2 = x * x + y * y
-    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    return np.stack(
-        [
-            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-        ],
-        axis=-1,
-    )
+    return np.stack(_distortion(camera, xy[..., 0], xy[..., 1])[:2], axis=-1)
 
 
 def _distort_jacobian(camera: Camera, xy: Array) -> Array:
     """Return d distorted / d undistorted, (..., 2, 2)."""
-    k1, k2, p1, p2, k3 = camera.distortion
-    x, y = xy[..., 0], xy[..., 1]
-    r2 = x * x + y * y
-    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    slope = 2 * (k1 + r2 * (2 * k2 + 3 * r2 * k3))  # d radial / d x = slope * x
-    xx = radial + slope * x * x + 2 * p1 * y + 6 * p2 * x
-    yy = radial + slope * y * y + 6 * p1 * y + 2 * p2 * x
-    cross = slope * x * y + 2 * p1 * x + 2 * p2 * y
+    _, _, xx, cross, yy = _distortion(camera, xy[..., 0], xy[..., 1])
     return np.stack([xx, cross, cross, yy], axis=-1).reshape(*xy.shape[:-1], 2, 2)
+
+
+def _distortion(camera: Camera, x: Array, y: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """Return the distorted coordinates (x', y') of undistorted ones, and their derivatives.
+
+    Which are d x' / d x, then d x' / d y, which is d y' / d x as well, and d y' / d y. Each is of
+    the shape of x and y: arrays of pairs and of matrices would take twice as long.
+    """
+    k1, k2, p1, p2, k3 = camera.distortion.tolist()
+    x2, xy, y2 = x * x, x * y, y * y
+    r2 = x2 + y2
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = 2 * (k1 + r2 * (2 * k2 + 3 * k3 * r2))  # d radial / d x = slope * x
+    return (
+        x * radial + 2 * p1 * xy + p2 * (r2 + 2 * x2),
+        y * radial + p1 * (r2 + 2 * y2) + 2 * p2 * xy,
+        radial + slope * x2 + 2 * p1 * y + 6 * p2 * x,
+        slope * xy + 2 * p1 * x + 2 * p2 * y,
+        radial + slope * y2 + 6 * p1 * y + 2 * p2 * x,
+    )
 
 
 @lru_cache
@@ -117,35 +120,32 @@ def normalise(camera: Camera, pixels: Array) -> Array:
     Newton's method to machine precision. Pixels beyond the reach of the distortion polynomial
     (where it folds over) give NaN.
     """
-    wanted = (pixels - camera.matrix[:2, 2]) @ np.linalg.inv(camera.matrix[:2, :2]).T
+    (fx, skew, cx), (_, fy, cy), _ = camera.matrix.tolist()
+    wanted_y = (pixels[..., 1] - cy) / fy
+    wanted_x = (pixels[..., 0] - cx - skew * wanted_y) / fx
     if not camera.distortion.any():
-        return wanted
-    xy = wanted.copy()
-    error = np.full(xy.shape, np.inf)
+        return np.stack([wanted_x, wanted_y], axis=-1)
+    x, y = wanted_x, wanted_y
+    error, det = np.full(x.shape, np.inf), np.ones_like(x)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         for _ in range(20):
-            error = _distort(camera, xy) - wanted
-            if not np.nanmax(np.abs(error), initial=0.0) > 1e-15:
+            distorted_x, distorted_y, xx, cross, yy = _distortion(camera, x, y)
+            error_x, error_y = distorted_x - wanted_x, distorted_y - wanted_y
+            error, det = np.maximum(np.abs(error_x), np.abs(error_y)), xx * yy - cross * cross
+            x = x - (yy * error_x - cross * error_y) / det
+            y = y - (xx * error_y - cross * error_x) / det
+            if not np.nanmax(error, initial=0.0) > 1e-9:  # which this step has squared
                 break
-            J = _distort_jacobian(camera, xy)
-            step_x = J[..., 1, 1] * error[..., 0] - J[..., 0, 1] * error[..., 1]
-            step_y = J[..., 0, 0] * error[..., 1] - J[..., 1, 0] * error[..., 0]
-            xy = xy - np.stack([step_x, step_y], axis=-1) / _det(J)[..., None]
-        rising = _det(_distort_jacobian(camera, xy)) > 0
-        good = (np.abs(error).max(axis=-1) < 1e-9) & rising
+        good = (error < 1e-9) & (det > 0)
         k1, k2, _, _, k3 = camera.distortion.tolist()
-        good &= (xy**2).sum(axis=-1) < _fold(k1, k2, k3)  # further out, another sheet reaches back
-    return np.where(good[..., None], xy, np.nan)
-
-
-def _det(M: Array) -> Array:
-    """Return determinants (...,) of (..., 2, 2): ten times as fast as numpy's."""
-    return M[..., 0, 0] * M[..., 1, 1] - M[..., 0, 1] * M[..., 1, 0]
+        good &= x * x + y * y < _fold(k1, k2, k3)  # further out, another sheet reaches back
+    return np.where(good[..., None], np.stack([x, y], axis=-1), np.nan)
 
 
 def normalise_area(camera: Camera, xy: Array) -> Array:
     """Return the area (...,) in the plane z = 1 of one pixel at undistorted xy (..., 2)."""
-    return 1 / (_det(camera.matrix[:2, :2]) * _det(_distort_jacobian(camera, xy)))
+    _, _, xx, cross, yy = _distortion(camera, xy[..., 0], xy[..., 1])
+    return 1 / (camera.matrix[0, 0] * camera.matrix[1, 1] * (xx * yy - cross * cross))
 
 
 def undistort(camera: Camera, pixels: Array) -> Array:

@@ -25,7 +25,7 @@ from vergence.kinematics import EYES, Side
 Lens = Literal["wide", "narrow"]
 
 _NEWTON_STEPS = 20
-_CENTRED = 1e-13  # of x/z and y/z: a ten-thousandth of a millionth of a pixel
+_NEARLY = 1e-8  # of x/z and y/z: the next step of Newton's squares it
 
 
 def wide_from_narrow(T_narrow_wide: Array, points_narrow: Array) -> Array:
@@ -163,8 +163,7 @@ def eye_angles_to(
         ],
         axis=-1,
     )
-    error = np.full(angles.shape, np.inf)
-    front = np.zeros(p.shape[:-1], dtype=bool)
+    front = near = np.zeros(p.shape[:-1], dtype=bool)
     for _ in range(_NEWTON_STEPS):
         panned = _turned_back(p, pan_hat, angles[..., 0])
         in_eye = _turned_back(panned - shift, tilt_hat, angles[..., 1])
@@ -172,8 +171,6 @@ def eye_angles_to(
         front = in_cam[..., 2] > 0
         z = np.where(front, in_cam[..., 2], 1.0)[..., None]
         error = in_cam[..., :2] / z
-        if (np.abs(error[front]) < _CENTRED).all():
-            break
         # A turn of the eye turns the point the other way.
         by_pan = -_turned_back(panned @ pan_hat.T, tilt_hat, angles[..., 1])
         by_tilt = -(in_eye @ tilt_hat.T)
@@ -189,7 +186,10 @@ def eye_angles_to(
             axis=-1,
         )
         angles = angles - np.clip(step / det[..., None], -0.5, 0.5)
-    good = usable & front & (np.abs(error) < 1e-12).all(axis=-1)
+        near = np.asarray((np.abs(error) < _NEARLY).all(axis=-1))
+        if (near | ~front).all():
+            break
+    good = usable & front & near
     gain = np.array([axes.pan_gain, axes.tilt_gain])
     readings = (angles - [axes.pan_offset_rad, axes.tilt_offset_rad]) / gain
     return np.where(good[..., None], readings, np.nan)

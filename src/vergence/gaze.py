@@ -96,10 +96,10 @@ def step(settings: Settings, state: State, frame: Frame | None, now_s: float) ->
     return _follow(settings, state, frame, rays, now_s)
 
 
-def _angles_to(settings: Settings, points_body: Array, neck: Array) -> Array:
-    """Return the eye angles (N, 4) to points (N, 3) in frame body at neck angles (N, 3)."""
+def _in_left_base(settings: Settings, points_body: Array, neck: Array) -> Array:
+    """Map points (..., 3) from frame body into the left eye's base at neck angles (..., 3)."""
     T_lbase_body = inverse(T_body_base(settings.calibration, "left", chain(settings, neck)))
-    return gaze_angles(settings.calibration, transform(T_lbase_body, points_body))
+    return transform(T_lbase_body, points_body)
 
 
 def _follow(
@@ -116,19 +116,18 @@ def _follow(
     start_now = setpoint(state.command, now_s)
     neck_then = posture[NECK]
     neck_now = neck_then + start_now[NECK] - commanded(state.commands, frame.time_s)[NECK]
-    version = _angles_to(settings, aim.position[None], neck_now[None])[0]
+    version = gaze_angles(calibration, _in_left_base(settings, aim.position, neck_now))
     state = _turn_neck(settings, state, version, now_s)
     moments = np.array([frame.time_s, now_s, now_s + _RATE_STEP_S])
     velocity = aim.velocity * _is_moving(settings, aim)
     points = aim.position + (moments - frame.time_s)[:, None] * velocity
     necks = np.stack([neck_then, neck_now, neck_now + _RATE_STEP_S * state.neck_rate])
-    then, now, soon = _angles_to(settings, points, necks)
+    then, now, soon = gaze_angles(calibration, _in_left_base(settings, points, necks))
     goal, rate = now.copy(), (soon - now) / _RATE_STEP_S
-    T_base_body = {
-        eye: inverse(T_body_base(calibration, eye, chain(settings, neck_then))) for eye in EYES
-    }
+    aim_lbase = _in_left_base(settings, aim.position, neck_then)
+    aim_base = {"left": aim_lbase, "right": transform(calibration.T_rbase_lbase, aim_lbase)}
     for eye, (centre, ray) in rays.items():
-        away = transform(T_base_body[eye], aim.position) - centre
+        away = aim_base[eye] - centre
         along = np.linalg.norm(away) / np.linalg.norm(ray)
         seen = eye_angles_to(calibration, eye, centre + along * ray)
         goal[EYE_ANGLES[eye]] = seen + (now - then)[EYE_ANGLES[eye]]

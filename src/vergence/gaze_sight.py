@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from vergence.active_stereo import in_body, locate
 from vergence.arrays import Array
 from vergence.camera import normalise
 from vergence.dataset import Frame
@@ -19,7 +18,7 @@ from vergence.motion import EYES_4, HEAD_JOINTS, NECK, commanded
 from vergence.scatter import observe
 from vergence.sphere import find_sphere
 from vergence.tracking_filter import Track, begin, predict, surprise, update
-from vergence.uncertainty import point_covariance
+from vergence.uncertainty import locate_with_covariance
 
 EYE_ANGLES: dict[Side, slice] = {"left": slice(0, 2), "right": slice(2, 4)}
 """Pan and tilt of an eye among the four angles of both."""
@@ -45,7 +44,8 @@ def see(settings: Settings, state: State, frame: Frame) -> State:
             continue
         mounted = settings.calibration.camera(name)
         if best_camera(pixels, mounted.eye) is None:
-            pixels[name] = find_sphere(frame.images[name], mounted.intrinsics)
+            before = state.pixels.get(name)
+            pixels[name] = find_sphere(frame.images[name], mounted.intrinsics, near=before)
     sent, earlier = (commanded(state.commands, frame.joint_time_s - ago) for ago in (0, 0.1))
     read = np.concatenate([frame.neck_angles, frame.eye_angles])
     at_rest = np.abs(sent - earlier) < settings.stuck_rad / 3
@@ -177,8 +177,7 @@ def _locate(settings: Settings, state: State, postures: Array) -> list[tuple[Arr
         return None
     pixels_l, pixels_r = (np.tile(state.pixels[name], (2, 1)) for name in (left, right))
     eyes, neck = postures[:, EYES_4], chain(settings, postures)
-    located = locate(settings.calibration, pixels_l, pixels_r, eyes, cameras=(left, right))
-    covariances = point_covariance(
+    points, covariances = locate_with_covariance(
         settings.calibration,
         pixels_l,
         pixels_r,
@@ -189,9 +188,10 @@ def _locate(settings: Settings, state: State, postures: Array) -> list[tuple[Arr
     )
     if not np.isfinite(covariances).all():
         return None
-    R = T_body_base(settings.calibration, "left", neck)[:, :3, :3]
-    points = in_body(settings.calibration, located.points, neck)
-    return list(zip(points, R @ covariances @ np.swapaxes(R, 1, 2), strict=True))
+    T = T_body_base(settings.calibration, "left", neck)
+    R = T[:, :3, :3]
+    covariances = R @ covariances @ np.swapaxes(R, 1, 2)
+    return list(zip(transform(T, points), covariances, strict=True))
 
 
 def _begin(settings: Settings, time_s: float, point: Array, covariance: Array) -> Track:

@@ -19,7 +19,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from vergence.active_stereo import in_body, locate
 from vergence.arrays import Array
 from vergence.dataset import Frame
 from vergence.gaze import step as step_gaze
@@ -41,7 +40,7 @@ from vergence.reach_state import (
 )
 from vergence.sphere import find_sphere
 from vergence.tracking_filter import Track, begin, predict, surprise, update
-from vergence.uncertainty import difference_covariance
+from vergence.uncertainty import locate_both
 
 __all__ = ["Hand", "HandCommand", "HandReading", "Phase", "Settings", "State", "grasp", "start"]
 
@@ -111,7 +110,9 @@ def _see(settings: Settings, state: State, frame: Frame, *, usable: bool) -> Sta
     """
     cameras = settings.gaze.calibration.cameras
     marker = {
-        name: find_sphere(image, cameras[name].intrinsics, colour="blue")
+        name: find_sphere(
+            image, cameras[name].intrinsics, colour="blue", near=state.pixels.get(name)
+        )
         for name, image in frame.images.items()
         if name in state.cameras
     }
@@ -142,11 +143,14 @@ def _wanted(state: State) -> tuple[str, ...]:
 
 
 def _object_in(settings: Settings, state: State, frame: Frame, camera: str) -> Array:
-    """Return the object (2,) px in an image; the gaze does not search all that are there."""
+    """Return the object (2,) px in an image that shows the marker.
+
+    The gaze does not search all images that are there.
+    """
     if camera in state.gaze.pixels:
         return state.gaze.pixels[camera]
     intrinsics = settings.gaze.calibration.camera(camera).intrinsics
-    return find_sphere(frame.images[camera], intrinsics)
+    return find_sphere(frame.images[camera], intrinsics, near=state.pixels[camera])
 
 
 def _fuse(
@@ -155,24 +159,22 @@ def _fuse(
     """Bring the target up to a frame that shows object and marker to both eyes."""
     gaze = settings.gaze
     posture = posture_at_image(gaze, state.gaze, frame)
-    eyes, neck = np.tile(posture[EYES_4], (2, 1)), chain(gaze, posture)
-    left, right = (np.stack([p, state.pixels[name]]) for p, name in zip(seen, cameras, strict=True))
-    located = locate(gaze.calibration, left, right, eyes, cameras=cameras)
-    covariance = difference_covariance(
+    things, markers, covariances = locate_both(
         gaze.calibration,
-        (left[:1], right[:1]),
-        (left[1:], right[1:]),
-        eyes[:1],
+        (seen[0][None], seen[1][None]),
+        (state.pixels[cameras[0]][None], state.pixels[cameras[1]][None]),
+        posture[EYES_4][None],
         pixel_std_px=gaze.pixel_std_px,
         joint_std_rad=gaze.sent_std_rad,
         cameras=cameras,
-    )[0]
-    if not np.isfinite(covariance).all():
+    )
+    if not np.isfinite(covariances).all():
         return state
-    R = T_body_base(gaze.calibration, "left", neck)[:3, :3]
-    thing, marker = in_body(gaze.calibration, located.points, neck)
+    T = T_body_base(gaze.calibration, "left", chain(gaze, posture))
+    thing, marker = transform(T, things[0]), transform(T, markers[0])
+    covariance = T[:3, :3] @ covariances[0] @ T[:3, :3].T
     by_encoders = transform(_hand_at(state.readings, frame.time_s), settings.marker_hand)
-    measured = by_encoders + thing - marker, R @ covariance @ R.T
+    measured = by_encoders + thing - marker, covariance
     return replace(
         state,
         marker=marker,

@@ -14,6 +14,8 @@ import numpy as np
 
 from vergence.arrays import Array
 
+_SAME_AXIS = np.tile(np.eye(3), (3, 3))  # x, y and z move each for itself, and alike
+
 
 @dataclass(frozen=True, eq=False)
 class Track:
@@ -81,7 +83,7 @@ def predict(
     )
     by_acceleration = np.array([[dt**3 / 3, dt**2 / 2, 0], [dt**2 / 2, dt, 0], [0, 0, 0]])
     growth = jerk_density * by_jerk + acceleration_density * by_acceleration
-    F, Q = np.kron(motion, np.eye(3)), np.kron(growth, np.eye(3))
+    F, Q = (M.repeat(3, axis=0).repeat(3, axis=1) * _SAME_AXIS for M in (motion, growth))
     return Track(time_s, F @ track.mean, F @ track.covariance @ F.T + Q)
 
 
