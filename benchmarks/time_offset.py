@@ -41,7 +41,7 @@ class Config:
     """At each offset and each joint noise."""
     seed: int = 0
     frames: int = 150
-    """Of the motion: five seconds, as `vergence record --moving` makes."""
+    """Of the motion: five seconds, as of `vergence record --moving 150`."""
     orientations: int = 30
     """Eye angles at rest at which the board is seen before."""
     pixel_std_px: float = 0.1

@@ -12,7 +12,6 @@ from vergence.camera import project
 from vergence.dataset import Dataset
 from vergence.dataset_files import load
 from vergence.errors import VergenceError
-from vergence.experiments import record as module
 from vergence.experiments import truth as truth_file
 from vergence.experiments.record import CHARUCO, record
 from vergence.experiments.sequence import BOARD
@@ -42,9 +41,7 @@ PROFILE = ErrorProfile.model_validate(
 def recorded(request, tmp_path_factory) -> tuple[Dataset, Detections, Truth]:
     """A small recording with moving frames at its end."""
     out = tmp_path_factory.mktemp("out") / request.param
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "MOVING_FRAMES", 12)
-        images = record(out, profile=PROFILE, seed=2, frames=14, target=request.param, moving=True)
+    images = record(out, profile=PROFILE, seed=2, frames=14, target=request.param, moving=12)
     assert len(list((out / "images").iterdir())) == images
     dataset = load(out)
     return dataset, detect(dataset), truth_file.load(out / "truth.json")
@@ -143,6 +140,8 @@ def test_the_same_seed_gives_the_same_dataset(tmp_path):
     ("arguments", "sentence"),
     [
         ({"frames": 5}, "at least 12 frames; asked for 5"),
+        ({"moving": 2}, "at least 3 frames; asked for 2"),
+        ({"moving": -1}, "at least 3 frames; asked for -1"),
         ({"seed": -1}, "whole number from 0, found -1"),
     ],
 )

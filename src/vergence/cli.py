@@ -64,7 +64,7 @@ def record(
     frames: int = 60,
     lens: Literal["2.8mm", "4.0mm"] = "2.8mm",
     target: Literal["chessboard", "charuco"] = "chessboard",
-    moving: bool = False,
+    moving: int = 0,
 ) -> None:
     """Record a dataset on the twin, with the truth beside it in truth.json.
 
@@ -75,7 +75,7 @@ def record(
         frames: Frames in which the eyes stand still.
         lens: Of the wide cameras.
         target: Board that is shown to the head.
-        moving: Whether five seconds follow in which the eyes move before the board.
+        moving: Frames at 30 Hz that follow, in which the eyes move before the board.
     """
     from vergence.experiments.record import record as run
     from vergence.twin.profile import load_profile

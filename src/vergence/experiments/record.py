@@ -47,8 +47,8 @@ LEAST_FRAMES = 12
 PART_SEEN = 0.4
 """Part of a ChArUco board that is worth an image."""
 
-MOVING_FRAMES = 150
-"""Five seconds at 30 Hz: twice the slowest period below."""
+LEAST_MOVING = 3
+"""Frames of a motion, as docs/dataset.md has it."""
 RATE_HZ = 30.0
 _SPEED_RAD_S = 2.5  # of the phase of pan: at 0.2 rad as fast as eyes that follow a hand
 _AMPLITUDE_RAD = 0.2
@@ -62,7 +62,7 @@ def record(
     frames: int = FRAMES,
     lens: Lens = "2.8mm",
     target: Target = "chessboard",
-    moving: bool = False,
+    moving: int = 0,
 ) -> int:
     """Record a dataset on the twin, and the truth beside it in truth.json.
 
@@ -73,7 +73,7 @@ def record(
         frames: how many still frames.
         lens: of the wide cameras.
         target: what is shown to the head.
-        moving: whether MOVING_FRAMES follow in which the eyes move before the board at rest.
+        moving: how many frames follow in which the eyes move before the board at rest, at RATE_HZ.
 
     Returns:
         How many images were written.
@@ -83,6 +83,8 @@ def record(
     """
     if frames < LEAST_FRAMES:
         raise VergenceError(f"A dataset has at least {LEAST_FRAMES} frames; asked for {frames}.")
+    if moving < LEAST_MOVING and moving != 0:
+        raise VergenceError(f"A motion has at least {LEAST_MOVING} frames; asked for {moving}.")
     if seed < 0:
         raise VergenceError(f"The seed must be a whole number from 0, found {seed}.")
     check_new(out)
@@ -92,7 +94,7 @@ def record(
         _progress() as progress,
     ):
         shots = _shots(twin, board, seed, frames)
-        total = len(shots) + MOVING_FRAMES * moving
+        total = len(shots) + moving
         task = progress.add_task(f"recording {total} frames", total=total)
         true_angles: list[Array] = []
         images = 0
@@ -146,7 +148,7 @@ def _watching(twin: Twin, board: Board, shot: Shot) -> tuple[str, ...]:
 
 
 def _taken(
-    twin: Twin, shots: list[Shot], board: Board, moving: bool
+    twin: Twin, shots: list[Shot], board: Board, moving: int
 ) -> Iterator[tuple[Shot, Entry]]:
     """Yield each shot, its angles the true ones, and its row of the dataset."""
     posture: Array | None = None
@@ -161,7 +163,7 @@ def _taken(
     if moving:
         fixed, begin = shots[-1], twin.time_s + 0.6
         twin.settle(_command(_sweep(0.0)))
-        for k in range(MOVING_FRAMES):
+        for k in range(moving):
             time_s = k / RATE_HZ
             twin.advance(begin + time_s, lambda now: _command(_sweep(now - begin)))
             shot = replace(fixed, eye_angles=_sweep(time_s))
