@@ -69,9 +69,8 @@ def _around(pixel: Array, image: np.ndarray) -> tuple[slice, slice]:
     height, width = image.shape[:2]
     reach = round(_NEAR * width)
     u, v = pixel.round().astype(int)
-    return slice(max(v - reach, 0), min(v + reach, height)), slice(
-        max(u - reach, 0), min(u + reach, width)
-    )
+    rows = slice(max(v - reach, 0), min(v + reach, height))
+    return rows, slice(max(u - reach, 0), min(u + reach, width))
 
 
 def _window(
