@@ -171,6 +171,8 @@ def test_the_middle_of_the_image_lies_between_the_middle_pixels():
     [
         ({"matrix": np.eye(2)}, "expected 3 x 3 numbers, found 2 x 2"),
         ({"matrix": -np.eye(3)}, "focal lengths are positive"),
+        ({"matrix": [[300, 0, 319], [1, 300, 239], [0, 0, 1]]}, "matrix has rows"),
+        ({"matrix": [[300, 0, 319], [0, 300, 239], [0, 0, 2]]}, "matrix has rows"),
         ({"matrix": np.full((3, 3), np.nan)}, "NaN"),
         ({"distortion": np.zeros(4)}, "5 coefficients, found 4"),
         ({"distortion": ["a"] * 5}, "expected n numbers"),

@@ -35,6 +35,11 @@ class Camera:
             raise ValueError(f"distortion has 5 coefficients, found {self.distortion.size}")
         if self.matrix[0, 0] <= 0 or self.matrix[1, 1] <= 0:
             raise ValueError("focal lengths are positive, found one that is not")
+        if self.matrix[1, 0] != 0 or (self.matrix[2] != [0, 0, 1]).any():
+            rows = self.matrix[1:].tolist()
+            raise ValueError(
+                f"the matrix has rows (fx, s, cx), (0, fy, cy), (0, 0, 1), found {rows}"
+            )
 
 
 def _distort(camera: Camera, xy: Array) -> Array:
