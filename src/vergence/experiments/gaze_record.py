@@ -55,7 +55,14 @@ class Watch(Protocol):
 
 @contextmanager
 def recorded(
-    path: Path, twin: Twin, settings: Settings, *, title: str, reach_m: float, speed: float = 1.0
+    path: Path,
+    twin: Twin,
+    settings: Settings,
+    *,
+    title: str,
+    reach_m: float,
+    speed: float = 1.0,
+    hand: bool = False,
 ) -> Iterator[tuple[Watch, list[str]]]:
     """Record in a `with` block; whoever shows states to the watch need not know of recordings.
 
@@ -69,6 +76,7 @@ def recorded(
         title: of the recording.
         reach_m: how far away objects come [m], for the view in space.
         speed: of the playback, in recorded seconds a second.
+        hand: whether the watch will be told of a hand.
 
     Yields:
         What to show states to, and a list for the lines of the report, in markdown.
@@ -77,7 +85,7 @@ def recorded(
         VergenceError: the file cannot be written.
     """
     head = settings.calibration
-    layout = gaze_blueprint(title, head, reach_m=reach_m, speed=speed)
+    layout = gaze_blueprint(title, head, reach_m=reach_m, speed=speed, hand=hand)
     moments: list[Moment] = []
     report: list[str] = []
     with recording.recording_file(path, title, layout, head, visual_geoms(twin.model)) as rec:

@@ -204,6 +204,7 @@ def grasp(
                     title=title,
                     reach_m=FAR_M[0],
                     speed=0.5,
+                    hand=True,
                 )
             )
 

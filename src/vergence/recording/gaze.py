@@ -8,8 +8,9 @@ the end (`log_gaze_series`). Beside the entities of every recording there are
     /doing/<lane>                   what it is doing: phase, and what else the experiment tells
     /gaze_error/left, right         object from the centre of the narrow image [px], truly
     /position/x, y, z, true_x, ...  estimate and truth [m], in frame body
-    /error/fused, by_one_frame         distance of the estimates from the truth [mm]
-    /eyes/<joint>, command_<joint>     readings and commands [rad]; /neck likewise
+    /error/fused, by_one_frame      distance of the estimates from the truth [mm]
+    /hand/distance                  of the hand, by its encoders, from the object [mm]
+    /eyes/<joint>, command_<joint>  readings and commands [rad]; /neck likewise
 """
 
 from __future__ import annotations
@@ -191,7 +192,7 @@ def log_gaze_styles(rec: rr.RecordingStream, head: HeadCalibration, T_world_body
         curves[f"gaze_error/{eye}"] = f"{eye} eye", style.JOINT_COLOURS[joint]
     curves["error/by_one_frame"] = "one frame", style.PAPER
     curves["error/fused"] = "fused", style.ESTIMATE
-    curves["error/hand"] = "hand from the object", style.HAND
+    curves["hand/distance"] = "hand from the object", style.HAND
     for joint, color in style.HEAD_JOINT_COLOURS.items():
         name = joint.replace("_", " ").removeprefix("neck ")
         pale = tuple(round(0.45 * level + 0.55 * 255) for level in color)
@@ -234,7 +235,7 @@ def log_gaze_series(rec: rr.RecordingStream, moments: Sequence[Moment]) -> None:
     series: dict[str, Array] = {
         "error/fused": 1e3 * np.linalg.norm(fused - truth, axis=1),
         "error/by_one_frame": 1e3 * np.linalg.norm(one_frame - truth, axis=1),
-        "error/hand": 1e3 * np.linalg.norm(hand - truth, axis=1),
+        "hand/distance": 1e3 * np.linalg.norm(hand - truth, axis=1),
     }
     for k, axis in enumerate(style.AXIS_COLOURS):
         series |= {f"position/{axis}": fused[:, k], f"position/true_{axis}": truth[:, k]}

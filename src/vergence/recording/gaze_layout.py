@@ -17,7 +17,7 @@ ERROR_PX = 50.0
 
 
 def gaze_blueprint(
-    title: str, head: HeadCalibration, *, reach_m: float, speed: float
+    title: str, head: HeadCalibration, *, reach_m: float, speed: float, hand: bool
 ) -> rrb.Blueprint:
     """Return the layout, complete as it opens.
 
@@ -26,7 +26,9 @@ def gaze_blueprint(
         head: whose cameras are shown.
         reach_m: how far away objects come, which the view in space shall show.
         speed: of the playback, in recorded seconds a second.
+        hand: whether there is one, whose distance from the object is shown too.
     """
+    errors = _plot("error [mm]: blue fused, grey one frame", "error")
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(
@@ -48,7 +50,9 @@ def gaze_blueprint(
                     "position in the body [m], pale the truth: x (depth) blue, y green, z red",
                     "position",
                 ),
-                _plot("distance from the truth [mm]: blue fused, grey one frame", "error"),
+                rrb.Horizontal(errors, _plot("hand by its encoders, from the object [mm]", "hand"))
+                if hand
+                else errors,
                 _plot("eyes [rad], pale where sent: orange left, teal right, light tilt", "eyes"),
                 rrb.Tabs(
                     rrb.TextDocumentView(name="report", origin="report"),
