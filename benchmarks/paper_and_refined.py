@@ -12,7 +12,7 @@ from __future__ import annotations
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import tyro
@@ -40,9 +40,9 @@ class Config:
     seed: int = 3
 
 
-def row(folder: Path, method: str) -> str:
-    """Return the cells of one calibration, and how many regions hold the truth."""
-    head = solve(folder, method="paper" if method == "paper" else "refined").head
+def row(folder: Path, method: Literal["paper", "refined"]) -> str:
+    """Return the cells of one calibration."""
+    head = solve(folder, method=method).head
     found = evaluate(head, truth.load(folder / truth.TRUTH))
     sizes = [
         (camera.rotation_deg, camera.translation_mm, camera.focal_percent)

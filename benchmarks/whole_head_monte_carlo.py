@@ -36,7 +36,7 @@ from vergence.calibration.solve import paper, with_accuracy
 from vergence.errors import VergenceError
 from vergence.head import HeadCalibration
 from vergence.kinematics import EYES
-from vergence.uncertainty import point_covariance
+from vergence.uncertainty import locate_with_covariance
 
 JOINT_DEG = (0.0, 0.02, 0.1, 0.3)
 PIXEL_PX = (0.03, 0.3)
@@ -151,10 +151,8 @@ def judge_point(
     else:
         raise AssertionError("no motion keeps the point in view")
     left, right = (uv[:, 0] for uv in exact)
-    by_calibration = locate(head, left, right, readings).points - at
-    predicted = predicted_covariance(head, left, right, readings)
     assert head.accuracy is not None
-    of_calibration = predicted - point_covariance(
+    located, of_reading = locate_with_covariance(
         head,
         left,
         right,
@@ -162,6 +160,9 @@ def judge_point(
         pixel_std_px=head.accuracy.pixel_std_px or 0.0,
         joint_std_rad=np.tile(head.accuracy.joint_std, 4)[:4],
     )
+    by_calibration = located - at
+    predicted = predicted_covariance(head, left, right, readings)
+    of_calibration = predicted - of_reading
     left, right = (uv + rng.normal(0, noise.pixel_px, uv.shape) for uv in (left, right))
     readings = readings + rng.normal(0, noise.joint_rad, readings.shape)
     error = locate(head, left, right, readings).points - at

@@ -22,7 +22,7 @@ def swing(t: Array) -> Array:
 
 
 @pytest.mark.parametrize("late_s", [-0.04, 0.04])
-def test_motion_of_1_hz_at_30_hz_is_moved_by_40_ms_to_a_hundred_thousandth(late_s: float):
+def test_motion_of_1_hz_at_30_hz_is_moved_by_40_ms_to_a_few_hundred_thousandths(late_s: float):
     t = np.arange(60) / 30
     moved = moved_readings(swing(t), Timing(t, np.ones(60, dtype=int)), late_s)
     np.testing.assert_allclose(moved[3:-3], swing(t + late_s)[3:-3], atol=3e-5 * 0.25)

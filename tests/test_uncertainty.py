@@ -16,7 +16,7 @@ from vergence.uncertainty import (
     depth_error,
     disparity_error,
     locate_both,
-    point_covariance,
+    locate_with_covariance,
     predicted_depth_std,
 )
 
@@ -100,9 +100,9 @@ def test_the_covariance_agrees_with_simulation_anywhere(seed: int):
     rng = np.random.default_rng(seed)
     head = random_head(rng)
     _, eyes, left, right = random_samples(head, rng, 1)
-    predicted = point_covariance(
+    predicted = locate_with_covariance(
         head, left, right, eyes, pixel_std_px=0.2, joint_std_rad=np.radians(0.03)
-    )[0]
+    )[1][0]
     observed = simulate(head, np.stack([left[0], right[0]]), eyes[0], 0.2, np.radians(0.03))
     # Along the axes of the observed ellipsoid: 1.1 % for curvature, and sampling error.
     ratio = np.linalg.eigvals(np.linalg.solve(observed, predicted)).real
@@ -116,7 +116,9 @@ def test_the_covariance_agrees_with_the_closed_form_on_the_axis():
     camera = head.cameras["left_wide"].intrinsics
     pixels = project(camera, np.array([[0.046, 0, 1.0], [-0.046, 0, 1.0]]))
     noise = {"joint_std_rad": 1e-3, "pixel_std_px": 0.3}
-    covariance = point_covariance(head, pixels[:1], pixels[1:], np.zeros((1, 4)), **noise)[0]
+    covariance = locate_with_covariance(head, pixels[:1], pixels[1:], np.zeros((1, 4)), **noise)[1][
+        0
+    ]
     closed = predicted_depth_std(1.0, 0.092, 280.0, camera_ahead_m=0.02, **noise)
     assert np.sqrt(covariance[0, 0]) == pytest.approx(closed, rel=0.003)
 
@@ -127,18 +129,18 @@ def test_each_input_may_have_its_own_noise():
     _, eyes, left, right = random_samples(head, rng, 7)
     parts = np.zeros((7, 3, 3))
     for k in range(4):
-        parts += point_covariance(
+        parts += locate_with_covariance(
             head, left, right, eyes, pixel_std_px=0.3 * np.eye(4)[k], joint_std_rad=0
-        )
-        parts += point_covariance(
+        )[1]
+        parts += locate_with_covariance(
             head,
             left,
             right,
             eyes,
             pixel_std_px=0,
             joint_std_rad=np.tile(1e-3 * np.eye(4)[k], (7, 1)),
-        )
-    whole = point_covariance(head, left, right, eyes, pixel_std_px=0.3, joint_std_rad=1e-3)
+        )[1]
+    whole = locate_with_covariance(head, left, right, eyes, pixel_std_px=0.3, joint_std_rad=1e-3)[1]
     np.testing.assert_allclose(parts, whole, rtol=1e-9, atol=1e-18)
 
 
@@ -146,35 +148,35 @@ def test_what_cannot_be_located_has_no_covariance():
     head = plain_head(0.09, 280.0)
     left = np.array([[320.0, 240.0], [np.nan, 240.0], [340.0, 240.0]])
     right = np.array([[320.0, 240.0], [300.0, 240.0], [320.0, 240.0]])
-    covariance = point_covariance(
+    covariance = locate_with_covariance(
         head, left, right, np.zeros((3, 4)), pixel_std_px=0.1, joint_std_rad=0
-    )
+    )[1]
     assert np.isnan(covariance[:2]).all()
     assert np.isfinite(covariance[2]).all()
 
 
 def test_no_samples_have_no_covariances():
-    covariance = point_covariance(
+    covariance = locate_with_covariance(
         plain_head(0.09, 280.0),
         np.empty((0, 2)),
         np.empty((0, 2)),
         np.empty((0, 4)),
         pixel_std_px=0.1,
         joint_std_rad=0,
-    )
+    )[1]
     assert covariance.shape == (0, 3, 3)
 
 
 def test_wrong_shapes_are_refused():
     with pytest.raises(VergenceError, match="pixels_r"):
-        point_covariance(
+        locate_with_covariance(
             plain_head(0.09, 280.0),
             np.zeros((2, 2)),
             np.zeros((3, 2)),
             np.zeros((2, 4)),
             pixel_std_px=0.1,
             joint_std_rad=0,
-        )
+        )[1]
 
 
 def test_the_covariance_of_a_difference_leaves_out_what_is_shared():

@@ -122,9 +122,10 @@ def _follow(
     velocity = aim.velocity * _is_moving(settings, aim)
     points = aim.position + (moments - frame.time_s)[:, None] * velocity
     necks = np.stack([neck_then, neck_now, neck_now + _RATE_STEP_S * state.neck_rate])
-    then, now, soon = gaze_angles(calibration, _in_left_base(settings, points, necks))
+    points_lbase = _in_left_base(settings, points, necks)
+    then, now, soon = gaze_angles(calibration, points_lbase)
     goal, rate = now.copy(), (soon - now) / _RATE_STEP_S
-    aim_lbase = _in_left_base(settings, aim.position, neck_then)
+    aim_lbase = points_lbase[0]
     aim_base = {"left": aim_lbase, "right": transform(calibration.T_rbase_lbase, aim_lbase)}
     for eye, (centre, ray) in rays.items():
         away = aim_base[eye] - centre

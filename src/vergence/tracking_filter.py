@@ -1,7 +1,7 @@
 """A moving point, fused over time: a Kalman filter of position, velocity and acceleration.
 
 All are in one fixed frame; each measurement brings its own covariance (see
-`uncertainty.point_covariance`), which in stereo is long along the line of sight. Between
+`uncertainty.locate_with_covariance`), which in stereo is long along the line of sight. Between
 measurements the motion changes as white noise in the jerk, or in the acceleration, would change
 it. With neither jerk nor a first acceleration it is the filter of constant velocity.
 """

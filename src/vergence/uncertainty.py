@@ -1,7 +1,7 @@
 """How far off a located point is: the paper's Eqs. 20-21 and their generalisation.
 
 Eqs. 20-21 hold on the optical axis of two parallel cameras, and are for a first idea and for
-designing a head; `point_covariance` holds for any sample of any head.
+designing a head; `locate_with_covariance` holds for any sample of any head.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def predicted_depth_std(
     return depth_error(depth_m, baseline_m, focal_px, np.hypot(turned, matched))
 
 
-def point_covariance(
+def locate_with_covariance(
     calibration: HeadCalibration,
     pixels_l: Array,
     pixels_r: Array,
@@ -76,8 +76,8 @@ def point_covariance(
     pixel_std_px: ArrayLike,
     joint_std_rad: ArrayLike,
     cameras: tuple[str, str] = ("left_wide", "right_wide"),
-) -> Array:
-    """Return the covariance (N, 3, 3) [m^2] of what `locate` returns, to first order.
+) -> tuple[Array, Array]:
+    """Return the points that `locate` returns, and their covariances to first order.
 
     Args:
         calibration: of the head, taken as exact.
@@ -90,35 +90,11 @@ def point_covariance(
         cameras: names of the left and the right camera.
 
     Returns:
-        Covariances in the left eye's base frame, NaN where a sample cannot be located.
+        Points (N, 3) [m] and covariances (N, 3, 3) [m^2] in the left eye's base frame, NaN where a
+        sample cannot be located.
 
     Raises:
         VergenceError: shapes do not fit, or the head has no such camera.
-    """
-    return locate_with_covariance(
-        calibration,
-        pixels_l,
-        pixels_r,
-        eye_angles,
-        pixel_std_px=pixel_std_px,
-        joint_std_rad=joint_std_rad,
-        cameras=cameras,
-    )[1]
-
-
-def locate_with_covariance(
-    calibration: HeadCalibration,
-    pixels_l: Array,
-    pixels_r: Array,
-    eye_angles: Array,
-    *,
-    pixel_std_px: ArrayLike,
-    joint_std_rad: ArrayLike,
-    cameras: tuple[str, str] = ("left_wide", "right_wide"),
-) -> tuple[Array, Array]:
-    """Return points (N, 3), as `locate`, and covariances (N, 3, 3), as `point_covariance`.
-
-    In the time that the covariance alone takes.
     """
     points, jacobian = _linearised(calibration, pixels_l, pixels_r, eye_angles, cameras)
     return points, _covariance(jacobian, _stds(len(points), pixel_std_px, joint_std_rad))
@@ -144,7 +120,7 @@ def locate_both(
         pixels_a: of the one point, (N, 2) in the left and (N, 2) in the right camera.
         pixels_b: of the other, likewise.
         eye_angles: (N, 4) joint readings [rad] in the order of kinematics.EYE_JOINTS.
-        pixel_std_px: as for `point_covariance`, of either point.
+        pixel_std_px: as for `locate_with_covariance`, of either point.
         joint_std_rad: likewise.
         cameras: names of the left and the right camera.
 

@@ -24,7 +24,7 @@ from vergence.errors import VergenceError
 from vergence.geometry import inverse, transform
 from vergence.head import Accuracy, HeadCalibration, HeldOut, main_pair
 from vergence.kinematics import EYES, T_base_eye
-from vergence.uncertainty import point_covariance
+from vergence.uncertainty import locate_with_covariance
 
 FOLDS = 5
 LEAST_CORNERS = 6
@@ -245,7 +245,7 @@ def predicted_covariance(
     accuracy = stated(head)
     pixel = accuracy.pixel_std_px if pixel_std_px is None else pixel_std_px
     joint = np.tile(accuracy.joint_std, 4)[:4] if joint_std_rad is None else joint_std_rad
-    of_reading = point_covariance(
+    _, of_reading = locate_with_covariance(
         head,
         pixels_l,
         pixels_r,

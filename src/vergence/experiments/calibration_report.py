@@ -21,7 +21,7 @@ from vergence.geometry import inverse, transform
 from vergence.head import HeadCalibration, T_base_cam, main_pair, write_whole
 from vergence.kinematics import EYES
 from vergence.recording.dataset import record_dataset
-from vergence.uncertainty import point_covariance
+from vergence.uncertainty import locate_with_covariance
 
 MISFIT = 1.5
 """Held-out error, as a multiple of what the noise explains, from which something is amiss; with
@@ -88,7 +88,7 @@ def distances(head: HeadCalibration) -> list[tuple[float, float, float]]:
     for distance in DISTANCES_M:
         pixels_l, pixels_r, angles = motion(head, distance, pair)
         of_head = calibration_covariance(head, pixels_l, pixels_r, angles, cameras=pair)
-        of_reading = point_covariance(
+        _, of_reading = locate_with_covariance(
             head,
             pixels_l,
             pixels_r,
