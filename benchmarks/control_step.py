@@ -20,17 +20,17 @@ import cv2
 import numpy as np
 import tyro
 
-from vergence import reach
 from vergence.arrays import Array
-from vergence.experiments.grasp import LONGEST_S, held_out
-from vergence.experiments.hand import HeadWithHand, TwinHand, roughly_mounted
-from vergence.experiments.live import FRAME_S, TwinHead
-from vergence.gaze import NARROW, WIDE, Settings, start, step
-from vergence.geometry import inverse, transform
-from vergence.head import T_head_base
-from vergence.motion import HEAD_JOINTS
+from vergence.demos.grasp import LONGEST_S, held_out
+from vergence.gaze.commands import HEAD_JOINTS
+from vergence.gaze.controller import NARROW, WIDE, Settings, start, step
+from vergence.geometry.head import T_head_base
+from vergence.geometry.se3 import inverse, transform
+from vergence.reach import controller
+from vergence.twin.hand import HeadWithHand, TwinHand, roughly_mounted
 from vergence.twin.head import Twin
 from vergence.twin.profile import load_profile
+from vergence.twin.simulated_robot import FRAME_S, TwinHead
 
 WARM_UP = 5
 FEWEST = 10
@@ -63,17 +63,17 @@ def gaze_steps(twin: Twin, frames: int) -> dict[str, list[float]]:
 def reach_steps(twin: Twin, trials: int) -> dict[str, list[float]]:
     """Return the seconds of steps of reaching for an object, by phase and number of images."""
     seconds: dict[str, list[float]] = defaultdict(list)
-    settings = reach.Settings(gaze=Settings(calibration=twin.truth))
+    settings = controller.Settings(gaze=Settings(calibration=twin.truth))
     T_lbase_head = inverse(T_head_base(twin.truth, "left"))
     for run in range(1, trials + 1):
         object_at = held_out(0, run)
         head = HeadWithHand(twin, run, lambda t, at=object_at: transform(T_lbase_head, at(t)))
         head.hand = hand = TwinHand(twin, settings.home, roughly_mounted(0, run))
-        state = reach.start(settings, np.zeros(len(HEAD_JOINTS)), hand.read(), head.now_s())
-        while head.now_s() < LONGEST_S and state.phase is not reach.Phase.HELD:
+        state = controller.start(settings, np.zeros(len(HEAD_JOINTS)), hand.read(), head.now_s())
+        while head.now_s() < LONGEST_S and state.phase is not controller.Phase.HELD:
             cameras, frame, reading = state.cameras, head.read(state.cameras), hand.read()
             began = time.thread_time()
-            state = reach.step(settings, state, frame, reading, head.now_s())
+            state = controller.step(settings, state, frame, reading, head.now_s())
             took = time.thread_time() - began
             seconds[f"{state.phase.value}, {len(cameras)} images"].append(took)
             head.command(state.gaze.command)

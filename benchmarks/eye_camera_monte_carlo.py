@@ -30,15 +30,15 @@ import tyro
 from scipy.stats import chi2
 
 from vergence.arrays import Array
-from vergence.calibration.eye_camera import park_martin
-from vergence.calibration.intrinsics import target_poses
-from vergence.calibration.problem import pose_difference
-from vergence.calibration.refine import refine_eye_camera
-from vergence.calibration.target import Chessboard, corner_points
-from vergence.camera import pinhole, project
+from vergence.calibration.bundle.problem import pose_difference
+from vergence.calibration.bundle.refine import refine_eye_camera
+from vergence.calibration.sequential.hand_eye import park_martin
+from vergence.calibration.sequential.intrinsics import target_poses
 from vergence.errors import VergenceError
-from vergence.geometry import inverse, pose, rotation, transform
-from vergence.kinematics import T_base_eye
+from vergence.geometry.board import Chessboard, corner_points
+from vergence.geometry.camera import pinhole, project
+from vergence.geometry.kinematics import T_base_eye
+from vergence.geometry.se3 import inverse, pose, rotation, transform
 
 BARS = {0.0: (0.014, 0.10), 0.02: (0.025, 0.17), 0.1: (0.064, 0.23), 0.3: (0.124, 0.24)}
 """Median error [deg, mm] at each joint noise [deg] of an estimate that was told both levels of

@@ -20,18 +20,13 @@ import tyro
 from scipy.optimize import least_squares
 
 from vergence.arrays import Array
-from vergence.calibration.pipeline import calibrate
-from vergence.experiments.paper import FIGURES
-from vergence.experiments.replay import (
-    SAMPLES,
-    estimate,
-    observe_points,
-    sample_times,
-    written_by_hand,
-)
-from vergence.experiments.sequence import Shot, look_at_points, plan
-from vergence.experiments.trajectories import default_duration_s
-from vergence.head import HeadCalibration
+from vergence.calibration.sequential.sequential import calibrate
+from vergence.geometry.head import HeadCalibration
+from vergence.paper.figures import FIGURES
+from vergence.paper.replay import SAMPLES, estimate, observe_points, sample_times
+from vergence.paper.trajectories import default_duration_s
+from vergence.twin.calibration_errors import written_by_hand
+from vergence.twin.calibration_sequence import Shot, look_at_points, plan
 from vergence.twin.model import FOCAL_MM, as_built_head, nominal_head
 from vergence.twin.profile import ByHand, ErrorProfile, Joints, load_profile
 

@@ -26,11 +26,11 @@ import tyro
 from rich.progress import track
 
 from simulated_head import Noise, random_head, still_recording
-from vergence.calibration.flips import Repaired, repair, turned
-from vergence.calibration.pipeline import Views, lenses
-from vergence.calibration.target import Chessboard
-from vergence.geometry import pose, rotation
-from vergence.head import HeadCalibration
+from vergence.calibration.checks.board_flips import Repaired, repair, turned
+from vergence.calibration.sequential.sequential import Views, lenses
+from vergence.geometry.board import Chessboard
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.se3 import pose, rotation
 
 
 @dataclass(frozen=True)

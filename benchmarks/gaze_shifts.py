@@ -10,10 +10,10 @@ from dataclasses import replace
 import numpy as np
 import tyro
 
-from vergence.experiments.gaze_shift import objects, shift_gaze
-from vergence.experiments.live import calibrated
+from gaze_shift import objects, shift_gaze
 from vergence.twin.head import Twin
 from vergence.twin.profile import load_profile
+from vergence.twin.simulated_robot import calibrated
 
 BAR_PX = 20.0
 """By which an object that was foveated may move while the neck turns."""

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import tyro
 
-from vergence.experiments.grasp import Trial, as_markdown, grasp, summary
+from vergence.demos.grasp import Trial, as_markdown, grasp, summary
 from vergence.twin.profile import load_profile
 
 OUT = Path("runs/grasp_statistics")

@@ -17,10 +17,10 @@ from typing import Any, Literal
 import numpy as np
 import tyro
 
-from vergence.calibration.solve import solve
-from vergence.experiments import truth
-from vergence.experiments.evaluate import evaluate
-from vergence.experiments.record import record
+from vergence.calibration.calibrate import solve
+from vergence.commands import truth
+from vergence.commands.evaluate import evaluate
+from vergence.commands.record import record
 from vergence.twin.profile import load_profile
 
 DATASETS: dict[str, tuple[str, dict[str, Any]]] = {

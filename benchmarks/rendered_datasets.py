@@ -41,10 +41,10 @@ class Config:
 
 def one(seed: int, frames: int) -> dict[str, object]:
     """Record, calibrate and evaluate one dataset."""
-    from vergence.calibration.solve import solve
-    from vergence.experiments import truth
-    from vergence.experiments.evaluate import evaluate
-    from vergence.experiments.record import record
+    from vergence.calibration.calibrate import solve
+    from vergence.commands import truth
+    from vergence.commands.evaluate import evaluate
+    from vergence.commands.record import record
     from vergence.twin.profile import load_profile
 
     lens, target = LENSES[seed % 2], TARGETS[seed // 2 % 2]

@@ -23,11 +23,12 @@ import numpy as np
 import tyro
 
 from vergence.arrays import Array
-from vergence.calibration.intrinsics import calibrate_intrinsics
-from vergence.calibration.static_stereo import calibrate_pair
-from vergence.calibration.target import Chessboard, corner_points, find_corners
-from vergence.camera import Camera, undistort
+from vergence.calibration.sequential.intrinsics import calibrate_intrinsics
+from vergence.calibration.sequential.static_stereo import calibrate_pair
 from vergence.errors import VergenceError
+from vergence.geometry.board import Chessboard, corner_points
+from vergence.geometry.camera import Camera, undistort
+from vergence.vision.board_detection import find_corners
 
 FOLDS = 5
 SIDES = ("left", "right")

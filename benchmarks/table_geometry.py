@@ -24,14 +24,14 @@ import tyro
 from rich.progress import track
 
 from vergence.arrays import Array
-from vergence.calibration.assembly import one_eye
-from vergence.calibration.derivatives import jacobians
-from vergence.calibration.eye_camera import park_martin
-from vergence.calibration.problem import PER_CAMERA, moved, pose_difference
-from vergence.calibration.target import Chessboard, corner_points
-from vergence.camera import pinhole, project, project_jacobians
-from vergence.geometry import hat, inverse, pose, rotation, transform
-from vergence.kinematics import EyeAxes, T_base_eye
+from vergence.calibration.bundle.initial_state import one_eye
+from vergence.calibration.bundle.jacobians import jacobians
+from vergence.calibration.bundle.problem import PER_CAMERA, moved, pose_difference
+from vergence.calibration.sequential.hand_eye import park_martin
+from vergence.geometry.board import Chessboard, corner_points
+from vergence.geometry.camera import pinhole, project, project_jacobians
+from vergence.geometry.kinematics import EyeAxes, T_base_eye
+from vergence.geometry.se3 import hat, inverse, pose, rotation, transform
 
 LEVELS_DEG = (0.0, 0.02, 0.1, 0.3)
 TABLE = np.array(

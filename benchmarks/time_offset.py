@@ -21,11 +21,11 @@ from rich.progress import track
 
 from simulated_head import Motion, Noise, moving_recording, random_head, still_recording
 from vergence.arrays import Array
-from vergence.calibration.accuracy import Observations
-from vergence.calibration.parameters import difference
-from vergence.calibration.refine import refine
-from vergence.calibration.solve import paper, with_accuracy
-from vergence.calibration.timing import Timing
+from vergence.calibration.bundle.refine import refine
+from vergence.calibration.calibrate import paper, with_accuracy
+from vergence.calibration.checks.cross_validation import Observations
+from vergence.data.timing import Timing
+from vergence.geometry.parameters import difference
 
 OFFSETS_MS = (-40, -20, 0, 20, 40)
 JOINT_DEG = (0.0, 0.02, 0.05, 0.1)

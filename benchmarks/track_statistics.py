@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from vergence.experiments.track import track
-from vergence.head import write_whole
+from vergence.demos.track import track
+from vergence.files import write_whole
 from vergence.twin.profile import load_profile
 
 OUT = Path("runs/track_statistics")

@@ -27,16 +27,16 @@ from rich.progress import track
 from scipy.stats import chi2
 
 from simulated_head import HEIGHT, WIDTH, Noise, pixels_seen, random_head, still_recording
-from vergence.active_stereo import locate
 from vergence.arrays import Array
-from vergence.calibration.accuracy import Observations, predicted_covariance
-from vergence.calibration.parameters import difference, without_offsets
-from vergence.calibration.refine import refine
-from vergence.calibration.solve import paper, with_accuracy
+from vergence.calibration.bundle.refine import refine
+from vergence.calibration.calibrate import paper, with_accuracy
+from vergence.calibration.checks.cross_validation import Observations, predicted_covariance
 from vergence.errors import VergenceError
-from vergence.head import HeadCalibration
-from vergence.kinematics import EYES
-from vergence.uncertainty import locate_with_covariance
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import EYES
+from vergence.geometry.parameters import difference, without_offsets
+from vergence.stereo.triangulation import locate
+from vergence.stereo.uncertainty import locate_with_covariance
 
 JOINT_DEG = (0.0, 0.02, 0.1, 0.3)
 PIXEL_PX = (0.03, 0.3)

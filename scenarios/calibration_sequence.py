@@ -9,13 +9,12 @@ import cv2
 import numpy as np
 import tyro
 
-from vergence.calibration.pipeline import calibrate
-from vergence.experiments.paper import Lens
-from vergence.experiments.sequence import look, plan
-from vergence.geometry import angle, inverse
-from vergence.head import save
+from vergence.calibration.sequential.sequential import calibrate
+from vergence.geometry.head import save
+from vergence.geometry.se3 import angle, inverse
+from vergence.twin.calibration_sequence import look, plan
 from vergence.twin.head import Twin
-from vergence.twin.profile import load_profile
+from vergence.twin.profile import Lens, load_profile
 
 OUT = Path("runs/calibration")
 SHOWN = 6  # views of the fixed board in the picture, as many as in the paper's Fig. 4

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import tyro
 
-from vergence.experiments.foveate import SETTLED_PX, foveate
+from vergence.demos.foveate import SETTLED_PX, foveate
 from vergence.twin.profile import load_profile
 
 OUT = Path("runs/foveate")

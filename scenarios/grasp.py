@@ -7,7 +7,7 @@ from pathlib import Path
 
 import tyro
 
-from vergence.experiments.grasp import WITHIN_M, grasp
+from vergence.demos.grasp import WITHIN_M, grasp
 from vergence.twin.profile import load_profile
 
 OUT = Path("runs/grasp")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import tyro
 
-from vergence.experiments.reproduce import reproduce
+from vergence.paper.reproduce import reproduce
 from vergence.twin.profile import load_profile
 
 FIGURES = (6, 7)

@@ -5,12 +5,12 @@ python scenarios/own_experiment.py
 
 import numpy as np
 
-from vergence.active_stereo import locate
-from vergence.calibration.pipeline import calibrate
-from vergence.experiments.sequence import look, plan
-from vergence.sphere import find_sphere
+from vergence.calibration.sequential.sequential import calibrate
+from vergence.stereo.triangulation import locate
+from vergence.twin.calibration_sequence import look, plan
 from vergence.twin.head import Twin
 from vergence.twin.profile import load_profile
+from vergence.vision.sphere import find_sphere
 
 OBJECT_M = np.array([0.5, -0.046, 0.0])  # midway between the eyes, from the left one
 VERGENCE_RAD = np.linspace(-0.05, 0.20, 12)  # each eye turns inwards by this

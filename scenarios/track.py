@@ -7,7 +7,7 @@ from pathlib import Path
 
 import tyro
 
-from vergence.experiments.track import track
+from vergence.demos.track import track
 from vergence.twin.profile import load_profile
 
 OUT = Path("runs/track")

@@ -7,11 +7,11 @@ import numpy as np
 
 from drawn_head import DrawnHead
 from vergence.arrays import Array
-from vergence.camera import project
-from vergence.geometry import inverse, pose, transform
-from vergence.head import T_base_cam, T_body_base
-from vergence.motion import EYES_4, NECK
-from vergence.reach_state import HandCommand, HandReading, hand_goal
+from vergence.gaze.commands import EYES_4, NECK
+from vergence.geometry.camera import project
+from vergence.geometry.head import T_base_cam, T_body_base
+from vergence.geometry.se3 import inverse, pose, transform
+from vergence.reach.state import HandCommand, HandReading, hand_goal
 
 MARKER_HAND = np.array([-0.026, 0.0, -0.052])
 _RADIUS_M, _SPEED_M_S, _CLOSING_S, _TICK_S = 0.010, 0.5, 0.1, 0.005

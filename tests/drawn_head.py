@@ -6,13 +6,13 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.camera import pinhole, project
-from vergence.dataset import Frame
-from vergence.foveation import gaze_angles
-from vergence.geometry import inverse, pose, rotation, transform
-from vergence.head import HeadCalibration, MountedCamera, T_base_cam, T_body_base
-from vergence.kinematics import EYES, Neck
-from vergence.motion import EYES_4, NECK, Command, Limits, setpoint, stay
+from vergence.data.dataset import Frame
+from vergence.gaze.commands import EYES_4, NECK, Command, Limits, setpoint, stay
+from vergence.gaze.foveation import gaze_angles
+from vergence.geometry.camera import pinhole, project
+from vergence.geometry.head import HeadCalibration, MountedCamera, T_base_cam, T_body_base
+from vergence.geometry.kinematics import EYES, Neck
+from vergence.geometry.se3 import inverse, pose, rotation, transform
 
 PERIOD_S = 1 / 30
 _RADIUS_M = 0.02

@@ -3,10 +3,10 @@
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.camera import Camera, pinhole
-from vergence.geometry import inverse, pose, rotation, transform
-from vergence.head import HeadCalibration, MountedCamera, T_base_cam
-from vergence.kinematics import EyeAxes, Neck
+from vergence.geometry.camera import Camera, pinhole
+from vergence.geometry.head import HeadCalibration, MountedCamera, T_base_cam
+from vergence.geometry.kinematics import EyeAxes, Neck
+from vergence.geometry.se3 import inverse, pose, rotation, transform
 
 R_EYE_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """A camera that looks straight ahead: its z is the eye's x, its x the eye's -y."""

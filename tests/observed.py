@@ -6,13 +6,13 @@ import numpy as np
 
 from heads import R_EYE_CAM, random_pose
 from vergence.arrays import Array
-from vergence.calibration.accuracy import Observations
-from vergence.calibration.pipeline import Views
-from vergence.calibration.target import Chessboard, corner_points
-from vergence.camera import Camera, project
-from vergence.geometry import inverse, pose, rotation, transform
-from vergence.head import HeadCalibration, MountedCamera, T_base_cam
-from vergence.kinematics import T_base_eye
+from vergence.calibration.checks.cross_validation import Observations
+from vergence.calibration.sequential.sequential import Views
+from vergence.geometry.board import Chessboard, corner_points
+from vergence.geometry.camera import Camera, project
+from vergence.geometry.head import HeadCalibration, MountedCamera, T_base_cam
+from vergence.geometry.kinematics import T_base_eye
+from vergence.geometry.se3 import inverse, pose, rotation, transform
 
 BOARD = Chessboard(columns=9, rows=6, square_m=0.03)
 POINTS = corner_points(BOARD)

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from vergence.calibration.target import Charuco, Chessboard, opencv_board
-from vergence.dataset_files import load
+from vergence.data.reader import load
 from vergence.errors import VergenceError
+from vergence.geometry.board import Charuco, Chessboard, opencv_board
 
 CHESSBOARD = Chessboard(columns=6, rows=5, square_m=0.03)
 CHARUCO = Charuco(squares_x=6, squares_y=5, square_m=0.03, marker_m=0.022, dictionary="DICT_4X4_50")

@@ -8,15 +8,13 @@ from scipy.stats import chi2
 
 from heads import R_EYE_CAM
 from vergence.arrays import Array
-from vergence.calibration.pipeline import Views
-from vergence.calibration.problem import (
-    moved,
-)
-from vergence.calibration.target import Chessboard, corner_points
-from vergence.calibration.timing import Timing
-from vergence.camera import Camera, project
-from vergence.geometry import inverse, pose, rotation, transform
-from vergence.head import HeadCalibration, MountedCamera, T_base_cam
+from vergence.calibration.bundle.problem import moved
+from vergence.calibration.sequential.sequential import Views
+from vergence.data.timing import Timing
+from vergence.geometry.board import Chessboard, corner_points
+from vergence.geometry.camera import Camera, project
+from vergence.geometry.head import HeadCalibration, MountedCamera, T_base_cam
+from vergence.geometry.se3 import inverse, pose, rotation, transform
 
 BOARD = Chessboard(columns=9, rows=6, square_m=0.03)
 POINTS = corner_points(BOARD)

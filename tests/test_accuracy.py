@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from heads import R_EYE_CAM, plain_head, point_in_camera, random_head
-from vergence.active_stereo import locate
 from vergence.arrays import Array
-from vergence.calibration.accuracy import (
+from vergence.calibration.bundle.problem import calibration_names
+from vergence.calibration.checks.cross_validation import (
     Observations,
     calibration_covariance,
     folds,
@@ -16,14 +16,14 @@ from vergence.calibration.accuracy import (
     predicted_covariance,
     scatter,
 )
-from vergence.calibration.parameters import changed, difference, without_offsets
-from vergence.calibration.pipeline import Views
-from vergence.calibration.problem import calibration_names
-from vergence.calibration.target import Chessboard, corner_points
-from vergence.camera import project
+from vergence.calibration.sequential.sequential import Views
 from vergence.errors import VergenceError
-from vergence.geometry import pose, transform
-from vergence.head import Accuracy, HeadCalibration, T_base_cam, load, save
+from vergence.geometry.board import Chessboard, corner_points
+from vergence.geometry.camera import project
+from vergence.geometry.head import Accuracy, HeadCalibration, T_base_cam, load, save
+from vergence.geometry.parameters import changed, difference, without_offsets
+from vergence.geometry.se3 import pose, transform
+from vergence.stereo.triangulation import locate
 
 BOARD = Chessboard(columns=5, rows=4, square_m=0.03)
 HEAD = plain_head(0.075, 280.0, camera_m=((0.02, 0, 0), (0.02, 0, 0)))

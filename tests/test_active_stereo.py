@@ -9,7 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from heads import plain_head, point_in_camera, random_head
-from vergence.active_stereo import (
+from vergence.errors import VergenceError
+from vergence.geometry.camera import pinhole, project
+from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base
+from vergence.geometry.kinematics import T_base_eye
+from vergence.geometry.se3 import inverse, transform
+from vergence.stereo.triangulation import (
     Status,
     camera_transform,
     fixed_transform,
@@ -18,11 +23,6 @@ from vergence.active_stereo import (
     locate,
     triangulate,
 )
-from vergence.camera import pinhole, project
-from vergence.errors import VergenceError
-from vergence.geometry import inverse, transform
-from vergence.head import HeadCalibration, T_base_cam, T_body_base
-from vergence.kinematics import T_base_eye
 
 seeds = st.integers(0, 2**32 - 1)
 

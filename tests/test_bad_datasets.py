@@ -16,9 +16,9 @@ from recordings import (
     small_dataset,
     write_table,
 )
-from vergence.dataset_files import load
+from vergence.data.reader import load
 from vergence.errors import VergenceError
-from vergence.kinematics import EYE_JOINTS
+from vergence.geometry.kinematics import EYE_JOINTS
 
 
 @pytest.fixture

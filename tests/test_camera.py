@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from heads import random_camera
-from vergence.camera import (
+from vergence.geometry.camera import (
     Camera,
     normalise,
     normalise_area,

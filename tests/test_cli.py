@@ -10,7 +10,7 @@ import pytest
 
 from vergence import cli
 from vergence.errors import VergenceError
-from vergence.head import load
+from vergence.geometry.head import load
 
 BAD_PROFILES = {
     "unknown section": "[jionts]\nnoise_deg = 1\n",

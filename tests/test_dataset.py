@@ -18,11 +18,8 @@ from recordings import (
     write_dataset,
     write_table,
 )
-from vergence.dataset import (
-    pose_columns,
-    runs,
-)
-from vergence.dataset_files import load
+from vergence.data.dataset import pose_columns, runs
+from vergence.data.reader import load
 from vergence.errors import VergenceError
 
 

@@ -11,16 +11,11 @@ from recordings import (
     CHARUCO,
     small_dataset,
 )
-from vergence.dataset import (
-    DatasetCamera,
-    DatasetJoint,
-    Description,
-    Frame,
-)
-from vergence.dataset_files import load
-from vergence.dataset_writer import Entry, write
+from vergence.data.dataset import DatasetCamera, DatasetJoint, Description, Frame
+from vergence.data.reader import load
+from vergence.data.writer import Entry, write
 from vergence.errors import VergenceError
-from vergence.kinematics import EYE_JOINTS, NECK_JOINTS
+from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS
 
 
 @pytest.fixture

@@ -8,10 +8,9 @@ from hypothesis import strategies as st
 from heads import random_head, random_pose
 from refining import BOARD, views_of
 from vergence.arrays import Array
-from vergence.calibration.assembly import whole_head
-from vergence.calibration.derivatives import jacobians
-from vergence.calibration.pipeline import Views
-from vergence.calibration.problem import (
+from vergence.calibration.bundle.initial_state import whole_head
+from vergence.calibration.bundle.jacobians import jacobians
+from vergence.calibration.bundle.problem import (
     Problem,
     State,
     advance,
@@ -20,7 +19,8 @@ from vergence.calibration.problem import (
     moved,
     pose_difference,
 )
-from vergence.kinematics import T_base_eye
+from vergence.calibration.sequential.sequential import Views
+from vergence.geometry.kinematics import T_base_eye
 
 
 def numeric(problem: Problem, state: State, step: float = 1e-6) -> tuple[Array, Array]:

@@ -19,10 +19,11 @@ from recordings import (
     small_dataset,
     write_dataset,
 )
-from vergence.calibration.detect import detect, look_for
-from vergence.calibration.target import Charuco, Chessboard, corner_points, find_corners
-from vergence.dataset_files import load
+from vergence.calibration.detection import detect, look_for
+from vergence.data.reader import load
 from vergence.errors import VergenceError
+from vergence.geometry.board import Charuco, Chessboard, corner_points
+from vergence.vision.board_detection import find_corners
 
 
 @pytest.mark.parametrize("board", [CHESSBOARD, CHARUCO], ids=["chessboard", "charuco"])

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from heads import random_head
-from vergence.calibration.parameters import changed, without_offsets
-from vergence.calibration.target import Chessboard
+from vergence.commands.evaluate import as_text, evaluate, save
+from vergence.commands.truth import Truth
 from vergence.errors import VergenceError
-from vergence.experiments.evaluate import as_text, evaluate, save
-from vergence.experiments.truth import Truth
-from vergence.head import Accuracy, HeadCalibration
+from vergence.geometry.board import Chessboard
+from vergence.geometry.head import Accuracy, HeadCalibration
+from vergence.geometry.parameters import changed, without_offsets
 from vergence.twin.profile import ErrorProfile
 
 NAMES = ("left_wide.fx", "left_wide.fy", "left_wide.T_eye_cam.tx", "T_rbase_lbase.rz")

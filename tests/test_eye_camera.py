@@ -7,13 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from heads import R_EYE_CAM, random_pose
-from vergence.calibration.eye_camera import motion_pairs, park_martin, solve_rotation
-from vergence.calibration.intrinsics import target_poses
-from vergence.calibration.target import Chessboard, corner_points
-from vergence.camera import pinhole, project
+from vergence.calibration.sequential.hand_eye import motion_pairs, park_martin, solve_rotation
+from vergence.calibration.sequential.intrinsics import target_poses
 from vergence.errors import VergenceError
-from vergence.geometry import angle, hat, inverse, log, pose, rotation, rotvec, transform
-from vergence.kinematics import T_base_eye
+from vergence.geometry.board import Chessboard, corner_points
+from vergence.geometry.camera import pinhole, project
+from vergence.geometry.kinematics import T_base_eye
+from vergence.geometry.se3 import angle, hat, inverse, log, pose, rotation, rotvec, transform
 
 seeds = st.integers(0, 2**32 - 1)
 T_BASE_TARGET = pose(R_EYE_CAM @ rotation([0.2, -0.3, 0.1]), [0.6, 0.1, 0.05])

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from observed import Recording, head, observe
-from vergence.calibration.flips import Repaired, remarks, repair, turned, warnings
-from vergence.calibration.intrinsics import seen_corners
-from vergence.calibration.pipeline import Views
-from vergence.calibration.target import Charuco, Chessboard
-from vergence.camera import Camera
-from vergence.geometry import pose, rotation
-from vergence.head import HeadCalibration
-from vergence.kinematics import EyeAxes
+from vergence.calibration.checks.board_flips import Repaired, remarks, repair, turned, warnings
+from vergence.calibration.sequential.intrinsics import seen_corners
+from vergence.calibration.sequential.sequential import Views
+from vergence.geometry.board import Charuco, Chessboard
+from vergence.geometry.camera import Camera
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import EyeAxes
+from vergence.geometry.se3 import pose, rotation
 
 POOR = Recording(joint_std_rad=np.radians(0.3), pixel_std_px=0.3)
 

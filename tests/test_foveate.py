@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from vergence.demos import foveate as module
+from vergence.demos.foveate import Trial, foveate, run_trial, summary, targets
 from vergence.errors import VergenceError
-from vergence.experiments import foveate as module
-from vergence.experiments.foveate import Trial, foveate, run_trial, summary, targets
-from vergence.gaze import Settings
-from vergence.geometry import inverse, transform
-from vergence.recording import read_series
+from vergence.gaze.controller import Settings
+from vergence.geometry.se3 import inverse, transform
 from vergence.twin.head import Twin
-from vergence.twin.in_sight import in_sight
+from vergence.twin.occlusion import in_sight
 from vergence.twin.profile import ErrorProfile, load_profile
+from vergence.viewer.reading import read_series
 
 SCENARIO = Path(__file__).parents[1] / "scenarios" / "foveate.py"
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from heads import point_in_camera, random_head
-from vergence.camera import Camera, project
 from vergence.errors import VergenceError
-from vergence.foveation import (
+from vergence.gaze.foveation import (
     eye_angles_to,
     foveal_miss,
     gaze_angles,
@@ -18,14 +17,15 @@ from vergence.foveation import (
     reachable,
     wide_from_narrow,
 )
-from vergence.geometry import inverse, pose, transform
-from vergence.head import HeadCalibration, T_narrow_wide
-from vergence.kinematics import EYES
-from vergence.sphere import find_sphere
+from vergence.geometry.camera import Camera, project
+from vergence.geometry.head import HeadCalibration, T_narrow_wide
+from vergence.geometry.kinematics import EYES
+from vergence.geometry.se3 import inverse, pose, transform
+from vergence.stereo.uncertainty import depth_error
 from vergence.twin.head import Twin
 from vergence.twin.model import nominal_head
 from vergence.twin.profile import load_profile
-from vergence.uncertainty import depth_error
+from vergence.vision.sphere import find_sphere
 
 SEEDS = range(20)
 DEPTHS = np.geomspace(0.15, 50, 40)

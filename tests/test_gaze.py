@@ -8,11 +8,11 @@ import pytest
 
 from drawn_head import DrawnHead, four_cameras, point_at, straight_to
 from vergence.arrays import Array
-from vergence.dataset import Frame
-from vergence.gaze import NARROW, Phase, Settings, State, look, start, step
-from vergence.geometry import transform
-from vergence.head import T_body_base
-from vergence.motion import EYES_4, HEAD_JOINTS, NECK, Limits, setpoint
+from vergence.data.dataset import Frame
+from vergence.gaze.commands import EYES_4, HEAD_JOINTS, NECK, Limits, setpoint
+from vergence.gaze.controller import NARROW, Phase, Settings, State, look, start, step
+from vergence.geometry.head import T_body_base
+from vergence.geometry.se3 import transform
 
 SETTINGS = Settings(calibration=four_cameras())
 

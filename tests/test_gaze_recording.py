@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
-from vergence.dataset import Frame
-from vergence.experiments.gaze_record import recorded
-from vergence.experiments.live import FRAME_S, Delivery, TwinHead, foveal_errors
-from vergence.foveation import ideal_wide_pixel
-from vergence.gaze import Settings, State, look, start
-from vergence.recording import read_series
-from vergence.recording.gaze import aims, moment
+from vergence.data.dataset import Frame
+from vergence.demos.recording import recorded
+from vergence.gaze.controller import Settings, State, look, start
+from vergence.gaze.foveation import ideal_wide_pixel
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
+from vergence.twin.simulated_robot import FRAME_S, Delivery, TwinHead, foveal_errors
+from vergence.viewer.gaze import aims, moment
+from vergence.viewer.reading import read_series
 
 TARGET = np.array([0.6, 0.05, -0.1])
 HIDDEN_S = 0.2

@@ -6,16 +6,9 @@ On the twin: test_track.py, and by many: benchmarks/gaze_shifts.py.
 import numpy as np
 import pytest
 
+from gaze_shift import ANGLE_RAD, DISTANCE_M, EACH_S, _judged, number_at, objects
 from vergence.arrays import Array
-from vergence.experiments.gaze_shift import (
-    ANGLE_RAD,
-    DISTANCE_M,
-    EACH_S,
-    _judged,
-    number_at,
-    objects,
-)
-from vergence.motion import Limits
+from vergence.gaze.commands import Limits
 
 TIME: Array = np.arange(0, 2 * EACH_S - 0.05, 0.1).astype(float)
 STILL = np.zeros((len(TIME), 7))

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from vergence.geometry import angle, exp, hat, inverse, log, pose, rotation, rotvec, transform
+from vergence.geometry.se3 import angle, exp, hat, inverse, log, pose, rotation, rotvec, transform
 
 coordinates = st.floats(-2, 2)
 vectors = arrays(float, 3, elements=coordinates)

@@ -14,22 +14,22 @@ import pytest
 from drawn_hand import MARKER_HAND
 from drawn_head import four_cameras
 from vergence import cli
-from vergence.active_stereo import locate
 from vergence.arrays import Array
+from vergence.demos import grasp as module
+from vergence.demos.depth_error_by_range import EDGES_M, Sight, by_distance
+from vergence.demos.grasp import FAR_M, NEAR_M, WITHIN_M, grasp, held_out, summary
 from vergence.errors import VergenceError
-from vergence.experiments import grasp as module
-from vergence.experiments.grasp import FAR_M, NEAR_M, WITHIN_M, grasp, held_out, summary
-from vergence.experiments.hand import CLOSED_M, OPEN_M, Limits, TwinHand, roughly_mounted
-from vergence.experiments.replay import see
-from vergence.experiments.sight import EDGES_M, Sight, by_distance
-from vergence.foveation import gaze_angles
-from vergence.gaze import NARROW
-from vergence.gaze import Settings as Gaze
-from vergence.geometry import inverse, pose, rotvec, transform
-from vergence.reach import HandCommand, Phase
-from vergence.sphere import find_sphere
+from vergence.gaze.controller import NARROW
+from vergence.gaze.controller import Settings as Gaze
+from vergence.gaze.foveation import gaze_angles
+from vergence.geometry.se3 import inverse, pose, rotvec, transform
+from vergence.paper.replay import see
+from vergence.reach.controller import HandCommand, Phase
+from vergence.stereo.triangulation import locate
+from vergence.twin.hand import CLOSED_M, OPEN_M, Limits, TwinHand, roughly_mounted
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
+from vergence.vision.sphere import find_sphere
 
 ROOT = Path(__file__).parents[1]
 

@@ -8,8 +8,8 @@ import pytest
 
 from heads import plain_head, random_head
 from vergence.errors import VergenceError
-from vergence.geometry import inverse, transform
-from vergence.head import (
+from vergence.files import write_whole
+from vergence.geometry.head import (
     HeadCalibration,
     T_base_cam,
     T_body_base,
@@ -17,9 +17,9 @@ from vergence.head import (
     T_narrow_wide,
     load,
     save,
-    write_whole,
 )
-from vergence.kinematics import T_base_eye, T_body_head
+from vergence.geometry.kinematics import T_base_eye, T_body_head
+from vergence.geometry.se3 import inverse, transform
 
 
 @pytest.fixture

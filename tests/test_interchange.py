@@ -12,13 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from heads import random_head, random_pose
-from vergence.camera import Camera, project
 from vergence.errors import VergenceError
-from vergence.geometry import inverse, pose, rotation, rotvec
-from vergence.head import HeadCalibration, T_base_cam, T_body_base, T_head_base
+from vergence.geometry.camera import Camera, project
+from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base, T_head_base
+from vergence.geometry.kinematics import EYES, NECK_JOINTS, EyeAxes, Neck, T_body_head
+from vergence.geometry.se3 import inverse, pose, rotation, rotvec
 from vergence.interchange import kalibr, opencv, ros, urdf
 from vergence.interchange.formats import export_head, import_head
-from vergence.kinematics import EYES, NECK_JOINTS, EyeAxes, Neck, T_body_head
 
 SEEDS = st.integers(0, 2**32 - 1)
 

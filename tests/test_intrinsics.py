@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vergence.calibration.intrinsics import calibrate_intrinsics, target_poses
-from vergence.calibration.target import Chessboard, corner_points
-from vergence.camera import Camera, project
+from vergence.calibration.sequential.intrinsics import calibrate_intrinsics, target_poses
 from vergence.errors import VergenceError
-from vergence.geometry import pose, rotation, transform
+from vergence.geometry.board import Chessboard, corner_points
+from vergence.geometry.camera import Camera, project
+from vergence.geometry.se3 import pose, rotation, transform
 
 POINTS = corner_points(Chessboard(9, 6, 0.03))
 SIZE = (640, 480)

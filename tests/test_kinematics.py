@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vergence.geometry import rotation, transform
-from vergence.kinematics import EYE_JOINTS, EyeAxes, Neck, T_base_eye, T_body_head
+from vergence.geometry.kinematics import EYE_JOINTS, EyeAxes, Neck, T_base_eye, T_body_head
+from vergence.geometry.se3 import rotation, transform
 
 FORWARD, LEFT, UP = np.eye(3)
 angle_pairs = st.tuples(st.floats(-0.7, 0.7), st.floats(-0.7, 0.7)).map(np.array)

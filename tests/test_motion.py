@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vergence.calibration.target import Chessboard
-from vergence.dataset import Dataset, Description
-from vergence.motion import Command, Limits, RecordedHead, commanded, setpoint, stay
+from vergence.data.dataset import Dataset, Description
+from vergence.gaze.commands import Command, Limits, RecordedHead, commanded, setpoint, stay
+from vergence.geometry.board import Chessboard
 from vergence.twin.model import JOINTS, load_spec
 
 LIMITS = Limits()

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vergence.calibration.noise import image_spreads
+from vergence.calibration.bundle.variance_components import image_spreads
 
 
 def residual_squares(std: np.ndarray, count: int, seed: int) -> np.ndarray:

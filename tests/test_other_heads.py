@@ -10,16 +10,16 @@ import pytest
 from observed import BOARD, Recording, as_poses, head, observe
 from recordings import description, write_dataset
 from vergence import cli
-from vergence.calibration import solve as solving
-from vergence.calibration.accuracy import Observations
-from vergence.calibration.detect import Detections
-from vergence.calibration.parameters import difference
-from vergence.calibration.solve import Answer, Method, estimate
-from vergence.dataset import Dataset, pose_columns
+from vergence.calibration import calibrate as solving
+from vergence.calibration.calibrate import Answer, Method, estimate
+from vergence.calibration.checks.cross_validation import Observations
+from vergence.calibration.detection import Detections
+from vergence.data.dataset import Dataset, pose_columns
 from vergence.errors import VergenceError
-from vergence.geometry import pose
-from vergence.head import HeadCalibration, load, main_pair
-from vergence.kinematics import EYE_JOINTS, EYES, Side
+from vergence.geometry.head import HeadCalibration, load, main_pair
+from vergence.geometry.kinematics import EYE_JOINTS, EYES, Side
+from vergence.geometry.parameters import difference
+from vergence.geometry.se3 import pose
 
 QUIET = Recording(reach_rad=(0.3, 0.3), joint_std_rad=np.radians(0.05))
 METHODS: tuple[Method, ...] = ("refined", "paper")

@@ -5,19 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vergence.calibration.intrinsics import calibrate_intrinsics
-from vergence.calibration.pipeline import Views, calibrate
-from vergence.calibration.target import corner_points
+from vergence.calibration.sequential.intrinsics import calibrate_intrinsics
+from vergence.calibration.sequential.sequential import Views, calibrate
 from vergence.errors import VergenceError
-from vergence.experiments.paper import FIGURES, Lens
-from vergence.experiments.replay import estimate, observe_points
-from vergence.experiments.sequence import BOARD, look, look_at_points, plan, told_board
-from vergence.experiments.trajectories import PERIOD_S
-from vergence.head import HeadCalibration
-from vergence.kinematics import T_base_eye
+from vergence.geometry.board import corner_points
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import T_base_eye
+from vergence.paper.figures import FIGURES
+from vergence.paper.replay import estimate, observe_points
+from vergence.paper.trajectories import PERIOD_S
+from vergence.twin.calibration_sequence import BOARD, look, look_at_points, plan, told_board
 from vergence.twin.head import Twin
 from vergence.twin.model import as_built_head, nominal_head
-from vergence.twin.profile import CalibrationMade, ErrorProfile, Mounting, Optics
+from vergence.twin.profile import CalibrationMade, ErrorProfile, Lens, Mounting, Optics
 
 AS_BUILT = ErrorProfile(
     mounting=Mounting(

@@ -7,15 +7,15 @@ import cv2
 import numpy as np
 import pytest
 
-from vergence import plots
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.experiments.paper import FIGURES, Figure
-from vergence.experiments.statistics import Statistics, describe
-from vergence.plots import paper
-from vergence.plots.depth import by_disparity, miss_px
+from vergence.paper import plots
+from vergence.paper.figures import FIGURES, Figure
+from vergence.paper.plots import AXIS_COLOURS, paper_figures
+from vergence.paper.statistics import Statistics, describe
+from vergence.stereo.uncertainty import depth_error
 from vergence.twin.model import nominal_head
-from vergence.uncertainty import depth_error
+from vergence.viewer.plots_depth import by_disparity, depth, miss_px
 
 SAMPLES = 200
 
@@ -53,7 +53,7 @@ def colour_near(image: np.ndarray, html: str) -> int:
 
 
 def draw(path: Path, *numbers: int) -> np.ndarray:
-    plots.paper_figures(path, [result(number) for number in numbers])
+    paper_figures(path, [result(number) for number in numbers])
     image = cv2.imread(str(path))
     assert image is not None
     return image
@@ -67,7 +67,7 @@ def test_six_figures_fill_three_rows_of_two(tmp_path: Path):
         for half in (slice(0, 800), slice(800, 1600)):
             top = 60 + row * panel_height
             panel = image[top : top + panel_height, half]
-            for colour in plots.AXIS_COLOURS.values():
+            for colour in AXIS_COLOURS.values():
                 assert colour_near(panel, colour) > 100
 
 
@@ -83,7 +83,7 @@ def test_some_figures_keep_their_places(
 
 def test_the_table_states_the_papers_numbers_and_ours():
     result_ = result(9)
-    columns = paper._cells(result_.figure, result_.statistics)
+    columns = plots._cells(result_.figure, result_.statistics)
     assert columns[1][1:] == ["1109 ± 102", "17 ± 11", "1 ± 7"]
     mean_mm, std_mm = 1e3 * result_.statistics.mean_m[0], 1e3 * result_.statistics.std_m[0]
     assert columns[2][1] == f"{mean_mm:.1f} ± {std_mm:.1f}"
@@ -92,9 +92,9 @@ def test_the_table_states_the_papers_numbers_and_ours():
 
 def test_a_figure_that_located_nothing_says_so(tmp_path: Path):
     nothing = result(6, dropped=SAMPLES)
-    plots.paper_figures(tmp_path / "figures.png", [nothing])
+    paper_figures(tmp_path / "figures.png", [nothing])
     assert (tmp_path / "figures.png").exists()
-    assert paper._cells(nothing.figure, nothing.statistics)[2][1:] == ["not located"] * 3
+    assert plots._cells(nothing.figure, nothing.statistics)[2][1:] == ["not located"] * 3
 
 
 def test_the_folder_holds_the_picture_and_nothing_else(tmp_path: Path):
@@ -107,13 +107,13 @@ def test_the_folder_holds_the_picture_and_nothing_else(tmp_path: Path):
 def test_a_path_that_cannot_be_written_is_one_sentence(tmp_path: Path):
     (tmp_path / "figures.png").mkdir()
     with pytest.raises(VergenceError, match=r"^Cannot write .*figures\.png: .*\.$"):
-        plots.paper_figures(tmp_path / "figures.png", [result(6)])
+        paper_figures(tmp_path / "figures.png", [result(6)])
     assert [path.name for path in tmp_path.iterdir()] == ["figures.png"]
 
 
 def test_the_cost_of_depth_is_drawn_as_computed(tmp_path: Path):
     head = nominal_head("2.8mm")
-    plots.depth(tmp_path / "depth.png", head)
+    depth(tmp_path / "depth.png", head)
     image = cv2.imread(str(tmp_path / "depth.png"))
     assert image is not None
     for html in ("#1e8caa", "#12389b", "#4a7fe0", "#8fb4f0"):

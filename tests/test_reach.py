@@ -9,10 +9,10 @@ import pytest
 from drawn_hand import MARKER_HAND, DrawnHeadWithHand
 from drawn_head import four_cameras, point_at
 from vergence.arrays import Array
-from vergence.gaze_state import Settings as Gaze
-from vergence.geometry import pose, rotation
-from vergence.reach import Phase, Settings, State, grasp, start, step
-from vergence.reach_state import uncertainty
+from vergence.gaze.state import Settings as Gaze
+from vergence.geometry.se3 import pose, rotation
+from vergence.reach.controller import Phase, Settings, State, grasp, start, step
+from vergence.reach.state import uncertainty
 
 SETTINGS = Settings(gaze=Gaze(calibration=four_cameras()), marker_hand=MARKER_HAND)
 OBJECT = point_at(5, 6, 0.45)

@@ -8,15 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from observed import Recording, head, observe, with_readings
-from vergence.calibration.accuracy import Observations
-from vergence.calibration.flips import turned
-from vergence.calibration.intrinsics import Intrinsics
-from vergence.calibration.parameters import difference
-from vergence.calibration.readings import check_readings, doubts
-from vergence.calibration.solve import estimate
+from vergence.calibration.calibrate import estimate
+from vergence.calibration.checks.board_flips import turned
+from vergence.calibration.checks.cross_validation import Observations
+from vergence.calibration.checks.encoders import check_readings, doubts
+from vergence.calibration.sequential.intrinsics import Intrinsics
 from vergence.errors import VergenceError
-from vergence.geometry import pose
-from vergence.head import HeadCalibration
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.parameters import difference
+from vergence.geometry.se3 import pose
 
 GOOD = Recording(reach_rad=(0.3, 0.3), joint_std_rad=np.radians(0.2))
 

@@ -5,20 +5,20 @@ import json
 import numpy as np
 import pytest
 
-from vergence.calibration.detect import Detections, detect
-from vergence.calibration.target import corner_points
-from vergence.calibration.timing import moved_readings
-from vergence.camera import project
-from vergence.dataset import Dataset
-from vergence.dataset_files import load
+from vergence.calibration.detection import Detections, detect
+from vergence.commands import truth as truth_file
+from vergence.commands.record import CHARUCO, record
+from vergence.commands.truth import Truth
+from vergence.data.dataset import Dataset
+from vergence.data.reader import load
+from vergence.data.timing import moved_readings
 from vergence.errors import VergenceError
-from vergence.experiments import truth as truth_file
-from vergence.experiments.record import CHARUCO, record
-from vergence.experiments.sequence import BOARD
-from vergence.experiments.truth import Truth
-from vergence.geometry import inverse, transform
-from vergence.head import T_base_cam
-from vergence.kinematics import EYES, T_base_eye
+from vergence.geometry.board import corner_points
+from vergence.geometry.camera import project
+from vergence.geometry.head import T_base_cam
+from vergence.geometry.kinematics import EYES, T_base_eye
+from vergence.geometry.se3 import inverse, transform
+from vergence.twin.calibration_sequence import BOARD
 from vergence.twin.profile import ErrorProfile, load_profile
 
 PROFILE = ErrorProfile.model_validate(

@@ -12,18 +12,20 @@ import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 
-from vergence import recording
 from vergence.arrays import Array
-from vergence.dataset import Frame
+from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
-from vergence.experiments.paper import FIGURES
-from vergence.experiments.statistics import describe
-from vergence.experiments.trajectories import eye_angles
-from vergence.geometry import pose, transform
-from vergence.head import HeadCalibration
-from vergence.recording.shapes import lines_of_sight
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.se3 import pose, transform
+from vergence.paper.figures import FIGURES
+from vergence.paper.recording import figure_recording, log_report, log_series, log_statistics
+from vergence.paper.statistics import describe
+from vergence.paper.trajectories import eye_angles
 from vergence.twin.appearance import VisualGeom, visual_geoms
 from vergence.twin.model import load_spec, model_folder, nominal_head
+from vergence.viewer.frame import log_frame
+from vergence.viewer.reading import read_series
+from vergence.viewer.shapes import lines_of_sight
 
 FIGURE = FIGURES[6]
 OBJECT = np.array(FIGURE.mean_m)
@@ -74,7 +76,7 @@ def frame(head: HeadCalibration, index: int) -> Frame:
 
 def log_all(rec: rr.RecordingStream, head: HeadCalibration, seed: int = 0) -> None:
     for index in range(0, SAMPLES, EVERY):
-        recording.log_frame(
+        log_frame(
             rec,
             time_s=TIMES[index],
             index=index,
@@ -84,7 +86,7 @@ def log_all(rec: rr.RecordingStream, head: HeadCalibration, seed: int = 0) -> No
             truth={"left_wide": IN_IMAGE, "left_narrow": OUTSIDE},
         )
     points = estimates(seed)
-    recording.log_series(
+    log_series(
         rec,
         figure=FIGURE,
         head=head,
@@ -95,8 +97,8 @@ def log_all(rec: rr.RecordingStream, head: HeadCalibration, seed: int = 0) -> No
         T_world_lbase=T_WORLD_LBASE,
         statistics=describe(points),
     )
-    recording.log_statistics(rec, figure=FIGURE, object_m=OBJECT, statistics=describe(points))
-    recording.log_report(rec, "# Fig. 6\n\nA report.")
+    log_statistics(rec, figure=FIGURE, object_m=OBJECT, statistics=describe(points))
+    log_report(rec, "# Fig. 6\n\nA report.")
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +106,7 @@ def recorded(
     tmp_path_factory: pytest.TempPathFactory, head: HeadCalibration, geoms: list[VisualGeom]
 ) -> Path:
     path = tmp_path_factory.mktemp("run") / "fig06.rrd"
-    with recording.figure_recording(path, FIGURE, head, geoms) as rec:
+    with figure_recording(path, FIGURE, head, geoms) as rec:
         log_all(rec, head)
     return path
 
@@ -140,19 +142,19 @@ def test_a_recording_has_only_its_own_timelines(recorded: Path):
 def test_series_come_back_to_the_last_digit(recorded: Path):
     located = np.delete(np.arange(SAMPLES), DROPPED)
     for k, axis in enumerate("xyz"):
-        times, values = recording.read_series(recorded, f"/estimate/{axis}")
+        times, values = read_series(recorded, f"/estimate/{axis}")
         np.testing.assert_array_equal(values, estimates()[located, k])
         np.testing.assert_allclose(times, TIMES[located], rtol=0, atol=1e-12)
-    numbers, _ = recording.read_series(recorded, "/estimate/x", timeline="frame")
+    numbers, _ = read_series(recorded, "/estimate/x", timeline="frame")
     np.testing.assert_array_equal(numbers, located)
-    _, pan = recording.read_series(recorded, "/joints/left_pan")
+    _, pan = read_series(recorded, "/joints/left_pan")
     np.testing.assert_array_equal(pan, eye_angles(FIGURE.motion, TIMES)[:, 0])
 
 
 def test_the_spread_and_the_papers_span_the_whole_time(recorded: Path):
     statistics = describe(estimates())
-    times, ours = recording.read_series(recorded, "/estimate_mean/z")
-    _, papers = recording.read_series(recorded, "/paper/z")
+    times, ours = read_series(recorded, "/estimate_mean/z")
+    _, papers = read_series(recorded, "/paper/z")
     np.testing.assert_allclose(times, TIMES[[0, -1]], atol=1e-12)
     for levels, mean, std in (
         (ours, statistics.mean_m[2], statistics.std_m[2]),
@@ -172,7 +174,7 @@ def test_estimates_hang_in_the_left_eyes_base_frame(recorded: Path):
     entity = "/world/left_base"
     (translation,) = components(recorded, entity, "Transform3D:translation")
     np.testing.assert_allclose(translation[0], T_WORLD_LBASE[:3, 3], atol=1e-6)
-    _, trail = recording.read_series(recorded, f"{entity}/trail", component="Points3D:positions")
+    _, trail = read_series(recorded, f"{entity}/trail", component="Points3D:positions")
     np.testing.assert_allclose(trail, np.delete(estimates(), DROPPED, axis=0), atol=1e-6)
 
 
@@ -183,9 +185,7 @@ def test_lines_of_sight_start_at_the_cameras(recorded: Path, head: HeadCalibrati
     np.testing.assert_allclose(
         in_right_base, head.cameras["right_wide"].T_eye_cam[:3, 3], atol=1e-12
     )
-    _, strips = recording.read_series(
-        recorded, "/world/left_base/rays", component="LineStrips3D:strips"
-    )
+    _, strips = read_series(recorded, "/world/left_base/rays", component="LineStrips3D:strips")
     assert strips.shape == (SAMPLES - len(DROPPED), 3, 3)
 
 
@@ -215,11 +215,11 @@ def test_marks_lie_half_a_pixel_on_and_only_within_the_image(recorded: Path):
 def test_frames_may_come_from_another_thread(tmp_path: Path, head: HeadCalibration):
     path = tmp_path / "fig06.rrd"
     with (
-        recording.figure_recording(path, FIGURE, head, []) as rec,
+        figure_recording(path, FIGURE, head, []) as rec,
         ThreadPoolExecutor(max_workers=1) as worker,
     ):
         worker.submit(log_all, rec, head).result()
-    times, _ = recording.read_series(
+    times, _ = read_series(
         path, "/world/left_eye/left_wide/image", component="EncodedImage:media_type"
     )
     np.testing.assert_allclose(times, TIMES[::EVERY], atol=1e-12)
@@ -230,10 +230,10 @@ def test_same_input_gives_the_same_series(
 ):
     again, other = tmp_path / "again.rrd", tmp_path / "other.rrd"
     for path, seed in ((again, 0), (other, 1)):
-        with recording.figure_recording(path, FIGURE, head, geoms) as rec:
+        with figure_recording(path, FIGURE, head, geoms) as rec:
             log_all(rec, head, seed)
     first, second, third = (
-        recording.read_series(path, "/estimate/x")[1] for path in (recorded, again, other)
+        read_series(path, "/estimate/x")[1] for path in (recorded, again, other)
     )
     np.testing.assert_array_equal(first, second)
     assert (first != third).all()
@@ -243,15 +243,15 @@ def test_recordings_of_two_runs_are_not_taken_for_one(
     recorded: Path, tmp_path: Path, head: HeadCalibration
 ):
     path = tmp_path / recorded.name
-    with recording.figure_recording(path, FIGURE, head, []):
+    with figure_recording(path, FIGURE, head, []):
         pass
     ids = {RrdReader(p).recordings()[0].recording_id for p in (recorded, path)}
     assert len(ids) == 2
 
 
 def interrupt(path: Path, head: HeadCalibration, interruption: type[BaseException]) -> None:
-    with recording.figure_recording(path, FIGURE, head, []) as rec:
-        recording.log_report(rec, "half")
+    with figure_recording(path, FIGURE, head, []) as rec:
+        log_report(rec, "half")
         raise interruption
 
 
@@ -274,7 +274,7 @@ def test_an_interrupted_recording_spares_the_one_before(tmp_path: Path, head: He
 
 def test_a_recording_has_its_name_only_when_it_is_whole(tmp_path: Path, head: HeadCalibration):
     path = tmp_path / "fig06.rrd"
-    with recording.figure_recording(path, FIGURE, head, []):
+    with figure_recording(path, FIGURE, head, []):
         assert not path.exists()
     assert list(tmp_path.iterdir()) == [path]
 
@@ -294,7 +294,7 @@ def test_a_path_that_cannot_be_written_is_one_sentence(
     tmp_path: Path, head: HeadCalibration, place: Callable[[Path], Path]
 ):
     path = place(tmp_path)
-    with pytest.raises(VergenceError) as caught, recording.figure_recording(path, FIGURE, head, []):
+    with pytest.raises(VergenceError) as caught, figure_recording(path, FIGURE, head, []):
         pass
     message = str(caught.value)
     assert str(path) in message
@@ -305,7 +305,7 @@ def test_a_path_that_cannot_be_written_is_one_sentence(
 def test_bad_data_is_refused_not_dropped(tmp_path: Path, head: HeadCalibration):
     with (
         pytest.raises(ValueError, match="length"),
-        recording.figure_recording(tmp_path / "fig06.rrd", FIGURE, head, []) as rec,
+        figure_recording(tmp_path / "fig06.rrd", FIGURE, head, []) as rec,
     ):
         rec.send_columns(
             "estimate/x",
@@ -316,14 +316,14 @@ def test_bad_data_is_refused_not_dropped(tmp_path: Path, head: HeadCalibration):
 
 def test_a_missing_series_is_named(recorded: Path):
     with pytest.raises(VergenceError, match="/estimate/w"):
-        recording.read_series(recorded, "/estimate/w")
+        read_series(recorded, "/estimate/w")
 
 
 def test_a_run_without_estimates_can_be_recorded(tmp_path: Path, head: HeadCalibration):
     path = tmp_path / "fig06.rrd"
     points = np.full((SAMPLES, 3), np.nan)
-    with recording.figure_recording(path, FIGURE, head, []) as rec:
-        recording.log_series(
+    with figure_recording(path, FIGURE, head, []) as rec:
+        log_series(
             rec,
             figure=FIGURE,
             head=head,
@@ -334,7 +334,7 @@ def test_a_run_without_estimates_can_be_recorded(tmp_path: Path, head: HeadCalib
             T_world_lbase=T_WORLD_LBASE,
             statistics=describe(points),
         )
-    times, _ = recording.read_series(path, "/joints/right_tilt")
+    times, _ = read_series(path, "/joints/right_tilt")
     assert len(times) == SAMPLES
 
 

@@ -8,23 +8,13 @@ import pytest
 from heads import random_head
 from refining import probability, spoilt, timed_views_of, views_of
 from vergence.arrays import Array
-from vergence.calibration.pipeline import Views
-from vergence.calibration.problem import (
-    PER_CAMERA,
-    axes_row,
-    lens_vector,
-    pose_difference,
-)
-from vergence.calibration.refine import (
-    Refined,
-    covariance_of,
-    held_by_default,
-    refine,
-)
-from vergence.calibration.timing import Timing
+from vergence.calibration.bundle.problem import PER_CAMERA, axes_row, lens_vector, pose_difference
+from vergence.calibration.bundle.refine import Refined, covariance_of, held_by_default, refine
+from vergence.calibration.sequential.sequential import Views
+from vergence.data.timing import Timing
 from vergence.errors import VergenceError
-from vergence.head import HeadCalibration
-from vergence.kinematics import T_base_eye
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import T_base_eye
 
 
 def errors(found: Refined, head: HeadCalibration, time_offset_s: float = 0.0) -> Array:

@@ -10,18 +10,12 @@ from hypothesis import strategies as st
 from heads import R_EYE_CAM, random_pose
 from refining import POINTS, probability
 from vergence.arrays import Array
-from vergence.calibration.problem import (
-    moved,
-    pose_difference,
-)
-from vergence.calibration.refine import (
-    EyeCamera,
-    refine_eye_camera,
-)
-from vergence.camera import pinhole, project
+from vergence.calibration.bundle.problem import moved, pose_difference
+from vergence.calibration.bundle.refine import EyeCamera, refine_eye_camera
 from vergence.errors import VergenceError
-from vergence.geometry import inverse, pose, rotation, transform
-from vergence.kinematics import T_base_eye
+from vergence.geometry.camera import pinhole, project
+from vergence.geometry.kinematics import T_base_eye
+from vergence.geometry.se3 import inverse, pose, rotation, transform
 
 LENS = pinhole(640, 480, 280.0)
 

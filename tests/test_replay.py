@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from heads import plain_head
-from vergence.experiments import replay
-from vergence.experiments.paper import FIGURES, Figure
-from vergence.experiments.replay import estimate, observe_points, written_by_hand
-from vergence.experiments.trajectories import PERIOD_S, eye_angles
-from vergence.geometry import inverse
-from vergence.head import HeadCalibration, T_base_cam
+from vergence.geometry.head import HeadCalibration, T_base_cam
+from vergence.geometry.se3 import inverse
+from vergence.paper import replay
+from vergence.paper.figures import FIGURES, Figure
+from vergence.paper.replay import estimate, observe_points
+from vergence.paper.trajectories import PERIOD_S, eye_angles
+from vergence.twin.calibration_errors import written_by_hand
 from vergence.twin.profile import ByHand, ErrorProfile, Joints
 
 FOCAL_PX = {"2.8mm": 280.0, "4.0mm": 400.0}

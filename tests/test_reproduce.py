@@ -8,17 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vergence.calibration.pipeline import calibrate
-from vergence.experiments import reproduce as main_job
-from vergence.experiments.paper import FIGURES
-from vergence.experiments.replay import estimate, observe_points, sample_times, written_by_hand
-from vergence.experiments.reproduce import reproduce
-from vergence.experiments.sequence import look_at_points, plan
-from vergence.experiments.statistics import describe
-from vergence.experiments.trajectories import default_duration_s
-from vergence.recording import read_series
+from vergence.calibration.sequential.sequential import calibrate
+from vergence.paper import reproduce as main_job
+from vergence.paper.figures import FIGURES
+from vergence.paper.replay import estimate, observe_points, sample_times
+from vergence.paper.reproduce import reproduce
+from vergence.paper.statistics import describe
+from vergence.paper.trajectories import default_duration_s
+from vergence.twin.calibration_errors import written_by_hand
+from vergence.twin.calibration_sequence import look_at_points, plan
 from vergence.twin.model import FOCAL_MM, as_built_head, nominal_head
 from vergence.twin.profile import load_profile
+from vergence.viewer.reading import read_series
 
 PAPER_STD = np.array([figure.std_m for figure in FIGURES.values()])
 

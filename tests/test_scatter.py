@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from vergence.scatter import Scatter, observe
-from vergence.tracking_filter import begin, predict, update
+from vergence.gaze.kalman import begin, predict, update
+from vergence.gaze.scatter import Scatter, observe
 
 STEP_S = 1 / 30
 SETTINGS = {"std": 1.0, "jerk": 1.0}

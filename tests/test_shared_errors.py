@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from test_other_heads import recorded
-from vergence.calibration.refine import Refined, refine
-from vergence.calibration.solve import estimate
-from vergence.head import HeadCalibration
-from vergence.kinematics import EYES
+from vergence.calibration.bundle.refine import Refined, refine
+from vergence.calibration.calibrate import estimate
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import EYES
 
 
 def bent(corners: np.ndarray, size_px: float) -> np.ndarray:

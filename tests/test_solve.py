@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from heads import plain_head
-from vergence import cli, dataset_files
-from vergence.head import load, save
-from vergence.recording import read_series
+from vergence import cli
+from vergence.data import reader
+from vergence.geometry.head import load, save
+from vergence.viewer.reading import read_series
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
@@ -69,7 +70,7 @@ def test_a_recorded_head_is_calibrated_and_evaluated(recorded, tmp_path, monkeyp
 
 def _check_recording(path: Path, folder: Path, stated: dict) -> None:
     """Every image of the dataset with a board has its corners and residuals in the recording."""
-    dataset = dataset_files.load(folder)
+    dataset = reader.load(folder)
     for camera, files in dataset.files.items():
         entity = f"/world/{camera.partition('_')[0]}_eye/{camera}"
         images, _ = read_series(

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from vergence.camera import Camera, normalise, pinhole, project
-from vergence.sphere import find_sphere
+from vergence.geometry.camera import Camera, normalise, pinhole, project
+from vergence.vision.sphere import find_sphere
 
 WIDE = pinhole(640, 480, 280.0, (-0.12, 0.02, 0.0005, -0.0005, 0.0))
 PLAIN = pinhole(640, 480, 400.0)

@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 
 from heads import random_camera, random_pose
 from test_intrinsics import POINTS, boards, views
-from vergence.calibration.static_stereo import calibrate_pair
-from vergence.camera import Camera
+from vergence.calibration.sequential.static_stereo import calibrate_pair
 from vergence.errors import VergenceError
-from vergence.geometry import inverse, log, pose
+from vergence.geometry.camera import Camera
+from vergence.geometry.se3 import inverse, log, pose
 
 
 def pair(

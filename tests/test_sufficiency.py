@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from observed import Recording, head, observe, with_corners
-from vergence.calibration.accuracy import Observations
-from vergence.calibration.intrinsics import target_poses
-from vergence.calibration.solve import Method, estimate
-from vergence.calibration.target import corner_points
-from vergence.camera import project
+from vergence.calibration.calibrate import Method, estimate
+from vergence.calibration.checks.cross_validation import Observations
+from vergence.calibration.sequential.intrinsics import target_poses
 from vergence.errors import VergenceError
-from vergence.geometry import pose, rotation, transform
+from vergence.geometry.board import corner_points
+from vergence.geometry.camera import project
+from vergence.geometry.se3 import pose, rotation, transform
 
 METHODS: tuple[Method, ...] = ("refined", "paper")
 

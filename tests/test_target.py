@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from vergence.calibration.saddle import curvatures
-from vergence.calibration.target import Chessboard, corner_points, find_corners
-from vergence.camera import normalise, pinhole, project
-from vergence.geometry import inverse, pose, rotation, transform
+from vergence.geometry.board import Chessboard, corner_points
+from vergence.geometry.camera import normalise, pinhole, project
+from vergence.geometry.se3 import inverse, pose, rotation, transform
+from vergence.vision.board_detection import find_corners
+from vergence.vision.corner_refinement import curvatures
 
 BOARD = Chessboard(columns=9, rows=6, square_m=0.03)
 CAMERA = pinhole(360, 300, 280.0, (-0.12, 0.02, 0.0005, -0.0005, 0.0))

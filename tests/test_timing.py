@@ -5,14 +5,7 @@ import pytest
 
 import time_offset
 from vergence.arrays import Array
-from vergence.calibration.timing import (
-    Timing,
-    change,
-    coefficients,
-    moved_readings,
-    rate,
-    stencil,
-)
+from vergence.data.timing import Timing, change, coefficients, moved_readings, rate, stencil
 
 SWING = 2 * np.pi  # 1 Hz
 

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from vergence.arrays import Array
+from vergence.demos import track as module
+from vergence.demos.track import SPEED_M_S, follow, smooth_path, track
 from vergence.errors import VergenceError
-from vergence.experiments import track as module
-from vergence.experiments.live import FRAME_S, TwinHead, foveal_errors
-from vergence.experiments.track import SPEED_M_S, follow, smooth_path, track
-from vergence.gaze import Settings, look, start
-from vergence.motion import Limits
-from vergence.recording import read_series
+from vergence.gaze.commands import Limits
+from vergence.gaze.controller import Settings, look, start
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile, load_profile
+from vergence.twin.simulated_robot import FRAME_S, TwinHead, foveal_errors
+from vergence.viewer.reading import read_series
 
 LENSES = ("wide", "narrow")
 SCENARIO = Path(__file__).parents[1] / "scenarios" / "track.py"

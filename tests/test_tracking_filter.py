@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vergence.tracking_filter import Track, begin, predict, surprise, update
+from vergence.gaze.kalman import Track, begin, predict, surprise, update
 
 R = np.diag([4e-5, 1e-6, 1e-6])  # long along the line of sight
 JERK = 0.2

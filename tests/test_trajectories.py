@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from vergence.experiments.paper import FIGURES
-from vergence.experiments.trajectories import PERIOD_S, default_duration_s, eye_angles
+from vergence.paper.figures import FIGURES
+from vergence.paper.trajectories import PERIOD_S, default_duration_s, eye_angles
 
 TIMES = np.linspace(0, 200, 1001)
 

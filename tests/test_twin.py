@@ -8,10 +8,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from vergence.dataset import Frame
-from vergence.geometry import pose
-from vergence.head import HeadCalibration, T_base_cam, T_body_base
-from vergence.kinematics import T_base_eye
+from vergence.data.dataset import Frame
+from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base
+from vergence.geometry.kinematics import T_base_eye
+from vergence.geometry.se3 import pose
 from vergence.twin.head import Twin
 from vergence.twin.model import (
     CAMERAS,

@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 
 from heads import plain_head, random_head
 from test_active_stereo import point_in_camera, random_samples
-from vergence.active_stereo import locate
-from vergence.camera import project
 from vergence.errors import VergenceError
-from vergence.geometry import rotation
-from vergence.head import HeadCalibration
-from vergence.uncertainty import (
+from vergence.geometry.camera import project
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.se3 import rotation
+from vergence.stereo.triangulation import locate
+from vergence.stereo.uncertainty import (
     depth_error,
     disparity_error,
     locate_both,

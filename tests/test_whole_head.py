@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import whole_head_monte_carlo as monte_carlo
-from vergence.calibration.parameters import without_offsets
+from vergence.geometry.parameters import without_offsets
 
 TRIALS = 5
 

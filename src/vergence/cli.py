@@ -19,8 +19,8 @@ from vergence.errors import VergenceError
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-    from vergence.dataset import Frame
-    from vergence.gaze import State
+    from vergence.data.dataset import Frame
+    from vergence.gaze.controller import State
 
 
 def reproduce(
@@ -43,7 +43,7 @@ def reproduce(
         rate: Samples a second [Hz]; left out: 640 samples a figure.
     """
     # Imported here, so that help and wrong arguments do not wait for OpenGL.
-    from vergence.experiments.reproduce import reproduce as run
+    from vergence.paper.reproduce import reproduce as run
     from vergence.twin.profile import load_profile
 
     chosen = load_profile(profile)
@@ -77,7 +77,7 @@ def record(
         target: Board that is shown to the head.
         moving: Frames at 30 Hz that follow, in which the eyes move before the board.
     """
-    from vergence.experiments.record import record as run
+    from vergence.commands.record import record as run
     from vergence.twin.profile import load_profile
 
     chosen = load_profile(profile)
@@ -108,9 +108,9 @@ def calibrate(
     """
     # Its matrices are small: threads of linear algebra would wait for each other. Before numpy.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from vergence.calibration.solve import solve
-    from vergence.experiments.calibration_report import summary, write_json, write_report
-    from vergence.head import save
+    from vergence.calibration.calibrate import solve
+    from vergence.commands.calibration_report import summary, write_json, write_report
+    from vergence.geometry.head import save
 
     with Progress(console=Console(stderr=True)) as progress:
         solved = solve(dataset, method=method, progress=progress)
@@ -137,9 +137,9 @@ def evaluate(
         truth: truth.json of the dataset.
         json: File for all errors.
     """
-    from vergence.experiments import evaluate as evaluation
-    from vergence.experiments import truth as truth_file
-    from vergence.head import load
+    from vergence.commands import evaluate as evaluation
+    from vergence.commands import truth as truth_file
+    from vergence.geometry.head import load
 
     found = evaluation.evaluate(load(calibration), truth_file.load(truth))
     if json is not None:
@@ -161,7 +161,7 @@ def export(
         format: ros writes a folder, the others a file.
         out: What to write.
     """
-    from vergence.head import load
+    from vergence.geometry.head import load
     from vergence.interchange.formats import export_head
 
     export_head(load(calibration), out, format)
@@ -184,7 +184,7 @@ def import_(
         out: JSON file of the calibration.
         start: Calibration that says what kalibr and ros files do not.
     """
-    from vergence.head import load, save
+    from vergence.geometry.head import load, save
     from vergence.interchange.formats import import_head
 
     save(import_head(path, format, start=None if start is None else load(start)), out)
@@ -208,7 +208,7 @@ def foveate(
         out: Folder for foveate.json, the recording foveate.rrd of the first ten, and depth.png.
         json: File for the summary.
     """
-    from vergence.experiments.foveate import foveate as run
+    from vergence.demos.foveate import foveate as run
     from vergence.twin.profile import load_profile
 
     chosen = load_profile(profile)
@@ -236,7 +236,7 @@ def track(
         out: Folder for track.json and the recording track.rrd.
         json: File for the summary.
     """
-    from vergence.experiments.track import track as run
+    from vergence.demos.track import track as run
     from vergence.twin.profile import load_profile
 
     chosen = load_profile(profile)
@@ -266,7 +266,7 @@ def grasp(
         out: Folder for grasp.json and grasp.rrd.
         json: File for the summary.
     """
-    from vergence.experiments.grasp import grasp as run
+    from vergence.demos.grasp import grasp as run
     from vergence.twin.profile import load_profile
 
     chosen = load_profile(profile)
@@ -290,7 +290,7 @@ def _summarise(
     """Print a summary, write it where a file is named, and say what there is to look at."""
     from dataclasses import asdict
 
-    from vergence.head import write_whole
+    from vergence.files import write_whole
 
     text = dumps(asdict(summary), indent=1)
     if path is not None:

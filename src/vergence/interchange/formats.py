@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from vergence.errors import VergenceError
-from vergence.head import HeadCalibration
+from vergence.geometry.head import HeadCalibration
 from vergence.interchange import kalibr, opencv, ros, urdf
 
 ExportFormat = Literal["kalibr", "ros", "opencv", "urdf"]

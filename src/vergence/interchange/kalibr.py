@@ -15,15 +15,15 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt, TypeAdapter
 
-from vergence.active_stereo import fixed_transform
 from vergence.arrays import Array, Transform
-from vergence.camera import Camera
 from vergence.errors import VergenceError
-from vergence.geometry import inverse
-from vergence.head import HeadCalibration, T_base_cam
+from vergence.geometry.camera import Camera
+from vergence.geometry.head import HeadCalibration, T_base_cam
+from vergence.geometry.kinematics import T_base_eye
+from vergence.geometry.se3 import inverse
 from vergence.interchange.limits import check_names, pinhole_matrix, refuse_k3, refuse_skew
 from vergence.interchange.yaml_files import Number, dump, first_message, read
-from vergence.kinematics import T_base_eye
+from vergence.stereo.triangulation import fixed_transform
 
 TOPIC = "/{camera}/image_raw"
 

@@ -7,7 +7,7 @@ import re
 import numpy as np
 
 from vergence.errors import VergenceError
-from vergence.head import HeadCalibration
+from vergence.geometry.head import HeadCalibration
 
 SKEW_PX = 1e-9
 K3 = 1e-9

@@ -27,10 +27,10 @@ from pydantic import TypeAdapter, ValidationError
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.head import HeadCalibration
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import EYES, EyeAxes
 from vergence.interchange.limits import check_names, refuse_skew
 from vergence.interchange.yaml_files import first_message
-from vergence.kinematics import EYES, EyeAxes
 
 SUFFIXES = (".yml", ".yaml", ".xml", ".json")
 FORMAT = "vergence-head-opencv-1"

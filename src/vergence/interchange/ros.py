@@ -14,9 +14,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt, TypeAdapter
 
 from vergence.arrays import Array
-from vergence.camera import Camera
 from vergence.errors import VergenceError
-from vergence.head import HeadCalibration
+from vergence.geometry.camera import Camera
+from vergence.geometry.head import HeadCalibration
 from vergence.interchange.limits import check_names, pinhole_matrix, refuse_skew
 from vergence.interchange.yaml_files import Number, dump, first_message, read
 

@@ -17,10 +17,11 @@ from xml.etree import ElementTree
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.geometry import inverse, pose
-from vergence.head import HeadCalibration, T_head_base, write_whole
+from vergence.files import write_whole
+from vergence.geometry.head import HeadCalibration, T_head_base
+from vergence.geometry.kinematics import EYES, NECK_JOINTS, Side
+from vergence.geometry.se3 import inverse, pose
 from vergence.interchange.limits import check_names
-from vergence.kinematics import EYES, NECK_JOINTS, Side
 
 LIMIT_RAD = 1.5708
 """Of joints for which no limits are given: a calibration knows of none, and URDF demands some."""

@@ -9,7 +9,7 @@ import yaml
 from pydantic import BeforeValidator, FiniteFloat, TypeAdapter, ValidationError
 
 from vergence.errors import VergenceError
-from vergence.head import write_whole
+from vergence.files import write_whole
 
 T = TypeVar("T")
 

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.geometry import pose
+from vergence.geometry.se3 import pose
 
 Shape = Literal["box", "sphere", "ellipsoid", "cylinder", "capsule", "plane", "mesh"]
 

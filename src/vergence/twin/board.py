@@ -7,8 +7,8 @@ import cv2
 import mujoco
 import numpy as np
 
-from vergence.calibration.target import Charuco, opencv_board
 from vergence.errors import VergenceError
+from vergence.geometry.board import Charuco, opencv_board
 
 MARGIN_SQUARES = 0.5
 """White all around: enough for the markers' black frames at the edge."""

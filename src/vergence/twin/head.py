@@ -11,12 +11,11 @@ import mujoco
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.target import Charuco
-from vergence.dataset import Frame
-from vergence.experiments.paper import Lens
-from vergence.geometry import inverse, pose, transform
-from vergence.head import HeadCalibration
-from vergence.kinematics import EYE_JOINTS, NECK_JOINTS
+from vergence.data.dataset import Frame
+from vergence.geometry.board import Charuco
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS
+from vergence.geometry.se3 import inverse, pose, transform
 from vergence.twin.model import (
     CAMERAS,
     JOINTS,
@@ -27,7 +26,7 @@ from vergence.twin.model import (
     nominal_head,
     quat_of_R,
 )
-from vergence.twin.profile import ErrorProfile
+from vergence.twin.profile import ErrorProfile, Lens
 from vergence.twin.renderer import Negative, Renderer, overscan_sizes
 from vergence.twin.sensors import play, read
 

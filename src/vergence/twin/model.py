@@ -13,15 +13,14 @@ import mujoco
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.target import Charuco
-from vergence.camera import Camera
 from vergence.errors import VergenceError
-from vergence.experiments.paper import Lens
-from vergence.geometry import pose, rotation
-from vergence.head import HeadCalibration, MountedCamera, T_head_base
-from vergence.kinematics import EYE_JOINTS, EYES, NECK_JOINTS, EyeAxes, Neck, Side
+from vergence.geometry.board import Charuco
+from vergence.geometry.camera import Camera
+from vergence.geometry.head import HeadCalibration, MountedCamera, T_head_base
+from vergence.geometry.kinematics import EYE_JOINTS, EYES, NECK_JOINTS, EyeAxes, Neck, Side
+from vergence.geometry.se3 import pose, rotation
 from vergence.twin.board import put_charuco
-from vergence.twin.profile import ErrorProfile
+from vergence.twin.profile import ErrorProfile, Lens
 
 CAMERAS = ("left_wide", "right_wide", "left_narrow", "right_narrow")
 JOINTS = (*NECK_JOINTS, *EYE_JOINTS)

@@ -11,13 +11,15 @@ from __future__ import annotations
 import tomllib
 from importlib import resources
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from vergence.calibration.intrinsics import LensModel
+from vergence.calibration.sequential.intrinsics import LensModel
 from vergence.errors import VergenceError
 
+Lens = Literal["2.8mm", "4.0mm"]
+"""Of the wide cameras."""
 Spread = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Number = Annotated[float, Field(allow_inf_nan=False)]
 PerEye = tuple[Number, Number]

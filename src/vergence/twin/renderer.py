@@ -16,9 +16,9 @@ import mujoco
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.camera import Camera, normalise
 from vergence.errors import VergenceError
-from vergence.head import HeadCalibration
+from vergence.geometry.camera import Camera, normalise
+from vergence.geometry.head import HeadCalibration
 from vergence.twin import no_opengl
 from vergence.twin.profile import Image
 

@@ -1,0 +1,283 @@
+"""Sparse, robust Gauss-Newton steps for the adjustment of `problem`.
+
+Blocks of latent unknowns are eliminated one by one (the Schur complement), which leaves a small
+dense system in the shared ones: the cost grows linearly with the number of views.
+
+Levels of noise enter as precisions, 1 / sigma^2. Corners beyond `OUTLIER` standard deviations lose
+weight as in Cauchy's loss; within, the loss is quadratic, so that good data lose nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse import csr_array
+
+from vergence.arrays import Array
+from vergence.calibration.bundle.jacobians import jacobians
+from vergence.calibration.bundle.problem import (
+    Index,
+    Problem,
+    State,
+    advance,
+    calibration_size,
+    corner_errors,
+    followed,
+    joint_errors,
+    joint_rates,
+    size,
+)
+from vergence.errors import VergenceError
+
+OUTLIER = 4.0
+"""Standard deviations; a good corner exceeds it once in 3000, a good joint reading in 16000."""
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Standard deviations, with a group for each kind of reading."""
+
+    pixel_px: float
+    """Of one coordinate of a corner, in a typical image; see Problem.spread."""
+    joint: Array
+    """(groups,) [rad], or [m] for translations of eye poses."""
+    group: Index
+    """(n,) group of each latent unknown of a block."""
+    outlier: float = OUTLIER
+    """Standard deviations beyond which a residual loses weight."""
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """Robust weights between 0 and 1."""
+
+    corner: Array
+    """(M, K), 0 where not seen."""
+    joint: Array
+    """(B, n)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """The problem linearised: J^T W J and -J^T W r of the corners in pixels, and joint errors.
+
+    G counts the shared unknowns, or the directions of them that are free (see along).
+    """
+
+    gg: Array
+    """(G, G)."""
+    gl: Array
+    """(B, G, n)."""
+    ll: Array
+    """(B, n, n)."""
+    g: Array
+    """(G,)."""
+    latent: Array
+    """(B, n)."""
+    sum_squares: float
+    """Weighted squares of the corner errors [px^2], of images that all scatter alike."""
+    count: float
+    """Of corner coordinates with a weight."""
+    joint_errors: Array
+    """(B, n)."""
+    joint_weights: Array
+    """(B, n)."""
+    corner_weights: Array
+    """(M, K)."""
+    rate: Array
+    """(B, n): the joint errors change by minus this with the time offset."""
+    time: Array
+    """(G,) how the time offset changes with each shared unknown."""
+
+
+@dataclass(frozen=True, eq=False)
+class Factors:
+    """The normal equations for given noise, with the latent unknowns eliminated."""
+
+    ll_inverse: Array
+    """(B, n, n)."""
+    coupling: Array
+    """(B, n, G) ll_inverse times the latent rows of the matrix."""
+    schur: Array
+    """(G, G)."""
+    right: tuple[Array, Array]
+    """(G,), (B, n)."""
+
+
+def linearise(problem: Problem, state: State, weights: Weights) -> Linear:
+    """Return the problem linearised at a state."""
+    G, (B, n) = size(problem), problem.reading.shape
+    shared, index, latent = jacobians(problem, state)
+    error = corner_errors(problem, state)
+    root = np.sqrt(weights.corner)[..., None] / problem.spread[:, None, None]
+    M = len(index)
+    J = (shared * root[..., None]).reshape(M, -1, index.shape[1])
+    L = (latent * root[..., None]).reshape(M, -1, n)
+    r = (error * root).reshape(M, -1, 1)
+    J_T, L_T = np.swapaxes(J, 1, 2), np.swapaxes(L, 1, 2)
+    gg, g = np.zeros((G, G)), np.zeros(G)
+    np.add.at(gg, (index[:, :, None], index[:, None, :]), J_T @ J)
+    np.add.at(g, index, -(J_T @ r)[..., 0])
+    gl, ll, rhs = np.zeros((B, G, n)), np.zeros((B, n, n)), np.zeros((B, n))
+    np.add.at(gl, (problem.block[:, None], index), J_T @ L)
+    np.add.at(ll, problem.block, L_T @ L)
+    np.add.at(rhs, problem.block, -(L_T @ r)[..., 0])
+    return Linear(
+        gg, gl, ll, g, rhs,
+        sum_squares=float((r**2).sum()),
+        count=2.0 * np.count_nonzero(weights.corner),
+        joint_errors=joint_errors(problem, state),
+        joint_weights=weights.joint,
+        corner_weights=weights.corner,
+        rate=joint_rates(problem, state),
+        time=np.eye(1, G, calibration_size(problem) - 1)[0],
+    )  # fmt: skip
+
+
+def along(linear: Linear, basis: Array) -> Linear:
+    """Return the linear problem in the directions of a basis (G, F) of the shared unknowns."""
+    rows = csr_array(basis.T)  # boards have directions of their own: most of it is zeros
+    B, G, n = linear.gl.shape
+    gl = rows @ linear.gl.transpose(1, 0, 2).reshape(G, B * n)
+    return replace(
+        linear,
+        gg=rows @ (rows @ linear.gg).T,
+        gl=np.ascontiguousarray(gl.reshape(-1, B, n).transpose(1, 0, 2)),
+        g=rows @ linear.g,
+        time=rows @ linear.time,
+    )
+
+
+def factorise(linear: Linear, noise: Noise, damping: float = 0.0) -> Factors:
+    """Return the normal equations for given noise.
+
+    Args:
+        linear: from linearise, along what is free.
+        noise: standard deviations.
+        damping: Levenberg and Marquardt's, relative to the diagonal.
+    """
+    pixel = noise.pixel_px**-2
+    # A reading keeps a trace of weight: without it, an eye that lost its corners would be nowhere.
+    joint = np.maximum(linear.joint_weights, 1e-9) * noise.joint[noise.group] ** -2
+    n = joint.shape[1]
+    eye = np.eye(n, dtype=bool)
+    ll = pixel * linear.ll + np.where(eye, joint[:, :, None], 0.0)
+    ll = ll + damping * np.where(eye, ll, 0.0)
+    timing = linear.rate * joint
+    row = linear.time
+    gl = pixel * linear.gl - row[:, None] * timing[:, None, :]
+    gg = pixel * linear.gg + np.outer(row, row) * (linear.rate * timing).sum()
+    gg[np.diag_indices_from(gg)] *= 1 + damping
+    right_g = pixel * linear.g + row * (timing * linear.joint_errors).sum()
+    right_l = pixel * linear.latent - joint * linear.joint_errors
+    ll_inverse: Array = np.linalg.inv(ll).astype(float, copy=False)
+    coupling = ll_inverse @ np.swapaxes(gl, 1, 2)
+    G = len(gg)
+    schur = gg - gl.transpose(1, 0, 2).reshape(G, -1) @ coupling.reshape(-1, G)
+    return Factors(ll_inverse, coupling, (schur + schur.T) / 2, (right_g, right_l))
+
+
+def step(factors: Factors) -> tuple[Array, Array]:
+    """Return the Gauss-Newton step: along the shared unknowns (G,), and latent (B, n)."""
+    right_g, right_l = factors.right
+    reduced = right_g - np.einsum("bnf,bn->f", factors.coupling, right_l)
+    free = cho_solve(cholesky(factors.schur), reduced)
+    latent = (factors.ll_inverse @ right_l[..., None])[..., 0] - factors.coupling @ free
+    return free, latent
+
+
+def cholesky(matrix: Array) -> tuple[Array, bool]:
+    """Factor a positive definite matrix; the least ridge that works keeps null ones solvable."""
+    unit = np.trace(matrix) / max(len(matrix), 1) * np.eye(len(matrix))
+    for ridge in 10.0 ** np.arange(-13, -3):
+        try:
+            return cho_factor(matrix + ridge * unit, lower=True)
+        except np.linalg.LinAlgError:
+            continue
+    raise VergenceError("The adjustment's equations are not finite; look for wild input.")
+
+
+def robust_weights(problem: Problem, state: State, noise: Noise) -> Weights:
+    """Return Cauchy's weights beyond OUTLIER and 1 within."""
+    corner = corner_distances(problem, state) / noise.pixel_px
+    joint = np.abs(joint_errors(problem, state)) / noise.joint[noise.group]
+    return Weights(
+        np.where(problem.seen, _weight(corner, noise.outlier), 0.0), _weight(joint, noise.outlier)
+    )
+
+
+def corner_distances(problem: Problem, state: State) -> Array:
+    """Return (M, K) [px] the lengths of the corner errors, of images that all scatter alike."""
+    return np.linalg.norm(corner_errors(problem, state), axis=-1) / problem.spread[:, None]
+
+
+def inliers(weights: Weights) -> Weights:
+    """Return 1 for what lies within OUTLIER and 0 for the rest."""
+    return Weights((weights.corner == 1).astype(float), (weights.joint == 1).astype(float))
+
+
+def same(weights: Weights, linear: Linear) -> bool:
+    """Return whether a linear problem has these weights."""
+    corner, joint = linear.corner_weights, linear.joint_weights
+    return np.array_equal(weights.corner, corner) and np.array_equal(weights.joint, joint)
+
+
+def cost(problem: Problem, state: State, noise: Noise) -> float:
+    """Return the robust sum of squares in units of the noise; infinite behind a camera."""
+    corner = corner_distances(problem, state) / noise.pixel_px
+    joint = joint_errors(problem, state) / noise.joint[noise.group]
+    total = _loss(corner, noise.outlier).sum() + _loss(joint, noise.outlier).sum()
+    return float(total) if np.isfinite(total) else np.inf
+
+
+def minimise(
+    problem: Problem, state: State, noise: Noise, basis: Array, *, iterations: int = 60
+) -> tuple[State, bool, Linear]:
+    """Return the state of least cost for given noise, whether it converged, and what it is from.
+
+    Levenberg and Marquardt's method; the linear problem is that of the state where it converged.
+    """
+    problem = followed(problem, state)
+    damping, lowest = 1e-6, cost(problem, state, noise)
+    while True:
+        linear = linearise(problem, state, robust_weights(problem, state, noise))
+        free_linear, iterations = along(linear, basis), iterations - 1
+        while True:
+            factors = factorise(free_linear, noise, damping)
+            free, latent = step(factors)
+            gain = float(free @ factors.right[0] + (latent * factors.right[1]).sum())
+            # A step of a ten-thousandth of a standard deviation changes nothing.
+            if gain < 1e-8:
+                return state, True, linear
+            trial = _try(problem, state, basis @ free, latent)
+            found = np.inf if trial is None else cost(problem, trial, noise)
+            if trial is not None and found <= lowest + 1e-12 * abs(lowest):
+                state, damping = trial, max(damping / 10, 1e-12)
+                if problem.around is not None:
+                    problem = followed(problem, state)
+                    found = cost(problem, state, noise)
+                lowest = found
+                break
+            damping = max(damping, 1e-7) * 10
+            if damping > 1e8:
+                return state, False, linear
+        if iterations == 0:
+            return state, False, linearise(problem, state, robust_weights(problem, state, noise))
+
+
+def _try(problem: Problem, state: State, shared: Array, latent: Array) -> State | None:
+    try:
+        return advance(problem, state, shared, latent)
+    except ValueError:  # a focal length of less than nothing
+        return None
+
+
+def _weight(s: Array, outlier: float) -> Array:
+    return (outlier / np.maximum(s, outlier)) ** 2 if np.isfinite(outlier) else np.ones_like(s)
+
+
+def _loss(s: Array, outlier: float) -> Array:
+    within, beyond = np.minimum(np.abs(s), outlier), np.maximum(np.abs(s) / outlier, 1.0)
+    return within**2 + (2 * outlier**2 * np.log(beyond) if np.isfinite(outlier) else 0.0)

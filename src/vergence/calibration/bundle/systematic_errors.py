@@ -1,0 +1,131 @@
+"""Errors of corners that all images share: what neither more corners nor more views average out.
+
+A lens that is not quite what its model says, or a corner finder that errs alike in the same part of
+the image, moves corners by a smooth field over the image. Part of it is absorbed by the unknowns,
+which are then wrong by more than independent errors explain; the rest stays in the residuals. How
+large the field is, is read from that rest; the part that is absorbed is *assumed* to be as large.
+What is known beforehand of how corners were found sets a least size.
+
+The field of each camera is a sum of Legendre polynomials in both coordinates of the image, up to
+`DEGREE`, with coefficients of one standard deviation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial.legendre import legvander2d
+from scipy.linalg import cho_solve
+
+from vergence.arrays import Array
+from vergence.calibration.bundle.jacobians import jacobians
+from vergence.calibration.bundle.problem import Problem, State, corner_errors, size
+from vergence.calibration.bundle.solver import (
+    Linear,
+    Noise,
+    Weights,
+    along,
+    cholesky,
+    factorise,
+    step,
+)
+
+DEGREE = 4
+LEAST_CORNERS = 200
+"""A camera with fewer tells nothing of a field of thirty coefficients."""
+
+
+@dataclass(frozen=True, eq=False)
+class SharedErrors:
+    """What the images of a head share."""
+
+    rms_px: tuple[float, ...]
+    """By camera: of one coordinate of the field, over the image."""
+    covariance: Array
+    """(G, G) what the fields add to the covariance of the shared unknowns."""
+
+
+def shared_errors(
+    problem: Problem, state: State, linear: Linear, weights: Weights, noise: Noise, basis: Array
+) -> SharedErrors:
+    """Return how large such fields are, and what they do to the unknowns.
+
+    Args:
+        problem: the data.
+        state: the optimum.
+        linear: the problem linearised there, with these weights.
+        weights: of the corners.
+        noise: standard deviations.
+        basis: (G, F) free directions of the shared unknowns.
+    """
+    factors = factorise(along(linear, basis), noise)
+    schur = cholesky(factors.schur)
+    # The state is the robust optimum: without its outliers it would stand a little elsewhere.
+    moved = step(factors)
+    shared, index, latent = jacobians(problem, state)
+    errors = corner_errors(problem, state)
+    precision = (weights.corner / (noise.pixel_px * problem.spread[:, None]) ** 2)[..., None]
+    levels, covariance = [], np.zeros((size(problem), size(problem)))
+    for c, lens in enumerate(state.lenses):
+        mine = np.flatnonzero(problem.camera == c)
+        told = np.count_nonzero(weights.corner[mine]) >= LEAST_CORNERS
+        if not told and not problem.shared_px:
+            levels.append(0.0)
+            continue
+        # Where the corners should be: where they were seen goes with their own errors.
+        fields = _fields(problem.pixels[mine] + errors[mine], lens.width, lens.height)
+        weighed = fields * precision[mine][..., None]
+        N = len(mine)
+        w = weighed.reshape(N, -1, fields.shape[-1])
+        onto = np.zeros((size(problem), w.shape[2]))
+        np.add.at(onto, index[mine], np.swapaxes(shared[mine].reshape(N, w.shape[1], -1), 1, 2) @ w)
+        right_l = np.zeros((*linear.latent.shape, w.shape[2]))
+        L = latent[mine].reshape(N, w.shape[1], -1)
+        np.add.at(right_l, problem.block[mine], np.swapaxes(L, 1, 2) @ w)
+        right_g = basis.T @ onto
+        free = cho_solve(schur, right_g - np.einsum("bnf,bnk->fk", factors.coupling, right_l))
+        follows = factors.ll_inverse @ right_l - factors.coupling @ free
+        taken = right_g.T @ free + np.einsum("bnk,bnj->kj", right_l, follows)
+        left = np.einsum("mkxa,mkxb->ab", weighed, fields, optimize=True) - taken
+        seen = np.einsum("mkxa,mkx->a", weighed, errors[mine])
+        seen += right_g.T @ moved[0] + np.einsum("bnk,bn->k", right_l, moved[1])
+        # Of functions whose mean square is one, for each coordinate.
+        per_px = np.sqrt(2 / fields.shape[-1])
+        std = max(_likeliest(left, seen) if told else 0.0, problem.shared_px * per_px)
+        absorbed = basis @ free
+        covariance += std**2 * absorbed @ absorbed.T
+        levels.append(float(std / per_px))
+    return SharedErrors(tuple(levels), covariance)
+
+
+def _fields(pixels: Array, width: int, height: int) -> Array:
+    """Return (M, K, 2, 2 n) the n functions in x, and in y, at pixels (M, K, 2)."""
+    x, y = (2 * pixels[..., k] / (extent - 1) - 1 for k, extent in enumerate((width, height)))
+    i, j = np.divmod(np.arange((DEGREE + 1) ** 2), DEGREE + 1)
+    low = i + j <= DEGREE
+    values = legvander2d(x, y, [DEGREE, DEGREE])[..., low]
+    values = values * np.sqrt((2 * i[low] + 1) * (2 * j[low] + 1))
+    fields = np.zeros((*pixels.shape, 2 * values.shape[-1]))
+    fields[..., 0, : values.shape[-1]] = fields[..., 1, values.shape[-1] :] = values
+    return fields
+
+
+def _likeliest(left: Array, seen: Array) -> float:
+    """Return the standard deviation of the coefficients, as the residuals tell it: the likeliest.
+
+    The residuals' projection y onto the fields has the covariance G + s^2 G^2, with G what is left
+    of the fields after the fit, in units of the noise.
+    """
+    values, vectors = np.linalg.eigh((left + left.T) / 2)
+    kept = values > 1e-5 * values.max()
+    g, squares = values[kept], (vectors.T @ seen)[kept] ** 2
+
+    def cost(log_std: float) -> float:
+        variance = g + np.exp(2 * log_std) * g**2
+        return float((np.log(variance) + squares / variance).sum())
+
+    # From what has no effect to what would be seen in every direction.
+    log_std = np.linspace(-3, 6, 300) - 0.5 * np.log(g.max())
+    costs = np.array([cost(each) for each in log_std])
+    return float(np.exp(log_std[costs.argmin()]))

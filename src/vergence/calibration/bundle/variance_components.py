@@ -1,0 +1,215 @@
+"""How large the noise is, from the residuals: variance components by restricted likelihood (REML).
+
+Each group of residuals (corners; readings of one kind) has its own variance. The restricted
+likelihood knows how much of each group's noise the fit has swallowed (Patterson and Thompson 1971;
+geodesy's Helmert variance components are its stationary points: sigma^2 = r^T r / redundancy).
+It is climbed by Fisher scoring in log sigma^2, in the linearised problem, where a step costs one
+elimination and no projection.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.special import digamma, polygamma
+
+from vergence.arrays import Array
+from vergence.calibration.bundle.solver import Factors, Linear, Noise, cholesky, factorise, step
+
+FLOOR_PX = 1e-3
+"""No corner is found better than that; keeps exact data from dividing by zero."""
+LEAST_LEFT = 6
+"""An image with fewer residuals left does not say how much its corners scatter."""
+FLOOR_JOINT = 0.05
+"""Least joint noise, in units of how well one image tells the joint: results no longer change."""
+
+
+@dataclass(frozen=True, eq=False)
+class Components:
+    """Noise levels and how well they are known."""
+
+    noise: Noise
+    log_variance: Array
+    """(1 + groups,) variance of log sigma^2: corners, then the groups of readings."""
+    redundancy: Array
+    """(1 + groups,) how many residuals of each group are left over after the fit."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Evaluation:
+    minus_two_log_likelihood: float
+    score: Array
+    fisher: Array
+    redundancy: Array
+
+
+def estimate_noise(
+    linear: Linear, noise: Noise, held: np.ndarray, *, iterations: int = 40
+) -> Components:
+    """Return the noise levels of greatest restricted likelihood.
+
+    Args:
+        linear: the problem linearised near its optimum, with outliers weighted 0, along what is
+            free.
+        noise: where to start.
+        held: (1 + groups,) which levels are known and stay.
+    """
+    s = _log_variances(noise)
+    floor = np.concatenate([[2 * np.log(FLOOR_PX)], _joint_floor(linear, noise)])
+    s = np.where(held, s, np.maximum(s, floor))
+    now = _evaluate(linear, noise, s)
+    for _ in range(iterations):
+        # At its floor a level has nothing left to lose; leave it out of the scoring step.
+        stuck = held | ((s <= floor + 1e-9) & (now.score <= 0))
+        fisher = now.fisher + 1e-9 * np.eye(len(s))
+        fisher[stuck] = fisher[:, stuck] = 0
+        fisher[stuck, stuck] = 1
+        move = np.clip(np.linalg.solve(fisher, np.where(stuck, 0, now.score)), -2, 2)
+        for _ in range(12):
+            trial_s = np.where(stuck, s, np.maximum(s + move, floor))
+            trial = _evaluate(linear, noise, trial_s)
+            if trial.minus_two_log_likelihood <= now.minus_two_log_likelihood + 1e-9:
+                break
+            move = move / 3
+        else:
+            break
+        change, s, now = np.abs(trial_s - s).max(), trial_s, trial
+        if change < 1e-4:
+            break
+    information = now.fisher + 1e-12 * np.eye(len(s))
+    information[held] = information[:, held] = 0
+    information[held, held] = np.inf
+    spread = np.zeros(len(s))
+    spread[~held] = np.diag(np.linalg.inv(information[np.ix_(~held, ~held)]))
+    return Components(_with(noise, s), spread, now.redundancy)
+
+
+def redundancy(linear: Linear, noise: Noise) -> Array:
+    """Return (1 + groups,) how many residuals of each group such noise would leave over.
+
+    At a generous noise, less than one of a group says that its level cannot be estimated.
+    """
+    return _evaluate(linear, noise, _log_variances(noise)).redundancy
+
+
+def image_spreads(squares: Array, counts: Array) -> Array:
+    """Return (M,) by what factor the corners of each image scatter more than typical ones.
+
+    Far and leaning boards have small squares, and larger errors. The log variances of the images
+    are taken for normally distributed (empirical Bayes): where they differ no more than such few
+    corners let them, all are alike.
+
+    Args:
+        squares: (M,) sums of squares of the residuals of each image [px^2].
+        counts: (M,) how many residuals are left over in each after the fit.
+    """
+    told = counts > LEAST_LEFT
+    spreads = np.ones(len(squares))
+    if told.sum() < 2:
+        return spreads
+    nu = counts[told]
+    level = np.log(np.maximum(squares[told] / nu, FLOOR_PX**2)) - digamma(nu / 2) + np.log(nu / 2)
+    chance = polygamma(1, nu / 2)  # the variance of the logarithm of a chi-square
+    differ = max(0.0, float(np.var(level, ddof=1) - chance.mean()))
+    typical = np.average(level, weights=1 / (differ + chance))
+    spreads[told] = np.exp((level - typical) * differ / (differ + chance) / 2)
+    return spreads
+
+
+def _log_variances(noise: Noise) -> Array:
+    return 2 * np.log(np.array([noise.pixel_px, *noise.joint]))
+
+
+def _with(noise: Noise, s: Array) -> Noise:
+    sigma = np.exp(s / 2)
+    return replace(noise, pixel_px=float(sigma[0]), joint=sigma[1:])
+
+
+def image_levels(linear: Linear, noise: Noise) -> Array:
+    """Return (groups,) how well one image tells the joints [rad]: the best of each group."""
+    seen = np.linalg.cond(linear.ll) < 1e12  # a block may have lost all its corners as outliers
+    alone = np.linalg.inv(linear.ll[seen])[:, *np.diag_indices(linear.ll.shape[1])]
+    told = noise.pixel_px**2 * np.median(alone, axis=0)
+    return np.sqrt([told[noise.group == k].min() for k in range(len(noise.joint))])
+
+
+def _joint_floor(linear: Linear, noise: Noise) -> Array:
+    """Return (groups,) log variances below which a group's readings count as exact."""
+    return 2 * np.log(FLOOR_JOINT * image_levels(linear, noise))
+
+
+def _evaluate(linear: Linear, noise: Noise, s: Array) -> _Evaluation:
+    """Return the restricted likelihood, its gradient and Fisher information in s = log sigma^2."""
+    noise = _with(noise, s)
+    factors = factorise(linear, noise)
+    free, latent = step(factors)
+    used = linear.joint_weights > 0
+    error = linear.joint_errors + latent - linear.rate * (linear.time @ free)
+    group = np.broadcast_to(noise.group, error.shape)
+    inverse_variance = used * noise.joint[group] ** -2
+    squares = [_corner_squares(linear, free, latent) / noise.pixel_px**2]
+    counts = [linear.count]
+    for k in range(len(noise.joint)):
+        squares.append((inverse_variance * error**2)[group == k].sum())
+        counts.append(float(np.count_nonzero(used[group == k])))
+    squares, counts = np.array(squares), np.array(counts, dtype=float)
+    told, shared = _swallowed(linear, factors, inverse_variance, noise)
+    unknowns = len(free) + latent.size
+    redundancy = counts - np.concatenate([[unknowns - told.sum()], told])
+    # With M the residual projector, F_gh = |M_gh|^2 / 2, and M M = M gives the corners' row.
+    joint = shared + np.diag(counts[1:] - 2 * told)
+    across = redundancy[1:] - joint.sum(axis=1)
+    fisher = np.zeros((len(s), len(s)))
+    fisher[1:, 1:] = joint
+    fisher[0, 1:] = fisher[1:, 0] = across
+    fisher[0, 0] = redundancy[0] - across.sum()
+    log_det = -np.linalg.slogdet(factors.ll_inverse)[1].sum()
+    log_det += 2 * np.log(np.diag(cholesky(factors.schur)[0])).sum()
+    return _Evaluation(
+        float((counts * s).sum() + log_det + squares.sum()),
+        (squares - redundancy) / 2,
+        fisher / 2,
+        redundancy,
+    )
+
+
+def _corner_squares(linear: Linear, shared: Array, latent: Array) -> float:
+    """Return the sum of squares of the corner errors after a step, in the linear model [px^2]."""
+    linear_part = shared @ linear.g + (latent * linear.latent).sum()
+    crossed = np.einsum("bgn,g,bn->", linear.gl, shared, latent, optimize=True)
+    curved = shared @ linear.gg @ shared + 2 * crossed
+    curved += np.einsum("bn,bnm,bm->", latent, linear.ll, latent, optimize=True)
+    return float(linear.sum_squares - 2 * linear_part + curved)
+
+
+def _swallowed(
+    linear: Linear, factors: Factors, inverse_variance: Array, noise: Noise
+) -> tuple[Array, Array]:
+    """Return trace (groups,) and squared norms (groups, groups) of the readings' hat matrix.
+
+    The hat matrix is Q^1/2 E Q^1/2, E the posterior covariance of the joint errors: a block
+    diagonal plus what the shared unknowns add, Z Z^T.
+    """
+    root = np.sqrt(inverse_variance)
+    own = factors.ll_inverse * root[:, :, None] * root[:, None, :]
+    U = (factors.coupling + linear.rate[:, :, None] * linear.time) * root[:, :, None]
+    L, _ = cholesky(factors.schur)
+    B, n, F = U.shape
+    Z = solve_triangular(L, U.reshape(-1, F).T, lower=True).T.reshape(B, n, F)
+    groups = [np.flatnonzero(noise.group == k) for k in range(len(noise.joint))]
+    grams = [np.einsum("bnf,bng->fg", Z[:, k], Z[:, k], optimize=True) for k in groups]
+    inner = Z @ np.swapaxes(Z, 1, 2)
+    trace = np.array(
+        [
+            np.trace(own[:, k][:, :, k], axis1=1, axis2=2).sum() + np.trace(gram)
+            for k, gram in zip(groups, grams, strict=True)
+        ]
+    )
+    norms = np.empty((len(groups), len(groups)))
+    for a, rows in enumerate(groups):
+        for b, columns in enumerate(groups):
+            D, ZZ = own[:, rows][:, :, columns], inner[:, rows][:, :, columns]
+            norms[a, b] = (D * (D + 2 * ZZ)).sum() + (grams[a] * grams[b]).sum()
+    return trace, norms

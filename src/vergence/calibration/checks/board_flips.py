@@ -1,0 +1,312 @@
+"""Boards numbered from the wrong end: which they are, by the joint readings and the other cameras.
+
+A chessboard whose ends look alike may be numbered from either: then the image shows it turned by
+half a turn about its normal (a square one by any quarter). One image cannot tell. But
+
+- the eye's turn between two views of a board at rest is known from the joint readings, and a wrong
+  half turn is far more than that;
+- cameras that see the board at the same moment, or at the same place, are related by a rotation
+  that all views share, and a wrong half turn does not fit it.
+
+Only the board's rotation is used, and of the lenses only preliminary intrinsics, for which a turn
+of a whole view is no matter. How the cameras are mounted need not be known. If all images of one
+placement are turned alike, nothing depends on it: the board's pose absorbs it. So the fewest that
+make a placement consistent are turned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, product
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.calibration.checks.flip_evidence import (
+    PRIOR,
+    SPREAD_RAD,
+    Links,
+    angles_apart,
+    apart,
+    costs_of_turns,
+    synchronised,
+)
+from vergence.calibration.sequential.intrinsics import target_poses
+from vergence.calibration.sequential.robust_hand_eye import robust_park_martin
+from vergence.calibration.sequential.sequential import Views, eyes_of
+from vergence.errors import VergenceError
+from vergence.geometry.board import Board, Charuco, corner_points
+from vergence.geometry.camera import Camera
+from vergence.geometry.kinematics import EYES, T_base_eye
+from vergence.geometry.se3 import angle, pose, rotation, rotvec
+
+CLEAR = 10.0
+"""Evidence [nats] below which a view is left as it is, and named."""
+LEAST_MOTION_RAD = 0.03
+"""Root mean square motion about the second axis, from which the eye's camera can be placed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Repaired:
+    """Views with their boards numbered alike."""
+
+    views: Views
+    turns: Mapping[str, np.ndarray]
+    """By camera: (V,) how often a board was turned: by pi, or by pi / 2 where it is square."""
+    unclear: Mapping[str, np.ndarray]
+    """By camera: (V,) of bool: views that could not be decided, and were left as they are."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Sight:
+    """What one camera saw of the board, N times."""
+
+    view: np.ndarray
+    """(N,)."""
+    placement: np.ndarray
+    """(N,)."""
+    R_cam_target: Array
+    """(N, 3, 3)."""
+    R_base_eye: Array
+    """(N, 3, 3)."""
+    R_eye_cam: Array | None
+    """None: the eye moved too little to tell."""
+    turns: np.ndarray
+    """(N,)."""
+    unclear: np.ndarray
+    """(N,) of bool."""
+
+
+def repair(
+    views: Views,
+    lenses: Mapping[str, Camera],
+    *,
+    T_base_eye_read: Array | None = None,
+) -> Repaired:
+    """Number all boards of a placement from the same end.
+
+    ChArUco boards are numbered by their markers and come back as they are.
+
+    Args:
+        views: corners and joint readings.
+        lenses: by camera; preliminary intrinsics will do. Cameras that are not there are left.
+        T_base_eye_read: (V, 2, 4, 4) poses of the left and the right eye in their bases, where
+            these are given instead of angles.
+    """
+    V = len(views.placement)
+    turns = {name: np.zeros(V, dtype=int) for name in views.corners}
+    unclear = {name: np.zeros(V, dtype=bool) for name in views.corners}
+    if isinstance(views.board, Charuco):
+        return Repaired(views, turns, unclear)
+    eyes = eyes_of(views)
+    R = _turns(views.board)
+    sights = {}
+    for name, lens in lenses.items():
+        e = EYES.index(eyes[name])
+        if T_base_eye_read is None:
+            T = T_base_eye(views.eye_angles[:, 2 * e : 2 * e + 2])
+        else:
+            T = T_base_eye_read[:, e]
+        sights[name] = _consistent(_sight(views, lens, views.corners[name], T, R), R)
+    _together(sights, eyes, R)
+    for name, sight in sights.items():
+        decided = np.where(sight.unclear, 0, sight.turns)
+        turns[name][sight.view] = decided
+        unclear[name][sight.view] = sight.unclear
+    return Repaired(turned(views, turns), turns, unclear)
+
+
+def turned(views: Views, turns: Mapping[str, np.ndarray]) -> Views:
+    """Return views with boards turned: by camera (V,) times pi, or pi / 2 for square boards."""
+    order = _orders(views.board)
+    corners = {
+        name: np.take_along_axis(seen, order[turns[name]][..., None], axis=1)
+        if name in turns
+        else seen
+        for name, seen in views.corners.items()
+    }
+    return replace(views, corners=corners)
+
+
+def nearest(R_cam_target: Array, board: Board) -> Array:
+    """Return rotations (N, 3, 3) of a board at rest, turned so that they are nearest each other.
+
+    For motion well below half a right angle; readings are not needed.
+    """
+    R = _turns(board)
+    if isinstance(board, Charuco) or len(R_cam_target) < 2:
+        return R_cam_target
+    off = apart(R_cam_target[:, None], R_cam_target[None], R)
+    return R_cam_target @ R[synchronised(off * SPREAD_RAD)[0]]
+
+
+def remarks(found: Repaired) -> tuple[str, ...]:
+    """Return a sentence that names the views that were turned, if there are any."""
+    named = _named({name: turns != 0 for name, turns in found.turns.items()})
+    return (f"Numbered from the wrong end, and turned: {named}.",) if named else ()
+
+
+def warnings(found: Repaired) -> tuple[str, ...]:
+    """Return a sentence that names the views that could not be decided, if there are any."""
+    named = _named(found.unclear)
+    if not named:
+        return ()
+    return (
+        f"Whether these boards are numbered from the wrong end is not clear, and they were left as "
+        f"they are: {named}; the joint readings and the other cameras do not agree on them.",
+    )
+
+
+def _named(chosen: Mapping[str, np.ndarray]) -> str:
+    parts = []
+    for name, mask in chosen.items():
+        rows = np.flatnonzero(mask)
+        if len(rows):
+            parts.append(f"view{'s'[: len(rows) > 1]} {', '.join(map(str, rows))} of {name}")
+    return "; ".join(parts)
+
+
+def _turns(board: Board) -> Array:
+    """Return the rotations (n, 3, 3) that put a board onto itself: n = 2, or 4 if it is square."""
+    n = 4 if board.columns == board.rows else 2
+    return rotation(2 * np.pi / n * np.arange(n)[:, None] * [0.0, 0.0, 1.0])
+
+
+def _orders(board: Board) -> np.ndarray:
+    """Return (n, K): which corner takes the place of each when the board is turned."""
+    points = corner_points(board)
+    away = points - points.mean(axis=0)
+    moved = away @ np.swapaxes(_turns(board), 1, 2)
+    return np.linalg.norm(moved[:, :, None] - away, axis=-1).argmin(axis=2)
+
+
+def _sight(views: Views, lens: Camera, corners: Array, T: Array, R: Array) -> _Sight:
+    T_cam_target = target_poses(lens, corners, corner_points(views.board))
+    usable = np.isfinite(T_cam_target).all(axis=(1, 2)) & np.isfinite(T).all(axis=(1, 2))
+    view = np.flatnonzero(usable)
+    return _Sight(
+        view=view,
+        placement=views.placement[view],
+        R_cam_target=T_cam_target[view, :3, :3],
+        R_base_eye=T[view, :3, :3],
+        R_eye_cam=None,
+        turns=np.zeros(len(view), dtype=int),
+        unclear=np.zeros(len(view), dtype=bool),
+    )
+
+
+def _consistent(sight: _Sight, R: Array) -> _Sight:
+    """Return the same with turns that make the views of each placement agree with the readings."""
+    groups = [np.flatnonzero(sight.placement == p) for p in np.unique(sight.placement)]
+    turns, unclear = sight.turns.copy(), sight.unclear.copy()
+    for group in groups:
+        if len(group) > 1:
+            off = angles_apart(sight.R_cam_target[group], sight.R_base_eye[group], R)
+            turns[group], evidence = synchronised(off)
+            unclear[group] = evidence < CLEAR
+    sight = replace(sight, turns=turns, unclear=unclear)
+    largest = max(groups, key=len, default=np.arange(0))
+    R_eye_cam = _mounting(sight, largest[~unclear[largest]], R)
+    if R_eye_cam is None:
+        return sight
+    # With the mounting known not only angles can be compared, but rotations.
+    R_base_target = sight.R_base_eye @ R_eye_cam @ sight.R_cam_target
+    for group in groups:
+        if len(group) > 1:
+            off = apart(R_base_target[group][:, None], R_base_target[group][None], R)
+            better, evidence = synchronised(off)
+            clear = evidence >= CLEAR
+            if clear.sum() >= (~unclear[group]).sum():
+                turns[group], unclear[group] = better, ~clear
+    return replace(sight, turns=turns, unclear=unclear, R_eye_cam=R_eye_cam)
+
+
+def _mounting(sight: _Sight, chosen: np.ndarray, R: Array) -> Array | None:
+    """Return R_eye_cam (3, 3) by the chosen views, or None where they move too little."""
+    if len(chosen) < 4:
+        return None
+    E = sight.R_base_eye[chosen]
+    motion = rotvec(np.swapaxes(E[:1], 1, 2) @ E)
+    spread = np.linalg.svd(motion - motion.mean(axis=0), compute_uv=False) / np.sqrt(len(motion))
+    if spread[1] < LEAST_MOTION_RAD:
+        return None
+    seen = sight.R_cam_target[chosen] @ R[sight.turns[chosen]]
+    try:
+        return robust_park_martin(pose(E), pose(seen))[:3, :3]
+    except VergenceError:
+        return None
+
+
+def _together(sights: Mapping[str, _Sight], eyes: Mapping[str, str], R: Array) -> None:
+    """Change the turns of whole placements in a camera so that the cameras agree."""
+    n = len(R)
+    votes: dict[int, dict[tuple[str, str], Array]] = {}
+    for a, b in combinations(sights, 2):
+        links = _links(sights[a], sights[b], R, same_eye=eyes[a] == eyes[b])
+        if len(links.placement):
+            for p, cost in zip(links.placement, costs_of_turns(links, R), strict=True):
+                pairs = votes.setdefault(int(p), {})
+                pairs[a, b] = pairs.get((a, b), np.zeros(n)) + cost
+    upright = {name: sight.R_cam_target[:, :, 0].mean(axis=0) for name, sight in sights.items()}
+    for p, pairs in votes.items():
+        for names in _connected(pairs):
+            here = {name: sights[name].placement == p for name in names}
+            totals = {}
+            for shifts in product(range(n), repeat=len(names)):
+                by = dict(zip(names, shifts, strict=True))
+                after = {name: (sights[name].turns[here[name]] + by[name]) % n for name in names}
+                count = sum(np.count_nonzero(turns) for turns in after.values())
+                # Boards are mostly held the same way up; this only decides between equals.
+                x_axes = [
+                    (sights[name].R_cam_target[here[name]] @ R[turns])[:, :, 0] @ upright[name]
+                    for name, turns in after.items()
+                ]
+                totals[shifts] = PRIOR * (count - float(np.concatenate(x_axes).mean()) / 2) + sum(
+                    float(cost[(by[b] - by[a]) % n]) for (a, b), cost in pairs.items() if a in by
+                )
+            best = min(totals, key=lambda shifts: totals[shifts])
+            others = [t for shifts, t in totals.items() if not _alike(shifts, best, n)]
+            for name, shift in zip(names, best, strict=True):
+                sight = sights[name]
+                sight.turns[here[name]] = (sight.turns[here[name]] + shift) % n
+                sight.unclear[here[name]] |= min(others) - totals[best] < CLEAR
+
+
+def _alike(one: tuple[int, ...], other: tuple[int, ...], n: int) -> bool:
+    """Return whether two sets of turns differ by one turn of all: nothing depends on that."""
+    return len({(k - m) % n for k, m in zip(one, other, strict=True)}) == 1
+
+
+def _connected(pairs: Collection[tuple[str, str]]) -> list[list[str]]:
+    """Return the names that pairs connect, directly or not."""
+    found: list[set[str]] = []
+    for pair in pairs:
+        touching = [names for names in found if names & set(pair)]
+        found = [names for names in found if names not in touching]
+        found.append(set(pair).union(*touching))
+    return [sorted(names) for names in found]
+
+
+def _links(a: _Sight, b: _Sight, R: Array, *, same_eye: bool) -> Links:
+    seen_a, seen_b = (each.R_cam_target @ R[each.turns] for each in (a, b))
+    if a.R_eye_cam is not None and b.R_eye_cam is not None:
+        placement = np.intersect1d(a.placement[~a.unclear], b.placement[~b.unclear])
+        in_base = (a.R_base_eye @ a.R_eye_cam @ seen_a, b.R_base_eye @ b.R_eye_cam @ seen_b)
+        groups = [[(e.placement == p) & ~e.unclear for p in placement] for e in (a, b)]
+        boards = [_means(R_base, group) for R_base, group in zip(in_base, groups, strict=True)]
+        least = np.min([[g.sum() for g in group] for group in groups], axis=0)
+        return Links(placement, boards[0], boards[1], np.zeros(len(placement)), least)
+    _, i, j = np.intersect1d(a.view, b.view, return_indices=True)
+    usable = ~(a.unclear[i] | b.unclear[j])
+    i, j = i[usable], j[usable]
+    slack = angle(a.R_base_eye[i]) + angle(b.R_base_eye[j])
+    slack = np.zeros(len(i)) if same_eye else slack
+    return Links(a.placement[i], seen_a[i], seen_b[j], slack, np.ones(len(i)))
+
+
+def _means(R: Array, groups: Sequence[np.ndarray]) -> Array:
+    """Return (G, 3, 3) the mean rotation of each group of (N, 3, 3)."""
+    sums = np.array([R[group].sum(axis=0) for group in groups]).reshape(-1, 3, 3)
+    U, _, Vt = np.linalg.svd(sums)
+    return U @ Vt

@@ -1,0 +1,248 @@
+"""Whether the joint readings are what they are said to be: the images know how the eyes turned.
+
+Before a board at rest the turns of a camera are linear in the readings, turn = u pan + v tilt, as
+long as they are small; u and v are the joints' axes in frame cam, as long as the gains. That tells
+units, signs, and joints and eyes that were exchanged, before any of it spoils a calibration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.calibration.checks import board_flips
+from vergence.calibration.checks.cross_validation import Observations
+from vergence.calibration.sequential.intrinsics import Intrinsics, target_poses
+from vergence.calibration.sequential.sequential import eyes_of
+from vergence.errors import VergenceError
+from vergence.geometry.board import corner_points
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import EYES
+from vergence.geometry.se3 import angle, inverse, rotvec
+
+LEAST_VIEWS = 6
+"""Of a board at rest, to say something about readings."""
+LEAST_TURN_RAD = 0.02
+"""Root mean square, about the second axis; less is too near to the noise of readings, and says
+nothing of one of the joints. `sufficiency` and the refinement speak of such motion."""
+FOLLOWED = 0.8
+"""Part of the turns' variance that good readings explain at least: at the least turn, with noise
+of half a degree."""
+LOST = 0.5
+"""Part below which readings are not of this eye, or not of these moments."""
+DEAD = 0.03
+"""Part of the other joint's motion, below which a reading does not change."""
+GAINS = (0.6, 1.6)
+"""Of a joint that is calibrated; others are another unit, or another joint."""
+DEGREE = np.degrees(1.0)
+MOST_TURNED_DEG = 30.0
+"""Between the bases of the eyes; their axes are the head's, as built."""
+ASIDE = 0.7
+"""Cosine of the angle between the line through the eyes and the head's y axis, at least."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Turns:
+    """Of one camera before the board that it sees most often."""
+
+    camera: str
+    eye: int
+    rows: np.ndarray
+    """(N,) of the views."""
+    turn: Array
+    """(N, 3) rotation vectors of the camera in frame cam [rad], less their mean."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    axes: Array
+    """(2, 3) u and v."""
+    followed: float
+    """Part of the turns' variance that the readings explain."""
+    moved: Array
+    """(2,) standard deviations of the readings [rad]."""
+
+
+def check_readings(seen: Observations, lenses: Mapping[str, Intrinsics]) -> None:
+    """Refuse readings that the images contradict.
+
+    Args:
+        seen: views at rest.
+        lenses: by camera.
+
+    Raises:
+        VergenceError: says which readings, and what they seem to be.
+    """
+    if seen.T_base_eye is not None or not np.isfinite(seen.views.eye_angles).all():
+        return
+    poses = {
+        name: target_poses(lens.camera, seen.views.corners[name], corner_points(seen.views.board))
+        for name, lens in lenses.items()
+    }
+    found, eyes = {}, eyes_of(seen.views)
+    for e, eye in enumerate(EYES):
+        own = [_turns(seen, name, e, poses[name]) for name in lenses if eyes[name] == eye]
+        told = [each for each in own if each is not None]
+        if told:
+            found[e] = max(told, key=lambda each: len(each.rows))
+    fits = {e: [_fit(seen, turns, k) for k in (e, 1 - e)] for e, turns in found.items()}
+    exchanged = _exchanged(found, fits, poses)
+    if exchanged:
+        raise VergenceError(exchanged)
+    said = [
+        sentence for e, turns in found.items() for sentence in _contradictions(turns, fits[e][0])
+    ]
+    if said:
+        raise VergenceError(" ".join(said))
+
+
+def doubts(head: HeadCalibration) -> list[str]:
+    """Return sentences on eyes that cannot be where a calibration puts them."""
+    if len({mounted.eye for mounted in head.cameras.values()}) < 2:
+        return []
+    said = []
+    across = np.degrees(angle(head.T_rbase_lbase[:3, :3]))
+    if across > MOST_TURNED_DEG:
+        said.append(
+            f"T_rbase_lbase: the bases of the eyes are turned by {across:.0f} degrees against each "
+            "other, though pan and tilt of both turn about the head's axes: check the signs of one "
+            "eye's readings, and which is pan and which tilt."
+        )
+    t = head.T_rbase_lbase[:3, 3]  # of the left eye in the right one's base
+    if t[1] < ASIDE * np.linalg.norm(t):
+        ahead, left, above = 1e3 * t
+        said.append(
+            f"T_rbase_lbase puts the left eye {left:.0f} mm to the left of the right one, "
+            f"{ahead:.0f} mm ahead of it and {above:.0f} mm above: check which images and readings "
+            "are left and right, and the signs of pan and tilt."
+        )
+    return said
+
+
+def _turns(seen: Observations, name: str, e: int, T_cam_target: Array) -> _Turns | None:
+    usable = np.flatnonzero(np.isfinite(T_cam_target).all(axis=(1, 2)))
+    if not len(usable):
+        return None
+    numbers, counts = np.unique(seen.views.placement[usable], return_counts=True)
+    rows = usable[seen.views.placement[usable] == numbers[counts.argmax()]]
+    if len(rows) < LEAST_VIEWS:
+        return None
+    R = board_flips.nearest(T_cam_target[rows, :3, :3], seen.views.board)
+    # A camera that turns by T sees a board at rest turn by its inverse.
+    turn = rotvec(R[:1] @ np.swapaxes(R, 1, 2))
+    turn = turn - turn.mean(axis=0)
+    if np.linalg.svd(turn, compute_uv=False)[1] < LEAST_TURN_RAD * np.sqrt(len(turn)):
+        return None
+    return _Turns(name, e, rows, turn)
+
+
+def _fit(seen: Observations, turns: _Turns, eye: int) -> _Fit:
+    """Return how the readings of an eye explain the turns of a camera."""
+    read = seen.views.eye_angles[turns.rows, 2 * eye : 2 * eye + 2]
+    read = read - read.mean(axis=0)
+    axes = np.linalg.lstsq(read, turns.turn, rcond=None)[0]
+    left = ((turns.turn - read @ axes) ** 2).sum()
+    return _Fit(axes, 1 - float(left / (turns.turn**2).sum()), read.std(axis=0))
+
+
+def _exchanged(
+    found: Mapping[int, _Turns], fits: Mapping[int, list[_Fit]], poses: Mapping[str, Array]
+) -> str:
+    """Return a sentence if left and right are exchanged, and what of them."""
+    if len(found) < 2:
+        return ""
+    own, other = ([fits[e][k] for e in fits] for k in (0, 1))
+    follows_own = all(fit.followed > FOLLOWED for fit in own)
+    follows_other = all(fit.followed > FOLLOWED for fit in other)
+    if not follows_own and not follows_other:
+        return ""
+    aside = _left_of(found, own if follows_own else other, poses)
+    if aside is None or (follows_own and aside > 0):
+        if follows_own:
+            return ""
+        return (
+            "The images of each eye follow the joint readings of the other: left and right are "
+            "exchanged, in the images or in the columns of joint readings."
+        )
+    if not follows_own:
+        what = "columns of the joint readings" if aside > 0 else "images"
+        return (
+            f"The images of each eye follow the joint readings of the other, and the left camera "
+            f"stands to the {'left' if aside > 0 else 'right'} of the right one: left and right "
+            f"are exchanged in the {what}."
+        )
+    what = "images, or images and joint readings," if follows_other else "images and joint readings"
+    return (
+        f"{found[0].camera} stands to the right of {found[1].camera} by the images: left and right "
+        f"are exchanged in the {what} (or pan and tilt both count the other way)."
+    )
+
+
+def _left_of(
+    found: Mapping[int, _Turns], fits: list[_Fit], poses: Mapping[str, Array]
+) -> float | None:
+    """Return how far the left eye's camera stands to the left of the right one's [m]."""
+    T_l, T_r = (poses[found[e].camera] for e in (0, 1))
+    T = T_r @ inverse(T_l)
+    both = np.isfinite(T).all(axis=(1, 2))
+    if not both.any():
+        return None
+    up = fits[1].axes[0] / np.linalg.norm(fits[1].axes[0])
+    left = np.cross(up, [0.0, 0.0, 1.0])
+    # Boards numbered from the wrong end move the camera, but not in most views.
+    return float(np.median(T[both, :3, 3] @ left))
+
+
+def _contradictions(turns: _Turns, fit: _Fit) -> list[str]:
+    """Return sentences on readings of an eye that cannot be what they are said to be."""
+    eye = EYES[turns.eye]
+    if fit.followed < FOLLOWED and fit.moved.min() < DEAD * fit.moved.max():
+        joint = ("pan", "tilt")[int(fit.moved.argmin())]
+        return [
+            f"The readings of {eye}_{joint} hardly change ({fit.moved.min():.2g} rad), though "
+            f"{turns.camera} turns about that axis too before a board at rest: check their column "
+            "and the sensor."
+        ]
+    if fit.followed < LOST:
+        return [
+            f"The readings of {eye}_pan and {eye}_tilt explain {100 * max(fit.followed, 0):.0f} % "
+            f"of the turns that {turns.camera} makes before a board at rest: they are not of this "
+            "eye, not of these moments, or the board moved."
+        ]
+    if fit.followed < FOLLOWED:
+        return []  # too noisy to say more; the noise is estimated, and warned of
+    gains = np.linalg.norm(fit.axes, axis=1)
+    said = []
+    for joint, gain in zip(("pan", "tilt"), gains, strict=True):
+        if GAINS[0] < gain < GAINS[1]:
+            continue
+        why = "check its unit, its gear and its column"
+        if GAINS[0] < gain * DEGREE < GAINS[1]:
+            why = f"they are degrees; set joints.{eye}_{joint}.unit to deg"
+        elif GAINS[0] < gain / DEGREE < GAINS[1]:
+            why = f"they are radians; set joints.{eye}_{joint}.unit to rad"
+        said.append(
+            f"{turns.camera} turns by {gain:.3g} times the readings of {eye}_{joint}: {why}."
+        )
+    if said:
+        return said
+    up, left = (axis / np.linalg.norm(axis) for axis in fit.axes)
+    if np.cross(left, up)[2] > 0:
+        return []
+    # As they are said to be, the camera would look out of the back of the eye. One that stands
+    # upright has its pan axis along -y, its tilt axis along -x.
+    pan_up, tilt_left, pan_left, tilt_up = -up[1], -left[0], -up[0], -left[1]
+    worst = min(pan_up, tilt_left)
+    if min(abs(pan_left), abs(tilt_up)) > max(abs(pan_up), abs(tilt_left)):
+        what = f"{eye}_pan and {eye}_tilt are exchanged"
+    elif pan_up == worst:
+        what = f"{eye}_pan counts the other way; set joints.{eye}_pan.sign to its opposite"
+    else:
+        what = f"{eye}_tilt counts the other way; set joints.{eye}_tilt.sign to its opposite"
+    return [
+        f"By the readings, {turns.camera} would look backwards out of its eye: {what}, if the "
+        "camera stands upright."
+    ]

@@ -1,0 +1,79 @@
+"""Where a camera sits in its eye: AX = XB by the method of Park and Martin (Eqs. 5-9).
+
+With X = T_eye_cam, the consistent form of Eqs. 5-6 is A X = X B for motions of the eye,
+A = T_base_eye(i)^-1 T_base_eye(j), and of the camera, B = T_cam_target(i) T_cam_target(j)^-1.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.errors import VergenceError
+from vergence.geometry.se3 import inverse, pose, rotvec
+
+
+def motion_pairs(T_base_eye: Array, T_cam_target: Array) -> tuple[Array, Array]:
+    """Return A and B (P, 4, 4) of Eqs. 5-6 for all pairs of N views of a fixed board.
+
+    All pairs carry more information than the pairs with view 0, which the paper prints.
+    """
+    i, j = np.triu_indices(len(T_base_eye), k=1)
+    A = inverse(T_base_eye[i]) @ T_base_eye[j]
+    B = T_cam_target[i] @ inverse(T_cam_target[j])
+    return A, B
+
+
+def solve_rotation(a: Array, b: Array) -> Array:
+    """Return R_X (3, 3) of Eq. 9, the least-squares solution of a = R_X b (Eq. 7).
+
+    (M^T M)^(-1/2) M^T with M = sum b a^T is the orthogonal factor of M^T: with the singular
+    values M = U S V^T it is V U^T. When all rotations share one axis M has rank one and the
+    turn about that axis is free.
+
+    Args:
+        a: (P, 3) rotation vectors of the eye's motions.
+        b: (P, 3) rotation vectors of the camera's motions.
+
+    Raises:
+        VergenceError: all rotations share one axis, or there are none.
+    """
+    U, S, Vt = np.linalg.svd(b.T @ a)
+    # Two axes suffice: M then has rank two, and the third direction follows from handedness.
+    if not S[1] > 1e-6 * S[0] or S[0] == 0:
+        raise VergenceError(
+            "All eye motions share one axis, which leaves the camera's turn about that axis open; "
+            "record views in which the eye both pans and tilts."
+        )
+    handed = np.diag([1.0, 1.0, np.linalg.det(Vt.T @ U.T)])
+    return Vt.T @ handed @ U.T
+
+
+def park_martin(T_base_eye: Array, T_cam_target: Array) -> Array:
+    """Return T_eye_cam (4, 4) from N views of a board at rest.
+
+    Args:
+        T_base_eye: (N, 4, 4) eye poses, from the joint readings.
+        T_cam_target: (N, 4, 4) board poses, from the images.
+
+    Raises:
+        VergenceError: shapes do not fit, a pose is not finite, or the motion is degenerate.
+    """
+    if T_base_eye.shape != T_cam_target.shape or T_base_eye.shape[1:] != (4, 4):
+        raise VergenceError(
+            "park_martin needs two arrays of the same shape (N, 4, 4), found "
+            f"{T_base_eye.shape} and {T_cam_target.shape}."
+        )
+    if not (np.isfinite(T_base_eye).all() and np.isfinite(T_cam_target).all()):
+        raise VergenceError("park_martin needs finite poses, found NaN or infinity.")
+    if len(T_base_eye) < 3:
+        raise VergenceError(
+            f"park_martin needs at least 3 views at different eye angles, found {len(T_base_eye)}."
+        )
+    A, B = motion_pairs(T_base_eye, T_cam_target)
+    R_A = A[:, :3, :3]
+    R_X = solve_rotation(rotvec(R_A), rotvec(B[:, :3, :3]))
+    left = (np.eye(3) - R_A).reshape(-1, 3)  # Eq. 8
+    right = A[:, :3, 3] - B[:, :3, 3] @ R_X.T
+    t_X = np.linalg.lstsq(left, right.reshape(-1), rcond=None)[0]
+    return pose(R_X, t_X)

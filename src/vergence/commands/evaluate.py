@@ -1,0 +1,181 @@
+"""A calibration held against the truth: errors, and whether the stated accuracy was true."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from pydantic import TypeAdapter
+from pydantic.dataclasses import dataclass
+from scipy.stats import chi2
+
+from vergence.arrays import Array
+from vergence.commands.truth import Truth
+from vergence.errors import VergenceError
+from vergence.files import write_whole
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.parameters import difference, without_offsets
+from vergence.geometry.se3 import angle, inverse
+
+REGION = 0.95
+
+
+@dataclass(frozen=True)
+class ParameterError:
+    """One number of the calibration."""
+
+    error: float
+    """Estimate minus truth: px, rad, m, s, or a plain number."""
+    std: float | None
+    """As stated; None: it was not estimated, or no accuracy is stated."""
+    standardised: float | None
+    """error / std."""
+    within_95: bool | None
+    """Whether it lies within 1.96 standard deviations."""
+
+
+@dataclass(frozen=True)
+class Region:
+    """Parameters that belong together: a camera's lens, a mounting, the pose between the eyes."""
+
+    parameters: int
+    distance: float
+    """Mahalanobis distance of the truth from the estimate."""
+    holds_truth: bool
+    """Whether the 95 % region holds it."""
+
+
+@dataclass(frozen=True)
+class CameraError:
+    """The camera as a whole."""
+
+    rotation_deg: float
+    """Of T_eye_cam."""
+    translation_mm: float
+    """Of T_eye_cam."""
+    focal_percent: float
+    """The larger of the errors of fx and fy."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A calibration beside the truth."""
+
+    cameras: dict[str, CameraError]
+    base_rotation_deg: float
+    """Of T_rbase_lbase."""
+    base_translation_mm: float
+    time_offset_ms: float
+    """Its error."""
+    regions: dict[str, Region]
+    """By group: <camera>, <camera>.T_eye_cam, T_rbase_lbase, <eye>, time_offset_s."""
+    parameters: dict[str, ParameterError]
+
+
+def evaluate(head: HeadCalibration, truth: Truth) -> Evaluation:
+    """Compare a calibration with the truth.
+
+    Offsets of the joints, which no image tells from turns of the mountings, are counted as such.
+
+    Raises:
+        VergenceError: the truth lacks a camera of the calibration.
+    """
+    missing = [name for name in head.cameras if name not in truth.head.cameras]
+    if missing:
+        raise VergenceError(
+            f"The truth is of another head: it has no camera {missing[0]}, only "
+            f"{', '.join(truth.head.cameras)}."
+        )
+    off = difference(head, _timed(truth))
+    mine, true = without_offsets(head), without_offsets(truth.head)
+    cameras = {}
+    for name, mounted in mine.cameras.items():
+        turn, shift = _apart(mounted.T_eye_cam, true.cameras[name].T_eye_cam)
+        K, K_true = mounted.intrinsics.matrix, true.cameras[name].intrinsics.matrix
+        focal = 100 * np.abs(np.diag(K)[:2] / np.diag(K_true)[:2] - 1).max()
+        cameras[name] = CameraError(turn, shift, float(focal))
+    turn, shift = _apart(mine.T_rbase_lbase, true.T_rbase_lbase)
+    names, covariance = (), np.empty((0, 0))
+    if head.accuracy is not None:
+        names, covariance = head.accuracy.parameters, head.accuracy.covariance
+    stds = dict(zip(names, np.sqrt(np.diag(covariance)), strict=True))
+    return Evaluation(
+        cameras=cameras,
+        base_rotation_deg=turn,
+        base_translation_mm=shift,
+        time_offset_ms=1e3 * off["time_offset_s"],
+        regions=_regions(names, covariance, off),
+        parameters={name: _parameter(error, stds.get(name)) for name, error in off.items()},
+    )
+
+
+def _timed(truth: Truth) -> HeadCalibration:
+    return replace(truth.head, time_offset_s=truth.time_offset_s)
+
+
+def _apart(T: Array, T_true: Array) -> tuple[float, float]:
+    """Return the angle [deg] and the distance [mm] between two poses."""
+    turn = np.degrees(angle((inverse(T) @ T_true)[:3, :3]))
+    return float(turn), float(1e3 * np.linalg.norm(T[:3, 3] - T_true[:3, 3]))
+
+
+def _parameter(error: float, std: float | None) -> ParameterError:
+    if std is None:
+        return ParameterError(error, None, None, None)
+    score = error / float(std)
+    within = bool(score**2 <= chi2.ppf(REGION, 1))
+    return ParameterError(error, float(std), score, within)
+
+
+def _regions(names: tuple[str, ...], covariance: Array, off: dict[str, float]) -> dict[str, Region]:
+    groups: dict[str, list[int]] = {}
+    for i, name in enumerate(names):
+        groups.setdefault(name.rpartition(".")[0] or name, []).append(i)
+    regions = {}
+    for group, rows in groups.items():
+        error = np.array([off[names[i]] for i in rows])
+        scale = np.sqrt(np.diag(covariance)[rows])
+        correlation = covariance[np.ix_(rows, rows)] / np.outer(scale, scale)
+        score = error / scale
+        squared = float(score @ np.linalg.pinv(correlation, hermitian=True) @ score)
+        limit = chi2.ppf(REGION, len(rows))
+        regions[group] = Region(len(rows), float(np.sqrt(squared)), bool(squared <= limit))
+    return regions
+
+
+_ADAPTER = TypeAdapter(Evaluation)
+
+
+def as_json(evaluation: Evaluation) -> str:
+    """Return an evaluation as JSON."""
+    return _ADAPTER.dump_json(evaluation, indent=1).decode() + "\n"
+
+
+def save(evaluation: Evaluation, path: Path) -> None:
+    """Write an evaluation as JSON."""
+    write_whole(path, as_json(evaluation))
+
+
+def as_text(evaluation: Evaluation) -> str:
+    """Return what a reader wants to know first."""
+    lines = [f"{'':<16}{'rotation [deg]':>15}{'translation [mm]':>18}{'focal [%]':>11}"]
+    for name, error in evaluation.cameras.items():
+        lines.append(
+            f"{name:<16}{error.rotation_deg:15.4f}{error.translation_mm:18.3f}"
+            f"{error.focal_percent:11.3f}"
+        )
+    lines.append(
+        f"{'T_rbase_lbase':<16}{evaluation.base_rotation_deg:15.4f}"
+        f"{evaluation.base_translation_mm:18.3f}"
+    )
+    if evaluation.regions:
+        lost = [name for name, region in evaluation.regions.items() if not region.holds_truth]
+        held = len(evaluation.regions) - len(lost)
+        lines.append(f"95 % regions that hold the truth: {held} of {len(evaluation.regions)}")
+        if lost:
+            lines.append(f"outside: {', '.join(lost)}")
+        lines.append(f"error of the time offset: {evaluation.time_offset_ms:.3f} ms")
+    else:
+        lines.append("This calibration states no accuracy of its own.")
+    return "\n".join(lines)

@@ -1,0 +1,88 @@
+"""What only the twin knows of a recorded dataset: truth.json, opened by `vergence evaluate` alone.
+
+It is written beside the dataset, for nobody but whoever holds a calibration against it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
+
+from vergence.arrays import Matrix, Transform
+from vergence.errors import VergenceError
+from vergence.files import write_whole
+from vergence.geometry.board import Charuco, Chessboard
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import EYE_JOINTS, EYES
+from vergence.twin.profile import ErrorProfile, Joints
+
+TRUTH = "truth.json"
+
+
+@dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
+class Truth:
+    """The truth of a dataset."""
+
+    head: HeadCalibration
+    """As built, with gains and offsets that turn readings into true angles."""
+    time_offset_s: float
+    """An image shows the joints this much later than its joint reading."""
+    eye_angles: Matrix
+    """(N, 4) true angles [rad] at the moment of each row's images, order of EYE_JOINTS."""
+    T_lbase_target: dict[int, Transform]
+    """By number of the placement: where the board stood."""
+    board: Chessboard | Charuco
+    """As printed, which is not always as the software was told."""
+    seed: int
+    lens: str
+    profile: ErrorProfile
+    format: Literal["vergence-truth-1"] = "vergence-truth-1"
+
+
+def with_sensors(head: HeadCalibration, joints: Joints) -> HeadCalibration:
+    """Return a head whose axes undo the gains and offsets of its joint sensors.
+
+    A sensor reads gain * angle + offset; a calibration states angle = gain * reading + offset.
+    """
+    gain = 1 / (1 + np.array(joints.gain_percent) / 100)
+    offset = -gain * np.radians(joints.offset_deg)
+    axes = {}
+    for eye in EYES:
+        pan, tilt = (EYE_JOINTS.index(f"{eye}_{joint}") for joint in ("pan", "tilt"))
+        axes[eye] = replace(
+            head.axes[eye],
+            pan_gain=float(gain[pan]),
+            tilt_gain=float(gain[tilt]),
+            pan_offset_rad=float(offset[pan]),
+            tilt_offset_rad=float(offset[tilt]),
+        )
+    return replace(head, axes=axes)
+
+
+_ADAPTER = TypeAdapter(Truth)
+
+
+def save(truth: Truth, path: Path) -> None:
+    """Write the truth as JSON."""
+    write_whole(path, _ADAPTER.dump_json(truth, indent=1).decode() + "\n")
+
+
+def load(path: Path) -> Truth:
+    """Read the truth.
+
+    Raises:
+        VergenceError: the file is missing, not JSON, or a field of it is not valid.
+    """
+    try:
+        return _ADAPTER.validate_json(Path(path).read_bytes())
+    except OSError as error:
+        raise VergenceError(f"Cannot read the truth {path}: {error.strerror}.") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "the file"
+        raise VergenceError(f"{path} is not a truth.json: {where}: {first['msg']}.") from None

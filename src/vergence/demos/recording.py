@@ -1,0 +1,136 @@
+"""Record what a gaze controller does on the twin, for whatever experiment shows its states."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.data.dataset import Frame
+from vergence.gaze.commands import EYES_4
+from vergence.gaze.controller import Settings, State
+from vergence.geometry.head import T_body_base
+from vergence.geometry.se3 import inverse, transform
+from vergence.paper.recording import log_report
+from vergence.paper.replay import see
+from vergence.twin.appearance import visual_geoms
+from vergence.twin.head import Twin
+from vergence.twin.simulated_robot import FRAME_S, foveal_errors
+from vergence.viewer.gaze import Moment, log_gaze_frame, log_gaze_series, log_gaze_styles, moment
+from vergence.viewer.gaze_layout import gaze_blueprint
+from vergence.viewer.opening import recording_file
+
+
+class Watch(Protocol):
+    """What is shown every state and the frame that led to it."""
+
+    def __call__(
+        self,
+        state: State,
+        frame: Frame | None,
+        /,
+        *,
+        lanes: Mapping[str, str] | None = None,
+        hand: Array | None = None,
+    ) -> None:
+        """Look at a state.
+
+        Args:
+            state: of the gaze.
+            frame: None: none came.
+            lanes: what the experiment is doing, by lane, beside the phase of the gaze.
+            hand: (3,) where the hand is [m], in frame body.
+        """
+        ...
+
+
+@contextmanager
+def recorded(
+    path: Path,
+    twin: Twin,
+    settings: Settings,
+    *,
+    title: str,
+    reach_m: float,
+    speed: float = 1.0,
+    hand: bool = False,
+) -> Iterator[tuple[Watch, list[str]]]:
+    """Record in a `with` block; whoever shows states to the watch need not know of recordings.
+
+    Several runs, each with its time from zero, follow each other on one timeline. Frames with
+    the images of all cameras are recorded with them, the others without.
+
+    Args:
+        path: of the `.rrd` file.
+        twin: the head; its truth is drawn beside what the controller knows.
+        settings: of the controller.
+        title: of the recording.
+        reach_m: how far away objects come [m], for the view in space.
+        speed: of the playback, in recorded seconds a second.
+        hand: whether the watch will be told of a hand.
+
+    Yields:
+        What to show states to, and a list for the lines of the report, in markdown.
+
+    Raises:
+        VergenceError: the file cannot be written.
+    """
+    head = settings.calibration
+    layout = gaze_blueprint(title, head, reach_m=reach_m, speed=speed, hand=hand)
+    moments: list[Moment] = []
+    report: list[str] = []
+    with recording_file(path, title, layout, head, visual_geoms(twin.model)) as rec:
+        before_s, began_s = -np.inf, 0.0
+
+        def watch(
+            state: State,
+            frame: Frame | None,
+            /,
+            *,
+            lanes: Mapping[str, str] | None = None,
+            hand: Array | None = None,
+        ) -> None:
+            nonlocal before_s, began_s
+            if frame is None:
+                return
+            if frame.time_s < before_s:  # the next run
+                began_s += before_s + FRAME_S
+            before_s, time_s = frame.time_s, began_s + frame.time_s
+            T_body_lbase = T_body_base(head, "left", frame.neck_angles[: len(head.neck.axes)])
+            if not moments:
+                log_gaze_styles(rec, head, twin.T_world_lbase() @ inverse(T_body_lbase))
+            poses = twin.body_poses()
+            hidden = poses["object"][2, 3] < 0  # below the floor
+            where = np.full(3, np.nan) if hidden else twin.true_object()
+            eyes = twin.true_angles()[None, EYES_4]
+            log_gaze_frame(
+                rec,
+                settings,
+                state,
+                frame,
+                time_s=time_s,
+                index=len(moments),
+                pictures=len(frame.images) == len(head.cameras),
+                body_poses=poses,
+                truth={name: see(twin.truth, name, eyes, where)[0] for name in frame.images},
+            )
+            moments.append(
+                moment(
+                    settings,
+                    state,
+                    frame,
+                    time_s,
+                    lanes=lanes,
+                    truth=transform(T_body_lbase, where),
+                    errors_px=np.full(2, np.nan) if hidden else foveal_errors(twin, head),
+                    hand=hand,
+                )
+            )
+
+        yield watch, report
+        log_gaze_series(rec, moments)
+        log_report(rec, "\n".join(report))

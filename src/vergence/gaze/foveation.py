@@ -1,0 +1,229 @@
+"""Where to hold a point in the wide image so that it falls on the fovea (Sec. III, Eqs. 13-19).
+
+The paper's foveal camera is `narrow` here and its peripheral one `wide`; R_fp, t_fp are
+`head.T_narrow_wide`, the pose of the wide camera in the narrow one. The paper subtracts the
+principal points and leaves distortion out; here pixels are as seen, with both. Depth is inverted
+inside, so that infinity is a depth like any other.
+
+Equation numbers are the paper's; see docs/equations.md and docs/conventions.md.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vergence.arrays import Array
+from vergence.errors import VergenceError
+from vergence.geometry.camera import normalise, project, project_jacobians
+from vergence.geometry.head import HeadCalibration, T_narrow_wide
+from vergence.geometry.kinematics import EYES, Side
+from vergence.geometry.se3 import hat, inverse, transform
+
+Lens = Literal["wide", "narrow"]
+
+_NEWTON_STEPS = 20
+_NEARLY = 1e-8  # of x/z and y/z: the next step of Newton's squares it
+
+
+def wide_from_narrow(T_narrow_wide: Array, points_narrow: Array) -> Array:
+    """Eq. 13: map points (..., 3) from the narrow camera's frame into the wide one's.
+
+    Args:
+        T_narrow_wide: (4, 4), of R_fp and t_fp.
+        points_narrow: (..., 3) [m].
+    """
+    R_fp, t_fp = T_narrow_wide[:3, :3], T_narrow_wide[:3, 3]
+    return (points_narrow - t_fp) @ R_fp  # rows: R_fp^T (y_f - t_fp)
+
+
+def project_both(
+    calibration: HeadCalibration, eye: Side, points_narrow: Array
+) -> tuple[Array, Array]:
+    """Eqs. 14-17: return where points appear in both cameras of an eye.
+
+    Args:
+        calibration: of the head.
+        eye: which eye.
+        points_narrow: (..., 3) [m] in the narrow camera's frame.
+
+    Returns:
+        Pixels (..., 2) in the narrow image (Eqs. 14-15) and in the wide one (Eqs. 16-17); NaN
+        where a point is not in front of that camera.
+    """
+    points_wide = wide_from_narrow(T_narrow_wide(calibration, eye), points_narrow)
+    return (
+        project(calibration.camera(f"{eye}_narrow").intrinsics, points_narrow),
+        project(calibration.camera(f"{eye}_wide").intrinsics, points_wide),
+    )
+
+
+def _towards(calibration: HeadCalibration, eye: Side, depth_m: ArrayLike) -> tuple[Array, Array]:
+    """Return points / depth (..., 3) of the narrow axis in frame wide, and their slope (3,).
+
+    A point of the axis is z e_3; in the wide camera z r - R_fp^T t_fp, with r the third column
+    of R_fp^T. Divided by z, the projection is the same, and 1 / z = 0 is no special case.
+    """
+    depth = np.asarray(depth_m, dtype=float)
+    if not (depth > 0).all():
+        raise VergenceError(
+            f"A depth is above 0 m, infinity included; found {np.min(depth):g} m or NaN."
+        )
+    T_wide_narrow = inverse(T_narrow_wide(calibration, eye))
+    axis, centre = T_wide_narrow[:3, 2], T_wide_narrow[:3, 3]
+    return axis + centre / depth[..., None], centre
+
+
+def ideal_wide_pixel(calibration: HeadCalibration, eye: Side, depth_m: ArrayLike) -> Array:
+    """Eqs. 18-19: return the wide pixels (..., 2) of points on the narrow camera's axis.
+
+    A point that is held there falls on the principal point of the narrow image. They do not
+    depend on the narrow camera's intrinsic parameters.
+
+    Args:
+        calibration: of the head.
+        eye: which eye.
+        depth_m: (...) along the narrow camera's axis; infinity gives the limit.
+
+    Raises:
+        VergenceError: a depth is not above 0, or the eye has not both cameras.
+    """
+    points, _ = _towards(calibration, eye, depth_m)
+    return project(calibration.camera(f"{eye}_wide").intrinsics, points)
+
+
+def ideal_wide_slope(calibration: HeadCalibration, eye: Side, depth_m: ArrayLike) -> Array:
+    """Return d ideal_wide_pixel / d depth (..., 2) [px/m]; it falls as 1 / depth^2.
+
+    Raises:
+        VergenceError: as `ideal_wide_pixel`.
+    """
+    points, centre = _towards(calibration, eye, depth_m)
+    _, J, _ = project_jacobians(calibration.camera(f"{eye}_wide").intrinsics, points)
+    return -(J @ centre) / np.asarray(depth_m, dtype=float)[..., None] ** 2
+
+
+def foveal_miss(
+    calibration: HeadCalibration, eye: Side, depth_m: ArrayLike, believed_m: ArrayLike
+) -> Array:
+    """Return how far from the principal point (..., 2) [px] a point falls in the narrow image.
+
+    It is held in the wide image where Eqs. 18-19 want it for the depth that is believed, which
+    is not its own.
+
+    Args:
+        calibration: of the head, taken as exact.
+        eye: which eye.
+        depth_m: (...) of the point from the wide camera, along its axis.
+        believed_m: (...) what Eqs. 18-19 are told, along the narrow camera's axis.
+
+    Raises:
+        VergenceError: as `ideal_wide_pixel`.
+    """
+    wide, narrow = (calibration.camera(f"{eye}_{lens}").intrinsics for lens in ("wide", "narrow"))
+    xy = normalise(wide, ideal_wide_pixel(calibration, eye, believed_m))
+    depth = np.broadcast_to(np.asarray(depth_m, dtype=float), xy.shape[:-1])[..., None]
+    ray = np.concatenate([xy, np.ones_like(depth)], axis=-1)
+    T = T_narrow_wide(calibration, eye)
+    seen = project(narrow, ray @ T[:3, :3].T + T[:3, 3] / depth)  # scaled by 1 / depth
+    return seen - narrow.matrix[:2, 2]
+
+
+def eye_angles_to(
+    calibration: HeadCalibration, eye: Side, points_base: Array, *, lens: Lens = "narrow"
+) -> Array:
+    """Return the pan and tilt (..., 2) [rad] that centre points in a camera of one eye.
+
+    Newton's method on both axes at once, to machine precision, with the eye's imperfections and
+    with the camera off its rotation centre.
+
+    Args:
+        calibration: of the head.
+        eye: which eye.
+        points_base: (..., 3) [m] in the eye's base frame.
+        lens: the camera on whose principal point they shall fall.
+
+    Returns:
+        Joint readings, perhaps beyond the joints' ranges; NaN for a point that no gaze centres:
+        NaN itself, above or below the pan axis, or closer than the camera.
+    """
+    axes, mounted = calibration.axes[eye], calibration.camera(f"{eye}_{lens}")
+    R_cam_eye = mounted.T_eye_cam[:3, :3].T
+    shift = np.array([axes.axis_distance_m, 0.0, 0.0])
+    alpha = axes.nonorthogonality_rad
+    pan_hat, tilt_hat = hat(np.array([[0, 0, 1], [0, np.cos(alpha), np.sin(alpha)]]))
+    usable = np.isfinite(points_base).all(axis=-1) & (points_base[..., :2] != 0).any(axis=-1)
+    p = np.where(usable[..., None], points_base, [1.0, 0, 0])
+    angles = np.stack(
+        [
+            np.arctan2(p[..., 1], p[..., 0]),
+            -np.arctan2(p[..., 2], np.hypot(p[..., 0], p[..., 1])),
+        ],
+        axis=-1,
+    )
+    front = near = np.zeros(p.shape[:-1], dtype=bool)
+    for _ in range(_NEWTON_STEPS):
+        panned = _turned_back(p, pan_hat, angles[..., 0])
+        in_eye = _turned_back(panned - shift, tilt_hat, angles[..., 1])
+        in_cam = (in_eye - mounted.T_eye_cam[:3, 3]) @ R_cam_eye.T
+        front = in_cam[..., 2] > 0
+        z = np.where(front, in_cam[..., 2], 1.0)[..., None]
+        error = in_cam[..., :2] / z
+        # A turn of the eye turns the point the other way.
+        by_pan = -_turned_back(panned @ pan_hat.T, tilt_hat, angles[..., 1])
+        by_tilt = -(in_eye @ tilt_hat.T)
+        d_cam = np.stack([by_pan @ R_cam_eye.T, by_tilt @ R_cam_eye.T], axis=-1)  # (..., 3, 2)
+        J = (d_cam[..., :2, :] - error[..., None] * d_cam[..., 2:, :]) / z[..., None]
+        det = J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0]
+        det = np.where(front & (det != 0), det, np.inf)  # infinity: no step
+        step = np.stack(
+            [
+                J[..., 1, 1] * error[..., 0] - J[..., 0, 1] * error[..., 1],
+                J[..., 0, 0] * error[..., 1] - J[..., 1, 0] * error[..., 0],
+            ],
+            axis=-1,
+        )
+        angles = angles - np.clip(step / det[..., None], -0.5, 0.5)
+        near = np.asarray((np.abs(error) < _NEARLY).all(axis=-1))
+        if (near | ~front).all():
+            break
+    good = usable & front & near
+    gain = np.array([axes.pan_gain, axes.tilt_gain])
+    readings = (angles - [axes.pan_offset_rad, axes.tilt_offset_rad]) / gain
+    return np.where(good[..., None], readings, np.nan)
+
+
+def _turned_back(v: Array, axis_hat: Array, angle: Array) -> Array:
+    """Return vectors (..., 3) in a frame turned by angles (...,) about a unit axis, as its hat."""
+    cos, sin = np.cos(angle)[..., None], np.sin(angle)[..., None]
+    across = v @ axis_hat.T
+    return v - sin * across + (1 - cos) * (across @ axis_hat.T)
+
+
+def gaze_angles(
+    calibration: HeadCalibration, points_lbase: Array, *, lens: Lens = "narrow"
+) -> Array:
+    """Return the angles (..., 4) [rad] that centre points in both eyes at once, vergence included.
+
+    Args:
+        calibration: of the head.
+        points_lbase: (..., 3) [m] in the left eye's base frame, as `active_stereo.locate` gives.
+        lens: of the cameras in which they shall be centred.
+
+    Returns:
+        Joint readings in the order of kinematics.EYE_JOINTS; NaN as in `eye_angles_to`.
+    """
+    points = {"left": points_lbase, "right": transform(calibration.T_rbase_lbase, points_lbase)}
+    both = [eye_angles_to(calibration, eye, points[eye], lens=lens) for eye in EYES]
+    return np.concatenate(both, axis=-1)
+
+
+def reachable(angles: Array, limits_rad: Array) -> np.ndarray:
+    """Return (...,) whether all of the angles (..., J) lie within limits (J, 2), lower and upper.
+
+    NaN is not reachable.
+    """
+    within = (angles >= limits_rad[:, 0]) & (angles <= limits_rad[:, 1])
+    return np.asarray(within.all(axis=-1))

@@ -1,0 +1,100 @@
+"""The flat calibration boards: their corners in frame target.
+
+Frame `target`: origin at the first inner corner, x along a row, y along a column, z into the
+board; corner (i, j) is at (i, j, 0) times the size of a square.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import cv2
+import numpy as np
+from pydantic import ConfigDict, FiniteFloat, PositiveFloat, PositiveInt
+from pydantic.dataclasses import dataclass
+
+from vergence.arrays import Array
+
+DICTIONARIES = tuple(
+    sorted(name for name in dir(cv2.aruco) if name.startswith("DICT_") and name.isupper())
+)
+"""OpenCV's sets of markers."""
+
+
+@dataclass(frozen=True, config=ConfigDict(extra="forbid", allow_inf_nan=False))
+class Chessboard:
+    """A chessboard, counted in inner corners."""
+
+    columns: PositiveInt
+    rows: PositiveInt
+    square_m: PositiveFloat
+    """Side of a square [m]; a board of unknown size has 1, and lengths come in squares."""
+    kind: Literal["chessboard"] = "chessboard"
+
+
+@dataclass(frozen=True, config=ConfigDict(extra="forbid", allow_inf_nan=False))
+class Charuco:
+    """A chessboard with a marker in every white square, counted in squares, as OpenCV does.
+
+    The markers number its corners: part of a board is enough, and none is numbered from the
+    wrong end.
+    """
+
+    squares_x: PositiveInt
+    squares_y: PositiveInt
+    square_m: PositiveFloat
+    """Side of a square [m]."""
+    marker_m: FiniteFloat
+    """Side of a marker [m]."""
+    dictionary: str
+    """Of the markers: OpenCV's name, such as DICT_4X4_50."""
+    legacy: bool = False
+    """Whether the board was made by OpenCV before 4.6, which began boards of an even number of
+    rows with a white square."""
+    kind: Literal["charuco"] = "charuco"
+
+    def __post_init__(self) -> None:
+        if min(self.squares_x, self.squares_y) < 3 or max(self.squares_x, self.squares_y) > 100:
+            found = f"{self.squares_x} x {self.squares_y}"
+            raise ValueError(f"a ChArUco board has 3 to 100 squares each way, found {found}")
+        if not 0 < self.marker_m < self.square_m:
+            raise ValueError(
+                f"marker_m lies between 0 and square_m = {self.square_m}, found {self.marker_m}"
+            )
+        if self.dictionary not in DICTIONARIES:
+            known = ", ".join(DICTIONARIES)
+            raise ValueError(f"dictionary is one of {known}; found {self.dictionary!r}")
+        needed, there = self.squares_x * self.squares_y // 2, len(_markers(self).bytesList)
+        if needed > there:
+            raise ValueError(f"the board has {needed} markers, but {self.dictionary} only {there}")
+
+    @property
+    def columns(self) -> int:
+        """Inner corners in a row."""
+        return self.squares_x - 1
+
+    @property
+    def rows(self) -> int:
+        """Inner corners in a column."""
+        return self.squares_y - 1
+
+
+Board = Chessboard | Charuco
+
+
+def _markers(board: Charuco) -> cv2.aruco.Dictionary:
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
+
+
+def opencv_board(board: Charuco) -> cv2.aruco.CharucoBoard:
+    """Return OpenCV's object of a board: it can draw it, for printing."""
+    size = (board.squares_x, board.squares_y)
+    made = cv2.aruco.CharucoBoard(size, board.square_m, board.marker_m, _markers(board))
+    made.setLegacyPattern(board.legacy)
+    return made
+
+
+def corner_points(board: Board) -> Array:
+    """Return the inner corners (rows * columns, 3) [m] in frame target, row by row."""
+    j, i = np.mgrid[: board.rows, : board.columns]
+    return np.stack([i, j, np.zeros_like(i)], axis=-1).reshape(-1, 3) * board.square_m

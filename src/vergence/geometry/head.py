@@ -1,0 +1,179 @@
+"""HeadCalibration: all that the estimators need to know of a head; JSON in and out.
+
+The frame `head` has its origin midway between the rotation centres of the eyes and the axes of
+the left eye's base frame (x forward, y left, z up).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
+
+from vergence.arrays import Array, Matrix, Transform
+from vergence.errors import VergenceError
+from vergence.files import write_whole
+from vergence.geometry.camera import Camera
+from vergence.geometry.kinematics import EYES, EyeAxes, Neck, Side, T_base_eye, T_body_head
+from vergence.geometry.se3 import inverse, pose
+
+
+@dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
+class MountedCamera:
+    """A camera and where it sits in its eye."""
+
+    eye: Side
+    intrinsics: Camera
+    T_eye_cam: Transform
+    """Pose of the camera in the eye: T_ec of the paper."""
+
+
+@dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
+class HeldOut:
+    """How well views were predicted that the calibration had not seen."""
+
+    folds: int
+    """Into how many parts the views were divided; each was predicted from the others."""
+    transfer_views: int
+    """Views that both eyes saw."""
+    transfer_px: float | None
+    """Root mean square distance of corners from where the board's pose in the other eye, the
+    joint readings and the calibration put them; None: no such view."""
+    point_views: int
+    """Views of a board at rest that other views show too."""
+    point_mm: float | None
+    """Root mean square distance of triangulated corners from where the other views put them."""
+    expected_mm: float | None
+    """What point_mm should be by the stated noise and covariance; None: these are not stated."""
+    distance_m: float | None
+    """Of these corners from the left eye, in the mean."""
+    scatter: float | None = None
+    """How much more the calibrations of the folds differ than their covariance says, as a ratio
+    of standard deviations; 1 where the noise model is right."""
+
+
+@dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
+class Accuracy:
+    """How well a calibration is known; see docs/calibration.md."""
+
+    method: Literal["refined", "paper"]
+    parameters: tuple[str, ...] = ()
+    """Names of what was estimated, such as left_wide.fx, left_wide.T_eye_cam.rx, left.pan_gain;
+    px, rad, m, s. Empty for the paper's method, which states no accuracy."""
+    covariance: Matrix = field(default_factory=lambda: np.empty((0, 0)))
+    """In the order of parameters. Poses change along the axes of the frame that they map into."""
+    pixel_std_px: float | None = None
+    """Noise of one coordinate of a corner."""
+    joint_std: tuple[float, ...] = ()
+    """Noise of the readings [rad]: of all joints, or of pan and tilt; for eyes whose poses are
+    given, rotation [rad] and translation [m]."""
+    eye_motion: Literal["pan-tilt", "poses"] = "pan-tilt"
+    """Whether the eyes were read as angles or as poses."""
+    held_out: HeldOut | None = None
+    warnings: tuple[str, ...] = ()
+    """What the data could not determine, and what to record instead."""
+
+
+@dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
+class HeadCalibration:
+    """Everything that calibration finds of a head, and nothing that only a twin could know."""
+
+    cameras: dict[str, MountedCamera]
+    """By name: left_wide, left_narrow, right_wide, right_narrow (a head may have fewer, or call
+    them otherwise). The paper calls the wide camera peripheral and the narrow one foveal."""
+    T_rbase_lbase: Transform
+    """Pose of the left eye's base frame in the right one's: T_e^rl of the paper (Eq. 10); the
+    identity for a head of one eye."""
+    axes: dict[Side, EyeAxes] = field(
+        default_factory=lambda: {"left": EyeAxes(), "right": EyeAxes()}
+    )
+    neck: Neck = field(default_factory=Neck)
+    """From the design, not calibrated; without joints the head is the body."""
+    time_offset_s: float = 0.0
+    """An image shows the joints this much later than their reading."""
+    accuracy: Accuracy | None = None
+    """None: nobody has said; files of other programs and heads as designed have none."""
+    format: Literal["vergence-head-calibration-1"] = "vergence-head-calibration-1"
+
+    def camera(self, name: str) -> MountedCamera:
+        """Return a camera by its name.
+
+        Raises:
+            VergenceError: there is none of that name.
+        """
+        if name not in self.cameras:
+            known = ", ".join(self.cameras)
+            raise VergenceError(f"No camera is called {name!r}; this head has: {known}.")
+        return self.cameras[name]
+
+
+def main_camera(names: Collection[str], eye: Side) -> str:
+    """Return which of an eye's cameras it looks around with: its wide one, or else its first.
+
+    Args:
+        names: of the cameras of this eye, at least one.
+        eye: whose.
+    """
+    return f"{eye}_wide" if f"{eye}_wide" in names else next(iter(names))
+
+
+def main_pair(calibration: HeadCalibration) -> tuple[str, str] | None:
+    """Return the main camera of the left and of the right eye; None for a head of one eye."""
+    own = [
+        [name for name, mounted in calibration.cameras.items() if mounted.eye == eye]
+        for eye in EYES
+    ]
+    return (main_camera(own[0], "left"), main_camera(own[1], "right")) if all(own) else None
+
+
+def T_head_base(calibration: HeadCalibration, eye: Side) -> Array:
+    """Return the pose (4, 4) of an eye's base frame in frame head."""
+    T_lbase_rbase = inverse(calibration.T_rbase_lbase)
+    T_head_lbase = pose(t=-T_lbase_rbase[:3, 3] / 2)
+    return T_head_lbase if eye == "left" else T_head_lbase @ T_lbase_rbase
+
+
+def T_base_cam(calibration: HeadCalibration, camera: str, angles: Array) -> Array:
+    """Return poses (..., 4, 4) of a camera in its eye's base frame, at (..., 2) pan and tilt."""
+    mounted = calibration.camera(camera)
+    return T_base_eye(angles, calibration.axes[mounted.eye]) @ mounted.T_eye_cam
+
+
+def T_body_base(calibration: HeadCalibration, eye: Side, neck_angles: Array) -> Array:
+    """Return poses (..., 4, 4) of an eye's base frame in frame body: T_be(neck) of Eq. 12."""
+    return T_body_head(calibration.neck, neck_angles) @ T_head_base(calibration, eye)
+
+
+def T_narrow_wide(calibration: HeadCalibration, eye: Side) -> Array:
+    """Return the pose (4, 4) of the wide camera in the narrow one: R_fp, t_fp of Sec. III."""
+    wide, narrow = (calibration.camera(f"{eye}_{lens}") for lens in ("wide", "narrow"))
+    return inverse(narrow.T_eye_cam) @ wide.T_eye_cam
+
+
+_ADAPTER = TypeAdapter(HeadCalibration)
+
+
+def save(calibration: HeadCalibration, path: Path) -> None:
+    """Write a calibration as JSON."""
+    write_whole(path, _ADAPTER.dump_json(calibration, indent=1).decode() + "\n")
+
+
+def load(path: Path) -> HeadCalibration:
+    """Read a calibration from JSON.
+
+    Raises:
+        VergenceError: the file is missing, not JSON, or a field of it is not valid.
+    """
+    try:
+        return _ADAPTER.validate_json(path.read_bytes())
+    except OSError as error:
+        raise VergenceError(f"Cannot read the calibration {path}: {error.strerror}.") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "the file"
+        raise VergenceError(f"{path} is not a head calibration: {where}: {first['msg']}.") from None

@@ -1,0 +1,39 @@
+"""The paper's figures 6-11, as data.
+
+Source: A. Ude and E. Oztop, "Active 3-D Vision on a Humanoid Head", captions of Figs. 6-11.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from vergence.twin.profile import Lens
+
+Motion = Literal["parallel", "divergent"]
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One experiment: a fixed object is located while the eyes move."""
+
+    number: int
+    motion: Motion
+    lens: Lens
+    mean_m: tuple[float, float, float]
+    """Mean of the estimated positions (x forward = depth, y left, z up), as printed."""
+    std_m: tuple[float, float, float]
+    """Their standard deviation; printed to 1 mm, so that 2 mm means 1.5 to 2.5."""
+
+
+FIGURES = {
+    figure.number: figure
+    for figure in (
+        Figure(6, "parallel", "2.8mm", (0.426, -0.021, -0.081), (0.010, 0.002, 0.005)),
+        Figure(7, "divergent", "2.8mm", (0.421, -0.072, -0.088), (0.020, 0.003, 0.007)),
+        Figure(8, "parallel", "2.8mm", (1.106, 0.017, 0.003), (0.066, 0.006, 0.008)),
+        Figure(9, "divergent", "2.8mm", (1.109, 0.017, 0.001), (0.102, 0.011, 0.007)),
+        Figure(10, "parallel", "4.0mm", (0.642, 0.173, -0.035), (0.019, 0.007, 0.003)),
+        Figure(11, "divergent", "4.0mm", (0.643, 0.173, -0.035), (0.029, 0.011, 0.002)),
+    )
+}

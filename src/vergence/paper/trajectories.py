@@ -1,0 +1,30 @@
+"""How the eyes move in the experiments (Eqs. 22-23)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.paper.figures import Motion
+
+AMPLITUDE_RAD = 0.25
+PERIOD_S = {"parallel": 6 * np.pi, "divergent": 60 * np.pi}
+"""Time after which all joints together repeat: least common multiple of the periods."""
+
+
+def eye_angles(motion: Motion, time_s: Array) -> Array:
+    """Return (N, 4) joint angles [rad], in the order of EYE_JOINTS, at (N,) times.
+
+    Parallel: both eyes by Eq. 22. Divergent: the left eye by Eq. 22, the right by Eq. 23.
+    """
+    eq22 = AMPLITUDE_RAD * np.cos(np.stack([time_s, time_s / 1.5], axis=-1))
+    eq23 = AMPLITUDE_RAD * np.cos(np.stack([time_s / 2, time_s / 2.5], axis=-1))
+    return np.concatenate([eq22, eq22 if motion == "parallel" else eq23], axis=-1)
+
+
+def default_duration_s(motion: Motion) -> float:
+    """Return the full combined period, repeated until it lasts at least 60 s.
+
+    Below 60 s the spreads depend on the duration.
+    """
+    return float(PERIOD_S[motion] * np.ceil(60 / PERIOD_S[motion]))

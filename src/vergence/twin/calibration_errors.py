@@ -1,0 +1,53 @@
+"""Errors that are written into a finished calibration, for studies of what they do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from vergence.geometry.head import HeadCalibration, MountedCamera, T_base_cam
+from vergence.geometry.kinematics import EYES, T_base_eye
+from vergence.geometry.se3 import inverse, pose, rotation
+from vergence.stereo.triangulation import fixed_transform
+from vergence.twin.profile import ByHand
+
+
+def written_by_hand(
+    calibration: HeadCalibration, by_hand: ByHand, figure_lens: str
+) -> HeadCalibration:
+    """Return a calibration with errors written into it; straight gaze stays exact (Eq. 10)."""
+    if by_hand == ByHand():
+        return calibration
+    focal = by_hand.focal_percent_28 if figure_lens == "2.8mm" else by_hand.focal_percent_40
+    cameras = dict(calibration.cameras)
+    for name, sign in (("left_wide", 1), ("right_wide", -1)):
+        mounted = calibration.camera(name)
+        matrix = mounted.intrinsics.matrix.copy()
+        matrix[[0, 1], [0, 1]] *= 1 + focal / 100
+        roll = rotation([0, 0, sign * np.radians(by_hand.roll_deg)])
+        cameras[name] = MountedCamera(
+            eye=mounted.eye,
+            intrinsics=replace(mounted.intrinsics, matrix=matrix),
+            T_eye_cam=mounted.T_eye_cam @ pose(roll, [0, 0, by_hand.axial_mm * 1e-3]),
+        )
+    return static_kept(calibration, replace(calibration, cameras=cameras))
+
+
+def static_kept(before: HeadCalibration, after: HeadCalibration) -> HeadCalibration:
+    """Return `after` with T_rbase_lbase such that both agree on the stereo at straight gaze."""
+    straight = np.zeros(2)
+    T_rcam_lcam = (
+        inverse(T_base_cam(before, "right_wide", straight))
+        @ before.T_rbase_lbase
+        @ T_base_cam(before, "left_wide", straight)
+    )
+    eyes = {eye: T_base_eye(straight, after.axes[eye]) for eye in EYES}
+    T_rbase_lbase = fixed_transform(
+        eyes["right"],
+        after.camera("right_wide").T_eye_cam,
+        T_rcam_lcam,
+        after.camera("left_wide").T_eye_cam,
+        eyes["left"],
+    )
+    return replace(after, T_rbase_lbase=T_rbase_lbase)

@@ -1,0 +1,214 @@
+"""The calibration sequence: where the board is held and where the eyes look (Sec. II, Fig. 4).
+
+Planned from the head as designed, as an engineer would, and carried out on the as-built one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.calibration.sequential.sequential import Views
+from vergence.geometry.board import Board, Chessboard, corner_points
+from vergence.geometry.camera import project
+from vergence.geometry.head import HeadCalibration, T_base_cam
+from vergence.geometry.kinematics import EYES, NECK_JOINTS
+from vergence.geometry.se3 import inverse, pose, rotation, transform
+from vergence.twin.head import Exposure, Twin
+from vergence.twin.profile import ErrorProfile
+from vergence.twin.sensors import read
+from vergence.vision.board_detection import find_corners
+
+BOARD = Chessboard(columns=9, rows=6, square_m=0.030)
+"""The board of the scene."""
+
+WIDE_VIEWS = 18
+"""Boards near the eyes, for the wide cameras and the static stereo."""
+NARROW_VIEWS = 12
+"""Boards for each narrow camera, seen by both wide ones too."""
+ORIENTATIONS = 60
+"""Eye orientations at which the fixed board is seen."""
+T_LBASE_FIXED = (0.60, 0.0, 0.0), (0.25, -0.2, 0.05)
+"""Where the fixed board has its middle [m], and how it is turned from facing the head [rad]."""
+_MARGIN_RAD = 0.055  # room for the board's white margin, and for cameras that sit a few degrees off
+_R_LBASE_FACING = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # the board's x right, y down
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """One view of the sequence."""
+
+    placement: int
+    T_lbase_target: Array
+    """(4, 4) where the board is held."""
+    eye_angles: Array
+    """(4,) where the eyes are told to look [rad]."""
+    cameras: tuple[str, ...]
+
+
+def plan(
+    head: HeadCalibration,
+    seed: int,
+    *,
+    board: Board = BOARD,
+    views: tuple[int, int, int] = (WIDE_VIEWS, NARROW_VIEWS, ORIENTATIONS),
+) -> list[Shot]:
+    """Return the sequence of views for a head as designed.
+
+    Args:
+        head: the nominal head.
+        seed: of the places at which the board is held.
+        board: what is held.
+        views: how many for the wide cameras, for each narrow camera, and of the fixed board.
+    """
+    wide_views, narrow_views, orientations = views
+    rng = np.random.default_rng([seed, 4])
+    straight = np.zeros(4)
+    shots: list[Shot] = []
+    wide = ("left_wide", "right_wide")
+    for _ in range(wide_views):
+        T = _held_board(head, board, wide, (0.28, 0.65), 0.7, rng)
+        shots.append(Shot(len(shots), T, straight, wide))
+    for eye in EYES:
+        trio = (*wide, f"{eye}_narrow")
+        for _ in range(narrow_views):
+            T = _held_board(head, board, trio, (0.72, 1.1), 0.6, rng)
+            shots.append(Shot(len(shots), T, straight, trio))
+    fixed = len(shots)
+    T_fixed = _facing(board, *map(np.array, T_LBASE_FIXED))
+    # Directions spread evenly over an ellipse (sunflower): pan and tilt vary independently. Its
+    # innermost three are left out, since they would pass for straight gaze.
+    k = np.arange(3, orientations + 3) + 0.5
+    radius, turn = np.sqrt(k / (orientations + 3)), k * np.pi * (3 - np.sqrt(5))
+    gaze = np.stack([0.30 * radius * np.cos(turn), 0.26 * radius * np.sin(turn)], axis=-1)
+    shots += [Shot(fixed, T_fixed, np.tile(angles, 2), wide) for angles in gaze]
+    return shots
+
+
+def _facing(board: Board, centre: Sequence[float] | Array, turn: Array) -> Array:
+    """Return T_lbase_target of a board around a centre, turned from facing the head."""
+    middle = corner_points(board).mean(axis=0)
+    return pose(_R_LBASE_FACING @ rotation(turn), centre) @ pose(t=-middle)
+
+
+def visible(head: HeadCalibration, board: Board, name: str, shot: Shot) -> np.ndarray:
+    """Return (K,) which corners a camera sees well clear of its image's edge."""
+    camera = head.camera(name).intrinsics
+    uv = project_board(head, board, name, shot)
+    size = np.array([camera.width, camera.height])
+    margin = _MARGIN_RAD * camera.matrix[0, 0]
+    return ((uv > margin) & (uv < size - 1 - margin)).all(axis=1)
+
+
+def project_board(head: HeadCalibration, board: Board, name: str, shot: Shot) -> Array:
+    """Return the corners' pixels (K, 2) in a camera of a head that stands as the shot says."""
+    mounted = head.camera(name)
+    left = mounted.eye == "left"
+    T_base_target = shot.T_lbase_target if left else head.T_rbase_lbase @ shot.T_lbase_target
+    angles = shot.eye_angles[:2] if left else shot.eye_angles[2:]
+    T_cam_target = inverse(T_base_cam(head, name, angles)) @ T_base_target
+    return project(mounted.intrinsics, transform(T_cam_target, corner_points(board)))
+
+
+def _held_board(
+    head: HeadCalibration,
+    board: Board,
+    cameras: Sequence[str],
+    depth_m: tuple[float, float],
+    lean_rad: float,
+    rng: np.random.Generator,
+) -> Array:
+    """Return a random T_lbase_target at which the board is wholly seen by all the cameras."""
+    mounted = head.camera(cameras[-1])
+    eye_y = 0.0 if mounted.eye == "left" else inverse(head.T_rbase_lbase)[1, 3]
+    slope = mounted.intrinsics.width / 2 / mounted.intrinsics.matrix[0, 0]
+    for _ in range(10_000):
+        depth = rng.uniform(*depth_m)
+        y, z = rng.uniform(-slope, slope, 2) * depth
+        turn = rng.uniform(-1, 1, 3) * [lean_rad, lean_rad, 0.3]
+        T = _facing(board, (depth, y + eye_y, z), turn)
+        shot = Shot(0, T, np.zeros(4), ())
+        if all(visible(head, board, camera, shot).all() for camera in cameras):
+            return T
+    raise AssertionError("the board fits into no image at these depths")
+
+
+def told_board(profile: ErrorProfile, board: Board = BOARD) -> Board:
+    """Return a board as the software was told: wrong where the print came out larger."""
+    printed = 1 + profile.calibration.square_percent / 100
+    if isinstance(board, Chessboard):
+        return replace(board, square_m=board.square_m / printed)
+    return replace(board, square_m=board.square_m / printed, marker_m=board.marker_m / printed)
+
+
+def look(twin: Twin, shots: Sequence[Shot], *, done: Callable[[], None] = lambda: None) -> Views:
+    """Carry out a sequence on the twin and find the board in its images.
+
+    Args:
+        twin: the head.
+        shots: what to look at.
+        done: called after each view.
+    """
+    posture: Array | None = None
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        detections = []
+        for shot in shots:
+            twin.place_board(shot.T_lbase_target)
+            if posture is None or (shot.eye_angles != posture).any():
+                posture = shot.eye_angles
+                twin.settle(np.concatenate([np.zeros(len(NECK_JOINTS)), posture]))
+            detections.append(pool.submit(_detect, twin, twin.expose(shot.cameras)))
+            done()
+        seen = [detection.result() for detection in detections]
+    twin.place_board(None)
+    angles = np.array([eye_angles for eye_angles, _ in seen])
+    return _views(twin.nominal, twin.profile, shots, angles, [corners for _, corners in seen])
+
+
+def _detect(twin: Twin, exposure: Exposure) -> tuple[Array, dict[str, Array | None]]:
+    frame = twin.develop(exposure)
+    found = {name: find_corners(image, BOARD) for name, image in frame.images.items()}
+    return frame.eye_angles, found
+
+
+def look_at_points(
+    truth: HeadCalibration,
+    profile: ErrorProfile,
+    shots: Sequence[Shot],
+    *,
+    pixel_noise: float,
+    rng: np.random.Generator,
+) -> Views:
+    """Return what `look` would, without images: corners projected, with white noise [px]."""
+    true_angles = np.array([shot.eye_angles for shot in shots])
+    found = []
+    for shot in shots:
+        seen = {name: project_board(truth, BOARD, name, shot) for name in shot.cameras}
+        found.append({n: uv + rng.normal(0, pixel_noise, uv.shape) for n, uv in seen.items()})
+    return _views(truth, profile, shots, read(true_angles, profile.joints, rng), found)
+
+
+def _views(
+    head: HeadCalibration,
+    profile: ErrorProfile,
+    shots: Sequence[Shot],
+    eye_angles: Array,
+    found: Sequence[Mapping[str, Array | None]],
+) -> Views:
+    nothing = np.full((BOARD.columns * BOARD.rows, 2), np.nan)
+    corners = {}
+    for name in head.cameras:
+        seen = [view.get(name) for view in found]
+        corners[name] = np.array([nothing if c is None else c for c in seen])
+    intrinsics = {name: mounted.intrinsics for name, mounted in head.cameras.items()}
+    return Views(
+        board=told_board(profile),
+        placement=np.array([shot.placement for shot in shots]),
+        eye_angles=eye_angles,
+        corners=corners,
+        sizes={name: (camera.width, camera.height) for name, camera in intrinsics.items()},
+    )

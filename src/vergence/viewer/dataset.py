@@ -1,0 +1,231 @@
+"""Record a dataset as a calibration sees it: its images, the corners found, what is left of them.
+
+Beside the images there are
+
+    /world/<side>_eye/<camera>/corners    the corners as they were found
+    /world/<side>_eye/<camera>/residuals  from there, many times as long as they are, the residuals
+    /world/board                          where the board stood; its frame is the target's
+    /residual/<camera>                    root mean square of an image's residuals [px]
+    /joints/<joint>                       joint readings [rad]
+    /report                               markdown
+
+The world is the left eye's base frame. A row of frames.csv is a `frame`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from vergence.arrays import Array
+from vergence.calibration.bundle.refine import Refined
+from vergence.calibration.detection import Detections
+from vergence.data.dataset import Dataset
+from vergence.geometry.board import Board
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import EYE_JOINTS, EYES, T_base_eye
+from vergence.geometry.se3 import inverse
+from vergence.viewer import style
+from vergence.viewer.frame import time_columns
+from vergence.viewer.layout import camera_entities, camera_views, view_3d, whole_time
+from vergence.viewer.opening import recording_file
+from vergence.viewer.shapes import placed
+
+RESIDUAL_LENGTH_PX = 12
+"""How long a typical residual is drawn, within a factor of three."""
+EYE_COLOURS = {"left": [(230, 120, 20), (240, 190, 90)], "right": [(30, 140, 170), (120, 200, 215)]}
+
+
+def record_dataset(
+    path: Path,
+    dataset: Dataset,
+    detections: Detections,
+    head: HeadCalibration,
+    refined: Refined | None,
+    *,
+    report: str,
+    done: Callable[[], None] = lambda: None,
+) -> None:
+    """Write a recording of a dataset and of the calibration that was made from it.
+
+    Args:
+        path: of the `.rrd` file; one that is there is replaced.
+        dataset: with its images.
+        detections: the corners in them.
+        head: the calibration.
+        refined: the estimate that gives residuals and boards; None: there are none.
+        report: markdown.
+        done: called after each row.
+
+    Raises:
+        VergenceError: the file cannot be written, or an image cannot be read any more.
+    """
+    magnified = _magnification(refined)
+    layout = _blueprint(head, magnified if refined else None)
+    eyes = _eye_poses(head, detections, refined)
+    entities = camera_entities(head)
+    with recording_file(path, "dataset", layout, head, ()) as rec:
+        _log_styles(rec, head, dataset)
+        if refined is not None:
+            rec.log("world/board/shape", _outline(detections.views.board), static=True)
+        time_s = dataset.time_s - dataset.time_s[0]
+        for row in range(len(dataset)):
+            rec.set_time("sim_time", duration=float(time_s[row]))
+            rec.set_time("frame", sequence=row)
+            for k, eye in enumerate(EYES):
+                if np.isfinite(eyes[row, k]).all():
+                    rec.log(f"world/{eye}_eye", placed(eyes[row, k]))
+            if refined is not None:
+                T = refined.T_lbase_target.get(int(dataset.placement[row]))
+                rec.log("world/board", rr.Clear(recursive=False) if T is None else placed(T))
+            for name, entity in entities.items():
+                corners = detections.views.corners[name][row]
+                errors = None if refined is None else refined.residuals_px.get(name)
+                offset = None if errors is None else magnified * errors[row]
+                _log_image(rec, entity, dataset.image(name, row), corners, offset)
+            done()
+        _log_series(rec, dataset, refined, time_s)
+        rec.log("report", rr.TextDocument(report, media_type="text/markdown"), static=True)
+
+
+def _magnification(refined: Refined | None) -> int:
+    """Return the power of ten at which residuals are drawn."""
+    typical = 1.0 if refined is None else max(refined.pixel_std_px, 1e-6)
+    return int(10 ** max(0, round(np.log10(RESIDUAL_LENGTH_PX / typical))))
+
+
+def _eye_poses(head: HeadCalibration, detections: Detections, refined: Refined | None) -> Array:
+    """Return (V, 2, 4, 4) poses of the eyes in the left one's base; as read where not estimated."""
+    if detections.T_base_eye is not None:
+        poses = detections.T_base_eye.copy()
+    else:
+        angles = detections.views.eye_angles.reshape(-1, 2, 2)
+        poses = np.stack(
+            [T_base_eye(angles[:, k], head.axes[eye]) for k, eye in enumerate(EYES)], axis=1
+        )
+    if refined is not None:
+        known = np.isfinite(refined.T_base_eye)
+        poses = np.where(known, refined.T_base_eye, poses)
+    poses[:, 1] = inverse(head.T_rbase_lbase) @ poses[:, 1]
+    return poses
+
+
+def _outline(board: Board) -> rr.LineStrips3D:
+    """Return the lines through the board's inner corners, in frame target."""
+    x, y = (board.columns - 1) * board.square_m, (board.rows - 1) * board.square_m
+    rows = [[[0, j * board.square_m, 0], [x, j * board.square_m, 0]] for j in range(board.rows)]
+    columns = [
+        [[i * board.square_m, 0, 0], [i * board.square_m, y, 0]] for i in range(board.columns)
+    ]
+    return rr.LineStrips3D(rows + columns, colors=style.OBJECT, radii=-1.0)
+
+
+def _log_image(
+    rec: rr.RecordingStream,
+    entity: str,
+    image: np.ndarray | None,
+    corners: Array,
+    offset: Array | None,
+) -> None:
+    if image is None:
+        for part in ("image", "corners", "residuals"):
+            rec.log(f"{entity}/{part}", rr.Clear(recursive=False))
+        return
+    bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    _, jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, style.JPEG_QUALITY])
+    rec.log(f"{entity}/image", rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg"))
+    at = corners + 0.5  # a pixel's centre in the viewer
+    seen = np.isfinite(at).all(axis=1)
+    rec.log(f"{entity}/corners", rr.Points2D.from_fields(positions=at[seen]))
+    if offset is not None:
+        used = seen & np.isfinite(offset).all(axis=1)
+        strips = list(np.stack([at[used], at[used] + offset[used]], axis=1).astype(np.float32))
+        rec.log(f"{entity}/residuals", rr.LineStrips2D.from_fields(strips=strips))
+
+
+def _log_styles(rec: rr.RecordingStream, head: HeadCalibration, dataset: Dataset) -> None:
+    for entity in camera_entities(head).values():
+        dots = rr.Points2D.from_fields(colors=style.DETECTED, radii=-2.0)
+        rec.log(f"{entity}/corners", dots, static=True)
+        lines = rr.LineStrips2D.from_fields(colors=style.RAY, radii=-1.0)
+        rec.log(f"{entity}/residuals", lines, static=True)
+    for eye in EYES:
+        own = [name for name, mounted in head.cameras.items() if mounted.eye == eye]
+        for name, colour in zip(own, 9 * EYE_COLOURS[eye], strict=False):
+            look = rr.SeriesPoints(names=name.replace("_", " "), colors=colour, marker_sizes=3)
+            rec.log(f"residual/{name}", look, static=True)
+    for joint in dataset.description.joints:
+        if joint in EYE_JOINTS:
+            colour = style.JOINT_COLOURS[joint]
+            look = rr.SeriesPoints(names=joint.replace("_", " "), colors=colour, marker_sizes=3)
+            rec.log(f"joints/{joint}", look, static=True)
+
+
+def _log_series(
+    rec: rr.RecordingStream, dataset: Dataset, refined: Refined | None, time_s: Array
+) -> None:
+    rows = np.arange(len(dataset))
+    curves: dict[str, Array] = {}
+    if dataset.T_base_eye is None:
+        curves |= {f"joints/{name}": dataset.eye_angles[:, k] for k, name in enumerate(EYE_JOINTS)}
+    for name, errors in ({} if refined is None else refined.residuals_px).items():
+        squares = (errors**2).sum(axis=2)
+        seen = np.isfinite(squares)
+        total = np.where(seen, squares, 0.0).sum(axis=1)
+        curves[f"residual/{name}"] = np.where(
+            seen.any(axis=1), np.sqrt(total / np.maximum(seen.sum(axis=1), 1)), np.nan
+        )
+    for entity, values in curves.items():
+        told = np.isfinite(values)
+        if told.any():
+            times = time_columns(time_s[told], rows[told])
+            rec.send_columns(entity, times, rr.Scalars.columns(scalars=values[told]))
+
+
+def _blueprint(head: HeadCalibration, magnified: int | None) -> rrb.Blueprint:
+    marks = (
+        "dots: corners" if magnified is None else f"dots: corners, lines: residuals x {magnified}"
+    )
+    hidden = [
+        f"- {entity}/{mark}"
+        for entity in camera_entities(head).values()
+        for mark in ("corners", "residuals")
+    ]
+    space = view_3d(
+        "eyes and board, as they were found",
+        origin="world",
+        contents=["+ $origin/**", *hidden],
+        middle=np.array([0.35, -0.04, 0.0]),
+        eye=np.array([-0.1, 0.5, 0.3]),
+        trails={},
+    )
+    plots = [
+        rrb.TimeSeriesView(name=name, origin=origin, axis_x=whole_time())
+        for name, origin in (
+            ("residuals of an image, rms [px]", "residual"),
+            ("joint readings [rad]", "joints"),
+        )
+    ]
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(
+                space,
+                rrb.Grid(*camera_views(head, marks=marks), grid_columns=2),
+                row_shares=[5, 8],
+            ),
+            rrb.Vertical(
+                *plots, rrb.TextDocumentView(name="report", origin="report"), row_shares=[3, 3, 5]
+            ),
+            column_shares=[6, 5],
+        ),
+        rrb.TimePanel(
+            timeline="frame", state="collapsed", fps=2.0, loop_mode="all", play_state="playing"
+        ),
+        auto_views=False,
+        collapse_panels=True,
+    )

@@ -1,0 +1,76 @@
+"""Record one moment of a head: its posture, its images, and the marks in them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import cv2
+import numpy as np
+import rerun as rr
+
+from vergence.arrays import Array
+from vergence.data.dataset import Frame
+from vergence.viewer import style
+from vergence.viewer.shapes import quaternions
+
+
+def log_frame(
+    rec: rr.RecordingStream,
+    *,
+    time_s: float,
+    index: int,
+    frame: Frame | None,
+    body_poses: Mapping[str, Array],
+    detected: Mapping[str, Array],
+    truth: Mapping[str, Array],
+) -> None:
+    """Record one moment; may be called from another thread.
+
+    Args:
+        rec: the recording.
+        time_s: since the first sample.
+        index: of the sample.
+        frame: images; None: only the head moves.
+        body_poses: by name, poses (4, 4) in the world.
+        detected: by camera, the pixel (2,) at which the object was found; NaN: not found.
+        truth: by camera, the pixel (2,) at which it truly is.
+    """
+    rec.set_time("sim_time", duration=time_s)
+    rec.set_time("frame", sequence=index)
+    bodies = [body for body in body_poses if body != "world"]
+    if bodies:
+        T = np.array([body_poses[body] for body in bodies])
+        turns = quaternions(T[:, :3, :3])
+        for body, translation, quaternion in zip(bodies, T[:, :3, 3], turns, strict=True):
+            at = rr.Transform3D(translation=translation, quaternion=quaternion)
+            rec.log(f"world/{body}", at)
+    for name, image in ({} if frame is None else frame.images).items():
+        entity = f"world/{name.split('_')[0]}_eye/{name}"
+        bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+        _, jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, style.JPEG_QUALITY])
+        encoded = rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg")
+        rec.log(f"{entity}/image", encoded)
+        size = (image.shape[1], image.shape[0])
+        crosses = [pixel + style.CROSS_PX for pixel in _within(detected.get(name), size)]
+        strips = np.concatenate(crosses) if crosses else []
+        rec.log(f"{entity}/detected", rr.LineStrips2D.from_fields(strips=strips))
+        centers = _within(truth.get(name), size)
+        radii = np.full_like(centers, style.RING_PX)
+        rec.log(f"{entity}/truth", rr.Ellipses2D.from_fields(centers=centers, half_sizes=radii))
+
+
+def _within(pixel: Array | None, size: tuple[int, int]) -> Array:
+    """Return a pixel in rerun's coordinates (1, 2), or (0, 2) if it is not in the image."""
+    if pixel is None or not (np.abs(2 * pixel + 1 - size) <= size).all():
+        return np.empty((0, 2))
+    return pixel[None] + 0.5
+
+
+def time_columns(time_s: Array, index: np.ndarray) -> list[rr.TimeColumn]:
+    """Return both timelines for times (N,) [s] and numbers (N,) of samples."""
+    # A float array would be truncated to nanoseconds, while set_time rounds.
+    nanoseconds = np.round(time_s * 1e9).astype("timedelta64[ns]")
+    return [
+        rr.TimeColumn("sim_time", duration=nanoseconds),
+        rr.TimeColumn("frame", sequence=index),
+    ]

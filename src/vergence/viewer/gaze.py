@@ -1,0 +1,272 @@
+"""Record what a gaze controller does: what it sees, where it looks, what it knows.
+
+Images and postures are logged as they come (`log_gaze_frame`), all that is a curve or a trail at
+the end (`log_gaze_series`). Beside the entities of every recording there are
+
+    /world/<side>_eye/<camera>/aim  a long cross where the object shall be
+    /world/gaze                     frame body, with the axes, the estimate, the truth, the hand
+    /doing/<lane>                   what it is doing: phase, and what else the experiment tells
+    /gaze_error/left, right         object from the centre of the narrow image [px], truly
+    /position/x, y, z, true_x, ...  estimate and truth [m], in frame body
+    /error/fused, by_one_frame      distance of the estimates from the truth [mm]
+    /hand/distance                  of the hand, by its encoders, from the object [mm]
+    /eyes/<joint>, command_<joint>  readings and commands [rad]; /neck likewise
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import rerun as rr
+
+from vergence.arrays import Array
+from vergence.data.dataset import Frame
+from vergence.gaze.commands import EYES_4, HEAD_JOINTS, NECK, commanded
+from vergence.gaze.foveation import ideal_wide_pixel
+from vergence.gaze.state import Settings, State
+from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base
+from vergence.geometry.kinematics import EYES
+from vergence.geometry.se3 import inverse, transform
+from vergence.viewer import style
+from vergence.viewer.frame import log_frame, time_columns
+from vergence.viewer.layout import camera_entities
+from vergence.viewer.shapes import placed
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """What is known of one moment, by the controller and by who looks on."""
+
+    time_s: float
+    lanes: Mapping[str, str]
+    """What it is doing: by lane its state."""
+    readings: Array
+    """(7,) of the joints [rad]."""
+    sent: Array
+    """(7,) where the joints were sent, at the moment of the image."""
+    axes: Array
+    """(2, 2, 3) by eye, the narrow camera and a point on its axis, in frame body."""
+    fused: Array
+    """(3,) estimate over time, in frame body; NaN: none."""
+    one_frame: Array
+    """(3,) stereo by this frame alone; NaN: none."""
+    truth: Array = field(default_factory=lambda: np.full(3, np.nan))
+    """(3,) where the object is, in frame body; NaN: nobody knows, or it is hidden."""
+    errors_px: Array = field(default_factory=lambda: np.full(2, np.nan))
+    """(2,) object from the centre of the left and the right narrow image."""
+    hand: Array = field(default_factory=lambda: np.full(3, np.nan))
+    """(3,) where the hand is, in frame body."""
+
+
+def moment(
+    settings: Settings,
+    state: State,
+    frame: Frame,
+    time_s: float,
+    *,
+    lanes: Mapping[str, str] | None = None,
+    truth: Array | None = None,
+    errors_px: Array | None = None,
+    hand: Array | None = None,
+) -> Moment:
+    """Return what a controller's state says of a moment, with what it does not know itself.
+
+    Args:
+        settings: of the controller.
+        state: after the frame.
+        frame: the frame.
+        time_s: of the recording.
+        lanes: what it is doing, beside the phase of the gaze.
+        truth: (3,) as in Moment.
+        errors_px: (2,) as in Moment.
+        hand: (3,) as in Moment.
+    """
+    readings = np.concatenate([frame.neck_angles, frame.eye_angles])
+    nowhere = np.full(3, np.nan)
+    return Moment(
+        time_s=time_s,
+        lanes={"gaze": state.phase.value, **(lanes or {})},
+        readings=readings,
+        sent=commanded(state.commands, frame.time_s),
+        axes=_axes(settings.calibration, readings, state),
+        fused=nowhere if state.track is None else state.track.position,
+        one_frame=nowhere if state.measured is None else state.measured,
+        truth=nowhere if truth is None else truth,
+        errors_px=np.full(2, np.nan) if errors_px is None else errors_px,
+        hand=nowhere if hand is None else hand,
+    )
+
+
+def _cameras(head: HeadCalibration, readings: Array) -> list[Array]:
+    """Return the poses (4, 4) of the narrow cameras in frame body, at joint readings (7,)."""
+    neck, eyes = readings[NECK][: len(head.neck.axes)], readings[EYES_4].reshape(2, 2)
+    return [
+        T_body_base(head, eye, neck) @ T_base_cam(head, f"{eye}_narrow", angles)
+        for eye, angles in zip(EYES, eyes, strict=True)
+    ]
+
+
+def _axes(head: HeadCalibration, readings: Array, state: State) -> Array:
+    """Return (2, 2, 3): as far as the object, if it is known how far that is."""
+    found = []
+    for T in _cameras(head, readings):
+        length = style.AXIS_M
+        if state.track is not None:
+            length = float(np.linalg.norm(state.track.position - T[:3, 3]))
+        found.append([T[:3, 3], T[:3, 3] + length * T[:3, 2]])
+    return np.array(found)
+
+
+def aims(settings: Settings, state: State, frame: Frame) -> dict[str, Array]:
+    """Return by camera the pixel (2,) where the object shall be.
+
+    In a narrow image that is its principal point; in a wide one the place of Eqs. 18-19 for the
+    depth of the estimate, or its limit at infinity while there is none.
+    """
+    head = settings.calibration
+    readings = np.concatenate([frame.neck_angles, frame.eye_angles])
+    found = {}
+    for eye, T in zip(EYES, _cameras(head, readings), strict=True):
+        found[f"{eye}_narrow"] = head.camera(f"{eye}_narrow").intrinsics.matrix[:2, 2]
+        depth = np.inf
+        if state.track is not None:
+            depth = float(transform(inverse(T), state.track.position)[2])
+        found[f"{eye}_wide"] = ideal_wide_pixel(head, eye, depth if depth > 0 else np.inf)
+    return found
+
+
+def log_gaze_frame(
+    rec: rr.RecordingStream,
+    settings: Settings,
+    state: State,
+    frame: Frame,
+    *,
+    time_s: float,
+    index: int,
+    pictures: bool,
+    body_poses: Mapping[str, Array],
+    truth: Mapping[str, Array],
+) -> None:
+    """Record a posture, and the images with where the object shall be, was found and is.
+
+    Args:
+        rec: the recording.
+        settings: of the controller.
+        state: after the frame.
+        frame: the frame; a mark of what was found is left out in images that were not searched.
+        time_s: of the recording.
+        index: of the frame.
+        pictures: whether the images are recorded.
+        body_poses: by name, poses (4, 4) in the world.
+        truth: by camera, the pixel (2,) at which the object truly is.
+    """
+    log_frame(
+        rec,
+        time_s=time_s,
+        index=index,
+        frame=frame if pictures else None,
+        body_poses=body_poses,
+        detected=state.pixels,
+        truth=truth,
+    )
+    if not pictures:
+        return
+    for name, pixel in aims(settings, state, frame).items():
+        if name in frame.images:
+            height, width = frame.images[name].shape[:2]
+            u, v = pixel + 0.5
+            strips = [[(0, v), (width, v)], [(u, 0), (u, height)]]
+            rec.log(f"{camera_entities(settings.calibration)[name]}/aim", rr.LineStrips2D(strips))
+
+
+def log_gaze_styles(rec: rr.RecordingStream, head: HeadCalibration, T_world_body: Array) -> None:
+    """Record how curves and marks look, and where frame body is (4, 4) in the world."""
+    curves: dict[str, tuple[str, tuple[int, int, int]]] = {}
+    for k, axis in enumerate(style.AXIS_COLOURS):
+        label = ("x = depth", "y", "z")[k]
+        curves[f"position/true_{axis}"] = f"{label}, truth", style.PALE[axis]
+        curves[f"position/{axis}"] = label, style.AXIS_COLOURS[axis]
+    for eye, joint in zip(EYES, ("left_pan", "right_pan"), strict=True):
+        curves[f"gaze_error/{eye}"] = f"{eye} eye", style.JOINT_COLOURS[joint]
+    curves["error/by_one_frame"] = "one frame", style.PAPER
+    curves["error/fused"] = "fused", style.ESTIMATE
+    curves["hand/distance"] = "hand from the object", style.HAND
+    for joint, color in style.HEAD_JOINT_COLOURS.items():
+        name = joint.replace("_", " ").removeprefix("neck ")
+        pale = tuple(round(0.45 * level + 0.55 * 255) for level in color)
+        curves[_joint(joint, "command_")] = f"{name}, sent", (pale[0], pale[1], pale[2])
+        curves[_joint(joint)] = name, color
+    for entity, (name, color) in curves.items():
+        line = rr.SeriesLines(names=name, colors=color, widths=1.5, aggregation_policy="MinMax")
+        rec.log(entity, line, static=True)
+    names = list(style.STATE_COLOURS)
+    colors = list(style.STATE_COLOURS.values())
+    rec.log("doing/gaze", rr.StateConfiguration(values=names, colors=colors), static=True)
+    for entity in camera_entities(head).values():
+        cross = rr.LineStrips2D.from_fields(colors=style.AIM, radii=0.6)
+        rec.log(f"{entity}/aim", cross, static=True)
+    rec.log("world/gaze", placed(T_world_body), static=True)
+    for entity, radius_px, color in (
+        ("trail", 1.5, style.OLD),
+        ("estimate", 6.0, style.ESTIMATE),
+        ("hand_trail", 1.5, style.HAND),
+    ):
+        points = rr.Points3D.from_fields(radii=-radius_px, colors=color)  # negative: in pixels
+        rec.log(f"world/gaze/{entity}", points, static=True)
+    rays = rr.LineStrips3D.from_fields(colors=style.RAY, radii=-1.5)
+    rec.log("world/gaze/axes", rays, static=True)
+
+
+def _joint(joint: str, kind: str = "") -> str:
+    return f"{'neck' if joint in HEAD_JOINTS[NECK] else 'eyes'}/{kind}{joint}"
+
+
+def log_gaze_series(rec: rr.RecordingStream, moments: Sequence[Moment]) -> None:
+    """Record curves, trails and states of all moments, in their order."""
+    if not moments:
+        return
+    time_s, index = np.array([m.time_s for m in moments]), np.arange(len(moments))
+    fused, one_frame, truth, hand, errors = (
+        np.array([getattr(m, name) for m in moments])
+        for name in ("fused", "one_frame", "truth", "hand", "errors_px")
+    )
+    series: dict[str, Array] = {
+        "error/fused": 1e3 * np.linalg.norm(fused - truth, axis=1),
+        "error/by_one_frame": 1e3 * np.linalg.norm(one_frame - truth, axis=1),
+        "hand/distance": 1e3 * np.linalg.norm(hand - truth, axis=1),
+    }
+    for k, axis in enumerate(style.AXIS_COLOURS):
+        series |= {f"position/{axis}": fused[:, k], f"position/true_{axis}": truth[:, k]}
+    for k, eye in enumerate(EYES):
+        series[f"gaze_error/{eye}"] = errors[:, k]
+    for k, joint in enumerate(HEAD_JOINTS):
+        series[_joint(joint)] = np.array([m.readings[k] for m in moments])
+        series[_joint(joint, "command_")] = np.array([m.sent[k] for m in moments])
+    for entity, values in series.items():
+        if np.isfinite(values).any():
+            times = time_columns(time_s, index)  # NaN and all: a curve breaks there
+            rec.send_columns(entity, times, rr.Scalars.columns(scalars=values))
+    for points, names in ((fused, ("trail", "estimate")), (hand, ("hand_trail",))):
+        good = np.isfinite(points).all(axis=1)
+        for name in names if good.any() else ():
+            times = time_columns(time_s[good], index[good])
+            rec.send_columns(
+                f"world/gaze/{name}", times, rr.Points3D.columns(positions=points[good])
+            )
+    strips = np.array([m.axes for m in moments]).reshape(-1, 2, 3)
+    rays = rr.LineStrips3D.columns(strips=list(strips)).partition(np.full(len(moments), 2))
+    rec.send_columns("world/gaze/axes", time_columns(time_s, index), rays)
+    _log_lanes(rec, moments)
+
+
+def _log_lanes(rec: rr.RecordingStream, moments: Sequence[Moment]) -> None:
+    before: Mapping[str, str] = {}
+    for index, m in enumerate(moments):
+        for lane in {*before, *m.lanes}:
+            if before.get(lane) != m.lanes.get(lane):
+                rec.set_time("sim_time", duration=m.time_s)
+                rec.set_time("frame", sequence=index)
+                rec.log(f"doing/{lane}", rr.StateChange(state=m.lanes.get(lane, "")))
+        before = m.lanes

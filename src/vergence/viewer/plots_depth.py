@@ -1,0 +1,92 @@
+"""What depth means for the fovea: the paper's claim at the end of its Sec. IV, in numbers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from vergence.arrays import Array
+from vergence.gaze.foveation import foveal_miss, ideal_wide_pixel
+from vergence.geometry.head import HeadCalibration, T_narrow_wide
+from vergence.geometry.kinematics import EYES, Side
+from vergence.geometry.se3 import inverse
+from vergence.viewer.canvas import panels, save
+
+NEAREST_M, FARTHEST_M = 0.25, 5.0
+WRONG_M = (0.005, 0.020, 0.050)
+"""Errors of a depth."""
+WRONG_PX = (0.5, 1.0, 2.0)
+"""Errors of a disparity between the wide images."""
+_COLOURS = {"left": "#e67814", "right": "#1e8caa"}
+_SHADES = ("#8fb4f0", "#4a7fe0", "#12389b")
+
+
+def depth(path: Path, calibration: HeadCalibration) -> None:
+    """Draw how the ideal wide position converges with depth, and what errors of depth cost.
+
+    Args:
+        path: of the PNG.
+        calibration: of the head.
+
+    Raises:
+        VergenceError: the file cannot be written, or the head lacks a camera.
+    """
+    canvas, (converge, cost, disparity) = panels(
+        3, "Where to hold an object in the wide image so that it falls on the fovea", columns=3
+    )
+    depths = np.geomspace(NEAREST_M, FARTHEST_M, 200)
+    for eye in EYES:
+        away = ideal_wide_pixel(calibration, eye, depths) - ideal_wide_pixel(
+            calibration, eye, np.inf
+        )
+        distance = np.linalg.norm(away, axis=1)
+        width = 3.0 if eye == "left" else 1.5  # on a head as designed they are the same
+        converge.plot(depths, distance, color=_COLOURS[eye], linewidth=width, label=f"{eye} eye")
+    _finish(converge, "ideal position, from its limit at infinity", "wide image [px]")
+    for wrong_m, colour in zip(WRONG_M, _SHADES, strict=True):
+        miss = miss_px(calibration, depths, np.full_like(depths, wrong_m), eye="left")
+        cost.plot(depths, miss, color=colour, label=f"depth wrong by {1e3 * wrong_m:.0f} mm")
+    _finish(cost, "what an error in depth costs, left eye", "narrow image [px]")
+    for wrong_px, colour in zip(WRONG_PX, _SHADES, strict=True):
+        wrong = by_disparity(calibration, depths, wrong_px)
+        miss = miss_px(calibration, depths, wrong, eye="left")
+        disparity.plot(depths, miss, color=colour, label=f"disparity wrong by {wrong_px:g} px")
+    _finish(disparity, "what stereo by the wide images costs (Eq. 20)", "narrow image [px]")
+    save(canvas, path)
+
+
+def miss_px(calibration: HeadCalibration, depths: Array, wrong: Array, *, eye: Side) -> Array:
+    """Return how far (N,) [px] objects miss the centre of the narrow image.
+
+    Args:
+        calibration: of the head.
+        depths: (N,) [m] of the objects, on the narrow camera's axis.
+        wrong: (N,) [m] by how much more is believed.
+        eye: which eye.
+    """
+    T_wide_narrow = inverse(T_narrow_wide(calibration, eye))
+    from_wide = T_wide_narrow[2, 2] * depths + T_wide_narrow[2, 3]
+    return np.linalg.norm(foveal_miss(calibration, eye, from_wide, depths + wrong), axis=1)
+
+
+def by_disparity(calibration: HeadCalibration, depths: Array, error_px: float) -> Array:
+    """Return by how much (N,) [m] depths come out too large for an error of disparity [px].
+
+    Exact where Eq. 20 is its linear part, which is too small when the error is large.
+    """
+    focal = calibration.camera("left_wide").intrinsics.matrix[0, 0]
+    baseline = np.linalg.norm(calibration.T_rbase_lbase[:3, 3])
+    return depths**2 * error_px / (baseline * focal - depths * error_px)
+
+
+def _finish(axes: Axes, title: str, label: str) -> None:
+    axes.set_title(title, fontsize=11, loc="left")
+    axes.set(xscale="log", xlim=(NEAREST_M, FARTHEST_M), xlabel="depth [m]", ylabel=label)
+    axes.set_ylim(bottom=0)
+    marks = [0.25, 0.5, 1, 2, 5]
+    axes.set_xticks(marks, [f"{mark:g}" for mark in marks])
+    axes.minorticks_off()
+    axes.grid(color="0.9", linewidth=0.6)
+    axes.legend(fontsize=9, frameon=False)

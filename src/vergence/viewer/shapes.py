@@ -1,0 +1,126 @@
+"""What a recording draws in space: the head's shapes, its cameras, lines of sight."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import rerun as rr
+from scipy.spatial.transform import Rotation
+
+from vergence.arrays import Array
+from vergence.geometry.head import HeadCalibration, T_base_cam
+from vergence.geometry.se3 import inverse, transform
+
+if TYPE_CHECKING:  # the twin, and with it mujoco, is not needed to record a real head
+    from vergence.twin.appearance import VisualGeom
+from vergence.viewer import style
+from vergence.viewer.layout import camera_entities
+
+
+def quaternions(R: Array) -> Array:
+    """Return (..., 4) xyzw of rotations (..., 3, 3)."""
+    return Rotation.from_matrix(R).as_quat()
+
+
+def placed(T: Array) -> rr.Transform3D:
+    quaternion = rr.Quaternion(xyzw=quaternions(T[:3, :3]))
+    return rr.Transform3D(translation=T[:3, 3], quaternion=quaternion)
+
+
+def log_geoms(rec: rr.RecordingStream, geoms: Sequence[VisualGeom]) -> None:
+    batches: dict[tuple[str, str], list[VisualGeom]] = {}
+    for geom in geoms:
+        batches.setdefault((geom.body, geom.shape), []).append(geom)
+    for (body, shape), batch in batches.items():
+        entity = f"world/{body}/shape/{shape}"
+        T = np.array([geom.T_body_geom for geom in batch])
+        size = np.array([geom.size for geom in batch])
+        rgba = np.array([geom.rgba for geom in batch]) * [1, 1, 1, style.ALPHA.get(body, 1)]
+        colors = np.round(255 * rgba).astype(np.uint8)
+        look: dict[str, Any] = {"colors": colors, "fill_mode": "solid"}
+        look["quaternions"] = quaternions(T[:, :3, :3])
+        centers = T[:, :3, 3]
+        if shape == "box":
+            solids = rr.Boxes3D(half_sizes=size, centers=centers, **look)
+        elif shape in ("sphere", "ellipsoid"):
+            half_sizes = size[:, [0, 0, 0]] if shape == "sphere" else size
+            solids = rr.Ellipsoids3D(half_sizes=half_sizes, centers=centers, **look)
+        elif shape in ("cylinder", "capsule"):
+            look |= {"radii": size[:, 0], "lengths": 2 * size[:, 1]}
+            if shape == "cylinder":
+                solids = rr.Cylinders3D(centers=centers, **look)
+            else:  # rerun's capsule begins at its origin; MuJoCo's has it in the middle
+                starts = centers - size[:, 1:2] * T[:, :3, 2]
+                solids = rr.Capsules3D(translations=starts, **look)
+        else:
+            for k, geom in enumerate(batch):
+                rec.log(f"{entity}/{k}", _mesh(geom, colors[k]), static=True)
+            continue
+        rec.log(entity, solids, static=True)
+
+
+def _mesh(geom: VisualGeom, color: np.ndarray) -> rr.Mesh3D:
+    R, t = geom.T_body_geom[:3, :3], geom.T_body_geom[:3, 3]
+    if geom.triangles is not None and geom.normals is not None:
+        return rr.Mesh3D(
+            vertex_positions=geom.triangles.reshape(-1, 3) @ R.T + t,
+            vertex_normals=geom.normals.reshape(-1, 3) @ R.T,
+            albedo_factor=color,
+        )
+    x, y = geom.size[:2]
+    corners = np.array([[-x, y, 0], [x, y, 0], [x, -y, 0], [-x, -y, 0]])
+    return rr.Mesh3D(
+        vertex_positions=corners @ R.T + t,
+        vertex_normals=np.tile(R[:, 2], (4, 1)),
+        vertex_texcoords=[[0, 0], [1, 0], [1, 1], [0, 1]],
+        triangle_indices=[[0, 2, 1], [0, 3, 2]],
+        albedo_texture=geom.texture,
+        albedo_factor=color,
+    )
+
+
+def log_cameras(rec: rr.RecordingStream, head: HeadCalibration) -> None:
+    for name, entity in camera_entities(head).items():
+        mounted = head.camera(name)
+        camera, image_from_camera = mounted.intrinsics, mounted.intrinsics.matrix.copy()
+        lens = float(camera.matrix[0, 0]) / camera.width
+        image_from_camera[:2, 2] += 0.5
+        rec.log(
+            entity,
+            placed(mounted.T_eye_cam),
+            rr.Pinhole(
+                image_from_camera=image_from_camera,
+                width=camera.width,
+                height=camera.height,
+                image_plane_distance=style.FRUSTUM_WIDTH_M * lens,
+            ),
+            rr.TransformAxes3D(0),  # else the viewer draws axes as long as the frustum
+            static=True,
+        )
+        cross = rr.LineStrips2D.from_fields(colors=style.DETECTED, radii=1.0)
+        rec.log(f"{entity}/detected", cross, static=True)
+        ring = rr.Ellipses2D.from_fields(colors=style.TRUTH, line_radii=1.0)
+        rec.log(f"{entity}/truth", ring, static=True)
+
+
+def spread_ellipsoid(points: Array) -> rr.Ellipsoids3D:
+    """Return the ellipsoid of two standard deviations around the mean of points (N, 3)."""
+    variances, axes = np.linalg.eigh(np.cov(points.T))
+    axes[:, 0] *= np.linalg.det(axes)  # a rotation, not a reflection
+    return rr.Ellipsoids3D(
+        centers=[points.mean(axis=0)],
+        half_sizes=[2 * np.sqrt(np.maximum(variances, 0))],
+        quaternions=[rr.Quaternion(xyzw=quaternions(axes))],
+        colors=style.OBJECT,
+        fill_mode="majorwireframe",
+    )
+
+
+def lines_of_sight(head: HeadCalibration, points: Array, eye_angles: Array) -> Array:
+    """Return (N, 3, 3): left wide camera, point, right one, in the left eye's base frame."""
+    left = T_base_cam(head, "left_wide", eye_angles[:, :2])[:, :3, 3]
+    right = T_base_cam(head, "right_wide", eye_angles[:, 2:])[:, :3, 3]
+    right = transform(inverse(head.T_rbase_lbase), right)
+    return np.stack([left, points, right], axis=1)
