@@ -1,69 +1,38 @@
-"""Finding the board in every image of a dataset: in parallel, with progress and with reasons."""
+"""Find the board in every image of a dataset: in parallel, with progress and with reasons."""
 
 from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from rich.progress import Progress
 
 from vergence.arrays import Array
-from vergence.calibration.sequential.sequential import Views
+from vergence.calibration.observations import DetectionFailure, Observations
 from vergence.data.dataset import Dataset, decode, runs
 from vergence.data.timing import Timing
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board, Chessboard
+from vergence.progress import Progress, silent
 from vergence.vision.board_detection import find_corners
+from vergence.vision.board_pose import LEAST_CORNERS
 
-LEAST_CORNERS = 6
-"""Fewer do not say where a board is."""
 DARK, BRIGHT = 25, 230
 """Grey levels between which most of a usable image lies."""
 BLURRED = 0.35
 """Part of an image's contrast that is left in steps of two pixels, below which it is blurred."""
-FOUND_ALIKE_PX = 0.003
-"""Smooth errors that corners share which were found in images: assumed. On rendered boards they are
-0.001 to 0.002 px over the image, and a lens takes up more of them than of errors of any shape."""
+SYSTEMATIC_PX = 0.003
+"""Systematic error of the detector, smooth over the image: assumed. On rendered boards it is 0.001 to
+0.002 px, and the intrinsics absorb most of this error."""
 _PROBES = 4  # images on which other boards are tried when none was found
 
 
 @dataclass(frozen=True, eq=False)
-class Failure:
-    """An image that gave no corners."""
-
-    row: int
-    """Of the dataset, from 0."""
-    line: int
-    """Of frames.csv."""
-    camera: str
-    file: str
-    reason: str
-
-    def __str__(self) -> str:
-        return f"line {self.line}, {self.file}: {self.reason}"
-
-
-@dataclass(frozen=True, eq=False)
-class Detections:
-    """All that calibration needs of a dataset; V views are its rows."""
-
-    views: Views
-    timing: Timing | None
-    """When the readings were taken; None: the eyes stood still."""
-    T_base_eye: Array | None
-    """(V, 2, 4, 4) poses of the eyes, where the dataset gives them instead of angles."""
-    failures: tuple[Failure, ...]
-    remarks: tuple[str, ...]
-    """What is odd in the dataset, though it may be right."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Seen:
+class _Detection:
     camera: str
     row: int
     corners: Array | None
@@ -71,14 +40,14 @@ class _Seen:
     digest: bytes
 
 
-def detect(
-    dataset: Dataset, *, progress: Progress | None = None, least_corners: int = LEAST_CORNERS
-) -> Detections:
+def detect_target(
+    dataset: Dataset, *, progress: Progress = silent, least_corners: int = LEAST_CORNERS
+) -> Observations:
     """Find the board in all images of a dataset, in parallel threads.
 
     Args:
         dataset: what was recorded.
-        progress: gets a bar of its own; None: silent.
+        progress: called for each image.
         least_corners: with fewer an image counts as a failure.
 
     Raises:
@@ -93,66 +62,69 @@ def detect(
     ]
     if not jobs:
         raise VergenceError(f"{dataset.folder} names no image in frames.csv.")
-    task = progress.add_task("finding the board", total=len(jobs)) if progress else None
-    seen: list[_Seen] = []
+    task = "finding the board"
+    progress(task, 0, len(jobs))
+    found: list[_Detection] = []
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        futures = [pool.submit(_look, dataset, camera, row, least_corners) for camera, row in jobs]
+        futures = [
+            pool.submit(_detect, dataset, camera, row, least_corners) for camera, row in jobs
+        ]
         try:
             for future in futures:
-                seen.append(future.result())
-                if progress and task is not None:
-                    progress.advance(task)
+                found.append(future.result())
+                progress(task, len(found), len(jobs))
         finally:
             for future in futures:
                 future.cancel()
-    seen = _without_repeats(dataset, seen)
-    if all(each.corners is None for each in seen):
-        raise VergenceError(_nothing_found(dataset, seen))
+    found = _without_repeats(dataset, found)
+    if all(each.corners is None for each in found):
+        raise VergenceError(_nothing_found(dataset, found))
     board = dataset.description.board
     shape = (len(dataset), board.columns * board.rows, 2)
     corners = {name: np.full(shape, np.nan) for name in dataset.files}
-    for each in seen:
+    for each in found:
         if each.corners is not None:
             corners[each.camera][each.row] = each.corners
     cameras = dataset.description.cameras
-    views = Views(
-        board=board,
-        placement=dataset.placement,
-        eye_angles=dataset.eye_angles,
-        corners=corners,
-        sizes={name: (camera.width, camera.height) for name, camera in cameras.items()},
-        eyes={name: camera.eye for name, camera in cameras.items()},
-        shared_px=FOUND_ALIKE_PX,
-    )
     failures = tuple(
-        Failure(
+        DetectionFailure(
             row=each.row,
             line=int(dataset.lines[each.row]),
             camera=each.camera,
             file=str(dataset.files[each.camera][each.row]),
             reason=each.reason,
         )
-        for each in seen
+        for each in found
         if each.corners is None
     )
-    remarks = (*dataset.remarks, *_blind(views))
     timed = dataset.moving.any() and dataset.T_base_eye is None
-    timing = Timing(dataset.joint_time_s, runs(dataset)) if timed else None
-    return Detections(views, timing, dataset.T_base_eye, failures, remarks)
+    return Observations(
+        board=board,
+        placement=dataset.placement,
+        eye_angles=dataset.eye_angles,
+        corners=corners,
+        sizes={name: (camera.width, camera.height) for name, camera in cameras.items()},
+        eyes={name: camera.eye for name, camera in cameras.items()},
+        timing=Timing(dataset.joint_time_s, runs(dataset)) if timed else None,
+        T_base_eye=dataset.T_base_eye,
+        systematic_px=SYSTEMATIC_PX,
+        failures=failures,
+        remarks=(*dataset.remarks, *_blind(corners)),
+    )
 
 
-def _look(dataset: Dataset, camera: str, row: int, least_corners: int) -> _Seen:
+def _detect(dataset: Dataset, camera: str, row: int, least_corners: int) -> _Detection:
     image = decode(dataset.folder / str(dataset.files[camera][row]))
     if image is None:
-        return _Seen(camera, row, None, "the file is not a readable image", b"")
+        return _Detection(camera, row, None, "the file is not a readable image", b"")
     dataset.check_size(camera, row, image)
     digest = hashlib.blake2b(image.tobytes(), digest_size=16).digest()
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    corners, reason = look_for(grey, dataset.description.board, least_corners)
-    return _Seen(camera, row, corners, reason, digest)
+    corners, reason = detect_or_explain(grey, dataset.description.board, least_corners)
+    return _Detection(camera, row, corners, reason, digest)
 
 
-def look_for(
+def detect_or_explain(
     grey: np.ndarray, board: Board, least_corners: int = LEAST_CORNERS
 ) -> tuple[Array | None, str]:
     """Return the corners (K, 2) [px] in an image (H, W) uint8, or None and the reason."""
@@ -182,9 +154,9 @@ def _why_not(grey: np.ndarray) -> str:
     return "the board was not found"
 
 
-def _without_repeats(dataset: Dataset, seen: list[_Seen]) -> list[_Seen]:
+def _without_repeats(dataset: Dataset, seen: list[_Detection]) -> list[_Detection]:
     """Return the same with pictures that a camera gave twice as failures."""
-    first: dict[bytes, _Seen] = {}
+    first: dict[bytes, _Detection] = {}
     kept = []
     for each in seen:
         before = first.setdefault(each.digest, each) if each.digest else each
@@ -201,7 +173,7 @@ def _without_repeats(dataset: Dataset, seen: list[_Seen]) -> list[_Seen]:
     return kept
 
 
-def _nothing_found(dataset: Dataset, seen: list[_Seen]) -> str:
+def _nothing_found(dataset: Dataset, seen: list[_Detection]) -> str:
     """Return the sentence for a board that is in no image, with the usual cause if it is that."""
     board = dataset.description.board
     stated = f"{board.columns} x {board.rows} inner corners"
@@ -219,7 +191,9 @@ def _nothing_found(dataset: Dataset, seen: list[_Seen]) -> str:
     return f"{sentence}; check board in dataset.json."
 
 
-def _alternatives(board: Chessboard, seen: list[_Seen]) -> Iterator[tuple[Chessboard, _Seen]]:
+def _alternatives(
+    board: Chessboard, seen: list[_Detection]
+) -> Iterator[tuple[Chessboard, _Detection]]:
     others = [(board.columns - 1, board.rows - 1), (board.columns + 1, board.rows + 1)]
     for each in seen[:: max(1, len(seen) // _PROBES)]:
         for columns, rows in others:
@@ -227,9 +201,9 @@ def _alternatives(board: Chessboard, seen: list[_Seen]) -> Iterator[tuple[Chessb
                 yield Chessboard(columns, rows, board.square_m), each
 
 
-def _blind(views: Views) -> list[str]:
+def _blind(corners: Mapping[str, Array]) -> list[str]:
     return [
         f"{name} never sees the board."
-        for name, corners in views.corners.items()
-        if not np.isfinite(corners).any()
+        for name, found in corners.items()
+        if not np.isfinite(found).any()
     ]

@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic import AliasChoices, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Array, Matrix, Transform
@@ -52,21 +52,28 @@ class HeldOut:
     """What point_mm should be by the stated noise and covariance; None: these are not stated."""
     distance_m: float | None
     """Of these corners from the left eye, in the mean."""
-    scatter: float | None = None
-    """How much more the calibrations of the folds differ than their covariance says, as a ratio
-    of standard deviations; 1 where the noise model is right."""
+    jackknife_ratio: Annotated[
+        float | None, Field(validation_alias=AliasChoices("jackknife_ratio", "scatter"))
+    ] = None
+    """Standard deviation of the parameters by the jackknife over the folds, relative to the stated
+    one; 1 where the noise model is right. Files of version 0.1 call it scatter."""
+
+
+def _method_of_version_0_1(name: str) -> str:
+    return "bundle" if name == "refined" else name
 
 
 @dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
 class Accuracy:
     """How well a calibration is known; see docs/calibration.md."""
 
-    method: Literal["refined", "paper"]
+    method: Annotated[Literal["bundle", "paper"], BeforeValidator(_method_of_version_0_1)]
+    """Bundle adjustment, or the paper's steps alone."""
     parameters: tuple[str, ...] = ()
     """Names of what was estimated, such as left_wide.fx, left_wide.T_eye_cam.rx, left.pan_gain;
     px, rad, m, s. Empty for the paper's method, which states no accuracy."""
     covariance: Matrix = field(default_factory=lambda: np.empty((0, 0)))
-    """In the order of parameters. Poses change along the axes of the frame that they map into."""
+    """In the order of parameters. Poses change by the increment of `se3.boxplus`."""
     pixel_std_px: float | None = None
     """Noise of one coordinate of a corner."""
     joint_std: tuple[float, ...] = ()
@@ -97,7 +104,7 @@ class HeadCalibration:
     time_offset_s: float = 0.0
     """An image shows the joints this much later than their reading."""
     accuracy: Accuracy | None = None
-    """None: nobody has said; files of other programs and heads as designed have none."""
+    """None: not stated; files of other programs and heads as designed have none."""
     format: Literal["vergence-head-calibration-1"] = "vergence-head-calibration-1"
 
     def camera(self, name: str) -> MountedCamera:
@@ -158,19 +165,23 @@ def T_narrow_wide(calibration: HeadCalibration, eye: Side) -> Array:
 _ADAPTER = TypeAdapter(HeadCalibration)
 
 
-def save(calibration: HeadCalibration, path: Path) -> None:
-    """Write a calibration as JSON."""
-    write_whole(path, _ADAPTER.dump_json(calibration, indent=1).decode() + "\n")
+def save_head(head: HeadCalibration, path: Path | str) -> None:
+    """Write a calibration as JSON.
+
+    Raises:
+        VergenceError: the file cannot be written.
+    """
+    write_whole(Path(path), _ADAPTER.dump_json(head, indent=1).decode() + "\n")
 
 
-def load(path: Path) -> HeadCalibration:
+def load_head(path: Path | str) -> HeadCalibration:
     """Read a calibration from JSON.
 
     Raises:
         VergenceError: the file is missing, not JSON, or a field of it is not valid.
     """
     try:
-        return _ADAPTER.validate_json(path.read_bytes())
+        return _ADAPTER.validate_json(Path(path).read_bytes())
     except OSError as error:
         raise VergenceError(f"Cannot read the calibration {path}: {error.strerror}.") from error
     except ValidationError as error:

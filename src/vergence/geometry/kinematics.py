@@ -1,12 +1,14 @@
-"""Joint angles to poses: the eyes' pan and tilt, with imperfect axes, and the neck's chain.
+"""Joint readings to poses: chains of revolute joints, the eyes' and the neck's.
 
-Pan is a right-handed turn about +z (positive looks left), tilt about +y (positive looks down),
-pan first: `R_base_eye = Rz(pan) Ry(tilt)`.
+A chain is what carries a camera: each joint turns about an axis through a point, and its angle is a
+linear combination of readings. The default of an eye is the paper's: pan, a right-handed turn about
++z (positive looks left), then tilt about +y (positive looks down), `R_base_eye = Rz(pan) Ry(tilt)`.
 """
 
 from __future__ import annotations
 
-from dataclasses import field
+from dataclasses import astuple, field, fields
+from dataclasses import dataclass as plain_dataclass
 from typing import Literal
 
 import numpy as np
@@ -20,7 +22,70 @@ Side = Literal["left", "right"]
 EYES: tuple[Side, Side] = ("left", "right")
 EYE_JOINTS = ("left_pan", "left_tilt", "right_pan", "right_tilt")
 """Order of the columns wherever the angles of both eyes stand in one (N, 4) array."""
+EYE_COLUMNS: dict[Side, slice] = {"left": slice(0, 2), "right": slice(2, 4)}
+"""Where pan and tilt of an eye stand among the four angles of both."""
 NECK_JOINTS = ("neck_pitch", "neck_roll", "neck_yaw")
+
+
+@plain_dataclass(frozen=True, eq=False)
+class Chain:
+    """n revolute joints from a base outwards, moved by r readings.
+
+    Axes and points are given in the base with every joint at zero, where all frames are parallel.
+    Leading dimensions are batches.
+    """
+
+    axes: Array
+    """(..., n, 3) unit vectors."""
+    points_m: Array
+    """(..., n, 3) a point on each axis."""
+    end_m: Array
+    """(..., 3) origin of the frame at the end of the chain."""
+    mixing: Array
+    """(..., n, r): angles = mixing @ readings + offset."""
+    offset_rad: Array
+    """(..., n)."""
+
+
+def joint_angles(chain: Chain, readings: Array) -> Array:
+    """Return the angles (..., n) [rad] at readings (..., r)."""
+    return (chain.mixing @ readings[..., None])[..., 0] + chain.offset_rad
+
+
+def chain_pose(chain: Chain, readings: Array) -> Array:
+    """Return the pose (..., 4, 4) of the chain's end in its base at readings (..., r) [rad]."""
+    return _joint_frames(chain, readings)[-1]
+
+
+def chain_jacobian(chain: Chain, readings: Array) -> Array:
+    """Return how the pose changes with the angles (..., 6, n), in the increment of `se3.boxplus`.
+
+    The geometric Jacobian: a joint turns the end about its axis, and moves it by the axis times the
+    arm from the axis to the end.
+    """
+    *joints, end = _joint_frames(chain, readings)
+    columns = []
+    for k, joint in enumerate(joints):
+        axis = (joint[..., :3, :3] @ chain.axes[..., k, :, None])[..., 0]
+        arm = end[..., :3, 3] - joint[..., :3, 3]
+        columns.append(np.concatenate([axis, np.cross(axis, arm)], axis=-1))
+    return np.stack(columns, axis=-1)
+
+
+def _joint_frames(chain: Chain, readings: Array) -> list[Array]:
+    """Return the frames (..., 4, 4) at each joint before its turn, and at the chain's end."""
+    angles = joint_angles(chain, readings)
+    turns = rotation(angles[..., None] * chain.axes)
+    R, t, at = np.eye(3), np.zeros(3), np.zeros(3)
+    frames = []
+    for k in range(chain.axes.shape[-2]):
+        point = chain.points_m[..., k, :]
+        t = t + (R @ (point - at)[..., None])[..., 0]
+        frames.append(pose(R, t))
+        R, at = R @ turns[..., k, :, :], point
+    t = t + (R @ (chain.end_m - at)[..., None])[..., 0]
+    shape = (*np.broadcast_shapes(angles.shape[:-1], t.shape[:-1]), 3)
+    return [*frames, pose(R, np.broadcast_to(t, shape))]
 
 
 @dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
@@ -40,20 +105,59 @@ class EyeAxes:
     """Distance of the tilt axis ahead (+x) of the pan axis, which it should intersect."""
 
 
-def T_base_eye(angles: Array, axes: EyeAxes | None = None) -> Array:
+AXES = tuple(each.name for each in fields(EyeAxes))
+
+
+def axes_row(axes: EyeAxes) -> Array:
+    """Return the fields (6,) of EyeAxes in the order of AXES."""
+    return np.array(astuple(axes))
+
+
+def eye_chain(axes: EyeAxes | Array | None = None) -> Chain:
+    """Return the chain of an eye: pan, then tilt.
+
+    Args:
+        axes: the eye's imperfections, or rows (..., 6) of them; None: perfect axes.
+    """
+    rows = axes if isinstance(axes, np.ndarray) else axes_row(axes or EyeAxes())
+    mixing, steps, directions = (np.zeros((*rows.shape[:-1], 2, n)) for n in (2, 3, 3))
+    mixing[..., 0, 0], mixing[..., 1, 1] = rows[..., 0], rows[..., 1]
+    directions[..., 0, 2] = 1.0
+    directions[..., 1, 1], directions[..., 1, 2] = np.cos(rows[..., 4]), np.sin(rows[..., 4])
+    steps[..., 1, 0] = rows[..., 5]
+    return Chain(directions, steps, steps[..., 1, :], mixing, rows[..., 2:4])
+
+
+def T_base_eye(angles: Array, axes: EyeAxes | Array | None = None) -> Array:
     """Return the pose (..., 4, 4) of the eye in its fixed base frame: T_er(theta) of the paper.
 
     Args:
         angles: (..., 2) readings of pan and tilt [rad].
-        axes: the eye's imperfections; None: none.
+        axes: see `eye_chain`.
     """
-    axes = EyeAxes() if axes is None else axes
-    pan = axes.pan_gain * angles[..., 0] + axes.pan_offset_rad
-    tilt = axes.tilt_gain * angles[..., 1] + axes.tilt_offset_rad
-    tilt_axis = np.array([0, np.cos(axes.nonorthogonality_rad), np.sin(axes.nonorthogonality_rad)])
-    turns = np.stack([pan[..., None] * np.array([0.0, 0.0, 1.0]), tilt[..., None] * tilt_axis])
-    R_pan, R_tilt = rotation(turns)
-    return pose(R_pan @ R_tilt, R_pan @ np.array([axes.axis_distance_m, 0.0, 0.0]))
+    return chain_pose(eye_chain(axes), angles)
+
+
+def eye_jacobians(angles: Array, axes: Array) -> tuple[Array, Array]:
+    """Return how T_base_eye changes with the axes (..., 6, 6) and the readings (..., 6, 2).
+
+    In the increment of `se3.boxplus`.
+
+    Args:
+        angles: (..., 2) readings of pan and tilt [rad].
+        axes: (..., 6) fields of EyeAxes.
+    """
+    chain = eye_chain(axes)
+    by_angle = chain_jacobian(chain, angles)
+    R_pan, R_eye = (T[..., :3, :3] for T in _joint_frames(chain, angles)[1:])
+    by_axes = np.zeros((*by_angle.shape[:-1], 6))
+    by_axes[..., :2] = by_angle * angles[..., None, :]
+    by_axes[..., 2:4] = by_angle
+    R_tilt = np.swapaxes(R_pan, -1, -2) @ R_eye
+    # The tilt axis is turned about x: R_tilt becomes exp(e x) R_tilt exp(-e x).
+    by_axes[..., :3, 4] = (R_pan @ (np.eye(3) - R_tilt))[..., :, 0]
+    by_axes[..., 3:, 5] = R_pan[..., :, 0]
+    return by_axes, by_angle @ chain.mixing
 
 
 @dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
@@ -74,8 +178,5 @@ class Neck:
 
 def T_body_head(neck: Neck, angles: Array) -> Array:
     """Return the pose (..., 4, 4) of the head in frame body at neck angles (..., n) [rad]."""
-    T = pose(np.broadcast_to(np.eye(3), (*angles.shape[:-1], 3, 3)))
-    R = rotation(angles[..., None] * neck.axes)
-    for k, point in enumerate(neck.points_m):
-        T = T @ pose(R[..., k, :, :], point - R[..., k, :, :] @ point)
-    return T @ pose(t=neck.head_m)
+    n = len(neck.axes)
+    return chain_pose(Chain(neck.axes, neck.points_m, neck.head_m, np.eye(n), np.zeros(n)), angles)

@@ -1,56 +1,112 @@
-"""The numbers of a head by their names, as covariances speak of them: differences and changes."""
+"""A head as a vector of named parameters: what is estimated, and what covariances speak of.
+
+For each camera fx, fy, cx, cy [px], k1, k2, p1, p2, k3 and the 6 increments of T_eye_cam; the 6
+increments of T_rbase_lbase; the 6 fields of EyeAxes for each eye; the time offset [s]. Poses change
+by `se3.boxplus`: rotation [rad], then translation [m], along the axes of the frame that they map
+into.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.bundle.problem import (
-    AXES,
-    PER_CAMERA,
-    axes_row,
-    calibration_names,
-    changed_lens,
-    lens_vector,
-    moved,
-    pose_difference,
-)
 from vergence.errors import VergenceError
-from vergence.geometry.head import HeadCalibration, MountedCamera
-from vergence.geometry.kinematics import EYES, EyeAxes
+from vergence.geometry import se3
+from vergence.geometry.camera import Camera
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import AXES, EYES, EyeAxes, axes_row, eye_chain
 from vergence.geometry.se3 import pose, rotation
 
+INTRINSICS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+POSE = ("rx", "ry", "rz", "tx", "ty", "tz")
+PER_CAMERA = len(INTRINSICS) + len(POSE)
 
-def without_offsets(head: HeadCalibration) -> HeadCalibration:
-    """Return a head that does the same without offsets of its joints.
 
-    Rz(pan + o) = Rz(o) Rz(pan) turns the base frame; an offset of tilt, whose axis is fixed behind
-    pan, turns the mountings of the cameras. Two calibrations can be compared only in the same
-    choice, and this is the one that `refine` makes.
+def parameter_names(cameras: Iterable[str]) -> tuple[str, ...]:
+    """Return the names of the parameters of a head with these cameras, in their order."""
+    own = (*INTRINSICS, *(f"T_eye_cam.{name}" for name in POSE))
+    return (
+        *(f"{camera}.{name}" for camera in cameras for name in own),
+        *(f"T_rbase_lbase.{name}" for name in POSE),
+        *(f"{eye}.{name}" for eye in EYES for name in AXES),
+        "time_offset_s",
+    )
+
+
+def lens_vector(camera: Camera) -> Array:
+    """Return (9,) in the order of INTRINSICS."""
+    K = camera.matrix
+    return np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *camera.distortion])
+
+
+def lens_of_vector(camera: Camera, values: Array) -> Camera:
+    """Return a camera with other values (9,); its size and its skew stay.
+
+    Raises:
+        ValueError: a focal length is not positive.
     """
-    axes, turned, mounts = {}, {}, {}
-    for eye in EYES:
-        own = head.axes[eye]
-        across = np.array([0, np.cos(own.nonorthogonality_rad), np.sin(own.nonorthogonality_rad)])
-        turned[eye] = pose(rotation(np.array([0.0, 0.0, own.pan_offset_rad])))
-        mounts[eye] = pose(rotation(own.tilt_offset_rad * across))
-        axes[eye] = replace(own, pan_offset_rad=0.0, tilt_offset_rad=0.0)
+    fx, fy, cx, cy, *distortion = values
+    matrix = np.array([[fx, camera.matrix[0, 1], cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    return replace(camera, matrix=matrix, distortion=np.array(distortion))
+
+
+def boxplus(head: HeadCalibration, change: Array) -> HeadCalibration:
+    """Return a head whose parameters are changed by (c,), in the order of parameter_names.
+
+    Raises:
+        ValueError: a focal length would not stay positive.
+    """
+    C = len(head.cameras)
+    own, rest = change[: PER_CAMERA * C].reshape(C, PER_CAMERA), change[PER_CAMERA * C :]
     cameras = {
-        name: replace(mounted, T_eye_cam=mounts[mounted.eye] @ mounted.T_eye_cam)
-        for name, mounted in head.cameras.items()
+        name: replace(
+            mounted,
+            intrinsics=lens_of_vector(
+                mounted.intrinsics, lens_vector(mounted.intrinsics) + row[: len(INTRINSICS)]
+            ),
+            T_eye_cam=se3.boxplus(mounted.T_eye_cam, row[len(INTRINSICS) :]),
+        )
+        for (name, mounted), row in zip(head.cameras.items(), own, strict=True)
     }
-    T_rbase_lbase = turned["right"].T @ head.T_rbase_lbase @ turned["left"]
-    return replace(head, cameras=cameras, axes=axes, T_rbase_lbase=T_rbase_lbase)
+    axes = {
+        eye: EyeAxes(*(axes_row(head.axes[eye]) + row).tolist())
+        for eye, row in zip(EYES, rest[6:18].reshape(2, len(AXES)), strict=True)
+    }
+    return replace(
+        head,
+        cameras=cameras,
+        T_rbase_lbase=se3.boxplus(head.T_rbase_lbase, rest[:6]),
+        axes=axes,
+        time_offset_s=head.time_offset_s + float(rest[18]),
+    )
 
 
-def difference(head: HeadCalibration, reference: HeadCalibration) -> dict[str, float]:
+def change_named(head: HeadCalibration, names: Sequence[str], change: Array) -> HeadCalibration:
+    """Return a head with the named parameters changed by (c,).
+
+    Raises:
+        VergenceError: a parameter has an unknown name.
+    """
+    known = {name: k for k, name in enumerate(parameter_names(head.cameras))}
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise VergenceError(f"This head has no parameter {unknown[0]!r}.")
+    full = np.zeros(len(known))
+    full[[known[name] for name in names]] = change
+    return boxplus(head, full)
+
+
+def boxminus(head: HeadCalibration, reference: HeadCalibration) -> dict[str, float]:
     """Return by name how much each parameter of a head differs from that of a reference.
 
+    Offsets of the joints are counted as turns of the bases and mountings: see without_offsets.
+
     Args:
-        head: whose cameras are compared; offsets of the joints are as without_offsets has them.
+        head: whose cameras are compared.
         reference: with at least the same cameras.
     """
     head, reference = without_offsets(head), without_offsets(reference)
@@ -58,58 +114,44 @@ def difference(head: HeadCalibration, reference: HeadCalibration) -> dict[str, f
     for name, mounted in head.cameras.items():
         other = reference.camera(name)
         values.extend(lens_vector(mounted.intrinsics) - lens_vector(other.intrinsics))
-        values.extend(pose_difference(mounted.T_eye_cam, other.T_eye_cam))
-    values.extend(pose_difference(head.T_rbase_lbase, reference.T_rbase_lbase))
+        values.extend(se3.boxminus(mounted.T_eye_cam, other.T_eye_cam))
+    values.extend(se3.boxminus(head.T_rbase_lbase, reference.T_rbase_lbase))
     for eye in EYES:
-        values.extend(np.subtract(axes_row(head.axes[eye]), axes_row(reference.axes[eye])))
+        values.extend(axes_row(head.axes[eye]) - axes_row(reference.axes[eye]))
     values.append(head.time_offset_s - reference.time_offset_s)
-    names = calibration_names(tuple(head.cameras))
-    return dict(zip(names, map(float, values), strict=True))
+    return dict(zip(parameter_names(head.cameras), map(float, values), strict=True))
 
 
-def values_of(head: HeadCalibration) -> dict[str, float | None]:
+def parameter_values(head: HeadCalibration) -> dict[str, float | None]:
     """Return by name the value of each parameter; None for those of poses."""
     values: list[float | None] = []
     for mounted in head.cameras.values():
-        values += [*map(float, lens_vector(mounted.intrinsics)), *[None] * 6]
+        values += [*lens_vector(mounted.intrinsics).tolist(), *[None] * 6]
     values += [None] * 6
     for eye in EYES:
-        values += axes_row(head.axes[eye])
+        values += axes_row(head.axes[eye]).tolist()
     values.append(head.time_offset_s)
-    return dict(zip(calibration_names(tuple(head.cameras)), values, strict=True))
+    return dict(zip(parameter_names(head.cameras), values, strict=True))
 
 
-def changed(head: HeadCalibration, parameters: Sequence[str], change: Array) -> HeadCalibration:
-    """Return a head with the named parameters changed by (c,).
+def without_offsets(head: HeadCalibration) -> HeadCalibration:
+    """Return a head that does the same without offsets of its joints.
 
-    Raises:
-        VergenceError: a parameter has an unknown name.
+    Rz(pan + o) = Rz(o) Rz(pan) turns the base frame; an offset of tilt, whose axis is fixed behind
+    pan, turns the mountings of the cameras. Two calibrations can be compared only in the same
+    choice, and this is the one that bundle adjustment makes.
     """
-    names = calibration_names(tuple(head.cameras))
-    by = np.zeros(len(names))
-    for name, amount in zip(parameters, change, strict=True):
-        if name not in names:
-            raise VergenceError(f"This head has no parameter {name!r}.")
-        by[names.index(name)] = amount
-    own = by[: PER_CAMERA * len(head.cameras)].reshape(-1, PER_CAMERA)
-    rest = by[PER_CAMERA * len(head.cameras) :]
-    cameras = {
-        name: MountedCamera(
-            eye=mounted.eye,
-            intrinsics=changed_lens(mounted.intrinsics, row[:9]),
-            T_eye_cam=moved(mounted.T_eye_cam, row[9:]),
+    axes, bases, mounts = {}, {}, {}
+    for eye in EYES:
+        own = head.axes[eye]
+        chain = eye_chain(own)
+        bases[eye], mounts[eye] = (
+            pose(R) for R in rotation(chain.offset_rad[:, None] * chain.axes)
         )
-        for (name, mounted), row in zip(head.cameras.items(), own, strict=True)
+        axes[eye] = replace(own, pan_offset_rad=0.0, tilt_offset_rad=0.0)
+    cameras = {
+        name: replace(mounted, T_eye_cam=mounts[mounted.eye] @ mounted.T_eye_cam)
+        for name, mounted in head.cameras.items()
     }
-    rows = rest[6:18].reshape(2, len(AXES))
-    axes = {
-        eye: EyeAxes(*map(float, np.add(axes_row(head.axes[eye]), row)))
-        for eye, row in zip(EYES, rows, strict=True)
-    }
-    return replace(
-        head,
-        cameras=cameras,
-        T_rbase_lbase=moved(head.T_rbase_lbase, rest[:6]),
-        axes=axes,
-        time_offset_s=head.time_offset_s + float(rest[18]),
-    )
+    T_rbase_lbase = bases["right"].T @ head.T_rbase_lbase @ bases["left"]
+    return replace(head, cameras=cameras, axes=axes, T_rbase_lbase=T_rbase_lbase)

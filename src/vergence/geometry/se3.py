@@ -1,4 +1,4 @@
-"""Rigid transforms as (..., 4, 4) arrays, on scipy's Rotation and RigidTransform.
+"""Rigid transforms as (..., 4, 4) arrays, on scipy's Rotation.
 
 `T_a_b` maps coordinates of frame b into frame a: `p_a = T_a_b @ p_b`, `T_a_c = T_a_b @ T_b_c`.
 Leading dimensions are batches, and `@` broadcasts over them. See docs/conventions.md.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import Rotation
 
 from vergence.arrays import Array
 
@@ -46,14 +46,19 @@ def rotvec(R: Array) -> Array:
     return Rotation.from_matrix(R).as_rotvec()
 
 
-def exp(xi: ArrayLike) -> Array:
-    """Return T (..., 4, 4) of exponential coordinates (..., 6): rotation [rad], translation [m]."""
-    return RigidTransform.from_exp_coords(np.asarray(xi, dtype=float)).as_matrix()
+def boxplus(T: Array, xi: Array) -> Array:
+    """Return T_a_b (..., 4, 4) changed by increments (..., 6), along the axes of frame a.
+
+    The one increment of a pose in this project: rotation phi [rad], then translation d [m], turn
+    R_a_b into exp(phi) R_a_b and t_a_b into t_a_b + d. Covariances of poses speak of it.
+    """
+    return pose(rotation(xi[..., :3]) @ T[..., :3, :3], T[..., :3, 3] + xi[..., 3:])
 
 
-def log(T: Array) -> Array:
-    """Return the exponential coordinates (..., 6) of T (..., 4, 4): rotation, translation."""
-    return RigidTransform.from_matrix(T).as_exp_coords()
+def boxminus(T: Array, T_reference: Array) -> Array:
+    """Return the increments (..., 6) with boxplus(T_reference, increments) = T."""
+    R = T[..., :3, :3] @ np.swapaxes(T_reference[..., :3, :3], -1, -2)
+    return np.concatenate([rotvec(R), T[..., :3, 3] - T_reference[..., :3, 3]], axis=-1)
 
 
 def hat(v: Array) -> Array:

@@ -1,162 +1,225 @@
-"""How far off a located point is: the paper's Eqs. 20-21 and their generalisation.
-
-Eqs. 20-21 hold on the optical axis of two parallel cameras, and are for a first idea and for
-designing a head; `locate_with_covariance` holds for any sample of any head.
-"""
+"""Located points and their covariances: noise of pixels and joints, and the calibration's own."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
-from vergence.geometry.head import HeadCalibration
-from vergence.stereo.triangulation import check_shapes, locate
+from vergence.errors import VergenceError
+from vergence.geometry.head import Accuracy, HeadCalibration
+from vergence.geometry.parameters import change_named
+from vergence.stereo.triangulation import checked, triangulate_at
 
 _PIXEL_STEP_PX = 1e-2  # of the central differences: rounding and curvature both stay below 1e-7
 _JOINT_STEP_RAD = 3e-5
+_STEP = 1e-2  # of the calibration, in standard deviations: no rounding, no curvature
 
 
-def depth_error(
-    depth_m: ArrayLike, baseline_m: ArrayLike, focal_px: ArrayLike, disparity_error_px: ArrayLike
-) -> Array:
-    """Eq. 20: return the error in depth (...,) [m] that an error in disparity makes.
+@dataclass(frozen=True, eq=False)
+class LocatedPoints:
+    """Where N points are."""
 
-    Args:
-        depth_m: from the centres of the cameras.
-        baseline_m: between the centres of the cameras.
-        focal_px: of both cameras.
-        disparity_error_px: of the difference between the two image positions.
-    """
-    depth, baseline, focal = (np.asarray(a, float) for a in (depth_m, baseline_m, focal_px))
-    return depth**2 / (baseline * focal) * np.asarray(disparity_error_px, float)
-
-
-def disparity_error(focal_px: ArrayLike, orientation_error_rad: ArrayLike) -> Array:
-    """Eq. 21: return the error in disparity (...,) [px] of a wrong angle between the cameras."""
-    return np.asarray(focal_px, float) * np.tan(np.asarray(orientation_error_rad, float))
+    xyz: Array
+    """(N, 3) [m] in the left eye's base frame (x forward = depth, y left, z up); NaN where the
+    status is not OK."""
+    covariance: Array
+    """(N, 3, 3) [m^2], to first order; NaN where the status is not OK, or where neither the caller
+    nor the calibration states any noise."""
+    status: np.ndarray
+    """(N,) of triangulation.Status."""
 
 
-def predicted_depth_std(
-    depth_m: ArrayLike,
-    baseline_m: ArrayLike,
-    focal_px: ArrayLike,
+def locate(
+    head: HeadCalibration,
     *,
-    joint_std_rad: ArrayLike = 0.0,
-    pixel_std_px: ArrayLike = 0.0,
-    camera_ahead_m: ArrayLike = 0.0,
-) -> Array:
-    """Return the standard deviation of depth (...,) [m] by Eqs. 20-21.
-
-    Noise is white and independent in the two eyes, so their parts add as squares. Only pan
-    counts: on the axis, tilt moves both images along the direction that has no disparity.
-    Within 1.3 % from five baselines on; closer by, the half baseline is no small angle.
+    left: Array,
+    right: Array,
+    joints: Array,
+    cameras: tuple[str, str] | None = None,
+    pixel_std_px: ArrayLike | None = None,
+    joint_std_rad: ArrayLike | None = None,
+) -> LocatedPoints:
+    """Return where points are that both eyes see, and how well that is known.
 
     Args:
-        depth_m: from the centres of the cameras.
-        baseline_m: between the centres of the cameras.
-        focal_px: of both cameras.
-        joint_std_rad: of each joint's reading.
-        pixel_std_px: of each coordinate of the object's position in each image.
-        camera_ahead_m: how far the cameras' centres sit ahead of the eyes' rotation centres. A
-            wrong pan also shifts a camera that does so, which Eq. 21 leaves out.
+        head: calibration of the head.
+        left: (N, 2) pixels in the left camera, distortion included; NaN: not seen.
+        right: (N, 2) pixels of the same points in the right camera.
+        joints: (4,) joint readings [rad] of one posture that serves all points, or (N, 4), in the
+            order of kinematics.EYE_JOINTS: left pan, left tilt, right pan, right tilt.
+        cameras: names of a camera of the left eye and one of the right; None: the main ones (the
+            wide ones, where a head has such).
+        pixel_std_px: noise of (left u, left v, right u, right v); a number stands for all, and (4,)
+            or (N, 4) are taken as they are. None: that of the corners of the calibration.
+        joint_std_rad: noise of each reading, likewise. None: as the calibration found it.
+
+    Raises:
+        VergenceError: shapes do not fit, the head has no such camera, or left and right are
+            exchanged.
     """
-    lever = 1 + np.asarray(camera_ahead_m, float) / np.asarray(depth_m, float)
-    turned = lever * disparity_error(focal_px, np.sqrt(2) * np.asarray(joint_std_rad, float))
-    matched = np.sqrt(2) * np.asarray(pixel_std_px, float)
-    return depth_error(depth_m, baseline_m, focal_px, np.hypot(turned, matched))
+    points, status = triangulate_at(head, left=left, right=right, joints=joints, cameras=cameras)
+    covariance = np.full((len(points), 3, 3), np.nan)
+    stated = _states_covariance(head.accuracy)
+    if stated or pixel_std_px is not None or joint_std_rad is not None:
+        pixel, joint = _noise(head.accuracy, pixel_std_px, joint_std_rad)
+        _, covariance = locate_with_covariance(
+            head,
+            left=left,
+            right=right,
+            joints=joints,
+            pixel_std_px=pixel,
+            joint_std_rad=joint,
+            cameras=cameras,
+        )
+    if stated:
+        covariance = covariance + calibration_covariance(
+            head, left=left, right=right, joints=joints, cameras=cameras
+        )
+    return LocatedPoints(points, covariance, status)
+
+
+def _states_covariance(accuracy: Accuracy | None) -> bool:
+    return accuracy is not None and bool(accuracy.parameters)
+
+
+def _noise(
+    accuracy: Accuracy | None, pixel_std_px: ArrayLike | None, joint_std_rad: ArrayLike | None
+) -> tuple[ArrayLike, ArrayLike]:
+    """Return the noise of pixels [px] and joints [rad]: as given, else as stated, else none."""
+    stated_px = accuracy.pixel_std_px if accuracy is not None else None
+    if pixel_std_px is None:
+        pixel_std_px = 0.0 if stated_px is None else stated_px
+    if joint_std_rad is None:
+        levels = accuracy.joint_std if accuracy is not None else ()
+        joint_std_rad = np.tile(levels, 4)[:4] if levels else 0.0
+    return pixel_std_px, joint_std_rad
 
 
 def locate_with_covariance(
-    calibration: HeadCalibration,
-    pixels_l: Array,
-    pixels_r: Array,
-    eye_angles: Array,
+    head: HeadCalibration,
     *,
+    left: Array,
+    right: Array,
+    joints: Array,
     pixel_std_px: ArrayLike,
     joint_std_rad: ArrayLike,
-    cameras: tuple[str, str] = ("left_wide", "right_wide"),
+    cameras: tuple[str, str] | None = None,
 ) -> tuple[Array, Array]:
-    """Return the points that `locate` returns, and their covariances to first order.
+    """Return points (N, 3) [m] and the covariances (N, 3, 3) [m^2] that measurement noise makes.
 
-    Args:
-        calibration: of the head, taken as exact.
-        pixels_l: (N, 2) pixels in the left camera, distortion included.
-        pixels_r: (N, 2) pixels in the right camera.
-        eye_angles: (N, 4) joint readings [rad] in the order of kinematics.EYE_JOINTS.
-        pixel_std_px: standard deviation of (left u, left v, right u, right v); a number stands
-            for all, and (4,) or (N, 4) are taken as they are.
-        joint_std_rad: standard deviation of each reading, likewise.
-        cameras: names of the left and the right camera.
+    The calibration is taken as exact. NaN where a point cannot be located.
 
-    Returns:
-        Points (N, 3) [m] and covariances (N, 3, 3) [m^2] in the left eye's base frame, NaN where a
-        sample cannot be located.
-
-    Raises:
-        VergenceError: shapes do not fit, or the head has no such camera.
+    Args and errors: see locate.
     """
-    points, jacobian = _linearised(calibration, pixels_l, pixels_r, eye_angles, cameras)
+    points, jacobian = _linearised(head, left, right, joints, cameras)
     return points, _covariance(jacobian, _stds(len(points), pixel_std_px, joint_std_rad))
 
 
 def locate_both(
-    calibration: HeadCalibration,
-    pixels_a: tuple[Array, Array],
-    pixels_b: tuple[Array, Array],
-    eye_angles: Array,
+    head: HeadCalibration,
     *,
+    left: tuple[Array, Array],
+    right: tuple[Array, Array],
+    joints: Array,
     pixel_std_px: ArrayLike,
     joint_std_rad: ArrayLike,
-    cameras: tuple[str, str] = ("left_wide", "right_wide"),
+    cameras: tuple[str, str] | None = None,
 ) -> tuple[Array, Array, Array]:
-    """Return two points that are seen together, and the covariance of the way between them.
+    """Return two points that are seen together, and the covariance of their difference.
 
-    Both are seen by the same cameras at the same readings, so that what is wrong with the
-    readings is wrong for both, and cancels as far as the two are near each other.
+    Both are seen by the same cameras at the same readings, so that an error of the readings is in
+    both, and cancels as far as the two are near each other. The calibration is taken as exact.
 
     Args:
-        calibration: of the head, taken as exact.
-        pixels_a: of the one point, (N, 2) in the left and (N, 2) in the right camera.
-        pixels_b: of the other, likewise.
-        eye_angles: (N, 4) joint readings [rad] in the order of kinematics.EYE_JOINTS.
-        pixel_std_px: as for `locate_with_covariance`, of either point.
-        joint_std_rad: likewise.
-        cameras: names of the left and the right camera.
+        head: calibration of the head.
+        left: pixels (N, 2) of points a, and of points b, in the left camera.
+        right: pixels (N, 2) of points a, and of points b, in the right camera.
+        joints: (4,) or (N, 4) joint readings [rad] in the order of kinematics.EYE_JOINTS.
+        pixel_std_px: noise of the pixels of either point, as for locate.
+        joint_std_rad: noise of the readings, as for locate.
+        cameras: names of the left and the right camera; None: the main ones.
 
     Returns:
         Points a and b (N, 3) [m], and covariances (N, 3, 3) [m^2] of a - b, in the left eye's base
-        frame; NaN where a sample cannot be located.
+        frame; NaN where a point cannot be located.
 
     Raises:
-        VergenceError: shapes do not fit, or the head has no such camera.
+        VergenceError: see locate.
     """
-    left, right = (np.concatenate(sides) for sides in zip(pixels_a, pixels_b, strict=True))
-    eyes = np.tile(eye_angles, (2, 1))
-    points, jacobian = _linearised(calibration, left, right, eyes, cameras)
+    n = len(left[0])
+    both = np.tile(np.broadcast_to(joints, (n, 4)), (2, 1))
+    points, jacobian = _linearised(head, np.concatenate(left), np.concatenate(right), both, cameras)
     a, b = np.split(jacobian, 2, axis=1)
     apart = np.concatenate([a[:4], -b[:4], a[4:] - b[4:]])  # (12, N, 3)
-    stds = _stds(len(eye_angles), pixel_std_px, joint_std_rad)
+    stds = _stds(n, pixel_std_px, joint_std_rad)
     covariances = _covariance(apart, np.concatenate([stds[:, :4], stds], axis=1))
     points_a, points_b = np.split(points, 2)
     return points_a, points_b, covariances
 
 
+def calibration_covariance(
+    head: HeadCalibration,
+    *,
+    left: Array,
+    right: Array,
+    joints: Array,
+    cameras: tuple[str, str] | None = None,
+) -> Array:
+    """Return what the calibration's covariance adds (N, 3, 3) [m^2] to points that are located.
+
+    Args: see locate.
+
+    Raises:
+        VergenceError: the head states no covariance; and see locate.
+    """
+    accuracy = head.accuracy
+    if accuracy is None or not accuracy.parameters:
+        raise VergenceError(
+            "This calibration states no covariance; `vergence calibrate --method bundle` makes "
+            "one that does."
+        )
+    # Along the principal axes of the covariance, where a step of fixed probability is harmless.
+    std = np.sqrt(np.diag(accuracy.covariance))
+    scale = np.where(std > 0, std, 1.0)
+    values, vectors = np.linalg.eigh(accuracy.covariance / np.outer(scale, scale))
+    axes = (vectors * np.sqrt(np.maximum(values, 0.0))).T * scale
+    total = np.zeros((len(left), 3, 3))
+    for axis in axes:
+        ahead, behind = (
+            triangulate_at(
+                change_named(head, accuracy.parameters, sign * _STEP * axis),
+                left=left,
+                right=right,
+                joints=joints,
+                cameras=cameras,
+            )[0]
+            for sign in (1, -1)
+        )
+        moved = (ahead - behind) / (2 * _STEP)
+        total += moved[:, :, None] * moved[:, None, :]
+    return total
+
+
 def _linearised(
-    calibration: HeadCalibration,
-    pixels_l: Array,
-    pixels_r: Array,
-    eye_angles: Array,
-    cameras: tuple[str, str],
+    head: HeadCalibration,
+    left: Array,
+    right: Array,
+    joints: Array,
+    cameras: tuple[str, str] | None,
 ) -> tuple[Array, Array]:
     """Return points (N, 3) and how they change (8, N, 3) with four pixel coordinates and angles."""
-    check_shapes(pixels_l, pixels_r, eye_angles)
-    inputs = np.concatenate([pixels_l, pixels_r, eye_angles], axis=1)
+    left, right, joints = checked(left, right, joints)
+    inputs = np.concatenate([left, right, np.broadcast_to(joints, (len(left), 4))], axis=1)
     steps = np.repeat([_PIXEL_STEP_PX, _JOINT_STEP_RAD], 4)
     moves = np.concatenate([np.zeros((1, 8)), np.diag(steps), -np.diag(steps)])
     flat = (inputs + moves[:, None]).reshape(-1, 8)  # (17 N, 8)
-    located = locate(calibration, flat[:, :2], flat[:, 2:4], flat[:, 4:], cameras=cameras)
-    here, *around = located.points.reshape(17, -1, 3)
+    points, _ = triangulate_at(
+        head, left=flat[:, :2], right=flat[:, 2:4], joints=flat[:, 4:], cameras=cameras
+    )
+    here, *around = points.reshape(17, -1, 3)
     forward, backward = np.reshape(around, (2, 8, -1, 3))
     return here, (forward - backward) / (2 * steps[:, None, None])
 
@@ -170,5 +233,5 @@ def _stds(n: int, pixel_std_px: ArrayLike, joint_std_rad: ArrayLike) -> Array:
 
 def _covariance(jacobian: Array, stds: Array) -> Array:
     """Return covariances (N, 3, 3) from (K, N, 3) and (N, K)."""
-    spread = jacobian * stds.T[:, :, None]
-    return np.einsum("kni,knj->nij", spread, spread)
+    scaled = jacobian * stds.T[:, :, None]
+    return np.einsum("kni,knj->nij", scaled, scaled)

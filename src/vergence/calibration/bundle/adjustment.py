@@ -1,4 +1,4 @@
-"""The whole estimate: unknowns, levels of noise and what is observable, until they agree."""
+"""Bundle adjustment with estimated noise: unknowns, noise levels and observability, in turn."""
 
 from __future__ import annotations
 
@@ -9,75 +9,76 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.bundle.observability import Observability, observe, whole_basis
 from vergence.calibration.bundle.problem import (
-    Problem,
-    State,
-    calibration_size,
+    BundleProblem,
+    BundleState,
     corner_errors,
-    followed,
+    head_size,
+    refit_trajectory,
 )
 from vergence.calibration.bundle.solver import (
     OUTLIER,
-    Linear,
-    Noise,
-    Weights,
-    along,
+    LinearProblem,
+    NoiseLevels,
+    RobustWeights,
     corner_distances,
+    has_weights,
     inliers,
     linearise,
     minimise,
+    project_onto,
     robust_weights,
-    same,
 )
-from vergence.calibration.bundle.systematic_errors import shared_errors
+from vergence.calibration.bundle.systematic_errors import systematic_errors
 from vergence.calibration.bundle.variance_components import (
     Components,
     estimate_noise,
     image_levels,
-    image_spreads,
+    image_noise_scales,
     redundancy,
 )
 from vergence.errors import VergenceError
 
 GENEROUS_JOINT = 0.01
-"""First guess of the joint noise [rad or m]: large, so that good readings are not taken for
+"""First guess of the joint noise [rad or m]: large, so that good readings do not pass for
 outliers before the level is known."""
 USUAL_JOINT = 0.002
 """Assumed where the data cannot tell the joint noise [rad or m]: 0.1 degrees."""
-WELL_READ = 2.0
-"""Joint noise, as a multiple of what one image tells, up to which readings lead the eyes' course
-in time. At it they hold the latent angles to a fifth, and offsets of 0.1 s still settle."""
+TRUST_ENCODER = 2.0
+"""Joint noise, as a multiple of how well one image determines the joints, up to which the readings
+give the eyes' trajectory in time. At it they hold the latent angles to a fifth, and offsets of 0.1 s
+still settle."""
 ROUNDS = 40
 RELEASES = 2
-"""How often what was held may be let go again."""
+"""How often fixed directions may be released again."""
 WEIGHINGS = 2
-"""How often images are weighed by how much their corners scatter, once all else has settled."""
+"""How often the noise scale of each image is estimated, once all else has settled."""
 
 
 @dataclass(frozen=True, eq=False)
 class Adjusted:
     """The result of an adjustment."""
 
-    state: State
+    state: BundleState
     components: Components
     observability: Observability
     """Its covariance allows for the levels of noise being estimates themselves, and for errors of
     corners that images share."""
-    weights: Weights
+    weights: RobustWeights
     """1 for inliers, 0 for outliers and what was not seen."""
     assumed: np.ndarray
     """(groups,) whether a joint noise is USUAL_JOINT, for want of data."""
-    told: np.ndarray
+    given: np.ndarray
     """(groups,) whether a joint noise was given."""
-    spare: Array
-    """(groups,) how many readings a generous noise would leave over: what a level rests on."""
+    redundancy: Array
+    """(groups,) how many more readings there are than the fit takes, for a generous noise."""
     converged: bool
-    shared_px: tuple[float, ...]
-    """By camera: errors of corners that all its images share, rms of one coordinate [px]."""
+    systematic_px: tuple[float, ...]
+    """By camera: systematic errors of corners, rms of one coordinate [px]."""
 
 
 def adjust(
-    problem: Problem,
-    start: State,
+    problem: BundleProblem,
+    start: BundleState,
     group: np.ndarray,
     *,
     pixel_std_px: float | None = None,
@@ -99,55 +100,55 @@ def adjust(
         VergenceError: there are more unknowns than data.
     """
     groups = int(group.max()) + 1
-    told = np.array([pixel_std_px is not None] + [joint_std is not None] * groups)
-    first = Noise(
+    given = np.array([pixel_std_px is not None] + [joint_std is not None] * groups)
+    first = NoiseLevels(
         max(_median_level(problem, start), 0.1) if pixel_std_px is None else pixel_std_px,
         np.full(groups, GENEROUS_JOINT) if joint_std is None else joint_std,
         group,
         outlier,
     )
     basis, linear = whole_basis(problem, start), _linear(problem, start, first)
-    left = redundancy(along(linear, basis), first)
+    left = redundancy(project_onto(linear, basis), first)
     if left[0] < 1:
         raise VergenceError(
             f"There are {linear.count:.0f} corner coordinates for more unknowns than that; "
             "record more views of the board."
         )
-    assumed = ~told[1:] & (left[1:] < 1)
-    told[1:] |= assumed
+    assumed = ~given[1:] & (left[1:] < 1)
+    given[1:] |= assumed
     noise = replace(first, joint=np.where(assumed, USUAL_JOINT, first.joint))
     state, components, seen = start, Components(noise, np.zeros(1 + groups), left), None
     agreed, converged, restarted, releases = False, False, False, 0
     weighings = 0 if np.isfinite(outlier) else WEIGHINGS
     for _ in range(ROUNDS):
         state, converged, linear = minimise(problem, state, noise, basis)
-        problem = followed(problem, state)
-        # Inliers choose the level and the level the inliers: keep half of the corners among them.
-        least = 0.0 if told[0] else 0.8 * _median_level(problem, state)
+        problem = refit_trajectory(problem, state)
+        # The level depends on the inliers and they on it: keep half of the corners among them.
+        least = 0.0 if given[0] else 0.8 * _median_level(problem, state)
         noise = replace(noise, pixel_px=max(noise.pixel_px, least))
         linear = _linear(problem, state, noise, known=linear)
-        components = estimate_noise(along(linear, basis), noise, told)
+        components = estimate_noise(project_onto(linear, basis), noise, given)
         change = np.abs(np.log(_levels(components.noise) / _levels(noise))).max()
-        well = components.noise.joint < WELL_READ * image_levels(linear, noise)
-        problem = replace(problem, read_well=problem.read_well | well[noise.group])
-        noise, before = components.noise, 0 if seen is None else len(seen.held)
+        well = components.noise.joint < TRUST_ENCODER * image_levels(linear, noise)
+        problem = replace(problem, trust_encoder=problem.trust_encoder | well[noise.group])
+        noise, before = components.noise, 0 if seen is None else len(seen.fixed)
         linear = _linear(problem, state, noise, known=linear)
         found = observe(problem, state, linear, noise)
         # While the noise settles good readings may pass for outliers, and what they determine for
-        # unobservable: it is released then. Not for ever: taking turns would never end.
-        releases += restarted and len(found.held) < before
-        if seen is None or len(found.held) >= before or releases <= RELEASES:
+        # unobservable: it is released then, but not for ever, since that might never end.
+        releases += restarted and len(found.fixed) < before
+        if seen is None or len(found.fixed) >= before or releases <= RELEASES:
             seen, basis = found, found.basis
-        agreed = change < 1e-3 and len(seen.held) == before
-        if len(seen.held) > before:
-            state, restarted = start, True  # what turns out to be unobservable has wandered
+        agreed = change < 1e-3 and len(seen.fixed) == before
+        if len(seen.fixed) > before:
+            state, restarted = start, True  # unobservable directions have drifted
         if agreed:
             if weighings == WEIGHINGS:
                 break
             problem, weighings = _weighed(problem, state, noise, components), weighings + 1
     assert seen is not None
-    weights, c = inliers(robust_weights(problem, state, noise)), calibration_size(problem)
-    shared = shared_errors(problem, state, linear, weights, noise, seen.basis)
+    weights, c = inliers(robust_weights(problem, state, noise)), head_size(problem)
+    shared = systematic_errors(problem, state, linear, weights, noise, seen.basis)
     certain = observe(problem, state, linear, _allowing_for_estimation(components))
     return Adjusted(
         state,
@@ -162,34 +163,44 @@ def adjust(
     )
 
 
-def _linear(problem: Problem, state: State, noise: Noise, *, known: Linear | None = None) -> Linear:
+def _linear(
+    problem: BundleProblem,
+    state: BundleState,
+    noise: NoiseLevels,
+    *,
+    known: LinearProblem | None = None,
+) -> LinearProblem:
     """Return the problem linearised with inliers only: the known one, if that is what it is."""
     weights = inliers(robust_weights(problem, state, noise))
-    if known is not None and same(weights, known):
+    if known is not None and has_weights(weights, known):
         return known
     return linearise(problem, state, weights)
 
 
-def _weighed(problem: Problem, state: State, noise: Noise, components: Components) -> Problem:
-    """Return the problem with what is known now of how much the corners of each image scatter."""
+def _weighed(
+    problem: BundleProblem, state: BundleState, noise: NoiseLevels, components: Components
+) -> BundleProblem:
+    """Return the problem with the noise scale of each image, as the residuals have it now."""
     kept = inliers(robust_weights(problem, state, noise)).corner
     squares = (kept[..., None] * corner_errors(problem, state) ** 2).sum(axis=(1, 2))
-    left = components.redundancy[0] / max(2 * kept.sum(), 1)  # of each, what the fit has not taken
-    return replace(problem, spread=image_spreads(squares, 2 * left * kept.sum(axis=1)))
+    left = components.redundancy[0] / max(
+        2 * kept.sum(), 1
+    )  # the part of each that the fit has left
+    return replace(problem, noise_scale=image_noise_scales(squares, 2 * left * kept.sum(axis=1)))
 
 
-def _median_level(problem: Problem, state: State) -> float:
+def _median_level(problem: BundleProblem, state: BundleState) -> float:
     """Return the pixel noise by the median, which half of the corners cannot spoil."""
     lengths = corner_distances(problem, state)[problem.seen]
     return float(np.nanmedian(lengths)) / np.sqrt(2 * np.log(2))
 
 
-def _levels(noise: Noise) -> Array:
+def _levels(noise: NoiseLevels) -> Array:
     return np.array([noise.pixel_px, *noise.joint])
 
 
-def _allowing_for_estimation(components: Components) -> Noise:
-    """Return levels that are larger by what is not known about them.
+def _allowing_for_estimation(components: Components) -> NoiseLevels:
+    """Return levels that are larger by their own uncertainty.
 
     For a level that is well known the variance grows by the factor 1 + Var(log sigma^2), which
     for nu degrees of freedom is nu / (nu - 2) to first order: Student's t has that variance. For

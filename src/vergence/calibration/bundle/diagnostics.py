@@ -6,8 +6,9 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.bundle.adjustment import Adjusted
-from vergence.calibration.bundle.problem import Problem, State, calibration_names, eye_poses
+from vergence.calibration.bundle.problem import BundleProblem, BundleState, eye_poses
 from vergence.geometry.kinematics import EYES
+from vergence.geometry.parameters import parameter_names
 from vergence.geometry.se3 import rotvec
 
 SMALL_RAD = 0.05
@@ -19,7 +20,8 @@ ADVISED = "by at least 0.1 rad, better 0.25"
 SENSE = 6.0
 """Motion, as a multiple of the noise of its mean, from which its sense is beyond doubt."""
 FEW = 6
-"""Degrees of freedom below which a level of noise has tails that no covariance tells."""
+"""Degrees of freedom below which an estimated noise level is heavy-tailed, and the covariance
+optimistic."""
 NAMED = 0.3
 """A direction's components of this size, relative to the largest, are named."""
 
@@ -33,12 +35,12 @@ _WORDS = {
 }
 
 
-def warnings(problem: Problem, found: Adjusted) -> tuple[str, ...]:
-    """Return a sentence for everything that a reader of the result must know."""
+def warnings(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
+    """Return a sentence for everything that the reader of a result must know."""
     observability, noise = found.observability, found.components.noise
     said = []
     for what, rows in (
-        ("not observable, and left at the start", observability.held),
+        ("not observable, and left at the start", observability.fixed),
         ("hardly observable", observability.weak),
     ):
         for subject, eyes in _subjects(problem, rows):
@@ -47,12 +49,13 @@ def warnings(problem: Problem, found: Adjusted) -> tuple[str, ...]:
         said += _senses(problem, found, int(e))
     for k in np.flatnonzero(found.assumed):
         said.append(
-            f"The noise of the joint readings cannot be told from these views; {noise.joint[k]:g} "
-            "was assumed: let the eyes look at each board from several angles."
+            f"The noise of the joint readings cannot be estimated from these views; "
+            f"{noise.joint[k]:g} was assumed: let the eyes look at each board from several angles."
         )
-    for spare in found.spare[~found.assumed & ~found.told & (found.spare < FEW)]:
+    few = ~found.assumed & ~found.given & (found.redundancy < FEW)
+    for redundancy in found.redundancy[few]:
         said.append(
-            f"The noise of the joint readings rests on {spare:.0f} readings more than it takes to "
+            f"The noise of the joint readings rests on {redundancy:.0f} readings more than it takes to "
             "fit them: the stated accuracy is rough; record more views."
         )
     corners = int(np.count_nonzero(problem.seen))
@@ -63,13 +66,13 @@ def warnings(problem: Problem, found: Adjusted) -> tuple[str, ...]:
             f"{noise.pixel_px:.2g} px and lost their weight: look at the views with the largest "
             "residuals."
         )
-    shared = max(found.shared_px)
-    if shared > noise.pixel_px:  # the others may have it from the worst, by where the boards are
-        camera = problem.cameras[found.shared_px.index(shared)]
+    systematic = max(found.systematic_px)
+    if systematic > noise.pixel_px:  # the boards' poses may pass it on: the worst camera is named
+        camera = problem.cameras[found.systematic_px.index(systematic)]
         whose = "" if len(problem.cameras) == 1 else f" of {camera}"
         said.append(
-            f"All images{whose} share errors of {shared:.2g} px, more than single corners "
-            f"scatter ({noise.pixel_px:.2g} px): the lens is not as the model says, or the "
+            f"All images{whose} have a systematic error of {systematic:.2g} px, more than the noise of "
+            f"single corners ({noise.pixel_px:.2g} px): the lens departs from its model, or the "
             "board is not flat; look at the residuals over the image."
         )
     if not found.converged:
@@ -77,8 +80,8 @@ def warnings(problem: Problem, found: Adjusted) -> tuple[str, ...]:
     return tuple(dict.fromkeys(said))  # pan and tilt may share one
 
 
-def left_out(problem: Problem) -> tuple[str, ...]:
-    """Return a sentence for each camera of which views contradict the others."""
+def contradicting_views(problem: BundleProblem) -> tuple[str, ...]:
+    """Return a sentence for each camera some views of which contradict the others."""
     said = []
     for c, camera in enumerate(problem.cameras):
         lost = problem.block_view[problem.block[(problem.camera == c) & ~problem.seen.any(axis=1)]]
@@ -91,9 +94,9 @@ def left_out(problem: Problem) -> tuple[str, ...]:
     return tuple(said)
 
 
-def _subjects(problem: Problem, rows: Array) -> list[tuple[str, list[int]]]:
-    """Return what the directions are about, merged by whom they concern, and the eyes of these."""
-    labels = calibration_names(problem.cameras)
+def _subjects(problem: BundleProblem, rows: Array) -> list[tuple[str, list[int]]]:
+    """Return the subjects of directions, merged by the cameras and eyes they concern, and these eyes."""
+    labels = parameter_names(problem.cameras)
     merged: dict[tuple[str, ...], dict[str, list[str]]] = {}
     for row in _sparse(rows):
         parts: dict[str, list[str]] = {}  # dictionaries keep the order of the unknowns
@@ -111,12 +114,12 @@ def _subjects(problem: Problem, rows: Array) -> list[tuple[str, list[int]]]:
 
 
 def _words(name: str) -> tuple[str, str]:
-    """Return whom an unknown belongs to, and what it is."""
+    """Return the owner of an unknown, and what it is."""
     owner, _, part = name.removeprefix("camera.").rpartition(".")
     return (owner or name, _WORDS.get(part, part if owner else ""))
 
 
-def _eyes_of(problem: Problem, owner: str) -> list[int]:
+def _eyes_of(problem: BundleProblem, owner: str) -> list[int]:
     camera = owner.removesuffix(".T_eye_cam")
     if camera in problem.cameras:
         return [int(problem.eye[problem.cameras.index(camera)])]
@@ -125,7 +128,7 @@ def _eyes_of(problem: Problem, owner: str) -> list[int]:
     return [0, 1] if len(problem.cameras) > 1 else [int(problem.eye[0])]
 
 
-def _causes(problem: Problem, found: Adjusted, eyes: list[int]) -> str:
+def _causes(problem: BundleProblem, found: Adjusted, eyes: list[int]) -> str:
     """Return what the motion of the eyes lacks."""
     present = [e for e in eyes if (problem.block_eye == e).any()]
     if len(eyes) == 2 and not _placements_of_both(problem):
@@ -139,18 +142,18 @@ def _causes(problem: Problem, found: Adjusted, eyes: list[int]) -> str:
     )
 
 
-def _placements_of_both(problem: Problem) -> bool:
+def _placements_of_both(problem: BundleProblem) -> bool:
     eye = problem.eye[problem.camera]
     return bool(set(problem.placement[eye == 0]) & set(problem.placement[eye == 1]))
 
 
-def _motion(problem: Problem, found: Adjusted, eye: int) -> list[str]:
+def _motion(problem: BundleProblem, found: Adjusted, eye: int) -> list[str]:
     """Return what is wrong with the motion of one eye before boards at rest."""
     whose = _whose(problem, eye)
     blocks, which = _views(problem, eye)
     if np.bincount(which).max() < 2:
         return [f"{whose} sees each board in one view only; let it move before a board at rest"]
-    if problem.poses is not None:
+    if problem.T_base_eye_read is not None:
         return _turning(problem, found.state, blocks, which, whose)
     away = _away(found.state.latent[blocks], which)
     noise = found.components.noise
@@ -173,14 +176,14 @@ def _motion(problem: Problem, found: Adjusted, eye: int) -> list[str]:
     return causes
 
 
-def _senses(problem: Problem, found: Adjusted, eye: int) -> list[str]:
+def _senses(problem: BundleProblem, found: Adjusted, eye: int) -> list[str]:
     """Return a sentence for each joint whose motion is so small that its sense is uncertain.
 
     A mounting turned about the other axis by half a turn then fits as well: no covariance, which
     looks at one solution only, can tell.
     """
     blocks, which = _views(problem, eye)
-    if problem.poses is not None or np.bincount(which).max() < 2:
+    if problem.T_base_eye_read is not None or np.bincount(which).max() < 2:
         return []
     length = np.linalg.norm(_away(found.state.latent[blocks], which), axis=0)
     noise = found.components.noise
@@ -194,7 +197,7 @@ def _senses(problem: Problem, found: Adjusted, eye: int) -> list[str]:
     ]
 
 
-def _views(problem: Problem, eye: int) -> tuple[np.ndarray, np.ndarray]:
+def _views(problem: BundleProblem, eye: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the blocks in which an eye sees boards, and before which placement it does."""
     mine = problem.eye[problem.camera] == eye
     pairs = np.unique(np.stack([problem.block[mine], problem.placement[mine]]), axis=1)
@@ -208,12 +211,12 @@ def _away(angles: Array, which: np.ndarray) -> Array:
     return angles - means[which]
 
 
-def _whose(problem: Problem, eye: int) -> str:
+def _whose(problem: BundleProblem, eye: int) -> str:
     return "the eye" if len(problem.cameras) == 1 else f"the {EYES[eye]} eye"
 
 
 def _turning(
-    problem: Problem, state: State, blocks: np.ndarray, which: np.ndarray, whose: str
+    problem: BundleProblem, state: BundleState, blocks: np.ndarray, which: np.ndarray, whose: str
 ) -> list[str]:
     """Return what the rotations of general eye poses lack."""
     R = eye_poses(problem, state)[blocks, :3, :3]

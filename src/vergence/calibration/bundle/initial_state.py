@@ -1,37 +1,29 @@
-"""From corners and readings to a Problem and the State to start from."""
+"""From corners and readings to a BundleProblem and the BundleState to start from."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.bundle.problem import (
-    AXES,
-    INTRINSICS,
-    PER_CAMERA,
-    POSE,
-    Problem,
-    State,
-    axes_row,
-    calibration_names,
+    BundleProblem,
+    BundleState,
     corner_errors,
     eye_poses,
 )
-from vergence.calibration.sequential.intrinsics import target_poses
-from vergence.calibration.sequential.sequential import Views
-from vergence.data.timing import DEGREE, Timing, stencil
+from vergence.calibration.observations import Observations
+from vergence.data.timing import DEGREE, stencil
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
-from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYES, EyeAxes
+from vergence.geometry.kinematics import AXES, EYES
+from vergence.geometry.parameters import POSE, parameter_names
 from vergence.geometry.se3 import angle, inverse
+from vergence.vision.board_pose import LEAST_CORNERS, board_poses, determines_pose, seen_corners
 
-LEAST_CORNERS = 6
-"""Of a board in an image, for it to say where the board is."""
 CANDIDATES = 12
 """Views from which the start of a board's place is chosen."""
 FAR_PX = 50.0
@@ -41,184 +33,140 @@ TURNED_RAD = 0.5
 start is better than that, and a board numbered from the wrong end is turned by pi."""
 
 
-def one_eye(
-    camera: Camera,
-    T_eye_cam: Array,
-    axes: EyeAxes,
-    angles: Array | None,
-    poses: Array | None,
-    pixels: Array,
-    points: Array,
-) -> tuple[Problem, State]:
-    """Return the problem of one camera of known intrinsics before a board at rest, and its start.
-
-    Args:
-        camera: intrinsics.
-        T_eye_cam: (4, 4) to start from.
-        axes: of the eye.
-        angles: (N, 2) readings, or None where there are poses.
-        poses: (N, 4, 4) T_base_eye as read, or None where there are angles.
-        pixels: (N, K, 2); NaN where not seen. Views without corners are left out.
-        points: (K, 3) in frame target.
-    """
-    seen = np.asarray(np.isfinite(pixels).all(axis=-1))
-    used = np.flatnonzero(seen.any(axis=1))
-    if not len(used):
-        raise VergenceError("The camera sees no corner of the board.")
-    zeros = np.zeros(len(used), dtype=np.intp)
-    reading = np.zeros((len(used), len(POSE))) if angles is None else angles[used]
-    free = np.zeros(len(calibration_names(("camera",))) + len(POSE), dtype=bool)
-    free[len(INTRINSICS) : PER_CAMERA] = free[-len(POSE) :] = True
-    problem = Problem(
-        cameras=("camera",),
-        eye=zeros[:1],
-        camera=zeros,
-        block=np.arange(len(used)),
-        placement=zeros,
-        pixels=np.where(seen[..., None], pixels, 0.0)[used],
-        seen=seen[used],
-        points=np.broadcast_to(points, (len(used), *points.shape)),
-        spread=np.ones(len(used)),
-        block_view=used,
-        block_eye=zeros,
-        reading=reading,
-        around=None,
-        course=np.zeros((*reading.shape, DEGREE)),
-        read_well=np.zeros(reading.shape[1], dtype=bool),
-        poses=None if poses is None else poses[used],
-        shared_px=0.0,
-        free=free,
-    )
-    state = State(
-        lenses=(camera,),
-        T_eye_cam=T_eye_cam[None],
-        T_rbase_lbase=np.eye(4),
-        axes=np.array([axes_row(axes)] * 2),
-        time_offset_s=0.0,
-        T_lbase_target=np.eye(4)[None],
-        latent=reading,
-    )
-    return _placed(problem, state)
-
-
-def whole_head(
+def initial_state(
     start: HeadCalibration,
-    views: Views,
+    observations: Observations,
     *,
-    timing: Timing | None,
-    poses: Array | None,
-    hold: Collection[str],
-) -> tuple[Problem, State, np.ndarray]:
+    fixed: Collection[str],
+    points: Array | None = None,
+    T_cam_target: Mapping[str, Array] | None = None,
+) -> tuple[BundleProblem, BundleState, np.ndarray]:
     """Return the problem of a head, its start, and the (P,) numbers of its placements.
 
     Args:
-        start: calibration to start from; cameras that see no board are left out.
-        views: corners and readings.
-        timing: when the readings were taken, or None where the eyes stood still.
-        poses: (V, 2, 4, 4) poses of the eyes as read, or None for pan and tilt.
-        hold: names of parameters that keep their start.
+        start: calibration to start from; parameters of cameras that see no board keep their start.
+        observations: corners and readings.
+        fixed: names of parameters that keep their start.
+        points: (K, 3) corners in frame target [m]; None: those of the board.
+        T_cam_target: by camera (V, 4, 4) poses of the board, where they were solved for before; the
+            best of each placement is its start.
+
+    Raises:
+        VergenceError: no camera sees a board, or a reading that is needed is not finite.
     """
-    cameras = tuple(
-        name
-        for name in start.cameras
-        if name in views.corners and np.isfinite(views.corners[name]).all(axis=-1).any()
-    )
-    if not cameras:
-        raise VergenceError(f"None of {', '.join(start.cameras)} sees a board.")
-    mounted = [start.cameras[name] for name in cameras]
-    eye = np.array([EYES.index(each.eye) for each in mounted], dtype=np.intp)
-    corners = np.stack([views.corners[name] for name in cameras])
-    seen = np.asarray(np.isfinite(corners).all(axis=-1))
+    cameras = tuple(start.cameras)
+    nothing = np.full((len(observations.placement), _count(observations), 2), np.nan)
+    corners = np.stack([observations.corners.get(name, nothing) for name in cameras])
+    seen = seen_corners(corners)
+    if not seen.any():
+        raise VergenceError(f"None of {', '.join(cameras)} sees a board.")
+    points = corner_points(observations.board) if points is None else points
+    eye = np.array([EYES.index(each.eye) for each in start.cameras.values()], dtype=np.intp)
     # Without one view that says where it is, a placement is of no use.
-    points = corner_points(views.board)
-    numbers = np.unique(views.placement[_telling(points, seen).any(axis=0)])
-    camera, view = np.nonzero(seen.any(axis=2) & np.isin(views.placement, numbers))
+    useful = determines_pose(points, seen).any(axis=0)
+    numbers = np.unique(observations.placement[useful])
+    camera, view = np.nonzero(seen.any(axis=2) & np.isin(observations.placement, numbers))
     pairs, block = np.unique(np.stack([view, eye[camera]], axis=1), axis=0, return_inverse=True)
     block_view, block_eye = pairs.T
-    if poses is None:
-        reading = views.eye_angles.reshape(-1, 2, 2)[block_view, block_eye]
+    measured = observations.T_base_eye
+    T_base_eye_read, around = None, None
+    if measured is None:
+        reading = observations.eye_angles.reshape(-1, 2, 2)[block_view, block_eye]
         finite = np.isfinite(reading).all(axis=1)
     else:
-        poses = poses[block_view, block_eye]
-        finite = np.isfinite(poses).all(axis=(1, 2))
-        reading, timing = np.zeros((len(pairs), len(POSE))), None
+        T_base_eye_read = measured[block_view, block_eye]
+        finite = np.isfinite(T_base_eye_read).all(axis=(1, 2))
+        reading = np.zeros((len(pairs), len(POSE)))
     if not finite.all():
         v, e = pairs[~finite][0]
         raise VergenceError(
             f"The {EYES[e]} eye sees a board in view {v}, but its joint reading is not finite; "
             "leave the view out."
         )
-    around = None
-    if timing is not None:
-        run = timing.run[block_view]  # a motion of one eye, not of both
-        around = stencil(timing.time_s[block_view], np.where(run > 0, 2 * run - block_eye, 0))
-    names = calibration_names(cameras)
-    blind = [f"{side}.{name}" for e, side in enumerate(EYES) if e not in eye for name in AXES]
-    without_joints = () if poses is None else (*AXES, "time_offset_s")
-    free = [
-        n not in hold and n not in blind and n.rpartition(".")[2] not in without_joints
-        for n in names
-    ]
-    problem = Problem(
+    if observations.timing is not None and measured is None:
+        run = observations.timing.run[block_view]  # a motion of one eye, not of both
+        time_s = observations.timing.time_s[block_view]
+        around = stencil(time_s, np.where(run > 0, 2 * run - block_eye, 0))
+    problem = BundleProblem(
         cameras=cameras,
         eye=eye,
         camera=camera,
         block=block.ravel(),
-        placement=np.searchsorted(numbers, views.placement[view]),
+        placement=np.searchsorted(numbers, observations.placement[view]),
         pixels=np.where(seen[..., None], corners, 0.0)[camera, view],
         seen=seen[camera, view],
-        points=np.broadcast_to(points, (len(camera), *points.shape)),
-        spread=np.ones(len(camera)),
+        points=points,
+        noise_scale=np.ones(len(camera)),
         block_view=block_view,
         block_eye=block_eye,
         reading=reading,
         around=around,
-        course=np.zeros((*reading.shape, DEGREE)),
-        read_well=np.zeros(reading.shape[1], dtype=bool),
-        poses=poses,
-        shared_px=views.shared_px,
-        free=np.array(free + [True] * (len(POSE) * len(numbers))),
+        trajectory_coefficients=np.zeros((*reading.shape, DEGREE)),
+        trust_encoder=np.zeros(reading.shape[1], dtype=bool),
+        T_base_eye_read=T_base_eye_read,
+        systematic_px=observations.systematic_px,
+        free=_free(cameras, camera, eye, fixed, len(numbers), angles=measured is None),
     )
-    state = State(
-        lenses=tuple(each.intrinsics for each in mounted),
-        T_eye_cam=np.stack([each.T_eye_cam for each in mounted]),
-        T_rbase_lbase=start.T_rbase_lbase,
-        axes=np.array([axes_row(start.axes["left"]), axes_row(start.axes["right"])]),
-        time_offset_s=0.0,
-        T_lbase_target=np.broadcast_to(np.eye(4), (len(numbers), 4, 4)),
+    state = BundleState(
+        head=replace(start, time_offset_s=0.0, accuracy=None),
+        T_lbase_target=np.tile(np.eye(4), (len(numbers), 1, 1)),
         latent=reading,
     )
-    return *_placed(problem, state), numbers
+    if T_cam_target is None:
+        T_cam_target = {
+            name: board_poses(mounted.intrinsics, corners[c], points)
+            for c, (name, mounted) in enumerate(start.cameras.items())
+        }
+    found = np.stack([T_cam_target[name] for name in cameras])[camera, view]
+    return *_place_boards(problem, state, found), numbers
 
 
-def _telling(points: Array, seen: np.ndarray) -> np.ndarray:
-    """Return (...,) where the seen (..., K) corners say where the board is: enough, not in line."""
-    count = seen.sum(axis=-1)
-    weight = seen / np.maximum(count, 1)[..., None]
-    mean = weight @ points
-    second = np.einsum("...k,ki,kj->...ij", weight, points, points, optimize=True)
-    spread = np.linalg.eigvalsh(second - mean[..., :, None] * mean[..., None, :])
-    return (count >= LEAST_CORNERS) & (spread[..., 1] > 1e-3 * np.maximum(spread[..., 2], 1e-30))
+def _count(observations: Observations) -> int:
+    return observations.board.columns * observations.board.rows
 
 
-def _placed(problem: Problem, state: State) -> tuple[Problem, State]:
+def _free(
+    cameras: tuple[str, ...],
+    camera: np.ndarray,
+    eye: np.ndarray,
+    fixed: Collection[str],
+    placements: int,
+    *,
+    angles: bool,
+) -> np.ndarray:
+    """Return (G,) which shared unknowns may change.
+
+    Not what is fixed by choice, nor what belongs to a camera or an eye without boards, nor what
+    makes poses of angles where there are none.
+    """
+    blind = [name for c, name in enumerate(cameras) if c not in camera]
+    blind += [side for e, side in enumerate(EYES) if e not in eye[camera]]
+    without = () if angles else (*AXES, "time_offset_s")
+    free = [
+        name not in fixed
+        and name.partition(".")[0] not in blind
+        and name.rpartition(".")[2] not in without
+        for name in parameter_names(cameras)
+    ]
+    return np.array(free + [True] * (len(POSE) * placements))
+
+
+def _place_boards(
+    problem: BundleProblem, state: BundleState, T_cam_target: Array
+) -> tuple[BundleProblem, BundleState]:
     """Return the state with each placement where the view says that explains the others best.
 
     Views that contradict it lose their corners.
     """
     placements = len(state.T_lbase_target)
-    T_cam_target = np.full((len(problem.camera), 4, 4), np.nan)
-    for c, lens in enumerate(state.lenses):
-        chosen = (problem.camera == c) & _telling(problem.points[0], problem.seen)
-        pixels = np.where(problem.seen[..., None], problem.pixels, np.nan)[chosen]
-        T_cam_target[chosen] = target_poses(lens, pixels, problem.points[0])
+    mounts = np.stack([mounted.T_eye_cam for mounted in state.head.cameras.values()])
     right = problem.eye[problem.camera] == 1
-    T_base_lbase = np.where(right[:, None, None], state.T_rbase_lbase, np.eye(4))
-    T_base_cam = eye_poses(problem, state)[problem.block] @ state.T_eye_cam[problem.camera]
+    T_base_lbase = np.where(right[:, None, None], state.head.T_rbase_lbase, np.eye(4))
+    T_base_cam = eye_poses(problem, state)[problem.block] @ mounts[problem.camera]
     found = inverse(T_base_lbase) @ T_base_cam @ T_cam_target
     known = np.isfinite(found).all(axis=(1, 2))
     offers = [np.flatnonzero(known & (problem.placement == p)) for p in range(placements)]
-    if not all(len(offer) for offer in offers):
+    if not placements or not all(len(offer) for offer in offers):
         raise VergenceError(
             f"A board whose place is to be found needs {LEAST_CORNERS} corners in one image, not "
             "all on one line."

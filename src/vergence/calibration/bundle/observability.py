@@ -1,7 +1,8 @@
-"""Which directions of the unknowns the data cannot determine, and what to say about them.
+"""Which directions of the unknowns the data cannot determine.
 
-The yardstick is what a ruler and a data sheet tell without any calibration. A direction that the
-data know `HELD` times worse keeps its start, and one that they know hardly better is reported too.
+The yardstick is a prior standard deviation: how well a ruler and a data sheet know each parameter
+without any calibration. A direction that the data determine `FIXED` times worse keeps its start, and
+one that they determine hardly better is reported too.
 """
 
 from __future__ import annotations
@@ -11,23 +12,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.bundle.problem import POSE, Problem, State, calibration_size, size
-from vergence.calibration.bundle.solver import Linear, Noise, along, factorise
+from vergence.calibration.bundle.problem import BundleProblem, BundleState, head_size
+from vergence.calibration.bundle.solver import LinearProblem, NoiseLevels, factorise, project_onto
+from vergence.geometry.parameters import POSE
 
 ROTATION_RAD = 0.05
 """How well a ruler knows a mounting: about 3 degrees ..."""
 TRANSLATION_M = 0.01
 """... and a centimetre."""
-AXES_RULER = (0.1, 0.1, 0.05, 0.05, 0.05, 0.005)
+AXES_STD = (0.1, 0.1, 0.05, 0.05, 0.05, 0.005)
 """Gains, offsets and non-orthogonality [rad], distance of the axes [m]."""
 TIME_S = 0.1
 UNKNOWN = 1e3
-"""Standard deviation, in rulers, that stands for "not determined at all"."""
-HELD = 5.0
-"""Standard deviation, in rulers, from which a direction is held: 14 degrees, 5 cm. One that is
+"""Standard deviation, in prior ones, that stands for "not determined at all"."""
+FIXED = 5.0
+"""Standard deviation, in prior ones, from which a direction is fixed: 14 degrees, 5 cm. One that is
 known better is estimated: the start may be worse still, and would spoil what is observable."""
 WEAK = 0.3
-"""Standard deviation, in rulers, from which a direction deserves a warning: 0.9 degrees, 3 mm."""
+"""Standard deviation, in prior ones, from which a direction deserves a warning: 0.9 degrees, 3 mm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,18 +38,19 @@ class Observability:
 
     basis: Array
     """(G, F) free directions of the shared unknowns."""
-    held: Array
-    """(H, c) directions of the calibration that are not observable, each one ruler long."""
+    fixed: Array
+    """(H, c) directions of the calibration that are not observable, each one prior deviation long."""
     weak: Array
     """(W, c) directions that are observable, but hardly."""
     covariance: Array
-    """(c, c) of the calibration; where nothing is known, UNKNOWN rulers."""
+    """(c, c) of the calibration; where nothing is known, UNKNOWN prior standard deviations."""
 
 
-def rulers(problem: Problem, state: State) -> Array:
-    """Return (G,) how well each shared unknown is known without calibration."""
+def prior_std(problem: BundleProblem, state: BundleState) -> Array:
+    """Return (G,) the prior standard deviation of each shared unknown."""
     scales = []
-    for lens in state.lenses:
+    for mounted in state.head.cameras.values():
+        lens = mounted.intrinsics
         f = lens.matrix[0, 0]
         reach = np.hypot(lens.width, lens.height) / 2 / f  # of the image's corner, normalised
         scales += [0.2 * f, 0.2 * f, 0.1 * lens.width, 0.1 * lens.height]
@@ -55,26 +58,28 @@ def rulers(problem: Problem, state: State) -> Array:
         scales += [0.2 / reach**2, 0.2 / reach**4, 0.2 / reach, 0.2 / reach, 0.2 / reach**6]
         scales += [ROTATION_RAD] * 3 + [TRANSLATION_M] * 3
     scales += [ROTATION_RAD] * 3 + [TRANSLATION_M] * 3
-    scales += [*AXES_RULER, *AXES_RULER, TIME_S]
-    placements = (size(problem) - len(scales)) // len(POSE)
+    scales += [*AXES_STD, *AXES_STD, TIME_S]
+    placements = (len(problem.free) - len(scales)) // len(POSE)
     return np.array(scales + ([ROTATION_RAD] * 3 + [TRANSLATION_M] * 3) * placements)
 
 
-def whole_basis(problem: Problem, state: State) -> Array:
-    """Return (G, F) directions, a ruler long each, of all that is free."""
-    return np.diag(rulers(problem, state))[:, problem.free]
+def whole_basis(problem: BundleProblem, state: BundleState) -> Array:
+    """Return (G, F) directions, one prior standard deviation long each, of all that is free."""
+    return np.diag(prior_std(problem, state))[:, problem.free]
 
 
-def observe(problem: Problem, state: State, linear: Linear, noise: Noise) -> Observability:
+def observe(
+    problem: BundleProblem, state: BundleState, linear: LinearProblem, noise: NoiseLevels
+) -> Observability:
     """Return which directions of the calibration the data determine.
 
     The information on the calibration alone (placements and latent angles eliminated) is scaled
-    by the rulers, and its eigenvectors are the directions.
+    by the prior standard deviations, and its eigenvectors are the directions.
     """
     scale = whole_basis(problem, state)
-    c = calibration_size(problem)
+    c = head_size(problem)
     mine = np.flatnonzero(problem.free) < c
-    S = factorise(along(linear, scale), noise).schur
+    S = factorise(project_onto(linear, scale), noise).schur
     boards = S[np.ix_(~mine, ~mine)]
     # Nothing but the start tells where a board stands that shows too few corners.
     boards = boards + UNKNOWN**-2 * np.eye(len(boards))
@@ -82,12 +87,12 @@ def observe(problem: Problem, state: State, linear: Linear, noise: Noise) -> Obs
     information = S[np.ix_(mine, mine)] - across @ np.linalg.solve(boards, across.T)
     values, vectors = np.linalg.eigh(information)
     values = np.maximum(values, UNKNOWN**-2)
-    kept = values > HELD**-2
+    kept = values > FIXED**-2
     hardly = kept & (values < WEAK**-2)
     directions = scale[:, mine] @ vectors
     return Observability(
         basis=np.concatenate([directions[:, kept], scale[:, ~mine]], axis=1),
-        held=_unscaled(vectors[:, ~kept], problem.free[:c]),
+        fixed=_unscaled(vectors[:, ~kept], problem.free[:c]),
         weak=_unscaled(vectors[:, hardly], problem.free[:c]),
         covariance=(directions / values @ directions.T)[:c, :c],
     )

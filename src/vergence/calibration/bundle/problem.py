@@ -1,24 +1,21 @@
-"""The adjustment behind `refine`: its unknowns and its residuals.
+"""The bundle adjustment of a whole head: its unknowns, its residuals and their derivatives.
 
 A corner P of a board passes through
 `p_cam = T_cam_eye T_eye_base(u) T_base_lbase T_lbase_target P`, and then through the lens. The
 unknowns fall into two kinds:
 
-- *shared* ones, in one vector named by `calibration_names`: for each camera
-  fx, fy, cx, cy [px], k1, k2, p1, p2, k3 and the 6 of T_eye_cam; the 6 of T_rbase_lbase; the 6
-  fields of EyeAxes for each eye; the time offset [s]; the 6 of each placement of the board,
-  T_lbase_target, which follow without names;
+- *shared* ones, in one vector: the parameters of the head in the order of
+  `geometry.parameters.parameter_names`, then the 6 of each placement of the board, T_lbase_target;
 - *latent* ones, n for each eye in each view: the readings u [rad] of pan and tilt as they would be
-  without noise (n = 2) or, for eye poses given as 4x4 matrices, their errors (n = 6). An eye in a
-  view is a *block*: every residual meets one block only, so blocks are eliminated one by one.
+  without noise (n = 2) or, for measured eye poses, their errors (n = 6). An eye in a view is a
+  *block*: every residual meets one block only, so blocks are eliminated one by one.
 
-A change of a pose T_a_b is (rotation, translation) along the axes of frame a: R_a_b becomes
-exp(rotation) R_a_b and t_a_b becomes t_a_b + translation; see `pose_difference`.
+Poses change by the increment of `se3.boxplus`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,23 +23,22 @@ from numpy.typing import NDArray
 from vergence.arrays import Array
 from vergence.data import timing
 from vergence.data.timing import Stencil
-from vergence.geometry.camera import Camera, project
-from vergence.geometry.kinematics import EYES, EyeAxes
-from vergence.geometry.se3 import inverse, pose, rotation, rotvec, transform
+from vergence.geometry import parameters
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import AXES, EYES, T_base_eye, axes_row, eye_jacobians
+from vergence.geometry.parameters import PER_CAMERA, POSE
+from vergence.geometry.projection import by_pose_of_points, project_at, project_with_jacobians
+from vergence.geometry.se3 import boxplus, hat
 
 Index = NDArray[np.intp]
 
-INTRINSICS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
-POSE = ("rx", "ry", "rz", "tx", "ty", "tz")
-AXES = tuple(field.name for field in fields(EyeAxes))
-PER_CAMERA = len(INTRINSICS) + len(POSE)
-
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class BundleProblem:
     """What is given. M detections of a board with K corners, C cameras, B blocks, P placements."""
 
     cameras: tuple[str, ...]
+    """All cameras of the head."""
     eye: Index
     """(C,) 0 for the left eye, 1 for the right one."""
     camera: Index
@@ -56,140 +52,81 @@ class Problem:
     seen: NDArray[np.bool_]
     """(M, K)."""
     points: Array
-    """(M, K, 3) the corners in frame target [m]."""
-    spread: Array
-    """(M,) by what factor the corners of a detection scatter more than those of a typical one."""
+    """(K, 3) the corners in frame target [m]."""
+    noise_scale: Array
+    """(M,) by what factor the corners of a detection are noisier than those of a typical one."""
     block_view: Index
     """(B,)."""
     block_eye: Index
     """(B,) 0 or 1."""
     reading: Array
-    """(B, n) angles [rad]; zeros for eye poses."""
+    """(B, n) angles [rad]; zeros for measured eye poses."""
     around: Stencil | None
     """The neighbours of each block in time; None: the eyes stood still."""
-    course: Array
-    """(B, n, timing.DEGREE) how the latent unknowns go on in time; see followed."""
-    read_well: NDArray[np.bool_]
-    """(n,) of which joints the readings know the course better than the images do."""
-    poses: Array | None
-    """(B, 4, 4) T_base_eye as read; None: pan and tilt."""
-    shared_px: float
+    trajectory_coefficients: Array
+    """(B, n, timing.DEGREE) how the latent unknowns go on in time; see refit_trajectory."""
+    trust_encoder: NDArray[np.bool_]
+    """(n,) of which joints the readings know the trajectory better than the images do."""
+    T_base_eye_read: Array | None
+    """(B, 4, 4) measured poses of the eyes; None: pan and tilt."""
+    systematic_px: float
     """The errors that all images of a camera share are at least so large."""
     free: NDArray[np.bool_]
     """(G,) which shared unknowns may change."""
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class BundleState:
     """Values of all unknowns."""
 
-    lenses: tuple[Camera, ...]
-    T_eye_cam: Array
-    """(C, 4, 4)."""
-    T_rbase_lbase: Array
-    """(4, 4)."""
-    axes: Array
-    """(2, 6) the fields of EyeAxes, left eye and right eye."""
-    time_offset_s: float
-    """An image shows the joints this much later than their reading."""
+    head: HeadCalibration
     T_lbase_target: Array
     """(P, 4, 4)."""
     latent: Array
     """(B, n)."""
 
 
-def size(problem: Problem) -> int:
-    """Return G, the number of shared unknowns."""
-    return len(problem.free)
-
-
-def calibration_size(problem: Problem) -> int:
+def head_size(problem: BundleProblem) -> int:
     """Return how many shared unknowns belong to the head; those of the placements follow."""
-    return PER_CAMERA * len(problem.cameras) + len(POSE) + 2 * len(AXES) + 1
+    return PER_CAMERA * len(problem.cameras) + len(POSE) + len(EYES) * len(AXES) + 1
 
 
-def calibration_names(cameras: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names of the shared unknowns of a head with these cameras, in their order."""
-    own = (*INTRINSICS, *(f"T_eye_cam.{name}" for name in POSE))
-    return (
-        *(f"{camera}.{name}" for camera in cameras for name in own),
-        *(f"T_rbase_lbase.{name}" for name in POSE),
-        *(f"{eye}.{name}" for eye in EYES for name in AXES),
-        "time_offset_s",
-    )
-
-
-def axes_row(axes: EyeAxes) -> list[float]:
-    """Return the fields of EyeAxes in the order of AXES."""
-    return [getattr(axes, name) for name in AXES]
-
-
-def pose_difference(T: Array, T_reference: Array) -> Array:
-    """Return (..., 6) rotation [rad] and translation [m] that turn T_reference into T.
-
-    Both along the axes of the frame that T maps into: what the covariances of poses speak of.
-    """
-    R = T[..., :3, :3] @ np.swapaxes(T_reference[..., :3, :3], -1, -2)
-    return np.concatenate([rotvec(R), T[..., :3, 3] - T_reference[..., :3, 3]], axis=-1)
-
-
-def moved(T: Array, change: Array) -> Array:
-    """Return T (..., 4, 4) changed by (..., 6); the inverse of pose_difference."""
-    return pose(rotation(change[..., :3]) @ T[..., :3, :3], T[..., :3, 3] + change[..., 3:])
-
-
-def lens_vector(camera: Camera) -> Array:
-    """Return (9,) in the order of INTRINSICS."""
-    K = camera.matrix
-    return np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *camera.distortion])
-
-
-def changed_lens(camera: Camera, change: Array) -> Camera:
-    """Return a camera changed by (9,); its skew stays."""
-    fx, fy, cx, cy, *distortion = lens_vector(camera) + change
-    matrix = np.array([[fx, camera.matrix[0, 1], cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    return replace(camera, matrix=matrix, distortion=np.array(distortion))
-
-
-def advance(problem: Problem, state: State, shared: Array, latent: Array) -> State:
+def retract(
+    problem: BundleProblem, state: BundleState, shared: Array, latent: Array
+) -> BundleState:
     """Return the state changed by (G,) and (B, n).
 
     Raises:
         ValueError: a focal length would not stay positive.
     """
-    C = len(problem.cameras)
-    per_camera = shared[: PER_CAMERA * C].reshape(C, PER_CAMERA)
-    rest = shared[PER_CAMERA * C :]
-    return State(
-        tuple(changed_lens(*pair) for pair in zip(state.lenses, per_camera[:, :9], strict=True)),
-        moved(state.T_eye_cam, per_camera[:, 9:]),
-        moved(state.T_rbase_lbase, rest[:6]),
-        state.axes + rest[6:18].reshape(2, 6),
-        state.time_offset_s + float(rest[18]),
-        moved(state.T_lbase_target, rest[19:].reshape(-1, 6)),
+    c = head_size(problem)
+    return BundleState(
+        parameters.boxplus(state.head, shared[:c]),
+        boxplus(state.T_lbase_target, shared[c:].reshape(-1, 6)),
         state.latent + latent,
     )
 
 
-def joint_errors(problem: Problem, state: State) -> Array:
+def joint_errors(problem: BundleProblem, state: BundleState) -> Array:
     """Return (B, n): by how much the noise-free readings differ from the readings.
 
     The latent angles are those of the image's moment, which is time_offset_s after the reading's.
     """
-    return state.latent + timing.change(problem.course, -state.time_offset_s) - problem.reading
+    moved = timing.change(problem.trajectory_coefficients, -state.head.time_offset_s)
+    return state.latent + moved - problem.reading
 
 
-def joint_rates(problem: Problem, state: State) -> Array:
+def joint_rates(problem: BundleProblem, state: BundleState) -> Array:
     """Return (B, n): how fast the joints moved when they were read [1/s]."""
-    return timing.rate(problem.course, -state.time_offset_s)
+    return timing.rate(problem.trajectory_coefficients, -state.head.time_offset_s)
 
 
-def followed(problem: Problem, state: State) -> Problem:
-    """Return the problem with the eyes' course in time taken from the latent angles.
+def refit_trajectory(problem: BundleProblem, state: BundleState) -> BundleProblem:
+    """Return the problem with the eyes' trajectory fitted to the latent angles.
 
     These know the images: they are nearer to the truth than readings, whose noise would make the
-    eyes look faster, and the time offset smaller, than it is. Where readings are the better ones
-    the course is theirs, for what follows from itself need not settle.
+    eyes look faster, and the time offset smaller, than it is. Where the readings are the better
+    ones the trajectory is theirs: fitted to what it determines itself, it might not settle.
     """
     if problem.around is None:
         return problem
@@ -197,37 +134,93 @@ def followed(problem: Problem, state: State) -> Problem:
     # Seen from the reading's moment time runs the other way: odd powers keep their sign.
     sign = -((-1.0) ** np.arange(1, timing.DEGREE + 1))
     reading = sign * timing.coefficients(problem.around, problem.reading)
-    return replace(problem, course=np.where(problem.read_well[:, None], reading, latent))
+    chosen = np.where(problem.trust_encoder[:, None], reading, latent)
+    return replace(problem, trajectory_coefficients=chosen)
 
 
-def eye_poses(problem: Problem, state: State) -> Array:
+def eye_poses(problem: BundleProblem, state: BundleState) -> Array:
     """Return T_base_eye (B, 4, 4) at the latent joint angles (the paper's T_er)."""
-    R, t, _ = eye_parts(problem, state)
-    return pose(R, t)
+    if problem.T_base_eye_read is not None:
+        return boxplus(problem.T_base_eye_read, state.latent)
+    return T_base_eye(state.latent, _axes_rows(problem, state))
 
 
-def eye_parts(problem: Problem, state: State) -> tuple[Array, Array, Array]:
-    """Return R_base_eye (B, 3, 3), t_base_eye (B, 3), R_base_pan (B, 3, 3) of every block."""
-    if problem.poses is not None:
-        T = moved(problem.poses, state.latent)
-        return T[:, :3, :3], T[:, :3, 3], T[:, :3, :3]
-    axes = state.axes[problem.block_eye]
-    angles = axes[:, :2] * state.latent + axes[:, 2:4]
-    tilt_axis = np.stack([np.zeros(len(axes)), np.cos(axes[:, 4]), np.sin(axes[:, 4])], axis=-1)
-    R_pan = rotation(angles[:, :1] * [0.0, 0.0, 1.0])
-    return R_pan @ rotation(angles[:, 1:] * tilt_axis), R_pan[:, :, 0] * axes[:, 5:], R_pan
+def _eye_jacobians(problem: BundleProblem, state: BundleState) -> tuple[Array, Array]:
+    """Return how eye_poses change with the axes (B, 6, 6) and with the latent ones (B, 6, n)."""
+    if problem.T_base_eye_read is None:
+        return eye_jacobians(state.latent, _axes_rows(problem, state))
+    by_latent = np.tile(np.eye(6), (len(state.latent), 1, 1))
+    by_latent[:, :3, :3] = _left_jacobian(state.latent[:, :3])
+    return np.zeros((len(state.latent), 6, 6)), by_latent
 
 
-def corner_errors(problem: Problem, state: State) -> Array:
+def _axes_rows(problem: BundleProblem, state: BundleState) -> Array:
+    return np.stack([axes_row(state.head.axes[eye]) for eye in EYES])[problem.block_eye]
+
+
+def _left_jacobian(phi: Array) -> Array:
+    """Return (B, 3, 3): exp(phi + d) = exp(J d) exp(phi); a series, for turns well below 1 rad."""
+    term = np.broadcast_to(np.eye(3), (*phi.shape, 3))
+    total = term.copy()
+    for k in range(2, 12):
+        term = term @ hat(phi) / k
+        total += term
+    return total
+
+
+def _on_boards(problem: BundleProblem, state: BundleState) -> tuple[Array, Array]:
+    """Return the corners (M, K, 3) from the board's origin, and in the left eye's base frame."""
+    T = state.T_lbase_target[problem.placement]
+    turned = problem.points @ np.swapaxes(T[:, :3, :3], 1, 2)
+    return turned, turned + T[:, None, :3, 3]
+
+
+def corner_errors(problem: BundleProblem, state: BundleState) -> Array:
     """Return (M, K, 2) [px], projected minus seen: 0 if not seen, NaN if not before the camera."""
-    T_base_eye = eye_poses(problem, state)[problem.block]
-    T_base_cam = T_base_eye @ state.T_eye_cam[problem.camera]
-    right = problem.eye[problem.camera] == 1
-    T_base_lbase = np.where(right[:, None, None], state.T_rbase_lbase, np.eye(4))
-    T_cam_target = inverse(T_base_cam) @ T_base_lbase @ state.T_lbase_target[problem.placement]
-    points = transform(T_cam_target[:, None], problem.points)
+    T = eye_poses(problem, state)[problem.block]
+    _, points = _on_boards(problem, state)
     projected = np.empty_like(problem.pixels)
-    for c, lens in enumerate(state.lenses):
-        chosen = problem.camera == c
-        projected[chosen] = project(lens, points[chosen])
+    for c, mounted in enumerate(state.head.cameras.values()):
+        own = problem.camera == c
+        projected[own] = project_at(mounted, state.head.T_rbase_lbase, T[own], points[own])
     return np.where(problem.seen[..., None], projected - problem.pixels, 0.0)
+
+
+def jacobians(problem: BundleProblem, state: BundleState) -> tuple[Array, Index, Array]:
+    """Return the derivatives of corner_errors.
+
+    Returns:
+        (M, K, 2, 33) by the shared unknowns that a detection meets, (M, 33) which these are, and
+        (M, K, 2, n) by the latent ones of its block. Zero where a corner is not seen.
+    """
+    M, K = problem.seen.shape
+    T, (turned, points) = eye_poses(problem, state)[problem.block], _on_boards(problem, state)
+    by_axes, by_latent = (each[problem.block] for each in _eye_jacobians(problem, state))
+    shared, latent = np.empty((M, K, 2, 33)), np.empty((M, K, 2, by_latent.shape[-1]))
+    for c, mounted in enumerate(state.head.cameras.values()):
+        own = problem.camera == c
+        J = project_with_jacobians(mounted, state.head.T_rbase_lbase, T[own], points[own])
+        of_eye = J.by_T_base_eye.reshape(len(J.pixels), 2 * K, 6)
+        shared[own] = np.concatenate(
+            [
+                J.by_lens,
+                J.by_T_eye_cam,
+                J.by_T_rbase_lbase,
+                (of_eye @ by_axes[own]).reshape(-1, K, 2, 6),
+                by_pose_of_points(J.by_point, turned[own]),
+            ],
+            axis=-1,
+        )
+        latent[own] = (of_eye @ by_latent[own]).reshape(-1, K, 2, latent.shape[-1])
+    base = PER_CAMERA * len(problem.cameras)
+    index = np.concatenate(
+        [
+            PER_CAMERA * problem.camera[:, None] + np.arange(PER_CAMERA),
+            np.broadcast_to(base + np.arange(6), (M, 6)),
+            base + 6 + 6 * problem.eye[problem.camera][:, None] + np.arange(6),
+            head_size(problem) + 6 * problem.placement[:, None] + np.arange(6),
+        ],
+        axis=1,
+    )
+    seen = problem.seen[..., None, None]
+    return np.where(seen, shared, 0.0), index, np.where(seen, latent, 0.0)

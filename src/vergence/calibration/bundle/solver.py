@@ -1,4 +1,4 @@
-"""Sparse, robust Gauss-Newton steps for the adjustment of `problem`.
+"""Sparse, robust Gauss-Newton steps for bundle adjustment.
 
 Blocks of latent unknowns are eliminated one by one (the Schur complement), which leaves a small
 dense system in the shared ones: the cost grows linearly with the number of views.
@@ -16,18 +16,17 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_array
 
 from vergence.arrays import Array
-from vergence.calibration.bundle.jacobians import jacobians
 from vergence.calibration.bundle.problem import (
+    BundleProblem,
+    BundleState,
     Index,
-    Problem,
-    State,
-    advance,
-    calibration_size,
     corner_errors,
-    followed,
+    head_size,
+    jacobians,
     joint_errors,
     joint_rates,
-    size,
+    refit_trajectory,
+    retract,
 )
 from vergence.errors import VergenceError
 
@@ -36,11 +35,11 @@ OUTLIER = 4.0
 
 
 @dataclass(frozen=True, eq=False)
-class Noise:
+class NoiseLevels:
     """Standard deviations, with a group for each kind of reading."""
 
     pixel_px: float
-    """Of one coordinate of a corner, in a typical image; see Problem.spread."""
+    """Of one coordinate of a corner, in a typical image; see BundleProblem.noise_scale."""
     joint: Array
     """(groups,) [rad], or [m] for translations of eye poses."""
     group: Index
@@ -50,7 +49,7 @@ class Noise:
 
 
 @dataclass(frozen=True, eq=False)
-class Weights:
+class RobustWeights:
     """Robust weights between 0 and 1."""
 
     corner: Array
@@ -60,10 +59,10 @@ class Weights:
 
 
 @dataclass(frozen=True, eq=False)
-class Linear:
+class LinearProblem:
     """The problem linearised: J^T W J and -J^T W r of the corners in pixels, and joint errors.
 
-    G counts the shared unknowns, or the directions of them that are free (see along).
+    G counts the shared unknowns, or the directions of them that are free (see project_onto).
     """
 
     gg: Array
@@ -77,7 +76,7 @@ class Linear:
     latent: Array
     """(B, n)."""
     sum_squares: float
-    """Weighted squares of the corner errors [px^2], of images that all scatter alike."""
+    """Weighted squares of the corner errors [px^2], in units of the images' noise scale."""
     count: float
     """Of corner coordinates with a weight."""
     joint_errors: Array
@@ -93,7 +92,7 @@ class Linear:
 
 
 @dataclass(frozen=True, eq=False)
-class Factors:
+class NormalEquations:
     """The normal equations for given noise, with the latent unknowns eliminated."""
 
     ll_inverse: Array
@@ -106,12 +105,12 @@ class Factors:
     """(G,), (B, n)."""
 
 
-def linearise(problem: Problem, state: State, weights: Weights) -> Linear:
+def linearise(problem: BundleProblem, state: BundleState, weights: RobustWeights) -> LinearProblem:
     """Return the problem linearised at a state."""
-    G, (B, n) = size(problem), problem.reading.shape
+    G, (B, n) = len(problem.free), problem.reading.shape
     shared, index, latent = jacobians(problem, state)
     error = corner_errors(problem, state)
-    root = np.sqrt(weights.corner)[..., None] / problem.spread[:, None, None]
+    root = np.sqrt(weights.corner)[..., None] / problem.noise_scale[:, None, None]
     M = len(index)
     J = (shared * root[..., None]).reshape(M, -1, index.shape[1])
     L = (latent * root[..., None]).reshape(M, -1, n)
@@ -124,7 +123,7 @@ def linearise(problem: Problem, state: State, weights: Weights) -> Linear:
     np.add.at(gl, (problem.block[:, None], index), J_T @ L)
     np.add.at(ll, problem.block, L_T @ L)
     np.add.at(rhs, problem.block, -(L_T @ r)[..., 0])
-    return Linear(
+    return LinearProblem(
         gg, gl, ll, g, rhs,
         sum_squares=float((r**2).sum()),
         count=2.0 * np.count_nonzero(weights.corner),
@@ -132,11 +131,11 @@ def linearise(problem: Problem, state: State, weights: Weights) -> Linear:
         joint_weights=weights.joint,
         corner_weights=weights.corner,
         rate=joint_rates(problem, state),
-        time=np.eye(1, G, calibration_size(problem) - 1)[0],
+        time=np.eye(1, G, head_size(problem) - 1)[0],
     )  # fmt: skip
 
 
-def along(linear: Linear, basis: Array) -> Linear:
+def project_onto(linear: LinearProblem, basis: Array) -> LinearProblem:
     """Return the linear problem in the directions of a basis (G, F) of the shared unknowns."""
     rows = csr_array(basis.T)  # boards have directions of their own: most of it is zeros
     B, G, n = linear.gl.shape
@@ -150,16 +149,16 @@ def along(linear: Linear, basis: Array) -> Linear:
     )
 
 
-def factorise(linear: Linear, noise: Noise, damping: float = 0.0) -> Factors:
+def factorise(linear: LinearProblem, noise: NoiseLevels, damping: float = 0.0) -> NormalEquations:
     """Return the normal equations for given noise.
 
     Args:
-        linear: from linearise, along what is free.
+        linear: from linearise, onto what is free.
         noise: standard deviations.
         damping: Levenberg and Marquardt's, relative to the diagonal.
     """
     pixel = noise.pixel_px**-2
-    # A reading keeps a trace of weight: without it, an eye that lost its corners would be nowhere.
+    # A reading keeps a little weight: without it, an eye whose corners are all outliers has no pose.
     joint = np.maximum(linear.joint_weights, 1e-9) * noise.joint[noise.group] ** -2
     n = joint.shape[1]
     eye = np.eye(n, dtype=bool)
@@ -176,10 +175,10 @@ def factorise(linear: Linear, noise: Noise, damping: float = 0.0) -> Factors:
     coupling = ll_inverse @ np.swapaxes(gl, 1, 2)
     G = len(gg)
     schur = gg - gl.transpose(1, 0, 2).reshape(G, -1) @ coupling.reshape(-1, G)
-    return Factors(ll_inverse, coupling, (schur + schur.T) / 2, (right_g, right_l))
+    return NormalEquations(ll_inverse, coupling, (schur + schur.T) / 2, (right_g, right_l))
 
 
-def step(factors: Factors) -> tuple[Array, Array]:
+def step(factors: NormalEquations) -> tuple[Array, Array]:
     """Return the Gauss-Newton step: along the shared unknowns (G,), and latent (B, n)."""
     right_g, right_l = factors.right
     reduced = right_g - np.einsum("bnf,bn->f", factors.coupling, right_l)
@@ -196,35 +195,37 @@ def cholesky(matrix: Array) -> tuple[Array, bool]:
             return cho_factor(matrix + ridge * unit, lower=True)
         except np.linalg.LinAlgError:
             continue
-    raise VergenceError("The adjustment's equations are not finite; look for wild input.")
+    raise VergenceError(
+        "The equations of the bundle adjustment are not finite: look for corners or readings far off."
+    )
 
 
-def robust_weights(problem: Problem, state: State, noise: Noise) -> Weights:
+def robust_weights(problem: BundleProblem, state: BundleState, noise: NoiseLevels) -> RobustWeights:
     """Return Cauchy's weights beyond OUTLIER and 1 within."""
     corner = corner_distances(problem, state) / noise.pixel_px
     joint = np.abs(joint_errors(problem, state)) / noise.joint[noise.group]
-    return Weights(
+    return RobustWeights(
         np.where(problem.seen, _weight(corner, noise.outlier), 0.0), _weight(joint, noise.outlier)
     )
 
 
-def corner_distances(problem: Problem, state: State) -> Array:
-    """Return (M, K) [px] the lengths of the corner errors, of images that all scatter alike."""
-    return np.linalg.norm(corner_errors(problem, state), axis=-1) / problem.spread[:, None]
+def corner_distances(problem: BundleProblem, state: BundleState) -> Array:
+    """Return (M, K) [px] the lengths of the corner errors, in units of the images' noise scale."""
+    return np.linalg.norm(corner_errors(problem, state), axis=-1) / problem.noise_scale[:, None]
 
 
-def inliers(weights: Weights) -> Weights:
+def inliers(weights: RobustWeights) -> RobustWeights:
     """Return 1 for what lies within OUTLIER and 0 for the rest."""
-    return Weights((weights.corner == 1).astype(float), (weights.joint == 1).astype(float))
+    return RobustWeights((weights.corner == 1).astype(float), (weights.joint == 1).astype(float))
 
 
-def same(weights: Weights, linear: Linear) -> bool:
+def has_weights(weights: RobustWeights, linear: LinearProblem) -> bool:
     """Return whether a linear problem has these weights."""
     corner, joint = linear.corner_weights, linear.joint_weights
     return np.array_equal(weights.corner, corner) and np.array_equal(weights.joint, joint)
 
 
-def cost(problem: Problem, state: State, noise: Noise) -> float:
+def cost(problem: BundleProblem, state: BundleState, noise: NoiseLevels) -> float:
     """Return the robust sum of squares in units of the noise; infinite behind a camera."""
     corner = corner_distances(problem, state) / noise.pixel_px
     joint = joint_errors(problem, state) / noise.joint[noise.group]
@@ -233,17 +234,22 @@ def cost(problem: Problem, state: State, noise: Noise) -> float:
 
 
 def minimise(
-    problem: Problem, state: State, noise: Noise, basis: Array, *, iterations: int = 60
-) -> tuple[State, bool, Linear]:
-    """Return the state of least cost for given noise, whether it converged, and what it is from.
+    problem: BundleProblem,
+    state: BundleState,
+    noise: NoiseLevels,
+    basis: Array,
+    *,
+    iterations: int = 60,
+) -> tuple[BundleState, bool, LinearProblem]:
+    """Return the state of least cost for given noise, whether it converged, and its linear problem.
 
     Levenberg and Marquardt's method; the linear problem is that of the state where it converged.
     """
-    problem = followed(problem, state)
+    problem = refit_trajectory(problem, state)
     damping, lowest = 1e-6, cost(problem, state, noise)
     while True:
         linear = linearise(problem, state, robust_weights(problem, state, noise))
-        free_linear, iterations = along(linear, basis), iterations - 1
+        free_linear, iterations = project_onto(linear, basis), iterations - 1
         while True:
             factors = factorise(free_linear, noise, damping)
             free, latent = step(factors)
@@ -256,7 +262,7 @@ def minimise(
             if trial is not None and found <= lowest + 1e-12 * abs(lowest):
                 state, damping = trial, max(damping / 10, 1e-12)
                 if problem.around is not None:
-                    problem = followed(problem, state)
+                    problem = refit_trajectory(problem, state)
                     found = cost(problem, state, noise)
                 lowest = found
                 break
@@ -267,10 +273,12 @@ def minimise(
             return state, False, linearise(problem, state, robust_weights(problem, state, noise))
 
 
-def _try(problem: Problem, state: State, shared: Array, latent: Array) -> State | None:
+def _try(
+    problem: BundleProblem, state: BundleState, shared: Array, latent: Array
+) -> BundleState | None:
     try:
-        return advance(problem, state, shared, latent)
-    except ValueError:  # a focal length of less than nothing
+        return retract(problem, state, shared, latent)
+    except ValueError:  # a focal length that is not positive
         return None
 
 

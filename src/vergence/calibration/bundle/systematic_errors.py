@@ -1,10 +1,10 @@
-"""Errors of corners that all images share: what neither more corners nor more views average out.
+"""Systematic errors of corners: what neither more corners nor more views average out.
 
-A lens that is not quite what its model says, or a corner finder that errs alike in the same part of
-the image, moves corners by a smooth field over the image. Part of it is absorbed by the unknowns,
-which are then wrong by more than independent errors explain; the rest stays in the residuals. How
-large the field is, is read from that rest; the part that is absorbed is *assumed* to be as large.
-What is known beforehand of how corners were found sets a least size.
+A lens that departs from its model, or a detector that errs alike in the same part of the image,
+moves corners by a smooth field over the image. Part of it is absorbed by the unknowns, which are
+then wrong by more than independent errors explain; the rest stays in the residuals. The size of the
+field is estimated from that rest; the absorbed part is *assumed* to be as large. What is known
+beforehand of the detector sets a least size.
 
 The field of each camera is a sum of Legendre polynomials in both coordinates of the image, up to
 `DEGREE`, with coefficients of one standard deviation.
@@ -19,26 +19,25 @@ from numpy.polynomial.legendre import legvander2d
 from scipy.linalg import cho_solve
 
 from vergence.arrays import Array
-from vergence.calibration.bundle.jacobians import jacobians
-from vergence.calibration.bundle.problem import Problem, State, corner_errors, size
+from vergence.calibration.bundle.problem import BundleProblem, BundleState, corner_errors, jacobians
 from vergence.calibration.bundle.solver import (
-    Linear,
-    Noise,
-    Weights,
-    along,
+    LinearProblem,
+    NoiseLevels,
+    RobustWeights,
     cholesky,
     factorise,
+    project_onto,
     step,
 )
 
 DEGREE = 4
-LEAST_CORNERS = 200
-"""A camera with fewer tells nothing of a field of thirty coefficients."""
+LEAST_FIELD_CORNERS = 200
+"""A camera with fewer does not determine a field of thirty coefficients."""
 
 
 @dataclass(frozen=True, eq=False)
-class SharedErrors:
-    """What the images of a head share."""
+class SystematicErrors:
+    """The systematic errors of a head's cameras."""
 
     rms_px: tuple[float, ...]
     """By camera: of one coordinate of the field, over the image."""
@@ -46,9 +45,14 @@ class SharedErrors:
     """(G, G) what the fields add to the covariance of the shared unknowns."""
 
 
-def shared_errors(
-    problem: Problem, state: State, linear: Linear, weights: Weights, noise: Noise, basis: Array
-) -> SharedErrors:
+def systematic_errors(
+    problem: BundleProblem,
+    state: BundleState,
+    linear: LinearProblem,
+    weights: RobustWeights,
+    noise: NoiseLevels,
+    basis: Array,
+) -> SystematicErrors:
     """Return how large such fields are, and what they do to the unknowns.
 
     Args:
@@ -59,18 +63,19 @@ def shared_errors(
         noise: standard deviations.
         basis: (G, F) free directions of the shared unknowns.
     """
-    factors = factorise(along(linear, basis), noise)
+    factors = factorise(project_onto(linear, basis), noise)
     schur = cholesky(factors.schur)
     # The state is the robust optimum: without its outliers it would stand a little elsewhere.
     moved = step(factors)
     shared, index, latent = jacobians(problem, state)
     errors = corner_errors(problem, state)
-    precision = (weights.corner / (noise.pixel_px * problem.spread[:, None]) ** 2)[..., None]
-    levels, covariance = [], np.zeros((size(problem), size(problem)))
-    for c, lens in enumerate(state.lenses):
+    precision = (weights.corner / (noise.pixel_px * problem.noise_scale[:, None]) ** 2)[..., None]
+    levels, covariance = [], np.zeros((len(problem.free), len(problem.free)))
+    for c, mounted in enumerate(state.head.cameras.values()):
+        lens = mounted.intrinsics
         mine = np.flatnonzero(problem.camera == c)
-        told = np.count_nonzero(weights.corner[mine]) >= LEAST_CORNERS
-        if not told and not problem.shared_px:
+        estimable = np.count_nonzero(weights.corner[mine]) >= LEAST_FIELD_CORNERS
+        if not len(mine) or not (estimable or problem.systematic_px):
             levels.append(0.0)
             continue
         # Where the corners should be: where they were seen goes with their own errors.
@@ -78,7 +83,7 @@ def shared_errors(
         weighed = fields * precision[mine][..., None]
         N = len(mine)
         w = weighed.reshape(N, -1, fields.shape[-1])
-        onto = np.zeros((size(problem), w.shape[2]))
+        onto = np.zeros((len(problem.free), w.shape[2]))
         np.add.at(onto, index[mine], np.swapaxes(shared[mine].reshape(N, w.shape[1], -1), 1, 2) @ w)
         right_l = np.zeros((*linear.latent.shape, w.shape[2]))
         L = latent[mine].reshape(N, w.shape[1], -1)
@@ -92,11 +97,11 @@ def shared_errors(
         seen += right_g.T @ moved[0] + np.einsum("bnk,bn->k", right_l, moved[1])
         # Of functions whose mean square is one, for each coordinate.
         per_px = np.sqrt(2 / fields.shape[-1])
-        std = max(_likeliest(left, seen) if told else 0.0, problem.shared_px * per_px)
+        std = max(_likeliest(left, seen) if estimable else 0.0, problem.systematic_px * per_px)
         absorbed = basis @ free
         covariance += std**2 * absorbed @ absorbed.T
         levels.append(float(std / per_px))
-    return SharedErrors(tuple(levels), covariance)
+    return SystematicErrors(tuple(levels), covariance)
 
 
 def _fields(pixels: Array, width: int, height: int) -> Array:

@@ -1,7 +1,7 @@
-"""How large the noise is, from the residuals: variance components by restricted likelihood (REML).
+"""Noise levels from the residuals: variance components by restricted likelihood (REML).
 
 Each group of residuals (corners; readings of one kind) has its own variance. The restricted
-likelihood knows how much of each group's noise the fit has swallowed (Patterson and Thompson 1971;
+likelihood accounts for the part of each group's noise that the fit has absorbed (Patterson and Thompson 1971;
 geodesy's Helmert variance components are its stationary points: sigma^2 = r^T r / redundancy).
 It is climbed by Fisher scoring in log sigma^2, in the linearised problem, where a step costs one
 elimination and no projection.
@@ -16,21 +16,29 @@ from scipy.linalg import solve_triangular
 from scipy.special import digamma, polygamma
 
 from vergence.arrays import Array
-from vergence.calibration.bundle.solver import Factors, Linear, Noise, cholesky, factorise, step
+from vergence.calibration.bundle.solver import (
+    LinearProblem,
+    NoiseLevels,
+    NormalEquations,
+    cholesky,
+    factorise,
+    step,
+)
 
 FLOOR_PX = 1e-3
 """No corner is found better than that; keeps exact data from dividing by zero."""
 LEAST_LEFT = 6
-"""An image with fewer residuals left does not say how much its corners scatter."""
+"""An image with fewer residuals left does not determine the noise of its corners."""
 FLOOR_JOINT = 0.05
-"""Least joint noise, in units of how well one image tells the joint: results no longer change."""
+"""Least joint noise, in units of how well one image determines the joint; below, results no longer
+change."""
 
 
 @dataclass(frozen=True, eq=False)
 class Components:
-    """Noise levels and how well they are known."""
+    """NoiseLevels levels and how well they are known."""
 
-    noise: Noise
+    noise: NoiseLevels
     log_variance: Array
     """(1 + groups,) variance of log sigma^2: corners, then the groups of readings."""
     redundancy: Array
@@ -46,23 +54,23 @@ class _Evaluation:
 
 
 def estimate_noise(
-    linear: Linear, noise: Noise, held: np.ndarray, *, iterations: int = 40
+    linear: LinearProblem, noise: NoiseLevels, fixed: np.ndarray, *, iterations: int = 40
 ) -> Components:
     """Return the noise levels of greatest restricted likelihood.
 
     Args:
-        linear: the problem linearised near its optimum, with outliers weighted 0, along what is
+        linear: the problem linearised near its optimum, with outliers weighted 0, onto what is
             free.
         noise: where to start.
-        held: (1 + groups,) which levels are known and stay.
+        fixed: (1 + groups,) which levels are known and stay.
     """
     s = _log_variances(noise)
     floor = np.concatenate([[2 * np.log(FLOOR_PX)], _joint_floor(linear, noise)])
-    s = np.where(held, s, np.maximum(s, floor))
+    s = np.where(fixed, s, np.maximum(s, floor))
     now = _evaluate(linear, noise, s)
     for _ in range(iterations):
-        # At its floor a level has nothing left to lose; leave it out of the scoring step.
-        stuck = held | ((s <= floor + 1e-9) & (now.score <= 0))
+        # A level at its floor is left out of the scoring step.
+        stuck = fixed | ((s <= floor + 1e-9) & (now.score <= 0))
         fisher = now.fisher + 1e-9 * np.eye(len(s))
         fisher[stuck] = fisher[:, stuck] = 0
         fisher[stuck, stuck] = 1
@@ -79,14 +87,14 @@ def estimate_noise(
         if change < 1e-4:
             break
     information = now.fisher + 1e-12 * np.eye(len(s))
-    information[held] = information[:, held] = 0
-    information[held, held] = np.inf
-    spread = np.zeros(len(s))
-    spread[~held] = np.diag(np.linalg.inv(information[np.ix_(~held, ~held)]))
-    return Components(_with(noise, s), spread, now.redundancy)
+    information[fixed] = information[:, fixed] = 0
+    information[fixed, fixed] = np.inf
+    variance = np.zeros(len(s))
+    variance[~fixed] = np.diag(np.linalg.inv(information[np.ix_(~fixed, ~fixed)]))
+    return Components(_with(noise, s), variance, now.redundancy)
 
 
-def redundancy(linear: Linear, noise: Noise) -> Array:
+def redundancy(linear: LinearProblem, noise: NoiseLevels) -> Array:
     """Return (1 + groups,) how many residuals of each group such noise would leave over.
 
     At a generous noise, less than one of a group says that its level cannot be estimated.
@@ -94,53 +102,53 @@ def redundancy(linear: Linear, noise: Noise) -> Array:
     return _evaluate(linear, noise, _log_variances(noise)).redundancy
 
 
-def image_spreads(squares: Array, counts: Array) -> Array:
-    """Return (M,) by what factor the corners of each image scatter more than typical ones.
+def image_noise_scales(squares: Array, counts: Array) -> Array:
+    """Return (M,) by what factor the corners of each image are noisier than typical ones.
 
     Far and leaning boards have small squares, and larger errors. The log variances of the images
-    are taken for normally distributed (empirical Bayes): where they differ no more than such few
-    corners let them, all are alike.
+    are assumed to be normally distributed (empirical Bayes): where they differ no more than chance
+    explains for so few corners, all scales are one.
 
     Args:
         squares: (M,) sums of squares of the residuals of each image [px^2].
         counts: (M,) how many residuals are left over in each after the fit.
     """
-    told = counts > LEAST_LEFT
-    spreads = np.ones(len(squares))
-    if told.sum() < 2:
-        return spreads
-    nu = counts[told]
-    level = np.log(np.maximum(squares[told] / nu, FLOOR_PX**2)) - digamma(nu / 2) + np.log(nu / 2)
+    enough = counts > LEAST_LEFT
+    scales = np.ones(len(squares))
+    if enough.sum() < 2:
+        return scales
+    nu = counts[enough]
+    level = np.log(np.maximum(squares[enough] / nu, FLOOR_PX**2)) - digamma(nu / 2) + np.log(nu / 2)
     chance = polygamma(1, nu / 2)  # the variance of the logarithm of a chi-square
     differ = max(0.0, float(np.var(level, ddof=1) - chance.mean()))
     typical = np.average(level, weights=1 / (differ + chance))
-    spreads[told] = np.exp((level - typical) * differ / (differ + chance) / 2)
-    return spreads
+    scales[enough] = np.exp((level - typical) * differ / (differ + chance) / 2)
+    return scales
 
 
-def _log_variances(noise: Noise) -> Array:
+def _log_variances(noise: NoiseLevels) -> Array:
     return 2 * np.log(np.array([noise.pixel_px, *noise.joint]))
 
 
-def _with(noise: Noise, s: Array) -> Noise:
+def _with(noise: NoiseLevels, s: Array) -> NoiseLevels:
     sigma = np.exp(s / 2)
     return replace(noise, pixel_px=float(sigma[0]), joint=sigma[1:])
 
 
-def image_levels(linear: Linear, noise: Noise) -> Array:
-    """Return (groups,) how well one image tells the joints [rad]: the best of each group."""
+def image_levels(linear: LinearProblem, noise: NoiseLevels) -> Array:
+    """Return (groups,) how well one image determines the joints [rad]: the best of each group."""
     seen = np.linalg.cond(linear.ll) < 1e12  # a block may have lost all its corners as outliers
     alone = np.linalg.inv(linear.ll[seen])[:, *np.diag_indices(linear.ll.shape[1])]
-    told = noise.pixel_px**2 * np.median(alone, axis=0)
-    return np.sqrt([told[noise.group == k].min() for k in range(len(noise.joint))])
+    variance = noise.pixel_px**2 * np.median(alone, axis=0)
+    return np.sqrt([variance[noise.group == k].min() for k in range(len(noise.joint))])
 
 
-def _joint_floor(linear: Linear, noise: Noise) -> Array:
+def _joint_floor(linear: LinearProblem, noise: NoiseLevels) -> Array:
     """Return (groups,) log variances below which a group's readings count as exact."""
     return 2 * np.log(FLOOR_JOINT * image_levels(linear, noise))
 
 
-def _evaluate(linear: Linear, noise: Noise, s: Array) -> _Evaluation:
+def _evaluate(linear: LinearProblem, noise: NoiseLevels, s: Array) -> _Evaluation:
     """Return the restricted likelihood, its gradient and Fisher information in s = log sigma^2."""
     noise = _with(noise, s)
     factors = factorise(linear, noise)
@@ -155,11 +163,11 @@ def _evaluate(linear: Linear, noise: Noise, s: Array) -> _Evaluation:
         squares.append((inverse_variance * error**2)[group == k].sum())
         counts.append(float(np.count_nonzero(used[group == k])))
     squares, counts = np.array(squares), np.array(counts, dtype=float)
-    told, shared = _swallowed(linear, factors, inverse_variance, noise)
+    trace, norms = _absorbed(linear, factors, inverse_variance, noise)
     unknowns = len(free) + latent.size
-    redundancy = counts - np.concatenate([[unknowns - told.sum()], told])
+    redundancy = counts - np.concatenate([[unknowns - trace.sum()], trace])
     # With M the residual projector, F_gh = |M_gh|^2 / 2, and M M = M gives the corners' row.
-    joint = shared + np.diag(counts[1:] - 2 * told)
+    joint = norms + np.diag(counts[1:] - 2 * trace)
     across = redundancy[1:] - joint.sum(axis=1)
     fisher = np.zeros((len(s), len(s)))
     fisher[1:, 1:] = joint
@@ -175,7 +183,7 @@ def _evaluate(linear: Linear, noise: Noise, s: Array) -> _Evaluation:
     )
 
 
-def _corner_squares(linear: Linear, shared: Array, latent: Array) -> float:
+def _corner_squares(linear: LinearProblem, shared: Array, latent: Array) -> float:
     """Return the sum of squares of the corner errors after a step, in the linear model [px^2]."""
     linear_part = shared @ linear.g + (latent * linear.latent).sum()
     crossed = np.einsum("bgn,g,bn->", linear.gl, shared, latent, optimize=True)
@@ -184,8 +192,8 @@ def _corner_squares(linear: Linear, shared: Array, latent: Array) -> float:
     return float(linear.sum_squares - 2 * linear_part + curved)
 
 
-def _swallowed(
-    linear: Linear, factors: Factors, inverse_variance: Array, noise: Noise
+def _absorbed(
+    linear: LinearProblem, factors: NormalEquations, inverse_variance: Array, noise: NoiseLevels
 ) -> tuple[Array, Array]:
     """Return trace (groups,) and squared norms (groups, groups) of the readings' hat matrix.
 

@@ -32,13 +32,11 @@ from vergence.calibration.checks.flip_evidence import (
     costs_of_turns,
     synchronised,
 )
-from vergence.calibration.sequential.intrinsics import target_poses
-from vergence.calibration.sequential.robust_hand_eye import robust_park_martin
-from vergence.calibration.sequential.sequential import Views, eyes_of
+from vergence.calibration.observations import Observations, camera_eyes
+from vergence.calibration.sequential.hand_eye import robust_park_martin
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board, Charuco, corner_points
-from vergence.geometry.camera import Camera
-from vergence.geometry.kinematics import EYES, T_base_eye
+from vergence.geometry.kinematics import EYES
 from vergence.geometry.se3 import angle, pose, rotation, rotvec
 
 CLEAR = 10.0
@@ -48,10 +46,12 @@ LEAST_MOTION_RAD = 0.03
 
 
 @dataclass(frozen=True, eq=False)
-class Repaired:
-    """Views with their boards numbered alike."""
+class Renumbered:
+    """Observations in which all boards of a placement are numbered from the same end."""
 
-    views: Views
+    observations: Observations
+    T_cam_target: Mapping[str, Array]
+    """By camera: (V, 4, 4) poses of the board as it is numbered now."""
     turns: Mapping[str, np.ndarray]
     """By camera: (V,) how often a board was turned: by pi, or by pi / 2 where it is square."""
     unclear: Mapping[str, np.ndarray]
@@ -59,8 +59,8 @@ class Repaired:
 
 
 @dataclass(frozen=True, eq=False)
-class _Sight:
-    """What one camera saw of the board, N times."""
+class _CameraViews:
+    """What one camera saw of the board, in N views."""
 
     view: np.ndarray
     """(N,)."""
@@ -78,55 +78,51 @@ class _Sight:
     """(N,) of bool."""
 
 
-def repair(
-    views: Views,
-    lenses: Mapping[str, Camera],
-    *,
-    T_base_eye_read: Array | None = None,
-) -> Repaired:
+def number_alike(observations: Observations, T_cam_target: Mapping[str, Array]) -> Renumbered:
     """Number all boards of a placement from the same end.
 
     ChArUco boards are numbered by their markers and come back as they are.
 
     Args:
-        views: corners and joint readings.
-        lenses: by camera; preliminary intrinsics will do. Cameras that are not there are left.
-        T_base_eye_read: (V, 2, 4, 4) poses of the left and the right eye in their bases, where
-            these are given instead of angles.
+        observations: corners and readings.
+        T_cam_target: by camera (V, 4, 4) poses of the board, NaN where not known; preliminary
+            intrinsics will do. Cameras that are not there are left as they are.
     """
-    V = len(views.placement)
-    turns = {name: np.zeros(V, dtype=int) for name in views.corners}
-    unclear = {name: np.zeros(V, dtype=bool) for name in views.corners}
-    if isinstance(views.board, Charuco):
-        return Repaired(views, turns, unclear)
-    eyes = eyes_of(views)
-    R = _turns(views.board)
-    sights = {}
-    for name, lens in lenses.items():
-        e = EYES.index(eyes[name])
-        if T_base_eye_read is None:
-            T = T_base_eye(views.eye_angles[:, 2 * e : 2 * e + 2])
-        else:
-            T = T_base_eye_read[:, e]
-        sights[name] = _consistent(_sight(views, lens, views.corners[name], T, R), R)
-    _together(sights, eyes, R)
-    for name, sight in sights.items():
-        decided = np.where(sight.unclear, 0, sight.turns)
-        turns[name][sight.view] = decided
-        unclear[name][sight.view] = sight.unclear
-    return Repaired(turned(views, turns), turns, unclear)
+    V = len(observations.placement)
+    turns = {name: np.zeros(V, dtype=int) for name in observations.corners}
+    unclear = {name: np.zeros(V, dtype=bool) for name in observations.corners}
+    if isinstance(observations.board, Charuco):
+        return Renumbered(observations, T_cam_target, turns, unclear)
+    eyes, R = camera_eyes(observations), _turns(observations.board)
+    T_base_eye = observations.eye_poses()
+    cameras = {
+        name: _consistent(_views_of(observations, T, T_base_eye[:, EYES.index(eyes[name])]), R)
+        for name, T in T_cam_target.items()
+    }
+    _together(cameras, eyes, R)
+    for name, seen in cameras.items():
+        turns[name][seen.view] = np.where(seen.unclear, 0, seen.turns)
+        unclear[name][seen.view] = seen.unclear
+    middle = corner_points(observations.board).mean(axis=0)
+    T_turn = pose(R, middle - R @ middle)  # about the board's middle
+    return Renumbered(
+        turn_boards(observations, turns),
+        {name: T @ T_turn[turns[name]] for name, T in T_cam_target.items()},
+        turns,
+        unclear,
+    )
 
 
-def turned(views: Views, turns: Mapping[str, np.ndarray]) -> Views:
-    """Return views with boards turned: by camera (V,) times pi, or pi / 2 for square boards."""
-    order = _orders(views.board)
+def turn_boards(observations: Observations, turns: Mapping[str, np.ndarray]) -> Observations:
+    """Return observations with boards turned: by camera (V,) times pi, or pi / 2 if square."""
+    order = _orders(observations.board)
     corners = {
         name: np.take_along_axis(seen, order[turns[name]][..., None], axis=1)
         if name in turns
         else seen
-        for name, seen in views.corners.items()
+        for name, seen in observations.corners.items()
     }
-    return replace(views, corners=corners)
+    return replace(observations, corners=corners)
 
 
 def nearest(R_cam_target: Array, board: Board) -> Array:
@@ -141,13 +137,13 @@ def nearest(R_cam_target: Array, board: Board) -> Array:
     return R_cam_target @ R[synchronised(off * SPREAD_RAD)[0]]
 
 
-def remarks(found: Repaired) -> tuple[str, ...]:
+def remarks(found: Renumbered) -> tuple[str, ...]:
     """Return a sentence that names the views that were turned, if there are any."""
     named = _named({name: turns != 0 for name, turns in found.turns.items()})
     return (f"Numbered from the wrong end, and turned: {named}.",) if named else ()
 
 
-def warnings(found: Repaired) -> tuple[str, ...]:
+def warnings(found: Renumbered) -> tuple[str, ...]:
     """Return a sentence that names the views that could not be decided, if there are any."""
     named = _named(found.unclear)
     if not named:
@@ -181,37 +177,36 @@ def _orders(board: Board) -> np.ndarray:
     return np.linalg.norm(moved[:, :, None] - away, axis=-1).argmin(axis=2)
 
 
-def _sight(views: Views, lens: Camera, corners: Array, T: Array, R: Array) -> _Sight:
-    T_cam_target = target_poses(lens, corners, corner_points(views.board))
-    usable = np.isfinite(T_cam_target).all(axis=(1, 2)) & np.isfinite(T).all(axis=(1, 2))
+def _views_of(observations: Observations, T_cam_target: Array, T_base_eye: Array) -> _CameraViews:
+    usable = np.isfinite(T_cam_target).all(axis=(1, 2)) & np.isfinite(T_base_eye).all(axis=(1, 2))
     view = np.flatnonzero(usable)
-    return _Sight(
+    return _CameraViews(
         view=view,
-        placement=views.placement[view],
+        placement=observations.placement[view],
         R_cam_target=T_cam_target[view, :3, :3],
-        R_base_eye=T[view, :3, :3],
+        R_base_eye=T_base_eye[view, :3, :3],
         R_eye_cam=None,
         turns=np.zeros(len(view), dtype=int),
         unclear=np.zeros(len(view), dtype=bool),
     )
 
 
-def _consistent(sight: _Sight, R: Array) -> _Sight:
+def _consistent(seen: _CameraViews, R: Array) -> _CameraViews:
     """Return the same with turns that make the views of each placement agree with the readings."""
-    groups = [np.flatnonzero(sight.placement == p) for p in np.unique(sight.placement)]
-    turns, unclear = sight.turns.copy(), sight.unclear.copy()
+    groups = [np.flatnonzero(seen.placement == p) for p in np.unique(seen.placement)]
+    turns, unclear = seen.turns.copy(), seen.unclear.copy()
     for group in groups:
         if len(group) > 1:
-            off = angles_apart(sight.R_cam_target[group], sight.R_base_eye[group], R)
+            off = angles_apart(seen.R_cam_target[group], seen.R_base_eye[group], R)
             turns[group], evidence = synchronised(off)
             unclear[group] = evidence < CLEAR
-    sight = replace(sight, turns=turns, unclear=unclear)
+    seen = replace(seen, turns=turns, unclear=unclear)
     largest = max(groups, key=len, default=np.arange(0))
-    R_eye_cam = _mounting(sight, largest[~unclear[largest]], R)
+    R_eye_cam = _mounting(seen, largest[~unclear[largest]], R)
     if R_eye_cam is None:
-        return sight
+        return seen
     # With the mounting known not only angles can be compared, but rotations.
-    R_base_target = sight.R_base_eye @ R_eye_cam @ sight.R_cam_target
+    R_base_target = seen.R_base_eye @ R_eye_cam @ seen.R_cam_target
     for group in groups:
         if len(group) > 1:
             off = apart(R_base_target[group][:, None], R_base_target[group][None], R)
@@ -219,47 +214,47 @@ def _consistent(sight: _Sight, R: Array) -> _Sight:
             clear = evidence >= CLEAR
             if clear.sum() >= (~unclear[group]).sum():
                 turns[group], unclear[group] = better, ~clear
-    return replace(sight, turns=turns, unclear=unclear, R_eye_cam=R_eye_cam)
+    return replace(seen, turns=turns, unclear=unclear, R_eye_cam=R_eye_cam)
 
 
-def _mounting(sight: _Sight, chosen: np.ndarray, R: Array) -> Array | None:
+def _mounting(seen: _CameraViews, chosen: np.ndarray, R: Array) -> Array | None:
     """Return R_eye_cam (3, 3) by the chosen views, or None where they move too little."""
     if len(chosen) < 4:
         return None
-    E = sight.R_base_eye[chosen]
+    E = seen.R_base_eye[chosen]
     motion = rotvec(np.swapaxes(E[:1], 1, 2) @ E)
     spread = np.linalg.svd(motion - motion.mean(axis=0), compute_uv=False) / np.sqrt(len(motion))
     if spread[1] < LEAST_MOTION_RAD:
         return None
-    seen = sight.R_cam_target[chosen] @ R[sight.turns[chosen]]
+    R_cam_target = seen.R_cam_target[chosen] @ R[seen.turns[chosen]]
     try:
-        return robust_park_martin(pose(E), pose(seen))[:3, :3]
+        return robust_park_martin(pose(E), pose(R_cam_target))[:3, :3]
     except VergenceError:
         return None
 
 
-def _together(sights: Mapping[str, _Sight], eyes: Mapping[str, str], R: Array) -> None:
+def _together(cameras: Mapping[str, _CameraViews], eyes: Mapping[str, str], R: Array) -> None:
     """Change the turns of whole placements in a camera so that the cameras agree."""
     n = len(R)
     votes: dict[int, dict[tuple[str, str], Array]] = {}
-    for a, b in combinations(sights, 2):
-        links = _links(sights[a], sights[b], R, same_eye=eyes[a] == eyes[b])
+    for a, b in combinations(cameras, 2):
+        links = _links(cameras[a], cameras[b], R, same_eye=eyes[a] == eyes[b])
         if len(links.placement):
             for p, cost in zip(links.placement, costs_of_turns(links, R), strict=True):
                 pairs = votes.setdefault(int(p), {})
                 pairs[a, b] = pairs.get((a, b), np.zeros(n)) + cost
-    upright = {name: sight.R_cam_target[:, :, 0].mean(axis=0) for name, sight in sights.items()}
+    upright = {name: seen.R_cam_target[:, :, 0].mean(axis=0) for name, seen in cameras.items()}
     for p, pairs in votes.items():
         for names in _connected(pairs):
-            here = {name: sights[name].placement == p for name in names}
+            here = {name: cameras[name].placement == p for name in names}
             totals = {}
             for shifts in product(range(n), repeat=len(names)):
                 by = dict(zip(names, shifts, strict=True))
-                after = {name: (sights[name].turns[here[name]] + by[name]) % n for name in names}
+                after = {name: (cameras[name].turns[here[name]] + by[name]) % n for name in names}
                 count = sum(np.count_nonzero(turns) for turns in after.values())
                 # Boards are mostly held the same way up; this only decides between equals.
                 x_axes = [
-                    (sights[name].R_cam_target[here[name]] @ R[turns])[:, :, 0] @ upright[name]
+                    (cameras[name].R_cam_target[here[name]] @ R[turns])[:, :, 0] @ upright[name]
                     for name, turns in after.items()
                 ]
                 totals[shifts] = PRIOR * (count - float(np.concatenate(x_axes).mean()) / 2) + sum(
@@ -268,9 +263,9 @@ def _together(sights: Mapping[str, _Sight], eyes: Mapping[str, str], R: Array) -
             best = min(totals, key=lambda shifts: totals[shifts])
             others = [t for shifts, t in totals.items() if not _alike(shifts, best, n)]
             for name, shift in zip(names, best, strict=True):
-                sight = sights[name]
-                sight.turns[here[name]] = (sight.turns[here[name]] + shift) % n
-                sight.unclear[here[name]] |= min(others) - totals[best] < CLEAR
+                seen = cameras[name]
+                seen.turns[here[name]] = (seen.turns[here[name]] + shift) % n
+                seen.unclear[here[name]] |= min(others) - totals[best] < CLEAR
 
 
 def _alike(one: tuple[int, ...], other: tuple[int, ...], n: int) -> bool:
@@ -288,7 +283,7 @@ def _connected(pairs: Collection[tuple[str, str]]) -> list[list[str]]:
     return [sorted(names) for names in found]
 
 
-def _links(a: _Sight, b: _Sight, R: Array, *, same_eye: bool) -> Links:
+def _links(a: _CameraViews, b: _CameraViews, R: Array, *, same_eye: bool) -> Links:
     seen_a, seen_b = (each.R_cam_target @ R[each.turns] for each in (a, b))
     if a.R_eye_cam is not None and b.R_eye_cam is not None:
         placement = np.intersect1d(a.placement[~a.unclear], b.placement[~b.unclear])

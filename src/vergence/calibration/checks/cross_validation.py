@@ -1,60 +1,29 @@
-"""How good a calibration is: on views that it has not seen, and by its covariance.
+"""How good a calibration is on views that it has not seen.
 
-Two questions are answered. `held_out`: if the views are divided into folds and each is predicted
-from the others, how wrong are pixels and points? `predicted_covariance`: how uncertain is a point
-that is located at given eye angles, by what is uncertain of the calibration?
+The views are divided into folds, and each is predicted from a calibration by the others: how wrong
+are pixels and points, and do the calibrations differ from each other as much as they state?
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.sequential.intrinsics import seen_corners, target_poses
-from vergence.calibration.sequential.sequential import Views
-from vergence.data.timing import Timing, moved_readings
+from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
 from vergence.geometry.camera import project
-from vergence.geometry.head import Accuracy, HeadCalibration, HeldOut, main_pair
-from vergence.geometry.kinematics import EYES, T_base_eye
-from vergence.geometry.parameters import changed, difference
+from vergence.geometry.head import HeadCalibration, HeldOut, main_pair
+from vergence.geometry.parameters import boxminus
+from vergence.geometry.projection import stereo_extrinsics
 from vergence.geometry.se3 import inverse, transform
-from vergence.stereo.triangulation import locate
-from vergence.stereo.uncertainty import locate_with_covariance
+from vergence.stereo.triangulation import triangulate_at
+from vergence.stereo.uncertainty import locate
+from vergence.vision.board_pose import LEAST_CORNERS, board_poses, seen_corners
 
 FOLDS = 5
-LEAST_CORNERS = 6
-"""Of a board in an image, for it to say where the board is."""
-_STEP = 1e-2  # of the central differences, in standard deviations: no rounding, no curvature
-
-
-@dataclass(frozen=True, eq=False)
-class Observations:
-    """What a calibration is made from: V views, and how the eyes moved in them."""
-
-    views: Views
-    timing: Timing | None
-    """When the readings were taken; None: the eyes stood still."""
-    T_base_eye: Array | None
-    """(V, 2, 4, 4) poses of the eyes, where these are given instead of angles."""
-
-    def take(self, rows: np.ndarray) -> Observations:
-        """Return some of the views, by index or by truth."""
-        views = replace(
-            self.views,
-            placement=self.views.placement[rows],
-            eye_angles=self.views.eye_angles[rows],
-            corners={name: corners[rows] for name, corners in self.views.corners.items()},
-        )
-        return Observations(
-            views,
-            None if self.timing is None else self.timing.take(rows),
-            None if self.T_base_eye is None else self.T_base_eye[rows],
-        )
 
 
 def folds(placement: np.ndarray, count: int = FOLDS) -> np.ndarray:
@@ -68,7 +37,7 @@ def folds(placement: np.ndarray, count: int = FOLDS) -> np.ndarray:
 
 def held_out(
     observations: Observations,
-    calibrate: Callable[[Observations], HeadCalibration],
+    calibrate_part: Callable[[np.ndarray], HeadCalibration],
     *,
     count: int = FOLDS,
 ) -> HeldOut:
@@ -76,19 +45,18 @@ def held_out(
 
     Args:
         observations: all views.
-        calibrate: makes a calibration from some of them.
+        calibrate_part: makes a calibration from the views of a mask (V,).
         count: of the folds.
 
     Raises:
-        VergenceError: a calibration fails.
+        VergenceError: there are fewer views than folds, or a calibration fails.
     """
-    if len(observations.views.placement) < count:
+    if len(observations.placement) < count:
         raise VergenceError(
-            f"A held-out error needs at least {count} views, found "
-            f"{len(observations.views.placement)}."
+            f"A held-out error needs at least {count} views, found {len(observations.placement)}."
         )
-    number = folds(observations.views.placement, count)
-    heads = [calibrate(observations.take(number != k)) for k in range(count)]
+    number = folds(observations.placement, count)
+    heads = [calibrate_part(number != k) for k in range(count)]
     errors = [_fold(head, observations, number == k) for k, head in enumerate(heads)]
     pixels, points, expected, distances = (
         [each for fold in errors for each in fold[kind]]
@@ -102,23 +70,24 @@ def held_out(
         point_mm=_rms(points, 1e3),
         expected_mm=_rms(expected, 1e3),
         distance_m=float(np.concatenate(distances).mean()) if distances else None,
-        scatter=scatter(heads),
+        jackknife_ratio=jackknife_ratio(heads),
     )
 
 
-def scatter(heads: Sequence[HeadCalibration]) -> float | None:
-    """Return by how much calibrations without one fold each scatter more than they say they do.
+def jackknife_ratio(heads: Sequence[HeadCalibration]) -> float | None:
+    """Return the jackknife's standard deviation of the parameters over the stated one.
 
-    The jackknife over folds: its standard deviation of a parameter is that of the scatter, times
-    (k - 1) / sqrt(k). It knows nothing of the noise model: where the errors of a view's corners
-    are not independent it exceeds the stated one. None where no covariance is stated.
+    The jackknife over k folds: the standard deviation of a parameter is that among calibrations
+    without one fold each, times (k - 1) / sqrt(k). It does not depend on the noise model: where the
+    errors of a view's corners are not independent it exceeds the stated one. None where no
+    covariance is stated.
     """
     accuracy = heads[0].accuracy
     if accuracy is None or not accuracy.parameters:
         return None
     names = set.intersection(*(set(h.accuracy.parameters if h.accuracy else ()) for h in heads))
     rows = [i for i, name in enumerate(accuracy.parameters) if name in names]
-    away = [difference(head, heads[0]) for head in heads]
+    away = [boxminus(head, heads[0]) for head in heads]
     values = np.array([[each[accuracy.parameters[i]] for i in rows] for each in away])
     k = len(heads)
     variance = (k - 1) / k * ((values - values.mean(axis=0)) ** 2).sum(axis=0)
@@ -146,38 +115,31 @@ def _fold(
     return found
 
 
-def timely(observations: Observations, head: HeadCalibration) -> Array:
-    """Return (V, 4) the readings at the moments of the images."""
-    readings, timing = observations.views.eye_angles, observations.timing
-    return readings if timing is None else moved_readings(readings, timing, head.time_offset_s)
-
-
 def _transferred(
     head: HeadCalibration, observations: Observations, mine: np.ndarray, pair: tuple[str, str]
 ) -> list[Array]:
     """Return for each view of both eyes the distances of corners from the prediction [px]."""
-    views = observations.views
-    both = np.all([seen_corners(views.corners[n]).sum(1) >= LEAST_CORNERS for n in pair], axis=0)
-    rows = np.flatnonzero(both & mine)
-    if not len(rows):
+    seen = [seen_corners(observations.corners[name]).sum(axis=1) for name in pair]
+    rows = np.flatnonzero((np.min(seen, axis=0) >= LEAST_CORNERS) & mine)
+    views = observations.timely(head).take(rows)  # readings move along all their neighbours
+    if not len(views.placement):
         return []
     points = corner_points(views.board)
-    angles = timely(observations, head)[rows]
-    T_base_cam = []
-    for k, name in enumerate(pair):
-        given = observations.T_base_eye
-        eye = head.axes[EYES[k]]
-        T = T_base_eye(angles[:, 2 * k : 2 * k + 2], eye) if given is None else given[rows, k]
-        T_base_cam.append(T @ head.cameras[name].T_eye_cam)
-    T_rcam_lcam = inverse(T_base_cam[1]) @ head.T_rbase_lbase @ T_base_cam[0]
+    left, right = (head.cameras[name] for name in pair)
+    T_lbase_leye, T_rbase_reye = np.moveaxis(views.eye_poses(head.axes), 1, 0)
+    T_rcam_lcam = stereo_extrinsics(
+        T_rbase_reye=T_rbase_reye,
+        T_reye_rcam=right.T_eye_cam,
+        T_rbase_lbase=head.T_rbase_lbase,
+        T_leye_lcam=left.T_eye_cam,
+        T_lbase_leye=T_lbase_leye,
+    )
     errors = []
     for source, target, T in ((0, 1, T_rcam_lcam), (1, 0, inverse(T_rcam_lcam))):
-        lens = head.cameras[pair[source]].intrinsics
-        T_target = T @ target_poses(lens, views.corners[pair[source]][rows], points)
-        expected = project(
-            head.cameras[pair[target]].intrinsics, transform(T_target[:, None], points)
-        )
-        errors.append(np.linalg.norm(expected - views.corners[pair[target]][rows], axis=-1))
+        lenses = [head.cameras[pair[k]].intrinsics for k in (source, target)]
+        T_target = T @ board_poses(lenses[0], views.corners[pair[source]], points)
+        expected = project(lenses[1], transform(T_target[:, None], points))
+        errors.append(np.linalg.norm(expected - views.corners[pair[target]], axis=-1))
     together = np.concatenate(errors, axis=1)
     return [row[np.isfinite(row)] for row in together]
 
@@ -190,11 +152,12 @@ def _located(
     found: dict[str, list[Array]],
 ) -> None:
     """Add for each view of a board at rest the distances of its corners from their place [m]."""
-    views, angles = observations.views, timely(observations, head)
+    views = observations.timely(head)
     V, K = views.corners[pair[0]].shape[:2]
     left, right = (views.corners[name].reshape(-1, 2) for name in pair)
-    repeated = np.repeat(angles, K, axis=0)
-    located = locate(head, left, right, repeated, cameras=pair).points.reshape(V, K, 3)
+    joints = np.repeat(views.eye_angles, K, axis=0)
+    points, _ = triangulate_at(head, left=left, right=right, joints=joints, cameras=pair)
+    located = points.reshape(V, K, 3)
     seen = np.asarray(np.isfinite(located).all(axis=2))
     usable = np.zeros_like(seen)
     place = np.zeros_like(located)
@@ -212,97 +175,6 @@ def _located(
     if len(rows) and head.accuracy and head.accuracy.parameters:
         # One corner of each view stands for it: a view's corners are equally far away.
         corner = [np.flatnonzero(usable[row])[usable[row].sum() // 2] for row in rows]
-        left_px, right_px = (views.corners[name][rows, corner] for name in pair)
-        spread = predicted_covariance(head, left_px, right_px, angles[rows], cameras=pair)
-        found["expected"].append(np.sqrt(np.trace(spread, axis1=1, axis2=2)))
-
-
-def predicted_covariance(
-    head: HeadCalibration,
-    pixels_l: Array,
-    pixels_r: Array,
-    eye_angles: Array,
-    *,
-    cameras: tuple[str, str] = ("left_wide", "right_wide"),
-    pixel_std_px: float | None = None,
-    joint_std_rad: Array | float | None = None,
-) -> Array:
-    """Return the covariance (N, 3, 3) [m^2] of points that `locate` finds: all that is uncertain.
-
-    Args:
-        head: with its accuracy.
-        pixels_l: (N, 2) in the left camera; (N, 2) pixels_r in the right one.
-        pixels_r: see pixels_l.
-        eye_angles: (N, 4) joint readings [rad].
-        cameras: names of the left and the right camera.
-        pixel_std_px: noise of the pixels; None: that of the calibration's corners.
-        joint_std_rad: noise of the readings, a number or (4,); None: as the calibration found it.
-            0 for both leaves what the calibration alone adds.
-
-    Raises:
-        VergenceError: the head states no covariance.
-    """
-    accuracy = stated(head)
-    pixel = accuracy.pixel_std_px if pixel_std_px is None else pixel_std_px
-    joint = np.tile(accuracy.joint_std, 4)[:4] if joint_std_rad is None else joint_std_rad
-    _, of_reading = locate_with_covariance(
-        head,
-        pixels_l,
-        pixels_r,
-        eye_angles,
-        pixel_std_px=0.0 if pixel is None else pixel,
-        joint_std_rad=joint,
-        cameras=cameras,
-    )
-    return of_reading + calibration_covariance(
-        head, pixels_l, pixels_r, eye_angles, cameras=cameras
-    )
-
-
-def calibration_covariance(
-    head: HeadCalibration,
-    pixels_l: Array,
-    pixels_r: Array,
-    eye_angles: Array,
-    *,
-    cameras: tuple[str, str] = ("left_wide", "right_wide"),
-) -> Array:
-    """Return what the calibration's covariance adds (N, 3, 3) [m^2] to points that are located.
-
-    Args and errors: see predicted_covariance.
-    """
-    accuracy = stated(head)
-    # Along the principal axes of the covariance, where a step of fixed probability is harmless.
-    std = np.sqrt(np.diag(accuracy.covariance))
-    scale = np.where(std > 0, std, 1.0)
-    values, vectors = np.linalg.eigh(accuracy.covariance / np.outer(scale, scale))
-    axes = (vectors * np.sqrt(np.maximum(values, 0.0))).T * scale
-    total = np.zeros((len(pixels_l), 3, 3))
-    for axis in axes:
-        points = [
-            locate(
-                changed(head, accuracy.parameters, sign * _STEP * axis),
-                pixels_l,
-                pixels_r,
-                eye_angles,
-                cameras=cameras,
-            ).points
-            for sign in (1, -1)
-        ]
-        moved = (points[0] - points[1]) / (2 * _STEP)
-        total += moved[:, :, None] * moved[:, None, :]
-    return total
-
-
-def stated(head: HeadCalibration) -> Accuracy:
-    """Return the accuracy of a head.
-
-    Raises:
-        VergenceError: it has none, or one without a covariance.
-    """
-    if head.accuracy is None or not head.accuracy.parameters:
-        raise VergenceError(
-            "This calibration states no covariance; `vergence calibrate --method refined` makes "
-            "one that does."
-        )
-    return head.accuracy
+        left, right = (views.corners[name][rows, corner] for name in pair)
+        here = locate(head, left=left, right=right, joints=views.eye_angles[rows], cameras=pair)
+        found["expected"].append(np.sqrt(np.trace(here.covariance, axis1=1, axis2=2)))

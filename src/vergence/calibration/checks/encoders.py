@@ -1,8 +1,8 @@
-"""Whether the joint readings are what they are said to be: the images know how the eyes turned.
+"""Whether the joint readings are what the description says: the images know how the eyes turned.
 
 Before a board at rest the turns of a camera are linear in the readings, turn = u pan + v tilt, as
-long as they are small; u and v are the joints' axes in frame cam, as long as the gains. That tells
-units, signs, and joints and eyes that were exchanged, before any of it spoils a calibration.
+long as they are small; u and v are the joints' axes in frame cam, as long as the gains. That shows
+wrong units, wrong signs, and exchanged joints and eyes before any of them spoils a calibration.
 """
 
 from __future__ import annotations
@@ -14,21 +14,18 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.checks import board_flips
-from vergence.calibration.checks.cross_validation import Observations
-from vergence.calibration.sequential.intrinsics import Intrinsics, target_poses
-from vergence.calibration.sequential.sequential import eyes_of
+from vergence.calibration.observations import Observations, camera_eyes, most_seen_board
 from vergence.errors import VergenceError
-from vergence.geometry.board import corner_points
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYES
+from vergence.geometry.kinematics import EYE_COLUMNS, EYES
 from vergence.geometry.se3 import angle, inverse, rotvec
 
 LEAST_VIEWS = 6
 """Of a board at rest, to say something about readings."""
 LEAST_TURN_RAD = 0.02
 """Root mean square, about the second axis; less is too near to the noise of readings, and says
-nothing of one of the joints. `sufficiency` and the refinement speak of such motion."""
-FOLLOWED = 0.8
+nothing of one of the joints. `excitation` and the bundle adjustment speak of such motion."""
+EXPLAINED = 0.8
 """Part of the turns' variance that good readings explain at least: at the least turn, with noise
 of half a degree."""
 LOST = 0.5
@@ -60,36 +57,32 @@ class _Turns:
 class _Fit:
     axes: Array
     """(2, 3) u and v."""
-    followed: float
+    explained: float
     """Part of the turns' variance that the readings explain."""
     moved: Array
     """(2,) standard deviations of the readings [rad]."""
 
 
-def check_readings(seen: Observations, lenses: Mapping[str, Intrinsics]) -> None:
+def check_encoders(seen: Observations, T_cam_target: Mapping[str, Array]) -> None:
     """Refuse readings that the images contradict.
 
     Args:
         seen: views at rest.
-        lenses: by camera.
+        T_cam_target: by camera (V, 4, 4) poses of the board, NaN where not known.
 
     Raises:
         VergenceError: says which readings, and what they seem to be.
     """
-    if seen.T_base_eye is not None or not np.isfinite(seen.views.eye_angles).all():
+    if seen.T_base_eye is not None or not np.isfinite(seen.eye_angles).all():
         return
-    poses = {
-        name: target_poses(lens.camera, seen.views.corners[name], corner_points(seen.views.board))
-        for name, lens in lenses.items()
-    }
-    found, eyes = {}, eyes_of(seen.views)
+    found, eyes = {}, camera_eyes(seen)
     for e, eye in enumerate(EYES):
-        own = [_turns(seen, name, e, poses[name]) for name in lenses if eyes[name] == eye]
-        told = [each for each in own if each is not None]
-        if told:
-            found[e] = max(told, key=lambda each: len(each.rows))
+        own = [_turns(seen, name, e, T) for name, T in T_cam_target.items() if eyes[name] == eye]
+        usable = [each for each in own if each is not None]
+        if usable:
+            found[e] = max(usable, key=lambda each: len(each.rows))
     fits = {e: [_fit(seen, turns, k) for k in (e, 1 - e)] for e, turns in found.items()}
-    exchanged = _exchanged(found, fits, poses)
+    exchanged = _exchanged(found, fits, T_cam_target)
     if exchanged:
         raise VergenceError(exchanged)
     said = [
@@ -100,7 +93,7 @@ def check_readings(seen: Observations, lenses: Mapping[str, Intrinsics]) -> None
 
 
 def doubts(head: HeadCalibration) -> list[str]:
-    """Return sentences on eyes that cannot be where a calibration puts them."""
+    """Return sentences on eyes that a calibration puts where none can be."""
     if len({mounted.eye for mounted in head.cameras.values()}) < 2:
         return []
     said = []
@@ -123,14 +116,10 @@ def doubts(head: HeadCalibration) -> list[str]:
 
 
 def _turns(seen: Observations, name: str, e: int, T_cam_target: Array) -> _Turns | None:
-    usable = np.flatnonzero(np.isfinite(T_cam_target).all(axis=(1, 2)))
-    if not len(usable):
-        return None
-    numbers, counts = np.unique(seen.views.placement[usable], return_counts=True)
-    rows = usable[seen.views.placement[usable] == numbers[counts.argmax()]]
+    rows = most_seen_board(seen, T_cam_target)
     if len(rows) < LEAST_VIEWS:
         return None
-    R = board_flips.nearest(T_cam_target[rows, :3, :3], seen.views.board)
+    R = board_flips.nearest(T_cam_target[rows, :3, :3], seen.board)
     # A camera that turns by T sees a board at rest turn by its inverse.
     turn = rotvec(R[:1] @ np.swapaxes(R, 1, 2))
     turn = turn - turn.mean(axis=0)
@@ -141,7 +130,7 @@ def _turns(seen: Observations, name: str, e: int, T_cam_target: Array) -> _Turns
 
 def _fit(seen: Observations, turns: _Turns, eye: int) -> _Fit:
     """Return how the readings of an eye explain the turns of a camera."""
-    read = seen.views.eye_angles[turns.rows, 2 * eye : 2 * eye + 2]
+    read = seen.eye_angles[turns.rows, EYE_COLUMNS[EYES[eye]]]
     read = read - read.mean(axis=0)
     axes = np.linalg.lstsq(read, turns.turn, rcond=None)[0]
     left = ((turns.turn - read @ axes) ** 2).sum()
@@ -155,8 +144,8 @@ def _exchanged(
     if len(found) < 2:
         return ""
     own, other = ([fits[e][k] for e in fits] for k in (0, 1))
-    follows_own = all(fit.followed > FOLLOWED for fit in own)
-    follows_other = all(fit.followed > FOLLOWED for fit in other)
+    follows_own = all(fit.explained > EXPLAINED for fit in own)
+    follows_other = all(fit.explained > EXPLAINED for fit in other)
     if not follows_own and not follows_other:
         return ""
     aside = _left_of(found, own if follows_own else other, poses)
@@ -199,20 +188,20 @@ def _left_of(
 def _contradictions(turns: _Turns, fit: _Fit) -> list[str]:
     """Return sentences on readings of an eye that cannot be what they are said to be."""
     eye = EYES[turns.eye]
-    if fit.followed < FOLLOWED and fit.moved.min() < DEAD * fit.moved.max():
+    if fit.explained < EXPLAINED and fit.moved.min() < DEAD * fit.moved.max():
         joint = ("pan", "tilt")[int(fit.moved.argmin())]
         return [
             f"The readings of {eye}_{joint} hardly change ({fit.moved.min():.2g} rad), though "
             f"{turns.camera} turns about that axis too before a board at rest: check their column "
             "and the sensor."
         ]
-    if fit.followed < LOST:
+    if fit.explained < LOST:
         return [
-            f"The readings of {eye}_pan and {eye}_tilt explain {100 * max(fit.followed, 0):.0f} % "
+            f"The readings of {eye}_pan and {eye}_tilt explain {100 * max(fit.explained, 0):.0f} % "
             f"of the turns that {turns.camera} makes before a board at rest: they are not of this "
             "eye, not of these moments, or the board moved."
         ]
-    if fit.followed < FOLLOWED:
+    if fit.explained < EXPLAINED:
         return []  # too noisy to say more; the noise is estimated, and warned of
     gains = np.linalg.norm(fit.axes, axis=1)
     said = []

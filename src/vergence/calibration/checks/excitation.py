@@ -1,6 +1,6 @@
-"""Whether observations can support an answer at all: what is refused, and what is doubted.
+"""Whether the eyes and the board moved enough for a calibration: what is refused, what is doubted.
 
-A start that rests on noise would lead the refinement to a wrong place, whose stated accuracy is
+A start that rests on noise would lead the bundle adjustment to a wrong optimum, whose stated accuracy is
 then wrong as well. So motion too small for the paper's steps is refused before them. How far an eye
 turned is taken from the images, which know it better than the joint readings do.
 """
@@ -13,13 +13,10 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.bundle.diagnostics import ADVISED
-from vergence.calibration.checks.cross_validation import Observations
-from vergence.calibration.sequential.intrinsics import Intrinsics, target_poses
-from vergence.calibration.sequential.sequential import eyes_of
+from vergence.calibration.observations import Observations, camera_eyes, most_seen_board
 from vergence.errors import VergenceError
-from vergence.geometry.board import corner_points
-from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYES, T_base_eye
+from vergence.geometry.head import HeadCalibration, MountedCamera
+from vergence.geometry.kinematics import EYE_COLUMNS, EYES
 from vergence.geometry.se3 import rotvec
 
 LEAST_MOTION_RAD = 0.01
@@ -32,45 +29,30 @@ FOCAL_PART = 0.004
 SLANT = "slant the board by 20 to 40 degrees, in different directions"
 
 
-def check_motion(seen: Observations, lenses: Mapping[str, Intrinsics]) -> None:
+def check_excitation(seen: Observations, T_cam_target: Mapping[str, Array]) -> None:
     """Refuse eyes that turn too little, or about one axis only, before each board at rest.
 
     Args:
         seen: views at rest, all numbered from the same end.
-        lenses: by camera.
+        T_cam_target: by camera (V, 4, 4) poses of the board, NaN where not known.
 
     Raises:
         VergenceError: names what is not observable, and what to move by how much.
     """
-    said, eyes = [], eyes_of(seen.views)
+    said, eyes = [], camera_eyes(seen)
     for e, eye in enumerate(EYES):
         found = {}
-        for name in lenses:
+        for name, T in T_cam_target.items():
             if eyes[name] == eye:
-                rows, turns = _turns_before_one_board(seen, lenses[name], name)
+                rows = most_seen_board(seen, T)
+                R = T[rows, :3, :3]
+                turns = rotvec(R @ R[0].T) if len(rows) else np.zeros((0, 3))
                 found[name] = (_spread(turns)[0], rows)
         if found:
             name = max(found, key=lambda each: (found[each][0][1], len(found[each][1])))
             said += _lacking(seen, name, e, *found[name])
     if said:
         raise VergenceError(" ".join(said))
-
-
-def _turns_before_one_board(
-    seen: Observations, lens: Intrinsics, name: str
-) -> tuple[np.ndarray, Array]:
-    """Return the rows (N,) in which a camera sees the board it sees most often, and its turns.
-
-    The turns are rotation vectors (N, 3) [rad] in frame cam, against the first of the rows.
-    """
-    T = target_poses(lens.camera, seen.views.corners[name], corner_points(seen.views.board))
-    usable = np.flatnonzero(np.isfinite(T).all(axis=(1, 2)))
-    if not len(usable):
-        return usable, np.zeros((0, 3))
-    numbers, counts = np.unique(seen.views.placement[usable], return_counts=True)
-    rows = usable[seen.views.placement[usable] == numbers[counts.argmax()]]
-    R = T[rows, :3, :3]
-    return rows, rotvec(R @ R[0].T)
 
 
 def _spread(vectors: Array) -> tuple[Array, Array]:
@@ -107,7 +89,7 @@ def _lacking(seen: Observations, name: str, e: int, spread: Array, rows: np.ndar
             f"{subject} rotation about and translation along ({along}): not observable; {whose} "
             f"turns about another axis {only}; turn it about that {ADVISED}."
         ]
-    motion = seen.views.eye_angles[rows, 2 * e : 2 * e + 2].std(axis=0)
+    motion = seen.eye_angles[rows, EYE_COLUMNS[EYES[e]]].std(axis=0)
     if motion.min() > motion.max() / 3:
         return [
             f"{subject} rotation and translation along one axis: not observable; pan and tilt of "
@@ -123,13 +105,15 @@ def _lacking(seen: Observations, name: str, e: int, spread: Array, rows: np.ndar
 
 def doubts(
     seen: Observations,
+    T_cam_target: Mapping[str, Array],
     head: HeadCalibration,
     focal_std_px: Mapping[str, tuple[float, float]],
 ) -> list[str]:
-    """Return sentences for focal lengths that the boards do not tell.
+    """Return sentences for focal lengths that the boards do not determine.
 
     Args:
         seen: all views.
+        T_cam_target: by camera (V, 4, 4) poses of the board, NaN where not known.
         head: the calibration.
         focal_std_px: by camera, the standard deviations of fx and fy.
     """
@@ -142,30 +126,26 @@ def doubts(
                 f"{name}.fx and fy: hardly observable, known to {100 * part:.2g} %; record more "
                 f"views, and {SLANT}."
             )
-    alike = [name for name in head.cameras if _at_one_angle(seen, head, name)]
+    alike = [
+        name
+        for name, mounted in head.cameras.items()
+        if _at_one_angle(seen, T_cam_target[name], mounted)
+    ]
     if alike:
         said.append(
             f"{', '.join(f'{name}.fx and fy' for name in alike)}: hardly observable, all boards "
-            f"stand at one angle, and only the turns of the eyes tell them; {SLANT}."
+            f"stand at one angle, and only the turns of the eyes determine them; {SLANT}."
         )
     return said
 
 
-def _at_one_angle(seen: Observations, head: HeadCalibration, name: str) -> bool:
-    mounted = head.cameras[name]
-    T_cam_target = target_poses(
-        mounted.intrinsics, seen.views.corners[name], corner_points(seen.views.board)
-    )
-    e = EYES.index(mounted.eye)
-    T = (
-        T_base_eye(seen.views.eye_angles[:, 2 * e : 2 * e + 2], head.axes[mounted.eye])
-        if seen.T_base_eye is None
-        else seen.T_base_eye[:, e]
-    )
-    normals = (T @ mounted.T_eye_cam @ T_cam_target)[:, :3, 2]
+def _at_one_angle(seen: Observations, T_cam_target: Array, mounted: MountedCamera) -> bool:
+    """Return whether all boards before a camera have nearly the same normal, in the eye's base."""
+    T_base_eye = seen.eye_poses()[:, EYES.index(mounted.eye)]
+    normals = (T_base_eye @ mounted.T_eye_cam @ T_cam_target)[:, :3, 2]
     known = np.isfinite(normals).all(axis=1)
     if not known.any():
         return False
-    numbers = np.unique(seen.views.placement[known])
-    means = [normals[known & (seen.views.placement == p)].mean(axis=0) for p in numbers]
+    numbers = np.unique(seen.placement[known])
+    means = [normals[known & (seen.placement == p)].mean(axis=0) for p in numbers]
     return bool(_spread(np.array(means))[0][0] < ONE_ANGLE_RAD)

@@ -12,6 +12,13 @@ from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.se3 import inverse, pose, rotvec
 
+AGREE_RAD = 0.1
+"""Views agree that put the board within this of each other: far beyond any joint noise, far below
+what one wrong view does to the closed form."""
+DRAWS = 100
+SAMPLE = 4
+"""Views to a draw; with a third of the views wrong, one draw in five has good ones only."""
+
 
 def motion_pairs(T_base_eye: Array, T_cam_target: Array) -> tuple[Array, Array]:
     """Return A and B (P, 4, 4) of Eqs. 5-6 for all pairs of N views of a fixed board.
@@ -77,3 +84,42 @@ def park_martin(T_base_eye: Array, T_cam_target: Array) -> Array:
     right = A[:, :3, 3] - B[:, :3, 3] @ R_X.T
     t_X = np.linalg.lstsq(left, right.reshape(-1), rcond=None)[0]
     return pose(R_X, t_X)
+
+
+def robust_park_martin(T_base_eye: Array, T_cam_target: Array) -> Array:
+    """Return T_eye_cam (4, 4) from the largest set of views that agree where the board stands.
+
+    Where all views agree this is park_martin of all, and nothing is drawn.
+
+    Args:
+        T_base_eye: (N, 4, 4) eye poses, from the joint readings.
+        T_cam_target: (N, 4, 4) board poses, from the images.
+
+    Raises:
+        VergenceError: the motion is degenerate, or there are fewer than three views.
+    """
+    best = park_martin(T_base_eye, T_cam_target)
+    agreeing = _agreeing(best, T_base_eye, T_cam_target)
+    if agreeing.all():
+        return best
+    rng = np.random.default_rng(0)
+    for _ in range(DRAWS):
+        drawn = rng.choice(len(T_base_eye), min(SAMPLE, len(T_base_eye)), replace=False)
+        try:
+            trial = park_martin(T_base_eye[drawn], T_cam_target[drawn])
+        except VergenceError:
+            continue
+        found = _agreeing(trial, T_base_eye, T_cam_target)
+        if found.sum() > agreeing.sum():
+            best, agreeing = trial, found
+    if agreeing.sum() >= SAMPLE:
+        best = park_martin(T_base_eye[agreeing], T_cam_target[agreeing])
+    return best
+
+
+def _agreeing(T_eye_cam: Array, T_base_eye: Array, T_cam_target: Array) -> np.ndarray:
+    """Return (N,) which views belong to the largest set that agrees on the board's rotation."""
+    R = (T_base_eye @ T_eye_cam @ T_cam_target)[:, :3, :3]
+    traces = np.einsum("iab,jab->ij", R, R)
+    close = traces > 1 + 2 * np.cos(AGREE_RAD)
+    return close[close.sum(axis=1).argmax()]

@@ -1,4 +1,4 @@
-"""Intrinsic parameters of one camera from views of a flat pattern (Zhang, by OpenCV)."""
+"""Intrinsic parameters of a camera from views of a flat board (Zhang's method, by OpenCV)."""
 
 from __future__ import annotations
 
@@ -11,41 +11,33 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.sequential.polish import (
-    board_jacobians,
-    intrinsics_std,
-    iterate,
-    polish_intrinsics,
-)
+from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
-from vergence.geometry.camera import Camera, project
-from vergence.geometry.se3 import exp, pose, rotation, transform
+from vergence.geometry.board import corner_points
+from vergence.geometry.camera import Camera, project_jacobians
+from vergence.geometry.projection import by_pose_of_points
+from vergence.geometry.se3 import pose, rotation
+from vergence.vision.board_pose import seen_corners
 
 LensModel = Literal["none", "k1", "k1k2", "radial-tangential"]
 """Which distortion is fitted: none, k1, k1 and k2, or (k1, k2, p1, p2)."""
 
-_FREE = {  # of (fx, fy, cx, cy, k1, k2, p1, p2, k3)
-    "none": np.array([1, 1, 1, 1, 0, 0, 0, 0, 0], dtype=bool),
-    "k1": np.array([1, 1, 1, 1, 1, 0, 0, 0, 0], dtype=bool),
-    "k1k2": np.array([1, 1, 1, 1, 1, 1, 0, 0, 0], dtype=bool),
-    "radial-tangential": np.array([1, 1, 1, 1, 1, 1, 1, 1, 0], dtype=bool),
-}
+_COEFFICIENTS = {"none": 0, "k1": 1, "k1k2": 2, "radial-tangential": 4}
 _FLAGS = {
     "none": cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST,
     "k1": cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST,
     "k1k2": cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST,
     "radial-tangential": cv2.CALIB_FIX_K3,
 }
-assert set(_FLAGS) == set(_FREE) == set(get_args(LensModel))
+assert set(_FLAGS) == set(_COEFFICIENTS) == set(get_args(LensModel))
 
 # OpenCV's default of 30 iterations stops short of the optimum where distortion is strong.
 CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-14)
 
-
 USELESS = 0.2
 """Standard deviation of a focal length, relative to it, from which it is refused: a ruler and the
 data sheet know it better."""
-_UNTOLD = (
+_NOT_OBSERVABLE = (
     "The focal lengths fx and fy are not observable: the boards are seen at one angle only, or too "
     "few of them; slant the board by 20 to 40 degrees, in different directions."
 )
@@ -75,19 +67,39 @@ class Intrinsics:
     is left."""
 
 
-def seen_corners(corners: Array) -> np.ndarray:
-    """Return (..., K) of bool: which corners (..., K, 2) were seen."""
-    return np.asarray(np.isfinite(corners).all(axis=-1))
-
-
 def calibrate_intrinsics(
+    observations: Observations, *, wide_lens: LensModel = "radial-tangential"
+) -> dict[str, Intrinsics]:
+    """Return the intrinsics of every camera by Zhang's method: the first step.
+
+    Args:
+        observations: views of the board; from which end a view is numbered does not matter here.
+        wide_lens: distortion fitted to all cameras but the narrow ones, which have none
+            (Sec. II-A) and names that end in "narrow".
+
+    Raises:
+        VergenceError: a camera has fewer than three views, or they do not tell its focal length.
+    """
+    points = corner_points(observations.board)
+    found = {}
+    for name, corners in observations.corners.items():
+        model = "none" if name.endswith("narrow") else wide_lens
+        size = observations.sizes[name]
+        try:
+            found[name] = calibrate_camera(corners, points, size=size, lens_model=model)
+        except VergenceError as error:
+            raise VergenceError(f"{name}: {error}") from None
+    return found
+
+
+def calibrate_camera(
     corners: Array, points: Array, *, size: tuple[int, int], lens_model: LensModel
 ) -> Intrinsics:
-    """Fit a camera to views of a flat pattern: OpenCV's method, polished in double precision.
+    """Fit a camera to views of a flat board; exact to what OpenCV's single precision allows.
 
     Args:
         corners: (V, K, 2) pixels; NaN where a corner was not seen.
-        points: (K, 3) the pattern's corners in frame target.
+        points: (K, 3) the board's corners in frame target.
         size: width and height of the images [px].
         lens_model: which distortion coefficients are free.
 
@@ -105,87 +117,65 @@ def calibrate_intrinsics(
     try:
         return _fitted(corners[usable], points, size, lens_model)
     except (cv2.error, ValueError, np.linalg.LinAlgError):
-        # The steps of the fit lead to a lens that is none.
-        raise VergenceError(_UNTOLD) from None
+        # The steps of the fit lead to an impossible lens.
+        raise VergenceError(_NOT_OBSERVABLE) from None
 
 
 def _fitted(
     corners: Array, points: Array, size: tuple[int, int], lens_model: LensModel
 ) -> Intrinsics:
-    views = [(points[s], c[s]) for c, s in zip(corners, seen_corners(corners), strict=True)]
+    seen = seen_corners(corners)
     with repeatable():
-        _, matrix, distortion, rvecs, tvecs = cv2.calibrateCamera(
-            [p.astype(np.float32) for p, _ in views],
-            [c.astype(np.float32).reshape(-1, 1, 2) for _, c in views],
+        rms, matrix, distortion, rvecs, tvecs = cv2.calibrateCamera(
+            [points[each].astype(np.float32) for each in seen],
+            [
+                view[each].astype(np.float32).reshape(-1, 1, 2)
+                for view, each in zip(corners, seen, strict=True)
+            ],
             size,
             np.eye(3),  # only the type of these two is used: no guess is given
             np.zeros(5),
             flags=_FLAGS[lens_model],
             criteria=CRITERIA,
         )
-    start = Camera(
+    camera = Camera(
         width=size[0],
         height=size[1],
         matrix=np.asarray(matrix, float),
         distortion=np.asarray(distortion, float).ravel()[:5],
     )
     poses = pose(rotation(np.array(rvecs).reshape(-1, 3)), np.array(tvecs).reshape(-1, 3))
-    free = _FREE[lens_model]
-    camera, poses = polish_intrinsics(start, free, poses, corners, points)
-    errors = corners - project(camera, transform(poses[:, None], points))
-    std = intrinsics_std(camera, free, poses, corners, points)[:2]
+    std = _focal_std(camera, 4 + _COEFFICIENTS[lens_model], poses, corners, points)
     if not (std < USELESS * camera.matrix[[0, 1], [0, 1]]).all():
-        raise VergenceError(_UNTOLD)
-    rms = float(np.sqrt(2 * np.nanmean(errors**2)))
-    return Intrinsics(camera, rms, len(corners), (float(std[0]), float(std[1])))
+        raise VergenceError(_NOT_OBSERVABLE)
+    return Intrinsics(camera, float(rms), len(corners), (float(std[0]), float(std[1])))
 
 
-def target_poses(camera: Camera, corners: Array, points: Array) -> Array:
-    """Return T_cam_target (V, 4, 4) of each view.
+def _focal_std(camera: Camera, free: int, poses: Array, corners: Array, points: Array) -> Array:
+    """Return the standard deviations (2,) of fx and fy [px], by the residuals at the optimum.
 
-    NaN where fewer than six corners are seen, or where these lie on one line, about which the
-    board could turn.
+    Each view's own pose is projected out. Infinite where the views do not tell one.
 
     Args:
-        camera: with its distortion.
-        corners: (V, K, 2) pixels; NaN where a corner was not seen.
-        points: (K, 3) the pattern's corners in frame target.
+        camera: at the optimum.
+        free: how many of the intrinsics were free, in the order of project_jacobians.
+        poses: (V, 4, 4) T_cam_target at the optimum.
+        corners: (V, K, 2) pixels; NaN where not seen.
+        points: (K, 3) in frame target.
     """
-    poses = np.full((len(corners), 4, 4), np.nan)
-    for v, view in enumerate(corners):
-        seen = seen_corners(view)
-        if seen.sum() < 6 or _in_line(points[seen]):
-            continue
-        found, rvec, tvec = cv2.solvePnP(
-            points[seen], view[seen], camera.matrix, camera.distortion, flags=cv2.SOLVEPNP_ITERATIVE
-        )
-        if found:
-            poses[v] = pose(rotation(rvec.ravel()), tvec.ravel())
-    usable = np.isfinite(poses).all(axis=(1, 2))
-    if usable.any():
-        poses[usable] = _polish_poses(camera, poses[usable], corners[usable], points)
-    return poses
-
-
-def _in_line(points: Array) -> bool:
-    """Return whether points (N, 3) lie on one line, as corners of a single row do."""
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(spread[1] < 1e-3 * spread[0])
-
-
-def _polish_poses(camera: Camera, poses: Array, corners: Array, points: Array) -> Array:
-    """Return the poses (V, 4, 4) at the minimum of the reprojection errors, by Gauss-Newton."""
-    seen = np.isfinite(corners)
-
-    def step() -> float:
-        nonlocal poses
-        pixels, d_pose, _, _ = board_jacobians(camera, poses, points)
-        J = np.where(seen[..., None], d_pose, 0.0).reshape(len(poses), -1, 6)
-        residuals = np.where(seen, corners - pixels, 0.0).reshape(len(poses), -1, 1)
-        J_T = np.swapaxes(J, 1, 2)
-        xi = np.linalg.solve(J_T @ J, J_T @ residuals)[:, :, 0]
-        poses = poses @ exp(xi)
-        return float(np.abs(xi).max())
-
-    iterate(step)
-    return poses
+    V, seen = len(poses), np.isfinite(corners)[..., None]
+    turned = points @ np.swapaxes(poses[:, :3, :3], 1, 2)
+    pixels, by_point, by_lens = project_jacobians(camera, turned + poses[:, None, :3, 3])
+    of_view = np.where(seen, by_pose_of_points(by_point, turned), 0.0).reshape(V, -1, 6)
+    of_lens = np.where(seen, by_lens[..., :free], 0.0).reshape(V, -1, free)
+    of_view_T = np.swapaxes(of_view, 1, 2)
+    rest = of_lens - of_view @ np.linalg.solve(of_view_T @ of_view, of_view_T @ of_lens)
+    H = (np.swapaxes(rest, 1, 2) @ rest).sum(axis=0)
+    redundancy = np.count_nonzero(seen) - 6 * V - free
+    scale = np.sqrt(np.diag(H))
+    if redundancy < 1 or not (scale > 0).all():
+        return np.full(2, np.inf)
+    values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
+    variance = (vectors**2 / np.maximum(values, 1e-15)).sum(axis=1) / scale**2
+    residuals = np.where(seen[..., 0], corners - pixels, 0.0)
+    return np.sqrt(variance * (residuals**2).sum() / redundancy)[:2]

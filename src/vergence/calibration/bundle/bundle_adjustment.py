@@ -1,0 +1,232 @@
+"""One estimate of everything, with an accuracy that can be believed.
+
+The paper solves step after step and takes joint readings as exact. Here the true joint angles of
+every view are unknowns of their own, tied to their readings by the joint noise while the corners
+are tied by the pixel noise; both levels of noise are estimated from the same data. The result is
+the maximum a posteriori, its covariance, and words for what the data cannot determine.
+
+See `problem` for the unknowns, `solver` for the steps, `variance_components` for the noise levels,
+`observability` for what stays fixed, and `diagnostics` for the words.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.calibration.bundle import diagnostics
+from vergence.calibration.bundle.adjustment import Adjusted, adjust
+from vergence.calibration.bundle.initial_state import initial_state
+from vergence.calibration.bundle.problem import BundleProblem, corner_errors, eye_poses
+from vergence.calibration.bundle.solver import OUTLIER
+from vergence.calibration.observations import Observations
+from vergence.errors import VergenceError
+from vergence.geometry.head import Accuracy, HeadCalibration, main_pair
+from vergence.geometry.kinematics import EYES
+from vergence.geometry.parameters import INTRINSICS, POSE, lens_vector, parameter_names
+
+EXACT = 1e-8
+"""Joint noise [rad or m] that stands for exact readings."""
+OWN_LEVELS = 40
+"""Eyes times views from which pan and tilt have each a noise of their own: it is then known to
+about a tenth."""
+
+
+@dataclass(frozen=True, eq=False)
+class BundleEstimate:
+    """The result of bundle_adjust."""
+
+    head: HeadCalibration
+    """With its time offset; without its accuracy, which `accuracy` states."""
+    parameters: tuple[str, ...]
+    """Names of the c parameters of the head, such as left_wide.fx, left_wide.T_eye_cam.rx,
+    T_rbase_lbase.tz, left.pan_gain, time_offset_s; px, rad, m, s. See geometry.parameters."""
+    covariance: Array
+    """(c, c) in the order of parameters; zero for what was fixed by choice."""
+    pixel_std_px: float
+    """Noise of one coordinate of a corner."""
+    joint_std: tuple[float, ...]
+    """Noise of the readings [rad]: all joints, or pan and tilt; for measured eye poses rotation
+    [rad] and translation [m]."""
+    T_lbase_target: Mapping[int, Array]
+    """By number of the placement: where the board stood."""
+    T_base_eye: Array
+    """(V, 2, 4, 4) the true poses of the left and the right eye; NaN where it saw no board."""
+    residuals_px: Mapping[str, Array]
+    """By camera that sees boards: (V, K, 2) projected minus seen; NaN where not seen."""
+    warnings: tuple[str, ...]
+    """What the data cannot determine, and why."""
+
+    @property
+    def accuracy(self) -> Accuracy:
+        """What is known of the head's accuracy, for its file."""
+        estimated = np.flatnonzero(np.diag(self.covariance) > 0)
+        covariance = self.covariance[np.ix_(estimated, estimated)]
+        return Accuracy(
+            method="bundle",
+            parameters=tuple(self.parameters[i] for i in estimated),
+            covariance=(covariance + covariance.T) / 2,
+            pixel_std_px=self.pixel_std_px,
+            joint_std=self.joint_std,
+            warnings=self.warnings,
+        )
+
+
+def bundle_adjust(
+    start: HeadCalibration,
+    observations: Observations,
+    *,
+    T_cam_target: Mapping[str, Array] | None = None,
+    fixed: Collection[str] | None = None,
+    pixel_std_px: float | None = None,
+    joint_std: float | tuple[float, float] | None = None,
+    outlier: float = OUTLIER,
+) -> BundleEstimate:
+    """Estimate a whole head at once: lenses, mountings, the pose between the eyes, axes, time.
+
+    Args:
+        start: the paper's calibration, or another that is about right.
+        observations: corners and readings. Without timing the time offset is not estimated.
+        T_cam_target: by camera (V, 4, 4) poses of the board in each image, where they were solved
+            for before.
+        fixed: names of parameters that keep their start; None: fixed_by_default.
+        pixel_std_px: noise of one coordinate of a corner; None: estimated.
+        joint_std: noise of the readings, [rad] or, for poses, ([rad], [m]); None: estimated; 0:
+            the readings are exact.
+        outlier: standard deviations beyond which a corner or a reading loses weight.
+
+    Raises:
+        VergenceError: an unknown parameter is named, a reading that is needed is not finite, or
+            there are fewer data than unknowns.
+    """
+    timed = observations.timing is not None
+    fixed = fixed_by_default(start, timed=timed) if fixed is None else fixed
+    unknown = set(fixed) - set(parameter_names(start.cameras))
+    if unknown:
+        raise VergenceError(
+            f"There is no parameter {min(unknown)!r} to fix; there are, for example, "
+            "left_wide.fx, left_wide.T_eye_cam.rx, left.pan_gain and time_offset_s."
+        )
+    problem, state, numbers = initial_state(
+        start, observations, fixed=fixed, T_cam_target=T_cam_target
+    )
+    own_levels = joint_std is None and len(problem.reading) >= OWN_LEVELS
+    group = noise_groups(problem, own_levels=own_levels)
+    found = adjust(
+        problem,
+        state,
+        group,
+        pixel_std_px=pixel_std_px,
+        joint_std=given_levels(joint_std, group),
+        outlier=outlier,
+    )
+    T_base_eye = np.full((len(observations.placement), 2, 4, 4), np.nan)
+    T_base_eye[problem.block_view, problem.block_eye] = eye_poses(problem, found.state)
+    seen = {name for c, name in enumerate(problem.cameras) if c in problem.camera}
+    blind = tuple(
+        f"{name} sees no board, and keeps its start."
+        for name in problem.cameras
+        if name not in seen
+    )
+    return BundleEstimate(
+        head=replace(found.state.head, neck=start.neck),
+        parameters=parameter_names(problem.cameras),
+        covariance=found.observability.covariance,
+        pixel_std_px=found.components.noise.pixel_px,
+        joint_std=tuple(map(float, found.components.noise.joint)),
+        T_lbase_target=dict(zip(numbers.tolist(), found.state.T_lbase_target, strict=True)),
+        T_base_eye=T_base_eye,
+        residuals_px={
+            name: residuals
+            for name, residuals in _residuals(problem, found, observations).items()
+            if name in seen
+        },
+        warnings=(
+            *blind,
+            *_left_out(problem, observations),
+            *diagnostics.contradicting_views(problem),
+            *diagnostics.warnings(problem, found),
+        ),
+    )
+
+
+def noise_groups(problem: BundleProblem, *, own_levels: bool) -> np.ndarray:
+    """Return (n,) the group of noise of each latent unknown.
+
+    Measured eye poses have one for rotations and one for translations; angles have one for all
+    joints, or one for pan and one for tilt.
+    """
+    if problem.T_base_eye_read is not None:
+        return np.array([0, 0, 0, 1, 1, 1])
+    return np.array([0, int(own_levels)])
+
+
+def given_levels(joint_std: float | tuple[float, float] | None, group: np.ndarray) -> Array | None:
+    """Return joint noise that was given as (groups,) levels; None where it is to be estimated."""
+    if joint_std is None:
+        return None
+    levels = np.broadcast_to(np.asarray(joint_std, dtype=float), (group.max() + 1,))
+    return np.maximum(levels, EXACT)
+
+
+def _residuals(
+    problem: BundleProblem, found: Adjusted, observations: Observations
+) -> dict[str, Array]:
+    errors = np.where(problem.seen[..., None], corner_errors(problem, found.state), np.nan)
+    shape = (len(observations.placement), len(problem.points), 2)
+    residuals = {name: np.full(shape, np.nan) for name in problem.cameras}
+    for c, name in enumerate(problem.cameras):
+        mine = problem.camera == c
+        residuals[name][problem.block_view[problem.block[mine]]] = errors[mine]
+    return residuals
+
+
+def _left_out(problem: BundleProblem, observations: Observations) -> tuple[str, ...]:
+    """Return a sentence that names the views that have corners, but too few to place a board."""
+    seen = np.any([np.isfinite(c).any(axis=(1, 2)) for c in observations.corners.values()], axis=0)
+    lost = np.setdiff1d(np.flatnonzero(seen), problem.block_view)
+    if not len(lost):
+        return ()
+    return (
+        f"Views {', '.join(map(str, lost))} were left out: no image of these boards shows enough "
+        "corners.",
+    )
+
+
+def fixed_by_default(start: HeadCalibration, *, timed: bool) -> set[str]:
+    """Return the names of the parameters that bundle_adjust does not touch unless asked to.
+
+    - Offsets of the joints: an offset of tilt is a turn of T_eye_cam, one of pan a turn of the
+      base frame, and no image tells them apart.
+    - Distortion coefficients that are zero at the start: they are not in the lens model.
+    - The time offset, where the eyes stood still.
+    - Where the other eye is, for a head of one eye.
+    """
+    fixed = {f"{eye}.{joint}_offset_rad" for eye in EYES for joint in ("pan", "tilt")}
+    for camera, mounted in start.cameras.items():
+        values = zip(INTRINSICS[4:], lens_vector(mounted.intrinsics)[4:], strict=True)
+        fixed |= {f"{camera}.{name}" for name, value in values if value == 0}
+    if main_pair(start) is None:
+        fixed |= {f"T_rbase_lbase.{name}" for name in POSE}
+    return fixed if timed else fixed | {"time_offset_s"}
+
+
+def covariance_of(estimate: BundleEstimate, name: str) -> Array:
+    """Return the covariance of one parameter, or of all that have the name before their last dot.
+
+    For example (6, 6) of "left_wide.T_eye_cam" and "T_rbase_lbase", (9, 9) of "left_wide".
+
+    Raises:
+        VergenceError: no parameter has this name.
+    """
+    chosen = [
+        i
+        for i, parameter in enumerate(estimate.parameters)
+        if name in (parameter, parameter.rpartition(".")[0])
+    ]
+    if not chosen:
+        raise VergenceError(f"No parameter is called {name!r}; see BundleEstimate.parameters.")
+    return estimate.covariance[np.ix_(chosen, chosen)]

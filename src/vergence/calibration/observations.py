@@ -1,0 +1,163 @@
+"""All that a calibration needs: corners of boards in images, and how the eyes stood meanwhile.
+
+`detection.detect_target` makes it from a dataset; whoever has a detector of his own fills it in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.data.timing import Timing, moved_readings
+from vergence.errors import VergenceError
+from vergence.geometry.board import Board
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import EYE_COLUMNS, EYES, EyeAxes, Side, T_base_eye
+
+
+@dataclass(frozen=True)
+class DetectionFailure:
+    """An image that gave no corners."""
+
+    row: int
+    """Of the dataset, from 0."""
+    line: int
+    """Of frames.csv."""
+    camera: str
+    file: str
+    reason: str
+
+    def __str__(self) -> str:
+        return f"line {self.line}, {self.file}: {self.reason}"
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """What the cameras saw of a board with K corners in V views, and what the joints read.
+
+    Raises:
+        VergenceError: when made of arrays whose shapes do not fit.
+    """
+
+    board: Board
+    placement: np.ndarray
+    """(V,) of int: views with the same number show the board at the same place in the head."""
+    eye_angles: Array
+    """(V, 4) joint readings [rad] in the order of kinematics.EYE_JOINTS; of no meaning where
+    T_base_eye is given."""
+    corners: Mapping[str, Array]
+    """By camera: (V, K, 2) pixels in the order of board.corner_points, NaN where not seen."""
+    sizes: Mapping[str, tuple[int, int]]
+    """By camera: width and height of its images [px]."""
+    eyes: Mapping[str, Side] = field(default_factory=dict)
+    """By camera, which eye it sits in; left out: as its name begins."""
+    timing: Timing | None = None
+    """When the readings were taken; None: the eyes stood still in all views."""
+    T_base_eye: Array | None = None
+    """(V, 2, 4, 4) measured poses of the left and the right eye in their bases, for eyes that do
+    not pan and tilt; they take the place of the angles."""
+    systematic_px: float = 0.0
+    """Smooth errors over the image [px] that the corners of all images of a camera are assumed to
+    share at least: what is known of how they were found."""
+    failures: tuple[DetectionFailure, ...] = ()
+    """Images without corners."""
+    remarks: tuple[str, ...] = ()
+    """What is odd in the data, though it may be right, and what was repaired."""
+
+    def __post_init__(self) -> None:
+        V, K = len(self.placement), self.board.columns * self.board.rows
+        wanted: dict[str, tuple[np.ndarray, tuple[int, ...]]] = {
+            "eye_angles": (self.eye_angles, (V, 4))
+        }
+        wanted |= {f"corners of {name}": (c, (V, K, 2)) for name, c in self.corners.items()}
+        if self.timing is not None:
+            wanted["timing.time_s"] = self.timing.time_s, (V,)
+            wanted["timing.run"] = self.timing.run, (V,)
+        if self.T_base_eye is not None:
+            wanted["T_base_eye"] = self.T_base_eye, (V, 2, 4, 4)
+        for name, (array, shape) in wanted.items():
+            if np.shape(array) != shape:
+                raise VergenceError(
+                    f"Observations of {V} views of {K} corners need {name} of shape {shape}, found "
+                    f"{np.shape(array)}."
+                )
+
+    @property
+    def at_rest(self) -> np.ndarray:
+        """(V,) of bool: in which views the eyes stood still."""
+        if self.timing is None:
+            return np.ones(len(self.placement), bool)
+        return self.timing.run == 0
+
+    def take(self, rows: np.ndarray) -> Observations:
+        """Return some of the views, by index or by a mask (V,)."""
+        return replace(
+            self,
+            placement=self.placement[rows],
+            eye_angles=self.eye_angles[rows],
+            corners={name: corners[rows] for name, corners in self.corners.items()},
+            timing=None if self.timing is None else self.timing.take(rows),
+            T_base_eye=None if self.T_base_eye is None else self.T_base_eye[rows],
+        )
+
+    def eye_poses(self, axes: Mapping[Side, EyeAxes] | None = None) -> Array:
+        """Return the poses (V, 2, 4, 4) of the left and the right eye in their bases, as read.
+
+        Args:
+            axes: how angles become poses; None: perfectly. Of no use where poses are given.
+        """
+        if self.T_base_eye is not None:
+            return self.T_base_eye
+        return np.stack(
+            [
+                T_base_eye(
+                    self.eye_angles[:, EYE_COLUMNS[eye]], None if axes is None else axes[eye]
+                )
+                for eye in EYES
+            ],
+            axis=1,
+        )
+
+    def timely(self, head: HeadCalibration) -> Observations:
+        """Return the same with the readings at the moments of the images, by a time offset."""
+        if self.timing is None or self.T_base_eye is not None:
+            return self
+        return replace(
+            self, eye_angles=moved_readings(self.eye_angles, self.timing, head.time_offset_s)
+        )
+
+
+def camera_eyes(observations: Observations) -> dict[str, Side]:
+    """Return by camera which eye it sits in.
+
+    Raises:
+        VergenceError: neither `eyes` nor a camera's name says it.
+    """
+    found: dict[str, Side] = {}
+    for name in observations.corners:
+        stated = observations.eyes.get(name)
+        begins: list[Side] = [eye for eye in EYES if name.startswith(eye)]
+        if stated is None and not begins:
+            raise VergenceError(
+                f"Which eye does {name} sit in? Observations.eyes says it, or a name that begins "
+                "with left or right."
+            )
+        found[name] = begins[0] if stated is None else stated
+    return found
+
+
+def most_seen_board(observations: Observations, T_cam_target: Array) -> np.ndarray:
+    """Return the views (N,) of the placement that a camera sees most often, perhaps none.
+
+    Args:
+        observations: V views.
+        T_cam_target: (V, 4, 4) poses of the board in the camera, NaN where not known.
+    """
+    known = np.flatnonzero(np.isfinite(T_cam_target).all(axis=(1, 2)))
+    if not len(known):
+        return known
+    numbers, counts = np.unique(observations.placement[known], return_counts=True)
+    return known[observations.placement[known] == numbers[counts.argmax()]]

@@ -1,0 +1,150 @@
+"""How good a calibration is, in ten lines: good or not, how good, what to do next."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.calibration.observations import Observations
+from vergence.geometry.head import Accuracy, HeadCalibration, main_pair
+from vergence.geometry.parameters import without_offsets
+from vergence.geometry.projection import project_point
+from vergence.geometry.se3 import inverse
+from vergence.stereo.uncertainty import calibration_covariance, locate_with_covariance
+from vergence.vision.board_pose import seen_corners
+
+MISFIT = 1.5
+"""Held-out error, as a multiple of what the noise explains, from which something is amiss; with
+the ten views or more of a usual fold set it stays below by far."""
+PART = 1 / 3
+"""Of the noise of a reading, which a calibration may add: it makes a twentieth of the whole."""
+SMALL = 0.002
+"""Error of a point, relative to its distance, that is small whatever the noise of a reading."""
+DISTANCES_M = (0.3, 0.6, 1.0)
+_TURNS_RAD = 0.2
+
+
+def verdict(accuracy: Accuracy, head: HeadCalibration) -> tuple[str, str]:
+    """Return one word (GOOD, FAIR, DOUBTFUL, UNKNOWN), and what to do next."""
+    if accuracy.warnings:
+        return "DOUBTFUL", f"Next: {accuracy.warnings[0]}"
+    if accuracy.method == "paper":
+        return (
+            "UNKNOWN",
+            "Next: the paper's method states no accuracy; calibrate with --method bundle.",
+        )
+    checked = accuracy.held_out
+    assert checked is not None
+    if checked.point_mm is not None and checked.expected_mm is not None:
+        ratio = checked.point_mm / checked.expected_mm
+        if ratio > MISFIT:
+            return (
+                "DOUBTFUL",
+                f"Next: held-out points are {ratio:.1f} times as wrong as the noise explains; look "
+                "for backlash, a board that moved or bends, and time stamps of moving eyes.",
+            )
+    table = point_accuracy(head)
+    if not table:
+        return "UNKNOWN", (
+            "Next: look at the standard deviations; the accuracy of a point is stated for heads of "
+            "two eyes that pan and tilt."
+        )
+    for distance, by_calibration, by_reading in table:
+        if by_calibration > max(PART * by_reading, SMALL * 1e3 * distance):
+            return "FAIR", (
+                f"Next: record more views, or larger eye motion; at {distance:g} m the calibration "
+                f"adds {by_calibration:.1f} mm to the {by_reading:.1f} mm of a reading's noise."
+            )
+    return "GOOD", "Next: nothing; more views would not make points much better."
+
+
+@lru_cache(maxsize=4)
+def point_accuracy(head: HeadCalibration) -> list[tuple[float, float, float]]:
+    """Return at some distances [m] what calibration and what one reading add to a point [mm].
+
+    Root mean square over a motion: both eyes fixate a point while the gaze goes round. Empty
+    where the head states no covariance, has one eye, or eyes that do not pan and tilt.
+    """
+    accuracy, pair = head.accuracy, main_pair(head)
+    if accuracy is None or not accuracy.parameters or pair is None:
+        return []
+    if accuracy.eye_motion == "poses":
+        return []
+    rows = []
+    for distance in DISTANCES_M:
+        left, right, joints = _circling_gaze(head, distance, pair)
+        of_head = calibration_covariance(head, left=left, right=right, joints=joints)
+        _, of_reading = locate_with_covariance(
+            head,
+            left=left,
+            right=right,
+            joints=joints,
+            pixel_std_px=accuracy.pixel_std_px or 0.0,
+            joint_std_rad=np.tile(accuracy.joint_std, 4)[:4],
+        )
+        both = (
+            1e3 * float(np.sqrt(np.trace(each, axis1=1, axis2=2).mean()))
+            for each in (of_head, of_reading)
+        )
+        rows.append((distance, *both))
+    return rows
+
+
+def _circling_gaze(
+    head: HeadCalibration, distance_m: float, pair: tuple[str, str]
+) -> tuple[Array, Array, Array]:
+    """Return pixels and readings (8, 2), (8, 2), (8, 4) of a point ahead while the gaze circles.
+
+    Both eyes turn by 0.2 rad, in the same sense; the point stays in the middle of the head.
+    """
+    plain = without_offsets(head)
+    phase = np.arange(8) * np.pi / 4
+    joints = _TURNS_RAD * np.stack([np.cos(phase), np.sin(phase)] * 2, axis=1)
+    point = np.array([distance_m, 0.0, 0.0]) + inverse(plain.T_rbase_lbase)[:3, 3] / 2
+    left, right = (project_point(plain, name, joints, point) for name in pair)
+    return left, right, joints
+
+
+def summary_lines(head: HeadCalibration, observations: Observations) -> list[str]:
+    """Return at most ten lines of a calibration that states its accuracy."""
+    accuracy = head.accuracy
+    assert accuracy is not None
+    word, following = verdict(accuracy, head)
+    lines = [f"{word}: {_seen(observations)}."]
+    if accuracy.pixel_std_px is not None:
+        levels = " and ".join(f"{np.degrees(s):.3f}" for s in accuracy.joint_std)
+        of_eyes = f"{levels} degrees in readings"
+        if accuracy.eye_motion == "poses":
+            turn, shift = accuracy.joint_std
+            of_eyes = f"{np.degrees(turn):.3f} degrees and {1e3 * shift:.3f} mm in eye poses"
+        lines.append(f"Noise: {accuracy.pixel_std_px:.3f} px in corners, {of_eyes}.")
+    checked = accuracy.held_out
+    if checked is not None and checked.transfer_px is not None:
+        lines.append(
+            f"Held out: a corner carried from eye to eye is off by {checked.transfer_px:.2f} px "
+            f"({checked.transfer_views} views, {checked.folds} folds)."
+        )
+    if checked is not None and checked.point_mm is not None:
+        expected = checked.expected_mm
+        noise = "" if expected is None else f"; the noise explains {expected:.2f} mm"
+        lines.append(
+            f"Held out: a point at {checked.distance_m:.2f} m is off by {checked.point_mm:.2f} mm"
+            f"{noise}."
+        )
+    table = point_accuracy(head)
+    if table:
+        parts = ", ".join(f"{mm:.2f} mm at {distance:g} m" for distance, mm, _ in table)
+        lines.append(f"Of this the calibration itself adds (1 std): {parts}.")
+    if len(accuracy.warnings) > 1:
+        lines.append(f"{len(accuracy.warnings)} warnings, listed in the report.")
+    lines.append(following)
+    return lines
+
+
+def _seen(observations: Observations) -> str:
+    corners = observations.corners
+    found = sum(int(seen_corners(c).any(axis=1).sum()) for c in corners.values())
+    images = f"the board found in {found} of {found + len(observations.failures)} images"
+    return f"{len(corners)} cameras, {len(observations.placement)} views, {images}"

@@ -1,0 +1,225 @@
+"""A point before the head becomes a pixel of one of its cameras: the one place for it.
+
+`pixel = lens(T_cam_eye T_eye_base(joints) T_base_lbase p_lbase)`, for one point, for many, for a
+board, with the derivatives by all that a calibration estimates; and how two cameras stand to each
+other at any posture of the eyes (Eqs. 10 and 11). Points are in the left eye's base frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.errors import VergenceError
+from vergence.geometry.camera import project, project_jacobians
+from vergence.geometry.head import HeadCalibration, MountedCamera, main_pair
+from vergence.geometry.kinematics import EYE_COLUMNS, T_base_eye
+from vergence.geometry.se3 import inverse
+
+
+def project_point(head: HeadCalibration, camera: str, joints: Array, points: Array) -> Array:
+    """Return the pixels (..., 2) of points in a camera, distortion included.
+
+    Args:
+        head: calibration of the head.
+        camera: its name.
+        joints: (..., 4) joint readings [rad] in the order of kinematics.EYE_JOINTS.
+        points: (..., 3) [m] in the left eye's base frame; leading dimensions broadcast with those
+            of the joints.
+
+    Returns:
+        NaN for points that are not in front of the camera.
+
+    Raises:
+        VergenceError: the head has no such camera.
+    """
+    mounted = head.camera(camera)
+    T = T_base_eye(joints[..., EYE_COLUMNS[mounted.eye]], head.axes[mounted.eye])
+    return project_at(mounted, head.T_rbase_lbase, T, points[..., None, :])[..., 0, :]
+
+
+def project_at(
+    mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array, points: Array
+) -> Array:
+    """Return the pixels (..., K, 2) of points in a camera whose eye stands at given poses.
+
+    Args:
+        mounted: the camera, in its eye.
+        T_rbase_lbase: (4, 4) of the head.
+        T_base_eye: (..., 4, 4) poses of the camera's eye in its base.
+        points: (..., K, 3) [m] in the left eye's base frame.
+    """
+    return project(mounted.intrinsics, _through(mounted, T_rbase_lbase, T_base_eye, points)[-1])
+
+
+def _through(
+    mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array, points: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Return points (..., K, 3) on their way from the left eye's base to the camera.
+
+    Turned into the axes of the camera's eye base; from the eye's origin, in that base; from the
+    camera, along the axes of the eye; and in frame cam.
+    """
+    right = mounted.eye == "right"
+    turned = points @ T_rbase_lbase[:3, :3].T if right else points
+    shift = T_rbase_lbase[:3, 3] if right else 0.0
+    arm = turned + shift - T_base_eye[..., None, :3, 3]
+    from_camera = arm @ T_base_eye[..., :3, :3] - mounted.T_eye_cam[:3, 3]
+    return turned, arm, from_camera, from_camera @ mounted.T_eye_cam[:3, :3]
+
+
+@dataclass(frozen=True, eq=False)
+class ProjectionJacobians:
+    """Pixels of K points in M postures, and their derivatives.
+
+    Poses change by the increment of `se3.boxplus`.
+    """
+
+    pixels: Array
+    """(M, K, 2); NaN for points that are not in front of the camera."""
+    by_lens: Array
+    """(M, K, 2, 9) by fx, fy, cx, cy, k1, k2, p1, p2, k3."""
+    by_T_eye_cam: Array
+    """(M, K, 2, 6)."""
+    by_T_base_eye: Array
+    """(M, K, 2, 6)."""
+    by_T_rbase_lbase: Array
+    """(M, K, 2, 6); zero for a camera of the left eye."""
+    by_point: Array
+    """(M, K, 2, 3) by the point in the left eye's base frame."""
+
+
+def project_with_jacobians(
+    mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array, points: Array
+) -> ProjectionJacobians:
+    """Return pixels and their derivatives by everything that lies between point and pixel.
+
+    Args:
+        mounted: the camera, in its eye.
+        T_rbase_lbase: (4, 4) of the head.
+        T_base_eye: (M, 4, 4) poses of the camera's eye in its base.
+        points: (M, K, 3) [m] in the left eye's base frame.
+    """
+    turned, arm, from_camera, in_camera = _through(mounted, T_rbase_lbase, T_base_eye, points)
+    pixels, by_cam, by_lens = project_jacobians(mounted.intrinsics, in_camera)
+    by_eye = by_cam @ mounted.T_eye_cam[:3, :3].T
+    by_base = _rows(by_eye, np.swapaxes(T_base_eye[:, :3, :3], -1, -2))
+    right = mounted.eye == "right"
+    between = by_pose_of_points(by_base, turned)
+    return ProjectionJacobians(
+        pixels,
+        by_lens,
+        np.concatenate([_cross(by_eye, from_camera), -by_eye], axis=-1),
+        np.concatenate([_cross(by_base, arm), -by_base], axis=-1),
+        between if right else np.zeros_like(between),
+        by_base @ T_rbase_lbase[:3, :3] if right else by_base,
+    )
+
+
+def by_pose_of_points(by_point: Array, turned: Array) -> Array:
+    """Return derivatives (M, K, 2, 6) by the pose of a body to which the points are fixed.
+
+    Args:
+        by_point: (M, K, 2, 3) by the points.
+        turned: (M, K, 3) the points from the body's origin, along the axes of the frame that its
+            pose maps into.
+    """
+    return np.concatenate([-_cross(by_point, turned), by_point], axis=-1)
+
+
+def _rows(rows: Array, matrix: Array) -> Array:
+    """Return each row of (M, K, 2, 3) times its matrix (M, 3, 3)."""
+    return (rows.reshape(len(rows), -1, 3) @ matrix).reshape(rows.shape)
+
+
+def _cross(rows: Array, points: Array) -> Array:
+    """Return rows (M, K, 2, 3) times hat(points (M, K, 3)): their cross products."""
+    (a, b, c), (x, y, z) = np.moveaxis(rows, -1, 0), np.moveaxis(points[:, :, None], -1, 0)
+    return np.stack([b * z - c * y, c * x - a * z, a * y - b * x], axis=-1)
+
+
+def base_extrinsics(
+    *,
+    T_rbase_reye: Array,
+    T_reye_rcam: Array,
+    T_rcam_lcam: Array,
+    T_leye_lcam: Array,
+    T_lbase_leye: Array,
+) -> Array:
+    """Eq. 10: T_rbase_lbase (..., 4, 4) from a static stereo pose and the eye poses of its moment.
+
+    Args:
+        T_rbase_reye: (..., 4, 4) pose of the right eye in its base; T_er^r of the paper.
+        T_reye_rcam: (..., 4, 4) mounting of the right camera; T_ec^r.
+        T_rcam_lcam: (..., 4, 4) static stereo; T_c^rl.
+        T_leye_lcam: (..., 4, 4) mounting of the left camera.
+        T_lbase_leye: (..., 4, 4) pose of the left eye in its base.
+    """
+    return T_rbase_reye @ T_reye_rcam @ T_rcam_lcam @ inverse(T_lbase_leye @ T_leye_lcam)
+
+
+def stereo_extrinsics(
+    *,
+    T_rbase_reye: Array,
+    T_reye_rcam: Array,
+    T_rbase_lbase: Array,
+    T_leye_lcam: Array,
+    T_lbase_leye: Array,
+) -> Array:
+    """Eq. 11: T_rcam_lcam (..., 4, 4) at the present eye poses; the inverse of Eq. 10.
+
+    Args: see base_extrinsics; T_rbase_lbase (..., 4, 4) is what it returns.
+    """
+    return inverse(T_rbase_reye @ T_reye_rcam) @ T_rbase_lbase @ T_lbase_leye @ T_leye_lcam
+
+
+def stereo_cameras(
+    head: HeadCalibration, cameras: tuple[str, str] | None
+) -> tuple[MountedCamera, MountedCamera]:
+    """Return the left and the right camera of a pair.
+
+    Args:
+        head: calibration of the head.
+        cameras: names of a camera of the left eye and one of the right; None: the main ones.
+
+    Raises:
+        VergenceError: the head has one eye only, has no such camera, or left and right are
+            exchanged.
+    """
+    pair = main_pair(head) if cameras is None else cameras
+    if pair is None:
+        raise VergenceError(
+            f"Stereo needs a camera in each eye; this head has {', '.join(head.cameras)}."
+        )
+    left, right = (head.camera(name) for name in pair)
+    if (left.eye, right.eye) != ("left", "right"):
+        raise VergenceError(
+            f"A stereo pair is a camera of the left eye and one of the right, in this order; "
+            f"{pair[0]} sits in the {left.eye} eye and {pair[1]} in the {right.eye} one."
+        )
+    return left, right
+
+
+def T_rcam_lcam(
+    head: HeadCalibration, joints: Array, *, cameras: tuple[str, str] | None = None
+) -> Array:
+    """Return Eq. 11 (..., 4, 4) at joint readings (..., 4) [rad].
+
+    Args:
+        head: calibration of the head.
+        joints: in the order of kinematics.EYE_JOINTS.
+        cameras: see stereo_cameras.
+
+    Raises:
+        VergenceError: see stereo_cameras.
+    """
+    left, right = stereo_cameras(head, cameras)
+    return stereo_extrinsics(
+        T_rbase_reye=T_base_eye(joints[..., EYE_COLUMNS["right"]], head.axes["right"]),
+        T_reye_rcam=right.T_eye_cam,
+        T_rbase_lbase=head.T_rbase_lbase,
+        T_leye_lcam=left.T_eye_cam,
+        T_lbase_leye=T_base_eye(joints[..., EYE_COLUMNS["left"]], head.axes["left"]),
+    )
