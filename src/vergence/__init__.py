@@ -1,1 +1,98 @@
-"""Calibration, stereo and gaze for active heads, and a digital twin to try them on."""
+"""Calibration, stereo and gaze for active heads, and a digital twin to try them on.
+
+`import vergence as vg` gives the names in `__all__`; each is loaded when it is first used, so that
+the import itself costs nothing. The twin is `vergence.twin`, recordings and figures are
+`vergence.viewer`: neither is loaded by what stands here.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.2.0"
+
+if TYPE_CHECKING:
+    from vergence.calibration.bundle.eye_camera import refine_eye_camera
+    from vergence.calibration.calibrate import CalibrationResult, calibrate
+    from vergence.calibration.detection import detect_target
+    from vergence.calibration.observations import Observations
+    from vergence.data.dataset import Dataset, Frame
+    from vergence.data.reader import load_dataset
+    from vergence.data.writer import write_dataset
+    from vergence.errors import VergenceError
+    from vergence.gaze.foveation import gaze_angles
+    from vergence.geometry.board import Charuco, Chessboard
+    from vergence.geometry.camera import Camera
+    from vergence.geometry.head import HeadCalibration, MountedCamera, load_head, save_head
+    from vergence.geometry.kinematics import EyeAxes
+    from vergence.geometry.projection import T_rcam_lcam, project_point
+    from vergence.interchange.formats import export_head, import_head
+    from vergence.stereo.triangulation import Status, in_body, in_head
+    from vergence.stereo.uncertainty import LocatedPoints, locate
+
+__all__ = [
+    "CalibrationResult",
+    "Camera",
+    "Charuco",
+    "Chessboard",
+    "Dataset",
+    "EyeAxes",
+    "Frame",
+    "HeadCalibration",
+    "LocatedPoints",
+    "MountedCamera",
+    "Observations",
+    "Status",
+    "T_rcam_lcam",
+    "VergenceError",
+    "__version__",
+    "calibrate",
+    "detect_target",
+    "export_head",
+    "gaze_angles",
+    "import_head",
+    "in_body",
+    "in_head",
+    "load_dataset",
+    "load_head",
+    "locate",
+    "project_point",
+    "refine_eye_camera",
+    "save_head",
+    "write_dataset",
+]
+
+_HOMES = {
+    "calibration.bundle.eye_camera": ("refine_eye_camera",),
+    "calibration.calibrate": ("CalibrationResult", "calibrate"),
+    "calibration.detection": ("detect_target",),
+    "calibration.observations": ("Observations",),
+    "data.dataset": ("Dataset", "Frame"),
+    "data.reader": ("load_dataset",),
+    "data.writer": ("write_dataset",),
+    "errors": ("VergenceError",),
+    "gaze.foveation": ("gaze_angles",),
+    "geometry.board": ("Charuco", "Chessboard"),
+    "geometry.camera": ("Camera",),
+    "geometry.head": ("HeadCalibration", "MountedCamera", "load_head", "save_head"),
+    "geometry.kinematics": ("EyeAxes",),
+    "geometry.projection": ("T_rcam_lcam", "project_point"),
+    "interchange.formats": ("export_head", "import_head"),
+    "stereo.triangulation": ("Status", "in_body", "in_head"),
+    "stereo.uncertainty": ("LocatedPoints", "locate"),
+}
+_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name when it is first used."""
+    if name not in _HOME_OF:
+        raise AttributeError(f"module 'vergence' has no attribute {name!r}")
+    value = getattr(import_module(f"vergence.{_HOME_OF[name]}"), name)
+    globals()[name] = value  # found without asking from now on
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(set(__all__) | set(globals()))
