@@ -26,8 +26,8 @@ DARK, BRIGHT = 25, 230
 BLURRED = 0.35
 """Part of an image's contrast that is left in steps of two pixels, below which it is blurred."""
 SYSTEMATIC_PX = 0.003
-"""Systematic error of the detector, smooth over the image: assumed. On rendered boards it is 0.001 to
-0.002 px, and the intrinsics absorb most of this error."""
+"""Systematic error of the detector, smooth over the image: assumed. On rendered boards it is 0.001
+to 0.002 px, and the intrinsics absorb most of this error."""
 _PROBES = 4  # images on which other boards are tried when none was found
 
 

@@ -25,7 +25,7 @@ class Status(IntEnum):
     NOT_SEEN = 1
     """A pixel or a joint reading is NaN, or a pixel lies beyond the lens model's reach."""
     PARALLEL = 2
-    """The two rays are parallel to within what the arithmetic can tell apart."""
+    """The two rays are parallel to within rounding errors."""
     BEHIND = 3
     """The rays meet behind a camera."""
 

@@ -20,7 +20,7 @@ def seen_corners(corners: Array) -> np.ndarray:
 
 
 def determines_pose(points: Array, seen: np.ndarray) -> np.ndarray:
-    """Return (...,) whether the seen corners tell where the board is: enough, not on one line.
+    """Return (...,) whether the seen corners determine the board's pose: enough, not on one line.
 
     Args:
         points: (K, 3) the board's corners in frame target.

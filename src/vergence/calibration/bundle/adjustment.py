@@ -42,11 +42,11 @@ GENEROUS_JOINT = 0.01
 """First guess of the joint noise [rad or m]: large, so that good readings do not pass for
 outliers before the level is known."""
 USUAL_JOINT = 0.002
-"""Assumed where the data cannot tell the joint noise [rad or m]: 0.1 degrees."""
+"""Assumed where the data do not determine the joint noise [rad or m]: 0.1 degrees."""
 TRUST_ENCODER = 2.0
 """Joint noise, as a multiple of how well one image determines the joints, up to which the readings
-give the eyes' trajectory in time. At it they hold the latent angles to a fifth, and offsets of 0.1 s
-still settle."""
+give the eyes' trajectory in time. At it they hold the latent angles to a fifth, and offsets of
+0.1 s still settle."""
 ROUNDS = 40
 RELEASES = 2
 """How often fixed directions may be released again."""

@@ -200,7 +200,7 @@ def fixed_by_default(start: HeadCalibration, *, timed: bool) -> set[str]:
     """Return the names of the parameters that bundle_adjust does not touch unless asked to.
 
     - Offsets of the joints: an offset of tilt is a turn of T_eye_cam, one of pan a turn of the
-      base frame, and no image tells them apart.
+      base frame, and no image distinguishes them.
     - Distortion coefficients that are zero at the start: they are not in the lens model.
     - The time offset, where the eyes stood still.
     - Where the other eye is, for a head of one eye.

@@ -55,8 +55,8 @@ def warnings(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
     few = ~found.assumed & ~found.given & (found.redundancy < FEW)
     for redundancy in found.redundancy[few]:
         said.append(
-            f"The noise of the joint readings rests on {redundancy:.0f} readings more than it takes to "
-            "fit them: the stated accuracy is rough; record more views."
+            f"The noise of the joint readings rests on {redundancy:.0f} readings more than it takes "
+            "to fit them: the stated accuracy is rough; record more views."
         )
     corners = int(np.count_nonzero(problem.seen))
     outliers = corners - np.count_nonzero(found.weights.corner)
@@ -71,8 +71,8 @@ def warnings(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
         camera = problem.cameras[found.systematic_px.index(systematic)]
         whose = "" if len(problem.cameras) == 1 else f" of {camera}"
         said.append(
-            f"All images{whose} have a systematic error of {systematic:.2g} px, more than the noise of "
-            f"single corners ({noise.pixel_px:.2g} px): the lens departs from its model, or the "
+            f"All images{whose} have a systematic error of {systematic:.2g} px, more than the noise "
+            f"of single corners ({noise.pixel_px:.2g} px): the lens departs from its model, or the "
             "board is not flat; look at the residuals over the image."
         )
     if not found.converged:
@@ -95,7 +95,7 @@ def contradicting_views(problem: BundleProblem) -> tuple[str, ...]:
 
 
 def _subjects(problem: BundleProblem, rows: Array) -> list[tuple[str, list[int]]]:
-    """Return the subjects of directions, merged by the cameras and eyes they concern, and these eyes."""
+    """Return the subjects of directions, merged by their owners, and the eyes concerned."""
     labels = parameter_names(problem.cameras)
     merged: dict[tuple[str, ...], dict[str, list[str]]] = {}
     for row in _sparse(rows):
@@ -137,7 +137,7 @@ def _causes(problem: BundleProblem, found: Adjusted, eyes: list[int]) -> str:
     if causes:
         return ", ".join(causes)
     return (
-        "the views do not tell it from other unknowns; record more of them, with pan and tilt "
+        "the views do not distinguish it from other unknowns; record more of them, with pan and tilt "
         "moved by 0.25 rad and boards at several distances and slants"
     )
 
@@ -180,7 +180,7 @@ def _senses(problem: BundleProblem, found: Adjusted, eye: int) -> list[str]:
     """Return a sentence for each joint whose motion is so small that its sense is uncertain.
 
     A mounting turned about the other axis by half a turn then fits as well: no covariance, which
-    looks at one solution only, can tell.
+    describes one solution only, can show it.
     """
     blocks, which = _views(problem, eye)
     if problem.T_base_eye_read is not None or np.bincount(which).max() < 2:

@@ -1,8 +1,8 @@
 """Which directions of the unknowns the data cannot determine.
 
 The yardstick is a prior standard deviation: how well a ruler and a data sheet know each parameter
-without any calibration. A direction that the data determine `FIXED` times worse keeps its start, and
-one that they determine hardly better is reported too.
+without any calibration. A direction that the data determine `FIXED` times worse keeps its start,
+and one that they determine hardly better is reported too.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ FIXED = 5.0
 """Standard deviation, in prior ones, from which a direction is fixed: 14 degrees, 5 cm. One that is
 known better is estimated: the start may be worse still, and would spoil what is observable."""
 WEAK = 0.3
-"""Standard deviation, in prior ones, from which a direction deserves a warning: 0.9 degrees, 3 mm."""
+"""Standard deviation, in prior ones, from which a direction deserves a warning: 0.9 degrees,
+3 mm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +40,7 @@ class Observability:
     basis: Array
     """(G, F) free directions of the shared unknowns."""
     fixed: Array
-    """(H, c) directions of the calibration that are not observable, each one prior deviation long."""
+    """(H, c) directions of the head that are not observable, each one prior deviation long."""
     weak: Array
     """(W, c) directions that are observable, but hardly."""
     covariance: Array
@@ -81,7 +82,7 @@ def observe(
     mine = np.flatnonzero(problem.free) < c
     S = factorise(project_onto(linear, scale), noise).schur
     boards = S[np.ix_(~mine, ~mine)]
-    # Nothing but the start tells where a board stands that shows too few corners.
+    # A board that shows too few corners is placed by its start alone.
     boards = boards + UNKNOWN**-2 * np.eye(len(boards))
     across = S[np.ix_(mine, ~mine)]
     information = S[np.ix_(mine, mine)] - across @ np.linalg.solve(boards, across.T)

@@ -158,7 +158,7 @@ def factorise(linear: LinearProblem, noise: NoiseLevels, damping: float = 0.0) -
         damping: Levenberg and Marquardt's, relative to the diagonal.
     """
     pixel = noise.pixel_px**-2
-    # A reading keeps a little weight: without it, an eye whose corners are all outliers has no pose.
+    # A reading keeps a little weight: without it, an eye with outliers only would have no pose.
     joint = np.maximum(linear.joint_weights, 1e-9) * noise.joint[noise.group] ** -2
     n = joint.shape[1]
     eye = np.eye(n, dtype=bool)
@@ -196,7 +196,7 @@ def cholesky(matrix: Array) -> tuple[Array, bool]:
         except np.linalg.LinAlgError:
             continue
     raise VergenceError(
-        "The equations of the bundle adjustment are not finite: look for corners or readings far off."
+        "The equations of the bundle adjustment are not finite: look for wild corners or readings."
     )
 
 

@@ -117,7 +117,7 @@ def _fields(pixels: Array, width: int, height: int) -> Array:
 
 
 def _likeliest(left: Array, seen: Array) -> float:
-    """Return the standard deviation of the coefficients, as the residuals tell it: the likeliest.
+    """Return the standard deviation of the coefficients, of greatest likelihood for the residuals.
 
     The residuals' projection y onto the fields has the covariance G + s^2 G^2, with G what is left
     of the fields after the fit, in units of the noise.

@@ -1,8 +1,9 @@
 """Noise levels from the residuals: variance components by restricted likelihood (REML).
 
 Each group of residuals (corners; readings of one kind) has its own variance. The restricted
-likelihood accounts for the part of each group's noise that the fit has absorbed (Patterson and Thompson 1971;
-geodesy's Helmert variance components are its stationary points: sigma^2 = r^T r / redundancy).
+likelihood accounts for the part of each group's noise that the fit has absorbed (Patterson and
+Thompson 1971; geodesy's Helmert variance components are its stationary points: sigma^2 = r^T r /
+redundancy).
 It is climbed by Fisher scoring in log sigma^2, in the linearised problem, where a step costs one
 elimination and no projection.
 """

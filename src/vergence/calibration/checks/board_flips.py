@@ -71,7 +71,7 @@ class _CameraViews:
     R_base_eye: Array
     """(N, 3, 3)."""
     R_eye_cam: Array | None
-    """None: the eye moved too little to tell."""
+    """None: the eye moved too little to determine it."""
     turns: np.ndarray
     """(N,)."""
     unclear: np.ndarray

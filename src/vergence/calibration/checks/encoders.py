@@ -186,7 +186,7 @@ def _left_of(
 
 
 def _contradictions(turns: _Turns, fit: _Fit) -> list[str]:
-    """Return sentences on readings of an eye that cannot be what they are said to be."""
+    """Return sentences on readings of an eye that contradict their description."""
     eye = EYES[turns.eye]
     if fit.explained < EXPLAINED and fit.moved.min() < DEAD * fit.moved.max():
         joint = ("pan", "tilt")[int(fit.moved.argmin())]
@@ -221,7 +221,7 @@ def _contradictions(turns: _Turns, fit: _Fit) -> list[str]:
     up, left = (axis / np.linalg.norm(axis) for axis in fit.axes)
     if np.cross(left, up)[2] > 0:
         return []
-    # As they are said to be, the camera would look out of the back of the eye. One that stands
+    # By their description, the camera would look out of the back of the eye. One that stands
     # upright has its pan axis along -y, its tilt axis along -x.
     pan_up, tilt_left, pan_left, tilt_up = -up[1], -left[0], -up[0], -left[1]
     worst = min(pan_up, tilt_left)

@@ -78,7 +78,7 @@ def calibrate_intrinsics(
             (Sec. II-A) and names that end in "narrow".
 
     Raises:
-        VergenceError: a camera has fewer than three views, or they do not tell its focal length.
+        VergenceError: a camera has fewer than three views, or they do not determine its focal length.
     """
     points = corner_points(observations.board)
     found = {}
@@ -105,7 +105,7 @@ def calibrate_camera(
 
     Raises:
         VergenceError: fewer than three views with four corners or more, or boards that do not
-            tell the focal length.
+            determine the focal length.
     """
     seen = seen_corners(corners)
     usable = seen.sum(axis=1) >= 4
@@ -154,7 +154,7 @@ def _fitted(
 def _focal_std(camera: Camera, free: int, poses: Array, corners: Array, points: Array) -> Array:
     """Return the standard deviations (2,) of fx and fy [px], by the residuals at the optimum.
 
-    Each view's own pose is projected out. Infinite where the views do not tell one.
+    Each view's own pose is projected out. Infinite where the views do not determine one.
 
     Args:
         camera: at the optimum.
