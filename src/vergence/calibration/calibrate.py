@@ -20,7 +20,7 @@ from vergence.calibration.sequential import sequential
 from vergence.calibration.sequential.intrinsics import Intrinsics, LensModel, seen_corners
 from vergence.calibration.sequential.sequential import PaperCalibration, Views, eyes_of
 from vergence.data.dataset import Dataset
-from vergence.data.reader import load
+from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.head import Accuracy, HeadCalibration, HeldOut, main_pair
 
@@ -81,7 +81,7 @@ def solve(
     Raises:
         VergenceError: the dataset is faulty, or too poor for any answer.
     """
-    dataset = load(folder)
+    dataset = load_dataset(folder)
     _check_rest(dataset)
     detections = detect(dataset, progress=progress)
     seen = Observations(detections.views, detections.timing, detections.T_base_eye)

@@ -22,7 +22,7 @@ LARGE_PX = 1_500_000
 """Images of more pixels are not enlarged before markers are looked for."""
 
 
-def find_corners(image: np.ndarray, board: Board) -> Array | None:
+def detect_board(image: np.ndarray, board: Board) -> Array | None:
     """Return the inner corners (rows * columns, 2) [px] in the order of corner_points.
 
     Corners that were not seen are NaN. Of a ChArUco board a part is enough. A chessboard is found
