@@ -129,7 +129,9 @@ def _cells(description: Description, row: DatasetRow) -> dict[str, object]:
         MOVING: int(row.moving),
     }
     readings = np.concatenate([frame.eye_angles, frame.neck_angles])
-    angles = dict(zip((*EYE_JOINTS, *NECK_JOINTS), readings.tolist(), strict=True))
+    angles: dict[str, float] = dict(
+        zip((*EYE_JOINTS, *NECK_JOINTS), readings.tolist(), strict=True)
+    )
     for name, joint in description.joints.items():
         angle = joint.sign * angles[name]
         cells[joint.column] = float(np.degrees(angle) if joint.unit == "deg" else angle)
