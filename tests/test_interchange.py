@@ -58,7 +58,7 @@ def rays(rng: np.random.Generator) -> np.ndarray:
 
 @pytest.mark.parametrize("suffix", opencv.SUFFIXES)
 def test_a_head_survives_opencv_to_the_last_digit(tmp_path, suffix):
-    head = with_distortion(plain(1), 0.0123456789)
+    head = replace(with_distortion(plain(1), 0.0123456789), time_offset_s=0.0321)
     opencv.save(head, tmp_path / f"head{suffix}")
     back = opencv.load(tmp_path / f"head{suffix}")
     assert list(back.cameras) == list(head.cameras)
@@ -67,6 +67,7 @@ def test_a_head_survives_opencv_to_the_last_digit(tmp_path, suffix):
         assert (back.cameras[name].T_eye_cam == mounted.T_eye_cam).all()
         assert back.cameras[name].eye == mounted.eye
     assert (back.T_rbase_lbase == head.T_rbase_lbase).all()
+    assert back.time_offset_s == head.time_offset_s
     assert all(vars(back.axes[eye]) == vars(head.axes[eye]) for eye in EYES)
     for name in ("axes", "points_m", "head_m"):
         assert (getattr(back.neck, name) == getattr(head.neck, name)).all()
