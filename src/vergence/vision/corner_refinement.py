@@ -106,17 +106,17 @@ def curvatures(grid: Array) -> Array:
     j, i = np.indices(grid.shape[:2])
     places = np.stack([i, j], axis=-1)[:, :, None, None] + offsets
     mapped = _smooth_map(grid, places.reshape(-1, 2)).reshape(places.shape)
+    if not np.isfinite(mapped).all():
+        return np.zeros((*grid.shape[:2], 2, 3))
     above, here, below = (mapped[:, :, k, 1] for k in range(3))
     left, right = mapped[:, :, 1, 0], mapped[:, :, 1, 2]
     cross = mapped[:, :, 2, 2] + mapped[:, :, 0, 0] - mapped[:, :, 2, 0] - mapped[:, :, 0, 2]
     # Derivatives by the board's coordinates, then by those of the image: (..., xy, i, j).
     J = np.stack([right - left, below - above], axis=-1) / 2
     H = np.stack([left + right - 2 * here, cross / 4, cross / 4, above + below - 2 * here], axis=-1)
-    singular = np.linalg.det(J) == 0
-    M = np.linalg.inv(np.where(singular[..., None, None], np.nan, J))
+    M = np.linalg.pinv(J)
     K = np.swapaxes(M, -1, -2)[:, :, None] @ H.reshape(*J.shape, 2) @ M[:, :, None] / 2
-    terms = [K[..., 0, 0], K[..., 0, 1] + K[..., 1, 0], K[..., 1, 1]]
-    return np.nan_to_num(np.stack(terms, axis=-1))
+    return np.stack([K[..., 0, 0], K[..., 0, 1] + K[..., 1, 0], K[..., 1, 1]], axis=-1)
 
 
 def _smooth_map(grid: Array, places: Array) -> Array:
