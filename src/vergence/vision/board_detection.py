@@ -83,8 +83,8 @@ def _detect_charuco(grey: np.ndarray, board: Charuco) -> Array | None:
     if found is None or numbers is None or not len(numbers):
         return None
     corners = np.full((board.rows * board.columns, 2), np.nan)
-    seen = np.asarray(numbers, dtype=int).ravel()
-    corners[seen] = (np.reshape(found, (-1, 2)) + 0.5) / scale - 0.5
+    valid = np.asarray(numbers, dtype=int).ravel()
+    corners[valid] = (np.reshape(found, (-1, 2)) + 0.5) / scale - 0.5
     grid = corners.reshape(board.rows, board.columns, 2)
     shortest = _shortest_diagonals(grid)
     if not np.isfinite(shortest).any():
@@ -117,12 +117,12 @@ def _reject_misread(corners: Array, points: Array, tolerance_px: float) -> None:
 
     The tolerance is large enough for lens distortion.
     """
-    seen = np.flatnonzero(np.isfinite(corners[:, 0]))
-    if len(seen) < 6:  # too few to identify an outlier
+    valid = np.flatnonzero(np.isfinite(corners[:, 0]))
+    if len(valid) < 6:  # too few to identify an outlier
         return
-    _, inside = cv2.findHomography(points[seen], corners[seen], cv2.RANSAC, tolerance_px)
+    _, inside = cv2.findHomography(points[valid], corners[valid], cv2.RANSAC, tolerance_px)
     if inside is not None:
-        corners[seen[~np.asarray(inside, dtype=bool).ravel()]] = np.nan
+        corners[valid[~np.asarray(inside, dtype=bool).ravel()]] = np.nan
 
 
 def _first_square_is_white(grey: np.ndarray, corners: Array, board: Chessboard) -> bool:

@@ -125,9 +125,9 @@ def _smooth_map(grid: Array, places: Array) -> Array:
     The map is a homography plus a polynomial for lens distortion, of the largest degree for which
     there are twice as many corners as coefficients. NaN if there are too few corners.
     """
-    seen = np.isfinite(grid[..., 0])
-    j, i = np.nonzero(seen)
-    known, corners = np.column_stack([i, j]).astype(float), grid[seen]
+    valid = np.isfinite(grid[..., 0])
+    j, i = np.nonzero(valid)
+    known, corners = np.column_stack([i, j]).astype(float), grid[valid]
     degree = max((d for d in range(5) if (d + 1) * (d + 2) <= len(known)), default=0)
     H = None if degree < 2 else cv2.findHomography(known, corners, 0)[0]
     if H is None:
