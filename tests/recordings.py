@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from vergence.data.reader import load
+from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.board import Charuco, Chessboard, opencv_board
 
@@ -171,7 +171,7 @@ def change_cell(folder: Path, row: int, column: str, value: str) -> None:
 def refusal(folder: Path) -> str:
     """Return the one sentence in which loading a dataset ends."""
     with pytest.raises(VergenceError) as refused:
-        load(folder)
+        load_dataset(folder)
     message = str(refused.value)
     assert "\n" not in message
     assert message.endswith(".")

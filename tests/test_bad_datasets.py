@@ -16,7 +16,7 @@ from recordings import (
     small_dataset,
     write_table,
 )
-from vergence.data.reader import load
+from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.kinematics import EYE_JOINTS
 
@@ -35,13 +35,13 @@ def folder(tmp_path: Path) -> Path:
         (2, "joint_time_s", "10.51", "line 4: joint_time_s = 10.51 repeats"),
         (0, "joint_time_s", "7.5", "line 2: time_s and joint_time_s lie 2.5 s apart"),
         (1, "time_s", "", "line 3: time_s is blank"),
-        (1, "time_s", "1_0.5", "line 3: time_s is '1_0.5', not a number"),
-        (1, "left_pan", "nan", "line 3: left_pan is nan; every number is finite"),
-        (1, "left_pan", "-Infinity", "line 3: left_pan is -Infinity"),
+        (1, "time_s", "1_0.5", "line 3: time_s is '1_0.5', not a finite number"),
+        (1, "left_pan", "nan", "line 3: left_pan is 'nan', not a finite number"),
+        (1, "left_pan", "-Infinity", "line 3: left_pan is '-Infinity'"),
         (1, "left_pan", "1e999", "line 3: left_pan is '1e999'"),
-        (1, "left_pan", "0,2", "line 3: left_pan is '0,2', not a number such as 0.25"),
+        (1, "left_pan", "0,2", "line 3: left_pan is '0,2', not a finite number such as 0.25"),
         (3, "left_tilt", "17.2", "half a turn; if it is in degrees, set joints.left_tilt.unit"),
-        (1, "placement", "-1", "line 3: placement is '-1'; it is blank or a whole number"),
+        (1, "placement", "-1", "line 3: placement is '-1'; expected blank or a whole number"),
         (1, "placement", "1.5", "line 3: placement is '1.5'"),
         (1, "left_wide", "images/left_0.png", "is also the image of left_wide in line 2"),
         (1, "left_wide", "images/../images/left_0.png", "is also the image of left_wide in line 2"),
@@ -121,7 +121,7 @@ def test_a_missing_column_is_named(folder, column):
     ("content", "sentence"),
     [
         (b"", "is empty; its first line names the columns"),
-        (b"time_s,time_s\n1,2\n", "the column 'time_s' stands there twice"),
+        (b"time_s,time_s\n1,2\n", "the column 'time_s' is repeated"),
         (b"time_s;joint_time_s\n1;2\n", "separated by semicolons"),
         (b"time_s,\xff\n", "is not a CSV file in UTF-8"),
         (b'time_s\n"1', "is not a CSV file in UTF-8"),
@@ -164,7 +164,7 @@ def test_a_neck_that_moves_while_the_board_is_said_to_rest_is_noticed(folder):
 def test_angles_that_look_like_another_unit_are_remarked(folder, unit, value, remark):
     change_about(folder, {"joints.left_pan.unit": unit})
     change_cell(folder, 2, "left_pan", str(value))
-    remarks = load(folder).remarks
+    remarks = load_dataset(folder).remarks
     assert len(remarks) == 1
     assert remark in remarks[0]
     assert "left_pan" in remarks[0]
@@ -216,7 +216,7 @@ def test_no_damage_to_the_description_is_met_with_a_traceback(text, where, cut, 
 def loads_or_refuses(folder: Path) -> None:
     """Check that what loads is what stands there, and that nothing but VergenceError refuses."""
     try:
-        dataset = load(folder)
+        dataset = load_dataset(folder)
     except VergenceError as error:
         message = str(error)
         dataset = None

@@ -12,8 +12,8 @@ from recordings import (
     small_dataset,
 )
 from vergence.data.dataset import DatasetCamera, DatasetJoint, Description, Frame
-from vergence.data.reader import load
-from vergence.data.writer import Entry, write
+from vergence.data.reader import load_dataset
+from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS
 
@@ -24,9 +24,9 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "set"
 
 
-def entries(count: int, rng: np.random.Generator) -> list[Entry]:
+def entries(count: int, rng: np.random.Generator) -> list[DatasetRow]:
     return [
-        Entry(
+        DatasetRow(
             frame=Frame(
                 time_s=1.1 * k,
                 joint_time_s=1.1 * k + 0.1,
@@ -61,8 +61,8 @@ def about(**joint: Any) -> Description:
 @pytest.mark.parametrize("joint", [{}, {"unit": "deg", "sign": -1}])
 def test_what_is_written_is_read_back(tmp_path, joint):
     made = entries(5, np.random.default_rng(1))
-    write(tmp_path / "deep" / "set", about(**joint), made)
-    dataset = load(tmp_path / "deep" / "set")
+    write_dataset(tmp_path / "deep" / "set", about(**joint), made)
+    dataset = load_dataset(tmp_path / "deep" / "set")
     assert dataset.description.note == "Umlaute: äöü"
     assert dataset.description.board == CHARUCO
     assert dataset.moving.tolist() == [entry.moving for entry in made]
@@ -81,24 +81,24 @@ def test_written_poses_are_read_back_exactly(tmp_path):
     described = Description(cameras=about().cameras, board=CHARUCO, eye_motion="poses")
     T = [np.array([random_pose(rng), random_pose(rng)]) for _ in range(3)]
     made = [
-        Entry(frame=entry.frame, T_base_eye=each)
+        DatasetRow(frame=entry.frame, T_base_eye=each)
         for entry, each in zip(entries(3, rng), T, strict=True)
     ]
-    write(tmp_path / "set", described, made)
-    assert (load(tmp_path / "set").T_base_eye == np.array(T)).all()
+    write_dataset(tmp_path / "set", described, made)
+    assert (load_dataset(tmp_path / "set").T_base_eye == np.array(T)).all()
 
 
 def test_a_folder_that_is_not_empty_is_never_overwritten(folder):
     before = sorted(folder.rglob("*"))
-    with pytest.raises(VergenceError, match="is there already and not empty"):
-        write(folder, about(), entries(2, np.random.default_rng(0)))
+    with pytest.raises(VergenceError, match="already exists and is not empty"):
+        write_dataset(folder, about(), entries(2, np.random.default_rng(0)))
     assert sorted(folder.rglob("*")) == before
 
 
 def test_an_empty_folder_is_used(tmp_path):
     (tmp_path / "set").mkdir()
-    write(tmp_path / "set", about(), entries(2, np.random.default_rng(0)))
-    assert len(load(tmp_path / "set")) == 2
+    write_dataset(tmp_path / "set", about(), entries(2, np.random.default_rng(0)))
+    assert len(load_dataset(tmp_path / "set")) == 2
 
 
 def test_an_interrupted_recording_leaves_nothing_behind(tmp_path):
@@ -107,12 +107,12 @@ def test_an_interrupted_recording_leaves_nothing_behind(tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        write(tmp_path / "set", about(), broken())
+        write_dataset(tmp_path / "set", about(), broken())
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_folder_that_cannot_be_made_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(VergenceError, match="Cannot") as refused:
-        write(tmp_path / "file" / "set", about(), [])
+        write_dataset(tmp_path / "file" / "set", about(), [])
     assert "\n" not in str(refused.value)

@@ -20,16 +20,16 @@ from recordings import (
     write_dataset,
 )
 from vergence.calibration.detection import detect, look_for
-from vergence.data.reader import load
+from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.board import Charuco, Chessboard, corner_points
-from vergence.vision.board_detection import find_corners
+from vergence.vision.board_detection import detect_board
 
 
 @pytest.mark.parametrize("board", [CHESSBOARD, CHARUCO], ids=["chessboard", "charuco"])
 def test_corners_of_every_image_stand_at_its_row_and_camera(tmp_path, board):
     truth = seen_dataset(tmp_path / "set", board)
-    dataset = load(tmp_path / "set")
+    dataset = load_dataset(tmp_path / "set")
     found = detect(dataset)
     assert found.failures == ()
     assert found.views.board == board
@@ -49,7 +49,7 @@ def test_corners_of_every_image_stand_at_its_row_and_camera(tmp_path, board):
 def test_progress_reaches_its_end(tmp_path):
     seen_dataset(tmp_path / "set", CHARUCO, 2)
     with Progress(disable=True) as progress:
-        detect(load(tmp_path / "set"), progress=progress)
+        detect(load_dataset(tmp_path / "set"), progress=progress)
         assert progress.tasks[0].completed == progress.tasks[0].total == 3
 
 
@@ -64,7 +64,7 @@ def test_part_of_a_charuco_board_gives_the_right_corners(corner):
     }
     part = np.full_like(image, 120)
     part[seen[corner]] = image[seen[corner]]
-    found = find_corners(part, CHARUCO)
+    found = detect_board(part, CHARUCO)
     assert found is not None
     finite = np.isfinite(found[:, 0])
     assert 6 <= finite.sum() < len(truth)
@@ -74,7 +74,7 @@ def test_part_of_a_charuco_board_gives_the_right_corners(corner):
 def test_charuco_corners_keep_their_numbers_when_the_board_is_upside_down():
     turn = np.array([[-1, 0, 280], [0, -1, 240], [0, 0, 1.0]])
     image, truth = picture(CHARUCO, turn @ held(1), (280, 240))
-    found = find_corners(image, CHARUCO)
+    found = detect_board(image, CHARUCO)
     assert found is not None
     np.testing.assert_allclose(found, truth, atol=0.1)
 
@@ -133,7 +133,7 @@ def test_too_few_corners_are_a_failure():
 def test_an_unreadable_image_fails_alone(tmp_path):
     seen_dataset(tmp_path / "set", CHARUCO)
     (tmp_path / "set" / "images" / "left_2.png").write_bytes(b"\x89PNG and no more")
-    found = detect(load(tmp_path / "set"))
+    found = detect(load_dataset(tmp_path / "set"))
     assert [(f.row, f.line, f.camera) for f in found.failures] == [(2, 4, "left_wide")]
     assert str(found.failures[0]) == "line 4, images/left_2.png: the file is not a readable image"
     assert np.isfinite(found.views.corners["right_wide"][2]).all()
@@ -143,7 +143,7 @@ def test_a_camera_that_stands_still_is_noticed(tmp_path):
     seen_dataset(tmp_path / "set", CHARUCO)
     folder = tmp_path / "set" / "images"
     (folder / "left_2.png").write_bytes((folder / "left_1.png").read_bytes())
-    found = detect(load(tmp_path / "set"))
+    found = detect(load_dataset(tmp_path / "set"))
     assert [f.reason for f in found.failures] == ["the same picture as in line 3"]
 
 
@@ -152,7 +152,7 @@ def test_one_picture_from_two_cameras_is_refused(tmp_path):
     folder = tmp_path / "set" / "images"
     (folder / "right_2.png").write_bytes((folder / "left_2.png").read_bytes())
     with pytest.raises(VergenceError, match=r"line 4: .*right_2\.png .* same picture as .*left_2"):
-        detect(load(tmp_path / "set"))
+        detect(load_dataset(tmp_path / "set"))
 
 
 def test_images_of_another_size_are_refused(tmp_path):
@@ -161,13 +161,13 @@ def test_images_of_another_size_are_refused(tmp_path):
     assert done
     (tmp_path / "set" / "images" / "left_2.png").write_bytes(data.tobytes())
     with pytest.raises(VergenceError, match=r"line 4: left_wide: .* 140 x 120 .* 280 x 240"):
-        detect(load(tmp_path / "set"))
+        detect(load_dataset(tmp_path / "set"))
 
 
 def test_a_dataset_that_shows_nothing_is_refused(tmp_path):
     small_dataset(tmp_path / "set")
     with pytest.raises(VergenceError, match=r"No image of .* shows a chessboard of 6 x 5 inner"):
-        detect(load(tmp_path / "set"))
+        detect(load_dataset(tmp_path / "set"))
 
 
 def test_squares_counted_for_inner_corners_are_recognised(tmp_path):
@@ -175,7 +175,7 @@ def test_squares_counted_for_inner_corners_are_recognised(tmp_path):
     about = description(Chessboard(7, 6, 0.03), (280, 240))
     (tmp_path / "set" / "dataset.json").write_text(json.dumps(about))
     with pytest.raises(VergenceError, match=r"one of 6 x 5 is there.*not its squares"):
-        detect(load(tmp_path / "set"))
+        detect(load_dataset(tmp_path / "set"))
 
 
 def test_a_camera_that_sees_no_board_is_remarked(tmp_path):
@@ -184,14 +184,14 @@ def test_a_camera_that_sees_no_board_is_remarked(tmp_path):
     table = rows(1)
     images = {table[0]["left_wide"]: image, table[0]["right_wide"]: noise}
     write_dataset(tmp_path / "set", table, description(CHARUCO, (280, 240)), images)
-    found = detect(load(tmp_path / "set"))
+    found = detect(load_dataset(tmp_path / "set"))
     assert found.remarks == ("right_wide never sees the board.",)
     assert len(found.failures) == 1
 
 
 def test_detection_does_not_depend_on_the_number_of_threads(tmp_path, monkeypatch):
     seen_dataset(tmp_path / "set", CHARUCO)
-    dataset = load(tmp_path / "set")
+    dataset = load_dataset(tmp_path / "set")
     many = detect(dataset)
     monkeypatch.setattr(os, "cpu_count", lambda: 1)
     one = detect(dataset)

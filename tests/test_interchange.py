@@ -58,7 +58,7 @@ def rays(rng: np.random.Generator) -> np.ndarray:
 
 @pytest.mark.parametrize("suffix", opencv.SUFFIXES)
 def test_a_head_survives_opencv_to_the_last_digit(tmp_path, suffix):
-    head = with_distortion(plain(1), 0.0123456789)
+    head = replace(with_distortion(plain(1), 0.0123456789), time_offset_s=0.0321)
     opencv.save(head, tmp_path / f"head{suffix}")
     back = opencv.load(tmp_path / f"head{suffix}")
     assert list(back.cameras) == list(head.cameras)
@@ -67,6 +67,7 @@ def test_a_head_survives_opencv_to_the_last_digit(tmp_path, suffix):
         assert (back.cameras[name].T_eye_cam == mounted.T_eye_cam).all()
         assert back.cameras[name].eye == mounted.eye
     assert (back.T_rbase_lbase == head.T_rbase_lbase).all()
+    assert back.time_offset_s == head.time_offset_s
     assert all(vars(back.axes[eye]) == vars(head.axes[eye]) for eye in EYES)
     for name in ("axes", "points_m", "head_m"):
         assert (getattr(back.neck, name) == getattr(head.neck, name)).all()
@@ -175,7 +176,7 @@ def test_a_camchain_brings_a_head_all_but_its_wide_mountings(tmp_path):
     }
     start = replace(plain(8), cameras=cameras, axes=head.axes)
     kalibr.save(head, tmp_path / "camchain.yaml")
-    back = import_head(tmp_path / "camchain.yaml", "kalibr", start=start)
+    back = import_head(tmp_path / "camchain.yaml", "kalibr", template=start)
     np.testing.assert_allclose(back.T_rbase_lbase, head.T_rbase_lbase, atol=1e-12)
     for name, mounted in head.cameras.items():
         np.testing.assert_allclose(back.cameras[name].T_eye_cam, mounted.T_eye_cam, atol=1e-12)
@@ -328,7 +329,7 @@ def test_a_camera_that_the_head_has_not_is_named(tmp_path):
     ros.save(head, tmp_path)
     start = replace(head, cameras={"left_wide": head.cameras["left_wide"]})
     with pytest.raises(VergenceError, match="No camera is called 'left_narrow'"):
-        import_head(tmp_path, "ros", start=start)
+        import_head(tmp_path, "ros", template=start)
 
 
 def test_names_that_lead_out_of_the_folder_are_refused(tmp_path):
@@ -364,7 +365,7 @@ def test_damaged_files_are_refused_in_one_sentence_or_read(data, tmp_path_factor
         text = ""
     file.write_text(text, encoding="utf-8")
     try:
-        back = import_head(folder / name, format_name, start=head)
+        back = import_head(folder / name, format_name, template=head)
         message = ""
     except VergenceError as error:
         back, message = head, str(error)
@@ -375,7 +376,7 @@ def test_damaged_files_are_refused_in_one_sentence_or_read(data, tmp_path_factor
 @pytest.mark.parametrize("format_name", ["kalibr", "ros", "opencv"])
 def test_a_missing_file_is_named(tmp_path, format_name):
     with pytest.raises(VergenceError, match=r"none\.yml"):
-        import_head(tmp_path / "none.yml", format_name, start=plain(18))
+        import_head(tmp_path / "none.yml", format_name, template=plain(18))
 
 
 def test_opencv_says_which_endings_it_knows(tmp_path):

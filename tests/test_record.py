@@ -10,7 +10,7 @@ from vergence.commands import truth as truth_file
 from vergence.commands.record import CHARUCO, record
 from vergence.commands.truth import Truth
 from vergence.data.dataset import Dataset
-from vergence.data.reader import load
+from vergence.data.reader import load_dataset
 from vergence.data.timing import moved_readings
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
@@ -43,7 +43,7 @@ def recorded(request, tmp_path_factory) -> tuple[Dataset, Detections, Truth]:
     out = tmp_path_factory.mktemp("out") / request.param
     images = record(out, profile=PROFILE, seed=2, frames=14, target=request.param, moving=12)
     assert len(list((out / "images").iterdir())) == images
-    dataset = load(out)
+    dataset = load_dataset(out)
     return dataset, detect(dataset), truth_file.load(out / "truth.json")
 
 

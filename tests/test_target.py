@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.camera import normalise, pinhole, project
 from vergence.geometry.se3 import inverse, pose, rotation, transform
-from vergence.vision.board_detection import find_corners
+from vergence.vision.board_detection import detect_board
 from vergence.vision.corner_refinement import curvatures
 
 BOARD = Chessboard(columns=9, rows=6, square_m=0.03)
@@ -70,7 +70,7 @@ def test_corners_are_found_in_their_order_and_without_bias(name: str):
     Single ones scatter, since edges along the grid of a picture without blur are aliased.
     """
     true = project(CAMERA, transform(POSES[name], corner_points(BOARD)))
-    found = find_corners(picture(POSES[name]), BOARD)
+    found = detect_board(picture(POSES[name]), BOARD)
     assert found is not None
     assert found.shape == (54, 2)
     assert np.abs((found - true).mean(axis=0)).max() < 0.02
@@ -80,20 +80,20 @@ def test_corners_are_found_in_their_order_and_without_bias(name: str):
 
 def test_colour_pictures_serve_as_well():
     grey = picture(POSES["leaning"])
-    colour = find_corners(np.repeat(grey[..., None], 3, axis=2), BOARD)
-    np.testing.assert_array_equal(colour, find_corners(grey, BOARD))
+    colour = detect_board(np.repeat(grey[..., None], 3, axis=2), BOARD)
+    np.testing.assert_array_equal(colour, detect_board(grey, BOARD))
 
 
 def test_a_board_whose_counts_have_the_same_parity_looks_alike_from_both_ends():
     board = Chessboard(columns=7, rows=5, square_m=0.03)
     true = project(CAMERA, transform(held((0.1, 0.2, 0), 0.35, board), corner_points(board)))
-    found = find_corners(picture(held((0.1, 0.2, 0), 0.35, board), board), board)
+    found = detect_board(picture(held((0.1, 0.2, 0), 0.35, board), board), board)
     assert found is not None
     assert min(np.abs(found - true).max(), np.abs(found[::-1] - true).max()) < 0.2
 
 
 def test_a_board_that_leaves_the_image_is_not_found():
-    assert find_corners(picture(pose(t=[0.2, 0, 0]) @ POSES["facing"]), BOARD) is None
+    assert detect_board(picture(pose(t=[0.2, 0, 0]) @ POSES["facing"]), BOARD) is None
 
 
 @pytest.mark.parametrize("out_px", [0, 14, 21, 28, 35])
@@ -102,7 +102,7 @@ def test_a_board_half_out_of_sight_is_not_taken_for_one_that_is_shifted_by_a_squ
     image = picture(pose_there)
     true = project(CAMERA, transform(pose_there, corner_points(BOARD)))
     edge = int(true[:, 0].max()) + 30 - out_px
-    found = find_corners(np.ascontiguousarray(image[:, :edge]), BOARD)
+    found = detect_board(np.ascontiguousarray(image[:, :edge]), BOARD)
     assert found is not None or out_px > 0
     if found is not None:
         assert np.nanmax(np.abs(found - true)) < 0.5
@@ -143,13 +143,13 @@ def test_too_few_corners_tell_of_no_bend():
 
 
 def test_a_board_with_other_counts_is_not_found():
-    assert find_corners(picture(POSES["facing"]), Chessboard(10, 7, 0.03)) is None
+    assert detect_board(picture(POSES["facing"]), Chessboard(10, 7, 0.03)) is None
 
 
 def test_an_empty_image_has_no_board():
-    assert find_corners(np.full((300, 360), 128, np.uint8), BOARD) is None
+    assert detect_board(np.full((300, 360), 128, np.uint8), BOARD) is None
     noise = np.random.default_rng(0).integers(0, 256, (300, 360, 3)).astype(np.uint8)
-    assert find_corners(noise, BOARD) is None
+    assert detect_board(noise, BOARD) is None
 
 
 @pytest.mark.parametrize("wrong", [{"columns": 0}, {"rows": -1}, {"square_m": 0.0}, {"square": 1}])

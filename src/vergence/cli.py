@@ -187,7 +187,7 @@ def import_(
     from vergence.geometry.head import load, save
     from vergence.interchange.formats import import_head
 
-    save(import_head(path, format, start=None if start is None else load(start)), out)
+    save(import_head(path, format, template=None if start is None else load(start)), out)
     print(f"Wrote {out}.")
 
 

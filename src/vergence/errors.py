@@ -1,4 +1,6 @@
-"""The one exception for whatever a user can mend."""
+"""The one exception for whatever a user can mend, and the text of errors found in files."""
+
+from pydantic import ValidationError
 
 
 class VergenceError(Exception):
@@ -6,3 +8,16 @@ class VergenceError(Exception):
 
     The command line prints it without a traceback and exits with 2.
     """
+
+
+def explain(error: Exception) -> str:
+    """Return what an error found in a file, in one line without a full stop.
+
+    Of pydantic's errors it is the first, with the path of its field: `joints.left_pan.unit: ...`.
+    """
+    text = str(error)
+    if isinstance(error, ValidationError):
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        text = (f"{where}: " if where else "") + first["msg"].removeprefix("Value error, ")
+    return " ".join(text.split()).rstrip(".")

@@ -13,12 +13,12 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.observations import DetectionFailure, Observations
-from vergence.data.dataset import Dataset, decode, runs
+from vergence.data.dataset import Dataset, read_image, runs
 from vergence.data.timing import Timing
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board, Chessboard
 from vergence.progress import Progress, silent
-from vergence.vision.board_detection import find_corners
+from vergence.vision.board_detection import detect_board
 from vergence.vision.board_pose import LEAST_CORNERS
 
 DARK, BRIGHT = 25, 230
@@ -114,7 +114,7 @@ def detect_target(
 
 
 def _detect(dataset: Dataset, camera: str, row: int, least_corners: int) -> _Detection:
-    image = decode(dataset.folder / str(dataset.files[camera][row]))
+    image = read_image(dataset.folder / str(dataset.files[camera][row]))
     if image is None:
         return _Detection(camera, row, None, "the file is not a readable image", b"")
     dataset.check_size(camera, row, image)
@@ -129,7 +129,7 @@ def detect_or_explain(
 ) -> tuple[Array | None, str]:
     """Return the corners (K, 2) [px] in an image (H, W) uint8, or None and the reason."""
     try:
-        corners = find_corners(grey, board)
+        corners = detect_board(grey, board)
     except cv2.error as error:  # images of a few pixels, for example
         return None, f"OpenCV cannot look for the board ({error.err})"
     if corners is None:
@@ -182,8 +182,8 @@ def _nothing_found(dataset: Dataset, seen: list[_Detection]) -> str:
     sentence = f"No image of {dataset.folder} shows a {board.kind} of {stated} ({common})"
     if isinstance(board, Chessboard):
         for other, each in _alternatives(board, seen):
-            image = decode(dataset.folder / str(dataset.files[each.camera][each.row]))
-            if image is not None and find_corners(image, other) is not None:
+            image = read_image(dataset.folder / str(dataset.files[each.camera][each.row]))
+            if image is not None and detect_board(image, other) is not None:
                 return (
                     f"{sentence}; one of {other.columns} x {other.rows} is there: board.columns "
                     "and board.rows count the corners inside the board, not its squares."

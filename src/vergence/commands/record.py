@@ -14,7 +14,7 @@ from vergence.arrays import Array
 from vergence.commands import truth as truth_file
 from vergence.commands.truth import Truth, with_sensors
 from vergence.data.dataset import DatasetCamera, DatasetJoint, Description
-from vergence.data.writer import Entry, check_new, write
+from vergence.data.writer import DatasetRow, check_new, write_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board, Charuco
 from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS
@@ -98,7 +98,7 @@ def record(
         true_angles: list[Array] = []
         images = 0
 
-        def entries() -> Iterator[Entry]:
+        def entries() -> Iterator[DatasetRow]:
             nonlocal images
             for shot, entry in _taken(twin, shots, board, moving):
                 true_angles.append(shot.eye_angles)
@@ -106,7 +106,7 @@ def record(
                 progress.advance(task)
                 yield entry
 
-        write(out, _description(twin, told_board(profile, board), lens, seed), entries())
+        write_dataset(out, _description(twin, told_board(profile, board), lens, seed), entries())
         truth = Truth(
             head=with_sensors(twin.truth, profile.joints),
             time_offset_s=profile.joints.delay_ms * 1e-3,
@@ -148,7 +148,7 @@ def _watching(twin: Twin, board: Board, shot: Shot) -> tuple[str, ...]:
 
 def _taken(
     twin: Twin, shots: list[Shot], board: Board, moving: int
-) -> Iterator[tuple[Shot, Entry]]:
+) -> Iterator[tuple[Shot, DatasetRow]]:
     """Yield each shot, its angles the true ones, and its row of the dataset."""
     posture: Array | None = None
     for shot in shots:
@@ -169,10 +169,10 @@ def _taken(
             yield _take(twin, replace(shot, cameras=_watching(twin, board, shot)), moving=True)
 
 
-def _take(twin: Twin, shot: Shot, *, moving: bool) -> tuple[Shot, Entry]:
+def _take(twin: Twin, shot: Shot, *, moving: bool) -> tuple[Shot, DatasetRow]:
     true_angles = twin.true_angles()[len(NECK_JOINTS) :]
     frame = twin.capture(shot.cameras)
-    entry = Entry(frame=frame, placement=shot.placement, moving=moving)
+    entry = DatasetRow(frame=frame, placement=shot.placement, moving=moving)
     return replace(shot, eye_angles=true_angles), entry
 
 

@@ -1,4 +1,4 @@
-"""Writing datasets to disk, whole or not at all. The format is described in docs/dataset.md."""
+"""Writing datasets to disk, completely or not at all. docs/dataset.md describes the format."""
 
 from __future__ import annotations
 
@@ -24,7 +24,6 @@ from vergence.data.dataset import (
     MOVING,
     PLACEMENT,
     TIME,
-    DatasetJoint,
     Description,
     Frame,
     pose_columns,
@@ -32,37 +31,44 @@ from vergence.data.dataset import (
 from vergence.errors import VergenceError
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, NECK_JOINTS
 
-_ADAPTER = TypeAdapter(Description)
+_DESCRIPTION = TypeAdapter(Description)
 
 
 @dataclass(frozen=True, eq=False)
-class Entry:
-    """One row to be written."""
+class DatasetRow:
+    """A frame to be written, and what frames.csv says of it besides."""
 
     frame: Frame
     placement: int | None = None
-    """Rows with the same number show the board at the same place; None: at one of its own."""
+    """Rows with the same number show the board at the same pose in frame head; None: this row
+    has a placement of its own."""
     moving: bool = False
+    """Whether the eyes were moving."""
     T_base_eye: Array | None = None
-    """(2, 4, 4) poses of the eyes, where the description says that they are given."""
+    """(2, 4, 4) poses of the left and right eye, needed if the description has poses."""
 
 
 def check_new(folder: Path) -> None:
-    """Raise VergenceError where a dataset cannot be written: something is there already."""
+    """Raise VergenceError if a dataset cannot be written to a folder because it is not empty."""
     try:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise VergenceError(
-                f"{folder} is there already and not empty; name another folder, or remove it."
+                f"{folder} already exists and is not empty; name another folder, or remove it."
             )
     except OSError as error:
         raise VergenceError(f"Cannot use the folder {folder}: {error.strerror}.") from error
 
 
-def write(folder: Path, description: Description, entries: Iterable[Entry]) -> None:
-    """Write a dataset, in a temporary folder that is renamed when it is whole.
+def write_dataset(folder: Path, description: Description, rows: Iterable[DatasetRow]) -> None:
+    """Write a dataset into a temporary folder that is renamed when it is complete.
 
-    Images become grey PNGs, which is all that detection looks at and a third of the size; they
-    are encoded in worker threads while the entries are being made.
+    Images become grey PNG files, a third of the size of colour ones and all that detection uses.
+    They are encoded in worker threads while the next rows are being made.
+
+    Args:
+        folder: new or empty.
+        description: content of dataset.json.
+        rows: in order of time; an iterator may make them one by one.
 
     Raises:
         VergenceError: the folder is not empty, or cannot be written.
@@ -70,74 +76,75 @@ def write(folder: Path, description: Description, entries: Iterable[Entry]) -> N
     check_new(folder)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        made = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
+        temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
         try:
-            (made / "images").mkdir()
-            text = _ADAPTER.dump_json(description, indent=1, exclude_none=True).decode()
-            (made / DESCRIPTION).write_text(text + "\n", encoding="utf-8")
-            _write_frames(made, description, entries)
-            made.chmod(0o755)  # mkdtemp's folders are private
+            (temporary / "images").mkdir()
+            text = _DESCRIPTION.dump_json(description, indent=1, exclude_none=True).decode()
+            (temporary / DESCRIPTION).write_text(text + "\n", encoding="utf-8")
+            _write_frames(temporary, description, rows)
+            temporary.chmod(0o755)  # mkdtemp's folders are private
             if folder.is_dir():
                 folder.rmdir()
-            made.rename(folder)
+            temporary.rename(folder)
         except BaseException:
-            shutil.rmtree(made, ignore_errors=True)
+            shutil.rmtree(temporary, ignore_errors=True)
             raise
     except OSError as error:
         raise VergenceError(f"Cannot write the dataset {folder}: {error.strerror}.") from error
 
 
-def _write_frames(made: Path, description: Description, entries: Iterable[Entry]) -> None:
+def _write_frames(folder: Path, description: Description, rows: Iterable[DatasetRow]) -> None:
     columns = [TIME, JOINT_TIME, PLACEMENT, MOVING]
-    joints: dict[str, tuple[str, DatasetJoint]] = {
-        joint.column: (name, joint) for name, joint in description.joints.items()
-    }
-    poses = description.eye_motion == "poses"
-    pose_names = [pose_columns(eye) if poses else [] for eye in description.eyes]
-    columns += [*joints, *(name for names in pose_names for name in names), *description.cameras]
+    columns += dict.fromkeys(joint.column for joint in description.joints.values())
+    if description.eye_motion == "poses":
+        columns += [name for eye in description.eyes for name in pose_columns(eye)]
+    columns += description.cameras
     workers = os.cpu_count() or 1
     pending: deque[Future[None]] = deque()
     with (
-        (made / FRAMES).open("w", encoding="utf-8", newline="") as file,
+        (folder / FRAMES).open("w", encoding="utf-8", newline="") as file,
         ThreadPoolExecutor(workers) as pool,
     ):
         table = csv.DictWriter(file, columns, restval="", lineterminator="\n")
         table.writeheader()
-        for number, entry in enumerate(entries):
-            frame = entry.frame
-            cells: dict[str, object] = {
-                TIME: float(frame.time_s),
-                JOINT_TIME: float(frame.joint_time_s),
-                PLACEMENT: "" if entry.placement is None else entry.placement,
-                MOVING: int(entry.moving),
-            }
-            angles: dict[str, float] = dict(
-                zip((*EYE_JOINTS, *NECK_JOINTS), _seven(frame), strict=True)
-            )
-            for column, (name, joint) in joints.items():
-                value = joint.sign * angles[name]
-                cells[column] = float(np.degrees(value) if joint.unit == "deg" else value)
-            if poses and entry.T_base_eye is not None:
-                for eye, names in zip(description.eyes, pose_names, strict=True):
-                    values = entry.T_base_eye[EYES.index(eye)].ravel().tolist()
-                    cells |= dict(zip(names, values, strict=True))
-            for camera, image in frame.images.items():
-                cells[camera] = f"images/{number:05d}_{camera}.png"
-                pending.append(pool.submit(_write_image, made / str(cells[camera]), image))
-            table.writerow(cells)
-            while len(pending) > 8 * workers:  # what waits is in memory
+        for number, row in enumerate(rows):
+            images = {camera: f"images/{number:05d}_{camera}.png" for camera in row.frame.images}
+            table.writerow(_cells(description, row) | images)
+            for camera, name in images.items():
+                image = row.frame.images[camera]
+                pending.append(pool.submit(_write_image, folder / name, image))
+            while len(pending) > 8 * workers:  # bounds the memory of images that wait
                 pending.popleft().result()
         for each in pending:
             each.result()
 
 
-def _seven(frame: Frame) -> list[float]:
-    return [*map(float, frame.eye_angles), *map(float, frame.neck_angles)]
+def _cells(description: Description, row: DatasetRow) -> dict[str, object]:
+    """Return a row's cells by column, without its images."""
+    frame = row.frame
+    cells: dict[str, object] = {
+        TIME: float(frame.time_s),
+        JOINT_TIME: float(frame.joint_time_s),
+        PLACEMENT: "" if row.placement is None else row.placement,
+        MOVING: int(row.moving),
+    }
+    readings = np.concatenate([frame.eye_angles, frame.neck_angles])
+    angles: dict[str, float] = dict(
+        zip((*EYE_JOINTS, *NECK_JOINTS), readings.tolist(), strict=True)
+    )
+    for name, joint in description.joints.items():
+        angle = joint.sign * angles[name]
+        cells[joint.column] = float(np.degrees(angle) if joint.unit == "deg" else angle)
+    if description.eye_motion == "poses" and row.T_base_eye is not None:
+        for eye in description.eyes:
+            numbers = row.T_base_eye[EYES.index(eye)].ravel().tolist()
+            cells |= dict(zip(pose_columns(eye), numbers, strict=True))
+    return cells
 
 
 def _write_image(path: Path, image: np.ndarray) -> None:
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     # More compression takes ten times as long for a tenth of the size: noise does not compress.
-    done, data = cv2.imencode(".png", grey, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-    assert done
+    encoded, data = cv2.imencode(".png", grey, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    assert encoded
     path.write_bytes(data.tobytes())

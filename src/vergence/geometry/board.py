@@ -1,4 +1,4 @@
-"""The flat calibration boards: their corners in frame target.
+"""Planar calibration boards, and their corners in frame target.
 
 Frame `target`: origin at the first inner corner, x along a row, y along a column, z into the
 board; corner (i, j) is at (i, j, 0) times the size of a square.
@@ -18,26 +18,28 @@ from vergence.arrays import Array
 DICTIONARIES = tuple(
     sorted(name for name in dir(cv2.aruco) if name.startswith("DICT_") and name.isupper())
 )
-"""OpenCV's sets of markers."""
+"""Names of OpenCV's marker dictionaries."""
 
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid", allow_inf_nan=False))
 class Chessboard:
-    """A chessboard, counted in inner corners."""
+    """A chessboard, described by its inner corners."""
 
     columns: PositiveInt
+    """Inner corners in a row: one less than the squares."""
     rows: PositiveInt
+    """Inner corners in a column."""
     square_m: PositiveFloat
-    """Side of a square [m]; a board of unknown size has 1, and lengths come in squares."""
+    """Side of a square [m]; 1 for a board of unknown size, so that lengths are in squares."""
     kind: Literal["chessboard"] = "chessboard"
 
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid", allow_inf_nan=False))
 class Charuco:
-    """A chessboard with a marker in every white square, counted in squares, as OpenCV does.
+    """A chessboard with a marker in every white square, described by its squares, as in OpenCV.
 
-    The markers number its corners: part of a board is enough, and none is numbered from the
-    wrong end.
+    The markers identify the corners, so that a partly visible board is enough and the numbering is
+    never ambiguous.
     """
 
     squares_x: PositiveInt
@@ -47,10 +49,10 @@ class Charuco:
     marker_m: FiniteFloat
     """Side of a marker [m]."""
     dictionary: str
-    """Of the markers: OpenCV's name, such as DICT_4X4_50."""
+    """OpenCV's name of the marker dictionary, such as DICT_4X4_50."""
     legacy: bool = False
-    """Whether the board was made by OpenCV before 4.6, which began boards of an even number of
-    rows with a white square."""
+    """Whether the board was made by OpenCV before 4.6, in which boards with an even number of rows
+    begin with a white square."""
     kind: Literal["charuco"] = "charuco"
 
     def __post_init__(self) -> None:
@@ -87,7 +89,7 @@ def _markers(board: Charuco) -> cv2.aruco.Dictionary:
 
 
 def opencv_board(board: Charuco) -> cv2.aruco.CharucoBoard:
-    """Return OpenCV's object of a board: it can draw it, for printing."""
+    """Return OpenCV's object of a board, which detects it and draws it for printing."""
     size = (board.squares_x, board.squares_y)
     made = cv2.aruco.CharucoBoard(size, board.square_m, board.marker_m, _markers(board))
     made.setLegacyPattern(board.legacy)

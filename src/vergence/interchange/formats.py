@@ -1,4 +1,4 @@
-"""Export and import by the name of a format: what the command line calls."""
+"""Export and import by the name of a format, for the command line."""
 
 from __future__ import annotations
 
@@ -17,33 +17,34 @@ def export_head(head: HeadCalibration, path: Path, format_name: ExportFormat) ->
     """Write a head in another program's format; ros writes a folder, the others a file.
 
     Raises:
-        VergenceError: the head has what the format cannot say, or the path cannot be written.
+        VergenceError: the head has a property for which the format has no field, or the path
+            cannot be written.
     """
     writers = {"kalibr": kalibr.save, "ros": ros.save, "opencv": opencv.save, "urdf": urdf.save}
     writers[format_name](head, path)
 
 
 def import_head(
-    path: Path, format_name: ImportFormat, *, start: HeadCalibration | None = None
+    path: Path, format_name: ImportFormat, *, template: HeadCalibration | None = None
 ) -> HeadCalibration:
     """Read a head from another program's format.
 
     Args:
         path: a file, or for ros a folder of them.
-        format_name: opencv holds all of a head; kalibr holds cameras and their poses to each
-            other, ros cameras alone.
-        start: what the file does not say; needed for kalibr and ros.
+        format_name: opencv holds a whole head; kalibr holds cameras and their poses relative to
+            each other, ros cameras alone.
+        template: a head that supplies what the file does not hold; needed for kalibr and ros.
 
     Raises:
-        VergenceError: the file cannot be read, or a start is needed and there is none.
+        VergenceError: the file cannot be read, or a template is needed and there is none.
     """
     if format_name == "opencv":
         return opencv.load(path)
-    if start is None:
+    if template is None:
         raise VergenceError(
-            f"{format_name} does not say where cameras sit in the eyes; name a head calibration "
-            "that does, whose cameras take the numbers from the file."
+            f"{format_name} files do not say where cameras sit in the eyes; name a head "
+            "calibration that does, whose cameras take the numbers from the file."
         )
     if format_name == "kalibr":
-        return kalibr.into_head(kalibr.load(path), start)
-    return ros.into_head(ros.load(path), start)
+        return kalibr.update_head(kalibr.load(path), template)
+    return ros.update_head(ros.load(path), template)

@@ -1,7 +1,7 @@
 """Kalibr's camchain YAML: pinhole cameras with radtan distortion, and the poses between them.
 
-A chain holds for one posture of the eyes, straight gaze unless another is given. It says nothing
-of where the cameras sit in the eyes, so that a head cannot be read from it alone.
+A chain holds for one posture of the eyes, straight gaze unless another is given. It does not say
+where the cameras sit in the eyes, so a head cannot be read from it alone.
 See https://github.com/ethz-asl/kalibr/wiki/yaml-formats.
 """
 
@@ -10,64 +10,82 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, PositiveInt, TypeAdapter
+from pydantic import BaseModel, PositiveInt, TypeAdapter
 
 from vergence.arrays import Array, Transform
-from vergence.errors import VergenceError
+from vergence.errors import explain
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, T_base_cam
 from vergence.geometry.kinematics import T_base_eye
 from vergence.geometry.se3 import inverse
-from vergence.interchange.limits import check_names, pinhole_matrix, refuse_k3, refuse_skew
-from vergence.interchange.yaml_files import Number, dump, first_message, read
+from vergence.interchange.serialization import (
+    Number,
+    check_intrinsics,
+    check_names,
+    read,
+    write_yaml,
+)
 from vergence.stereo.triangulation import fixed_transform
 
 TOPIC = "/{camera}/image_raw"
 
 
 class _Cam(BaseModel):
-    model_config = ConfigDict(extra="ignore")  # cam_overlaps, timeshift_cam_imu, T_cam_imu
+    """A camera of a camchain; cam_overlaps, timeshift_cam_imu and T_cam_imu are not read."""
 
     camera_model: Literal["pinhole"]
     distortion_model: Literal["radtan", "none"] = "none"
     distortion_coeffs: list[Number] = []
-    intrinsics: Annotated[list[Number], Field(min_length=4, max_length=4)]
-    resolution: Annotated[list[PositiveInt], Field(min_length=2, max_length=2)]
+    intrinsics: tuple[Number, Number, Number, Number]
+    resolution: tuple[PositiveInt, PositiveInt]
     rostopic: str = ""
-    T_cn_cnm1: list[list[Number]] | None = None
+    T_cn_cnm1: Transform | None = None
+
+    def camera(self) -> Camera:
+        count = 4 if self.distortion_model == "radtan" else 0
+        if len(self.distortion_coeffs) != count:
+            raise ValueError(
+                f"distortion_coeffs has {len(self.distortion_coeffs)} numbers; "
+                f"{self.distortion_model} has {count}"
+            )
+        fx, fy, cx, cy = self.intrinsics
+        return Camera(
+            width=self.resolution[0],
+            height=self.resolution[1],
+            matrix=np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]),
+            distortion=np.array(self.distortion_coeffs + [0.0] * (5 - count)),
+        )
 
 
-_ADAPTER = TypeAdapter(dict[str, _Cam])
-_TRANSFORM = TypeAdapter(Transform)
+_CAMS = TypeAdapter(dict[str, _Cam])
 
 
 @dataclass(frozen=True, eq=False)
 class Camchain:
-    """What a camchain says: cameras in its order, and the pose of each to the next."""
+    """Content of a camchain: cameras in its order, and the pose of each in the next."""
 
     cameras: Mapping[str, Camera]
     """By name."""
     T_cn_cnm1: tuple[Array | None, ...]
-    """For each camera the pose (4, 4) of the one before in it; None where there is none."""
+    """For each camera the pose (4, 4) of the previous camera in it; None where none is given."""
 
 
 def save(head: HeadCalibration, path: Path, *, eye_angles: Array | None = None) -> None:
     """Write a head's cameras as a camchain.
 
     Args:
-        head: its cameras become cam0, cam1, ... in their order; rostopic says which is which.
+        head: its cameras become cam0, cam1, ... in their order; rostopic gives their names.
         path: of the file.
-        eye_angles: (4,) readings [rad] at which the eyes stand; None: zero.
+        eye_angles: (4,) joint readings [rad] of the posture; None: zero.
 
     Raises:
         VergenceError: a camera has skew or k3, or the file cannot be written.
     """
     check_names(head)
-    refuse_skew(head, "Kalibr")
-    refuse_k3(head, "Kalibr's radtan model")
+    check_intrinsics(head, "Kalibr's radtan model", has_k3=False)
     angles = np.zeros(4) if eye_angles is None else eye_angles
     T_lbase_cam = [_T_lbase_cam(head, name, angles) for name in head.cameras]
     content: dict[str, Any] = {}
@@ -86,7 +104,7 @@ def save(head: HeadCalibration, path: Path, *, eye_angles: Array | None = None) 
             "rostopic": TOPIC.format(camera=name),
         }
         content[f"cam{k}"] = entry
-    dump(path, content)
+    write_yaml(path, content)
 
 
 def _T_lbase_cam(head: HeadCalibration, name: str, eye_angles: Array) -> Array:
@@ -101,56 +119,44 @@ def load(path: Path) -> Camchain:
     Raises:
         VergenceError: the file is missing, not a camchain, or has another camera model.
     """
-    found = read(path, _ADAPTER, "a Kalibr camchain")
-    if not found or set(found) != {f"cam{k}" for k in range(len(found))}:
-        raise VergenceError(
-            f"{path} is not a Kalibr camchain: it has {', '.join(found) or 'nothing'} where cam0, "
-            "cam1, ... are expected."
-        )
+    return read(path, "a Kalibr camchain", _camchain)
+
+
+def _camchain(content: Any) -> Camchain:
+    found = _CAMS.validate_python(content)
+    keys = [f"cam{k}" for k in range(len(found))]
+    if not found or set(found) != set(keys):
+        names = ", ".join(found) or "nothing"
+        raise ValueError(f"it has {names} where cam0, cam1, ... are expected")
     cameras: dict[str, Camera] = {}
-    poses: list[Array | None] = []
-    for k in range(len(found)):
-        key, cam = f"cam{k}", found[f"cam{k}"]
-        coefficients = list(cam.distortion_coeffs)
-        if len(coefficients) != 4 * (cam.distortion_model == "radtan"):
-            raise VergenceError(
-                f"{path}: {key}.distortion_coeffs has {len(coefficients)} numbers; radtan has 4, "
-                "and none has none."
-            )
-        name = cam.rostopic.strip("/").split("/")[0] or key
+    for key in keys:
+        name = found[key].rostopic.strip("/").split("/")[0] or key
         if name in cameras:
-            raise VergenceError(f"{path}: {key}.rostopic names {name} a second time.")
+            raise ValueError(f"{key}.rostopic names {name} a second time")
         try:
-            cameras[name] = Camera(
-                width=cam.resolution[0],
-                height=cam.resolution[1],
-                matrix=pinhole_matrix(*cam.intrinsics),
-                distortion=np.array([*coefficients, 0.0] if coefficients else np.zeros(5)),
-            )
-            T = cam.T_cn_cnm1
-            poses.append(None if T is None else _TRANSFORM.validate_python(T))
+            cameras[name] = found[key].camera()
         except ValueError as error:
-            raise VergenceError(f"{path}: {key}: {first_message(error)}.") from None
-    return Camchain(cameras=cameras, T_cn_cnm1=tuple(poses))
+            raise ValueError(f"{key}: {explain(error)}") from None
+    return Camchain(cameras=cameras, T_cn_cnm1=tuple(found[key].T_cn_cnm1 for key in keys))
 
 
-def into_head(chain: Camchain, start: HeadCalibration) -> HeadCalibration:
-    """Return a head with a chain's intrinsics and, where it has all of them, its poses.
+def update_head(chain: Camchain, template: HeadCalibration) -> HeadCalibration:
+    """Return the template with a chain's intrinsics and, if it has all of them, its poses.
 
-    The wide cameras keep their places in the eyes, which a chain does not know. The narrow ones
-    and T_rbase_lbase follow from the chain, which is taken to hold at readings of zero.
+    The wide cameras keep their poses in the eyes, which a chain does not hold. Those of the narrow
+    ones and T_rbase_lbase follow from the chain, which is assumed to hold at readings of zero.
 
     Args:
-        chain: its cameras have the names of the head's.
-        start: where the wide cameras sit, axes, neck.
+        chain: its cameras have the names of the template's.
+        template: supplies the poses of the wide cameras, the axes and the neck.
 
     Raises:
-        VergenceError: the chain names a camera that the head has not.
+        VergenceError: the chain names a camera that the template does not have.
     """
-    cameras = dict(start.cameras)
+    cameras = dict(template.cameras)
     for name, camera in chain.cameras.items():
-        cameras[name] = replace(start.camera(name), intrinsics=camera)
-    head = replace(start, cameras=cameras)
+        cameras[name] = replace(template.camera(name), intrinsics=camera)
+    head = replace(template, cameras=cameras)
     if any(T is None for T in chain.T_cn_cnm1[1:]):
         return head
     T_cam_first = {}
@@ -164,14 +170,14 @@ def into_head(chain: Camchain, start: HeadCalibration) -> HeadCalibration:
             T_wide_narrow = T_cam_first[wide] @ inverse(T_cam_first[name])
             T_eye_narrow = cameras[wide].T_eye_cam @ T_wide_narrow
             cameras[name] = replace(cameras[name], T_eye_cam=T_eye_narrow)
-    T_rbase_lbase = start.T_rbase_lbase
+    T_rbase_lbase = template.T_rbase_lbase
     if {"left_wide", "right_wide"} <= set(T_cam_first):
         left, right = cameras["left_wide"], cameras["right_wide"]
         T_rbase_lbase = fixed_transform(
-            T_base_eye(np.zeros(2), start.axes["right"]),
+            T_base_eye(np.zeros(2), template.axes["right"]),
             right.T_eye_cam,
             T_cam_first["right_wide"] @ inverse(T_cam_first["left_wide"]),
             left.T_eye_cam,
-            T_base_eye(np.zeros(2), start.axes["left"]),
+            T_base_eye(np.zeros(2), template.axes["left"]),
         )
     return replace(head, cameras=cameras, T_rbase_lbase=T_rbase_lbase)

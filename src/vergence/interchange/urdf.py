@@ -3,7 +3,7 @@
 Links: body, (one a neck joint), head, and for each eye left_base, left_pan, left_eye, and for each
 camera left_wide (x forward) and left_wide_optical_frame (frame cam: z forward).
 
-Joints are called as everywhere (left_pan, left_tilt, neck_pitch, ...) and their positions are the
+Joints have their usual names (left_pan, left_tilt, neck_pitch, ...), and their positions are the
 encoders' readings. Where readings need a gain or an offset, the joint of that name turns an empty
 link, and <joint>_true mimics it with URDF's multiplier and offset; transforms then agree exactly.
 """
@@ -19,14 +19,14 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.files import write_whole
 from vergence.geometry.head import HeadCalibration, T_head_base
-from vergence.geometry.kinematics import EYES, NECK_JOINTS, Side
+from vergence.geometry.kinematics import EYES, NECK_JOINTS, Neck, Side
 from vergence.geometry.se3 import inverse, pose
-from vergence.interchange.limits import check_names
+from vergence.interchange.serialization import check_names
 
 LIMIT_RAD = 1.5708
-"""Of joints for which no limits are given: a calibration knows of none, and URDF demands some."""
+"""Limit of joints for which none is given: a calibration holds none, and URDF requires one."""
 EFFORT, VELOCITY = 100.0, 100.0
-"""Likewise: large, so that they stand for none."""
+"""Limits that URDF requires and a calibration does not hold: large enough to have no effect."""
 
 R_LINK_OPTICAL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 """From frame cam to a camera's link, which looks along x with z up (REP 103)."""
@@ -40,92 +40,78 @@ def save(head: HeadCalibration, path: Path, *, limits: Limits | None = None) -> 
     Args:
         head: intrinsics are left out: URDF has no field for them.
         path: of the file.
-        limits: lower and upper limit [rad] by joint; for those left out ±LIMIT_RAD.
+        limits: lower and upper limit [rad] by joint; ±LIMIT_RAD for joints that are left out.
 
     Raises:
         VergenceError: there is no camera, or the file cannot be written.
     """
     check_names(head)
     robot = ElementTree.Element("robot", name="vergence_head")
-    _neck(robot, head, limits or {})
+    ElementTree.SubElement(robot, "link", name="body")
+    _add_neck(robot, head.neck, limits or {})
     for eye in EYES:
-        _eye(robot, head, eye, limits or {})
+        _add_eye(robot, head, eye, limits or {})
     ElementTree.indent(robot)
     text = ElementTree.tostring(robot, encoding="unicode")
     write_whole(path, f'<?xml version="1.0"?>\n{text}\n')
 
 
-def _neck(robot: ElementTree.Element, head: HeadCalibration, limits: Limits) -> None:
-    neck = head.neck
+def _add_neck(robot: ElementTree.Element, neck: Neck, limits: Limits) -> None:
     count = len(neck.axes)
     standard = count == len(NECK_JOINTS)
     names = NECK_JOINTS if standard else tuple(f"neck_{k + 1}" for k in range(count))
-    _link(robot, "body")
-    parent, at = "body", np.zeros(3)
+    parent, origin = "body", np.zeros(3)
     for name, axis, point in zip(names, neck.axes, neck.points_m, strict=True):
-        _joint(robot, name, "revolute", parent, name, pose(t=point - at), axis, limits)
-        _link(robot, name)
-        parent, at = name, point
-    _joint(robot, "head_joint", "fixed", parent, "head", pose(t=neck.head_m - at))
-    _link(robot, "head")
+        _add_revolute(robot, name, parent, name, pose(t=point - origin), axis, limits)
+        parent, origin = name, point
+    _add_joint(robot, "head_joint", "fixed", parent, "head", pose(t=neck.head_m - origin))
 
 
-def _eye(robot: ElementTree.Element, head: HeadCalibration, eye: Side, limits: Limits) -> None:
+def _add_eye(robot: ElementTree.Element, head: HeadCalibration, eye: Side, limits: Limits) -> None:
     axes, base, pan, tilt = head.axes[eye], f"{eye}_base", f"{eye}_pan", f"{eye}_tilt"
-    _joint(robot, f"{base}_joint", "fixed", "head", base, T_head_base(head, eye))
-    _link(robot, base)
+    _add_joint(robot, f"{base}_joint", "fixed", "head", base, T_head_base(head, eye))
     z = np.array([0.0, 0.0, 1.0])
-    _read(robot, pan, (axes.pan_gain, axes.pan_offset_rad), base, pan, np.eye(4), z, limits)
-    _link(robot, pan)
-    turn = axes.nonorthogonality_rad
-    tilt_axis = np.array([0.0, np.cos(turn), np.sin(turn)])
-    at = pose(t=[axes.axis_distance_m, 0.0, 0.0])
+    reading = (axes.pan_gain, axes.pan_offset_rad)
+    _add_revolute(robot, pan, base, pan, np.eye(4), z, limits, reading)
+    skew = axes.nonorthogonality_rad
+    tilt_axis = np.array([0.0, np.cos(skew), np.sin(skew)])
+    T_pan_tilt = pose(t=[axes.axis_distance_m, 0.0, 0.0])
     reading = (axes.tilt_gain, axes.tilt_offset_rad)
-    _read(robot, tilt, reading, pan, f"{eye}_eye", at, tilt_axis, limits)
-    _link(robot, f"{eye}_eye")
+    _add_revolute(robot, tilt, pan, f"{eye}_eye", T_pan_tilt, tilt_axis, limits, reading)
+    T_link_optical = pose(R_LINK_OPTICAL)
     for name, mounted in head.cameras.items():
         if mounted.eye == eye:
-            T_link_optical = pose(R_LINK_OPTICAL)
             T_eye_link = mounted.T_eye_cam @ inverse(T_link_optical)
             optical = f"{name}_optical_frame"
-            _joint(robot, f"{name}_joint", "fixed", f"{eye}_eye", name, T_eye_link)
-            _link(robot, name)
-            _joint(robot, f"{name}_optical_joint", "fixed", name, optical, T_link_optical)
-            _link(robot, optical)
+            _add_joint(robot, f"{name}_joint", "fixed", f"{eye}_eye", name, T_eye_link)
+            _add_joint(robot, f"{name}_optical_joint", "fixed", name, optical, T_link_optical)
 
 
-def _read(
+def _add_revolute(
     robot: ElementTree.Element,
     name: str,
-    reading: tuple[float, float],
     parent: str,
     child: str,
     T_parent_child: Array,
     axis: Array,
     limits: Limits,
+    reading: tuple[float, float] = (1.0, 0.0),
 ) -> None:
     """Add a joint whose position is a reading: true angle = gain * reading + offset."""
-    gain, offset = reading
-    if (gain, offset) == (1.0, 0.0):
-        _joint(robot, name, "revolute", parent, child, T_parent_child, axis, limits)
+    limit = limits.get(name, (-LIMIT_RAD, LIMIT_RAD))
+    if reading == (1.0, 0.0):
+        _add_joint(robot, name, "revolute", parent, child, T_parent_child, axis, limit)
         return
-    _joint(robot, name, "revolute", parent, f"{name}_reading", T_parent_child, axis, limits)
-    _link(robot, f"{name}_reading")
-    lower, upper = sorted(gain * limit + offset for limit in _limit(name, limits))
-    true = {f"{name}_true": (lower, upper)}
-    joint = _joint(robot, f"{name}_true", "revolute", parent, child, T_parent_child, axis, true)
-    ElementTree.SubElement(joint, "mimic", joint=name, multiplier=_text(gain), offset=_text(offset))
+    _add_joint(robot, name, "revolute", parent, f"{name}_reading", T_parent_child, axis, limit)
+    gain, offset = reading
+    lower, upper = sorted(gain * angle + offset for angle in limit)
+    true = _add_joint(
+        robot, f"{name}_true", "revolute", parent, child, T_parent_child, axis, (lower, upper)
+    )
+    ElementTree.SubElement(true, "mimic", joint=name, multiplier=_text(gain), offset=_text(offset))
 
 
-def _link(robot: ElementTree.Element, name: str) -> None:
-    ElementTree.SubElement(robot, "link", name=name)
-
-
-def _limit(name: str, limits: Limits) -> tuple[float, float]:
-    return limits.get(name, (-LIMIT_RAD, LIMIT_RAD))
-
-
-def _joint(
+def _add_joint(
     robot: ElementTree.Element,
     name: str,
     kind: str,
@@ -133,24 +119,19 @@ def _joint(
     child: str,
     T_parent_child: Array,
     axis: Array | None = None,
-    limits: Limits | None = None,
+    limit_rad: tuple[float, float] = (0.0, 0.0),
 ) -> ElementTree.Element:
+    """Add a joint and the link that it moves; return the joint."""
     joint = ElementTree.SubElement(robot, "joint", name=name, type=kind)
     ElementTree.SubElement(joint, "parent", link=parent)
     ElementTree.SubElement(joint, "child", link=child)
     xyz, rpy = T_parent_child[:3, 3], _rpy(T_parent_child[:3, :3])
     ElementTree.SubElement(joint, "origin", xyz=_text(*xyz), rpy=_text(*rpy))
     if axis is not None:
-        lower, upper = _limit(name, limits or {})
+        numbers = dict(lower=limit_rad[0], upper=limit_rad[1], effort=EFFORT, velocity=VELOCITY)
         ElementTree.SubElement(joint, "axis", xyz=_text(*axis))
-        ElementTree.SubElement(
-            joint,
-            "limit",
-            lower=_text(lower),
-            upper=_text(upper),
-            effort=_text(EFFORT),
-            velocity=_text(VELOCITY),
-        )
+        ElementTree.SubElement(joint, "limit", {key: _text(v) for key, v in numbers.items()})
+    ElementTree.SubElement(robot, "link", name=child)
     return joint
 
 

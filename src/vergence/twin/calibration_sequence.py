@@ -21,7 +21,7 @@ from vergence.geometry.se3 import inverse, pose, rotation, transform
 from vergence.twin.head import Exposure, Twin
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.sensors import read
-from vergence.vision.board_detection import find_corners
+from vergence.vision.board_detection import detect_board
 
 BOARD = Chessboard(columns=9, rows=6, square_m=0.030)
 """The board of the scene."""
@@ -171,7 +171,7 @@ def look(twin: Twin, shots: Sequence[Shot], *, done: Callable[[], None] = lambda
 
 def _detect(twin: Twin, exposure: Exposure) -> tuple[Array, dict[str, Array | None]]:
     frame = twin.develop(exposure)
-    found = {name: find_corners(image, BOARD) for name, image in frame.images.items()}
+    found = {name: detect_board(image, BOARD) for name, image in frame.images.items()}
     return frame.eye_angles, found
 
 

@@ -1,11 +1,11 @@
-"""Corners of a chessboard to a hundredth of a pixel: saddle points of the grey levels.
+"""Subpixel refinement of chessboard corners: saddle points of the grey levels.
 
-Around a corner the slightly blurred image is a saddle. A quadratic is fitted to it, and its
-stationary point taken (after Lucchese and Mitra, 2002). Two edges that cross look the same when
-turned by half a turn, from wherever they are seen, so that any neighbourhood will do that looks the
-same too. Here it is two strips, one along each edge: there is the light that tells where the edges
-run, and further off there is only noise, or a marker. A lens bends the edges: then the strips are
-bent likewise, by as much as the grid of corners around them is bent.
+Around a corner the slightly blurred image has a saddle point. A quadratic is fitted to the grey
+levels, and its stationary point taken (after Lucchese and Mitra, 2002). Two crossing edges have a
+half-turn symmetry from every viewpoint, so any sampled neighbourhood with the same symmetry is
+unbiased. Here it consists of two strips, one along each edge: they contain the grey levels that
+determine the edges, while pixels further off add only noise, or a marker. Lens distortion bends the
+edges, so the strips are bent by the curvature of the grid of corners around them.
 """
 
 from __future__ import annotations
@@ -17,63 +17,69 @@ from scipy.ndimage import map_coordinates, spline_filter
 from vergence.arrays import Array
 
 LENGTHS_PX = 2, 10
-"""Least and greatest length of the strips to either side of a corner."""
+"""Smallest and largest length of the strips to either side of a corner."""
 HALF_WIDTH_PX = 2.0
-"""Of the strips. On drawn boards under blur of 0.5 to 3 px, with and without noise, it errs less
-than 3 and 5, and about as 1, which feels noise under strong blur."""
-_ALONG, _ASIDE = np.linspace(-1, 1, 15), np.linspace(-1, 1, 5)  # where in a strip grey is read
+"""Half width of the strips. On drawn boards under blur of 0.5 to 3 px, with and without noise, it
+errs less than 3 and 5, and about as 1, which is more sensitive to noise under strong blur."""
+_ALONG, _ASIDE = (
+    np.linspace(-1, 1, 15),
+    np.linspace(-1, 1, 5),
+)  # samples of a strip
 ITERATIONS = 5
-REACH_PX = 1.5
-"""A corner is not sought further away than this."""
-SETTLED_PX = 0.05
-"""A corner that still moves further in the last of the iterations is not a clear saddle."""
-UNEVEN = 0.1
-"""A corner looks the same turned by half a turn. One that differs by more than this part of its
-contrast, and more than its neighbours do for noise, is half hidden."""
-_BESIDE = 0.25  # squares, for the differences of the board's map
-_SPLINE_REACH_PX = 12  # so far the edge of a picture is felt in its spline, and the blur
+MAX_SHIFT_PX = 1.5
+"""Largest distance of a saddle point from the initial corner, and largest step."""
+CONVERGED_PX = 0.05
+"""A corner whose last step is longer is not a clear saddle point."""
+MAX_ASYMMETRY = 0.1
+"""Largest mean difference between the grey levels and their half-turned copy, relative to the
+contrast. A corner that exceeds it, and its neighbours' noise, is partly occluded."""
+_STEP = 0.25  # squares, for finite differences of the board's map
+_SPLINE_SUPPORT_PX = 12  # distance over which a border affects the spline, and the blur
 
 
-def refine_grid(
+def refine_corners(
     grey: np.ndarray, grid: Array, lengths_px: Array, half_widths_px: Array | float = HALF_WIDTH_PX
 ) -> Array:
-    """Move the corners of a board onto the saddle points of the grey levels around them.
+    """Move the corners of a board to the saddle points of the grey levels around them.
 
     Args:
         grey: (H, W) uint8.
         grid: (rows, columns, 2) the board's inner corners [px], right to about a pixel; NaN where
             one is not known.
-        lengths_px: (rows, columns) how far along its edges nothing is met; taken within LENGTHS_PX.
-        half_widths_px: (rows, columns) how far beside its edges nothing is met.
+        lengths_px: (rows, columns) lengths of the strips along the edges; clipped to LENGTHS_PX.
+        half_widths_px: (rows, columns) half widths of the strips, or one for all.
 
     Returns:
-        (rows, columns, 2) px; NaN where there is no clear saddle, too near the image's edge, or
-        without neighbours in its row and its column.
+        (rows, columns, 2) px; NaN for a corner that is no clear saddle point, too near the image's
+        border, or without neighbours in its row and its column.
     """
     shape = grid.shape
     lengths = np.clip(np.nan_to_num(lengths_px), *LENGTHS_PX).ravel()
     half_widths = np.broadcast_to(half_widths_px, shape[:2]).ravel()
     strips = _strips(grid, lengths, half_widths)
-    straight = _saddles(grey, grid.reshape(-1, 2), strips, np.zeros((lengths.size, 2, 3)))
-    # The bend needs corners that are better than those that were given.
-    bend = curvatures(straight.reshape(shape)).reshape(-1, 2, 3)
-    return _saddles(grey, straight, strips, bend).reshape(shape)
+    no_curvature = np.zeros((lengths.size, 2, 3))
+    first = _saddle_points(grey, grid.reshape(-1, 2), strips, no_curvature)
+    # The curvature needs more accurate corners than the initial ones.
+    curvature = curvatures(first.reshape(shape)).reshape(-1, 2, 3)
+    return _saddle_points(grey, first, strips, curvature).reshape(shape)
 
 
-def clearances(grid: Array) -> Array:
-    """Return (rows, columns) how far corners (rows, columns, 2) lie from the nearest other edge."""
+def edge_distances(grid: Array) -> Array:
+    """Return the distance (rows, columns) of corners (rows, columns, 2) to the next other edge."""
     heights = []
-    for along, across in quadrants(grid):
+    for along, across in adjacent_sides(grid):
         area = np.abs(along[..., 0] * across[..., 1] - along[..., 1] * across[..., 0])
         sides = np.maximum(np.linalg.norm(along, axis=-1), np.linalg.norm(across, axis=-1))
         heights.append(area / sides)
     return np.asarray(np.fmin.reduce(heights))
 
 
-def quadrants(grid: Array) -> list[tuple[Array, Array]]:
-    """Return the sides (rows, columns, 2) of the four squares around each corner, from it.
+def adjacent_sides(grid: Array) -> list[tuple[Array, Array]]:
+    """Return the two sides at each corner of the four squares around it, as vectors from it.
 
-    NaN where there is no neighbour.
+    Returns:
+        Four pairs of (rows, columns, 2), along the row and along the column; NaN where there is no
+        neighbour.
     """
     padded = np.pad(grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
     centre = padded[1:-1, 1:-1]
@@ -83,45 +89,45 @@ def quadrants(grid: Array) -> list[tuple[Array, Array]]:
 
 
 def curvatures(grid: Array) -> Array:
-    """Return how the image of a plane bends around its corners (rows, columns, 2).
+    """Return the second-order terms of the map from a board to the image at its corners.
 
-    By differences of a smooth map of the whole board, so that corners on its rim, and those that
-    were not found, are bent like all others.
+    They are finite differences of a smooth map of the whole board, so that corners on its border
+    and corners that were not found have them like all others.
+
+    Args:
+        grid: (rows, columns, 2) px; NaN where a corner was not found.
 
     Returns:
-        (rows, columns, 2, 3): what u^2, u v and v^2 [px] from a corner add to x and y; zero where
-        too few corners were found to tell.
+        (rows, columns, 2, 3): the coefficients of u^2, u v and v^2 in the deviation of x and y [px]
+        from a linear map, at an offset (u, v) [px] from a corner; zero where too few corners were
+        found for an estimate.
     """
-    around = np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), axis=-1) * _BESIDE
+    offsets = np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), axis=-1) * _STEP
     j, i = np.indices(grid.shape[:2])
-    places = np.stack([i, j], axis=-1)[:, :, None, None] + around
+    places = np.stack([i, j], axis=-1)[:, :, None, None] + offsets
     mapped = _smooth_map(grid, places.reshape(-1, 2)).reshape(places.shape)
+    if not np.isfinite(mapped).all():
+        return np.zeros((*grid.shape[:2], 2, 3))
     above, here, below = (mapped[:, :, k, 1] for k in range(3))
     left, right = mapped[:, :, 1, 0], mapped[:, :, 1, 2]
-    p, r = left + right - 2 * here, above + below - 2 * here
-    q = mapped[:, :, 2, 2] + mapped[:, :, 0, 0] - mapped[:, :, 2, 0] - mapped[:, :, 0, 2]
-    along, across = (right - left) / 2, (below - above) / 2
-    area = along[..., 0] * across[..., 1] - along[..., 1] * across[..., 0]
-    area = np.where(area == 0, np.nan, area)[..., None]
-    s_u, s_v = across[..., 1:] / area, -across[..., :1] / area  # of u, v, in steps beside a corner
-    t_u, t_v = -along[..., 1:] / area, along[..., :1] / area
-    bend = [
-        (p * s_u**2 + q / 2 * s_u * t_u + r * t_u**2) / 2,
-        p * s_u * s_v + q / 4 * (s_u * t_v + s_v * t_u) + r * t_u * t_v,
-        (p * s_v**2 + q / 2 * s_v * t_v + r * t_v**2) / 2,
-    ]
-    return np.nan_to_num(np.stack(bend, axis=-1))
+    cross = mapped[:, :, 2, 2] + mapped[:, :, 0, 0] - mapped[:, :, 2, 0] - mapped[:, :, 0, 2]
+    # Derivatives by the board's coordinates, then by those of the image: (..., xy, i, j).
+    J = np.stack([right - left, below - above], axis=-1) / 2
+    H = np.stack([left + right - 2 * here, cross / 4, cross / 4, above + below - 2 * here], axis=-1)
+    M = np.linalg.pinv(J)
+    K = np.swapaxes(M, -1, -2)[:, :, None] @ H.reshape(*J.shape, 2) @ M[:, :, None] / 2
+    return np.stack([K[..., 0, 0], K[..., 0, 1] + K[..., 1, 0], K[..., 1, 1]], axis=-1)
 
 
 def _smooth_map(grid: Array, places: Array) -> Array:
-    """Return where places (N, 2) on the board, in squares from its first corner, are seen (N, 2).
+    """Map places (N, 2) on the board, in squares from its first corner, to pixels (N, 2).
 
-    A homography, and a polynomial for what the lens adds to it, of a degree for which there are
-    twice as many corners as coefficients. NaN where there are too few corners for that.
+    The map is a homography plus a polynomial for lens distortion, of the largest degree for which
+    there are twice as many corners as coefficients. NaN if there are too few corners.
     """
-    seen = np.isfinite(grid[..., 0])
-    j, i = np.nonzero(seen)
-    known, corners = np.column_stack([i, j]).astype(float), grid[seen]
+    valid = np.isfinite(grid[..., 0])
+    j, i = np.nonzero(valid)
+    known, corners = np.column_stack([i, j]).astype(float), grid[valid]
     degree = max((d for d in range(5) if (d + 1) * (d + 2) <= len(known)), default=0)
     H = None if degree < 2 else cv2.findHomography(known, corners, 0)[0]
     if H is None:
@@ -141,12 +147,12 @@ def _smooth_map(grid: Array, places: Array) -> Array:
 
 
 def _strips(grid: Array, lengths_px: Array, half_widths_px: Array) -> Array:
-    """Return where around each corner of a grid grey levels are read (K, 2 P, 2) [px].
+    """Return the offsets (K, 2 P, 2) [px] from each corner of a grid at which grey is sampled.
 
-    In two strips of P places along its edges; half a turn takes the first of a strip to its last,
-    and so on. NaN for a corner without a neighbour in its row or its column.
+    They form two strips of P samples along its edges; a half-turn maps the first sample of a strip
+    to its last, and so on. NaN for a corner without a neighbour in its row or its column.
     """
-    (left, above), _, _, (right, below) = quadrants(grid)
+    (left, above), _, _, (right, below) = adjacent_sides(grid)
     strips = []
     for before, after in ((left, right), (above, below)):
         edge = np.nan_to_num(after) - np.nan_to_num(before)
@@ -158,55 +164,62 @@ def _strips(grid: Array, lengths_px: Array, half_widths_px: Array) -> Array:
     return np.concatenate(strips, axis=1)
 
 
-def _saddles(grey: np.ndarray, corners: Array, strips: Array, bend: Array) -> Array:
-    """Return the saddle points (K, 2) near the corners (K, 2); NaN where there is none.
+def _saddle_points(grey: np.ndarray, corners: Array, strips: Array, curvature: Array) -> Array:
+    """Return the saddle points (K, 2) [px] near corners (K, 2), NaN where there is none.
 
-    Each is sought in strips (K, P, 2) and bend (K, 2, 3) of its own; one that leaves the image is
-    none.
+    Args:
+        grey: (H, W) uint8.
+        corners: (K, 2) initial corners [px].
+        strips: (K, P, 2) offsets of the samples around each; they must lie within the image.
+        curvature: (K, 2, 3) of the edges, as from curvatures.
     """
-    refined, uneven = np.full(corners.shape, np.nan), np.full(len(corners), np.nan)
+    refined, asymmetry = np.full(corners.shape, np.nan), np.full(len(corners), np.nan)
     margin = np.abs(strips).max(axis=1) + 2  # NaN is not inside
     size = np.array(grey.shape[::-1])
     inside = ((corners >= margin) & (corners <= size - 1 - margin)).all(axis=1)
     if not inside.any():
         return refined
-    reach = int(np.ceil(margin[inside].max())) + _SPLINE_REACH_PX
+    reach = int(np.ceil(margin[inside].max())) + _SPLINE_SUPPORT_PX
     low = np.maximum(np.floor(corners[inside].min(axis=0)).astype(int) - reach, 0)
     high = np.ceil(corners[inside].max(axis=0)).astype(int) + reach + 1
     part = grey[low[1] : high[1], low[0] : high[0]].astype(np.float32)
-    # A spline, for cv2.remap's cubic interpolation is off by 0.03 px on a mere ramp of grey.
+    # A spline, because cv2.remap's cubic interpolation errs by 0.03 px even on a linear ramp.
     spline = spline_filter(cv2.GaussianBlur(part, (0, 0), 0.7), order=3, mode="mirror")
-    found, uneven[inside] = _rest(spline, corners[inside] - low, strips[inside], bend[inside])
+    found, asymmetry[inside] = _fit_saddle_points(
+        spline, corners[inside] - low, strips[inside], curvature[inside]
+    )
     refined[inside] = found + low
-    refined[uneven > max(UNEVEN, 4 * float(np.nanmedian(uneven)))] = np.nan
+    refined[asymmetry > max(MAX_ASYMMETRY, 4 * float(np.nanmedian(asymmetry)))] = np.nan
     return refined
 
 
-def _rest(spline: Array, corners: Array, strips: Array, bend: Array) -> tuple[Array, Array]:
-    """Return the saddle points (K, 2) of a spline near corners (K, 2), NaN where there is none.
+def _fit_saddle_points(
+    spline: Array, corners: Array, strips: Array, curvature: Array
+) -> tuple[Array, Array]:
+    """Return the saddle points (K, 2) of a spline near corners (K, 2), and their asymmetry (K,).
 
-    And (K,) how much the grey levels around each change when turned by half a turn, as a part of
-    their contrast.
+    NaN where there is no saddle point. The asymmetry is the mean difference between the samples
+    and their half-turned copy, relative to their contrast.
     """
     u, v = strips[..., 0], strips[..., 1]
     squares = np.stack([u * u, u * v, v * v], axis=-1)
     fit = np.linalg.pinv(np.concatenate([squares, strips, np.ones_like(strips[..., :1])], axis=-1))
-    bent = strips + squares @ np.swapaxes(bend, 1, 2)
+    bent = strips + squares @ np.swapaxes(curvature, 1, 2)
     refined = corners.copy()
     step = np.zeros_like(corners)
-    uneven = np.zeros(len(corners))
+    asymmetry = np.zeros(len(corners))
     for _ in range(ITERATIONS):
         at = (refined[:, None] + bent).transpose(2, 0, 1)[::-1]
         grey_levels = map_coordinates(spline, at, order=3, prefilter=False, mode="mirror")
         in_strips = grey_levels.reshape(len(grey_levels), 2, -1)
-        uneven = np.abs(in_strips - in_strips[..., ::-1]).mean(axis=(1, 2))
-        uneven /= np.maximum(np.ptp(grey_levels, axis=1), 1)
+        asymmetry = np.abs(in_strips - in_strips[..., ::-1]).mean(axis=(1, 2))
+        asymmetry /= np.maximum(np.ptp(grey_levels, axis=1), 1)
         a, b, c, d, e, _ = np.einsum("kip,kp->ik", fit, grey_levels)
         det = 4 * a * c - b * b  # negative at a saddle
         with np.errstate(divide="ignore", invalid="ignore"):
             step = np.stack([b * e - 2 * c * d, b * d - 2 * a * e], axis=-1) / det[:, None]
-        step[(det >= 0) | ~(np.abs(step).max(axis=1) <= REACH_PX)] = np.nan
+        step[(det >= 0) | ~(np.abs(step).max(axis=1) <= MAX_SHIFT_PX)] = np.nan
         refined += step
-    lost = ~(np.abs(refined - corners).max(axis=1) < REACH_PX)
-    lost |= ~(np.abs(step).max(axis=1) < SETTLED_PX)
-    return np.where(lost[:, None], np.nan, refined), uneven
+    lost = ~(np.abs(refined - corners).max(axis=1) < MAX_SHIFT_PX)
+    lost |= ~(np.abs(step).max(axis=1) < CONVERGED_PX)
+    return np.where(lost[:, None], np.nan, refined), asymmetry

@@ -1,14 +1,14 @@
-"""Find a coloured sphere in an image, without the bias of its outline's centre.
+"""Detection of a coloured sphere in an image, without the bias of its outline's centre.
 
-The outline of a sphere is an ellipse whose centre is not the image of the sphere's centre: off
-the optical axis the two differ by a fraction of the sphere's own size. What is measured is the
-area and the centroid of the ellipse in the undistorted plane z = 1, from all pixels weighted by
-how much of each the sphere covers; both follow from the cone of rays that touch the sphere, and
-the cone's axis goes through its centre.
+The outline of a sphere is an ellipse whose centre is not the image of the sphere's centre: off the
+optical axis they differ by a fraction of the sphere's size. Measured are the area and the centroid
+of the ellipse in the undistorted plane z = 1, with each pixel weighted by the part of it that the
+sphere covers. They determine the cone of rays that touch the sphere, whose axis passes through the
+sphere's centre.
 
-Where a pixel comes to lie in that plane is a smooth function of it. It is interpolated between
-Chebyshev points of the sphere's window, which gives each of those points a weight, the cover that
-falls to it, and spares a solution of the lens's polynomial for each pixel.
+Undistorting every pixel would be slow. The undistorted position is a smooth function of the pixel,
+so it is interpolated between Chebyshev points of the sphere's window: each point gets the coverage
+of the pixels around it as a weight, and only these points are undistorted.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from numpy.polynomial.chebyshev import chebpts2, chebvander
 from vergence.arrays import Array
 from vergence.geometry.camera import Camera, normalise, normalise_area, project
 
-_HALF = 100  # grey levels of redness above which a pixel belongs to the sphere for certain
-_BAND_ROWS = 96  # at a time: memory for a whole image comes from the system, and slowly
-_NEAR = 0.2  # of the image's width: how far around the place where it is sought first
-_MARGIN_PX = 3  # for soft edges: blur and anti-aliasing reach two pixels, and one for luck
-_FEWEST = 4  # pixels
+_THRESHOLD = 100  # grey levels of colour contrast above which a pixel belongs to the sphere
+_BAND_ROWS = 96  # processed at a time: allocating memory for a whole image is slow
+_SEARCH_RADIUS = 0.2  # of the image's width, around the pixel where the search begins
+_MARGIN_PX = 3  # for soft edges: blur and anti-aliasing extend over two pixels, plus a reserve
+_MIN_PIXELS = 4
 _POINTS = np.asarray(chebpts2(16), dtype=float)
-"""Along each side of a window. In a wide lens's corner they interpolate windows of 120 px to 1e-10
-px, and all of its image to 3e-4 px."""
+"""Chebyshev points along each side of a window. Near the corner of a wide lens's image they
+interpolate windows of 120 px to 1e-10 px, and the whole image to 3e-4 px."""
 _COEFFICIENTS = np.linalg.inv(chebvander(_POINTS, len(_POINTS) - 1))
-"""Of the polynomial through values at the points, by the values."""
+"""Matrix from values at the points to the coefficients of their Chebyshev polynomial."""
 
 
 def find_sphere(
@@ -44,79 +44,83 @@ def find_sphere(
 ) -> Array:
     """Return the pixel (2,) of the centre of a coloured sphere, distortion included.
 
-    The centroid is exact for a sphere of one flat colour before a grey background, however the
-    camera averages over its pixels, since coverage then enters linearly.
+    For a sphere of uniform colour before a grey background the centroid is exact, however the
+    camera averages over a pixel, since colour contrast is then proportional to coverage.
 
     Args:
         image: (H, W, 3) uint8, RGB.
         camera: intrinsics of the camera that took it.
         colour: of the sphere.
-        near: (2,) px where it is sought first, which is faster; NaN: that is not known.
+        near: (2,) pixel around which the search begins, which is faster; None or NaN: not known.
 
     Returns:
-        NaN where no region of this colour, of four pixels or more lies wholly within the image.
-        The largest counts, of those around `near` if one lies wholly there.
+        The centre of the largest region of this colour, of those around `near` if one lies
+        completely there; NaN if no region of at least four pixels lies completely in the image.
     """
-    planes = (0, 1, 2) if colour == "red" else (2, 1, 0)  # its own first; the others count alike
+    planes = (0, 1, 2) if colour == "red" else (2, 1, 0)  # the sphere's own colour first
     window = None
     if near is not None and np.isfinite(near).all():
-        window = _window(image, planes, *_around(near, image))
+        window = _sphere_window(image, planes, *_search_window(near, image))
     if window is None:
-        window = _window(image, planes, slice(0, image.shape[0]), slice(0, image.shape[1]))
+        window = _sphere_window(image, planes, slice(0, image.shape[0]), slice(0, image.shape[1]))
     return np.full(2, np.nan) if window is None else _centre(image, planes, *window, camera)
 
 
-def _around(pixel: Array, image: np.ndarray) -> tuple[slice, slice]:
-    """Return the rows and columns of an image around a pixel."""
+def _search_window(pixel: Array, image: np.ndarray) -> tuple[slice, slice]:
+    """Return the rows and columns of an image in which the search around a pixel begins."""
     height, width = image.shape[:2]
-    reach = round(_NEAR * width)
+    reach = round(_SEARCH_RADIUS * width)
     u, v = pixel.round().astype(int)
     rows = slice(max(v - reach, 0), min(v + reach, height))
     return rows, slice(max(u - reach, 0), min(u + reach, width))
 
 
-def _window(
+def _sphere_window(
     image: np.ndarray, planes: tuple[int, int, int], rows: slice, columns: slice
 ) -> tuple[slice, slice] | None:
-    """Return rows and columns around the largest region of a colour; None: it is not whole.
+    """Return the rows and columns of the largest region of a colour, with a margin for soft edges.
 
-    With a margin for its soft edge. Only these rows and columns of the image are looked at.
+    Only the given rows and columns are searched; None if the region extends beyond them or is too
+    small.
     """
     boxes = []
     for top in range(rows.start, rows.stop, _BAND_ROWS):
         band = image[top : min(top + _BAND_ROWS, rows.stop), columns]
-        u, v, width, height = cv2.boundingRect(_coloured(band, planes))
+        u, v, width, height = cv2.boundingRect(_colour_mask(band, planes))
         if width:
             boxes.append((u, top + v, u + width, top + v + height))
     if not boxes:
         return None
     lefts, tops, rights, bottoms = zip(*boxes, strict=True)
     left, top = columns.start + min(lefts), min(tops)
-    mask = _coloured(image[top : max(bottoms), left : columns.start + max(rights)], planes)
+    mask = _colour_mask(image[top : max(bottoms), left : columns.start + max(rights)], planes)
     outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     u, v, width, height = cv2.boundingRect(max(outlines, key=cv2.contourArea))
     u0, v0 = left + u - _MARGIN_PX, top + v - _MARGIN_PX
     u1, v1 = left + u + width + _MARGIN_PX, top + v + height + _MARGIN_PX
     whole = columns.start <= u0 and rows.start <= v0 and u1 <= columns.stop and v1 <= rows.stop
-    enough = cv2.countNonZero(mask[v : v + height, u : u + width]) >= _FEWEST
+    enough = cv2.countNonZero(mask[v : v + height, u : u + width]) >= _MIN_PIXELS
     return (slice(v0, v1), slice(u0, u1)) if whole and enough else None
 
 
-def _coloured(image: np.ndarray, planes: tuple[int, int, int]) -> np.ndarray:
-    """Return a mask (H, W) of the pixels in which the first of the planes stands out."""
+def _colour_mask(image: np.ndarray, planes: tuple[int, int, int]) -> np.ndarray:
+    """Return a mask (H, W) of the pixels whose first plane exceeds the mean of the others."""
     split = cv2.split(image)
     own, *others = (split[plane] for plane in planes)
-    redness = cv2.subtract(own, cv2.addWeighted(others[0], 0.5, others[1], 0.5, 0))
-    return cv2.threshold(redness, _HALF, 255, cv2.THRESH_BINARY)[1]
+    contrast = cv2.subtract(own, cv2.addWeighted(others[0], 0.5, others[1], 0.5, 0))
+    return cv2.threshold(contrast, _THRESHOLD, 255, cv2.THRESH_BINARY)[1]
 
 
 def _centre(
     image: np.ndarray, planes: tuple[int, int, int], rows: slice, columns: slice, camera: Camera
 ) -> Array:
-    """Return the centre (2,) px of the sphere in these rows and columns; NaN: beyond the lens."""
+    """Return the centre (2,) [px] of the sphere in these rows and columns.
+
+    NaN where the lens's distortion model cannot be inverted.
+    """
     own, *others = np.moveaxis(image[rows, columns, planes].astype(float), -1, 0)
-    redness = own - 0.5 * (others[0] + others[1])
-    cover = redness / np.median(redness[redness > _HALF])
+    contrast = own - 0.5 * (others[0] + others[1])
+    cover = contrast / np.median(contrast[contrast > _THRESHOLD])
     u, by_u = _interpolation(columns.start, columns.stop)
     v, by_v = _interpolation(rows.start, rows.stop)
     xy = normalise(camera, np.stack(np.broadcast_arrays(u, v[:, None]), axis=-1))
@@ -131,10 +135,10 @@ def _centre(
 
 
 def _interpolation(begin: int, end: int) -> tuple[Array, Array]:
-    """Return Chebyshev points (K,) of the pixels from begin to end, and the pixels' shares (N, K).
+    """Return Chebyshev points (K,) of the pixels from begin to end, and weights (N, K).
 
-    A polynomial of a degree below K takes at a pixel the sum of its values at the points, times
-    the pixel's shares.
+    A pixel's weights times the values of a polynomial at the points, summed, give its value at the
+    pixel, for degrees below K.
     """
     middle, half = (begin + end - 1) / 2, (end - 1 - begin) / 2
     pixels = (np.arange(begin, end) - middle) / half
