@@ -7,7 +7,7 @@ other at any posture of the eyes (Eqs. 10 and 11). Points are in the left eye's 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -223,3 +223,32 @@ def T_rcam_lcam(
         T_leye_lcam=left.T_eye_cam,
         T_lbase_leye=T_base_eye(joints[..., EYE_COLUMNS["left"]], head.axes["left"]),
     )
+
+
+def rebase(
+    head: HeadCalibration,
+    T_rcam_lcam: Array,
+    *,
+    joints: Array,
+    cameras: tuple[str, str] | None = None,
+) -> HeadCalibration:
+    """Return the head with the T_rbase_lbase that a stereo pose demands (Eq. 10).
+
+    Args:
+        head: calibration of the head.
+        T_rcam_lcam: (4, 4) how the cameras stand to each other.
+        joints: (4,) joint readings [rad] at that moment.
+        cameras: see stereo_cameras.
+
+    Raises:
+        VergenceError: see stereo_cameras.
+    """
+    left, right = stereo_cameras(head, cameras)
+    T = base_extrinsics(
+        T_rbase_reye=T_base_eye(joints[EYE_COLUMNS["right"]], head.axes["right"]),
+        T_reye_rcam=right.T_eye_cam,
+        T_rcam_lcam=T_rcam_lcam,
+        T_leye_lcam=left.T_eye_cam,
+        T_lbase_leye=T_base_eye(joints[EYE_COLUMNS["left"]], head.axes["left"]),
+    )
+    return replace(head, T_rbase_lbase=T)

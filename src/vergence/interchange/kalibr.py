@@ -19,7 +19,7 @@ from vergence.arrays import Array, Transform
 from vergence.errors import explain
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, T_base_cam
-from vergence.geometry.kinematics import T_base_eye
+from vergence.geometry.projection import rebase
 from vergence.geometry.se3 import inverse
 from vergence.interchange.serialization import (
     Number,
@@ -28,7 +28,6 @@ from vergence.interchange.serialization import (
     read,
     write_yaml,
 )
-from vergence.stereo.triangulation import fixed_transform
 
 TOPIC = "/{camera}/image_raw"
 
@@ -170,14 +169,8 @@ def update_head(chain: Camchain, template: HeadCalibration) -> HeadCalibration:
             T_wide_narrow = T_cam_first[wide] @ inverse(T_cam_first[name])
             T_eye_narrow = cameras[wide].T_eye_cam @ T_wide_narrow
             cameras[name] = replace(cameras[name], T_eye_cam=T_eye_narrow)
-    T_rbase_lbase = template.T_rbase_lbase
-    if {"left_wide", "right_wide"} <= set(T_cam_first):
-        left, right = cameras["left_wide"], cameras["right_wide"]
-        T_rbase_lbase = fixed_transform(
-            T_base_eye(np.zeros(2), template.axes["right"]),
-            right.T_eye_cam,
-            T_cam_first["right_wide"] @ inverse(T_cam_first["left_wide"]),
-            left.T_eye_cam,
-            T_base_eye(np.zeros(2), template.axes["left"]),
-        )
-    return replace(head, cameras=cameras, T_rbase_lbase=T_rbase_lbase)
+    head = replace(head, cameras=cameras)
+    if not {"left_wide", "right_wide"} <= set(T_cam_first):
+        return head
+    T_rcam_lcam = T_cam_first["right_wide"] @ inverse(T_cam_first["left_wide"])
+    return rebase(head, T_rcam_lcam, joints=np.zeros(4), cameras=("left_wide", "right_wide"))

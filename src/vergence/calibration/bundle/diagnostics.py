@@ -55,8 +55,8 @@ def warnings(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
     few = ~found.assumed & ~found.given & (found.redundancy < FEW)
     for redundancy in found.redundancy[few]:
         said.append(
-            f"The noise of the joint readings rests on {redundancy:.0f} readings more than it takes "
-            "to fit them: the stated accuracy is rough; record more views."
+            f"The noise of the joint readings rests on {redundancy:.0f} readings more than it "
+            "takes to fit them: the stated accuracy is rough; record more views."
         )
     corners = int(np.count_nonzero(problem.seen))
     outliers = corners - np.count_nonzero(found.weights.corner)
@@ -71,9 +71,9 @@ def warnings(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
         camera = problem.cameras[found.systematic_px.index(systematic)]
         whose = "" if len(problem.cameras) == 1 else f" of {camera}"
         said.append(
-            f"All images{whose} have a systematic error of {systematic:.2g} px, more than the noise "
-            f"of single corners ({noise.pixel_px:.2g} px): the lens departs from its model, or the "
-            "board is not flat; look at the residuals over the image."
+            f"All images{whose} have a systematic error of {systematic:.2g} px, more than the "
+            f"noise of single corners ({noise.pixel_px:.2g} px): the lens departs from its model, or "
+            "the board is not flat; look at the residuals over the image."
         )
     if not found.converged:
         said.append("The estimate did not converge: do not trust it.")
@@ -137,8 +137,8 @@ def _causes(problem: BundleProblem, found: Adjusted, eyes: list[int]) -> str:
     if causes:
         return ", ".join(causes)
     return (
-        "the views do not distinguish it from other unknowns; record more of them, with pan and tilt "
-        "moved by 0.25 rad and boards at several distances and slants"
+        "the views do not distinguish it from other unknowns; record more of them, with pan and "
+        "tilt moved by 0.25 rad and boards at several distances and slants"
     )
 
 

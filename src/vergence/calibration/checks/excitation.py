@@ -1,8 +1,8 @@
 """Whether the eyes and the board moved enough for a calibration: what is refused, what is doubted.
 
 A start that rests on noise would lead the bundle adjustment to a wrong optimum, whose stated
-accuracy is then wrong as well. So motion too small for the paper's steps is refused before them. How far an eye
-turned is taken from the images, which know it better than the joint readings do.
+accuracy is then wrong as well. So motion too small for the paper's steps is refused before them.
+How far an eye turned is taken from the images, which know it better than the joint readings do.
 """
 
 from __future__ import annotations

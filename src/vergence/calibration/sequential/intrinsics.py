@@ -78,7 +78,8 @@ def calibrate_intrinsics(
             (Sec. II-A) and names that end in "narrow".
 
     Raises:
-        VergenceError: a camera has fewer than three views, or they do not determine its focal length.
+        VergenceError: a camera has fewer than three views, or they do not determine its focal
+            length.
     """
     points = corner_points(observations.board)
     found = {}
