@@ -72,8 +72,8 @@ def warnings(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
         whose = "" if len(problem.cameras) == 1 else f" of {camera}"
         said.append(
             f"All images{whose} have a systematic error of {systematic:.2g} px, more than the "
-            f"noise of single corners ({noise.pixel_px:.2g} px): the lens departs from its model, or "
-            "the board is not flat; look at the residuals over the image."
+            f"noise of single corners ({noise.pixel_px:.2g} px): the lens departs from its "
+            "model, or the board is not flat; look at the residuals over the image."
         )
     if not found.converged:
         said.append("The estimate did not converge: do not trust it.")
