@@ -10,6 +10,7 @@ are left out: who may import a room, may import what that one imports.
 from __future__ import annotations
 
 import ast
+import itertools
 from pathlib import Path
 
 SOURCES = Path(__file__).parents[1] / "src" / "vergence"
@@ -132,7 +133,7 @@ def laid_out(arrows: Graph, level: dict[str, int]) -> tuple[list[list[Node]], li
             for node, k in zip(passing, between, strict=True):
                 rows[k].append(node)
             chains.append([(upper,), *passing, (lower,)])
-    links = [pair for chain in chains for pair in zip(chain, chain[1:], strict=False)]
+    links = [pair for chain in chains for pair in itertools.pairwise(chain)]
     for sweep in range(24):  # each node towards the mean of its neighbours below, then above
         place = {node: k - len(row) / 2 for row in rows for k, node in enumerate(row)}
         own, other = (0, 1) if sweep % 2 == 0 else (1, 0)
