@@ -11,8 +11,8 @@ BIN := .venv/bin
 figures: .venv/installed
 	$(BIN)/vergence reproduce --out $(OUT)
 
-view: .venv/installed
-	@test -e $(OUT)/fig06.rrd || { \
+view:
+	@test -e $(OUT)/fig06.rrd && test -x $(BIN)/rerun || { \
 		echo "There is no $(OUT)/fig06.rrd yet; make it with: make figures OUT=$(OUT)"; exit 1; }
 	$(BIN)/rerun $(OUT)/fig06.rrd
 

@@ -135,6 +135,13 @@ def test_python_in_documents_names_what_exists(document: str, code: str):
             assert node.attr in vergence.__all__
 
 
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_public_names_in_sentences_exist(document: str):
+    named = re.findall(r"`(?:vg|vergence)\.([A-Za-z]\w*)[`(]", prose(document))
+    rooms = {path.stem for path in (ROOT / "src" / "vergence").iterdir()}
+    assert set(named) <= {*vergence.__all__, *rooms}
+
+
 def test_the_reader_of_datasets_that_the_document_prints_reads_the_dataset_that_it_prints(
     tmp_path, monkeypatch, capsys
 ):
