@@ -1,13 +1,20 @@
-# Two commands on a bare machine with Python 3.11, make and Mesa's EGL:
-#   make figures   runs the main job       make test   runs the checks and the tests
+# On a bare machine with Python 3.11, make and Mesa's EGL:
+#   make figures   runs the main job          make test   runs all checks and all tests
+#   make view      opens its first recording  make check  runs the checks and the unit tests
+#   make docs      builds the site
 PYTHON ?= python3
 OUT ?= runs/paper
 BIN := .venv/bin
 
-.PHONY: figures test clean
+.PHONY: figures view test check docs clean
 
 figures: .venv/installed
 	$(BIN)/vergence reproduce --out $(OUT)
+
+view:
+	@test -e $(OUT)/fig06.rrd && test -x $(BIN)/rerun || { \
+		echo "There is no $(OUT)/fig06.rrd yet; make it with: make figures OUT=$(OUT)"; exit 1; }
+	$(BIN)/rerun $(OUT)/fig06.rrd
 
 test: .venv/installed
 	$(BIN)/ruff check .
@@ -15,11 +22,26 @@ test: .venv/installed
 	$(BIN)/pyright
 	$(BIN)/pytest -n auto --dist worksteal
 
-# The stamp makes a second call instant, and a changed pyproject.toml install again.
+check: .venv/installed
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/pyright
+	$(BIN)/pytest -n auto --dist worksteal -m "not render and not slow"
+
+docs: .venv/installed-docs
+	$(BIN)/python docs/site_pages.py site/pages
+	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going -c docs site/pages site/html
+	@echo "The site begins at site/html/index.html."
+
+# The stamps make a second call instant, and a changed pyproject.toml install again.
 .venv/installed: pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --editable ".[dev]"
 	touch $@
 
+.venv/installed-docs: .venv/installed
+	$(BIN)/python -m pip install --quiet --editable ".[docs]"
+	touch $@
+
 clean:
-	rm -rf .venv runs
+	rm -rf .venv runs site

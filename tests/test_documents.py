@@ -1,13 +1,48 @@
-"""What the documents point to exists."""
+"""What the documents say can be done and found, can be done and found."""
 
+import ast
+import contextlib
+import functools
+import importlib
+import json
 import re
-from importlib import import_module
+import sys
+import tomllib
+from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+import tyro
 
-ROOT = Path(__file__).parents[1]
-EQUATIONS = (ROOT / "docs" / "equations.md").read_text(encoding="utf-8")
+import make_map
+import site_pages
+import vergence
+from documents import (
+    DOCUMENTS,
+    ROOT,
+    anchors,
+    blocks,
+    commands,
+    inline_commands,
+    links,
+    prose,
+    read,
+)
+from vergence import cli
+from vergence.geometry.camera import Camera
+from vergence.geometry.head import Accuracy, HeadCalibration, HeldOut, MountedCamera
+from vergence.geometry.kinematics import EyeAxes, Neck
+
+EQUATIONS = read("docs/equations.md")
+MAKEFILE = read("Makefile")
+PYTHON = [
+    pytest.param(document, block.text, id=f"{document}-{k}")
+    for document in DOCUMENTS
+    for k, block in enumerate(blocks(document))
+    if block.language == "python"
+]
 
 
 @pytest.mark.parametrize("cited", sorted(set(re.findall(r"`(test_\w+\.py::test_\w+)`", EQUATIONS))))
@@ -22,7 +57,7 @@ def test_a_test_that_is_cited_exists(cited: str):
 )
 def test_code_that_is_cited_exists(cited: str):
     module, name = cited.rsplit(".", 1)
-    assert hasattr(import_module(f"vergence.{module}"), name)
+    assert hasattr(importlib.import_module(f"vergence.{module}"), name)
 
 
 @pytest.mark.parametrize("number", range(1, 24))
@@ -31,8 +66,241 @@ def test_every_equation_has_code_and_a_test(number: int):
     assert "not yet" not in row
 
 
-@pytest.mark.parametrize("document", ["conventions", "equations"])
-def test_links_lead_somewhere(document: str):
-    text = (ROOT / "docs" / f"{document}.md").read_text(encoding="utf-8")
-    for target in re.findall(r"\]\(([^)#:]+)\)", text):
-        assert (ROOT / "docs" / target).exists()
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_links_lead_to_files_and_headings_that_exist(document: str):
+    for path, anchor in links(document):
+        target = (ROOT / document).parent / path if path else ROOT / document
+        assert target.exists(), path
+        if anchor:
+            assert anchor in anchors(target.resolve().relative_to(ROOT).as_posix()), anchor
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_files_that_are_named_exist(document: str):
+    folders = "src|docs|tests|benchmarks|scenarios|models"
+    for path in re.findall(rf"`((?:{folders})/[\w./]+)`", prose(document)):
+        assert (ROOT / path).exists(), path
+
+
+def parse(words: list[str]) -> None:
+    """Parse a command line of vergence as the command line does, without running it."""
+
+    def idle(command: Any) -> Any:
+        @functools.wraps(command)
+        def nothing(*_: object, **__: object) -> None: ...
+
+        return nothing
+
+    tyro.extras.subcommand_cli_from_dict(
+        {name: idle(command) for name, command in cli.COMMANDS.items()}, args=words
+    )
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_commands_in_blocks_can_be_typed(document: str):
+    for program, *words in commands(document):
+        name = program.removeprefix(".venv/bin/")
+        if name == "vergence" and words != ["--help"]:
+            parse(words)
+        elif name == "make":
+            assert re.search(rf"^{words[0]}:", MAKEFILE, re.MULTILINE), words
+        elif name == "python" and words[0] != "-m":
+            assert (ROOT / words[0]).exists(), words
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_commands_in_sentences_have_names_and_options_that_exist(document: str, capsys):
+    for program, *words in inline_commands(document):
+        name = program.removeprefix(".venv/bin/")
+        if name == "make":
+            assert re.search(rf"^{words[0]}:", MAKEFILE, re.MULTILINE), words
+        elif name == "python" and words[0].endswith(".py"):
+            assert (ROOT / words[0]).exists(), words
+        elif name == "vergence" and not words[0].startswith("-"):
+            assert words[0] in cli.COMMANDS, words
+            with contextlib.suppress(SystemExit):
+                parse([words[0], "--help"])
+            shown = capsys.readouterr().out
+            for option in (word for word in words if word.startswith("--")):
+                assert option in shown, (words, option)
+
+
+@pytest.mark.parametrize(("document", "code"), PYTHON)
+def test_python_in_documents_names_what_exists(document: str, code: str):
+    for node in ast.walk(ast.parse(code, document)):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("vergence"):
+            module = importlib.import_module(str(node.module))
+            assert all(hasattr(module, alias.name) for alias in node.names)
+        elif isinstance(node, ast.Attribute) and ast.unparse(node.value) == "vg":
+            assert node.attr in vergence.__all__
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_public_names_in_sentences_exist(document: str):
+    named = re.findall(r"`(?:vg|vergence)\.([A-Za-z]\w*)[`(]", prose(document))
+    rooms = {path.stem for path in (ROOT / "src" / "vergence").iterdir()}
+    assert set(named) <= {*vergence.__all__, *rooms}
+
+
+def test_the_reader_of_datasets_that_the_document_prints_reads_the_dataset_that_it_prints(
+    tmp_path, monkeypatch, capsys
+):
+    there = {block.language: block.text for block in blocks("docs/dataset.md")}
+    code = next(text.values[1] for text in PYTHON if "csv.DictReader" in str(text.values[1]))
+    (tmp_path / "dataset.json").write_text(there["json"])
+    (tmp_path / "frames.csv").write_text(there["text"])
+    monkeypatch.chdir(tmp_path)
+    exec(compile(str(code), "dataset.md", "exec"), {})
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 4
+    assert "left_pan -0.1415" in lines[2]  # 8.11 degrees, counted the other way
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_json_and_toml_in_documents_are_valid(document: str):
+    for block in blocks(document):
+        if block.language == "json":
+            json.loads(block.text)
+        elif block.language == "toml":
+            tomllib.loads(block.text)
+
+
+def test_the_error_profile_that_is_printed_can_be_used(tmp_path):
+    from vergence.twin.profile import load_profile
+
+    (text,) = (b.text for b in blocks("docs/reproduction.md") if b.language == "toml")
+    (tmp_path / "mine.toml").write_text(text)
+    assert load_profile(str(tmp_path / "mine.toml")).joints.delay_ms == 20
+
+
+def test_the_calibration_file_that_is_printed_can_be_read(tmp_path):
+    (text,) = (b.text for b in blocks("docs/calibration_file.md") if b.language == "json")
+    (tmp_path / "head.json").write_text(text)
+    head = vergence.load_head(tmp_path / "head.json")
+    assert set(head.cameras) == {"left_wide"}
+
+
+def test_every_field_of_the_calibration_file_and_of_the_truth_is_documented():
+    from vergence.commands.truth import Truth
+
+    text = read("docs/calibration_file.md")
+    named = set(re.findall(r"`(?:[\w*]+\.)*(\w+)`", text))
+    described = (
+        HeadCalibration, MountedCamera, Camera, EyeAxes, Neck, Accuracy, HeldOut, Truth,
+    )  # fmt: skip
+    assert {field.name for each in described for field in fields(each)} <= named
+
+
+def test_the_map_shows_the_imports_as_they_are():
+    shown = make_map.PICTURE.read_text(encoding="utf-8")
+    assert shown == make_map.drawing(), "run: python docs/make_map.py"
+
+
+def test_the_map_refuses_rooms_that_import_each_other():
+    with pytest.raises(ValueError, match="circle: a, b"):
+        make_map.levels({"a": {"b"}, "b": {"a"}, "c": {"a"}})
+
+
+def test_the_reference_lists_the_public_names():
+    page = site_pages.reference_page("vergence")
+    shown = re.findall(r"^\.\. auto\w+:: vergence\.(\w+)$", page, re.MULTILINE)
+    assert sorted(shown) == sorted(vergence.__all__)
+
+
+@pytest.mark.parametrize("package", ["vergence.twin", "vergence.viewer"])
+def test_the_reference_has_a_page_for_twin_and_viewer(package: str):
+    page = site_pages.reference_page(package)
+    assert page.count(".. auto") > 3
+
+
+def test_the_site_contains_every_document():
+    pages = {name for names in site_pages.CONTENTS.values() for name in names}
+    own = {Path(name).stem for name in DOCUMENTS if name.startswith("docs/")}
+    assert own <= pages
+    assert set(DOCUMENTS) - {"models/cbi_head/CHANGELOG.md"} == {
+        *site_pages.DOCUMENTS,
+        *(f"docs/{name}.md" for name in own),
+    }
+
+
+def test_links_of_a_page_of_the_site_lead_to_pages_and_no_source_files():
+    text = "[a](docs/gaze.md#x) [b](src/vergence/cli.py) ![c](docs/images/gaze.png)"
+    assert site_pages.relink(text, "README.md") == "[a](gaze.md#x) b ![c](images/gaze.png)"
+
+
+@pytest.fixture(scope="module")
+def my_head(tmp_path_factory: pytest.TempPathFactory, opengl: None) -> Path:
+    """Return a small dataset from the twin."""
+    folder = tmp_path_factory.mktemp("readme") / "my_head"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["vergence", "record", "--out", str(folder), "--frames", "20"])
+        cli.main()
+    return folder
+
+
+def program(document: str) -> str:
+    """Return the first block of Python of a document."""
+    return next(block.text for block in blocks(document) if block.language == "python")
+
+
+def seen_by(head: Any, joints: np.ndarray, points_lbase: np.ndarray) -> list[np.ndarray]:
+    """Return the pixels (N, 2) of points (N, 3) in the wide cameras, left and right."""
+    return [
+        vergence.project_point(head, f"{eye}_wide", joints, points_lbase)
+        for eye in ("left", "right")
+    ]
+
+
+@pytest.mark.render
+def test_the_program_on_the_first_screen_finds_where_points_are(
+    my_head, tmp_path, monkeypatch, capsys
+):
+    from vergence.commands.truth import TRUTH, load
+
+    monkeypatch.chdir(tmp_path)
+    truth = load(my_head / TRUTH).head
+    there = np.array([[0.5, -0.05, 0.02], [0.7, 0.1, -0.05]])
+    angles = np.array([0.05, -0.02, 0.1, -0.02])
+    left, right = seen_by(truth, angles, there)
+    names = {"uv_left": left, "uv_right": right, "angles": angles}
+    code = program("README.md").replace('"my_head/"', repr(str(my_head)))
+    assert code != program("README.md")
+    exec(compile(code, "README.md", "exec"), names)
+    points: Any = names["points"]
+    assert (points.status == vergence.Status.OK).all()
+    error = points.xyz - there
+    distance = np.einsum("ni,nij,nj->n", error, np.linalg.inv(points.covariance), error)
+    assert (distance < 25).all()  # five standard deviations
+    assert np.abs(error).max() < 0.02
+    assert (tmp_path / "head.json").exists()
+    assert capsys.readouterr().out.strip()
+
+
+def test_the_guide_to_using_a_calibration_runs(tmp_path, monkeypatch, capsys):
+    (text,) = (b.text for b in blocks("docs/calibration_file.md") if b.language == "json")
+    head = json.loads(text)
+    left = head["cameras"]["left_wide"]
+    narrow = json.loads(json.dumps(left))
+    narrow["intrinsics"]["matrix"] = [[1200.0, 0, 319.5], [0, 1200.0, 239.5], [0, 0, 1]]
+    narrow["intrinsics"]["distortion"] = [0.0] * 5
+    head["cameras"] = {
+        f"{eye}_{lens}": {**camera, "eye": eye}
+        for eye in ("left", "right")
+        for lens, camera in (("wide", left), ("narrow", narrow))
+    }
+    head["accuracy"] = {
+        **{"method": "bundle", "parameters": ["left_wide.fx"], "covariance": [[0.01]]},
+        **{"pixel_std_px": 0.1, "joint_std": [0.001]},
+    }
+    (tmp_path / "head.json").write_text(json.dumps(head))
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    for block in blocks("docs/using_a_calibration.md"):
+        if block.language == "python":
+            exec(compile(block.text, "using_a_calibration.md", "exec"), names)
+    assert (names["points"].status == vergence.Status.OK).all()
+    assert (names["narrow"].status == vergence.Status.OK).all()
+    np.testing.assert_allclose(names["xyz_head"][:, 0], [0.6, 0.72], atol=0.01)
+    printed = capsys.readouterr().out
+    assert printed.count("depth") == 2
+    assert "nan" not in printed

@@ -5,12 +5,13 @@ import sys
 import zipfile
 from pathlib import Path
 
+import vergence
 from vergence.twin.profile import shipped
 
 ROOT = Path(__file__).parents[1]
 
 
-def test_the_wheel_carries_model_and_profiles(tmp_path):
+def test_the_wheel_carries_model_profiles_types_and_version(tmp_path):
     command = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--quiet", "-w", str(tmp_path)]
     done = subprocess.run([*command, str(ROOT)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -19,4 +20,5 @@ def test_the_wheel_carries_model_and_profiles(tmp_path):
     scene = "vergence/models/cbi_head/scene.xml"
     assets = {f"vergence/{p.relative_to(ROOT)}" for p in (ROOT / "models").rglob("assets/*.png")}
     profiles = {f"vergence/twin/profiles/{name}.toml" for name in shipped()}
-    assert {scene, *assets, *profiles} <= names
+    assert {scene, *assets, *profiles, "vergence/py.typed"} <= names
+    assert wheel.name.startswith(f"vergence-{vergence.__version__}-")
