@@ -1,7 +1,7 @@
 """Settings that all tests share, and the markers by which a run is chosen.
 
 `pytest -m "not render and not slow"` is the short run. A test is marked `render` when it needs the
-twin's OpenGL, and `slow` when it takes more than about three seconds of processor time without it.
+twin's OpenGL, and `slow` when it takes more than about 1.5 s of processor time without.
 """
 
 import os
@@ -15,26 +15,42 @@ if sys.platform.startswith("linux"):
 import pytest
 from hypothesis import settings
 
-# Derandomised: a test that passes here passes everywhere. No deadline: machines are shared.
+# Derandomised, so that a run can be repeated. No deadline: machines are shared.
 settings.register_profile("vergence", deadline=None, derandomize=True, max_examples=50)
 settings.load_profile("vergence")
 
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "render: needs the twin's OpenGL")
-    config.addinivalue_line("markers", "slow: takes more than 3 s without rendering")
+    config.addinivalue_line(
+        "markers", "slow: takes more than 1.5 s of processor time without rendering"
+    )
 
 
 @pytest.fixture(scope="session")
 def opengl() -> None:
-    """Is requested by every fixture that renders, so that tests of such fixtures are marked."""
+    """Is requested by every fixture that renders: its tests are marked `render`."""
+
+
+@pytest.fixture(scope="session")
+def slow_setup() -> None:
+    """Is requested by every fixture that takes more than 1.5 s: its tests are marked `slow`."""
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
-        if "opengl" in getattr(item, "fixturenames", ()):
-            item.add_marker("render")
+        for fixture, marker in (("opengl", "render"), ("slow_setup", "slow")):
+            if fixture in getattr(item, "fixturenames", ()):
+                item.add_marker(marker)
+
+
+@pytest.fixture
+def few_views(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shorten the twin's calibration sequence, where a test does not depend on its accuracy."""
+    from vergence.twin.calibration_sequence import plan
+
+    monkeypatch.setitem(plan.__kwdefaults__, "views", (6, 4, 12))
 
 
 @pytest.hookimpl(wrapper=True)
