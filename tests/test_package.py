@@ -5,14 +5,11 @@ import sys
 import zipfile
 from pathlib import Path
 
-import pytest
-
 from vergence.twin.profile import shipped
 
 ROOT = Path(__file__).parents[1]
 
 
-@pytest.mark.slow
 def test_the_wheel_carries_model_and_profiles(tmp_path):
     command = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--quiet", "-w", str(tmp_path)]
     done = subprocess.run([*command, str(ROOT)], capture_output=True, text=True, check=False)

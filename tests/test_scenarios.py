@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.render
 ROOT = Path(__file__).parents[1]
 SHORT = ("--duration", "3", "--rate", "4", "--profile", "ideal")
 SCENARIOS = {
@@ -24,7 +25,6 @@ def test_every_paper_scenario_is_tested():
     assert set(SCENARIOS) <= paper
 
 
-@pytest.mark.render
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_scenario_runs_and_says_what_it_found(name, tmp_path):
     arguments, expected = SCENARIOS[name]
@@ -45,7 +45,6 @@ def test_scenario_names_its_own_command(name):
     assert f"python scenarios/{name}" in text
 
 
-@pytest.mark.render
 def test_the_benchmark_prints_its_ratio(tmp_path):
     done = subprocess.run(
         [sys.executable, str(ROOT / "benchmarks" / "replay.py"), "--samples", "8", "--rounds", "1"],
