@@ -24,9 +24,13 @@ WIDE = pinhole(640, 480, 280.0, (-0.12, 0.02, 0.0005, -0.0005, 0.0))
 
 
 def points_in_view(camera: Camera, n: int, rng: np.random.Generator) -> np.ndarray:
-    """Return points (n, 3) in frame cam whose pixels are spread over the image."""
-    pixels = rng.uniform([0, 0], [camera.width - 1, camera.height - 1], (n, 2))
+    """Return points (n, 3) in frame cam whose pixels are spread over the image.
+
+    Pixels beyond the fold of a strong distortion, where no point is seen, are left out.
+    """
+    pixels = rng.uniform([0, 0], [camera.width - 1, camera.height - 1], (4 * n, 2))
     xy = normalise(camera, pixels)
+    xy = xy[np.isfinite(xy).all(axis=1)][:n]
     return np.concatenate([xy, np.ones((n, 1))], axis=1) * rng.uniform(0.2, 3, (n, 1))
 
 

@@ -115,6 +115,8 @@ def test_missing_opengl_says_what_to_install():
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.usefixtures("few_views")
+@pytest.mark.render
 def test_the_seed_of_a_run_is_written_down(tmp_path, monkeypatch):
     out = tmp_path / "run"
     arguments = ["--figures", "6", "--duration", "2", "--rate", "4", "--seed", "3"]

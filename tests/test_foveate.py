@@ -41,6 +41,7 @@ def test_places_that_cannot_be_seen_are_drawn_anew_and_the_others_stay():
     np.testing.assert_array_equal(after[kept], before[kept])
 
 
+@pytest.mark.render
 def test_what_stands_in_the_room_is_in_the_way():
     with Twin(ErrorProfile()) as twin:
         box = transform(inverse(twin.T_world_lbase()), np.array([1.52, 0.12, 0.78]))
@@ -49,6 +50,7 @@ def test_what_stands_in_the_room_is_in_the_way():
     assert seen.tolist() == [False, False, True, True]
 
 
+@pytest.mark.render
 @pytest.mark.parametrize(("profile", "worst_px"), [("ideal", 1.0), ("paper", 15.0)])
 def test_an_object_that_appears_comes_to_the_centre_of_both_foveas(profile: str, worst_px: float):
     with Twin(load_profile(profile), seed=1) as twin:
@@ -80,6 +82,7 @@ def test_the_summary_counts_the_worse_eye():
     assert found.settle_s_p95 is None
 
 
+@pytest.mark.render
 def test_the_summary_is_written_as_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     def given(twin: Twin, seed: int) -> Settings:
         return Settings(calibration=twin.truth)
@@ -95,6 +98,7 @@ def test_the_summary_is_written_as_json(tmp_path: Path, monkeypatch: pytest.Monk
     assert (tmp_path / "new" / "depth.png").is_file()
 
 
+@pytest.mark.render
 def test_the_scenario_says_what_it_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):

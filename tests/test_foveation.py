@@ -200,6 +200,7 @@ def test_only_angles_within_all_limits_are_reachable():
     np.testing.assert_array_equal(reachable(angles, limits), [True, False, False, False])
 
 
+@pytest.mark.render
 def test_a_rendered_object_held_at_the_ideal_position_is_in_the_middle_of_the_fovea():
     """On the twin's own pictures, and with its truth: 0.3 px in all four images."""
     with Twin(load_profile("ideal"), seed=3) as twin:

@@ -36,7 +36,7 @@ class Recorded:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+def made(tmp_path_factory: pytest.TempPathFactory, opengl: None) -> Recorded:
     """Two runs of a quarter of a second; in the second the object is hidden at the end."""
     path = tmp_path_factory.mktemp("gaze") / "gaze.rrd"
     states: list[State] = []
@@ -160,6 +160,7 @@ def test_images_are_recorded_of_frames_that_have_them_of_all_cameras(made: Recor
         assert len(times) < len(made.frames)
 
 
+@pytest.mark.render
 def test_looking_on_changes_nothing(made: Recorded):
     with Twin(ErrorProfile(), seed=0) as twin:
         head = TwinHead(twin, 0, lambda _: TARGET, delivery=Delivery(all_every=4))

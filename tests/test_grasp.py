@@ -34,6 +34,7 @@ from vergence.vision.sphere import find_sphere
 ROOT = Path(__file__).parents[1]
 
 
+@pytest.mark.render
 def test_the_hand_closes_on_the_object_though_joints_and_arm_are_wrong(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ):
@@ -79,6 +80,7 @@ def test_the_command_line_prints_and_writes_the_summary(
     assert set(printed["by_distance"][0]) >= {"from_m", "to_m", "depth_scatter_mm", "eq20_mm"}
 
 
+@pytest.mark.render
 def test_hand_and_marker_are_drawn_where_they_are():
     with Twin(ErrorProfile()) as twin:
         hand = TwinHand(twin, np.array([0.45, 0.05, 0.18]), np.eye(4))
@@ -92,6 +94,7 @@ def test_hand_and_marker_are_drawn_where_they_are():
         np.testing.assert_allclose(pixel, expected, atol=0.15)
 
 
+@pytest.mark.render
 @pytest.mark.parametrize("direction", [(1.0, 0.2, 0.2), (1.0, -0.2, -0.2)])
 def test_an_open_hand_hides_neither_the_object_nor_the_marker(direction: tuple[float, ...]):
     where = np.array([0.0, -0.046, 0.0]) + 0.45 * np.array(direction)
@@ -113,6 +116,7 @@ def test_an_open_hand_hides_neither_the_object_nor_the_marker(direction: tuple[f
             np.testing.assert_allclose(found, expected, atol=0.1)
 
 
+@pytest.mark.render
 def test_nothing_but_the_marker_is_blue():
     with Twin(ErrorProfile()) as twin:
         twin.place_object(np.array([0.5, 0.0, 0.0]))
@@ -125,6 +129,7 @@ def test_nothing_but_the_marker_is_blue():
             assert int(cv2.subtract(blue, grey).max()) < 50  # a marker's edge begins at 100
 
 
+@pytest.mark.render
 def test_the_hand_keeps_its_limits_and_stops_where_it_is_sent():
     limits = Limits()
     with Twin(ErrorProfile()) as twin:

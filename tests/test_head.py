@@ -1,6 +1,7 @@
 """The calibration file, and the frames that follow from it."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from vergence.geometry.head import (
     load,
     save,
 )
-from vergence.geometry.kinematics import T_base_eye, T_body_head
+from vergence.geometry.kinematics import Neck
 from vergence.geometry.se3 import inverse, transform
 
 
@@ -69,15 +70,22 @@ def test_the_left_eye_is_on_the_left():
     assert T_head_base(plain_head(0.09, 280.0), "left")[1, 3] == pytest.approx(0.045)
 
 
-def test_frames_compose(head: HeadCalibration):
-    angles, neck = np.array([[0.1, -0.2]]), np.array([[0.1, 0.2, -0.3]])
-    np.testing.assert_allclose(
-        T_base_cam(head, "right_wide", angles),
-        T_base_eye(angles, head.axes["right"]) @ head.cameras["right_wide"].T_eye_cam,
-    )
-    np.testing.assert_allclose(
-        T_body_base(head, "right", neck), T_body_head(head.neck, neck) @ T_head_base(head, "right")
-    )
+def test_a_camera_moves_with_pan_then_with_the_neck():
+    """A camera 20 mm ahead of the left eye's axes, a baseline of 90 mm, and a yaw of the neck."""
+    ahead = (0.02, 0.0, 0.0)
+    neck = Neck(axes=np.array([[0.0, 0, 1]]), points_m=np.zeros((1, 3)), head_m=np.array([0, 0, 1]))
+    head = replace(plain_head(0.09, 280.0, camera_m=(ahead, ahead)), neck=neck)
+    quarter = np.pi / 2
+    for pan, yaw, where, towards in (
+        (0.0, 0.0, (0.02, 0.045, 1.0), (1, 0, 0)),
+        (quarter, 0.0, (0.0, 0.065, 1.0), (0, 1, 0)),
+        (0.0, quarter, (-0.045, 0.02, 1.0), (0, 1, 0)),
+        (quarter, quarter, (-0.065, 0.0, 1.0), (-1, 0, 0)),
+    ):
+        T_lbase_cam = T_base_cam(head, "left_wide", np.array([pan, 0.0]))
+        T_body_cam = T_body_base(head, "left", np.array([yaw])) @ T_lbase_cam
+        np.testing.assert_allclose(T_body_cam[:3, 3], where, atol=1e-15)
+        np.testing.assert_allclose(T_body_cam[:3, 2], towards, atol=1e-15)
 
 
 def test_the_pose_of_the_wide_camera_in_the_narrow_one_maps_wide_to_narrow(head: HeadCalibration):

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vergence.geometry.kinematics import EYE_JOINTS, EyeAxes, Neck, T_base_eye, T_body_head
+from vergence.geometry.kinematics import EyeAxes, Neck, T_base_eye, T_body_head
 from vergence.geometry.se3 import rotation, transform
 
 FORWARD, LEFT, UP = np.eye(3)
@@ -56,10 +56,6 @@ def test_eye_angles_may_have_any_leading_dimensions():
     T = T_base_eye(angles)
     assert T.shape == (3, 5, 4, 4)
     np.testing.assert_allclose(T[2, 4], T_base_eye(angles[2, 4]), atol=1e-15)
-
-
-def test_the_left_eye_stands_first_and_pan_before_tilt():
-    assert EYE_JOINTS == ("left_pan", "left_tilt", "right_pan", "right_tilt")
 
 
 def test_each_neck_joint_carries_those_after_it():

@@ -161,7 +161,7 @@ def test_a_camera_that_never_saw_the_board_is_an_error():
 
 
 @pytest.fixture(scope="module")
-def rendered() -> tuple[HeadCalibration, Views, Views]:
+def rendered(opengl: None) -> tuple[HeadCalibration, Views, Views]:
     """The true head, corners found in some clean renders of the sequence, and the true ones."""
     with Twin(AS_BUILT, seed=0) as twin:
         shots = plan(twin.nominal, 0)
@@ -231,6 +231,7 @@ def test_zhangs_method_on_clean_renders_finds_the_rays(
         assert fit.rms_px < 0.06
 
 
+@pytest.mark.slow
 def test_the_same_corners_give_the_same_digits():
     """OpenCV's own sums differ from run to run in their last digits when it uses threads."""
     profile = ErrorProfile()

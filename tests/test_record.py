@@ -38,7 +38,7 @@ PROFILE = ErrorProfile.model_validate(
 
 
 @pytest.fixture(scope="module", params=["chessboard", "charuco"])
-def recorded(request, tmp_path_factory) -> tuple[Dataset, Detections, Truth]:
+def recorded(request, tmp_path_factory, opengl: None) -> tuple[Dataset, Detections, Truth]:
     """A small recording with moving frames at its end."""
     out = tmp_path_factory.mktemp("out") / request.param
     images = record(out, profile=PROFILE, seed=2, frames=14, target=request.param, moving=12)
@@ -129,6 +129,7 @@ def test_a_wrongly_printed_board_is_true_only_in_the_truth(recorded):
     assert truth.board in (BOARD, CHARUCO)
 
 
+@pytest.mark.render
 def test_the_same_seed_gives_the_same_dataset(tmp_path):
     for name in ("a", "b"):
         record(tmp_path / name, profile=load_profile("ideal"), seed=3, frames=12)

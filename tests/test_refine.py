@@ -45,7 +45,7 @@ def test_an_exact_recording_gives_the_head_exactly():
 
 
 @pytest.fixture(scope="module")
-def noisy_heads() -> list[tuple[HeadCalibration, Refined]]:
+def noisy_heads(slow_setup: None) -> list[tuple[HeadCalibration, Refined]]:
     """Six heads with joint noise of 0.05 degrees, 0.1 px, and images 15 ms late."""
     results = []
     for seed in range(6):

@@ -75,7 +75,7 @@ def test_an_exact_recording_gives_the_mounting_exactly(seed: int):
 
 
 @pytest.fixture(scope="module")
-def trials() -> list[tuple[Recording, EyeCamera, EyeCamera]]:
+def trials(slow_setup: None) -> list[tuple[Recording, EyeCamera, EyeCamera]]:
     """Thirty recordings with 0.1 degrees and 0.1 px, refined with latent and with exact joints."""
     recordings = [record(k, joint_std=np.radians(0.1), pixel_std_px=0.1) for k in range(30)]
     # Without robustness: exact joints would take half of the views for outliers.
@@ -110,6 +110,7 @@ def test_good_recordings_give_no_warnings(trials):
     assert not any(found.warnings for _, found, _ in trials)
 
 
+@pytest.mark.slow
 def test_without_joint_noise_the_result_is_that_of_exact_joints():
     recordings = [record(k, pixel_std_px=0.1) for k in range(12)]
     latent = [size(solve(r).T_eye_cam, r.T_eye_cam) for r in recordings]

@@ -46,6 +46,7 @@ def point_level(profile_name: str, seed: int, samples: int = 640) -> tuple[np.nd
     return np.array(std), np.array(error)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
 def test_one_set_of_sources_gives_the_spreads_of_all_six_figures(seed):
     std, error = point_level("paper", seed)
@@ -65,6 +66,7 @@ def test_the_profile_paper_names_its_fitted_numbers():
         assert str(fitted.value) in values, f"{fitted.name} is not what the profile says"
 
 
+@pytest.mark.slow
 def test_noise_alone_makes_divergent_motion_no_worse_than_parallel():
     """The paper's ratios are 2.0, 1.55 and 1.53."""
     depth = np.mean([point_level("noise-only", seed, 1500)[0][:, 0] for seed in range(3)], axis=0)
@@ -72,7 +74,7 @@ def test_noise_alone_makes_divergent_motion_no_worse_than_parallel():
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory) -> Path:
+def run(tmp_path_factory, opengl: None) -> Path:
     """Figs. 6 and 7 over their full periods, coarsely sampled, on rendered images."""
     out = tmp_path_factory.mktemp("paper")
     reproduce(out, figures=(7, 6), profile=load_profile("paper"), seed=0, rate_hz=1.2)
@@ -127,6 +129,8 @@ def short(out: Path, seed: int) -> dict:
     return statistics(out)["figures"]["6"]
 
 
+@pytest.mark.usefixtures("few_views")
+@pytest.mark.render
 def test_the_same_seed_gives_the_same_digits_and_another_seed_others(tmp_path):
     first, again, other = (
         short(tmp_path / "a", 1),
@@ -137,6 +141,8 @@ def test_the_same_seed_gives_the_same_digits_and_another_seed_others(tmp_path):
     assert first["std_m"] != other["std_m"]
 
 
+@pytest.mark.usefixtures("few_views")
+@pytest.mark.render
 def test_an_interrupted_run_leaves_the_finished_figures(tmp_path, monkeypatch):
     def interrupted(twin, believed, figure, *args, **kwargs):
         if figure.number == 7:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.render
 ROOT = Path(__file__).parents[1]
 SHORT = ("--duration", "3", "--rate", "4", "--profile", "ideal")
 SCENARIOS = {

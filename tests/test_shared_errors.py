@@ -20,7 +20,7 @@ def bent(corners: np.ndarray, size_px: float) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def heads() -> tuple[HeadCalibration, Refined, Refined, Refined]:
+def heads(slow_setup: None) -> tuple[HeadCalibration, Refined, Refined, Refined]:
     """A head and three calibrations of it.
 
     Of the second the left images share an error of 0.4 px; the third is told that all share 1 px.

@@ -62,7 +62,7 @@ def test_the_centre_has_no_error_that_follows_the_pixel_grid():
     assert np.abs(errors).max() < 0.02
 
 
-@pytest.mark.parametrize("depth", [0.06, 0.15, 0.3, 0.6, 1.2])
+@pytest.mark.parametrize("depth", [pytest.param(0.06, marks=pytest.mark.slow), 0.15, 0.3, 0.6, 1.2])
 def test_near_and_far_spheres_are_found_alike(depth: float):
     pixel = (440.0, 270.0)
     assert np.abs(find_sphere(picture(WIDE, at(WIDE, pixel, depth)), WIDE) - pixel).max() < 0.02

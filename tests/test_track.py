@@ -35,6 +35,7 @@ def test_paths_keep_to_their_space_and_come_to_the_stated_speed(seed: int):
     assert speeds.max() == pytest.approx(SPEED_M_S, rel=0.02)
 
 
+@pytest.mark.render
 def test_a_moving_object_stays_on_both_foveas_and_is_found_again_after_it_was_hidden():
     with Twin(load_profile("paper"), seed=1) as twin:
         settings = Settings(calibration=twin.truth, joint_std_rad=2.6e-3)
@@ -46,6 +47,7 @@ def test_a_moving_object_stays_on_both_foveas_and_is_found_again_after_it_was_hi
     assert 0 < found.wide_rms_m < 0.1
 
 
+@pytest.mark.render
 def test_a_gaze_shift_shared_with_the_neck_keeps_the_image_still():
     """Nearly 60 degrees, on the twin's own heavy neck: less than 20 px while it turns."""
     before, after = (0.9 * np.array([np.cos(a), np.sin(a), 0.1]) for a in np.radians([-26.0, 26.0]))
@@ -74,6 +76,7 @@ def test_a_gaze_shift_shared_with_the_neck_keeps_the_image_still():
     assert np.degrees(np.ptp(angles[:, 2])) > 30
 
 
+@pytest.mark.render
 def test_the_summary_is_written_as_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     def given(twin: Twin, seed: int) -> Settings:
         return Settings(calibration=twin.truth)
@@ -87,6 +90,7 @@ def test_the_summary_is_written_as_json(tmp_path: Path, monkeypatch: pytest.Monk
     np.testing.assert_allclose(times, FRAME_S * np.arange(37), atol=1e-9)
 
 
+@pytest.mark.render
 def test_the_scenario_says_what_it_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
@@ -99,6 +103,7 @@ def test_the_scenario_says_what_it_found(
     assert re.search(r"in both narrow images in \d+\.\d% of \d+", capsys.readouterr().out)
 
 
+@pytest.mark.render
 def test_stereo_by_the_narrow_images_beats_that_by_the_wide_ones():
     """Eq. 20: in proportion to the focal lengths, if the pixels are as good."""
     with Twin(load_profile("ideal"), seed=2) as twin:

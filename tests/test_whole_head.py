@@ -10,7 +10,7 @@ TRIALS = 5
 
 
 @pytest.fixture(scope="module")
-def trials() -> list[monte_carlo.Trial]:
+def trials(slow_setup: None) -> list[monte_carlo.Trial]:
     return [monte_carlo.run(0, number) for number in range(TRIALS)]
 
 
@@ -28,6 +28,7 @@ def test_regions_of_whole_heads_hold_the_truth(trials):
     assert kinds == set(monte_carlo.KINDS)
 
 
+@pytest.mark.slow
 def test_what_passes_for_unobservable_before_the_noise_has_settled_is_released():
     """Exact readings are outliers at first here, and with them all that tells a gain of 2.5 %."""
     trial = monte_carlo.run(0, 450)

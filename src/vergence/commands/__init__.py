@@ -1,0 +1,1 @@
+"""What the command line runs: record a dataset, report and evaluate a calibration."""

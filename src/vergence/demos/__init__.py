@@ -1,0 +1,1 @@
+"""Demonstrations on the twin: foveate an object, track it, grasp it."""

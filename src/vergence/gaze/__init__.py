@@ -1,0 +1,1 @@
+"""Gaze control: where an object is, where the eyes should look, and the joint commands."""

@@ -1,0 +1,1 @@
+"""Calibrations in the formats of other software: Kalibr, ROS, OpenCV and URDF."""

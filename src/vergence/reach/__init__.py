@@ -1,0 +1,1 @@
+"""Visually guided reaching: move a hand to the object that the eyes look at."""

@@ -1,0 +1,1 @@
+"""Points in space from pixels of two moving cameras, with their covariance."""

@@ -1,0 +1,1 @@
+"""Recordings for the rerun viewer, and figures by matplotlib."""

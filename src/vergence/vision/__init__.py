@@ -1,0 +1,1 @@
+"""What is found in images: corners of calibration boards and coloured spheres."""

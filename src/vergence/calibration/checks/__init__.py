@@ -1,0 +1,1 @@
+"""Checks of recordings: encoders, excitation, board flips, cross-validation."""

@@ -1,0 +1,1 @@
+"""The paper's calibration, step by step: intrinsics, static stereo, hand-eye."""
