@@ -43,7 +43,15 @@ ROOMS = (
 before it, and the core does not import it.
 """
 CORE = ROOMS[: ROOMS.index("vergence") + 1]
-CALIBRATION = ("observations", "sequential", "detection", "bundle", "checks", "calibrate")
+CALIBRATION = (
+    "observations",
+    "sequential",
+    "detection",
+    "bundle",
+    "checks",
+    "summary",
+    "calibrate",
+)
 """The same order inside the largest room; modules and subfolders that it lacks do not matter."""
 
 CORE_LIBRARIES = ("numpy", "scipy", "cv2", "pydantic", "yaml")
@@ -100,8 +108,11 @@ def imported_names(node: ast.AST, package: str) -> list[str]:
     if isinstance(node, ast.Call) and ast.unparse(node.func).endswith(
         ("import_module", "__import__")
     ):
-        (argument, *_) = node.args
-        return [absolute(str(ast.literal_eval(argument)), package)]
+        argument = node.args[0]
+        # Of a name that is put together, its beginning.
+        known = argument.values[0] if isinstance(argument, ast.JoinedStr) else argument
+        name = str(ast.literal_eval(known)) if isinstance(known, ast.Constant) else "unknown"
+        return [absolute(name, package).rstrip(".")]
     return []
 
 
