@@ -1,7 +1,7 @@
 """Settings that all tests share, and the markers by which a run is chosen.
 
 `pytest -m "not render and not slow"` is the short run. A test is marked `render` when it needs the
-twin's OpenGL, and `slow` when it takes more than about 1.5 s of processor time without.
+twin's OpenGL, and `slow` when it, or its file as a whole, takes seconds of processor time without.
 """
 
 import os
@@ -22,9 +22,7 @@ settings.load_profile("vergence")
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "render: needs the twin's OpenGL")
-    config.addinivalue_line(
-        "markers", "slow: takes more than 1.5 s of processor time without rendering"
-    )
+    config.addinivalue_line("markers", "slow: takes seconds of processor time without rendering")
 
 
 @pytest.fixture(scope="session")
@@ -34,7 +32,7 @@ def opengl() -> None:
 
 @pytest.fixture(scope="session")
 def slow_setup() -> None:
-    """Is requested by every fixture that takes more than 1.5 s: its tests are marked `slow`."""
+    """Is requested by every fixture that takes more than 2 s: its tests are marked `slow`."""
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -24,6 +24,8 @@ from vergence.geometry.se3 import pose
 QUIET = Recording(reach_rad=(0.3, 0.3), joint_std_rad=np.radians(0.05))
 METHODS: tuple[Method, ...] = ("refined", "paper")
 
+pytestmark = pytest.mark.slow  # whole calibrations, by both methods
+
 
 def recorded(seed: int, *, narrow: bool = False) -> tuple[HeadCalibration, Observations]:
     rng = np.random.default_rng(seed)
@@ -147,7 +149,6 @@ def write_folder(folder: Path, seen: Observations, eyes: dict[str, Side]) -> Non
     write_dataset(folder, table, about, images)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("poses", [False, True])
 def test_other_heads_go_all_the_way_from_a_folder_to_a_report(
     poses: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys

@@ -20,6 +20,9 @@ ROUGHLY = pose(rotation([0.02, -0.02, 0.02]), [0.012, -0.015, 0.01])
 """Of an arm that is not quite where it is believed to be."""
 
 
+pytestmark = pytest.mark.slow  # closed loops, of many seconds each
+
+
 def run(
     head: DrawnHeadWithHand,
     seconds: float,

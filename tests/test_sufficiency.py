@@ -16,6 +16,8 @@ from vergence.geometry.se3 import pose, rotation, transform
 
 METHODS: tuple[Method, ...] = ("refined", "paper")
 
+pytestmark = pytest.mark.slow  # whole calibrations, by both methods
+
 
 def recorded(recording: Recording, seed: int = 0) -> Observations:
     rng = np.random.default_rng(seed)
