@@ -20,11 +20,6 @@ settings.register_profile("vergence", deadline=None, derandomize=True, max_examp
 settings.load_profile("vergence")
 
 
-def pytest_configure(config: pytest.Config) -> None:
-    config.addinivalue_line("markers", "render: needs the twin's OpenGL")
-    config.addinivalue_line("markers", "slow: takes seconds of processor time without rendering")
-
-
 @pytest.fixture(scope="session")
 def opengl() -> None:
     """Is requested by every fixture that renders: its tests are marked `render`."""
