@@ -14,7 +14,6 @@ from vergence.gaze.foveation import (
     ideal_wide_pixel,
     ideal_wide_slope,
     project_both,
-    reachable,
     wide_from_narrow,
 )
 from vergence.geometry.camera import Camera, project
@@ -192,12 +191,6 @@ def test_points_that_no_gaze_centres_are_nan_and_leave_the_others_alone():
     np.testing.assert_array_equal(np.isfinite(angles).all(axis=1), [False] * 3 + [True, False])
     alone = eye_angles_to(head(0), "left", points[3])
     np.testing.assert_allclose(alone, angles[3], atol=1e-14)
-
-
-def test_only_angles_within_all_limits_are_reachable():
-    limits = np.array([[-0.6, 0.6], [-0.5, 0.5]])
-    angles = np.array([[0.1, 0.1], [0.7, 0], [0, -0.6], [np.nan, 0]])
-    np.testing.assert_array_equal(reachable(angles, limits), [True, False, False, False])
 
 
 def test_a_rendered_object_held_at_the_ideal_position_is_in_the_middle_of_the_fovea():
