@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vergence.demos import foveate as module
+from vergence.demos import setup
 from vergence.demos.foveate import Trial, foveate, run_trial, summary, targets
 from vergence.errors import VergenceError
-from vergence.gaze.controller import Settings
+from vergence.gaze.state import GazeSettings
 from vergence.geometry.se3 import inverse, transform
 from vergence.twin.head import Twin
-from vergence.twin.occlusion import in_sight
+from vergence.twin.occlusion import unoccluded
 from vergence.twin.profile import ErrorProfile, load_profile
 from vergence.viewer.reading import read_series
 
@@ -45,14 +45,14 @@ def test_what_stands_in_the_room_is_in_the_way():
     with Twin(ErrorProfile()) as twin:
         box = transform(inverse(twin.T_world_lbase()), np.array([1.52, 0.12, 0.78]))
         beyond, before, beside = 1.2 * box, 0.5 * box, box + np.array([0, 0.5, 0.3])
-        seen = in_sight(twin, np.array([box, beyond, before, beside]), margin_m=0.02)
+        seen = unoccluded(twin, np.array([box, beyond, before, beside]), margin_m=0.02)
     assert seen.tolist() == [False, False, True, True]
 
 
 @pytest.mark.parametrize(("profile", "worst_px"), [("ideal", 1.0), ("paper", 15.0)])
 def test_an_object_that_appears_comes_to_the_centre_of_both_foveas(profile: str, worst_px: float):
     with Twin(load_profile(profile), seed=1) as twin:
-        settings = Settings(calibration=twin.truth, joint_std_rad=2.6e-3)
+        settings = GazeSettings(calibration=twin.truth, joint_std_rad=2.6e-3)
         trials = [run_trial(twin, settings, k, target) for k, target in enumerate(targets(3, 7))]
     for trial in trials:
         assert not trial.lost
@@ -81,10 +81,10 @@ def test_the_summary_counts_the_worse_eye():
 
 
 def test_the_summary_is_written_as_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    def given(twin: Twin, seed: int) -> Settings:
-        return Settings(calibration=twin.truth)
+    def given(twin: Twin, seed: int) -> GazeSettings:
+        return GazeSettings(calibration=twin.truth)
 
-    monkeypatch.setattr(module, "calibrated", given)
+    monkeypatch.setattr(setup, "calibrate_twin", given)
     found, trials = foveate(trials=1, seed=2, profile=ErrorProfile(), out=tmp_path / "new")
     written = json.loads((tmp_path / "new" / "foveate.json").read_text())
     assert list(written) == ["trials", "median_px", "p95_px", "settle_s_p95", "lost"]
@@ -98,10 +98,10 @@ def test_the_summary_is_written_as_json(tmp_path: Path, monkeypatch: pytest.Monk
 def test_the_scenario_says_what_it_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    def given(twin: Twin, seed: int) -> Settings:
-        return Settings(calibration=twin.truth)
+    def given(twin: Twin, seed: int) -> GazeSettings:
+        return GazeSettings(calibration=twin.truth)
 
-    monkeypatch.setattr(module, "calibrated", given)
+    monkeypatch.setattr(setup, "calibrate_twin", given)
     runpy.run_path(str(SCENARIO))["main"](out=tmp_path, trials=1)
     assert re.search(r"distance from the centre: median 0\.\d\d px", capsys.readouterr().out)
 

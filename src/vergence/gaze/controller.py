@@ -7,8 +7,9 @@ One law serves all phases. The object's pixel in an eye's image, together with t
 at the time of the image, gives the direction to the object, and the track gives the depth; the goal
 is the angles that centre this point. With the narrow image the loop is closed: once the error is
 zero the goal is the present posture, whatever the gains of the joints. With the wide image it
-follows Eqs. 18-19. The goal moves as the angles to the tracked point change, by the point's velocity
-and by the motion of the neck: the feed-forward of smooth pursuit, and the vestibulo-ocular reflex.
+follows Eqs. 18-19. The goal moves as the angles to the tracked point change, by the velocity of the
+point and by the motion of the neck: the feed-forward of smooth pursuit, and the vestibulo-ocular
+reflex.
 """
 
 from __future__ import annotations
@@ -182,7 +183,9 @@ def _turn_neck(settings: GazeSettings, state: GazeState, eyes: Array, now_s: flo
     return replace(state, neck_turning=bool(turning), neck_rate=np.where(blocked, 0.0, rate))
 
 
-def _send(settings: GazeSettings, state: GazeState, goal: Array, rate: Array, now_s: float) -> GazeState:
+def _send(
+    settings: GazeSettings, state: GazeState, goal: Array, rate: Array, now_s: float
+) -> GazeState:
     """Return the state with the command for eyes and neck, and the phase that it implies.
 
     Args:

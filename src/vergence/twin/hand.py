@@ -1,8 +1,8 @@
 """A simulated hand behind the interface `HandDriver`, on an arm that is not simulated.
 
 The hand moves freely to where it is sent, within limits of speed and acceleration. Its encoders are
-exact, but the mounting of the arm on the body is known only roughly: the hand's pose by its encoders
-differs from the true one by a constant transform, which the vision side cannot observe directly.
+exact, but the mounting of the arm on the body is known only roughly: the hand's pose by its
+encoders differs from the true one by a constant transform, which the cameras do not show.
 """
 
 from __future__ import annotations

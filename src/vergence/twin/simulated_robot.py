@@ -162,7 +162,7 @@ def foveal_errors(twin: Twin, calibration: HeadCalibration) -> Array:
     """
     centres = [calibration.camera(name).intrinsics.matrix[:2, 2] for name in NARROW]
     errors = [
-        np.linalg.norm(pixel - centre)
+        float(np.linalg.norm(pixel - centre))
         for pixel, centre in zip(_true_pixels(twin), centres, strict=True)
     ]
     return np.nan_to_num(np.array(errors), nan=np.inf)
