@@ -70,9 +70,7 @@ def main(profile: str = "ideal", runs: int = 20, seconds: float = 60.0, out: Pat
     ):
         print(f"{name}: {met.sum()} of {len(met)} runs")
     gain = 1 - (values["position_rms_m"] / values["single_frame_rms_m"]) ** 2
-    print(
-        f"squared error removed by fusing: median {np.median(gain):.2%}, least {gain.min():.2%}"
-    )
+    print(f"squared error removed by fusing: median {np.median(gain):.2%}, least {gain.min():.2%}")
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from vergence.twin.occlusion import unoccluded
 from vergence.twin.profile import ErrorProfile, load_profile
 from vergence.viewer.reading import read_series
 
-SCENARIO = Path(__file__).parents[1] / "scenarios" / "foveate.py"
+SCENARIO = Path(__file__).parents[1] / "scenarios" / "gaze_demos.py"
 
 
 def test_targets_fill_the_stated_space_and_follow_the_seed():
@@ -102,7 +102,7 @@ def test_the_scenario_says_what_it_found(
         return GazeSettings(calibration=twin.truth)
 
     monkeypatch.setattr(setup, "calibrate_twin", given)
-    runpy.run_path(str(SCENARIO))["main"](out=tmp_path, trials=1)
+    runpy.run_path(str(SCENARIO))["foveate"](out=tmp_path, trials=1)
     assert re.search(r"distance from the centre: median 0\.\d\d px", capsys.readouterr().out)
 
 

@@ -47,8 +47,8 @@ def test_the_hand_closes_on_the_object_though_joints_and_arm_are_wrong(
 
     monkeypatch.setattr(setup, "calibrate_twin", given)
     monkeypatch.setattr(module, "held_out", near)
-    scenario = runpy.run_path(str(ROOT / "scenarios" / "grasp.py"))
-    scenario["main"](out=tmp_path, profile="paper", seed=1, trials=1)
+    scenario = runpy.run_path(str(ROOT / "scenarios" / "gaze_demos.py"))
+    scenario["grasp"](out=tmp_path, profile="paper", seed=1, trials=1)
     assert "within 10 mm of the centre: 100% of 1" in capsys.readouterr().out
     found = json.loads((tmp_path / "grasp.json").read_text())
     assert (tmp_path / "grasp.rrd").stat().st_size > 10_000
@@ -215,8 +215,3 @@ def test_a_summary_of_trials_that_all_failed_has_no_distances():
 def test_what_cannot_be_is_refused(trials: int, seed: int):
     with pytest.raises(VergenceError, match=r"trials|The seed"):
         grasp(trials=trials, seed=seed, profile=ErrorProfile())
-
-
-def test_the_scenario_names_its_own_command():
-    text = (ROOT / "scenarios" / "grasp.py").read_text()
-    assert "python scenarios/grasp.py" in text

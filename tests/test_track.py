@@ -22,7 +22,7 @@ from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors
 from vergence.viewer.reading import read_series
 
 LENSES = ("wide", "narrow")
-SCENARIO = Path(__file__).parents[1] / "scenarios" / "track.py"
+SCENARIO = Path(__file__).parents[1] / "scenarios" / "gaze_demos.py"
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -97,7 +97,7 @@ def test_the_scenario_says_what_it_found(
 
     monkeypatch.setattr(setup, "calibrate_twin", given)
     monkeypatch.setattr(module, "SHORTEST_S", 0.7)
-    runpy.run_path(str(SCENARIO))["main"](out=tmp_path, seconds=0.7)
+    runpy.run_path(str(SCENARIO))["track"](out=tmp_path, seconds=0.7)
     assert re.search(r"in both narrow images in \d+\.\d% of \d+", capsys.readouterr().out)
 
 

@@ -165,7 +165,7 @@ class InnovationRatio:
     total: float = _PRIOR_COUNT
     """Sum of the squared deviations, each relative to its stated variance, fading with age."""
     count: float = _PRIOR_COUNT
-    """Number of measurements in the sum, fading likewise."""
+    """Number of measurements in the sum, fading with age too."""
 
     @property
     def value(self) -> float:
