@@ -2,7 +2,7 @@
 
     python benchmarks/gaze_shifts.py [--profile ideal] [--shifts 40] [--seed 0]
 
-The twin is calibrated and looks at objects that appear one after the other.
+The twin is calibrated and turns to objects that appear one after the other.
 """
 
 from dataclasses import replace

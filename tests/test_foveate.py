@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vergence.demos import setup
+from vergence.demos import experiment
 from vergence.demos.foveate import Trial, foveate, run_trial, summary, targets
 from vergence.errors import VergenceError
 from vergence.gaze.state import GazeSettings
@@ -59,12 +59,11 @@ def test_an_object_that_appears_comes_to_the_centre_of_both_foveas(profile: str,
         assert trial.time_s[-1] <= 0.5
         assert trial.final_px < worst_px
         assert trial.errors_px[0].max() > 10
-    assert {trial.phases[0] for trial in trials} == {"saccade"}
 
 
 def made(*errors: float, lost: bool = False) -> Trial:
     both = np.array([[error, 0.0] for error in errors])
-    return Trial(np.zeros(3), 0.1 * np.arange(len(errors)), both, ("saccade",) * len(errors), lost)
+    return Trial(np.zeros(3), 0.1 * np.arange(len(errors)), both, lost)
 
 
 def test_a_trial_settles_when_it_stays_within_the_bound():
@@ -84,7 +83,7 @@ def test_the_summary_is_written_as_json(tmp_path: Path, monkeypatch: pytest.Monk
     def given(twin: Twin, seed: int) -> GazeSettings:
         return GazeSettings(calibration=twin.truth)
 
-    monkeypatch.setattr(setup, "calibrate_twin", given)
+    monkeypatch.setattr(experiment, "calibrate_twin", given)
     found, trials = foveate(trials=1, seed=2, profile=ErrorProfile(), out=tmp_path / "new")
     written = json.loads((tmp_path / "new" / "foveate.json").read_text())
     assert list(written) == ["trials", "median_px", "p95_px", "settle_s_p95", "lost"]
@@ -101,7 +100,7 @@ def test_the_scenario_says_what_it_found(
     def given(twin: Twin, seed: int) -> GazeSettings:
         return GazeSettings(calibration=twin.truth)
 
-    monkeypatch.setattr(setup, "calibrate_twin", given)
+    monkeypatch.setattr(experiment, "calibrate_twin", given)
     runpy.run_path(str(SCENARIO))["foveate"](out=tmp_path, trials=1)
     assert re.search(r"distance from the centre: median 0\.\d\d px", capsys.readouterr().out)
 

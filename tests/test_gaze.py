@@ -180,7 +180,7 @@ def test_gains_and_noise_of_the_readings_do_not_reach_the_fovea():
     assert np.quantile(done.after(0.5), 0.95) < 3
 
 
-def test_what_only_one_eye_sees_is_looked_at_by_both():
+def test_both_eyes_turn_to_an_object_that_only_one_sees():
     hidden = point_at(50, 0, 0.25)  # beyond the right eye's image, within the left one's
     done = run(DrawnHead(lambda _: hidden), 1.5, replace(SETTINGS, use_neck=True))
     assert done.phases[-1] is not GazePhase.LOST

@@ -17,7 +17,7 @@ from vergence.gaze.foveation import ideal_wide_pixel
 from vergence.gaze.state import GazeSettings, GazeState, initial_gaze_state
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
-from vergence.twin.simulated_robot import FRAME_S, FrameTiming, SimulatedHead, foveal_errors
+from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors
 from vergence.viewer.gaze import aims, moment
 from vergence.viewer.reading import read_series
 
@@ -51,7 +51,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
                     twin,
                     run,
                     lambda t, run=run: TARGET if run == 0 or t < HIDDEN_S else None,
-                    timing=FrameTiming(all_cameras_every=4),
+                    all_cameras_every=4,
                 )
                 show = partial(watch, lanes={"run": f"{run}"}, hand=HAND)
 
@@ -165,7 +165,7 @@ def test_images_are_recorded_of_frames_that_have_them_of_all_cameras(made: Recor
 
 def test_looking_on_changes_nothing(made: Recorded):
     with Twin(ErrorProfile(), seed=0) as twin:
-        head = SimulatedHead(twin, 0, lambda _: TARGET, timing=FrameTiming(all_cameras_every=4))
+        head = SimulatedHead(twin, 0, lambda _: TARGET, all_cameras_every=4)
         states: list[GazeState] = []
         run_gaze(
             head,

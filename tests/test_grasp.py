@@ -15,8 +15,8 @@ from drawn_hand import MARKER_HAND
 from drawn_head import four_cameras
 from vergence import cli
 from vergence.arrays import Array
+from vergence.demos import experiment
 from vergence.demos import grasp as module
-from vergence.demos import setup
 from vergence.demos.depth_error_by_range import EDGES_M, DepthSample, bin_by_range
 from vergence.demos.grasp import FAR_M, NEAR_M, WITHIN_M, grasp, held_out, summary
 from vergence.errors import VergenceError
@@ -45,7 +45,7 @@ def test_the_hand_closes_on_the_object_though_joints_and_arm_are_wrong(
     def near(*_: int) -> Callable[[float], Array]:
         return lambda t: np.array([0.42, 0.06 + 0.01 * np.sin(2 * t), -0.02])
 
-    monkeypatch.setattr(setup, "calibrate_twin", given)
+    monkeypatch.setattr(experiment, "calibrate_twin", given)
     monkeypatch.setattr(module, "held_out", near)
     scenario = runpy.run_path(str(ROOT / "scenarios" / "gaze_demos.py"))
     scenario["grasp"](out=tmp_path, profile="paper", seed=1, trials=1)

@@ -23,7 +23,7 @@ from vergence.reach.state import (
 SETTINGS = ReachSettings(gaze=GazeSettings(calibration=four_cameras()), marker_hand=MARKER_HAND)
 OBJECT = point_at(5, 6, 0.45)
 ROUGHLY = pose(rotation([0.02, -0.02, 0.02]), [0.012, -0.015, 0.01])
-"""Of an arm that is not quite where it is believed to be."""
+"""A mounting error of the arm."""
 
 
 def run(
@@ -73,7 +73,7 @@ def test_the_hand_reaches_is_servoed_and_closes_as_more_is_known():
     assert unsure_m > 2 * sure_m
 
 
-def test_it_does_not_rest_on_where_the_arm_is_believed_to_be_nor_on_the_calibration():
+def test_the_grasp_tolerates_errors_of_the_mounting_and_of_the_calibration():
     """A baseline wrong by 4 %, as a gain of the joints makes it, and an arm off by 20 mm."""
     head = four_cameras()
     wrong = replace(head, T_rbase_lbase=pose(t=1.04 * head.T_rbase_lbase[:3, 3]))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from vergence.arrays import Array
-from vergence.demos import setup
+from vergence.demos import experiment
 from vergence.demos import track as module
 from vergence.demos.track import SPEED_M_S, follow, smooth_path, track
 from vergence.errors import VergenceError
@@ -80,7 +80,7 @@ def test_the_summary_is_written_as_json(tmp_path: Path, monkeypatch: pytest.Monk
     def given(twin: Twin, seed: int) -> GazeSettings:
         return GazeSettings(calibration=twin.truth)
 
-    monkeypatch.setattr(setup, "calibrate_twin", given)
+    monkeypatch.setattr(experiment, "calibrate_twin", given)
     monkeypatch.setattr(module, "SHORTEST_S", 1.0)
     found = track(seconds=1.2, profile=ErrorProfile(), out=tmp_path)
     written = json.loads((tmp_path / "track.json").read_text())
@@ -95,7 +95,7 @@ def test_the_scenario_says_what_it_found(
     def given(twin: Twin, seed: int) -> GazeSettings:
         return GazeSettings(calibration=twin.truth)
 
-    monkeypatch.setattr(setup, "calibrate_twin", given)
+    monkeypatch.setattr(experiment, "calibrate_twin", given)
     monkeypatch.setattr(module, "SHORTEST_S", 0.7)
     runpy.run_path(str(SCENARIO))["track"](out=tmp_path, seconds=0.7)
     assert re.search(r"in both narrow images in \d+\.\d% of \d+", capsys.readouterr().out)

@@ -15,7 +15,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.demos.setup import calibrated_twin, check_trials, write_summary
+from vergence.demos.experiment import calibrated_twin, check_trials, write_summary
 from vergence.gaze.commands import HEAD_JOINTS
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.state import NARROW, GazePhase, GazeSettings, GazeState, initial_gaze_state
@@ -24,7 +24,7 @@ from vergence.geometry.se3 import inverse, transform
 from vergence.twin.head import Twin
 from vergence.twin.occlusion import unoccluded
 from vergence.twin.profile import ErrorProfile
-from vergence.twin.simulated_robot import FRAME_S, FrameTiming, SimulatedHead, foveal_errors
+from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors
 from vergence.viewer.plots_depth import depth
 
 WITHIN_S = 0.5
@@ -68,8 +68,6 @@ class Trial:
     """(N,) times of the frames since it appeared."""
     errors_px: Array
     """(N, 2) true distance of the object from the centres of the left and right narrow image."""
-    phases: tuple[str, ...]
-    """(N,) phase of the controller after each frame."""
     lost: bool
     """Whether the object was not found in both narrow images at the end."""
 
@@ -132,24 +130,23 @@ def run_trial(
         target_head: (3,) position of the object [m] in frame head.
         watch: called with every state and its frame.
     """
-    timing = FrameTiming(all_cameras_every=1)  # a trial is short: record all of it
-    head = SimulatedHead(twin, run, lambda _: target_head, limits=settings.limits, timing=timing)
+    head = SimulatedHead(
+        twin, run, lambda _: target_head, limits=settings.limits, all_cameras_every=1
+    )
     state = initial_gaze_state(settings, np.zeros(len(HEAD_JOINTS)), head.now_s())
     times: list[float] = []
     errors: list[Array] = []
-    phases: list[str] = []
 
     def keep(state: GazeState, frame: Frame | None) -> None:
         if frame is not None:
             times.append(frame.time_s)
             errors.append(foveal_errors(twin, settings.calibration))
-            phases.append(state.phase.value)
         watch(state, frame)
 
     state = run_gaze(head, settings, state, WITHIN_S - FRAME_S, watch=keep)
     in_view = [np.isfinite(state.pixels.get(name, np.array(np.nan))).all() for name in NARROW]
     lost = state.phase is GazePhase.LOST or not all(in_view)
-    return Trial(target_head, np.array(times), np.array(errors), tuple(phases), lost)
+    return Trial(target_head, np.array(times), np.array(errors), lost)
 
 
 def summary(trials: list[Trial]) -> Summary:
@@ -189,10 +186,8 @@ def foveate(
     """
     check_trials(trials)
     made: list[Trial] = []
-    with calibrated_twin(
-        "foveate", profile, seed, out, reach_m=DEPTH_M[1], speed=PLAYBACK
-    ) as setup:
-        twin, settings = setup.twin, setup.settings
+    opened = calibrated_twin("foveate", profile, seed, out, reach_m=DEPTH_M[1], speed=PLAYBACK)
+    with opened as (twin, settings, watch, report):
         if out is not None:
             depth(out / "depth.png", settings.calibration)
         T_lbase_head = inverse(T_head_base(twin.truth, "left"))
@@ -202,12 +197,12 @@ def foveate(
 
         def record(state: GazeState, frame: Frame | None) -> None:
             if len(made) < RECORDED:
-                setup.watch(state, frame, lanes={"object": f"{len(made) + 1}"})
+                watch(state, frame, lanes={"object": f"{len(made) + 1}"})
 
         for run, target in enumerate(targets(trials, seed, free=free), start=1):
             made.append(run_trial(twin, settings, run, target, watch=record))
             done()
-        setup.report.extend(as_markdown(made[:RECORDED]))
+        report += as_markdown(made[:RECORDED])
     found = summary(made)
     write_summary(out, "foveate", found)
     return found, made

@@ -16,7 +16,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.demos.depth_error_by_range import DepthSample, RangeBin, bin_by_range, depth_sample
-from vergence.demos.setup import calibrated_twin, check_trials, write_summary
+from vergence.demos.experiment import calibrated_twin, check_trials, write_summary
 from vergence.gaze.commands import HEAD_JOINTS
 from vergence.reach.controller import run_reach
 from vergence.reach.state import ReachPhase, ReachSettings, ReachState, initial_reach_state
@@ -191,22 +191,21 @@ def grasp(
     """
     check_trials(trials)
     made: list[Trial] = []
-    with calibrated_twin(
-        "grasp", profile, seed, out, reach_m=FAR_M[0], speed=0.5, hand=True
-    ) as setup:
-        settings = ReachSettings(gaze=setup.settings)
+    opened = calibrated_twin("grasp", profile, seed, out, reach_m=FAR_M[0], speed=0.5, hand=True)
+    with opened as (twin, gaze, watch, report):
+        settings = ReachSettings(gaze=gaze)
 
         def record(state: ReachState, frame: Frame | None) -> None:
             if len(made) < RECORDED:
                 lanes = {"hand": state.phase.value}
-                setup.watch(state.gaze, frame, lanes=lanes, hand=state.hand)
+                watch(state.gaze, frame, lanes=lanes, hand=state.hand)
 
         for run in range(1, trials + 1):
             path, T_body_arm = held_out(seed, run), arm_mounting_error(seed, run)
-            made.append(run_trial(setup.twin, settings, run, path, T_body_arm, watch=record))
+            made.append(run_trial(twin, settings, run, path, T_body_arm, watch=record))
             done()
         found = summary(made)
-        setup.report.extend(as_markdown(found))
+        report += as_markdown(found)
     write_summary(out, "grasp", found)
     return found, made
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.demos.setup import calibrated_twin, write_summary
+from vergence.demos.experiment import calibrated_twin, write_summary
 from vergence.errors import VergenceError
 from vergence.gaze.commands import HEAD_JOINTS, neck_chain
 from vergence.gaze.controller import run_gaze
@@ -26,7 +26,6 @@ from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.simulated_robot import (
     FRAME_S,
-    FrameTiming,
     SimulatedHead,
     foveal_errors,
     in_both_foveas,
@@ -134,8 +133,9 @@ def follow(
             return None
         return path_head(time_s)
 
-    timing = FrameTiming(all_cameras_every=ALL_CAMERAS_EVERY)
-    head = SimulatedHead(twin, run, path, limits=settings.limits, timing=timing)
+    head = SimulatedHead(
+        twin, run, path, limits=settings.limits, all_cameras_every=ALL_CAMERAS_EVERY
+    )
     times: list[float] = []
     inside: list[bool] = []
     distances: list[Array] = []
@@ -214,16 +214,17 @@ def track(
     """
     if not SHORTEST_S <= seconds <= LONGEST_S:
         raise VergenceError(f"A run takes {SHORTEST_S:.0f} to {LONGEST_S:.0f} s, found {seconds}.")
-    with calibrated_twin("track", profile, seed, out, reach_m=DEPTH_M[1]) as setup:
+    opened = calibrated_twin("track", profile, seed, out, reach_m=DEPTH_M[1])
+    with opened as (twin, settings, record, report):
         hidden_s = float(np.random.default_rng([seed, 7]).uniform(0.3, 0.6)) * seconds
         path = smooth_path(seed, seconds)
 
         def both(state: GazeState, frame: Frame | None) -> None:
             watch(state, frame)
-            setup.watch(state, frame)
+            record(state, frame)
 
-        found = follow(setup.twin, setup.settings, 1, path, seconds, hidden_s=hidden_s, watch=both)
-        setup.report.extend(as_markdown(found, hidden_s))
+        found = follow(twin, settings, 1, path, seconds, hidden_s=hidden_s, watch=both)
+        report += as_markdown(found, hidden_s)
     write_summary(out, "track", found)
     return found
 

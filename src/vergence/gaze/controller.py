@@ -262,7 +262,6 @@ def _without_detection(settings: GazeSettings, state: GazeState, now_s: float) -
             track=None,
             aim=None,
             measured=None,
-            measured_covariance=None,
             neck_rate=np.zeros(3),
             neck_turning=False,
         )

@@ -51,7 +51,6 @@ def detect_target(settings: GazeSettings, state: GazeState, frame: Frame) -> Gaz
         frame_s=frame.time_s,
         stuck=tuple(name for name, is_stuck in zip(HEAD_JOINTS, stuck, strict=True) if is_stuck),
         measured=None,
-        measured_covariance=None,
     )
 
 
@@ -152,7 +151,6 @@ def measure(settings: GazeSettings, state: GazeState, frame: Frame, posture: Arr
     return replace(
         state,
         measured=by_readings[0],
-        measured_covariance=by_readings[1],
         innovation_ratio=ratio,
         aim_innovation_ratio=aim_ratio,
         track=track,

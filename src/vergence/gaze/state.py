@@ -100,8 +100,6 @@ class GazeState:
     """(2,) pixel of the object by camera searched in the latest frame, NaN where not found."""
     measured: Array | None = None
     """(3,) [m] stereo estimate of the latest frame alone, in frame body."""
-    measured_covariance: Array | None = None
-    """(3, 3) [m^2] of `measured`."""
     track: Track | None = None
     """Estimate over time from joint readings, in frame body (frame head without a neck)."""
     aim: Track | None = None

@@ -220,7 +220,9 @@ def _next(settings: ReachSettings, state: ReachState, now_s: float) -> tuple[Rea
         return ReachPhase.CLOSE, True
     if state.phase in (ReachPhase.CLOSE, ReachPhase.HELD):
         elsewhere = state.phase is ReachPhase.HELD and state.target is not None
-        if not elsewhere or _distance(settings, state, now_s) < settings.escaped_m:
+        if not elsewhere or (
+            np.linalg.norm(gap_to_target(settings, state, now_s)[0]) < settings.escaped_m
+        ):
             return ReachPhase.HELD, True
     aim = state.gaze.aim
     if aim is None or state.gaze.phase is GazePhase.LOST:
@@ -243,10 +245,6 @@ def _next(settings: ReachSettings, state: ReachState, now_s: float) -> tuple[Rea
     if inside and np.linalg.norm(gap) + settings.sigmas * std < settings.tolerance_m:
         return ReachPhase.CLOSE, True
     return ReachPhase.SERVO, inside
-
-
-def _distance(settings: ReachSettings, state: ReachState, now_s: float) -> float:
-    return float(np.linalg.norm(gap_to_target(settings, state, now_s)[0]))
 
 
 def gap_to_target(settings: ReachSettings, state: ReachState, now_s: float) -> tuple[Array, Array]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -43,19 +42,6 @@ def calibrate_twin(twin: Twin, seed: int) -> GazeSettings:
     return GazeSettings(calibration=head, joint_std_rad=float(np.hypot(floor, std)))
 
 
-@dataclass(frozen=True)
-class FrameTiming:
-    """When frames are taken, when the controller receives them, and with which images."""
-
-    period_s: float = FRAME_S
-    """Time between frames."""
-    latency_s: float = 0.0
-    """Time from the image until the controller receives it; less than the period."""
-    all_cameras_every: int = 0
-    """Every Nth frame has the images of all cameras, requested or not, whether it is recorded or
-    not: an observer must not change what the controller receives. 0: no frame has."""
-
-
 class SimulatedHead:
     """The twin behind the interface `HeadDriver`, with an object that may move.
 
@@ -77,7 +63,7 @@ class SimulatedHead:
         path_head: Callable[[float], Array | None],
         *,
         limits: JointLimits | None = None,
-        timing: FrameTiming | None = None,
+        all_cameras_every: int = 0,
     ):
         """Restart the twin.
 
@@ -87,10 +73,12 @@ class SimulatedHead:
             path_head: position (3,) [m] of the object at a time, in frame head as it is at the
                 start; None: the object is hidden.
             limits: of the joints.
-            timing: of the frames.
+            all_cameras_every: every Nth frame has the images of all cameras, requested or not, and
+                whether or not there is a recording: an observer must not change what the
+                controller receives. 0: no frame has.
         """
         self.twin, self.path_head = twin, path_head
-        self.timing = FrameTiming() if timing is None else timing
+        self._all_cameras_every = all_cameras_every
         twin.restart(run)
         self._T_world_start = twin.T_world_lbase()
         self._T_lbase_head = inverse(T_head_base(twin.truth, "left"))
@@ -111,25 +99,19 @@ class SimulatedHead:
 
     def read(self, cameras: Sequence[str]) -> Frame | None:
         """Advance to the next frame, and return it with the images of these cameras."""
-        self._advance(self._next_s)
-        self._next_s = round(self._next_s + self.timing.period_s, 6)
+        self.twin.advance(self._next_s, self._servo)
+        self._next_s = round(self._next_s + FRAME_S, 6)
         self._place_objects()
-        every = self.timing.all_cameras_every
-        show_all = every > 0 and self._number % every == 0
+        if self._all_cameras_every and self._number % self._all_cameras_every == 0:
+            cameras = tuple(self.twin.truth.cameras)
         self._number += 1
-        frame = self.twin.capture(tuple(self.twin.truth.cameras) if show_all else tuple(cameras))
-        self._advance(frame.time_s + self.timing.latency_s)
-        return frame
+        return self.twin.capture(cameras)
 
-    def _advance(self, until_s: float) -> None:
-        command = self._command
-
-        def servo(time_s: float) -> Array:
-            wanted = setpoint(command, time_s)
-            wanted[EYES_4] = (wanted[EYES_4] - self._offset) / self._gain
-            return wanted
-
-        self.twin.advance(until_s, servo)
+    def _servo(self, time_s: float) -> Array:
+        """Return the angles (7,) [rad] that the simulated joints are sent to at a time."""
+        wanted = setpoint(self._command, time_s)
+        wanted[EYES_4] = (wanted[EYES_4] - self._offset) / self._gain
+        return wanted
 
     def _place_objects(self) -> None:
         """Put object and hand where they are now."""
@@ -170,9 +152,6 @@ def foveal_errors(twin: Twin, calibration: HeadCalibration) -> Array:
 
 def in_both_foveas(twin: Twin) -> bool:
     """Return whether the object's centre is truly within both narrow images, now."""
-    for name, pixel in zip(NARROW, _true_pixels(twin), strict=True):
-        camera = twin.truth.camera(name).intrinsics
-        size = np.array([camera.width, camera.height])
-        if not (np.abs(2 * pixel + 1 - size) < size).all():
-            return False
-    return True
+    cameras = [twin.truth.camera(name).intrinsics for name in NARROW]
+    sizes = np.array([(camera.width, camera.height) for camera in cameras])
+    return bool((np.abs(2 * np.array(_true_pixels(twin)) + 1 - sizes) < sizes).all())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,19 +21,6 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 MOST_TRIALS = 10_000
-
-
-@dataclass(frozen=True, eq=False)
-class Setup:
-    """A twin that is ready for a demo."""
-
-    twin: Twin
-    settings: GazeSettings
-    """Of the gaze controller, with the twin's calibration."""
-    watch: Watch
-    """To be called with every state that is to be recorded."""
-    report: list[str]
-    """Lines of the recording's report, in Markdown."""
 
 
 def check_trials(trials: int) -> None:
@@ -52,7 +39,7 @@ def calibrated_twin(
     reach_m: float,
     speed: float = 1.0,
     hand: bool = False,
-) -> Iterator[Setup]:
+) -> Iterator[tuple[Twin, GazeSettings, Watch, list[str]]]:
     """Build and calibrate a twin, and record it in a `with` block.
 
     Args:
@@ -64,6 +51,10 @@ def calibrated_twin(
         speed: of the playback, in recorded seconds a second.
         hand: whether the demo has a hand.
 
+    Yields:
+        The twin; the settings of its gaze controller; the function to call with every state that is
+        to be recorded; and a list for the lines of the recording's report, in Markdown.
+
     Raises:
         VergenceError: the seed is negative, or the recording cannot be written.
     """
@@ -72,7 +63,7 @@ def calibrated_twin(
     with Twin(profile, seed=seed) as twin:
         settings = calibrate_twin(twin, seed)
         if out is None:
-            yield Setup(twin, settings, lambda state, frame, /, **_: None, [])
+            yield twin, settings, lambda state, frame, /, **_: None, []
             return
         title = f"{name}, profile {profile.name}, seed {seed}"
         with recorded(
@@ -85,7 +76,7 @@ def calibrated_twin(
             hand=hand,
         ) as (watch, report):
             report += [f"# {title}", ""]
-            yield Setup(twin, settings, watch, report)
+            yield twin, settings, watch, report
 
 
 def write_summary(out: Path | None, name: str, summary: DataclassInstance) -> None:
