@@ -1,4 +1,4 @@
-"""The experiments with the gaze on the twin, small: the calibration is given, not made."""
+"""Foveation on the twin, in short runs and with the true calibration."""
 
 import json
 import re
@@ -33,7 +33,7 @@ def test_targets_fill_the_stated_space_and_follow_the_seed():
     np.testing.assert_array_equal(targets(5, 3).shape, (5, 3))
 
 
-def test_places_that_cannot_be_seen_are_drawn_anew_and_the_others_stay():
+def test_occluded_places_are_drawn_again_and_the_others_stay():
     before = targets(50, 3)
     after = targets(50, 3, free=lambda places: places[:, 0] < 1.2)
     assert (after[:, 0] < 1.2).all()
@@ -41,7 +41,7 @@ def test_places_that_cannot_be_seen_are_drawn_anew_and_the_others_stay():
     np.testing.assert_array_equal(after[kept], before[kept])
 
 
-def test_what_stands_in_the_room_is_in_the_way():
+def test_furniture_occludes_the_places_behind_it():
     with Twin(ErrorProfile()) as twin:
         box = transform(inverse(twin.T_world_lbase()), np.array([1.52, 0.12, 0.78]))
         beyond, before, beside = 1.2 * box, 0.5 * box, box + np.array([0, 0.5, 0.3])
@@ -106,6 +106,6 @@ def test_the_scenario_says_what_it_found(
 
 
 @pytest.mark.parametrize(("trials", "seed"), [(0, 0), (-3, 0), (20_000, 0), (1, -1)])
-def test_what_cannot_be_is_refused(trials: int, seed: int):
+def test_arguments_out_of_range_are_refused(trials: int, seed: int):
     with pytest.raises(VergenceError, match=r"Asked for|The seed"):
         foveate(trials=trials, seed=seed, profile=ErrorProfile())

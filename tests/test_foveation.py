@@ -161,7 +161,7 @@ def test_a_pixel_of_disparity_costs_the_fovea_the_same_at_any_distance():
 
 
 @pytest.mark.parametrize("depth", [0.0, -1.0, np.nan])
-def test_a_depth_that_is_none_is_refused(depth: float):
+def test_a_depth_that_is_not_positive_is_refused(depth: float):
     with pytest.raises(VergenceError, match="above 0 m"):
         ideal_wide_pixel(head(0), "left", [1.0, depth])
 

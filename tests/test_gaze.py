@@ -76,7 +76,7 @@ def test_fixation_asks_for_the_narrow_images_only():
     assert set(done.states[-1].pixels) == set(NARROW)
 
 
-def test_the_position_in_the_body_is_known_all_the_while():
+def test_the_position_in_frame_body_is_always_estimated():
     target = point_at(-15, 8, 0.6)
     done = run(DrawnHead(lambda _: target), 0.6)
     for state in done.states[3:]:
@@ -84,19 +84,19 @@ def test_the_position_in_the_body_is_known_all_the_while():
         assert np.linalg.norm(state.track.position - target) < 2e-3
 
 
-def test_a_moving_object_is_not_followed_from_behind():
+def test_a_moving_object_is_followed_without_lag():
     path = circling(0.2)
     done = run(DrawnHead(path), 2.0)
     assert set(done.phases[15:]) == {GazePhase.PURSUIT}
     assert np.sqrt((done.after(0.5) ** 2).mean()) < 8
-    # Without the feed-forward, the eyes would be behind by the motion of a frame: 13 px.
+    # Without the feed-forward the eyes lag by the motion of a frame: 13 px.
     blind = replace(SETTINGS, moving_rad_s=np.inf)
     behind = run(DrawnHead(path), 2.0, blind)
     assert np.sqrt((behind.after(0.5) ** 2).mean()) > 12
 
 
 @pytest.mark.parametrize("latency", [0.02, 0.1])
-def test_frames_that_come_late_are_taken_for_the_time_of_their_stamp(latency):
+def test_late_frames_are_used_at_the_time_of_their_stamp(latency):
     still = run(DrawnHead(lambda _: point_at(15, -10, 0.6), latency_s=latency), 1.0)
     assert still.after(0.7).max() < 0.5
     moving = run(DrawnHead(circling(0.15), latency_s=latency), 2.0)
@@ -115,7 +115,7 @@ def test_readings_that_are_older_than_the_image_are_carried_to_it():
     assert np.median(errors) < 2e-3
 
 
-def test_frames_that_come_twice_or_not_at_all_do_no_harm():
+def test_repeated_and_missing_frames_are_tolerated():
     head = DrawnHead(circling(0.15), dropped=lambda n: n % 7 == 3, repeated=lambda n: n % 5 == 4)
     done = run(head, 3.0)
     assert GazePhase.LOST not in done.phases[10:]
@@ -131,12 +131,12 @@ def test_an_older_frame_than_the_last_changes_nothing():
     assert after.track is done.states[-1].track
 
 
-def test_without_frames_the_motion_stops_by_itself_and_the_loss_is_said():
+def test_without_frames_the_motion_stops_and_the_object_counts_as_lost():
     head = DrawnHead(circling(0.2), dropped=lambda n: n >= 30)
     done = run(head, 2.0)
     assert done.phases[29] is GazePhase.PURSUIT
     assert done.phases[-1] is GazePhase.LOST
-    # It may search, but within its limits.
+    # The search keeps the limits.
     for t in np.arange(1.0, 2.0, 0.01):
         assert (
             np.abs(head.posture(t)) <= np.abs(JointLimits().range_rad).max(axis=1) + 1e-12
@@ -159,7 +159,7 @@ def test_an_object_beyond_the_view_is_searched_for_and_found():
     assert done.errors[-1].max() < 2
 
 
-def test_a_joint_that_sticks_is_named_and_the_rest_goes_on():
+def test_a_stuck_joint_is_named_and_the_others_continue():
     held = np.full(7, np.nan)
     held[HEAD_JOINTS.index("left_pan")] = 0.0
     target = point_at(15, 8, 0.6)
@@ -200,7 +200,7 @@ def test_eyes_go_first_the_neck_follows_and_the_image_stays(shift):
         reached = np.flatnonzero(inside & (done.errors.max(axis=1) < 5))
         foveated[reached[0] : np.flatnonzero(inside)[-1] + 1] = True
         assert done.errors[inside][-1].max() < 2
-        # The eyes end comfortable, since the neck has taken over.
+        # The eyes end near their middle, because the neck has followed.
         last = head.posture(done.times[inside][-1])
         assert np.abs(last[EYES_4][[0, 2]].mean()) < 0.06
     assert (turning & foveated).sum() > 20

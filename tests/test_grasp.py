@@ -1,4 +1,4 @@
-"""Grasping on the twin, with its physics and its renders; the calibration is given, not made."""
+"""Grasping on the twin, with its physics and renders, and with the true calibration."""
 
 import json
 import runpy
@@ -37,7 +37,7 @@ ROOT = Path(__file__).parents[1]
 def test_the_hand_closes_on_the_object_though_joints_and_arm_are_wrong(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ):
-    """Profile paper: joint gains off by 3-4 % that no calibration finds."""
+    """In profile paper the joint gains are wrong by 3-4 %, which no calibration finds."""
 
     def given(twin: Twin, seed: int) -> GazeSettings:
         return GazeSettings(calibration=twin.truth, joint_std_rad=2.6e-3)
@@ -146,14 +146,14 @@ def test_the_hand_keeps_its_limits_and_stops_where_it_is_sent():
         assert hand._opening_m == CLOSED_M < OPEN_M
 
 
-def test_arms_are_mounted_some_20_mm_off():
+def test_the_mounting_error_has_the_stated_standard_deviations():
     mounted = np.array([arm_mounting_error(seed, 1) for seed in range(400)])
     assert np.std(mounted[:, :3, 3]) == pytest.approx(0.015, rel=0.1)
     assert np.degrees(np.std(rotvec(mounted[:, :3, :3]))) == pytest.approx(1.5, rel=0.1)
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_objects_come_from_afar_and_are_held_within_reach(seed: int):
+def test_objects_come_from_a_distance_and_are_held_within_reach(seed: int):
     path = held_out(seed, 1)
     points = np.array([path(t) for t in np.linspace(0, 9, 2001)])
     speeds = np.linalg.norm(np.diff(points, axis=0), axis=1) / (9 / 2000)
@@ -212,6 +212,6 @@ def test_a_summary_of_trials_that_all_failed_has_no_distances():
 
 
 @pytest.mark.parametrize(("trials", "seed"), [(0, 0), (10**6, 0), (1, -1)])
-def test_what_cannot_be_is_refused(trials: int, seed: int):
+def test_arguments_out_of_range_are_refused(trials: int, seed: int):
     with pytest.raises(VergenceError, match=r"trials|The seed"):
         grasp(trials=trials, seed=seed, profile=ErrorProfile())

@@ -46,7 +46,7 @@ def run(
 
 
 def miss_m(head: DrawnHeadWithHand) -> float:
-    """Return how far the hand truly is from the object now."""
+    """Return the true distance [m] of the hand from the object, now."""
     where = head.path(head.time_s)
     assert where is not None
     return float(np.linalg.norm(head.hand.true(head.hand.position) - where))
@@ -56,7 +56,7 @@ def still(_: float) -> Array:
     return OBJECT
 
 
-def test_the_hand_reaches_is_servoed_and_closes_as_more_is_known():
+def test_the_hand_reaches_is_servoed_and_closes_as_the_uncertainty_falls():
     stds: list[tuple[float, float]] = []
 
     def keep(state: ReachState) -> None:
@@ -74,7 +74,7 @@ def test_the_hand_reaches_is_servoed_and_closes_as_more_is_known():
 
 
 def test_the_grasp_tolerates_errors_of_the_mounting_and_of_the_calibration():
-    """A baseline wrong by 4 %, as a gain of the joints makes it, and an arm off by 20 mm."""
+    """The baseline is wrong by 4 %, as by a gain of the joints, and the arm by 20 mm."""
     head = four_cameras()
     wrong = replace(head, T_rbase_lbase=pose(t=1.04 * head.T_rbase_lbase[:3, 3]))
     settings = replace(SETTINGS, gaze=GazeSettings(calibration=wrong))
@@ -91,7 +91,7 @@ def test_the_grasp_tolerates_errors_of_the_mounting_and_of_the_calibration():
     assert miss_m(drawn) < 5e-3
 
 
-def test_late_and_missing_frames_do_not_hinder_it():
+def test_late_and_missing_frames_are_tolerated():
     head = DrawnHeadWithHand(
         lambda t: OBJECT + np.array([0.0, 0.02 * np.sin(2 * t), 0.0]),
         home=SETTINGS.home,
@@ -112,7 +112,7 @@ def test_a_hand_that_is_not_seen_waits_and_does_not_close():
     assert np.linalg.norm(head.hand.position - OBJECT) > 0.1
 
 
-def test_a_hand_that_is_seen_at_last_goes_on():
+def test_a_hand_continues_once_its_marker_is_seen():
     head = DrawnHeadWithHand(still, home=SETTINGS.home, shown=lambda t: t > 2.0)
     state, phases = run(head, 5.0)
     assert ReachPhase.UNSEEN in phases
@@ -128,7 +128,7 @@ def test_the_hand_stays_at_home_while_the_object_is_out_of_reach():
 
 
 def away(time_s: float) -> Array:
-    """Held out, and taken away before the hand is there."""
+    """Return a position that moves away before the hand arrives."""
     return OBJECT + np.array([0.3 * min(max(time_s - 1.0, 0.0), 2.0), 0.0, 0.0])
 
 
@@ -148,8 +148,8 @@ def test_the_hand_goes_home_when_the_object_is_gone(
     np.testing.assert_allclose(head.hand.position, SETTINGS.home, atol=2e-3)
 
 
-def test_it_does_not_close_on_what_is_not_known_well_enough():
-    """All is well in truth; but pixels that may be wrong by 3 px leave more than the tolerance."""
+def test_the_hand_does_not_close_on_an_uncertain_position():
+    """Pixels with a standard deviation of 3 px leave more uncertainty than the tolerance."""
     unsure = replace(SETTINGS, gaze=replace(SETTINGS.gaze, pixel_std_px=3.0))
     head = DrawnHeadWithHand(still, home=SETTINGS.home)
     state, phases = run(head, 1.8, settings=unsure)

@@ -1,4 +1,4 @@
-"""Following on the twin, with its physics and its renders; the calibration is given, not made."""
+"""Tracking on the twin, with its physics and renders, and with the true calibration."""
 
 import json
 import re
@@ -49,7 +49,7 @@ def test_a_moving_object_stays_on_both_foveas_and_is_found_again_after_it_was_hi
 
 
 def test_a_gaze_shift_shared_with_the_neck_keeps_the_image_still():
-    """Nearly 60 degrees, on the twin's own heavy neck: less than 20 px while it turns."""
+    """A shift of nearly 60 degrees with the twin's heavy neck: below 20 px while it turns."""
     before, after = (0.9 * np.array([np.cos(a), np.sin(a), 0.1]) for a in np.radians([-26.0, 26.0]))
     seen: list[tuple[float, Array, Array]] = []
     with Twin(load_profile("ideal"), seed=1) as twin:
@@ -102,7 +102,7 @@ def test_the_scenario_says_what_it_found(
 
 
 def test_stereo_by_the_narrow_images_beats_that_by_the_wide_ones():
-    """Eq. 20: in proportion to the focal lengths, if the pixels are as good."""
+    """By Eq. 20 the errors are in inverse proportion to the focal lengths, for equal pixel errors."""
     with Twin(load_profile("ideal"), seed=2) as twin:
         settings = GazeSettings(calibration=twin.truth)
         found = follow(twin, settings, 0, smooth_path(2, 3.0), 1.6)
@@ -111,6 +111,6 @@ def test_stereo_by_the_narrow_images_beats_that_by_the_wide_ones():
 
 
 @pytest.mark.parametrize(("seconds", "seed"), [(0.0, 0), (1e9, 0), (10.0, -1)])
-def test_what_cannot_be_is_refused(seconds: float, seed: int):
+def test_arguments_out_of_range_are_refused(seconds: float, seed: int):
     with pytest.raises(VergenceError, match=r"A run takes|The seed"):
         track(seconds=seconds, seed=seed, profile=ErrorProfile())
