@@ -102,7 +102,7 @@ def test_the_scenario_says_what_it_found(
 
 
 def test_stereo_by_the_narrow_images_beats_that_by_the_wide_ones():
-    """By Eq. 20 the errors are in inverse proportion to the focal lengths, for equal pixel errors."""
+    """By Eq. 20 errors are inversely proportional to the focal lengths, for equal pixel errors."""
     with Twin(load_profile("ideal"), seed=2) as twin:
         settings = GazeSettings(calibration=twin.truth)
         found = follow(twin, settings, 0, smooth_path(2, 3.0), 1.6)
