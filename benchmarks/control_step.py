@@ -1,10 +1,9 @@
-"""How long one control step takes: detection in the images it asked for, estimate, command.
+"""Processor time of one control step: detection in the requested images, estimate, command.
 
 Rendering is not counted. First the gaze alone: the object moves, so that the eyes are in pursuit,
-and every eighth step is given all four images, as at a hand-over. Then a whole reach for an object
-that is held out, in which the hand's marker is sought as well. Time is the processor's for the
-thread that does the step, all of it: what else runs on the machine counts little, and threads of
-the renderer that are still at work on the frame before do not.
+and every eighth step has all four images, as after a saccade. Then a whole reach for an object that
+is held out, in which the hand's marker is searched for as well. The time is that of the thread that
+does the step: other programs, and threads of the renderer, affect it little.
 
     python benchmarks/control_step.py [--frames 120]
 """
@@ -14,7 +13,7 @@ import time
 from collections import defaultdict
 from dataclasses import replace
 
-os.environ["OPENBLAS_NUM_THREADS"] = "1"  # one core is what is claimed
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # the figures are stated for one core
 
 import cv2
 import numpy as np
@@ -23,37 +22,37 @@ import tyro
 from vergence.arrays import Array
 from vergence.demos.grasp import LONGEST_S, held_out
 from vergence.gaze.commands import HEAD_JOINTS
-from vergence.gaze.controller import NARROW, WIDE, Settings, start, step
-from vergence.geometry.head import T_head_base
-from vergence.geometry.se3 import inverse, transform
-from vergence.reach import controller
-from vergence.twin.hand import HeadWithHand, TwinHand, roughly_mounted
+from vergence.gaze.controller import step_gaze
+from vergence.gaze.state import NARROW, WIDE, GazeSettings, initial_gaze_state
+from vergence.reach.controller import step_reach
+from vergence.reach.state import ReachPhase, ReachSettings, initial_reach_state
+from vergence.twin.hand import SimulatedHand, arm_mounting_error
 from vergence.twin.head import Twin
 from vergence.twin.profile import load_profile
-from vergence.twin.simulated_robot import FRAME_S, TwinHead
+from vergence.twin.simulated_robot import FRAME_S, SimulatedHead
 
 WARM_UP = 5
 FEWEST = 10
-"""Steps of a kind, for a line of their own."""
+"""Fewest steps of a kind that are reported."""
 
 
 def path(time_s: float) -> Array:
-    """Return where the object is (3,) [m]: on a circle at 0.2 m/s."""
+    """Return the object's position (3,) [m] in frame head: on a circle at 0.2 m/s."""
     turn = 2.5 * time_s
-    return np.array([0.6, 0.08 * np.sin(turn) - 0.046, 0.08 * np.cos(turn)])
+    return np.array([0.6, 0.08 * np.sin(turn), 0.08 * np.cos(turn)])
 
 
 def gaze_steps(twin: Twin, frames: int) -> dict[str, list[float]]:
-    """Return the seconds of steps of the gaze, by how many images they had."""
+    """Return the times of gaze steps [s], by number of images."""
     seconds: dict[str, list[float]] = defaultdict(list)
-    head, settings = TwinHead(twin, 0, path), Settings(calibration=twin.truth)
-    state = start(settings, np.zeros(len(HEAD_JOINTS)), head.now_s())
+    head, settings = SimulatedHead(twin, 0, path), GazeSettings(calibration=twin.truth)
+    state = initial_gaze_state(settings, np.zeros(len(HEAD_JOINTS)), head.now_s())
     for k in range(frames + WARM_UP):
         cameras = (*WIDE, *NARROW) if k % 8 == 0 else state.cameras
         frame = head.read(cameras)
         state = replace(state, cameras=cameras)
         began = time.thread_time()
-        state = step(settings, state, frame, head.now_s())
+        state = step_gaze(settings, state, frame, head.now_s())
         if k >= WARM_UP:
             seconds[f"gaze, {len(cameras)} images"].append(time.thread_time() - began)
         head.command(state.command)
@@ -61,19 +60,17 @@ def gaze_steps(twin: Twin, frames: int) -> dict[str, list[float]]:
 
 
 def reach_steps(twin: Twin, trials: int) -> dict[str, list[float]]:
-    """Return the seconds of steps of reaching for an object, by phase and number of images."""
+    """Return the times of reach steps [s], by phase and number of images."""
     seconds: dict[str, list[float]] = defaultdict(list)
-    settings = controller.Settings(gaze=Settings(calibration=twin.truth))
-    T_lbase_head = inverse(T_head_base(twin.truth, "left"))
+    settings = ReachSettings(gaze=GazeSettings(calibration=twin.truth))
     for run in range(1, trials + 1):
-        object_at = held_out(0, run)
-        head = HeadWithHand(twin, run, lambda t, at=object_at: transform(T_lbase_head, at(t)))
-        head.hand = hand = TwinHand(twin, settings.home, roughly_mounted(0, run))
-        state = controller.start(settings, np.zeros(len(HEAD_JOINTS)), hand.read(), head.now_s())
-        while head.now_s() < LONGEST_S and state.phase is not controller.Phase.HELD:
+        head = SimulatedHead(twin, run, held_out(0, run))
+        head.hand = hand = SimulatedHand(twin, settings.home, arm_mounting_error(0, run))
+        state = initial_reach_state(settings, np.zeros(len(HEAD_JOINTS)), hand.read(), head.now_s())
+        while head.now_s() < LONGEST_S and state.phase is not ReachPhase.HELD:
             cameras, frame, reading = state.cameras, head.read(state.cameras), hand.read()
             began = time.thread_time()
-            state = controller.step(settings, state, frame, reading, head.now_s())
+            state = step_reach(settings, state, frame, reading, head.now_s())
             took = time.thread_time() - began
             seconds[f"{state.phase.value}, {len(cameras)} images"].append(took)
             head.command(state.gaze.command)
@@ -85,8 +82,8 @@ def main(frames: int = 120, trials: int = 3) -> None:
     """Print the times of a step.
 
     Args:
-        frames: how many are stepped through with the gaze alone.
-        trials: how many objects are reached for.
+        frames: number of steps of the gaze alone.
+        trials: number of objects to reach for.
     """
     cv2.setNumThreads(1)
     with Twin(load_profile("ideal")) as twin:

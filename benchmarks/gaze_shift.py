@@ -1,7 +1,7 @@
-"""Look from one object to the next, with eyes and neck, and keep the image still meanwhile.
+"""Gaze shifts of eyes and neck from one object to the next, and the stability of the image.
 
-Objects stand where another appears when the last one goes, up to 60 degrees apart. The eyes go
-first; when the neck follows they turn back, and the object must stay where it is in the image.
+One object disappears as the next appears, up to 60 degrees away. The eyes move first; while the
+neck follows they turn back, and the object must stay where it is in the image.
 """
 
 from __future__ import annotations
@@ -13,46 +13,45 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.demos.foveate import SETTLED_PX
-from vergence.gaze.commands import HEAD_JOINTS, NECK, Limits
-from vergence.gaze.controller import Settings, State, look, start
-from vergence.geometry.head import T_head_base
-from vergence.geometry.se3 import inverse, transform
+from vergence.gaze.commands import HEAD_JOINTS, NECK, JointLimits
+from vergence.gaze.controller import run_gaze
+from vergence.gaze.state import GazeSettings, GazeState, initial_gaze_state
 from vergence.twin.head import Twin
-from vergence.twin.simulated_robot import TwinHead, foveal_errors
+from vergence.twin.simulated_robot import SimulatedHead, foveal_errors
 
 PAN_RAD, TILT_RAD = np.radians([45.0, 18.0])
-"""Farthest from straight ahead: what the neck reaches, with the eyes near their middle."""
+"""Greatest angles from straight ahead, which the neck reaches with the eyes near their middle."""
 ANGLE_RAD = np.radians([20.0, 60.0])
 """Least and greatest angle between an object and the next, as the head sees it."""
 DISTANCE_M = (0.5, 1.5)
 EACH_S = 3.0
-"""How long an object stays."""
+"""Time for which an object stays."""
 TURNING_RAD_S = 0.05
 """Speed from which the neck counts as turning."""
 
 
 @dataclass(frozen=True, eq=False)
 class Shift:
-    """What one change of objects came to."""
+    """Result of one gaze shift."""
 
     angle_rad: float
-    """Between the two objects."""
+    """Angle between the two objects."""
     reached_s: float
-    """From the appearance until both narrow images have it within SETTLED_PX; infinity: never."""
+    """Time from the appearance until both errors are within SETTLED_PX; infinity: never."""
     turning_px: float
-    """Farthest from either centre after that, while the neck was still turning; 0: it was not."""
+    """Greatest error of either eye after that while the neck turned; 0: the neck did not turn."""
     turning_frames: int
-    """In which that was so."""
+    """Number of these frames."""
     final_px: float
-    """The worse eye's distance at the end."""
+    """Error of the worse eye at the end."""
     neck_rad: float
-    """How far the neck turned, its largest joint."""
+    """Greatest turn of a neck joint."""
     beyond_rad: float
-    """How far a joint went beyond its range; negative: none did."""
+    """Greatest excess of a joint over its range; negative: all stayed within."""
 
 
 def objects(shifts: int, seed: int) -> Array:
-    """Return where objects stand (shifts + 1, 3) [m] in frame head, one after the other."""
+    """Return the positions (shifts + 1, 3) [m] of successive objects in frame head."""
     rng = np.random.default_rng([seed, 8])
     found: list[Array] = []
     while len(found) < shifts + 1:
@@ -68,48 +67,47 @@ def _angle(a: Array, b: Array) -> float:
 
 
 def number_at(time_s: float | Array) -> Array:
-    """Return which object stands there at times (...), by one rule however times are rounded."""
+    """Return the number of the object at times (...) [s], independently of rounding errors."""
     return np.floor(np.round(np.asarray(time_s, float) / EACH_S, 6))
 
 
-def shift_gaze(twin: Twin, settings: Settings, run: int, places_head: Array) -> list[Shift]:
-    """Show objects one after the other; return what each change but the first came to.
+def shift_gaze(twin: Twin, settings: GazeSettings, run: int, places_head: Array) -> list[Shift]:
+    """Show objects one after the other; return the result of each gaze shift but the first.
 
     Args:
         twin: the head.
         settings: of the controller, whose `use_neck` is set.
         run: number of the run, for the noise.
-        places_head: (N, 3) where objects stand [m], in frame head at rest.
+        places_head: (N, 3) positions of the objects [m], in frame head at rest.
     """
-    places = transform(inverse(T_head_base(twin.truth, "left")), places_head)
 
     def path(time_s: float) -> Array:
-        return places[min(int(number_at(time_s)), len(places) - 1)]
+        return places_head[min(int(number_at(time_s)), len(places_head) - 1)]
 
-    head = TwinHead(twin, run, path, limits=settings.limits)
+    head = SimulatedHead(twin, run, path, limits=settings.limits)
     times: list[float] = []
     errors: list[float] = []
     angles: list[Array] = []
 
-    def keep(state: State, frame: Frame | None) -> None:
+    def keep(state: GazeState, frame: Frame | None) -> None:
         if frame is not None:
             times.append(frame.time_s)
             errors.append(float(foveal_errors(twin, settings.calibration).max()))
             angles.append(twin.true_angles())
 
-    state = start(settings, np.zeros(len(HEAD_JOINTS)), head.now_s())
-    look(head, settings, state, EACH_S * len(places) - 0.05, watch=keep)
+    state = initial_gaze_state(settings, np.zeros(len(HEAD_JOINTS)), head.now_s())
+    run_gaze(head, settings, state, EACH_S * len(places_head) - 0.05, watch=keep)
     time, error, angle = np.array(times), np.array(errors), np.array(angles)
     return [
         _judged(settings.limits, time, error, angle, k, _angle(places_head[k - 1], places_head[k]))
-        for k in range(1, len(places))
+        for k in range(1, len(places_head))
     ]
 
 
 def _judged(
-    limits: Limits, time: Array, error: Array, angle: Array, number: int, angle_rad: float
+    limits: JointLimits, time: Array, error: Array, angle: Array, number: int, angle_rad: float
 ) -> Shift:
-    """Return what became of the object of a number, from the course of the whole run."""
+    """Return the result for one object, from the time series of the whole run."""
     turning = np.abs(np.gradient(angle[:, NECK], time, axis=0)).max(axis=1) > TURNING_RAD_S
     here = number_at(time) == number
     reached = np.flatnonzero(here & (error < SETTLED_PX))

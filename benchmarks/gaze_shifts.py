@@ -1,8 +1,8 @@
-"""How still the image stays while eyes and neck share gaze shifts of 20 to 60 degrees.
+"""Stability of the image while eyes and neck share gaze shifts of 20 to 60 degrees.
 
     python benchmarks/gaze_shifts.py [--profile ideal] [--shifts 40] [--seed 0]
 
-The twin is calibrated and looks at objects that appear one after the other.
+The twin is calibrated and turns to objects that appear one after the other.
 """
 
 from dataclasses import replace
@@ -13,23 +13,23 @@ import tyro
 from gaze_shift import objects, shift_gaze
 from vergence.twin.head import Twin
 from vergence.twin.profile import load_profile
-from vergence.twin.simulated_robot import calibrated
+from vergence.twin.simulated_robot import calibrate_twin
 
 BAR_PX = 20.0
-"""By which an object that was foveated may move while the neck turns."""
+"""Greatest error allowed for a foveated object while the neck turns."""
 ARRIVED_PX = 8.0
 
 
 def main(profile: str = "ideal", shifts: int = 40, seed: int = 0) -> None:
-    """Print what the shifts came to.
+    """Print statistics of the gaze shifts.
 
     Args:
         profile: error profile.
-        shifts: how many.
+        shifts: number of gaze shifts.
         seed: of everything random.
     """
     with Twin(load_profile(profile), seed=seed) as twin:
-        settings = replace(calibrated(twin, seed), use_neck=True)
+        settings = replace(calibrate_twin(twin, seed), use_neck=True)
         done = shift_gaze(twin, settings, 1, objects(shifts, seed))
     angle = np.degrees([shift.angle_rad for shift in done])
     reached, moved, final, neck, beyond, frames = (

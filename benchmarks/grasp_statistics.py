@@ -1,10 +1,10 @@
-"""How well hand-held objects are grasped: `vergence grasp` for many heads, each with its own seed.
+"""Statistics of `vergence grasp` over many heads, each with its own seed.
 
     python benchmarks/grasp_statistics.py [--profile paper] [--seeds 50] [--trials 1]
 
-Takes about a minute a seed, most of it for the calibration. Each is kept in a file of the output
-folder, so that an interrupted series goes on where it was; delete the folder to begin again, as
-after a change of the software.
+A seed takes about a minute, mostly for the calibration. Its result is kept in a file of the output
+folder, so that an interrupted series continues; delete the folder to start again, as after a change
+of the software.
 """
 
 import json
@@ -21,7 +21,7 @@ OUT = Path("runs/grasp_statistics")
 
 
 def trials_of(out: Path, profile: str, seed: int, trials: int) -> list[Trial]:
-    """Return the trials of one head, and make them if they are not there yet."""
+    """Return the trials of one head, and make them if they are missing."""
     path = out / f"{profile}-{seed}-{trials}.pickle"
     if not path.is_file():
         _, made = grasp(trials=trials, seed=seed, profile=load_profile(profile))
@@ -31,13 +31,13 @@ def trials_of(out: Path, profile: str, seed: int, trials: int) -> list[Trial]:
 
 
 def main(profile: str = "paper", seeds: int = 50, trials: int = 1, out: Path = OUT) -> None:
-    """Print where each hand closed, and what all came to.
+    """Print where each hand closed, and the statistics.
 
     Args:
         profile: error profile.
-        seeds: how many heads, with seeds from 0.
-        trials: with each.
-        out: folder for what each head came to, and for the summary.
+        seeds: number of heads, with seeds from 0.
+        trials: number of objects for each head.
+        out: folder for the results.
     """
     made: list[Trial] = []
     for seed in range(seeds):
@@ -46,7 +46,7 @@ def main(profile: str = "paper", seeds: int = 50, trials: int = 1, out: Path = O
             print(
                 f"{seed}: {trial.phase.value} after {trial.seconds:.2f} s, "
                 f"{1e3 * trial.miss_m:.1f} mm from the centre, "
-                f"{1e3 * trial.unaided_m:.0f} mm unseen",
+                f"{1e3 * trial.unaided_m:.0f} mm by its encoders alone",
                 flush=True,
             )
     found = summary(made)

@@ -1,9 +1,9 @@
-"""How well moving objects are followed: many runs of `vergence track`, each with its own seed.
+"""Statistics of `vergence track` over many runs, each with its own seed.
 
     python benchmarks/track_statistics.py [--profile ideal] [--runs 20] [--seconds 60]
 
-Takes a few minutes a run. Each is kept in a file of the output folder, so that an interrupted
-series goes on where it was; delete the folder to begin again, as after a change of the software.
+A run takes a few minutes. Its result is kept in a file of the output folder, so that an interrupted
+series continues; delete the folder to start again, as after a change of the software.
 """
 
 import json
@@ -19,11 +19,11 @@ from vergence.twin.profile import load_profile
 
 OUT = Path("runs/track_statistics")
 IN_BOTH, RMS_PX = 0.99, 32.0
-"""Bars: least share of the frames in both narrow images, greatest distance from their centres."""
+"""Limits: least share of frames in both narrow images, greatest distance from their centres."""
 
 
 def summaries(out: Path, profile: str, runs: int, seconds: float) -> list[dict[str, float]]:
-    """Return what runs came to, and run those that are not there yet."""
+    """Return the summaries of all runs, and make those that are missing."""
     found = []
     for seed in range(runs):
         file = out / f"{profile}-{seconds:g}s-{seed}.json"
@@ -36,7 +36,7 @@ def summaries(out: Path, profile: str, runs: int, seconds: float) -> list[dict[s
 
 
 def row(name: str, found: dict[str, float]) -> str:
-    """Return a line of the table."""
+    """Return a row of the table in Markdown."""
     position = (f"{1e3 * found[key]:.3f}" for key in ("position_rms_m", "single_frame_rms_m"))
     return (
         f"| {name} | {found['in_both']:.2%} | {found['rms_px']:.2f} | {' | '.join(position)} "
@@ -45,13 +45,13 @@ def row(name: str, found: dict[str, float]) -> str:
 
 
 def main(profile: str = "ideal", runs: int = 20, seconds: float = 60.0, out: Path = OUT) -> None:
-    """Print a table of all runs, and how many meet the bars.
+    """Print a table of all runs, and how many meet the limits.
 
     Args:
         profile: error profile.
-        runs: how many, with seeds from 0.
+        runs: number of runs, with seeds from 0.
         seconds: length of each.
-        out: folder for what each run came to.
+        out: folder for the results.
     """
     print(
         "| seed | in both narrow images | from their centres, rms px | position, rms mm: fused "
@@ -70,9 +70,7 @@ def main(profile: str = "ideal", runs: int = 20, seconds: float = 60.0, out: Pat
     ):
         print(f"{name}: {met.sum()} of {len(met)} runs")
     gain = 1 - (values["position_rms_m"] / values["single_frame_rms_m"]) ** 2
-    print(
-        f"squared error that fusing removes: median {np.median(gain):.2%}, least {gain.min():.2%}"
-    )
+    print(f"squared error removed by fusing: median {np.median(gain):.2%}, least {gain.min():.2%}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""A hand that flies where it is sent, with a marker that the drawn head sees: no MuJoCo."""
+"""A hand that moves freely, with a marker that the drawn head sees: no MuJoCo."""
 
 from collections.abc import Callable
 
@@ -18,7 +18,7 @@ _RADIUS_M, _SPEED_M_S, _CLOSING_S, _TICK_S = 0.010, 0.5, 0.1, 0.005
 
 
 class DrawnHand:
-    """Behind the protocol of reach_state.Hand; its arm is elsewhere than it believes."""
+    """Behind the interface HandDriver; the arm is mounted elsewhere than assumed."""
 
     def __init__(self, home: Array, T_body_arm: Array, now_s: Callable[[], float]):
         self.position, self.T_body_arm, self._now_s = home.copy(), T_body_arm, now_s
@@ -42,12 +42,12 @@ class DrawnHand:
             self.time_s += dt
 
     def true(self, point: Array) -> Array:
-        """Return where a point (3,) of the hand's coordinates truly is, in frame body."""
+        """Map a point (3,) [m] by the encoders to where it truly is, in frame body."""
         return transform(self.T_body_arm, point)
 
 
 class DrawnHeadWithHand(DrawnHead):
-    """The drawn head; a function of the time says when the hand's marker is to be seen."""
+    """The drawn head; a function of the time says when the hand's marker is visible."""
 
     def __init__(
         self,

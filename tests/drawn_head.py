@@ -1,4 +1,4 @@
-"""A head that moves at once to where it is sent and draws what it sees: gaze without MuJoCo."""
+"""A head that follows its set points exactly and draws its own images: gaze without MuJoCo."""
 
 from collections.abc import Callable, Sequence
 
@@ -7,7 +7,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.gaze.commands import EYES_4, NECK, Command, Limits, setpoint, stay
+from vergence.gaze.commands import EYES_4, NECK, HeadCommand, JointLimits, hold, setpoint
 from vergence.gaze.foveation import gaze_angles
 from vergence.geometry.camera import pinhole, project
 from vergence.geometry.head import HeadCalibration, MountedCamera, T_base_cam, T_body_base
@@ -40,9 +40,9 @@ def four_cameras() -> HeadCalibration:
 
 
 class DrawnHead:
-    """Behind the protocol of motion.Head; the path of the object is in frame body, None: hidden.
+    """Behind the interface HeadDriver; the path of the object is in frame body, None: hidden.
 
-    What can go wrong is given as functions of the number of the frame or of the time.
+    Faults are given as functions of the number of the frame or of the time.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class DrawnHead:
         self.latency_s, self.dropped, self.repeated = latency_s, dropped, repeated
         self.stuck, self.joint_lag_s = stuck, joint_lag_s
         self.noise, self.gain = joint_noise_rad, joint_gain
-        self.commands: list[Command] = [stay(np.zeros(7), Limits(), -1.0)]
+        self.commands: list[HeadCommand] = [hold(np.zeros(7), JointLimits(), -1.0)]
         self.number, self.time_s = -1, 0.0
         self.last: Frame | None = None
         self.rng = np.random.default_rng(0)
@@ -70,11 +70,11 @@ class DrawnHead:
     def now_s(self) -> float:
         return self.time_s
 
-    def command(self, command: Command) -> None:
+    def command(self, command: HeadCommand) -> None:
         self.commands.append(command)
 
     def posture(self, time_s: float) -> Array:
-        """Return where the joints truly are (7,); NaN in `stuck` means free."""
+        """Return the true joint angles (7,) [rad]; NaN in `stuck` means free."""
         in_force = [command for command in self.commands if command.time_s <= time_s]
         angles = setpoint(in_force[-1], time_s)
         held = self.stuck(time_s)
@@ -101,7 +101,7 @@ class DrawnHead:
         return self.last
 
     def in_camera(self, name: str, time_s: float) -> Array | None:
-        """Return the object (3,) in frame cam."""
+        """Return the object (3,) [m] in frame cam; None where it is hidden."""
         point = self.path(time_s)
         if point is None:
             return None
@@ -126,7 +126,7 @@ class DrawnHead:
         return cv2.circle(image, (u, v), r, (220, 20, 20), -1, cv2.LINE_AA, 4)
 
     def errors_px(self, time_s: float) -> Array:
-        """Return how far (2,) the object is from the centres of the narrow images."""
+        """Return the distances (2,) [px] of the object from the centres of the narrow images."""
         errors = []
         for eye in EYES:
             point = self.in_camera(f"{eye}_narrow", time_s)
@@ -137,14 +137,14 @@ class DrawnHead:
 
 
 def point_at(pan_deg: float, tilt_deg: float, distance_m: float) -> Array:
-    """Return a point (3,) in frame body, in a direction from the resting head."""
+    """Return a point (3,) [m] in frame body, in a direction from the resting head."""
     pan, tilt = np.radians([pan_deg, tilt_deg])
     ray = np.array([np.cos(pan) * np.cos(tilt), np.sin(pan) * np.cos(tilt), -np.sin(tilt)])
     return four_cameras().neck.head_m + distance_m * ray
 
 
 def straight_to(point_body: Array) -> Array:
-    """Return the eye angles (4,) to a point when the neck is straight."""
+    """Return the eye angles (4,) [rad] to a point when the neck is straight."""
     head = four_cameras()
     T = inverse(T_body_base(head, "left", np.zeros(3)))
     return gaze_angles(head, transform(T, point_body))

@@ -1,4 +1,4 @@
-"""The experiments with the gaze on the twin, small: the calibration is given, not made."""
+"""Foveation on the twin, in short runs and with the true calibration."""
 
 import json
 import re
@@ -8,17 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vergence.demos import foveate as module
+from vergence.demos import experiment
 from vergence.demos.foveate import Trial, foveate, run_trial, summary, targets
 from vergence.errors import VergenceError
-from vergence.gaze.controller import Settings
+from vergence.gaze.state import GazeSettings
 from vergence.geometry.se3 import inverse, transform
 from vergence.twin.head import Twin
-from vergence.twin.occlusion import in_sight
+from vergence.twin.occlusion import unoccluded
 from vergence.twin.profile import ErrorProfile, load_profile
 from vergence.viewer.reading import read_series
 
-SCENARIO = Path(__file__).parents[1] / "scenarios" / "foveate.py"
+SCENARIO = Path(__file__).parents[1] / "scenarios" / "gaze_demos.py"
 
 
 def test_targets_fill_the_stated_space_and_follow_the_seed():
@@ -33,7 +33,7 @@ def test_targets_fill_the_stated_space_and_follow_the_seed():
     np.testing.assert_array_equal(targets(5, 3).shape, (5, 3))
 
 
-def test_places_that_cannot_be_seen_are_drawn_anew_and_the_others_stay():
+def test_occluded_places_are_drawn_again_and_the_others_stay():
     before = targets(50, 3)
     after = targets(50, 3, free=lambda places: places[:, 0] < 1.2)
     assert (after[:, 0] < 1.2).all()
@@ -42,11 +42,11 @@ def test_places_that_cannot_be_seen_are_drawn_anew_and_the_others_stay():
 
 
 @pytest.mark.render
-def test_what_stands_in_the_room_is_in_the_way():
+def test_furniture_occludes_the_places_behind_it():
     with Twin(ErrorProfile()) as twin:
         box = transform(inverse(twin.T_world_lbase()), np.array([1.52, 0.12, 0.78]))
         beyond, before, beside = 1.2 * box, 0.5 * box, box + np.array([0, 0.5, 0.3])
-        seen = in_sight(twin, np.array([box, beyond, before, beside]), margin_m=0.02)
+        seen = unoccluded(twin, np.array([box, beyond, before, beside]), margin_m=0.02)
     assert seen.tolist() == [False, False, True, True]
 
 
@@ -54,19 +54,18 @@ def test_what_stands_in_the_room_is_in_the_way():
 @pytest.mark.parametrize(("profile", "worst_px"), [("ideal", 1.0), ("paper", 15.0)])
 def test_an_object_that_appears_comes_to_the_centre_of_both_foveas(profile: str, worst_px: float):
     with Twin(load_profile(profile), seed=1) as twin:
-        settings = Settings(calibration=twin.truth, joint_std_rad=2.6e-3)
+        settings = GazeSettings(calibration=twin.truth, joint_std_rad=2.6e-3)
         trials = [run_trial(twin, settings, k, target) for k, target in enumerate(targets(3, 7))]
     for trial in trials:
         assert not trial.lost
         assert trial.time_s[-1] <= 0.5
         assert trial.final_px < worst_px
         assert trial.errors_px[0].max() > 10
-    assert {trial.phases[0] for trial in trials} == {"saccade"}
 
 
 def made(*errors: float, lost: bool = False) -> Trial:
     both = np.array([[error, 0.0] for error in errors])
-    return Trial(np.zeros(3), 0.1 * np.arange(len(errors)), both, ("saccade",) * len(errors), lost)
+    return Trial(np.zeros(3), 0.1 * np.arange(len(errors)), both, lost)
 
 
 def test_a_trial_settles_when_it_stays_within_the_bound():
@@ -84,10 +83,10 @@ def test_the_summary_counts_the_worse_eye():
 
 @pytest.mark.render
 def test_the_summary_is_written_as_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    def given(twin: Twin, seed: int) -> Settings:
-        return Settings(calibration=twin.truth)
+    def given(twin: Twin, seed: int) -> GazeSettings:
+        return GazeSettings(calibration=twin.truth)
 
-    monkeypatch.setattr(module, "calibrated", given)
+    monkeypatch.setattr(experiment, "calibrate_twin", given)
     found, trials = foveate(trials=1, seed=2, profile=ErrorProfile(), out=tmp_path / "new")
     written = json.loads((tmp_path / "new" / "foveate.json").read_text())
     assert list(written) == ["trials", "median_px", "p95_px", "settle_s_p95", "lost"]
@@ -102,15 +101,15 @@ def test_the_summary_is_written_as_json(tmp_path: Path, monkeypatch: pytest.Monk
 def test_the_scenario_says_what_it_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    def given(twin: Twin, seed: int) -> Settings:
-        return Settings(calibration=twin.truth)
+    def given(twin: Twin, seed: int) -> GazeSettings:
+        return GazeSettings(calibration=twin.truth)
 
-    monkeypatch.setattr(module, "calibrated", given)
-    runpy.run_path(str(SCENARIO))["main"](out=tmp_path, trials=1)
+    monkeypatch.setattr(experiment, "calibrate_twin", given)
+    runpy.run_path(str(SCENARIO))["foveate"](out=tmp_path, trials=1)
     assert re.search(r"distance from the centre: median 0\.\d\d px", capsys.readouterr().out)
 
 
 @pytest.mark.parametrize(("trials", "seed"), [(0, 0), (-3, 0), (20_000, 0), (1, -1)])
-def test_what_cannot_be_is_refused(trials: int, seed: int):
+def test_arguments_out_of_range_are_refused(trials: int, seed: int):
     with pytest.raises(VergenceError, match=r"Asked for|The seed"):
         foveate(trials=trials, seed=seed, profile=ErrorProfile())

@@ -14,7 +14,6 @@ from vergence.gaze.foveation import (
     ideal_wide_pixel,
     ideal_wide_slope,
     project_both,
-    reachable,
     wide_from_narrow,
 )
 from vergence.geometry.camera import Camera, project
@@ -162,7 +161,7 @@ def test_a_pixel_of_disparity_costs_the_fovea_the_same_at_any_distance():
 
 
 @pytest.mark.parametrize("depth", [0.0, -1.0, np.nan])
-def test_a_depth_that_is_none_is_refused(depth: float):
+def test_a_depth_that_is_not_positive_is_refused(depth: float):
     with pytest.raises(VergenceError, match="above 0 m"):
         ideal_wide_pixel(head(0), "left", [1.0, depth])
 
@@ -192,12 +191,6 @@ def test_points_that_no_gaze_centres_are_nan_and_leave_the_others_alone():
     np.testing.assert_array_equal(np.isfinite(angles).all(axis=1), [False] * 3 + [True, False])
     alone = eye_angles_to(head(0), "left", points[3])
     np.testing.assert_allclose(alone, angles[3], atol=1e-14)
-
-
-def test_only_angles_within_all_limits_are_reachable():
-    limits = np.array([[-0.6, 0.6], [-0.5, 0.5]])
-    angles = np.array([[0.1, 0.1], [0.7, 0], [0, -0.6], [np.nan, 0]])
-    np.testing.assert_array_equal(reachable(angles, limits), [True, False, False, False])
 
 
 @pytest.mark.render

@@ -1,4 +1,4 @@
-"""The controller of the gaze, on a head that draws its own images; on the twin: test_foveate.py."""
+"""The gaze controller on a head that draws its own images; on the twin: test_foveate.py."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -9,46 +9,48 @@ import pytest
 from drawn_head import DrawnHead, four_cameras, point_at, straight_to
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.gaze.commands import EYES_4, HEAD_JOINTS, NECK, Limits, setpoint
-from vergence.gaze.controller import NARROW, Phase, Settings, State, look, start, step
+from vergence.gaze.commands import EYES_4, HEAD_JOINTS, NECK, JointLimits, setpoint
+from vergence.gaze.controller import run_gaze, step_gaze
+from vergence.gaze.state import NARROW, GazePhase, GazeSettings, GazeState, initial_gaze_state
 from vergence.geometry.head import T_body_base
 from vergence.geometry.se3 import transform
 
-SETTINGS = Settings(calibration=four_cameras())
+SETTINGS = GazeSettings(calibration=four_cameras())
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What happened."""
+    """A run of the controller, frame by frame."""
 
     head: DrawnHead
-    states: list[State]
+    states: list[GazeState]
     times: Array
-    """(N,) of the images."""
+    """(N,) times of the images [s]."""
     errors: Array
-    """(N, 2) px."""
+    """(N, 2) distances of the object from the centres of the narrow images [px]."""
 
     @property
-    def phases(self) -> list[Phase]:
+    def phases(self) -> list[GazePhase]:
         return [state.phase for state in self.states]
 
     def after(self, time_s: float) -> Array:
         return self.errors[self.times >= time_s]
 
 
-def run(head: DrawnHead, seconds: float, settings: Settings = SETTINGS) -> Run:
-    states: list[State] = []
+def run(head: DrawnHead, seconds: float, settings: GazeSettings = SETTINGS) -> Run:
+    states: list[GazeState] = []
 
-    def keep(state: State, frame: Frame | None) -> None:
+    def keep(state: GazeState, frame: Frame | None) -> None:
         states.append(state)
 
-    look(head, settings, start(settings, np.zeros(7), 0.0), seconds, watch=keep)
+    begin = initial_gaze_state(settings, np.zeros(7), 0.0)
+    run_gaze(head, settings, begin, seconds, watch=keep)
     times = np.arange(len(states)) / 30
     return Run(head, states, times, np.array([head.errors_px(t) for t in times]))
 
 
 def circling(speed_m_s: float, distance_m: float = 0.6) -> Callable[[float], Array]:
-    """Return the path of a point that goes round a circle of 8 cm radius before the head."""
+    """Return the path of a point on a circle of 8 cm radius before the head."""
     middle = point_at(0, 5, distance_m)
 
     def path(time_s: float) -> Array:
@@ -65,7 +67,7 @@ def test_a_still_object_comes_to_the_middle_of_both_foveas_and_stays(pan, tilt, 
     target = point_at(pan, tilt, distance)
     done = run(DrawnHead(lambda _: target), 0.5)
     assert done.after(0.2).max() < 0.5
-    assert set(done.phases[6:]) == {Phase.FIXATION}
+    assert set(done.phases[6:]) == {GazePhase.FIXATION}
     np.testing.assert_allclose(done.states[-1].command.goal[EYES_4], straight_to(target), atol=1e-3)
 
 
@@ -74,7 +76,7 @@ def test_fixation_asks_for_the_narrow_images_only():
     assert set(done.states[-1].pixels) == set(NARROW)
 
 
-def test_the_position_in_the_body_is_known_all_the_while():
+def test_the_position_in_frame_body_is_always_estimated():
     target = point_at(-15, 8, 0.6)
     done = run(DrawnHead(lambda _: target), 0.6)
     for state in done.states[3:]:
@@ -82,23 +84,23 @@ def test_the_position_in_the_body_is_known_all_the_while():
         assert np.linalg.norm(state.track.position - target) < 2e-3
 
 
-def test_a_moving_object_is_not_followed_from_behind():
+def test_a_moving_object_is_followed_without_lag():
     path = circling(0.2)
     done = run(DrawnHead(path), 2.0)
-    assert set(done.phases[15:]) == {Phase.PURSUIT}
+    assert set(done.phases[15:]) == {GazePhase.PURSUIT}
     assert np.sqrt((done.after(0.5) ** 2).mean()) < 8
-    # Without the feed-forward, the eyes would be behind by the motion of a frame: 13 px.
+    # Without the feed-forward the eyes lag by the motion of a frame: 13 px.
     blind = replace(SETTINGS, moving_rad_s=np.inf)
     behind = run(DrawnHead(path), 2.0, blind)
     assert np.sqrt((behind.after(0.5) ** 2).mean()) > 12
 
 
 @pytest.mark.parametrize("latency", [0.02, 0.1])
-def test_frames_that_come_late_are_taken_for_the_time_of_their_stamp(latency):
+def test_late_frames_are_used_at_the_time_of_their_stamp(latency):
     still = run(DrawnHead(lambda _: point_at(15, -10, 0.6), latency_s=latency), 1.0)
     assert still.after(0.7).max() < 0.5
     moving = run(DrawnHead(circling(0.15), latency_s=latency), 2.0)
-    assert Phase.LOST not in moving.phases[20:]
+    assert GazePhase.LOST not in moving.phases[20:]
     assert np.sqrt((moving.after(1.0) ** 2).mean()) < 25
 
 
@@ -113,10 +115,10 @@ def test_readings_that_are_older_than_the_image_are_carried_to_it():
     assert np.median(errors) < 2e-3
 
 
-def test_frames_that_come_twice_or_not_at_all_do_no_harm():
+def test_repeated_and_missing_frames_are_tolerated():
     head = DrawnHead(circling(0.15), dropped=lambda n: n % 7 == 3, repeated=lambda n: n % 5 == 4)
     done = run(head, 3.0)
-    assert Phase.LOST not in done.phases[10:]
+    assert GazePhase.LOST not in done.phases[10:]
     assert np.sqrt((done.after(0.6) ** 2).mean()) < 20
 
 
@@ -124,38 +126,40 @@ def test_an_older_frame_than_the_last_changes_nothing():
     head = DrawnHead(lambda _: point_at(10, 0, 0.5))
     done = run(head, 0.3)
     old = replace(head.last, time_s=0.1)
-    after = step(SETTINGS, done.states[-1], old, head.now_s())
+    after = step_gaze(SETTINGS, done.states[-1], old, head.now_s())
     assert after.command is done.states[-1].command
     assert after.track is done.states[-1].track
 
 
-def test_without_frames_the_motion_stops_by_itself_and_the_loss_is_said():
+def test_without_frames_the_motion_stops_and_the_object_counts_as_lost():
     head = DrawnHead(circling(0.2), dropped=lambda n: n >= 30)
     done = run(head, 2.0)
-    assert done.phases[29] is Phase.PURSUIT
-    assert done.phases[-1] is Phase.LOST
-    # It may search, but within its limits.
+    assert done.phases[29] is GazePhase.PURSUIT
+    assert done.phases[-1] is GazePhase.LOST
+    # The search keeps the limits.
     for t in np.arange(1.0, 2.0, 0.01):
-        assert (np.abs(head.posture(t)) <= np.abs(Limits().range_rad).max(axis=1) + 1e-12).all()
+        assert (
+            np.abs(head.posture(t)) <= np.abs(JointLimits().range_rad).max(axis=1) + 1e-12
+        ).all()
 
 
 def test_a_hidden_object_is_lost_and_found_again():
     path = circling(0.2)
     done = run(DrawnHead(lambda t: None if 1.0 <= t < 1.5 else path(t)), 3.0)
-    assert Phase.LOST in done.phases[30:46]
-    assert Phase.LOST not in done.phases[48:]
+    assert GazePhase.LOST in done.phases[30:46]
+    assert GazePhase.LOST not in done.phases[48:]
     assert done.after(2.0).max() < 32
 
 
 def test_an_object_beyond_the_view_is_searched_for_and_found():
     target = point_at(62, 0, 0.8)
     done = run(DrawnHead(lambda _: target), 5.0, replace(SETTINGS, use_neck=True))
-    assert done.phases[0] is Phase.LOST
-    assert done.phases[-1] is Phase.FIXATION
+    assert done.phases[0] is GazePhase.LOST
+    assert done.phases[-1] is GazePhase.FIXATION
     assert done.errors[-1].max() < 2
 
 
-def test_a_joint_that_sticks_is_named_and_the_rest_goes_on():
+def test_a_stuck_joint_is_named_and_the_others_continue():
     held = np.full(7, np.nan)
     held[HEAD_JOINTS.index("left_pan")] = 0.0
     target = point_at(15, 8, 0.6)
@@ -176,10 +180,10 @@ def test_gains_and_noise_of_the_readings_do_not_reach_the_fovea():
     assert np.quantile(done.after(0.5), 0.95) < 3
 
 
-def test_what_only_one_eye_sees_is_looked_at_by_both():
+def test_both_eyes_turn_to_an_object_that_only_one_sees():
     hidden = point_at(50, 0, 0.25)  # beyond the right eye's image, within the left one's
     done = run(DrawnHead(lambda _: hidden), 1.5, replace(SETTINGS, use_neck=True))
-    assert done.phases[-1] is not Phase.LOST
+    assert done.phases[-1] is not GazePhase.LOST
     assert done.errors[-1].max() < 5
 
 
@@ -196,7 +200,7 @@ def test_eyes_go_first_the_neck_follows_and_the_image_stays(shift):
         reached = np.flatnonzero(inside & (done.errors.max(axis=1) < 5))
         foveated[reached[0] : np.flatnonzero(inside)[-1] + 1] = True
         assert done.errors[inside][-1].max() < 2
-        # The eyes end comfortable, since the neck has taken over.
+        # The eyes end near their middle, because the neck has followed.
         last = head.posture(done.times[inside][-1])
         assert np.abs(last[EYES_4][[0, 2]].mean()) < 0.06
     assert (turning & foveated).sum() > 20
@@ -215,7 +219,7 @@ def test_no_limit_of_range_or_speed_is_ever_exceeded(pan):
     done = run(head, 3.0, replace(SETTINGS, use_neck=True))
     times = np.arange(0, 3.0, 1e-3)
     postures = np.array([head.posture(t) for t in times])
-    limits = Limits()
+    limits = JointLimits()
     assert (postures >= limits.range_rad[:, 0] - 1e-12).all()
     assert (postures <= limits.range_rad[:, 1] + 1e-12).all()
     speeds = np.abs(np.diff(postures, axis=0)) / 1e-3
@@ -226,7 +230,7 @@ def test_no_limit_of_range_or_speed_is_ever_exceeded(pan):
 def test_a_head_without_a_calibrated_neck_works_in_frame_head():
     plain = replace(four_cameras(), neck=type(four_cameras().neck)())
     target = point_at(10, 5, 0.6)
-    done = run(DrawnHead(lambda _: target), 0.4, Settings(calibration=plain))
+    done = run(DrawnHead(lambda _: target), 0.4, GazeSettings(calibration=plain))
     T = T_body_base(four_cameras(), "left", np.zeros(3))
     assert done.states[-1].track is not None
     in_body = done.states[-1].track.position + four_cameras().neck.head_m

@@ -12,11 +12,12 @@ from rerun.chunk import RrdReader
 
 from vergence.data.dataset import Frame
 from vergence.demos.recording import recorded
-from vergence.gaze.controller import Settings, State, look, start
+from vergence.gaze.controller import run_gaze
 from vergence.gaze.foveation import ideal_wide_pixel
+from vergence.gaze.state import GazeSettings, GazeState, initial_gaze_state
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
-from vergence.twin.simulated_robot import FRAME_S, Delivery, TwinHead, foveal_errors
+from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors
 from vergence.viewer.gaze import aims, moment
 from vergence.viewer.reading import read_series
 
@@ -28,8 +29,8 @@ HAND = np.array([0.3, 0.0, -0.2])
 @dataclass(frozen=True, eq=False)
 class Recorded:
     path: Path
-    settings: Settings
-    states: list[State]
+    settings: GazeSettings
+    states: list[GazeState]
     frames: list[Frame]
     errors: np.ndarray
     """(N, 2) px."""
@@ -39,29 +40,31 @@ class Recorded:
 def made(tmp_path_factory: pytest.TempPathFactory, opengl: None) -> Recorded:
     """Two runs of a quarter of a second; in the second the object is hidden at the end."""
     path = tmp_path_factory.mktemp("gaze") / "gaze.rrd"
-    states: list[State] = []
+    states: list[GazeState] = []
     frames: list[Frame] = []
     errors: list[np.ndarray] = []
     with Twin(ErrorProfile(), seed=0) as twin:
-        settings = Settings(calibration=twin.truth)
+        settings = GazeSettings(calibration=twin.truth)
         with recorded(path, twin, settings, title="test", reach_m=1.0) as (watch, report):
             for run in (0, 1):
-                head = TwinHead(
+                head = SimulatedHead(
                     twin,
                     run,
                     lambda t, run=run: TARGET if run == 0 or t < HIDDEN_S else None,
-                    delivery=Delivery(all_every=4),
+                    all_cameras_every=4,
                 )
                 show = partial(watch, lanes={"run": f"{run}"}, hand=HAND)
 
-                def keep(state: State, frame: Frame | None, show=show) -> None:
+                def keep(state: GazeState, frame: Frame | None, show=show) -> None:
                     show(state, frame)
                     assert frame is not None
                     states.append(state)
                     frames.append(frame)
                     errors.append(foveal_errors(twin, settings.calibration))
 
-                look(head, settings, start(settings, np.zeros(7), 0.0), 0.25, watch=keep)
+                run_gaze(
+                    head, settings, initial_gaze_state(settings, np.zeros(7), 0.0), 0.25, watch=keep
+                )
             report.append("# A report")
     return Recorded(path, settings, states, frames, np.array(errors))
 
@@ -140,7 +143,7 @@ def test_aims_are_the_centres_of_the_narrow_images_and_the_ideal_places_in_the_w
     seen = moment(made.settings, state, frame, 0.0)
     depth = np.linalg.norm(seen.axes[0, 1] - seen.axes[0, 0])  # on the axis by now
     np.testing.assert_allclose(found["left_wide"], ideal_wide_pixel(head, "left", depth), atol=0.05)
-    unknown = aims(made.settings, start(made.settings, np.zeros(7), 0.0), frame)
+    unknown = aims(made.settings, initial_gaze_state(made.settings, np.zeros(7), 0.0), frame)
     np.testing.assert_array_equal(unknown["right_wide"], ideal_wide_pixel(head, "right", np.inf))
 
 
@@ -163,12 +166,12 @@ def test_images_are_recorded_of_frames_that_have_them_of_all_cameras(made: Recor
 @pytest.mark.render
 def test_looking_on_changes_nothing(made: Recorded):
     with Twin(ErrorProfile(), seed=0) as twin:
-        head = TwinHead(twin, 0, lambda _: TARGET, delivery=Delivery(all_every=4))
-        states: list[State] = []
-        look(
+        head = SimulatedHead(twin, 0, lambda _: TARGET, all_cameras_every=4)
+        states: list[GazeState] = []
+        run_gaze(
             head,
             made.settings,
-            start(made.settings, np.zeros(7), 0.0),
+            initial_gaze_state(made.settings, np.zeros(7), 0.0),
             0.25,
             watch=lambda state, _: states.append(state),
         )

@@ -1,4 +1,4 @@
-"""Gaze shifts of eyes and neck: which are asked for, and how they are judged.
+"""Gaze shifts of eyes and neck: the objects that are shown, and the evaluation.
 
 On the twin: test_track.py, and by many: benchmarks/gaze_shifts.py.
 """
@@ -8,7 +8,7 @@ import pytest
 
 from gaze_shift import ANGLE_RAD, DISTANCE_M, EACH_S, _judged, number_at, objects
 from vergence.arrays import Array
-from vergence.gaze.commands import Limits
+from vergence.gaze.commands import JointLimits
 
 TIME: Array = np.arange(0, 2 * EACH_S - 0.05, 0.1).astype(float)
 STILL = np.zeros((len(TIME), 7))
@@ -28,19 +28,19 @@ def test_objects_follow_each_other_at_the_stated_angles():
 
 
 def turning_until(time_s: float) -> np.ndarray:
-    """Return angles (N, 7) of a neck that turns at 0.2 rad/s from the change to a time."""
+    """Return angles (N, 7) of a neck that turns at 0.2 rad/s from the gaze shift until a time."""
     angles = STILL.copy()
     angles[:, 2] = 0.2 * np.clip(TIME - EACH_S, 0, time_s - EACH_S)
     return angles
 
 
-def test_what_counts_is_where_the_object_is_once_reached_and_while_the_neck_turns():
+def test_the_error_counts_once_the_object_is_reached_and_while_the_neck_turns():
     errors: Array = np.where(TIME < EACH_S + 0.35, 400.0, 1.0).astype(
         float
     )  # reached after four frames
     errors[np.isclose(TIME, EACH_S + 0.8)] = 12.0  # the neck is turning
     errors[np.isclose(TIME, EACH_S + 2.0)] = 30.0  # it is not
-    found = _judged(Limits(), TIME, errors, turning_until(EACH_S + 1.0), 1, 0.7)
+    found = _judged(JointLimits(), TIME, errors, turning_until(EACH_S + 1.0), 1, 0.7)
     assert found.reached_s == pytest.approx(0.4)
     assert found.turning_px == 12.0
     assert found.turning_frames == 7
@@ -49,8 +49,8 @@ def test_what_counts_is_where_the_object_is_once_reached_and_while_the_neck_turn
     assert found.beyond_rad < 0
 
 
-def test_an_object_that_is_never_reached_is_said_to_be_so():
-    found = _judged(Limits(), TIME, np.full(len(TIME), 50.0), turning_until(4.0), 1, 0.7)
+def test_an_object_that_is_never_reached_is_reported():
+    found = _judged(JointLimits(), TIME, np.full(len(TIME), 50.0), turning_until(4.0), 1, 0.7)
     assert found.reached_s == np.inf
     assert found.turning_frames == 0
     assert found.final_px == 50.0
@@ -58,8 +58,8 @@ def test_an_object_that_is_never_reached_is_said_to_be_so():
 
 def test_a_joint_beyond_its_range_is_found():
     angles = STILL.copy()
-    angles[-3, 3] = Limits().range_rad[3, 1] + 0.01
-    found = _judged(Limits(), TIME, np.zeros(len(TIME)), angles, 1, 0.7)
+    angles[-3, 3] = JointLimits().range_rad[3, 1] + 0.01
+    found = _judged(JointLimits(), TIME, np.zeros(len(TIME)), angles, 1, 0.7)
     assert found.beyond_rad == pytest.approx(0.01)
 
 

@@ -1,4 +1,4 @@
-"""Grasping on the twin, with its physics and its renders; the calibration is given, not made."""
+"""Grasping on the twin, with its physics and renders, and with the true calibration."""
 
 import json
 import runpy
@@ -15,18 +15,18 @@ from drawn_hand import MARKER_HAND
 from drawn_head import four_cameras
 from vergence import cli
 from vergence.arrays import Array
+from vergence.demos import experiment
 from vergence.demos import grasp as module
-from vergence.demos.depth_error_by_range import EDGES_M, Sight, by_distance
+from vergence.demos.depth_error_by_range import EDGES_M, DepthSample, bin_by_range
 from vergence.demos.grasp import FAR_M, NEAR_M, WITHIN_M, grasp, held_out, summary
 from vergence.errors import VergenceError
-from vergence.gaze.controller import NARROW
-from vergence.gaze.controller import Settings as Gaze
 from vergence.gaze.foveation import gaze_angles
+from vergence.gaze.state import NARROW, GazeSettings
 from vergence.geometry.se3 import inverse, pose, rotvec, transform
 from vergence.paper.replay import see
-from vergence.reach.controller import HandCommand, Phase
+from vergence.reach.state import HandCommand, ReachPhase
 from vergence.stereo.triangulation import locate
-from vergence.twin.hand import CLOSED_M, OPEN_M, Limits, TwinHand, roughly_mounted
+from vergence.twin.hand import CLOSED_M, OPEN_M, ArmLimits, SimulatedHand, arm_mounting_error
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
 from vergence.vision.sphere import find_sphere
@@ -38,18 +38,18 @@ ROOT = Path(__file__).parents[1]
 def test_the_hand_closes_on_the_object_though_joints_and_arm_are_wrong(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ):
-    """Profile paper: joint gains off by 3-4 % that no calibration finds."""
+    """In profile paper the joint gains are wrong by 3-4 %, which no calibration finds."""
 
-    def given(twin: Twin, seed: int) -> Gaze:
-        return Gaze(calibration=twin.truth, joint_std_rad=2.6e-3)
+    def given(twin: Twin, seed: int) -> GazeSettings:
+        return GazeSettings(calibration=twin.truth, joint_std_rad=2.6e-3)
 
     def near(*_: int) -> Callable[[float], Array]:
         return lambda t: np.array([0.42, 0.06 + 0.01 * np.sin(2 * t), -0.02])
 
-    monkeypatch.setattr(module, "calibrated", given)
+    monkeypatch.setattr(experiment, "calibrate_twin", given)
     monkeypatch.setattr(module, "held_out", near)
-    scenario = runpy.run_path(str(ROOT / "scenarios" / "grasp.py"))
-    scenario["main"](out=tmp_path, profile="paper", seed=1, trials=1)
+    scenario = runpy.run_path(str(ROOT / "scenarios" / "gaze_demos.py"))
+    scenario["grasp"](out=tmp_path, profile="paper", seed=1, trials=1)
     assert "within 10 mm of the centre: 100% of 1" in capsys.readouterr().out
     found = json.loads((tmp_path / "grasp.json").read_text())
     assert (tmp_path / "grasp.rrd").stat().st_size > 10_000
@@ -62,7 +62,7 @@ def test_the_hand_closes_on_the_object_though_joints_and_arm_are_wrong(
 def test_the_command_line_prints_and_writes_the_summary(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ):
-    made = [module.Trial(Phase.HELD, 4.0, 0.002, 0.03, tuple(sights(1.0)))]
+    made = [module.Trial(ReachPhase.HELD, 4.0, 0.002, 0.03, tuple(depth_samples(1.0)))]
     asked: list[dict[str, object]] = []
 
     def given(**arguments: object) -> tuple[module.Summary, list[module.Trial]]:
@@ -77,13 +77,13 @@ def test_the_command_line_prints_and_writes_the_summary(
     assert printed == json.loads((tmp_path / "summary.json").read_text())
     assert (asked[0]["trials"], asked[0]["seed"], asked[0]["out"]) == (7, 3, tmp_path)
     assert printed["median_mm"] == pytest.approx(2.0)
-    assert set(printed["by_distance"][0]) >= {"from_m", "to_m", "depth_scatter_mm", "eq20_mm"}
+    assert set(printed["by_distance"][0]) >= {"from_m", "to_m", "depth_std_mm", "eq20_mm"}
 
 
 @pytest.mark.render
 def test_hand_and_marker_are_drawn_where_they_are():
     with Twin(ErrorProfile()) as twin:
-        hand = TwinHand(twin, np.array([0.45, 0.05, 0.18]), np.eye(4))
+        hand = SimulatedHand(twin, np.array([0.45, 0.05, 0.18]), np.eye(4))
         hand.place()
         true = twin.true_hand()
         np.testing.assert_allclose(true[:3, 3], hand.true_point(hand.read().T_body_hand[:3, 3]))
@@ -131,9 +131,9 @@ def test_nothing_but_the_marker_is_blue():
 
 @pytest.mark.render
 def test_the_hand_keeps_its_limits_and_stops_where_it_is_sent():
-    limits = Limits()
+    limits = ArmLimits()
     with Twin(ErrorProfile()) as twin:
-        hand = TwinHand(twin, np.zeros(3), np.eye(4))
+        hand = SimulatedHand(twin, np.zeros(3), np.eye(4))
         goal = np.array([0.3, -0.2, 0.1])
         hand.command(HandCommand(0.0, goal, np.zeros(3), close=True))
         times = np.arange(1, 401) * 0.005
@@ -151,14 +151,14 @@ def test_the_hand_keeps_its_limits_and_stops_where_it_is_sent():
         assert hand._opening_m == CLOSED_M < OPEN_M
 
 
-def test_arms_are_mounted_some_20_mm_off():
-    mounted = np.array([roughly_mounted(seed, 1) for seed in range(400)])
+def test_the_mounting_error_has_the_stated_standard_deviations():
+    mounted = np.array([arm_mounting_error(seed, 1) for seed in range(400)])
     assert np.std(mounted[:, :3, 3]) == pytest.approx(0.015, rel=0.1)
     assert np.degrees(np.std(rotvec(mounted[:, :3, :3]))) == pytest.approx(1.5, rel=0.1)
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_objects_come_from_afar_and_are_held_within_reach(seed: int):
+def test_objects_come_from_a_distance_and_are_held_within_reach(seed: int):
     path = held_out(seed, 1)
     points = np.array([path(t) for t in np.linspace(0, 9, 2001)])
     speeds = np.linalg.norm(np.diff(points, axis=0), axis=1) / (9 / 2000)
@@ -167,11 +167,11 @@ def test_objects_come_from_afar_and_are_held_within_reach(seed: int):
     assert speeds.max() < 0.37
 
 
-def sights(scale: float) -> list[Sight]:
-    """Return what a head would see of points at all distances, by points instead of images.
+def depth_samples(scale: float) -> list[DepthSample]:
+    """Return depth samples at all distances, simulated by points instead of images.
 
     Args:
-        scale: of all estimates, as a wrong baseline makes it.
+        scale: error of all estimates, as a wrong baseline causes it.
     """
     rng, n, head = np.random.default_rng(0), 6000, four_cameras()
     middle = inverse(head.T_rbase_lbase)[:3, 3] / 2
@@ -184,7 +184,7 @@ def sights(scale: float) -> list[Sight]:
     found = locate(head, left, right, angles, cameras=NARROW).points
     wrong = scale * (found - middle) - (points - middle)
     return [
-        Sight(
+        DepthSample(
             time_s=0.033 * k,
             distance_m=distances[k],
             depth_error_m=wrong[k, 0],
@@ -198,30 +198,25 @@ def sights(scale: float) -> list[Sight]:
 
 
 @pytest.mark.parametrize("scale", [1.0, 1.05])
-def test_errors_scatter_with_distance_as_equation_20_says(scale: float):
-    """Also when the head is wrong: then all estimates are, but their scatter is the same."""
-    found = by_distance([sights(scale)])
+def test_depth_errors_grow_with_distance_as_equation_20_says(scale: float):
+    """A wrong baseline adds a systematic error, and leaves the standard deviation as it is."""
+    found = bin_by_range([depth_samples(scale)])
     assert [(d.from_m, d.to_m) for d in found] == list(pairwise(EDGES_M))
     for d in found:
-        assert d.depth_scatter_mm / scale == pytest.approx(d.eq20_mm, rel=0.1)
+        assert d.depth_std_mm / scale == pytest.approx(d.eq20_mm, rel=0.1)
         wrong = (scale - 1) * 1e3 * (d.from_m + d.to_m) / 2
-        assert d.depth_rms_mm == pytest.approx(np.hypot(d.depth_scatter_mm, wrong), rel=0.05)
-    assert found[-1].depth_scatter_mm / found[0].depth_scatter_mm > 7  # (1.2 m / 0.4 m)^2 = 9
+        assert d.depth_rms_mm == pytest.approx(np.hypot(d.depth_std_mm, wrong), rel=0.05)
+    assert found[-1].depth_std_mm / found[0].depth_std_mm > 7  # (1.2 m / 0.4 m)^2 = 9
 
 
 def test_a_summary_of_trials_that_all_failed_has_no_distances():
-    trial = module.Trial(Phase.TRACK, 12.0, np.inf, np.inf, ())
+    trial = module.Trial(ReachPhase.TRACK, 12.0, np.inf, np.inf, ())
     found = summary([trial, trial])
     assert (found.held, found.within, found.median_mm, found.by_distance) == (0, 0.0, None, ())
     json.dumps(found.worst_mm)
 
 
 @pytest.mark.parametrize(("trials", "seed"), [(0, 0), (10**6, 0), (1, -1)])
-def test_what_cannot_be_is_refused(trials: int, seed: int):
+def test_arguments_out_of_range_are_refused(trials: int, seed: int):
     with pytest.raises(VergenceError, match=r"trials|The seed"):
         grasp(trials=trials, seed=seed, profile=ErrorProfile())
-
-
-def test_the_scenario_names_its_own_command():
-    text = (ROOT / "scenarios" / "grasp.py").read_text()
-    assert "python scenarios/grasp.py" in text

@@ -1,4 +1,4 @@
-"""The reach law on drawn images: what it does when all is well, and when it is not."""
+"""The reach controller on drawn images, without and with faults."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,15 +9,21 @@ import pytest
 from drawn_hand import MARKER_HAND, DrawnHeadWithHand
 from drawn_head import four_cameras, point_at
 from vergence.arrays import Array
-from vergence.gaze.state import Settings as Gaze
+from vergence.gaze.state import GazeSettings
 from vergence.geometry.se3 import pose, rotation
-from vergence.reach.controller import Phase, Settings, State, grasp, start, step
-from vergence.reach.state import uncertainty
+from vergence.reach.controller import run_reach, step_reach
+from vergence.reach.state import (
+    ReachPhase,
+    ReachSettings,
+    ReachState,
+    initial_reach_state,
+    target_covariance,
+)
 
-SETTINGS = Settings(gaze=Gaze(calibration=four_cameras()), marker_hand=MARKER_HAND)
+SETTINGS = ReachSettings(gaze=GazeSettings(calibration=four_cameras()), marker_hand=MARKER_HAND)
 OBJECT = point_at(5, 6, 0.45)
 ROUGHLY = pose(rotation([0.02, -0.02, 0.02]), [0.012, -0.015, 0.01])
-"""Of an arm that is not quite where it is believed to be."""
+"""A mounting error of the arm."""
 
 
 pytestmark = pytest.mark.slow  # closed loops, of many seconds each
@@ -27,23 +33,23 @@ def run(
     head: DrawnHeadWithHand,
     seconds: float,
     *,
-    settings: Settings = SETTINGS,
-    watch: Callable[[State], None] = lambda state: None,
-) -> tuple[State, list[Phase]]:
+    settings: ReachSettings = SETTINGS,
+    watch: Callable[[ReachState], None] = lambda state: None,
+) -> tuple[ReachState, list[ReachPhase]]:
     """Return the last state and the phases in their order."""
-    phases: list[Phase] = []
+    phases: list[ReachPhase] = []
 
-    def keep(state: State, *_: object) -> None:
+    def keep(state: ReachState, *_: object) -> None:
         watch(state)
         if not phases or phases[-1] is not state.phase:
             phases.append(state.phase)
 
-    begin = start(settings, np.zeros(7), head.hand.read(), head.now_s())
-    return grasp(head, head.hand, settings, begin, seconds, watch=keep), phases
+    begin = initial_reach_state(settings, np.zeros(7), head.hand.read(), head.now_s())
+    return run_reach(head, head.hand, settings, begin, seconds, watch=keep), phases
 
 
 def miss_m(head: DrawnHeadWithHand) -> float:
-    """Return how far the hand truly is from the object now."""
+    """Return the true distance [m] of the hand from the object, now."""
     where = head.path(head.time_s)
     assert where is not None
     return float(np.linalg.norm(head.hand.true(head.hand.position) - where))
@@ -53,34 +59,34 @@ def still(_: float) -> Array:
     return OBJECT
 
 
-def test_the_hand_reaches_is_servoed_and_closes_as_more_is_known():
+def test_the_hand_reaches_is_servoed_and_closes_as_the_uncertainty_falls():
     stds: list[tuple[float, float]] = []
 
-    def keep(state: State) -> None:
+    def keep(state: ReachState) -> None:
         if state.marker is not None:
-            worst = np.linalg.eigvalsh(uncertainty(SETTINGS, state))[-1]
+            worst = np.linalg.eigvalsh(target_covariance(SETTINGS, state))[-1]
             stds.append((state.apart_m, float(np.sqrt(worst))))
 
     head = DrawnHeadWithHand(still, home=SETTINGS.home)
     _, phases = run(head, 4.0, watch=keep)
-    assert phases[-4:] == [Phase.REACH, Phase.SERVO, Phase.CLOSE, Phase.HELD]
+    assert phases[-4:] == [ReachPhase.REACH, ReachPhase.SERVO, ReachPhase.CLOSE, ReachPhase.HELD]
     assert miss_m(head) < 2.5e-3
     (far_m, unsure_m), (near_m, sure_m) = stds[0], stds[-1]
     assert far_m > 2 * near_m
     assert unsure_m > 2 * sure_m
 
 
-def test_it_does_not_rest_on_where_the_arm_is_believed_to_be_nor_on_the_calibration():
-    """A baseline wrong by 4 %, as a gain of the joints makes it, and an arm off by 20 mm."""
+def test_the_grasp_tolerates_errors_of_the_mounting_and_of_the_calibration():
+    """The baseline is wrong by 4 %, as by a gain of the joints, and the arm by 20 mm."""
     head = four_cameras()
     wrong = replace(head, T_rbase_lbase=pose(t=1.04 * head.T_rbase_lbase[:3, 3]))
-    settings = replace(SETTINGS, gaze=Gaze(calibration=wrong))
+    settings = replace(SETTINGS, gaze=GazeSettings(calibration=wrong))
     sway = np.array([0.008, 0.01, 0.006])
     drawn = DrawnHeadWithHand(
         lambda t: OBJECT + sway * np.sin(2.2 * t), home=settings.home, T_body_arm=ROUGHLY
     )
     state, _ = run(drawn, 5.0, settings=settings)
-    assert state.phase is Phase.HELD
+    assert state.phase is ReachPhase.HELD
     assert state.object is not None
     where = drawn.path(drawn.time_s)
     assert where is not None
@@ -88,7 +94,7 @@ def test_it_does_not_rest_on_where_the_arm_is_believed_to_be_nor_on_the_calibrat
     assert miss_m(drawn) < 5e-3
 
 
-def test_late_and_missing_frames_do_not_hinder_it():
+def test_late_and_missing_frames_are_tolerated():
     head = DrawnHeadWithHand(
         lambda t: OBJECT + np.array([0.0, 0.02 * np.sin(2 * t), 0.0]),
         home=SETTINGS.home,
@@ -97,35 +103,35 @@ def test_late_and_missing_frames_do_not_hinder_it():
         dropped=lambda number: number % 7 == 3,
     )
     state, _ = run(head, 5.0)
-    assert state.phase is Phase.HELD
+    assert state.phase is ReachPhase.HELD
     assert miss_m(head) < 6e-3
 
 
 def test_a_hand_that_is_not_seen_waits_and_does_not_close():
     head = DrawnHeadWithHand(still, home=SETTINGS.home, shown=lambda t: False)
     state, phases = run(head, 2.0)
-    assert state.phase is Phase.UNSEEN
-    assert Phase.CLOSE not in phases
+    assert state.phase is ReachPhase.UNSEEN
+    assert ReachPhase.CLOSE not in phases
     assert np.linalg.norm(head.hand.position - OBJECT) > 0.1
 
 
-def test_a_hand_that_is_seen_at_last_goes_on():
+def test_a_hand_continues_once_its_marker_is_seen():
     head = DrawnHeadWithHand(still, home=SETTINGS.home, shown=lambda t: t > 2.0)
     state, phases = run(head, 5.0)
-    assert Phase.UNSEEN in phases
-    assert state.phase is Phase.HELD
+    assert ReachPhase.UNSEEN in phases
+    assert state.phase is ReachPhase.HELD
 
 
 def test_the_hand_stays_at_home_while_the_object_is_out_of_reach():
     head = DrawnHeadWithHand(lambda t: point_at(5, 0, 1.2), home=SETTINGS.home)
     state, phases = run(head, 0.7)
-    assert phases[-1] is Phase.TRACK
+    assert phases[-1] is ReachPhase.TRACK
     np.testing.assert_allclose(head.hand.position, SETTINGS.home, atol=1e-6)
-    assert uncertainty(SETTINGS, state)[0, 0] == np.inf
+    assert target_covariance(SETTINGS, state)[0, 0] == np.inf
 
 
 def away(time_s: float) -> Array:
-    """Held out, and taken away before the hand is there."""
+    """Return a position that moves away before the hand arrives."""
     return OBJECT + np.array([0.3 * min(max(time_s - 1.0, 0.0), 2.0), 0.0, 0.0])
 
 
@@ -133,25 +139,25 @@ def hidden(time_s: float) -> Array | None:
     return OBJECT if time_s < 1.0 else None
 
 
-@pytest.mark.parametrize(("path", "ends"), [(away, Phase.TRACK), (hidden, Phase.SEEK)])
+@pytest.mark.parametrize(("path", "ends"), [(away, ReachPhase.TRACK), (hidden, ReachPhase.SEEK)])
 def test_the_hand_goes_home_when_the_object_is_gone(
-    path: Callable[[float], Array | None], ends: Phase
+    path: Callable[[float], Array | None], ends: ReachPhase
 ):
     head = DrawnHeadWithHand(path, home=SETTINGS.home)
     state, phases = run(head, 3.5)
-    assert Phase.REACH in phases
-    assert Phase.CLOSE not in phases
+    assert ReachPhase.REACH in phases
+    assert ReachPhase.CLOSE not in phases
     assert state.phase is ends
     np.testing.assert_allclose(head.hand.position, SETTINGS.home, atol=2e-3)
 
 
-def test_it_does_not_close_on_what_is_not_known_well_enough():
-    """All is well in truth; but pixels that may be wrong by 3 px leave more than the tolerance."""
+def test_the_hand_does_not_close_on_an_uncertain_position():
+    """Pixels with a standard deviation of 3 px leave more uncertainty than the tolerance."""
     unsure = replace(SETTINGS, gaze=replace(SETTINGS.gaze, pixel_std_px=3.0))
     head = DrawnHeadWithHand(still, home=SETTINGS.home)
     state, phases = run(head, 1.8, settings=unsure)
-    assert state.phase is Phase.SERVO
-    assert Phase.CLOSE not in phases
+    assert state.phase is ReachPhase.SERVO
+    assert ReachPhase.CLOSE not in phases
 
 
 def test_a_hand_that_closed_on_nothing_opens_again():
@@ -160,14 +166,14 @@ def test_a_hand_that_closed_on_nothing_opens_again():
     )
     closed_s = np.inf
     state, _ = run(head, 4.0)
-    assert state.phase is Phase.HELD
+    assert state.phase is ReachPhase.HELD
     closed_s = head.time_s
     phases = []
     while head.now_s() < closed_s + 0.9:
         frame = head.read(state.cameras)
-        state = step(SETTINGS, state, frame, head.hand.read(), head.now_s())
+        state = step_reach(SETTINGS, state, frame, head.hand.read(), head.now_s())
         head.command(state.gaze.command)
         head.hand.command(state.command)
         phases.append(state.phase)
-    assert phases[0] is Phase.HELD
-    assert Phase.SERVO in phases
+    assert phases[0] is ReachPhase.HELD
+    assert ReachPhase.SERVO in phases

@@ -1,4 +1,4 @@
-"""Following on the twin, with its physics and its renders; the calibration is given, not made."""
+"""Tracking on the twin, with its physics and renders, and with the true calibration."""
 
 import json
 import re
@@ -9,18 +9,20 @@ import numpy as np
 import pytest
 
 from vergence.arrays import Array
+from vergence.demos import experiment
 from vergence.demos import track as module
 from vergence.demos.track import SPEED_M_S, follow, smooth_path, track
 from vergence.errors import VergenceError
-from vergence.gaze.commands import Limits
-from vergence.gaze.controller import Settings, look, start
+from vergence.gaze.commands import JointLimits
+from vergence.gaze.controller import run_gaze
+from vergence.gaze.state import GazeSettings, initial_gaze_state
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile, load_profile
-from vergence.twin.simulated_robot import FRAME_S, TwinHead, foveal_errors
+from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors
 from vergence.viewer.reading import read_series
 
 LENSES = ("wide", "narrow")
-SCENARIO = Path(__file__).parents[1] / "scenarios" / "track.py"
+SCENARIO = Path(__file__).parents[1] / "scenarios" / "gaze_demos.py"
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -38,7 +40,7 @@ def test_paths_keep_to_their_space_and_come_to_the_stated_speed(seed: int):
 @pytest.mark.render
 def test_a_moving_object_stays_on_both_foveas_and_is_found_again_after_it_was_hidden():
     with Twin(load_profile("paper"), seed=1) as twin:
-        settings = Settings(calibration=twin.truth, joint_std_rad=2.6e-3)
+        settings = GazeSettings(calibration=twin.truth, joint_std_rad=2.6e-3)
         found = follow(twin, settings, 0, smooth_path(4, 3.0), 2.4, hidden_s=1.0)
     assert found.found_again
     assert found.in_both > 0.9
@@ -49,20 +51,20 @@ def test_a_moving_object_stays_on_both_foveas_and_is_found_again_after_it_was_hi
 
 @pytest.mark.render
 def test_a_gaze_shift_shared_with_the_neck_keeps_the_image_still():
-    """Nearly 60 degrees, on the twin's own heavy neck: less than 20 px while it turns."""
+    """A shift of nearly 60 degrees with the twin's heavy neck: below 20 px while it turns."""
     before, after = (0.9 * np.array([np.cos(a), np.sin(a), 0.1]) for a in np.radians([-26.0, 26.0]))
     seen: list[tuple[float, Array, Array]] = []
     with Twin(load_profile("ideal"), seed=1) as twin:
-        settings = Settings(calibration=twin.truth, use_neck=True)
-        head = TwinHead(twin, 0, lambda t: before if t < 0.8 else after)
+        settings = GazeSettings(calibration=twin.truth, use_neck=True)
+        head = SimulatedHead(twin, 0, lambda t: before if t < 0.8 else after)
 
         def keep(*_: object) -> None:
             seen.append((twin.time_s, foveal_errors(twin, twin.truth), twin.true_angles()))
 
-        look(head, settings, start(settings, np.zeros(7), 0.0), 2.0, watch=keep)
+        run_gaze(head, settings, initial_gaze_state(settings, np.zeros(7), 0.0), 2.0, watch=keep)
     times = np.array([t for t, _, _ in seen])
     errors, angles = np.array([e.max() for _, e, _ in seen]), np.array([a for _, _, a in seen])
-    limits = Limits().range_rad
+    limits = JointLimits().range_rad
     assert (angles >= limits[:, 0] - 1e-3).all()
     assert (angles <= limits[:, 1] + 1e-3).all()
     turning = np.abs(np.gradient(angles[:, 2], times)) > 0.05
@@ -78,10 +80,10 @@ def test_a_gaze_shift_shared_with_the_neck_keeps_the_image_still():
 
 @pytest.mark.render
 def test_the_summary_is_written_as_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    def given(twin: Twin, seed: int) -> Settings:
-        return Settings(calibration=twin.truth)
+    def given(twin: Twin, seed: int) -> GazeSettings:
+        return GazeSettings(calibration=twin.truth)
 
-    monkeypatch.setattr(module, "calibrated", given)
+    monkeypatch.setattr(experiment, "calibrate_twin", given)
     monkeypatch.setattr(module, "SHORTEST_S", 1.0)
     found = track(seconds=1.2, profile=ErrorProfile(), out=tmp_path)
     written = json.loads((tmp_path / "track.json").read_text())
@@ -94,26 +96,26 @@ def test_the_summary_is_written_as_json(tmp_path: Path, monkeypatch: pytest.Monk
 def test_the_scenario_says_what_it_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    def given(twin: Twin, seed: int) -> Settings:
-        return Settings(calibration=twin.truth)
+    def given(twin: Twin, seed: int) -> GazeSettings:
+        return GazeSettings(calibration=twin.truth)
 
-    monkeypatch.setattr(module, "calibrated", given)
+    monkeypatch.setattr(experiment, "calibrate_twin", given)
     monkeypatch.setattr(module, "SHORTEST_S", 0.7)
-    runpy.run_path(str(SCENARIO))["main"](out=tmp_path, seconds=0.7)
+    runpy.run_path(str(SCENARIO))["track"](out=tmp_path, seconds=0.7)
     assert re.search(r"in both narrow images in \d+\.\d% of \d+", capsys.readouterr().out)
 
 
 @pytest.mark.render
 def test_stereo_by_the_narrow_images_beats_that_by_the_wide_ones():
-    """Eq. 20: in proportion to the focal lengths, if the pixels are as good."""
+    """By Eq. 20 errors are inversely proportional to the focal lengths, for equal pixel errors."""
     with Twin(load_profile("ideal"), seed=2) as twin:
-        settings = Settings(calibration=twin.truth)
+        settings = GazeSettings(calibration=twin.truth)
         found = follow(twin, settings, 0, smooth_path(2, 3.0), 1.6)
     focal = [twin.truth.camera(f"left_{lens}").intrinsics.matrix[0, 0] for lens in LENSES]
     assert found.wide_rms_m > focal[1] / focal[0] * found.single_frame_rms_m
 
 
 @pytest.mark.parametrize(("seconds", "seed"), [(0.0, 0), (1e9, 0), (10.0, -1)])
-def test_what_cannot_be_is_refused(seconds: float, seed: int):
+def test_arguments_out_of_range_are_refused(seconds: float, seed: int):
     with pytest.raises(VergenceError, match=r"A run takes|The seed"):
         track(seconds=seconds, seed=seed, profile=ErrorProfile())

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
     from vergence.data.dataset import Frame
-    from vergence.gaze.controller import State
+    from vergence.gaze.state import GazeState
 
 
 def reproduce(
@@ -242,7 +242,7 @@ def track(
     chosen = load_profile(profile)
     with _progress("seconds followed", seconds) as (progress, task):
 
-        def watch(state: State, frame: Frame | None) -> None:
+        def watch(state: GazeState, frame: Frame | None) -> None:
             progress.update(task, completed=max(0.0, state.frame_s))
 
         found = run(seconds=seconds, seed=seed, profile=chosen, out=out, watch=watch)

@@ -1,7 +1,7 @@
-"""How wrong the eyes are along their line of sight, by distance, beside what Eq. 20 says.
+"""Depth errors of the eyes by range, beside the standard deviations that Eq. 20 predicts.
 
-What scatters is told from what is merely wrong by differences between one frame and the next: the
-errors of a calibration, or of the gain of a joint, change little from frame to frame.
+Random errors are separated from systematic ones by differences between successive frames: errors
+of the calibration, or of a joint's gain, change little from one frame to the next.
 """
 
 from __future__ import annotations
@@ -14,9 +14,8 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.gaze.commands import EYES_4
-from vergence.gaze.controller import NARROW
-from vergence.gaze.state import Settings, State
+from vergence.gaze.commands import EYES_4, neck_chain
+from vergence.gaze.state import NARROW, GazeSettings, GazeState
 from vergence.geometry.head import T_body_base
 from vergence.geometry.se3 import inverse, transform
 from vergence.paper.replay import see
@@ -28,46 +27,51 @@ _FEWEST = 10
 
 
 @dataclass(frozen=True)
-class Sight:
-    """The errors of one frame that shows the object to both narrow cameras."""
+class DepthSample:
+    """The errors of one frame in which both narrow cameras see the object."""
 
     time_s: float
+    """Time of the frame."""
     distance_m: float
-    """From midway between the eyes."""
+    """True distance from the midpoint between the eyes."""
     depth_error_m: float
-    """Of the estimate by this frame alone, along the line of sight."""
+    """Error of this frame's estimate along the line of sight."""
     pixel_error_px: float
-    """Of where the object was found: what the left image is wrong more than the right one."""
+    """Horizontal error of the object's pixel, left image minus right image."""
     vergence_error_rad: float
-    """Of the readings: likewise, of the pans."""
+    """Error of the pan readings, left eye minus right eye."""
     baseline_m: float
-    """Between the narrow cameras."""
+    """Distance between the eyes."""
     focal_px: float
+    """Focal length of the narrow cameras."""
 
 
 @dataclass(frozen=True)
-class Distance:
-    """The errors at some distance."""
+class RangeBin:
+    """The errors within an interval of distances."""
 
     from_m: float
     to_m: float
     frames: int
     depth_rms_mm: float
-    """Of all that is wrong."""
-    depth_scatter_mm: float
-    """Of what differs from frame to frame: a standard deviation."""
+    """Root mean square of the whole depth error."""
+    depth_std_mm: float
+    """Standard deviation of the part that differs from frame to frame."""
     eq20_mm: float
-    """The same by Eqs. 20-21, from how much pixels and readings scattered over all distances."""
+    """Its prediction by Eqs. 20-21, from the standard deviations of pixels and readings over all
+    distances."""
 
 
-def sight(twin: Twin, settings: Settings, state: State, frame: Frame) -> Sight | None:
-    """Return the errors of the latest frame; None where it gave no estimate by narrow cameras.
+def depth_sample(
+    twin: Twin, settings: GazeSettings, state: GazeState, frame: Frame
+) -> DepthSample | None:
+    """Return the errors of a frame; None where it gave no estimate by the narrow cameras.
 
     Args:
-        twin: the head, asked for the truth.
-        settings: of the gaze.
-        state: of the gaze after the frame.
-        frame: the frame, taken now.
+        twin: the head, which provides the truth.
+        settings: of the gaze controller.
+        state: of the gaze controller after the frame.
+        frame: the frame, taken at the twin's present time.
     """
     found = [state.pixels.get(name, np.full(2, np.nan)) for name in NARROW]
     if state.measured is None or state.frame_s != frame.time_s or not np.isfinite(found).all():
@@ -75,18 +79,18 @@ def sight(twin: Twin, settings: Settings, state: State, frame: Frame) -> Sight |
     calibration, eyes = settings.calibration, twin.true_angles()[EYES_4]
     truth = twin.true_object()
     true_pixels = [see(twin.truth, name, eyes[None], truth)[0] for name in NARROW]
-    neck = frame.neck_angles[: len(calibration.neck.axes)]
+    neck = neck_chain(calibration, frame.neck_angles)
     T_lbase_body = inverse(T_body_base(calibration, "left", neck))
     middle = inverse(twin.truth.T_rbase_lbase)[:3, 3] / 2
     away = truth - middle
     distance = float(np.linalg.norm(away))
-    wrong = transform(T_lbase_body, state.measured) - truth
+    error = transform(T_lbase_body, state.measured) - truth
     pixel_errors = np.array(found) - true_pixels
     reading_errors = frame.eye_angles - eyes
-    return Sight(
+    return DepthSample(
         time_s=frame.time_s,
         distance_m=distance,
-        depth_error_m=float(wrong @ away) / distance,
+        depth_error_m=float(error @ away) / distance,
         pixel_error_px=float(pixel_errors[0, 0] - pixel_errors[1, 0]),
         vergence_error_rad=float(reading_errors[0] - reading_errors[2]),
         baseline_m=float(2 * np.linalg.norm(middle)),
@@ -94,37 +98,37 @@ def sight(twin: Twin, settings: Settings, state: State, frame: Frame) -> Sight |
     )
 
 
-def by_distance(runs: Sequence[Sequence[Sight]]) -> tuple[Distance, ...]:
-    """Return the errors by distance, where there are enough frames.
+def bin_by_range(runs: Sequence[Sequence[DepthSample]]) -> tuple[RangeBin, ...]:
+    """Return the errors by distance, for the intervals that have enough frames.
 
     Args:
-        runs: sights in the order of their times; only differences within a run count.
+        runs: samples in the order of their times; differences are taken within a run only.
     """
     pairs = [(a, b) for run in runs for a, b in pairwise(run)]
     pairs = [(a, b) for a, b in pairs if b.time_s - a.time_s < 0.1]
     if len(pairs) < _FEWEST:
         return ()
-    every = [s for run in runs for s in run]
-    pixel_std = _scatter([b.pixel_error_px - a.pixel_error_px for a, b in pairs])
-    vergence_std = _scatter([b.vergence_error_rad - a.vergence_error_rad for a, b in pairs])
+    samples = [sample for run in runs for sample in run]
+    pixel_std = _std([b.pixel_error_px - a.pixel_error_px for a, b in pairs])
+    vergence_std = _std([b.vergence_error_rad - a.vergence_error_rad for a, b in pairs])
     found = []
     for low, high in pairwise(EDGES_M):
-        here = [s for s in every if low <= s.distance_m < high]
+        here = [sample for sample in samples if low <= sample.distance_m < high]
         steps = [b.depth_error_m - a.depth_error_m for a, b in pairs if low <= a.distance_m < high]
         if len(steps) < _FEWEST:
             continue
         z, b, f = (
-            np.array([getattr(s, name) for s in here])
+            np.array([getattr(sample, name) for sample in here])
             for name in ("distance_m", "baseline_m", "focal_px")
         )
         by_eq20 = depth_error(z, b, f, np.hypot(pixel_std, disparity_error(f, vergence_std)))
         found.append(
-            Distance(
+            RangeBin(
                 from_m=low,
                 to_m=high,
                 frames=len(here),
-                depth_rms_mm=1e3 * _rms([s.depth_error_m for s in here]),
-                depth_scatter_mm=1e3 * _scatter(steps),
+                depth_rms_mm=1e3 * _rms([sample.depth_error_m for sample in here]),
+                depth_std_mm=1e3 * _std(steps),
                 eq20_mm=1e3 * _rms(by_eq20),
             )
         )
@@ -135,6 +139,6 @@ def _rms(values: Sequence[float] | Array) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def _scatter(steps: Sequence[float]) -> float:
-    """Return the standard deviation of what differs by these steps from one frame to the next."""
+def _std(steps: Sequence[float]) -> float:
+    """Return the standard deviation of independent errors from their frame-to-frame steps."""
     return _rms(steps) / float(np.sqrt(2))

@@ -1,61 +1,61 @@
-"""Turn the eyes to objects that appear, until they are in the middle of both foveas (Sec. III).
+"""Foveate objects that appear: turn the eyes until both narrow images are centred (Sec. III).
 
-The twin is calibrated by the paper's method; then an object appears somewhere, the eyes look
-straight ahead, and the controller of `vergence.gaze` does the rest from frames alone. The truth
-is asked only for how far off the object ended.
+The twin is calibrated by the paper's method. In each trial the eyes begin straight ahead, an object
+appears, and the controller of `vergence.gaze` turns the eyes to it, from frames alone. The truth is
+used only to measure the error that remains.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.demos.recording import recorded
-from vergence.errors import VergenceError
-from vergence.files import write_whole
+from vergence.demos.experiment import calibrated_twin, check_trials, write_summary
 from vergence.gaze.commands import HEAD_JOINTS
-from vergence.gaze.controller import NARROW, Phase, Settings, State, look, start
+from vergence.gaze.controller import run_gaze
+from vergence.gaze.state import NARROW, GazePhase, GazeSettings, GazeState, initial_gaze_state
 from vergence.geometry.head import T_head_base
 from vergence.geometry.se3 import inverse, transform
 from vergence.twin.head import Twin
-from vergence.twin.occlusion import in_sight
+from vergence.twin.occlusion import unoccluded
 from vergence.twin.profile import ErrorProfile
-from vergence.twin.simulated_robot import FRAME_S, Delivery, TwinHead, calibrated, foveal_errors
+from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors
 from vergence.viewer.plots_depth import depth
 
 WITHIN_S = 0.5
+"""Length of a trial."""
 DIRECTION_RAD = float(np.radians(20))
+"""Greatest pan and tilt of an object."""
 DEPTH_M = (0.3, 1.5)
 OBJECT_M = 0.02
-"""Radius of what appears."""
+"""Radius of an object."""
 SETTLED_PX = 8.0
-"""Within which both eyes must stay to the end to count as settled."""
-MOST_TRIALS = 10_000
+"""Error below which both eyes must stay until the end to count as settled."""
 PLAYBACK = 0.25
-"""Recorded seconds a second: a saccade is over in 60 ms."""
+"""Recorded seconds a second: a saccade takes 60 ms."""
 RECORDED = 10
-"""Trials that are recorded: more make the recording large, not clearer."""
+"""Number of trials that are recorded: more would only make the file larger."""
 
 
 @dataclass(frozen=True)
 class Summary:
-    """What the trials came to; written as JSON."""
+    """Statistics of the trials; written as JSON."""
 
     trials: int
     median_px: float
-    """Of the distances at the end: of the trials, the worse eye of each."""
+    """Median over trials of the final error of the worse eye."""
     p95_px: float
+    """95 % quantile of the same."""
     settle_s_p95: float | None
-    """From the appearance until both eyes stay within SETTLED_PX; none: too many never do."""
+    """95 % quantile of the time from the appearance until both eyes stay within SETTLED_PX; None:
+    more than 5 % of the trials do not settle."""
     lost: int
-    """Trials at whose end the object was not found in both narrow images."""
+    """Number of trials at whose end the object was not found in both narrow images."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,23 +63,22 @@ class Trial:
     """One object that appeared."""
 
     target_head: Array
-    """(3,) where it is [m], in frame head."""
+    """(3,) its position [m] in frame head."""
     time_s: Array
-    """(N,) of the frames, since it appeared."""
+    """(N,) times of the frames since it appeared."""
     errors_px: Array
-    """(N, 2) how far it truly was from the centres of the left and the right narrow image."""
-    phases: tuple[str, ...]
-    """(N,) what the controller said it was doing, once it had the frame."""
+    """(N, 2) true distance of the object from the centres of the left and right narrow image."""
     lost: bool
+    """Whether the object was not found in both narrow images at the end."""
 
     @property
     def final_px(self) -> float:
-        """The worse eye's distance at the end."""
+        """Error of the worse eye at the end."""
         return float(self.errors_px[-1].max())
 
     @property
     def settle_s(self) -> float:
-        """When both eyes were there to stay; infinity: not until the end."""
+        """Time from which both eyes stay within SETTLED_PX; infinity: they do not."""
         outside = np.flatnonzero(~(self.errors_px.max(axis=1) <= SETTLED_PX))
         first = 0 if not len(outside) else outside[-1] + 1
         return float(self.time_s[first]) if first < len(self.time_s) else np.inf
@@ -91,15 +90,15 @@ def targets(
     *,
     free: Callable[[Array], np.ndarray] = lambda places: np.ones(len(places), bool),
 ) -> Array:
-    """Return where the objects appear (trials, 3) [m], in frame head.
+    """Return the positions (trials, 3) [m] at which objects appear, in frame head.
 
-    Directions are spread evenly over +-20 degrees of pan and of tilt, depths evenly over theirs.
+    Pan, tilt and depth are distributed uniformly, with directions within +-20 degrees.
 
     Args:
-        trials: how many.
-        seed: of the places.
-        free: tells of places (N, 3) whether an object can be seen there (N,); where not, another
-            place is drawn.
+        trials: number of positions.
+        seed: of the positions.
+        free: returns (N,) whether positions (N, 3) are unoccluded; those that are not are drawn
+            again.
     """
     rng = np.random.default_rng([seed, 5])
 
@@ -116,45 +115,42 @@ def targets(
 
 def run_trial(
     twin: Twin,
-    settings: Settings,
+    settings: GazeSettings,
     run: int,
     target_head: Array,
     *,
-    watch: Callable[[State, Frame | None], None] = lambda state, frame: None,
+    watch: Callable[[GazeState, Frame | None], None] = lambda state, frame: None,
 ) -> Trial:
-    """Let one object appear, and look at it for half a second.
+    """Run the gaze controller for half a second on an object that appears.
 
     Args:
         twin: the head.
         settings: of the controller.
         run: number of the trial, for the noise.
-        target_head: (3,) where the object is [m].
-        watch: is shown every state and its frame.
+        target_head: (3,) position of the object [m] in frame head.
+        watch: called with every state and its frame.
     """
-    T_lbase_head = inverse(T_head_base(twin.truth, "left"))
-    target = transform(T_lbase_head, target_head)
-    delivery = Delivery(all_every=1)  # a trial is short: look at all of it
-    head = TwinHead(twin, run, lambda _: target, limits=settings.limits, delivery=delivery)
-    state = start(settings, np.zeros(len(HEAD_JOINTS)), head.now_s())
+    head = SimulatedHead(
+        twin, run, lambda _: target_head, limits=settings.limits, all_cameras_every=1
+    )
+    state = initial_gaze_state(settings, np.zeros(len(HEAD_JOINTS)), head.now_s())
     times: list[float] = []
     errors: list[Array] = []
-    phases: list[str] = []
 
-    def keep(state: State, frame: Frame | None) -> None:
+    def keep(state: GazeState, frame: Frame | None) -> None:
         if frame is not None:
             times.append(frame.time_s)
             errors.append(foveal_errors(twin, settings.calibration))
-            phases.append(state.phase.value)
         watch(state, frame)
 
-    state = look(head, settings, state, WITHIN_S - FRAME_S, watch=keep)
+    state = run_gaze(head, settings, state, WITHIN_S - FRAME_S, watch=keep)
     in_view = [np.isfinite(state.pixels.get(name, np.array(np.nan))).all() for name in NARROW]
-    lost = state.phase is Phase.LOST or not all(in_view)
-    return Trial(target_head, np.array(times), np.array(errors), tuple(phases), lost)
+    lost = state.phase is GazePhase.LOST or not all(in_view)
+    return Trial(target_head, np.array(times), np.array(errors), lost)
 
 
 def summary(trials: list[Trial]) -> Summary:
-    """Return what the trials came to."""
+    """Return the statistics of trials."""
     final = np.array([trial.final_px for trial in trials])
     settled = np.array([trial.settle_s for trial in trials])
     slow = float(np.quantile(settled, 0.95, method="higher"))
@@ -175,68 +171,54 @@ def foveate(
     out: Path | None = None,
     done: Callable[[], None] = lambda: None,
 ) -> tuple[Summary, list[Trial]]:
-    """Calibrate the twin and let objects appear.
+    """Calibrate the twin and run a trial for each of a number of objects.
 
     Args:
-        trials: how many.
+        trials: number of objects.
         seed: of everything random.
         profile: imperfections of the head.
-        out: folder for foveate.json and foveate.rrd, which shows the first RECORDED trials one
-            after the other, and depth.png; None: nothing is written.
+        out: folder for foveate.json, the recording foveate.rrd of the first RECORDED trials, and
+            depth.png; None: nothing is written.
         done: called after each trial.
 
     Raises:
-        VergenceError: an argument cannot be met, or the folder cannot be written.
+        VergenceError: an argument is out of range, or the folder cannot be written.
     """
-    if not 1 <= trials <= MOST_TRIALS:
-        raise VergenceError(f"Asked for {trials} trials; from 1 to {MOST_TRIALS} can be made.")
-    if seed < 0:
-        raise VergenceError(f"The seed must be a whole number from 0, found {seed}.")
-    made = []
-    with Twin(profile, seed=seed) as twin:
-        settings = calibrated(twin, seed)
-        T_lbase_head = inverse(T_head_base(twin.truth, "left"))
-
-        def free(places: Array) -> np.ndarray:  # there is furniture in the room
-            return in_sight(twin, transform(T_lbase_head, places), margin_m=OBJECT_M)
-
-        where = targets(trials, seed, free=free)
+    check_trials(trials)
+    made: list[Trial] = []
+    opened = calibrated_twin("foveate", profile, seed, out, reach_m=DEPTH_M[1], speed=PLAYBACK)
+    with opened as (twin, settings, watch, report):
         if out is not None:
             depth(out / "depth.png", settings.calibration)
-            title = f"foveate, profile {profile.name}, seed {seed}"
-            with recorded(
-                out / "foveate.rrd",
-                twin,
-                settings,
-                title=title,
-                reach_m=DEPTH_M[1],
-                speed=PLAYBACK,
-            ) as (record, report):
-                for run, target in enumerate(where[:RECORDED]):
-                    watch = partial(record, lanes={"object": f"{run + 1}"})
-                    made.append(run_trial(twin, settings, run + 1, target, watch=watch))
-                    done()
-                report += [f"# {title}", "", *as_markdown(made)]
-        for run, target in enumerate(where[len(made) :], start=len(made)):
-            made.append(run_trial(twin, settings, run + 1, target))
+        T_lbase_head = inverse(T_head_base(twin.truth, "left"))
+
+        def free(places: Array) -> np.ndarray:  # of the furniture in the room
+            return unoccluded(twin, transform(T_lbase_head, places), margin_m=OBJECT_M)
+
+        def record(state: GazeState, frame: Frame | None) -> None:
+            if len(made) < RECORDED:
+                watch(state, frame, lanes={"object": f"{len(made) + 1}"})
+
+        for run, target in enumerate(targets(trials, seed, free=free), start=1):
+            made.append(run_trial(twin, settings, run, target, watch=record))
             done()
+        report += as_markdown(made[:RECORDED])
     found = summary(made)
-    if out is not None:
-        write_whole(out / "foveate.json", json.dumps(asdict(found), indent=1) + "\n")
+    write_summary(out, "foveate", found)
     return found, made
 
 
 def as_markdown(trials: list[Trial]) -> list[str]:
-    """Return the lines of a report on a few trials."""
+    """Return the lines of a report on trials."""
     rows = [
         f"| {number} | {np.linalg.norm(trial.target_head):.2f} | {trial.errors_px[0].max():.0f} "
         f"| {trial.final_px:.2f} | {trial.settle_s:.2f} |"
         for number, trial in enumerate(trials, start=1)
     ]
     return [
-        f"The first {len(trials)} objects, each looked at for {WITHIN_S} s.",
+        f"The first {len(trials)} objects, each for {WITHIN_S} s.",
         "",
-        "| object | distance [m] | off at first [px] | at last [px] | within 8 px after [s] |",
+        "| object | distance [m] | initial error [px] | final error [px] | within 8 px after [s] |",
         "|---|---|---|---|---|",
         *rows,
     ]

@@ -1,88 +1,95 @@
-"""Take an object from somebody's hand (the paper's Fig. 12).
+"""Grasp an object that a person holds out (the paper's Fig. 12).
 
-Somebody brings an object from afar and holds it out, not quite still. The eyes stay on it, and the
-hand of `experiments.hand` is sent by `vergence.reach`, from frames, readings and its own encoders.
-The truth is asked only for where it closed, and for how wrong the eyes were at which distance.
+The object is brought from a distance and held out, not quite still. The eyes keep it on both
+foveas, and `vergence.reach` moves the simulated hand, by frames, readings and the hand's encoders.
+The truth is used only to measure where the hand closed, and the eyes' depth errors by range.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
-from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.demos.depth_error_by_range import Distance, Sight, by_distance, sight
-from vergence.demos.recording import recorded
-from vergence.errors import VergenceError
-from vergence.files import write_whole
+from vergence.demos.depth_error_by_range import DepthSample, RangeBin, bin_by_range, depth_sample
+from vergence.demos.experiment import calibrated_twin, check_trials, write_summary
 from vergence.gaze.commands import HEAD_JOINTS
-from vergence.geometry.head import T_head_base
-from vergence.geometry.se3 import inverse, transform
-from vergence.reach.controller import Phase, Settings, State, start
-from vergence.reach.controller import grasp as run_loop
-from vergence.twin.hand import HeadWithHand, TwinHand, roughly_mounted
+from vergence.reach.controller import run_reach
+from vergence.reach.state import ReachPhase, ReachSettings, ReachState, initial_reach_state
+from vergence.twin.hand import SimulatedHand, arm_mounting_error
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
-from vergence.twin.simulated_robot import calibrated
+from vergence.twin.simulated_robot import SimulatedHead
 
 WITHIN_M = 0.010
-"""Of the object's centre, in which the hand is to close."""
+"""Distance from the object's centre within which the hand should close."""
 FAR_M, NEAR_M = (1.0, 1.3), (0.38, 0.55)
-"""From the head, where the object comes from and where it is held out."""
+"""Distances from the head at which the object comes into view and is held out."""
 FAR_RAD, NEAR_RAD = 0.25, 0.20
-"""Farthest from straight ahead, sideways and in height."""
+"""Greatest pan and tilt of the object at these distances."""
 BROUGHT_M_S = 0.19
-"""In the mean; 0.3 m/s at the fastest."""
+"""Mean speed of the object; its greatest is 0.3 m/s."""
 SWAY_M, SWAY_HZ = 0.012, (0.25, 0.5)
-"""Of the hand that holds the object, along each axis."""
+"""Amplitude and range of frequencies of the object's sway, along each axis."""
 LONGEST_S = 12.0
-MOST_TRIALS = 10_000
+"""Greatest length of a trial."""
 RECORDED = 3
-"""The trials that are recorded: more of the same would only make the file large."""
+"""Number of trials that are recorded: more would only make the file larger."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
     """One object that was held out."""
 
-    phase: Phase
-    """At the end."""
+    phase: ReachPhase
+    """Phase at the end."""
     seconds: float
+    """Length of the trial."""
     miss_m: float
-    """From the centre of the closed hand to the object's; infinity: it did not close."""
+    """Distance of the closed hand's centre from the object's; infinity: it did not close."""
     unaided_m: float
-    """The same, had the hand gone by its encoders to where the eyes saw the object."""
-    sights: tuple[Sight, ...]
-    """How wrong the eyes were, frame by frame, until the fingers began to close."""
+    """The same for a hand that moves by its encoders to where the eyes see the object."""
+    samples: tuple[DepthSample, ...]
+    """Depth errors of the eyes, frame by frame until the fingers began to close."""
 
 
 @dataclass(frozen=True)
 class Summary:
-    """What the trials came to; written as JSON."""
+    """Statistics of the trials; written as JSON."""
 
     trials: int
     held: int
-    """In which the hand closed, by its own decision."""
+    """Number of trials in which the hand closed by its own decision."""
     within: float
     """Share of all trials in which it closed within WITHIN_M of the object's centre."""
     median_mm: float | None
-    """Of the distances from the object's centre, of the trials in which it closed."""
+    """Median distance from the object's centre, over the trials in which it closed."""
     p95_mm: float | None
+    """95 % quantile of the same."""
     worst_mm: float | None
+    """Greatest of the same."""
     unaided_median_mm: float | None
-    """Of the distances, had the hand not been seen, at the same moments."""
+    """Median distance of a hand that moves by its encoders alone, at the same moments."""
     seconds_p95: float
-    by_distance: tuple[Distance, ...]
+    """95 % quantile of the lengths of all trials."""
+    by_distance: tuple[RangeBin, ...]
+    """Depth errors of the eyes."""
 
 
 def held_out(seed: int, run: int) -> Callable[[float], Array]:
-    """Return a random path of a hand-held object: where it is (3,) [m] in frame head, at a time."""
+    """Return a random path of a hand-held object.
+
+    Args:
+        seed: of the head.
+        run: number of the trial.
+
+    Returns:
+        Position (3,) [m] in frame head, as a function of time [s].
+    """
     rng = np.random.default_rng([seed, 9, run])
     far, near = (
         rng.uniform(*depth) * np.array([1.0, *np.tan(rng.uniform(-widest, widest, 2))])
@@ -100,54 +107,49 @@ def held_out(seed: int, run: int) -> Callable[[float], Array]:
 
 def run_trial(
     twin: Twin,
-    settings: Settings,
+    settings: ReachSettings,
     run: int,
     path_head: Callable[[float], Array | None],
     T_body_arm: Array,
     *,
     longest_s: float = LONGEST_S,
-    watch: Callable[[State, Frame | None], None] = lambda state, frame: None,
+    watch: Callable[[ReachState, Frame | None], None] = lambda state, frame: None,
 ) -> Trial:
-    """Hold out one object, until the hand has closed or time is up.
+    """Hold out one object until the hand has closed or the time is over.
 
     Args:
         twin: the head.
         settings: of the controller.
         run: number of the trial, for the noise.
-        path_head: where the object is (3,) [m] in frame head; None: it is hidden.
-        T_body_arm: (4, 4) of the arm against where it is believed to be.
-        longest_s: when time is up.
-        watch: is shown every state and its frame.
+        path_head: position (3,) [m] of the object in frame head as a function of time [s]; None:
+            it is hidden.
+        T_body_arm: (4, 4) true pose of the arm relative to its assumed one.
+        longest_s: time at which to stop at the latest.
+        watch: called with every state and its frame.
     """
-    T_lbase_head = inverse(T_head_base(twin.truth, "left"))
+    head = SimulatedHead(twin, run, path_head, limits=settings.gaze.limits)
+    head.hand = hand = SimulatedHand(twin, settings.home, T_body_arm)
+    samples: list[DepthSample] = []
 
-    def path(time_s: float) -> Array | None:
-        where = path_head(time_s)
-        return None if where is None else transform(T_lbase_head, where)
-
-    head = HeadWithHand(twin, run, path, limits=settings.gaze.limits)
-    head.hand = hand = TwinHand(twin, settings.home, T_body_arm)
-    sights: list[Sight] = []
-
-    def keep(state: State, frame: Frame | None) -> None:
-        seen = None if frame is None else sight(twin, settings.gaze, state.gaze, frame)
-        # Fingers that close hide the object's edges: that says nothing of the distance.
-        if seen is not None and state.phase not in (Phase.CLOSE, Phase.HELD):
-            sights.append(seen)
+    def keep(state: ReachState, frame: Frame | None) -> None:
+        sample = None if frame is None else depth_sample(twin, settings.gaze, state.gaze, frame)
+        # Closing fingers hide the object's edges, an error that does not depend on distance.
+        if sample is not None and state.phase not in (ReachPhase.CLOSE, ReachPhase.HELD):
+            samples.append(sample)
         watch(state, frame)
 
-    state = start(settings, np.zeros(len(HEAD_JOINTS)), hand.read(), head.now_s())
-    state = run_loop(head, hand, settings, state, longest_s, watch=keep)
+    state = initial_reach_state(settings, np.zeros(len(HEAD_JOINTS)), hand.read(), head.now_s())
+    state = run_reach(head, hand, settings, state, longest_s, watch=keep)
     miss = unaided = np.inf
-    if state.phase is Phase.HELD:
+    if state.phase is ReachPhase.HELD:
         miss = float(np.linalg.norm(twin.true_hand()[:3, 3] - twin.true_object()))
         if state.object is not None:
             unaided = float(np.linalg.norm(hand.true_point(state.object) - twin.true_object()))
-    return Trial(state.phase, head.now_s(), miss, unaided, tuple(sights))
+    return Trial(state.phase, head.now_s(), miss, unaided, tuple(samples))
 
 
 def summary(trials: list[Trial]) -> Summary:
-    """Return what the trials came to."""
+    """Return the statistics of trials."""
     miss = np.array([trial.miss_m for trial in trials])
     closed = np.sort(miss[np.isfinite(miss)]) * 1e3
     unaided = [trial.unaided_m for trial in trials if np.isfinite(trial.unaided_m)]
@@ -162,7 +164,7 @@ def summary(trials: list[Trial]) -> Summary:
         worst_mm=float(closed[-1]) if some else None,
         unaided_median_mm=float(np.median(unaided)) * 1e3 if unaided else None,
         seconds_p95=float(np.quantile(seconds, 0.95, method="higher")),
-        by_distance=by_distance([trial.sights for trial in trials]),
+        by_distance=bin_by_range([trial.samples for trial in trials]),
     )
 
 
@@ -172,62 +174,39 @@ def grasp(
     seed: int = 0,
     profile: ErrorProfile,
     out: Path | None = None,
-    watch: Callable[[State, Frame | None], None] = lambda state, frame: None,
     done: Callable[[], None] = lambda: None,
 ) -> tuple[Summary, list[Trial]]:
     """Calibrate the twin, and hold out objects to it.
 
     Args:
-        trials: how many; each has its own path, and its own place of the arm.
+        trials: number of objects; each has its own path, and its own mounting error of the arm.
         seed: of everything random.
         profile: imperfections of the head.
-        out: folder for grasp.json, and grasp.rrd of the first trials; None: nothing is written.
-        watch: is shown every state and its frame.
+        out: folder for grasp.json, and the recording grasp.rrd of the first RECORDED trials; None:
+            nothing is written.
         done: called after each trial.
 
     Raises:
-        VergenceError: an argument cannot be met, or the folder cannot be written.
+        VergenceError: an argument is out of range, or the folder cannot be written.
     """
-    if not 1 <= trials <= MOST_TRIALS:
-        raise VergenceError(f"Asked for {trials} trials; from 1 to {MOST_TRIALS} can be made.")
-    if seed < 0:
-        raise VergenceError(f"The seed must be a whole number from 0, found {seed}.")
-    made = []
-    with Twin(profile, seed=seed) as twin, ExitStack() as stack:
-        settings = Settings(gaze=calibrated(twin, seed))
-        shown, report, title = [watch], [], f"grasp, profile {profile.name}, seed {seed}"
-        if out is not None:
-            record, report = stack.enter_context(
-                recorded(
-                    out / "grasp.rrd",
-                    twin,
-                    settings.gaze,
-                    title=title,
-                    reach_m=FAR_M[0],
-                    speed=0.5,
-                    hand=True,
-                )
-            )
+    check_trials(trials)
+    made: list[Trial] = []
+    opened = calibrated_twin("grasp", profile, seed, out, reach_m=FAR_M[0], speed=0.5, hand=True)
+    with opened as (twin, gaze, watch, report):
+        settings = ReachSettings(gaze=gaze)
 
-            def recording(state: State, frame: Frame | None) -> None:
-                record(state.gaze, frame, lanes={"hand": state.phase.value}, hand=state.hand)
-
-            shown.append(recording)
-
-        def show(state: State, frame: Frame | None) -> None:
-            for look in shown:
-                look(state, frame)
+        def record(state: ReachState, frame: Frame | None) -> None:
+            if len(made) < RECORDED:
+                lanes = {"hand": state.phase.value}
+                watch(state.gaze, frame, lanes=lanes, hand=state.hand)
 
         for run in range(1, trials + 1):
-            path, T_body_arm = held_out(seed, run), roughly_mounted(seed, run)
-            made.append(run_trial(twin, settings, run, path, T_body_arm, watch=show))
-            if run == RECORDED:
-                shown[1:] = []
+            path, T_body_arm = held_out(seed, run), arm_mounting_error(seed, run)
+            made.append(run_trial(twin, settings, run, path, T_body_arm, watch=record))
             done()
         found = summary(made)
-        report += [f"# {title}", "", *as_markdown(found)]
-    if out is not None:
-        write_whole(out / "grasp.json", json.dumps(asdict(found), indent=1) + "\n")
+        report += as_markdown(found)
+    write_summary(out, "grasp", found)
     return found, made
 
 
@@ -242,11 +221,15 @@ def as_markdown(found: Summary) -> list[str]:
         lines += [
             f"- distance from the centre: {found.median_mm:.1f} mm in the median, "
             f"{found.worst_mm:.1f} mm at worst",
-            f"- unseen, by its encoders alone: {found.unaided_median_mm:.0f} mm",
+            f"- by its encoders alone: {found.unaided_median_mm:.0f} mm",
         ]
-    lines += ["", "| distance | depth error, rms | its scatter | Eq. 20 |", "|---|---|---|---|"]
+    lines += [
+        "",
+        "| distance | depth error, rms | standard deviation | Eq. 20 |",
+        "|---|---|---|---|",
+    ]
     return lines + [
         f"| {d.from_m:.2f}-{d.to_m:.2f} m | {d.depth_rms_mm:.3g} mm | "
-        f"{d.depth_scatter_mm:.3g} mm | {d.eq20_mm:.3g} mm |"
+        f"{d.depth_std_mm:.3g} mm | {d.eq20_mm:.3g} mm |"
         for d in found.by_distance
     ]

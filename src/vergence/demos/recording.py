@@ -1,4 +1,4 @@
-"""Record what a gaze controller does on the twin, for whatever experiment shows its states."""
+"""Record a gaze controller on the twin: its states, beside the truth."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.gaze.commands import EYES_4
-from vergence.gaze.controller import Settings, State
+from vergence.gaze.commands import EYES_4, neck_chain
+from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.head import T_body_base
 from vergence.geometry.se3 import inverse, transform
 from vergence.paper.recording import log_report
@@ -26,24 +26,24 @@ from vergence.viewer.opening import recording_file
 
 
 class Watch(Protocol):
-    """What is shown every state and the frame that led to it."""
+    """A function that is called with every state and the frame that led to it."""
 
     def __call__(
         self,
-        state: State,
+        state: GazeState,
         frame: Frame | None,
         /,
         *,
         lanes: Mapping[str, str] | None = None,
         hand: Array | None = None,
     ) -> None:
-        """Look at a state.
+        """Record a state.
 
         Args:
-            state: of the gaze.
-            frame: None: none came.
-            lanes: what the experiment is doing, by lane, beside the phase of the gaze.
-            hand: (3,) where the hand is [m], in frame body.
+            state: of the gaze controller.
+            frame: that led to the state; None: there was none, and nothing is recorded.
+            lanes: further phases by lane, beside that of the gaze.
+            hand: (3,) position of the hand [m] in frame body.
         """
         ...
 
@@ -52,29 +52,29 @@ class Watch(Protocol):
 def recorded(
     path: Path,
     twin: Twin,
-    settings: Settings,
+    settings: GazeSettings,
     *,
     title: str,
     reach_m: float,
     speed: float = 1.0,
     hand: bool = False,
 ) -> Iterator[tuple[Watch, list[str]]]:
-    """Record in a `with` block; whoever shows states to the watch need not know of recordings.
+    """Record in a `with` block what a function is called with.
 
-    Several runs, each with its time from zero, follow each other on one timeline. Frames with
-    the images of all cameras are recorded with them, the others without.
+    Several runs, each with its time from zero, follow each other on one timeline. Images are
+    recorded of the frames that have those of all cameras.
 
     Args:
         path: of the `.rrd` file.
-        twin: the head; its truth is drawn beside what the controller knows.
+        twin: the head; its truth is drawn beside the controller's estimates.
         settings: of the controller.
         title: of the recording.
-        reach_m: how far away objects come [m], for the view in space.
+        reach_m: greatest distance of objects [m], for the 3-D view.
         speed: of the playback, in recorded seconds a second.
-        hand: whether the watch will be told of a hand.
+        hand: whether positions of a hand are recorded.
 
     Yields:
-        What to show states to, and a list for the lines of the report, in markdown.
+        The function to call, and a list for the lines of the report in Markdown.
 
     Raises:
         VergenceError: the file cannot be written.
@@ -87,7 +87,7 @@ def recorded(
         before_s, began_s = -np.inf, 0.0
 
         def watch(
-            state: State,
+            state: GazeState,
             frame: Frame | None,
             /,
             *,
@@ -100,7 +100,7 @@ def recorded(
             if frame.time_s < before_s:  # the next run
                 began_s += before_s + FRAME_S
             before_s, time_s = frame.time_s, began_s + frame.time_s
-            T_body_lbase = T_body_base(head, "left", frame.neck_angles[: len(head.neck.axes)])
+            T_body_lbase = T_body_base(head, "left", neck_chain(head, frame.neck_angles))
             if not moments:
                 log_gaze_styles(rec, head, twin.T_world_lbase() @ inverse(T_body_lbase))
             poses = twin.body_poses()

@@ -1,80 +1,84 @@
-"""Keep the eyes on an object that moves, and know where it is (Sec. III).
+"""Track a moving object: keep it on both foveas and estimate its position (Sec. III).
 
-The object goes along a smooth random path before the head, is hidden once for half a second, and
-is followed from frames alone. The truth is asked only for how well.
+The object moves on a smooth random path before the head, is hidden once for half a second, and is
+followed from frames alone. The truth is used only to measure the errors.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.demos.recording import recorded
+from vergence.demos.experiment import calibrated_twin, write_summary
 from vergence.errors import VergenceError
-from vergence.files import write_whole
-from vergence.gaze.commands import HEAD_JOINTS, NECK
-from vergence.gaze.controller import WIDE, Settings, State, look, start
-from vergence.geometry.head import HeadCalibration, T_body_base, T_head_base
-from vergence.geometry.se3 import inverse, transform
+from vergence.gaze.commands import HEAD_JOINTS, neck_chain
+from vergence.gaze.controller import run_gaze
+from vergence.gaze.state import WIDE, GazeSettings, GazeState, initial_gaze_state
+from vergence.geometry.head import HeadCalibration, T_body_base
+from vergence.geometry.se3 import transform
 from vergence.stereo.triangulation import locate
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.simulated_robot import (
     FRAME_S,
-    Delivery,
-    TwinHead,
-    calibrated,
+    SimulatedHead,
     foveal_errors,
     in_both_foveas,
 )
 from vergence.vision.sphere import find_sphere
 
 SPEED_M_S = 0.3
-"""The object's greatest."""
+"""Greatest speed of the object."""
 DEPTH_M = (0.4, 1.0)
 DIRECTION_RAD = (0.30, 0.22)
-"""Farthest from straight ahead, sideways and in height: well within the eyes' ranges."""
+"""Greatest pan and tilt of the object: well within the eyes' ranges."""
 HIDDEN_S = 0.5
+"""Time for which the object is hidden."""
 ACQUIRE_S = 0.5
-"""From its first appearance until the count begins; after it was hidden, nothing is left out."""
-ALL_EVERY = 6
-"""Of so many frames one has all images, to compare the lenses by and to look at."""
+"""Time from the first appearance to the first frame that counts; after the object was hidden, all
+frames count."""
+ALL_CAMERAS_EVERY = 6
+"""Every Nth frame has the images of all cameras, for the comparison of lenses and the recording."""
 _GRID = 6000
 SHORTEST_S, LONGEST_S = 3.0, 3600.0
 
 
 @dataclass(frozen=True)
 class Summary:
-    """What a run came to; written as JSON."""
+    """Statistics of a run; written as JSON."""
 
     seconds: float
+    """Length of the run."""
     frames: int
-    """In which the object was to be seen, from ACQUIRE_S on: those that count."""
+    """Number of frames that count: from ACQUIRE_S on, with the object not hidden."""
     in_both: float
-    """Share of them in which its centre truly was in both narrow images."""
+    """Share of them in which the object's centre was truly in both narrow images."""
     rms_px: float
-    """Of its distance from the centres of the narrow images, while in both."""
+    """Root mean square of its distance from their centres, while in both."""
     position_rms_m: float
-    """Of the fused estimate, over frames that have a single-frame estimate too."""
+    """Error of the track, over the frames that have a single-frame estimate."""
     single_frame_rms_m: float
-    """Of stereo by each of these frames alone."""
+    """Error of the single-frame estimates."""
     wide_rms_m: float
-    """Of stereo by the wide images alone, over the frames that have them: one in ALL_EVERY."""
+    """Error of stereo by the wide images alone, over one frame in ALL_CAMERAS_EVERY."""
     found_again: bool
-    """Whether it was in both narrow images again within a second of its return."""
+    """Whether the object was in both narrow images within a second of its return."""
 
 
 def smooth_path(seed: int, seconds: float) -> Callable[[float], Array]:
-    """Return a smooth random path: where the object is (3,) [m] in frame head, at a time.
+    """Return a smooth random path: the position (3,) [m] in frame head as a function of time [s].
 
-    Depth and direction are sums of three slow waves, and time is scaled so that the speed comes
-    to SPEED_M_S at the fastest place of the run.
+    Depth and direction are sums of three slow waves, and time is scaled so that the greatest speed
+    is SPEED_M_S.
+
+    Args:
+        seed: of the path.
+        seconds: length of the run.
     """
     rng = np.random.default_rng([seed, 6])
     frequency, phase = rng.uniform(0.4, 1.6, (3, 3)), rng.uniform(0, 2 * np.pi, (3, 3))
@@ -95,7 +99,7 @@ def smooth_path(seed: int, seconds: float) -> Callable[[float], Array]:
         return float(steps.max() / (times[1] - times[0]))
 
     low, high = 0.0, 10.0
-    for _ in range(40):  # the speed grows with the rate, if not evenly: the run covers more
+    for _ in range(40):  # the greatest speed grows with the rate, though not linearly
         middle = (low + high) / 2
         low, high = (middle, high) if fastest(middle) < SPEED_M_S else (low, middle)
     return lambda time_s: shape(np.array([low * time_s]))[0]
@@ -103,35 +107,35 @@ def smooth_path(seed: int, seconds: float) -> Callable[[float], Array]:
 
 def follow(
     twin: Twin,
-    settings: Settings,
+    settings: GazeSettings,
     run: int,
     path_head: Callable[[float], Array],
     seconds: float,
     *,
     hidden_s: float | None = None,
-    watch: Callable[[State, Frame | None], None] = lambda state, frame: None,
+    watch: Callable[[GazeState, Frame | None], None] = lambda state, frame: None,
 ) -> Summary:
-    """Follow an object for a time.
+    """Run the gaze controller on a moving object and return the statistics.
 
     Args:
         twin: the head.
         settings: of the controller.
         run: number of the run, for the noise.
-        path_head: where the object is (3,) [m] in frame head.
-        seconds: how long.
-        hidden_s: when it is hidden for HIDDEN_S; None: never.
-        watch: is shown every state and its frame.
+        path_head: position (3,) [m] of the object in frame head, as a function of time [s].
+        seconds: length of the run.
+        hidden_s: time from which the object is hidden for HIDDEN_S; None: it is not hidden.
+        watch: called with every state and its frame.
     """
-    T_lbase_head = inverse(T_head_base(twin.truth, "left"))
     ends = -np.inf if hidden_s is None else hidden_s + HIDDEN_S
 
     def path(time_s: float) -> Array | None:
         if hidden_s is not None and hidden_s <= time_s < ends:
             return None
-        return transform(T_lbase_head, path_head(time_s))
+        return path_head(time_s)
 
-    delivery = Delivery(all_every=ALL_EVERY)
-    head = TwinHead(twin, run, path, limits=settings.limits, delivery=delivery)
+    head = SimulatedHead(
+        twin, run, path, limits=settings.limits, all_cameras_every=ALL_CAMERAS_EVERY
+    )
     times: list[float] = []
     inside: list[bool] = []
     distances: list[Array] = []
@@ -139,7 +143,7 @@ def follow(
     single: list[float] = []
     wide: list[float] = []
 
-    def keep(state: State, frame: Frame | None) -> None:
+    def keep(state: GazeState, frame: Frame | None) -> None:
         watch(state, frame)
         if frame is None or frame.time_s < ACQUIRE_S or path(frame.time_s) is None:
             return
@@ -148,15 +152,15 @@ def follow(
         distances.append(foveal_errors(twin, settings.calibration))
         where = twin.true_object()
         if state.measured is not None and state.track is not None:
-            neck = frame.neck_angles[NECK][: len(settings.calibration.neck.axes)]
+            neck = neck_chain(settings.calibration, frame.neck_angles)
             truth = transform(T_body_base(settings.calibration, "left", neck), where)
             fused.append(float(np.sum((state.track.position - truth) ** 2)))
             single.append(float(np.sum((state.measured - truth) ** 2)))
         if all(name in frame.images for name in WIDE):
             wide.append(float(np.sum((by_wide_images(settings.calibration, frame) - where) ** 2)))
 
-    state = start(settings, np.zeros(len(HEAD_JOINTS)), head.now_s())
-    look(head, settings, state, seconds - FRAME_S, watch=keep)
+    state = initial_gaze_state(settings, np.zeros(len(HEAD_JOINTS)), head.now_s())
+    run_gaze(head, settings, state, seconds - FRAME_S, watch=keep)
     time, seen = np.array(times), np.array(inside)
     back = seen[(time >= ends) & (time < ends + 1.0)]
     if not seen.any() or not fused:
@@ -174,9 +178,13 @@ def follow(
 
 
 def by_wide_images(calibration: HeadCalibration, frame: Frame) -> Array:
-    """Return the object (3,) [m] in the left eye's base frame by stereo of the wide images.
+    """Return the object (3,) [m] in the left eye's base frame, by stereo from the wide images.
 
     NaN where one of them does not show it.
+
+    Args:
+        calibration: of the head.
+        frame: one that has both wide images.
     """
     pixels = [
         find_sphere(frame.images[name], calibration.camera(name).intrinsics)[None] for name in WIDE
@@ -190,41 +198,34 @@ def track(
     seed: int = 0,
     profile: ErrorProfile,
     out: Path | None = None,
-    watch: Callable[[State, Frame | None], None] = lambda state, frame: None,
+    watch: Callable[[GazeState, Frame | None], None] = lambda state, frame: None,
 ) -> Summary:
-    """Calibrate the twin, and follow an object that is hidden once on its way.
+    """Calibrate the twin, and track an object that is hidden once on its way.
 
     Args:
-        seconds: how long.
+        seconds: length of the run.
         seed: of everything random.
         profile: imperfections of the head.
         out: folder for track.json and track.rrd; None: nothing is written.
-        watch: is shown every state and its frame.
+        watch: called with every state and its frame.
 
     Raises:
-        VergenceError: an argument cannot be met, or the folder cannot be written.
+        VergenceError: an argument is out of range, or the folder cannot be written.
     """
     if not SHORTEST_S <= seconds <= LONGEST_S:
         raise VergenceError(f"A run takes {SHORTEST_S:.0f} to {LONGEST_S:.0f} s, found {seconds}.")
-    if seed < 0:
-        raise VergenceError(f"The seed must be a whole number from 0, found {seed}.")
-    hidden_s = float(np.random.default_rng([seed, 7]).uniform(0.3, 0.6)) * seconds
-    with Twin(profile, seed=seed) as twin:
-        settings = calibrated(twin, seed)
+    opened = calibrated_twin("track", profile, seed, out, reach_m=DEPTH_M[1])
+    with opened as (twin, settings, record, report):
+        hidden_s = float(np.random.default_rng([seed, 7]).uniform(0.3, 0.6)) * seconds
         path = smooth_path(seed, seconds)
-        if out is None:
-            return follow(twin, settings, 1, path, seconds, hidden_s=hidden_s, watch=watch)
-        title = f"track, profile {profile.name}, seed {seed}"
-        file, reach = out / "track.rrd", DEPTH_M[1]
-        with recorded(file, twin, settings, title=title, reach_m=reach) as (record, report):
 
-            def both(state: State, frame: Frame | None) -> None:
-                watch(state, frame)
-                record(state, frame)
+        def both(state: GazeState, frame: Frame | None) -> None:
+            watch(state, frame)
+            record(state, frame)
 
-            found = follow(twin, settings, 1, path, seconds, hidden_s=hidden_s, watch=both)
-            report += [f"# {title}", "", *as_markdown(found, hidden_s)]
-    write_whole(out / "track.json", json.dumps(asdict(found), indent=1) + "\n")
+        found = follow(twin, settings, 1, path, seconds, hidden_s=hidden_s, watch=both)
+        report += as_markdown(found, hidden_s)
+    write_summary(out, "track", found)
     return found
 
 

@@ -1,10 +1,11 @@
-"""Commands to the joints: where they shall be, when, and how fast they may go there.
+"""Commands to the joints of a head, their limits, and the protocol of a head's driver.
 
-A command states the whole motion until the next one, so that a driver that renews its set points
-every millisecond needs no further word from a controller that sees thirty frames a second; and the
-controller can tell where it had sent the joints at the moment of any frame, however late it comes.
+A command describes the whole motion until the next command arrives. A driver that renews its set
+points every millisecond therefore needs nothing more from a controller that runs at the frame
+rate, and the controller can compute the set points that were in force at the time of any frame,
+however late the frame arrives.
 
-Joints are in the order of HEAD_JOINTS: the neck's three, then the eyes' four.
+Joints are in the order of HEAD_JOINTS: the three of the neck, then the four of the eyes.
 """
 
 from __future__ import annotations
@@ -17,10 +18,24 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Dataset, Frame
-from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS, Side
 
 HEAD_JOINTS = (*NECK_JOINTS, *EYE_JOINTS)
 NECK, EYES_4 = slice(0, len(NECK_JOINTS)), slice(len(NECK_JOINTS), len(HEAD_JOINTS))
+"""Columns of the neck and of both eyes in a posture (..., 7)."""
+EYE_ANGLES: dict[Side, slice] = {"left": slice(0, 2), "right": slice(2, 4)}
+"""Columns of one eye's pan and tilt among the angles (..., 4) of both eyes."""
+
+
+def neck_chain(calibration: HeadCalibration, posture: Array) -> Array:
+    """Return the neck angles (..., n) [rad] of the calibrated kinematic chain, n = 0 without one.
+
+    Args:
+        calibration: of the head.
+        posture: (..., 3) neck angles or (..., 7) angles of all joints [rad].
+    """
+    return posture[..., : len(calibration.neck.axes)]
 
 
 def _degrees(*ranges: tuple[float, float]) -> Array:
@@ -28,99 +43,101 @@ def _degrees(*ranges: tuple[float, float]) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Limits:
-    """What the joints can do; the default is the head of this project's model."""
+class JointLimits:
+    """Ranges and speeds of the joints; the default is the head of this project's model."""
 
     range_rad: Array = field(
         default_factory=lambda: _degrees(
             (-30, 40), (-30, 30), (-50, 50), (-35, 35), (-30, 30), (-35, 35), (-30, 30)
         )
     )
-    """(7, 2) lower and upper end."""
+    """(7, 2) lower and upper end of each joint's range."""
     speed_rad_s: Array = field(default_factory=lambda: np.array([3.0] * 3 + [10.0] * 4))
-    """(7,) of the set points."""
+    """(7,) greatest speed of the set points."""
     margin_rad: float = float(np.radians(0.25))
-    """Set points keep this far from the ends of the ranges, since a servo overshoots a little."""
+    """Distance of the set points from the ends of the ranges, because servos overshoot a little."""
 
     @property
-    def set_rad(self) -> Array:
-        """(7, 2) lower and upper end of what may be set."""
+    def setpoint_range_rad(self) -> Array:
+        """(7, 2) lowest and highest set point of each joint."""
         return self.range_rad + self.margin_rad * np.array([1.0, -1.0])
 
 
 @dataclass(frozen=True, eq=False)
-class Command:
-    """A motion: from `start` as fast as allowed towards a goal that itself moves."""
+class HeadCommand:
+    """A motion from `start` towards a moving goal, as fast as the limits allow."""
 
     time_s: float
-    """When it begins."""
+    """Time at which the motion begins."""
     start: Array
     """(7,) set points at that time [rad]."""
     goal: Array
-    """(7,) where the joints should be at that time [rad]."""
+    """(7,) target angles at that time [rad]."""
     rate: Array
-    """(7,) how the goal moves from then on [rad/s]."""
-    limits: Limits
+    """(7,) velocity of the goal from then on [rad/s]."""
+    limits: JointLimits
     hold_s: float = 0.1
-    """When the goal stops if no further command comes: guesses grow wrong with time."""
+    """Time after which the goal stops if no further command arrives: extrapolation degrades."""
 
 
-def setpoint(command: Command, time_s: float) -> Array:
-    """Return the set points (7,) of a command at a time; never beyond ranges and speeds."""
+def setpoint(command: HeadCommand, time_s: float) -> Array:
+    """Return the set points (7,) [rad] of a command at a time, within ranges and speeds."""
     elapsed = max(time_s - command.time_s, 0.0)
     goal = command.goal + command.rate * min(elapsed, command.hold_s)
     reach = command.limits.speed_rad_s * elapsed
     wanted = command.start + np.clip(goal - command.start, -reach, reach)
-    return np.clip(wanted, *command.limits.set_rad.T)
+    return np.clip(wanted, *command.limits.setpoint_range_rad.T)
 
 
-def commanded(commands: Sequence[Command], time_s: float) -> Array:
-    """Return the set points (7,) that were in force at a time, from commands in their order.
+def commanded(commands: Sequence[HeadCommand], time_s: float) -> Array:
+    """Return the set points (7,) [rad] that were in force at a time.
 
-    Before the first command, its start.
+    Args:
+        commands: in the order of their times; the first also holds for all times before it.
+        time_s: the time.
     """
     valid = [command for command in commands if command.time_s <= time_s]
     return setpoint(valid[-1] if valid else commands[0], time_s)
 
 
-def stay(posture: Array, limits: Limits, time_s: float) -> Command:
-    """Return the command to hold a posture (7,) [rad]."""
-    return Command(time_s, posture, posture, np.zeros(len(HEAD_JOINTS)), limits)
+def hold(posture: Array, limits: JointLimits, time_s: float) -> HeadCommand:
+    """Return the command that holds a posture (7,) [rad]."""
+    return HeadCommand(time_s, posture, posture, np.zeros(len(HEAD_JOINTS)), limits)
 
 
-class Head(Protocol):
-    """What the driver of a head implements; the twin has one, and so has a recording."""
+class HeadDriver(Protocol):
+    """The interface of a head to the controller; the simulated head and recordings have it too."""
 
     def now_s(self) -> float:
-        """Return the time by the clock that stamps the frames."""
+        """Return the time of the clock that stamps the frames [s]."""
         ...
 
     def read(self, cameras: Sequence[str]) -> Frame | None:
-        """Wait for the next frame, with the images of these cameras at least; None: none came."""
+        """Wait for the next frame, with the images of at least these cameras; None on a timeout."""
         ...
 
-    def command(self, command: Command) -> None:
-        """Move the joints by this command from now on, at `setpoint` of the time."""
+    def command(self, command: HeadCommand) -> None:
+        """Let the joints follow `setpoint(command, time)` from now on."""
         ...
 
 
 class RecordedHead:
-    """A dataset, replayed open-loop: it shows what it has and goes where it went."""
+    """A dataset that is replayed as a head, in open loop: commands have no effect."""
 
     def __init__(self, dataset: Dataset):
-        """Begin before the first row."""
+        """Begin before the first row of the dataset."""
         self._dataset, self._row = dataset, -1
 
     def now_s(self) -> float:
-        """Return the time of the row that was read last."""
+        """Return the time of the row that was read last [s]."""
         return float(self._dataset.time_s[max(self._row, 0)])
 
     def read(self, cameras: Sequence[str]) -> Frame | None:
-        """Return the next row with all its images; None at the end."""
+        """Return the next row with all its images; None at the end of the dataset."""
         if self._row + 1 >= len(self._dataset):
             return None
         self._row += 1
         return self._dataset.frame(self._row)
 
-    def command(self, command: Command) -> None:
-        """Ignore it: what is recorded cannot be moved."""
+    def command(self, command: HeadCommand) -> None:
+        """Ignore the command: a recording cannot move."""

@@ -1,9 +1,9 @@
-"""Where to hold a point in the wide image so that it falls on the fovea (Sec. III, Eqs. 13-19).
+"""Foveation: where in the wide image a point must be to fall on the fovea (Sec. III, Eqs. 13-19).
 
-The paper's foveal camera is `narrow` here and its peripheral one `wide`; R_fp, t_fp are
+The paper's foveal camera is called `narrow` here and its peripheral one `wide`; R_fp, t_fp are
 `head.T_narrow_wide`, the pose of the wide camera in the narrow one. The paper subtracts the
-principal points and leaves distortion out; here pixels are as seen, with both. Depth is inverted
-inside, so that infinity is a depth like any other.
+principal points and omits distortion; pixels here are image coordinates that include both. The
+formulas use the inverse depth, so that an infinite depth needs no special case.
 
 Equation numbers are the paper's; see docs/equations.md and docs/conventions.md.
 """
@@ -25,15 +25,15 @@ from vergence.geometry.se3 import hat, inverse, transform
 Lens = Literal["wide", "narrow"]
 
 _NEWTON_STEPS = 20
-_NEARLY = 1e-8  # of x/z and y/z: the next step of Newton's squares it
+_CONVERGED = 1e-8  # of x/z and y/z: the next step of Newton's method squares it
 
 
 def wide_from_narrow(T_narrow_wide: Array, points_narrow: Array) -> Array:
     """Eq. 13: map points (..., 3) from the narrow camera's frame into the wide one's.
 
     Args:
-        T_narrow_wide: (4, 4), of R_fp and t_fp.
-        points_narrow: (..., 3) [m].
+        T_narrow_wide: (4, 4) pose of the wide camera in the narrow one: R_fp and t_fp.
+        points_narrow: (..., 3) [m] in the narrow camera's frame.
     """
     R_fp, t_fp = T_narrow_wide[:3, :3], T_narrow_wide[:3, 3]
     return (points_narrow - t_fp) @ R_fp  # rows: R_fp^T (y_f - t_fp)
@@ -42,7 +42,7 @@ def wide_from_narrow(T_narrow_wide: Array, points_narrow: Array) -> Array:
 def project_both(
     calibration: HeadCalibration, eye: Side, points_narrow: Array
 ) -> tuple[Array, Array]:
-    """Eqs. 14-17: return where points appear in both cameras of an eye.
+    """Eqs. 14-17: project points into both cameras of an eye.
 
     Args:
         calibration: of the head.
@@ -61,15 +61,21 @@ def project_both(
 
 
 def _towards(calibration: HeadCalibration, eye: Side, depth_m: ArrayLike) -> tuple[Array, Array]:
-    """Return points / depth (..., 3) of the narrow axis in frame wide, and their slope (3,).
+    """Return points of the narrow camera's axis in frame wide, divided by their depth.
 
-    A point of the axis is z e_3; in the wide camera z r - R_fp^T t_fp, with r the third column
-    of R_fp^T. Divided by z, the projection is the same, and 1 / z = 0 is no special case.
+    A point of the axis is z e_3 in the narrow camera and z r - R_fp^T t_fp in the wide one, with r
+    the third column of R_fp^T. Division by z leaves its projection unchanged and admits 1 / z = 0.
+
+    Returns:
+        Points / depth (..., 3), and their derivative by the inverse depth (3,) [m].
+
+    Raises:
+        VergenceError: a depth is not above 0.
     """
     depth = np.asarray(depth_m, dtype=float)
     if not (depth > 0).all():
         raise VergenceError(
-            f"A depth is above 0 m, infinity included; found {np.min(depth):g} m or NaN."
+            f"A depth must be above 0 m, infinity included; found {np.min(depth):g} m or NaN."
         )
     T_wide_narrow = inverse(T_narrow_wide(calibration, eye))
     axis, centre = T_wide_narrow[:3, 2], T_wide_narrow[:3, 3]
@@ -79,8 +85,8 @@ def _towards(calibration: HeadCalibration, eye: Side, depth_m: ArrayLike) -> tup
 def ideal_wide_pixel(calibration: HeadCalibration, eye: Side, depth_m: ArrayLike) -> Array:
     """Eqs. 18-19: return the wide pixels (..., 2) of points on the narrow camera's axis.
 
-    A point that is held there falls on the principal point of the narrow image. They do not
-    depend on the narrow camera's intrinsic parameters.
+    A point at such a wide pixel falls on the principal point of the narrow image. The pixels do
+    not depend on the narrow camera's intrinsic parameters.
 
     Args:
         calibration: of the head.
@@ -88,7 +94,7 @@ def ideal_wide_pixel(calibration: HeadCalibration, eye: Side, depth_m: ArrayLike
         depth_m: (...) along the narrow camera's axis; infinity gives the limit.
 
     Raises:
-        VergenceError: a depth is not above 0, or the eye has not both cameras.
+        VergenceError: a depth is not above 0, or the eye does not have both cameras.
     """
     points, _ = _towards(calibration, eye, depth_m)
     return project(calibration.camera(f"{eye}_wide").intrinsics, points)
@@ -97,8 +103,13 @@ def ideal_wide_pixel(calibration: HeadCalibration, eye: Side, depth_m: ArrayLike
 def ideal_wide_slope(calibration: HeadCalibration, eye: Side, depth_m: ArrayLike) -> Array:
     """Return d ideal_wide_pixel / d depth (..., 2) [px/m]; it falls as 1 / depth^2.
 
+    Args:
+        calibration: of the head.
+        eye: which eye.
+        depth_m: (...) along the narrow camera's axis; infinity gives zero.
+
     Raises:
-        VergenceError: as `ideal_wide_pixel`.
+        VergenceError: a depth is not above 0, or the eye does not have both cameras.
     """
     points, centre = _towards(calibration, eye, depth_m)
     _, J, _ = project_jacobians(calibration.camera(f"{eye}_wide").intrinsics, points)
@@ -108,19 +119,18 @@ def ideal_wide_slope(calibration: HeadCalibration, eye: Side, depth_m: ArrayLike
 def foveal_miss(
     calibration: HeadCalibration, eye: Side, depth_m: ArrayLike, believed_m: ArrayLike
 ) -> Array:
-    """Return how far from the principal point (..., 2) [px] a point falls in the narrow image.
+    """Return the offset (..., 2) [px] of a point from the narrow image's principal point.
 
-    It is held in the wide image where Eqs. 18-19 want it for the depth that is believed, which
-    is not its own.
+    The point is at the wide pixel that Eqs. 18-19 give for a wrong depth.
 
     Args:
         calibration: of the head, taken as exact.
         eye: which eye.
-        depth_m: (...) of the point from the wide camera, along its axis.
-        believed_m: (...) what Eqs. 18-19 are told, along the narrow camera's axis.
+        depth_m: (...) true depth of the point along the wide camera's axis.
+        believed_m: (...) depth that Eqs. 18-19 are given, along the narrow camera's axis.
 
     Raises:
-        VergenceError: as `ideal_wide_pixel`.
+        VergenceError: a depth is not above 0, or the eye does not have both cameras.
     """
     wide, narrow = (calibration.camera(f"{eye}_{lens}").intrinsics for lens in ("wide", "narrow"))
     xy = normalise(wide, ideal_wide_pixel(calibration, eye, believed_m))
@@ -143,11 +153,11 @@ def eye_angles_to(
         calibration: of the head.
         eye: which eye.
         points_base: (..., 3) [m] in the eye's base frame.
-        lens: the camera on whose principal point they shall fall.
+        lens: of the camera in which the points are centred on the principal point.
 
     Returns:
-        Joint readings, perhaps beyond the joints' ranges; NaN for a point that no gaze centres:
-        NaN itself, above or below the pan axis, or closer than the camera.
+        Joint readings, not limited to the joints' ranges; NaN for a point that no posture
+        centres: one that is NaN, on the pan axis, or closer than the camera.
     """
     axes, mounted = calibration.axes[eye], calibration.camera(f"{eye}_{lens}")
     R_cam_eye = mounted.T_eye_cam[:3, :3].T
@@ -186,7 +196,7 @@ def eye_angles_to(
             axis=-1,
         )
         angles = angles - np.clip(step / det[..., None], -0.5, 0.5)
-        near = np.asarray((np.abs(error) < _NEARLY).all(axis=-1))
+        near = np.asarray((np.abs(error) < _CONVERGED).all(axis=-1))
         if (near | ~front).all():
             break
     good = usable & front & near
@@ -196,7 +206,13 @@ def eye_angles_to(
 
 
 def _turned_back(v: Array, axis_hat: Array, angle: Array) -> Array:
-    """Return vectors (..., 3) in a frame turned by angles (...,) about a unit axis, as its hat."""
+    """Return vectors (..., 3) in a frame that is turned about a unit axis.
+
+    Args:
+        v: (..., 3) vectors in the frame that is not turned.
+        axis_hat: (3, 3) cross-product matrix of the axis.
+        angle: (...) of the turn [rad].
+    """
     cos, sin = np.cos(angle)[..., None], np.sin(angle)[..., None]
     across = v @ axis_hat.T
     return v - sin * across + (1 - cos) * (across @ axis_hat.T)
@@ -205,12 +221,12 @@ def _turned_back(v: Array, axis_hat: Array, angle: Array) -> Array:
 def gaze_angles(
     calibration: HeadCalibration, points_lbase: Array, *, lens: Lens = "narrow"
 ) -> Array:
-    """Return the angles (..., 4) [rad] that centre points in both eyes at once, vergence included.
+    """Return the angles (..., 4) [rad] that centre points in both eyes: version and vergence.
 
     Args:
         calibration: of the head.
-        points_lbase: (..., 3) [m] in the left eye's base frame, as `active_stereo.locate` gives.
-        lens: of the cameras in which they shall be centred.
+        points_lbase: (..., 3) [m] in the left eye's base frame.
+        lens: of the cameras in which the points are centred on the principal points.
 
     Returns:
         Joint readings in the order of kinematics.EYE_JOINTS; NaN as in `eye_angles_to`.
@@ -218,12 +234,3 @@ def gaze_angles(
     points = {"left": points_lbase, "right": transform(calibration.T_rbase_lbase, points_lbase)}
     both = [eye_angles_to(calibration, eye, points[eye], lens=lens) for eye in EYES]
     return np.concatenate(both, axis=-1)
-
-
-def reachable(angles: Array, limits_rad: Array) -> np.ndarray:
-    """Return (...,) whether all of the angles (..., J) lie within limits (J, 2), lower and upper.
-
-    NaN is not reachable.
-    """
-    within = (angles >= limits_rad[:, 0]) & (angles <= limits_rad[:, 1])
-    return np.asarray(within.all(axis=-1))

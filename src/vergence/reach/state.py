@@ -1,8 +1,8 @@
-"""What drives a hand, what the reach law is told, and what it remembers and says of itself.
+"""The interface of a hand on an arm, and the settings and state of the reach controller.
 
-Positions are in frame body, in metres: of the object and the marker as the eyes see them, and of
-the hand as its own encoders have it. The two do not agree, as neither the head nor the place of
-the arm is known exactly; names say which is meant.
+Positions are in frame body, in metres. The object and the marker are measured by the eyes, the
+hand by its own encoders. The two measurements differ by the errors of the head's calibration and
+of the arm's mounting; names and docstrings say which one is meant.
 """
 
 from __future__ import annotations
@@ -15,35 +15,36 @@ from typing import Protocol
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.gaze import state
-from vergence.gaze.kalman import Track
+from vergence.gaze.kalman import MotionModel, Track
+from vergence.gaze.state import GazeSettings, GazeState, initial_gaze_state
 
 
 @dataclass(frozen=True, eq=False)
 class HandReading:
-    """Where the hand is by its own encoders, which know nothing of what the eyes see."""
+    """Pose of the hand by its own encoders."""
 
     time_s: float
+    """Time of the reading."""
     T_body_hand: Array
-    """(4, 4); the origin of frame hand is where the centre of what it grasps should be."""
+    """(4, 4) pose; the origin of frame hand is the centre of the grasp, between the fingers."""
     closed: bool = False
-    """Whether the fingers have come to an end."""
+    """Whether the fingers have reached the end of their motion."""
 
 
 @dataclass(frozen=True, eq=False)
 class HandCommand:
-    """A motion of the hand: as fast as it can to a goal that itself moves."""
+    """A motion of the hand towards a moving goal, as fast as the arm's limits allow."""
 
     time_s: float
-    """When it begins."""
+    """Time at which the motion begins."""
     goal: Array
-    """(3,) where the hand should be at that time [m], by its own encoders."""
+    """(3,) target position of the hand at that time [m], by its own encoders."""
     velocity: Array
-    """(3,) of the goal from then on [m/s]."""
+    """(3,) velocity of the goal from then on [m/s]."""
     close: bool = False
-    """Whether the fingers shall close, or stay closed; else they open."""
+    """Whether the fingers close or stay closed; otherwise they open."""
     hold_s: float = 0.1
-    """When the goal stops if no further command comes."""
+    """Time after which the goal stops if no further command arrives."""
 
 
 def hand_goal(command: HandCommand, time_s: float) -> tuple[Array, Array]:
@@ -54,128 +55,143 @@ def hand_goal(command: HandCommand, time_s: float) -> tuple[Array, Array]:
     return command.goal + command.hold_s * command.velocity, np.zeros(3)
 
 
-class Hand(Protocol):
-    """What the driver of a hand on an arm implements; it keeps its own limits of speed."""
+class HandDriver(Protocol):
+    """The interface of a hand to the controller; the driver enforces the arm's own limits."""
 
     def read(self) -> HandReading:
-        """Return where the hand is now."""
+        """Return the present pose of the hand."""
         ...
 
     def command(self, command: HandCommand) -> None:
-        """Move by this command from now on, towards `hand_goal` of the time."""
+        """Move towards `hand_goal(command, time)` from now on."""
         ...
 
 
-class Phase(StrEnum):
+class ReachPhase(StrEnum):
     """What the hand is doing."""
 
     SEEK = "seek"
-    """The eyes do not see the object; the hand waits at home, out of their way."""
+    """The eyes do not see the object; the hand waits at home, outside the images."""
     TRACK = "track"
     """The eyes follow the object, which is out of reach; the hand waits at home."""
     REACH = "reach"
-    """Under way to a place below where the eyes see the object; the hand is not yet seen."""
+    """The hand moves to a standoff below the object; its marker is not seen yet."""
     UNSEEN = "unseen"
-    """There, but the eyes do not see the hand: it waits, for unseen it cannot be trusted."""
+    """The hand is at the standoff, but its marker is not seen: it waits and does not close."""
     SERVO = "servo"
-    """The eyes see both, and the hand goes by the difference."""
+    """The eyes see object and marker, and the hand moves by the difference between them."""
     CLOSE = "close"
-    """The object is between the fingers for all that is known; they close."""
+    """The object is between the fingers with sufficient confidence; the fingers close."""
     HELD = "held"
-    """The fingers are closed and the eyes do not see the object elsewhere."""
+    """The fingers are closed, and the eyes do not see the object elsewhere."""
 
 
 @dataclass(frozen=True, eq=False)
-class Settings:
-    """The head, the hand, and how to use them."""
+class ReachSettings:
+    """The head, the hand, and the parameters of the reach controller."""
 
-    gaze: state.Settings
+    gaze: GazeSettings
     marker_hand: Array = field(default_factory=lambda: np.array([-0.026, 0.0, -0.052]))
     """(3,) centre of the blue marker in frame hand [m]; the default is this project's model."""
     home: Array = field(default_factory=lambda: np.array([0.25, -0.25, -0.10]))
-    """(3,) where the hand waits, by its encoders [m]: below what the eyes see."""
+    """(3,) where the hand waits, by its encoders [m]: below the field of view."""
     shoulder: Array = field(default_factory=lambda: np.array([-0.02, -0.16, -0.08]))
-    """(3,) about which the arm can reach [m]."""
+    """(3,) centre of the arm's workspace [m]."""
     reach_m: float = 0.85
-    """How far it can."""
+    """Radius of the arm's workspace."""
+    reach_margin_m: float = 0.03
+    """Hysteresis of that radius: how much farther a hand follows that is already on its way."""
     approach: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
-    """(3,) unit vector along which the hand comes to the object: from below, out of the sight."""
+    """(3,) unit vector along which the hand approaches: from below, clear of the lines of sight."""
     standoff_m: float = 0.12
-    """From the object, where the hand waits until it is seen: more than arm and calibration err."""
+    """Distance from the object at which the hand waits until its marker is seen: more than the
+    errors of arm and calibration together."""
     clear_m: float = 0.012
-    """Play across the approach: a little less than open fingers leave an object."""
+    """Clearance across the approach: slightly less than open fingers leave around an object."""
     tolerance_m: float = 0.010
-    """Within which the object must be for the fingers to close on it well."""
+    """Distance of the object from the grasp's centre within which the fingers close on it well."""
     sigmas: float = 2.5
-    """How sure of it the hand must be to close: 99 %."""
-    share: float = 0.03
-    """Of a seen distance between object and marker that may be wrong, since calibration and the
-    attitude of the hand are not exact. The same in every frame, so that no filter averages it."""
-    jerk_density: float = 0.04
-    """Of an object that somebody holds out [m^2/s^5]: 0.2 m/s^2 more or less in a second."""
+    """Standard deviations that must lie within the tolerance for the hand to close: 99 %."""
+    relative_error: float = 0.03
+    """Systematic error of the measured difference between object and marker, as a share of the
+    distance between them: from the calibration and the attitude of the hand. It is the same in
+    every frame, so that no filter averages it out."""
+    motion: MotionModel = field(default_factory=lambda: MotionModel(jerk_density=0.04))
+    """Of an object that a person holds out: 0.2 m/s^2 more or less in a second."""
+    gate_chi2: float = 60.0
+    """Normalised innovation squared from which a measurement begins a new track; its mean is 3."""
     unseen_s: float = 0.3
-    """Without a sight of the marker until the hand counts as not seen."""
+    """Time without a detection of the marker after which the hand counts as not seen."""
     waits_s: float = 0.7
-    """At the place where the hand should be seen, until it is said that it is not."""
+    """Time at the standoff without a detection until the phase becomes UNSEEN."""
     arrived_m: float = 0.02
-    """From its goal, within which the hand has arrived."""
+    """Distance from its goal within which the hand has arrived."""
     escaped_m: float = 0.03
-    """From the closed hand, where an object is surely not within it."""
-    surprise_limit: float = 60.0
-    """Squared distance at which a measurement begins a new track: 3 in the mean."""
+    """Distance of an object from the closed hand from which it is certainly not held."""
 
 
 @dataclass(frozen=True, eq=False)
-class State:
-    """All that the reach law remembers, and what it says of itself."""
+class ReachState:
+    """All that the reach controller remembers and reports."""
 
-    phase: Phase
+    phase: ReachPhase
     since_s: float
-    """When the phase began."""
-    gaze: state.State
+    """Time at which the phase began."""
+    gaze: GazeState
+    """State of the gaze controller."""
     command: HandCommand
+    """The command in force."""
     readings: tuple[HandReading, ...]
-    """The latest of the hand, and some before it."""
+    """The latest readings of the hand, the newest last."""
     cameras: tuple[str, ...]
-    """Whose images it wants next."""
+    """Cameras whose images are requested next."""
     pixels: Mapping[str, Array] = field(default_factory=dict)
-    """By camera searched in the latest frame: (2,) px of the marker, NaN where not found."""
+    """(2,) pixel of the marker by camera searched in the latest frame, NaN where not found."""
     marker: Array | None = None
-    """(3,) [m] in frame body: where the eyes saw the marker in the latest frame."""
+    """(3,) [m] marker in frame body by the eyes, in the latest frame."""
     target: Track | None = None
-    """Where the object is by the hand's encoders: where the eyes see it from the marker, and
-    where the encoders have the marker. None: object and marker were not seen together."""
+    """Object in the coordinates of the hand's encoders: the measured difference between object and
+    marker, added to the marker by the encoders. None: they have not been seen together."""
     apart_m: float = np.inf
-    """From the object to the marker, when last seen together."""
+    """Distance from object to marker when they were last seen together."""
     together_s: float = -np.inf
-    """When that was."""
+    """Time at which they were last seen together."""
     inside: bool = False
     """Whether the object is between the open fingers, or may be brought there."""
 
     @property
     def object(self) -> Array | None:
-        """(3,) [m] in frame body: where the eyes see the object, fused over time."""
+        """(3,) [m] object in frame body by the eyes, estimated over time."""
         return None if self.gaze.track is None else self.gaze.track.position
 
     @property
     def hand(self) -> Array:
-        """(3,) [m] in frame body: where the encoders have the hand."""
+        """(3,) [m] hand in frame body by its encoders."""
         return self.readings[-1].T_body_hand[:3, 3]
 
 
-def uncertainty(settings: Settings, state: State) -> Array:
-    """Return the covariance (3, 3) [m^2] of the object in the hand's coordinates.
+def target_covariance(settings: ReachSettings, state: ReachState) -> Array:
+    """Return the covariance (3, 3) [m^2] of the target, with its systematic error.
 
-    Infinite where it is not known there.
+    Infinite where there is no target.
     """
     if state.target is None:
         return np.diag(np.full(3, np.inf))
-    systematic = (settings.share * state.apart_m) ** 2
+    systematic = (settings.relative_error * state.apart_m) ** 2
     return state.target.covariance[:3, :3] + systematic * np.eye(3)
 
 
-def start(settings: Settings, posture: Array, reading: HandReading, time_s: float) -> State:
-    """Return the state of a head at rest at set points (7,) [rad] that has seen nothing."""
-    gaze = state.start(settings.gaze, posture, time_s)
+def initial_reach_state(
+    settings: ReachSettings, posture: Array, reading: HandReading, time_s: float
+) -> ReachState:
+    """Return the state of a head and a hand at rest that have not seen anything.
+
+    Args:
+        settings: of both.
+        posture: (7,) set points of the head's joints [rad].
+        reading: of the hand.
+        time_s: the time.
+    """
+    gaze = initial_gaze_state(settings.gaze, posture, time_s)
     rest = HandCommand(time_s, reading.T_body_hand[:3, 3], np.zeros(3))
-    return State(Phase.SEEK, time_s, gaze, rest, (reading,), gaze.cameras)
+    return ReachState(ReachPhase.SEEK, time_s, gaze, rest, (reading,), gaze.cameras)

@@ -1,8 +1,8 @@
-"""The twin's hand behind the `reach_state.Hand` protocol, on an arm that is not simulated.
+"""A simulated hand behind the interface `HandDriver`, on an arm that is not simulated.
 
-The hand flies where it is sent, within limits of speed and acceleration. Its encoders are exact,
-but the head knows only roughly where the arm is mounted: everything that the hand believes of its
-pose is turned and shifted by a constant that nothing on the vision side can see.
+The hand moves freely to where it is sent, within limits of speed and acceleration. Its encoders are
+exact, but the mounting of the arm on the body is known only roughly: the hand's pose by its
+encoders differs from the true one by a constant transform, which the cameras do not show.
 """
 
 from __future__ import annotations
@@ -17,63 +17,72 @@ from vergence.geometry.head import T_body_base
 from vergence.geometry.se3 import inverse, pose, rotation, transform
 from vergence.reach.state import HandCommand, HandReading, hand_goal
 from vergence.twin.head import Twin
-from vergence.twin.simulated_robot import TwinHead
 
 OPEN_M, CLOSED_M = 0.068, 0.040
-"""Between the faces of the fingers: closed, they touch an object of 20 mm radius."""
+"""Distance between the faces of the fingers: closed, they touch an object of 20 mm radius."""
 _TICK_S = 0.005
 
 
 @dataclass(frozen=True)
-class Limits:
-    """What the arm can do; about as much as one of a humanoid's."""
+class ArmLimits:
+    """Limits of the arm's motion; the defaults are about those of a humanoid's arm."""
 
     speed_m_s: float = 0.5
+    """Greatest speed of the hand."""
     acceleration_m_s2: float = 4.0
+    """Greatest acceleration of the hand."""
     closing_s: float = 0.1
+    """Time in which the fingers close."""
     gain_hz: float = 12.0
     """Wanted speed per distance to the goal, near the goal."""
 
 
-def roughly_mounted(seed: int, run: int) -> Array:
-    """Return the pose (4, 4) of the arm against where the head believes it to be.
+def arm_mounting_error(seed: int, run: int) -> Array:
+    """Return the pose (4, 4) of the arm relative to where the head's software assumes it.
 
-    15 mm along and 1.5 degrees about each axis: half a metre away, 22 mm and more along each.
+    Standard deviations are 15 mm along and 1.5 degrees about each axis, which adds up to more than
+    22 mm along each axis at half a metre.
+
+    Args:
+        seed: of the head.
+        run: number of the run.
     """
     rng = np.random.default_rng([seed, 8, run])
     return pose(rotation(rng.normal(0, np.radians(1.5), 3)), rng.normal(0, 0.015, 3))
 
 
-class TwinHand:
-    """The hand; `true_point` is for evaluation alone."""
+class SimulatedHand:
+    """The driver of the simulated hand; `true_point` is for evaluation only."""
 
-    def __init__(self, twin: Twin, home: Array, T_body_arm: Array, *, limits: Limits | None = None):
-        """Put the hand at home.
+    def __init__(
+        self, twin: Twin, home: Array, T_body_arm: Array, *, limits: ArmLimits | None = None
+    ):
+        """Put the hand at its home position.
 
         Args:
-            twin: in whose room it is.
-            home: (3,) [m] in frame body, by its encoders.
-            T_body_arm: (4, 4) from where it believes to be to where it is.
+            twin: the simulation in which the hand is drawn.
+            home: (3,) [m] in frame body, by the encoders.
+            T_body_arm: (4, 4) true pose of the arm relative to its assumed one.
             limits: of the arm.
         """
         self._twin, self._T_body_arm = twin, T_body_arm
-        self._limits = Limits() if limits is None else limits
+        self._limits = ArmLimits() if limits is None else limits
         self._position, self._velocity = np.array(home, float), np.zeros(3)
         self._opening_m, self._time_s = OPEN_M, twin.time_s
         self._command = HandCommand(twin.time_s, self._position, np.zeros(3))
 
     def read(self) -> HandReading:
-        """Return where its encoders have it."""
+        """Return the pose of the hand by its encoders, now."""
         self.advance(self._twin.time_s)
         closed = self._opening_m <= CLOSED_M
         return HandReading(self._time_s, pose(t=self._position), closed)
 
     def command(self, command: HandCommand) -> None:
-        """Obey a command from now on."""
+        """Follow a command from now on."""
         self._command = command
 
     def advance(self, until_s: float) -> None:
-        """Move, as fast as allowed; slowly enough near the goal to stop there."""
+        """Move until a time, within the limits, and slowly enough near the goal to stop there."""
         limits = self._limits
         while (left := until_s - self._time_s) > 1e-9:
             dt = min(left, _TICK_S)
@@ -93,29 +102,17 @@ class TwinHand:
             self._opening_m = float(np.clip(self._opening_m + rate * dt, CLOSED_M, OPEN_M))
             self._time_s += dt
 
-    def true_point(self, believed: Array) -> Array:
-        """Return where a point (3,) by the encoders truly is, in the left eye's base frame."""
+    def _T_lbase_arm(self) -> Array:
+        """Return the true pose (4, 4) of the arm in the left eye's base frame, now."""
         neck = self._twin.true_angles()[NECK]
-        T_body_lbase = T_body_base(self._twin.truth, "left", neck)
-        return transform(inverse(T_body_lbase) @ self._T_body_arm, believed)
+        return inverse(T_body_base(self._twin.truth, "left", neck)) @ self._T_body_arm
+
+    def true_point(self, by_encoders: Array) -> Array:
+        """Map a point (3,) [m] by the encoders to where it truly is, in the left eye's base."""
+        return transform(self._T_lbase_arm(), by_encoders)
 
     def place(self) -> None:
-        """Show the hand where it truly is now."""
+        """Move the hand to the present time, and draw it where it truly is."""
         self.advance(self._twin.time_s)
-        neck = self._twin.true_angles()[NECK]
-        T_lbase_body = inverse(T_body_base(self._twin.truth, "left", neck))
-        T = T_lbase_body @ self._T_body_arm @ pose(t=self._position)
-        self._twin.place_hand(T, opening_m=self._opening_m)
-
-
-class HeadWithHand(TwinHead):
-    """The twin's head; the hand is in the picture as the object is."""
-
-    hand: TwinHand | None = None
-    """None: out of sight."""
-
-    def place(self) -> None:
-        """Put object and hand where they are now."""
-        super().place()
-        if self.hand is not None:
-            self.hand.place()
+        T_lbase_hand = self._T_lbase_arm() @ pose(t=self._position)
+        self._twin.place_hand(T_lbase_hand, opening_m=self._opening_m)

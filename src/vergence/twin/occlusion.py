@@ -1,4 +1,4 @@
-"""What stands in the way: whether a head at rest could see a place at all, by the room alone."""
+"""Occlusion by the room: whether walls or furniture hide a place from a head at rest."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's compiled module has no type stubs.
@@ -16,25 +16,25 @@ _ROOM = 0
 """Body id of the world: floor, walls and furniture."""
 
 
-def in_sight(twin: Twin, places_lbase: Array, *, margin_m: float) -> np.ndarray:
-    """Return (N,) whether nothing of the room hides places from any camera of the head.
+def unoccluded(twin: Twin, places_lbase: Array, *, margin_m: float) -> np.ndarray:
+    """Return (N,) whether the room leaves places unoccluded in all cameras of the head.
 
     Args:
         twin: the head, at rest.
         places_lbase: (N, 3) [m] in the left eye's base frame.
-        margin_m: how far around a place must be free too: the radius of what is put there.
+        margin_m: radius around each place that must be unoccluded too.
     """
     model = twin.model
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
     mujoco.mj_forward(model, data)
     room = np.array([model.geom_bodyid[k] == _ROOM for k in range(model.ngeom)])
-    kinds = model.geom_group.copy()
+    original_groups = model.geom_group.copy()
     places = transform(twin.T_world_lbase(), places_lbase)
     groups = np.array([0, 0, 0, 0, 0, 1], np.uint8)
     found = np.ones(len(places), bool)
     try:
-        model.geom_group[:] = np.where(room, 5, 0)  # rays ask for groups: the room's alone
+        model.geom_group[:] = np.where(room, 5, 0)  # rays are tested against the room's group only
         for camera in twin.truth.cameras:
             start = data.cam_xpos[model.camera(camera).id]
             for k, place in enumerate(places):
@@ -48,5 +48,5 @@ def in_sight(twin: Twin, places_lbase: Array, *, margin_m: float) -> np.ndarray:
                     hit = mujoco.mj_ray(model, data, start, ray, groups, 1, -1, geom)
                     found[k] &= not 0 <= hit < distance + margin_m
     finally:
-        model.geom_group[:] = kinds
+        model.geom_group[:] = original_groups
     return found

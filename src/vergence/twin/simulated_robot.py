@@ -1,164 +1,157 @@
-"""The twin as a head that a gaze controller can drive, and what only the twin can say of it."""
+"""The twin as a robot that controllers drive: head, hand and object, and their true errors."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.sequential.sequential import calibrate
 from vergence.data.dataset import Frame
-from vergence.gaze.commands import EYES_4, HEAD_JOINTS, Command, Limits, setpoint, stay
-from vergence.gaze.controller import NARROW, Settings
-from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYES
+from vergence.gaze.commands import EYES_4, HEAD_JOINTS, HeadCommand, JointLimits, hold, setpoint
+from vergence.gaze.state import NARROW, GazeSettings
+from vergence.geometry.head import HeadCalibration, T_head_base
 from vergence.geometry.se3 import inverse, transform
 from vergence.paper.replay import see
 from vergence.twin.calibration_errors import written_by_hand
 from vergence.twin.calibration_sequence import look, plan
+from vergence.twin.hand import SimulatedHand
 from vergence.twin.head import Twin
 
 FRAME_S = 0.033
-"""Between frames: 30 Hz, in whole milliseconds, since the physics steps in them."""
+"""Frame period: 30 Hz, in whole milliseconds, because the physics steps in them."""
 _REST_READINGS = 30
 
 
-def calibrated(twin: Twin, seed: int, *, done: Callable[[], None] = lambda: None) -> Settings:
-    """Calibrate the twin by the paper's method, and return what a controller needs of it.
+def calibrate_twin(twin: Twin, seed: int) -> GazeSettings:
+    """Calibrate the twin by the paper's method, and return the settings of a gaze controller.
 
     Args:
         twin: the head, with 2.8 mm lenses.
         seed: of the places at which the board is held.
-        done: called after each view.
     """
-    views = look(twin, plan(twin.nominal, seed), done=done)
+    views = look(twin, plan(twin.nominal, seed))
     found = calibrate(views, wide_lens=twin.profile.calibration.wide_lens, neck=twin.nominal.neck)
     head = written_by_hand(found.head, twin.profile.by_hand, "2.8mm")
     twin.restart(0)
-    # What a driver can find out for itself: how much the readings of resting joints scatter.
+    # A real driver can measure this too: the standard deviation of the readings at rest.
     rest = np.array([twin.capture(()).eye_angles for _ in range(_REST_READINGS)])
     floor = 5e-5  # more would make the filter of a perfect head lag behind what it sees
-    scatter = float(rest.std(axis=0, ddof=1).mean())
-    return Settings(calibration=head, joint_std_rad=float(np.hypot(floor, scatter)))
+    std = float(rest.std(axis=0, ddof=1).mean())
+    return GazeSettings(calibration=head, joint_std_rad=float(np.hypot(floor, std)))
 
 
-@dataclass(frozen=True)
-class Delivery:
-    """What becomes of frames between the camera and the controller."""
+class SimulatedHead:
+    """The twin behind the interface `HeadDriver`, with an object that may move.
 
-    period_s: float = FRAME_S
-    latency_s: float = 0.0
-    """From the moment of an image until the controller has it; less than the period."""
-    all_every: int = 0
-    """Of so many frames one has the images of all cameras, whether they were asked for or not:
-    for who looks on, recording or not, so that looking on changes nothing. 0: none."""
+    From frame to frame the physics advances, the object is placed on its path, and a frame is
+    taken. The path is fixed in the world, so that the object does not follow the neck.
 
-
-class TwinHead:
-    """The twin behind the `motion.Head` protocol, with an object that may move.
-
-    Frame by frame the physics goes on, the object is put where it is at that time, and a frame is
-    taken. The path of the object is in world coordinates, from where the left eye's base is at
-    time zero, so that it stays where it is when the neck turns.
-
-    The servo of a real eye is closed on its own sensor, so that commands are as wrong as readings:
-    gain and offset of the profile are undone on the way to the simulated joint, which knows its
-    true angle. Noise is not: a servo averages over it.
+    The servo of a real eye is closed on its own sensor, so that commands have the same errors as
+    readings: the gain and offset of the error profile are undone on the way to the simulated joint,
+    which knows its true angle. Noise is not undone, because a servo averages over it.
     """
+
+    hand: SimulatedHand | None = None
+    """A hand that the cameras see; None: there is none."""
 
     def __init__(
         self,
         twin: Twin,
         run: int,
-        path: Callable[[float], Array | None],
+        path_head: Callable[[float], Array | None],
         *,
-        limits: Limits | None = None,
-        delivery: Delivery | None = None,
+        limits: JointLimits | None = None,
+        all_cameras_every: int = 0,
     ):
         """Restart the twin.
 
         Args:
             twin: the head.
-            run: its number, for the noise.
-            path: where the object is (3,) [m] at a time; None: it is hidden.
+            run: number of the run, for the noise.
+            path_head: position (3,) [m] of the object at a time, in frame head as it is at the
+                start; None: the object is hidden.
             limits: of the joints.
-            delivery: of the frames.
+            all_cameras_every: every Nth frame has the images of all cameras, requested or not, and
+                whether or not there is a recording: an observer must not change what the
+                controller receives. 0: no frame has.
         """
-        self.twin, self.path = twin, path
-        self.delivery = Delivery() if delivery is None else delivery
+        self.twin, self.path_head = twin, path_head
+        self._all_cameras_every = all_cameras_every
         twin.restart(run)
         self._T_world_start = twin.T_world_lbase()
-        limits = Limits() if limits is None else limits
-        self._command = stay(np.zeros(len(HEAD_JOINTS)), limits, twin.time_s)
+        self._T_lbase_head = inverse(T_head_base(twin.truth, "left"))
+        limits = JointLimits() if limits is None else limits
+        self._command = hold(np.zeros(len(HEAD_JOINTS)), limits, twin.time_s)
         self._next_s, self._number = twin.time_s, 0
         joints = twin.profile.joints
         self._gain = 1 + np.array(joints.gain_percent) / 100
         self._offset = np.radians(joints.offset_deg)
 
     def now_s(self) -> float:
-        """Return the simulated time."""
+        """Return the simulated time [s]."""
         return self.twin.time_s
 
-    def command(self, command: Command) -> None:
-        """Obey a command from now on."""
+    def command(self, command: HeadCommand) -> None:
+        """Follow a command from now on."""
         self._command = command
 
     def read(self, cameras: Sequence[str]) -> Frame | None:
-        """Go on to the next frame, and take it with the images of these cameras."""
-        self._advance(self._next_s)
-        self._next_s = round(self._next_s + self.delivery.period_s, 6)
-        self.place()
-        every = self.delivery.all_every
-        show_all = every > 0 and self._number % every == 0
+        """Advance to the next frame, and return it with the images of these cameras."""
+        self.twin.advance(self._next_s, self._servo)
+        self._next_s = round(self._next_s + FRAME_S, 6)
+        self._place_objects()
+        if self._all_cameras_every and self._number % self._all_cameras_every == 0:
+            cameras = tuple(self.twin.truth.cameras)
         self._number += 1
-        frame = self.twin.capture(tuple(self.twin.truth.cameras) if show_all else tuple(cameras))
-        self._advance(frame.time_s + self.delivery.latency_s)
-        return frame
+        return self.twin.capture(cameras)
 
-    def _advance(self, until_s: float) -> None:
-        command = self._command
+    def _servo(self, time_s: float) -> Array:
+        """Return the angles (7,) [rad] that the simulated joints are sent to at a time."""
+        wanted = setpoint(self._command, time_s)
+        wanted[EYES_4] = (wanted[EYES_4] - self._offset) / self._gain
+        return wanted
 
-        def servo(time_s: float) -> Array:
-            wanted = setpoint(command, time_s)
-            wanted[EYES_4] = (wanted[EYES_4] - self._offset) / self._gain
-            return wanted
-
-        self.twin.advance(until_s, servo)
-
-    def place(self) -> None:
-        """Put the object where it is now."""
-        where = self.path(self.twin.time_s)
+    def _place_objects(self) -> None:
+        """Put object and hand where they are now."""
+        where = self.path_head(self.twin.time_s)
         if where is not None:
+            where = transform(self._T_lbase_head, where)
             T_lbase_start = inverse(self.twin.T_world_lbase()) @ self._T_world_start
             where = transform(T_lbase_start, where)
         self.twin.place_object(where)
+        if self.hand is not None:
+            self.hand.place()
 
 
-def foveal_errors(twin: Twin, believed: HeadCalibration) -> Array:
-    """Return how far (2,) [px] the object truly is from the centre of the two narrow images, now.
-
-    The centre is the principal point as the controller believes it to be: the true one is not to
-    be seen in an image. Infinity where the object is behind a camera.
-    """
+def _true_pixels(twin: Twin) -> list[Array]:
+    """Return the object's true pixel (2,) in each of the narrow images, now."""
     eyes = twin.true_angles()[None, EYES_4]
-    found = []
-    for name in NARROW:
-        pixel = see(twin.truth, name, eyes, twin.true_object())[0]
-        centre = believed.camera(name).intrinsics.matrix[:2, 2]
-        found.append(np.linalg.norm(pixel - centre))
-    return np.nan_to_num(np.array(found), nan=np.inf)
+    return [see(twin.truth, name, eyes, twin.true_object())[0] for name in NARROW]
+
+
+def foveal_errors(twin: Twin, calibration: HeadCalibration) -> Array:
+    """Return the object's true distances (2,) [px] from the centres of the two narrow images, now.
+
+    Args:
+        twin: the head.
+        calibration: whose principal points are the centres: the controller does not know the true
+            ones, which cannot be seen in an image.
+
+    Returns:
+        Distances, infinite where the object is behind a camera.
+    """
+    centres = [calibration.camera(name).intrinsics.matrix[:2, 2] for name in NARROW]
+    errors = [
+        float(np.linalg.norm(pixel - centre))
+        for pixel, centre in zip(_true_pixels(twin), centres, strict=True)
+    ]
+    return np.nan_to_num(np.array(errors), nan=np.inf)
 
 
 def in_both_foveas(twin: Twin) -> bool:
-    """Return whether the object's centre truly is within both narrow images, now."""
-    eyes = twin.true_angles()[None, EYES_4]
-    for eye in EYES:
-        camera = twin.truth.camera(f"{eye}_narrow").intrinsics
-        pixel = see(twin.truth, f"{eye}_narrow", eyes, twin.true_object())[0]
-        if not (
-            np.abs(2 * pixel + 1 - [camera.width, camera.height]) < [camera.width, camera.height]
-        ).all():
-            return False
-    return True
+    """Return whether the object's centre is truly within both narrow images, now."""
+    cameras = [twin.truth.camera(name).intrinsics for name in NARROW]
+    sizes = np.array([(camera.width, camera.height) for camera in cameras])
+    return bool((np.abs(2 * np.array(_true_pixels(twin)) + 1 - sizes) < sizes).all())

@@ -23,9 +23,9 @@ import rerun as rr
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.gaze.commands import EYES_4, HEAD_JOINTS, NECK, commanded
+from vergence.gaze.commands import EYES_4, HEAD_JOINTS, NECK, commanded, neck_chain
 from vergence.gaze.foveation import ideal_wide_pixel
-from vergence.gaze.state import Settings, State
+from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.se3 import inverse, transform
@@ -61,8 +61,8 @@ class Moment:
 
 
 def moment(
-    settings: Settings,
-    state: State,
+    settings: GazeSettings,
+    state: GazeState,
     frame: Frame,
     time_s: float,
     *,
@@ -101,14 +101,14 @@ def moment(
 
 def _cameras(head: HeadCalibration, readings: Array) -> list[Array]:
     """Return the poses (4, 4) of the narrow cameras in frame body, at joint readings (7,)."""
-    neck, eyes = readings[NECK][: len(head.neck.axes)], readings[EYES_4].reshape(2, 2)
+    neck, eyes = neck_chain(head, readings), readings[EYES_4].reshape(2, 2)
     return [
         T_body_base(head, eye, neck) @ T_base_cam(head, f"{eye}_narrow", angles)
         for eye, angles in zip(EYES, eyes, strict=True)
     ]
 
 
-def _axes(head: HeadCalibration, readings: Array, state: State) -> Array:
+def _axes(head: HeadCalibration, readings: Array, state: GazeState) -> Array:
     """Return (2, 2, 3): as far as the object, if it is known how far that is."""
     found = []
     for T in _cameras(head, readings):
@@ -119,7 +119,7 @@ def _axes(head: HeadCalibration, readings: Array, state: State) -> Array:
     return np.array(found)
 
 
-def aims(settings: Settings, state: State, frame: Frame) -> dict[str, Array]:
+def aims(settings: GazeSettings, state: GazeState, frame: Frame) -> dict[str, Array]:
     """Return by camera the pixel (2,) where the object shall be.
 
     In a narrow image that is its principal point; in a wide one the place of Eqs. 18-19 for the
@@ -139,8 +139,8 @@ def aims(settings: Settings, state: State, frame: Frame) -> dict[str, Array]:
 
 def log_gaze_frame(
     rec: rr.RecordingStream,
-    settings: Settings,
-    state: State,
+    settings: GazeSettings,
+    state: GazeState,
     frame: Frame,
     *,
     time_s: float,

@@ -1,4 +1,4 @@
-"""Commands to the joints."""
+"""Commands to the joints, their limits, and recordings as a head."""
 
 from pathlib import Path
 
@@ -8,24 +8,31 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vergence.data.dataset import Dataset, Description
-from vergence.gaze.commands import Command, Limits, RecordedHead, commanded, setpoint, stay
+from vergence.gaze.commands import (
+    HeadCommand,
+    JointLimits,
+    RecordedHead,
+    commanded,
+    hold,
+    setpoint,
+)
 from vergence.geometry.board import Chessboard
 from vergence.twin.model import JOINTS, load_spec
 
-LIMITS = Limits()
+LIMITS = JointLimits()
 SEVEN = st.lists(st.floats(-2, 2), min_size=7, max_size=7).map(np.array)
 
 
-def command(start=0.0, goal=0.0, rate=0.0, time_s=1.0) -> Command:
-    return Command(time_s, *(np.full(7, x) for x in (start, goal, rate)), LIMITS)
+def command(start=0.0, goal=0.0, rate=0.0, time_s=1.0) -> HeadCommand:
+    return HeadCommand(time_s, *(np.full(7, x) for x in (start, goal, rate)), LIMITS)
 
 
 @given(start=SEVEN, goal=SEVEN, rate=SEVEN, time_s=st.floats(1, 3))
 def test_set_points_keep_ranges_and_speeds(start, goal, rate, time_s):
-    start = np.clip(start, *LIMITS.set_rad.T)
-    now = setpoint(Command(1.0, start, goal, rate, LIMITS), time_s)
-    assert (now >= LIMITS.set_rad[:, 0]).all()
-    assert (now <= LIMITS.set_rad[:, 1]).all()
+    start = np.clip(start, *LIMITS.setpoint_range_rad.T)
+    now = setpoint(HeadCommand(1.0, start, goal, rate, LIMITS), time_s)
+    assert (now >= LIMITS.setpoint_range_rad[:, 0]).all()
+    assert (now <= LIMITS.setpoint_range_rad[:, 1]).all()
     assert (np.abs(now - start) <= LIMITS.speed_rad_s * (time_s - 1) + 1e-12).all()
 
 
@@ -40,8 +47,8 @@ def test_a_goal_stops_when_no_further_command_comes():
     np.testing.assert_allclose(setpoint(moving, 1.1), setpoint(moving, 9.0))
 
 
-def test_what_was_in_force_can_be_asked_for_later():
-    commands = [stay(np.zeros(7), LIMITS, 0.0), command(goal=0.2), stay(np.ones(7), LIMITS, 2.0)]
+def test_earlier_set_points_can_be_recovered():
+    commands = [hold(np.zeros(7), LIMITS, 0.0), command(goal=0.2), hold(np.ones(7), LIMITS, 2.0)]
     np.testing.assert_array_equal(commanded(commands, -1.0), 0)
     np.testing.assert_array_equal(commanded(commands, 0.9), 0)
     np.testing.assert_allclose(commanded(commands, 1.5), 0.2)
