@@ -89,7 +89,7 @@ def test_accuracy_travels_with_the_file(tmp_path: Path):
     assert head.accuracy is not None
     assert back.accuracy is not None
     assert back.accuracy.parameters == head.accuracy.parameters
-    assert back.accuracy.held_out == head.accuracy.held_out
+    assert vars(back.accuracy.held_out) == vars(head.accuracy.held_out)
     np.testing.assert_array_equal(back.accuracy.covariance, head.accuracy.covariance)
 
 
