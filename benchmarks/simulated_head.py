@@ -1,65 +1,47 @@
-"""Heads that nobody built, and what they would record: corners and readings, without images.
+"""Simulated heads, drawn at random: the truth of the Monte Carlo scripts and of the tests.
 
-Shared by the Monte Carlo scripts. A head is drawn with another baseline, other lenses with
-distortion, mountings, gains, offsets and axes each time; its recording is the one that
-docs/calibration.md advises.
+What such heads would record stands in simulated_recording.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
+from scipy.stats import chi2
 
 from vergence.arrays import Array
-from vergence.calibration.sequential.sequential import Views
-from vergence.geometry.board import Chessboard, corner_points
-from vergence.geometry.camera import Camera, project
+from vergence.geometry.camera import Camera, pinhole
 from vergence.geometry.head import HeadCalibration, MountedCamera, T_base_cam
-from vergence.geometry.kinematics import EYES, EyeAxes
+from vergence.geometry.kinematics import EYE_COLUMNS, EYES, EyeAxes, Neck
+from vergence.geometry.parameters import INTRINSICS, POSE, boxplus, parameter_values
 from vergence.geometry.se3 import inverse, pose, rotation, transform
 
-BOARD = Chessboard(columns=9, rows=6, square_m=0.03)
 WIDTH, HEIGHT = 640, 480
 R_EYE_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """A camera, and a board, that look along x and against it: z is the head's x, x its -y."""
-WIDE_PX, NARROW_PX = (250.0, 420.0), (900.0, 1300.0)
-"""Focal lengths: 2.5 to 4.2 mm and 9 to 13 mm on the sensors of this project's head."""
+FOCAL_PX = {"wide": (250.0, 420.0), "narrow": (900.0, 1300.0)}
+"""2.5 to 4.2 mm and 9 to 13 mm on the sensors of this project's head."""
 
 
-@dataclass(frozen=True)
-class Noise:
-    """Of a recording."""
+def random_head(
+    rng: np.random.Generator,
+    *,
+    lenses: Sequence[str] = ("wide", "narrow"),
+    perfect_axes: bool = False,
+) -> HeadCalibration:
+    """Return a head that bundle adjustment models: no skew, no distortion of narrow lenses.
 
-    pixel_px: float
-    """Standard deviation of a coordinate of a corner."""
-    joint_rad: float
-    """Standard deviation of a reading."""
-
-
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """How the eyes move before the board at rest: each joint swings at its own frequency."""
-
-    frames: int
-    rate_hz: float
-    amplitude_rad: Array
-    """(4,)."""
-    frequency_hz: Array
-    """(4,)."""
-    phase_rad: Array
-    """(4,)."""
-    time_offset_s: float
-    """An image shows the joints this much later than their reading."""
-
-
-def random_head(rng: np.random.Generator) -> HeadCalibration:
-    """Return a head within the model of `refine`: no skew, and no distortion of narrow lenses."""
+    Args:
+        rng: of everything random.
+        lenses: of each eye.
+        perfect_axes: whether gains are one, and offsets and errors of the axes zero.
+    """
     cameras = {}
     for eye in EYES:
-        for lens, range_px in (("wide", WIDE_PX), ("narrow", NARROW_PX)):
-            focal = rng.uniform(*range_px) * np.array([1.0, rng.uniform(0.99, 1.01)])
+        for lens in lenses:
+            focal = rng.uniform(*FOCAL_PX[lens]) * np.array([1.0, rng.uniform(0.99, 1.01)])
             middle = np.array([WIDTH - 1, HEIGHT - 1]) / 2 + rng.normal(0, 5, 2)
             # Barrel distortion of 4 to 12 % at the image's edge, as such lenses have.
             barrel = -rng.uniform(0.04, 0.12) / (WIDTH / 2 / focal[0]) ** 2
@@ -80,190 +62,113 @@ def random_head(rng: np.random.Generator) -> HeadCalibration:
                     + rng.normal(0, 0.004, 3),
                 ),
             )
-    return HeadCalibration(
-        cameras=cameras,
-        T_rbase_lbase=pose(
-            rotation(rng.normal(0, np.radians(0.5), 3)),
-            np.array([0, rng.uniform(0.055, 0.12), 0]) + rng.normal(0, 0.001, 3),
-        ),
-        axes={
-            eye: EyeAxes(
-                *map(float, rng.uniform(0.96, 1.04, 2)),
-                *map(float, rng.normal(0, np.radians(0.4), 2)),
-                nonorthogonality_rad=rng.normal(0, np.radians(0.3)),
-                axis_distance_m=rng.normal(0, 0.001),
-            )
-            for eye in EYES
+    T_rbase_lbase = pose(
+        rotation(rng.normal(0, np.radians(0.5), 3)),
+        np.array([0, rng.uniform(0.055, 0.12), 0]) + rng.normal(0, 0.001, 3),
+    )
+    if perfect_axes:
+        return HeadCalibration(cameras=cameras, T_rbase_lbase=T_rbase_lbase)
+    axes = {
+        eye: EyeAxes(
+            *map(float, rng.uniform(0.96, 1.04, 2)),
+            *map(float, rng.normal(0, np.radians(0.4), 2)),
+            nonorthogonality_rad=rng.normal(0, np.radians(0.3)),
+            axis_distance_m=rng.normal(0, 0.001),
+        )
+        for eye in EYES
+    }
+    return HeadCalibration(cameras=cameras, T_rbase_lbase=T_rbase_lbase, axes=axes)
+
+
+def skewed_head(rng: np.random.Generator, *, distorted: bool = True) -> HeadCalibration:
+    """Return a head with all that a calibration can state: skew, and a neck, too."""
+    head = random_head(rng)
+    return replace(
+        head,
+        cameras={
+            name: replace(mounted, intrinsics=random_camera(rng, distorted=distorted))
+            for name, mounted in head.cameras.items()
         },
+        neck=Neck(
+            axes=np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, 1]]),
+            points_m=rng.normal(size=(3, 3)) * 0.1,
+            head_m=rng.normal(size=3) * 0.2,
+        ),
     )
 
 
-def still_recording(
-    head: HeadCalibration,
-    rng: np.random.Generator,
-    noise: Noise,
+def plain_head(
+    baseline_m: float,
+    focal_px: float,
     *,
-    wide_views: int,
-    narrow_views: int,
-    orientations: int,
-    spread_rad: float,
-) -> Views:
-    """Return a recording of eyes at rest.
-
-    Args:
-        head: the truth.
-        rng: of everything random.
-        noise: of corners and readings.
-        wide_views: boards near the head, at straight gaze.
-        narrow_views: boards for each narrow camera, seen by both wide ones too.
-        orientations: eye angles at which a board at rest is seen.
-        spread_rad: how far the eyes turn for them.
-    """
-    wide = ("left_wide", "right_wide")
-    places = [_held_board(head, wide, rng, (0.28, 0.65), 0.7) for _ in range(wide_views)]
-    cameras: list[tuple[str, ...]] = [wide] * wide_views
-    for eye in EYES:
-        trio = (*wide, f"{eye}_narrow")
-        places += [_held_board(head, trio, rng, (0.7, 1.1), 0.6) for _ in range(narrow_views)]
-        cameras += [trio] * narrow_views
-    straight = len(places)
-    # Directions spread evenly over an ellipse (a sunflower), all clear of straight gaze.
-    k = np.arange(3, orientations + 3) + 0.5
-    radius, turn = np.sqrt(k / (orientations + 3)), k * np.pi * (3 - np.sqrt(5))
-    gaze = spread_rad * radius[:, None] * np.stack([np.cos(turn), 0.85 * np.sin(turn)], axis=-1)
-    exact = np.concatenate([np.zeros((straight, 4)), np.tile(gaze, 2)])
-    return _views(
-        head,
-        rng,
-        noise,
-        placement=np.concatenate([np.arange(straight), np.full(orientations, straight)]),
-        T_lbase_target=np.array(places + [_fixed_board(head, rng)] * orientations),
-        seen_at=exact,
-        read_at=exact,
-        cameras=cameras + [wide] * orientations,
+    camera_m: tuple[tuple[float, float, float], tuple[float, float, float]] = ((0, 0, 0),) * 2,
+    mounting_deg: tuple[tuple[float, float, float], tuple[float, float, float]] = ((0, 0, 0),) * 2,
+) -> HeadCalibration:
+    """Return a head with two wide pinhole cameras, left and right, mounted as stated."""
+    return HeadCalibration(
+        cameras={
+            f"{eye}_wide": MountedCamera(
+                eye=eye,
+                intrinsics=pinhole(WIDTH, HEIGHT, focal_px),
+                T_eye_cam=pose(rotation(np.radians(turn)) @ R_EYE_CAM, where),
+            )
+            for eye, where, turn in zip(EYES, camera_m, mounting_deg, strict=True)
+        },
+        T_rbase_lbase=pose(t=[0, baseline_m, 0]),
     )
 
 
-def moving_recording(
-    head: HeadCalibration, rng: np.random.Generator, noise: Noise, motion: Motion, still: Views
-) -> tuple[Views, Array]:
-    """Return still views, followed by a motion before a board at rest.
-
-    Args:
-        head: the truth.
-        rng: of the noise and the board's place.
-        noise: of corners and readings.
-        motion: of the eyes.
-        still: views to put before it.
-
-    Returns:
-        All views, and (V,) the times of their readings [s]; NaN where the eyes stood still.
-    """
-    times = np.arange(motion.frames) / motion.rate_hz
-
-    def gaze(t: Array) -> Array:
-        phase = 2 * np.pi * motion.frequency_hz * t[:, None] + motion.phase_rad
-        return motion.amplitude_rad * np.cos(phase)
-
-    views = _views(
-        head,
-        rng,
-        noise,
-        placement=np.full(motion.frames, still.placement.max() + 1),
-        T_lbase_target=np.tile(_fixed_board(head, rng), (motion.frames, 1, 1)),
-        seen_at=gaze(times + motion.time_offset_s),
-        read_at=gaze(times),
-        cameras=[("left_wide", "right_wide")] * motion.frames,
+def random_camera(rng: np.random.Generator, *, distorted: bool = True) -> Camera:
+    """Return a camera with skew, a shifted principal point and, perhaps, distortion."""
+    focal = rng.uniform(250, 450)
+    matrix = np.array(
+        [
+            [focal, rng.normal(0, 1), 319.5 + rng.normal(0, 5)],
+            [0, focal * rng.uniform(0.98, 1.02), 239.5 + rng.normal(0, 5)],
+            [0, 0, 1],
+        ]
     )
-    joined = Views(
-        board=still.board,
-        placement=np.concatenate([still.placement, views.placement]),
-        eye_angles=np.concatenate([still.eye_angles, views.eye_angles]),
-        corners={n: np.concatenate([still.corners[n], views.corners[n]]) for n in views.corners},
-        sizes=still.sizes,
-    )
-    return joined, np.concatenate([np.full(len(still.placement), np.nan), times])
+    k = np.array([rng.uniform(-0.15, 0.05), rng.uniform(0, 0.02), *rng.normal(0, 5e-4, 2), 0])
+    return Camera(width=WIDTH, height=HEIGHT, matrix=matrix, distortion=k * distorted)
 
 
-def corners_seen(head: HeadCalibration, name: str, T_lbase_target: Array, readings: Array) -> Array:
-    """Return exact corners (V, K, 2) in a camera; NaN where its image does not hold the board.
-
-    Args:
-        head: the truth.
-        name: of the camera.
-        T_lbase_target: (V, 4, 4) where the board stands.
-        readings: (V, 4) without noise [rad].
-    """
-    uv = pixels_seen(head, name, transform(T_lbase_target[:, None], corner_points(BOARD)), readings)
-    inside = np.asarray(((uv > 0) & (uv < [WIDTH - 1, HEIGHT - 1])).all(axis=(1, 2)))
-    return np.where(inside[:, None, None], uv, np.nan)
+def random_pose(rng: np.random.Generator, angle: float = 3.0, distance: float = 1.0) -> Array:
+    """Return a pose (4, 4) turned by up to an angle and shifted by about a distance."""
+    axis = rng.normal(size=3)
+    turn = axis / np.linalg.norm(axis) * rng.uniform(0, angle)
+    return pose(rotation(turn), rng.normal(size=3) * distance)
 
 
-def pixels_seen(head: HeadCalibration, name: str, points: Array, readings: Array) -> Array:
-    """Return exact pixels (V, K, 2) of points (V, K, 3) of the left base, at readings (V, 4)."""
-    mounted = head.cameras[name]
-    left = mounted.eye == "left"
-    T_base_camera = T_base_cam(head, name, readings[:, :2] if left else readings[:, 2:])
-    T_cam_lbase = inverse(T_base_camera) @ (np.eye(4) if left else head.T_rbase_lbase)
-    return project(mounted.intrinsics, transform(T_cam_lbase[:, None], points))
+def point_in_camera(head: HeadCalibration, name: str, joints: Array, points: Array) -> Array:
+    """Return points (N, 3) of the left base in frame cam, at joints (N, 4); a check of projection."""
+    eye = head.cameras[name].eye
+    in_base = points if eye == "left" else transform(head.T_rbase_lbase, points)
+    return transform(inverse(T_base_cam(head, name, joints[:, EYE_COLUMNS[eye]])), in_base)
 
 
-def _views(
-    head: HeadCalibration,
-    rng: np.random.Generator,
-    noise: Noise,
-    *,
-    placement: np.ndarray,
-    T_lbase_target: Array,
-    seen_at: Array,
-    read_at: Array,
-    cameras: Sequence[tuple[str, ...]],
-) -> Views:
-    """Return views of boards (V, 4, 4) with noise, at noise-free readings (V, 4)."""
-    corners = {}
-    for name in head.cameras:
-        uv = corners_seen(head, name, T_lbase_target, seen_at)
-        looks = np.array([name in each for each in cameras])[:, None, None]
-        corners[name] = np.where(looks, uv + rng.normal(0, noise.pixel_px, uv.shape), np.nan)
-    return Views(
-        board=BOARD,
-        placement=placement,
-        eye_angles=read_at + rng.normal(0, noise.joint_rad, read_at.shape),
-        corners=corners,
-        sizes=dict.fromkeys(corners, (WIDTH, HEIGHT)),
-    )
+def rough_start(head: HeadCalibration, rng: np.random.Generator) -> HeadCalibration:
+    """Return a head about as wrong as the paper's method leaves it, with perfect gains and axes."""
+    lens = {"fx": 3.0, "fy": 3.0, "cx": 2.0, "cy": -2.0}
+
+    def change(name: str, value: float | None) -> float:
+        last = name.rpartition(".")[2]
+        if value is None:
+            return rng.normal(0, 0.003)
+        if last in INTRINSICS[4:]:
+            return -0.1 * value
+        if last.endswith("gain"):
+            return 1 - value
+        return -value if last == "nonorthogonality_rad" else lens.get(last, 0.0)
+
+    values = parameter_values(head)
+    assert sum(value is None for value in values.values()) == len(POSE) * (1 + len(head.cameras))
+    return boxplus(head, np.array([change(*each) for each in values.items()]))
 
 
-def _held_board(
-    head: HeadCalibration,
-    cameras: tuple[str, ...],
-    rng: np.random.Generator,
-    depth_m: tuple[float, float],
-    lean_rad: float,
-) -> Array:
-    """Return a random T_lbase_target at which all the cameras see the whole board."""
-    mounted = head.camera(cameras[-1])
-    T_base_camera = T_base_cam(head, cameras[-1], np.zeros(2))
-    slope = WIDTH / 2 / mounted.intrinsics.matrix[0, 0]
-    for _ in range(10_000):
-        depth = rng.uniform(*depth_m)
-        at = transform(T_base_camera, np.array([*rng.uniform(-slope, slope, 2) * depth, depth]))
-        if mounted.eye == "right":
-            at = transform(inverse(head.T_rbase_lbase), at)
-        T = _facing(at, rng.uniform(-1, 1, 3) * [lean_rad, lean_rad, 0.3])
-        seen = [corners_seen(head, name, T[None], np.zeros((1, 4))) for name in cameras]
-        if np.isfinite(seen).all():
-            return T
-    raise AssertionError("the board fits into no image at these depths")
-
-
-def _fixed_board(head: HeadCalibration, rng: np.random.Generator) -> Array:
-    between = inverse(head.T_rbase_lbase)[:3, 3] / 2
-    ahead = np.array([rng.uniform(0.5, 0.7), *rng.normal(0, 0.02, 2)])
-    return _facing(between + ahead, rng.normal(0, 0.25, 3))
-
-
-def _facing(centre: Array, turn: Array) -> Array:
-    """Return T_lbase_target of a board around a centre, turned from facing the head [rad]."""
-    middle = corner_points(BOARD).mean(axis=0)
-    return pose(R_EYE_CAM @ rotation(turn), centre) @ pose(t=-middle)
+def probability(error: Array, covariance: Array) -> float:
+    """Return the stated probability of an error (n,) smaller than this one."""
+    scale = np.sqrt(np.diag(covariance))
+    score = error / scale
+    correlation = covariance / np.outer(scale, scale)
+    squared = score @ np.linalg.pinv(correlation, hermitian=True) @ score
+    return float(chi2.cdf(squared, len(error)))

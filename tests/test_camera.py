@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from heads import random_camera
+from simulated_head import random_camera
 from vergence.geometry.camera import (
     Camera,
     normalise,

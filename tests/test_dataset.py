@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from heads import random_pose
+from simulated_head import random_pose
 from recordings import (
     JOINTS,
     change_about,

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from heads import random_pose
+from simulated_head import random_pose
 from recordings import (
     CHARUCO,
     small_dataset,

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from heads import random_head
+from simulated_head import skewed_head
 from vergence.commands.evaluate import as_text, evaluate, save
 from vergence.commands.truth import Truth
 from vergence.errors import VergenceError
@@ -34,7 +34,7 @@ def truth_of(head: HeadCalibration) -> Truth:
 
 @pytest.fixture
 def head() -> HeadCalibration:
-    return random_head(np.random.default_rng(7))
+    return skewed_head(np.random.default_rng(7))
 
 
 def stating(head: HeadCalibration, change: np.ndarray) -> HeadCalibration:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from heads import point_in_camera, random_head
+from simulated_head import point_in_camera, skewed_head
 from vergence.errors import VergenceError
 from vergence.gaze.foveation import (
     eye_angles_to,
@@ -32,7 +32,7 @@ DEPTHS = np.geomspace(0.15, 50, 40)
 
 def head(seed: int, *, distorted: bool = True) -> HeadCalibration:
     """Return a random head whose two cameras of an eye are 30 mm apart."""
-    made = random_head(np.random.default_rng(seed), distorted=distorted)
+    made = skewed_head(np.random.default_rng(seed), distorted=distorted)
     cameras = {
         name: replace(mounted, T_eye_cam=pose(t=[0, 0, -0.03]) @ mounted.T_eye_cam)
         if name.endswith("narrow")

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from heads import plain_head, random_head
+from simulated_head import plain_head, skewed_head
 from vergence.errors import VergenceError
 from vergence.files import write_whole
 from vergence.geometry.head import (
@@ -16,8 +16,8 @@ from vergence.geometry.head import (
     T_body_base,
     T_head_base,
     T_narrow_wide,
-    load,
-    save,
+    load_head,
+    save_head,
 )
 from vergence.geometry.kinematics import Neck
 from vergence.geometry.se3 import inverse, transform
@@ -25,19 +25,19 @@ from vergence.geometry.se3 import inverse, transform
 
 @pytest.fixture
 def head() -> HeadCalibration:
-    return random_head(np.random.default_rng(5))
+    return skewed_head(np.random.default_rng(5))
 
 
 @pytest.fixture
 def file(head: HeadCalibration, tmp_path: Path) -> Path:
-    save(head, tmp_path / "head.json")
+    save_head(head, tmp_path / "head.json")
     return tmp_path / "head.json"
 
 
 def test_a_calibration_comes_back_from_its_file_to_the_last_digit(
     head: HeadCalibration, file: Path
 ):
-    again = load(file)
+    again = load_head(file)
     assert list(again.cameras) == list(head.cameras)
     for name, mounted in head.cameras.items():
         other = again.cameras[name]
@@ -48,13 +48,55 @@ def test_a_calibration_comes_back_from_its_file_to_the_last_digit(
     np.testing.assert_array_equal(again.T_rbase_lbase, head.T_rbase_lbase)
     assert vars(again.axes["right"]) == vars(head.axes["right"])
     np.testing.assert_array_equal(again.neck.points_m, head.neck.points_m)
-    save(again, file.with_name("again.json"))
+    save_head(again, file.with_name("again.json"))
     assert file.read_bytes() == file.with_name("again.json").read_bytes()
 
 
+VERSION_0_1 = """{
+ "cameras": {"left_wide": {"eye": "left", "T_eye_cam": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]],
+  "intrinsics": {"width": 640, "height": 480, "matrix": [[300,0,320],[0,300,240],[0,0,1]],
+   "distortion": [0,0,0,0,0]}}},
+ "T_rbase_lbase": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]],
+ "time_offset_s": 0.02,
+ "accuracy": {"method": "refined", "parameters": ["left_wide.fx"], "covariance": [[0.25]],
+  "pixel_std_px": 0.1, "joint_std": [0.001], "eye_motion": "pan-tilt", "warnings": [],
+  "held_out": {"folds": 5, "transfer_views": 20, "transfer_px": 0.4, "point_views": 18,
+   "point_mm": 1.5, "expected_mm": 1.4, "distance_m": 0.6, "scatter": 1.1}},
+ "format": "vergence-head-calibration-1"
+}"""
+
+
+def test_files_of_version_0_1_load(tmp_path: Path):
+    (tmp_path / "old.json").write_text(VERSION_0_1)
+    accuracy = load_head(tmp_path / "old.json").accuracy
+    assert accuracy is not None
+    assert accuracy.method == "bundle"
+    assert accuracy.held_out is not None
+    assert accuracy.held_out.jackknife_ratio == 1.1
+
+
+def test_a_file_without_accuracy_loads(tmp_path: Path):
+    content = json.loads(VERSION_0_1)
+    del content["accuracy"], content["time_offset_s"]
+    (tmp_path / "older.json").write_text(json.dumps(content))
+    assert load_head(tmp_path / "older.json").accuracy is None
+
+
+def test_accuracy_travels_with_the_file(tmp_path: Path):
+    (tmp_path / "old.json").write_text(VERSION_0_1)
+    head = load_head(tmp_path / "old.json")
+    save_head(head, tmp_path / "new.json")
+    back = load_head(tmp_path / "new.json")
+    assert head.accuracy is not None
+    assert back.accuracy is not None
+    assert back.accuracy.parameters == head.accuracy.parameters
+    assert vars(back.accuracy.held_out) == vars(head.accuracy.held_out)
+    np.testing.assert_array_equal(back.accuracy.covariance, head.accuracy.covariance)
+
+
 def test_a_head_without_a_neck_travels_through_json(tmp_path: Path):
-    save(plain_head(0.09, 280.0), tmp_path / "plain.json")
-    assert load(tmp_path / "plain.json").neck.axes.shape == (0, 3)
+    save_head(plain_head(0.09, 280.0), tmp_path / "plain.json")
+    assert load_head(tmp_path / "plain.json").neck.axes.shape == (0, 3)
 
 
 def test_the_head_frame_lies_midway_between_the_eyes_with_the_left_eyes_axes(
@@ -102,7 +144,7 @@ def test_an_unknown_camera_is_answered_with_the_known_ones(head: HeadCalibration
 
 def test_a_missing_file_is_named(tmp_path: Path):
     with pytest.raises(VergenceError, match=r"no\.json: No such file"):
-        load(tmp_path / "no.json")
+        load_head(tmp_path / "no.json")
 
 
 @pytest.mark.parametrize(
@@ -127,14 +169,14 @@ def test_a_wrong_field_is_named(file: Path, path: list, value: object, says: str
     place[path[-1]] = value
     file.write_text(json.dumps(content))
     with pytest.raises(VergenceError, match=says):
-        load(file)
+        load_head(file)
 
 
 @pytest.mark.parametrize("text", [b"", b"{", b"[]", b"\xff\xfe", b"null"])
 def test_a_file_that_is_no_calibration_is_refused(tmp_path: Path, text: bytes):
     (tmp_path / "head.json").write_bytes(text)
     with pytest.raises(VergenceError, match=r"head\.json is not a head calibration"):
-        load(tmp_path / "head.json")
+        load_head(tmp_path / "head.json")
 
 
 def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path):

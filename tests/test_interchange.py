@@ -11,7 +11,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from heads import random_head, random_pose
+from simulated_head import skewed_head, random_pose
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, project
 from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base, T_head_base
@@ -25,7 +25,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 def plain(seed: int) -> HeadCalibration:
     """Return a random head without skew, which no format has a field for."""
-    head = random_head(np.random.default_rng(seed))
+    head = skewed_head(np.random.default_rng(seed))
     cameras = {}
     for name, mounted in head.cameras.items():
         matrix = mounted.intrinsics.matrix.copy()
@@ -303,7 +303,7 @@ def test_the_urdf_turns_a_camera_that_looks_straight_up_or_down_rightly(tmp_path
 
 @pytest.mark.parametrize("format_name", ["kalibr", "ros", "opencv"])
 def test_skew_is_refused_by_formats_that_have_no_field_for_it(tmp_path, format_name):
-    head = random_head(np.random.default_rng(12))
+    head = skewed_head(np.random.default_rng(12))
     with pytest.raises(VergenceError, match="left_wide has a skew") as refused:
         export_head(head, tmp_path / "out.yml", format_name)
     assert "\n" not in str(refused.value)

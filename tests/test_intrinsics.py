@@ -5,14 +5,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vergence.calibration.sequential.intrinsics import calibrate_intrinsics, target_poses
+from vergence.calibration.sequential.intrinsics import calibrate_camera
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.camera import Camera, project
 from vergence.geometry.se3 import pose, rotation, transform
+from vergence.vision.board_pose import board_poses
 
 POINTS = corner_points(Chessboard(9, 6, 0.03))
 SIZE = (640, 480)
+SINGLE_PRECISION_PX = 3e-5
+"""OpenCV calibrates from corners in single precision, which steps by 6e-5 px beyond 512 px: root
+mean square residuals of exact corners stay below this, and what follows errs accordingly."""
+SINGLE_PRECISION_LENS = 10 * SINGLE_PRECISION_PX
+"""Of focal lengths and principal points [px]."""
+SINGLE_PRECISION_POSE = 1e-6
+"""Of poses [rad, m]: such residuals at focal lengths of some hundred pixels."""
 
 
 def boards(n: int, rng: np.random.Generator) -> np.ndarray:
@@ -40,15 +48,15 @@ def views(camera: Camera, T_cam_target: np.ndarray) -> np.ndarray:
     [("none", ()), ("k1", (0,)), ("k1k2", (0, 1)), ("radial-tangential", (0, 1, 2, 3))],
 )
 def test_exact_corners_give_the_exact_camera(model, free: tuple[int, ...]):
-    """Eqs. 1-2, with each lens model: to 1e-9."""
+    """Eqs. 1-2, with each lens model."""
     rng = np.random.default_rng(4)
     camera = lens(rng, *free)
-    found = calibrate_intrinsics(
+    found = calibrate_camera(
         views(camera, boards(10, rng)), POINTS, size=SIZE, lens_model=model
     )
-    np.testing.assert_allclose(found.camera.matrix, camera.matrix, atol=1e-9)
-    np.testing.assert_allclose(found.camera.distortion, camera.distortion, atol=1e-10)
-    assert found.rms_px < 1e-10
+    np.testing.assert_allclose(found.camera.matrix, camera.matrix, atol=SINGLE_PRECISION_LENS)
+    np.testing.assert_allclose(found.camera.distortion, camera.distortion, atol=1e-5)
+    assert found.rms_px < SINGLE_PRECISION_PX
     assert found.views == 10
 
 
@@ -58,8 +66,8 @@ def test_corners_that_were_not_seen_are_left_out():
     corners = views(camera, boards(12, rng))
     corners[rng.uniform(size=corners.shape[:2]) < 0.3] = np.nan
     corners[3], corners[7, 3:] = np.nan, np.nan
-    found = calibrate_intrinsics(corners, POINTS, size=SIZE, lens_model="radial-tangential")
-    np.testing.assert_allclose(found.camera.matrix, camera.matrix, atol=1e-8)
+    found = calibrate_camera(corners, POINTS, size=SIZE, lens_model="radial-tangential")
+    np.testing.assert_allclose(found.camera.matrix, camera.matrix, atol=SINGLE_PRECISION_LENS)
     assert found.views == 10
 
 
@@ -69,29 +77,9 @@ def test_noise_leaves_errors_of_its_own_size():
     camera = lens(rng, 0, 1)
     corners = views(camera, boards(20, rng))
     corners = corners + rng.normal(0, 0.1, corners.shape)
-    found = calibrate_intrinsics(corners, POINTS, size=SIZE, lens_model="k1k2")
+    found = calibrate_camera(corners, POINTS, size=SIZE, lens_model="k1k2")
     assert found.rms_px == pytest.approx(0.1 * np.sqrt(2), rel=0.1)
     assert np.abs(found.camera.matrix - camera.matrix).max() < 0.7
-
-
-def test_the_polished_minimum_is_one():
-    """No parameter can be moved, with the poses free, to a smaller residual."""
-    rng = np.random.default_rng(7)
-    camera = lens(rng, 0)
-    corners = views(camera, boards(8, rng))
-    corners = corners + rng.normal(0, 0.2, corners.shape)
-    found = calibrate_intrinsics(corners, POINTS, size=SIZE, lens_model="k1")
-
-    def cost(matrix: np.ndarray) -> float:
-        moved = Camera(*SIZE, matrix, found.camera.distortion)
-        return float(((corners - views(moved, target_poses(moved, corners, POINTS))) ** 2).sum())
-
-    least = cost(found.camera.matrix)
-    for place in ((0, 0), (1, 1), (0, 2), (1, 2)):
-        for step in (-0.05, 0.05):
-            matrix = found.camera.matrix.copy()
-            matrix[place] += step
-            assert cost(matrix) > least
 
 
 @pytest.mark.parametrize("usable", [0, 2])
@@ -100,7 +88,7 @@ def test_too_few_views_are_refused(usable: int):
     corners = views(lens(rng), boards(5, rng))
     corners[usable:, 3:] = np.nan
     with pytest.raises(VergenceError, match=f"at least 3 views of the board, found {usable}"):
-        calibrate_intrinsics(corners, POINTS, size=SIZE, lens_model="none")
+        calibrate_camera(corners, POINTS, size=SIZE, lens_model="none")
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -108,7 +96,7 @@ def test_too_few_views_are_refused(usable: int):
 def test_exact_corners_give_the_exact_poses(seed: int):
     rng = np.random.default_rng(seed)
     camera, T = lens(rng, 0, 1, 2, 3), boards(5, rng)
-    np.testing.assert_allclose(target_poses(camera, views(camera, T), POINTS), T, atol=1e-10)
+    np.testing.assert_allclose(board_poses(camera, views(camera, T), POINTS), T, atol=1e-7)
 
 
 def test_a_pose_needs_six_corners():
@@ -117,10 +105,10 @@ def test_a_pose_needs_six_corners():
     corners = views(camera, T)
     corners[0, 5:] = np.nan
     corners[1, :20] = np.nan
-    poses = target_poses(camera, corners, POINTS)
+    poses = board_poses(camera, corners, POINTS)
     assert np.isnan(poses[0]).all()
-    np.testing.assert_allclose(poses[1:], T[1:], atol=1e-10)
-    assert np.isnan(target_poses(camera, corners[:1], POINTS)).all()
+    np.testing.assert_allclose(poses[1:], T[1:], atol=1e-7)
+    assert np.isnan(board_poses(camera, corners[:1], POINTS)).all()
 
 
 def test_a_single_row_of_corners_tells_no_pose():
@@ -130,7 +118,7 @@ def test_a_single_row_of_corners_tells_no_pose():
     row = POINTS[:, 1] == POINTS[0, 1]
     assert row.sum() >= 6
     corners[0, ~row] = np.nan
-    found = target_poses(camera, corners, POINTS)
+    found = board_poses(camera, corners, POINTS)
     assert np.isnan(found[0]).all()
     assert np.isfinite(found[1]).all()
 
@@ -142,7 +130,7 @@ def test_the_stated_deviation_of_the_focal_length_is_true():
     off, stated = [], []
     for _ in range(20):
         noisy = exact + rng.normal(0, 0.2, exact.shape)
-        found = calibrate_intrinsics(noisy, POINTS, size=SIZE, lens_model="none")
+        found = calibrate_camera(noisy, POINTS, size=SIZE, lens_model="none")
         off.append(found.camera.matrix[[0, 1], [0, 1]] - camera.matrix[[0, 1], [0, 1]])
         stated.append(found.focal_std_px)
     # The deviation of twenty is known to a sixth.
@@ -159,4 +147,4 @@ def test_boards_that_all_face_the_camera_tell_no_focal_length(model):
     facing[:, :3, 3] = rng.uniform([-0.1, -0.1, 0.4], [0.0, 0.0, 0.8], (8, 3))
     corners = views(camera, facing) + rng.normal(0, 0.1, (8, len(POINTS), 2))
     with pytest.raises(VergenceError, match=r"fx and fy are not observable.*slant the board by 20"):
-        calibrate_intrinsics(corners, POINTS, size=SIZE, lens_model=model)
+        calibrate_camera(corners, POINTS, size=SIZE, lens_model=model)

@@ -4,8 +4,20 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vergence.geometry.kinematics import EyeAxes, Neck, T_base_eye, T_body_head
-from vergence.geometry.se3 import rotation, transform
+from vergence.geometry.kinematics import (
+    EYE_JOINTS,
+    Chain,
+    EyeAxes,
+    Neck,
+    T_base_eye,
+    T_body_head,
+    axes_row,
+    chain_jacobian,
+    chain_pose,
+    eye_chain,
+    eye_jacobians,
+)
+from vergence.geometry.se3 import boxminus, pose, rotation, transform
 
 FORWARD, LEFT, UP = np.eye(3)
 angle_pairs = st.tuples(st.floats(-0.7, 0.7), st.floats(-0.7, 0.7)).map(np.array)
@@ -58,17 +70,102 @@ def test_eye_angles_may_have_any_leading_dimensions():
     np.testing.assert_allclose(T[2, 4], T_base_eye(angles[2, 4]), atol=1e-15)
 
 
+def test_the_left_eye_stands_first_and_pan_before_tilt():
+    assert EYE_JOINTS == ("left_pan", "left_tilt", "right_pan", "right_tilt")
+
+
+def random_chain(rng: np.random.Generator, joints: int, readings: int) -> Chain:
+    """Return a chain whose angles are any linear combinations of readings."""
+    axes = rng.normal(size=(joints, 3))
+    return Chain(
+        axes=axes / np.linalg.norm(axes, axis=1, keepdims=True),
+        points_m=rng.normal(size=(joints, 3)),
+        end_m=rng.normal(size=3),
+        mixing=rng.normal(size=(joints, readings)),
+        offset_rad=rng.normal(0, 0.1, joints),
+    )
+
+
+def turned_one_after_the_other(chain: Chain, angles: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Return where a point of the end's frame is in the base: the last joint turns it first."""
+    at = point + chain.end_m
+    for axis, centre, turn in reversed(
+        list(zip(chain.axes, chain.points_m, angles, strict=True))
+    ):
+        at = rotation(turn * axis) @ (at - centre) + centre
+    return at
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 4), st.integers(1, 3))
+def test_joints_may_share_readings(seed: int, joints: int, readings: int):
+    rng = np.random.default_rng(seed)
+    chain, read, point = random_chain(rng, joints, readings), rng.normal(size=readings), rng.normal(size=3)
+    expected = turned_one_after_the_other(chain, chain.mixing @ read + chain.offset_rad, point)
+    np.testing.assert_allclose(transform(chain_pose(chain, read), point), expected, atol=1e-13)
+
+
+def test_a_common_tilt_and_a_differential_pan_of_two_motors_are_a_chain():
+    """Both motors forward tilt the eye, one against the other pans it, as a differential does."""
+    mixing = np.array([[0.5, -0.5], [0.5, 0.5]])
+    chain = Chain(np.array([UP, LEFT]), np.zeros((2, 3)), np.zeros(3), mixing, np.zeros(2))
+    for motors, angles in (([0.2, 0.2], [0.0, 0.2]), ([0.2, -0.2], [0.2, 0.0])):
+        found = chain_pose(chain, np.array(motors))
+        np.testing.assert_allclose(found, T_base_eye(np.array(angles)), atol=1e-15)
+
+
+def slopes(function, at: np.ndarray, step: float = 1e-5) -> np.ndarray:
+    """Return how poses (..., 4, 4) change with (..., n) by central differences (..., 6, n)."""
+    columns = [
+        (boxminus(function(at + d), function(at)) - boxminus(function(at - d), function(at)))
+        / (2 * step)
+        for d in step * np.eye(at.shape[-1])
+    ]
+    return np.stack(columns, axis=-1)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 4))
+def test_the_jacobian_of_a_chain_agrees_with_differences(seed: int, joints: int):
+    rng = np.random.default_rng(seed)
+    chain, readings = random_chain(rng, joints, 2), rng.normal(size=(5, 2))
+    found = chain_jacobian(chain, readings) @ chain.mixing
+    expected = slopes(lambda each: chain_pose(chain, each), readings)
+    np.testing.assert_allclose(found, expected, atol=1e-7)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_the_jacobians_of_an_eye_agree_with_differences(seed: int):
+    rng = np.random.default_rng(seed)
+    readings = rng.uniform(-0.5, 0.5, (5, 2))
+    axes = axes_row(EyeAxes()) + rng.normal(0, 0.05, (5, 6))
+    by_axes, by_readings = eye_jacobians(readings, axes)
+    np.testing.assert_allclose(
+        by_axes, slopes(lambda each: T_base_eye(readings, each), axes), atol=1e-8
+    )
+    np.testing.assert_allclose(
+        by_readings, slopes(lambda each: T_base_eye(each, axes), readings), atol=1e-8
+    )
+
+
+def test_a_chain_serves_many_postures_and_many_chains_one():
+    rng = np.random.default_rng(1)
+    readings, rows = rng.normal(0, 0.2, (7, 2)), axes_row(EyeAxes()) + rng.normal(0, 0.05, (7, 6))
+    many = chain_pose(eye_chain(rows), readings)
+    np.testing.assert_allclose(many[3], chain_pose(eye_chain(rows[3]), readings[3]), atol=1e-15)
+    one = chain_pose(eye_chain(rows), readings[0])
+    np.testing.assert_allclose(one[3], chain_pose(eye_chain(rows[3]), readings[0]), atol=1e-15)
+    fixed = Chain(np.empty((0, 3)), np.empty((0, 3)), np.ones(3), np.empty((0, 0)), np.empty(0))
+    np.testing.assert_array_equal(chain_pose(fixed, np.empty((7, 0)))[6], pose(t=np.ones(3)))
+
+
 def test_each_neck_joint_carries_those_after_it():
     neck = Neck(
         axes=np.array([LEFT, FORWARD, UP]),
         points_m=np.array([[0.0, 0, 0.1], [0, 0, 0.2], [0, 0, 0.3]]),
         head_m=np.array([0.05, 0, 0.35]),
     )
-    angles = np.array([0.3, -0.2, 0.5])
-    point = np.array([0.1, 0.2, 0.3])  # in frame head
-    expected = point + neck.head_m
-    for axis, centre, turn in reversed(list(zip(neck.axes, neck.points_m, angles, strict=True))):
-        expected = rotation(turn * axis) @ (expected - centre) + centre
+    angles, point = np.array([0.3, -0.2, 0.5]), np.array([0.1, 0.2, 0.3])
+    chain = Chain(neck.axes, neck.points_m, neck.head_m, np.eye(3), np.zeros(3))
+    expected = turned_one_after_the_other(chain, angles, point)
     np.testing.assert_allclose(transform(T_body_head(neck, angles), point), expected, atol=1e-15)
 
 

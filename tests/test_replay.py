@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from heads import plain_head
+from simulated_head import plain_head
 from vergence.geometry.head import HeadCalibration, T_base_cam
 from vergence.geometry.se3 import inverse
 from vergence.paper import replay

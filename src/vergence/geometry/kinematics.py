@@ -76,16 +76,17 @@ def _joint_frames(chain: Chain, readings: Array) -> list[Array]:
     """Return the frames (..., 4, 4) at each joint before its turn, and at the chain's end."""
     angles = joint_angles(chain, readings)
     turns = rotation(angles[..., None] * chain.axes)
-    R, t, at = np.eye(3), np.zeros(3), np.zeros(3)
+    shape = np.broadcast_shapes(
+        turns.shape[:-3], chain.points_m.shape[:-2], chain.end_m.shape[:-1]
+    )
+    R, t, at = np.eye(3), np.zeros((*shape, 3)), np.zeros(3)
     frames = []
     for k in range(chain.axes.shape[-2]):
         point = chain.points_m[..., k, :]
         t = t + (R @ (point - at)[..., None])[..., 0]
         frames.append(pose(R, t))
         R, at = R @ turns[..., k, :, :], point
-    t = t + (R @ (chain.end_m - at)[..., None])[..., 0]
-    shape = (*np.broadcast_shapes(angles.shape[:-1], t.shape[:-1]), 3)
-    return [*frames, pose(R, np.broadcast_to(t, shape))]
+    return [*frames, pose(R, t + (R @ (chain.end_m - at)[..., None])[..., 0])]
 
 
 @dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))

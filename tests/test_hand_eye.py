@@ -6,14 +6,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from heads import R_EYE_CAM, random_pose
+from simulated_head import R_EYE_CAM, random_pose
 from vergence.calibration.sequential.hand_eye import motion_pairs, park_martin, solve_rotation
-from vergence.calibration.sequential.intrinsics import target_poses
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.camera import pinhole, project
 from vergence.geometry.kinematics import T_base_eye
-from vergence.geometry.se3 import angle, hat, inverse, log, pose, rotation, rotvec, transform
+from vergence.geometry.se3 import (
+    angle,
+    boxminus,
+    hat,
+    inverse,
+    pose,
+    rotation,
+    rotvec,
+    transform,
+)
+from vergence.vision.board_pose import board_poses
 
 seeds = st.integers(0, 2**32 - 1)
 T_BASE_TARGET = pose(R_EYE_CAM @ rotation([0.2, -0.3, 0.1]), [0.6, 0.1, 0.05])
@@ -249,8 +258,8 @@ def test_noise_leaves_the_errors_that_the_method_is_known_for_and_no_bias(
         corners = project(camera, transform(T_co[:, None], points))
         corners = corners + rng.normal(0, 0.1, corners.shape)
         readings = angles + rng.normal(0, np.radians(joint_deg), angles.shape)
-        found = park_martin(T_base_eye(readings), target_poses(camera, corners, points))
-        errors.append(log(inverse(X) @ found))
+        found = park_martin(T_base_eye(readings), board_poses(camera, corners, points))
+        errors.append(boxminus(found, X))
     turn = np.degrees(np.linalg.norm(np.array(errors)[:, :3], axis=1))
     shift = 1e3 * np.linalg.norm(np.array(errors)[:, 3:], axis=1)
     assert expected_deg / 2 < np.median(turn) < 2 * expected_deg
