@@ -19,8 +19,8 @@ from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.camera import normalise, project, project_jacobians
 from vergence.geometry.head import HeadCalibration, T_narrow_wide
-from vergence.geometry.kinematics import EYES, Side
-from vergence.geometry.se3 import hat, inverse, transform
+from vergence.geometry.kinematics import EYES, Side, chain_linearised, eye_chain
+from vergence.geometry.se3 import cross, inverse, transform
 
 Lens = Literal["wide", "narrow"]
 
@@ -159,33 +159,27 @@ def eye_angles_to(
         Joint readings, not limited to the joints' ranges; NaN for a point that no posture
         centres: one that is NaN, on the pan axis, or closer than the camera.
     """
-    axes, mounted = calibration.axes[eye], calibration.camera(f"{eye}_{lens}")
-    R_cam_eye = mounted.T_eye_cam[:3, :3].T
-    shift = np.array([axes.axis_distance_m, 0.0, 0.0])
-    alpha = axes.nonorthogonality_rad
-    pan_hat, tilt_hat = hat(np.array([[0, 0, 1], [0, np.cos(alpha), np.sin(alpha)]]))
+    mounted, chain = calibration.camera(f"{eye}_{lens}"), eye_chain(calibration.axes[eye])
+    R_eye_cam, t_eye_cam = mounted.T_eye_cam[:3, :3], mounted.T_eye_cam[:3, 3]
     usable = np.isfinite(points_base).all(axis=-1) & (points_base[..., :2] != 0).any(axis=-1)
     p = np.where(usable[..., None], points_base, [1.0, 0, 0])
-    angles = np.stack(
-        [
-            np.arctan2(p[..., 1], p[..., 0]),
-            -np.arctan2(p[..., 2], np.hypot(p[..., 0], p[..., 1])),
-        ],
-        axis=-1,
-    )
+    x, y, z = np.moveaxis(p, -1, 0)
+    angles = np.stack([np.arctan2(y, x), -np.arctan2(z, np.hypot(x, y))], axis=-1)
+    readings = (angles - chain.offset_rad) / np.diagonal(chain.mixing)
     front = near = np.zeros(p.shape[:-1], dtype=bool)
     for _ in range(_NEWTON_STEPS):
-        panned = _turned_back(p, pan_hat, angles[..., 0])
-        in_eye = _turned_back(panned - shift, tilt_hat, angles[..., 1])
-        in_cam = (in_eye - mounted.T_eye_cam[:3, 3]) @ R_cam_eye.T
+        T, by_reading = chain_linearised(chain, readings)
+        arm = p - T[..., :3, 3]
+        R_base_cam = T[..., :3, :3] @ R_eye_cam
+        in_cam = (arm[..., None, :] @ R_base_cam)[..., 0, :] - t_eye_cam @ R_eye_cam
         front = in_cam[..., 2] > 0
-        z = np.where(front, in_cam[..., 2], 1.0)[..., None]
-        error = in_cam[..., :2] / z
-        # A turn of the eye turns the point the other way.
-        by_pan = -_turned_back(panned @ pan_hat.T, tilt_hat, angles[..., 1])
-        by_tilt = -(in_eye @ tilt_hat.T)
-        d_cam = np.stack([by_pan @ R_cam_eye.T, by_tilt @ R_cam_eye.T], axis=-1)  # (..., 3, 2)
-        J = (d_cam[..., :2, :] - error[..., None] * d_cam[..., 2:, :]) / z[..., None]
+        depth = np.where(front, in_cam[..., 2], 1.0)[..., None]
+        error = in_cam[..., :2] / depth
+        # An increment of the eye's pose moves the point the other way.
+        turns, shifts = np.split(np.swapaxes(by_reading, -1, -2), 2, axis=-1)
+        moves = -(cross(turns, arm[..., None, :]) + shifts) @ R_base_cam
+        J = np.swapaxes(moves[..., :2] - moves[..., 2:] * error[..., None, :], -1, -2)
+        J = J / depth[..., None]
         det = J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0]
         det = np.where(front & (det != 0), det, np.inf)  # infinity: no step
         step = np.stack(
@@ -195,27 +189,12 @@ def eye_angles_to(
             ],
             axis=-1,
         )
-        angles = angles - np.clip(step / det[..., None], -0.5, 0.5)
+        readings = readings - np.clip(step / det[..., None], -0.5, 0.5)
         near = np.asarray((np.abs(error) < _CONVERGED).all(axis=-1))
         if (near | ~front).all():
             break
     good = usable & front & near
-    gain = np.array([axes.pan_gain, axes.tilt_gain])
-    readings = (angles - [axes.pan_offset_rad, axes.tilt_offset_rad]) / gain
     return np.where(good[..., None], readings, np.nan)
-
-
-def _turned_back(v: Array, axis_hat: Array, angle: Array) -> Array:
-    """Return vectors (..., 3) in a frame that is turned about a unit axis.
-
-    Args:
-        v: (..., 3) vectors in the frame that is not turned.
-        axis_hat: (3, 3) cross-product matrix of the axis.
-        angle: (...) of the turn [rad].
-    """
-    cos, sin = np.cos(angle)[..., None], np.sin(angle)[..., None]
-    across = v @ axis_hat.T
-    return v - sin * across + (1 - cos) * (across @ axis_hat.T)
 
 
 def gaze_angles(

@@ -209,9 +209,9 @@ def _locate(
     joint_stds = [[settings.joint_std_rad], [settings.command_std_rad]]
     points, covariances = locate_with_covariance(
         settings.calibration,
-        pixels_l,
-        pixels_r,
-        postures[:, EYES_4],
+        left=pixels_l,
+        right=pixels_r,
+        joints=postures[:, EYES_4],
         pixel_std_px=settings.pixel_std_px,
         joint_std_rad=np.repeat(joint_stds, 4, axis=1),
         cameras=(left, right),

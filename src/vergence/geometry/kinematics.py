@@ -7,7 +7,7 @@ linear combination of readings. The default of an eye is the paper's: pan, a rig
 
 from __future__ import annotations
 
-from dataclasses import astuple, field, fields
+from dataclasses import field, fields
 from dataclasses import dataclass as plain_dataclass
 from typing import Literal
 
@@ -16,7 +16,7 @@ from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Array, Vector3, Vectors3
-from vergence.geometry.se3 import pose, rotation
+from vergence.geometry.se3 import cross, pose, rotation
 
 Side = Literal["left", "right"]
 EYES: tuple[Side, Side] = ("left", "right")
@@ -58,18 +58,26 @@ def chain_pose(chain: Chain, readings: Array) -> Array:
 
 
 def chain_jacobian(chain: Chain, readings: Array) -> Array:
-    """Return how the pose changes with the angles (..., 6, n), in the increment of `se3.boxplus`.
+    """Return how the pose changes with the angles (..., 6, n), in the increment of `se3.boxplus`."""
+    return _angle_jacobian(chain, _joint_frames(chain, readings))
 
-    The geometric Jacobian: a joint turns the end about its axis, and moves it by the axis times the
-    arm from the axis to the end.
+
+def chain_linearised(chain: Chain, readings: Array) -> tuple[Array, Array]:
+    """Return chain_pose (..., 4, 4), and how it changes with the readings (..., 6, r)."""
+    frames = _joint_frames(chain, readings)
+    return frames[-1], _angle_jacobian(chain, frames) @ chain.mixing
+
+
+def _angle_jacobian(chain: Chain, frames: list[Array]) -> Array:
+    """Return the geometric Jacobian (..., 6, n).
+
+    A joint turns the end about its axis, and moves it by the axis times the arm from the axis to
+    the end.
     """
-    *joints, end = _joint_frames(chain, readings)
-    columns = []
-    for k, joint in enumerate(joints):
-        axis = (joint[..., :3, :3] @ chain.axes[..., k, :, None])[..., 0]
-        arm = end[..., :3, 3] - joint[..., :3, 3]
-        columns.append(np.concatenate([axis, np.cross(axis, arm)], axis=-1))
-    return np.stack(columns, axis=-1)
+    T = np.stack(np.broadcast_arrays(*frames), axis=-3)
+    axes = (T[..., :-1, :3, :3] @ chain.axes[..., None])[..., 0]
+    arms = T[..., -1:, :3, 3] - T[..., :-1, :3, 3]
+    return np.swapaxes(np.concatenate([axes, cross(axes, arms)], axis=-1), -1, -2)
 
 
 def _joint_frames(chain: Chain, readings: Array) -> list[Array]:
@@ -111,7 +119,7 @@ AXES = tuple(each.name for each in fields(EyeAxes))
 
 def axes_row(axes: EyeAxes) -> Array:
     """Return the fields (6,) of EyeAxes in the order of AXES."""
-    return np.array(astuple(axes))
+    return np.array([getattr(axes, name) for name in AXES])
 
 
 def eye_chain(axes: EyeAxes | Array | None = None) -> Chain:
@@ -149,8 +157,9 @@ def eye_jacobians(angles: Array, axes: Array) -> tuple[Array, Array]:
         axes: (..., 6) fields of EyeAxes.
     """
     chain = eye_chain(axes)
-    by_angle = chain_jacobian(chain, angles)
-    R_pan, R_eye = (T[..., :3, :3] for T in _joint_frames(chain, angles)[1:])
+    frames = _joint_frames(chain, angles)
+    by_angle = _angle_jacobian(chain, frames)
+    R_pan, R_eye = (T[..., :3, :3] for T in frames[1:])
     by_axes = np.zeros((*by_angle.shape[:-1], 6))
     by_axes[..., :2] = by_angle * angles[..., None, :]
     by_axes[..., 2:4] = by_angle

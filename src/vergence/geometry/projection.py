@@ -15,7 +15,7 @@ from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.camera import project, project_jacobians
 from vergence.geometry.head import HeadCalibration, MountedCamera, main_pair
-from vergence.geometry.kinematics import EYE_COLUMNS, T_base_eye
+from vergence.geometry.kinematics import EYE_COLUMNS, EYES, T_base_eye
 from vergence.geometry.se3 import inverse
 
 
@@ -215,14 +215,28 @@ def T_rcam_lcam(
     Raises:
         VergenceError: see stereo_cameras.
     """
+    return stereo_poses(head, joints, cameras=cameras)[1]
+
+
+def stereo_poses(
+    head: HeadCalibration, joints: Array, *, cameras: tuple[str, str] | None = None
+) -> tuple[Array, Array]:
+    """Return T_lbase_lcam, where the left camera stands, and T_rcam_lcam (..., 4, 4).
+
+    Args and errors: see T_rcam_lcam.
+    """
     left, right = stereo_cameras(head, cameras)
-    return stereo_extrinsics(
-        T_rbase_reye=T_base_eye(joints[..., EYE_COLUMNS["right"]], head.axes["right"]),
+    T_lbase_leye, T_rbase_reye = (
+        T_base_eye(joints[..., EYE_COLUMNS[eye]], head.axes[eye]) for eye in EYES
+    )
+    T = stereo_extrinsics(
+        T_rbase_reye=T_rbase_reye,
         T_reye_rcam=right.T_eye_cam,
         T_rbase_lbase=head.T_rbase_lbase,
         T_leye_lcam=left.T_eye_cam,
-        T_lbase_leye=T_base_eye(joints[..., EYE_COLUMNS["left"]], head.axes["left"]),
+        T_lbase_leye=T_lbase_leye,
     )
+    return T_lbase_leye @ left.T_eye_cam, T
 
 
 def rebase(

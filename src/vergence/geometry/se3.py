@@ -69,6 +69,13 @@ def hat(v: Array) -> Array:
     return np.stack(rows, axis=-1).reshape(*v.shape[:-1], 3, 3)
 
 
+def cross(a: Array, b: Array) -> Array:
+    """Return a x b (..., 3); numpy's own takes four times as long for a few vectors."""
+    a1, a2, a3 = a[..., 0], a[..., 1], a[..., 2]
+    b1, b2, b3 = b[..., 0], b[..., 1], b[..., 2]
+    return np.stack([a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1], axis=-1)
+
+
 def angle(R: Array) -> Array:
     """Return the angle (...,) [rad] of R (..., 3, 3)."""
     return Rotation.from_matrix(R).magnitude()

@@ -12,9 +12,8 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, undistort
-from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base, T_head_base, main_pair
-from vergence.geometry.kinematics import EYE_COLUMNS
-from vergence.geometry.projection import T_rcam_lcam
+from vergence.geometry.head import HeadCalibration, T_body_base, T_head_base
+from vergence.geometry.projection import stereo_cameras, stereo_poses
 from vergence.geometry.se3 import transform
 
 
@@ -87,17 +86,15 @@ def triangulate_at(
     left, right, joints = checked(left, right, joints)
     readable = np.isfinite(joints).all(axis=-1, keepdims=True)
     angles = np.where(readable, joints, 0.0)
-    T = T_rcam_lcam(head, angles, cameras=cameras)
-    pair = main_pair(head) if cameras is None else cameras
-    assert pair is not None
+    T_lbase_lcam, T_rcam_lcam = stereo_poses(head, angles, cameras=cameras)
+    left_camera, right_camera = (each.intrinsics for each in stereo_cameras(head, cameras))
     points, status = triangulate(
         left=np.where(readable, left, np.nan),
         right=right,
-        left_camera=head.camera(pair[0]).intrinsics,
-        right_camera=head.camera(pair[1]).intrinsics,
-        T_rcam_lcam=T,
+        left_camera=left_camera,
+        right_camera=right_camera,
+        T_rcam_lcam=T_rcam_lcam,
     )
-    T_lbase_lcam = T_base_cam(head, pair[0], angles[..., EYE_COLUMNS["left"]])
     return transform(T_lbase_lcam, points), status
 
 
