@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from heads import random_head
 from refining import probability, spoilt, timed_views_of, views_of
+from vergence.calibration.bundle.refine import Refined, covariance_of, held_by_default, refine
+
 from vergence.arrays import Array
 from vergence.calibration.bundle.problem import PER_CAMERA, axes_row, lens_vector, pose_difference
-from vergence.calibration.bundle.refine import Refined, covariance_of, held_by_default, refine
 from vergence.calibration.sequential.sequential import Views
 from vergence.data.timing import Timing
 from vergence.errors import VergenceError

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from heads import R_EYE_CAM, plain_head, point_in_camera, random_head
+
 from vergence.arrays import Array
 from vergence.calibration.bundle.problem import calibration_names
 from vergence.calibration.checks.cross_validation import (

@@ -5,10 +5,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from heads import plain_head, point_in_camera, random_head
 from hypothesis import given
 from hypothesis import strategies as st
 
-from heads import plain_head, point_in_camera, random_head
 from vergence.errors import VergenceError
 from vergence.geometry.camera import pinhole, project
 from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base

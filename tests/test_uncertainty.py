@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from heads import plain_head, random_head
 from hypothesis import given
 from hypothesis import strategies as st
-
-from heads import plain_head, random_head
 from test_active_stereo import point_in_camera, random_samples
+
 from vergence.errors import VergenceError
 from vergence.geometry.camera import project
 from vergence.geometry.head import HeadCalibration

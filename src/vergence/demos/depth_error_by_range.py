@@ -17,9 +17,9 @@ from vergence.data.dataset import Frame
 from vergence.gaze.commands import EYES_4, neck_chain
 from vergence.gaze.state import NARROW, GazeSettings, GazeState
 from vergence.geometry.head import T_body_base
+from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
-from vergence.paper.replay import see
-from vergence.stereo.uncertainty import depth_error, disparity_error
+from vergence.stereo.depth_error import depth_error, disparity_error
 from vergence.twin.head import Twin
 
 EDGES_M = (0.35, 0.45, 0.6, 0.8, 1.0, 1.4)
@@ -78,7 +78,7 @@ def depth_sample(
         return None
     calibration, eyes = settings.calibration, twin.true_angles()[EYES_4]
     truth = twin.true_object()
-    true_pixels = [see(twin.truth, name, eyes[None], truth)[0] for name in NARROW]
+    true_pixels = [project_point(twin.truth, name, eyes, truth) for name in NARROW]
     neck = neck_chain(calibration, frame.neck_angles)
     T_lbase_body = inverse(T_body_base(calibration, "left", neck))
     middle = inverse(twin.truth.T_rbase_lbase)[:3, 3] / 2

@@ -14,9 +14,9 @@ from vergence.data.dataset import Frame
 from vergence.gaze.commands import EYES_4, neck_chain
 from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.head import T_body_base
+from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.paper.recording import log_report
-from vergence.paper.replay import see
 from vergence.twin.appearance import visual_geoms
 from vergence.twin.head import Twin
 from vergence.twin.simulated_robot import FRAME_S, foveal_errors
@@ -106,7 +106,7 @@ def recorded(
             poses = twin.body_poses()
             hidden = poses["object"][2, 3] < 0  # below the floor
             where = np.full(3, np.nan) if hidden else twin.true_object()
-            eyes = twin.true_angles()[None, EYES_4]
+            eyes = twin.true_angles()[EYES_4]
             log_gaze_frame(
                 rec,
                 settings,
@@ -116,7 +116,7 @@ def recorded(
                 index=len(moments),
                 pictures=len(frame.images) == len(head.cameras),
                 body_poses=poses,
-                truth={name: see(twin.truth, name, eyes, where)[0] for name in frame.images},
+                truth={name: project_point(twin.truth, name, eyes, where) for name in frame.images},
             )
             moments.append(
                 moment(

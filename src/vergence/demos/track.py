@@ -21,7 +21,7 @@ from vergence.gaze.controller import run_gaze
 from vergence.gaze.state import WIDE, GazeSettings, GazeState, initial_gaze_state
 from vergence.geometry.head import HeadCalibration, T_body_base
 from vergence.geometry.se3 import transform
-from vergence.stereo.triangulation import locate
+from vergence.stereo.triangulation import triangulate_at
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.simulated_robot import (
@@ -186,10 +186,13 @@ def by_wide_images(calibration: HeadCalibration, frame: Frame) -> Array:
         calibration: of the head.
         frame: one that has both wide images.
     """
-    pixels = [
+    left, right = (
         find_sphere(frame.images[name], calibration.camera(name).intrinsics)[None] for name in WIDE
-    ]
-    return locate(calibration, pixels[0], pixels[1], frame.eye_angles[None]).points[0]
+    )
+    points, _ = triangulate_at(
+        calibration, left=left, right=right, joints=frame.eye_angles, cameras=WIDE
+    )
+    return points[0]
 
 
 def track(

@@ -19,13 +19,11 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.data.dataset import Dataset, Frame
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS, Side
+from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS
 
 HEAD_JOINTS = (*NECK_JOINTS, *EYE_JOINTS)
 NECK, EYES_4 = slice(0, len(NECK_JOINTS)), slice(len(NECK_JOINTS), len(HEAD_JOINTS))
 """Columns of the neck and of both eyes in a posture (..., 7)."""
-EYE_ANGLES: dict[Side, slice] = {"left": slice(0, 2), "right": slice(2, 4)}
-"""Columns of one eye's pan and tilt among the angles (..., 4) of both eyes."""
 
 
 def neck_chain(calibration: HeadCalibration, posture: Array) -> Array:

@@ -22,7 +22,6 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.gaze.commands import (
-    EYE_ANGLES,
     EYES_4,
     HEAD_JOINTS,
     NECK,
@@ -38,14 +37,14 @@ from vergence.gaze.kalman import Track
 from vergence.gaze.observation import (
     aim_by_one_eye,
     best_camera,
-    detect_target,
+    detect_object,
     measure,
     posture_at_image,
     rays_to,
 )
 from vergence.gaze.state import NARROW, WIDE, GazePhase, GazeSettings, GazeState
 from vergence.geometry.head import T_body_base
-from vergence.geometry.kinematics import EYES, Side
+from vergence.geometry.kinematics import EYE_COLUMNS, EYES, Side
 from vergence.geometry.se3 import inverse, transform
 
 _RATE_STEP_S = 1e-3
@@ -95,7 +94,7 @@ def step_gaze(
     """
     if frame is None or frame.time_s <= state.frame_s:
         return _without_detection(settings, state, now_s)
-    state = detect_target(settings, state, frame)
+    state = detect_object(settings, state, frame)
     if frame.time_s < state.landing_s:
         return replace(state, cameras=(*WIDE, *NARROW))
     posture = posture_at_image(state, frame)
@@ -152,7 +151,7 @@ def _follow(
         away = aim_base[eye] - centre
         along = np.linalg.norm(away) / np.linalg.norm(ray)
         seen = eye_angles_to(calibration, eye, centre + along * ray)
-        goal[EYE_ANGLES[eye]] = seen + (now - then)[EYE_ANGLES[eye]]
+        goal[EYE_COLUMNS[eye]] = seen + (now - then)[EYE_COLUMNS[eye]]
     return _send(settings, state, goal, rate, now_s)
 
 

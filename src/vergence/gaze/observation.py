@@ -9,18 +9,18 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.gaze.commands import EYE_ANGLES, EYES_4, HEAD_JOINTS, NECK, commanded, neck_chain
+from vergence.gaze.commands import EYES_4, HEAD_JOINTS, NECK, commanded, neck_chain
 from vergence.gaze.kalman import Track, begin, fuse, predict, update_ratio
 from vergence.gaze.state import NARROW, WIDE, GazeSettings, GazeState
 from vergence.geometry.camera import normalise
 from vergence.geometry.head import T_base_cam, T_body_base
-from vergence.geometry.kinematics import EYES, Side
+from vergence.geometry.kinematics import EYE_COLUMNS, EYES, Side
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.uncertainty import locate_with_covariance
 from vergence.vision.sphere import find_sphere
 
 
-def detect_target(settings: GazeSettings, state: GazeState, frame: Frame) -> GazeState:
+def detect_object(settings: GazeSettings, state: GazeState, frame: Frame) -> GazeState:
     """Return the state with the object's pixels in a new frame, and the joints that are stuck.
 
     Only requested images are searched, and an eye's wide image only where its narrow one does not
@@ -110,7 +110,7 @@ def rays_to(
         if name is None:
             continue
         xy = normalise(settings.calibration.camera(name).intrinsics, state.pixels[name])
-        T = T_base_cam(settings.calibration, name, posture[EYES_4][EYE_ANGLES[eye]])
+        T = T_base_cam(settings.calibration, name, posture[EYES_4][EYE_COLUMNS[eye]])
         rays[eye] = T[:3, 3], T[:3, :3] @ np.array([*xy, 1.0])
     return rays
 

@@ -7,8 +7,8 @@ linear combination of readings. The default of an eye is the paper's: pan, a rig
 
 from __future__ import annotations
 
-from dataclasses import field, fields
 from dataclasses import dataclass as plain_dataclass
+from dataclasses import field, fields
 from typing import Literal
 
 import numpy as np
@@ -84,9 +84,7 @@ def _joint_frames(chain: Chain, readings: Array) -> list[Array]:
     """Return the frames (..., 4, 4) at each joint before its turn, and at the chain's end."""
     angles = joint_angles(chain, readings)
     turns = rotation(angles[..., None] * chain.axes)
-    shape = np.broadcast_shapes(
-        turns.shape[:-3], chain.points_m.shape[:-2], chain.end_m.shape[:-1]
-    )
+    shape = np.broadcast_shapes(turns.shape[:-3], chain.points_m.shape[:-2], chain.end_m.shape[:-1])
     R, t, at = np.eye(3), np.zeros((*shape, 3)), np.zeros(3)
     frames = []
     for k in range(chain.axes.shape[-2]):

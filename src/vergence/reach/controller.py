@@ -169,9 +169,9 @@ def _fuse_target(
     posture = posture_at_image(state.gaze, frame)
     objects, markers, covariances = locate_both(
         calibration,
-        (object_px[0][None], object_px[1][None]),
-        (state.pixels[cameras[0]][None], state.pixels[cameras[1]][None]),
-        posture[EYES_4][None],
+        left=(object_px[0][None], state.pixels[cameras[0]][None]),
+        right=(object_px[1][None], state.pixels[cameras[1]][None]),
+        joints=posture[EYES_4],
         pixel_std_px=settings.gaze.pixel_std_px,
         joint_std_rad=settings.gaze.command_std_rad,
         cameras=cameras,

@@ -7,13 +7,13 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.sequential.sequential import calibrate
+from vergence.calibration.sequential.sequential import calibrate_sequentially
 from vergence.data.dataset import Frame
 from vergence.gaze.commands import EYES_4, HEAD_JOINTS, HeadCommand, JointLimits, hold, setpoint
 from vergence.gaze.state import NARROW, GazeSettings
 from vergence.geometry.head import HeadCalibration, T_head_base
+from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
-from vergence.paper.replay import see
 from vergence.twin.calibration_errors import written_by_hand
 from vergence.twin.calibration_sequence import look, plan
 from vergence.twin.hand import SimulatedHand
@@ -32,7 +32,9 @@ def calibrate_twin(twin: Twin, seed: int) -> GazeSettings:
         seed: of the places at which the board is held.
     """
     views = look(twin, plan(twin.nominal, seed))
-    found = calibrate(views, wide_lens=twin.profile.calibration.wide_lens, neck=twin.nominal.neck)
+    found = calibrate_sequentially(
+        views, wide_lens=twin.profile.calibration.wide_lens, neck=twin.nominal.neck
+    )
     head = written_by_hand(found.head, twin.profile.by_hand, "2.8mm")
     twin.restart(0)
     # A real driver can measure this too: the standard deviation of the readings at rest.
@@ -127,8 +129,8 @@ class SimulatedHead:
 
 def _true_pixels(twin: Twin) -> list[Array]:
     """Return the object's true pixel (2,) in each of the narrow images, now."""
-    eyes = twin.true_angles()[None, EYES_4]
-    return [see(twin.truth, name, eyes, twin.true_object())[0] for name in NARROW]
+    eyes, where = twin.true_angles()[EYES_4], twin.true_object()
+    return [project_point(twin.truth, name, eyes, where) for name in NARROW]
 
 
 def foveal_errors(twin: Twin, calibration: HeadCalibration) -> Array:
