@@ -16,8 +16,8 @@ from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.se3 import inverse, transform
 from vergence.paper.replay import see
-from vergence.twin.calibration_errors import written_by_hand
-from vergence.twin.calibration_sequence import look, plan
+from vergence.twin.calibration_errors import inject_calibration_error
+from vergence.twin.calibration_sequence import capture_views, plan
 from vergence.twin.head import Twin
 
 FRAME_S = 0.033
@@ -25,17 +25,16 @@ FRAME_S = 0.033
 _REST_READINGS = 30
 
 
-def calibrated(twin: Twin, seed: int, *, done: Callable[[], None] = lambda: None) -> Settings:
+def calibrated(twin: Twin, seed: int) -> Settings:
     """Calibrate the twin by the paper's method, and return what a controller needs of it.
 
     Args:
         twin: the head, with 2.8 mm lenses.
         seed: of the places at which the board is held.
-        done: called after each view.
     """
-    views = look(twin, plan(twin.nominal, seed), done=done)
+    views = capture_views(twin, plan(twin.nominal, seed))
     found = calibrate(views, wide_lens=twin.profile.calibration.wide_lens, neck=twin.nominal.neck)
-    head = written_by_hand(found.head, twin.profile.by_hand, "2.8mm")
+    head = inject_calibration_error(found.head, twin.profile.by_hand, "2.8mm")
     twin.restart(0)
     # What a driver can find out for itself: how much the readings of resting joints scatter.
     rest = np.array([twin.capture(()).eye_angles for _ in range(_REST_READINGS)])

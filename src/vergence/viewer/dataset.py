@@ -33,12 +33,11 @@ from vergence.geometry.se3 import inverse
 from vergence.viewer import style
 from vergence.viewer.frame import time_columns
 from vergence.viewer.layout import camera_entities, camera_views, view_3d, whole_time
-from vergence.viewer.opening import recording_file
+from vergence.viewer.opening import log_report, recording_file
 from vergence.viewer.shapes import placed
 
 RESIDUAL_LENGTH_PX = 12
 """How long a typical residual is drawn, within a factor of three."""
-EYE_COLOURS = {"left": [(230, 120, 20), (240, 190, 90)], "right": [(30, 140, 170), (120, 200, 215)]}
 
 
 def record_dataset(
@@ -90,7 +89,7 @@ def record_dataset(
                 _log_image(rec, entity, dataset.image(name, row), corners, offset)
             done()
         _log_series(rec, dataset, refined, time_s)
-        rec.log("report", rr.TextDocument(report, media_type="text/markdown"), static=True)
+        log_report(rec, report)
 
 
 def _magnification(refined: Refined | None) -> int:
@@ -156,7 +155,7 @@ def _log_styles(rec: rr.RecordingStream, head: HeadCalibration, dataset: Dataset
         rec.log(f"{entity}/residuals", lines, static=True)
     for eye in EYES:
         own = [name for name, mounted in head.cameras.items() if mounted.eye == eye]
-        for name, colour in zip(own, 9 * EYE_COLOURS[eye], strict=False):
+        for name, colour in zip(own, 9 * style.EYE_COLOURS[eye], strict=False):
             look = rr.SeriesPoints(names=name.replace("_", " "), colors=colour, marker_sizes=3)
             rec.log(f"residual/{name}", look, static=True)
     for joint in dataset.description.joints:

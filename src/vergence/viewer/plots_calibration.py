@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.viewer.canvas import image_frame, panels, save
+from vergence.viewer.canvas import BLUE, GREEN, RED, image_frame, panels, save
 
 
 def coverage(
@@ -30,12 +30,12 @@ def coverage(
     """
     canvas, grid = panels(len(corners) + len(eye_angles), "Where the board was seen")
     for axes, (name, pixels) in zip(grid, corners.items(), strict=False):
-        axes.plot(*pixels.reshape(-1, 2).T, ".", markersize=1.5, color="#1f4fd8")
+        axes.plot(*pixels.reshape(-1, 2).T, ".", markersize=1.5, color=BLUE)
         image_frame(axes, sizes[name])
         seen = int(np.isfinite(pixels[..., 0]).sum(axis=1).astype(bool).sum())
         axes.set_title(f"{name}, {seen} views", fontsize=11, loc="left")
     for axes, (eye, angles) in zip(grid[len(corners) :], eye_angles.items(), strict=True):
-        axes.plot(*np.degrees(angles).T, ".", markersize=5, color="#d62222")
+        axes.plot(*np.degrees(angles).T, ".", markersize=5, color=RED)
         axes.set(xlabel="pan [deg]", ylabel="tilt [deg], positive down")
         axes.set_title(f"{eye} eye", fontsize=11, loc="left")
         axes.axis("equal")
@@ -76,7 +76,7 @@ def residuals(
             scale_units="xy",
             scale=1,
             width=0.0015,
-            color="#1f4fd8",
+            color=BLUE,
         )
         image_frame(over_image, sizes[name])
         title = f"{name}: rms {size:.3f} px, arrows x {enlarged:.0f}"
@@ -86,7 +86,7 @@ def residuals(
             (over_pan, over_tilt), eye_angles[name].T, ("pan", "tilt"), strict=True
         ):
             across = np.repeat(np.degrees(angles)[:, None], length.shape[1], axis=1)
-            axes.plot(across.ravel(), length.ravel(), ".", markersize=1.5, color="#0b8a2e")
+            axes.plot(across.ravel(), length.ravel(), ".", markersize=1.5, color=GREEN)
             axes.set(xlabel=f"{joint} [deg]", ylabel="residual [px]")
             axes.grid(color="0.9", linewidth=0.6)
     save(canvas, path)
@@ -105,7 +105,7 @@ def views(path: Path, shown: Mapping[str, tuple[np.ndarray, Array, Array]]) -> N
     canvas, grid = panels(len(shown), "The worst views; arrows: residuals x 100")
     for axes, (title, (image, corners, errors)) in zip(grid, shown.items(), strict=True):
         axes.imshow(image)
-        axes.plot(*corners.T, "+", markersize=4, color="#0b8a2e")
+        axes.plot(*corners.T, "+", markersize=4, color=GREEN)
         seen = np.asarray(np.isfinite(errors).all(axis=1))
         axes.quiver(
             *corners[seen].T,
@@ -114,7 +114,7 @@ def views(path: Path, shown: Mapping[str, tuple[np.ndarray, Array, Array]]) -> N
             scale_units="xy",
             scale=1,
             width=0.003,
-            color="#d62222",
+            color=RED,
         )
         axes.set_axis_off()
         axes.set_title(title, fontsize=10, loc="left")

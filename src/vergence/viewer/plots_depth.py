@@ -13,13 +13,13 @@ from vergence.geometry.head import HeadCalibration, T_narrow_wide
 from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.se3 import inverse
 from vergence.viewer.canvas import panels, save
+from vergence.viewer.style import EYE_COLOURS, html
 
 NEAREST_M, FARTHEST_M = 0.25, 5.0
 WRONG_M = (0.005, 0.020, 0.050)
 """Errors of a depth."""
 WRONG_PX = (0.5, 1.0, 2.0)
 """Errors of a disparity between the wide images."""
-_COLOURS = {"left": "#e67814", "right": "#1e8caa"}
 _SHADES = ("#8fb4f0", "#4a7fe0", "#12389b")
 
 
@@ -43,7 +43,8 @@ def depth(path: Path, calibration: HeadCalibration) -> None:
         )
         distance = np.linalg.norm(away, axis=1)
         width = 3.0 if eye == "left" else 1.5  # on a head as designed they are the same
-        converge.plot(depths, distance, color=_COLOURS[eye], linewidth=width, label=f"{eye} eye")
+        colour = html(EYE_COLOURS[eye][0])
+        converge.plot(depths, distance, color=colour, linewidth=width, label=f"{eye} eye")
     _finish(converge, "ideal position, from its limit at infinity", "wide image [px]")
     for wrong_m, colour in zip(WRONG_M, _SHADES, strict=True):
         miss = miss_px(calibration, depths, np.full_like(depths, wrong_m), eye="left")
