@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 Progress = Callable[[str, int, int], None]
-"""Called as `progress(task, done, total)`: what is being done, how many steps of it are done, and of
-how many. The first call for a task has done = 0."""
+"""Called as `progress(task, done, total)`: the name of a task, how many of its steps are done, and
+how many it has. The first call for a task has done = 0."""
 
 
 def silent(task: str, done: int, total: int) -> None:

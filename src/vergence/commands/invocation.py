@@ -22,7 +22,6 @@ def invocation(program: str, *arguments: str | Path) -> str:
     own = shutil.which(program, path=sysconfig.get_path("scripts"))
     found = shutil.which(program)
     if own is not None and (found is None or not os.path.samefile(found, own)):
-        path = Path(own)
-        here = path.is_relative_to(Path.cwd())
-        program = str(path.relative_to(Path.cwd()) if here else path)
+        below = Path.cwd() in Path(own).parent.parents  # a name alone would not be found
+        program = str(Path(own).relative_to(Path.cwd())) if below else own
     return shlex.join([program, *map(str, arguments)])

@@ -164,7 +164,7 @@ def _frame(twin: Twin, shot: Shot, *, moving: bool) -> tuple[Array, Entry]:
 
 
 def _sweep(time_s: float) -> Array:
-    """Return (4,) angles [rad] of a smooth motion: as Eqs. 22 and 23, faster, in each eye its own."""
+    """Return (4,) angles [rad] of a smooth motion: as Eqs. 22-23, but faster."""
     phase = _SPEED_RAD_S * time_s / np.array([1.0, 1.5, 1.2, 1.8])
     return _AMPLITUDE_RAD * np.cos(phase)
 

@@ -103,7 +103,7 @@ def _cells(figure: Figure, statistics: Statistics) -> list[list[str]]:
 
 
 def _table(axes: Axes, figure: Figure, statistics: Statistics) -> Artist:
-    """Return the table, placed midway between the curve of x and the others, where it hides none."""
+    """Return the table, midway between the curve of x and the others, where it hides neither."""
     packed: list[Artist] = []
     for column in _cells(figure, statistics):
         cells: list[Artist] = [

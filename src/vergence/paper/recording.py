@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -113,7 +114,8 @@ def log_results(
         rec.send_columns(entity, times, rr.Points3D.columns(positions=points))
     rays = rr.LineStrips3D.columns(strips=list(lines_of_sight(head, points, eye_angles[good])))
     rec.send_columns("world/left_base/rays", times, rays)
-    rec.send_property("statistics", rr.AnyValues(figure=figure.number, **summary(result)))
+    values: dict[str, Any] = {"figure": figure.number, **summary(result)}
+    rec.send_property("statistics", rr.AnyValues(**values))
 
 
 def blueprint(figure: Figure, head: HeadCalibration) -> rrb.Blueprint:
@@ -172,7 +174,7 @@ def _head_view(figure: Figure, head: HeadCalibration) -> rrb.Spatial3DView:
     scale = 0.10 + 0.74 * (front - back)
     # Seen from above, but looked at horizontally: a camera that is tilted down would show the
     # robot's post, which stands at the side of the view, leaning.
-    height = style.EYE_HEIGHT_M - 0.03 + 0.10 * scale
+    height = style.EYE_HEIGHT_M - 0.03 + 0.20 * scale
     middle = np.array([(back + front) / 2, 0.3 * figure.mean_m[1], height])
     return view_3d(
         f"{figure.title}: head, lines of sight, estimates",
