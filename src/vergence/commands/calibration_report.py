@@ -262,7 +262,12 @@ def as_markdown(solved: Solved) -> str:
     lines += ["## Warnings", "", *([f"- {line}" for line in said] or ["None."]), ""]
     lines += ["## Accuracy of points", "", *_points(solved), ""]
     lines += ["## Parameters", "", *_parameters(solved.head), ""]
-    lines += ["## Images", "", "All of them, with corners and residuals: `rerun dataset.rrd`", ""]
+    lines += [
+        "## Images",
+        "",
+        "All of them, with corners and residuals, are in the recording dataset.rrd.",
+        "",
+    ]
     lines += ["![coverage](coverage.png)", ""]
     if solved.refined is not None:
         lines += ["![residuals](residuals.png)", "", "![worst views](worst_views.png)", ""]

@@ -24,16 +24,16 @@ def log_frame(
     detected: Mapping[str, Array],
     truth: Mapping[str, Array],
 ) -> None:
-    """Record one moment; may be called from another thread.
+    """Record posture, images and marks of one moment; may be called from another thread.
 
     Args:
         rec: the recording.
-        time_s: since the first sample.
-        index: of the sample.
-        frame: images; None: only the head moves.
+        time_s: time since the first sample [s].
+        index: number of the sample.
+        frame: the images; None: only the posture is recorded.
         body_poses: by name, poses (4, 4) in the world.
-        detected: by camera, the pixel (2,) at which the object was found; NaN: not found.
-        truth: by camera, the pixel (2,) at which it truly is.
+        detected: by camera, the detected pixel (2,) of the object; NaN: not found.
+        truth: by camera, the true pixel (2,) of the object.
     """
     rec.set_time("sim_time", duration=time_s)
     rec.set_time("frame", sequence=index)
@@ -67,7 +67,7 @@ def _within(pixel: Array | None, size: tuple[int, int]) -> Array:
 
 
 def time_columns(time_s: Array, index: np.ndarray) -> list[rr.TimeColumn]:
-    """Return both timelines for times (N,) [s] and numbers (N,) of samples."""
+    """Return the timelines sim_time and frame for times (N,) [s] and sample numbers (N,)."""
     # A float array would be truncated to nanoseconds, while set_time rounds.
     nanoseconds = np.round(time_s * 1e9).astype("timedelta64[ns]")
     return [

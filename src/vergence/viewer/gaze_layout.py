@@ -1,4 +1,4 @@
-"""The blueprint of a recording of the gaze: what the viewer shows without a click."""
+"""The blueprint of a recording of gaze control: the views with which it opens."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from vergence.viewer.layout import camera_entities, camera_views, view_3d, whole
 
 TRAILS = {"world/gaze/trail": style.GAZE_TRAIL_S, "world/gaze/hand_trail": style.GAZE_TRAIL_S}
 _FROM = np.array([-0.45, 0.75, 0.50])
-"""From above and behind the left shoulder: the eyes' axes are seen to meet."""
+"""View from above and behind the left shoulder, in which the eyes' axes are seen to meet."""
 ERROR_PX = 50.0
-"""End of the axis of the gaze error: beyond it there is a saccade, within it what counts."""
+"""Range of the plot of the gaze error; larger errors occur only during saccades."""
 
 
 def gaze_blueprint(
     title: str, head: HeadCalibration, *, reach_m: float, speed: float, hand: bool
 ) -> rrb.Blueprint:
-    """Return the layout, complete as it opens.
+    """Return the layout with which the viewer opens a recording of gaze control.
 
     Args:
-        title: of the view in space.
-        head: whose cameras are shown.
-        reach_m: how far away objects come, which the view in space shall show.
-        speed: of the playback, in recorded seconds a second.
-        hand: whether there is one, whose distance from the object is shown too.
+        title: of the 3-D view.
+        head: the calibration whose cameras are shown.
+        reach_m: largest distance of an object, which the 3-D view includes.
+        speed: playback speed, recorded seconds per second.
+        hand: whether the distance of a hand from the object is shown.
     """
     errors = _plot("error [mm]: blue fused, grey one frame", "error")
     return rrb.Blueprint(
@@ -34,7 +34,7 @@ def gaze_blueprint(
             rrb.Vertical(
                 _space(title, head, reach_m),
                 rrb.Grid(
-                    *camera_views(head, marks="long cross aim, + found, ○ truth"), grid_columns=2
+                    *camera_views(head, marks="long cross target, + found, ○ truth"), grid_columns=2
                 ),
                 row_shares=[5, 8],
             ),
@@ -53,12 +53,10 @@ def gaze_blueprint(
                 rrb.Horizontal(errors, _plot("hand by its encoders, from the object [mm]", "hand"))
                 if hand
                 else errors,
-                _plot("eyes [rad], pale where sent: orange left, teal right, light tilt", "eyes"),
+                _plot("eyes [rad], pale commanded: orange left, teal right, light tilt", "eyes"),
                 rrb.Tabs(
                     rrb.TextDocumentView(name="report", origin="report"),
-                    _plot(
-                        "neck [rad], pale where sent: pitch violet, roll grey, yaw green", "neck"
-                    ),
+                    _plot("neck [rad], pale commanded: pitch violet, roll grey, yaw green", "neck"),
                 ),
                 row_shares=[3.2, 4, 3.5, 3.5, 3.5, 4],
             ),

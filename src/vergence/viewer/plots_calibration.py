@@ -1,4 +1,4 @@
-"""Pictures of a calibration: where the board was seen, and what is left after the fit."""
+"""Plots of a calibration: the views of the board, and the residuals."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ def coverage(
     sizes: Mapping[str, tuple[int, int]],
     eye_angles: Mapping[str, Array],
 ) -> None:
-    """Draw where in the images the board was seen, and where the eyes looked.
+    """Draw the corners seen by each camera, and the eye angles of the views.
 
     Args:
-        path: of the PNG.
+        path: of the PNG file.
         corners: by camera, (V, K, 2) [px]; NaN where not seen.
         sizes: by camera, width and height [px].
         eye_angles: by eye, (V, 2) pan and tilt [rad].
@@ -50,10 +50,10 @@ def residuals(
     sizes: Mapping[str, tuple[int, int]],
     eye_angles: Mapping[str, Array],
 ) -> None:
-    """Draw residuals as arrows over the image, enlarged, and their size over the joint angles.
+    """Draw residuals as magnified arrows in the image, and their size over the joint angles.
 
     Args:
-        path: of the PNG.
+        path: of the PNG file.
         corners: by camera, (V, K, 2) [px].
         errors: by camera, (V, K, 2) projected minus seen [px]; NaN where not seen.
         sizes: by camera, width and height [px].
@@ -62,7 +62,7 @@ def residuals(
     Raises:
         VergenceError: the file cannot be written.
     """
-    canvas, grid = panels(3 * len(corners), "What is left after the fit", columns=3)
+    canvas, grid = panels(3 * len(corners), "Residuals", columns=3)
     for k, (name, pixels) in enumerate(corners.items()):
         over_image, over_pan, over_tilt = grid[3 * k : 3 * k + 3]
         points, arrows = pixels.reshape(-1, 2), errors[name].reshape(-1, 2)
@@ -93,10 +93,10 @@ def residuals(
 
 
 def views(path: Path, shown: Mapping[str, tuple[np.ndarray, Array, Array]]) -> None:
-    """Draw images with the corners that were seen, and the residuals as arrows, 100 times as long.
+    """Draw images with the detected corners, and the residuals as arrows, magnified 100 times.
 
     Args:
-        path: of the PNG.
+        path: of the PNG file.
         shown: by title, image (H, W, 3), corners (K, 2) [px] and errors (K, 2) [px].
 
     Raises:

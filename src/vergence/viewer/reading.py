@@ -19,7 +19,7 @@ def read_series(
     component: str = "Scalars:scalars",
     timeline: str = "sim_time",
 ) -> tuple[Array, Array]:
-    """Return times (N,) [s] and values of one series of a recording, in time order.
+    """Return the times (N,) [s] and the values of one series of a recording, in order of time.
 
     Args:
         path: of the `.rrd` file.
