@@ -12,7 +12,7 @@ from inspect import Parameter, signature
 from itertools import count
 from json import dumps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
 import tyro
 from rich.console import Console
@@ -236,9 +236,10 @@ class Experiment:
 
 
 Options = Annotated[Experiment, tyro.conf.arg(name="")]
+DEFAULT = Experiment()
 
 
-def foveate(*, trials: int = 100, options: Options = Experiment()) -> None:
+def foveate(*, trials: int = 100, options: Options = DEFAULT) -> None:
     """Show objects, and turn both eyes until the narrow images are centred on them.
 
     Args:
@@ -246,16 +247,23 @@ def foveate(*, trials: int = 100, options: Options = Experiment()) -> None:
         options: Common options.
     """
     from vergence.demos.foveate import foveate as run
-    from vergence.twin.profile import load_profile
 
-    chosen = load_profile(options.profile)
-    with _bars() as bars:
-        step = _counter(_callback(bars), "foveating", trials)
-        found, _ = run(trials=trials, seed=options.seed, profile=chosen, out=options.out, done=step)
-    _summarise(found, options, "foveate.rrd")
+    _run_trials("foveate", run, trials, options)
 
 
-def track(*, seconds: float = 60.0, options: Options = Experiment()) -> None:
+def grasp(*, trials: int = 10, options: Options = DEFAULT) -> None:
+    """Grasp objects that are held out to the robot, guided by what the eyes see of the hand.
+
+    Args:
+        trials: Number of objects.
+        options: Common options.
+    """
+    from vergence.demos.grasp import grasp as run
+
+    _run_trials("grasp", run, trials, options)
+
+
+def track(*, seconds: float = 60.0, options: Options = DEFAULT) -> None:
     """Track a moving object, which is hidden once, with both narrow cameras.
 
     Args:
@@ -270,7 +278,7 @@ def track(*, seconds: float = 60.0, options: Options = Experiment()) -> None:
         progress = _callback(bars)
 
         def watch(state: State, frame: Frame | None) -> None:
-            progress("seconds tracked", max(0, int(state.frame_s)), int(seconds))
+            progress("track, seconds", max(0, int(state.frame_s)), int(seconds))
 
         found = run(
             seconds=seconds, seed=options.seed, profile=chosen, out=options.out, watch=watch
@@ -278,21 +286,17 @@ def track(*, seconds: float = 60.0, options: Options = Experiment()) -> None:
     _summarise(found, options, "track.rrd")
 
 
-def grasp(*, trials: int = 10, options: Options = Experiment()) -> None:
-    """Grasp objects that are held out to the robot, guided by what the eyes see of the hand.
-
-    Args:
-        trials: Number of objects.
-        options: Common options.
-    """
-    from vergence.demos.grasp import grasp as run
+def _run_trials(
+    name: str, run: Callable[..., tuple[DataclassInstance, Any]], trials: int, options: Experiment
+) -> None:
+    """Run an experiment of several trials, and print its summary."""
     from vergence.twin.profile import load_profile
 
     chosen = load_profile(options.profile)
     with _bars() as bars:
-        step = _counter(_callback(bars), "grasping", trials)
-        found, _ = run(trials=trials, seed=options.seed, profile=chosen, out=options.out, done=step)
-    _summarise(found, options, "grasp.rrd")
+        done = _counter(_callback(bars), f"{name}, trials", trials)
+        found, _ = run(trials=trials, seed=options.seed, profile=chosen, out=options.out, done=done)
+    _summarise(found, options, f"{name}.rrd")
 
 
 def _summarise(summary: DataclassInstance, options: Experiment, recording: str) -> None:

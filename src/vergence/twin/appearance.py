@@ -45,7 +45,7 @@ class VisualGeom:
     rgba: Array
     """(4,) colour and opacity, from 0 to 1."""
     texture: np.ndarray | None = None
-    """(H, W, 3) uint8 RGB of a plane, which it covers once: first row at +y, columns from -x to +x."""
+    """(H, W, 3) uint8 RGB, spread once over a plane: first row at +y, columns from -x to +x."""
     triangles: Array | None = None
     """(F, 3, 3) corners [m] of a mesh, in frame geom."""
     normals: Array | None = None

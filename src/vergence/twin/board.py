@@ -13,8 +13,8 @@ from vergence.geometry.board import Charuco, opencv_board
 MARGIN_SQUARES = 0.5
 """Width of the white margin, enough for the markers' black frames at the edge."""
 TEXELS_PER_SQUARE = 128
-"""Finer than the narrow cameras resolve, since magnified texels would show as steps. A power of two,
-so that mipmaps are halved evenly and do not shift the corners."""
+"""Finer than the narrow cameras resolve, since magnified texels would show as steps. A power of
+two, so that mipmaps are halved evenly and do not shift the corners."""
 FINER = 4
 """Oversampling: OpenCV draws a marker on whole pixels, off the centre of its square by up to one
 pixel, so the board is drawn this many times larger and averaged."""

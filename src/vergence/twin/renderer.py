@@ -23,8 +23,8 @@ from vergence.twin import no_opengl
 from vergence.twin.profile import Image
 
 FINER = 2
-"""Oversampling along each axis of an image that is distorted afterwards: interpolation between pixels
-of the camera's own size would shift corners by 0.01 px, in every image alike."""
+"""Oversampling along each axis of an image that is distorted afterwards: interpolation between
+pixels of the camera's own size would shift corners by 0.01 px, in every image alike."""
 _NOISE_MARGIN = 256  # the noise of an image is a window of a larger one, at one of 256 x 256 places
 
 
