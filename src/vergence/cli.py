@@ -59,7 +59,7 @@ def reproduce(
     check(out, figures=figures, seed=seed, duration_s=duration, rate_hz=rate)
     if (out / "statistics.json").exists():
         print(f"Replacing the results of an earlier run in {out}.")
-    with _bars() as bars:
+    with _progress() as (progress, _):
         done = run(
             out,
             figures=figures,
@@ -67,7 +67,7 @@ def reproduce(
             seed=seed,
             duration_s=duration,
             rate_hz=rate,
-            progress=_callback(bars),
+            progress=progress,
         )
     recordings = [f"fig{number:02d}.rrd" for number in sorted(done.replays)]
     print(f"Wrote {' '.join(recordings)}, figures.png, report.md and statistics.json to {out}.")
@@ -101,7 +101,7 @@ def record(
     from vergence.twin.profile import load_profile
 
     chosen = load_profile(profile)
-    with _bars() as bars:
+    with _progress() as (progress, _):
         images = run(
             out,
             profile=chosen,
@@ -110,7 +110,7 @@ def record(
             lens=lens,
             target=target,
             moving=moving,
-            progress=_callback(bars),
+            progress=progress,
         )
     print(f"Wrote {images} images, dataset.json, frames.csv and truth.json to {out}.")
     print(f"To calibrate: {invocation('vergence', 'calibrate', out, '--out', 'calibration.json')}")
@@ -140,13 +140,13 @@ def calibrate(
     from vergence.commands.calibration_report import summary, write_json, write_report
     from vergence.geometry.head import save
 
-    with _bars() as bars:
+    with _progress() as (progress, bars):
         solved = solve(dataset, method=method, progress=bars)
         save(solved.head, out)
         if json is not None:
             write_json(solved, json)
         if report is not None:
-            step = _counter(_callback(bars), "writing the report", len(solved.dataset))
+            step = _counter(progress, "writing the report", len(solved.dataset))
             write_report(solved, report, done=step)
     print("\n".join([*summary(solved), f"Wrote {out}."]))
     if report is not None:
@@ -274,8 +274,7 @@ def track(*, seconds: float = 60.0, options: Options = DEFAULT) -> None:
     from vergence.twin.profile import load_profile
 
     chosen = load_profile(options.profile)
-    with _bars() as bars:
-        progress = _callback(bars)
+    with _progress() as (progress, _):
 
         def watch(state: State, frame: Frame | None) -> None:
             progress("track, seconds", max(0, int(state.frame_s)), int(seconds))
@@ -293,8 +292,8 @@ def _run_trials(
     from vergence.twin.profile import load_profile
 
     chosen = load_profile(options.profile)
-    with _bars() as bars:
-        done = _counter(_callback(bars), f"{name}, trials", trials)
+    with _progress() as (progress, _):
+        done = _counter(progress, f"{name}, trials", trials)
         found, _ = run(trials=trials, seed=options.seed, profile=chosen, out=options.out, done=done)
     _summarise(found, options, f"{name}.rrd")
 
@@ -311,28 +310,18 @@ def _summarise(summary: DataclassInstance, options: Experiment, recording: str) 
 
 
 @contextmanager
-def _bars() -> Iterator[Bars]:
-    """Show progress bars on the terminal's standard error."""
-    with Bars(
-        TextColumn("{task.description:<28}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        console=Console(stderr=True),
-    ) as bars:
-        yield bars
+def _progress() -> Iterator[tuple[Progress, Bars]]:
+    """Show each task as a bar on standard error; yields the callback, and rich's own bars."""
+    columns = TextColumn("{task.description:<28}"), BarColumn(), MofNCompleteColumn()
+    with Bars(*columns, TimeElapsedColumn(), console=Console(stderr=True)) as bars:
+        tasks = {}
 
+        def show(task: str, done: int, total: int) -> None:
+            if task not in tasks:
+                tasks[task] = bars.add_task(task, total=total)
+            bars.update(tasks[task], completed=done, total=total)
 
-def _callback(bars: Bars) -> Progress:
-    """Return the progress callback that shows each task as a bar."""
-    tasks = {}
-
-    def show(task: str, done: int, total: int) -> None:
-        if task not in tasks:
-            tasks[task] = bars.add_task(task, total=total)
-        bars.update(tasks[task], completed=done, total=total)
-
-    return show
+        yield show, bars
 
 
 def _counter(progress: Progress, task: str, total: int) -> Callable[[], None]:

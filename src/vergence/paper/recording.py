@@ -19,7 +19,7 @@ from vergence.paper.replay import Replay, summary
 from vergence.twin.appearance import VisualGeom
 from vergence.viewer import style
 from vergence.viewer.frame import time_columns
-from vergence.viewer.layout import camera_entities, camera_views, view_3d, whole_time
+from vergence.viewer.layout import camera_views, hidden, playing, view_3d, whole_time
 from vergence.viewer.opening import recording_file
 from vergence.viewer.shapes import lines_of_sight, placed, spread_ellipsoid
 
@@ -137,7 +137,7 @@ def blueprint(figure: Figure, head: HeadCalibration) -> rrb.Blueprint:
         for axis, label in zip(style.AXIS_COLOURS, ("x = depth", "y", "z"), strict=True)
     ]
     joints = rrb.TimeSeriesView(name="joint readings [rad]", origin="joints", axis_x=whole)
-    return rrb.Blueprint(
+    return playing(
         rrb.Horizontal(
             rrb.Vertical(
                 _head_view(figure, head),
@@ -152,24 +152,11 @@ def blueprint(figure: Figure, head: HeadCalibration) -> rrb.Blueprint:
             ),
             column_shares=[6, 5, 4],
         ),
-        rrb.TimePanel(
-            timeline="sim_time",
-            state="collapsed",
-            playback_speed=style.SPEED,
-            loop_mode="all",
-            play_state="playing",
-        ),
-        auto_views=False,
-        collapse_panels=True,
+        speed=style.SPEED,
     )
 
 
 def _head_view(figure: Figure, head: HeadCalibration) -> rrb.Spatial3DView:
-    marks = [
-        f"- {entity}/{mark}"
-        for entity in camera_entities(head).values()
-        for mark in ("detected", "truth")
-    ]
     back, front = -0.20, figure.mean_m[0] + 2 * figure.std_m[0]  # of what has to be in view
     scale = 0.10 + 0.74 * (front - back)
     # Seen from above, but looked at horizontally: a camera that is tilted down would show the
@@ -179,7 +166,11 @@ def _head_view(figure: Figure, head: HeadCalibration) -> rrb.Spatial3DView:
     return view_3d(
         f"{figure.title}: head, lines of sight, estimates",
         origin="world",
-        contents=["+ $origin/**", "- world/left_base/spread", *marks],
+        contents=[
+            "+ $origin/**",
+            "- world/left_base/spread",
+            *hidden(head, "detected", "truth"),
+        ],
         middle=middle,
         eye=middle + np.array([0.33, 0.94, 0.0]) * scale,
         trails=_TRAILS,

@@ -17,7 +17,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-import cv2
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
@@ -31,8 +30,15 @@ from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, T_base_eye
 from vergence.geometry.se3 import inverse
 from vergence.viewer import style
-from vergence.viewer.frame import time_columns
-from vergence.viewer.layout import camera_entities, camera_views, view_3d, whole_time
+from vergence.viewer.frame import log_image, time_columns
+from vergence.viewer.layout import (
+    camera_entities,
+    camera_views,
+    hidden,
+    playing,
+    view_3d,
+    whole_time,
+)
 from vergence.viewer.opening import log_report, recording_file
 from vergence.viewer.shapes import placed
 
@@ -139,9 +145,7 @@ def _log_image(
         for part in ("image", "corners", "residuals"):
             rec.log(f"{entity}/{part}", rr.Clear(recursive=False))
         return
-    bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
-    _, jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, style.JPEG_QUALITY])
-    rec.log(f"{entity}/image", rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg"))
+    log_image(rec, entity, image)
     at = corners + 0.5  # a pixel's centre in the viewer
     seen = np.isfinite(at).all(axis=1)
     rec.log(f"{entity}/corners", rr.Points2D.from_fields(positions=at[seen]))
@@ -194,15 +198,10 @@ def _blueprint(head: HeadCalibration, magnified: int | None) -> rrb.Blueprint:
     marks = (
         "dots: corners" if magnified is None else f"dots: corners, lines: residuals x {magnified}"
     )
-    hidden = [
-        f"- {entity}/{mark}"
-        for entity in camera_entities(head).values()
-        for mark in ("corners", "residuals")
-    ]
     space = view_3d(
         "estimated poses of eyes and board",
         origin="world",
-        contents=["+ $origin/**", *hidden],
+        contents=["+ $origin/**", *hidden(head, "corners", "residuals")],
         middle=np.array([0.35, -0.04, 0.0]),
         eye=np.array([-0.1, 0.5, 0.3]),
         trails={},
@@ -214,7 +213,7 @@ def _blueprint(head: HeadCalibration, magnified: int | None) -> rrb.Blueprint:
             ("joint readings [rad]", "joints"),
         )
     ]
-    return rrb.Blueprint(
+    return playing(
         rrb.Horizontal(
             rrb.Vertical(
                 space,
@@ -226,9 +225,6 @@ def _blueprint(head: HeadCalibration, magnified: int | None) -> rrb.Blueprint:
             ),
             column_shares=[6, 5],
         ),
-        rrb.TimePanel(
-            timeline="frame", state="collapsed", fps=2.0, loop_mode="all", play_state="playing"
-        ),
-        auto_views=False,
-        collapse_panels=True,
+        timeline="frame",
+        fps=2.0,
     )

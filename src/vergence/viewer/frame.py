@@ -46,10 +46,7 @@ def log_frame(
             rec.log(f"world/{body}", at)
     for name, image in ({} if frame is None else frame.images).items():
         entity = f"world/{name.split('_')[0]}_eye/{name}"
-        bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
-        _, jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, style.JPEG_QUALITY])
-        encoded = rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg")
-        rec.log(f"{entity}/image", encoded)
+        log_image(rec, entity, image)
         size = (image.shape[1], image.shape[0])
         crosses = [pixel + style.CROSS_PX for pixel in _within(detected.get(name), size)]
         strips = np.concatenate(crosses) if crosses else []
@@ -57,6 +54,13 @@ def log_frame(
         centers = _within(truth.get(name), size)
         radii = np.full_like(centers, style.RING_PX)
         rec.log(f"{entity}/truth", rr.Ellipses2D.from_fields(centers=centers, half_sizes=radii))
+
+
+def log_image(rec: rr.RecordingStream, entity: str, image: np.ndarray) -> None:
+    """Record an RGB image (H, W, 3) uint8 of a camera's entity as JPEG."""
+    bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    _, jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, style.JPEG_QUALITY])
+    rec.log(f"{entity}/image", rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg"))
 
 
 def _within(pixel: Array | None, size: tuple[int, int]) -> Array:

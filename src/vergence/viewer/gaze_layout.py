@@ -7,7 +7,7 @@ import rerun.blueprint as rrb
 
 from vergence.geometry.head import HeadCalibration
 from vergence.viewer import style
-from vergence.viewer.layout import camera_entities, camera_views, view_3d, whole_time
+from vergence.viewer.layout import camera_views, hidden, playing, view_3d, whole_time
 
 TRAILS = {"world/gaze/trail": style.GAZE_TRAIL_S, "world/gaze/hand_trail": style.GAZE_TRAIL_S}
 _FROM = np.array([-0.45, 0.75, 0.50])
@@ -29,7 +29,7 @@ def gaze_blueprint(
         hand: whether the distance of a hand from the object is shown.
     """
     errors = _plot("error [mm]: blue fused, grey one frame", "error")
-    return rrb.Blueprint(
+    return playing(
         rrb.Horizontal(
             rrb.Vertical(
                 _space(title, head, reach_m),
@@ -62,15 +62,7 @@ def gaze_blueprint(
             ),
             column_shares=[6, 5],
         ),
-        rrb.TimePanel(
-            timeline="sim_time",
-            state="collapsed",
-            playback_speed=speed,
-            loop_mode="all",
-            play_state="playing",
-        ),
-        auto_views=False,
-        collapse_panels=True,
+        speed=speed,
     )
 
 
@@ -85,16 +77,15 @@ def _plot(name: str, origin: str, *, axis_y: rrb.ScalarAxis | None = None) -> rr
 
 
 def _space(title: str, head: HeadCalibration, reach_m: float) -> rrb.Spatial3DView:
-    marks = [
-        f"- {entity}/{mark}"
-        for entity in camera_entities(head).values()
-        for mark in ("detected", "truth", "aim")
-    ]
     middle = np.array([reach_m / 2 - 0.1, 0.0, style.EYE_HEIGHT_M - 0.04])
     return view_3d(
         f"{title}: head, axes of the narrow cameras, estimate and truth",
         origin="world",
-        contents=["+ $origin/**", "- world/board/**", *marks],
+        contents=[
+            "+ $origin/**",
+            "- world/board/**",
+            *hidden(head, "detected", "truth", "aim"),
+        ],
         middle=middle,
         eye=middle + (0.15 + 0.75 * reach_m) * _FROM,
         trails=TRAILS,

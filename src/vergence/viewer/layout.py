@@ -59,6 +59,37 @@ def view_3d(
     )
 
 
+def hidden(head: HeadCalibration, *marks: str) -> list[str]:
+    """Return the expressions that leave marks in the images out of a 3-D view."""
+    return [f"- {entity}/{mark}" for entity in camera_entities(head).values() for mark in marks]
+
+
+def playing(
+    views: rrb.Horizontal,
+    *,
+    timeline: str = "sim_time",
+    speed: float | None = None,
+    fps: float | None = None,
+) -> rrb.Blueprint:
+    """Return the layout of a recording that opens with these views only, and plays in a loop.
+
+    Args:
+        views: all views.
+        timeline: that is played.
+        speed: recorded seconds per second, of sim_time.
+        fps: steps per second, of frame.
+    """
+    panel = rrb.TimePanel(
+        timeline=timeline,
+        state="collapsed",
+        playback_speed=speed,
+        fps=fps,
+        loop_mode="all",
+        play_state="playing",
+    )
+    return rrb.Blueprint(views, panel, auto_views=False, collapse_panels=True)
+
+
 def _last_seconds(seconds: float | None) -> rrb.VisibleTimeRanges:
     """Show what was logged in the last seconds before the cursor; None: since the beginning."""
     boundary = rr.TimeRangeBoundary
