@@ -121,8 +121,8 @@ def markdown_tables(text: str) -> dict[str, list[list[str]]]:
     tables = {}
     for section in text.split("\n## ")[1:]:
         heading, _, body = section.partition("\n")
-        blocks = [block.splitlines() for block in body.split("\n\n")]
-        rows = [block for block in blocks if block and block[0].startswith("|")]
+        blocks = [block.splitlines() for block in body.strip().split("\n\n")]
+        rows = [block for block in blocks if block[0].startswith("|")]
         assert len(rows) == 1, f"{heading} has a table in pieces"
         assert all(row.startswith("|") and row.endswith("|") for row in rows[0])
         cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows[0]]

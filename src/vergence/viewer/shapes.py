@@ -12,11 +12,11 @@ from scipy.spatial.transform import Rotation
 from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration, T_base_cam
 from vergence.geometry.se3 import inverse, transform
+from vergence.viewer import style
+from vergence.viewer.layout import camera_entities
 
 if TYPE_CHECKING:  # the twin, and with it mujoco, is not needed to record a real head
     from vergence.twin.appearance import VisualGeom
-from vergence.viewer import style
-from vergence.viewer.layout import camera_entities
 
 
 def quaternions(R: Array) -> Array:
