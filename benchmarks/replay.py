@@ -19,7 +19,7 @@ import tyro
 from vergence.arrays import Array
 from vergence.paper.figures import FIGURES
 from vergence.paper.replay import SAMPLES, WIDE, sample_times
-from vergence.paper.reproduce import picture_interval, record_replay
+from vergence.paper.reproduce import image_interval, record_replay
 from vergence.paper.trajectories import default_duration_s, eye_angles
 from vergence.twin.head import Twin
 from vergence.twin.model import CAMERAS, JOINTS
@@ -38,7 +38,7 @@ def bare_seconds(twin: Twin, times_s: Array) -> float:
     sizes = overscan_sizes(twin.truth)
     eyes = [model.joint(name).qposadr[0] for name in JOINTS[-4:]]
     angles = eye_angles(FIGURE.motion, times_s)
-    every = picture_interval(times_s)
+    every = image_interval(times_s)
     renderers = {s: mujoco.Renderer(model, height=s[1], width=s[0]) for s in set(sizes.values())}
     start = time.perf_counter()
     for index, posture in enumerate(angles):
@@ -56,7 +56,7 @@ def bare_seconds(twin: Twin, times_s: Array) -> float:
 def replay_seconds(twin: Twin, times_s: Array, folder: Path) -> float:
     """Return how long a replay of the figure takes, with its recording."""
     start = time.perf_counter()
-    record_replay(twin, twin.truth, FIGURE, times_s, folder / "replay.rrd", profile=PROFILE)
+    record_replay(twin, twin.truth, FIGURE, times_s, folder / "replay.rrd")
     return time.perf_counter() - start
 
 

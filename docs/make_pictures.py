@@ -1,10 +1,10 @@
-"""Make the pictures of the documents from a run's results.
+"""Make the pictures of the documents from the results of two runs.
 
     vergence reproduce --out runs/paper
     vergence foveate --trials 10 --profile paper --out runs/foveate
     python docs/make_pictures.py --paper runs/paper --gaze runs/foveate
 
-Screenshots are taken by rerun's viewer without a screen; it needs a Vulkan driver (Debian:
+Screenshots are taken by rerun's viewer without a display, which needs a Vulkan driver (Debian:
 apt-get install mesa-vulkan-drivers).
 """
 
@@ -24,15 +24,15 @@ from rerun.experimental import ViewerClient  # experimental: its names change be
 IMAGES = Path(__file__).parent / "images"
 MOST_BYTES = 250_000
 MOMENT_S = 20.3
-"""When the screenshot is taken: all four cameras of Fig. 6 see the object, and there is a trail."""
+"""Moment of the screenshot of Fig. 6, at which all four cameras see the object."""
 GAZE_S = 1.16
-"""Of the third object: found, and nearly in the middle."""
+"""Moment of the screenshot of foveate, at which the third object is nearly centred."""
 PORT = 9987
 
 
 def screenshot(recording: Path, moment_s: float) -> np.ndarray:
     """Return the viewer's window (H, W, 3), BGR, with a recording at a moment."""
-    # The viewer is looked for on the PATH, where an environment that is not activated is not.
+    # rerun looks for its viewer on the PATH, which lacks an environment that is not activated.
     os.environ["PATH"] = os.pathsep.join([sysconfig.get_path("scripts"), os.environ["PATH"]])
     with ViewerClient.spawn(headless=True, port=PORT, hide_welcome_screen=True) as viewer:
         viewer.open(str(recording.resolve()))
@@ -52,7 +52,7 @@ def screenshot(recording: Path, moment_s: float) -> np.ndarray:
 
 
 def write_small(path: Path, image: np.ndarray) -> None:
-    """Write a PNG with as many colours as fit into MOST_BYTES."""
+    """Write a PNG file with as many colours as MOST_BYTES allows."""
     for levels in (256, 64, 48, 32, 24, 16):
         step = 256 / levels
         coarse = np.round(np.round(image / step) * step).clip(0, 255).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""The calibration sequence (Sec. II, Fig. 4): look at a board, calibrate, compare with the truth.
+"""The calibration sequence (Sec. II, Fig. 4): show a board, calibrate, compare with the truth.
 
 python scenarios/calibration_sequence.py [--lens 4.0mm] [--profile noise-only]
 """
@@ -12,7 +12,7 @@ import tyro
 from vergence.calibration.sequential.sequential import calibrate
 from vergence.geometry.head import save
 from vergence.geometry.se3 import angle, inverse
-from vergence.twin.calibration_sequence import look, plan
+from vergence.twin.calibration_sequence import capture_views, carry_out, plan
 from vergence.twin.head import Twin
 from vergence.twin.profile import Lens, load_profile
 
@@ -24,12 +24,11 @@ def main(out: Path = OUT, profile: str = "ideal", lens: Lens = "2.8mm", seed: in
     out.mkdir(parents=True, exist_ok=True)
     with Twin(load_profile(profile), seed=seed, lens=lens) as twin:
         shots = plan(twin.nominal, seed)
-        found = calibrate(look(twin, shots), neck=twin.nominal.neck)
-        columns = []
-        for shot in shots[-SHOWN:]:  # the last ones have the board at rest
-            twin.place_board(shot.T_lbase_target)
-            twin.settle(np.concatenate([np.zeros(3), shot.eye_angles]))
-            columns.append(np.vstack(list(twin.capture(shot.cameras).images.values())))
+        found = calibrate(capture_views(twin, shots), neck=twin.nominal.neck)
+        columns = [
+            np.vstack(list(twin.capture(shot.cameras).images.values()))
+            for shot in carry_out(twin, shots[-SHOWN:])  # the last ones have the board at rest
+        ]
     save(found.head, out / "calibration.json")
     cv2.imwrite(
         str(out / "sequence.png"), cv2.resize(np.hstack(columns)[..., ::-1], None, fx=0.4, fy=0.4)

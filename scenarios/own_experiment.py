@@ -1,4 +1,4 @@
-"""An experiment of your own: does the position stay put while the eyes converge on the object?
+"""An experiment of your own: does the estimate stay the same while the eyes converge?
 
 python scenarios/own_experiment.py
 """
@@ -7,18 +7,18 @@ import numpy as np
 
 from vergence.calibration.sequential.sequential import calibrate
 from vergence.stereo.triangulation import locate
-from vergence.twin.calibration_sequence import look, plan
+from vergence.twin.calibration_sequence import capture_views, plan
 from vergence.twin.head import Twin
 from vergence.twin.profile import load_profile
 from vergence.vision.sphere import find_sphere
 
 OBJECT_M = np.array([0.5, -0.046, 0.0])  # midway between the eyes, from the left one
-VERGENCE_RAD = np.linspace(-0.05, 0.20, 12)  # each eye turns inwards by this
+VERGENCE_RAD = np.linspace(-0.05, 0.20, 12)  # by which each eye turns inwards
 
 
 def main() -> None:
     with Twin(load_profile("ideal"), seed=0) as twin:
-        head = calibrate(look(twin, plan(twin.nominal, seed=0))).head
+        head = calibrate(capture_views(twin, plan(twin.nominal, seed=0))).head
         twin.place_object(OBJECT_M)
         for turn in VERGENCE_RAD:
             twin.settle(np.array([0, 0, 0, -turn, 0, turn, 0]))  # neck, left eye, right eye

@@ -1,14 +1,17 @@
-"""The command line: mistakes end in one sentence and exit code 2, and runs in what was promised."""
+"""The command line: mistakes end in one sentence and exit code 2, runs in the stated files."""
 
 import json
 import os
+import re
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 
 from vergence import cli
+from vergence.commands.invocation import invocation
 from vergence.errors import VergenceError
 from vergence.geometry.head import load
 
@@ -45,7 +48,7 @@ BAD_ARGUMENTS = {
 
 
 def run(arguments: list[str], capsys: pytest.CaptureFixture, monkeypatch) -> tuple[int, str]:
-    """Return the exit code and what stood on standard error."""
+    """Return the exit code and what was printed."""
     monkeypatch.setattr(sys, "argv", ["vergence", "reproduce", *arguments])
     with pytest.raises(SystemExit) as stopped:
         cli.main()
@@ -113,6 +116,81 @@ def test_missing_opengl_says_what_to_install():
     assert done.returncode == 2
     assert "libegl1" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def refused(arguments: list[str], capsys: pytest.CaptureFixture, monkeypatch) -> str:
+    """Return the one line in which a command line is refused."""
+    monkeypatch.setattr(sys, "argv", ["vergence", *arguments])
+    with pytest.raises(SystemExit, match="2"):
+        cli.main()
+    text = capsys.readouterr().err
+    assert text.count("\n") == 1
+    return text
+
+
+def test_an_unknown_command_is_answered_with_the_known_ones(capsys, monkeypatch):
+    text = refused(["reproduced"], capsys, monkeypatch)
+    assert "'reproduced'" in text
+    assert ", ".join(cli.COMMANDS) in text
+    assert "vergence --help" in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "known"),
+    [
+        (["grasp", "--trails", "3"], "--trials, --seed, --profile, --out, --json"),
+        (["record", "--frame=12"], "--out, --profile, --seed, --frames"),
+        (["calibrate", "folder", "--our", "x.json"], "--out, --report, --method, --json"),
+    ],
+)
+def test_an_unknown_option_is_answered_with_the_known_ones(arguments, known, capsys, monkeypatch):
+    text = refused(arguments, capsys, monkeypatch)
+    assert known in text
+    assert f"vergence {arguments[0]} --help" in text
+
+
+def test_every_option_of_the_help_is_known(capsys, monkeypatch):
+    for name, command in cli.COMMANDS.items():
+        monkeypatch.setattr(sys, "argv", ["vergence", name, "--help"])
+        with pytest.raises(SystemExit, match="0"):
+            cli.main()
+        shown = set(re.findall(r"(?<!\S)--[a-z]+", capsys.readouterr().out)) - {"--help"}
+        assert shown == set(cli._options(command))
+
+
+def test_the_version_is_that_of_the_package(capsys, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["vergence", "--version"])
+    cli.main()
+    assert capsys.readouterr().out == f"vergence {version('vergence')}\n"
+
+
+def test_a_refused_run_does_not_speak_of_replacing_results(capsys, monkeypatch, tmp_path):
+    (tmp_path / "statistics.json").write_text("{}")
+    _, text = run(["--out", str(tmp_path), "--figures", "5"], capsys, monkeypatch)
+    assert "Replacing" not in text
+
+
+@pytest.fixture
+def environment(tmp_path, monkeypatch) -> Path:
+    """A Python environment in the current folder, with a program that is not on the PATH."""
+    scripts = tmp_path / ".venv" / "bin"
+    scripts.mkdir(parents=True)
+    program = scripts / "rerun"
+    program.write_text("#!/bin/sh\n")
+    program.chmod(0o755)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sysconfig.get_path", lambda name: str(scripts))
+    monkeypatch.setenv("PATH", os.defpath)
+    return scripts
+
+
+def test_a_printed_command_can_be_typed(environment, monkeypatch):
+    assert invocation("rerun", Path("a b.rrd")) == ".venv/bin/rerun 'a b.rrd'"
+    monkeypatch.chdir(environment)
+    assert invocation("rerun") == str(environment / "rerun")
+    monkeypatch.setenv("PATH", str(environment))
+    assert invocation("rerun", "a.rrd") == "rerun a.rrd"
+    assert invocation("absent") == "absent"
 
 
 @pytest.mark.usefixtures("few_views")

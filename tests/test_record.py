@@ -124,8 +124,8 @@ def test_the_truth_is_in_one_file_alone(recorded):
 
 def test_a_wrongly_printed_board_is_true_only_in_the_truth(recorded):
     dataset, _, truth = recorded
-    told = dataset.description.board
-    assert truth.board.square_m == pytest.approx(1.02 * told.square_m)
+    given = dataset.description.board
+    assert truth.board.square_m == pytest.approx(1.02 * given.square_m)
     assert truth.board in (BOARD, CHARUCO)
 
 

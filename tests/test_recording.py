@@ -18,12 +18,15 @@ from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.se3 import pose, transform
 from vergence.paper.figures import FIGURES
-from vergence.paper.recording import figure_recording, log_report, log_series, log_statistics
+from vergence.paper.recording import figure_recording, log_results
+from vergence.paper.replay import Measurements, Replay
 from vergence.paper.statistics import describe
 from vergence.paper.trajectories import eye_angles
+from vergence.stereo.triangulation import Located
 from vergence.twin.appearance import VisualGeom, visual_geoms
 from vergence.twin.model import load_spec, model_folder, nominal_head
 from vergence.viewer.frame import log_frame
+from vergence.viewer.opening import log_report
 from vergence.viewer.reading import read_series
 from vergence.viewer.shapes import lines_of_sight
 
@@ -53,6 +56,13 @@ def estimates(seed: int = 0) -> np.ndarray:
     points = np.random.default_rng(seed).normal(OBJECT, FIGURE.std_m, (SAMPLES, 3))
     points[list(DROPPED)] = np.nan
     return points
+
+
+def replay_of(points: np.ndarray) -> Replay:
+    """Return a replay with these estimates (N, 3)."""
+    unseen = np.full((SAMPLES, 2), np.nan)
+    seen = Measurements(TIMES, eye_angles(FIGURE.motion, TIMES), unseen, unseen)
+    return Replay(FIGURE, OBJECT, seen, Located(points, np.zeros(SAMPLES)), describe(points))
 
 
 def noisy_image(rng: np.random.Generator) -> np.ndarray:
@@ -85,19 +95,7 @@ def log_all(rec: rr.RecordingStream, head: HeadCalibration, seed: int = 0) -> No
             detected={"left_wide": IN_IMAGE, "left_narrow": NOT_FOUND},
             truth={"left_wide": IN_IMAGE, "left_narrow": OUTSIDE},
         )
-    points = estimates(seed)
-    log_series(
-        rec,
-        figure=FIGURE,
-        head=head,
-        time_s=TIMES,
-        points=points,
-        object_m=OBJECT,
-        eye_angles=eye_angles(FIGURE.motion, TIMES),
-        T_world_lbase=T_WORLD_LBASE,
-        statistics=describe(points),
-    )
-    log_statistics(rec, figure=FIGURE, object_m=OBJECT, statistics=describe(points))
+    log_results(rec, replay_of(estimates(seed)), head, T_WORLD_LBASE)
     log_report(rec, "# Fig. 6\n\nA report.")
 
 
@@ -129,6 +127,24 @@ def test_a_recording_brings_its_layout(recorded: Path):
     stores = RrdReader(recorded)
     assert len(stores.blueprints()) == 1
     assert stores.blueprints()[0].application_id == stores.recordings()[0].application_id
+
+
+def test_the_robot_stands_upright_in_the_view(recorded: Path):
+    """Vertical lines are parallel in an image only if the camera looks horizontally."""
+    reader, view = RrdReader(recorded), {}
+    for chunk in reader.stream(store=reader.blueprints()[0]):
+        batch = chunk.to_record_batch()
+        prefix = "EyeControls3D:"
+        found = {
+            name.removeprefix(prefix): np.array(batch.column(name).to_pylist()[0][0])
+            for name in batch.schema.names
+            if name.startswith(prefix)
+        }
+        view[chunk.entity_path] = {**view.get(chunk.entity_path, {}), **found}
+    heads = [eye for eye in view.values() if eye and eye["look_target"][2] > 1]  # above the floor
+    assert len(heads) == 1
+    np.testing.assert_allclose(heads[0]["eye_up"], [0, 0, 1])
+    assert heads[0]["position"][2] == heads[0]["look_target"][2]
 
 
 def test_a_recording_has_only_its_own_timelines(recorded: Path):
@@ -323,17 +339,7 @@ def test_a_run_without_estimates_can_be_recorded(tmp_path: Path, head: HeadCalib
     path = tmp_path / "fig06.rrd"
     points = np.full((SAMPLES, 3), np.nan)
     with figure_recording(path, FIGURE, head, []) as rec:
-        log_series(
-            rec,
-            figure=FIGURE,
-            head=head,
-            time_s=TIMES,
-            points=points,
-            object_m=OBJECT,
-            eye_angles=np.zeros((SAMPLES, 4)),
-            T_world_lbase=T_WORLD_LBASE,
-            statistics=describe(points),
-        )
+        log_results(rec, replay_of(points), head, T_WORLD_LBASE)
     times, _ = read_series(path, "/joints/right_tilt")
     assert len(times) == SAMPLES
 

@@ -12,7 +12,7 @@ from vergence.paper import replay
 from vergence.paper.figures import FIGURES, Figure
 from vergence.paper.replay import estimate, observe_points
 from vergence.paper.trajectories import PERIOD_S, eye_angles
-from vergence.twin.calibration_errors import written_by_hand
+from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.profile import ByHand, ErrorProfile, Joints
 
 FOCAL_PX = {"2.8mm": 280.0, "4.0mm": 400.0}
@@ -43,11 +43,11 @@ def run(figure: Figure, profile: ErrorProfile = PERFECT, pixel_noise: float = 0.
     """Replay a figure over its full combined period; by-hand errors go into the calibration."""
     truth = table_head(figure)
     times = np.arange(SAMPLES) * PERIOD_S[figure.motion] / SAMPLES
-    observations = observe_points(
+    measurements = observe_points(
         truth, profile, figure, times, pixel_noise=pixel_noise, rng=np.random.default_rng(6)
     )
-    believed = written_by_hand(truth, profile.by_hand, figure.lens)
-    return estimate(believed, figure, np.array(figure.mean_m), observations)
+    believed = inject_calibration_error(truth, profile.by_hand, figure.lens)
+    return estimate(believed, figure, np.array(figure.mean_m), measurements)
 
 
 def spread_mm(
@@ -136,7 +136,7 @@ def test_backlash_has_been_wound_up_before_the_first_sample():
 def test_by_hand_errors_leave_straight_gaze_exact():
     """Eq. 10 is computed again from the wrong values: theta = 0 stays as it was calibrated."""
     truth = table_head(FIGURES[6])
-    wrong = written_by_hand(truth, ByHand(roll_deg=1, axial_mm=5), "2.8mm")
+    wrong = inject_calibration_error(truth, ByHand(roll_deg=1, axial_mm=5), "2.8mm")
 
     def stereo(head: HeadCalibration) -> np.ndarray:
         left, right = (T_base_cam(head, f"{eye}_wide", np.zeros(2)) for eye in ("left", "right"))
@@ -150,7 +150,9 @@ def test_by_hand_focal_lengths_belong_to_a_lens():
     truth = table_head(FIGURES[6])
     errors = ByHand(focal_percent_28=1, focal_percent_40=-2)
     for lens, factor in (("2.8mm", 1.01), ("4.0mm", 0.98)):
-        matrix = written_by_hand(truth, errors, lens).cameras["right_wide"].intrinsics.matrix
+        matrix = (
+            inject_calibration_error(truth, errors, lens).cameras["right_wide"].intrinsics.matrix
+        )
         assert matrix[0, 0] == pytest.approx(280 * factor)
         assert matrix[1, 1] == pytest.approx(280 * factor)
         assert matrix[0, 2] == 319.5
@@ -158,7 +160,7 @@ def test_by_hand_focal_lengths_belong_to_a_lens():
 
 def test_by_hand_nothing_leaves_the_calibration_alone():
     truth = table_head(FIGURES[6])
-    assert written_by_hand(truth, ByHand(), "2.8mm") is truth
+    assert inject_calibration_error(truth, ByHand(), "2.8mm") is truth
 
 
 # Facts without a fit

@@ -12,11 +12,12 @@ from vergence.calibration.sequential.sequential import calibrate
 from vergence.paper import reproduce as main_job
 from vergence.paper.figures import FIGURES
 from vergence.paper.replay import estimate, observe_points, sample_times
+from vergence.paper.report import report
 from vergence.paper.reproduce import reproduce
 from vergence.paper.statistics import describe
 from vergence.paper.trajectories import default_duration_s
-from vergence.twin.calibration_errors import written_by_hand
-from vergence.twin.calibration_sequence import look_at_points, plan
+from vergence.twin.calibration_errors import inject_calibration_error
+from vergence.twin.calibration_sequence import plan, simulate_views
 from vergence.twin.model import FOCAL_MM, as_built_head, nominal_head
 from vergence.twin.profile import load_profile
 from vergence.viewer.reading import read_series
@@ -34,8 +35,8 @@ def point_level(profile_name: str, seed: int, samples: int = 640) -> tuple[np.nd
     for lens in FOCAL_MM:
         nominal = nominal_head(lens)
         truth, rng = as_built_head(nominal, profile, seed), np.random.default_rng(seed)
-        views = look_at_points(truth, profile, plan(nominal, seed), pixel_noise=0.035, rng=rng)
-        head = written_by_hand(calibrate(views).head, profile.by_hand, lens)
+        views = simulate_views(truth, profile, plan(nominal, seed), pixel_noise=0.035, rng=rng)
+        head = inject_calibration_error(calibrate(views).head, profile.by_hand, lens)
         for figure in FIGURES.values():
             if figure.lens == lens:
                 times = sample_times(figure, None, samples / default_duration_s(figure.motion))
@@ -117,11 +118,45 @@ def test_recordings_are_valid_and_hold_the_statistics(run):
         assert ours.samples == found["samples"]
 
 
-def test_report_and_plots_are_there(run):
+def markdown_tables(text: str) -> dict[str, list[list[str]]]:
+    """Return the rows of the one table under each heading, in cells; the header row comes first."""
+    tables = {}
+    for section in text.split("\n## ")[1:]:
+        heading, _, body = section.partition("\n")
+        blocks = [block.splitlines() for block in body.strip().split("\n\n")]
+        rows = [block for block in blocks if block[0].startswith("|")]
+        assert len(rows) == 1, f"{heading} has a table in pieces"
+        assert all(row.startswith("|") and row.endswith("|") for row in rows[0])
+        cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows[0]]
+        tables[heading] = [cells[0], *cells[2:]]
+    return tables
+
+
+def test_the_report_states_the_statistics(run):
     report = (run / "report.md").read_text()
     assert "6 of its numbers were fitted" in report
-    assert "| 7 | divergent | 2.8mm |" in report
-    assert (run / "figures.png").stat().st_size > 10_000
+    tables = markdown_tables(report)
+    for row, (number, found) in zip(
+        tables["Standard deviations"][1:], statistics(run)["figures"].items(), strict=True
+    ):
+        assert row[0] == number
+        assert [float(x) for x in row[4].split("/")] == [round(x, 4) for x in found["std_m"]]
+        assert [int(row[7]), int(row[8])] == [found["samples"], found["dropped"]]
+
+
+def test_the_report_of_two_lenses_has_one_whole_table_of_calibrations():
+    lens = next(iter(FOCAL_MM))
+    nominal, rng = nominal_head(lens), np.random.default_rng(0)
+    views = simulate_views(
+        nominal, load_profile("ideal"), plan(nominal, 0), pixel_noise=0.03, rng=rng
+    )
+    found = calibrate(views)
+    heads = {lens: found.head for lens in FOCAL_MM}
+    text = report({}, dict.fromkeys(FOCAL_MM, found), heads, load_profile("ideal"), 0)
+    table = markdown_tables(text)["Calibrations"]
+    assert [row[0] for row in table[1:]] == [lens for lens in FOCAL_MM for _ in range(4)]
+    for lens in FOCAL_MM:
+        assert f"\nStatic stereo with the {lens} lens: {found.stereo_views} views" in text
 
 
 def short(out: Path, seed: int) -> dict:
@@ -151,9 +186,11 @@ def test_an_interrupted_run_leaves_the_finished_figures(tmp_path, monkeypatch):
 
     replay = main_job.replay
     monkeypatch.setattr(main_job, "replay", interrupted)
+    shown: dict[str, tuple[int, int]] = {}
     with pytest.raises(KeyboardInterrupt):
         reproduce(
             tmp_path,
+            progress=lambda task, done, total: shown.update({task: (done, total)}),
             figures=(6, 7),
             profile=load_profile("ideal"),
             seed=0,
@@ -161,6 +198,8 @@ def test_an_interrupted_run_leaves_the_finished_figures(tmp_path, monkeypatch):
             rate_hz=3,
         )
     assert list(statistics(tmp_path)["figures"]) == ["6"]
+    assert list(shown) == ["calibrating, 2.8mm lens", "figure 6, parallel"]
+    assert all(done == total > 0 for done, total in shown.values())
     times, values = read_series(tmp_path / "fig06.rrd", "/estimate/x")
     assert len(times) == len(values) == 6
     assert {path.name for path in tmp_path.iterdir()} == {

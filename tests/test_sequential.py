@@ -14,7 +14,13 @@ from vergence.geometry.kinematics import T_base_eye
 from vergence.paper.figures import FIGURES
 from vergence.paper.replay import estimate, observe_points
 from vergence.paper.trajectories import PERIOD_S
-from vergence.twin.calibration_sequence import BOARD, look, look_at_points, plan, told_board
+from vergence.twin.calibration_sequence import (
+    BOARD,
+    board_as_given,
+    capture_views,
+    plan,
+    simulate_views,
+)
 from vergence.twin.head import Twin
 from vergence.twin.model import as_built_head, nominal_head
 from vergence.twin.profile import CalibrationMade, ErrorProfile, Lens, Mounting, Optics
@@ -32,7 +38,7 @@ def exact_views(lens: Lens, profile: ErrorProfile, seed: int) -> tuple[HeadCalib
     nominal = nominal_head(lens)
     truth = as_built_head(nominal, AS_BUILT, seed)
     shots, rng = plan(nominal, seed), np.random.default_rng(seed)
-    return truth, look_at_points(truth, profile, shots, pixel_noise=0.0, rng=rng)
+    return truth, simulate_views(truth, profile, shots, pixel_noise=0.0, rng=rng)
 
 
 def assert_same(a: object, b: object, tolerance: float = 1e-9) -> None:
@@ -66,7 +72,7 @@ def test_a_board_that_is_larger_than_told_makes_a_smaller_world():
     profile = ErrorProfile(calibration=CalibrationMade(square_percent=1.0))
     truth, views = exact_views("2.8mm", profile, 0)
     found = calibrate(views)
-    assert told_board(profile).square_m == pytest.approx(BOARD.square_m / 1.01)
+    assert board_as_given(profile).square_m == pytest.approx(BOARD.square_m / 1.01)
     assert_same(
         found.head.cameras["left_wide"].intrinsics.matrix[0],
         truth.cameras["left_wide"].intrinsics.matrix[0],
@@ -170,14 +176,14 @@ def rendered(opengl: None) -> tuple[HeadCalibration, Views, Views]:
         for eye in ("left", "right"):
             chosen += [shot for shot in straight if f"{eye}_narrow" in shot.cameras][:4]
         chosen += [shot for shot in shots if shot.eye_angles.any()][::8]
-        found = look(twin, chosen)
+        found = capture_views(twin, chosen)
         # The servos sag by thousandths of a degree; without sensor errors the readings show it.
         stood = [
             replace(shot, eye_angles=angles)
             for shot, angles in zip(chosen, found.eye_angles, strict=True)
         ]
         rng = np.random.default_rng(0)
-        true = look_at_points(twin.truth, ErrorProfile(), stood, pixel_noise=0.0, rng=rng)
+        true = simulate_views(twin.truth, ErrorProfile(), stood, pixel_noise=0.0, rng=rng)
         return twin.truth, found, true
 
 
@@ -237,7 +243,7 @@ def test_the_same_corners_give_the_same_digits():
     profile = ErrorProfile()
     nominal = nominal_head("2.8mm")
     rng = np.random.default_rng(0)
-    views = look_at_points(nominal, profile, plan(nominal, 0), pixel_noise=0.03, rng=rng)
+    views = simulate_views(nominal, profile, plan(nominal, 0), pixel_noise=0.03, rng=rng)
     runs = [calibrate(views).head for _ in range(4)]
     for run in runs[1:]:
         assert run.T_rbase_lbase.tobytes() == runs[0].T_rbase_lbase.tobytes()

@@ -4,17 +4,25 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import asdict, dataclass, fields, is_dataclass
+from importlib.metadata import version
+from inspect import Parameter, signature
+from itertools import count
 from json import dumps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
 import tyro
 from rich.console import Console
-from rich.progress import Progress, TaskID
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+from rich.progress import Progress as Bars
 
+from vergence.commands.invocation import invocation
 from vergence.errors import VergenceError
+from vergence.files import write_whole
+from vergence.progress import Progress
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -36,24 +44,36 @@ def reproduce(
 
     Args:
         out: Folder for recordings, plots, report and statistics.
-        figures: Which figures.
+        figures: Numbers of the figures.
         profile: Error profile: ideal, paper, noise-only, or a TOML file.
-        seed: Of everything random.
-        duration: Length of each figure [s]; left out: its full combined period, at least 60 s.
-        rate: Samples a second [Hz]; left out: 640 samples a figure.
+        seed: Seed of everything random.
+        duration: Length of each figure [s]; default: its full combined period, at least 60 s.
+        rate: Samples per second [Hz]; default: 640 samples per figure.
     """
     # Imported here, so that help and wrong arguments do not wait for OpenGL.
+    from vergence.paper.reproduce import check
     from vergence.paper.reproduce import reproduce as run
     from vergence.twin.profile import load_profile
 
     chosen = load_profile(profile)
-    console = Console()
+    check(out, figures=figures, seed=seed, duration_s=duration, rate_hz=rate)
     if (out / "statistics.json").exists():
-        console.print(f"Replacing the results of an earlier run in {out}.")
-    done = run(out, figures=figures, profile=chosen, seed=seed, duration_s=duration, rate_hz=rate)
-    recordings = " ".join(f"fig{number:02d}.rrd" for number in sorted(done.replays))
-    console.print(f"Wrote {recordings}, figures.png, report.md and statistics.json to {out}.")
-    console.print(f"To look at one: rerun {out / recordings.split()[0]}")
+        print(f"Replacing the results of an earlier run in {out}.")
+    with _progress() as (progress, _):
+        done = run(
+            out,
+            figures=figures,
+            profile=chosen,
+            seed=seed,
+            duration_s=duration,
+            rate_hz=rate,
+            progress=progress,
+        )
+    recordings = [f"fig{number:02d}.rrd" for number in sorted(done.replays)]
+    print(f"Wrote {' '.join(recordings)}, figures.png, report.md and statistics.json to {out}.")
+    typed = invocation("rerun", out / recordings[0])
+    made = out == Path("runs/paper") and 6 in done.replays and Path("Makefile").is_file()
+    print(f"To view a recording: {typed}" + (", or make view" if made else ""))
 
 
 def record(
@@ -66,26 +86,34 @@ def record(
     target: Literal["chessboard", "charuco"] = "chessboard",
     moving: int = 0,
 ) -> None:
-    """Record a dataset on the twin, with the truth beside it in truth.json.
+    """Record a dataset on the twin, with the ground truth beside it in truth.json.
 
     Args:
         out: Folder, new or empty.
         profile: Error profile: ideal, paper, noise-only, or a TOML file.
-        seed: Of everything random.
-        frames: Frames in which the eyes stand still.
-        lens: Of the wide cameras.
-        target: Board that is shown to the head.
-        moving: Frames at 30 Hz that follow, in which the eyes move before the board.
+        seed: Seed of everything random.
+        frames: Number of frames with the eyes at rest.
+        lens: Focal length of the wide cameras.
+        target: Kind of calibration board.
+        moving: Number of frames that follow, at 30 Hz, with moving eyes and the board at rest.
     """
     from vergence.commands.record import record as run
     from vergence.twin.profile import load_profile
 
     chosen = load_profile(profile)
-    images = run(
-        out, profile=chosen, seed=seed, frames=frames, lens=lens, target=target, moving=moving
-    )
+    with _progress() as (progress, _):
+        images = run(
+            out,
+            profile=chosen,
+            seed=seed,
+            frames=frames,
+            lens=lens,
+            target=target,
+            moving=moving,
+            progress=progress,
+        )
     print(f"Wrote {images} images, dataset.json, frames.csv and truth.json to {out}.")
-    print(f"To calibrate: vergence calibrate {out} --out calibration.json")
+    print(f"To calibrate: {invocation('vergence', 'calibrate', out, '--out', 'calibration.json')}")
 
 
 def calibrate(
@@ -97,30 +125,32 @@ def calibrate(
     method: Literal["refined", "paper"] = "refined",
     json: Path | None = None,
 ) -> None:
-    """Calibrate a head from a dataset, and say how well.
+    """Calibrate a head from a dataset, and state the accuracy.
 
     Args:
         dataset: Folder with dataset.json, frames.csv and images.
         out: JSON file of the calibration.
         report: Folder for report.md, its pictures and a recording of the dataset.
-        method: The paper's steps, or one estimate of everything that starts from them.
-        json: File for the accuracy alone, in figures.
+        method: The paper's steps only, or followed by bundle adjustment (refined).
+        json: JSON file of the accuracy alone.
     """
-    # Its matrices are small: threads of linear algebra would wait for each other. Before numpy.
+    # The matrices are small: threads of linear algebra would wait for each other. Before numpy.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from vergence.calibration.calibrate import solve
     from vergence.commands.calibration_report import summary, write_json, write_report
     from vergence.geometry.head import save
 
-    with Progress(console=Console(stderr=True)) as progress:
-        solved = solve(dataset, method=method, progress=progress)
+    with _progress() as (progress, bars):
+        solved = solve(dataset, method=method, progress=bars)
         save(solved.head, out)
         if json is not None:
             write_json(solved, json)
         if report is not None:
-            task = progress.add_task("writing the report", total=len(solved.dataset))
-            write_report(solved, report, done=lambda: progress.advance(task))
+            step = _counter(progress, "writing the report", len(solved.dataset))
+            write_report(solved, report, done=step)
     print("\n".join([*summary(solved), f"Wrote {out}."]))
+    if report is not None:
+        print(f"To view the images: {invocation('rerun', report / 'dataset.rrd')}")
 
 
 def evaluate(
@@ -130,12 +160,12 @@ def evaluate(
     truth: Path,
     json: Path | None = None,
 ) -> None:
-    """Hold a calibration against the truth of a dataset from the twin.
+    """Compare a calibration with the ground truth of a dataset from the twin.
 
     Args:
         calibration: JSON file that `vergence calibrate` wrote.
         truth: truth.json of the dataset.
-        json: File for all errors.
+        json: JSON file of all errors.
     """
     from vergence.commands import evaluate as evaluation
     from vergence.commands import truth as truth_file
@@ -158,8 +188,8 @@ def export(
 
     Args:
         calibration: JSON file that `vergence calibrate` wrote.
-        format: ros writes a folder, the others a file.
-        out: What to write.
+        format: Format; ros writes a folder, the others a file.
+        out: File or folder to write.
     """
     from vergence.geometry.head import load
     from vergence.interchange.formats import export_head
@@ -179,10 +209,10 @@ def import_(
     """Make a calibration from another program's files.
 
     Args:
-        path: File, or for ros a folder of them.
-        format: opencv holds all of a head; kalibr cameras and their poses, ros cameras alone.
+        path: File; for ros a folder of files.
+        format: opencv has the whole head, kalibr the cameras and their poses, ros the cameras only.
         out: JSON file of the calibration.
-        start: Calibration that says what kalibr and ros files do not.
+        start: Calibration that supplies what kalibr and ros files do not contain.
     """
     from vergence.geometry.head import load, save
     from vergence.interchange.formats import import_head
@@ -191,116 +221,117 @@ def import_(
     print(f"Wrote {out}.")
 
 
-def foveate(
-    *,
-    trials: int = 100,
-    seed: int = 0,
-    profile: str = "ideal",
-    out: Path | None = None,
-    json: Path | None = None,
-) -> None:
-    """Let objects appear, and turn both eyes until the narrow images are centred on them.
+@dataclass(frozen=True)
+class Experiment:
+    """Options that foveate, track and grasp have in common."""
+
+    seed: int = 0
+    """Seed of everything random."""
+    profile: str = "ideal"
+    """Error profile: ideal, paper, noise-only, or a TOML file."""
+    out: Path | None = None
+    """Folder for the results of each trial, and for a recording of the run."""
+    json: Path | None = None
+    """JSON file of the summary."""
+
+
+Options = Annotated[Experiment, tyro.conf.arg(name="")]
+DEFAULT = Experiment()
+
+
+def foveate(*, trials: int = 100, options: Options = DEFAULT) -> None:
+    """Show objects, and turn both eyes until the narrow images are centred on them.
 
     Args:
-        trials: How many objects.
-        seed: Of everything random.
-        profile: Error profile: ideal, paper, noise-only, or a TOML file.
-        out: Folder for foveate.json, the recording foveate.rrd of the first ten, and depth.png.
-        json: File for the summary.
+        trials: Number of objects; the first ten are recorded.
+        options: Common options.
     """
     from vergence.demos.foveate import foveate as run
-    from vergence.twin.profile import load_profile
 
-    chosen = load_profile(profile)
-    with _progress("foveating", trials) as (progress, task):
-        found, _ = run(
-            trials=trials, seed=seed, profile=chosen, out=out, done=lambda: progress.advance(task)
-        )
-    _summarise(found, json, out, "foveate.rrd")
+    _run_trials("foveate", run, trials, options)
 
 
-def track(
-    *,
-    seconds: float = 60.0,
-    seed: int = 0,
-    profile: str = "ideal",
-    out: Path | None = None,
-    json: Path | None = None,
-) -> None:
-    """Follow a moving object with both narrow cameras; it is hidden once on its way.
+def grasp(*, trials: int = 10, options: Options = DEFAULT) -> None:
+    """Grasp objects that are held out to the robot, guided by what the eyes see of the hand.
+
+    Args:
+        trials: Number of objects.
+        options: Common options.
+    """
+    from vergence.demos.grasp import grasp as run
+
+    _run_trials("grasp", run, trials, options)
+
+
+def track(*, seconds: float = 60.0, options: Options = DEFAULT) -> None:
+    """Track a moving object, which is hidden once, with both narrow cameras.
 
     Args:
         seconds: Length of the run [s].
-        seed: Of everything random.
-        profile: Error profile: ideal, paper, noise-only, or a TOML file.
-        out: Folder for track.json and the recording track.rrd.
-        json: File for the summary.
+        options: Common options.
     """
     from vergence.demos.track import track as run
     from vergence.twin.profile import load_profile
 
-    chosen = load_profile(profile)
-    with _progress("seconds followed", seconds) as (progress, task):
+    chosen = load_profile(options.profile)
+    with _progress() as (progress, _):
 
         def watch(state: GazeState, frame: Frame | None) -> None:
-            progress.update(task, completed=max(0.0, state.frame_s))
+            progress("track, seconds", max(0, int(state.frame_s)), int(seconds))
 
-        found = run(seconds=seconds, seed=seed, profile=chosen, out=out, watch=watch)
-    _summarise(found, json, out, "track.rrd")
+        found = run(
+            seconds=seconds, seed=options.seed, profile=chosen, out=options.out, watch=watch
+        )
+    _summarise(found, options, "track.rrd")
 
 
-def grasp(
-    *,
-    trials: int = 10,
-    seed: int = 0,
-    profile: str = "ideal",
-    out: Path | None = None,
-    json: Path | None = None,
+def _run_trials(
+    name: str, run: Callable[..., tuple[DataclassInstance, Any]], trials: int, options: Experiment
 ) -> None:
-    """Take objects that are held out, with a hand that goes by what the eyes see of it.
-
-    Args:
-        trials: How many objects.
-        seed: Of everything random.
-        profile: Error profile: ideal, paper, noise-only, or a TOML file.
-        out: Folder for grasp.json and grasp.rrd.
-        json: File for the summary.
-    """
-    from vergence.demos.grasp import grasp as run
+    """Run an experiment of several trials, and print its summary."""
     from vergence.twin.profile import load_profile
 
-    chosen = load_profile(profile)
-    with _progress("grasping", trials) as (progress, task):
-        found, _ = run(
-            trials=trials, seed=seed, profile=chosen, out=out, done=lambda: progress.advance(task)
-        )
-    _summarise(found, json, out, "grasp.rrd")
+    chosen = load_profile(options.profile)
+    with _progress() as (progress, _):
+        done = _counter(progress, f"{name}, trials", trials)
+        found, _ = run(trials=trials, seed=options.seed, profile=chosen, out=options.out, done=done)
+    _summarise(found, options, f"{name}.rrd")
+
+
+def _summarise(summary: DataclassInstance, options: Experiment, recording: str) -> None:
+    """Print a summary, write it to the file of the options, and say how to view the recording."""
+    text = dumps(asdict(summary), indent=1)
+    if options.json is not None:
+        write_whole(options.json, text + "\n")
+    print(text)
+    if options.out is not None:
+        typed = invocation("rerun", options.out / recording)
+        print(f"To view the recording: {typed}", file=sys.stderr)
 
 
 @contextmanager
-def _progress(what: str, total: float) -> Iterator[tuple[Progress, TaskID]]:
-    """Show on the terminal how much of the total is done; before that the head is calibrated."""
-    with Progress(console=Console(stderr=True)) as progress:
-        yield progress, progress.add_task(what, total=total)
+def _progress() -> Iterator[tuple[Progress, Bars]]:
+    """Show each task as a bar on standard error; yields the callback, and rich's own bars."""
+    columns = TextColumn("{task.description:<28}"), BarColumn(), MofNCompleteColumn()
+    with Bars(*columns, TimeElapsedColumn(), console=Console(stderr=True)) as bars:
+        tasks = {}
+
+        def show(task: str, done: int, total: int) -> None:
+            if task not in tasks:
+                tasks[task] = bars.add_task(task, total=total)
+            bars.update(tasks[task], completed=done, total=total)
+
+        yield show, bars
 
 
-def _summarise(
-    summary: DataclassInstance, path: Path | None, out: Path | None, recording: str
-) -> None:
-    """Print a summary, write it where a file is named, and say what there is to look at."""
-    from dataclasses import asdict
-
-    from vergence.files import write_whole
-
-    text = dumps(asdict(summary), indent=1)
-    if path is not None:
-        write_whole(path, text + "\n")
-    print(text)
-    if out is not None:
-        print(f"To look at it: rerun {out / recording}", file=sys.stderr)
+def _counter(progress: Progress, task: str, total: int) -> Callable[[], None]:
+    """Begin a task, and return a function to call after each of its steps."""
+    progress(task, 0, total)
+    steps = count(1)
+    return lambda: progress(task, next(steps), total)
 
 
-COMMANDS = {
+COMMANDS: dict[str, Callable[..., None]] = {
     "reproduce": reproduce,
     "record": record,
     "calibrate": calibrate,
@@ -313,11 +344,53 @@ COMMANDS = {
 }
 
 
+def _check(arguments: list[str]) -> None:
+    """Refuse an unknown command or option in one sentence.
+
+    Raises:
+        VergenceError: there is no such command, or it has no such option.
+    """
+    if not arguments or arguments[0] in ("-h", "--help"):
+        return
+    name = arguments[0]
+    if name not in COMMANDS:
+        raise VergenceError(
+            f"There is no command {name!r}; there are {', '.join(COMMANDS)}. "
+            f"See {invocation('vergence', '--help')}."
+        )
+    known = _options(COMMANDS[name])
+    for argument in arguments[1:]:
+        option = argument.partition("=")[0].replace("_", "-")
+        if option.startswith("--") and option not in (*known, "--help"):
+            raise VergenceError(
+                f"{name} has no option {argument!r}; it has {', '.join(known)}. "
+                f"See {invocation('vergence', name, '--help')}."
+            )
+
+
+def _options(command: Callable[..., None]) -> list[str]:
+    """Return the options of a command, with the fields of a group of options in its place."""
+    kinds, names = get_type_hints(command), []
+    for parameter in signature(command).parameters.values():
+        kind = kinds[parameter.name]
+        if is_dataclass(kind):
+            names += [field.name for field in fields(kind)]
+        elif parameter.kind is Parameter.KEYWORD_ONLY:
+            names.append(parameter.name)
+    return [f"--{name}" for name in names]
+
+
 def main() -> None:
-    """Run the command line; a mistake of the user's ends in one sentence and exit code 2."""
+    """Run the command line; a mistake of the user ends in one sentence and exit code 2."""
+    if sys.argv[1:] == ["--version"]:
+        print(f"vergence {version('vergence')}")
+        return
     try:
+        _check(sys.argv[1:])
         tyro.extras.subcommand_cli_from_dict(
-            COMMANDS, prog="vergence", description="Active 3-D vision: a twin, and its calibration."
+            COMMANDS,
+            prog=invocation("vergence"),
+            description="Active 3-D vision: calibration, stereo and gaze control, and a twin.",
         )
     except VergenceError as error:
         print(f"vergence: {error}", file=sys.stderr)

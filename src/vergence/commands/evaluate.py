@@ -1,4 +1,4 @@
-"""A calibration held against the truth: errors, and whether the stated accuracy was true."""
+"""Compare a calibration with the truth: its errors, and whether its stated accuracy holds."""
 
 from __future__ import annotations
 
@@ -23,51 +23,52 @@ REGION = 0.95
 
 @dataclass(frozen=True)
 class ParameterError:
-    """One number of the calibration."""
+    """Error of one parameter of the calibration."""
 
     error: float
     """Estimate minus truth: px, rad, m, s, or a plain number."""
     std: float | None
-    """As stated; None: it was not estimated, or no accuracy is stated."""
+    """Stated standard deviation; None: it was not estimated, or no accuracy is stated."""
     standardised: float | None
     """error / std."""
     within_95: bool | None
-    """Whether it lies within 1.96 standard deviations."""
+    """Whether the error is within 1.96 standard deviations."""
 
 
 @dataclass(frozen=True)
 class Region:
-    """Parameters that belong together: a camera's lens, a mounting, the pose between the eyes."""
+    """Joint confidence region of a group of parameters, for example of one camera's lens."""
 
     parameters: int
     distance: float
     """Mahalanobis distance of the truth from the estimate."""
     holds_truth: bool
-    """Whether the 95 % region holds it."""
+    """Whether the truth lies inside the 95 % region."""
 
 
 @dataclass(frozen=True)
 class CameraError:
-    """The camera as a whole."""
+    """Errors of one camera."""
 
     rotation_deg: float
-    """Of T_eye_cam."""
+    """Rotation error of T_eye_cam."""
     translation_mm: float
-    """Of T_eye_cam."""
+    """Translation error of T_eye_cam."""
     focal_percent: float
     """The larger of the errors of fx and fy."""
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """A calibration beside the truth."""
+    """Errors of a calibration."""
 
     cameras: dict[str, CameraError]
     base_rotation_deg: float
-    """Of T_rbase_lbase."""
+    """Rotation error of T_rbase_lbase."""
     base_translation_mm: float
+    """Translation error of T_rbase_lbase."""
     time_offset_ms: float
-    """Its error."""
+    """Error of the time offset."""
     regions: dict[str, Region]
     """By group: <camera>, <camera>.T_eye_cam, T_rbase_lbase, <eye>, time_offset_s."""
     parameters: dict[str, ParameterError]
@@ -76,7 +77,8 @@ class Evaluation:
 def evaluate(head: HeadCalibration, truth: Truth) -> Evaluation:
     """Compare a calibration with the truth.
 
-    Offsets of the joints, which no image tells from turns of the mountings, are counted as such.
+    Images cannot distinguish offsets of the joints from rotations of the mountings, so both heads
+    are compared with the offsets expressed as rotations.
 
     Raises:
         VergenceError: the truth lacks a camera of the calibration.
@@ -87,7 +89,7 @@ def evaluate(head: HeadCalibration, truth: Truth) -> Evaluation:
             f"The truth is of another head: it has no camera {missing[0]}, only "
             f"{', '.join(truth.head.cameras)}."
         )
-    off = difference(head, _timed(truth))
+    errors = difference(head, replace(truth.head, time_offset_s=truth.time_offset_s))
     mine, true = without_offsets(head), without_offsets(truth.head)
     cameras = {}
     for name, mounted in mine.cameras.items():
@@ -104,14 +106,10 @@ def evaluate(head: HeadCalibration, truth: Truth) -> Evaluation:
         cameras=cameras,
         base_rotation_deg=turn,
         base_translation_mm=shift,
-        time_offset_ms=1e3 * off["time_offset_s"],
-        regions=_regions(names, covariance, off),
-        parameters={name: _parameter(error, stds.get(name)) for name, error in off.items()},
+        time_offset_ms=1e3 * errors["time_offset_s"],
+        regions=_regions(names, covariance, errors),
+        parameters={name: _parameter(error, stds.get(name)) for name, error in errors.items()},
     )
-
-
-def _timed(truth: Truth) -> HeadCalibration:
-    return replace(truth.head, time_offset_s=truth.time_offset_s)
 
 
 def _apart(T: Array, T_true: Array) -> tuple[float, float]:
@@ -128,13 +126,15 @@ def _parameter(error: float, std: float | None) -> ParameterError:
     return ParameterError(error, float(std), score, within)
 
 
-def _regions(names: tuple[str, ...], covariance: Array, off: dict[str, float]) -> dict[str, Region]:
+def _regions(
+    names: tuple[str, ...], covariance: Array, errors: dict[str, float]
+) -> dict[str, Region]:
     groups: dict[str, list[int]] = {}
     for i, name in enumerate(names):
         groups.setdefault(name.rpartition(".")[0] or name, []).append(i)
     regions = {}
     for group, rows in groups.items():
-        error = np.array([off[names[i]] for i in rows])
+        error = np.array([errors[names[i]] for i in rows])
         scale = np.sqrt(np.diag(covariance)[rows])
         correlation = covariance[np.ix_(rows, rows)] / np.outer(scale, scale)
         score = error / scale
@@ -147,18 +147,17 @@ def _regions(names: tuple[str, ...], covariance: Array, off: dict[str, float]) -
 _ADAPTER = TypeAdapter(Evaluation)
 
 
-def as_json(evaluation: Evaluation) -> str:
-    """Return an evaluation as JSON."""
-    return _ADAPTER.dump_json(evaluation, indent=1).decode() + "\n"
-
-
 def save(evaluation: Evaluation, path: Path) -> None:
-    """Write an evaluation as JSON."""
-    write_whole(path, as_json(evaluation))
+    """Write an evaluation as JSON.
+
+    Raises:
+        VergenceError: the file cannot be written.
+    """
+    write_whole(path, _ADAPTER.dump_json(evaluation, indent=1).decode() + "\n")
 
 
 def as_text(evaluation: Evaluation) -> str:
-    """Return what a reader wants to know first."""
+    """Return a short table of the errors, and how many confidence regions contain the truth."""
     lines = [f"{'':<16}{'rotation [deg]':>15}{'translation [mm]':>18}{'focal [%]':>11}"]
     for name, error in evaluation.cameras.items():
         lines.append(

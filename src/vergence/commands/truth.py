@@ -1,6 +1,6 @@
-"""What only the twin knows of a recorded dataset: truth.json, opened by `vergence evaluate` alone.
+"""The ground truth of a dataset recorded on the twin: truth.json, beside the dataset.
 
-It is written beside the dataset, for nobody but whoever holds a calibration against it.
+Only evaluation reads it (`vergence evaluate`); calibration never does.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ TRUTH = "truth.json"
 
 @dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
 class Truth:
-    """The truth of a dataset."""
+    """The ground truth of a dataset."""
 
     head: HeadCalibration
-    """As built, with gains and offsets that turn readings into true angles."""
+    """The head as built, with gains and offsets that turn joint readings into true angles."""
     time_offset_s: float
-    """An image shows the joints this much later than its joint reading."""
+    """Time from a joint reading to the moment that its image shows."""
     eye_angles: Matrix
-    """(N, 4) true angles [rad] at the moment of each row's images, order of EYE_JOINTS."""
+    """(N, 4) true angles [rad] at the moment of each row's images, in the order of EYE_JOINTS."""
     T_lbase_target: dict[int, Transform]
-    """By number of the placement: where the board stood."""
+    """By number of the placement: the true pose of the board."""
     board: Chessboard | Charuco
-    """As printed, which is not always as the software was told."""
+    """The board as printed; dataset.json may state wrong dimensions."""
     seed: int
     lens: str
     profile: ErrorProfile
@@ -68,12 +68,16 @@ _ADAPTER = TypeAdapter(Truth)
 
 
 def save(truth: Truth, path: Path) -> None:
-    """Write the truth as JSON."""
+    """Write the truth as JSON.
+
+    Raises:
+        VergenceError: the file cannot be written.
+    """
     write_whole(path, _ADAPTER.dump_json(truth, indent=1).decode() + "\n")
 
 
 def load(path: Path) -> Truth:
-    """Read the truth.
+    """Read a truth.json.
 
     Raises:
         VergenceError: the file is missing, not JSON, or a field of it is not valid.

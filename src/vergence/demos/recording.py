@@ -16,13 +16,12 @@ from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.head import T_body_base
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
-from vergence.paper.recording import log_report
 from vergence.twin.appearance import visual_geoms
 from vergence.twin.head import Twin
 from vergence.twin.simulated_robot import FRAME_S, foveal_errors
 from vergence.viewer.gaze import Moment, log_gaze_frame, log_gaze_series, log_gaze_styles, moment
 from vergence.viewer.gaze_layout import gaze_blueprint
-from vergence.viewer.opening import recording_file
+from vergence.viewer.opening import log_report, recording_file
 
 
 class Watch(Protocol):

@@ -1,4 +1,4 @@
-"""The paper's figures 6-11, as data.
+"""The settings and printed results of the paper's Figs. 6-11.
 
 Source: A. Ude and E. Oztop, "Active 3-D Vision on a Humanoid Head", captions of Figs. 6-11.
 """
@@ -15,7 +15,7 @@ Motion = Literal["parallel", "divergent"]
 
 @dataclass(frozen=True)
 class Figure:
-    """One experiment: a fixed object is located while the eyes move."""
+    """One experiment: the head locates a fixed object while its eyes move."""
 
     number: int
     motion: Motion
@@ -24,6 +24,11 @@ class Figure:
     """Mean of the estimated positions (x forward = depth, y left, z up), as printed."""
     std_m: tuple[float, float, float]
     """Their standard deviation; printed to 1 mm, so that 2 mm means 1.5 to 2.5."""
+
+    @property
+    def title(self) -> str:
+        """Heading of the figure's plot and recording: its number, motion and lens."""
+        return f"Fig. {self.number} - {self.motion}, {self.lens.removesuffix('mm')} mm"
 
 
 FIGURES = {

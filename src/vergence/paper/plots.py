@@ -1,10 +1,10 @@
-"""The paper's Figs. 6-11 with its statistics beside ours."""
+"""Plots of the paper's Figs. 6-11, with its statistics beside ours."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -13,60 +13,33 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure as Canvas
 from matplotlib.offsetbox import AnchoredOffsetbox, HPacker, TextArea, VPacker
 
-from vergence.arrays import Array
 from vergence.paper.figures import Figure
+from vergence.paper.replay import Replay
 from vergence.paper.statistics import Statistics
-from vergence.viewer.canvas import DPI, save
+from vergence.viewer.canvas import BLUE, DPI, GREEN, RED, save
 
-AXIS_COLOURS = {"x": "#1f4fd8", "y": "#0b8a2e", "z": "#d62222"}
-"""The paper's: x (depth) blue, y green, z red."""
+_COLOURS = (BLUE, GREEN, RED)  # x, y, z
 _PANEL_INCHES, _HEADING_INCHES = (8.0, 5.8), 0.6
-_FIRST = 6  # the paper's experiments come in pairs from here: parallel left, divergent right
+_FIRST = 6  # from here in pairs: parallel motion on the left, divergent on the right
 _STYLE: dict[str, Any] = {"fontsize": 12}
 
 
-class Observed(Protocol):
-    """When the samples were taken."""
-
-    @property
-    def time_s(self) -> Array:
-        """(N,)."""
-        ...
-
-
-class Points(Protocol):
-    """What was estimated."""
-
-    @property
-    def points(self) -> Array:
-        """(N, 3) [m] in the left eye's base frame; NaN: dropped."""
-        ...
-
-
-class FigureResult(Protocol):
-    """What is drawn of a figure; experiments.replay.Replay is one."""
-
-    @property
-    def figure(self) -> Figure: ...
-    @property
-    def observations(self) -> Observed: ...
-    @property
-    def located(self) -> Points: ...
-    @property
-    def statistics(self) -> Statistics: ...
-
-
-def paper_figures(path: Path, results: Sequence[FigureResult]) -> None:
-    """Draw figures as the paper has them: positions against time.
-
-    Rows share their scale, so that parallel and divergent motion can be compared by eye.
-
-    Args:
-        path: of the PNG; it appears only when it is complete.
-        results: of any of the figures, at least one.
+def paper_figures(path: Path, results: Sequence[Replay]) -> None:
+    """Draw figures into a PNG file, as `draw` does.
 
     Raises:
         VergenceError: the file cannot be written.
+    """
+    save(draw(results), path)
+
+
+def draw(results: Sequence[Replay]) -> Canvas:
+    """Draw figures as the paper does: estimated positions over time.
+
+    Panels of a row have the same scale, so that parallel and divergent motion can be compared.
+
+    Args:
+        results: of one or more figures, in any order.
     """
     place = {result.figure.number: divmod(result.figure.number - _FIRST, 2) for result in results}
     rows = sorted({row for row, _ in place.values()})
@@ -89,17 +62,16 @@ def paper_figures(path: Path, results: Sequence[FigureResult]) -> None:
     for result in results:
         row, column = place[result.figure.number]
         _panel(grid[rows.index(row), columns.index(column)], result)
-    save(canvas, path)
+    return canvas
 
 
-def _panel(axes: Axes, result: FigureResult) -> None:
-    figure, time_s = result.figure, result.observations.time_s
+def _panel(axes: Axes, result: Replay) -> None:
+    figure, time_s = result.figure, result.measurements.time_s
     axes.set_visible(True)
-    title = f"Fig. {figure.number} - {figure.motion}, {figure.lens.removesuffix('mm')} mm"
-    axes.set_title(title, fontsize=14, loc="left")
+    axes.set_title(figure.title, fontsize=14, loc="left")
     counts = f"{result.statistics.samples} samples, {result.statistics.dropped} dropped"
     axes.set_title(counts, fontsize=11, color="0.4", loc="right")
-    for k, colour in enumerate(AXIS_COLOURS.values()):
+    for k, colour in enumerate(_COLOURS):
         mean, std = figure.mean_m[k], figure.std_m[k]
         axes.axhspan(mean - std, mean + std, color=colour, alpha=0.18, linewidth=0)
         axes.axhline(mean, color=colour, linewidth=0.9, linestyle=(0, (6, 4)), alpha=0.8)
@@ -116,7 +88,7 @@ def _panel(axes: Axes, result: FigureResult) -> None:
 
 
 def _cells(figure: Figure, statistics: Statistics) -> list[list[str]]:
-    """Return the columns of the table: the axes, mean ± std in the paper and here, their ratio."""
+    """Return the table's columns: axes, mean ± std in the paper and here, ratio of the two std."""
     columns = [["", "x = depth", "y", "z"], ["paper [mm]"], ["here [mm]"], ["std here / paper"]]
     for k in range(3):
         paper_mm, paper_std_mm = 1e3 * figure.mean_m[k], 1e3 * figure.std_m[k]
@@ -131,12 +103,12 @@ def _cells(figure: Figure, statistics: Statistics) -> list[list[str]]:
 
 
 def _table(axes: Axes, figure: Figure, statistics: Statistics) -> Artist:
-    """Return the table, midway between the curve of x and the others, where none runs."""
+    """Return the table, midway between the curve of x and the others, where it hides neither."""
     packed: list[Artist] = []
     for column in _cells(figure, statistics):
         cells: list[Artist] = [
             TextArea(text.replace("-", "\N{MINUS SIGN}"), textprops={"color": colour, **_STYLE})
-            for text, colour in zip(column, ["0.25", *AXIS_COLOURS.values()], strict=True)
+            for text, colour in zip(column, ["0.25", *_COLOURS], strict=True)
         ]
         packed.append(VPacker(children=cells, align="right", pad=0, sep=4))
     middle = (figure.mean_m[0] - 2 * figure.std_m[0] + max(figure.mean_m[1:])) / 2

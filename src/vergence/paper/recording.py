@@ -1,11 +1,11 @@
-"""Record one figure: its frames, its series, its report."""
+"""The recording of one replayed figure: its layout, curves, trails and statistics."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -15,13 +15,11 @@ from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYE_JOINTS
 from vergence.paper.figures import Figure
-from vergence.paper.statistics import Statistics
-
-if TYPE_CHECKING:  # the twin, and with it mujoco, is not needed to record a real head
-    from vergence.twin.appearance import VisualGeom
+from vergence.paper.replay import Replay, summary
+from vergence.twin.appearance import VisualGeom
 from vergence.viewer import style
 from vergence.viewer.frame import time_columns
-from vergence.viewer.layout import camera_entities, camera_views, view_3d, whole_time
+from vergence.viewer.layout import camera_views, hidden, playing, view_3d, whole_time
 from vergence.viewer.opening import recording_file
 from vergence.viewer.shapes import lines_of_sight, placed, spread_ellipsoid
 
@@ -32,29 +30,26 @@ _TRAILS = {"world/left_base/trail": None, "world/left_base/recent": style.TRAIL_
 def figure_recording(
     path: Path, figure: Figure, head: HeadCalibration, geoms: Sequence[VisualGeom]
 ) -> Iterator[rr.RecordingStream]:
-    """Record a figure in a `with` block.
-
-    The file appears under its name only when the block ends well: an interrupted run leaves no
-    half a file.
+    """Record a figure in a `with` block; the file appears only when the block ends well.
 
     Args:
-        path: of the `.rrd` file; one that is there is replaced.
-        figure: which one.
-        head: whose cameras are drawn, as it is believed to be.
-        geoms: the head's shapes.
+        path: of the `.rrd` file; an earlier one is replaced.
+        figure: the figure to record.
+        head: the calibration whose cameras are drawn.
+        geoms: visible shapes of the robot.
 
     Raises:
         VergenceError: the file cannot be written.
     """
     layout = blueprint(figure, head)
-    with recording_file(path, title(figure), layout, head, geoms) as rec:
-        log_styles(rec)
+    with recording_file(path, figure.title, layout, head, geoms) as rec:
+        _log_styles(rec)
         yield rec
 
 
-def log_styles(rec: rr.RecordingStream) -> None:
+def _log_styles(rec: rr.RecordingStream) -> None:
     for axis, color in style.AXIS_COLOURS.items():
-        # Plots average the samples that share a pixel, unless told to keep the extremes.
+        # By default plots average the samples that share a pixel; MinMax keeps the extremes.
         curve = rr.SeriesLines(names=axis, colors=color, widths=1.5, aggregation_policy="MinMax")
         rec.log(f"estimate/{axis}", curve, static=True)
         for entity, color3, name in (
@@ -78,37 +73,27 @@ def log_styles(rec: rr.RecordingStream) -> None:
     rec.log("world/left_base/rays", rays, static=True)
 
 
-def log_series(
-    rec: rr.RecordingStream,
-    *,
-    figure: Figure,
-    head: HeadCalibration,
-    time_s: Array,
-    points: Array,
-    object_m: Array,
-    eye_angles: Array,
-    T_world_lbase: Array,
-    statistics: Statistics,
+def log_results(
+    rec: rr.RecordingStream, result: Replay, head: HeadCalibration, T_world_lbase: Array
 ) -> None:
-    """Record what was estimated, as curves and as a trail in space.
+    """Record a figure's estimates as curves and as a trail in space, and its statistics.
+
+    Samples that were not located are left out.
 
     Args:
         rec: the recording.
-        figure: which one, for the paper's values beside ours.
+        result: of the replay.
         head: the calibration, for the lines of sight.
-        time_s: (N,) since the first sample.
-        points: (N, 3) estimates in the left eye's base frame; samples with NaN are left out.
-        object_m: (3,) where the object truly is, in the same frame.
-        eye_angles: (N, 4) joint readings.
-        T_world_lbase: (4, 4) where that frame is.
-        statistics: of the points.
+        T_world_lbase: (4, 4) pose of the left eye's base frame in the world.
     """
+    figure, statistics = result.figure, result.statistics
+    time_s, eye_angles = result.measurements.time_s, result.measurements.eye_angles
     index = np.arange(len(time_s))
     for joint, angles in zip(EYE_JOINTS, eye_angles.T, strict=True):
         scalars = rr.Scalars.columns(scalars=angles)
         rec.send_columns(f"joints/{joint}", time_columns(time_s, index), scalars)
-    good = np.isfinite(points).all(axis=1)
-    times, points = time_columns(time_s[good], index[good]), points[good]
+    good = np.isfinite(result.located.points).all(axis=1)
+    times, points = time_columns(time_s[good], index[good]), result.located.points[good]
     for k, axis in enumerate(style.AXIS_COLOURS):
         rec.send_columns(f"estimate/{axis}", times, rr.Scalars.columns(scalars=points[:, k]))
         for kind, mean, std in (
@@ -120,7 +105,7 @@ def log_series(
                 ends = time_columns(time_s[[0, -1]], index[[0, -1]])
                 rec.send_columns(f"{kind}/{axis}", ends, rr.Scalars.columns(scalars=levels))
     rec.log("world/left_base", placed(T_world_lbase), static=True)
-    marker = rr.Points3D([object_m], radii=-4.0, colors=style.OBJECT)
+    marker = rr.Points3D([result.object_m], radii=-4.0, colors=style.OBJECT)
     rec.log("world/left_base/object", marker, static=True)
     if len(points) > 3:
         rec.log("world/left_base/spread", spread_ellipsoid(points), static=True)
@@ -129,42 +114,16 @@ def log_series(
         rec.send_columns(entity, times, rr.Points3D.columns(positions=points))
     rays = rr.LineStrips3D.columns(strips=list(lines_of_sight(head, points, eye_angles[good])))
     rec.send_columns("world/left_base/rays", times, rays)
-
-
-def log_report(rec: rr.RecordingStream, markdown: str) -> None:
-    """Record the report of a figure."""
-    rec.log("report", rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN), static=True)
-
-
-def log_statistics(
-    rec: rr.RecordingStream, *, figure: Figure, object_m: Array, statistics: Statistics
-) -> None:
-    """Record a figure's statistics as a property of the recording."""
-    rec.send_property(
-        "statistics",
-        rr.AnyValues(
-            figure=figure.number,
-            paper_mean_m=np.array(figure.mean_m),
-            paper_std_m=np.array(figure.std_m),
-            object_m=object_m,
-            mean_m=statistics.mean_m,
-            std_m=statistics.std_m,
-            samples=statistics.samples,
-            dropped=statistics.dropped,
-        ),
-    )
-
-
-def title(figure: Figure) -> str:
-    return f"Fig. {figure.number} - {figure.motion}, {figure.lens.removesuffix('mm')} mm"
+    values: dict[str, Any] = {"figure": figure.number, **summary(result)}
+    rec.send_property("statistics", rr.AnyValues(**values))
 
 
 def blueprint(figure: Figure, head: HeadCalibration) -> rrb.Blueprint:
-    """Return the layout of a figure's recording, complete as it opens.
+    """Return the layout with which the viewer opens a figure's recording.
 
     Args:
-        figure: the one that is recorded; its object and the head fill the 3-D view.
-        head: whose cameras are shown.
+        figure: the recorded figure; its object and the head fill the 3-D view.
+        head: the calibration whose cameras are shown.
     """
     whole = whole_time()
     axes = [
@@ -178,7 +137,7 @@ def blueprint(figure: Figure, head: HeadCalibration) -> rrb.Blueprint:
         for axis, label in zip(style.AXIS_COLOURS, ("x = depth", "y", "z"), strict=True)
     ]
     joints = rrb.TimeSeriesView(name="joint readings [rad]", origin="joints", axis_x=whole)
-    return rrb.Blueprint(
+    return playing(
         rrb.Horizontal(
             rrb.Vertical(
                 _head_view(figure, head),
@@ -193,32 +152,27 @@ def blueprint(figure: Figure, head: HeadCalibration) -> rrb.Blueprint:
             ),
             column_shares=[6, 5, 4],
         ),
-        rrb.TimePanel(
-            timeline="sim_time",
-            state="collapsed",
-            playback_speed=style.SPEED,
-            loop_mode="all",
-            play_state="playing",
-        ),
-        auto_views=False,
-        collapse_panels=True,
+        speed=style.SPEED,
     )
 
 
 def _head_view(figure: Figure, head: HeadCalibration) -> rrb.Spatial3DView:
-    marks = [
-        f"- {entity}/{mark}"
-        for entity in camera_entities(head).values()
-        for mark in ("detected", "truth")
-    ]
-    back, front = -0.20, figure.mean_m[0] + 2 * figure.std_m[0]  # of all that is to be seen
-    middle = np.array([(back + front) / 2, 0.3 * figure.mean_m[1], style.EYE_HEIGHT_M - 0.03])
+    back, front = -0.20, figure.mean_m[0] + 2 * figure.std_m[0]  # of what has to be in view
+    scale = 0.10 + 0.74 * (front - back)
+    # Seen from above, but looked at horizontally: a camera that is tilted down would show the
+    # robot's post, which stands at the side of the view, leaning.
+    height = style.EYE_HEIGHT_M - 0.03 + 0.20 * scale
+    middle = np.array([(back + front) / 2, 0.3 * figure.mean_m[1], height])
     return view_3d(
-        f"{title(figure)}: head, lines of sight, estimates",
+        f"{figure.title}: head, lines of sight, estimates",
         origin="world",
-        contents=["+ $origin/**", "- world/left_base/spread", *marks],
+        contents=[
+            "+ $origin/**",
+            "- world/left_base/spread",
+            *hidden(head, "detected", "truth"),
+        ],
         middle=middle,
-        eye=middle + np.array([0.30, 0.85, 0.42]) * (0.10 + 0.74 * (front - back)),
+        eye=middle + np.array([0.33, 0.94, 0.0]) * scale,
         trails=_TRAILS,
     )
 

@@ -1,7 +1,7 @@
-"""Replay one of the paper's figures: the eyes move, a fixed object is located all the while.
+"""Replay one of the paper's figures: locate a fixed object in every sample while the eyes move.
 
-The same estimation runs on rendered images and, for studies of many error sources, on projected
-points without images.
+The same estimation runs on rendered images (`replay`) and, for studies of many error sources, on
+projected points without images (`observe_points`, then `estimate`).
 """
 
 from __future__ import annotations
@@ -21,60 +21,69 @@ from vergence.geometry.se3 import inverse, transform
 from vergence.paper.figures import Figure
 from vergence.paper.statistics import Statistics, describe
 from vergence.paper.trajectories import PERIOD_S, default_duration_s, eye_angles
+from vergence.progress import Progress, silent
 from vergence.stereo.triangulation import Located, locate
+from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Exposure, Twin
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.sensors import play, read
 from vergence.vision.sphere import find_sphere
 
 SAMPLES = 640
-"""Samples of a figure, evenly over its duration; at 600 the spreads vary by 2-3 % with the seed."""
+"""Samples per figure, evenly spaced; with 600, standard deviations vary by 2-3 % with the seed."""
 WIDE = ("left_wide", "right_wide")
 _LEAD_S = 1.0  # the eyes reach the trajectory before the first sample
 
 
 @dataclass(frozen=True, eq=False)
-class Observations:
-    """What was measured in N samples."""
+class Measurements:
+    """Joint readings and image positions of N samples."""
 
     time_s: Array
-    """(N,)."""
+    """(N,) since the first sample."""
     eye_angles: Array
-    """(N, 4) joint readings."""
+    """(N, 4) joint readings [rad], in the order of EYE_JOINTS."""
     pixels_l: Array
-    """(N, 2) the object's centre in the left wide image; NaN: not found."""
+    """(N, 2) the object's centre in the left wide image [px]; NaN: not found."""
     pixels_r: Array
-    """(N, 2) in the right one."""
+    """(N, 2) the object's centre in the right wide image [px]; NaN: not found."""
 
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """One figure, replayed."""
+    """One replayed figure."""
 
     figure: Figure
     object_m: Array
-    """(3,) where the object truly is."""
-    observations: Observations
+    """(3,) true position of the object, in the left eye's base frame."""
+    measurements: Measurements
     located: Located
     statistics: Statistics
 
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One sample with its truth, for those who look on."""
+    """One sample with its ground truth, as the observer of a replay gets it."""
 
     index: int
     time_s: float
     frame: Frame
     detected: dict[str, Array]
-    """By camera: (2,) px."""
+    """By camera: (2,) the detected centre of the object [px]; NaN: not found."""
     truth: dict[str, Array]
-    """By camera: (2,) px, where the object's centre truly is; NaN: behind the camera."""
+    """By camera: (2,) the true centre of the object [px]; NaN: behind the camera."""
     body_poses: dict[str, Array]
+    """By body of the model: (4, 4) pose in the world."""
 
 
 def sample_times(figure: Figure, duration_s: float | None, rate_hz: float | None) -> Array:
-    """Return the times (N,) of a figure's samples; left out: its duration and SAMPLES samples."""
+    """Return the times (N,) [s] of a figure's samples, in whole milliseconds.
+
+    Args:
+        figure: whose motion sets the default duration.
+        duration_s: of the replay; None: the figure's full combined period, at least 60 s.
+        rate_hz: samples per second; None: SAMPLES samples, whatever the duration.
+    """
     duration = default_duration_s(figure.motion) if duration_s is None else duration_s
     count = SAMPLES if rate_hz is None else max(2, round(duration * rate_hz))
     # Whole milliseconds, since the physics steps in them.
@@ -87,96 +96,124 @@ def replay(
     figure: Figure,
     times_s: Array,
     *,
-    watch: Callable[[Sample], None] | None = None,
-    pictures_every: int = 1,
-    done: Callable[[], None] = lambda: None,
+    observer: Callable[[Sample], None] | None = None,
+    all_cameras_every: int = 1,
+    progress: Progress = silent,
 ) -> Replay:
     """Replay a figure on rendered images.
 
     Args:
         twin: the head, with the figure's lens.
-        calibration: what is believed of the head.
-        figure: which one.
-        times_s: (N,) of the samples, rising.
-        watch: is shown the samples in their order, from another thread.
-        pictures_every: every so manieth sample has the pictures of all cameras; the others are
-            rendered only where they are needed, by the wide ones.
-        done: called after each sample.
+        calibration: the estimated calibration of the head.
+        figure: the figure to replay.
+        times_s: (N,) times of the samples, rising.
+        observer: is called with every sample in its order, from another thread.
+        all_cameras_every: every Nth sample is rendered by all cameras, the others only by the wide
+            cameras, which the estimation uses. Without an observer it has no effect.
+        progress: is called after each sample.
     """
     start = _LEAD_S
     twin.restart(figure.number)
     twin.place_object(np.array(figure.mean_m))
 
     def command(time_s: float) -> Array:
-        angles = eye_angles(figure.motion, np.array(time_s - start))
-        return np.concatenate([np.zeros(len(NECK_JOINTS)), angles])
+        return straight_neck(eye_angles(figure.motion, np.array(time_s - start)))
 
+    task = f"figure {figure.number}, {figure.motion}"
+    progress(task, 0, len(times_s))
     twin.advance(start / 2, command(start))  # to the first posture
     pending: list[Future[tuple[Array, dict[str, Array]]]] = []
-    # One worker: pictures are developed and searched while the next ones render.
+    # One worker: images are developed and searched while the next ones render.
     with ThreadPoolExecutor(max_workers=1) as worker:
         try:
             for index, time_s in enumerate(times_s):
                 twin.advance(start + time_s, command)
-                pictured = watch is not None and index % pictures_every == 0
-                exposure = twin.expose(tuple(twin.truth.cameras) if pictured else WIDE)
+                complete = observer is not None and index % all_cameras_every == 0
+                exposure = twin.expose(tuple(twin.truth.cameras) if complete else WIDE)
                 if len(pending) > index - 3 >= 0:
-                    pending[index - 3].result()  # keeps few pictures in memory, shows errors early
+                    pending[index - 3].result()  # limits images in memory, raises errors early
                 truth = (twin.true_angles(), twin.true_object(), twin.body_poses())
                 pending.append(
                     worker.submit(
-                        _observe, twin, calibration, exposure, index, time_s, watch, truth
+                        _measure, twin, calibration, exposure, index, time_s, observer, truth
                     )
                 )
-                done()
+                progress(task, index + 1, len(times_s))
         except BaseException:
             worker.shutdown(cancel_futures=True)
             raise
         results = [future.result() for future in pending]
-    observations = Observations(
+    measurements = Measurements(
         time_s=times_s,
         eye_angles=np.array([angles for angles, _ in results]),
         pixels_l=np.array([pixels[WIDE[0]] for _, pixels in results]),
         pixels_r=np.array([pixels[WIDE[1]] for _, pixels in results]),
     )
-    return estimate(calibration, figure, np.array(figure.mean_m), observations)
+    return estimate(calibration, figure, np.array(figure.mean_m), measurements)
 
 
-def _observe(
+def _measure(
     twin: Twin,
     calibration: HeadCalibration,
     exposure: Exposure,
     index: int,
     time_s: float,
-    watch: Callable[[Sample], None] | None,
+    observer: Callable[[Sample], None] | None,
     truth: tuple[Array, Array, dict[str, Array]],
 ) -> tuple[Array, dict[str, Array]]:
-    """Develop and search the pictures of one exposure; show them to who watches."""
+    """Develop the images of an exposure and find the object in them; call the observer.
+
+    Returns:
+        Joint readings (4,), and by camera the object's pixel (2,).
+    """
     frame = twin.develop(exposure)
     detected = {
         name: find_sphere(image, calibration.camera(name).intrinsics)
         for name, image in frame.images.items()
     }
-    if watch is not None:
+    if observer is not None:
         angles, where, body_poses = truth
         eyes = angles[len(NECK_JOINTS) :]
         shown = {name: see(twin.truth, name, eyes[None], where)[0] for name in frame.images}
-        watch(Sample(index, time_s, frame, detected, shown, body_poses))
+        observer(Sample(index, time_s, frame, detected, shown, body_poses))
     return frame.eye_angles, detected
 
 
 def estimate(
-    calibration: HeadCalibration, figure: Figure, object_m: Array, observations: Observations
+    calibration: HeadCalibration, figure: Figure, object_m: Array, measurements: Measurements
 ) -> Replay:
-    """Locate all samples and describe them: the part that rendered and point runs share."""
+    """Locate the object in all samples, and compute the statistics of its positions.
+
+    Args:
+        calibration: the estimated calibration of the head.
+        figure: the replayed figure.
+        object_m: (3,) true position of the object, in the left eye's base frame.
+        measurements: of rendered images or of projected points.
+    """
     located = locate(
-        calibration, observations.pixels_l, observations.pixels_r, observations.eye_angles
+        calibration, measurements.pixels_l, measurements.pixels_r, measurements.eye_angles
     )
-    return Replay(figure, object_m, observations, located, describe(located.points))
+    return Replay(figure, object_m, measurements, located, describe(located.points))
+
+
+def summary(result: Replay) -> dict[str, list[float] | int]:
+    """Return a figure's results and the paper's beside them, as plain values for JSON."""
+    return {
+        "paper_mean_m": list(result.figure.mean_m),
+        "paper_std_m": list(result.figure.std_m),
+        "object_m": result.object_m.tolist(),
+        "mean_m": result.statistics.mean_m.tolist(),
+        "std_m": result.statistics.std_m.tolist(),
+        "samples": result.statistics.samples,
+        "dropped": result.statistics.dropped,
+    }
 
 
 def see(head: HeadCalibration, camera: str, eyes: Array, point: Array) -> Array:
-    """Return the pixels (N, 2) of a point (3,) in the left base frame at eye angles (N, 4)."""
+    """Return the pixels (N, 2) of a point (3,) in the left eye's base frame at eye angles (N, 4).
+
+    NaN where the point is behind the camera.
+    """
     mounted = head.camera(camera)
     left = mounted.eye == "left"
     in_base = point if left else transform(head.T_rbase_lbase, point)
@@ -192,21 +229,21 @@ def observe_points(
     *,
     pixel_noise: float = 0.0,
     rng: np.random.Generator,
-) -> Observations:
-    """Return what a run would measure, without images and physics: for studies of many cases.
+) -> Measurements:
+    """Simulate the measurements of a replay by projection, without images and physics.
 
     Args:
         truth: the true head.
-        profile: for its joint sensors.
-        figure: which motion and object.
-        times_s: (N,).
+        profile: the error profile; only its joint sensors are used.
+        figure: the figure whose motion and object are simulated.
+        times_s: (N,) times of the samples [s].
         pixel_noise: standard deviation of the object's position in the images [px].
-        rng: of both noises.
+        rng: generator of the noise of pixels and joint readings.
     """
     delay = profile.joints.delay_ms * 1e-3
     at_image = eye_angles(figure.motion, times_s - max(0.0, -delay))
     at_reading = eye_angles(figure.motion, times_s - max(0.0, delay))
-    if profile.joints.backlash_deg:  # wound through one whole period before
+    if profile.joints.backlash_deg:  # taken up over one whole period beforehand
         lead = np.linspace(-PERIOD_S[figure.motion], 0, 4000)[:-1]
         width = np.radians(profile.joints.backlash_deg)
         wound = np.concatenate([eye_angles(figure.motion, lead), at_reading])
@@ -215,4 +252,4 @@ def observe_points(
     point = np.array(figure.mean_m)
     pixels = [see(truth, name, at_image, point) for name in WIDE]
     noisy = [uv + rng.normal(0, pixel_noise, uv.shape) for uv in pixels]
-    return Observations(times_s, readings, noisy[0], noisy[1])
+    return Measurements(times_s, readings, noisy[0], noisy[1])

@@ -1,4 +1,4 @@
-"""The results in words: report.md, and the page inside each recording."""
+"""The results as text: report.md, and the page inside each recording."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _LEFT_PAN, _RIGHT_PAN = 0, 2
 
 
 def orientation_error(result: Replay, joints: Joints) -> float:
-    """Return the standard deviation [rad] of the wrong angle between the cameras, in a figure.
+    """Return the standard deviation [rad] of the error in the angle between the cameras.
 
-    It is what the profile's joint sensors add to the difference of the two pan readings along the
+    That error is what the joint sensors add to the difference of the two pan readings along the
     figure's motion: noise, quantisation, gain and delay (backlash is left out).
     """
-    times = result.observations.time_s
+    times = result.measurements.time_s
     true = eye_angles(result.figure.motion, times)
     sensed = eye_angles(result.figure.motion, times - joints.delay_ms * 1e-3)
     wrong = read(sensed, joints, np.random.default_rng(0)) - true
@@ -33,10 +33,10 @@ def orientation_error(result: Replay, joints: Joints) -> float:
 
 
 def predicted_depth_std(result: Replay, profile: ErrorProfile, head: HeadCalibration) -> float:
-    """Return the depth spread [m] that Eqs. 20-21 predict from the profile's joint sensors.
+    """Return the standard deviation of depth [m] that Eqs. 20-21 predict from the joint sensors.
 
-    Depth and baseline are those of the camera centres at straight gaze. Errors of the calibration
-    and of image matching are not in these equations, as the paper uses them.
+    Depth and baseline are those of the camera centres at straight gaze. Eqs. 20-21, as the paper
+    uses them, leave out errors of the calibration and of image matching.
     """
     straight = np.zeros(2)
     T_lbase_lcam = T_base_cam(head, "left_wide", straight)
@@ -50,7 +50,7 @@ def predicted_depth_std(result: Replay, profile: ErrorProfile, head: HeadCalibra
 
 
 def figure_report(result: Replay, profile: ErrorProfile, head: HeadCalibration) -> str:
-    """Return the page that goes into a figure's recording."""
+    """Return the markdown page that goes into a figure's recording."""
     figure, ours = result.figure, result.statistics
     rows = "\n".join(
         f"| {axis} | {object_m:+.3f} | {mean:+.4f} | {std:.4f} | {paper:.3f} | {std / paper:.2f} |"
@@ -67,8 +67,8 @@ Positions in metres from the left eye's rotation centre; x is depth.
 |---|---|---|---|---|---|
 {rows}
 
-{ours.samples} samples located, {ours.dropped} dropped. Eqs. 20-21 predict a depth spread of
-{predicted_depth_std(result, profile, head):.4f} m from the joint sensors alone.
+{ours.samples} samples located, {ours.dropped} dropped. Eqs. 20-21 predict a standard deviation of
+depth of {predicted_depth_std(result, profile, head):.4f} m from the joint sensors alone.
 
 Error profile `{profile.name}`: {profile.description} {_fitted_line(profile)}
 """
@@ -81,20 +81,20 @@ def report(
     profile: ErrorProfile,
     seed: int,
 ) -> str:
-    """Return report.md.
+    """Return the text of report.md.
 
     Args:
-        replays: by figure.
-        calibrations: by lens, as they were made.
-        heads: by lens, as they were used: with what the profile writes in by hand.
-        profile: that was run.
-        seed: that was run.
+        replays: by number of the figure.
+        calibrations: by lens, as they were estimated.
+        heads: by lens, as they were used: with the errors that the profile injects.
+        profile: the error profile of the run.
+        seed: the seed of the run.
     """
     parts = [
         f"# Figs. 6-11, error profile `{profile.name}`, seed {seed}",
         f"{profile.description} {_fitted_line(profile)}",
         "All numbers come from rendered images. Positions in metres from the left eye's rotation "
-        "centre, x forward (depth), y left, z up; `paper` is what its captions print.",
+        "centre, x forward (depth), y left, z up; `paper` is what the paper's captions print.",
         "## Standard deviations",
         _std_table(replays, heads, profile),
         _verdict(replays),
@@ -136,8 +136,8 @@ def _std_table(
             f"| {ours.dropped} |"
         )
     lines.append(
-        "\nThe column of Eqs. 20-21 knows the joint sensors only (noise, quantisation, gain, "
-        "delay); what the calibration and the mechanics add is not in those equations."
+        "\nThe column of Eqs. 20-21 includes the joint sensors only (noise, quantisation, gain, "
+        "delay), not what the calibration and the mechanics add."
     )
     return "\n".join(lines)
 
@@ -151,7 +151,7 @@ def _verdict(replays: Mapping[int, Replay]) -> str:
     depth = float(np.abs(ratios[:, 0] - 1).max())
     return (
         f"Of {ratios.size} standard deviations {close} are within 25 % of the paper's, all within "
-        f"a factor {worst:.2f}; depth spreads within {100 * depth:.0f} %. The paper rounds to "
+        f"a factor {worst:.2f}; those of depth within {100 * depth:.0f} %. The paper rounds to "
         "1 mm, which alone makes a printed 2 mm uncertain by 25 %."
     )
 
@@ -181,10 +181,11 @@ def _calibration_table(calibrations: Mapping[str, PaperCalibration]) -> str:
                 f"| {lens} | {name} | {intrinsics.views} | {intrinsics.rms_px:.3f} px "
                 f"| {focal:.2f} px |"
             )
+    for lens, found in calibrations.items():
         eyes = ", ".join(f"{count} ({eye})" for eye, count in found.eye_views.items())
         lines.append(
             f"\nStatic stereo with the {lens} lens: {found.stereo_views} views, RMS "
-            f"{found.stereo_rms_px:.3f} px. Eye orientations: {eyes}.\n"
+            f"{found.stereo_rms_px:.3f} px. Eye orientations: {eyes}."
         )
     return "\n".join(lines)
 

@@ -1,16 +1,14 @@
-"""The main job: build the head, calibrate it, replay the figures, write what came out."""
+"""Reproduce the paper: build the head, calibrate it, replay the figures, write the results."""
 
 from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from vergence.arrays import Array
 from vergence.calibration.sequential.sequential import PaperCalibration, calibrate
@@ -19,33 +17,35 @@ from vergence.files import write_whole
 from vergence.geometry.head import HeadCalibration, save
 from vergence.paper.figures import FIGURES, Figure
 from vergence.paper.plots import paper_figures
-from vergence.paper.recording import figure_recording, log_report, log_series, log_statistics
-from vergence.paper.replay import Replay, Sample, replay, sample_times
+from vergence.paper.recording import figure_recording, log_results
+from vergence.paper.replay import Replay, Sample, replay, sample_times, summary
 from vergence.paper.report import figure_report, report
+from vergence.progress import Progress, silent
 from vergence.twin.appearance import visual_geoms
-from vergence.twin.calibration_errors import written_by_hand
-from vergence.twin.calibration_sequence import look, plan
+from vergence.twin.calibration_errors import inject_calibration_error
+from vergence.twin.calibration_sequence import capture_views, plan
 from vergence.twin.head import Twin
 from vergence.twin.model import FOCAL_MM
 from vergence.twin.profile import ErrorProfile
 from vergence.viewer.frame import log_frame
+from vergence.viewer.opening import log_report
 
-_PICTURES = 160
-"""Samples of a figure whose pictures go into the recording; more make it large, not clearer."""
+_SAMPLES_WITH_IMAGES = 160
+"""About how many samples of a figure have their images in the recording, which keeps it small."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reproduction:
-    """All that a run found, so far."""
+    """All results of a run so far."""
 
     profile: ErrorProfile
     seed: int
     calibrations: dict[str, PaperCalibration]
-    """By lens, as they were made."""
+    """By lens, as they were estimated."""
     heads: dict[str, HeadCalibration]
-    """By lens, as they are used: with the errors that the profile writes in by hand."""
+    """By lens, as they are used: with the calibration errors that the profile injects."""
     replays: dict[int, Replay]
-    """By figure."""
+    """By number of the figure."""
 
 
 def reproduce(
@@ -56,50 +56,65 @@ def reproduce(
     seed: int,
     duration_s: float | None = None,
     rate_hz: float | None = None,
+    progress: Progress = silent,
 ) -> Reproduction:
     """Replay figures and write recordings, plots, report and statistics into a folder.
 
-    What is finished is on disk at once, so that an interrupted run loses only its last figure.
+    Results are written after each figure, so that an interrupted run loses only its last one.
+
+    Args:
+        out: folder of the results; made if it is not there.
+        figures: numbers of the paper's figures.
+        profile: the error profile of the twin.
+        seed: of everything random.
+        duration_s: length of each replay; None: its full combined period, at least 60 s.
+        rate_hz: samples per second; None: 640 samples per figure.
+        progress: is called after each view of a calibration and each sample of a figure.
 
     Raises:
         VergenceError: an argument cannot be met, or the folder cannot be written.
     """
-    chosen = _checked(figures, seed, duration_s, rate_hz)
-    _writable(out)
+    chosen = check(out, figures=figures, seed=seed, duration_s=duration_s, rate_hz=rate_hz)
     done = Reproduction(profile, seed, {}, {}, {})
-    with _progress() as progress:
-        try:
-            for lens in FOCAL_MM:
-                through_it = [figure for figure in chosen if figure.lens == lens]
-                if not through_it:
-                    continue
-                with Twin(profile, seed=seed, lens=lens) as twin:
-                    found = _calibrate(twin, lens, seed, out, progress)
-                    done.calibrations[lens] = found
-                    done.heads[lens] = written_by_hand(found.head, profile.by_hand, lens)
-                    for figure in through_it:
-                        times = sample_times(figure, duration_s, rate_hz)
-                        label = f"figure {figure.number}, {figure.motion}"
-                        task = progress.add_task(label, total=len(times))
-                        done.replays[figure.number] = record_replay(
-                            twin,
-                            done.heads[lens],
-                            figure,
-                            times,
-                            out / f"fig{figure.number:02d}.rrd",
-                            profile=profile,
-                            done=partial(progress.advance, task),
-                        )
-                        _write(out, done)
-        finally:
-            if done.replays:
-                paper_figures(out / "figures.png", list(done.replays.values()))
+    try:
+        for lens in FOCAL_MM:
+            through_it = [figure for figure in chosen if figure.lens == lens]
+            if not through_it:
+                continue
+            with Twin(profile, seed=seed, lens=lens) as twin:
+                found = _calibrate(twin, lens, seed, progress)
+                save(found.head, out / f"calibration-{lens}.json")
+                done.calibrations[lens] = found
+                done.heads[lens] = inject_calibration_error(found.head, profile.by_hand, lens)
+                for figure in through_it:
+                    done.replays[figure.number] = record_replay(
+                        twin,
+                        done.heads[lens],
+                        figure,
+                        sample_times(figure, duration_s, rate_hz),
+                        out / f"fig{figure.number:02d}.rrd",
+                        progress=progress,
+                    )
+                    _write(out, done)
+    finally:
+        if done.replays:
+            paper_figures(out / "figures.png", list(done.replays.values()))
     return done
 
 
-def _checked(
-    figures: Sequence[int], seed: int, duration_s: float | None, rate_hz: float | None
+def check(
+    out: Path,
+    *,
+    figures: Sequence[int],
+    seed: int,
+    duration_s: float | None = None,
+    rate_hz: float | None = None,
 ) -> list[Figure]:
+    """Check the arguments of `reproduce` before any work is done, and return the figures.
+
+    Raises:
+        VergenceError: an argument cannot be met, or the folder cannot be written.
+    """
     unknown = [number for number in figures if number not in FIGURES]
     if unknown or not figures:
         asked = f"figure {unknown[0]}" if unknown else "no figure"
@@ -122,62 +137,51 @@ def _checked(
                 f"A duration of {duration_s} s at {rate_hz or 'the default rate'} gives samples "
                 "less than 1 ms apart, or fewer than two; ask for a longer or slower run."
             )
-    return chosen
-
-
-def _writable(out: Path) -> None:
-    """Find out before the work, not after it, whether the results can be written."""
     try:
         out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=out):
             pass
     except OSError as error:
         raise VergenceError(f"Cannot write into the folder {out}: {error.strerror}.") from error
+    return chosen
 
 
-def _progress() -> Progress:
-    return Progress(
-        TextColumn("{task.description:<28}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
+def _calibrate(twin: Twin, lens: str, seed: int, progress: Progress) -> PaperCalibration:
+    task = f"calibrating, {lens} lens"
+    views = capture_views(
+        twin,
+        plan(twin.nominal, seed),
+        progress=lambda _, done, total: progress(task, done, total),
     )
-
-
-def _calibrate(twin: Twin, lens: str, seed: int, out: Path, progress: Progress) -> PaperCalibration:
-    shots = plan(twin.nominal, seed)
-    task = progress.add_task(f"calibrating, {lens} lens", total=len(shots))
-    views = look(twin, shots, done=lambda: progress.advance(task))
-    found = calibrate(views, wide_lens=twin.profile.calibration.wide_lens, neck=twin.nominal.neck)
-    save(found.head, out / f"calibration-{lens}.json")
-    return found
+    return calibrate(views, wide_lens=twin.profile.calibration.wide_lens, neck=twin.nominal.neck)
 
 
 def record_replay(
     twin: Twin,
-    believed: HeadCalibration,
+    calibration: HeadCalibration,
     figure: Figure,
     times_s: Array,
     path: Path,
     *,
-    profile: ErrorProfile,
-    done: Callable[[], None] = lambda: None,
+    progress: Progress = silent,
 ) -> Replay:
     """Replay one figure on rendered images, and record it.
 
     Args:
         twin: the head, with the figure's lens.
-        believed: the calibration that is used.
-        figure: which one.
-        times_s: (N,) of the samples.
+        calibration: the estimated calibration of the head.
+        figure: the figure to replay.
+        times_s: (N,) times of the samples [s], rising.
         path: of the recording.
-        profile: for the report in the recording.
-        done: called after each sample.
-    """
-    every = picture_interval(times_s)
-    with figure_recording(path, figure, believed, visual_geoms(twin.model)) as rec:
+        progress: is called after each sample.
 
-        def watch(sample: Sample) -> None:
+    Raises:
+        VergenceError: the recording cannot be written.
+    """
+    every = image_interval(times_s)
+    with figure_recording(path, figure, calibration, visual_geoms(twin.model)) as rec:
+
+        def observer(sample: Sample) -> None:
             log_frame(
                 rec,
                 time_s=sample.time_s,
@@ -189,49 +193,33 @@ def record_replay(
             )
 
         result = replay(
-            twin, believed, figure, times_s, watch=watch, pictures_every=every, done=done
+            twin,
+            calibration,
+            figure,
+            times_s,
+            observer=observer,
+            all_cameras_every=every,
+            progress=progress,
         )
-        log_series(
-            rec,
-            figure=figure,
-            head=believed,
-            time_s=times_s,
-            points=result.located.points,
-            object_m=result.object_m,
-            eye_angles=result.observations.eye_angles,
-            statistics=result.statistics,
-            T_world_lbase=twin.T_world_lbase(),
-        )
-        log_statistics(rec, figure=figure, object_m=result.object_m, statistics=result.statistics)
-        log_report(rec, figure_report(result, profile, believed))
+        log_results(rec, result, calibration, twin.T_world_lbase())
+        log_report(rec, figure_report(result, twin.profile, calibration))
     return result
 
 
-def picture_interval(times_s: Array) -> int:
-    """Return of how many samples one is recorded with its pictures."""
-    return max(1, len(times_s) // _PICTURES)
+def image_interval(times_s: Array) -> int:
+    """Return N such that every Nth sample is recorded with its images."""
+    return max(1, len(times_s) // _SAMPLES_WITH_IMAGES)
 
 
 def _write(out: Path, done: Reproduction) -> None:
-    figures = {
-        str(number): {
-            "paper_mean_m": list(result.figure.mean_m),
-            "paper_std_m": list(result.figure.std_m),
-            "object_m": result.object_m.tolist(),
-            "mean_m": result.statistics.mean_m.tolist(),
-            "std_m": result.statistics.std_m.tolist(),
-            "samples": result.statistics.samples,
-            "dropped": result.statistics.dropped,
-        }
-        for number, result in sorted(done.replays.items())
-    }
-    summary = {
+    """Write statistics.json and report.md of the figures so far."""
+    results = {
         "profile": done.profile.name,
         "fitted_parameters": len(done.profile.fitted),
         "seed": done.seed,
-        "figures": figures,
+        "figures": {str(number): summary(done.replays[number]) for number in sorted(done.replays)},
     }
-    write_whole(out / "statistics.json", json.dumps(summary, indent=1) + "\n")
+    write_whole(out / "statistics.json", json.dumps(results, indent=1) + "\n")
     write_whole(
         out / "report.md",
         report(done.replays, done.calibrations, done.heads, done.profile, done.seed),

@@ -1,4 +1,4 @@
-"""What the paper states of each figure: mean and standard deviation of the estimates."""
+"""Mean and standard deviation of a figure's estimates, as the paper states them."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from vergence.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """Of one figure's estimates, from the left eye's rotation centre (x forward = depth)."""
+    """Statistics of one figure's estimates, in the left eye's base frame (x forward = depth)."""
 
     mean_m: Array
-    """(3,)."""
+    """(3,) mean."""
     std_m: Array
-    """(3,), with N - 1 in the denominator."""
+    """(3,) standard deviation, with N - 1 in the denominator."""
     samples: int
     """Samples that were located."""
     dropped: int
@@ -24,10 +24,9 @@ class Statistics:
 
 
 def describe(points: Array) -> Statistics:
-    """Return the statistics of points (N, 3), leaving out those with NaN."""
+    """Return the statistics of points (N, 3) [m]; rows with NaN count as dropped samples."""
     good = points[np.isfinite(points).all(axis=1)]
-    if len(good) < 2:
-        return Statistics(
-            np.full(3, np.nan), np.full(3, np.nan), len(good), len(points) - len(good)
-        )
-    return Statistics(good.mean(0), good.std(0, ddof=1), len(good), len(points) - len(good))
+    mean, std = np.full((2, 3), np.nan)
+    if len(good) >= 2:
+        mean, std = good.mean(0), good.std(0, ddof=1)
+    return Statistics(mean, std, len(good), len(points) - len(good))

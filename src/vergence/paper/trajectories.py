@@ -1,4 +1,4 @@
-"""How the eyes move in the experiments (Eqs. 22-23)."""
+"""Eye motions of the paper's experiments (Eqs. 22-23)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from vergence.paper.figures import Motion
 
 AMPLITUDE_RAD = 0.25
 PERIOD_S = {"parallel": 6 * np.pi, "divergent": 60 * np.pi}
-"""Time after which all joints together repeat: least common multiple of the periods."""
+"""Combined period of all joints: the least common multiple of their periods."""
 
 
 def eye_angles(motion: Motion, time_s: Array) -> Array:
@@ -25,6 +25,6 @@ def eye_angles(motion: Motion, time_s: Array) -> Array:
 def default_duration_s(motion: Motion) -> float:
     """Return the full combined period, repeated until it lasts at least 60 s.
 
-    Below 60 s the spreads depend on the duration.
+    Below 60 s the standard deviations depend on the duration.
     """
     return float(PERIOD_S[motion] * np.ceil(60 / PERIOD_S[motion]))

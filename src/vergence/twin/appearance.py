@@ -1,4 +1,4 @@
-"""What the model looks like: its visible shapes, for whoever draws the head without MuJoCo."""
+"""The visible shapes of a model, for drawing the head without MuJoCo."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's compiled module has no type stubs.
@@ -26,9 +26,9 @@ _SHAPES: dict[int, Shape] = {
     mujoco.mjtGeom.mjGEOM_MESH: "mesh",
 }
 _VISUAL_GROUPS = (0, 1, 2)
-"""Drawn by MuJoCo unless told otherwise; group 3 is the head's collision shapes."""
+"""Groups that MuJoCo draws by default; group 3 has the head's collision shapes."""
 _ROOM = 0
-"""Body id of the world: walls and furniture, which would hide the head in a view from outside."""
+"""Id of body world, with walls and furniture that would hide the head in a view from outside."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,14 +38,14 @@ class VisualGeom:
     body: str
     shape: Shape
     size: Array
-    """(3,) [m], MuJoCo's: half sizes of a box, an ellipsoid and a plane, radius of a sphere, radius
-    and half length along z of a cylinder and a capsule; a mesh has its size in its triangles."""
+    """(3,) [m] as in MuJoCo: half sizes of a box, an ellipsoid and a plane, radius of a sphere,
+    radius and half length along z of a cylinder and a capsule; unused for a mesh."""
     T_body_geom: Array
-    """(4, 4)."""
+    """(4, 4) pose in the body."""
     rgba: Array
-    """(4,) from 0 to 1."""
+    """(4,) colour and opacity, from 0 to 1."""
     texture: np.ndarray | None = None
-    """(H, W, 3) uint8, RGB, of a plane: spread over it once, the first row at +y, from -x to +x."""
+    """(H, W, 3) uint8 RGB, spread once over a plane: first row at +y, columns from -x to +x."""
     triangles: Array | None = None
     """(F, 3, 3) corners [m] of a mesh, in frame geom."""
     normals: Array | None = None
@@ -53,7 +53,7 @@ class VisualGeom:
 
 
 def visual_geoms(model: mujoco.MjModel) -> list[VisualGeom]:
-    """Return the visible shapes of every body, without the room and the collision shapes."""
+    """Return the visible shapes of all bodies, without the room and the collision shapes."""
     geoms = []
     for k in range(model.ngeom):
         if model.geom_group[k] not in _VISUAL_GROUPS or model.geom_bodyid[k] == _ROOM:

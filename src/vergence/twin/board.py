@@ -1,4 +1,4 @@
-"""Another board for the scene than the chessboard that the model comes with."""
+"""Replace the chessboard of the scene by a ChArUco board."""
 
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
@@ -11,19 +11,19 @@ from vergence.errors import VergenceError
 from vergence.geometry.board import Charuco, opencv_board
 
 MARGIN_SQUARES = 0.5
-"""White all around: enough for the markers' black frames at the edge."""
+"""Width of the white margin, enough for the markers' black frames at the edge."""
 TEXELS_PER_SQUARE = 128
-"""More than the narrow cameras see of it: what is seen larger is drawn with stairs. A power
-of two, so that the mipmaps are halved evenly and keep the corners where they are."""
+"""Finer than the narrow cameras resolve, since magnified texels would show as steps. A power of
+two, so that mipmaps are halved evenly and do not shift the corners."""
 FINER = 4
-"""OpenCV puts a marker on whole pixels, to one side of its square by up to one: it is drawn so many
-times as large, and averaged."""
+"""Oversampling: OpenCV draws a marker on whole pixels, off the centre of its square by up to one
+pixel, so the board is drawn this many times larger and averaged."""
 BLACK, WHITE = 25, 235
-"""As the chessboard's (models/cbi_head/assets/make_textures.py)."""
+"""Grey levels, as of the chessboard (models/cbi_head/assets/make_textures.py)."""
 
 
 def put_charuco(spec: mujoco.MjSpec, board: Charuco) -> None:
-    """Put a ChArUco board in the place of the scene's chessboard.
+    """Replace the chessboard of a scene by a ChArUco board.
 
     Raises:
         VergenceError: OpenCV cannot draw this board.
@@ -40,7 +40,7 @@ def put_charuco(spec: mujoco.MjSpec, board: Charuco) -> None:
     grey = np.pad(grey, round(MARGIN_SQUARES * TEXELS_PER_SQUARE), constant_values=WHITE)
     done, png = cv2.imencode(".png", grey)
     assert done
-    # In memory, and under a name of its own: MuJoCo keeps files by name for a second.
+    # In memory, with a name of its own: MuJoCo caches files by name for a second.
     spec.assets = {"charuco.png": png.tobytes()}
     spec.texture("board").file = "charuco.png"
     half = (np.array([board.squares_x, board.squares_y]) / 2 + MARGIN_SQUARES) * board.square_m

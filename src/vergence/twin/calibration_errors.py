@@ -1,4 +1,4 @@
-"""Errors that are written into a finished calibration, for studies of what they do."""
+"""Inject errors into a finished calibration, to study their effect."""
 
 from __future__ import annotations
 
@@ -13,10 +13,16 @@ from vergence.stereo.triangulation import fixed_transform
 from vergence.twin.profile import ByHand
 
 
-def written_by_hand(
+def inject_calibration_error(
     calibration: HeadCalibration, by_hand: ByHand, figure_lens: str
 ) -> HeadCalibration:
-    """Return a calibration with errors written into it; straight gaze stays exact (Eq. 10)."""
+    """Return a calibration with errors in its wide cameras; straight gaze stays exact (Eq. 10).
+
+    Args:
+        calibration: of a head with the cameras left_wide and right_wide.
+        by_hand: the errors; without any, the calibration itself is returned.
+        figure_lens: 2.8mm or 4.0mm, which selects the error of the focal length.
+    """
     if by_hand == ByHand():
         return calibration
     focal = by_hand.focal_percent_28 if figure_lens == "2.8mm" else by_hand.focal_percent_40
@@ -31,11 +37,16 @@ def written_by_hand(
             intrinsics=replace(mounted.intrinsics, matrix=matrix),
             T_eye_cam=mounted.T_eye_cam @ pose(roll, [0, 0, by_hand.axial_mm * 1e-3]),
         )
-    return static_kept(calibration, replace(calibration, cameras=cameras))
+    return rebase_at_zero(calibration, replace(calibration, cameras=cameras))
 
 
-def static_kept(before: HeadCalibration, after: HeadCalibration) -> HeadCalibration:
-    """Return `after` with T_rbase_lbase such that both agree on the stereo at straight gaze."""
+def rebase_at_zero(before: HeadCalibration, after: HeadCalibration) -> HeadCalibration:
+    """Recompute T_rbase_lbase by Eq. 10, so that T_rcam_lcam at zero joint angles stays the same.
+
+    Args:
+        before: the calibration that has the T_rcam_lcam to keep.
+        after: the calibration with changed cameras, which is returned with another T_rbase_lbase.
+    """
     straight = np.zeros(2)
     T_rcam_lcam = (
         inverse(T_base_cam(before, "right_wide", straight))

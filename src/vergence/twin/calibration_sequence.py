@@ -1,11 +1,12 @@
-"""The calibration sequence: where the board is held and where the eyes look (Sec. II, Fig. 4).
+"""The calibration sequence: poses of the board and directions of the eyes (Sec. II, Fig. 4).
 
-Planned from the head as designed, as an engineer would, and carried out on the as-built one.
+`plan` uses only the nominal head, as an engineer would; `capture_views` carries the plan out on the
+as-built twin, and `simulate_views` projects corners instead of rendering images.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -18,22 +19,23 @@ from vergence.geometry.camera import project
 from vergence.geometry.head import HeadCalibration, T_base_cam
 from vergence.geometry.kinematics import EYES, NECK_JOINTS
 from vergence.geometry.se3 import inverse, pose, rotation, transform
+from vergence.progress import Progress, silent
 from vergence.twin.head import Exposure, Twin
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.sensors import read
 from vergence.vision.board_detection import detect_board
 
 BOARD = Chessboard(columns=9, rows=6, square_m=0.030)
-"""The board of the scene."""
+"""The chessboard of the twin's scene."""
 
 WIDE_VIEWS = 18
-"""Boards near the eyes, for the wide cameras and the static stereo."""
+"""Poses of the board near the eyes, for the wide cameras and static stereo."""
 NARROW_VIEWS = 12
-"""Boards for each narrow camera, seen by both wide ones too."""
+"""Poses of the board for each narrow camera, in view of both wide cameras too."""
 ORIENTATIONS = 60
-"""Eye orientations at which the fixed board is seen."""
+"""Eye orientations at which the board at rest is seen, for hand-eye calibration."""
 T_LBASE_FIXED = (0.60, 0.0, 0.0), (0.25, -0.2, 0.05)
-"""Where the fixed board has its middle [m], and how it is turned from facing the head [rad]."""
+"""Position of the centre of the board at rest [m], and its rotation from facing the head [rad]."""
 _MARGIN_RAD = 0.055  # room for the board's white margin, and for cameras that sit a few degrees off
 _R_LBASE_FACING = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # the board's x right, y down
 
@@ -43,11 +45,13 @@ class Shot:
     """One view of the sequence."""
 
     placement: int
+    """Number of the board's pose: views of one pose of the board share it."""
     T_lbase_target: Array
-    """(4, 4) where the board is held."""
+    """(4, 4) pose of the board."""
     eye_angles: Array
-    """(4,) where the eyes are told to look [rad]."""
+    """(4,) commanded joint angles [rad], in the order of EYE_JOINTS."""
     cameras: tuple[str, ...]
+    """The cameras that take an image."""
 
 
 def plan(
@@ -57,13 +61,14 @@ def plan(
     board: Board = BOARD,
     views: tuple[int, int, int] = (WIDE_VIEWS, NARROW_VIEWS, ORIENTATIONS),
 ) -> list[Shot]:
-    """Return the sequence of views for a head as designed.
+    """Plan the views of a calibration sequence.
 
     Args:
         head: the nominal head.
-        seed: of the places at which the board is held.
-        board: what is held.
-        views: how many for the wide cameras, for each narrow camera, and of the fixed board.
+        seed: of the poses of the board.
+        board: the board to show.
+        views: numbers of views for the wide cameras, for each narrow camera, and of the board at
+            rest.
     """
     wide_views, narrow_views, orientations = views
     rng = np.random.default_rng([seed, 4])
@@ -80,8 +85,8 @@ def plan(
             shots.append(Shot(len(shots), T, straight, trio))
     fixed = len(shots)
     T_fixed = _facing(board, *map(np.array, T_LBASE_FIXED))
-    # Directions spread evenly over an ellipse (sunflower): pan and tilt vary independently. Its
-    # innermost three are left out, since they would pass for straight gaze.
+    # Directions spread evenly over an ellipse (sunflower): pan and tilt vary independently. The
+    # innermost three are left out: the calibration would take them for straight gaze.
     k = np.arange(3, orientations + 3) + 0.5
     radius, turn = np.sqrt(k / (orientations + 3)), k * np.pi * (3 - np.sqrt(5))
     gaze = np.stack([0.30 * radius * np.cos(turn), 0.26 * radius * np.sin(turn)], axis=-1)
@@ -90,13 +95,13 @@ def plan(
 
 
 def _facing(board: Board, centre: Sequence[float] | Array, turn: Array) -> Array:
-    """Return T_lbase_target of a board around a centre, turned from facing the head."""
+    """Return T_lbase_target of a board with its middle at a centre, turned from facing the head."""
     middle = corner_points(board).mean(axis=0)
     return pose(_R_LBASE_FACING @ rotation(turn), centre) @ pose(t=-middle)
 
 
 def visible(head: HeadCalibration, board: Board, name: str, shot: Shot) -> np.ndarray:
-    """Return (K,) which corners a camera sees well clear of its image's edge."""
+    """Return a mask (K,) of the corners that a camera sees well inside its image."""
     camera = head.camera(name).intrinsics
     uv = project_board(head, board, name, shot)
     size = np.array([camera.width, camera.height])
@@ -105,7 +110,7 @@ def visible(head: HeadCalibration, board: Board, name: str, shot: Shot) -> np.nd
 
 
 def project_board(head: HeadCalibration, board: Board, name: str, shot: Shot) -> Array:
-    """Return the corners' pixels (K, 2) in a camera of a head that stands as the shot says."""
+    """Return the pixels (K, 2) of the board's corners in a camera, at a shot's pose and angles."""
     mounted = head.camera(name)
     left = mounted.eye == "left"
     T_base_target = shot.T_lbase_target if left else head.T_rbase_lbase @ shot.T_lbase_target
@@ -122,7 +127,7 @@ def _held_board(
     lean_rad: float,
     rng: np.random.Generator,
 ) -> Array:
-    """Return a random T_lbase_target at which the board is wholly seen by all the cameras."""
+    """Return a random T_lbase_target at which all the cameras see the whole board."""
     mounted = head.camera(cameras[-1])
     eye_y = 0.0 if mounted.eye == "left" else inverse(head.T_rbase_lbase)[1, 3]
     slope = mounted.intrinsics.width / 2 / mounted.intrinsics.matrix[0, 0]
@@ -137,32 +142,58 @@ def _held_board(
     raise AssertionError("the board fits into no image at these depths")
 
 
-def told_board(profile: ErrorProfile, board: Board = BOARD) -> Board:
-    """Return a board as the software was told: wrong where the print came out larger."""
+def board_as_given(profile: ErrorProfile, board: Board = BOARD) -> Board:
+    """Return the board with the dimensions given to the calibration.
+
+    They are wrong if the profile says that the board was printed larger than intended.
+    """
     printed = 1 + profile.calibration.square_percent / 100
     if isinstance(board, Chessboard):
         return replace(board, square_m=board.square_m / printed)
     return replace(board, square_m=board.square_m / printed, marker_m=board.marker_m / printed)
 
 
-def look(twin: Twin, shots: Sequence[Shot], *, done: Callable[[], None] = lambda: None) -> Views:
+def straight_neck(eye_angles: Array) -> Array:
+    """Return the command (7,) for eye angles (4,) [rad] with the neck straight."""
+    return np.concatenate([np.zeros(len(NECK_JOINTS)), eye_angles])
+
+
+def carry_out(twin: Twin, shots: Sequence[Shot], *, interval_s: float = 0.0) -> Iterator[Shot]:
+    """Move board and eyes of the twin as each shot has them, and yield the shot.
+
+    Args:
+        twin: the head.
+        shots: in their order.
+        interval_s: simulated time between two shots with the same eye angles; otherwise the twin
+            advances until the eyes have settled.
+    """
+    posture: Array | None = None
+    for shot in shots:
+        twin.place_board(shot.T_lbase_target)
+        command = straight_neck(shot.eye_angles)
+        if posture is None or (shot.eye_angles != posture).any():
+            posture = shot.eye_angles
+            twin.settle(command)
+        else:
+            twin.advance(twin.time_s + interval_s, command)
+        yield shot
+
+
+def capture_views(twin: Twin, shots: Sequence[Shot], *, progress: Progress = silent) -> Views:
     """Carry out a sequence on the twin and find the board in its images.
 
     Args:
         twin: the head.
-        shots: what to look at.
-        done: called after each view.
+        shots: the planned views.
+        progress: is called after each view.
     """
-    posture: Array | None = None
+    task = "calibration views"
+    progress(task, 0, len(shots))
     with ThreadPoolExecutor(max_workers=2) as pool:
         detections = []
-        for shot in shots:
-            twin.place_board(shot.T_lbase_target)
-            if posture is None or (shot.eye_angles != posture).any():
-                posture = shot.eye_angles
-                twin.settle(np.concatenate([np.zeros(len(NECK_JOINTS)), posture]))
+        for shot in carry_out(twin, shots):
             detections.append(pool.submit(_detect, twin, twin.expose(shot.cameras)))
-            done()
+            progress(task, len(detections), len(shots))
         seen = [detection.result() for detection in detections]
     twin.place_board(None)
     angles = np.array([eye_angles for eye_angles, _ in seen])
@@ -175,7 +206,7 @@ def _detect(twin: Twin, exposure: Exposure) -> tuple[Array, dict[str, Array | No
     return frame.eye_angles, found
 
 
-def look_at_points(
+def simulate_views(
     truth: HeadCalibration,
     profile: ErrorProfile,
     shots: Sequence[Shot],
@@ -183,7 +214,15 @@ def look_at_points(
     pixel_noise: float,
     rng: np.random.Generator,
 ) -> Views:
-    """Return what `look` would, without images: corners projected, with white noise [px]."""
+    """Return what `capture_views` would, with projected corners instead of rendered images.
+
+    Args:
+        truth: the true head.
+        profile: the error profile; only its joint sensors and its board are used.
+        shots: the planned views.
+        pixel_noise: standard deviation of white noise in the corners [px].
+        rng: generator of the noise of corners and joint readings.
+    """
     true_angles = np.array([shot.eye_angles for shot in shots])
     found = []
     for shot in shots:
@@ -206,7 +245,7 @@ def _views(
         corners[name] = np.array([nothing if c is None else c for c in seen])
     intrinsics = {name: mounted.intrinsics for name, mounted in head.cameras.items()}
     return Views(
-        board=told_board(profile),
+        board=board_as_given(profile),
         placement=np.array([shot.placement for shot in shots]),
         eye_angles=eye_angles,
         corners=corners,

@@ -1,9 +1,9 @@
 """Error profiles: every imperfection of the twin, in one frozen configuration.
 
-A source acts in the hardware (mounting, optics, sensors: `[mounting]`, `[axes]`, `[optics]`,
-`[image]`, `[joints]`) or in how the calibration was made (`[calibration]`). What can only be
-written into a finished calibration stands apart, in `[by_hand]`. Everything random is drawn from
-the seed of the run: the profile gives standard deviations.
+Error sources are in the hardware (`[mounting]`, `[axes]`, `[optics]`, `[image]`, `[joints]`) or in
+the calibration procedure (`[calibration]`). Errors that are injected into a finished calibration
+have a section of their own, `[by_hand]`. The profile gives standard deviations; random values are
+drawn with the seed of the run.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from vergence.calibration.sequential.intrinsics import LensModel
 from vergence.errors import VergenceError
 
 Lens = Literal["2.8mm", "4.0mm"]
-"""Of the wide cameras."""
-Spread = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+"""Focal length of the wide cameras."""
+StandardDeviation = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Number = Annotated[float, Field(allow_inf_nan=False)]
 PerEye = tuple[Number, Number]
 """Left, right."""
@@ -33,22 +33,22 @@ class _Section(BaseModel):
 
 
 class Mounting(_Section):
-    """How the cameras sit in the as-built head; calibration is there to find it."""
+    """Mounting of the cameras in the as-built head, which calibration estimates."""
 
-    rotation_deg: Spread = 0.0
+    rotation_deg: StandardDeviation = 0.0
     """Standard deviation of each camera's mounting, about each axis."""
-    translation_mm: Spread = 0.0
+    translation_mm: StandardDeviation = 0.0
     """Standard deviation of each camera's mounting, along each axis."""
-    base_rotation_deg: Spread = 0.0
-    """Standard deviation of the right eye's base against the left one's, about each axis."""
-    base_translation_mm: Spread = 0.0
+    base_rotation_deg: StandardDeviation = 0.0
+    """Standard deviation of the right eye's base relative to the left eye's, about each axis."""
+    base_translation_mm: StandardDeviation = 0.0
     """Standard deviation of the right eye's rotation centre, along each axis."""
     baseline_mm: Annotated[float, Field(ge=20, le=300)] | None = None
-    """Distance of the eyes' rotation centres; none: the model's."""
+    """Distance of the eyes' rotation centres; None: that of the model."""
 
 
 class Axes(_Section):
-    """How far the eyes' axes are from orthogonal and intersecting; the paper assumes neither."""
+    """Deviation of the eyes' axes from orthogonal and intersecting ones."""
 
     nonorthogonality_deg: PerEye = (0.0, 0.0)
     """Turn of the tilt axis about the eye's forward axis."""
@@ -59,16 +59,16 @@ class Axes(_Section):
 class Optics(_Section):
     """Lenses and sensors of the as-built head."""
 
-    focal_percent: Spread = 0.0
+    focal_percent: StandardDeviation = 0.0
     """Standard deviation of each camera's focal length, in percent of the nominal one."""
-    principal_px: Spread = 0.0
+    principal_px: StandardDeviation = 0.0
     """Standard deviation of each camera's principal point, along each axis."""
     distortion: bool = True
     """Whether the wide lenses distort."""
 
 
 class Image(_Section):
-    """What the sensor adds to the picture."""
+    """Imperfections of the image sensor."""
 
     noise_grey: Annotated[float, Field(ge=0, le=50)] = 0.0
     """Standard deviation of white noise in each pixel and colour [grey levels]."""
@@ -79,12 +79,12 @@ class Image(_Section):
 class Joints(_Section):
     """The joint sensors: reading = gain * (angle a delay ago, plus backlash) + offset + noise."""
 
-    noise_deg: Spread = 0.0
+    noise_deg: StandardDeviation = 0.0
     """Standard deviation of white noise in each reading."""
     counts_per_turn: Annotated[int, Field(ge=0)] = 0
     """Steps of the encoder in a full turn; 0: no quantisation."""
     gain_percent: PerJoint = (0.0, 0.0, 0.0, 0.0)
-    """How much too large each reading is."""
+    """Scale error of each reading."""
     offset_deg: PerJoint = (0.0, 0.0, 0.0, 0.0)
     """Constant error of each reading."""
     backlash_deg: Annotated[float, Field(ge=0, le=10)] = 0.0
@@ -94,32 +94,32 @@ class Joints(_Section):
 
 
 class CalibrationMade(_Section):
-    """How the calibration was made."""
+    """Errors in the calibration procedure."""
 
     wide_lens: LensModel = "radial-tangential"
-    """Distortion model that was fitted to the wide cameras."""
+    """Distortion model with which the wide cameras are calibrated."""
     square_percent: Annotated[float, Field(gt=-50, lt=50, allow_inf_nan=False)] = 0.0
-    """How much larger the printed squares are than the software was told."""
+    """Excess of the printed squares over the size given to the calibration."""
 
 
 class ByHand(_Section):
-    """Errors written into the finished calibration, each for both eyes.
+    """Errors injected into the finished calibration, each for both eyes.
 
-    T_rbase_lbase is computed again by Eq. 10, so that straight gaze stays exact, as on a robot.
+    T_rbase_lbase is recomputed by Eq. 10, so that straight gaze stays exact, as on a robot.
     """
 
     focal_percent_28: Number = 0.0
-    """Focal length of the 2.8 mm lenses."""
+    """Error of the focal length of the 2.8 mm lenses."""
     focal_percent_40: Number = 0.0
-    """Focal length of the 4.0 mm lenses."""
+    """Error of the focal length of the 4.0 mm lenses."""
     roll_deg: Number = 0.0
-    """Turn of the mounting about the optical axis: + in the left eye, - in the right."""
+    """Rotation of the mounting about the optical axis: + in the left eye, - in the right."""
     axial_mm: Number = 0.0
     """Shift of the mounting along the optical axis."""
 
 
 class Fitted(_Section):
-    """One number that was fitted to the paper's figures."""
+    """One parameter of the profile that was fitted to the paper's figures."""
 
     name: str
     value: Number
@@ -129,7 +129,7 @@ class Fitted(_Section):
 
 
 class ErrorProfile(_Section):
-    """All imperfections; the default has none."""
+    """All imperfections; the default profile has none."""
 
     name: str = "none"
     description: str = ""
@@ -144,13 +144,13 @@ class ErrorProfile(_Section):
 
 
 def shipped() -> list[str]:
-    """Return the names of the profiles that come with the package."""
+    """Return the names of the profiles that are part of the package."""
     folder = resources.files("vergence.twin") / "profiles"
     return sorted(p.name.removesuffix(".toml") for p in folder.iterdir())
 
 
 def load_profile(name_or_file: str) -> ErrorProfile:
-    """Read a profile by its name, or from a TOML file.
+    """Read a shipped profile by its name, or a profile from a TOML file.
 
     Raises:
         VergenceError: no such profile or file, not TOML, or a value that is unknown or impossible.

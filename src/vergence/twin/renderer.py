@@ -1,8 +1,8 @@
 """Cameras: render with MuJoCo, distort, blur, add noise.
 
-A picture is taken in two steps. `expose` renders, in the thread that owns OpenGL, and draws the
-random numbers; `develop` does the rest and may run in another thread, so that it overlaps with
-the next rendering.
+An image is taken in two steps. `expose` renders, in the thread that owns OpenGL, and draws the
+random numbers; `develop` does the rest and may run in another thread, at the same time as the next
+rendering.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -23,14 +23,14 @@ from vergence.twin import no_opengl
 from vergence.twin.profile import Image
 
 FINER = 2
-"""A picture that is to be distorted is rendered with so many times the pixels, along each axis:
-interpolation between the camera's own shifts corners by 0.01 px, in every image alike."""
-_NOISE_MARGIN = 256  # a noise picture is a window of a larger one, at one of 256 x 256 places
+"""Oversampling along each axis of an image that is distorted afterwards: interpolation between
+pixels of the camera's own size would shift corners by 0.01 px, in every image alike."""
+_NOISE_MARGIN = 256  # the noise of an image is a window of a larger one, at one of 256 x 256 places
 
 
 @dataclass(frozen=True, eq=False)
 class Negative:
-    """A rendered picture before distortion, blur and noise."""
+    """A rendered image before distortion, blur and noise."""
 
     camera: str
     rendered: np.ndarray
@@ -38,10 +38,13 @@ class Negative:
 
 
 def overscan_sizes(head: HeadCalibration) -> dict[str, tuple[int, int]]:
-    """Return by camera the width and height [px] that a pinhole picture must have.
+    """Return by camera the width and height [px] of the pinhole image to render.
 
-    It must hold all that the distorted image shows; cameras without distortion need no more
-    than their own size.
+    It covers the field of view of the distorted image; cameras without distortion need only their
+    own size.
+
+    Raises:
+        VergenceError: a lens model is not one-to-one within its image.
     """
     sizes = {}
     for name, mounted in head.cameras.items():
@@ -62,9 +65,10 @@ def overscan_sizes(head: HeadCalibration) -> dict[str, tuple[int, int]]:
 
 
 def _map(camera: Camera, size: tuple[int, int]) -> Sequence[np.ndarray]:
-    """Return for each pixel of the camera x and y (H, W) float32 in its picture, FINER than size.
+    """Return x and y (H, W) in the rendered image for each pixel of the camera.
 
-    As floats, for OpenCV's packed maps round to 1/32 px, in every image alike.
+    The rendered image is FINER times as large as size. The maps are float32, since OpenCV's packed
+    maps round to 1/32 px, in every image alike.
     """
     v, u = np.mgrid[: camera.height, : camera.width].astype(float)
     finer = FINER * _in_pinhole(camera, np.stack([u, v], axis=-1), size) + (FINER - 1) / 2
@@ -72,14 +76,14 @@ def _map(camera: Camera, size: tuple[int, int]) -> Sequence[np.ndarray]:
 
 
 def _in_pinhole(camera: Camera, pixels: Array, size: tuple[int, int]) -> Array:
-    """Return where pixels (..., 2) of a camera lie in a pinhole picture of a width and height."""
+    """Return the positions of a camera's pixels (..., 2) in a pinhole image of a given size."""
     xy = normalise(camera, pixels)
     shift = (np.array(size) - [camera.width, camera.height]) / 2
     return xy @ camera.matrix[:2, :2].T + camera.matrix[:2, 2] + shift
 
 
 class Renderer:
-    """The four cameras of a compiled head. Belongs to the thread that made it; close it."""
+    """The cameras of a compiled head. Use it in the thread that created it, and close it."""
 
     def __init__(self, model: mujoco.MjModel, head: HeadCalibration, image: Image, seed: int):
         """Open OpenGL.
@@ -117,7 +121,7 @@ class Renderer:
                 if size in self._renderers:
                     continue
                 buffer.offwidth, buffer.offheight = size
-                # Where the pixels are finer, they are the samples.
+                # Oversampled images need no multisampling.
                 quality.offsamples = before[-1] if finer == 1 else 0
                 self._renderers[size] = mujoco.Renderer(model, height=size[1], width=size[0])
         except Exception as error:  # each backend raises its own kind
@@ -125,23 +129,23 @@ class Renderer:
             raise no_opengl(error) from error
         finally:
             buffer.offwidth, buffer.offheight, quality.offsamples = before
-        for renderer in self._renderers.values():  # the room is closed: nothing of these is seen
+        for renderer in self._renderers.values():  # the room is closed: none of these is visible
             for flag in ("SKYBOX", "HAZE", "SHADOW", "REFLECTION"):
                 renderer.scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{flag}")] = 0
 
     def restart(self, run: int) -> None:
-        """Draw the noise from now on from the seed and the number of a run."""
+        """Restart the noise, which depends only on the seed and the number of the run."""
         self._rng = np.random.default_rng([self._seed, 2, run])
 
     def expose(self, data: mujoco.MjData, camera: str) -> Negative:
-        """Render one camera and draw its noise."""
+        """Render the image of one camera, and draw the position of its noise."""
         renderer = self._renderers[self._sizes[camera]]
         renderer.update_scene(data, camera=camera)
         v, u = self._rng.integers(0, _NOISE_MARGIN, 2)
         return Negative(camera, renderer.render(), (int(v), int(u)))
 
     def develop(self, negative: Negative) -> np.ndarray:
-        """Return the image (H, W, 3) uint8 that the camera gives."""
+        """Return the image (H, W, 3) uint8 of the camera."""
         image = negative.rendered
         if negative.camera in self._maps:
             x, y = self._maps[negative.camera]
@@ -156,6 +160,6 @@ class Renderer:
         return image
 
     def close(self) -> None:
-        """Free OpenGL's resources."""
+        """Release OpenGL's resources."""
         for renderer in self._renderers.values():
             renderer.close()

@@ -1,4 +1,4 @@
-"""The joint sensors: what is read when the eyes stand at true angles."""
+"""The joint sensors: readings of true joint angles."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from vergence.twin.profile import Joints
 
 
 def play(angles: Array, width: float, start: Array | None = None) -> Array:
-    """Return the sensor side (T, J) of a play of the given width, over successive angles (T, J).
+    """Return the angles (T, J) [rad] on the sensor's side of a mechanical play (backlash).
 
-    The sensor is pushed along when the eye reaches either end of the play; a motion that turns
-    back crosses the whole width before the sensor follows.
+    The sensor follows when the eye reaches either end of the play; after a reversal the eye crosses
+    the whole width before the sensor follows.
 
     Args:
-        angles: (T, J) true angles in their order of time [rad].
+        angles: (T, J) true angles of the eye in order of time [rad].
         width: full width of the play [rad].
-        start: (J,) sensor side before the first; None: in the middle of the play.
+        start: (J,) angle on the sensor's side before the first; None: the middle of the play.
     """
     sensed = np.empty_like(angles)
     last = angles[0] if start is None else start
@@ -28,7 +28,10 @@ def play(angles: Array, width: float, start: Array | None = None) -> Array:
 
 
 def read(sensed: Array, joints: Joints, rng: np.random.Generator) -> Array:
-    """Return readings (N, J) [rad] of sensor-side angles (N, J); J columns of EYE_JOINTS."""
+    """Return readings (N, J) [rad] of angles (N, J) [rad] on the sensor's side of the play.
+
+    The J = 4 columns are in the order of EYE_JOINTS.
+    """
     noise = rng.normal(0.0, np.radians(joints.noise_deg), sensed.shape)
     gain = 1 + np.array(joints.gain_percent) / 100
     reading = gain * sensed + np.radians(joints.offset_deg) + noise

@@ -14,8 +14,8 @@ from vergence.gaze.state import NARROW, GazeSettings
 from vergence.geometry.head import HeadCalibration, T_head_base
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
-from vergence.twin.calibration_errors import written_by_hand
-from vergence.twin.calibration_sequence import look, plan
+from vergence.twin.calibration_errors import inject_calibration_error
+from vergence.twin.calibration_sequence import capture_views, plan
 from vergence.twin.hand import SimulatedHand
 from vergence.twin.head import Twin
 
@@ -31,11 +31,11 @@ def calibrate_twin(twin: Twin, seed: int) -> GazeSettings:
         twin: the head, with 2.8 mm lenses.
         seed: of the places at which the board is held.
     """
-    views = look(twin, plan(twin.nominal, seed))
+    views = capture_views(twin, plan(twin.nominal, seed))
     found = calibrate_sequentially(
         views, wide_lens=twin.profile.calibration.wide_lens, neck=twin.nominal.neck
     )
-    head = written_by_hand(found.head, twin.profile.by_hand, "2.8mm")
+    head = inject_calibration_error(found.head, twin.profile.by_hand, "2.8mm")
     twin.restart(0)
     # A real driver can measure this too: the standard deviation of the readings at rest.
     rest = np.array([twin.capture(()).eye_angles for _ in range(_REST_READINGS)])

@@ -1,34 +1,32 @@
-"""What all pictures share: the canvas, its axes, and how it becomes a file."""
+"""The canvas that all pictures share: its panels, its colours and its file."""
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure as Canvas
 
-from vergence.errors import VergenceError
+from vergence.files import whole_file
+from vergence.viewer.style import AXIS_COLOURS, html
 
 DPI = 100
+BLUE, GREEN, RED = map(html, AXIS_COLOURS.values())
 
 
 def save(canvas: Canvas, path: Path) -> None:
-    """Write a PNG under a temporary name, then rename it: never half a file."""
-    part = path.with_name(f".{path.name}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    """Write a canvas as a PNG file, complete or not at all.
+
+    Raises:
+        VergenceError: the file cannot be written.
+    """
+    with whole_file(path) as part:
         canvas.savefig(part, format="png")
-        os.replace(part, path)
-    except OSError as error:
-        raise VergenceError(f"Cannot write {path}: {error.strerror}.") from error
-    finally:
-        if part.is_file():
-            part.unlink()
 
 
 def panels(count: int, title: str, *, columns: int = 2) -> tuple[Canvas, list[Axes]]:
+    """Return a canvas with a title, and the axes of `count` panels in rows of `columns`."""
     rows = -(-count // columns)
     canvas = Canvas(figsize=(5.2 * columns, 4.0 * rows + 0.4), dpi=DPI, layout="constrained")
     FigureCanvasAgg(canvas)
@@ -40,4 +38,5 @@ def panels(count: int, title: str, *, columns: int = 2) -> tuple[Canvas, list[Ax
 
 
 def image_frame(axes: Axes, size: tuple[int, int]) -> None:
+    """Give axes the limits of an image of width and height [px], with the first row at the top."""
     axes.set(xlim=(-0.5, size[0] - 0.5), ylim=(size[1] - 0.5, -0.5), aspect="equal")

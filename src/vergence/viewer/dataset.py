@@ -1,13 +1,13 @@
-"""Record a dataset as a calibration sees it: its images, the corners found, what is left of them.
+"""Record a dataset with its calibration: images, detected corners and their residuals.
 
-Beside the images there are
+In addition to the images there are
 
-    /world/<side>_eye/<camera>/corners    the corners as they were found
-    /world/<side>_eye/<camera>/residuals  from there, many times as long as they are, the residuals
-    /world/board                          where the board stood; its frame is the target's
+    /world/<side>_eye/<camera>/corners    detected corners
+    /world/<side>_eye/<camera>/residuals  their residuals, magnified
+    /world/board                          the board, in frame target
     /residual/<camera>                    root mean square of an image's residuals [px]
     /joints/<joint>                       joint readings [rad]
-    /report                               markdown
+    /report                               report in markdown
 
 The world is the left eye's base frame. A row of frames.csv is a `frame`.
 """
@@ -17,7 +17,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-import cv2
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
@@ -31,14 +30,20 @@ from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, T_base_eye
 from vergence.geometry.se3 import inverse
 from vergence.viewer import style
-from vergence.viewer.frame import time_columns
-from vergence.viewer.layout import camera_entities, camera_views, view_3d, whole_time
-from vergence.viewer.opening import recording_file
+from vergence.viewer.frame import log_image, time_columns
+from vergence.viewer.layout import (
+    camera_entities,
+    camera_views,
+    hidden,
+    playing,
+    view_3d,
+    whole_time,
+)
+from vergence.viewer.opening import log_report, recording_file
 from vergence.viewer.shapes import placed
 
 RESIDUAL_LENGTH_PX = 12
-"""How long a typical residual is drawn, within a factor of three."""
-EYE_COLOURS = {"left": [(230, 120, 20), (240, 190, 90)], "right": [(30, 140, 170), (120, 200, 215)]}
+"""Drawn length of a typical residual, within a factor of three."""
 
 
 def record_dataset(
@@ -54,16 +59,17 @@ def record_dataset(
     """Write a recording of a dataset and of the calibration that was made from it.
 
     Args:
-        path: of the `.rrd` file; one that is there is replaced.
-        dataset: with its images.
-        detections: the corners in them.
+        path: of the `.rrd` file; an earlier one is replaced.
+        dataset: the dataset with its images.
+        detections: the corners in the images.
         head: the calibration.
-        refined: the estimate that gives residuals and boards; None: there are none.
-        report: markdown.
+        refined: the result of bundle adjustment, with residuals and poses of the board; None: only
+            images and corners are recorded.
+        report: text in markdown.
         done: called after each row.
 
     Raises:
-        VergenceError: the file cannot be written, or an image cannot be read any more.
+        VergenceError: the file cannot be written, or an image cannot be read.
     """
     magnified = _magnification(refined)
     layout = _blueprint(head, magnified if refined else None)
@@ -90,7 +96,7 @@ def record_dataset(
                 _log_image(rec, entity, dataset.image(name, row), corners, offset)
             done()
         _log_series(rec, dataset, refined, time_s)
-        rec.log("report", rr.TextDocument(report, media_type="text/markdown"), static=True)
+        log_report(rec, report)
 
 
 def _magnification(refined: Refined | None) -> int:
@@ -100,7 +106,10 @@ def _magnification(refined: Refined | None) -> int:
 
 
 def _eye_poses(head: HeadCalibration, detections: Detections, refined: Refined | None) -> Array:
-    """Return (V, 2, 4, 4) poses of the eyes in the left one's base; as read where not estimated."""
+    """Return poses (V, 2, 4, 4) of the eyes in the left eye's base frame.
+
+    Estimated poses where there are any, otherwise poses from the joint readings.
+    """
     if detections.T_base_eye is not None:
         poses = detections.T_base_eye.copy()
     else:
@@ -136,9 +145,7 @@ def _log_image(
         for part in ("image", "corners", "residuals"):
             rec.log(f"{entity}/{part}", rr.Clear(recursive=False))
         return
-    bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
-    _, jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, style.JPEG_QUALITY])
-    rec.log(f"{entity}/image", rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg"))
+    log_image(rec, entity, image)
     at = corners + 0.5  # a pixel's centre in the viewer
     seen = np.isfinite(at).all(axis=1)
     rec.log(f"{entity}/corners", rr.Points2D.from_fields(positions=at[seen]))
@@ -156,14 +163,14 @@ def _log_styles(rec: rr.RecordingStream, head: HeadCalibration, dataset: Dataset
         rec.log(f"{entity}/residuals", lines, static=True)
     for eye in EYES:
         own = [name for name, mounted in head.cameras.items() if mounted.eye == eye]
-        for name, colour in zip(own, 9 * EYE_COLOURS[eye], strict=False):
-            look = rr.SeriesPoints(names=name.replace("_", " "), colors=colour, marker_sizes=3)
-            rec.log(f"residual/{name}", look, static=True)
+        for name, colour in zip(own, 9 * style.EYE_COLOURS[eye], strict=False):
+            points = rr.SeriesPoints(names=name.replace("_", " "), colors=colour, marker_sizes=3)
+            rec.log(f"residual/{name}", points, static=True)
     for joint in dataset.description.joints:
         if joint in EYE_JOINTS:
             colour = style.JOINT_COLOURS[joint]
-            look = rr.SeriesPoints(names=joint.replace("_", " "), colors=colour, marker_sizes=3)
-            rec.log(f"joints/{joint}", look, static=True)
+            points = rr.SeriesPoints(names=joint.replace("_", " "), colors=colour, marker_sizes=3)
+            rec.log(f"joints/{joint}", points, static=True)
 
 
 def _log_series(
@@ -181,25 +188,20 @@ def _log_series(
             seen.any(axis=1), np.sqrt(total / np.maximum(seen.sum(axis=1), 1)), np.nan
         )
     for entity, values in curves.items():
-        told = np.isfinite(values)
-        if told.any():
-            times = time_columns(time_s[told], rows[told])
-            rec.send_columns(entity, times, rr.Scalars.columns(scalars=values[told]))
+        known = np.isfinite(values)
+        if known.any():
+            times = time_columns(time_s[known], rows[known])
+            rec.send_columns(entity, times, rr.Scalars.columns(scalars=values[known]))
 
 
 def _blueprint(head: HeadCalibration, magnified: int | None) -> rrb.Blueprint:
     marks = (
         "dots: corners" if magnified is None else f"dots: corners, lines: residuals x {magnified}"
     )
-    hidden = [
-        f"- {entity}/{mark}"
-        for entity in camera_entities(head).values()
-        for mark in ("corners", "residuals")
-    ]
     space = view_3d(
-        "eyes and board, as they were found",
+        "estimated poses of eyes and board",
         origin="world",
-        contents=["+ $origin/**", *hidden],
+        contents=["+ $origin/**", *hidden(head, "corners", "residuals")],
         middle=np.array([0.35, -0.04, 0.0]),
         eye=np.array([-0.1, 0.5, 0.3]),
         trails={},
@@ -211,7 +213,7 @@ def _blueprint(head: HeadCalibration, magnified: int | None) -> rrb.Blueprint:
             ("joint readings [rad]", "joints"),
         )
     ]
-    return rrb.Blueprint(
+    return playing(
         rrb.Horizontal(
             rrb.Vertical(
                 space,
@@ -223,9 +225,6 @@ def _blueprint(head: HeadCalibration, magnified: int | None) -> rrb.Blueprint:
             ),
             column_shares=[6, 5],
         ),
-        rrb.TimePanel(
-            timeline="frame", state="collapsed", fps=2.0, loop_mode="all", play_state="playing"
-        ),
-        auto_views=False,
-        collapse_panels=True,
+        timeline="frame",
+        fps=2.0,
     )

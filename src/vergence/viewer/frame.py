@@ -24,16 +24,16 @@ def log_frame(
     detected: Mapping[str, Array],
     truth: Mapping[str, Array],
 ) -> None:
-    """Record one moment; may be called from another thread.
+    """Record posture, images and marks of one moment; may be called from another thread.
 
     Args:
         rec: the recording.
-        time_s: since the first sample.
-        index: of the sample.
-        frame: images; None: only the head moves.
+        time_s: time since the first sample [s].
+        index: number of the sample.
+        frame: the images; None: only the posture is recorded.
         body_poses: by name, poses (4, 4) in the world.
-        detected: by camera, the pixel (2,) at which the object was found; NaN: not found.
-        truth: by camera, the pixel (2,) at which it truly is.
+        detected: by camera, the detected pixel (2,) of the object; NaN: not found.
+        truth: by camera, the true pixel (2,) of the object.
     """
     rec.set_time("sim_time", duration=time_s)
     rec.set_time("frame", sequence=index)
@@ -46,10 +46,7 @@ def log_frame(
             rec.log(f"world/{body}", at)
     for name, image in ({} if frame is None else frame.images).items():
         entity = f"world/{name.split('_')[0]}_eye/{name}"
-        bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
-        _, jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, style.JPEG_QUALITY])
-        encoded = rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg")
-        rec.log(f"{entity}/image", encoded)
+        log_image(rec, entity, image)
         size = (image.shape[1], image.shape[0])
         crosses = [pixel + style.CROSS_PX for pixel in _within(detected.get(name), size)]
         strips = np.concatenate(crosses) if crosses else []
@@ -57,6 +54,13 @@ def log_frame(
         centers = _within(truth.get(name), size)
         radii = np.full_like(centers, style.RING_PX)
         rec.log(f"{entity}/truth", rr.Ellipses2D.from_fields(centers=centers, half_sizes=radii))
+
+
+def log_image(rec: rr.RecordingStream, entity: str, image: np.ndarray) -> None:
+    """Record an RGB image (H, W, 3) uint8 of a camera's entity as JPEG."""
+    bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    _, jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, style.JPEG_QUALITY])
+    rec.log(f"{entity}/image", rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg"))
 
 
 def _within(pixel: Array | None, size: tuple[int, int]) -> Array:
@@ -67,7 +71,7 @@ def _within(pixel: Array | None, size: tuple[int, int]) -> Array:
 
 
 def time_columns(time_s: Array, index: np.ndarray) -> list[rr.TimeColumn]:
-    """Return both timelines for times (N,) [s] and numbers (N,) of samples."""
+    """Return the timelines sim_time and frame for times (N,) [s] and sample numbers (N,)."""
     # A float array would be truncated to nanoseconds, while set_time rounds.
     nanoseconds = np.round(time_s * 1e9).astype("timedelta64[ns]")
     return [

@@ -1,16 +1,17 @@
-"""Record what a gaze controller does: what it sees, where it looks, what it knows.
+"""Record the behaviour of a gaze controller: its images, its commands and its estimates.
 
-Images and postures are logged as they come (`log_gaze_frame`), all that is a curve or a trail at
-the end (`log_gaze_series`). Beside the entities of every recording there are
+Images and postures are logged frame by frame (`log_gaze_frame`), curves and trails at the end
+(`log_gaze_series`). In addition to the entities of every recording there are
 
-    /world/<side>_eye/<camera>/aim  a long cross where the object shall be
+    /world/<side>_eye/<camera>/aim  a long cross at the target position of the object
     /world/gaze                     frame body, with the axes, the estimate, the truth, the hand
-    /doing/<lane>                   what it is doing: phase, and what else the experiment tells
-    /gaze_error/left, right         object from the centre of the narrow image [px], truly
+    /doing/<lane>                   state of the gaze and of other parts of the experiment
+    /gaze_error/left, right         true distance of the object from the narrow image's centre [px]
     /position/x, y, z, true_x, ...  estimate and truth [m], in frame body
     /error/fused, by_one_frame      distance of the estimates from the truth [mm]
-    /hand/distance                  of the hand, by its encoders, from the object [mm]
-    /eyes/<joint>, command_<joint>  readings and commands [rad]; /neck likewise
+    /hand/distance                  distance of the hand, by its encoders, from the object [mm]
+    /eyes/<joint>, command_<joint>  readings and commands of the eyes [rad]
+    /neck/<joint>, command_<joint>  readings and commands of the neck [rad]
 """
 
 from __future__ import annotations
@@ -37,27 +38,28 @@ from vergence.viewer.shapes import placed
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """What is known of one moment, by the controller and by who looks on."""
+    """State of the controller at one moment, with the ground truth that an observer has."""
 
     time_s: float
+    """Time in the recording."""
     lanes: Mapping[str, str]
-    """What it is doing: by lane its state."""
+    """By lane: the state of the gaze or of another part of the experiment."""
     readings: Array
-    """(7,) of the joints [rad]."""
-    sent: Array
-    """(7,) where the joints were sent, at the moment of the image."""
+    """(7,) joint readings [rad]."""
+    commanded: Array
+    """(7,) commanded joint angles [rad], at the moment of the image."""
     axes: Array
-    """(2, 2, 3) by eye, the narrow camera and a point on its axis, in frame body."""
+    """(2, 2, 3) by eye: the narrow camera's centre and a point on its axis, in frame body."""
     fused: Array
-    """(3,) estimate over time, in frame body; NaN: none."""
+    """(3,) filtered position of the object, in frame body; NaN: no estimate."""
     one_frame: Array
-    """(3,) stereo by this frame alone; NaN: none."""
+    """(3,) position by stereo from this frame alone, in frame body; NaN: no estimate."""
     truth: Array = field(default_factory=lambda: np.full(3, np.nan))
-    """(3,) where the object is, in frame body; NaN: nobody knows, or it is hidden."""
+    """(3,) true position of the object, in frame body; NaN: unknown, or the object is hidden."""
     errors_px: Array = field(default_factory=lambda: np.full(2, np.nan))
-    """(2,) object from the centre of the left and the right narrow image."""
+    """(2,) true distance of the object from the centre of the left and right narrow image."""
     hand: Array = field(default_factory=lambda: np.full(3, np.nan))
-    """(3,) where the hand is, in frame body."""
+    """(3,) position of the hand, in frame body."""
 
 
 def moment(
@@ -71,14 +73,14 @@ def moment(
     errors_px: Array | None = None,
     hand: Array | None = None,
 ) -> Moment:
-    """Return what a controller's state says of a moment, with what it does not know itself.
+    """Return the moment of a frame, from the controller's state and the observer's truth.
 
     Args:
         settings: of the controller.
-        state: after the frame.
+        state: of the controller after the frame.
         frame: the frame.
-        time_s: of the recording.
-        lanes: what it is doing, beside the phase of the gaze.
+        time_s: time in the recording.
+        lanes: states in addition to the phase of the gaze, as in Moment.
         truth: (3,) as in Moment.
         errors_px: (2,) as in Moment.
         hand: (3,) as in Moment.
@@ -89,7 +91,7 @@ def moment(
         time_s=time_s,
         lanes={"gaze": state.phase.value, **(lanes or {})},
         readings=readings,
-        sent=commanded(state.commands, frame.time_s),
+        commanded=commanded(state.commands, frame.time_s),
         axes=_axes(settings.calibration, readings, state),
         fused=nowhere if state.track is None else state.track.position,
         one_frame=nowhere if state.measured is None else state.measured,
@@ -109,7 +111,7 @@ def _cameras(head: HeadCalibration, readings: Array) -> list[Array]:
 
 
 def _axes(head: HeadCalibration, readings: Array, state: GazeState) -> Array:
-    """Return (2, 2, 3): as far as the object, if it is known how far that is."""
+    """Return Moment.axes; an axis ends at the object's distance where that is known."""
     found = []
     for T in _cameras(head, readings):
         length = style.AXIS_M
@@ -120,10 +122,10 @@ def _axes(head: HeadCalibration, readings: Array, state: GazeState) -> Array:
 
 
 def aims(settings: GazeSettings, state: GazeState, frame: Frame) -> dict[str, Array]:
-    """Return by camera the pixel (2,) where the object shall be.
+    """Return by camera the target pixel (2,) of the object.
 
-    In a narrow image that is its principal point; in a wide one the place of Eqs. 18-19 for the
-    depth of the estimate, or its limit at infinity while there is none.
+    In a narrow image that is the principal point; in a wide image the pixel of Eqs. 18-19 for the
+    estimated depth, or its limit at infinity while there is no estimate.
     """
     head = settings.calibration
     readings = np.concatenate([frame.neck_angles, frame.eye_angles])
@@ -149,18 +151,18 @@ def log_gaze_frame(
     body_poses: Mapping[str, Array],
     truth: Mapping[str, Array],
 ) -> None:
-    """Record a posture, and the images with where the object shall be, was found and is.
+    """Record a posture, and the images with the object's target, detected and true positions.
 
     Args:
         rec: the recording.
         settings: of the controller.
-        state: after the frame.
-        frame: the frame; a mark of what was found is left out in images that were not searched.
-        time_s: of the recording.
-        index: of the frame.
+        state: of the controller after the frame.
+        frame: the frame; images that were not searched get no mark of a detection.
+        time_s: time in the recording.
+        index: number of the frame.
         pictures: whether the images are recorded.
         body_poses: by name, poses (4, 4) in the world.
-        truth: by camera, the pixel (2,) at which the object truly is.
+        truth: by camera, the true pixel (2,) of the object.
     """
     log_frame(
         rec,
@@ -182,7 +184,7 @@ def log_gaze_frame(
 
 
 def log_gaze_styles(rec: rr.RecordingStream, head: HeadCalibration, T_world_body: Array) -> None:
-    """Record how curves and marks look, and where frame body is (4, 4) in the world."""
+    """Record names and colours of curves and marks, and the pose (4, 4) of frame body."""
     curves: dict[str, tuple[str, tuple[int, int, int]]] = {}
     for k, axis in enumerate(style.AXIS_COLOURS):
         label = ("x = depth", "y", "z")[k]
@@ -196,7 +198,7 @@ def log_gaze_styles(rec: rr.RecordingStream, head: HeadCalibration, T_world_body
     for joint, color in style.HEAD_JOINT_COLOURS.items():
         name = joint.replace("_", " ").removeprefix("neck ")
         pale = tuple(round(0.45 * level + 0.55 * 255) for level in color)
-        curves[_joint(joint, "command_")] = f"{name}, sent", (pale[0], pale[1], pale[2])
+        curves[_joint(joint, "command_")] = f"{name}, commanded", (pale[0], pale[1], pale[2])
         curves[_joint(joint)] = name, color
     for entity, (name, color) in curves.items():
         line = rr.SeriesLines(names=name, colors=color, widths=1.5, aggregation_policy="MinMax")
@@ -224,7 +226,7 @@ def _joint(joint: str, kind: str = "") -> str:
 
 
 def log_gaze_series(rec: rr.RecordingStream, moments: Sequence[Moment]) -> None:
-    """Record curves, trails and states of all moments, in their order."""
+    """Record curves, trails and states of all moments, which are in order of time."""
     if not moments:
         return
     time_s, index = np.array([m.time_s for m in moments]), np.arange(len(moments))
@@ -243,10 +245,10 @@ def log_gaze_series(rec: rr.RecordingStream, moments: Sequence[Moment]) -> None:
         series[f"gaze_error/{eye}"] = errors[:, k]
     for k, joint in enumerate(HEAD_JOINTS):
         series[_joint(joint)] = np.array([m.readings[k] for m in moments])
-        series[_joint(joint, "command_")] = np.array([m.sent[k] for m in moments])
+        series[_joint(joint, "command_")] = np.array([m.commanded[k] for m in moments])
     for entity, values in series.items():
         if np.isfinite(values).any():
-            times = time_columns(time_s, index)  # NaN and all: a curve breaks there
+            times = time_columns(time_s, index)  # with NaN, at which a curve breaks
             rec.send_columns(entity, times, rr.Scalars.columns(scalars=values))
     for points, names in ((fused, ("trail", "estimate")), (hand, ("hand_trail",))):
         good = np.isfinite(points).all(axis=1)

@@ -1,4 +1,4 @@
-"""The blueprint of a recording of the gaze: what the viewer shows without a click."""
+"""The blueprint of a recording of gaze control: the views with which it opens."""
 
 from __future__ import annotations
 
@@ -7,34 +7,34 @@ import rerun.blueprint as rrb
 
 from vergence.geometry.head import HeadCalibration
 from vergence.viewer import style
-from vergence.viewer.layout import camera_entities, camera_views, view_3d, whole_time
+from vergence.viewer.layout import camera_views, hidden, playing, view_3d, whole_time
 
 TRAILS = {"world/gaze/trail": style.GAZE_TRAIL_S, "world/gaze/hand_trail": style.GAZE_TRAIL_S}
 _FROM = np.array([-0.45, 0.75, 0.50])
-"""From above and behind the left shoulder: the eyes' axes are seen to meet."""
+"""View from above and behind the left shoulder, in which the eyes' axes are seen to meet."""
 ERROR_PX = 50.0
-"""End of the axis of the gaze error: beyond it there is a saccade, within it what counts."""
+"""Range of the plot of the gaze error; larger errors occur only during saccades."""
 
 
 def gaze_blueprint(
     title: str, head: HeadCalibration, *, reach_m: float, speed: float, hand: bool
 ) -> rrb.Blueprint:
-    """Return the layout, complete as it opens.
+    """Return the layout with which the viewer opens a recording of gaze control.
 
     Args:
-        title: of the view in space.
-        head: whose cameras are shown.
-        reach_m: how far away objects come, which the view in space shall show.
-        speed: of the playback, in recorded seconds a second.
-        hand: whether there is one, whose distance from the object is shown too.
+        title: of the 3-D view.
+        head: the calibration whose cameras are shown.
+        reach_m: largest distance of an object, which the 3-D view includes.
+        speed: playback speed, recorded seconds per second.
+        hand: whether the distance of a hand from the object is shown.
     """
     errors = _plot("error [mm]: blue fused, grey one frame", "error")
-    return rrb.Blueprint(
+    return playing(
         rrb.Horizontal(
             rrb.Vertical(
                 _space(title, head, reach_m),
                 rrb.Grid(
-                    *camera_views(head, marks="long cross aim, + found, ○ truth"), grid_columns=2
+                    *camera_views(head, marks="long cross target, + found, ○ truth"), grid_columns=2
                 ),
                 row_shares=[5, 8],
             ),
@@ -53,26 +53,16 @@ def gaze_blueprint(
                 rrb.Horizontal(errors, _plot("hand by its encoders, from the object [mm]", "hand"))
                 if hand
                 else errors,
-                _plot("eyes [rad], pale where sent: orange left, teal right, light tilt", "eyes"),
+                _plot("eyes [rad], pale commanded: orange left, teal right, light tilt", "eyes"),
                 rrb.Tabs(
                     rrb.TextDocumentView(name="report", origin="report"),
-                    _plot(
-                        "neck [rad], pale where sent: pitch violet, roll grey, yaw green", "neck"
-                    ),
+                    _plot("neck [rad], pale commanded: pitch violet, roll grey, yaw green", "neck"),
                 ),
                 row_shares=[3.2, 4, 3.5, 3.5, 3.5, 4],
             ),
             column_shares=[6, 5],
         ),
-        rrb.TimePanel(
-            timeline="sim_time",
-            state="collapsed",
-            playback_speed=speed,
-            loop_mode="all",
-            play_state="playing",
-        ),
-        auto_views=False,
-        collapse_panels=True,
+        speed=speed,
     )
 
 
@@ -87,16 +77,15 @@ def _plot(name: str, origin: str, *, axis_y: rrb.ScalarAxis | None = None) -> rr
 
 
 def _space(title: str, head: HeadCalibration, reach_m: float) -> rrb.Spatial3DView:
-    marks = [
-        f"- {entity}/{mark}"
-        for entity in camera_entities(head).values()
-        for mark in ("detected", "truth", "aim")
-    ]
     middle = np.array([reach_m / 2 - 0.1, 0.0, style.EYE_HEIGHT_M - 0.04])
     return view_3d(
         f"{title}: head, axes of the narrow cameras, estimate and truth",
         origin="world",
-        contents=["+ $origin/**", "- world/board/**", *marks],
+        contents=[
+            "+ $origin/**",
+            "- world/board/**",
+            *hidden(head, "detected", "truth", "aim"),
+        ],
         middle=middle,
         eye=middle + (0.15 + 0.75 * reach_m) * _FROM,
         trails=TRAILS,

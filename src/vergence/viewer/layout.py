@@ -1,4 +1,4 @@
-"""The blueprint of a recording: what the viewer shows without a click."""
+"""Parts of a recording's blueprint, the layout with which the viewer opens it."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from vergence.viewer import style
 
 
 def camera_entities(head: HeadCalibration) -> dict[str, str]:
-    """Return the entity of each camera."""
+    """Return by camera its entity in a recording."""
     return {name: f"world/{mounted.eye}_eye/{name}" for name, mounted in head.cameras.items()}
 
 
 def whole_time() -> rrb.TimeAxis:
-    """Return the time axis of a plot that shows all there is."""
+    """Return the time axis of a plot that shows the whole recording."""
     # Without it a plot keeps the range of what was loaded when it was first drawn.
     ever = rr.TimeRangeBoundary.infinite()
     return rrb.TimeAxis(view_range=rr.TimeRange(start=ever, end=ever))
@@ -35,15 +35,15 @@ def view_3d(
     eye: Array,
     trails: Mapping[str, float | None],
 ) -> rrb.Spatial3DView:
-    """Return a view in space.
+    """Return a 3-D view in which z points up.
 
     Args:
-        name: its title.
+        name: title of the view.
         origin: entity in whose frame it is drawn.
-        contents: what is drawn.
-        middle: (3,) what it looks at.
-        eye: (3,) from where.
-        trails: by entity, for how many seconds before the cursor it stays; None: for ever.
+        contents: expressions for the entities to draw.
+        middle: (3,) the point that the view looks at.
+        eye: (3,) the point that it looks from.
+        trails: by entity, for how many seconds it stays visible; None: for ever.
     """
     overrides: dict[Any, rrb.VisibleTimeRanges] = {
         entity: _last_seconds(seconds) for entity, seconds in trails.items()
@@ -59,8 +59,39 @@ def view_3d(
     )
 
 
+def hidden(head: HeadCalibration, *marks: str) -> list[str]:
+    """Return the expressions that leave marks in the images out of a 3-D view."""
+    return [f"- {entity}/{mark}" for entity in camera_entities(head).values() for mark in marks]
+
+
+def playing(
+    views: rrb.Horizontal,
+    *,
+    timeline: str = "sim_time",
+    speed: float | None = None,
+    fps: float | None = None,
+) -> rrb.Blueprint:
+    """Return the layout of a recording that opens with these views only, and plays in a loop.
+
+    Args:
+        views: all views.
+        timeline: that is played.
+        speed: recorded seconds per second, of sim_time.
+        fps: steps per second, of frame.
+    """
+    panel = rrb.TimePanel(
+        timeline=timeline,
+        state="collapsed",
+        playback_speed=speed,
+        fps=fps,
+        loop_mode="all",
+        play_state="playing",
+    )
+    return rrb.Blueprint(views, panel, auto_views=False, collapse_panels=True)
+
+
 def _last_seconds(seconds: float | None) -> rrb.VisibleTimeRanges:
-    """Show what was logged in so many seconds before the cursor; None: since the beginning."""
+    """Show what was logged in the last seconds before the cursor; None: since the beginning."""
     boundary = rr.TimeRangeBoundary
     start = boundary.infinite() if seconds is None else boundary.cursor_relative(seconds=-seconds)
     now = boundary.cursor_relative(seconds=0)
@@ -68,7 +99,7 @@ def _last_seconds(seconds: float | None) -> rrb.VisibleTimeRanges:
 
 
 def camera_views(head: HeadCalibration, *, marks: str) -> list[rrb.Spatial2DView]:
-    """Return a view of each camera, the widest of each eye first; titles say what marks mean."""
+    """Return a view of each camera, the widest of each eye first; titles explain the marks."""
     views = []
     entities = camera_entities(head)
     for name in _by_rank(head):
@@ -85,7 +116,7 @@ def camera_views(head: HeadCalibration, *, marks: str) -> list[rrb.Spatial2DView
 
 
 def _by_rank(head: HeadCalibration) -> list[str]:
-    """Return the cameras by width of view: the widest of the left eye, of the right one, ..."""
+    """Return the cameras by field of view: the widest of the left eye, of the right eye, ..."""
 
     def narrowness(name: str) -> float:
         camera = head.camera(name).intrinsics

@@ -1,4 +1,4 @@
-"""Pictures of a calibration: where the board was seen, and what is left after the fit."""
+"""Plots of a calibration: the views of the board, and the residuals."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.viewer.canvas import image_frame, panels, save
+from vergence.viewer.canvas import BLUE, GREEN, RED, image_frame, panels, save
 
 
 def coverage(
@@ -17,10 +17,10 @@ def coverage(
     sizes: Mapping[str, tuple[int, int]],
     eye_angles: Mapping[str, Array],
 ) -> None:
-    """Draw where in the images the board was seen, and where the eyes looked.
+    """Draw the corners seen by each camera, and the eye angles of the views.
 
     Args:
-        path: of the PNG.
+        path: of the PNG file.
         corners: by camera, (V, K, 2) [px]; NaN where not seen.
         sizes: by camera, width and height [px].
         eye_angles: by eye, (V, 2) pan and tilt [rad].
@@ -30,12 +30,12 @@ def coverage(
     """
     canvas, grid = panels(len(corners) + len(eye_angles), "Where the board was seen")
     for axes, (name, pixels) in zip(grid, corners.items(), strict=False):
-        axes.plot(*pixels.reshape(-1, 2).T, ".", markersize=1.5, color="#1f4fd8")
+        axes.plot(*pixels.reshape(-1, 2).T, ".", markersize=1.5, color=BLUE)
         image_frame(axes, sizes[name])
         seen = int(np.isfinite(pixels[..., 0]).sum(axis=1).astype(bool).sum())
         axes.set_title(f"{name}, {seen} views", fontsize=11, loc="left")
     for axes, (eye, angles) in zip(grid[len(corners) :], eye_angles.items(), strict=True):
-        axes.plot(*np.degrees(angles).T, ".", markersize=5, color="#d62222")
+        axes.plot(*np.degrees(angles).T, ".", markersize=5, color=RED)
         axes.set(xlabel="pan [deg]", ylabel="tilt [deg], positive down")
         axes.set_title(f"{eye} eye", fontsize=11, loc="left")
         axes.axis("equal")
@@ -50,10 +50,10 @@ def residuals(
     sizes: Mapping[str, tuple[int, int]],
     eye_angles: Mapping[str, Array],
 ) -> None:
-    """Draw residuals as arrows over the image, enlarged, and their size over the joint angles.
+    """Draw residuals as magnified arrows in the image, and their size over the joint angles.
 
     Args:
-        path: of the PNG.
+        path: of the PNG file.
         corners: by camera, (V, K, 2) [px].
         errors: by camera, (V, K, 2) projected minus seen [px]; NaN where not seen.
         sizes: by camera, width and height [px].
@@ -62,7 +62,7 @@ def residuals(
     Raises:
         VergenceError: the file cannot be written.
     """
-    canvas, grid = panels(3 * len(corners), "What is left after the fit", columns=3)
+    canvas, grid = panels(3 * len(corners), "Residuals", columns=3)
     for k, (name, pixels) in enumerate(corners.items()):
         over_image, over_pan, over_tilt = grid[3 * k : 3 * k + 3]
         points, arrows = pixels.reshape(-1, 2), errors[name].reshape(-1, 2)
@@ -76,7 +76,7 @@ def residuals(
             scale_units="xy",
             scale=1,
             width=0.0015,
-            color="#1f4fd8",
+            color=BLUE,
         )
         image_frame(over_image, sizes[name])
         title = f"{name}: rms {size:.3f} px, arrows x {enlarged:.0f}"
@@ -86,17 +86,17 @@ def residuals(
             (over_pan, over_tilt), eye_angles[name].T, ("pan", "tilt"), strict=True
         ):
             across = np.repeat(np.degrees(angles)[:, None], length.shape[1], axis=1)
-            axes.plot(across.ravel(), length.ravel(), ".", markersize=1.5, color="#0b8a2e")
+            axes.plot(across.ravel(), length.ravel(), ".", markersize=1.5, color=GREEN)
             axes.set(xlabel=f"{joint} [deg]", ylabel="residual [px]")
             axes.grid(color="0.9", linewidth=0.6)
     save(canvas, path)
 
 
 def views(path: Path, shown: Mapping[str, tuple[np.ndarray, Array, Array]]) -> None:
-    """Draw images with the corners that were seen, and the residuals as arrows, 100 times as long.
+    """Draw images with the detected corners, and the residuals as arrows, magnified 100 times.
 
     Args:
-        path: of the PNG.
+        path: of the PNG file.
         shown: by title, image (H, W, 3), corners (K, 2) [px] and errors (K, 2) [px].
 
     Raises:
@@ -105,7 +105,7 @@ def views(path: Path, shown: Mapping[str, tuple[np.ndarray, Array, Array]]) -> N
     canvas, grid = panels(len(shown), "The worst views; arrows: residuals x 100")
     for axes, (title, (image, corners, errors)) in zip(grid, shown.items(), strict=True):
         axes.imshow(image)
-        axes.plot(*corners.T, "+", markersize=4, color="#0b8a2e")
+        axes.plot(*corners.T, "+", markersize=4, color=GREEN)
         seen = np.asarray(np.isfinite(errors).all(axis=1))
         axes.quiver(
             *corners[seen].T,
@@ -114,7 +114,7 @@ def views(path: Path, shown: Mapping[str, tuple[np.ndarray, Array, Array]]) -> N
             scale_units="xy",
             scale=1,
             width=0.003,
-            color="#d62222",
+            color=RED,
         )
         axes.set_axis_off()
         axes.set_title(title, fontsize=10, loc="left")

@@ -1,4 +1,4 @@
-"""What depth means for the fovea: the paper's claim at the end of its Sec. IV, in numbers."""
+"""The effect of depth on foveation: the claim at the end of the paper's Sec. IV, in numbers."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
 
 from vergence.arrays import Array
 from vergence.gaze.foveation import foveal_miss, ideal_wide_pixel
@@ -13,25 +14,30 @@ from vergence.geometry.head import HeadCalibration, T_narrow_wide
 from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.se3 import inverse
 from vergence.viewer.canvas import panels, save
+from vergence.viewer.style import EYE_COLOURS, html
 
 NEAREST_M, FARTHEST_M = 0.25, 5.0
 WRONG_M = (0.005, 0.020, 0.050)
-"""Errors of a depth."""
+"""Errors of depth."""
 WRONG_PX = (0.5, 1.0, 2.0)
-"""Errors of a disparity between the wide images."""
-_COLOURS = {"left": "#e67814", "right": "#1e8caa"}
+"""Errors of disparity between the wide images."""
 _SHADES = ("#8fb4f0", "#4a7fe0", "#12389b")
 
 
 def depth(path: Path, calibration: HeadCalibration) -> None:
-    """Draw how the ideal wide position converges with depth, and what errors of depth cost.
-
-    Args:
-        path: of the PNG.
-        calibration: of the head.
+    """Draw the plots of `draw_depth` into a PNG file.
 
     Raises:
         VergenceError: the file cannot be written, or the head lacks a camera.
+    """
+    save(draw_depth(calibration), path)
+
+
+def draw_depth(calibration: HeadCalibration) -> Canvas:
+    """Draw how the ideal wide pixel converges with depth, and what errors of depth cost.
+
+    Raises:
+        VergenceError: the head lacks a wide or a narrow camera.
     """
     canvas, (converge, cost, disparity) = panels(
         3, "Where to hold an object in the wide image so that it falls on the fovea", columns=3
@@ -43,7 +49,8 @@ def depth(path: Path, calibration: HeadCalibration) -> None:
         )
         distance = np.linalg.norm(away, axis=1)
         width = 3.0 if eye == "left" else 1.5  # on a head as designed they are the same
-        converge.plot(depths, distance, color=_COLOURS[eye], linewidth=width, label=f"{eye} eye")
+        colour = html(EYE_COLOURS[eye][0])
+        converge.plot(depths, distance, color=colour, linewidth=width, label=f"{eye} eye")
     _finish(converge, "ideal position, from its limit at infinity", "wide image [px]")
     for wrong_m, colour in zip(WRONG_M, _SHADES, strict=True):
         miss = miss_px(calibration, depths, np.full_like(depths, wrong_m), eye="left")
@@ -54,17 +61,17 @@ def depth(path: Path, calibration: HeadCalibration) -> None:
         miss = miss_px(calibration, depths, wrong, eye="left")
         disparity.plot(depths, miss, color=colour, label=f"disparity wrong by {wrong_px:g} px")
     _finish(disparity, "what stereo by the wide images costs (Eq. 20)", "narrow image [px]")
-    save(canvas, path)
+    return canvas
 
 
 def miss_px(calibration: HeadCalibration, depths: Array, wrong: Array, *, eye: Side) -> Array:
-    """Return how far (N,) [px] objects miss the centre of the narrow image.
+    """Return the distances (N,) [px] of objects from the centre of the narrow image.
 
     Args:
         calibration: of the head.
         depths: (N,) [m] of the objects, on the narrow camera's axis.
-        wrong: (N,) [m] by how much more is believed.
-        eye: which eye.
+        wrong: (N,) error of the depth [m]; positive: taken for too large.
+        eye: left or right.
     """
     T_wide_narrow = inverse(T_narrow_wide(calibration, eye))
     from_wide = T_wide_narrow[2, 2] * depths + T_wide_narrow[2, 3]
@@ -72,9 +79,9 @@ def miss_px(calibration: HeadCalibration, depths: Array, wrong: Array, *, eye: S
 
 
 def by_disparity(calibration: HeadCalibration, depths: Array, error_px: float) -> Array:
-    """Return by how much (N,) [m] depths come out too large for an error of disparity [px].
+    """Return the depth errors (N,) [m] that an error of disparity [px] causes at depths (N,) [m].
 
-    Exact where Eq. 20 is its linear part, which is too small when the error is large.
+    Exact; Eq. 20 is its linear part, which is too small for large errors.
     """
     focal = calibration.camera("left_wide").intrinsics.matrix[0, 0]
     baseline = np.linalg.norm(calibration.T_rbase_lbase[:3, 3])

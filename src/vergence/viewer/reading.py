@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from rerun.chunk import RrdReader
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-
-if TYPE_CHECKING:  # the twin, and with it mujoco, is not needed to record a real head
-    pass
 
 
 def read_series(
@@ -22,7 +19,7 @@ def read_series(
     component: str = "Scalars:scalars",
     timeline: str = "sim_time",
 ) -> tuple[Array, Array]:
-    """Return times (N,) [s] and values of one series of a recording, in time order.
+    """Return the times (N,) [s] and the values of one series of a recording, in order of time.
 
     Args:
         path: of the `.rrd` file.

@@ -1,4 +1,4 @@
-"""What a recording draws in space: the head's shapes, its cameras, lines of sight."""
+"""Shapes in the 3-D view of a recording: the robot, its cameras, lines of sight."""
 
 from __future__ import annotations
 
@@ -12,24 +12,26 @@ from scipy.spatial.transform import Rotation
 from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration, T_base_cam
 from vergence.geometry.se3 import inverse, transform
-
-if TYPE_CHECKING:  # the twin, and with it mujoco, is not needed to record a real head
-    from vergence.twin.appearance import VisualGeom
 from vergence.viewer import style
 from vergence.viewer.layout import camera_entities
 
+if TYPE_CHECKING:  # the twin, and with it mujoco, is not needed to record a real head
+    from vergence.twin.appearance import VisualGeom
+
 
 def quaternions(R: Array) -> Array:
-    """Return (..., 4) xyzw of rotations (..., 3, 3)."""
+    """Return the quaternions xyzw (..., 4) of rotations (..., 3, 3)."""
     return Rotation.from_matrix(R).as_quat()
 
 
 def placed(T: Array) -> rr.Transform3D:
+    """Return the transform of an entity whose pose in its parent is T (4, 4)."""
     quaternion = rr.Quaternion(xyzw=quaternions(T[:3, :3]))
     return rr.Transform3D(translation=T[:3, 3], quaternion=quaternion)
 
 
 def log_geoms(rec: rr.RecordingStream, geoms: Sequence[VisualGeom]) -> None:
+    """Record visible shapes, each fixed to the entity of its body."""
     batches: dict[tuple[str, str], list[VisualGeom]] = {}
     for geom in geoms:
         batches.setdefault((geom.body, geom.shape), []).append(geom)
@@ -82,6 +84,7 @@ def _mesh(geom: VisualGeom, color: np.ndarray) -> rr.Mesh3D:
 
 
 def log_cameras(rec: rr.RecordingStream, head: HeadCalibration) -> None:
+    """Record the cameras in their eyes, and the colours of the marks in their images."""
     for name, entity in camera_entities(head).items():
         mounted = head.camera(name)
         camera, image_from_camera = mounted.intrinsics, mounted.intrinsics.matrix.copy()
@@ -119,7 +122,13 @@ def spread_ellipsoid(points: Array) -> rr.Ellipsoids3D:
 
 
 def lines_of_sight(head: HeadCalibration, points: Array, eye_angles: Array) -> Array:
-    """Return (N, 3, 3): left wide camera, point, right one, in the left eye's base frame."""
+    """Return polylines (N, 3, 3) from the left wide camera to a point to the right wide camera.
+
+    Args:
+        head: with the cameras left_wide and right_wide.
+        points: (N, 3) [m] in the left eye's base frame, as the result.
+        eye_angles: (N, 4) joint readings [rad].
+    """
     left = T_base_cam(head, "left_wide", eye_angles[:, :2])[:, :3, 3]
     right = T_base_cam(head, "right_wide", eye_angles[:, 2:])[:, :3, 3]
     right = transform(inverse(head.T_rbase_lbase), right)
