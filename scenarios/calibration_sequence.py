@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import tyro
 
-from vergence.calibration.sequential.sequential import calibrate
-from vergence.geometry.head import save
+from vergence.calibration.sequential.sequential import calibrate_sequentially
+from vergence.geometry.head import save_head
 from vergence.geometry.se3 import angle, inverse
 from vergence.twin.calibration_sequence import capture_views, carry_out, plan
 from vergence.twin.head import Twin
@@ -24,12 +24,12 @@ def main(out: Path = OUT, profile: str = "ideal", lens: Lens = "2.8mm", seed: in
     out.mkdir(parents=True, exist_ok=True)
     with Twin(load_profile(profile), seed=seed, lens=lens) as twin:
         shots = plan(twin.nominal, seed)
-        found = calibrate(capture_views(twin, shots), neck=twin.nominal.neck)
+        found = calibrate_sequentially(capture_views(twin, shots), neck=twin.nominal.neck)
         columns = [
             np.vstack(list(twin.capture(shot.cameras).images.values()))
             for shot in carry_out(twin, shots[-SHOWN:])  # the last ones have the board at rest
         ]
-    save(found.head, out / "calibration.json")
+    save_head(found.head, out / "calibration.json")
     cv2.imwrite(
         str(out / "sequence.png"), cv2.resize(np.hstack(columns)[..., ::-1], None, fx=0.4, fy=0.4)
     )

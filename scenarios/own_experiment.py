@@ -5,8 +5,8 @@ python scenarios/own_experiment.py
 
 import numpy as np
 
-from vergence.calibration.sequential.sequential import calibrate
-from vergence.stereo.triangulation import locate
+import vergence as vg
+from vergence.calibration.sequential.sequential import calibrate_sequentially
 from vergence.twin.calibration_sequence import capture_views, plan
 from vergence.twin.head import Twin
 from vergence.twin.profile import load_profile
@@ -18,7 +18,7 @@ VERGENCE_RAD = np.linspace(-0.05, 0.20, 12)  # by which each eye turns inwards
 
 def main() -> None:
     with Twin(load_profile("ideal"), seed=0) as twin:
-        head = calibrate(capture_views(twin, plan(twin.nominal, seed=0))).head
+        head = calibrate_sequentially(capture_views(twin, plan(twin.nominal, seed=0))).head
         twin.place_object(OBJECT_M)
         for turn in VERGENCE_RAD:
             twin.settle(np.array([0, 0, 0, -turn, 0, turn, 0]))  # neck, left eye, right eye
@@ -26,7 +26,9 @@ def main() -> None:
             left, right = (
                 find_sphere(frame.images[n], head.camera(n).intrinsics) for n in frame.images
             )
-            point = locate(head, left[None], right[None], frame.eye_angles[None]).points[0]
+            point = vg.locate(
+                head, left=left[None], right=right[None], joints=frame.eye_angles
+            ).xyz[0]
             print(f"vergence {2 * turn:+.2f} rad: error {np.round(1e3 * (point - OBJECT_M), 1)} mm")
 
 

@@ -43,7 +43,7 @@ def test_each_figure_has_a_panel_with_its_estimates(numbers: tuple[int, ...]):
         assert len(curves) == 3
         for k, curve in enumerate(curves):
             np.testing.assert_array_equal(curve.get_xdata(), drawn.measurements.time_s)
-            np.testing.assert_array_equal(curve.get_ydata(), drawn.located.points[:, k])
+            np.testing.assert_array_equal(curve.get_ydata(), drawn.points[:, k])
         bands = [patch.get_corners()[[0, 2], 1] for patch in axes.patches]
         mean, std = np.array(figure.mean_m), np.array(figure.std_m)
         np.testing.assert_allclose(bands, np.stack([mean - std, mean + std], axis=1))

@@ -65,7 +65,7 @@ def test_without_imperfection_the_whole_chain_returns_the_truth(lens: Lens, seed
             seen = observe_points(truth, ErrorProfile(), figure, times, rng=rng)
             replayed = estimate(found.head, figure, np.array(figure.mean_m), seen)
             assert replayed.statistics.dropped == 0
-            assert_same(replayed.located.points, np.tile(figure.mean_m, (500, 1)))
+            assert_same(replayed.points, np.tile(figure.mean_m, (500, 1)))
 
 
 def test_a_board_that_is_larger_than_told_makes_a_smaller_world():

@@ -7,7 +7,6 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields, is_dataclass
-from importlib.metadata import version
 from inspect import Parameter, signature
 from itertools import count
 from json import dumps
@@ -19,6 +18,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bars
 
+from vergence import __version__
 from vergence.commands.invocation import invocation
 from vergence.errors import VergenceError
 from vergence.files import write_whole
@@ -59,7 +59,7 @@ def reproduce(
     check(out, figures=figures, seed=seed, duration_s=duration, rate_hz=rate)
     if (out / "statistics.json").exists():
         print(f"Replacing the results of an earlier run in {out}.")
-    with _progress() as (progress, _):
+    with _progress() as progress:
         done = run(
             out,
             figures=figures,
@@ -101,7 +101,7 @@ def record(
     from vergence.twin.profile import load_profile
 
     chosen = load_profile(profile)
-    with _progress() as (progress, _):
+    with _progress() as progress:
         images = run(
             out,
             profile=chosen,
@@ -122,7 +122,7 @@ def calibrate(
     *,
     out: Path,
     report: Path | None = None,
-    method: Literal["refined", "paper"] = "refined",
+    method: Literal["bundle", "paper"] = "bundle",
     json: Path | None = None,
 ) -> None:
     """Calibrate a head from a dataset, and state the accuracy.
@@ -131,24 +131,26 @@ def calibrate(
         dataset: Folder with dataset.json, frames.csv and images.
         out: JSON file of the calibration.
         report: Folder for report.md, its pictures and a recording of the dataset.
-        method: The paper's steps only, or followed by bundle adjustment (refined).
+        method: Bundle adjustment, which starts from the paper's steps, or these steps alone.
         json: JSON file of the accuracy alone.
     """
     # The matrices are small: threads of linear algebra would wait for each other. Before numpy.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from vergence.calibration.calibrate import solve
-    from vergence.commands.calibration_report import summary, write_json, write_report
-    from vergence.geometry.head import save
+    from vergence.calibration.calibrate import calibrate as run
+    from vergence.commands.calibration_report import write_json, write_report
+    from vergence.data.reader import load_dataset
+    from vergence.geometry.head import save_head
 
-    with _progress() as (progress, bars):
-        solved = solve(dataset, method=method, progress=bars)
-        save(solved.head, out)
+    data = load_dataset(dataset)
+    with _progress() as progress:
+        result = run(data, method=method, progress=progress)
+        save_head(result.head, out)
         if json is not None:
-            write_json(solved, json)
+            write_json(result, json)
         if report is not None:
-            step = _counter(progress, "writing the report", len(solved.dataset))
-            write_report(solved, report, done=step)
-    print("\n".join([*summary(solved), f"Wrote {out}."]))
+            step = _counter(progress, "writing the report", len(data))
+            write_report(result, data, report, done=step)
+    print(f"{result.summary()}\nWrote {out}.")
     if report is not None:
         print(f"To view the images: {invocation('rerun', report / 'dataset.rrd')}")
 
@@ -169,9 +171,9 @@ def evaluate(
     """
     from vergence.commands import evaluate as evaluation
     from vergence.commands import truth as truth_file
-    from vergence.geometry.head import load
+    from vergence.geometry.head import load_head
 
-    found = evaluation.evaluate(load(calibration), truth_file.load(truth))
+    found = evaluation.evaluate(load_head(calibration), truth_file.load(truth))
     if json is not None:
         evaluation.save(found, json)
     print(evaluation.as_text(found))
@@ -191,10 +193,10 @@ def export(
         format: Format; ros writes a folder, the others a file.
         out: File or folder to write.
     """
-    from vergence.geometry.head import load
+    from vergence.geometry.head import load_head
     from vergence.interchange.formats import export_head
 
-    export_head(load(calibration), out, format)
+    export_head(load_head(calibration), out, format)
     print(f"Wrote {out}.")
 
 
@@ -214,10 +216,11 @@ def import_(
         out: JSON file of the calibration.
         start: Calibration that supplies what kalibr and ros files do not contain.
     """
-    from vergence.geometry.head import load, save
+    from vergence.geometry.head import load_head, save_head
     from vergence.interchange.formats import import_head
 
-    save(import_head(path, format, template=None if start is None else load(start)), out)
+    template = None if start is None else load_head(start)
+    save_head(import_head(path, format, template=template), out)
     print(f"Wrote {out}.")
 
 
@@ -274,7 +277,7 @@ def track(*, seconds: float = 60.0, options: Options = DEFAULT) -> None:
     from vergence.twin.profile import load_profile
 
     chosen = load_profile(options.profile)
-    with _progress() as (progress, _):
+    with _progress() as progress:
 
         def watch(state: GazeState, frame: Frame | None) -> None:
             progress("track, seconds", max(0, int(state.frame_s)), int(seconds))
@@ -292,7 +295,7 @@ def _run_trials(
     from vergence.twin.profile import load_profile
 
     chosen = load_profile(options.profile)
-    with _progress() as (progress, _):
+    with _progress() as progress:
         done = _counter(progress, f"{name}, trials", trials)
         found, _ = run(trials=trials, seed=options.seed, profile=chosen, out=options.out, done=done)
     _summarise(found, options, f"{name}.rrd")
@@ -310,8 +313,8 @@ def _summarise(summary: DataclassInstance, options: Experiment, recording: str) 
 
 
 @contextmanager
-def _progress() -> Iterator[tuple[Progress, Bars]]:
-    """Show each task as a bar on standard error; yields the callback, and rich's own bars."""
+def _progress() -> Iterator[Progress]:
+    """Show each task as a bar on standard error."""
     columns = TextColumn("{task.description:<28}"), BarColumn(), MofNCompleteColumn()
     with Bars(*columns, TimeElapsedColumn(), console=Console(stderr=True)) as bars:
         tasks = {}
@@ -321,7 +324,7 @@ def _progress() -> Iterator[tuple[Progress, Bars]]:
                 tasks[task] = bars.add_task(task, total=total)
             bars.update(tasks[task], completed=done, total=total)
 
-        yield show, bars
+        yield show
 
 
 def _counter(progress: Progress, task: str, total: int) -> Callable[[], None]:
@@ -383,7 +386,7 @@ def _options(command: Callable[..., None]) -> list[str]:
 def main() -> None:
     """Run the command line; a mistake of the user ends in one sentence and exit code 2."""
     if sys.argv[1:] == ["--version"]:
-        print(f"vergence {version('vergence')}")
+        print(f"vergence {__version__}")
         return
     try:
         _check(sys.argv[1:])

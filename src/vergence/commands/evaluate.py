@@ -15,7 +15,7 @@ from vergence.commands.truth import Truth
 from vergence.errors import VergenceError
 from vergence.files import write_whole
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.parameters import difference, without_offsets
+from vergence.geometry.parameters import boxminus, without_offsets
 from vergence.geometry.se3 import angle, inverse
 
 REGION = 0.95
@@ -89,7 +89,7 @@ def evaluate(head: HeadCalibration, truth: Truth) -> Evaluation:
             f"The truth is of another head: it has no camera {missing[0]}, only "
             f"{', '.join(truth.head.cameras)}."
         )
-    errors = difference(head, replace(truth.head, time_offset_s=truth.time_offset_s))
+    errors = boxminus(head, replace(truth.head, time_offset_s=truth.time_offset_s))
     mine, true = without_offsets(head), without_offsets(truth.head)
     cameras = {}
     for name, mounted in mine.cameras.items():

@@ -58,7 +58,7 @@ def chain_pose(chain: Chain, readings: Array) -> Array:
 
 
 def chain_jacobian(chain: Chain, readings: Array) -> Array:
-    """Return how the pose changes with the angles (..., 6, n), in the increment of `se3.boxplus`."""
+    """Return how the pose changes with the angles (..., 6, n), by `se3.boxplus`."""
     return _angle_jacobian(chain, _joint_frames(chain, readings))
 
 

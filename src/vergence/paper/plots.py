@@ -75,7 +75,7 @@ def _panel(axes: Axes, result: Replay) -> None:
         mean, std = figure.mean_m[k], figure.std_m[k]
         axes.axhspan(mean - std, mean + std, color=colour, alpha=0.18, linewidth=0)
         axes.axhline(mean, color=colour, linewidth=0.9, linestyle=(0, (6, 4)), alpha=0.8)
-        axes.plot(time_s, result.located.points[:, k], color=colour, linewidth=0.8)
+        axes.plot(time_s, result.points[:, k], color=colour, linewidth=0.8)
     axes.set_xlabel("time [s]", **_STYLE)
     axes.set_ylabel("position [m]", **_STYLE)
     axes.tick_params(labelleft=True, labelsize=11)

@@ -92,8 +92,8 @@ def log_results(
     for joint, angles in zip(EYE_JOINTS, eye_angles.T, strict=True):
         scalars = rr.Scalars.columns(scalars=angles)
         rec.send_columns(f"joints/{joint}", time_columns(time_s, index), scalars)
-    good = np.isfinite(result.located.points).all(axis=1)
-    times, points = time_columns(time_s[good], index[good]), result.located.points[good]
+    good = np.isfinite(result.points).all(axis=1)
+    times, points = time_columns(time_s[good], index[good]), result.points[good]
     for k, axis in enumerate(style.AXIS_COLOURS):
         rec.send_columns(f"estimate/{axis}", times, rr.Scalars.columns(scalars=points[:, k]))
         for kind, mean, std in (

@@ -14,15 +14,14 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.geometry.camera import project
-from vergence.geometry.head import HeadCalibration, T_base_cam
+from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import NECK_JOINTS
-from vergence.geometry.se3 import inverse, transform
+from vergence.geometry.projection import project_point
 from vergence.paper.figures import Figure
 from vergence.paper.statistics import Statistics, describe
 from vergence.paper.trajectories import PERIOD_S, default_duration_s, eye_angles
 from vergence.progress import Progress, silent
-from vergence.stereo.triangulation import Located, locate
+from vergence.stereo.triangulation import triangulate_at
 from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Exposure, Twin
 from vergence.twin.profile import ErrorProfile
@@ -57,7 +56,8 @@ class Replay:
     object_m: Array
     """(3,) true position of the object, in the left eye's base frame."""
     measurements: Measurements
-    located: Located
+    points: Array
+    """(N, 3) estimated positions [m] in the left eye's base frame; NaN: not located."""
     statistics: Statistics
 
 
@@ -174,7 +174,7 @@ def _measure(
     if observer is not None:
         angles, where, body_poses = truth
         eyes = angles[len(NECK_JOINTS) :]
-        shown = {name: see(twin.truth, name, eyes[None], where)[0] for name in frame.images}
+        shown = {name: project_point(twin.truth, name, eyes, where) for name in frame.images}
         observer(Sample(index, time_s, frame, detected, shown, body_poses))
     return frame.eye_angles, detected
 
@@ -190,10 +190,14 @@ def estimate(
         object_m: (3,) true position of the object, in the left eye's base frame.
         measurements: of rendered images or of projected points.
     """
-    located = locate(
-        calibration, measurements.pixels_l, measurements.pixels_r, measurements.eye_angles
+    points, _ = triangulate_at(
+        calibration,
+        left=measurements.pixels_l,
+        right=measurements.pixels_r,
+        joints=measurements.eye_angles,
+        cameras=WIDE,
     )
-    return Replay(figure, object_m, measurements, located, describe(located.points))
+    return Replay(figure, object_m, measurements, points, describe(points))
 
 
 def summary(result: Replay) -> dict[str, list[float] | int]:
@@ -207,18 +211,6 @@ def summary(result: Replay) -> dict[str, list[float] | int]:
         "samples": result.statistics.samples,
         "dropped": result.statistics.dropped,
     }
-
-
-def see(head: HeadCalibration, camera: str, eyes: Array, point: Array) -> Array:
-    """Return the pixels (N, 2) of a point (3,) in the left eye's base frame at eye angles (N, 4).
-
-    NaN where the point is behind the camera.
-    """
-    mounted = head.camera(camera)
-    left = mounted.eye == "left"
-    in_base = point if left else transform(head.T_rbase_lbase, point)
-    T = inverse(T_base_cam(head, camera, eyes[:, :2] if left else eyes[:, 2:]))
-    return project(mounted.intrinsics, transform(T, in_base))
 
 
 def observe_points(
@@ -250,6 +242,6 @@ def observe_points(
         at_reading = play(wound, width)[len(lead) :]
     readings = read(at_reading, profile.joints, rng)
     point = np.array(figure.mean_m)
-    pixels = [see(truth, name, at_image, point) for name in WIDE]
+    pixels = [project_point(truth, name, at_image, point) for name in WIDE]
     noisy = [uv + rng.normal(0, pixel_noise, uv.shape) for uv in pixels]
     return Measurements(times_s, readings, noisy[0], noisy[1])

@@ -7,12 +7,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.sequential.sequential import PaperCalibration
-from vergence.geometry.head import HeadCalibration, T_base_cam
-from vergence.geometry.se3 import inverse
-from vergence.paper.replay import Replay
+from vergence.calibration.sequential.sequential import SequentialCalibration
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.projection import stereo_poses
+from vergence.paper.replay import WIDE, Replay
 from vergence.paper.trajectories import eye_angles
-from vergence.stereo.uncertainty import depth_error, disparity_error
+from vergence.stereo.depth_error import depth_error, disparity_error
 from vergence.twin.profile import ErrorProfile, Joints
 from vergence.twin.sensors import read
 
@@ -38,10 +38,7 @@ def predicted_depth_std(result: Replay, profile: ErrorProfile, head: HeadCalibra
     Depth and baseline are those of the camera centres at straight gaze. Eqs. 20-21, as the paper
     uses them, leave out errors of the calibration and of image matching.
     """
-    straight = np.zeros(2)
-    T_lbase_lcam = T_base_cam(head, "left_wide", straight)
-    T_rbase_rcam = T_base_cam(head, "right_wide", straight)
-    T_rcam_lcam = inverse(T_rbase_rcam) @ head.T_rbase_lbase @ T_lbase_lcam
+    T_lbase_lcam, T_rcam_lcam = stereo_poses(head, np.zeros(4), cameras=WIDE)
     baseline = float(np.linalg.norm(T_rcam_lcam[:3, 3]))
     depth = result.object_m[0] - T_lbase_lcam[0, 3]
     focal = head.camera("left_wide").intrinsics.matrix[0, 0]
@@ -76,7 +73,7 @@ Error profile `{profile.name}`: {profile.description} {_fitted_line(profile)}
 
 def report(
     replays: Mapping[int, Replay],
-    calibrations: Mapping[str, PaperCalibration],
+    calibrations: Mapping[str, SequentialCalibration],
     heads: Mapping[str, HeadCalibration],
     profile: ErrorProfile,
     seed: int,
@@ -172,7 +169,7 @@ def _mean_table(replays: Mapping[int, Replay]) -> str:
     return "\n".join(lines)
 
 
-def _calibration_table(calibrations: Mapping[str, PaperCalibration]) -> str:
+def _calibration_table(calibrations: Mapping[str, SequentialCalibration]) -> str:
     lines = ["| lens | camera | views | RMS residual | focal length |", "|---|---|---|---|---|"]
     for lens, found in calibrations.items():
         for name, intrinsics in found.intrinsics.items():

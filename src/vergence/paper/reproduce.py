@@ -11,10 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.sequential.sequential import PaperCalibration, calibrate
+from vergence.calibration.sequential.sequential import (
+    SequentialCalibration,
+)
 from vergence.errors import VergenceError
 from vergence.files import write_whole
-from vergence.geometry.head import HeadCalibration, save
+from vergence.geometry.head import HeadCalibration, save_head
 from vergence.paper.figures import FIGURES, Figure
 from vergence.paper.plots import paper_figures
 from vergence.paper.recording import figure_recording, log_results
@@ -40,7 +42,7 @@ class Reproduction:
 
     profile: ErrorProfile
     seed: int
-    calibrations: dict[str, PaperCalibration]
+    calibrations: dict[str, SequentialCalibration]
     """By lens, as they were estimated."""
     heads: dict[str, HeadCalibration]
     """By lens, as they are used: with the calibration errors that the profile injects."""
@@ -83,7 +85,7 @@ def reproduce(
                 continue
             with Twin(profile, seed=seed, lens=lens) as twin:
                 found = _calibrate(twin, lens, seed, progress)
-                save(found.head, out / f"calibration-{lens}.json")
+                save_head(found.head, out / f"calibration-{lens}.json")
                 done.calibrations[lens] = found
                 done.heads[lens] = inject_calibration_error(found.head, profile.by_hand, lens)
                 for figure in through_it:
@@ -146,14 +148,16 @@ def check(
     return chosen
 
 
-def _calibrate(twin: Twin, lens: str, seed: int, progress: Progress) -> PaperCalibration:
+def _calibrate(twin: Twin, lens: str, seed: int, progress: Progress) -> SequentialCalibration:
     task = f"calibrating, {lens} lens"
     views = capture_views(
         twin,
         plan(twin.nominal, seed),
         progress=lambda _, done, total: progress(task, done, total),
     )
-    return calibrate(views, wide_lens=twin.profile.calibration.wide_lens, neck=twin.nominal.neck)
+    return calibrate_sequentially(
+        views, wide_lens=twin.profile.calibration.wide_lens, neck=twin.nominal.neck
+    )
 
 
 def record_replay(

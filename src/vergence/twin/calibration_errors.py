@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from vergence.geometry.head import HeadCalibration, MountedCamera, T_base_cam
-from vergence.geometry.kinematics import EYES, T_base_eye
-from vergence.geometry.se3 import inverse, pose, rotation
-from vergence.stereo.triangulation import fixed_transform
+from vergence.geometry.head import HeadCalibration, MountedCamera
+from vergence.geometry.projection import T_rcam_lcam, rebase
+from vergence.geometry.se3 import pose, rotation
 from vergence.twin.profile import ByHand
 
 
@@ -47,18 +46,6 @@ def rebase_at_zero(before: HeadCalibration, after: HeadCalibration) -> HeadCalib
         before: the calibration that has the T_rcam_lcam to keep.
         after: the calibration with changed cameras, which is returned with another T_rbase_lbase.
     """
-    straight = np.zeros(2)
-    T_rcam_lcam = (
-        inverse(T_base_cam(before, "right_wide", straight))
-        @ before.T_rbase_lbase
-        @ T_base_cam(before, "left_wide", straight)
-    )
-    eyes = {eye: T_base_eye(straight, after.axes[eye]) for eye in EYES}
-    T_rbase_lbase = fixed_transform(
-        eyes["right"],
-        after.camera("right_wide").T_eye_cam,
-        T_rcam_lcam,
-        after.camera("left_wide").T_eye_cam,
-        eyes["left"],
-    )
-    return replace(after, T_rbase_lbase=T_rbase_lbase)
+    straight, wide = np.zeros(4), ("left_wide", "right_wide")
+    T = T_rcam_lcam(before, straight, cameras=wide)
+    return rebase(after, T, joints=straight, cameras=wide)

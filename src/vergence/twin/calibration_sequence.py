@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.sequential.sequential import Views
+from vergence.calibration.observations import Observations
 from vergence.geometry.board import Board, Chessboard, corner_points
-from vergence.geometry.camera import project
-from vergence.geometry.head import HeadCalibration, T_base_cam
+from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES, NECK_JOINTS
+from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, pose, rotation, transform
 from vergence.progress import Progress, silent
 from vergence.twin.head import Exposure, Twin
@@ -111,12 +111,8 @@ def visible(head: HeadCalibration, board: Board, name: str, shot: Shot) -> np.nd
 
 def project_board(head: HeadCalibration, board: Board, name: str, shot: Shot) -> Array:
     """Return the pixels (K, 2) of the board's corners in a camera, at a shot's pose and angles."""
-    mounted = head.camera(name)
-    left = mounted.eye == "left"
-    T_base_target = shot.T_lbase_target if left else head.T_rbase_lbase @ shot.T_lbase_target
-    angles = shot.eye_angles[:2] if left else shot.eye_angles[2:]
-    T_cam_target = inverse(T_base_cam(head, name, angles)) @ T_base_target
-    return project(mounted.intrinsics, transform(T_cam_target, corner_points(board)))
+    corners = transform(shot.T_lbase_target, corner_points(board))
+    return project_point(head, name, shot.eye_angles, corners)
 
 
 def _held_board(
@@ -179,7 +175,9 @@ def carry_out(twin: Twin, shots: Sequence[Shot], *, interval_s: float = 0.0) -> 
         yield shot
 
 
-def capture_views(twin: Twin, shots: Sequence[Shot], *, progress: Progress = silent) -> Views:
+def capture_views(
+    twin: Twin, shots: Sequence[Shot], *, progress: Progress = silent
+) -> Observations:
     """Carry out a sequence on the twin and find the board in its images.
 
     Args:
@@ -213,7 +211,7 @@ def simulate_views(
     *,
     pixel_noise: float,
     rng: np.random.Generator,
-) -> Views:
+) -> Observations:
     """Return what `capture_views` would, with projected corners instead of rendered images.
 
     Args:
@@ -237,14 +235,14 @@ def _views(
     shots: Sequence[Shot],
     eye_angles: Array,
     found: Sequence[Mapping[str, Array | None]],
-) -> Views:
+) -> Observations:
     nothing = np.full((BOARD.columns * BOARD.rows, 2), np.nan)
     corners = {}
     for name in head.cameras:
         seen = [view.get(name) for view in found]
         corners[name] = np.array([nothing if c is None else c for c in seen])
     intrinsics = {name: mounted.intrinsics for name, mounted in head.cameras.items()}
-    return Views(
+    return Observations(
         board=board_as_given(profile),
         placement=np.array([shot.placement for shot in shots]),
         eye_angles=eye_angles,

@@ -22,12 +22,12 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from vergence.arrays import Array
-from vergence.calibration.bundle.refine import Refined
-from vergence.calibration.detection import Detections
+from vergence.calibration.bundle.bundle_adjustment import BundleEstimate
+from vergence.calibration.calibrate import CalibrationResult
 from vergence.data.dataset import Dataset
 from vergence.geometry.board import Board
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYE_JOINTS, EYES, T_base_eye
+from vergence.geometry.kinematics import EYE_JOINTS, EYES
 from vergence.geometry.se3 import inverse
 from vergence.viewer import style
 from vergence.viewer.frame import log_image, time_columns
@@ -49,9 +49,7 @@ RESIDUAL_LENGTH_PX = 12
 def record_dataset(
     path: Path,
     dataset: Dataset,
-    detections: Detections,
-    head: HeadCalibration,
-    refined: Refined | None,
+    result: CalibrationResult,
     *,
     report: str,
     done: Callable[[], None] = lambda: None,
@@ -61,24 +59,22 @@ def record_dataset(
     Args:
         path: of the `.rrd` file; an earlier one is replaced.
         dataset: the dataset with its images.
-        detections: the corners in the images.
-        head: the calibration.
-        refined: the result of bundle adjustment, with residuals and poses of the board; None: only
-            images and corners are recorded.
+        result: the calibration; without bundle adjustment only images and corners are recorded.
         report: text in markdown.
         done: called after each row.
 
     Raises:
         VergenceError: the file cannot be written, or an image cannot be read.
     """
-    magnified = _magnification(refined)
-    layout = _blueprint(head, magnified if refined else None)
-    eyes = _eye_poses(head, detections, refined)
+    head, estimate = result.head, result.estimate
+    magnified = _magnification(estimate)
+    layout = _blueprint(head, magnified if estimate else None)
+    eyes = _eye_poses(result)
     entities = camera_entities(head)
     with recording_file(path, "dataset", layout, head, ()) as rec:
         _log_styles(rec, head, dataset)
-        if refined is not None:
-            rec.log("world/board/shape", _outline(detections.views.board), static=True)
+        if estimate is not None:
+            rec.log("world/board/shape", _outline(result.observations.board), static=True)
         time_s = dataset.time_s - dataset.time_s[0]
         for row in range(len(dataset)):
             rec.set_time("sim_time", duration=float(time_s[row]))
@@ -86,41 +82,35 @@ def record_dataset(
             for k, eye in enumerate(EYES):
                 if np.isfinite(eyes[row, k]).all():
                     rec.log(f"world/{eye}_eye", placed(eyes[row, k]))
-            if refined is not None:
-                T = refined.T_lbase_target.get(int(dataset.placement[row]))
+            if estimate is not None:
+                T = estimate.T_lbase_target.get(int(dataset.placement[row]))
                 rec.log("world/board", rr.Clear(recursive=False) if T is None else placed(T))
             for name, entity in entities.items():
-                corners = detections.views.corners[name][row]
-                errors = None if refined is None else refined.residuals_px.get(name)
+                corners = result.observations.corners[name][row]
+                errors = None if estimate is None else estimate.residuals_px.get(name)
                 offset = None if errors is None else magnified * errors[row]
                 _log_image(rec, entity, dataset.image(name, row), corners, offset)
             done()
-        _log_series(rec, dataset, refined, time_s)
+        _log_series(rec, dataset, estimate, time_s)
         log_report(rec, report)
 
 
-def _magnification(refined: Refined | None) -> int:
+def _magnification(estimate: BundleEstimate | None) -> int:
     """Return the power of ten at which residuals are drawn."""
-    typical = 1.0 if refined is None else max(refined.pixel_std_px, 1e-6)
+    typical = 1.0 if estimate is None else max(estimate.pixel_std_px, 1e-6)
     return int(10 ** max(0, round(np.log10(RESIDUAL_LENGTH_PX / typical))))
 
 
-def _eye_poses(head: HeadCalibration, detections: Detections, refined: Refined | None) -> Array:
+def _eye_poses(result: CalibrationResult) -> Array:
     """Return poses (V, 2, 4, 4) of the eyes in the left eye's base frame.
 
-    Estimated poses where there are any, otherwise poses from the joint readings.
+    Estimated poses where there are any, otherwise poses as read.
     """
-    if detections.T_base_eye is not None:
-        poses = detections.T_base_eye.copy()
-    else:
-        angles = detections.views.eye_angles.reshape(-1, 2, 2)
-        poses = np.stack(
-            [T_base_eye(angles[:, k], head.axes[eye]) for k, eye in enumerate(EYES)], axis=1
-        )
-    if refined is not None:
-        known = np.isfinite(refined.T_base_eye)
-        poses = np.where(known, refined.T_base_eye, poses)
-    poses[:, 1] = inverse(head.T_rbase_lbase) @ poses[:, 1]
+    poses = result.observations.eye_poses(result.head.axes).copy()
+    if result.estimate is not None:
+        estimated = result.estimate.T_base_eye
+        poses = np.where(np.isfinite(estimated), estimated, poses)
+    poses[:, 1] = inverse(result.head.T_rbase_lbase) @ poses[:, 1]
     return poses
 
 
@@ -174,13 +164,13 @@ def _log_styles(rec: rr.RecordingStream, head: HeadCalibration, dataset: Dataset
 
 
 def _log_series(
-    rec: rr.RecordingStream, dataset: Dataset, refined: Refined | None, time_s: Array
+    rec: rr.RecordingStream, dataset: Dataset, estimate: BundleEstimate | None, time_s: Array
 ) -> None:
     rows = np.arange(len(dataset))
     curves: dict[str, Array] = {}
     if dataset.T_base_eye is None:
         curves |= {f"joints/{name}": dataset.eye_angles[:, k] for k, name in enumerate(EYE_JOINTS)}
-    for name, errors in ({} if refined is None else refined.residuals_px).items():
+    for name, errors in ({} if estimate is None else estimate.residuals_px).items():
         squares = (errors**2).sum(axis=2)
         seen = np.isfinite(squares)
         total = np.where(seen, squares, 0.0).sum(axis=1)
