@@ -13,6 +13,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.sequential.sequential import (
     SequentialCalibration,
+    calibrate_sequentially,
 )
 from vergence.errors import VergenceError
 from vergence.files import write_whole
