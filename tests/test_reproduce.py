@@ -145,17 +145,19 @@ def test_the_report_states_the_statistics(run):
 
 
 def test_the_report_of_two_lenses_has_one_whole_table_of_calibrations():
-    lens = next(iter(FOCAL_MM))
-    nominal, rng = nominal_head(lens), np.random.default_rng(0)
-    views = simulate_views(
-        nominal, load_profile("ideal"), plan(nominal, 0), pixel_noise=0.03, rng=rng
-    )
-    found = calibrate(views)
-    heads = {lens: found.head for lens in FOCAL_MM}
-    text = report({}, dict.fromkeys(FOCAL_MM, found), heads, load_profile("ideal"), 0)
+    profile, rng = load_profile("ideal"), np.random.default_rng(0)
+    calibrations, replays = {}, {}
+    for lens, number in zip(FOCAL_MM, (6, 10), strict=True):
+        head, figure = nominal_head(lens), FIGURES[number]
+        views = simulate_views(head, profile, plan(head, 0), pixel_noise=0.03, rng=rng)
+        calibrations[lens] = found = calibrate(views)
+        seen = observe_points(head, profile, figure, np.arange(10.0), pixel_noise=0.03, rng=rng)
+        replays[number] = estimate(found.head, figure, np.array(figure.mean_m), seen)
+    heads = {lens: found.head for lens, found in calibrations.items()}
+    text = report(replays, calibrations, heads, profile, 0)
     table = markdown_tables(text)["Calibrations"]
     assert [row[0] for row in table[1:]] == [lens for lens in FOCAL_MM for _ in range(4)]
-    for lens in FOCAL_MM:
+    for lens, found in calibrations.items():
         assert f"\nStatic stereo with the {lens} lens: {found.stereo_views} views" in text
 
 
