@@ -28,10 +28,10 @@ from typing import Literal
 import numpy as np
 import tyro
 from scipy.stats import chi2
+from vergence.calibration.bundle.refine import refine_eye_camera
 
 from vergence.arrays import Array
 from vergence.calibration.bundle.problem import pose_difference
-from vergence.calibration.bundle.refine import refine_eye_camera
 from vergence.calibration.sequential.hand_eye import park_martin
 from vergence.calibration.sequential.intrinsics import target_poses
 from vergence.errors import VergenceError

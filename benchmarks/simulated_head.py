@@ -140,7 +140,7 @@ def random_pose(rng: np.random.Generator, angle: float = 3.0, distance: float = 
 
 
 def point_in_camera(head: HeadCalibration, name: str, joints: Array, points: Array) -> Array:
-    """Return points (N, 3) of the left base in frame cam, at joints (N, 4); a check of projection."""
+    """Return points (N, 3) of the left eye's base in frame cam, at joint readings (N, 4)."""
     eye = head.cameras[name].eye
     in_base = points if eye == "left" else transform(head.T_rbase_lbase, points)
     return transform(inverse(T_base_cam(head, name, joints[:, EYE_COLUMNS[eye]])), in_base)

@@ -22,10 +22,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import tyro
 from rich.progress import track
+from vergence.calibration.bundle.jacobians import jacobians
 
 from vergence.arrays import Array
 from vergence.calibration.bundle.initial_state import one_eye
-from vergence.calibration.bundle.jacobians import jacobians
 from vergence.calibration.bundle.problem import PER_CAMERA, moved, pose_difference
 from vergence.calibration.sequential.hand_eye import park_martin
 from vergence.geometry.board import Chessboard, corner_points

@@ -18,10 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 import tyro
 from rich.progress import track
+from vergence.calibration.bundle.refine import refine
 
 from simulated_head import Motion, Noise, moving_recording, random_head, still_recording
 from vergence.arrays import Array
-from vergence.calibration.bundle.refine import refine
 from vergence.calibration.calibrate import paper, with_accuracy
 from vergence.calibration.checks.cross_validation import Observations
 from vergence.data.timing import Timing

@@ -25,10 +25,10 @@ import numpy as np
 import tyro
 from rich.progress import track
 from scipy.stats import chi2
+from vergence.calibration.bundle.refine import refine
 
 from simulated_head import HEIGHT, WIDTH, Noise, pixels_seen, random_head, still_recording
 from vergence.arrays import Array
-from vergence.calibration.bundle.refine import refine
 from vergence.calibration.calibrate import paper, with_accuracy
 from vergence.calibration.checks.cross_validation import Observations, predicted_covariance
 from vergence.errors import VergenceError

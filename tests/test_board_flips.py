@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from observed import Recording, head, observe
+
 from vergence.calibration.checks.board_flips import Repaired, remarks, repair, turned, warnings
 from vergence.calibration.sequential.intrinsics import seen_corners
 from vergence.calibration.sequential.sequential import Views

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from heads import plain_head
+
 from vergence import cli
 from vergence.data import reader
 from vergence.geometry.head import load, save

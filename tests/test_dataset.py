@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simulated_head import random_pose
 from recordings import (
     JOINTS,
     change_about,
@@ -18,6 +17,7 @@ from recordings import (
     write_dataset,
     write_table,
 )
+from simulated_head import random_pose
 from vergence.data.dataset import pose_columns, runs
 from vergence.data.reader import load
 from vergence.errors import VergenceError

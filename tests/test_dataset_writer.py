@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simulated_head import random_pose
 from recordings import (
     CHARUCO,
     small_dataset,
 )
+from simulated_head import random_pose
 from vergence.data.dataset import DatasetCamera, DatasetJoint, Description, Frame
 from vergence.data.reader import load
 from vergence.data.writer import Entry, write

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
 from observed import Recording, head, observe, with_readings
+
 from vergence.calibration.calibrate import estimate
 from vergence.calibration.checks.board_flips import turned
 from vergence.calibration.checks.cross_validation import Observations

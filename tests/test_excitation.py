@@ -4,8 +4,8 @@ from typing import Literal
 
 import numpy as np
 import pytest
-
 from observed import Recording, head, observe, with_corners
+
 from vergence.calibration.calibrate import Method, estimate
 from vergence.calibration.checks.cross_validation import Observations
 from vergence.calibration.sequential.intrinsics import target_poses

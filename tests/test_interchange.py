@@ -11,7 +11,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulated_head import skewed_head, random_pose
+from simulated_head import random_pose, skewed_head
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, project
 from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base, T_head_base

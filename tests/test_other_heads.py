@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from observed import BOARD, Recording, as_poses, head, observe
+
 from recordings import description, write_dataset
 from vergence import cli
 from vergence.calibration import calibrate as solving

@@ -4,14 +4,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from heads import R_EYE_CAM, random_pose
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-from heads import R_EYE_CAM, random_pose
 from refining import POINTS, probability
+from vergence.calibration.bundle.refine import EyeCamera, refine_eye_camera
+
 from vergence.arrays import Array
 from vergence.calibration.bundle.problem import moved, pose_difference
-from vergence.calibration.bundle.refine import EyeCamera, refine_eye_camera
 from vergence.errors import VergenceError
 from vergence.geometry.camera import pinhole, project
 from vergence.geometry.kinematics import T_base_eye

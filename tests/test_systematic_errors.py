@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from vergence.calibration.bundle.refine import Refined, refine
 
 from test_other_heads import recorded
-from vergence.calibration.bundle.refine import Refined, refine
 from vergence.calibration.calibrate import estimate
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES
