@@ -11,9 +11,8 @@ costs. Exits with 1 when a bar is missed.
 
 Two kinds of bar. The relative one (1.05 times the better of the two others) holds in any geometry.
 The absolute one comes from a table whose board, distance, motion and focal length are not recorded,
-so that it can be passed or missed by the choice of them. `table_geometry.py` tells them from the
-table's other two columns; the geometry that explains these best is the default, and those that
-explain them nearly as well are in the README beside what came of them.
+so that it can be passed or missed by the choice of them. The default is the geometry that explains
+the table's other two columns best; README.md in this folder lists those that do so nearly as well.
 """
 
 from __future__ import annotations

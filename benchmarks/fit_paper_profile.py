@@ -25,8 +25,8 @@ from vergence.geometry.head import HeadCalibration
 from vergence.paper.figures import FIGURES
 from vergence.paper.replay import SAMPLES, estimate, observe_points, sample_times
 from vergence.paper.trajectories import default_duration_s
-from vergence.twin.calibration_errors import written_by_hand
-from vergence.twin.calibration_sequence import Shot, look_at_points, plan
+from vergence.twin.calibration_errors import inject_calibration_error
+from vergence.twin.calibration_sequence import Shot, plan, simulate_views
 from vergence.twin.model import FOCAL_MM, as_built_head, nominal_head
 from vergence.twin.profile import ByHand, ErrorProfile, Joints, load_profile
 
@@ -70,8 +70,8 @@ def run(profile: ErrorProfile, plans: Plans, seed: int) -> tuple[Array, Array]:
     for lens, (nominal, shots) in plans.items():
         rng = np.random.default_rng([seed, 9])
         truth = as_built_head(nominal, profile, seed)
-        views = look_at_points(truth, profile, shots, pixel_noise=CORNER_NOISE_PX, rng=rng)
-        head = written_by_hand(calibrate(views).head, profile.by_hand, lens)
+        views = simulate_views(truth, profile, shots, pixel_noise=CORNER_NOISE_PX, rng=rng)
+        head = inject_calibration_error(calibrate(views).head, profile.by_hand, lens)
         for row, figure in enumerate(FIGURES.values()):
             if figure.lens != lens:
                 continue

@@ -28,7 +28,7 @@ from vergence.calibration.sequential.static_stereo import calibrate_pair
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.camera import Camera, undistort
-from vergence.vision.board_detection import find_corners
+from vergence.vision.board_detection import detect_board
 
 FOLDS = 5
 SIDES = ("left", "right")
@@ -79,7 +79,7 @@ def corners_in(path: Path, board: Chessboard) -> tuple[Array, tuple[int, int]]:
     grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if grey is None:
         raise VergenceError(f"{path} is not a readable image.")
-    found = find_corners(grey, board)
+    found = detect_board(grey, board)
     corners = np.full((board.columns * board.rows, 2), np.nan) if found is None else found
     return corners, (grey.shape[1], grey.shape[0])
 

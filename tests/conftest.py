@@ -1,13 +1,61 @@
-"""Settings that all tests share."""
+"""Settings that all tests share, and the markers by which a run is chosen.
+
+`pytest -m "not render and not slow"` is the short run. A test is marked `render` when it needs the
+twin's OpenGL, and `slow` when it, or its file as a whole, takes seconds of processor time without.
+"""
 
 import os
+import sys
+from collections.abc import Iterator
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices; workers have one core each
+if sys.platform.startswith("linux"):
+    os.environ.setdefault("MUJOCO_GL", "egl")  # read when a test imports mujoco, before the twin
 
+import pytest
 from hypothesis import settings
 
-import vergence.twin  # noqa: F401  # chooses OpenGL, before any test imports mujoco
-
-# Derandomised: a test that passes here passes everywhere. No deadline: machines are shared.
+# Derandomised, so that a run can be repeated. No deadline: machines are shared.
 settings.register_profile("vergence", deadline=None, derandomize=True, max_examples=50)
 settings.load_profile("vergence")
+
+
+@pytest.fixture(scope="session")
+def opengl() -> None:
+    """Is requested by every fixture that renders: its tests are marked `render`."""
+
+
+@pytest.fixture(scope="session")
+def slow_setup() -> None:
+    """Is requested by every fixture that takes more than 2 s: its tests are marked `slow`."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        for fixture, marker in (("opengl", "render"), ("slow_setup", "slow")):
+            if fixture in getattr(item, "fixturenames", ()):
+                item.add_marker(marker)
+
+
+@pytest.fixture
+def few_views(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shorten the twin's calibration sequence, where a test does not depend on its accuracy."""
+    from vergence.twin.calibration_sequence import plan
+
+    monkeypatch.setitem(plan.__kwdefaults__, "views", (6, 4, 12))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    """Fail a test that renders without saying so, in its fixtures too."""
+    mujoco = sys.modules.get("mujoco")
+    if mujoco is None or item.get_closest_marker("render"):
+        return (yield)
+
+    def refuse(*_: object, **__: object) -> None:
+        pytest.fail("This test renders: mark it `render`, or let its fixture request `opengl`.")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(mujoco, "Renderer", refuse)
+        return (yield)

@@ -63,7 +63,7 @@ def test_measured_eye_poses_calibrate_a_whole_head_exactly():
 
 
 @pytest.fixture(scope="module")
-def noisy_heads() -> list[tuple[HeadCalibration, BundleEstimate]]:
+def noisy_heads(slow_setup: None) -> list[tuple[HeadCalibration, BundleEstimate]]:
     """Six heads with joint noise of 0.05 degrees, 0.1 px, and images 15 ms late."""
     noise, results = Noise(pixel_px=0.1, joint_rad=np.radians(0.05)), []
     for seed in range(100, 106):

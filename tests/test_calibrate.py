@@ -170,6 +170,7 @@ def own_detector(dataset: Dataset) -> Observations:
     )
 
 
+@pytest.mark.slow
 def test_a_detector_of_one_s_own_gives_the_same_as_a_dataset(dataset: Dataset):
     ours, theirs = calibrate(dataset), calibrate(own_detector(dataset))
     assert max(map(abs, boxminus(ours.head, theirs.head).values())) < 1e-9

@@ -9,10 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recordings import description, write_dataset
 from simulated_head import plain_head
+from simulated_recording import BOARD, as_poses
+from test_other_heads import recorded as recorded_of_another
+from test_sequential import some_cameras
 from vergence import cli
+from vergence.calibration import calibrate as calibrate_module
+from vergence.calibration.observations import Observations
 from vergence.data import reader
-from vergence.geometry.head import load_head, save_head
+from vergence.data.dataset import Dataset, pose_columns
+from vergence.geometry.head import load_head, main_pair, save_head
+from vergence.geometry.kinematics import EYE_JOINTS, EYES, Side
 from vergence.viewer.reading import read_series
 
 
@@ -125,3 +133,58 @@ def test_too_little_data_ends_in_a_sentence(keep, named, recorded, tmp_path, mon
     said = capsys.readouterr().err.splitlines()[-1]
     assert re.search(named, said)
     assert not (tmp_path / "c.json").exists()
+
+
+# Of heads that are not built like this project's
+
+
+def write_folder(folder: Path, seen: Observations, eyes: dict[str, Side]) -> None:
+    """Write a dataset of these cameras whose images show nothing."""
+    about = description(BOARD, (640, 480)) | {
+        "cameras": {name: {"eye": eye, "width": 640, "height": 480} for name, eye in eyes.items()}
+    }
+    poses = seen.T_base_eye
+    if poses is not None:
+        about |= {"joints": {}, "eye_motion": "poses"}
+    table = []
+    for v, placement in enumerate(seen.placement):
+        row = {"time_s": v + 1.0, "joint_time_s": v + 1.0, "placement": placement}
+        if poses is None:
+            row |= dict(zip(EYE_JOINTS, seen.eye_angles[v].tolist(), strict=True))
+        else:
+            for k, eye in enumerate(EYES):
+                columns = pose_columns(eye)
+                row |= dict(zip(columns, poses[v, k].ravel().tolist(), strict=True))
+        table.append(row | {name: f"images/{name}_{v}.png" for name in eyes})
+    images = {row[name]: np.zeros((1, 1), np.uint8) for row in table for name in eyes}
+    write_dataset(folder, table, about, images)
+
+
+@pytest.mark.parametrize("poses", [False, True])
+def test_other_heads_go_all_the_way_from_a_folder_to_a_report(
+    poses: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+):
+    truth, seen = recorded_of_another(9)
+    eyes: dict[str, Side] = {"port": "left", "starboard": "right"}
+    seen = some_cameras(seen, {"left_wide": "port", "right_wide": "starboard"}, eyes)
+    seen = as_poses(seen) if poses else seen
+    write_folder(tmp_path / "set", seen, eyes)
+    # Corners as if they had been found.
+    monkeypatch.setattr(calibrate_module, "detect_target", lambda *_, **__: seen)
+    monkeypatch.setattr(Dataset, "image", lambda *_: np.zeros((480, 640, 3), np.uint8))
+    out, report = tmp_path / "head.json", tmp_path / "report"
+    run(monkeypatch, "calibrate", tmp_path / "set", "--out", out, "--report", report)
+    printed = capsys.readouterr().out
+    assert printed.startswith("UNKNOWN" if poses else ("GOOD", "FAIR"))
+    assert ("mm in eye poses" in printed) == poses
+    assert (report / "report.md").read_text().startswith("# Calibration")
+    calibrated = load_head(out)
+    assert main_pair(calibrated) == ("port", "starboard")
+    assert calibrated.accuracy is not None
+    assert calibrated.accuracy.eye_motion == ("poses" if poses else "pan-tilt")
+    checked = calibrated.accuracy.held_out
+    assert checked is not None
+    assert checked.transfer_views > 10
+    assert (checked.point_mm is None) == poses
+    off = calibrated.T_rbase_lbase[:3, 3] - truth.T_rbase_lbase[:3, 3]
+    assert np.abs(off).max() < 0.004

@@ -14,6 +14,8 @@ from vergence.geometry.camera import project
 from vergence.geometry.se3 import pose, rotation, transform
 from vergence.vision.board_pose import board_poses
 
+pytestmark = pytest.mark.slow  # whole calibrations, by both methods
+
 METHODS: tuple[Method, ...] = ("bundle", "paper")
 
 

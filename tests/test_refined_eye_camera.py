@@ -76,7 +76,7 @@ def test_an_exact_recording_gives_the_mounting_exactly(seed: int):
 
 
 @pytest.fixture(scope="module")
-def trials() -> list[tuple[Recording, EyeCamera, EyeCamera]]:
+def trials(slow_setup: None) -> list[tuple[Recording, EyeCamera, EyeCamera]]:
     """Twenty recordings with 0.1 degrees and 0.1 px, refined with latent and with exact joints."""
     recordings = [record(k, joint_std=np.radians(0.1), pixel_std_px=0.1) for k in range(20)]
     # Without robustness: exact joints would take half of the views for outliers.

@@ -27,7 +27,9 @@ def bent(corners: np.ndarray, size_px: float) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def heads() -> tuple[HeadCalibration, BundleEstimate, BundleEstimate, BundleEstimate]:
+def heads(
+    slow_setup: None,
+) -> tuple[HeadCalibration, BundleEstimate, BundleEstimate, BundleEstimate]:
     """A head and three estimates of it.
 
     In the second the left images have a systematic error of 0.4 px; in the third all are assumed to

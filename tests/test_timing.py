@@ -22,6 +22,7 @@ def test_motion_of_1_hz_at_30_hz_is_moved_by_40_ms_to_a_few_hundred_thousandths(
     np.testing.assert_allclose(moved, swing(t + late_s), atol=1e-3 * 0.25)  # at the ends
 
 
+@pytest.mark.slow
 def test_what_is_left_of_an_offset_does_not_pass_for_a_gain():
     """With exact readings, where nothing but the interpolation is wrong."""
     config = time_offset.Config(orientations=20, frames=90, pixel_std_px=0.01)
@@ -57,6 +58,7 @@ def test_three_views_give_a_straight_line():
     np.testing.assert_allclose(moved, (t + 0.05)[:, None] * [1.0, -2.0], atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("offset_ms", [-40, 40])
 def test_offsets_are_found_to_half_a_millisecond_and_gains_to_a_thousandth(offset_ms: int):
     config = time_offset.Config(orientations=20, frames=90, pixel_std_px=0.05)
