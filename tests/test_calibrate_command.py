@@ -30,7 +30,7 @@ def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recorded(tmp_path_factory: pytest.TempPathFactory, opengl: None) -> Path:
     folder = tmp_path_factory.mktemp("calibration") / "dataset"
     with pytest.MonkeyPatch.context() as monkeypatch:
         run(monkeypatch, "record", "--out", folder, "--frames", 20, "--profile", "noise-only")
