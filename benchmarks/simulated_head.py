@@ -21,8 +21,8 @@ from vergence.geometry.se3 import inverse, pose, rotation, transform
 WIDTH, HEIGHT = 640, 480
 R_EYE_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """A camera, and a board, that look along x and against it: z is the head's x, x its -y."""
-FOCAL_PX = {"wide": (250.0, 420.0), "narrow": (900.0, 1300.0)}
-"""2.5 to 4.2 mm and 9 to 13 mm on the sensors of this project's head."""
+FOCAL_PX = {"wide": (250.0, 420.0), "middle": (500.0, 600.0), "narrow": (900.0, 1300.0)}
+"""2.5 to 4.2, 5 to 6, and 9 to 13 mm on the sensors of this project's head."""
 
 
 def random_head(
@@ -31,7 +31,7 @@ def random_head(
     lenses: Sequence[str] = ("wide", "narrow"),
     perfect_axes: bool = False,
 ) -> HeadCalibration:
-    """Return a head that bundle adjustment models: no skew, no distortion of narrow lenses.
+    """Return a head that bundle adjustment models: no skew, no distortion but of wide lenses.
 
     Args:
         rng: of everything random.

@@ -56,8 +56,8 @@ def test_eye_poses_about_one_axis_are_refused_with_the_axis():
 
 @pytest.mark.parametrize(("side", "method"), [("left", "bundle"), ("right", "paper")])
 def test_a_head_of_one_eye_is_calibrated(side: str, method: Method):
-    truth, seen = recorded(3, "wide", "narrow")
-    names = f"{side}_wide", f"{side}_narrow"
+    truth, seen = recorded(3, "wide", "middle")
+    names = f"{side}_wide", f"{side}_middle"
     found = calibrate(only(seen, *names), method=method)
     alone = replace(
         truth,
@@ -71,12 +71,12 @@ def test_a_head_of_one_eye_is_calibrated(side: str, method: Method):
 
 
 def test_cameras_may_be_called_anything_and_sit_three_in_an_eye():
-    truth, seen = recorded(4, "wide", "narrow")
+    truth, seen = recorded(4, "wide", "middle")
     third = truth.cameras["left_wide"]
     third = replace(third, T_eye_cam=third.T_eye_cam @ pose(t=[0.01, 0.01, 0]))
     truth = replace(truth, cameras={**truth.cameras, "left_third": third})
     seen = record(truth, np.random.default_rng(5), QUIET)
-    names = {"left_wide": "port", "left_narrow": "port_narrow", "left_third": "thermal",
+    names = {"left_wide": "port", "left_middle": "port_narrow", "left_third": "thermal",
              "right_wide": "starboard"}  # fmt: skip
     eyes = {new: truth.cameras[old].eye for old, new in names.items()}
     found = calibrate(some_cameras(seen, names, eyes))
