@@ -14,7 +14,7 @@ from scipy.stats import chi2
 from vergence.arrays import Array
 from vergence.geometry.camera import Camera, pinhole
 from vergence.geometry.head import HeadCalibration, MountedCamera, T_base_cam
-from vergence.geometry.kinematics import EYE_COLUMNS, EYES, EyeAxes, Neck
+from vergence.geometry.kinematics import EYE_COLUMNS, EYES, EyeAxes, Neck, Side
 from vergence.geometry.parameters import INTRINSICS, POSE, boxplus, parameter_values
 from vergence.geometry.se3 import inverse, pose, rotation, transform
 
@@ -68,7 +68,7 @@ def random_head(
     )
     if perfect_axes:
         return HeadCalibration(cameras=cameras, T_rbase_lbase=T_rbase_lbase)
-    axes = {
+    axes: dict[Side, EyeAxes] = {
         eye: EyeAxes(
             *map(float, rng.uniform(0.96, 1.04, 2)),
             *map(float, rng.normal(0, np.radians(0.4), 2)),
@@ -101,8 +101,8 @@ def plain_head(
     baseline_m: float,
     focal_px: float,
     *,
-    camera_m: tuple[tuple[float, float, float], tuple[float, float, float]] = ((0, 0, 0),) * 2,
-    mounting_deg: tuple[tuple[float, float, float], tuple[float, float, float]] = ((0, 0, 0),) * 2,
+    camera_m: Sequence[tuple[float, float, float]] = ((0, 0, 0),) * 2,
+    mounting_deg: Sequence[tuple[float, float, float]] = ((0, 0, 0),) * 2,
 ) -> HeadCalibration:
     """Return a head with two wide pinhole cameras, left and right, mounted as stated."""
     return HeadCalibration(
