@@ -20,7 +20,7 @@ import tyro
 from scipy.optimize import least_squares
 
 from vergence.arrays import Array
-from vergence.calibration.sequential.sequential import calibrate
+from vergence.calibration.sequential.sequential import calibrate_sequentially
 from vergence.geometry.head import HeadCalibration
 from vergence.paper.figures import FIGURES
 from vergence.paper.replay import SAMPLES, estimate, observe_points, sample_times
@@ -71,7 +71,7 @@ def run(profile: ErrorProfile, plans: Plans, seed: int) -> tuple[Array, Array]:
         rng = np.random.default_rng([seed, 9])
         truth = as_built_head(nominal, profile, seed)
         views = simulate_views(truth, profile, shots, pixel_noise=CORNER_NOISE_PX, rng=rng)
-        head = inject_calibration_error(calibrate(views).head, profile.by_hand, lens)
+        head = inject_calibration_error(calibrate_sequentially(views).head, profile.by_hand, lens)
         for row, figure in enumerate(FIGURES.values()):
             if figure.lens != lens:
                 continue

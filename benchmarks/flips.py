@@ -8,7 +8,8 @@ cameras rolled by any angle), 4 to 18 boards at straight gaze, boards for the na
 three boards at rest before moving eyes, a tenth of the images without a board, joint noise to 0.3
 degrees, pixel noise to 0.3 px, and boards numbered from the wrong end in up to a third of the
 views: in all images of a view, or image by image. Every fourth board is square, and may be turned
-by any quarter. `repair` gets the corners, the readings and the lenses that Zhang's method finds.
+by any quarter. `number_alike` is given
+the corners, the readings, and the poses of the boards by the lenses that Zhang's method finds.
 
 A placement of which all images are turned alike is right: nothing but the pose of the board depends
 on it. So an image counts as wrong that differs from most others of its placement. Exits with 1 if
@@ -25,12 +26,15 @@ import numpy as np
 import tyro
 from rich.progress import track
 
-from simulated_head import Noise, random_head, still_recording
-from vergence.calibration.checks.board_flips import Repaired, repair, turned
-from vergence.calibration.sequential.sequential import Views, lenses
-from vergence.geometry.board import Chessboard
+from simulated_head import random_head
+from simulated_recording import Noise, joined, still_recording
+from vergence.calibration.checks.board_flips import Renumbered, number_alike, turn_boards
+from vergence.calibration.observations import Observations
+from vergence.calibration.sequential.intrinsics import calibrate_intrinsics
+from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.se3 import pose, rotation
+from vergence.vision.board_pose import board_poses
 
 
 @dataclass(frozen=True)
@@ -50,7 +54,7 @@ class Count:
     injected: int
     """Numbered from a wrong end."""
     remaining: int
-    """Of these, after the repair."""
+    """Of these, after renumbering."""
     turned_falsely: int
     """Numbered as most of their placement before, and no more."""
     unclear: int
@@ -69,21 +73,7 @@ def rolled(head: HeadCalibration, rng: np.random.Generator) -> HeadCalibration:
     return replace(head, cameras=cameras)
 
 
-def joined(parts: list[Views]) -> Views:
-    """Return recordings one after the other, their placements told apart."""
-    first = np.cumsum([0] + [part.placement.max() + 1 for part in parts[:-1]])
-    return replace(
-        parts[0],
-        placement=np.concatenate([p.placement + k for p, k in zip(parts, first, strict=True)]),
-        eye_angles=np.concatenate([part.eye_angles for part in parts]),
-        corners={
-            name: np.concatenate([part.corners[name] for part in parts])
-            for name in parts[0].corners
-        },
-    )
-
-
-def squared(views: Views) -> Views:
+def squared(views: Observations) -> Observations:
     """Return views of a square part of the board."""
     board = views.board
     n = min(board.columns, board.rows)
@@ -94,7 +84,7 @@ def squared(views: Views) -> Views:
     return replace(views, board=Chessboard(n, n, board.square_m), corners=corners)
 
 
-def simulate(number: int, seed: int) -> tuple[Views, dict[str, np.ndarray]]:
+def simulate(number: int, seed: int) -> tuple[Observations, dict[str, np.ndarray]]:
     """Return views, and by camera (V,) by how much their boards are turned."""
     rng = np.random.default_rng([seed, number])
     head = random_head(rng)
@@ -127,7 +117,7 @@ def simulate(number: int, seed: int) -> tuple[Views, dict[str, np.ndarray]]:
         spared = np.isfinite(seen).all(axis=(1, 2)).cumsum() <= 4
         lost = (rng.random(V) < 0.1) & ~spared
         corners[name] = np.where(lost[:, None, None], np.nan, seen)
-    return turned(replace(views, corners=corners), turns), turns
+    return turn_boards(replace(views, corners=corners), turns), turns
 
 
 def flips(count: int, share: float, n: int, rng: np.random.Generator) -> np.ndarray:
@@ -136,7 +126,7 @@ def flips(count: int, share: float, n: int, rng: np.random.Generator) -> np.ndar
     return np.where(wrong, rng.integers(1, n, count), 0)
 
 
-def count(views: Views, injected: dict[str, np.ndarray], found: Repaired) -> Count:
+def count(views: Observations, injected: dict[str, np.ndarray], found: Renumbered) -> Count:
     """Return what came of a dataset."""
     n = 4 if views.board.columns == views.board.rows else 2
     names = list(injected)
@@ -162,11 +152,15 @@ def most(turns: np.ndarray, n: int) -> int:
 
 
 def run(number: int, seed: int) -> tuple[Count, float]:
-    """Return what came of one dataset, and the time of the repair [s]."""
+    """Return what came of one dataset, and the time of number_alike [s]."""
     views, injected = simulate(number, seed)
-    found_lenses = lenses(views)
+    points = corner_points(views.board)
+    poses = {
+        name: board_poses(each.camera, views.corners[name], points)
+        for name, each in calibrate_intrinsics(views).items()
+    }
     start = time.perf_counter()
-    found = repair(views, {name: each.camera for name, each in found_lenses.items()})
+    found = number_alike(views, poses)
     return count(views, injected, found), time.perf_counter() - start
 
 
@@ -176,10 +170,10 @@ def main(config: Config) -> int:
     table = np.array([[*vars(counted).values()] for counted, _ in results])
     images, injected, remaining, falsely, unclear = table.sum(axis=0)
     print(f"{config.datasets} datasets, seed {config.seed}: {images} images of boards")
-    print(f"numbered from a wrong end: {injected}; repaired: {injected - remaining}")
+    print(f"numbered from a wrong end: {injected}; renumbered: {injected - remaining}")
     print(f"turned falsely: {falsely}; unclear, left and named: {unclear}")
     print(f"datasets all right: {np.count_nonzero(table[:, 2:4].sum(axis=1) == 0)}")
-    print(f"time of a repair: {np.mean([each for _, each in results]):.2f} s")
+    print(f"time of renumbering a dataset: {np.mean([each for _, each in results]):.2f} s")
     for number in np.flatnonzero(table[:, 2:].any(axis=1)):
         print(f"dataset {number}: {results[number][0]}")
     return int(remaining + falsely > 0)

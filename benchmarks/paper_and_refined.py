@@ -1,10 +1,10 @@
-"""The paper's method beside the refinement, on the same rendered datasets, against the truth.
+"""The paper's method beside bundle adjustment, on the same rendered datasets, against the truth.
 
     python benchmarks/paper_and_refined.py --seed 3
 
 Prints the table of docs/calibration.md: three datasets from the twin, each calibrated both ways.
-Errors of cameras are root mean squares over the four; regions are those of the refinement, as the
-paper's method states no accuracy. Takes some five minutes.
+Errors of cameras are root mean squares over the four; regions are those of bundle adjustment, as
+the paper's method states no accuracy. Takes some five minutes.
 """
 
 from __future__ import annotations
@@ -12,15 +12,16 @@ from __future__ import annotations
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import tyro
 
-from vergence.calibration.calibrate import solve
+from vergence.calibration.calibrate import Method, calibrate
 from vergence.commands import truth
 from vergence.commands.evaluate import evaluate
 from vergence.commands.record import record
+from vergence.data.reader import load_dataset
 from vergence.twin.profile import load_profile
 
 DATASETS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -40,9 +41,9 @@ class Config:
     seed: int = 3
 
 
-def row(folder: Path, method: Literal["paper", "refined"]) -> str:
+def row(folder: Path, method: Method) -> str:
     """Return the cells of one calibration."""
-    head = solve(folder, method=method).head
+    head = calibrate(load_dataset(folder), method=method).head
     found = evaluate(head, truth.load(folder / truth.TRUTH))
     sizes = [
         (camera.rotation_deg, camera.translation_mm, camera.focal_percent)
@@ -52,11 +53,11 @@ def row(folder: Path, method: Literal["paper", "refined"]) -> str:
     held_out = head.accuracy.held_out if head.accuracy else None
     px, mm = (held_out.transfer_px, held_out.point_mm) if held_out else (None, None)
     holding = sum(region.holds_truth for region in found.regions.values())
-    scatter = held_out.scatter if held_out else None
+    ratio = held_out.jackknife_ratio if held_out else None
     return (
         f"{rotation:.3f} | {translation:.2f} | {focal:.3f} | {found.base_rotation_deg:.3f}, "
         f"{found.base_translation_mm:.2f} | {_number(px)} | {_number(mm)} "
-        f"| {holding} of {len(found.regions)} | {_number(scatter)} |"
+        f"| {holding} of {len(found.regions)} | {_number(ratio)} |"
     )
 
 
@@ -68,7 +69,7 @@ def main(config: Config) -> None:
     """Print the table, row by row."""
     print(
         "| Dataset | Method | rotation [deg] | translation [mm] | focal [%] "
-        "| T_rbase_lbase [deg, mm] | held out [px] | [mm] | regions | scatter of folds |\n"
+        "| T_rbase_lbase [deg, mm] | held out [px] | [mm] | regions | jackknife ratio |\n"
         + "|---" * 10
         + "|"
     )
@@ -76,7 +77,7 @@ def main(config: Config) -> None:
         with tempfile.TemporaryDirectory() as place:
             folder = Path(place) / "dataset"
             record(folder, profile=load_profile(profile), seed=config.seed, **arguments)
-            for method in ("paper", "refined"):
+            for method in ("paper", "bundle"):
                 print(f"| {name} | {method} | {row(folder, method)}", flush=True)
 
 

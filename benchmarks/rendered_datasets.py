@@ -41,10 +41,11 @@ class Config:
 
 def one(seed: int, frames: int) -> dict[str, object]:
     """Record, calibrate and evaluate one dataset."""
-    from vergence.calibration.calibrate import solve
+    from vergence.calibration.calibrate import calibrate
     from vergence.commands import truth
     from vergence.commands.evaluate import evaluate
     from vergence.commands.record import record
+    from vergence.data.reader import load_dataset
     from vergence.twin.profile import load_profile
 
     lens, target = LENSES[seed % 2], TARGETS[seed // 2 % 2]
@@ -59,7 +60,7 @@ def one(seed: int, frames: int) -> dict[str, object]:
             lens=lens,
             target=target,
         )
-        found = solve(place).head
+        found = calibrate(load_dataset(place)).head
         known = truth.load(place / truth.TRUTH)
     compared = evaluate(found, known)
     assert found.accuracy is not None

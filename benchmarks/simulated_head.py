@@ -14,15 +14,15 @@ from scipy.stats import chi2
 from vergence.arrays import Array
 from vergence.geometry.camera import Camera, pinhole
 from vergence.geometry.head import HeadCalibration, MountedCamera, T_base_cam
-from vergence.geometry.kinematics import EYE_COLUMNS, EYES, EyeAxes, Neck
+from vergence.geometry.kinematics import EYE_COLUMNS, EYES, EyeAxes, Neck, Side
 from vergence.geometry.parameters import INTRINSICS, POSE, boxplus, parameter_values
 from vergence.geometry.se3 import inverse, pose, rotation, transform
 
 WIDTH, HEIGHT = 640, 480
 R_EYE_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """A camera, and a board, that look along x and against it: z is the head's x, x its -y."""
-FOCAL_PX = {"wide": (250.0, 420.0), "narrow": (900.0, 1300.0)}
-"""2.5 to 4.2 mm and 9 to 13 mm on the sensors of this project's head."""
+FOCAL_PX = {"wide": (250.0, 420.0), "middle": (500.0, 600.0), "narrow": (900.0, 1300.0)}
+"""2.5 to 4.2, 5 to 6, and 9 to 13 mm on the sensors of this project's head."""
 
 
 def random_head(
@@ -31,7 +31,7 @@ def random_head(
     lenses: Sequence[str] = ("wide", "narrow"),
     perfect_axes: bool = False,
 ) -> HeadCalibration:
-    """Return a head that bundle adjustment models: no skew, no distortion of narrow lenses.
+    """Return a head that bundle adjustment models: no skew, no distortion but of wide lenses.
 
     Args:
         rng: of everything random.
@@ -68,7 +68,7 @@ def random_head(
     )
     if perfect_axes:
         return HeadCalibration(cameras=cameras, T_rbase_lbase=T_rbase_lbase)
-    axes = {
+    axes: dict[Side, EyeAxes] = {
         eye: EyeAxes(
             *map(float, rng.uniform(0.96, 1.04, 2)),
             *map(float, rng.normal(0, np.radians(0.4), 2)),
@@ -101,8 +101,8 @@ def plain_head(
     baseline_m: float,
     focal_px: float,
     *,
-    camera_m: tuple[tuple[float, float, float], tuple[float, float, float]] = ((0, 0, 0),) * 2,
-    mounting_deg: tuple[tuple[float, float, float], tuple[float, float, float]] = ((0, 0, 0),) * 2,
+    camera_m: Sequence[tuple[float, float, float]] = ((0, 0, 0),) * 2,
+    mounting_deg: Sequence[tuple[float, float, float]] = ((0, 0, 0),) * 2,
 ) -> HeadCalibration:
     """Return a head with two wide pinhole cameras, left and right, mounted as stated."""
     return HeadCalibration(
@@ -140,7 +140,7 @@ def random_pose(rng: np.random.Generator, angle: float = 3.0, distance: float = 
 
 
 def point_in_camera(head: HeadCalibration, name: str, joints: Array, points: Array) -> Array:
-    """Return points (N, 3) of the left base in frame cam, at joints (N, 4); a check of projection."""
+    """Return points (N, 3) of the left eye's base in frame cam, at joint readings (N, 4)."""
     eye = head.cameras[name].eye
     in_base = points if eye == "left" else transform(head.T_rbase_lbase, points)
     return transform(inverse(T_base_cam(head, name, joints[:, EYE_COLUMNS[eye]])), in_base)

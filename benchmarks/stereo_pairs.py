@@ -23,7 +23,7 @@ import numpy as np
 import tyro
 
 from vergence.arrays import Array
-from vergence.calibration.sequential.intrinsics import calibrate_intrinsics
+from vergence.calibration.sequential.intrinsics import calibrate_camera
 from vergence.calibration.sequential.static_stereo import calibrate_pair
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard, corner_points
@@ -87,7 +87,7 @@ def corners_in(path: Path, board: Chessboard) -> tuple[Array, tuple[int, int]]:
 def calibrate(corners: Array, points: Array, size: tuple[int, int]) -> Pair:
     """Calibrate from corners (2, V, K, 2) of the left and the right camera."""
     lenses = [
-        calibrate_intrinsics(c, points, size=size, lens_model="radial-tangential") for c in corners
+        calibrate_camera(c, points, size=size, lens_model="radial-tangential") for c in corners
     ]
     left, right = (lens.camera for lens in lenses)
     T, rms = calibrate_pair(corners[0], corners[1], points, left, right)

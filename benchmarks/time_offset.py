@@ -3,11 +3,11 @@
     python benchmarks/time_offset.py
     python benchmarks/time_offset.py --frames 600 --trials 2
 
-Each trial draws a head that nobody built and a recording of eyes at rest (see simulated_head), then
+Each trial draws a head and a recording of eyes at rest (see simulated_recording), then
 a motion at 30 Hz before a board at rest: every joint swings by 0.15 to 0.25 rad at its own 0.3 to
 1 Hz. Images show the joints -40 to +40 ms after their readings. The head is calibrated as
-`vergence calibrate` does, with no noise told. Printed are root mean square and worst errors, beside
-what was stated; `within` is the share within 1.96 stated standard deviations.
+`vergence calibrate` does, which is given no noise. Printed are root mean square and worst errors,
+beside what was stated; `within` is the share within 1.96 stated standard deviations.
 """
 
 from __future__ import annotations
@@ -18,14 +18,13 @@ from dataclasses import dataclass
 import numpy as np
 import tyro
 from rich.progress import track
-from vergence.calibration.bundle.refine import refine
 
-from simulated_head import Motion, Noise, moving_recording, random_head, still_recording
+from simulated_head import random_head
+from simulated_recording import Motion, Noise, moving_recording, still_recording
 from vergence.arrays import Array
-from vergence.calibration.calibrate import paper, with_accuracy
-from vergence.calibration.checks.cross_validation import Observations
-from vergence.data.timing import Timing
-from vergence.geometry.parameters import difference
+from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
+from vergence.calibration.sequential.sequential import calibrate_sequentially
+from vergence.geometry.parameters import boxminus
 
 OFFSETS_MS = (-40, -20, 0, 20, 40)
 JOINT_DEG = (0.0, 0.02, 0.05, 0.1)
@@ -80,18 +79,16 @@ def run(config: Config, joint_deg: float, offset_ms: float, number: int) -> Tria
         phase_rad=rng.uniform(0, 2 * np.pi, 4),
         time_offset_s=offset_ms * 1e-3,
     )
-    views, times = moving_recording(truth, rng, noise, motion, still)
-    timing = Timing(np.nan_to_num(times), np.isfinite(times).astype(int))
-    start = paper(Observations(views, timing, None), "radial-tangential").head
-    head = with_accuracy(refine(start, views, timing=timing))
-    assert head.accuracy is not None
-    stds = np.sqrt(np.diag(head.accuracy.covariance))
-    stated = dict(zip(head.accuracy.parameters, stds, strict=True))
-    off = difference(head, truth)
+    observed = moving_recording(truth, rng, noise, motion, still)
+    start = calibrate_sequentially(observed.take(observed.at_rest)).head
+    estimate = bundle_adjust(start, observed)
+    stds = np.sqrt(np.diag(estimate.covariance))
+    stated = dict(zip(estimate.parameters, stds, strict=True))
+    off = boxminus(estimate.head, truth)
     return Trial(
         np.array([off["time_offset_s"] - motion.time_offset_s, stated["time_offset_s"]]),
         np.array([[each[name] for name in GAINS] for each in (off, stated)]),
-        head.accuracy.warnings,
+        estimate.warnings,
     )
 
 

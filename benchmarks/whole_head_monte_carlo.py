@@ -1,4 +1,4 @@
-"""Whether the stated accuracy of a whole head is true, over many heads that nobody built.
+"""Whether the stated accuracy of a whole head is true, over many simulated heads, drawn at random.
 
     python benchmarks/whole_head_monte_carlo.py
     python benchmarks/whole_head_monte_carlo.py --trials 40 --out runs/trials.jsonl
@@ -6,11 +6,11 @@
 Each trial draws a head (baseline, lenses, mountings, gains, axes), a recording of 10 to 18 boards
 at straight gaze, 8 to 12 for each narrow camera and 30 to 60 eye orientations before a board at
 rest, pixel noise of 0.03 to 0.3 px and joint noise of 0, 0.02, 0.1 or 0.3 degrees. It is calibrated
-as `vergence calibrate` does: the paper's method, then `refine`, with no noise told. Then a point at
-rest is located while the eyes move.
+as `vergence calibrate` does: the paper's method, then bundle adjustment, which is given no noise.
+Then a point at rest is located while the eyes move.
 
 Printed are the share of trials in which the stated 95 % region holds the truth, and how the errors
-of the located point compare with `accuracy.predicted_covariance`. Errors are counted as
+of the located point compare with the covariance that `locate` states. Errors are counted as
 `vergence evaluate` counts them. With `--out` finished trials are kept, and not run again.
 """
 
@@ -18,25 +18,25 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import tyro
 from rich.progress import track
-from scipy.stats import chi2
-from vergence.calibration.bundle.refine import refine
 
-from simulated_head import HEIGHT, WIDTH, Noise, pixels_seen, random_head, still_recording
+from simulated_head import probability, random_head
+from simulated_recording import Noise, inside_image, still_recording
 from vergence.arrays import Array
-from vergence.calibration.calibrate import paper, with_accuracy
-from vergence.calibration.checks.cross_validation import Observations, predicted_covariance
+from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
+from vergence.calibration.sequential.sequential import calibrate_sequentially
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES
-from vergence.geometry.parameters import difference, without_offsets
-from vergence.stereo.triangulation import locate
-from vergence.stereo.uncertainty import locate_with_covariance
+from vergence.geometry.parameters import boxminus, without_offsets
+from vergence.geometry.projection import project_point
+from vergence.stereo.triangulation import triangulate_at
+from vergence.stereo.uncertainty import calibration_covariance, locate
 
 JOINT_DEG = (0.0, 0.02, 0.1, 0.3)
 PIXEL_PX = (0.03, 0.3)
@@ -88,7 +88,7 @@ def run(seed: int, number: int) -> Trial:
         pixel_px=float(np.exp(rng.uniform(*np.log(PIXEL_PX)))), joint_rad=np.radians(joint_deg)
     )
     truth = random_head(rng)
-    views = still_recording(
+    observed = still_recording(
         truth,
         rng,
         noise,
@@ -97,15 +97,14 @@ def run(seed: int, number: int) -> Trial:
         orientations=int(rng.integers(30, 61)),
         spread_rad=rng.uniform(0.22, 0.3),
     )
-    seen = Observations(views, None, None)
     try:
-        refined = refine(paper(seen, "radial-tangential").head, views)
+        estimate = bundle_adjust(calibrate_sequentially(observed).head, observed)
     except VergenceError as error:
         return Trial(number, joint_deg, noise.pixel_px, {}, 0, 0, 0, 0, 0, failure=str(error))
-    head = with_accuracy(refined)
-    assert head.accuracy is not None
-    off = difference(head, truth)
-    names, covariance = head.accuracy.parameters, head.accuracy.covariance
+    accuracy = estimate.accuracy
+    head = replace(estimate.head, accuracy=accuracy)
+    off = boxminus(head, truth)
+    names, covariance = accuracy.parameters, accuracy.covariance
     error = np.array([off[name] for name in names])
     point, alone, rms = judge_point(head, truth, noise, rng)
     return Trial(
@@ -117,7 +116,7 @@ def run(seed: int, number: int) -> Trial:
         point,
         alone,
         rms,
-        len(refined.warnings),
+        len(accuracy.warnings),
     )
 
 
@@ -127,11 +126,7 @@ def probabilities(names: tuple[str, ...], covariance: Array, error: Array) -> di
     region = np.array([name.rpartition(".")[0] for name in names])
     for each in dict.fromkeys(region.tolist()):
         rows = np.flatnonzero(region == each)
-        scale = np.sqrt(np.diag(covariance)[rows])
-        correlation = covariance[np.ix_(rows, rows)] / np.outer(scale, scale)
-        score = error[rows] / scale
-        squared = score @ np.linalg.pinv(correlation, hermitian=True) @ score
-        found[each] = float(chi2.cdf(squared, len(rows)))
+        found[each] = probability(error[rows], covariance[np.ix_(rows, rows)])
     return found
 
 
@@ -144,28 +139,17 @@ def judge_point(
         at = np.array([rng.uniform(0.4, 1.2), *rng.uniform(-0.1, 0.1, 2)])
         phase = np.linspace(0, 2 * np.pi, 40, endpoint=False)[:, None] * [1, 2, 1, 3]
         readings = rng.uniform(-0.1, 0.1, 4) + rng.uniform(0.05, 0.15, 4) * np.cos(phase)
-        points = np.tile(at, (len(readings), 1, 1))
-        exact = [pixels_seen(plain, f"{eye}_wide", points, readings) for eye in ("left", "right")]
-        if all(((uv > 0) & (uv < [WIDTH - 1, HEIGHT - 1])).all() for uv in exact):
+        left, right = (project_point(plain, f"{eye}_wide", readings, at) for eye in EYES)
+        if inside_image(left).all() and inside_image(right).all():
             break
     else:
         raise AssertionError("no motion keeps the point in view")
-    left, right = (uv[:, 0] for uv in exact)
-    assert head.accuracy is not None
-    located, of_reading = locate_with_covariance(
-        head,
-        left,
-        right,
-        readings,
-        pixel_std_px=head.accuracy.pixel_std_px or 0.0,
-        joint_std_rad=np.tile(head.accuracy.joint_std, 4)[:4],
-    )
-    by_calibration = located - at
-    predicted = predicted_covariance(head, left, right, readings)
-    of_calibration = predicted - of_reading
+    found = locate(head, left=left, right=right, joints=readings)
+    by_calibration, predicted = found.xyz - at, found.covariance
+    of_calibration = calibration_covariance(head, left=left, right=right, joints=readings)
     left, right = (uv + rng.normal(0, noise.pixel_px, uv.shape) for uv in (left, right))
     readings = readings + rng.normal(0, noise.joint_rad, readings.shape)
-    error = locate(head, left, right, readings).points - at
+    error = triangulate_at(head, left=left, right=right, joints=readings)[0] - at
     return (
         _mean_square(error, predicted),
         _mean_square(by_calibration, of_calibration),
@@ -209,7 +193,7 @@ def missed(trials: list[Trial]) -> list[str]:
     ]
     observed = ratio([trial.point for trial in good])
     if abs(observed - 1) > POINT_BAR:
-        said.append(f"a point scatters {observed:.2f} times as much as predicted")
+        said.append(f"the error of a point is {observed:.2f} times as large as predicted")
     said += [
         f"trial {t.number}: an error of {t.largest:.0f} standard deviations without a warning"
         for t in good

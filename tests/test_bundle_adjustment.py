@@ -1,79 +1,89 @@
-"""Refinement of a whole head: exact data give no error, noise the stated one."""
+"""Bundle adjustment of a whole head: exact data give no error, noise the stated one."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from heads import random_head
-from refining import probability, spoilt, timed_views_of, views_of
-from vergence.calibration.bundle.refine import Refined, covariance_of, held_by_default, refine
 
+from simulated_head import probability, rough_start, skewed_head
+from simulated_recording import EXACT, Noise, two_boards
 from vergence.arrays import Array
-from vergence.calibration.bundle.problem import PER_CAMERA, axes_row, lens_vector, pose_difference
-from vergence.calibration.sequential.sequential import Views
-from vergence.data.timing import Timing
+from vergence.calibration.bundle.bundle_adjustment import (
+    BundleEstimate,
+    bundle_adjust,
+    covariance_of,
+    fixed_by_default,
+)
+from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import T_base_eye
+from vergence.geometry.parameters import PER_CAMERA, boxminus, without_offsets
+
+NOISY = Noise(pixel_px=0.1, joint_rad=1e-3)
+OFFSET_S = 0.015
 
 
-def errors(found: Refined, head: HeadCalibration, time_offset_s: float = 0.0) -> Array:
-    """Return (c,) in the order of Refined.parameters."""
-    parts = []
-    for name in head.cameras:
-        if f"{name}.fx" in found.parameters:
-            mine, truth = found.head.cameras[name], head.cameras[name]
-            parts.append(lens_vector(mine.intrinsics) - lens_vector(truth.intrinsics))
-            parts.append(pose_difference(mine.T_eye_cam, truth.T_eye_cam))
-    parts.append(pose_difference(found.head.T_rbase_lbase, head.T_rbase_lbase))
-    for eye, axes in head.axes.items():
-        parts.append(np.subtract(axes_row(found.head.axes[eye]), axes_row(axes)))
-    return np.concatenate([*parts, [found.time_offset_s - time_offset_s]])
+def simulated(
+    seed: int, noise: Noise = EXACT, time_offset_s: float | None = None
+) -> tuple[HeadCalibration, Observations, HeadCalibration]:
+    """Return a head, what it observes, and a start."""
+    rng = np.random.default_rng(seed)
+    head = without_offsets(skewed_head(rng))
+    observed = two_boards(head, rng, noise=noise, time_offset_s=time_offset_s)
+    if time_offset_s is not None:
+        head = replace(head, time_offset_s=time_offset_s)
+    return head, observed, replace(rough_start(head, rng), time_offset_s=0.0)
 
 
-def stated_std(found: Refined) -> Array:
+def errors(found: BundleEstimate, head: HeadCalibration) -> Array:
+    """Return (c,) in the order of BundleEstimate.parameters."""
+    return np.array(list(boxminus(found.head, head).values()))
+
+
+def stated_std(found: BundleEstimate) -> Array:
     return np.sqrt(np.diag(found.covariance))
 
 
+def assert_within_stated(found: BundleEstimate, head: HeadCalibration) -> None:
+    assert (np.abs(errors(found, head)) <= 4.5 * stated_std(found)).all()
+
+
 def test_an_exact_recording_gives_the_head_exactly():
-    rng = np.random.default_rng(20)
-    head = random_head(rng)
-    views, timing = timed_views_of(head, rng, time_offset_s=0.02)
-    found = refine(spoilt(head, rng), views, timing=timing)
-    assert np.abs(errors(found, head, 0.02)).max() < 1e-7  # the largest are of pixels
+    head, observed, start = simulated(20, time_offset_s=0.02)
+    found = bundle_adjust(start, observed)
+    assert np.abs(errors(found, head)).max() < 1e-7  # the largest are of pixels
     assert not found.warnings
 
 
+def test_measured_eye_poses_calibrate_a_whole_head_exactly():
+    head, observed, start = simulated(22)
+    found = bundle_adjust(start, replace(observed, T_base_eye=observed.eye_poses(head.axes)))
+    poses = [i for i, name in enumerate(found.parameters) if "T_" in name]
+    assert np.abs(errors(found, head)[poses]).max() < 1e-8
+
+
 @pytest.fixture(scope="module")
-def noisy_heads(slow_setup: None) -> list[tuple[HeadCalibration, Refined]]:
+def noisy_heads(slow_setup: None) -> list[tuple[HeadCalibration, BundleEstimate]]:
     """Six heads with joint noise of 0.05 degrees, 0.1 px, and images 15 ms late."""
-    results = []
-    for seed in range(6):
-        rng = np.random.default_rng(100 + seed)
-        head = random_head(rng)
-        views, timing = timed_views_of(
-            head, rng, joint_std=np.radians(0.05), pixel_std_px=0.1, time_offset_s=0.015
-        )
-        results.append((head, refine(spoilt(head, rng), views, timing=timing)))
+    noise, results = Noise(pixel_px=0.1, joint_rad=np.radians(0.05)), []
+    for seed in range(100, 106):
+        head, observed, start = simulated(seed, noise, OFFSET_S)
+        results.append((head, bundle_adjust(start, observed)))
     return results
 
 
 def test_every_parameter_of_a_head_is_found_within_its_stated_accuracy(noisy_heads):
     for head, found in noisy_heads:
-        off, std = errors(found, head, 0.015), stated_std(found)
-        assert (np.abs(off) <= 4.5 * std).all()
-        assert np.count_nonzero(std) >= 60
+        assert_within_stated(found, head)
+        assert np.count_nonzero(stated_std(found)) >= 60
         assert not found.warnings
 
 
 def test_regions_of_the_parts_of_a_head_hold_the_truth(noisy_heads):
     p = []
     for head, found in noisy_heads:
-        off = errors(found, head, 0.015)
-        parts = ["T_rbase_lbase"]
-        for camera in head.cameras:
-            parts.append(f"{camera}.T_eye_cam")
-        for part in parts:
+        off = errors(found, head)
+        for part in ("T_rbase_lbase", *(f"{camera}.T_eye_cam" for camera in head.cameras)):
             chosen = [name.rpartition(".")[0] == part for name in found.parameters]
             p.append(probability(off[chosen], covariance_of(found, part)))
     # The five regions of a head err together: one head in six may well have all of them outside.
@@ -83,7 +93,7 @@ def test_regions_of_the_parts_of_a_head_hold_the_truth(noisy_heads):
 
 def test_the_time_offset_is_found_within_a_millisecond(noisy_heads):
     for _, found in noisy_heads:
-        assert abs(found.time_offset_s - 0.015) < 1e-3
+        assert abs(found.head.time_offset_s - OFFSET_S) < 1e-3
 
 
 def test_the_noise_of_a_head_is_found(noisy_heads):
@@ -92,13 +102,29 @@ def test_the_noise_of_a_head_is_found(noisy_heads):
     np.testing.assert_allclose(joint, np.radians(0.05), rtol=0.1)  # pan and tilt apart
 
 
-def test_what_is_held_keeps_its_start_and_has_no_variance():
-    rng = np.random.default_rng(21)
-    head = random_head(rng)
-    views = views_of(head, rng, pixel_std_px=0.1)
-    start = spoilt(head, rng)
-    hold = held_by_default(start, timed=False) | {"left_wide.fx", "left_wide.fy"}
-    found = refine(start, views, hold=hold)
+def test_the_boards_poses_may_be_given_and_change_nothing():
+    """They are no more than a start; those of worse intrinsics serve as well."""
+    _, observed, start = simulated(31, NOISY)
+    once = bundle_adjust(start, observed)
+    shifted = {name: np.full((40, 4, 4), np.nan) for name in start.cameras}
+    for name in ("left_wide", "right_wide"):
+        seen = np.isfinite(observed.corners[name]).all(axis=2).sum(axis=1) > 30
+        T_lbase_target = np.stack([once.T_lbase_target[p] for p in observed.placement])
+        mounted = once.head.cameras[name]
+        eye = 0 if mounted.eye == "left" else 1
+        T_base_lbase = once.head.T_rbase_lbase if eye else np.eye(4)
+        T_base_cam = observed.eye_poses()[:, eye] @ mounted.T_eye_cam
+        shifted[name][seen] = (np.linalg.inv(T_base_cam) @ T_base_lbase @ T_lbase_target)[seen]
+    again = bundle_adjust(start, observed, T_cam_target=shifted)
+    np.testing.assert_allclose(
+        errors(again, once.head) / np.maximum(stated_std(once), 1e-12), 0, atol=1e-2
+    )
+
+
+def test_what_is_fixed_keeps_its_start_and_has_no_variance():
+    _, observed, start = simulated(21, Noise(pixel_px=0.1))
+    fixed = fixed_by_default(start, timed=False) | {"left_wide.fx", "left_wide.fy"}
+    found = bundle_adjust(start, observed, fixed=fixed)
     matrix = found.head.cameras["left_wide"].intrinsics.matrix
     assert matrix[0, 0] == start.cameras["left_wide"].intrinsics.matrix[0, 0]
     assert covariance_of(found, "left_wide.fx") == 0
@@ -108,60 +134,43 @@ def test_what_is_held_keeps_its_start_and_has_no_variance():
         assert covariance_of(found, name) == 0
 
 
-def test_general_eye_poses_calibrate_a_whole_head():
-    rng = np.random.default_rng(22)
-    head = random_head(rng)
-    views = views_of(head, rng)
-    both = [
-        T_base_eye(views.eye_angles[:, s], head.axes[eye])
-        for eye, s in (("left", slice(2)), ("right", slice(2, 4)))
-    ]
-    found = refine(spoilt(head, rng), views, eye_poses_read=np.stack(both, axis=1))
-    off = errors(found, head)
-    poses = [i for i, name in enumerate(found.parameters) if "T_" in name]
-    assert np.abs(off[poses]).max() < 1e-8
-
-
 def test_a_camera_that_sees_no_board_is_named_and_left_alone():
-    rng = np.random.default_rng(23)
-    head = random_head(rng)
-    views = views_of(head, rng, joint_std=1e-3, pixel_std_px=0.1)
-    blind = {**views.corners, "left_narrow": np.full_like(views.corners["left_narrow"], np.nan)}
-    start = spoilt(head, rng)
-    found = refine(start, replace(views, corners=blind))
-    assert "left_narrow sees no board, and stays at its start." in found.warnings
-    assert found.head.cameras["left_narrow"] is start.cameras["left_narrow"]
-    assert len(found.parameters) == 3 * PER_CAMERA + 19
+    _, observed, start = simulated(23, NOISY)
+    nothing = np.full_like(observed.corners["left_narrow"], np.nan)
+    blind = replace(observed, corners={**observed.corners, "left_narrow": nothing})
+    found = bundle_adjust(start, blind)
+    assert "left_narrow sees no board, and keeps its start." in found.warnings
+    kept, was = (h.cameras["left_narrow"] for h in (found.head, start))
+    np.testing.assert_array_equal(kept.intrinsics.matrix, was.intrinsics.matrix)
+    np.testing.assert_array_equal(kept.T_eye_cam, was.T_eye_cam)
+    assert len(found.parameters) == 4 * PER_CAMERA + 19
+    assert "left_narrow" not in found.residuals_px
+    assert not any(name.startswith("left_narrow") for name in found.accuracy.parameters)
 
 
 def test_eyes_that_never_see_the_same_board_leave_their_pose_open():
-    rng = np.random.default_rng(24)
-    head = random_head(rng)
-    views = views_of(head, rng, joint_std=1e-3, pixel_std_px=0.1)
-    left = np.arange(len(views.placement)) % 4 < 2  # of either board before moving eyes
+    _, observed, start = simulated(24, NOISY)
+    left = np.arange(40) % 4 < 2  # of either board before moving eyes
     corners = {
         name: np.where((left == name.startswith("left"))[:, None, None], pixels, np.nan)
-        for name, pixels in views.corners.items()
+        for name, pixels in observed.corners.items()
     }
-    apart = replace(views, corners=corners, placement=views.placement + 100 * ~left)
-    text = " ".join(refine(spoilt(head, rng), apart).warnings)
+    apart = replace(observed, corners=corners, placement=observed.placement + 100 * ~left)
+    text = " ".join(bundle_adjust(start, apart).warnings)
     assert "T_rbase_lbase rotation about x" in text
     assert "no board stands where both eyes see it" in text
 
 
-def one_placement_a_view(seed: int) -> tuple[HeadCalibration, HeadCalibration, Views]:
-    """Return a head, its start, and views of boards that were moved between all of them."""
-    rng = np.random.default_rng(seed)
-    head = random_head(rng)
-    views = views_of(head, rng, joint_std=1e-3, pixel_std_px=0.1)
-    return head, spoilt(head, rng), replace(views, placement=np.arange(len(views.placement)))
+def one_placement_a_view(seed: int) -> tuple[HeadCalibration, Observations, HeadCalibration]:
+    """Return a simulation whose boards were moved between all views."""
+    head, observed, start = simulated(seed, NOISY)
+    return head, replace(observed, placement=np.arange(40)), start
 
 
 def test_one_eye_that_sees_each_board_once_leaves_its_mountings_open():
-    _, start, views = one_placement_a_view(25)
-    left = {name: pixels for name, pixels in views.corners.items() if name.startswith("left")}
-    found = refine(start, replace(views, corners=left))
-    text = " ".join(found.warnings)
+    _, observed, start = one_placement_a_view(25)
+    left = {name: pixels for name, pixels in observed.corners.items() if name.startswith("left")}
+    text = " ".join(bundle_adjust(start, replace(observed, corners=left)).warnings)
     assert "left_wide.T_eye_cam" in text
     assert "left_narrow.T_eye_cam" in text
     assert "not observable" in text
@@ -170,50 +179,40 @@ def test_one_eye_that_sees_each_board_once_leaves_its_mountings_open():
 
 
 def test_two_eyes_that_see_the_same_boards_need_no_board_at_rest():
-    head, start, views = one_placement_a_view(26)
-    found = refine(start, views)
+    head, observed, start = one_placement_a_view(26)
+    found = bundle_adjust(start, observed)
     assert not found.warnings
-    assert (np.abs(errors(found, head)) <= 4.5 * stated_std(found)).all()
+    assert_within_stated(found, head)
 
 
 def test_images_that_show_too_little_of_a_board_are_named():
-    rng = np.random.default_rng(26)
-    head = random_head(rng)
-    views = views_of(head, rng, joint_std=1e-3, pixel_std_px=0.1)
-    corners = {name: pixels.copy() for name, pixels in views.corners.items()}
-    for pixels in corners.values():
+    _, observed, start = simulated(26, NOISY)
+    for pixels in observed.corners.values():
         pixels[5, 9:] = np.nan  # one row: all corners in line
-    found = refine(spoilt(head, rng), replace(views, corners=corners))
+    found = bundle_adjust(start, observed)
     assert any(text.startswith("Views 5 were left out") for text in found.warnings)
     assert np.isnan(found.T_base_eye[5]).all()
 
 
 def test_a_board_that_one_camera_numbers_from_the_wrong_end_is_left_out_and_named():
-    rng = np.random.default_rng(29)
-    head = random_head(rng)
-    views = views_of(head, rng, joint_std=1e-3, pixel_std_px=0.1)
-    whole = np.isfinite(views.corners["left_wide"]).all(axis=(1, 2)) & (views.placement >= 12)
+    head, observed, start = simulated(29, NOISY)
+    corners = observed.corners["left_wide"]
+    whole = np.isfinite(corners).all(axis=(1, 2)) & (observed.placement >= 12)
     view = int(np.flatnonzero(whole)[3])
-    views.corners["left_wide"][view] = views.corners["left_wide"][view, ::-1]
-    found = refine(spoilt(head, rng), views)
-    assert (np.abs(errors(found, head)) <= 4.5 * stated_std(found)).all()
+    corners[view] = corners[view, ::-1]
+    found = bundle_adjust(start, observed)
+    assert_within_stated(found, head)
     assert found.warnings[0].startswith(f"Views {view} of left_wide were left out")
 
 
 def test_a_missing_reading_is_refused_with_its_view():
-    rng = np.random.default_rng(27)
-    head = random_head(rng)
-    views = views_of(head, rng)
-    views.eye_angles[7, 3] = np.nan
+    head, observed, _ = simulated(27)
+    observed.eye_angles[7, 3] = np.nan
     with pytest.raises(VergenceError, match="right eye sees a board in view 7"):
-        refine(head, views)
+        bundle_adjust(head, observed)
 
 
 def test_a_name_that_is_no_parameter_is_refused():
-    rng = np.random.default_rng(28)
-    head = random_head(rng)
-    views = views_of(head, rng)
+    head, observed, _ = simulated(28)
     with pytest.raises(VergenceError, match=r"no parameter 'left_wide\.focal'"):
-        refine(head, views, hold={"left_wide.focal"})
-    with pytest.raises(VergenceError, match="time_s of shape"):
-        refine(head, views, timing=Timing(np.zeros(3), np.zeros(3, dtype=int)))
+        bundle_adjust(head, observed, fixed={"left_wide.focal"})

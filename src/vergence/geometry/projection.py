@@ -131,7 +131,8 @@ def by_pose_of_points(by_point: Array, turned: Array) -> Array:
 
 def _rows(rows: Array, matrix: Array) -> Array:
     """Return each row of (M, K, 2, 3) times its matrix (M, 3, 3)."""
-    return (rows.reshape(len(rows), -1, 3) @ matrix).reshape(rows.shape)
+    M, K = rows.shape[:2]  # M is 0 for a camera that sees no board
+    return (rows.reshape(M, 2 * K, 3) @ matrix).reshape(rows.shape)
 
 
 def _cross(rows: Array, points: Array) -> Array:

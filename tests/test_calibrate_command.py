@@ -1,0 +1,190 @@
+"""From a dataset folder to a calibrated head, through the command line."""
+
+import json
+import re
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from recordings import description, write_dataset
+from simulated_head import plain_head
+from simulated_recording import BOARD, as_poses
+from test_other_heads import recorded as recorded_of_another
+from test_sequential import some_cameras
+from vergence import cli
+from vergence.calibration import calibrate as calibrate_module
+from vergence.calibration.observations import Observations
+from vergence.data import reader
+from vergence.data.dataset import Dataset, pose_columns
+from vergence.geometry.head import load_head, main_pair, save_head
+from vergence.geometry.kinematics import EYE_JOINTS, EYES, Side
+from vergence.viewer.reading import read_series
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
+    monkeypatch.setattr(sys, "argv", ["vergence", *map(str, arguments)])
+    cli.main()
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory, opengl: None) -> Path:
+    folder = tmp_path_factory.mktemp("calibration") / "dataset"
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        run(monkeypatch, "record", "--out", folder, "--frames", 20, "--profile", "noise-only")
+    return folder
+
+
+def test_a_recorded_head_is_calibrated_and_evaluated(recorded, tmp_path, monkeypatch, capsys):
+    out = tmp_path / "calibration.json"
+    report, accuracy, errors = tmp_path / "report", tmp_path / "a.json", tmp_path / "e.json"
+    hidden = recorded / "truth.json"
+    aside = hidden.rename(recorded / "hidden.json")  # calibration must do without it
+    try:
+        run(
+            monkeypatch,
+            *("calibrate", recorded, "--out", out, "--report", report, "--json", accuracy),
+        )
+    finally:
+        aside.rename(hidden)
+    run(monkeypatch, "evaluate", out, "--truth", hidden, "--json", errors)
+    printed = capsys.readouterr().out
+    head = load_head(out)
+    assert head.accuracy is not None
+    assert head.accuracy.method == "bundle"
+    assert np.linalg.eigvalsh(head.accuracy.covariance).min() > -1e-12
+    assert head.accuracy.held_out is not None
+    assert set(head.cameras) == {"left_wide", "left_narrow", "right_wide", "right_narrow"}
+    found = json.loads(errors.read_text())
+    assert set(found["cameras"]) == set(head.cameras)
+    for camera in found["cameras"].values():
+        assert camera["rotation_deg"] < 0.5
+        assert camera["translation_mm"] < 4
+        assert camera["focal_percent"] < 0.5
+    stated = json.loads(accuracy.read_text())
+    assert stated["verdict"] in printed
+    assert {path.name for path in report.iterdir()} == {
+        "report.md",
+        "coverage.png",
+        "residuals.png",
+        "worst_views.png",
+        "dataset.rrd",
+    }
+    _check_recording(report / "dataset.rrd", recorded, stated)
+    assert (report / "report.md").read_text().splitlines()[2].startswith(stated["verdict"])
+
+
+def _check_recording(path: Path, folder: Path, stated: dict) -> None:
+    """Every image of the dataset with a board has its corners and residuals in the recording."""
+    dataset = reader.load(folder)
+    for camera, files in dataset.files.items():
+        entity = f"/world/{camera.partition('_')[0]}_eye/{camera}"
+        images, _ = read_series(
+            path, f"{entity}/image", component="EncodedImage:media_type", timeline="frame"
+        )
+        assert images.tolist() == [row for row, name in enumerate(files) if name is not None]
+        rows, rms = read_series(path, f"/residual/{camera}", timeline="frame")
+        assert set(rows) <= set(images)
+        assert 0.5 < np.median(rms) / (np.sqrt(2) * stated["pixel_std_px"]) < 2
+    _, pan = read_series(path, "/joints/left_pan", timeline="frame")
+    np.testing.assert_array_equal(pan.ravel(), dataset.eye_angles[:, 0])
+
+
+def test_the_paper_s_method_states_no_accuracy(recorded, tmp_path, monkeypatch, capsys):
+    out = tmp_path / "paper.json"
+    run(monkeypatch, "calibrate", recorded, "--out", out, "--method", "paper")
+    assert capsys.readouterr().out.startswith(("UNKNOWN", "DOUBTFUL"))  # never "GOOD"
+    accuracy = load_head(out).accuracy
+    assert accuracy is not None
+    assert accuracy.method == "paper"
+    assert not accuracy.parameters
+
+
+def test_an_exported_head_comes_back(tmp_path, monkeypatch):
+    save_head(plain_head(0.07, 300.0), tmp_path / "head.json")
+    there, back = tmp_path / "head.yml", tmp_path / "back.json"
+    run(monkeypatch, "export", tmp_path / "head.json", "--format", "opencv", "--out", there)
+    run(monkeypatch, "import", there, "--format", "opencv", "--out", back)
+    np.testing.assert_array_equal(
+        load_head(back).T_rbase_lbase, load_head(tmp_path / "head.json").T_rbase_lbase
+    )
+
+
+@pytest.mark.parametrize(
+    ("keep", "named"),
+    [
+        (lambda row: row < 0, "frames.csv"),
+        (lambda row: row < 2, "shows the board in [02] images at rest"),
+    ],
+)
+def test_too_little_data_ends_in_a_sentence(keep, named, recorded, tmp_path, monkeypatch, capsys):
+    folder = tmp_path / "dataset"
+    folder.mkdir()
+    shutil.copytree(recorded / "images", folder / "images")
+    (folder / "dataset.json").write_text((recorded / "dataset.json").read_text())
+    head, *rows = (recorded / "frames.csv").read_text().splitlines()
+    rows = [row for k, row in enumerate(rows) if keep(k)]
+    (folder / "frames.csv").write_text("\n".join([head, *rows]) + "\n")
+    with pytest.raises(SystemExit) as stopped:
+        run(monkeypatch, "calibrate", folder, "--out", tmp_path / "c.json")
+    assert stopped.value.code == 2
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert re.search(named, said)
+    assert not (tmp_path / "c.json").exists()
+
+
+# Of heads that are not built like this project's
+
+
+def write_folder(folder: Path, seen: Observations, eyes: dict[str, Side]) -> None:
+    """Write a dataset of these cameras whose images show nothing."""
+    about = description(BOARD, (640, 480)) | {
+        "cameras": {name: {"eye": eye, "width": 640, "height": 480} for name, eye in eyes.items()}
+    }
+    poses = seen.T_base_eye
+    if poses is not None:
+        about |= {"joints": {}, "eye_motion": "poses"}
+    table = []
+    for v, placement in enumerate(seen.placement):
+        row = {"time_s": v + 1.0, "joint_time_s": v + 1.0, "placement": placement}
+        if poses is None:
+            row |= dict(zip(EYE_JOINTS, seen.eye_angles[v].tolist(), strict=True))
+        else:
+            for k, eye in enumerate(EYES):
+                columns = pose_columns(eye)
+                row |= dict(zip(columns, poses[v, k].ravel().tolist(), strict=True))
+        table.append(row | {name: f"images/{name}_{v}.png" for name in eyes})
+    images = {row[name]: np.zeros((1, 1), np.uint8) for row in table for name in eyes}
+    write_dataset(folder, table, about, images)
+
+
+@pytest.mark.parametrize("poses", [False, True])
+def test_other_heads_go_all_the_way_from_a_folder_to_a_report(
+    poses: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+):
+    truth, seen = recorded_of_another(9)
+    eyes: dict[str, Side] = {"port": "left", "starboard": "right"}
+    seen = some_cameras(seen, {"left_wide": "port", "right_wide": "starboard"}, eyes)
+    seen = as_poses(seen) if poses else seen
+    write_folder(tmp_path / "set", seen, eyes)
+    # Corners as if they had been found.
+    monkeypatch.setattr(calibrate_module, "detect_target", lambda *_, **__: seen)
+    monkeypatch.setattr(Dataset, "image", lambda *_: np.zeros((480, 640, 3), np.uint8))
+    out, report = tmp_path / "head.json", tmp_path / "report"
+    run(monkeypatch, "calibrate", tmp_path / "set", "--out", out, "--report", report)
+    printed = capsys.readouterr().out
+    assert printed.startswith("UNKNOWN" if poses else ("GOOD", "FAIR"))
+    assert ("mm in eye poses" in printed) == poses
+    assert (report / "report.md").read_text().startswith("# Calibration")
+    calibrated = load_head(out)
+    assert main_pair(calibrated) == ("port", "starboard")
+    assert calibrated.accuracy is not None
+    assert calibrated.accuracy.eye_motion == ("poses" if poses else "pan-tilt")
+    checked = calibrated.accuracy.held_out
+    assert checked is not None
+    assert checked.transfer_views > 10
+    assert (checked.point_mm is None) == poses
+    off = calibrated.T_rbase_lbase[:3, 3] - truth.T_rbase_lbase[:3, 3]
+    assert np.abs(off).max() < 0.004
