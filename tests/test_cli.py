@@ -5,15 +5,14 @@ import os
 import re
 import subprocess
 import sys
-from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 
-from vergence import cli
+from vergence import __version__, cli
 from vergence.commands.invocation import invocation
 from vergence.errors import VergenceError
-from vergence.geometry.head import load
+from vergence.geometry.head import load_head
 
 BAD_PROFILES = {
     "unknown section": "[jionts]\nnoise_deg = 1\n",
@@ -96,13 +95,13 @@ def test_corrupt_calibration_is_refused_in_a_sentence(content, named, tmp_path):
     path = tmp_path / "calibration.json"
     path.write_text(content)
     with pytest.raises(VergenceError, match=named) as refused:
-        load(path)
+        load_head(path)
     assert "\n" not in str(refused.value)
 
 
 def test_missing_calibration_is_refused_in_a_sentence(tmp_path):
     with pytest.raises(VergenceError, match="No such file"):
-        load(tmp_path / "none.json")
+        load_head(tmp_path / "none.json")
 
 
 def test_missing_opengl_says_what_to_install():
@@ -161,7 +160,7 @@ def test_every_option_of_the_help_is_known(capsys, monkeypatch):
 def test_the_version_is_that_of_the_package(capsys, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["vergence", "--version"])
     cli.main()
-    assert capsys.readouterr().out == f"vergence {version('vergence')}\n"
+    assert capsys.readouterr().out == f"vergence {__version__}\n"
 
 
 def test_a_refused_run_does_not_speak_of_replacing_results(capsys, monkeypatch, tmp_path):

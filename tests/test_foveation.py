@@ -20,7 +20,7 @@ from vergence.geometry.camera import Camera, project
 from vergence.geometry.head import HeadCalibration, T_narrow_wide
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.se3 import inverse, pose, transform
-from vergence.stereo.uncertainty import depth_error
+from vergence.stereo.depth_error import depth_error
 from vergence.twin.head import Twin
 from vergence.twin.model import nominal_head
 from vergence.twin.profile import load_profile

@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from vergence.calibration.detection import Detections, detect
+from vergence.calibration.detection import detect_target
+from vergence.calibration.observations import Observations
 from vergence.commands import truth as truth_file
 from vergence.commands.record import CHARUCO, record
 from vergence.commands.truth import Truth
@@ -38,13 +39,13 @@ PROFILE = ErrorProfile.model_validate(
 
 
 @pytest.fixture(scope="module", params=["chessboard", "charuco"])
-def recorded(request, tmp_path_factory, opengl: None) -> tuple[Dataset, Detections, Truth]:
+def recorded(request, tmp_path_factory, opengl: None) -> tuple[Dataset, Observations, Truth]:
     """A small recording with moving frames at its end."""
     out = tmp_path_factory.mktemp("out") / request.param
     images = record(out, profile=PROFILE, seed=2, frames=14, target=request.param, moving=12)
     assert len(list((out / "images").iterdir())) == images
     dataset = load_dataset(out)
-    return dataset, detect(dataset), truth_file.load(out / "truth.json")
+    return dataset, detect_target(dataset), truth_file.load(out / "truth.json")
 
 
 def test_the_kinds_of_views_are_all_there(recorded):
@@ -54,7 +55,7 @@ def test_the_kinds_of_views_are_all_there(recorded):
     counts = np.bincount(dataset.placement)
     assert (counts[:-1] == 1).all()  # held near the head, once each
     assert counts[-1] == len(dataset) - len(counts) + 1  # and one at rest
-    for name, corners in found.views.corners.items():
+    for name, corners in found.corners.items():
         views = np.isfinite(corners).all(axis=2).sum(axis=1) >= 6
         assert views.sum() >= 3, name
 
@@ -79,7 +80,7 @@ def test_corners_lie_where_the_truth_says(recorded):
                 T_base_eye(truth.eye_angles[row, 2 * eye : 2 * eye + 2]) @ mounted.T_eye_cam
             )
             uv = project(mounted.intrinsics, transform(T_cam_base @ T_base_target, points))
-            errors.append(found.views.corners[name][row] - uv)
+            errors.append(found.corners[name][row] - uv)
         assert np.sqrt(np.nanmean(np.square(errors))) < 0.08
         assert np.nanmax(np.abs(errors)) < 0.5
 

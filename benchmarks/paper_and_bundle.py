@@ -1,6 +1,6 @@
 """The paper's method beside bundle adjustment, on the same rendered datasets, against the truth.
 
-    python benchmarks/paper_and_refined.py --seed 3
+    python benchmarks/paper_and_bundle.py --seed 3
 
 Prints the table of docs/calibration.md: three datasets from the twin, each calibrated both ways.
 Errors of cameras are root mean squares over the four; regions are those of bundle adjustment, as
