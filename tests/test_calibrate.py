@@ -20,12 +20,12 @@ from vergence.calibration.checks.board_flips import turn_boards
 from vergence.calibration.detection import SYSTEMATIC_PX
 from vergence.calibration.observations import Observations
 from vergence.data.dataset import Dataset
-from vergence.data.reader import load
+from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import Side
 from vergence.geometry.parameters import boxminus
-from vergence.vision.board_detection import find_corners
+from vergence.vision.board_detection import detect_board
 from vergence.vision.board_pose import board_poses
 
 GOOD = Recording(reach_rad=(0.3, 0.3), noise=Noise(pixel_px=0.1, joint_rad=np.radians(0.1)))
@@ -144,7 +144,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
                 images[row[name]], _ = picture(BOARD, H, seen.sizes[name])
         table.append(row)
     write_dataset(folder, table, description(BOARD, (640, 480)), images)
-    return load(folder)
+    return load_dataset(folder)
 
 
 def own_detector(dataset: Dataset) -> Observations:
@@ -156,7 +156,7 @@ def own_detector(dataset: Dataset) -> Observations:
             if file is not None:
                 grey = cv2.imread(str(dataset.folder / file), cv2.IMREAD_GRAYSCALE)
                 assert grey is not None
-                found = find_corners(grey, about.board)
+                found = detect_board(grey, about.board)
                 corners[name][row] = np.nan if found is None else found
     eyes: dict[str, Side] = {name: camera.eye for name, camera in about.cameras.items()}
     return Observations(

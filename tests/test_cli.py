@@ -13,7 +13,7 @@ import pytest
 from vergence import cli
 from vergence.commands.invocation import invocation
 from vergence.errors import VergenceError
-from vergence.geometry.head import load
+from vergence.geometry.head import load_head
 
 BAD_PROFILES = {
     "unknown section": "[jionts]\nnoise_deg = 1\n",
@@ -96,13 +96,13 @@ def test_corrupt_calibration_is_refused_in_a_sentence(content, named, tmp_path):
     path = tmp_path / "calibration.json"
     path.write_text(content)
     with pytest.raises(VergenceError, match=named) as refused:
-        load(path)
+        load_head(path)
     assert "\n" not in str(refused.value)
 
 
 def test_missing_calibration_is_refused_in_a_sentence(tmp_path):
     with pytest.raises(VergenceError, match="No such file"):
-        load(tmp_path / "none.json")
+        load_head(tmp_path / "none.json")
 
 
 def test_missing_opengl_says_what_to_install():

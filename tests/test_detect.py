@@ -6,7 +6,6 @@ import os
 import cv2
 import numpy as np
 import pytest
-from rich.progress import Progress
 
 from recordings import (
     CHARUCO,
@@ -19,7 +18,7 @@ from recordings import (
     small_dataset,
     write_dataset,
 )
-from vergence.calibration.detection import detect, look_for
+from vergence.calibration.detection import detect_or_explain, detect_target
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.board import Charuco, Chessboard, corner_points
@@ -30,27 +29,27 @@ from vergence.vision.board_detection import detect_board
 def test_corners_of_every_image_stand_at_its_row_and_camera(tmp_path, board):
     truth = seen_dataset(tmp_path / "set", board)
     dataset = load_dataset(tmp_path / "set")
-    found = detect(dataset)
+    found = detect_target(dataset)
     assert found.failures == ()
-    assert found.views.board == board
-    assert found.views.sizes == {"left_wide": (280, 240), "right_wide": (280, 240)}
+    assert found.board == board
+    assert found.sizes == {"left_wide": (280, 240), "right_wide": (280, 240)}
     for camera, files in dataset.files.items():
         for row, name in enumerate(files):
-            corners = found.views.corners[camera][row]
+            corners = found.corners[camera][row]
             if name is None:
                 assert np.isnan(corners).all()
             else:
                 np.testing.assert_allclose(corners, truth[name], atol=0.1)
-    assert (found.views.placement == dataset.placement).all()
-    assert (found.views.eye_angles == dataset.eye_angles).all()
+    assert (found.placement == dataset.placement).all()
+    assert (found.eye_angles == dataset.eye_angles).all()
     assert found.timing is None
 
 
 def test_progress_reaches_its_end(tmp_path):
     seen_dataset(tmp_path / "set", CHARUCO, 2)
-    with Progress(disable=True) as progress:
-        detect(load_dataset(tmp_path / "set"), progress=progress)
-        assert progress.tasks[0].completed == progress.tasks[0].total == 3
+    said = []
+    detect_target(load_dataset(tmp_path / "set"), progress=lambda *step: said.append(step))
+    assert said == [("finding the board", done, 3) for done in range(4)]
 
 
 @pytest.mark.parametrize("corner", ["left", "right", "top", "bottom"])
@@ -116,7 +115,7 @@ def board_image() -> np.ndarray:
     ids=["dark", "bright", "blurred", "noise", "one pixel"],
 )
 def test_an_image_without_a_board_gives_its_reason(image, reason):
-    corners, found = look_for(image, CHESSBOARD)
+    corners, found = detect_or_explain(image, CHESSBOARD)
     assert corners is None
     assert reason in found
     assert found
@@ -125,7 +124,7 @@ def test_an_image_without_a_board_gives_its_reason(image, reason):
 def test_too_few_corners_are_a_failure():
     image, _ = picture(CHARUCO, held(0), (280, 240))
     image[:, 110:] = 120
-    corners, reason = look_for(image, CHARUCO, least_corners=15)
+    corners, reason = detect_or_explain(image, CHARUCO, least_corners=15)
     assert corners is None
     assert "15 are needed" in reason
 
@@ -133,17 +132,17 @@ def test_too_few_corners_are_a_failure():
 def test_an_unreadable_image_fails_alone(tmp_path):
     seen_dataset(tmp_path / "set", CHARUCO)
     (tmp_path / "set" / "images" / "left_2.png").write_bytes(b"\x89PNG and no more")
-    found = detect(load_dataset(tmp_path / "set"))
+    found = detect_target(load_dataset(tmp_path / "set"))
     assert [(f.row, f.line, f.camera) for f in found.failures] == [(2, 4, "left_wide")]
     assert str(found.failures[0]) == "line 4, images/left_2.png: the file is not a readable image"
-    assert np.isfinite(found.views.corners["right_wide"][2]).all()
+    assert np.isfinite(found.corners["right_wide"][2]).all()
 
 
 def test_a_camera_that_stands_still_is_noticed(tmp_path):
     seen_dataset(tmp_path / "set", CHARUCO)
     folder = tmp_path / "set" / "images"
     (folder / "left_2.png").write_bytes((folder / "left_1.png").read_bytes())
-    found = detect(load_dataset(tmp_path / "set"))
+    found = detect_target(load_dataset(tmp_path / "set"))
     assert [f.reason for f in found.failures] == ["the same picture as in line 3"]
 
 
@@ -152,7 +151,7 @@ def test_one_picture_from_two_cameras_is_refused(tmp_path):
     folder = tmp_path / "set" / "images"
     (folder / "right_2.png").write_bytes((folder / "left_2.png").read_bytes())
     with pytest.raises(VergenceError, match=r"line 4: .*right_2\.png .* same picture as .*left_2"):
-        detect(load_dataset(tmp_path / "set"))
+        detect_target(load_dataset(tmp_path / "set"))
 
 
 def test_images_of_another_size_are_refused(tmp_path):
@@ -161,13 +160,13 @@ def test_images_of_another_size_are_refused(tmp_path):
     assert done
     (tmp_path / "set" / "images" / "left_2.png").write_bytes(data.tobytes())
     with pytest.raises(VergenceError, match=r"line 4: left_wide: .* 140 x 120 .* 280 x 240"):
-        detect(load_dataset(tmp_path / "set"))
+        detect_target(load_dataset(tmp_path / "set"))
 
 
 def test_a_dataset_that_shows_nothing_is_refused(tmp_path):
     small_dataset(tmp_path / "set")
     with pytest.raises(VergenceError, match=r"No image of .* shows a chessboard of 6 x 5 inner"):
-        detect(load_dataset(tmp_path / "set"))
+        detect_target(load_dataset(tmp_path / "set"))
 
 
 def test_squares_counted_for_inner_corners_are_recognised(tmp_path):
@@ -175,7 +174,7 @@ def test_squares_counted_for_inner_corners_are_recognised(tmp_path):
     about = description(Chessboard(7, 6, 0.03), (280, 240))
     (tmp_path / "set" / "dataset.json").write_text(json.dumps(about))
     with pytest.raises(VergenceError, match=r"one of 6 x 5 is there.*not its squares"):
-        detect(load_dataset(tmp_path / "set"))
+        detect_target(load_dataset(tmp_path / "set"))
 
 
 def test_a_camera_that_sees_no_board_is_remarked(tmp_path):
@@ -184,7 +183,7 @@ def test_a_camera_that_sees_no_board_is_remarked(tmp_path):
     table = rows(1)
     images = {table[0]["left_wide"]: image, table[0]["right_wide"]: noise}
     write_dataset(tmp_path / "set", table, description(CHARUCO, (280, 240)), images)
-    found = detect(load_dataset(tmp_path / "set"))
+    found = detect_target(load_dataset(tmp_path / "set"))
     assert found.remarks == ("right_wide never sees the board.",)
     assert len(found.failures) == 1
 
@@ -192,8 +191,8 @@ def test_a_camera_that_sees_no_board_is_remarked(tmp_path):
 def test_detection_does_not_depend_on_the_number_of_threads(tmp_path, monkeypatch):
     seen_dataset(tmp_path / "set", CHARUCO)
     dataset = load_dataset(tmp_path / "set")
-    many = detect(dataset)
+    many = detect_target(dataset)
     monkeypatch.setattr(os, "cpu_count", lambda: 1)
-    one = detect(dataset)
-    for camera, corners in many.views.corners.items():
-        np.testing.assert_array_equal(corners, one.views.corners[camera])
+    one = detect_target(dataset)
+    for camera, corners in many.corners.items():
+        np.testing.assert_array_equal(corners, one.corners[camera])

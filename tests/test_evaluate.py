@@ -12,7 +12,7 @@ from vergence.commands.truth import Truth
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard
 from vergence.geometry.head import Accuracy, HeadCalibration
-from vergence.geometry.parameters import changed, without_offsets
+from vergence.geometry.parameters import change_named, without_offsets
 from vergence.twin.profile import ErrorProfile
 
 NAMES = ("left_wide.fx", "left_wide.fy", "left_wide.T_eye_cam.tx", "T_rbase_lbase.rz")
@@ -38,8 +38,8 @@ def head() -> HeadCalibration:
 
 
 def stating(head: HeadCalibration, change: np.ndarray) -> HeadCalibration:
-    accuracy = Accuracy(method="refined", parameters=NAMES, covariance=np.diag(STD**2))
-    return replace(changed(head, NAMES, change), accuracy=accuracy, time_offset_s=0.01)
+    accuracy = Accuracy(method="bundle", parameters=NAMES, covariance=np.diag(STD**2))
+    return replace(change_named(head, NAMES, change), accuracy=accuracy, time_offset_s=0.01)
 
 
 def test_offsets_that_no_image_tells_are_no_error(head):

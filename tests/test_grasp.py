@@ -22,10 +22,10 @@ from vergence.demos.grasp import FAR_M, NEAR_M, WITHIN_M, grasp, held_out, summa
 from vergence.errors import VergenceError
 from vergence.gaze.foveation import gaze_angles
 from vergence.gaze.state import NARROW, GazeSettings
+from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, pose, rotvec, transform
-from vergence.paper.replay import see
 from vergence.reach.state import HandCommand, ReachPhase
-from vergence.stereo.triangulation import locate
+from vergence.stereo.triangulation import triangulate_at
 from vergence.twin.hand import CLOSED_M, OPEN_M, ArmLimits, SimulatedHand, arm_mounting_error
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
@@ -90,7 +90,7 @@ def test_hand_and_marker_are_drawn_where_they_are():
         marker = transform(true, MARKER_HAND)
         image = twin.capture(("left_wide",)).images["left_wide"]
         pixel = find_sphere(image, twin.truth.camera("left_wide").intrinsics, colour="blue")
-        expected = see(twin.truth, "left_wide", np.zeros((1, 4)), marker)[0]
+        expected = project_point(twin.truth, "left_wide", np.zeros(4), marker)
         np.testing.assert_allclose(pixel, expected, atol=0.15)
 
 
@@ -111,7 +111,7 @@ def test_an_open_hand_hides_neither_the_object_nor_the_marker(direction: tuple[f
             np.testing.assert_allclose(
                 find_sphere(both[name], lens), find_sphere(alone[name], lens), atol=0.05
             )
-            expected = see(twin.truth, name, twin.true_angles()[None, 3:], marker)[0]
+            expected = project_point(twin.truth, name, twin.true_angles()[3:], marker)
             found = find_sphere(both[name], lens, colour="blue")
             np.testing.assert_allclose(found, expected, atol=0.1)
 
@@ -181,7 +181,7 @@ def depth_samples(scale: float) -> list[DepthSample]:
     centre = head.cameras["left_narrow"].intrinsics.matrix[:2, 2]
     angles = gaze_angles(head, points) + turned
     left, right = centre + pixels
-    found = locate(head, left, right, angles, cameras=NARROW).points
+    found, _ = triangulate_at(head, left=left, right=right, joints=angles, cameras=NARROW)
     wrong = scale * (found - middle) - (points - middle)
     return [
         DepthSample(

@@ -12,7 +12,7 @@ from vergence.paper.figures import FIGURES
 from vergence.paper.plots import draw, paper_figures
 from vergence.paper.replay import Replay, estimate, observe_points
 from vergence.paper.trajectories import default_duration_s
-from vergence.stereo.uncertainty import depth_error
+from vergence.stereo.depth_error import depth_error
 from vergence.twin.model import nominal_head
 from vergence.twin.profile import ErrorProfile, Joints
 from vergence.viewer.plots_depth import WRONG_M, by_disparity, draw_depth, miss_px

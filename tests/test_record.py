@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from vergence.calibration.detection import Detections, detect
+from vergence.calibration.detection import detect_target
+from vergence.calibration.observations import Observations
 from vergence.commands import truth as truth_file
 from vergence.commands.record import CHARUCO, record
 from vergence.commands.truth import Truth
@@ -14,10 +15,10 @@ from vergence.data.reader import load_dataset
 from vergence.data.timing import moved_readings
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
-from vergence.geometry.camera import project
 from vergence.geometry.head import T_base_cam
-from vergence.geometry.kinematics import EYES, T_base_eye
-from vergence.geometry.se3 import inverse, transform
+from vergence.geometry.kinematics import EYE_COLUMNS, EYES, T_base_eye
+from vergence.geometry.projection import project_at
+from vergence.geometry.se3 import transform
 from vergence.twin.calibration_sequence import BOARD
 from vergence.twin.profile import ErrorProfile, load_profile
 
@@ -38,13 +39,13 @@ PROFILE = ErrorProfile.model_validate(
 
 
 @pytest.fixture(scope="module", params=["chessboard", "charuco"])
-def recorded(request, tmp_path_factory, opengl: None) -> tuple[Dataset, Detections, Truth]:
+def recorded(request, tmp_path_factory, opengl: None) -> tuple[Dataset, Observations, Truth]:
     """A small recording with moving frames at its end."""
     out = tmp_path_factory.mktemp("out") / request.param
     images = record(out, profile=PROFILE, seed=2, frames=14, target=request.param, moving=12)
     assert len(list((out / "images").iterdir())) == images
     dataset = load_dataset(out)
-    return dataset, detect(dataset), truth_file.load(out / "truth.json")
+    return dataset, detect_target(dataset), truth_file.load(out / "truth.json")
 
 
 def test_the_kinds_of_views_are_all_there(recorded):
@@ -54,7 +55,7 @@ def test_the_kinds_of_views_are_all_there(recorded):
     counts = np.bincount(dataset.placement)
     assert (counts[:-1] == 1).all()  # held near the head, once each
     assert counts[-1] == len(dataset) - len(counts) + 1  # and one at rest
-    for name, corners in found.views.corners.items():
+    for name, corners in found.corners.items():
         views = np.isfinite(corners).all(axis=2).sum(axis=1) >= 6
         assert views.sum() >= 3, name
 
@@ -69,17 +70,11 @@ def test_corners_lie_where_the_truth_says(recorded):
     dataset, found, truth = recorded
     points = corner_points(truth.board)
     for name, mounted in truth.head.cameras.items():
-        eye = EYES.index(mounted.eye)
-        T_base_lbase = truth.head.T_rbase_lbase if eye else np.eye(4)
-        errors = []
-        for row in range(len(dataset)):
-            T_base_target = T_base_lbase @ truth.T_lbase_target[int(dataset.placement[row])]
-            # True angles need no gain and offset; these axes are perfect otherwise.
-            T_cam_base = inverse(
-                T_base_eye(truth.eye_angles[row, 2 * eye : 2 * eye + 2]) @ mounted.T_eye_cam
-            )
-            uv = project(mounted.intrinsics, transform(T_cam_base @ T_base_target, points))
-            errors.append(found.views.corners[name][row] - uv)
+        # True angles need no gain and offset; these axes are perfect otherwise.
+        T = T_base_eye(truth.eye_angles[:, EYE_COLUMNS[mounted.eye]])
+        T_lbase_target = np.array([truth.T_lbase_target[int(p)] for p in dataset.placement])
+        boards = transform(T_lbase_target[:, None], points)
+        errors = found.corners[name] - project_at(mounted, truth.head.T_rbase_lbase, T, boards)
         assert np.sqrt(np.nanmean(np.square(errors))) < 0.08
         assert np.nanmax(np.abs(errors)) < 0.5
 
@@ -88,7 +83,7 @@ def test_the_true_axes_turn_readings_into_true_angles(recorded):
     dataset, _, truth = recorded
     still = ~dataset.moving
     for eye in EYES:
-        columns = slice(0, 2) if eye == "left" else slice(2, 4)
+        columns = EYE_COLUMNS[eye]
         wide = f"{eye}_wide"
         seen = T_base_cam(truth.head, wide, dataset.eye_angles[still, columns])
         true = T_base_eye(truth.eye_angles[still, columns]) @ truth.head.cameras[wide].T_eye_cam

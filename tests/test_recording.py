@@ -22,7 +22,6 @@ from vergence.paper.recording import figure_recording, log_results
 from vergence.paper.replay import Measurements, Replay
 from vergence.paper.statistics import describe
 from vergence.paper.trajectories import eye_angles
-from vergence.stereo.triangulation import Located
 from vergence.twin.appearance import VisualGeom, visual_geoms
 from vergence.twin.model import load_spec, model_folder, nominal_head
 from vergence.viewer.frame import log_frame
@@ -62,7 +61,7 @@ def replay_of(points: np.ndarray) -> Replay:
     """Return a replay with these estimates (N, 3)."""
     unseen = np.full((SAMPLES, 2), np.nan)
     seen = Measurements(TIMES, eye_angles(FIGURE.motion, TIMES), unseen, unseen)
-    return Replay(FIGURE, OBJECT, seen, Located(points, np.zeros(SAMPLES)), describe(points))
+    return Replay(FIGURE, OBJECT, seen, points, describe(points))
 
 
 def noisy_image(rng: np.random.Generator) -> np.ndarray:

@@ -103,9 +103,9 @@ def test_the_table_of_sensitivities_is_met_within_ten_percent(source: str):
 
 @pytest.mark.parametrize("number", FIGURES)
 def test_without_an_error_every_sample_is_exact(number: int):
-    located = run(FIGURES[number]).located
+    points = run(FIGURES[number]).points
     expected = np.tile(FIGURES[number].mean_m, (SAMPLES, 1))
-    np.testing.assert_allclose(located.points, expected, atol=1e-9)
+    np.testing.assert_allclose(points, expected, atol=1e-9)
 
 
 def test_the_readings_are_older_than_the_image_by_the_delay():

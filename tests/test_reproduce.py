@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vergence.calibration.sequential.sequential import calibrate
+from vergence.calibration.sequential.sequential import calibrate_sequentially
 from vergence.paper import reproduce as main_job
 from vergence.paper.figures import FIGURES
 from vergence.paper.replay import estimate, observe_points, sample_times
@@ -36,7 +36,7 @@ def point_level(profile_name: str, seed: int, samples: int = 640) -> tuple[np.nd
         nominal = nominal_head(lens)
         truth, rng = as_built_head(nominal, profile, seed), np.random.default_rng(seed)
         views = simulate_views(truth, profile, plan(nominal, seed), pixel_noise=0.035, rng=rng)
-        head = inject_calibration_error(calibrate(views).head, profile.by_hand, lens)
+        head = inject_calibration_error(calibrate_sequentially(views).head, profile.by_hand, lens)
         for figure in FIGURES.values():
             if figure.lens == lens:
                 times = sample_times(figure, None, samples / default_duration_s(figure.motion))
@@ -150,7 +150,7 @@ def test_the_report_of_two_lenses_has_one_whole_table_of_calibrations():
     for lens, number in zip(FOCAL_MM, (6, 10), strict=True):
         head, figure = nominal_head(lens), FIGURES[number]
         views = simulate_views(head, profile, plan(head, 0), pixel_noise=0.03, rng=rng)
-        calibrations[lens] = found = calibrate(views)
+        calibrations[lens] = found = calibrate_sequentially(views)
         seen = observe_points(head, profile, figure, np.arange(10.0), pixel_noise=0.03, rng=rng)
         replays[number] = estimate(found.head, figure, np.array(figure.mean_m), seen)
     heads = {lens: found.head for lens, found in calibrations.items()}
