@@ -16,9 +16,10 @@ from vergence.gaze.foveation import (
     project_both,
     wide_from_narrow,
 )
-from vergence.geometry.camera import Camera, project
+from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, T_narrow_wide
 from vergence.geometry.kinematics import EYES
+from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, pose, transform
 from vergence.stereo.depth_error import depth_error
 from vergence.twin.head import Twin
@@ -65,8 +66,7 @@ def test_equations_14_to_17_are_the_projections_of_the_head(seed: int):
         for name, pixels in zip(
             (f"{eye}_narrow", f"{eye}_wide"), project_both(made, eye, in_narrow), strict=True
         ):
-            camera = made.camera(name).intrinsics
-            exact = project(camera, point_in_camera(made, name, eyes, points))
+            exact = project_point(made, name, eyes, points)
             np.testing.assert_allclose(pixels, exact, rtol=0, atol=1e-9)
 
 

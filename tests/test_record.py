@@ -15,10 +15,10 @@ from vergence.data.reader import load_dataset
 from vergence.data.timing import moved_readings
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
-from vergence.geometry.camera import project
 from vergence.geometry.head import T_base_cam
-from vergence.geometry.kinematics import EYES, T_base_eye
-from vergence.geometry.se3 import inverse, transform
+from vergence.geometry.kinematics import EYE_COLUMNS, EYES, T_base_eye
+from vergence.geometry.projection import project_at
+from vergence.geometry.se3 import transform
 from vergence.twin.calibration_sequence import BOARD
 from vergence.twin.profile import ErrorProfile, load_profile
 
@@ -89,7 +89,7 @@ def test_the_true_axes_turn_readings_into_true_angles(recorded):
     dataset, _, truth = recorded
     still = ~dataset.moving
     for eye in EYES:
-        columns = slice(0, 2) if eye == "left" else slice(2, 4)
+        columns = EYE_COLUMNS[eye]
         wide = f"{eye}_wide"
         seen = T_base_cam(truth.head, wide, dataset.eye_angles[still, columns])
         true = T_base_eye(truth.eye_angles[still, columns]) @ truth.head.cameras[wide].T_eye_cam
