@@ -1,6 +1,7 @@
 """Recording on the twin: what is written is a dataset, and the truth beside it is true."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,8 +17,8 @@ from vergence.data.timing import moved_readings
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
 from vergence.geometry.head import T_base_cam
-from vergence.geometry.kinematics import EYE_COLUMNS, EYES, T_base_eye
-from vergence.geometry.projection import project_at
+from vergence.geometry.kinematics import EYE_COLUMNS, EYES, EyeAxes, T_base_eye
+from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import transform
 from vergence.twin.calibration_sequence import BOARD
 from vergence.twin.profile import ErrorProfile, load_profile
@@ -69,18 +70,14 @@ def test_nearly_every_image_shows_the_board(recorded):
 def test_corners_lie_where_the_truth_says(recorded):
     dataset, found, truth = recorded
     points = corner_points(truth.board)
-    for name, mounted in truth.head.cameras.items():
-        eye = EYES.index(mounted.eye)
-        T_base_lbase = truth.head.T_rbase_lbase if eye else np.eye(4)
-        errors = []
-        for row in range(len(dataset)):
-            T_base_target = T_base_lbase @ truth.T_lbase_target[int(dataset.placement[row])]
-            # True angles need no gain and offset; these axes are perfect otherwise.
-            T_cam_base = inverse(
-                T_base_eye(truth.eye_angles[row, 2 * eye : 2 * eye + 2]) @ mounted.T_eye_cam
-            )
-            uv = project(mounted.intrinsics, transform(T_cam_base @ T_base_target, points))
-            errors.append(found.corners[name][row] - uv)
+    # True angles need no gain and offset; these axes are perfect otherwise.
+    head = replace(truth.head, axes={eye: EyeAxes() for eye in EYES})
+    boards = np.stack(
+        [transform(truth.T_lbase_target[int(number)], points) for number in dataset.placement]
+    )
+    for name in head.cameras:
+        pixels = project_point(head, name, truth.eye_angles[:, None], boards)
+        errors = found.corners[name] - pixels
         assert np.sqrt(np.nanmean(np.square(errors))) < 0.08
         assert np.nanmax(np.abs(errors)) < 0.5
 
