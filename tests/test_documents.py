@@ -148,7 +148,7 @@ def test_the_reader_of_datasets_that_the_document_prints_reads_the_dataset_that_
     there = {block.language: block.text for block in blocks("docs/dataset.md")}
     code = next(text.values[1] for text in PYTHON if "csv.DictReader" in str(text.values[1]))
     (tmp_path / "dataset.json").write_text(there["json"])
-    (tmp_path / "frames.csv").write_text(there["csv"])
+    (tmp_path / "frames.csv").write_text(there["text"])
     monkeypatch.chdir(tmp_path)
     exec(compile(str(code), "dataset.md", "exec"), {})
     lines = capsys.readouterr().out.splitlines()
