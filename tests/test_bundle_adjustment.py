@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from simulated_head import probability, rough_start, skewed_head
-from simulated_recording import EXACT, Noise, two_boards
+from simulated_recording import EXACT, POINTS, Noise, two_boards
 from vergence.arrays import Array
 from vergence.calibration.bundle.bundle_adjustment import (
     BundleEstimate,
@@ -18,6 +18,7 @@ from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import PER_CAMERA, boxminus, without_offsets
+from vergence.vision.board_pose import board_poses
 
 NOISY = Noise(pixel_px=0.1, joint_rad=1e-3)
 OFFSET_S = 0.015
@@ -102,23 +103,16 @@ def test_the_noise_of_a_head_is_found(noisy_heads):
     np.testing.assert_allclose(joint, np.radians(0.05), rtol=0.1)  # pan and tilt apart
 
 
-def test_the_boards_poses_may_be_given_and_change_nothing():
-    """They are no more than a start; those of worse intrinsics serve as well."""
+def test_the_poses_of_boards_may_be_given_by_camera():
+    """They are no more than a start: what is not given is solved for."""
     _, observed, start = simulated(31, NOISY)
     once = bundle_adjust(start, observed)
-    shifted = {name: np.full((40, 4, 4), np.nan) for name in start.cameras}
-    for name in ("left_wide", "right_wide"):
-        seen = np.isfinite(observed.corners[name]).all(axis=2).sum(axis=1) > 30
-        T_lbase_target = np.stack([once.T_lbase_target[p] for p in observed.placement])
-        mounted = once.head.cameras[name]
-        eye = 0 if mounted.eye == "left" else 1
-        T_base_lbase = once.head.T_rbase_lbase if eye else np.eye(4)
-        T_base_cam = observed.eye_poses()[:, eye] @ mounted.T_eye_cam
-        shifted[name][seen] = (np.linalg.inv(T_base_cam) @ T_base_lbase @ T_lbase_target)[seen]
-    again = bundle_adjust(start, observed, T_cam_target=shifted)
-    np.testing.assert_allclose(
-        errors(again, once.head) / np.maximum(stated_std(once), 1e-12), 0, atol=1e-2
-    )
+    poses = {
+        name: board_poses(start.cameras[name].intrinsics, observed.corners[name], POINTS)
+        for name in ("left_wide", "right_wide")
+    }
+    again = bundle_adjust(start, observed, T_cam_target=poses)
+    assert np.abs(errors(again, once.head)).max() < 1e-9
 
 
 def test_what_is_fixed_keeps_its_start_and_has_no_variance():

@@ -1,16 +1,13 @@
-"""One camera from views of a flat board, and the board's poses."""
+"""One camera from views of a flat board."""
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from vergence.calibration.sequential.intrinsics import calibrate_camera
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.camera import Camera, project
 from vergence.geometry.se3 import pose, rotation, transform
-from vergence.vision.board_pose import board_poses
 
 POINTS = corner_points(Chessboard(9, 6, 0.03))
 SIZE = (640, 480)
@@ -87,38 +84,6 @@ def test_too_few_views_are_refused(usable: int):
     corners[usable:, 3:] = np.nan
     with pytest.raises(VergenceError, match=f"at least 3 views of the board, found {usable}"):
         calibrate_camera(corners, POINTS, size=SIZE, lens_model="none")
-
-
-@given(st.integers(0, 2**32 - 1))
-@settings(max_examples=20)
-def test_exact_corners_give_the_exact_poses(seed: int):
-    rng = np.random.default_rng(seed)
-    camera, T = lens(rng, 0, 1, 2, 3), boards(5, rng)
-    np.testing.assert_allclose(board_poses(camera, views(camera, T), POINTS), T, atol=1e-7)
-
-
-def test_a_pose_needs_six_corners():
-    rng = np.random.default_rng(9)
-    camera, T = lens(rng), boards(3, rng)
-    corners = views(camera, T)
-    corners[0, 5:] = np.nan
-    corners[1, :20] = np.nan
-    poses = board_poses(camera, corners, POINTS)
-    assert np.isnan(poses[0]).all()
-    np.testing.assert_allclose(poses[1:], T[1:], atol=1e-7)
-    assert np.isnan(board_poses(camera, corners[:1], POINTS)).all()
-
-
-def test_a_single_row_of_corners_tells_no_pose():
-    rng = np.random.default_rng(12)
-    camera = lens(rng, 0)
-    corners = views(camera, boards(2, rng))
-    row = POINTS[:, 1] == POINTS[0, 1]
-    assert row.sum() >= 6
-    corners[0, ~row] = np.nan
-    found = board_poses(camera, corners, POINTS)
-    assert np.isnan(found[0]).all()
-    assert np.isfinite(found[1]).all()
 
 
 def test_the_stated_deviation_of_the_focal_length_is_true():

@@ -148,6 +148,13 @@ def test_the_jacobians_of_an_eye_agree_with_differences(seed: int):
     )
 
 
+def test_the_jacobians_of_one_posture_are_those_of_many():
+    readings, axes = np.array([[0.1, -0.2], [0.2, 0.1]]), np.tile(axes_row(EyeAxes()), (2, 1))
+    many = eye_jacobians(readings, axes)
+    for one, row in zip(eye_jacobians(readings[1], axes[1]), many, strict=True):
+        np.testing.assert_allclose(one, row[1], atol=1e-16)
+
+
 def test_a_chain_serves_many_postures_and_many_chains_one():
     rng = np.random.default_rng(1)
     readings, rows = rng.normal(0, 0.2, (7, 2)), axes_row(EyeAxes()) + rng.normal(0, 0.05, (7, 6))

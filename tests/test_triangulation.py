@@ -21,7 +21,12 @@ from vergence.geometry.projection import (
 )
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.triangulation import Status, in_body, in_head, triangulate, triangulate_at
-from vergence.stereo.uncertainty import locate
+from vergence.stereo.uncertainty import (
+    calibration_covariance,
+    locate,
+    locate_both,
+    locate_with_covariance,
+)
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -76,12 +81,18 @@ def test_one_posture_serves_all_points():
     assert (nowhere.status == Status.NOT_SEEN).all()
 
 
-@pytest.mark.parametrize("function", [locate, triangulate_at])
-def test_left_and_right_must_be_named(function):
+@pytest.mark.parametrize(
+    "function",
+    [
+        *(locate, locate_with_covariance, locate_both, calibration_covariance),
+        *(triangulate_at, triangulate, base_extrinsics, stereo_extrinsics),
+    ],
+)
+def test_arguments_that_could_be_exchanged_must_be_named(function):
     """Exchanged, they would give an answer all the same."""
     pixels = np.zeros((1, 2))
     with pytest.raises(TypeError, match="positional argument"):
-        function(plain_head(0.09, 280.0), pixels, pixels, np.zeros((1, 4)))
+        function(plain_head(0.09, 280.0), pixels, pixels, np.zeros((1, 4)), np.eye(4))
 
 
 def test_exchanged_cameras_are_refused():

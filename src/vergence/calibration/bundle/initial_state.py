@@ -112,12 +112,12 @@ def initial_state(
         T_lbase_target=np.tile(np.eye(4), (len(numbers), 1, 1)),
         latent=reading,
     )
-    if T_cam_target is None:
-        T_cam_target = {
-            name: board_poses(mounted.intrinsics, corners[c], points)
-            for c, (name, mounted) in enumerate(start.cameras.items())
-        }
-    found = np.stack([T_cam_target[name] for name in cameras])[camera, view]
+    given = {} if T_cam_target is None else T_cam_target
+    poses = [
+        given[name] if name in given else board_poses(mounted.intrinsics, corners[c], points)
+        for c, (name, mounted) in enumerate(start.cameras.items())
+    ]
+    found = np.stack(poses)[camera, view]
     return *_place_boards(problem, state, found), numbers
 
 

@@ -1,0 +1,52 @@
+"""Where a board stands before a camera of known intrinsics."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from test_intrinsics import POINTS, boards, lens, views
+from vergence.vision.board_pose import board_poses, determines_pose
+
+SOLVE_PNP = 1e-7
+"""Rotations [rad] and metres at which OpenCV's refinement stops on exact corners."""
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=20)
+def test_exact_corners_give_the_exact_poses(seed: int):
+    rng = np.random.default_rng(seed)
+    camera, T = lens(rng, 0, 1, 2, 3), boards(5, rng)
+    np.testing.assert_allclose(board_poses(camera, views(camera, T), POINTS), T, atol=SOLVE_PNP)
+
+
+def test_a_pose_needs_six_corners():
+    rng = np.random.default_rng(9)
+    camera, T = lens(rng), boards(3, rng)
+    corners = views(camera, T)
+    corners[0, 5:] = np.nan
+    corners[1, :20] = np.nan
+    poses = board_poses(camera, corners, POINTS)
+    assert np.isnan(poses[0]).all()
+    np.testing.assert_allclose(poses[1:], T[1:], atol=SOLVE_PNP)
+    assert np.isnan(board_poses(camera, corners[:1], POINTS)).all()
+
+
+def test_a_single_row_of_corners_tells_no_pose():
+    rng = np.random.default_rng(12)
+    camera = lens(rng, 0)
+    corners = views(camera, boards(2, rng))
+    row = POINTS[:, 1] == POINTS[0, 1]
+    assert row.sum() >= 6
+    corners[0, ~row] = np.nan
+    found = board_poses(camera, corners, POINTS)
+    assert np.isnan(found[0]).all()
+    assert np.isfinite(found[1]).all()
+
+
+def test_corners_that_spread_in_two_directions_determine_a_pose():
+    seen = np.zeros((4, len(POINTS)), bool)
+    seen[0, :5] = True
+    seen[1, :9] = True  # a row
+    seen[2, [*range(9), 9]] = True  # and one more
+    seen[3] = True
+    assert determines_pose(POINTS, seen).tolist() == [False, False, True, True]
