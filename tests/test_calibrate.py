@@ -130,7 +130,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     """Return pictures of boards before a head of pinhole cameras, with exact readings."""
     folder = tmp_path_factory.mktemp("calibrate") / "dataset"
     head = plain_head(0.07, 300.0, camera_m=((0.02, 0, 0),) * 2)
-    how = Recording(straight=6, orientations=10, noise=EXACT)
+    how = Recording(straight=5, orientations=8, noise=EXACT)
     seen = record(head, np.random.default_rng(4), how)
     table, images = [], {}
     for v, placement in enumerate(seen.placement):

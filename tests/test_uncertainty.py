@@ -58,9 +58,9 @@ def simulate(
     return np.cov(triangulate_at(head, left=left, right=right, joints=joints)[0].T)
 
 
-@pytest.mark.parametrize("depth", [0.426, 0.642, 1.106])
 @pytest.mark.parametrize(
-    ("focal", "joint_deg", "pixel"), [(280, 0.1, 0), (280, 0, 0.5), (400, 0.1, 0.5)]
+    ("depth", "focal", "joint_deg", "pixel"),
+    [(0.426, 280, 0.1, 0), (0.642, 280, 0, 0.5), (0.426, 400, 0.1, 0.5), (1.106, 400, 0.1, 0.5)],
 )
 def test_the_closed_form_agrees_with_simulation_on_the_axis(
     depth: float, focal: float, joint_deg: float, pixel: float

@@ -5,7 +5,7 @@ import pytest
 
 import whole_head_monte_carlo as monte_carlo
 
-TRIALS = 5
+TRIALS = 4
 
 
 @pytest.fixture(scope="module")
