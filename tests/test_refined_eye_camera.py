@@ -78,7 +78,7 @@ def test_an_exact_recording_gives_the_mounting_exactly(seed: int):
 @pytest.fixture(scope="module")
 def trials(slow_setup: None) -> list[tuple[Recording, EyeCamera, EyeCamera]]:
     """Twenty recordings with 0.1 degrees and 0.1 px, refined with latent and with exact joints."""
-    recordings = [record(k, joint_std=np.radians(0.1), pixel_std_px=0.1) for k in range(20)]
+    recordings = [record(k, joint_std=np.radians(0.1), pixel_std_px=0.1) for k in range(30)]
     # Without robustness: exact joints would take half of the views for outliers.
     return [(r, solve(r), solve(r, joint_std=0, outlier=np.inf)) for r in recordings]
 
@@ -87,7 +87,7 @@ def test_latent_joints_err_less_than_a_third_of_what_exact_joints_do(trials):
     latent = np.median([size(found.T_eye_cam, r.T_eye_cam) for r, found, _ in trials], axis=0)
     exact = np.median([size(found.T_eye_cam, r.T_eye_cam) for r, _, found in trials], axis=0)
     assert (latent < [0.12, 0.5]).all()
-    assert (latent < exact / 3).all()
+    assert (latent < exact / 3.5).all()
 
 
 def test_stated_regions_hold_the_truth(trials):
@@ -95,10 +95,9 @@ def test_stated_regions_hold_the_truth(trials):
         probability(boxminus(found.T_eye_cam, r.T_eye_cam), found.covariance)
         for r, found, _ in trials
     ]
-    # Of 20, between 16 and 20 are expected in the 95 % region, and 4 to 16 in the 50 % one: each
-    # bound is missed by a true statement once in some hundred draws.
-    assert np.count_nonzero(np.array(p) < 0.95) >= 16
-    assert 4 <= np.count_nonzero(np.array(p) < 0.5) <= 16
+    # Of 30, between 25 and 30 are expected in the 95 % region, and 6 to 24 in the 50 % one.
+    assert np.count_nonzero(np.array(p) < 0.95) >= 25
+    assert 6 <= np.count_nonzero(np.array(p) < 0.5) <= 24
 
 
 def test_both_levels_of_noise_are_found(trials):
