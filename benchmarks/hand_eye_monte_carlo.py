@@ -1,7 +1,7 @@
 """How well T_eye_cam is found, and how true the stated accuracy is, over many simulated trials.
 
-    python benchmarks/eye_camera_monte_carlo.py
-    python benchmarks/eye_camera_monte_carlo.py --trials 1000 --focal-px 280 --motion grid
+    python benchmarks/hand_eye_monte_carlo.py
+    python benchmarks/hand_eye_monte_carlo.py --trials 1000 --focal-px 280 --motion grid
 
 One eye with a camera of known intrinsics looks at a board at rest; corners and joint readings
 carry normal noise whose levels no estimator is given. Compared are Park and Martin's closed form

@@ -1,7 +1,7 @@
 """Boards numbered from the wrong end: are all found, and is none turned that should not be?
 
-    python benchmarks/flips.py
-    python benchmarks/flips.py --datasets 300 --seed 1
+    python benchmarks/board_flips.py
+    python benchmarks/board_flips.py --datasets 300 --seed 1
 
 Each dataset draws a head with its own lenses, gains to 4 % and mountings (every other one with
 cameras rolled by any angle), 4 to 18 boards at straight gaze, boards for the narrow cameras, one to
