@@ -46,7 +46,7 @@ JointName = Annotated[str, AfterValidator(_joint_name)]
 
 DESCRIPTION, FRAMES = "dataset.json", "frames.csv"
 TIME, JOINT_TIME, PLACEMENT, MOVING = "time_s", "joint_time_s", "placement", "moving"
-"""Columns of frames.csv besides joints, poses and cameras; `moving` is optional."""
+"""Columns of frames.csv besides joints, poses and cameras."""
 
 MAX_SQUARE_M = 1.0
 """A larger side was probably given in millimetres; boards of unknown size have squares of 1."""
@@ -146,9 +146,7 @@ class Description:
             raise ValueError(f"eye_motion is poses, but joints has {given[0]}; give one of the two")
         if self.eye_motion == "pan-tilt" and missing:
             raise ValueError(f"joints.{missing[0]} is missing; that eye has a camera")
-        reserved = {TIME, JOINT_TIME, PLACEMENT, MOVING}
-        if self.eye_motion == "poses":
-            reserved |= {column for eye in EYES for column in pose_columns(eye)}
+        reserved = {TIME, JOINT_TIME, PLACEMENT, MOVING, *self.pose_columns}
         if clash := reserved & set(self.cameras):
             raise ValueError(f"no camera can be called {min(clash)}, which is another column")
         for name, joint in self.joints.items():
@@ -162,6 +160,19 @@ class Description:
     def eyes(self) -> tuple[Side, ...]:
         """The eyes that have a camera, left before right."""
         return tuple(eye for eye in EYES if any(c.eye == eye for c in self.cameras.values()))
+
+    @property
+    def pose_columns(self) -> list[str]:
+        """Columns of frames.csv with the eyes' poses, 16 each; none if it has joint angles."""
+        poses = self.eye_motion == "poses"
+        return [name for eye in self.eyes for name in pose_columns(eye)] if poses else []
+
+    @property
+    def columns(self) -> list[str]:
+        """Columns of frames.csv, of which `moving` may be missing."""
+        joints = dict.fromkeys(joint.column for joint in self.joints.values())
+        fixed = [TIME, JOINT_TIME, PLACEMENT, MOVING]
+        return [*fixed, *joints, *self.pose_columns, *self.cameras]
 
 
 def pose_columns(eye: str) -> list[str]:

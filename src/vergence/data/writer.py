@@ -26,12 +26,9 @@ from vergence.data.dataset import (
     TIME,
     Description,
     Frame,
-    pose_columns,
 )
 from vergence.errors import VergenceError
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, NECK_JOINTS
-
-_DESCRIPTION = TypeAdapter(Description)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +76,9 @@ def write_dataset(folder: Path, description: Description, rows: Iterable[Dataset
         temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
         try:
             (temporary / "images").mkdir()
-            text = _DESCRIPTION.dump_json(description, indent=1, exclude_none=True).decode()
-            (temporary / DESCRIPTION).write_text(text + "\n", encoding="utf-8")
+            adapter = TypeAdapter(Description)
+            text = adapter.dump_json(description, indent=1, exclude_none=True) + b"\n"
+            (temporary / DESCRIPTION).write_bytes(text)
             _write_frames(temporary, description, rows)
             temporary.chmod(0o755)  # mkdtemp's folders are private
             if folder.is_dir():
@@ -94,18 +92,13 @@ def write_dataset(folder: Path, description: Description, rows: Iterable[Dataset
 
 
 def _write_frames(folder: Path, description: Description, rows: Iterable[DatasetRow]) -> None:
-    columns = [TIME, JOINT_TIME, PLACEMENT, MOVING]
-    columns += dict.fromkeys(joint.column for joint in description.joints.values())
-    if description.eye_motion == "poses":
-        columns += [name for eye in description.eyes for name in pose_columns(eye)]
-    columns += description.cameras
     workers = os.cpu_count() or 1
     pending: deque[Future[None]] = deque()
     with (
         (folder / FRAMES).open("w", encoding="utf-8", newline="") as file,
         ThreadPoolExecutor(workers) as pool,
     ):
-        table = csv.DictWriter(file, columns, restval="", lineterminator="\n")
+        table = csv.DictWriter(file, description.columns, restval="", lineterminator="\n")
         table.writeheader()
         for number, row in enumerate(rows):
             images = {camera: f"images/{number:05d}_{camera}.png" for camera in row.frame.images}
@@ -128,17 +121,14 @@ def _cells(description: Description, row: DatasetRow) -> dict[str, object]:
         PLACEMENT: "" if row.placement is None else row.placement,
         MOVING: int(row.moving),
     }
-    readings = np.concatenate([frame.eye_angles, frame.neck_angles])
-    angles: dict[str, float] = dict(
-        zip((*EYE_JOINTS, *NECK_JOINTS), readings.tolist(), strict=True)
-    )
+    readings = [*frame.eye_angles, *frame.neck_angles]
+    angles = dict(zip((*EYE_JOINTS, *NECK_JOINTS), readings, strict=True))
     for name, joint in description.joints.items():
         angle = joint.sign * angles[name]
         cells[joint.column] = float(np.degrees(angle) if joint.unit == "deg" else angle)
-    if description.eye_motion == "poses" and row.T_base_eye is not None:
-        for eye in description.eyes:
-            numbers = row.T_base_eye[EYES.index(eye)].ravel().tolist()
-            cells |= dict(zip(pose_columns(eye), numbers, strict=True))
+    if row.T_base_eye is not None:
+        poses = row.T_base_eye[[EYES.index(eye) for eye in description.eyes]]
+        cells |= dict(zip(description.pose_columns, poses.ravel().tolist(), strict=False))
     return cells
 
 
