@@ -121,7 +121,7 @@ class _Table:
         cells = [self.columns[name] for name in names]
         values = [[float(t) if NUMBER.fullmatch(t) else nan for t in column] for column in cells]
         values = np.array(values).T
-        for k, n in np.argwhere(~np.isfinite(values)):
+        for k, n in np.argwhere(~np.isfinite(values)).tolist():
             found = repr(cells[n][k][:40]) if cells[n][k] else "blank"
             raise VergenceError(
                 f"{self.where(k)}: {names[n]} is {found}, not a finite number such as 0.25."
@@ -185,7 +185,7 @@ def _time_stamps(table: _Table) -> tuple[Array, Array]:
     names = [TIME, JOINT_TIME]
     times = table.numbers(names)
     steps = np.diff(times, axis=0)
-    for n, k in np.argwhere(steps.T <= 0):
+    for n, k in np.argwhere(steps.T <= 0).tolist():
         found = "repeats" if steps[k, n] == 0 else "is earlier than"
         raise VergenceError(
             f"{table.where(k + 1)}: {names[n]} = {table.columns[names[n]][k + 1]} {found} that of "
@@ -193,7 +193,7 @@ def _time_stamps(table: _Table) -> tuple[Array, Array]:
         )
     time_s, joint_time_s = times.T
     delay = np.abs(time_s - joint_time_s)
-    for k in np.flatnonzero(delay > MAX_DELAY_S):
+    for k in np.flatnonzero(delay > MAX_DELAY_S).tolist():
         raise VergenceError(
             f"{table.where(k)}: {TIME} and {JOINT_TIME} lie {delay[k]:.3g} s apart; both come from "
             f"the same clock and differ by at most {MAX_DELAY_S:g} s."
@@ -210,7 +210,7 @@ def _joint_angles(description: Description, names: tuple[str, ...], table: _Tabl
             continue
         readings = joint.sign * table.numbers([joint.column])[:, 0]
         angles[:, n] = np.radians(readings) if joint.unit == "deg" else readings
-        for k in np.flatnonzero(np.abs(angles[:, n]) > np.pi):
+        for k in np.flatnonzero(np.abs(angles[:, n]) > np.pi).tolist():
             advice = f'; if it is in degrees, set joints.{name}.unit to "deg"'
             raise VergenceError(
                 f"{table.where(k)}: {joint.column} = {table.columns[joint.column][k]} {joint.unit} "
@@ -225,7 +225,7 @@ def _placements(neck_angles: Array, table: _Table) -> np.ndarray:
     placement = np.where(stated < 0, stated.max() + np.cumsum(stated < 0), stated)
     _, first, group = np.unique(placement, return_index=True, return_inverse=True)
     motion = np.abs(neck_angles - neck_angles[first[group]])
-    for k in np.flatnonzero((motion > MAX_NECK_MOTION_RAD).any(axis=1)):
+    for k in np.flatnonzero((motion > MAX_NECK_MOTION_RAD).any(axis=1)).tolist():
         raise VergenceError(
             f"{table.where(k)}: {NECK_JOINTS[motion[k].argmax()]} has moved by "
             f"{motion[k].max():.3f} rad since line {table.lines[first[group][k]]}, so the board is "

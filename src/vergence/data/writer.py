@@ -21,6 +21,7 @@ from vergence.data.dataset import (
     DESCRIPTION,
     FRAMES,
     JOINT_TIME,
+    JOINTS,
     MOVING,
     PLACEMENT,
     TIME,
@@ -28,7 +29,7 @@ from vergence.data.dataset import (
     Frame,
 )
 from vergence.errors import VergenceError
-from vergence.geometry.kinematics import EYE_JOINTS, EYES, NECK_JOINTS
+from vergence.geometry.kinematics import EYES
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +123,7 @@ def _cells(description: Description, row: DatasetRow) -> dict[str, object]:
         MOVING: int(row.moving),
     }
     readings = [*frame.eye_angles, *frame.neck_angles]
-    angles = dict(zip((*EYE_JOINTS, *NECK_JOINTS), readings, strict=True))
+    angles = dict(zip(JOINTS, readings, strict=True))
     for name, joint in description.joints.items():
         angle = joint.sign * angles[name]
         cells[joint.column] = float(np.degrees(angle) if joint.unit == "deg" else angle)
