@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -100,6 +101,16 @@ def read(
         raise VergenceError(f"{path} is not {what}: {explain(error)}.") from None
 
 
+def with_intrinsics(head: HeadCalibration, cameras: Mapping[str, Camera]) -> HeadCalibration:
+    """Return a head with the intrinsics of some cameras replaced.
+
+    Raises:
+        VergenceError: the head has no camera of one of these names.
+    """
+    mounted = {name: replace(head.camera(name), intrinsics=c) for name, c in cameras.items()}
+    return replace(head, cameras={**head.cameras, **mounted})
+
+
 def write_yaml(path: Path, content: dict[str, Any]) -> None:
     """Write YAML with each list of numbers on one line; floats read back exactly."""
     text = yaml.safe_dump(content, default_flow_style=None, sort_keys=False, width=1000)
@@ -117,14 +128,15 @@ def check_names(head: HeadCalibration) -> None:
             )
 
 
-def check_intrinsics(head: HeadCalibration, model: str, *, has_k3: bool = True) -> None:
-    """Raise VergenceError if a camera has skew or k3 for which a camera model has no field.
+def check_cameras(head: HeadCalibration, model: str, *, has_k3: bool = True) -> None:
+    """Raise VergenceError if a camera has a name, skew or k3 that a camera model cannot hold.
 
     Args:
         head: whose cameras are checked.
         model: how a message calls the camera model.
         has_k3: whether the model has a third radial coefficient.
     """
+    check_names(head)
     for name, mounted in head.cameras.items():
         skew, k3 = mounted.intrinsics.matrix[0, 1], mounted.intrinsics.distortion[4]
         if abs(skew) > NEGLIGIBLE:
