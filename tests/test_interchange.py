@@ -289,7 +289,7 @@ def test_a_head_with_perfect_axes_has_plain_joints(tmp_path):
 def test_the_urdf_turns_a_camera_that_looks_straight_up_or_down_rightly(tmp_path, pitch, yaw):
     R_eye_link = rotation([0, 0, yaw]) @ rotation([0, pitch, 0])
     head = plain(11)
-    T_eye_cam = pose(R_eye_link @ urdf.R_LINK_OPTICAL)
+    T_eye_cam = pose(R_eye_link) @ urdf.T_LINK_OPTICAL
     cameras = {"left_wide": replace(head.cameras["left_wide"], T_eye_cam=T_eye_cam)}
     urdf.save(replace(head, cameras=cameras), tmp_path / "head.urdf")
     angles = {"neck_pitch": 0.0, "neck_roll": 0.0, "neck_yaw": 0.0}

@@ -46,9 +46,6 @@ WHOLE_NUMBER = re.compile(r"[0-9]{1,10}")
 def load_dataset(folder: str | Path) -> Dataset:
     """Read a dataset and check everything except the images, which are read on demand.
 
-    Args:
-        folder: with dataset.json, frames.csv and the images; see docs/dataset.md.
-
     Raises:
         VergenceError: the dataset is incomplete or implausible; the message names the file and
             the field or line.

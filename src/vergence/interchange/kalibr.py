@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, PositiveInt, TypeAdapter
+from pydantic import BaseModel, FiniteFloat, PositiveInt, TypeAdapter
 
 from vergence.arrays import Array, Transform
 from vergence.errors import explain
@@ -21,7 +21,6 @@ from vergence.geometry.head import HeadCalibration, T_base_cam, T_head_base
 from vergence.geometry.projection import rebase
 from vergence.geometry.se3 import inverse
 from vergence.interchange.serialization import (
-    Number,
     check_cameras,
     read,
     with_intrinsics,
@@ -30,12 +29,15 @@ from vergence.interchange.serialization import (
 
 
 class _Cam(BaseModel):
-    """A camera of a camchain; cam_overlaps, timeshift_cam_imu and T_cam_imu are not read."""
+    """A camera of a camchain; cam_overlaps, timeshift_cam_imu and T_cam_imu are not read.
+
+    YAML 1.1 reads 1e-5, without a point, as text; pydantic makes it a number.
+    """
 
     camera_model: Literal["pinhole"]
     distortion_model: Literal["radtan", "none"] = "none"
-    distortion_coeffs: list[Number] = []
-    intrinsics: tuple[Number, Number, Number, Number]
+    distortion_coeffs: list[FiniteFloat] = []
+    intrinsics: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
     resolution: tuple[PositiveInt, PositiveInt]
     rostopic: str = ""
     T_cn_cnm1: Transform | None = None
@@ -123,19 +125,16 @@ def update_head(chain: Camchain, template: HeadCalibration) -> HeadCalibration:
     The wide cameras keep their poses in the eyes, which a chain does not hold. Those of the narrow
     ones and T_rbase_lbase follow from the chain, which is assumed to hold at readings of zero.
 
-    Args:
-        chain: its cameras have the names of the template's.
-        template: supplies the poses of the wide cameras, the axes and the neck.
-
     Raises:
         VergenceError: the chain names a camera that the template does not have.
     """
     head = with_intrinsics(template, {name: camera for name, (camera, _) in chain.items()})
-    T_cam_first, T = {}, np.eye(4)
+    T, T_cam_first = np.eye(4), {}
     for k, (name, (_, step)) in enumerate(chain.items()):
         if step is None and k:
             return head
-        T_cam_first[name] = T = T if step is None else step @ T
+        T = T if step is None else step @ T
+        T_cam_first[name] = T
     cameras = dict(head.cameras)
     for name in chain:
         wide = f"{cameras[name].eye}_wide"

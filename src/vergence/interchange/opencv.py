@@ -20,7 +20,7 @@ from xml.etree import ElementTree
 
 import cv2
 import yaml
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, FiniteFloat
 
 from vergence.errors import VergenceError
 from vergence.files import write_whole
@@ -29,7 +29,6 @@ from vergence.geometry.kinematics import EYES, EyeAxes, Neck, Side
 from vergence.interchange.serialization import (
     Intrinsics,
     Matrix,
-    Number,
     check_cameras,
     intrinsics_fields,
     read,
@@ -101,9 +100,9 @@ class _Neck(BaseModel):
 class _Head(BaseModel):
     cameras: Annotated[dict[str, _Camera], Field(min_length=1)]
     T_rbase_lbase: Matrix
-    axes: dict[Side, dict[str, Number]]
+    axes: dict[Side, dict[str, FiniteFloat]]
     neck: _Neck
-    time_offset_s: Number = 0.0
+    time_offset_s: FiniteFloat = 0.0
 
 
 def load(path: Path) -> HeadCalibration:

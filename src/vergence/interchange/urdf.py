@@ -10,6 +10,7 @@ link, and <joint>_true mimics it with URDF's multiplier and offset; transforms t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -18,7 +19,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.files import write_whole
 from vergence.geometry.head import HeadCalibration, T_head_base
-from vergence.geometry.kinematics import EYES, NECK_JOINTS, Neck, Side
+from vergence.geometry.kinematics import EYES, NECK_JOINTS, Chain, eye_chain
 from vergence.geometry.se3 import inverse, pose
 from vergence.interchange.serialization import check_names
 
@@ -26,7 +27,7 @@ LIMIT_RAD = (-1.5708, 1.5708)
 EFFORT, VELOCITY = 100.0, 100.0
 """Limits that URDF requires and a calibration does not hold: large enough to have no effect."""
 
-R_LINK_OPTICAL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+T_LINK_OPTICAL = pose(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]))
 """From frame cam to a camera's link, which looks along x with z up (REP 103)."""
 
 
@@ -39,62 +40,45 @@ def save(head: HeadCalibration, path: Path) -> None:
     check_names(head)
     robot = ElementTree.Element("robot", name="vergence_head")
     ElementTree.SubElement(robot, "link", name="body")
-    _add_neck(robot, head.neck)
+    neck = head.neck
+    n = len(neck.axes)
+    names = NECK_JOINTS if n == len(NECK_JOINTS) else [f"neck_{k + 1}" for k in range(n)]
+    links = ["body", *names]
+    chain = Chain(neck.axes, neck.points_m, neck.head_m, np.eye(n), np.zeros(n))
+    _add_chain(robot, chain, links, names)
+    T_last_head = pose(t=neck.head_m - (neck.points_m[-1] if n else 0.0))
+    _add_joint(robot, "head_joint", links[-1], "head", T_last_head)
     for eye in EYES:
-        _add_eye(robot, head, eye)
+        base, pan, tilt, link = (f"{eye}_{part}" for part in ("base", "pan", "tilt", "eye"))
+        _add_joint(robot, f"{base}_joint", "head", base, T_head_base(head, eye))
+        _add_chain(robot, eye_chain(head.axes[eye]), [base, pan, link], [pan, tilt])
+        for name, mounted in head.cameras.items():
+            if mounted.eye == eye:
+                T_eye_link = mounted.T_eye_cam @ inverse(T_LINK_OPTICAL)
+                _add_joint(robot, f"{name}_joint", link, name, T_eye_link)
+                optical = f"{name}_optical_frame"
+                _add_joint(robot, f"{name}_optical_joint", name, optical, T_LINK_OPTICAL)
     ElementTree.indent(robot)
     text = ElementTree.tostring(robot, encoding="unicode")
     write_whole(path, f'<?xml version="1.0"?>\n{text}\n')
 
 
-def _add_neck(robot: ElementTree.Element, neck: Neck) -> None:
-    count = len(neck.axes)
-    standard = count == len(NECK_JOINTS)
-    names = NECK_JOINTS if standard else tuple(f"neck_{k + 1}" for k in range(count))
-    parent, origin = "body", np.zeros(3)
-    for name, axis, point in zip(names, neck.axes, neck.points_m, strict=True):
-        _add_joint(robot, name, parent, name, pose(t=point - origin), axis)
-        parent, origin = name, point
-    _add_joint(robot, "head_joint", parent, "head", pose(t=neck.head_m - origin))
-
-
-def _add_eye(robot: ElementTree.Element, head: HeadCalibration, eye: Side) -> None:
-    axes, base, pan, tilt = head.axes[eye], f"{eye}_base", f"{eye}_pan", f"{eye}_tilt"
-    _add_joint(robot, f"{base}_joint", "head", base, T_head_base(head, eye))
-    z = np.array([0.0, 0.0, 1.0])
-    _add_encoder(robot, pan, base, pan, np.eye(4), z, axes.pan_gain, axes.pan_offset_rad)
-    skew = axes.nonorthogonality_rad
-    axis = np.array([0.0, np.cos(skew), np.sin(skew)])
-    T_pan_tilt = pose(t=[axes.axis_distance_m, 0.0, 0.0])
-    gain, offset = axes.tilt_gain, axes.tilt_offset_rad
-    _add_encoder(robot, tilt, pan, f"{eye}_eye", T_pan_tilt, axis, gain, offset)
-    T_link_optical = pose(R_LINK_OPTICAL)
-    for name, mounted in head.cameras.items():
-        if mounted.eye == eye:
-            T_eye_link = mounted.T_eye_cam @ inverse(T_link_optical)
-            _add_joint(robot, f"{name}_joint", f"{eye}_eye", name, T_eye_link)
-            optical = f"{name}_optical_frame"
-            _add_joint(robot, f"{name}_optical_joint", name, optical, T_link_optical)
-
-
-def _add_encoder(
-    robot: ElementTree.Element,
-    name: str,
-    parent: str,
-    child: str,
-    T_parent_child: Array,
-    axis: Array,
-    gain: float,
-    offset: float,
+def _add_chain(
+    robot: ElementTree.Element, chain: Chain, links: Sequence[str], joints: Sequence[str]
 ) -> None:
-    """Add a joint whose position is a reading: true angle = gain * reading + offset."""
-    if (gain, offset) == (1.0, 0.0):
-        _add_joint(robot, name, parent, child, T_parent_child, axis)
-        return
-    _add_joint(robot, name, parent, f"{name}_reading", T_parent_child, axis)
-    limit = tuple(sorted(gain * angle + offset for angle in LIMIT_RAD))
-    true = _add_joint(robot, f"{name}_true", parent, child, T_parent_child, axis, limit)
-    ElementTree.SubElement(true, "mimic", joint=name, multiplier=_text(gain), offset=_text(offset))
+    """Add a chain of n joints between n + 1 links: true angle = gain * reading + offset."""
+    steps = np.diff(chain.points_m, axis=0, prepend=np.zeros((1, 3)))
+    for k, (parent, child, name) in enumerate(zip(links[:-1], links[1:], joints, strict=True)):
+        T, axis = pose(t=steps[k]), chain.axes[k]
+        gain, offset = chain.mixing[k, k], chain.offset_rad[k]
+        if (gain, offset) == (1.0, 0.0):
+            _add_joint(robot, name, parent, child, T, axis)
+            continue
+        _add_joint(robot, name, parent, f"{name}_reading", T, axis)
+        limit = tuple(sorted(gain * angle + offset for angle in LIMIT_RAD))
+        true = _add_joint(robot, f"{name}_true", parent, child, T, axis, limit)
+        relation = {"joint": name, "multiplier": _text(gain), "offset": _text(offset)}
+        ElementTree.SubElement(true, "mimic", relation)
 
 
 def _add_joint(
