@@ -29,10 +29,9 @@ def plain(seed: int) -> HeadCalibration:
     """Return a random head without skew, which no format has a field for."""
     head = skewed_head(np.random.default_rng(seed))
     lenses = {name: mounted.intrinsics for name, mounted in head.cameras.items()}
-    no_skew = np.array([[1, 0, 1], [1, 1, 1], [1, 1, 1]])
-    return with_intrinsics(
-        head, {name: replace(lens, matrix=lens.matrix * no_skew) for name, lens in lenses.items()}
-    )
+    skew = np.array([[0, 1, 0], [0, 0, 0], [0, 0, 0]], dtype=bool)
+    plain = {n: replace(c, matrix=np.where(skew, 0.0, c.matrix)) for n, c in lenses.items()}
+    return with_intrinsics(head, plain)
 
 
 def with_k3(head: HeadCalibration, k3: float) -> HeadCalibration:

@@ -165,16 +165,18 @@ def _read_table(path: Path) -> _Table:
 
 
 def _check_columns(table: _Table, description: Description) -> None:
-    known, header = description.columns, [*table.columns]
-    if missing := [name for name in known if name not in (*header, MOVING)]:
-        raise VergenceError(
-            f"{table.path}: the column {missing[0]!r} is missing; found {', '.join(header)}."
-        )
-    if unknown := [name for name in header if name not in known and not name.startswith("_")]:
-        raise VergenceError(
-            f"{table.path}: the column {unknown[0]!r} is not known; names of additional columns "
-            "begin with an underscore."
-        )
+    known, found = description.columns, table.columns
+    for name in known:
+        if name not in found and name != MOVING:
+            raise VergenceError(
+                f"{table.path}: the column {name!r} is missing; found {', '.join(found)}."
+            )
+    for name in found:
+        if name not in known and not name.startswith("_"):
+            raise VergenceError(
+                f"{table.path}: the column {name!r} is not known; names of additional columns "
+                "begin with an underscore."
+            )
 
 
 def _time_stamps(table: _Table) -> tuple[Array, Array]:
@@ -280,13 +282,13 @@ def _image_files(
 def _remarks(description: Description, eye_angles: Array, table: _Table) -> tuple[str, ...]:
     """Return a sentence for each joint whose angles (N, 4) look like another unit."""
     remarks = []
-    for name, k in zip(EYE_JOINTS, np.abs(eye_angles).argmax(axis=0), strict=True):
+    for n, name in enumerate(EYE_JOINTS):
         joint = description.joints.get(name)
         if joint is None:
             continue
+        k = np.abs(eye_angles[:, n]).argmax()
         reading = table.columns[joint.column][k]
-        largest = abs(eye_angles[k, EYE_JOINTS.index(name)])
-        if largest > MAX_EYE_RAD:
+        if abs(eye_angles[k, n]) > MAX_EYE_RAD:
             remarks.append(
                 f"{name} reaches {reading} {joint.unit} in line {table.lines[k]}, further than "
                 f"eyes turn: is its unit {'deg' if joint.unit == 'rad' else 'right'}?"

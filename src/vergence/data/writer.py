@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import os
-import shutil
 import tempfile
 from collections import deque
 from collections.abc import Iterable
@@ -63,10 +62,7 @@ def write_dataset(folder: Path, description: Description, rows: Iterable[Dataset
     Images become grey PNG files, a third of the size of colour ones and all that detection uses.
     They are encoded in worker threads while the next rows are being made.
 
-    Args:
-        folder: new or empty.
-        description: content of dataset.json.
-        rows: in order of time; an iterator may make them one by one.
+    The rows are in order of time; an iterator may make them one by one.
 
     Raises:
         VergenceError: the folder is not empty, or cannot be written.
@@ -74,20 +70,16 @@ def write_dataset(folder: Path, description: Description, rows: Iterable[Dataset
     check_new(folder)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
-        try:
-            (temporary / "images").mkdir()
+        with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as private:
+            part = Path(private) / folder.name
+            (part / "images").mkdir(parents=True)
             adapter = TypeAdapter(Description)
             text = adapter.dump_json(description, indent=1, exclude_none=True) + b"\n"
-            (temporary / DESCRIPTION).write_bytes(text)
-            _write_frames(temporary, description, rows)
-            temporary.chmod(0o755)  # mkdtemp's folders are private
+            (part / DESCRIPTION).write_bytes(text)
+            _write_frames(part, description, rows)
             if folder.is_dir():
                 folder.rmdir()
-            temporary.rename(folder)
-        except BaseException:
-            shutil.rmtree(temporary, ignore_errors=True)
-            raise
+            part.rename(folder)
     except OSError as error:
         raise VergenceError(f"Cannot write the dataset {folder}: {error.strerror}.") from error
 
@@ -104,9 +96,8 @@ def _write_frames(folder: Path, description: Description, rows: Iterable[Dataset
         for number, row in enumerate(rows):
             images = {camera: f"images/{number:05d}_{camera}.png" for camera in row.frame.images}
             table.writerow(_cells(description, row) | images)
-            for camera, name in images.items():
-                image = row.frame.images[camera]
-                pending.append(pool.submit(_write_image, folder / name, image))
+            for camera, image in row.frame.images.items():
+                pending.append(pool.submit(_write_image, folder / images[camera], image))
             while len(pending) > 8 * workers:  # bounds the memory of images that wait
                 pending.popleft().result()
         for each in pending:
@@ -119,11 +110,10 @@ def _cells(description: Description, row: DatasetRow) -> dict[str, object]:
     cells: dict[str, object] = {
         TIME: float(frame.time_s),
         JOINT_TIME: float(frame.joint_time_s),
-        PLACEMENT: "" if row.placement is None else row.placement,
+        PLACEMENT: row.placement,
         MOVING: int(row.moving),
     }
-    readings = [*frame.eye_angles, *frame.neck_angles]
-    angles = dict(zip(JOINTS, readings, strict=True))
+    angles = dict(zip(JOINTS, (*frame.eye_angles, *frame.neck_angles), strict=True))
     for name, joint in description.joints.items():
         angle = joint.sign * angles[name]
         cells[joint.column] = float(np.degrees(angle) if joint.unit == "deg" else angle)
