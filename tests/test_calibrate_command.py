@@ -78,7 +78,7 @@ def test_a_recorded_head_is_calibrated_and_evaluated(recorded, tmp_path, monkeyp
 
 def _check_recording(path: Path, folder: Path, stated: dict) -> None:
     """Every image of the dataset with a board has its corners and residuals in the recording."""
-    dataset = reader.load(folder)
+    dataset = reader.load_dataset(folder)
     for camera, files in dataset.files.items():
         entity = f"/world/{camera.partition('_')[0]}_eye/{camera}"
         images, _ = read_series(
