@@ -8,17 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recordings import (
-    change_about,
-    change_cell,
-    refusal,
-    rows,
-    small_dataset,
-    write_table,
-)
+from recordings import change_about, change_cell, refusal, rows, small_dataset, write_table
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.kinematics import EYE_JOINTS
+
+MATRIX = [[20, 0, 15], [0, 20, 11], [0, 0, 1]]
 
 
 @pytest.fixture
@@ -92,13 +87,7 @@ def test_links_that_leave_the_folder_are_refused(folder):
         ({"joints.jaw": {"column": "jaw", "unit": "rad"}}, "expected one of left_pan"),
         ({"eye_motion": "poses"}, "eye_motion is poses, but joints has left_pan"),
         (
-            {
-                "cameras.left_wide.intrinsics": {
-                    "width": 64,
-                    "height": 24,
-                    "matrix": [[20, 0, 15], [0, 20, 11], [0, 0, 1]],
-                }
-            },
+            {"cameras.left_wide.intrinsics": {"width": 64, "height": 24, "matrix": MATRIX}},
             "has images of 32 x 24, but its intrinsics are of 64 x 24",
         ),
     ],
@@ -186,17 +175,15 @@ def test_no_damage_to_the_table_is_met_with_a_traceback(data, tmp_path_factory):
     for _ in range(data.draw(st.integers(1, 3))):
         k = data.draw(st.integers(0, len(table) - 1))
         c = data.draw(st.integers(0, len(table[k]) - 1))
-        how = data.draw(st.sampled_from(["cell", "drop", "swap", "double", "shorten"]))
-        if how == "cell":
-            table[k][c] = data.draw(CELLS)
-        elif how == "drop" and len(table) > 1:
-            del table[k]
-        elif how == "swap":
-            table[k], table[-1] = table[-1], table[k]
-        elif how == "double":
-            table.insert(k, list(table[k]))
-        elif how == "shorten" and len(table[k]) > 1:
-            del table[k][c]
+        head, row, tail = table[:k], table[k], table[k + 1 :]
+        damaged = {
+            "cell": [*head, [*row[:c], data.draw(CELLS), *row[c + 1 :]], *tail],
+            "drop": [*head, *tail] or table,
+            "swap": [*head, *tail[-1:], *tail[:-1], row],
+            "double": [*head, row, row, *tail],
+            "shorten": [*head, row[:c] + row[c + 1 :] or row, *tail],
+        }
+        table = damaged[data.draw(st.sampled_from(sorted(damaged)))]
     with (folder / "frames.csv").open("w", encoding="utf-8", newline="") as file:
         csv.writer(file).writerows(table)
     loads_or_refuses(folder)
@@ -215,13 +202,11 @@ def test_no_damage_to_the_description_is_met_with_a_traceback(text, where, cut, 
 
 def loads_or_refuses(folder: Path) -> None:
     """Check that what loads is what stands there, and that nothing but VergenceError refuses."""
+    message, dataset = "", None
     try:
         dataset = load_dataset(folder)
     except VergenceError as error:
         message = str(error)
-        dataset = None
-    else:
-        message = ""
     assert "\n" not in message
     if dataset is None:
         return

@@ -1,27 +1,17 @@
 """Datasets that are written: what stands there is what was meant, or nothing is."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from recordings import (
-    CHARUCO,
-    small_dataset,
-)
+from recordings import CHARUCO, small_dataset
 from simulated_head import random_pose
 from vergence.data.dataset import DatasetCamera, DatasetJoint, Description, Frame
 from vergence.data.reader import load_dataset
 from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    small_dataset(tmp_path / "set")
-    return tmp_path / "set"
 
 
 def entries(count: int, rng: np.random.Generator) -> list[DatasetRow]:
@@ -88,7 +78,9 @@ def test_written_poses_are_read_back_exactly(tmp_path):
     assert (load_dataset(tmp_path / "set").T_base_eye == np.array(T)).all()
 
 
-def test_a_folder_that_is_not_empty_is_never_overwritten(folder):
+def test_a_folder_that_is_not_empty_is_never_overwritten(tmp_path):
+    folder = tmp_path / "set"
+    small_dataset(folder)
     before = sorted(folder.rglob("*"))
     with pytest.raises(VergenceError, match="already exists and is not empty"):
         write_dataset(folder, about(), entries(2, np.random.default_rng(0)))

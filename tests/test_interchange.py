@@ -10,15 +10,17 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import TypeAdapter
 
 from simulated_head import random_pose, skewed_head
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, project
 from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base, T_head_base
-from vergence.geometry.kinematics import EYES, NECK_JOINTS, EyeAxes, Neck, T_body_head
+from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS, EyeAxes, Neck, T_body_head
 from vergence.geometry.se3 import inverse, pose, rotation, rotvec
 from vergence.interchange import kalibr, opencv, ros, urdf
 from vergence.interchange.formats import export_head, import_head
+from vergence.interchange.serialization import with_intrinsics
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -26,30 +28,21 @@ SEEDS = st.integers(0, 2**32 - 1)
 def plain(seed: int) -> HeadCalibration:
     """Return a random head without skew, which no format has a field for."""
     head = skewed_head(np.random.default_rng(seed))
-    cameras = {}
-    for name, mounted in head.cameras.items():
-        matrix = mounted.intrinsics.matrix.copy()
-        matrix[0, 1] = 0
-        cameras[name] = replace(mounted, intrinsics=replace(mounted.intrinsics, matrix=matrix))
-    return replace(head, cameras=cameras)
+    lenses = {name: mounted.intrinsics for name, mounted in head.cameras.items()}
+    skew = np.array([[0, 1, 0], [0, 0, 0], [0, 0, 0]], dtype=bool)
+    plain = {n: replace(c, matrix=np.where(skew, 0.0, c.matrix)) for n, c in lenses.items()}
+    return with_intrinsics(head, plain)
 
 
-def with_distortion(head: HeadCalibration, k3: float) -> HeadCalibration:
-    left = head.cameras["left_wide"]
-    distortion = left.intrinsics.distortion.copy()
-    distortion[4] = k3
-    intrinsics = replace(left.intrinsics, distortion=distortion)
-    return replace(
-        head, cameras={**head.cameras, "left_wide": replace(left, intrinsics=intrinsics)}
-    )
+def with_k3(head: HeadCalibration, k3: float) -> HeadCalibration:
+    lens = head.cameras["left_wide"].intrinsics
+    lens = replace(lens, distortion=np.append(lens.distortion[:4], k3))
+    return with_intrinsics(head, {"left_wide": lens})
 
 
-def same_camera(a: Camera, b: Camera) -> bool:
-    return (
-        (a.width, a.height) == (b.width, b.height)
-        and bool((a.matrix == b.matrix).all())
-        and bool((a.distortion == b.distortion).all())
-    )
+def numbers(item: HeadCalibration | Camera) -> dict:
+    """Return all fields as plain numbers and lists, to be compared to the last digit."""
+    return TypeAdapter(type(item)).dump_python(item, mode="json")
 
 
 def rays(rng: np.random.Generator) -> np.ndarray:
@@ -58,19 +51,9 @@ def rays(rng: np.random.Generator) -> np.ndarray:
 
 @pytest.mark.parametrize("suffix", opencv.SUFFIXES)
 def test_a_head_survives_opencv_to_the_last_digit(tmp_path, suffix):
-    head = replace(with_distortion(plain(1), 0.0123456789), time_offset_s=0.0321)
+    head = replace(with_k3(plain(1), 0.0123456789), time_offset_s=0.0321)
     opencv.save(head, tmp_path / f"head{suffix}")
-    back = opencv.load(tmp_path / f"head{suffix}")
-    assert list(back.cameras) == list(head.cameras)
-    for name, mounted in head.cameras.items():
-        assert same_camera(back.cameras[name].intrinsics, mounted.intrinsics)
-        assert (back.cameras[name].T_eye_cam == mounted.T_eye_cam).all()
-        assert back.cameras[name].eye == mounted.eye
-    assert (back.T_rbase_lbase == head.T_rbase_lbase).all()
-    assert back.time_offset_s == head.time_offset_s
-    assert all(vars(back.axes[eye]) == vars(head.axes[eye]) for eye in EYES)
-    for name in ("axes", "points_m", "head_m"):
-        assert (getattr(back.neck, name) == getattr(head.neck, name)).all()
+    assert numbers(opencv.load(tmp_path / f"head{suffix}")) == numbers(head)
 
 
 def test_a_head_without_a_neck_survives_opencv(tmp_path):
@@ -79,18 +62,19 @@ def test_a_head_without_a_neck_survives_opencv(tmp_path):
     assert opencv.load(tmp_path / "head.yml").neck.axes.shape == (0, 3)
 
 
+def assert_opencv_projects(matrix: np.ndarray, distortion: np.ndarray, camera: Camera) -> None:
+    points = rays(np.random.default_rng(0))
+    pixels, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, distortion)
+    np.testing.assert_allclose(pixels.reshape(-1, 2), project(camera, points), atol=1e-9)
+
+
 def test_opencv_alone_reads_what_it_needs_to_project(tmp_path):
     head = plain(3)
     opencv.save(head, tmp_path / "head.yml")
     storage = cv2.FileStorage(str(tmp_path / "head.yml"), cv2.FILE_STORAGE_READ)
     node = storage.getNode("cameras").getNode("right_wide")
-    points = rays(np.random.default_rng(0))
-    matrix, distortion = (
-        node.getNode(k).mat() for k in ("camera_matrix", "distortion_coefficients")
-    )
-    pixels, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, distortion)
-    wanted = project(head.cameras["right_wide"].intrinsics, points)
-    np.testing.assert_allclose(pixels.reshape(-1, 2), wanted, atol=1e-9)
+    K, D = (node.getNode(k).mat() for k in ("camera_matrix", "distortion_coefficients"))
+    assert_opencv_projects(K, D, head.cameras["right_wide"].intrinsics)
     assert storage.getNode("T_rbase_lbase").mat().shape == (4, 4)
 
 
@@ -102,11 +86,10 @@ def test_intrinsics_survive_kalibr_and_ros_to_the_last_digit(seed, tmp_path_fact
     chain = kalibr.load(folder / "camchain.yaml")
     ros.save(head, folder / "info")
     infos = ros.load(folder / "info")
-    assert list(chain.cameras) == list(head.cameras)
+    assert list(chain) == list(head.cameras)
     assert set(infos) == set(head.cameras)
     for name, mounted in head.cameras.items():
-        assert same_camera(chain.cameras[name], mounted.intrinsics)
-        assert same_camera(infos[name], mounted.intrinsics)
+        assert numbers(chain[name][0]) == numbers(infos[name]) == numbers(mounted.intrinsics)
 
 
 def test_a_camchain_has_every_field_that_kalibr_requires(tmp_path):
@@ -114,15 +97,8 @@ def test_a_camchain_has_every_field_that_kalibr_requires(tmp_path):
     kalibr.save(head, tmp_path / "camchain.yaml")
     content = yaml.safe_load((tmp_path / "camchain.yaml").read_text())
     assert list(content) == ["cam0", "cam1", "cam2", "cam3"]
-    required = {
-        "camera_model",
-        "intrinsics",
-        "distortion_model",
-        "distortion_coeffs",
-        "resolution",
-        "rostopic",
-        "cam_overlaps",
-    }
+    required = {"camera_model", "intrinsics", "distortion_model", "distortion_coeffs"}
+    required |= {"resolution", "rostopic", "cam_overlaps"}
     for k, cam in enumerate(content.values()):
         assert set(cam) == required | ({"T_cn_cnm1"} if k else set())
         assert (cam["camera_model"], cam["distortion_model"]) == ("pinhole", "radtan")
@@ -153,15 +129,14 @@ def test_a_camchain_projects_as_the_head_does(tmp_path):
 
 def test_a_camchain_leads_from_camera_to_camera(tmp_path):
     head = plain(6)
-    angles = np.array([0.1, -0.2, 0.05, 0.15])
-    kalibr.save(head, tmp_path / "camchain.yaml", eye_angles=angles)
+    kalibr.save(head, tmp_path / "camchain.yaml")
     chain = kalibr.load(tmp_path / "camchain.yaml")
     T = np.eye(4)  # from cam0, left_wide, to the last one, right_narrow
-    for step in chain.T_cn_cnm1[1:]:
+    for _, step in list(chain.values())[1:]:
         assert step is not None
         T = step @ T
-    T_lbase_first = T_base_cam(head, "left_wide", angles[:2])
-    T_rbase_last = T_base_cam(head, "right_narrow", angles[2:])
+    T_lbase_first = T_base_cam(head, "left_wide", np.zeros(2))
+    T_rbase_last = T_base_cam(head, "right_narrow", np.zeros(2))
     np.testing.assert_allclose(
         T, inverse(T_rbase_last) @ head.T_rbase_lbase @ T_lbase_first, atol=1e-12
     )
@@ -188,7 +163,7 @@ def test_a_camchain_of_other_programs_is_read(tmp_path):
         "  distortion_coeffs: [-0.1, 2e-2, 1e-5, 0], intrinsics: [280, 281, 319.5, 239.5],\n"
         "  resolution: [640, 480], T_cam_imu: [[1, 0]], timeshift_cam_imu: 0.0}\n"
     )
-    camera = kalibr.load(tmp_path / "camchain.yaml").cameras["left_wide"]
+    camera, _ = kalibr.load(tmp_path / "camchain.yaml")["left_wide"]
     assert camera.distortion.tolist() == [-0.1, 0.02, 1e-5, 0, 0]
 
 
@@ -210,12 +185,9 @@ def test_a_camera_info_has_every_field_that_ros_requires(tmp_path):
     for name, (rows, cols) in shapes.items():
         assert (info[name]["rows"], info[name]["cols"]) == (rows, cols)
         assert len(info[name]["data"]) == rows * cols
-    points = rays(np.random.default_rng(2))
     K = np.reshape(info["camera_matrix"]["data"], (3, 3))
     D = np.array(info["distortion_coefficients"]["data"])
-    pixels, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), K, D)
-    wanted = project(head.cameras["left_wide"].intrinsics, points)
-    np.testing.assert_allclose(pixels.reshape(-1, 2), wanted, atol=1e-9)
+    assert_opencv_projects(K, D, head.cameras["left_wide"].intrinsics)
 
 
 class Tree:
@@ -252,8 +224,7 @@ def test_the_urdf_moves_as_the_head_does(seed, tmp_path_factory):
     tree = Tree(path)
     rng = np.random.default_rng(seed)
     neck, eyes = rng.uniform(-0.5, 0.5, 3), rng.uniform(-0.5, 0.5, 4)
-    angles = dict(zip(NECK_JOINTS, neck, strict=True))
-    angles |= dict(zip(("left_pan", "left_tilt", "right_pan", "right_tilt"), eyes, strict=True))
+    angles = dict(zip((*NECK_JOINTS, *EYE_JOINTS), (*neck, *eyes), strict=True))
     np.testing.assert_allclose(
         tree.T_root("head", angles), T_body_head(head.neck, neck), atol=1e-12
     )
@@ -269,14 +240,14 @@ def test_the_urdf_moves_as_the_head_does(seed, tmp_path_factory):
 
 def test_a_head_with_perfect_axes_has_plain_joints(tmp_path):
     head = replace(plain(10), axes={"left": EyeAxes(), "right": EyeAxes()}, neck=Neck())
-    urdf.save(head, tmp_path / "head.urdf", limits={"left_pan": (-0.6, 0.6)})
+    urdf.save(head, tmp_path / "head.urdf")
     robot = ElementTree.parse(tmp_path / "head.urdf").getroot()
     revolute = {j.get("name"): j for j in robot.iter("joint") if j.get("type") == "revolute"}
-    assert set(revolute) == {"left_pan", "left_tilt", "right_pan", "right_tilt"}
+    assert set(revolute) == set(EYE_JOINTS)
     assert all(j.find("mimic") is None for j in revolute.values())
     limit = revolute["left_pan"].find("limit")
     assert limit is not None
-    assert (limit.get("lower"), limit.get("upper")) == ("-0.6", "0.6")
+    assert (limit.get("lower"), limit.get("upper")) == ("-1.5708", "1.5708")
     links = [link.get("name") for link in robot.iter("link")]
     assert len(links) == len(set(links))
     children = [child.get("link") for child in robot.iter("child")]
@@ -290,11 +261,10 @@ def test_a_head_with_perfect_axes_has_plain_joints(tmp_path):
 def test_the_urdf_turns_a_camera_that_looks_straight_up_or_down_rightly(tmp_path, pitch, yaw):
     R_eye_link = rotation([0, 0, yaw]) @ rotation([0, pitch, 0])
     head = plain(11)
-    T_eye_cam = pose(R_eye_link @ urdf.R_LINK_OPTICAL)
+    T_eye_cam = pose(R_eye_link) @ urdf.T_LINK_OPTICAL
     cameras = {"left_wide": replace(head.cameras["left_wide"], T_eye_cam=T_eye_cam)}
     urdf.save(replace(head, cameras=cameras), tmp_path / "head.urdf")
-    angles = {"neck_pitch": 0.0, "neck_roll": 0.0, "neck_yaw": 0.0}
-    angles |= {f"{eye}_{joint}": 0.1 for eye in EYES for joint in ("pan", "tilt")}
+    angles = dict.fromkeys(NECK_JOINTS, 0.0) | dict.fromkeys(EYE_JOINTS, 0.1)
     tree = Tree(tmp_path / "head.urdf")
     T_eye = tree.T_root("left_eye", angles)
     found = inverse(T_eye) @ tree.T_root("left_wide_optical_frame", angles)
@@ -311,7 +281,7 @@ def test_skew_is_refused_by_formats_that_have_no_field_for_it(tmp_path, format_n
 
 
 def test_k3_is_refused_by_kalibr_and_kept_by_ros(tmp_path):
-    head = with_distortion(plain(13), 0.004)
+    head = with_k3(plain(13), 0.004)
     with pytest.raises(VergenceError, match=r"left_wide has k3 = 0\.004.*opencv or ros"):
         kalibr.save(head, tmp_path / "camchain.yaml")
     ros.save(head, tmp_path)
@@ -349,21 +319,17 @@ def test_damaged_files_are_refused_in_one_sentence_or_read(data, tmp_path_factor
     )
     export_head(head, folder / name, format_name)
     file = folder / name if format_name != "ros" else folder / name / "left_wide.yaml"
-    text = file.read_text()
-    lines = text.splitlines()
+    lines = file.read_text().splitlines()
     k = data.draw(st.integers(0, len(lines) - 1))
-    how = data.draw(st.sampled_from(["cut", "drop", "garble", "nan", "empty"]))
-    if how == "cut":
-        text = "\n".join(lines[:k])
-    elif how == "drop":
-        text = "\n".join(lines[:k] + lines[k + 1 :])
-    elif how == "garble":
-        text = "\n".join([*lines[:k], data.draw(st.text(max_size=20)), *lines[k + 1 :]])
-    elif how == "nan":
-        text = "\n".join([*lines[:k], lines[k].replace("0.", ".nan "), *lines[k + 1 :]])
-    else:
-        text = ""
-    file.write_text(text, encoding="utf-8")
+    damaged = {
+        "cut": lines[:k],
+        "drop": lines[:k] + lines[k + 1 :],
+        "garble": [*lines[:k], data.draw(st.text(max_size=20)), *lines[k + 1 :]],
+        "nan": [*lines[:k], lines[k].replace("0.", ".nan "), *lines[k + 1 :]],
+        "empty": [],
+    }
+    how = data.draw(st.sampled_from(sorted(damaged)))
+    file.write_text("\n".join(damaged[how]), encoding="utf-8")
     try:
         back = import_head(folder / name, format_name, template=head)
         message = ""

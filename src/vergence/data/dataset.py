@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 
 import cv2
 import numpy as np
-from pydantic import AfterValidator, ConfigDict, Field
+from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Array
@@ -25,28 +25,9 @@ from vergence.geometry.camera import Camera
 from vergence.geometry.head import Side
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, NECK_JOINTS
 
-
-def _joint_name(name: str) -> str:
-    if name not in (*EYE_JOINTS, *NECK_JOINTS):
-        raise ValueError(f"expected one of {', '.join((*EYE_JOINTS, *NECK_JOINTS))}")
-    return name
-
-
-def _camera_name(name: str) -> str:
-    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,63}", name) or name in EYES:
-        raise ValueError(
-            "a camera's name begins with a letter, has letters, digits, - and _, and is not the "
-            "name of an eye"
-        )
-    return name
-
-
-CameraName = Annotated[str, AfterValidator(_camera_name)]
-JointName = Annotated[str, AfterValidator(_joint_name)]
-
 DESCRIPTION, FRAMES = "dataset.json", "frames.csv"
 TIME, JOINT_TIME, PLACEMENT, MOVING = "time_s", "joint_time_s", "placement", "moving"
-"""Columns of frames.csv besides joints, poses and cameras; `moving` is optional."""
+"""Columns of frames.csv besides joints, poses and cameras."""
 
 MAX_SQUARE_M = 1.0
 """A larger side was probably given in millimetres; boards of unknown size have squares of 1."""
@@ -69,6 +50,8 @@ class Frame:
     """By camera name: (H, W, 3) uint8, RGB."""
 
 
+JOINTS: tuple[str, ...] = (*EYE_JOINTS, *NECK_JOINTS)
+"""Names of the joints whose readings a dataset can hold."""
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 _Pixels = Annotated[int, Field(gt=0, le=MAX_IMAGE_PX, strict=True)]
 
@@ -102,9 +85,9 @@ class DatasetJoint:
 class Description:
     """Content of dataset.json: cameras, board and joints."""
 
-    cameras: dict[CameraName, DatasetCamera]
+    cameras: dict[str, DatasetCamera]
     board: Annotated[Chessboard | Charuco, Field(discriminator="kind")]
-    joints: dict[JointName, DatasetJoint] = field(default_factory=dict)
+    joints: dict[str, DatasetJoint] = field(default_factory=dict)
     """Pan and tilt of each eye that has cameras, unless poses are given; optionally the neck's."""
     eye_motion: Literal["pan-tilt", "poses"] = "pan-tilt"
     """Whether frames.csv gives joint angles, or 4x4 poses of the eyes in their bases."""
@@ -115,6 +98,11 @@ class Description:
         if not self.cameras:
             raise ValueError("cameras is empty; a dataset has at least one")
         for name, camera in self.cameras.items():
+            if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,63}", name) or name in EYES:
+                raise ValueError(
+                    f"cameras.{name}: a camera's name begins with a letter, has letters, digits, "
+                    "- and _, and is not the name of an eye"
+                )
             side = name.partition("_")[0]
             if side in EYES and side != camera.eye:
                 raise ValueError(
@@ -139,19 +127,18 @@ class Description:
                 "board.columns and board.rows count inner corners, 3 to 100 each; found "
                 f"{columns} x {rows}"
             )
-        given = [name for name in self.joints if name in EYE_JOINTS]
-        required = [f"{eye}_{joint}" for eye in self.eyes for joint in ("pan", "tilt")]
-        missing = [name for name in required if name not in self.joints]
-        if self.eye_motion == "poses" and given:
-            raise ValueError(f"eye_motion is poses, but joints has {given[0]}; give one of the two")
-        if self.eye_motion == "pan-tilt" and missing:
-            raise ValueError(f"joints.{missing[0]} is missing; that eye has a camera")
-        reserved = {TIME, JOINT_TIME, PLACEMENT, MOVING}
-        if self.eye_motion == "poses":
-            reserved |= {column for eye in EYES for column in pose_columns(eye)}
+        for name in EYE_JOINTS:
+            if self.eye_motion == "poses" and name in self.joints:
+                raise ValueError(f"eye_motion is poses, but joints has {name}; give one of the two")
+            needed = self.eye_motion == "pan-tilt" and name.partition("_")[0] in self.eyes
+            if needed and name not in self.joints:
+                raise ValueError(f"joints.{name} is missing; that eye has a camera")
+        reserved = {TIME, JOINT_TIME, PLACEMENT, MOVING, *self.pose_columns}
         if clash := reserved & set(self.cameras):
             raise ValueError(f"no camera can be called {min(clash)}, which is another column")
         for name, joint in self.joints.items():
+            if name not in JOINTS:
+                raise ValueError(f"joints.{name}: expected one of {', '.join(JOINTS)}")
             if joint.column in reserved | set(self.cameras) or not joint.column.strip():
                 raise ValueError(
                     f"joints.{name}.column is {joint.column!r}, which is not the name of a column "
@@ -162,6 +149,19 @@ class Description:
     def eyes(self) -> tuple[Side, ...]:
         """The eyes that have a camera, left before right."""
         return tuple(eye for eye in EYES if any(c.eye == eye for c in self.cameras.values()))
+
+    @property
+    def pose_columns(self) -> list[str]:
+        """Columns of frames.csv with the eyes' poses, 16 each; none if it has joint angles."""
+        poses = self.eye_motion == "poses"
+        return [name for eye in self.eyes for name in pose_columns(eye)] if poses else []
+
+    @property
+    def columns(self) -> list[str]:
+        """Columns of frames.csv, of which `moving` may be missing."""
+        joints = dict.fromkeys(joint.column for joint in self.joints.values())
+        fixed = [TIME, JOINT_TIME, PLACEMENT, MOVING]
+        return [*fixed, *joints, *self.pose_columns, *self.cameras]
 
 
 def pose_columns(eye: str) -> list[str]:
@@ -249,10 +249,9 @@ class Dataset:
 def read_image(path: Path) -> np.ndarray | None:
     """Return an image file as (H, W, 3) uint8, RGB; None if it cannot be read."""
     try:
-        data = np.fromfile(path, np.uint8)
         # As the sensor was read out: an EXIF orientation would turn the pixel coordinates.
         flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
-        image = cv2.imdecode(data, flags)
+        image = cv2.imdecode(np.fromfile(path, np.uint8), flags)
     except (OSError, ValueError, cv2.error):
         return None
     return None if image is None else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)

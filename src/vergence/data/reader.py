@@ -5,9 +5,12 @@ Whatever is missing, doubtful or impossible is refused with the file, the line a
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 from collections import Counter
+from dataclasses import dataclass
+from math import nan
 from pathlib import Path
 from typing import Any
 
@@ -26,48 +29,62 @@ from vergence.data.dataset import (
     Description,
     pose_columns,
 )
-from vergence.data.table import TableRow, column, read_table
 from vergence.errors import VergenceError, explain
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, NECK_JOINTS
 
-_DESCRIPTION = TypeAdapter(Description)
-_TRANSFORM = TypeAdapter(Transform)
 MAX_DELAY_S = 1.0
 """Largest time between an image and its joint reading; more means that the clocks differ."""
 MAX_EYE_RAD = 1.2
 """Larger angles of an eye are implausible: probably degrees that were declared as radians."""
 MAX_NECK_MOTION_RAD = 0.02
 """Largest apparent motion of the neck among rows of one placement."""
+# float() and int() also take 1_000 and digits of other scripts, which other readers do not.
+NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
+WHOLE_NUMBER = re.compile(r"[0-9]{1,10}")
 
 
 def load_dataset(folder: str | Path) -> Dataset:
     """Read a dataset and check everything except the images, which are read on demand.
-
-    Args:
-        folder: with dataset.json, frames.csv and the images; see docs/dataset.md.
 
     Raises:
         VergenceError: the dataset is incomplete or implausible; the message names the file and
             the field or line.
     """
     folder = Path(folder)
+    if not folder.is_dir():
+        raise VergenceError(f"There is no dataset folder {folder}.")
     try:
-        if not folder.is_dir():
-            raise VergenceError(f"There is no dataset folder {folder}.")
         description = _read_description(folder / DESCRIPTION)
-        header, rows = read_table(folder / FRAMES)
-        _check_header(folder / FRAMES, header, description)
-        return _dataset(folder, description, rows)
+        table = _read_table(folder / FRAMES)
+    except FileNotFoundError as error:
+        raise VergenceError(f"There is no {Path(error.filename).name} in {folder}.") from None
     except OSError as error:
         raise VergenceError(f"Cannot read the dataset {folder}: {error.strerror}.") from error
+    _check_columns(table, description)
+    poses = description.eye_motion == "poses"
+    time_s, joint_time_s = _time_stamps(table)
+    eye_angles = _joint_angles(description, EYE_JOINTS, table)
+    neck_angles = _joint_angles(description, NECK_JOINTS, table)
+    return Dataset(
+        folder=folder,
+        description=description,
+        lines=np.array(table.lines),
+        time_s=time_s,
+        joint_time_s=joint_time_s,
+        eye_angles=np.full_like(eye_angles, np.nan) if poses else eye_angles,
+        T_base_eye=_eye_poses(description, table) if poses else None,
+        neck_angles=neck_angles,
+        placement=_placements(neck_angles, table),
+        moving=table.whole_numbers(MOVING, 1) == 1,
+        files=_image_files(folder, description, table),
+        remarks=() if poses else _remarks(description, eye_angles, table),
+    )
 
 
 def _read_description(path: Path) -> Description:
     try:
         raw = json.loads(path.read_text(encoding="utf-8-sig"), object_pairs_hook=_unique_keys)
-        return _DESCRIPTION.validate_python(raw)
-    except FileNotFoundError:
-        raise VergenceError(f"There is no {path.name} in {path.parent}.") from None
+        return TypeAdapter(Description).validate_python(raw)
     except ValidationError as error:
         reason = re.sub(r"^board\.(chessboard|charuco)", "board", explain(error))
         raise VergenceError(f"{path}: {reason}.") from None
@@ -82,133 +99,168 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return dict(pairs)
 
 
-def _check_header(path: Path, header: list[str], description: Description) -> None:
-    required = [TIME, JOINT_TIME, PLACEMENT, *description.cameras]
-    required += [joint.column for joint in description.joints.values()]
-    if description.eye_motion == "poses":
-        required += [name for eye in description.eyes for name in pose_columns(eye)]
-    for name in required:
-        if name not in header:
+@dataclass(frozen=True)
+class _Table:
+    """The N rows of frames.csv as text."""
+
+    path: Path
+    lines: tuple[int, ...]
+    """N line numbers in the file."""
+    columns: dict[str, tuple[str, ...]]
+    """N cells by the column's name."""
+
+    def where(self, k: int) -> str:
+        """Return the file and line of row k, as messages cite it."""
+        return f"{self.path}, line {self.lines[k]}"
+
+    def numbers(self, names: list[str]) -> Array:
+        """Return the numbers (N, n) of n columns; VergenceError where one is not finite."""
+        cells = [self.columns[name] for name in names]
+        values = [[float(t) if NUMBER.fullmatch(t) else nan for t in column] for column in cells]
+        values = np.array(values).T
+        for k, n in np.argwhere(~np.isfinite(values)).tolist():
+            found = repr(cells[n][k][:40]) if cells[n][k] else "blank"
             raise VergenceError(
-                f"{path}: the column {name!r} is missing; found {', '.join(header)}."
+                f"{self.where(k)}: {names[n]} is {found}, not a finite number such as 0.25."
             )
-    for name in header:
-        if name not in (*required, MOVING) and not name.startswith("_"):
+        return values
+
+    def whole_numbers(self, name: str, largest: int) -> np.ndarray:
+        """Return a column's numbers (N,) of int, from 0 to largest; -1 where a cell is blank."""
+        texts = self.columns.get(name, ("",) * len(self.lines))
+        for k, text in enumerate(texts):
+            if text and not (WHOLE_NUMBER.fullmatch(text) and int(text) <= largest):
+                raise VergenceError(
+                    f"{self.where(k)}: {name} is {text[:40]!r}; expected blank or a whole number "
+                    f"from 0 to {largest}."
+                )
+        return np.array([int(text or -1) for text in texts])
+
+
+def _read_table(path: Path) -> _Table:
+    """Read the rows that are not blank; editors leave blank lines at the end."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            reader = csv.reader(file, strict=True)
+            header = [" ".join(name.split()) for name in next(reader, [])]
+            texts = ((reader.line_num, [*map(str.strip, cells)]) for cells in reader)
+            rows = {line: cells for line, cells in texts if any(cells)}
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise VergenceError(f"{path} is not a CSV file in UTF-8: {explain(error)}.") from None
+    if not any(header):
+        raise VergenceError(f"{path} is empty; its first line names the columns.")
+    if len(header) == 1 and ";" in header[0]:
+        raise VergenceError(f"{path} is separated by semicolons; use commas.")
+    if repeated := [name for name in header if header.count(name) > 1]:
+        raise VergenceError(f"{path}: the column {repeated[0]!r} is repeated.")
+    for line, cells in rows.items():
+        if len(cells) != len(header):
             raise VergenceError(
-                f"{path}: the column {name!r} is not known; names of additional columns begin with "
-                "an underscore."
+                f"{path}, line {line}: found {len(cells)} fields for {len(header)} columns."
+            )
+    if not rows:
+        raise VergenceError(f"{path} has no frames, only a header.")
+    columns = zip(*rows.values(), strict=True)
+    return _Table(path, tuple(rows), dict(zip(header, columns, strict=True)))
+
+
+def _check_columns(table: _Table, description: Description) -> None:
+    known, found = description.columns, table.columns
+    for name in known:
+        if name not in found and name != MOVING:
+            raise VergenceError(
+                f"{table.path}: the column {name!r} is missing; found {', '.join(found)}."
+            )
+    for name in found:
+        if name not in known and not name.startswith("_"):
+            raise VergenceError(
+                f"{table.path}: the column {name!r} is not known; names of additional columns "
+                "begin with an underscore."
             )
 
 
-def _dataset(folder: Path, description: Description, rows: list[TableRow]) -> Dataset:
-    poses = description.eye_motion == "poses"
-    time_s, joint_time_s = _time_stamps(rows)
-    eye_angles, neck_angles = (
-        np.stack([_joint_angles(description, name, rows) for name in names], axis=-1)
-        for names in (EYE_JOINTS, NECK_JOINTS)
-    )
-    return Dataset(
-        folder=folder,
-        description=description,
-        lines=np.array([row.line for row in rows]),
-        time_s=time_s,
-        joint_time_s=joint_time_s,
-        eye_angles=np.full_like(eye_angles, np.nan) if poses else eye_angles,
-        T_base_eye=_eye_poses(description, rows) if poses else None,
-        neck_angles=neck_angles,
-        placement=_placements(neck_angles, rows),
-        moving=np.array([bool(row.whole_number(MOVING, 1)) for row in rows]),
-        files=_image_files(folder, description, rows),
-        remarks=() if poses else _remarks(description, eye_angles, rows),
-    )
-
-
-def _time_stamps(rows: list[TableRow]) -> tuple[Array, Array]:
+def _time_stamps(table: _Table) -> tuple[Array, Array]:
     """Return the time stamps of the images and of the joint readings, (N,) each [s]."""
-    time_s, joint_time_s = column(rows, TIME), column(rows, JOINT_TIME)
-    for name, steps in ((TIME, np.diff(time_s)), (JOINT_TIME, np.diff(joint_time_s))):
-        if (steps <= 0).any():
-            k = int((steps <= 0).argmax())
-            found = "repeats" if steps[k] == 0 else "is earlier than"
-            raise VergenceError(
-                f"{rows[k + 1].where}: {name} = {rows[k + 1].cells[name]} {found} that of line "
-                f"{rows[k].line}; time stamps increase from row to row."
-            )
-    delay = np.abs(time_s - joint_time_s)
-    if (delay > MAX_DELAY_S).any():
-        k = int((delay > MAX_DELAY_S).argmax())
+    names = [TIME, JOINT_TIME]
+    times = table.numbers(names)
+    steps = np.diff(times, axis=0)
+    for n, k in np.argwhere(steps.T <= 0).tolist():
+        found = "repeats" if steps[k, n] == 0 else "is earlier than"
         raise VergenceError(
-            f"{rows[k].where}: {TIME} and {JOINT_TIME} lie {delay[k]:.3g} s apart; both come from "
+            f"{table.where(k + 1)}: {names[n]} = {table.columns[names[n]][k + 1]} {found} that of "
+            f"line {table.lines[k]}; time stamps increase from row to row."
+        )
+    time_s, joint_time_s = times.T
+    delay = np.abs(time_s - joint_time_s)
+    for k in np.flatnonzero(delay > MAX_DELAY_S).tolist():
+        raise VergenceError(
+            f"{table.where(k)}: {TIME} and {JOINT_TIME} lie {delay[k]:.3g} s apart; both come from "
             f"the same clock and differ by at most {MAX_DELAY_S:g} s."
         )
     return time_s, joint_time_s
 
 
-def _joint_angles(description: Description, name: str, rows: list[TableRow]) -> Array:
-    """Return a joint's angles (N,) [rad], sign applied; zeros where it has no column."""
-    joint = description.joints.get(name)
-    if joint is None:
-        return np.zeros(len(rows))
-    readings = column(rows, joint.column)
-    angles = joint.sign * (np.radians(readings) if joint.unit == "deg" else readings)
-    too_large = np.abs(angles) > np.pi
-    if too_large.any():
-        row = rows[int(too_large.argmax())]
-        advice = f'; if it is in degrees, set joints.{name}.unit to "deg"'
-        raise VergenceError(
-            f"{row.where}: {joint.column} = {row.cells[joint.column]} {joint.unit} is more than "
-            f"half a turn{advice if joint.unit == 'rad' else ''}."
-        )
+def _joint_angles(description: Description, names: tuple[str, ...], table: _Table) -> Array:
+    """Return joint angles (N, n) [rad], signs applied; zeros for a joint without a column."""
+    angles = np.zeros((len(table.lines), len(names)))
+    for n, name in enumerate(names):
+        joint = description.joints.get(name)
+        if joint is None:
+            continue
+        readings = joint.sign * table.numbers([joint.column])[:, 0]
+        angles[:, n] = np.radians(readings) if joint.unit == "deg" else readings
+        for k in np.flatnonzero(np.abs(angles[:, n]) > np.pi).tolist():
+            advice = f'; if it is in degrees, set joints.{name}.unit to "deg"'
+            raise VergenceError(
+                f"{table.where(k)}: {joint.column} = {table.columns[joint.column][k]} {joint.unit} "
+                f"is more than half a turn{advice if joint.unit == 'rad' else ''}."
+            )
     return angles
 
 
-def _placements(neck_angles: Array, rows: list[TableRow]) -> np.ndarray:
+def _placements(neck_angles: Array, table: _Table) -> np.ndarray:
     """Return the placements (N,); rows without one get a number of their own."""
-    stated = [row.whole_number(PLACEMENT, 10**9) for row in rows]
-    unused = 1 + max((number for number in stated if number is not None), default=-1)
-    placements, first = [], dict[int, int]()
-    for k, number in enumerate(stated):
-        if number is None:
-            number, unused = unused, unused + 1
-        start = first.setdefault(number, k)
-        motion = np.abs(neck_angles[k] - neck_angles[start])
-        if (motion > MAX_NECK_MOTION_RAD).any():
-            raise VergenceError(
-                f"{rows[k].where}: {NECK_JOINTS[int(motion.argmax())]} has moved by "
-                f"{motion.max():.3f} rad since line {rows[start].line}, so the board is no longer "
-                f"at the same place in the head; give it another {PLACEMENT} than {number}."
-            )
-        placements.append(number)
-    return np.array(placements)
+    stated = table.whole_numbers(PLACEMENT, 10**9)
+    placement = np.where(stated < 0, stated.max() + np.cumsum(stated < 0), stated)
+    _, first, group = np.unique(placement, return_index=True, return_inverse=True)
+    motion = np.abs(neck_angles - neck_angles[first[group]])
+    for k in np.flatnonzero((motion > MAX_NECK_MOTION_RAD).any(axis=1)).tolist():
+        raise VergenceError(
+            f"{table.where(k)}: {NECK_JOINTS[motion[k].argmax()]} has moved by "
+            f"{motion[k].max():.3f} rad since line {table.lines[first[group][k]]}, so the board is "
+            "no longer at the same place in the head; give it another "
+            f"{PLACEMENT} than {placement[k]}."
+        )
+    return placement
 
 
-def _eye_poses(description: Description, rows: list[TableRow]) -> Array:
+def _eye_poses(description: Description, table: _Table) -> Array:
     """Return T_base_eye (N, 2, 4, 4); the identity for an eye without cameras."""
-    T = np.tile(np.eye(4), (len(rows), len(EYES), 1, 1))
+    adapter = TypeAdapter(Transform)
+    T = np.tile(np.eye(4), (len(table.lines), len(EYES), 1, 1))
     for eye in description.eyes:
-        columns = pose_columns(eye)
-        for k, row in enumerate(rows):
-            numbers = np.array([row.number(name) for name in columns])
+        names = pose_columns(eye)
+        for k, pose in enumerate(table.numbers(names).reshape(-1, 4, 4)):
             try:
-                T[k, EYES.index(eye)] = _TRANSFORM.validate_python(numbers.reshape(4, 4))
+                T[k, EYES.index(eye)] = adapter.validate_python(pose)
             except ValidationError as error:
-                where = f"{row.where}: {columns[0]} to {columns[-1]}"
+                where = f"{table.where(k)}: {names[0]} to {names[-1]}"
                 raise VergenceError(f"{where}: {explain(error)}.") from None
     return T
 
 
 def _image_files(
-    folder: Path, description: Description, rows: list[TableRow]
+    folder: Path, description: Description, table: _Table
 ) -> dict[str, tuple[str | None, ...]]:
     """Return the N image files of each camera, after checking that they exist in the folder."""
     root = folder.resolve()
     used: dict[Path, str] = {}
-    for row in rows:
+    for k, line in enumerate(table.lines):
         for camera in description.cameras:
-            name = row.cells[camera]
+            name = table.columns[camera][k]
             if not name:
                 continue
-            where = f"{row.where}: {camera}: {name[:80]!r}"
+            where = f"{table.where(k)}: {camera}: {name[:80]!r}"
             try:
                 path = (root / name).resolve()
                 is_file = path.is_file()
@@ -220,24 +272,25 @@ def _image_files(
                 raise VergenceError(f"{where}: there is no such file.")
             if path in used:
                 raise VergenceError(f"{where} is also the image of {used[path]}.")
-            used[path] = f"{camera} in line {row.line}"
+            used[path] = f"{camera} in line {line}"
     return {
-        camera: tuple(row.cells[camera] or None for row in rows) for camera in description.cameras
+        camera: tuple(name or None for name in table.columns[camera])
+        for camera in description.cameras
     }
 
 
-def _remarks(description: Description, eye_angles: Array, rows: list[TableRow]) -> tuple[str, ...]:
-    """Return a sentence for each joint whose angles look like another unit."""
+def _remarks(description: Description, eye_angles: Array, table: _Table) -> tuple[str, ...]:
+    """Return a sentence for each joint whose angles (N, 4) look like another unit."""
     remarks = []
-    for k, name in enumerate(EYE_JOINTS):
+    for n, name in enumerate(EYE_JOINTS):
         joint = description.joints.get(name)
         if joint is None:
             continue
-        largest = int(np.abs(eye_angles[:, k]).argmax())
-        reading = rows[largest].cells[joint.column]
-        if abs(eye_angles[largest, k]) > MAX_EYE_RAD:
+        k = np.abs(eye_angles[:, n]).argmax()
+        reading = table.columns[joint.column][k]
+        if abs(eye_angles[k, n]) > MAX_EYE_RAD:
             remarks.append(
-                f"{name} reaches {reading} {joint.unit} in line {rows[largest].line}, further than "
+                f"{name} reaches {reading} {joint.unit} in line {table.lines[k]}, further than "
                 f"eyes turn: is its unit {'deg' if joint.unit == 'rad' else 'right'}?"
             )
         elif joint.unit == "deg" and 0.05 < abs(float(reading)) < MAX_EYE_RAD:

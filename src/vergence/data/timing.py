@@ -60,8 +60,8 @@ def stencil(time_s: Array, run: np.ndarray) -> Stencil:
             begin = np.clip(now - WINDOW_S, t[0], max(t[0], t[-1] - 2 * WINDOW_S))
             near = np.searchsorted(t, [begin - _SLACK_S, begin + 2 * WINDOW_S + _SLACK_S])
             if near[1] - near[0] < LEAST_ROWS:
-                near[0] = np.clip(np.searchsorted(t, now) - LEAST_ROWS // 2, 0, None)
-                near[0] = max(0, min(near[0], len(t) - LEAST_ROWS))
+                first = np.searchsorted(t, now) - LEAST_ROWS // 2
+                near[0] = max(0, min(first, len(t) - LEAST_ROWS))
                 near[1] = min(near[0] + LEAST_ROWS, len(t))
             window = slice(*near)
             degree = min(DEGREE, (near[1] - near[0] + 2) // 3)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import os
-import shutil
 import tempfile
 from collections import deque
 from collections.abc import Iterable
@@ -21,17 +20,15 @@ from vergence.data.dataset import (
     DESCRIPTION,
     FRAMES,
     JOINT_TIME,
+    JOINTS,
     MOVING,
     PLACEMENT,
     TIME,
     Description,
     Frame,
-    pose_columns,
 )
 from vergence.errors import VergenceError
-from vergence.geometry.kinematics import EYE_JOINTS, EYES, NECK_JOINTS
-
-_DESCRIPTION = TypeAdapter(Description)
+from vergence.geometry.kinematics import EYES
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,10 +62,7 @@ def write_dataset(folder: Path, description: Description, rows: Iterable[Dataset
     Images become grey PNG files, a third of the size of colour ones and all that detection uses.
     They are encoded in worker threads while the next rows are being made.
 
-    Args:
-        folder: new or empty.
-        description: content of dataset.json.
-        rows: in order of time; an iterator may make them one by one.
+    The rows are in order of time; an iterator may make them one by one.
 
     Raises:
         VergenceError: the folder is not empty, or cannot be written.
@@ -76,43 +70,34 @@ def write_dataset(folder: Path, description: Description, rows: Iterable[Dataset
     check_new(folder)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
-        try:
-            (temporary / "images").mkdir()
-            text = _DESCRIPTION.dump_json(description, indent=1, exclude_none=True).decode()
-            (temporary / DESCRIPTION).write_text(text + "\n", encoding="utf-8")
-            _write_frames(temporary, description, rows)
-            temporary.chmod(0o755)  # mkdtemp's folders are private
+        with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as private:
+            part = Path(private) / folder.name
+            (part / "images").mkdir(parents=True)
+            adapter = TypeAdapter(Description)
+            text = adapter.dump_json(description, indent=1, exclude_none=True) + b"\n"
+            (part / DESCRIPTION).write_bytes(text)
+            _write_frames(part, description, rows)
             if folder.is_dir():
                 folder.rmdir()
-            temporary.rename(folder)
-        except BaseException:
-            shutil.rmtree(temporary, ignore_errors=True)
-            raise
+            part.rename(folder)
     except OSError as error:
         raise VergenceError(f"Cannot write the dataset {folder}: {error.strerror}.") from error
 
 
 def _write_frames(folder: Path, description: Description, rows: Iterable[DatasetRow]) -> None:
-    columns = [TIME, JOINT_TIME, PLACEMENT, MOVING]
-    columns += dict.fromkeys(joint.column for joint in description.joints.values())
-    if description.eye_motion == "poses":
-        columns += [name for eye in description.eyes for name in pose_columns(eye)]
-    columns += description.cameras
     workers = os.cpu_count() or 1
     pending: deque[Future[None]] = deque()
     with (
         (folder / FRAMES).open("w", encoding="utf-8", newline="") as file,
         ThreadPoolExecutor(workers) as pool,
     ):
-        table = csv.DictWriter(file, columns, restval="", lineterminator="\n")
+        table = csv.DictWriter(file, description.columns, restval="", lineterminator="\n")
         table.writeheader()
         for number, row in enumerate(rows):
             images = {camera: f"images/{number:05d}_{camera}.png" for camera in row.frame.images}
             table.writerow(_cells(description, row) | images)
-            for camera, name in images.items():
-                image = row.frame.images[camera]
-                pending.append(pool.submit(_write_image, folder / name, image))
+            for camera, image in row.frame.images.items():
+                pending.append(pool.submit(_write_image, folder / images[camera], image))
             while len(pending) > 8 * workers:  # bounds the memory of images that wait
                 pending.popleft().result()
         for each in pending:
@@ -125,20 +110,16 @@ def _cells(description: Description, row: DatasetRow) -> dict[str, object]:
     cells: dict[str, object] = {
         TIME: float(frame.time_s),
         JOINT_TIME: float(frame.joint_time_s),
-        PLACEMENT: "" if row.placement is None else row.placement,
+        PLACEMENT: row.placement,
         MOVING: int(row.moving),
     }
-    readings = np.concatenate([frame.eye_angles, frame.neck_angles])
-    angles: dict[str, float] = dict(
-        zip((*EYE_JOINTS, *NECK_JOINTS), readings.tolist(), strict=True)
-    )
+    angles = dict(zip(JOINTS, (*frame.eye_angles, *frame.neck_angles), strict=True))
     for name, joint in description.joints.items():
         angle = joint.sign * angles[name]
         cells[joint.column] = float(np.degrees(angle) if joint.unit == "deg" else angle)
-    if description.eye_motion == "poses" and row.T_base_eye is not None:
-        for eye in description.eyes:
-            numbers = row.T_base_eye[EYES.index(eye)].ravel().tolist()
-            cells |= dict(zip(pose_columns(eye), numbers, strict=True))
+    if row.T_base_eye is not None:
+        poses = row.T_base_eye[[EYES.index(eye) for eye in description.eyes]]
+        cells |= dict(zip(description.pose_columns, poses.ravel().tolist(), strict=False))
     return cells
 
 

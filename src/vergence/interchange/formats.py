@@ -8,6 +8,7 @@ from typing import Literal
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
 from vergence.interchange import kalibr, opencv, ros, urdf
+from vergence.interchange.serialization import with_intrinsics
 
 ExportFormat = Literal["kalibr", "ros", "opencv", "urdf"]
 ImportFormat = Literal["kalibr", "ros", "opencv"]
@@ -47,4 +48,4 @@ def import_head(
         )
     if format_name == "kalibr":
         return kalibr.update_head(kalibr.load(path), template)
-    return ros.update_head(ros.load(path), template)
+    return with_intrinsics(template, ros.load(path))

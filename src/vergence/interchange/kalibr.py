@@ -1,44 +1,43 @@
 """Kalibr's camchain YAML: pinhole cameras with radtan distortion, and the poses between them.
 
-A chain holds for one posture of the eyes, straight gaze unless another is given. It does not say
-where the cameras sit in the eyes, so a head cannot be read from it alone.
+A chain holds for one posture of the eyes: readings of zero, straight gaze. It does not say where
+the cameras sit in the eyes, so a head cannot be read from it alone.
 See https://github.com/ethz-asl/kalibr/wiki/yaml-formats.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, PositiveInt, TypeAdapter
+from pydantic import BaseModel, FiniteFloat, PositiveInt, TypeAdapter
 
 from vergence.arrays import Array, Transform
 from vergence.errors import explain
 from vergence.geometry.camera import Camera
-from vergence.geometry.head import HeadCalibration, T_base_cam
+from vergence.geometry.head import HeadCalibration, T_base_cam, T_head_base
 from vergence.geometry.projection import rebase
 from vergence.geometry.se3 import inverse
 from vergence.interchange.serialization import (
-    Number,
-    check_intrinsics,
-    check_names,
+    check_cameras,
     read,
+    with_intrinsics,
     write_yaml,
 )
 
-TOPIC = "/{camera}/image_raw"
-
 
 class _Cam(BaseModel):
-    """A camera of a camchain; cam_overlaps, timeshift_cam_imu and T_cam_imu are not read."""
+    """A camera of a camchain; cam_overlaps, timeshift_cam_imu and T_cam_imu are not read.
+
+    YAML 1.1 reads 1e-5, without a point, as text; pydantic makes it a number.
+    """
 
     camera_model: Literal["pinhole"]
     distortion_model: Literal["radtan", "none"] = "none"
-    distortion_coeffs: list[Number] = []
-    intrinsics: tuple[Number, Number, Number, Number]
+    distortion_coeffs: list[FiniteFloat] = []
+    intrinsics: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
     resolution: tuple[PositiveInt, PositiveInt]
     rostopic: str = ""
     T_cn_cnm1: Transform | None = None
@@ -62,54 +61,35 @@ class _Cam(BaseModel):
 _CAMS = TypeAdapter(dict[str, _Cam])
 
 
-@dataclass(frozen=True, eq=False)
-class Camchain:
-    """Content of a camchain: cameras in its order, and the pose of each in the next."""
-
-    cameras: Mapping[str, Camera]
-    """By name."""
-    T_cn_cnm1: tuple[Array | None, ...]
-    """For each camera the pose (4, 4) of the previous camera in it; None where none is given."""
+Camchain = dict[str, tuple[Camera, Array | None]]
+"""Cameras by name in the order of the chain, each with the pose (4, 4) of the previous camera in it
+(T_cn_cnm1), None where none is given."""
 
 
-def save(head: HeadCalibration, path: Path, *, eye_angles: Array | None = None) -> None:
-    """Write a head's cameras as a camchain.
-
-    Args:
-        head: its cameras become cam0, cam1, ... in their order; rostopic gives their names.
-        path: of the file.
-        eye_angles: (4,) joint readings [rad] of the posture; None: zero.
+def save(head: HeadCalibration, path: Path) -> None:
+    """Write a head's cameras as cam0, cam1, ... of a camchain; rostopic gives their names.
 
     Raises:
         VergenceError: a camera has skew or k3, or the file cannot be written.
     """
-    check_names(head)
-    check_intrinsics(head, "Kalibr's radtan model", has_k3=False)
-    angles = np.zeros(4) if eye_angles is None else eye_angles
-    T_lbase_cam = [_T_lbase_cam(head, name, angles) for name in head.cameras]
+    check_cameras(head, "Kalibr's radtan model", has_k3=False)
     content: dict[str, Any] = {}
+    T_head_previous = np.eye(4)
     for k, (name, mounted) in enumerate(head.cameras.items()):
+        T_head_cam = T_head_base(head, mounted.eye) @ T_base_cam(head, name, np.zeros(2))
         camera = mounted.intrinsics
-        entry: dict[str, Any] = {}
-        if k:
-            entry["T_cn_cnm1"] = (inverse(T_lbase_cam[k]) @ T_lbase_cam[k - 1]).tolist()
-        entry |= {
+        step = {"T_cn_cnm1": (inverse(T_head_cam) @ T_head_previous).tolist()} if k else {}
+        content[f"cam{k}"] = step | {
             "cam_overlaps": [other for other in range(len(head.cameras)) if other != k],
             "camera_model": "pinhole",
             "distortion_coeffs": camera.distortion[:4].tolist(),
             "distortion_model": "radtan",
             "intrinsics": camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist(),
             "resolution": [camera.width, camera.height],
-            "rostopic": TOPIC.format(camera=name),
+            "rostopic": f"/{name}/image_raw",
         }
-        content[f"cam{k}"] = entry
+        T_head_previous = T_head_cam
     write_yaml(path, content)
-
-
-def _T_lbase_cam(head: HeadCalibration, name: str, eye_angles: Array) -> Array:
-    if head.camera(name).eye == "left":
-        return T_base_cam(head, name, eye_angles[:2])
-    return inverse(head.T_rbase_lbase) @ T_base_cam(head, name, eye_angles[2:])
 
 
 def load(path: Path) -> Camchain:
@@ -127,16 +107,16 @@ def _camchain(content: Any) -> Camchain:
     if not found or set(found) != set(keys):
         names = ", ".join(found) or "nothing"
         raise ValueError(f"it has {names} where cam0, cam1, ... are expected")
-    cameras: dict[str, Camera] = {}
+    chain: Camchain = {}
     for key in keys:
         name = found[key].rostopic.strip("/").split("/")[0] or key
-        if name in cameras:
+        if name in chain:
             raise ValueError(f"{key}.rostopic names {name} a second time")
         try:
-            cameras[name] = found[key].camera()
+            chain[name] = (found[key].camera(), found[key].T_cn_cnm1)
         except ValueError as error:
             raise ValueError(f"{key}: {explain(error)}") from None
-    return Camchain(cameras=cameras, T_cn_cnm1=tuple(found[key].T_cn_cnm1 for key in keys))
+    return chain
 
 
 def update_head(chain: Camchain, template: HeadCalibration) -> HeadCalibration:
@@ -145,32 +125,25 @@ def update_head(chain: Camchain, template: HeadCalibration) -> HeadCalibration:
     The wide cameras keep their poses in the eyes, which a chain does not hold. Those of the narrow
     ones and T_rbase_lbase follow from the chain, which is assumed to hold at readings of zero.
 
-    Args:
-        chain: its cameras have the names of the template's.
-        template: supplies the poses of the wide cameras, the axes and the neck.
-
     Raises:
         VergenceError: the chain names a camera that the template does not have.
     """
-    cameras = dict(template.cameras)
-    for name, camera in chain.cameras.items():
-        cameras[name] = replace(template.camera(name), intrinsics=camera)
-    head = replace(template, cameras=cameras)
-    if any(T is None for T in chain.T_cn_cnm1[1:]):
-        return head
-    T_cam_first = {}
-    T = np.eye(4)
-    for name, step in zip(chain.cameras, chain.T_cn_cnm1, strict=True):
+    head = with_intrinsics(template, {name: camera for name, (camera, _) in chain.items()})
+    T, T_cam_first = np.eye(4), {}
+    for k, (name, (_, step)) in enumerate(chain.items()):
+        if step is None and k:
+            return head
         T = T if step is None else step @ T
         T_cam_first[name] = T
-    for name in chain.cameras:
+    cameras = dict(head.cameras)
+    for name in chain:
         wide = f"{cameras[name].eye}_wide"
-        if name != wide and wide in T_cam_first:
-            T_wide_narrow = T_cam_first[wide] @ inverse(T_cam_first[name])
-            T_eye_narrow = cameras[wide].T_eye_cam @ T_wide_narrow
-            cameras[name] = replace(cameras[name], T_eye_cam=T_eye_narrow)
+        if name != wide and wide in chain:
+            T_eye_first = cameras[wide].T_eye_cam @ T_cam_first[wide]
+            T_eye_cam = T_eye_first @ inverse(T_cam_first[name])
+            cameras[name] = replace(cameras[name], T_eye_cam=T_eye_cam)
     head = replace(head, cameras=cameras)
-    if not {"left_wide", "right_wide"} <= set(T_cam_first):
+    if not {"left_wide", "right_wide"} <= set(chain):
         return head
     T_rcam_lcam = T_cam_first["right_wide"] @ inverse(T_cam_first["left_wide"])
     return rebase(head, T_rcam_lcam, joints=np.zeros(4), cameras=("left_wide", "right_wide"))

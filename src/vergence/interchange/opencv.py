@@ -20,7 +20,7 @@ from xml.etree import ElementTree
 
 import cv2
 import yaml
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, FiniteFloat
 
 from vergence.errors import VergenceError
 from vergence.files import write_whole
@@ -29,9 +29,7 @@ from vergence.geometry.kinematics import EYES, EyeAxes, Neck, Side
 from vergence.interchange.serialization import (
     Intrinsics,
     Matrix,
-    Number,
-    check_intrinsics,
-    check_names,
+    check_cameras,
     intrinsics_fields,
     read,
 )
@@ -47,8 +45,7 @@ def save(head: HeadCalibration, path: Path) -> None:
         VergenceError: a camera has skew, which OpenCV's functions ignore; the file's suffix is
             none of SUFFIXES; or it cannot be written.
     """
-    check_names(head)
-    check_intrinsics(head, "OpenCV's camera model")
+    check_cameras(head, "OpenCV's camera model")
     _check_suffix(path)
     content = {
         "format": FORMAT,
@@ -103,9 +100,9 @@ class _Neck(BaseModel):
 class _Head(BaseModel):
     cameras: Annotated[dict[str, _Camera], Field(min_length=1)]
     T_rbase_lbase: Matrix
-    axes: dict[Side, dict[str, Number]]
+    axes: dict[Side, dict[str, FiniteFloat]]
     neck: _Neck
-    time_offset_s: Number = 0.0
+    time_offset_s: FiniteFloat = 0.0
 
 
 def load(path: Path) -> HeadCalibration:
@@ -135,27 +132,14 @@ def _head(content: Any) -> HeadCalibration:
         },
         T_rbase_lbase=found.T_rbase_lbase,
         axes={eye: EyeAxes(**found.axes[eye]) for eye in EYES},
-        neck=Neck(
-            axes=found.neck.axes, points_m=found.neck.points_m, head_m=found.neck.head_m.ravel()
-        ),
+        neck=Neck(**vars(found.neck) | {"head_m": found.neck.head_m.ravel()}),
         time_offset_s=found.time_offset_s,
     )
 
 
-class _Loader(yaml.SafeLoader):
-    """Reads OpenCV's matrices as plain mappings."""
-
-
-def _mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
-    return loader.construct_mapping(node, deep=True)
-
-
-_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _mapping)
-
-
 def _parse_yaml(text: str) -> Any:
-    # OpenCV 4 begins with %YAML:1.0, which is not valid YAML.
-    return yaml.load(re.sub(r"\A%YAML[^\n]*", "", text), Loader=_Loader)
+    # OpenCV 4 begins with %YAML:1.0, which is not valid YAML; its matrices are plain mappings.
+    return yaml.safe_load(re.sub(r"\A%YAML[^\n]*|!!opencv-matrix", "", text))
 
 
 def _parse_xml(text: str) -> Any:

@@ -5,8 +5,6 @@ The files hold intrinsics only; where a camera sits in the head is not part of t
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -18,8 +16,7 @@ from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration
 from vergence.interchange.serialization import (
     Intrinsics,
-    check_intrinsics,
-    check_names,
+    check_cameras,
     intrinsics_fields,
     read,
     write_yaml,
@@ -42,8 +39,7 @@ def save(head: HeadCalibration, folder: Path) -> None:
     Raises:
         VergenceError: a camera has skew, or the folder cannot be written.
     """
-    check_names(head)
-    check_intrinsics(head, "ROS's plumb_bob model")
+    check_cameras(head, "ROS's plumb_bob model")
     if folder.is_file():
         raise VergenceError(f"{folder} is a file; camera_info is written to a folder.")
     for name, mounted in head.cameras.items():
@@ -84,13 +80,3 @@ def load(path: Path) -> dict[str, Camera]:
 def _named_camera(content: Any) -> tuple[str, Camera]:
     info = _CameraInfo.model_validate(content)
     return info.camera_name, info.camera()
-
-
-def update_head(cameras: Mapping[str, Camera], template: HeadCalibration) -> HeadCalibration:
-    """Return the template with the intrinsics of these cameras replaced.
-
-    Raises:
-        VergenceError: the template has no camera of one of these names.
-    """
-    mounted = {name: replace(template.camera(name), intrinsics=c) for name, c in cameras.items()}
-    return replace(template, cameras={**template.cameras, **mounted})

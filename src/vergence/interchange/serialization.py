@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
 import yaml
-from pydantic import BaseModel, BeforeValidator, FiniteFloat, PlainValidator, PositiveInt
+from pydantic import BaseModel, PlainValidator, PositiveInt
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError, explain
@@ -23,11 +24,6 @@ NEGLIGIBLE = 1e-9
 """A skew [px] or a k3 below this counts as zero: it moves no pixel by more than about as much."""
 
 
-def _number(value: Any) -> Any:
-    # YAML 1.1 reads 1e-5, without a point, as text; other programs write such numbers.
-    return float(value) if isinstance(value, str) else value
-
-
 def _matrix(value: Any) -> Array:
     try:
         rows, cols, data = int(value["rows"]), int(value["cols"]), value["data"]
@@ -39,7 +35,6 @@ def _matrix(value: Any) -> Array:
     return numbers.reshape(rows, cols)
 
 
-Number = Annotated[FiniteFloat, BeforeValidator(_number)]
 Matrix = Annotated[Array, PlainValidator(_matrix)]
 """(rows, cols), written as a mapping with the keys rows, cols and data."""
 
@@ -81,7 +76,7 @@ def read(
     """Read a text file.
 
     Args:
-        path: of the file.
+        path: text in UTF-8.
         what: how a message calls such a file, with its article.
         build: makes the result from the parsed content; raises ValueError where that is not valid.
         parse: makes nested dictionaries and lists from the text.
@@ -98,6 +93,16 @@ def read(
         yaml.YAMLError, SyntaxError, ValueError, TypeError, LookupError, RecursionError
     ) as error:  # fmt: skip
         raise VergenceError(f"{path} is not {what}: {explain(error)}.") from None
+
+
+def with_intrinsics(head: HeadCalibration, cameras: Mapping[str, Camera]) -> HeadCalibration:
+    """Return a head with the intrinsics of some cameras replaced.
+
+    Raises:
+        VergenceError: the head has no camera of one of these names.
+    """
+    mounted = {name: replace(head.camera(name), intrinsics=c) for name, c in cameras.items()}
+    return replace(head, cameras={**head.cameras, **mounted})
 
 
 def write_yaml(path: Path, content: dict[str, Any]) -> None:
@@ -117,14 +122,12 @@ def check_names(head: HeadCalibration) -> None:
             )
 
 
-def check_intrinsics(head: HeadCalibration, model: str, *, has_k3: bool = True) -> None:
-    """Raise VergenceError if a camera has skew or k3 for which a camera model has no field.
+def check_cameras(head: HeadCalibration, model: str, *, has_k3: bool = True) -> None:
+    """Raise VergenceError if a camera has a name, skew or k3 that a camera model cannot hold.
 
-    Args:
-        head: whose cameras are checked.
-        model: how a message calls the camera model.
-        has_k3: whether the model has a third radial coefficient.
+    A message calls it by `model`; `has_k3` is whether it has a third radial coefficient.
     """
+    check_names(head)
     for name, mounted in head.cameras.items():
         skew, k3 = mounted.intrinsics.matrix[0, 1], mounted.intrinsics.distortion[4]
         if abs(skew) > NEGLIGIBLE:

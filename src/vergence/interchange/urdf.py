@@ -10,7 +10,7 @@ link, and <joint>_true mimics it with URDF's multiplier and offset; transforms t
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -19,28 +19,20 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.files import write_whole
 from vergence.geometry.head import HeadCalibration, T_head_base
-from vergence.geometry.kinematics import EYES, NECK_JOINTS, Neck, Side
+from vergence.geometry.kinematics import EYES, NECK_JOINTS, Chain, eye_chain
 from vergence.geometry.se3 import inverse, pose
 from vergence.interchange.serialization import check_names
 
-LIMIT_RAD = 1.5708
-"""Limit of joints for which none is given: a calibration holds none, and URDF requires one."""
+LIMIT_RAD = (-1.5708, 1.5708)
 EFFORT, VELOCITY = 100.0, 100.0
 """Limits that URDF requires and a calibration does not hold: large enough to have no effect."""
 
-R_LINK_OPTICAL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+T_LINK_OPTICAL = pose(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]))
 """From frame cam to a camera's link, which looks along x with z up (REP 103)."""
 
-Limits = Mapping[str, tuple[float, float]]
 
-
-def save(head: HeadCalibration, path: Path, *, limits: Limits | None = None) -> None:
-    """Write a head as URDF.
-
-    Args:
-        head: intrinsics are left out: URDF has no field for them.
-        path: of the file.
-        limits: lower and upper limit [rad] by joint; ±LIMIT_RAD for joints that are left out.
+def save(head: HeadCalibration, path: Path) -> None:
+    """Write a head as URDF, without the cameras' intrinsics, for which it has no field.
 
     Raises:
         VergenceError: there is no camera, or the file cannot be written.
@@ -48,80 +40,58 @@ def save(head: HeadCalibration, path: Path, *, limits: Limits | None = None) -> 
     check_names(head)
     robot = ElementTree.Element("robot", name="vergence_head")
     ElementTree.SubElement(robot, "link", name="body")
-    _add_neck(robot, head.neck, limits or {})
+    neck = head.neck
+    n = len(neck.axes)
+    names = NECK_JOINTS if n == len(NECK_JOINTS) else [f"neck_{k + 1}" for k in range(n)]
+    links = ["body", *names]
+    chain = Chain(neck.axes, neck.points_m, neck.head_m, np.eye(n), np.zeros(n))
+    _add_chain(robot, chain, links, names)
+    T_last_head = pose(t=neck.head_m - (neck.points_m[-1] if n else 0.0))
+    _add_joint(robot, "head_joint", links[-1], "head", T_last_head)
     for eye in EYES:
-        _add_eye(robot, head, eye, limits or {})
+        base, pan, tilt, link = (f"{eye}_{part}" for part in ("base", "pan", "tilt", "eye"))
+        _add_joint(robot, f"{base}_joint", "head", base, T_head_base(head, eye))
+        _add_chain(robot, eye_chain(head.axes[eye]), [base, pan, link], [pan, tilt])
+        for name, mounted in head.cameras.items():
+            if mounted.eye == eye:
+                T_eye_link = mounted.T_eye_cam @ inverse(T_LINK_OPTICAL)
+                _add_joint(robot, f"{name}_joint", link, name, T_eye_link)
+                optical = f"{name}_optical_frame"
+                _add_joint(robot, f"{name}_optical_joint", name, optical, T_LINK_OPTICAL)
     ElementTree.indent(robot)
     text = ElementTree.tostring(robot, encoding="unicode")
     write_whole(path, f'<?xml version="1.0"?>\n{text}\n')
 
 
-def _add_neck(robot: ElementTree.Element, neck: Neck, limits: Limits) -> None:
-    count = len(neck.axes)
-    standard = count == len(NECK_JOINTS)
-    names = NECK_JOINTS if standard else tuple(f"neck_{k + 1}" for k in range(count))
-    parent, origin = "body", np.zeros(3)
-    for name, axis, point in zip(names, neck.axes, neck.points_m, strict=True):
-        _add_revolute(robot, name, parent, name, pose(t=point - origin), axis, limits)
-        parent, origin = name, point
-    _add_joint(robot, "head_joint", "fixed", parent, "head", pose(t=neck.head_m - origin))
-
-
-def _add_eye(robot: ElementTree.Element, head: HeadCalibration, eye: Side, limits: Limits) -> None:
-    axes, base, pan, tilt = head.axes[eye], f"{eye}_base", f"{eye}_pan", f"{eye}_tilt"
-    _add_joint(robot, f"{base}_joint", "fixed", "head", base, T_head_base(head, eye))
-    z = np.array([0.0, 0.0, 1.0])
-    reading = (axes.pan_gain, axes.pan_offset_rad)
-    _add_revolute(robot, pan, base, pan, np.eye(4), z, limits, reading)
-    skew = axes.nonorthogonality_rad
-    tilt_axis = np.array([0.0, np.cos(skew), np.sin(skew)])
-    T_pan_tilt = pose(t=[axes.axis_distance_m, 0.0, 0.0])
-    reading = (axes.tilt_gain, axes.tilt_offset_rad)
-    _add_revolute(robot, tilt, pan, f"{eye}_eye", T_pan_tilt, tilt_axis, limits, reading)
-    T_link_optical = pose(R_LINK_OPTICAL)
-    for name, mounted in head.cameras.items():
-        if mounted.eye == eye:
-            T_eye_link = mounted.T_eye_cam @ inverse(T_link_optical)
-            optical = f"{name}_optical_frame"
-            _add_joint(robot, f"{name}_joint", "fixed", f"{eye}_eye", name, T_eye_link)
-            _add_joint(robot, f"{name}_optical_joint", "fixed", name, optical, T_link_optical)
-
-
-def _add_revolute(
-    robot: ElementTree.Element,
-    name: str,
-    parent: str,
-    child: str,
-    T_parent_child: Array,
-    axis: Array,
-    limits: Limits,
-    reading: tuple[float, float] = (1.0, 0.0),
+def _add_chain(
+    robot: ElementTree.Element, chain: Chain, links: Sequence[str], joints: Sequence[str]
 ) -> None:
-    """Add a joint whose position is a reading: true angle = gain * reading + offset."""
-    limit = limits.get(name, (-LIMIT_RAD, LIMIT_RAD))
-    if reading == (1.0, 0.0):
-        _add_joint(robot, name, "revolute", parent, child, T_parent_child, axis, limit)
-        return
-    _add_joint(robot, name, "revolute", parent, f"{name}_reading", T_parent_child, axis, limit)
-    gain, offset = reading
-    lower, upper = sorted(gain * angle + offset for angle in limit)
-    true = _add_joint(
-        robot, f"{name}_true", "revolute", parent, child, T_parent_child, axis, (lower, upper)
-    )
-    ElementTree.SubElement(true, "mimic", joint=name, multiplier=_text(gain), offset=_text(offset))
+    """Add a chain of n joints between n + 1 links: true angle = gain * reading + offset."""
+    steps = np.diff(chain.points_m, axis=0, prepend=np.zeros((1, 3)))
+    for k, (parent, child, name) in enumerate(zip(links[:-1], links[1:], joints, strict=True)):
+        T, axis = pose(t=steps[k]), chain.axes[k]
+        gain, offset = chain.mixing[k, k], chain.offset_rad[k]
+        if (gain, offset) == (1.0, 0.0):
+            _add_joint(robot, name, parent, child, T, axis)
+            continue
+        _add_joint(robot, name, parent, f"{name}_reading", T, axis)
+        limit = tuple(sorted(gain * angle + offset for angle in LIMIT_RAD))
+        true = _add_joint(robot, f"{name}_true", parent, child, T, axis, limit)
+        relation = {"joint": name, "multiplier": _text(gain), "offset": _text(offset)}
+        ElementTree.SubElement(true, "mimic", relation)
 
 
 def _add_joint(
     robot: ElementTree.Element,
     name: str,
-    kind: str,
     parent: str,
     child: str,
     T_parent_child: Array,
     axis: Array | None = None,
-    limit_rad: tuple[float, float] = (0.0, 0.0),
+    limit_rad: tuple[float, ...] = LIMIT_RAD,
 ) -> ElementTree.Element:
-    """Add a joint and the link that it moves; return the joint."""
+    """Add a joint, fixed without an axis, and the link that it moves; return the joint."""
+    kind = "fixed" if axis is None else "revolute"
     joint = ElementTree.SubElement(robot, "joint", name=name, type=kind)
     ElementTree.SubElement(joint, "parent", link=parent)
     ElementTree.SubElement(joint, "child", link=child)
@@ -140,9 +110,8 @@ def _rpy(R: Array) -> tuple[float, float, float]:
     level = np.hypot(R[0, 0], R[1, 0])
     pitch = np.arctan2(-R[2, 0], level)
     if level < 1e-9:  # straight up or down: only the sum of roll and yaw has a meaning
-        return float(np.arctan2(-R[1, 2], R[1, 1])), float(pitch), 0.0
-    roll, yaw = np.arctan2(R[2, 1], R[2, 2]), np.arctan2(R[1, 0], R[0, 0])
-    return float(roll), float(pitch), float(yaw)
+        return np.arctan2(-R[1, 2], R[1, 1]), pitch, 0.0
+    return np.arctan2(R[2, 1], R[2, 2]), pitch, np.arctan2(R[1, 0], R[0, 0])
 
 
 def _text(*values: float) -> str:
