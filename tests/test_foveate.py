@@ -14,8 +14,8 @@ from vergence.errors import VergenceError
 from vergence.gaze.state import GazeSettings
 from vergence.geometry.se3 import inverse, transform
 from vergence.twin.head import Twin
-from vergence.twin.occlusion import unoccluded
 from vergence.twin.profile import ErrorProfile, load_profile
+from vergence.twin.simulated_robot import unoccluded
 from vergence.viewer.reading import read_series
 
 SCENARIO = Path(__file__).parents[1] / "scenarios" / "gaze_demos.py"

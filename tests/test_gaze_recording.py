@@ -45,7 +45,7 @@ def made(tmp_path_factory: pytest.TempPathFactory, opengl: None) -> Recorded:
     errors: list[np.ndarray] = []
     with Twin(ErrorProfile(), seed=0) as twin:
         settings = GazeSettings(calibration=twin.truth)
-        with recorded(path, twin, settings, title="test", reach_m=1.0) as (watch, report):
+        with recorded(path.parent, "gaze", twin, settings, seed=0, reach_m=1.0) as (watch, report):
             for run in (0, 1):
                 head = SimulatedHead(
                     twin,
