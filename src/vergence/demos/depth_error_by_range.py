@@ -69,7 +69,7 @@ def depth_sample(
 
     The frame must be taken at the twin's present time. The state is that after the frame.
     """
-    found = [state.pixels.get(name, np.full(2, np.nan)) for name in NARROW]
+    found = np.array([state.pixels.get(name, np.full(2, np.nan)) for name in NARROW])
     if state.measured is None or state.frame_s != frame.time_s or not np.isfinite(found).all():
         return None
     calibration, truth = settings.calibration, twin.true_object()

@@ -191,7 +191,7 @@ def foveate(
 
         def record(state: GazeState, frame: Frame | None) -> None:
             if len(made) < RECORDED:
-                watch(state, frame, lanes={"object": f"{len(made) + 1}"})
+                watch(state, frame, {"object": f"{len(made) + 1}"}, None)
 
         for run, target in enumerate(targets(trials, seed, free=free), start=1):
             made.append(run_trial(twin, settings, run, target, watch=record))

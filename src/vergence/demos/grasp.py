@@ -195,8 +195,7 @@ def grasp(
 
         def record(state: ReachState, frame: Frame | None) -> None:
             if len(made) < RECORDED:
-                lanes = {"hand": state.phase.value}
-                watch(state.gaze, frame, lanes=lanes, hand=state.hand)
+                watch(state.gaze, frame, {"hand": state.phase.value}, state.hand)
 
         for run in range(1, trials + 1):
             path, T_body_arm = held_out(seed, run), arm_mounting_error(seed, run)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -23,23 +22,10 @@ from vergence.viewer.gaze import Moment, log_gaze_frame, log_gaze_series, log_ga
 from vergence.viewer.gaze_layout import gaze_blueprint
 from vergence.viewer.opening import log_report, recording_file
 
-
-class Watch(Protocol):
-    """A function that is called with every state and the frame that led to it.
-
-    Without a frame nothing is recorded. `lanes` are phases beside that of the gaze, and `hand` is
-    the position (3,) of the hand [m] in frame body.
-    """
-
-    def __call__(
-        self,
-        state: GazeState,
-        frame: Frame | None,
-        /,
-        *,
-        lanes: Mapping[str, str] | None = None,
-        hand: Array | None = None,
-    ) -> None: ...
+Watch = Callable[[GazeState, Frame | None, Mapping[str, str], Array | None], None]
+"""A function that is called with a state and the frame that led to it, with phases by lane beside
+that of the gaze, and with the position (3,) of a hand [m] in frame body. Without a frame nothing
+is recorded."""
 
 
 @contextmanager
@@ -78,7 +64,7 @@ def recorded(
     title = f"{name}, profile {twin.profile.name}, seed {seed}"
     report = [f"# {title}", ""]
     if out is None:
-        yield lambda state, frame, /, **_: None, report
+        yield lambda *_: None, report
         return
     head = settings.calibration
     layout = gaze_blueprint(title, head, reach_m=reach_m, speed=speed, hand=hand)
@@ -88,12 +74,7 @@ def recorded(
         before_s, began_s = -np.inf, 0.0
 
         def watch(
-            state: GazeState,
-            frame: Frame | None,
-            /,
-            *,
-            lanes: Mapping[str, str] | None = None,
-            hand: Array | None = None,
+            state: GazeState, frame: Frame | None, lanes: Mapping[str, str], hand: Array | None
         ) -> None:
             nonlocal before_s, began_s
             if frame is None:

@@ -207,7 +207,7 @@ def track(
 
         def both(state: GazeState, frame: Frame | None) -> None:
             watch(state, frame)
-            record(state, frame)
+            record(state, frame, {}, None)
 
         found = follow(twin, settings, 1, path, seconds, hidden_s=hidden_s, watch=both)
         report += as_markdown(found, hidden_s)

@@ -86,7 +86,7 @@ def step_reach(
     """
     before, gaze = state.gaze, step_gaze(settings.gaze, state.gaze, frame, now_s)
     readings = (*state.readings[1 - _KEPT :], reading)
-    state = replace(state, gaze=gaze, readings=readings, marker=None)
+    state = replace(state, gaze=gaze, readings=readings)
     if frame is not None and gaze.frame_s > before.frame_s:
         state = _detect_marker(settings, state, frame)
         if frame.time_s >= before.landing_s:  # the eyes are at their set points
@@ -186,7 +186,6 @@ def _fuse_target(
     )
     return replace(
         state,
-        marker=marker_body,
         target=target,
         apart_m=float(np.linalg.norm(object_body - marker_body)),
         together_s=frame.time_s,

@@ -143,8 +143,6 @@ class ReachState:
     """Cameras whose images are requested next."""
     pixels: Mapping[str, Array] = field(default_factory=dict)
     """(2,) pixel of the marker by camera searched in the latest frame, NaN where not found."""
-    marker: Array | None = None
-    """(3,) [m] marker in frame body by the eyes, in the latest frame."""
     target: Track | None = None
     """Object in the coordinates of the hand's encoders: the measured difference between object and
     marker, added to the marker by the encoders. None: they have not been seen together."""
@@ -167,12 +165,8 @@ class ReachState:
 
 
 def target_covariance(settings: ReachSettings, state: ReachState) -> Array:
-    """Return the covariance (3, 3) [m^2] of the target, with its systematic error.
-
-    Infinite where there is no target.
-    """
-    if state.target is None:
-        return np.diag(np.full(3, np.inf))
+    """Return the covariance (3, 3) [m^2] of a state's target, with its systematic error."""
+    assert state.target is not None
     systematic = (settings.relative_error * state.apart_m) ** 2
     return state.target.covariance[:3, :3] + systematic * np.eye(3)
 

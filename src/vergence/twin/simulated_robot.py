@@ -70,16 +70,15 @@ class SimulatedHead:
         *,
         all_cameras_every: int = 0,
     ):
-        """Restart the twin.
+        """Restart the twin; the number of the run determines the noise.
 
         Args:
             twin: the head.
-            run: number of the run, for the noise.
+            run: number of the run.
             path_head: position (3,) [m] of the object at a time, in frame head as it is at the
                 start; None: the object is hidden.
-            all_cameras_every: every Nth frame has the images of all cameras, requested or not, and
-                whether or not there is a recording: an observer must not change what the
-                controller receives. 0: no frame has.
+            all_cameras_every: every Nth frame has the images of all cameras, recorded or not: an
+                observer must not change what the controller receives. 0: no frame has.
         """
         self.twin, self.path_head = twin, path_head
         self._all_cameras_every = all_cameras_every
@@ -141,8 +140,8 @@ def foveal_errors(twin: Twin, calibration: HeadCalibration) -> Array:
     ones, which cannot be seen in an image. Infinite where the object is behind a camera.
     """
     centres = [calibration.camera(name).intrinsics.matrix[:2, 2] for name in NARROW]
-    offsets = true_pixels(twin) - centres
-    return np.nan_to_num([np.linalg.norm(offset) for offset in offsets], nan=np.inf)
+    errors = np.array([np.linalg.norm(offset) for offset in true_pixels(twin) - centres], float)
+    return np.nan_to_num(errors, nan=np.inf)
 
 
 def in_both_foveas(twin: Twin) -> bool:
