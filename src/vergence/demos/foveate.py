@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +21,6 @@ from vergence.demos.recording import recorded
 from vergence.gaze.commands import HEAD_JOINTS
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.state import NARROW, GazePhase, GazeSettings, GazeState, initial_gaze_state
-from vergence.geometry.head import T_head_base
-from vergence.geometry.se3 import inverse, transform
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors, unoccluded
@@ -184,10 +183,7 @@ def foveate(
     ):
         if out is not None:
             depth(out / "depth.png", settings.calibration)
-        T_lbase_head = inverse(T_head_base(twin.truth, "left"))
-
-        def free(places: Array) -> np.ndarray:  # of the furniture in the room
-            return unoccluded(twin, transform(T_lbase_head, places), margin_m=OBJECT_M)
+        free = partial(unoccluded, twin, margin_m=OBJECT_M)
 
         def record(state: GazeState, frame: Frame | None) -> None:
             if len(made) < RECORDED:

@@ -23,8 +23,6 @@ from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS
 HEAD_JOINTS = (*NECK_JOINTS, *EYE_JOINTS)
 NECK, EYES_4 = slice(0, len(NECK_JOINTS)), slice(len(NECK_JOINTS), len(HEAD_JOINTS))
 """Columns of the neck and of both eyes in a posture (..., 7)."""
-
-
 HOLD_S = 0.1
 """Time after which a moving goal stops if no further command arrives: extrapolation degrades."""
 

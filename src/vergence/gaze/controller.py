@@ -100,7 +100,7 @@ def step_gaze(
         return _without_detection(settings, state, now_s)
     state = measure(settings, state, frame, posture)
     state = replace(aim_by_one_eye(settings, state, posture, rays), seen_s=frame.time_s)
-    return _follow(settings, state, frame.time_s, posture, rays, now_s)
+    return _follow(settings, state, posture, rays, now_s)
 
 
 def _in_left_base(settings: GazeSettings, points_body: Array, neck: Array) -> Array:
@@ -109,18 +109,13 @@ def _in_left_base(settings: GazeSettings, points_body: Array, neck: Array) -> Ar
 
 
 def _follow(
-    settings: GazeSettings,
-    state: GazeState,
-    image_s: float,
-    posture: Array,
-    rays: Rays,
-    now_s: float,
+    settings: GazeSettings, state: GazeState, posture: Array, rays: Rays, now_s: float
 ) -> GazeState:
     """Return the state with the command that brings the object onto both foveas and keeps it.
 
     The aim, the posture (7,) [rad] and at least one ray are those at the time of the image.
     """
-    calibration, aim = settings.calibration, state.aim
+    calibration, aim, image_s = settings.calibration, state.aim, state.frame_s
     assert aim is not None  # `aim_by_one_eye` sets it wherever an eye sees the object
     start_now = setpoint(state.command, now_s)
     neck_then = posture[NECK]

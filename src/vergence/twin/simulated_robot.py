@@ -152,11 +152,10 @@ def in_both_foveas(twin: Twin) -> bool:
     )
 
 
-def unoccluded(twin: Twin, places_lbase: Array, *, margin_m: float) -> np.ndarray:
+def unoccluded(twin: Twin, places_head: Array, *, margin_m: float) -> np.ndarray:
     """Return (N,) whether the room leaves places unoccluded in all cameras of the head at rest.
 
-    The places (N, 3) [m] are in the left eye's base frame; a margin around each must be unoccluded
-    too.
+    The places (N, 3) [m] are in frame head; a margin around each must be unoccluded too.
     """
     model = copy(twin.model)
     data = mujoco.MjData(model)
@@ -165,6 +164,7 @@ def unoccluded(twin: Twin, places_lbase: Array, *, margin_m: float) -> np.ndarra
     # Rays are tested against group 5 only: the world's own geoms, which are the room.
     model.geom_group[:] = np.where(model.geom_bodyid == 0, 5, 0)
     groups = np.array([0, 0, 0, 0, 0, 1], np.uint8)
+    places_lbase = transform(inverse(T_head_base(twin.truth, "left")), places_head)
     places = transform(twin.T_world_lbase(), places_lbase)
     found = np.ones(len(places), bool)
     for camera in twin.truth.cameras:
