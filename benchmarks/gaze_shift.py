@@ -84,7 +84,7 @@ def shift_gaze(twin: Twin, settings: GazeSettings, run: int, places_head: Array)
     def path(time_s: float) -> Array:
         return places_head[min(int(number_at(time_s)), len(places_head) - 1)]
 
-    head = SimulatedHead(twin, run, path, limits=settings.limits)
+    head = SimulatedHead(twin, run, path)
     times: list[float] = []
     errors: list[float] = []
     angles: list[Array] = []

@@ -12,10 +12,11 @@ from vergence.demos import experiment
 from vergence.demos.foveate import Trial, foveate, run_trial, summary, targets
 from vergence.errors import VergenceError
 from vergence.gaze.state import GazeSettings
+from vergence.geometry.head import T_head_base
 from vergence.geometry.se3 import inverse, transform
 from vergence.twin.head import Twin
-from vergence.twin.occlusion import unoccluded
 from vergence.twin.profile import ErrorProfile, load_profile
+from vergence.twin.simulated_robot import unoccluded
 from vergence.viewer.reading import read_series
 
 SCENARIO = Path(__file__).parents[1] / "scenarios" / "gaze_demos.py"
@@ -46,7 +47,9 @@ def test_furniture_occludes_the_places_behind_it():
     with Twin(ErrorProfile()) as twin:
         box = transform(inverse(twin.T_world_lbase()), np.array([1.52, 0.12, 0.78]))
         beyond, before, beside = 1.2 * box, 0.5 * box, box + np.array([0, 0.5, 0.3])
-        seen = unoccluded(twin, np.array([box, beyond, before, beside]), margin_m=0.02)
+        places_lbase = np.array([box, beyond, before, beside])
+        places = transform(T_head_base(twin.truth, "left"), places_lbase)
+        seen = unoccluded(twin, places, margin_m=0.02)
     assert seen.tolist() == [False, False, True, True]
 
 

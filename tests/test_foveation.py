@@ -12,7 +12,6 @@ from vergence.gaze.foveation import (
     foveal_miss,
     gaze_angles,
     ideal_wide_pixel,
-    ideal_wide_slope,
     project_both,
     wide_from_narrow,
 )
@@ -112,18 +111,6 @@ def test_the_ideal_position_converges_to_its_limit_as_one_over_depth(seed: int):
         assert gaps[0] < 1
         np.testing.assert_allclose(gaps[1] / gaps[0], 0.1, rtol=1e-2)
         assert gaps[2] < 1e-4
-        np.testing.assert_array_equal(ideal_wide_slope(made, eye, np.inf), 0)
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_the_slope_is_the_derivative_by_depth(seed: int):
-    made = head(seed)
-    for eye in EYES:
-        step = 1e-5 * DEPTHS
-        after, before = (ideal_wide_pixel(made, eye, DEPTHS + s) for s in (step, -step))
-        numeric = (after - before) / (2 * step[:, None])
-        slope = ideal_wide_slope(made, eye, DEPTHS)
-        np.testing.assert_allclose(slope, numeric, rtol=1e-5, atol=1e-8)
 
 
 def test_equations_18_and_19_do_not_depend_on_the_foveal_intrinsics():

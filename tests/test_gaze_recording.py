@@ -3,7 +3,6 @@
 import subprocess
 import sys
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -45,7 +44,7 @@ def made(tmp_path_factory: pytest.TempPathFactory, opengl: None) -> Recorded:
     errors: list[np.ndarray] = []
     with Twin(ErrorProfile(), seed=0) as twin:
         settings = GazeSettings(calibration=twin.truth)
-        with recorded(path, twin, settings, title="test", reach_m=1.0) as (watch, report):
+        with recorded(path.parent, "gaze", twin, settings, seed=0, reach_m=1.0) as (watch, report):
             for run in (0, 1):
                 head = SimulatedHead(
                     twin,
@@ -53,10 +52,9 @@ def made(tmp_path_factory: pytest.TempPathFactory, opengl: None) -> Recorded:
                     lambda t, run=run: TARGET if run == 0 or t < HIDDEN_S else None,
                     all_cameras_every=4,
                 )
-                show = partial(watch, lanes={"run": f"{run}"}, hand=HAND)
 
-                def keep(state: GazeState, frame: Frame | None, show=show) -> None:
-                    show(state, frame)
+                def keep(state: GazeState, frame: Frame | None, run=run) -> None:
+                    watch(state, frame, {"run": f"{run}"}, HAND)
                     assert frame is not None
                     states.append(state)
                     frames.append(frame)

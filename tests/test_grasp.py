@@ -26,7 +26,14 @@ from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, pose, rotvec, transform
 from vergence.reach.state import HandCommand, ReachPhase
 from vergence.stereo.triangulation import triangulate_at
-from vergence.twin.hand import CLOSED_M, OPEN_M, ArmLimits, SimulatedHand, arm_mounting_error
+from vergence.twin.hand import (
+    ACCELERATION_M_S2,
+    CLOSED_M,
+    OPEN_M,
+    SPEED_M_S,
+    SimulatedHand,
+    arm_mounting_error,
+)
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
 from vergence.vision.sphere import find_sphere
@@ -131,7 +138,6 @@ def test_nothing_but_the_marker_is_blue():
 
 @pytest.mark.render
 def test_the_hand_keeps_its_limits_and_stops_where_it_is_sent():
-    limits = ArmLimits()
     with Twin(ErrorProfile()) as twin:
         hand = SimulatedHand(twin, np.zeros(3), np.eye(4))
         goal = np.array([0.3, -0.2, 0.1])
@@ -143,8 +149,8 @@ def test_the_hand_keeps_its_limits_and_stops_where_it_is_sent():
             points.append(hand._position)
         velocities = np.diff(points, axis=0, prepend=np.zeros((1, 3))) / 0.005
         accelerations = np.diff(velocities, axis=0, prepend=np.zeros((1, 3))) / 0.005
-        assert np.linalg.norm(velocities, axis=1).max() <= limits.speed_m_s * (1 + 1e-9)
-        assert np.linalg.norm(accelerations, axis=1).max() <= limits.acceleration_m_s2 * 1.001
+        assert np.linalg.norm(velocities, axis=1).max() <= SPEED_M_S * (1 + 1e-9)
+        assert np.linalg.norm(accelerations, axis=1).max() <= ACCELERATION_M_S2 * 1.001
         past = (np.array(points) - goal) @ goal / np.linalg.norm(goal)
         assert past.max() < 1e-3
         np.testing.assert_allclose(points[-1], goal, atol=1e-4)

@@ -14,13 +14,13 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.gaze.commands import EYES_4, neck_chain
+from vergence.gaze.commands import EYES_4
 from vergence.gaze.state import NARROW, GazeSettings, GazeState
 from vergence.geometry.head import T_body_base
-from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.depth_error import depth_error, disparity_error
 from vergence.twin.head import Twin
+from vergence.twin.simulated_robot import true_pixels
 
 EDGES_M = (0.35, 0.45, 0.6, 0.8, 1.0, 1.4)
 _FEWEST = 10
@@ -67,26 +67,19 @@ def depth_sample(
 ) -> DepthSample | None:
     """Return the errors of a frame; None where it gave no estimate by the narrow cameras.
 
-    Args:
-        twin: the head, which provides the truth.
-        settings: of the gaze controller.
-        state: of the gaze controller after the frame.
-        frame: the frame, taken at the twin's present time.
+    The frame must be taken at the twin's present time. The state is that after the frame.
     """
-    found = [state.pixels.get(name, np.full(2, np.nan)) for name in NARROW]
+    found = np.array([state.pixels.get(name, np.full(2, np.nan)) for name in NARROW])
     if state.measured is None or state.frame_s != frame.time_s or not np.isfinite(found).all():
         return None
-    calibration, eyes = settings.calibration, twin.true_angles()[EYES_4]
-    truth = twin.true_object()
-    true_pixels = [project_point(twin.truth, name, eyes, truth) for name in NARROW]
-    neck = neck_chain(calibration, frame.neck_angles)
-    T_lbase_body = inverse(T_body_base(calibration, "left", neck))
+    calibration, truth = settings.calibration, twin.true_object()
+    T_lbase_body = inverse(T_body_base(calibration, "left", frame.neck_angles))
     middle = inverse(twin.truth.T_rbase_lbase)[:3, 3] / 2
     away = truth - middle
     distance = float(np.linalg.norm(away))
     error = transform(T_lbase_body, state.measured) - truth
-    pixel_errors = np.array(found) - true_pixels
-    reading_errors = frame.eye_angles - eyes
+    pixel_errors = found - true_pixels(twin)
+    reading_errors = frame.eye_angles - twin.true_angles()[EYES_4]
     return DepthSample(
         time_s=frame.time_s,
         distance_m=distance,
@@ -101,8 +94,7 @@ def depth_sample(
 def bin_by_range(runs: Sequence[Sequence[DepthSample]]) -> tuple[RangeBin, ...]:
     """Return the errors by distance, for the intervals that have enough frames.
 
-    Args:
-        runs: samples in the order of their times; differences are taken within a run only.
+    The samples of a run are in the order of their times; differences are taken within a run only.
     """
     pairs = [(a, b) for run in runs for a, b in pairwise(run)]
     pairs = [(a, b) for a, b in pairs if b.time_s - a.time_s < 0.1]

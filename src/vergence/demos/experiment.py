@@ -1,4 +1,4 @@
-"""What the demos share: checked arguments, a calibrated twin, its recording, and the summary."""
+"""What the demos share: checked arguments, a calibrated twin, and the file of the summary."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vergence.demos.recording import Watch, recorded
 from vergence.errors import VergenceError
 from vergence.files import write_whole
 from vergence.gaze.state import GazeSettings
@@ -30,53 +29,16 @@ def check_trials(trials: int) -> None:
 
 
 @contextmanager
-def calibrated_twin(
-    name: str,
-    profile: ErrorProfile,
-    seed: int,
-    out: Path | None,
-    *,
-    reach_m: float,
-    speed: float = 1.0,
-    hand: bool = False,
-) -> Iterator[tuple[Twin, GazeSettings, Watch, list[str]]]:
-    """Build and calibrate a twin, and record it in a `with` block.
-
-    Args:
-        name: of the demo.
-        profile: imperfections of the head.
-        seed: of everything random.
-        out: folder for the recording, `name`.rrd; None: nothing is recorded.
-        reach_m: greatest distance of objects [m], for the 3-D view.
-        speed: of the playback, in recorded seconds a second.
-        hand: whether the demo has a hand.
-
-    Yields:
-        The twin; the settings of its gaze controller; the function to call with every state that is
-        to be recorded; and a list for the lines of the recording's report, in Markdown.
+def calibrated_twin(profile: ErrorProfile, seed: int) -> Iterator[tuple[Twin, GazeSettings]]:
+    """Give a `with` block a calibrated twin, and the settings of its gaze controller.
 
     Raises:
-        VergenceError: the seed is negative, or the recording cannot be written.
+        VergenceError: the seed is negative.
     """
     if seed < 0:
         raise VergenceError(f"The seed must be a whole number from 0, found {seed}.")
     with Twin(profile, seed=seed) as twin:
-        settings = calibrate_twin(twin, seed)
-        if out is None:
-            yield twin, settings, lambda state, frame, /, **_: None, []
-            return
-        title = f"{name}, profile {profile.name}, seed {seed}"
-        with recorded(
-            out / f"{name}.rrd",
-            twin,
-            settings,
-            title=title,
-            reach_m=reach_m,
-            speed=speed,
-            hand=hand,
-        ) as (watch, report):
-            report += [f"# {title}", ""]
-            yield twin, settings, watch, report
+        yield twin, calibrate_twin(twin, seed)
 
 
 def write_summary(out: Path | None, name: str, summary: DataclassInstance) -> None:

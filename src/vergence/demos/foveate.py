@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,15 +17,13 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.demos.experiment import calibrated_twin, check_trials, write_summary
+from vergence.demos.recording import recorded
 from vergence.gaze.commands import HEAD_JOINTS
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.state import NARROW, GazePhase, GazeSettings, GazeState, initial_gaze_state
-from vergence.geometry.head import T_head_base
-from vergence.geometry.se3 import inverse, transform
 from vergence.twin.head import Twin
-from vergence.twin.occlusion import unoccluded
 from vergence.twin.profile import ErrorProfile
-from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors
+from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors, unoccluded
 from vergence.viewer.plots_depth import depth
 
 WITHIN_S = 0.5
@@ -92,13 +91,8 @@ def targets(
 ) -> Array:
     """Return the positions (trials, 3) [m] at which objects appear, in frame head.
 
-    Pan, tilt and depth are distributed uniformly, with directions within +-20 degrees.
-
-    Args:
-        trials: number of positions.
-        seed: of the positions.
-        free: returns (N,) whether positions (N, 3) are unoccluded; those that are not are drawn
-            again.
+    Pan, tilt and depth are distributed uniformly, with directions within +-20 degrees. `free`
+    returns (N,) whether positions (N, 3) are unoccluded; those that are not are drawn again.
     """
     rng = np.random.default_rng([seed, 5])
 
@@ -123,16 +117,10 @@ def run_trial(
 ) -> Trial:
     """Run the gaze controller for half a second on an object that appears.
 
-    Args:
-        twin: the head.
-        settings: of the controller.
-        run: number of the trial, for the noise.
-        target_head: (3,) position of the object [m] in frame head.
-        watch: called with every state and its frame.
+    The number of the run determines the noise. The object's position (3,) [m] is in frame head.
+    `watch` is called with every state and its frame.
     """
-    head = SimulatedHead(
-        twin, run, lambda _: target_head, limits=settings.limits, all_cameras_every=1
-    )
+    head = SimulatedHead(twin, run, lambda _: target_head, all_cameras_every=1)
     state = initial_gaze_state(settings, np.zeros(len(HEAD_JOINTS)), head.now_s())
     times: list[float] = []
     errors: list[Array] = []
@@ -144,7 +132,7 @@ def run_trial(
         watch(state, frame)
 
     state = run_gaze(head, settings, state, WITHIN_S - FRAME_S, watch=keep)
-    in_view = [np.isfinite(state.pixels.get(name, np.array(np.nan))).all() for name in NARROW]
+    in_view = [np.isfinite(state.pixels.get(name, np.nan)).all() for name in NARROW]
     lost = state.phase is GazePhase.LOST or not all(in_view)
     return Trial(target_head, np.array(times), np.array(errors), lost)
 
@@ -186,18 +174,20 @@ def foveate(
     """
     check_trials(trials)
     made: list[Trial] = []
-    opened = calibrated_twin("foveate", profile, seed, out, reach_m=DEPTH_M[1], speed=PLAYBACK)
-    with opened as (twin, settings, watch, report):
+    with (
+        calibrated_twin(profile, seed) as (twin, settings),
+        recorded(out, "foveate", twin, settings, seed=seed, reach_m=DEPTH_M[1], speed=PLAYBACK) as (
+            watch,
+            report,
+        ),
+    ):
         if out is not None:
             depth(out / "depth.png", settings.calibration)
-        T_lbase_head = inverse(T_head_base(twin.truth, "left"))
-
-        def free(places: Array) -> np.ndarray:  # of the furniture in the room
-            return unoccluded(twin, transform(T_lbase_head, places), margin_m=OBJECT_M)
+        free = partial(unoccluded, twin, margin_m=OBJECT_M)
 
         def record(state: GazeState, frame: Frame | None) -> None:
             if len(made) < RECORDED:
-                watch(state, frame, lanes={"object": f"{len(made) + 1}"})
+                watch(state, frame, {"object": f"{len(made) + 1}"}, None)
 
         for run, target in enumerate(targets(trials, seed, free=free), start=1):
             made.append(run_trial(twin, settings, run, target, watch=record))

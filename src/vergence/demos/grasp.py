@@ -17,6 +17,7 @@ from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.demos.depth_error_by_range import DepthSample, RangeBin, bin_by_range, depth_sample
 from vergence.demos.experiment import calibrated_twin, check_trials, write_summary
+from vergence.demos.recording import recorded
 from vergence.gaze.commands import HEAD_JOINTS
 from vergence.reach.controller import run_reach
 from vergence.reach.state import ReachPhase, ReachSettings, ReachState, initial_reach_state
@@ -81,14 +82,9 @@ class Summary:
 
 
 def held_out(seed: int, run: int) -> Callable[[float], Array]:
-    """Return a random path of a hand-held object.
+    """Return a random path of a hand-held object: (3,) [m] in frame head, by time [s].
 
-    Args:
-        seed: of the head.
-        run: number of the trial.
-
-    Returns:
-        Position (3,) [m] in frame head, as a function of time [s].
+    The path depends on the seed of the head and on the number of the run.
     """
     rng = np.random.default_rng([seed, 9, run])
     far, near = (
@@ -109,10 +105,9 @@ def run_trial(
     twin: Twin,
     settings: ReachSettings,
     run: int,
-    path_head: Callable[[float], Array | None],
+    path_head: Callable[[float], Array],
     T_body_arm: Array,
     *,
-    longest_s: float = LONGEST_S,
     watch: Callable[[ReachState, Frame | None], None] = lambda state, frame: None,
 ) -> Trial:
     """Hold out one object until the hand has closed or the time is over.
@@ -121,13 +116,11 @@ def run_trial(
         twin: the head.
         settings: of the controller.
         run: number of the trial, for the noise.
-        path_head: position (3,) [m] of the object in frame head as a function of time [s]; None:
-            it is hidden.
+        path_head: position (3,) [m] of the object in frame head as a function of time [s].
         T_body_arm: (4, 4) true pose of the arm relative to its assumed one.
-        longest_s: time at which to stop at the latest.
         watch: called with every state and its frame.
     """
-    head = SimulatedHead(twin, run, path_head, limits=settings.gaze.limits)
+    head = SimulatedHead(twin, run, path_head)
     head.hand = hand = SimulatedHand(twin, settings.home, T_body_arm)
     samples: list[DepthSample] = []
 
@@ -139,7 +132,7 @@ def run_trial(
         watch(state, frame)
 
     state = initial_reach_state(settings, np.zeros(len(HEAD_JOINTS)), hand.read(), head.now_s())
-    state = run_reach(head, hand, settings, state, longest_s, watch=keep)
+    state = run_reach(head, hand, settings, state, LONGEST_S, watch=keep)
     miss = unaided = np.inf
     if state.phase is ReachPhase.HELD:
         miss = float(np.linalg.norm(twin.true_hand()[:3, 3] - twin.true_object()))
@@ -191,14 +184,18 @@ def grasp(
     """
     check_trials(trials)
     made: list[Trial] = []
-    opened = calibrated_twin("grasp", profile, seed, out, reach_m=FAR_M[0], speed=0.5, hand=True)
-    with opened as (twin, gaze, watch, report):
+    with (
+        calibrated_twin(profile, seed) as (twin, gaze),
+        recorded(out, "grasp", twin, gaze, seed=seed, reach_m=FAR_M[0], speed=0.5, hand=True) as (
+            watch,
+            report,
+        ),
+    ):
         settings = ReachSettings(gaze=gaze)
 
         def record(state: ReachState, frame: Frame | None) -> None:
             if len(made) < RECORDED:
-                lanes = {"hand": state.phase.value}
-                watch(state.gaze, frame, lanes=lanes, hand=state.hand)
+                watch(state.gaze, frame, {"hand": state.phase.value}, state.hand)
 
         for run in range(1, trials + 1):
             path, T_body_arm = held_out(seed, run), arm_mounting_error(seed, run)

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.gaze.commands import EYES_4, neck_chain
+from vergence.gaze.commands import EYES_4
 from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.head import T_body_base
 from vergence.geometry.projection import project_point
@@ -23,51 +22,35 @@ from vergence.viewer.gaze import Moment, log_gaze_frame, log_gaze_series, log_ga
 from vergence.viewer.gaze_layout import gaze_blueprint
 from vergence.viewer.opening import log_report, recording_file
 
-
-class Watch(Protocol):
-    """A function that is called with every state and the frame that led to it."""
-
-    def __call__(
-        self,
-        state: GazeState,
-        frame: Frame | None,
-        /,
-        *,
-        lanes: Mapping[str, str] | None = None,
-        hand: Array | None = None,
-    ) -> None:
-        """Record a state.
-
-        Args:
-            state: of the gaze controller.
-            frame: that led to the state; None: there was none, and nothing is recorded.
-            lanes: further phases by lane, beside that of the gaze.
-            hand: (3,) position of the hand [m] in frame body.
-        """
-        ...
+Watch = Callable[[GazeState, Frame | None, Mapping[str, str], Array | None], None]
+"""A function that is called with a state and the frame that led to it, with phases by lane beside
+that of the gaze, and with the position (3,) of a hand [m] in frame body. Without a frame nothing
+is recorded."""
 
 
 @contextmanager
 def recorded(
-    path: Path,
+    out: Path | None,
+    name: str,
     twin: Twin,
     settings: GazeSettings,
     *,
-    title: str,
+    seed: int,
     reach_m: float,
     speed: float = 1.0,
     hand: bool = False,
 ) -> Iterator[tuple[Watch, list[str]]]:
-    """Record in a `with` block what a function is called with.
+    """Record in a `with` block what a function is called with, to `name`.rrd in a folder.
 
     Several runs, each with its time from zero, follow each other on one timeline. Images are
-    recorded of the frames that have those of all cameras.
+    recorded of the frames that have those of all cameras. Without a folder nothing is recorded.
 
     Args:
-        path: of the `.rrd` file.
+        out: folder; None: there is none.
+        name: of the demo.
         twin: the head; its truth is drawn beside the controller's estimates.
         settings: of the controller.
-        title: of the recording.
+        seed: of the head, for the title.
         reach_m: greatest distance of objects [m], for the 3-D view.
         speed: of the playback, in recorded seconds a second.
         hand: whether positions of a hand are recorded.
@@ -78,20 +61,20 @@ def recorded(
     Raises:
         VergenceError: the file cannot be written.
     """
+    title = f"{name}, profile {twin.profile.name}, seed {seed}"
+    report = [f"# {title}", ""]
+    if out is None:
+        yield lambda *_: None, report
+        return
     head = settings.calibration
     layout = gaze_blueprint(title, head, reach_m=reach_m, speed=speed, hand=hand)
     moments: list[Moment] = []
-    report: list[str] = []
-    with recording_file(path, title, layout, head, visual_geoms(twin.model)) as rec:
+    file = out / f"{name}.rrd"
+    with recording_file(file, title, layout, head, visual_geoms(twin.model)) as rec:
         before_s, began_s = -np.inf, 0.0
 
         def watch(
-            state: GazeState,
-            frame: Frame | None,
-            /,
-            *,
-            lanes: Mapping[str, str] | None = None,
-            hand: Array | None = None,
+            state: GazeState, frame: Frame | None, lanes: Mapping[str, str], hand: Array | None
         ) -> None:
             nonlocal before_s, began_s
             if frame is None:
@@ -99,7 +82,7 @@ def recorded(
             if frame.time_s < before_s:  # the next run
                 began_s += before_s + FRAME_S
             before_s, time_s = frame.time_s, began_s + frame.time_s
-            T_body_lbase = T_body_base(head, "left", neck_chain(head, frame.neck_angles))
+            T_body_lbase = T_body_base(head, "left", frame.neck_angles)
             if not moments:
                 log_gaze_styles(rec, head, twin.T_world_lbase() @ inverse(T_body_lbase))
             poses = twin.body_poses()

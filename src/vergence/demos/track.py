@@ -15,21 +15,16 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.demos.experiment import calibrated_twin, write_summary
+from vergence.demos.recording import recorded
 from vergence.errors import VergenceError
-from vergence.gaze.commands import HEAD_JOINTS, neck_chain
+from vergence.gaze.commands import HEAD_JOINTS
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.state import WIDE, GazeSettings, GazeState, initial_gaze_state
-from vergence.geometry.head import HeadCalibration, T_body_base
-from vergence.geometry.se3 import transform
-from vergence.stereo.triangulation import triangulate_at
+from vergence.geometry.head import HeadCalibration
+from vergence.stereo.triangulation import in_body, triangulate_at
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
-from vergence.twin.simulated_robot import (
-    FRAME_S,
-    SimulatedHead,
-    foveal_errors,
-    in_both_foveas,
-)
+from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors, in_both_foveas
 from vergence.vision.sphere import find_sphere
 
 SPEED_M_S = 0.3
@@ -74,11 +69,7 @@ def smooth_path(seed: int, seconds: float) -> Callable[[float], Array]:
     """Return a smooth random path: the position (3,) [m] in frame head as a function of time [s].
 
     Depth and direction are sums of three slow waves, and time is scaled so that the greatest speed
-    is SPEED_M_S.
-
-    Args:
-        seed: of the path.
-        seconds: length of the run.
+    is SPEED_M_S over a run of this length.
     """
     rng = np.random.default_rng([seed, 6])
     frequency, phase = rng.uniform(0.4, 1.6, (3, 3)), rng.uniform(0, 2 * np.pi, (3, 3))
@@ -133,46 +124,40 @@ def follow(
             return None
         return path_head(time_s)
 
-    head = SimulatedHead(
-        twin, run, path, limits=settings.limits, all_cameras_every=ALL_CAMERAS_EVERY
-    )
-    times: list[float] = []
-    inside: list[bool] = []
-    distances: list[Array] = []
-    fused: list[float] = []
-    single: list[float] = []
-    wide: list[float] = []
+    head = SimulatedHead(twin, run, path, all_cameras_every=ALL_CAMERAS_EVERY)
+    rows: list[tuple[float, ...]] = []
 
     def keep(state: GazeState, frame: Frame | None) -> None:
         watch(state, frame)
         if frame is None or frame.time_s < ACQUIRE_S or path(frame.time_s) is None:
             return
-        times.append(frame.time_s)
-        inside.append(in_both_foveas(twin))
-        distances.append(foveal_errors(twin, settings.calibration))
         where = twin.true_object()
+        fused = single = wide = np.nan  # squared errors
         if state.measured is not None and state.track is not None:
-            neck = neck_chain(settings.calibration, frame.neck_angles)
-            truth = transform(T_body_base(settings.calibration, "left", neck), where)
-            fused.append(float(np.sum((state.track.position - truth) ** 2)))
-            single.append(float(np.sum((state.measured - truth) ** 2)))
+            truth = in_body(settings.calibration, where, frame.neck_angles)
+            fused = np.sum((state.track.position - truth) ** 2)
+            single = np.sum((state.measured - truth) ** 2)
         if all(name in frame.images for name in WIDE):
-            wide.append(float(np.sum((by_wide_images(settings.calibration, frame) - where) ** 2)))
+            wide = np.sum((by_wide_images(settings.calibration, frame) - where) ** 2)
+        distances = foveal_errors(twin, settings.calibration)
+        rows.append((frame.time_s, in_both_foveas(twin), *distances, fused, single, wide))
 
     state = initial_gaze_state(settings, np.zeros(len(HEAD_JOINTS)), head.now_s())
     run_gaze(head, settings, state, seconds - FRAME_S, watch=keep)
-    time, seen = np.array(times), np.array(inside)
+    table = np.array(rows, float).reshape(-1, 7)
+    time, seen = table[:, 0], table[:, 1] == 1
+    fused, single, wide = (column[np.isfinite(column)] for column in table[:, 4:].T)
+    if not seen.any() or not len(fused):
+        return Summary(seconds, len(time), 0.0, np.inf, np.inf, np.inf, np.inf, False)
     back = seen[(time >= ends) & (time < ends + 1.0)]
-    if not seen.any() or not fused:
-        return Summary(seconds, len(times), 0.0, np.inf, np.inf, np.inf, np.inf, False)
     return Summary(
         seconds=seconds,
-        frames=len(times),
+        frames=len(time),
         in_both=float(seen.mean()),
-        rms_px=float(np.sqrt((np.array(distances)[seen] ** 2).mean())),
-        position_rms_m=float(np.sqrt(np.mean(fused))),
-        single_frame_rms_m=float(np.sqrt(np.mean(single))),
-        wide_rms_m=float(np.sqrt(np.nanmean(wide))),
+        rms_px=float(np.sqrt((table[seen, 2:4] ** 2).mean())),
+        position_rms_m=float(np.sqrt(fused.mean())),
+        single_frame_rms_m=float(np.sqrt(single.mean())),
+        wide_rms_m=float(np.sqrt(wide.mean())),
         found_again=hidden_s is None or bool(back.any()),
     )
 
@@ -180,11 +165,7 @@ def follow(
 def by_wide_images(calibration: HeadCalibration, frame: Frame) -> Array:
     """Return the object (3,) [m] in the left eye's base frame, by stereo from the wide images.
 
-    NaN where one of them does not show it.
-
-    Args:
-        calibration: of the head.
-        frame: one that has both wide images.
+    NaN where one of the two images does not show it; the frame must have both.
     """
     left, right = (
         find_sphere(frame.images[name], calibration.camera(name).intrinsics)[None] for name in WIDE
@@ -217,14 +198,16 @@ def track(
     """
     if not SHORTEST_S <= seconds <= LONGEST_S:
         raise VergenceError(f"A run takes {SHORTEST_S:.0f} to {LONGEST_S:.0f} s, found {seconds}.")
-    opened = calibrated_twin("track", profile, seed, out, reach_m=DEPTH_M[1])
-    with opened as (twin, settings, record, report):
+    with (
+        calibrated_twin(profile, seed) as (twin, settings),
+        recorded(out, "track", twin, settings, seed=seed, reach_m=DEPTH_M[1]) as (record, report),
+    ):
         hidden_s = float(np.random.default_rng([seed, 7]).uniform(0.3, 0.6)) * seconds
         path = smooth_path(seed, seconds)
 
         def both(state: GazeState, frame: Frame | None) -> None:
             watch(state, frame)
-            record(state, frame)
+            record(state, frame, {}, None)
 
         found = follow(twin, settings, 1, path, seconds, hidden_s=hidden_s, watch=both)
         report += as_markdown(found, hidden_s)

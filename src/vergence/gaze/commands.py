@@ -18,26 +18,13 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Dataset, Frame
-from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS
 
 HEAD_JOINTS = (*NECK_JOINTS, *EYE_JOINTS)
 NECK, EYES_4 = slice(0, len(NECK_JOINTS)), slice(len(NECK_JOINTS), len(HEAD_JOINTS))
 """Columns of the neck and of both eyes in a posture (..., 7)."""
-
-
-def neck_chain(calibration: HeadCalibration, posture: Array) -> Array:
-    """Return the neck angles (..., n) [rad] of the calibrated kinematic chain, n = 0 without one.
-
-    Args:
-        calibration: of the head.
-        posture: (..., 3) neck angles or (..., 7) angles of all joints [rad].
-    """
-    return posture[..., : len(calibration.neck.axes)]
-
-
-def _degrees(*ranges: tuple[float, float]) -> Array:
-    return np.radians(np.array(ranges))
+HOLD_S = 0.1
+"""Time after which a moving goal stops if no further command arrives: extrapolation degrades."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +32,8 @@ class JointLimits:
     """Ranges and speeds of the joints; the default is the head of this project's model."""
 
     range_rad: Array = field(
-        default_factory=lambda: _degrees(
-            (-30, 40), (-30, 30), (-50, 50), (-35, 35), (-30, 30), (-35, 35), (-30, 30)
+        default_factory=lambda: np.radians(
+            [(-30, 40), (-30, 30), (-50, 50), (-35, 35), (-30, 30), (-35, 35), (-30, 30)]
         )
     )
     """(7, 2) lower and upper end of each joint's range."""
@@ -74,25 +61,21 @@ class HeadCommand:
     rate: Array
     """(7,) velocity of the goal from then on [rad/s]."""
     limits: JointLimits
-    hold_s: float = 0.1
-    """Time after which the goal stops if no further command arrives: extrapolation degrades."""
 
 
 def setpoint(command: HeadCommand, time_s: float) -> Array:
     """Return the set points (7,) [rad] of a command at a time, within ranges and speeds."""
     elapsed = max(time_s - command.time_s, 0.0)
-    goal = command.goal + command.rate * min(elapsed, command.hold_s)
+    goal = command.goal + command.rate * min(elapsed, HOLD_S)
     reach = command.limits.speed_rad_s * elapsed
     wanted = command.start + np.clip(goal - command.start, -reach, reach)
     return np.clip(wanted, *command.limits.setpoint_range_rad.T)
 
 
 def commanded(commands: Sequence[HeadCommand], time_s: float) -> Array:
-    """Return the set points (7,) [rad] that were in force at a time.
+    """Return the set points (7,) [rad] that were in force at a time, by commands in time order.
 
-    Args:
-        commands: in the order of their times; the first also holds for all times before it.
-        time_s: the time.
+    The first command also holds for all times before it.
     """
     valid = [command for command in commands if command.time_s <= time_s]
     return setpoint(valid[-1] if valid else commands[0], time_s)

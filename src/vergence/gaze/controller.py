@@ -14,8 +14,9 @@ reflex.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -29,22 +30,23 @@ from vergence.gaze.commands import (
     HeadDriver,
     commanded,
     hold,
-    neck_chain,
     setpoint,
 )
 from vergence.gaze.foveation import eye_angles_to, gaze_angles
 from vergence.gaze.kalman import Track
 from vergence.gaze.observation import (
+    Rays,
     aim_by_one_eye,
     best_camera,
     detect_object,
+    is_central,
     measure,
     posture_at_image,
     rays_to,
 )
 from vergence.gaze.state import NARROW, WIDE, GazePhase, GazeSettings, GazeState
 from vergence.geometry.head import T_body_base
-from vergence.geometry.kinematics import EYE_COLUMNS, EYES, Side
+from vergence.geometry.kinematics import EYE_COLUMNS, EYES
 from vergence.geometry.se3 import inverse, transform
 
 _RATE_STEP_S = 1e-3
@@ -64,14 +66,9 @@ def run_gaze(
     *,
     watch: Callable[[GazeState, Frame | None], None] = lambda state, frame: None,
 ) -> GazeState:
-    """Run the control loop on a head and return its last state.
+    """Run the control loop until a time of the head's clock, and return its last state.
 
-    Args:
-        head: driver of the head.
-        settings: of the controller.
-        state: from which to continue.
-        until_s: time of the head's clock at which to stop.
-        watch: called with every state and the frame that led to it.
+    `watch` is called with every state and the frame that led to it.
     """
     while head.now_s() < until_s:
         frame = head.read(state.cameras)
@@ -87,7 +84,7 @@ def step_gaze(
     """Return the next state: detect, estimate, decide, command.
 
     Args:
-        settings: of the controller.
+        settings: of the head and its controller.
         state: the present one.
         frame: the latest; None, a repeated frame or an older one counts as no new frame.
         now_s: time from which the command can take effect, not before the frame's time stamp.
@@ -103,35 +100,22 @@ def step_gaze(
         return _without_detection(settings, state, now_s)
     state = measure(settings, state, frame, posture)
     state = replace(aim_by_one_eye(settings, state, posture, rays), seen_s=frame.time_s)
-    return _follow(settings, state, frame.time_s, posture, rays, now_s)
+    return _follow(settings, state, posture, rays, now_s)
 
 
 def _in_left_base(settings: GazeSettings, points_body: Array, neck: Array) -> Array:
     """Map points (..., 3) [m] from frame body into the left eye's base at neck angles (..., 3)."""
-    calibration = settings.calibration
-    T_body_lbase = T_body_base(calibration, "left", neck_chain(calibration, neck))
-    return transform(inverse(T_body_lbase), points_body)
+    return transform(inverse(T_body_base(settings.calibration, "left", neck)), points_body)
 
 
 def _follow(
-    settings: GazeSettings,
-    state: GazeState,
-    image_s: float,
-    posture: Array,
-    rays: Mapping[Side, tuple[Array, Array]],
-    now_s: float,
+    settings: GazeSettings, state: GazeState, posture: Array, rays: Rays, now_s: float
 ) -> GazeState:
     """Return the state with the command that brings the object onto both foveas and keeps it.
 
-    Args:
-        settings: of the controller.
-        state: with the aim at the time of the image.
-        image_s: time of the image.
-        posture: (7,) [rad] at the image.
-        rays: by eye, from `rays_to`; at least one.
-        now_s: time from which the command takes effect.
+    The aim, the posture (7,) [rad] and at least one ray are those at the time of the image.
     """
-    calibration, aim = settings.calibration, state.aim
+    calibration, aim, image_s = settings.calibration, state.aim, state.frame_s
     assert aim is not None  # `aim_by_one_eye` sets it wherever an eye sees the object
     start_now = setpoint(state.command, now_s)
     neck_then = posture[NECK]
@@ -148,51 +132,40 @@ def _follow(
     aim_lbase = points_lbase[0]
     aim_base = {"left": aim_lbase, "right": transform(calibration.T_rbase_lbase, aim_lbase)}
     for eye, (centre, ray) in rays.items():
-        away = aim_base[eye] - centre
-        along = np.linalg.norm(away) / np.linalg.norm(ray)
+        along = np.linalg.norm(aim_base[eye] - centre) / np.linalg.norm(ray)
         seen = eye_angles_to(calibration, eye, centre + along * ray)
         goal[EYE_COLUMNS[eye]] = seen + (now - then)[EYE_COLUMNS[eye]]
-    return _send(settings, state, goal, rate, now_s)
+    return _move_eyes(settings, state, goal, rate, now_s)
 
 
 def _turn_neck(settings: GazeSettings, state: GazeState, eyes: Array, now_s: float) -> GazeState:
     """Return the state with the neck's velocity, which brings the eyes back towards their middle.
 
-    Args:
-        settings: of the controller.
-        state: the present one.
-        eyes: (4,) angles of the eyes to the object [rad].
-        now_s: the time.
+    The angles of the eyes to the object are (4,) [rad].
     """
     if not settings.use_neck or not np.isfinite(eyes).all():
         return state
     away = np.array([eyes[[1, 3]].mean(), 0.0, eyes[[0, 2]].mean()])  # pitch, roll, yaw
     begins, ends = settings.comfort_rad
-    turning = np.abs(away).max() > (ends if state.neck_turning else begins)
-    wanted = np.zeros(3)
-    if turning:
-        top = settings.neck_speed_rad_s
-        wanted = np.clip(settings.neck_gain_hz * away, -top, top)
+    turning = bool(np.abs(away).max() > (ends if state.neck_turning else begins))
+    top = settings.neck_speed_rad_s
+    wanted = np.clip(settings.neck_gain_hz * away, -top, top) if turning else np.zeros(3)
     change = settings.neck_acceleration_rad_s2 * min(now_s - state.command.time_s, 0.1)
     rate = state.neck_rate + np.clip(wanted - state.neck_rate, -change, change)
     at = setpoint(state.command, now_s)[NECK]
     lower, upper = settings.limits.setpoint_range_rad[NECK].T
     blocked = np.isin(HEAD_JOINTS[NECK], state.stuck)
     blocked |= ((at >= upper) & (rate > 0)) | ((at <= lower) & (rate < 0))
-    return replace(state, neck_turning=bool(turning), neck_rate=np.where(blocked, 0.0, rate))
+    return replace(state, neck_turning=turning, neck_rate=np.where(blocked, 0.0, rate))
 
 
-def _send(
+def _move_eyes(
     settings: GazeSettings, state: GazeState, goal: Array, rate: Array, now_s: float
 ) -> GazeState:
     """Return the state with the command for eyes and neck, and the phase that it implies.
 
-    Args:
-        settings: of the controller.
-        state: the present one, with the neck's velocity.
-        goal: (4,) target angles of the eyes now [rad]; NaN: stay.
-        rate: (4,) their velocity [rad/s]; NaN: zero.
-        now_s: the time.
+    The eyes' target angles (4,) [rad] are those of now, NaN: stay; their velocity (4,) is in rad/s,
+    NaN: zero. The neck's velocity is that of the state.
     """
     at = setpoint(state.command, now_s)
     goal = np.where(np.isfinite(goal), goal, at[EYES_4])
@@ -216,15 +189,24 @@ def _send(
         np.concatenate([state.neck_rate, rate]),
         settings.limits,
     )
-    central = foveal and phase is not GazePhase.SACCADE and _is_central(settings, state)
-    return replace(
+    cameras = settings.calibration.cameras
+    central = phase is not GazePhase.SACCADE and all(
+        is_central(cameras[name].intrinsics, state.pixels[name], settings.central_share)
+        for name in NARROW
+    )
+    return _send(
         state,
+        command,
         phase=phase,
         since_s=state.since_s if phase is state.phase else now_s,
-        commands=(*state.commands[-_KEPT:], command),
         landing_s=landing,
         cameras=NARROW if central else (*WIDE, *NARROW),
     )
+
+
+def _send(state: GazeState, command: HeadCommand, **changes: Any) -> GazeState:
+    """Return the state with a new command in force, and with other changed fields."""
+    return replace(state, commands=(*state.commands[-_KEPT:], command), **changes)
 
 
 def _is_moving(settings: GazeSettings, track: Track) -> bool:
@@ -234,17 +216,6 @@ def _is_moving(settings: GazeSettings, track: Track) -> bool:
     return bool(across > settings.moving_rad_s * distance)
 
 
-def _is_central(settings: GazeSettings, state: GazeState) -> bool:
-    """Return whether both narrow images show the object in their central part."""
-    for name in NARROW:
-        camera = settings.calibration.camera(name).intrinsics
-        size = np.array([camera.width, camera.height])
-        off = np.abs(2 * state.pixels[name] + 1 - size) / size
-        if not (off < settings.central_share).all():
-            return False
-    return True
-
-
 def _without_detection(settings: GazeSettings, state: GazeState, now_s: float) -> GazeState:
     """Return the next state without a new frame that shows the object: wait, then search."""
     state = replace(state, cameras=(*WIDE, *NARROW))
@@ -252,12 +223,12 @@ def _without_detection(settings: GazeSettings, state: GazeState, now_s: float) -
         if now_s - max(state.seen_s, state.landing_s) < settings.lost_s:
             return state  # the command in force continues, and stops after its hold time
         still = hold(setpoint(state.command, now_s), settings.limits, now_s)
-        return replace(
+        return _send(
             state,
+            still,
             phase=GazePhase.LOST,
             searched=0,
             since_s=now_s,
-            commands=(*state.commands[-_KEPT:], still),
             track=None,
             aim=None,
             measured=None,
@@ -272,9 +243,4 @@ def _without_detection(settings: GazeSettings, state: GazeState, now_s: float) -
     at = setpoint(state.command, now_s)
     command = HeadCommand(now_s, at, goal, np.zeros(len(HEAD_JOINTS)), settings.limits)
     landing = now_s + (np.abs(goal - at) / settings.limits.speed_rad_s).max() + settings.settle_s
-    return replace(
-        state,
-        commands=(*state.commands[-_KEPT:], command),
-        landing_s=landing,
-        searched=state.searched + 1,
-    )
+    return _send(state, command, landing_s=landing, searched=state.searched + 1)

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.geometry.camera import normalise, project, project_jacobians
+from vergence.geometry.camera import normalise, project
 from vergence.geometry.head import HeadCalibration, T_narrow_wide
 from vergence.geometry.kinematics import EYES, Side, chain_linearised, eye_chain
 from vergence.geometry.se3 import cross, inverse, transform
@@ -29,11 +29,9 @@ _CONVERGED = 1e-8  # of x/z and y/z: the next step of Newton's method squares it
 
 
 def wide_from_narrow(T_narrow_wide: Array, points_narrow: Array) -> Array:
-    """Eq. 13: map points (..., 3) from the narrow camera's frame into the wide one's.
+    """Eq. 13: map points (..., 3) [m] from the narrow camera's frame into the wide one's.
 
-    Args:
-        T_narrow_wide: (4, 4) pose of the wide camera in the narrow one: R_fp and t_fp.
-        points_narrow: (..., 3) [m] in the narrow camera's frame.
+    T_narrow_wide (4, 4) is the pose of the wide camera in the narrow one: R_fp and t_fp.
     """
     R_fp, t_fp = T_narrow_wide[:3, :3], T_narrow_wide[:3, 3]
     return (points_narrow - t_fp) @ R_fp  # rows: R_fp^T (y_f - t_fp)
@@ -42,12 +40,7 @@ def wide_from_narrow(T_narrow_wide: Array, points_narrow: Array) -> Array:
 def project_both(
     calibration: HeadCalibration, eye: Side, points_narrow: Array
 ) -> tuple[Array, Array]:
-    """Eqs. 14-17: project points into both cameras of an eye.
-
-    Args:
-        calibration: of the head.
-        eye: which eye.
-        points_narrow: (..., 3) [m] in the narrow camera's frame.
+    """Eqs. 14-17: project points (..., 3) [m] of the narrow camera's frame into both cameras.
 
     Returns:
         Pixels (..., 2) in the narrow image (Eqs. 14-15) and in the wide one (Eqs. 16-17); NaN
@@ -60,60 +53,26 @@ def project_both(
     )
 
 
-def _towards(calibration: HeadCalibration, eye: Side, depth_m: ArrayLike) -> tuple[Array, Array]:
-    """Return points of the narrow camera's axis in frame wide, divided by their depth.
+def ideal_wide_pixel(calibration: HeadCalibration, eye: Side, depth_m: ArrayLike) -> Array:
+    """Eqs. 18-19: return the wide pixels (..., 2) of points on the narrow camera's axis.
 
-    A point of the axis is z e_3 in the narrow camera and z r - R_fp^T t_fp in the wide one, with r
-    the third column of R_fp^T. Division by z leaves its projection unchanged and admits 1 / z = 0.
-
-    Returns:
-        Points / depth (..., 3), and their derivative by the inverse depth (3,) [m].
+    A point at such a wide pixel falls on the principal point of the narrow image. The pixels do
+    not depend on the narrow camera's intrinsic parameters. The depths (...) [m] are along the
+    narrow camera's axis; infinity gives the limit.
 
     Raises:
-        VergenceError: a depth is not above 0.
+        VergenceError: a depth is not above 0, or the eye does not have both cameras.
     """
     depth = np.asarray(depth_m, dtype=float)
     if not (depth > 0).all():
         raise VergenceError(
             f"A depth must be above 0 m, infinity included; found {np.min(depth):g} m or NaN."
         )
+    # A point of the axis is z e_3 in the narrow camera and z r - R_fp^T t_fp in the wide one, with
+    # r the third column of R_fp^T. Division by z leaves its projection and admits 1 / z = 0.
     T_wide_narrow = inverse(T_narrow_wide(calibration, eye))
-    axis, centre = T_wide_narrow[:3, 2], T_wide_narrow[:3, 3]
-    return axis + centre / depth[..., None], centre
-
-
-def ideal_wide_pixel(calibration: HeadCalibration, eye: Side, depth_m: ArrayLike) -> Array:
-    """Eqs. 18-19: return the wide pixels (..., 2) of points on the narrow camera's axis.
-
-    A point at such a wide pixel falls on the principal point of the narrow image. The pixels do
-    not depend on the narrow camera's intrinsic parameters.
-
-    Args:
-        calibration: of the head.
-        eye: which eye.
-        depth_m: (...) along the narrow camera's axis; infinity gives the limit.
-
-    Raises:
-        VergenceError: a depth is not above 0, or the eye does not have both cameras.
-    """
-    points, _ = _towards(calibration, eye, depth_m)
+    points = T_wide_narrow[:3, 2] + T_wide_narrow[:3, 3] / depth[..., None]
     return project(calibration.camera(f"{eye}_wide").intrinsics, points)
-
-
-def ideal_wide_slope(calibration: HeadCalibration, eye: Side, depth_m: ArrayLike) -> Array:
-    """Return d ideal_wide_pixel / d depth (..., 2) [px/m]; it falls as 1 / depth^2.
-
-    Args:
-        calibration: of the head.
-        eye: which eye.
-        depth_m: (...) along the narrow camera's axis; infinity gives zero.
-
-    Raises:
-        VergenceError: a depth is not above 0, or the eye does not have both cameras.
-    """
-    points, centre = _towards(calibration, eye, depth_m)
-    _, J, _ = project_jacobians(calibration.camera(f"{eye}_wide").intrinsics, points)
-    return -(J @ centre) / np.asarray(depth_m, dtype=float)[..., None] ** 2
 
 
 def foveal_miss(
@@ -147,13 +106,8 @@ def eye_angles_to(
     """Return the pan and tilt (..., 2) [rad] that centre points in a camera of one eye.
 
     Newton's method on both axes at once, to machine precision, with the eye's imperfections and
-    with the camera off its rotation centre.
-
-    Args:
-        calibration: of the head.
-        eye: which eye.
-        points_base: (..., 3) [m] in the eye's base frame.
-        lens: of the camera in which the points are centred on the principal point.
+    with the camera off its rotation centre. The points (..., 3) [m] are in the eye's base frame,
+    and are centred on the principal point.
 
     Returns:
         Joint readings, not limited to the joints' ranges; NaN for a point that no posture
@@ -202,13 +156,9 @@ def gaze_angles(
 ) -> Array:
     """Return the angles (..., 4) [rad] that centre points in both eyes: version and vergence.
 
-    Args:
-        calibration: of the head.
-        points_lbase: (..., 3) [m] in the left eye's base frame.
-        lens: of the cameras in which the points are centred on the principal points.
-
-    Returns:
-        Joint readings in the order of kinematics.EYE_JOINTS; NaN as in `eye_angles_to`.
+    The points (..., 3) [m] are in the left eye's base frame, and are centred on the principal
+    points. The angles are joint readings in the order of kinematics.EYE_JOINTS, NaN for points
+    that no posture centres.
     """
     points = {"left": points_lbase, "right": transform(calibration.T_rbase_lbase, points_lbase)}
     both = [eye_angles_to(calibration, eye, points[eye], lens=lens) for eye in EYES]

@@ -20,7 +20,8 @@ import numpy as np
 
 from vergence.arrays import Array
 
-_SAME_AXIS = np.tile(np.eye(3), (3, 3))  # x, y and z move independently, by the same model
+GATE_CHI2 = 60.0
+"""Normalised innovation squared from which a measurement begins a new track; its mean is 3."""
 _MEMORY = 90
 """Measurements over which the innovation ratio is averaged: three seconds at 30 Hz."""
 _PRIOR_COUNT = 5.0
@@ -64,14 +65,7 @@ class Track:
 
 
 def begin(time_s: float, point: Array, covariance: Array, motion: MotionModel) -> Track:
-    """Return a track from its first measurement.
-
-    Args:
-        time_s: time of the measurement.
-        point: (3,) [m].
-        covariance: (3, 3) of the point [m^2].
-        motion: prior of velocity and acceleration.
-    """
+    """Return a track from its first measurement, (3,) [m] with covariance (3, 3) [m^2]."""
     prior = [0.0, motion.speed_std_m_s**2, motion.acceleration_std_m_s2**2]
     P = np.diag(np.repeat(prior, 3))
     P[:3, :3] = covariance
@@ -79,13 +73,7 @@ def begin(time_s: float, point: Array, covariance: Array, motion: MotionModel) -
 
 
 def predict(track: Track, time_s: float, *, jerk_density: float) -> Track:
-    """Return the track at a later time.
-
-    Args:
-        track: at an earlier time.
-        time_s: not before the time of the track.
-        jerk_density: spectral density of the jerk [m^2/s^5].
-    """
+    """Return the track at a later time, for a jerk of this spectral density [m^2/s^5]."""
     dt = time_s - track.time_s
     motion = np.array([[1, dt, dt**2 / 2], [0, 1, dt], [0, 0, 1]])
     growth = jerk_density * np.array(
@@ -95,30 +83,22 @@ def predict(track: Track, time_s: float, *, jerk_density: float) -> Track:
             [dt**3 / 6, dt**2 / 2, dt],
         ]
     )
-    F, Q = (M.repeat(3, axis=0).repeat(3, axis=1) * _SAME_AXIS for M in (motion, growth))
+    F, Q = (np.kron(M, np.eye(3)) for M in (motion, growth))  # x, y and z move independently
     return Track(time_s, F @ track.mean, F @ track.covariance @ F.T + Q)
 
 
 def nis(track: Track, point: Array, covariance: Array) -> float:
-    """Return the normalised innovation squared of a measurement; chi-squared, 3 in the mean.
+    """Return the normalised innovation squared of a measurement at the track's time.
 
-    Args:
-        track: at the time of the measurement.
-        point: (3,) [m].
-        covariance: (3, 3) of the point [m^2].
+    The measurement is (3,) [m] with covariance (3, 3) [m^2]. The result is distributed as
+    chi-squared, with a mean of 3.
     """
     innovation = point - track.position
     return float(innovation @ np.linalg.solve(track.covariance[:3, :3] + covariance, innovation))
 
 
 def update(track: Track, point: Array, covariance: Array) -> Track:
-    """Return the track after a measurement at the track's time.
-
-    Args:
-        track: at the time of the measurement.
-        point: (3,) [m].
-        covariance: (3, 3) of the point [m^2].
-    """
+    """Return the track after a measurement (3,) [m], covariance (3, 3) [m^2], at its time."""
     P = track.covariance
     gain = np.linalg.solve(P[:3, :3] + covariance, P[:3]).T  # P H^T S^-1, with S symmetric
     keep = np.eye(9)
@@ -135,7 +115,7 @@ def fuse(
     covariance: Array,
     *,
     motion: MotionModel,
-    gate_chi2: float,
+    gate_chi2: float = GATE_CHI2,
     innovation_ratio: float = 1.0,
 ) -> Track:
     """Return the track after a measurement; a new one where the measurement fails the gate.
@@ -144,7 +124,7 @@ def fuse(
         track: at an earlier time; None: there is none yet.
         time_s: time of the measurement.
         point: (3,) [m].
-        covariance: (3, 3) of the point [m^2], of its total error: the gate uses it as it is.
+        covariance: (3, 3) [m^2], of its total error: the gate uses it as it is.
         motion: of the point.
         gate_chi2: greatest normalised innovation squared of a measurement of this track.
         innovation_ratio: share of the covariance by which the measurement is weighed.
@@ -176,17 +156,10 @@ class InnovationRatio:
 def update_ratio(
     ratio: InnovationRatio, time_s: float, point: Array, covariance: Array
 ) -> InnovationRatio:
-    """Return the innovation ratio after a measurement.
-
-    Args:
-        ratio: before the measurement.
-        time_s: time of the measurement, later than those before it.
-        point: (3,) [m].
-        covariance: (3, 3) that is stated for the point [m^2].
-    """
+    """Return the innovation ratio after a later measurement (3,) [m], covariance (3, 3) [m^2]."""
     recent = (*ratio.recent, (time_s, point))[-3:]
     if len(ratio.recent) < 3 or time_s - ratio.recent[0][0] > _PARABOLA_S:
-        return InnovationRatio(recent, ratio.total, ratio.count)
+        return replace(ratio, recent=recent)
     times = np.array([time for time, _ in ratio.recent])
     apart = times[:, None] - times + np.eye(3)  # the diagonal must not be zero
     ahead = np.tile(time_s - times, (3, 1)) * (1 - np.eye(3)) + np.eye(3)

@@ -9,15 +9,19 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.gaze.commands import EYES_4, HEAD_JOINTS, NECK, commanded, neck_chain
-from vergence.gaze.kalman import Track, begin, fuse, predict, update_ratio
+from vergence.gaze.commands import EYES_4, HEAD_JOINTS, NECK, commanded
+from vergence.gaze.kalman import InnovationRatio, Track, begin, fuse, predict, update_ratio
 from vergence.gaze.state import NARROW, WIDE, GazeSettings, GazeState
-from vergence.geometry.camera import normalise
+from vergence.geometry.camera import Camera, normalise
 from vergence.geometry.head import T_base_cam, T_body_base
 from vergence.geometry.kinematics import EYE_COLUMNS, EYES, Side
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.uncertainty import locate_with_covariance
 from vergence.vision.sphere import find_sphere
+
+Rays = Mapping[Side, tuple[Array, Array]]
+"""By eye that sees the object: origin (3,) [m] and direction (3,) of the ray to it, in the eye's
+base frame."""
 
 
 def detect_object(settings: GazeSettings, state: GazeState, frame: Frame) -> GazeState:
@@ -25,11 +29,6 @@ def detect_object(settings: GazeSettings, state: GazeState, frame: Frame) -> Gaz
 
     Only requested images are searched, and an eye's wide image only where its narrow one does not
     show the object.
-
-    Args:
-        settings: of the controller.
-        state: before the frame.
-        frame: the frame.
     """
     pixels: dict[str, Array] = {}
     for name in (*NARROW, *WIDE):
@@ -70,40 +69,31 @@ def posture_at_image(state: GazeState, frame: Frame) -> Array:
     that is closed by the image. The heavy neck lags behind its set points: for the neck, and for
     joints that are stuck, the reading is the better one.
     """
-    read = _readings_at_image(state, frame)
-    sent = commanded(state.commands, frame.time_s)
     use_reading = np.isin(HEAD_JOINTS, state.stuck)
     use_reading[NECK] = True
-    return np.where(use_reading, read, sent)
+    sent = commanded(state.commands, frame.time_s)
+    return np.where(use_reading, _readings_at_image(state, frame), sent)
 
 
 def best_camera(pixels: Mapping[str, Array], eye: Side) -> str | None:
     """Return the camera of an eye that shows the object best; None where neither shows it.
 
-    Args:
-        pixels: (2,) by camera, NaN where the object was not found.
-        eye: which eye.
+    The object's pixels (2,) are given by camera, NaN where it was not found.
     """
-    for lens in ("narrow", "wide"):
-        pixel = pixels.get(f"{eye}_{lens}")
-        if pixel is not None and np.isfinite(pixel).all():
-            return f"{eye}_{lens}"
+    for name in (f"{eye}_narrow", f"{eye}_wide"):
+        if np.isfinite(pixels.get(name, np.nan)).all():
+            return name
     return None
 
 
-def rays_to(
-    settings: GazeSettings, state: GazeState, posture: Array
-) -> dict[Side, tuple[Array, Array]]:
-    """Return the ray to the object for each eye that sees it.
+def is_central(camera: Camera, pixel: Array, share: float) -> bool:
+    """Return whether a pixel (2,) is in an image's central part: a share of width and height."""
+    size = np.array([camera.width, camera.height])
+    return bool((np.abs(2 * pixel + 1 - size) / size < share).all())
 
-    Args:
-        settings: of the controller.
-        state: with the pixels of a frame.
-        posture: (7,) [rad] at the frame.
 
-    Returns:
-        By eye the origin (3,) [m] and the direction (3,) of the ray, in the eye's base frame.
-    """
+def rays_to(settings: GazeSettings, state: GazeState, posture: Array) -> Rays:
+    """Return the ray to the object for each eye that sees it, at a posture (7,) [rad]."""
     rays: dict[Side, tuple[Array, Array]] = {}
     for eye in EYES:
         name = best_camera(state.pixels, eye)
@@ -118,36 +108,27 @@ def rays_to(
 def measure(settings: GazeSettings, state: GazeState, frame: Frame, posture: Array) -> GazeState:
     """Return the state with both tracks at a frame: `track` by readings, `aim` by commands.
 
-    Args:
-        settings: of the controller.
-        state: with the pixels of the frame.
-        frame: the frame.
-        posture: (7,) [rad] by commands, from `posture_at_image`.
+    The posture (7,) [rad] by commands is from `posture_at_image`.
     """
+    motion, time_s = settings.motion, frame.time_s
     found = _locate(settings, state, np.stack([_readings_at_image(state, frame), posture]))
     if found is None:
-        return replace(
-            state,
-            track=_predicted(settings, state.track, frame.time_s),
-            aim=_predicted(settings, state.aim, frame.time_s),
+        track, aim = (
+            None if before is None else predict(before, time_s, jerk_density=motion.jerk_density)
+            for before in (state.track, state.aim)
         )
+        return replace(state, track=track, aim=aim)
+
+    def fused(
+        before: Track | None, ratio: InnovationRatio, point: Array, covariance: Array
+    ) -> tuple[Track, InnovationRatio]:
+        ratio = update_ratio(ratio, time_s, point, covariance)
+        track = fuse(before, time_s, point, covariance, motion=motion, innovation_ratio=ratio.value)
+        return track, ratio
+
     by_readings, by_commands = found
-    ratio = update_ratio(state.innovation_ratio, frame.time_s, *by_readings)
-    aim_ratio = update_ratio(state.aim_innovation_ratio, frame.time_s, *by_commands)
-    track, aim = (
-        fuse(
-            before,
-            frame.time_s,
-            *measurement,
-            motion=settings.motion,
-            gate_chi2=settings.gate_chi2,
-            innovation_ratio=ratio_now.value,
-        )
-        for before, measurement, ratio_now in (
-            (state.track, by_readings, ratio),
-            (state.aim, by_commands, aim_ratio),
-        )
-    )
+    track, ratio = fused(state.track, state.innovation_ratio, *by_readings)
+    aim, aim_ratio = fused(state.aim, state.aim_innovation_ratio, *by_commands)
     return replace(
         state,
         measured=by_readings[0],
@@ -159,26 +140,17 @@ def measure(settings: GazeSettings, state: GazeState, frame: Frame, posture: Arr
 
 
 def aim_by_one_eye(
-    settings: GazeSettings,
-    state: GazeState,
-    posture: Array,
-    rays: Mapping[Side, tuple[Array, Array]],
+    settings: GazeSettings, state: GazeState, posture: Array, rays: Rays
 ) -> GazeState:
     """Return the state with an aim at an assumed depth, where only one eye sees the object.
 
     An aim that lies near that eye's ray is kept, because its depth is known better. Once both
     eyes see the object, the measurement replaces the assumption.
-
-    Args:
-        settings: of the controller.
-        state: after `measure`.
-        posture: (7,) [rad] at the frame.
-        rays: by eye, from `rays_to`.
     """
     if len(rays) != 1:
         return state
     ((eye, (centre, ray)),) = rays.items()
-    T_body_eye = T_body_base(settings.calibration, eye, neck_chain(settings.calibration, posture))
+    T_body_eye = T_body_base(settings.calibration, eye, posture)
     ray = ray / np.linalg.norm(ray)
     if state.aim is not None:
         away = transform(inverse(T_body_eye), state.aim.position) - centre
@@ -195,22 +167,17 @@ def _locate(
 ) -> list[tuple[Array, Array]] | None:
     """Return the object (3,) [m] and its covariance (3, 3) [m^2] in frame body, by posture.
 
-    None unless both eyes see the object and it can be located.
-
-    Args:
-        settings: of the controller.
-        state: with the pixels of a frame.
-        postures: (2, 7) [rad], the first by readings, the second by commands.
+    The postures (2, 7) [rad] are that by readings and that by commands. None unless both eyes see
+    the object and it can be located.
     """
     left, right = (best_camera(state.pixels, eye) for eye in EYES)
     if left is None or right is None:
         return None
-    pixels_l, pixels_r = (np.tile(state.pixels[name], (2, 1)) for name in (left, right))
     joint_stds = [[settings.joint_std_rad], [settings.command_std_rad]]
     points, covariances = locate_with_covariance(
         settings.calibration,
-        left=pixels_l,
-        right=pixels_r,
+        left=np.tile(state.pixels[left], (2, 1)),
+        right=np.tile(state.pixels[right], (2, 1)),
         joints=postures[:, EYES_4],
         pixel_std_px=settings.pixel_std_px,
         joint_std_rad=np.repeat(joint_stds, 4, axis=1),
@@ -218,14 +185,7 @@ def _locate(
     )
     if not np.isfinite(covariances).all():
         return None
-    T = T_body_base(settings.calibration, "left", neck_chain(settings.calibration, postures))
+    T = T_body_base(settings.calibration, "left", postures)
     R = T[:, :3, :3]
     covariances = R @ covariances @ np.swapaxes(R, 1, 2)
     return list(zip(transform(T, points), covariances, strict=True))
-
-
-def _predicted(settings: GazeSettings, track: Track | None, time_s: float) -> Track | None:
-    """Return a track at a later time, if there is one."""
-    if track is None:
-        return None
-    return predict(track, time_s, jerk_density=settings.motion.jerk_density)

@@ -45,8 +45,6 @@ class GazeSettings:
     """Standard deviation of a joint angle about its set point."""
     motion: MotionModel = field(default_factory=MotionModel)
     """Of the object."""
-    gate_chi2: float = 60.0
-    """Normalised innovation squared from which a measurement begins a new track; its mean is 3."""
     saccade_rad: float = 0.12
     """Error from which a correction is a saccade: half the way to the edge of the fovea."""
     settle_s: float = 0.02

@@ -152,8 +152,13 @@ def T_base_cam(calibration: HeadCalibration, camera: str, angles: Array) -> Arra
 
 
 def T_body_base(calibration: HeadCalibration, eye: Side, neck_angles: Array) -> Array:
-    """Return poses (..., 4, 4) of an eye's base frame in frame body: T_be(neck) of Eq. 12."""
-    return T_body_head(calibration.neck, neck_angles) @ T_head_base(calibration, eye)
+    """Return poses (..., 4, 4) of an eye's base frame in frame body: T_be(neck) of Eq. 12.
+
+    Of the angles [rad] the first n are used, n being the number of the chain's neck joints; those
+    that follow, such as the eyes' in a posture (..., 7), are ignored.
+    """
+    chain_angles = neck_angles[..., : len(calibration.neck.axes)]
+    return T_body_head(calibration.neck, chain_angles) @ T_head_base(calibration, eye)
 
 
 def T_narrow_wide(calibration: HeadCalibration, eye: Side) -> Array:

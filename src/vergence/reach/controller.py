@@ -20,9 +20,9 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.gaze.commands import EYES_4, HeadDriver, neck_chain
+from vergence.gaze.commands import EYES_4, HeadDriver
 from vergence.gaze.controller import step_gaze
-from vergence.gaze.kalman import fuse, predict
+from vergence.gaze.kalman import Track, fuse, predict
 from vergence.gaze.observation import posture_at_image
 from vergence.gaze.state import NARROW, WIDE, GazePhase
 from vergence.geometry.head import T_body_base
@@ -39,6 +39,7 @@ from vergence.reach.state import (
 from vergence.stereo.uncertainty import locate_both
 from vergence.vision.sphere import find_sphere
 
+_CLOSING = (ReachPhase.CLOSE, ReachPhase.HELD)
 _ENGAGED = (ReachPhase.REACH, ReachPhase.UNSEEN, ReachPhase.SERVO)
 _KEPT = 16
 """Readings of the hand that are kept: half a second of them."""
@@ -55,13 +56,8 @@ def run_reach(
 ) -> ReachState:
     """Run the control loop on a head and a hand until an object is held; return the last state.
 
-    Args:
-        head: driver of the head.
-        hand: driver of the hand.
-        settings: of both controllers.
-        state: from which to continue.
-        until_s: time of the head's clock at which to stop at the latest.
-        watch: called with every state and the frame that led to it.
+    The loop ends at a time of the head's clock at the latest. `watch` is called with every state
+    and the frame that led to it.
     """
     while head.now_s() < until_s and state.phase is not ReachPhase.HELD:
         frame = head.read(state.cameras)
@@ -90,14 +86,18 @@ def step_reach(
     """
     before, gaze = state.gaze, step_gaze(settings.gaze, state.gaze, frame, now_s)
     readings = (*state.readings[1 - _KEPT :], reading)
-    state = replace(state, gaze=gaze, readings=readings, marker=None)
+    state = replace(state, gaze=gaze, readings=readings)
     if frame is not None and gaze.frame_s > before.frame_s:
         state = _detect_marker(settings, state, frame)
         if frame.time_s >= before.landing_s:  # the eyes are at their set points
             state = _locate_target(settings, state, frame)
     if now_s - state.together_s > settings.unseen_s:
         state = replace(state, target=None, apart_m=np.inf, inside=False)
-    return _send(settings, _decide(settings, state, now_s), now_s)
+    phase, inside = _decide(settings, state, now_s)
+    since = state.since_s if phase is state.phase else now_s
+    state = replace(state, phase=phase, since_s=since, inside=inside)
+    command = _command(settings, state, now_s)
+    return replace(state, command=command, cameras=_cameras_to_request(state))
 
 
 def _detect_marker(settings: ReachSettings, state: ReachState, frame: Frame) -> ReachState:
@@ -113,29 +113,29 @@ def _detect_marker(settings: ReachSettings, state: ReachState, frame: Frame) -> 
     return replace(state, pixels=found)
 
 
-def _locate_target(settings: ReachSettings, state: ReachState, frame: Frame) -> ReachState:
-    """Return the state with the target at a frame, if a pair of cameras shows object and marker."""
-    for pair in (NARROW, WIDE):
-        if not _shows_marker(state, pair):
-            continue
-        found = [_object_pixel(settings, state, frame, name) for name in pair]
-        if np.isfinite(found).all():
-            return _fuse_target(settings, state, frame, pair, found)
-    return state
-
-
 def _shows_marker(state: ReachState, cameras: tuple[str, str]) -> bool:
-    return all(np.isfinite(state.pixels.get(name, np.array(np.nan))).all() for name in cameras)
+    return all(np.isfinite(state.pixels.get(name, np.nan)).all() for name in cameras)
 
 
 def _cameras_to_request(state: ReachState) -> tuple[str, ...]:
     """Return the cameras whose images are needed next: for the gaze, and to find the hand."""
     if state.phase in (ReachPhase.SEEK, ReachPhase.TRACK):
         return state.gaze.cameras
-    both = set(state.gaze.cameras) | set(NARROW)
+    wanted = (*state.gaze.cameras, *NARROW)
     if not _shows_marker(state, NARROW):
-        both |= set(WIDE)
-    return tuple(name for name in (*WIDE, *NARROW) if name in both)
+        wanted += WIDE
+    return tuple(name for name in (*WIDE, *NARROW) if name in wanted)
+
+
+def _locate_target(settings: ReachSettings, state: ReachState, frame: Frame) -> ReachState:
+    """Return the state with the target at a frame, if a pair of cameras shows object and marker."""
+    for pair in (NARROW, WIDE):
+        if not _shows_marker(state, pair):
+            continue
+        left, right = (_object_pixel(settings, state, frame, name) for name in pair)
+        if np.isfinite([left, right]).all():
+            return _fuse_target(settings, state, frame, pair, (left, right))
+    return state
 
 
 def _object_pixel(settings: ReachSettings, state: ReachState, frame: Frame, camera: str) -> Array:
@@ -154,23 +154,19 @@ def _fuse_target(
     state: ReachState,
     frame: Frame,
     cameras: tuple[str, str],
-    object_px: list[Array],
+    object_px: tuple[Array, Array],
 ) -> ReachState:
-    """Return the state after a measurement of the target.
-
-    Args:
-        settings: of head and hand.
-        state: with the marker's pixels.
-        frame: the frame.
-        cameras: the left and the right camera, which show both object and marker.
-        object_px: (2,) the object's pixel in each of them.
-    """
+    """Return the state after a measurement of the target, by object pixels (2,) in two cameras."""
     calibration = settings.gaze.calibration
     posture = posture_at_image(state.gaze, frame)
+    left, right = (
+        (seen[None], state.pixels[name][None])
+        for seen, name in zip(object_px, cameras, strict=True)
+    )
     objects, markers, covariances = locate_both(
         calibration,
-        left=(object_px[0][None], state.pixels[cameras[0]][None]),
-        right=(object_px[1][None], state.pixels[cameras[1]][None]),
+        left=left,
+        right=right,
         joints=posture[EYES_4],
         pixel_std_px=settings.gaze.pixel_std_px,
         joint_std_rad=settings.gaze.command_std_rad,
@@ -178,7 +174,7 @@ def _fuse_target(
     )
     if not np.isfinite(covariances).all():
         return state
-    T = T_body_base(calibration, "left", neck_chain(calibration, posture))
+    T = T_body_base(calibration, "left", posture)
     object_body, marker_body = transform(T, objects[0]), transform(T, markers[0])
     marker_by_encoders = transform(_hand_at(state.readings, frame.time_s), settings.marker_hand)
     target = fuse(
@@ -187,11 +183,9 @@ def _fuse_target(
         marker_by_encoders + object_body - marker_body,
         T[:3, :3] @ covariances[0] @ T[:3, :3].T,
         motion=settings.motion,
-        gate_chi2=settings.gate_chi2,
     )
     return replace(
         state,
-        marker=marker_body,
         target=target,
         apart_m=float(np.linalg.norm(object_body - marker_body)),
         together_s=frame.time_s,
@@ -207,23 +201,17 @@ def _hand_at(readings: tuple[HandReading, ...], time_s: float) -> Array:
     return T
 
 
-def _decide(settings: ReachSettings, state: ReachState, now_s: float) -> ReachState:
-    """Return the state with the phase that follows from the present estimates."""
-    phase, inside = _next(settings, state, now_s)
-    since = state.since_s if phase is state.phase else now_s
-    return replace(state, phase=phase, since_s=since, inside=inside)
-
-
-def _next(settings: ReachSettings, state: ReachState, now_s: float) -> tuple[ReachPhase, bool]:
+def _decide(settings: ReachSettings, state: ReachState, now_s: float) -> tuple[ReachPhase, bool]:
     """Return the next phase, and whether the hand may leave the standoff for the object."""
+    gap = np.full(3, np.inf)
+    if state.target is not None:
+        target = _predicted(settings, state.target, now_s)
+        state, gap = replace(state, target=target), target.position - state.hand
     if state.phase is ReachPhase.CLOSE and not state.readings[-1].closed:
         return ReachPhase.CLOSE, True
-    if state.phase in (ReachPhase.CLOSE, ReachPhase.HELD):
-        elsewhere = state.phase is ReachPhase.HELD and state.target is not None
-        if not elsewhere or (
-            np.linalg.norm(gap_to_target(settings, state, now_s)[0]) < settings.escaped_m
-        ):
-            return ReachPhase.HELD, True
+    escaped = state.target is not None and np.linalg.norm(gap) >= settings.escaped_m
+    if state.phase is ReachPhase.CLOSE or (state.phase is ReachPhase.HELD and not escaped):
+        return ReachPhase.HELD, True
     aim = state.gaze.aim
     if aim is None or state.gaze.phase is GazePhase.LOST:
         return ReachPhase.SEEK, False
@@ -237,8 +225,7 @@ def _next(settings: ReachSettings, state: ReachState, now_s: float) -> tuple[Rea
         if state.phase is ReachPhase.UNSEEN or (arrived and overdue):
             return ReachPhase.UNSEEN, False
         return ReachPhase.REACH, False
-    gap, covariance = gap_to_target(settings, state, now_s)
-    std = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
+    std = float(np.sqrt(np.linalg.eigvalsh(target_covariance(settings, state))[-1]))
     across = np.linalg.norm(gap - (gap @ settings.approach) * settings.approach)
     limit = 2 * settings.clear_m if state.inside else settings.clear_m - std
     inside = bool(across < limit)
@@ -247,33 +234,21 @@ def _next(settings: ReachSettings, state: ReachState, now_s: float) -> tuple[Rea
     return ReachPhase.SERVO, inside
 
 
-def gap_to_target(settings: ReachSettings, state: ReachState, now_s: float) -> tuple[Array, Array]:
-    """Return the vector (3,) [m] from hand to target, and its covariance (3, 3) [m^2].
-
-    Args:
-        settings: of head and hand.
-        state: one that has a target.
-        now_s: time for which the target is predicted.
-    """
-    assert state.target is not None
-    target = predict(state.target, now_s, jerk_density=settings.motion.jerk_density)
-    covariance = target_covariance(settings, replace(state, target=target))
-    return target.position - state.hand, covariance
+def _predicted(settings: ReachSettings, target: Track, now_s: float) -> Track:
+    return predict(target, now_s, jerk_density=settings.motion.jerk_density)
 
 
-def _send(settings: ReachSettings, state: ReachState, now_s: float) -> ReachState:
-    """Return the state with the command to the hand, and the cameras to request."""
+def _command(settings: ReachSettings, state: ReachState, now_s: float) -> HandCommand:
+    """Return the command to the hand."""
     goal, velocity = settings.home, np.zeros(3)
-    close = state.phase in (ReachPhase.CLOSE, ReachPhase.HELD)
     below = settings.standoff_m * settings.approach
     if state.target is not None and state.phase in (ReachPhase.SERVO, ReachPhase.CLOSE):
-        target = predict(state.target, now_s, jerk_density=settings.motion.jerk_density)
+        target = _predicted(settings, state.target, now_s)
         goal = target.position if state.inside else target.position - below
         velocity = target.velocity
-    elif state.phase in (ReachPhase.CLOSE, ReachPhase.HELD):
+    elif state.phase in _CLOSING:
         goal = state.command.goal
     elif state.gaze.aim is not None and state.phase in (ReachPhase.REACH, ReachPhase.UNSEEN):
         aim = predict(state.gaze.aim, now_s, jerk_density=0.0)
         goal, velocity = aim.position - below, aim.velocity
-    command = HandCommand(now_s, goal, velocity, close)
-    return replace(state, command=command, cameras=_cameras_to_request(state))
+    return HandCommand(now_s, goal, velocity, close=state.phase in _CLOSING)

@@ -15,6 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.gaze.commands import HOLD_S
 from vergence.gaze.kalman import MotionModel, Track
 from vergence.gaze.state import GazeSettings, GazeState, initial_gaze_state
 
@@ -43,16 +44,13 @@ class HandCommand:
     """(3,) velocity of the goal from then on [m/s]."""
     close: bool = False
     """Whether the fingers close or stay closed; otherwise they open."""
-    hold_s: float = 0.1
-    """Time after which the goal stops if no further command arrives."""
 
 
 def hand_goal(command: HandCommand, time_s: float) -> tuple[Array, Array]:
     """Return the goal (3,) [m] of a command at a time, and its velocity (3,) [m/s]."""
     elapsed = max(time_s - command.time_s, 0.0)
-    if elapsed < command.hold_s:
-        return command.goal + elapsed * command.velocity, command.velocity
-    return command.goal + command.hold_s * command.velocity, np.zeros(3)
+    velocity = command.velocity if elapsed < HOLD_S else np.zeros(3)
+    return command.goal + min(elapsed, HOLD_S) * command.velocity, velocity
 
 
 class HandDriver(Protocol):
@@ -118,8 +116,6 @@ class ReachSettings:
     every frame, so that no filter averages it out."""
     motion: MotionModel = field(default_factory=lambda: MotionModel(jerk_density=0.04))
     """Of an object that a person holds out: 0.2 m/s^2 more or less in a second."""
-    gate_chi2: float = 60.0
-    """Normalised innovation squared from which a measurement begins a new track; its mean is 3."""
     unseen_s: float = 0.3
     """Time without a detection of the marker after which the hand counts as not seen."""
     waits_s: float = 0.7
@@ -147,8 +143,6 @@ class ReachState:
     """Cameras whose images are requested next."""
     pixels: Mapping[str, Array] = field(default_factory=dict)
     """(2,) pixel of the marker by camera searched in the latest frame, NaN where not found."""
-    marker: Array | None = None
-    """(3,) [m] marker in frame body by the eyes, in the latest frame."""
     target: Track | None = None
     """Object in the coordinates of the hand's encoders: the measured difference between object and
     marker, added to the marker by the encoders. None: they have not been seen together."""
@@ -171,12 +165,8 @@ class ReachState:
 
 
 def target_covariance(settings: ReachSettings, state: ReachState) -> Array:
-    """Return the covariance (3, 3) [m^2] of the target, with its systematic error.
-
-    Infinite where there is no target.
-    """
-    if state.target is None:
-        return np.diag(np.full(3, np.inf))
+    """Return the covariance (3, 3) [m^2] of a state's target, with its systematic error."""
+    assert state.target is not None
     systematic = (settings.relative_error * state.apart_m) ** 2
     return state.target.covariance[:3, :3] + systematic * np.eye(3)
 
@@ -186,11 +176,7 @@ def initial_reach_state(
 ) -> ReachState:
     """Return the state of a head and a hand at rest that have not seen anything.
 
-    Args:
-        settings: of both.
-        posture: (7,) set points of the head's joints [rad].
-        reading: of the hand.
-        time_s: the time.
+    The posture has the set points (7,) [rad] of the head's joints.
     """
     gaze = initial_gaze_state(settings.gaze, posture, time_s)
     rest = HandCommand(time_s, reading.T_body_hand[:3, 3], np.zeros(3))

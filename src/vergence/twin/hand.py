@@ -7,8 +7,6 @@ encoders differs from the true one by a constant transform, which the cameras do
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from vergence.arrays import Array
@@ -20,32 +18,20 @@ from vergence.twin.head import Twin
 
 OPEN_M, CLOSED_M = 0.068, 0.040
 """Distance between the faces of the fingers: closed, they touch an object of 20 mm radius."""
+SPEED_M_S, ACCELERATION_M_S2 = 0.5, 4.0
+"""Limits of the hand's motion: about those of a humanoid's arm."""
+_CLOSING_S = 0.1
+"""Time in which the fingers close."""
+_GAIN_HZ = 12.0
+"""Wanted speed per distance to the goal, near the goal."""
 _TICK_S = 0.005
-
-
-@dataclass(frozen=True)
-class ArmLimits:
-    """Limits of the arm's motion; the defaults are about those of a humanoid's arm."""
-
-    speed_m_s: float = 0.5
-    """Greatest speed of the hand."""
-    acceleration_m_s2: float = 4.0
-    """Greatest acceleration of the hand."""
-    closing_s: float = 0.1
-    """Time in which the fingers close."""
-    gain_hz: float = 12.0
-    """Wanted speed per distance to the goal, near the goal."""
 
 
 def arm_mounting_error(seed: int, run: int) -> Array:
     """Return the pose (4, 4) of the arm relative to where the head's software assumes it.
 
     Standard deviations are 15 mm along and 1.5 degrees about each axis, which adds up to more than
-    22 mm along each axis at half a metre.
-
-    Args:
-        seed: of the head.
-        run: number of the run.
+    22 mm along each axis at half a metre. The seed is that of the head.
     """
     rng = np.random.default_rng([seed, 8, run])
     return pose(rotation(rng.normal(0, np.radians(1.5), 3)), rng.normal(0, 0.015, 3))
@@ -54,19 +40,12 @@ def arm_mounting_error(seed: int, run: int) -> Array:
 class SimulatedHand:
     """The driver of the simulated hand; `true_point` is for evaluation only."""
 
-    def __init__(
-        self, twin: Twin, home: Array, T_body_arm: Array, *, limits: ArmLimits | None = None
-    ):
-        """Put the hand at its home position.
+    def __init__(self, twin: Twin, home: Array, T_body_arm: Array):
+        """Put the hand at its home position (3,) [m] in frame body, by its encoders.
 
-        Args:
-            twin: the simulation in which the hand is drawn.
-            home: (3,) [m] in frame body, by the encoders.
-            T_body_arm: (4, 4) true pose of the arm relative to its assumed one.
-            limits: of the arm.
+        T_body_arm is the true pose (4, 4) of the arm relative to its assumed one.
         """
         self._twin, self._T_body_arm = twin, T_body_arm
-        self._limits = ArmLimits() if limits is None else limits
         self._position, self._velocity = np.array(home, float), np.zeros(3)
         self._opening_m, self._time_s = OPEN_M, twin.time_s
         self._command = HandCommand(twin.time_s, self._position, np.zeros(3))
@@ -83,22 +62,21 @@ class SimulatedHand:
 
     def advance(self, until_s: float) -> None:
         """Move until a time, within the limits, and slowly enough near the goal to stop there."""
-        limits = self._limits
         while (left := until_s - self._time_s) > 1e-9:
             dt = min(left, _TICK_S)
             goal, goal_velocity = hand_goal(self._command, self._time_s)
             away = goal - self._position
             distance = float(np.linalg.norm(away))
-            braking = np.sqrt(limits.acceleration_m_s2 * distance)  # of half the acceleration
-            speed = min(limits.gain_hz * distance, braking)
+            braking = np.sqrt(ACCELERATION_M_S2 * distance)  # of half the acceleration
+            speed = min(_GAIN_HZ * distance, braking)
             wanted = goal_velocity + away * (speed / distance if distance else 0.0)
-            wanted *= min(1.0, limits.speed_m_s / max(float(np.linalg.norm(wanted)), 1e-9))
+            wanted *= min(1.0, SPEED_M_S / max(float(np.linalg.norm(wanted)), 1e-9))
             change = wanted - self._velocity
-            most = limits.acceleration_m_s2 * dt
+            most = ACCELERATION_M_S2 * dt
             change *= min(1.0, most / max(float(np.linalg.norm(change)), 1e-9))
             self._velocity = self._velocity + change
             self._position = self._position + dt * self._velocity
-            rate = (OPEN_M - CLOSED_M) / limits.closing_s * (-1 if self._command.close else 1)
+            rate = (OPEN_M - CLOSED_M) / _CLOSING_S * (-1 if self._command.close else 1)
             self._opening_m = float(np.clip(self._opening_m + rate * dt, CLOSED_M, OPEN_M))
             self._time_s += dt
 

@@ -1,15 +1,21 @@
 """The twin as a robot that controllers drive: head, hand and object, and their true errors."""
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's compiled module has no type stubs.
+
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 
+import mujoco
 import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.sequential.sequential import calibrate_sequentially
 from vergence.data.dataset import Frame
 from vergence.gaze.commands import EYES_4, HEAD_JOINTS, HeadCommand, JointLimits, hold, setpoint
+from vergence.gaze.observation import is_central
 from vergence.gaze.state import NARROW, GazeSettings
 from vergence.geometry.head import HeadCalibration, T_head_base
 from vergence.geometry.projection import project_point
@@ -27,9 +33,7 @@ _REST_READINGS = 30
 def calibrate_twin(twin: Twin, seed: int) -> GazeSettings:
     """Calibrate the twin by the paper's method, and return the settings of a gaze controller.
 
-    Args:
-        twin: the head, with 2.8 mm lenses.
-        seed: of the places at which the board is held.
+    The twin must have 2.8 mm lenses. The seed is that of the board's poses.
     """
     views = capture_views(twin, plan(twin.nominal, seed))
     found = calibrate_sequentially(
@@ -64,28 +68,24 @@ class SimulatedHead:
         run: int,
         path_head: Callable[[float], Array | None],
         *,
-        limits: JointLimits | None = None,
         all_cameras_every: int = 0,
     ):
-        """Restart the twin.
+        """Restart the twin; the number of the run determines the noise.
 
         Args:
             twin: the head.
-            run: number of the run, for the noise.
+            run: number of the run.
             path_head: position (3,) [m] of the object at a time, in frame head as it is at the
                 start; None: the object is hidden.
-            limits: of the joints.
-            all_cameras_every: every Nth frame has the images of all cameras, requested or not, and
-                whether or not there is a recording: an observer must not change what the
-                controller receives. 0: no frame has.
+            all_cameras_every: every Nth frame has the images of all cameras, recorded or not: an
+                observer must not change what the controller receives. 0: no frame has.
         """
         self.twin, self.path_head = twin, path_head
         self._all_cameras_every = all_cameras_every
         twin.restart(run)
         self._T_world_start = twin.T_world_lbase()
         self._T_lbase_head = inverse(T_head_base(twin.truth, "left"))
-        limits = JointLimits() if limits is None else limits
-        self._command = hold(np.zeros(len(HEAD_JOINTS)), limits, twin.time_s)
+        self._command = hold(np.zeros(len(HEAD_JOINTS)), JointLimits(), twin.time_s)
         self._next_s, self._number = twin.time_s, 0
         joints = twin.profile.joints
         self._gain = 1 + np.array(joints.gain_percent) / 100
@@ -127,33 +127,56 @@ class SimulatedHead:
             self.hand.place()
 
 
-def _true_pixels(twin: Twin) -> list[Array]:
-    """Return the object's true pixel (2,) in each of the narrow images, now."""
+def true_pixels(twin: Twin) -> Array:
+    """Return the object's true pixels (2, 2) in the left and the right narrow image, now."""
     eyes, where = twin.true_angles()[EYES_4], twin.true_object()
-    return [project_point(twin.truth, name, eyes, where) for name in NARROW]
+    return np.array([project_point(twin.truth, name, eyes, where) for name in NARROW])
 
 
 def foveal_errors(twin: Twin, calibration: HeadCalibration) -> Array:
     """Return the object's true distances (2,) [px] from the centres of the two narrow images, now.
 
-    Args:
-        twin: the head.
-        calibration: whose principal points are the centres: the controller does not know the true
-            ones, which cannot be seen in an image.
-
-    Returns:
-        Distances, infinite where the object is behind a camera.
+    The centres are the principal points of the calibration: the controller does not know the true
+    ones, which cannot be seen in an image. Infinite where the object is behind a camera.
     """
     centres = [calibration.camera(name).intrinsics.matrix[:2, 2] for name in NARROW]
-    errors = [
-        float(np.linalg.norm(pixel - centre))
-        for pixel, centre in zip(_true_pixels(twin), centres, strict=True)
-    ]
-    return np.nan_to_num(np.array(errors), nan=np.inf)
+    errors = np.array([np.linalg.norm(offset) for offset in true_pixels(twin) - centres], float)
+    return np.nan_to_num(errors, nan=np.inf)
 
 
 def in_both_foveas(twin: Twin) -> bool:
     """Return whether the object's centre is truly within both narrow images, now."""
-    cameras = [twin.truth.camera(name).intrinsics for name in NARROW]
-    sizes = np.array([(camera.width, camera.height) for camera in cameras])
-    return bool((np.abs(2 * np.array(_true_pixels(twin)) + 1 - sizes) < sizes).all())
+    return all(
+        is_central(twin.truth.camera(name).intrinsics, pixel, share=1.0)
+        for name, pixel in zip(NARROW, true_pixels(twin), strict=True)
+    )
+
+
+def unoccluded(twin: Twin, places_head: Array, *, margin_m: float) -> np.ndarray:
+    """Return (N,) whether the room leaves places unoccluded in all cameras of the head at rest.
+
+    The places (N, 3) [m] are in frame head; a margin around each must be unoccluded too.
+    """
+    model = copy(twin.model)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+    mujoco.mj_forward(model, data)
+    # Rays are tested against group 5 only: the world's own geoms, which are the room.
+    model.geom_group[:] = np.where(model.geom_bodyid == 0, 5, 0)
+    groups = np.array([0, 0, 0, 0, 0, 1], np.uint8)
+    places_lbase = transform(inverse(T_head_base(twin.truth, "left")), places_head)
+    places = transform(twin.T_world_lbase(), places_lbase)
+    found = np.ones(len(places), bool)
+    for camera in twin.truth.cameras:
+        start = data.cam_xpos[model.camera(camera).id]
+        for k, place in enumerate(places):
+            away = place - start
+            distance = float(np.linalg.norm(away))
+            across = np.linalg.svd(away[None])[2][1:]  # two directions around the place
+            for off in (np.zeros(3), *across, *-across):
+                ray = away + margin_m * off
+                ray /= np.linalg.norm(ray)
+                geom = np.zeros((1, 1), np.int32)
+                hit = mujoco.mj_ray(model, data, start, ray, groups, 1, -1, geom)
+                found[k] &= not 0 <= hit < distance + margin_m
+    return found

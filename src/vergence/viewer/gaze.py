@@ -24,7 +24,7 @@ import rerun as rr
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.gaze.commands import EYES_4, HEAD_JOINTS, NECK, commanded, neck_chain
+from vergence.gaze.commands import EYES_4, HEAD_JOINTS, NECK, commanded
 from vergence.gaze.foveation import ideal_wide_pixel
 from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base
@@ -103,10 +103,9 @@ def moment(
 
 def _cameras(head: HeadCalibration, readings: Array) -> list[Array]:
     """Return the poses (4, 4) of the narrow cameras in frame body, at joint readings (7,)."""
-    neck, eyes = neck_chain(head, readings), readings[EYES_4].reshape(2, 2)
     return [
-        T_body_base(head, eye, neck) @ T_base_cam(head, f"{eye}_narrow", angles)
-        for eye, angles in zip(EYES, eyes, strict=True)
+        T_body_base(head, eye, readings) @ T_base_cam(head, f"{eye}_narrow", angles)
+        for eye, angles in zip(EYES, readings[EYES_4].reshape(2, 2), strict=True)
     ]
 
 
