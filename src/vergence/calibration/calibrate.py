@@ -78,18 +78,29 @@ def calibrate(
             detector.
         method: the paper's steps alone, or bundle adjustment, which starts from them.
         wide_lens: distortion of the wide cameras; the narrow ones have none.
-        progress: called as the work goes on.
+        progress: see vergence.progress.
 
     Raises:
         VergenceError: the data are too poor for any answer, or contradict themselves.
     """
     if isinstance(data, Dataset):
-        _check_rest(data)
+        if data.moving.all():
+            raise VergenceError(
+                f"{data.folder} has moving rows only; the calibration starts from views in which "
+                "the eyes stand still."
+            )
         data = detect_target(data, progress=progress)
-    steps = 3
-    progress("calibrating", 0, steps)
+    progress("calibrating", 0, 3)
     seen = data.take(data.at_rest)
-    _check_seen(seen)
+    camera_eyes(seen)  # each camera's eye is known
+    for name, corners in seen.corners.items():
+        enough = int((seen_corners(corners).sum(axis=1) >= LEAST_CORNERS).sum())
+        if enough < LEAST_VIEWS:
+            raise VergenceError(
+                f"{name} shows the board in {enough} images at rest: fx, fy and T_eye_cam "
+                f"are not observable; record at least {LEAST_VIEWS}, better 10, at different "
+                "distances and slants."
+            )
     intrinsics = calibrate_intrinsics(seen, wide_lens=wide_lens)
     points = corner_points(data.board)
     # Once for each image: all that follows asks for these.
@@ -103,7 +114,7 @@ def calibrate(
     seen, T_rest = observations.take(data.at_rest), _take(T_cam_target, data.at_rest)
     excitation.check_excitation(seen, T_rest)
     start = calibrate_sequentially(seen, intrinsics=intrinsics, T_cam_target=T_rest)
-    progress("calibrating", 1, steps)
+    progress("calibrating", 1, 3)
     if method == "paper":
         estimate, head, accuracy = None, start.head, Accuracy(method="paper")
         focal_std = {name: each.focal_std_px for name, each in intrinsics.items()}
@@ -112,17 +123,28 @@ def calibrate(
         head, accuracy = estimate.head, estimate.accuracy
         std = dict(zip(estimate.parameters, np.sqrt(np.diag(estimate.covariance)), strict=True))
         focal_std = {name: (std[f"{name}.fx"], std[f"{name}.fy"]) for name in head.cameras}
-    progress("calibrating", 2, steps)
+    progress("calibrating", 2, 3)
 
     def of_part(rows: np.ndarray) -> HeadCalibration:
+        """Return the calibration from a part of the views, at the noise that all of them show."""
         part = observations.take(rows)
         if estimate is None:
             at_rest = part.take(part.at_rest)
             return calibrate_sequentially(at_rest, wide_lens=wide_lens).head
-        return _recalibrate(estimate, part, _take(T_cam_target, rows))
+        levels = estimate.joint_std
+        # One level for all joints is given; the folds are hardly the worse for it.
+        mean = float(np.sqrt(np.mean(np.square(levels))))
+        found = bundle_adjust(
+            estimate.head,
+            part,
+            T_cam_target=_take(T_cam_target, rows),
+            pixel_std_px=estimate.pixel_std_px,
+            joint_std=mean if part.T_base_eye is None else (levels[0], levels[-1]),
+        )
+        return replace(found.head, accuracy=replace(found.accuracy, joint_std=levels))
 
     checked, doubts = _cross_validated(observations, of_part)
-    progress("calibrating", 3, steps)
+    progress("calibrating", 3, 3)
     warnings = (
         *board_flips.warnings(renumbered),
         *encoders.doubts(head),
@@ -142,46 +164,8 @@ def calibrate(
     )
 
 
-def _check_rest(dataset: Dataset) -> None:
-    if dataset.moving.all():
-        raise VergenceError(
-            f"{dataset.folder} has moving rows only; the calibration starts from views in which "
-            "the eyes stand still."
-        )
-
-
-def _check_seen(seen: Observations) -> None:
-    camera_eyes(seen)  # each camera's eye is known
-    for name, corners in seen.corners.items():
-        enough = int((seen_corners(corners).sum(axis=1) >= LEAST_CORNERS).sum())
-        if enough < LEAST_VIEWS:
-            raise VergenceError(
-                f"{name} shows the board in {enough} images at rest: fx, fy and T_eye_cam "
-                f"are not observable; record at least {LEAST_VIEWS}, better 10, at different "
-                "distances and slants."
-            )
-
-
 def _take(T_cam_target: Mapping[str, Array], rows: np.ndarray) -> dict[str, Array]:
     return {name: T[rows] for name, T in T_cam_target.items()}
-
-
-def _recalibrate(
-    whole: BundleEstimate, part: Observations, T_cam_target: Mapping[str, Array]
-) -> HeadCalibration:
-    """Return the calibration from a part of the views, at the noise that all of them show."""
-    levels = whole.joint_std
-    # One level for all joints is given; the folds are hardly the worse for it.
-    mean = float(np.sqrt(np.mean(np.square(levels))))
-    given = mean if part.T_base_eye is None else (levels[0], levels[-1])
-    found = bundle_adjust(
-        whole.head,
-        part,
-        T_cam_target=T_cam_target,
-        pixel_std_px=whole.pixel_std_px,
-        joint_std=given,
-    )
-    return replace(found.head, accuracy=replace(found.accuracy, joint_std=levels))
 
 
 def _cross_validated(

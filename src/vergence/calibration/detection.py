@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -37,18 +36,11 @@ class _Detection:
     row: int
     corners: Array | None
     reason: str
-    digest: bytes
+    digest: bytes = b""
 
 
-def detect_target(
-    dataset: Dataset, *, progress: Progress = silent, least_corners: int = LEAST_CORNERS
-) -> Observations:
+def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observations:
     """Find the board in all images of a dataset, in parallel threads.
-
-    Args:
-        dataset: what was recorded.
-        progress: called for each image.
-        least_corners: with fewer an image counts as a failure.
 
     Raises:
         VergenceError: images have another size than dataset.json states, two cameras gave the
@@ -66,37 +58,25 @@ def detect_target(
     progress(task, 0, len(jobs))
     found: list[_Detection] = []
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        futures = [
-            pool.submit(_detect, dataset, camera, row, least_corners) for camera, row in jobs
-        ]
-        try:
-            for future in futures:
-                found.append(future.result())
-                progress(task, len(found), len(jobs))
-        finally:
-            for future in futures:
-                future.cancel()
+        for each in pool.map(lambda job: _detect(dataset, *job), jobs):  # errors cancel the rest
+            found.append(each)
+            progress(task, len(found), len(jobs))
     found = _without_repeats(dataset, found)
     if all(each.corners is None for each in found):
         raise VergenceError(_nothing_found(dataset, found))
-    board = dataset.description.board
+    board, cameras = dataset.description.board, dataset.description.cameras
     shape = (len(dataset), board.columns * board.rows, 2)
     corners = {name: np.full(shape, np.nan) for name in dataset.files}
+    failures = []
     for each in found:
         if each.corners is not None:
             corners[each.camera][each.row] = each.corners
-    cameras = dataset.description.cameras
-    failures = tuple(
-        DetectionFailure(
-            row=each.row,
-            line=int(dataset.lines[each.row]),
-            camera=each.camera,
-            file=str(dataset.files[each.camera][each.row]),
-            reason=each.reason,
-        )
-        for each in found
-        if each.corners is None
-    )
+        else:
+            line, file = int(dataset.lines[each.row]), str(dataset.files[each.camera][each.row])
+            failures.append(DetectionFailure(each.row, line, each.camera, file, each.reason))
+    blind = [
+        f"{name} never sees the board." for name, c in corners.items() if not np.isfinite(c).any()
+    ]
     timed = dataset.moving.any() and dataset.T_base_eye is None
     return Observations(
         board=board,
@@ -108,25 +88,22 @@ def detect_target(
         timing=Timing(dataset.joint_time_s, runs(dataset)) if timed else None,
         T_base_eye=dataset.T_base_eye,
         systematic_px=SYSTEMATIC_PX,
-        failures=failures,
-        remarks=(*dataset.remarks, *_blind(corners)),
+        failures=tuple(failures),
+        remarks=(*dataset.remarks, *blind),
     )
 
 
-def _detect(dataset: Dataset, camera: str, row: int, least_corners: int) -> _Detection:
+def _detect(dataset: Dataset, camera: str, row: int) -> _Detection:
     image = read_image(dataset.folder / str(dataset.files[camera][row]))
     if image is None:
-        return _Detection(camera, row, None, "the file is not a readable image", b"")
+        return _Detection(camera, row, None, "the file is not a readable image")
     dataset.check_size(camera, row, image)
     digest = hashlib.blake2b(image.tobytes(), digest_size=16).digest()
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    corners, reason = detect_or_explain(grey, dataset.description.board, least_corners)
-    return _Detection(camera, row, corners, reason, digest)
+    return _Detection(camera, row, *detect_or_explain(grey, dataset.description.board), digest)
 
 
-def detect_or_explain(
-    grey: np.ndarray, board: Board, least_corners: int = LEAST_CORNERS
-) -> tuple[Array | None, str]:
+def detect_or_explain(grey: np.ndarray, board: Board) -> tuple[Array | None, str]:
     """Return the corners (K, 2) [px] in an image (H, W) uint8, or None and the reason."""
     try:
         corners = detect_board(grey, board)
@@ -135,8 +112,8 @@ def detect_or_explain(
     if corners is None:
         return None, _why_not(grey)
     count = int(np.isfinite(corners).all(axis=1).sum())
-    if count < least_corners:
-        return None, f"only {count} corners of the board are seen; {least_corners} are needed"
+    if count < LEAST_CORNERS:
+        return None, f"only {count} corners of the board are seen; {LEAST_CORNERS} are needed"
     return corners, ""
 
 
@@ -181,29 +158,15 @@ def _nothing_found(dataset: Dataset, seen: list[_Detection]) -> str:
     common = max(set(reasons), key=reasons.count)
     sentence = f"No image of {dataset.folder} shows a {board.kind} of {stated} ({common})"
     if isinstance(board, Chessboard):
-        for other, each in _alternatives(board, seen):
+        for each in seen[:: max(1, len(seen) // _PROBES)]:
             image = read_image(dataset.folder / str(dataset.files[each.camera][each.row]))
-            if image is not None and detect_board(image, other) is not None:
-                return (
-                    f"{sentence}; one of {other.columns} x {other.rows} is there: board.columns "
-                    "and board.rows count the corners inside the board, not its squares."
-                )
+            for more in (-1, 1):
+                columns, rows = board.columns + more, board.rows + more
+                if image is None or min(columns, rows) < 3:
+                    continue
+                if detect_board(image, Chessboard(columns, rows, board.square_m)) is not None:
+                    return (
+                        f"{sentence}; one of {columns} x {rows} is there: board.columns and "
+                        "board.rows count the corners inside the board, not its squares."
+                    )
     return f"{sentence}; check board in dataset.json."
-
-
-def _alternatives(
-    board: Chessboard, seen: list[_Detection]
-) -> Iterator[tuple[Chessboard, _Detection]]:
-    others = [(board.columns - 1, board.rows - 1), (board.columns + 1, board.rows + 1)]
-    for each in seen[:: max(1, len(seen) // _PROBES)]:
-        for columns, rows in others:
-            if min(columns, rows) >= 3:
-                yield Chessboard(columns, rows, board.square_m), each
-
-
-def _blind(corners: Mapping[str, Array]) -> list[str]:
-    return [
-        f"{name} never sees the board."
-        for name, found in corners.items()
-        if not np.isfinite(found).any()
-    ]

@@ -6,7 +6,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from vergence.arrays import Array
 from vergence.calibration.observations import Observations
 from vergence.geometry.head import Accuracy, HeadCalibration, main_pair
 from vergence.geometry.parameters import without_offsets
@@ -72,9 +71,13 @@ def point_accuracy(head: HeadCalibration) -> list[tuple[float, float, float]]:
         return []
     if accuracy.eye_motion == "poses":
         return []
+    plain, phase = without_offsets(head), np.arange(8) * np.pi / 4
+    joints = _TURNS_RAD * np.stack([np.cos(phase), np.sin(phase)] * 2, axis=1)
     rows = []
     for distance in DISTANCES_M:
-        left, right, joints = _circling_gaze(head, distance, pair)
+        # Both eyes turn in the same sense; the point stays in the middle of the head.
+        point = np.array([distance, 0.0, 0.0]) + inverse(plain.T_rbase_lbase)[:3, 3] / 2
+        left, right = (project_point(plain, name, joints, point) for name in pair)
         of_head = calibration_covariance(head, left=left, right=right, joints=joints)
         _, of_reading = locate_with_covariance(
             head,
@@ -92,27 +95,17 @@ def point_accuracy(head: HeadCalibration) -> list[tuple[float, float, float]]:
     return rows
 
 
-def _circling_gaze(
-    head: HeadCalibration, distance_m: float, pair: tuple[str, str]
-) -> tuple[Array, Array, Array]:
-    """Return pixels and readings (8, 2), (8, 2), (8, 4) of a point ahead while the gaze circles.
-
-    Both eyes turn by 0.2 rad, in the same sense; the point stays in the middle of the head.
-    """
-    plain = without_offsets(head)
-    phase = np.arange(8) * np.pi / 4
-    joints = _TURNS_RAD * np.stack([np.cos(phase), np.sin(phase)] * 2, axis=1)
-    point = np.array([distance_m, 0.0, 0.0]) + inverse(plain.T_rbase_lbase)[:3, 3] / 2
-    left, right = (project_point(plain, name, joints, point) for name in pair)
-    return left, right, joints
-
-
 def summary_lines(head: HeadCalibration, observations: Observations) -> list[str]:
     """Return at most ten lines of a calibration that states its accuracy."""
     accuracy = head.accuracy
     assert accuracy is not None
     word, following = verdict(accuracy, head)
-    lines = [f"{word}: {_seen(observations)}."]
+    corners, lost = observations.corners, len(observations.failures)
+    found = sum(int(seen_corners(c).any(axis=1).sum()) for c in corners.values())
+    lines = [
+        f"{word}: {len(corners)} cameras, {len(observations.placement)} views, the board found in "
+        f"{found} of {found + lost} images."
+    ]
     if accuracy.pixel_std_px is not None:
         levels = " and ".join(f"{np.degrees(s):.3f}" for s in accuracy.joint_std)
         of_eyes = f"{levels} degrees in readings"
@@ -141,10 +134,3 @@ def summary_lines(head: HeadCalibration, observations: Observations) -> list[str
         lines.append(f"{len(accuracy.warnings)} warnings, listed in the report.")
     lines.append(following)
     return lines
-
-
-def _seen(observations: Observations) -> str:
-    corners = observations.corners
-    found = sum(int(seen_corners(c).any(axis=1).sum()) for c in corners.values())
-    images = f"the board found in {found} of {found + len(observations.failures)} images"
-    return f"{len(corners)} cameras, {len(observations.placement)} views, {images}"

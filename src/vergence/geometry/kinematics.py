@@ -47,23 +47,16 @@ class Chain:
     """(..., n)."""
 
 
-def joint_angles(chain: Chain, readings: Array) -> Array:
-    """Return the angles (..., n) [rad] at readings (..., r)."""
-    return (chain.mixing @ readings[..., None])[..., 0] + chain.offset_rad
-
-
 def chain_pose(chain: Chain, readings: Array) -> Array:
     """Return the pose (..., 4, 4) of the chain's end in its base at readings (..., r) [rad]."""
     return _joint_frames(chain, readings)[-1]
 
 
-def chain_jacobian(chain: Chain, readings: Array) -> Array:
-    """Return how the pose changes with the angles (..., 6, n), by `se3.boxplus`."""
-    return _angle_jacobian(chain, _joint_frames(chain, readings))
-
-
 def chain_linearised(chain: Chain, readings: Array) -> tuple[Array, Array]:
-    """Return chain_pose (..., 4, 4), and how it changes with the readings (..., 6, r)."""
+    """Return chain_pose (..., 4, 4), and how it changes with the readings (..., 6, r).
+
+    In the increment of `se3.boxplus`.
+    """
     frames = _joint_frames(chain, readings)
     return frames[-1], _angle_jacobian(chain, frames) @ chain.mixing
 
@@ -82,7 +75,7 @@ def _angle_jacobian(chain: Chain, frames: list[Array]) -> Array:
 
 def _joint_frames(chain: Chain, readings: Array) -> list[Array]:
     """Return the frames (..., 4, 4) at each joint before its turn, and at the chain's end."""
-    angles = joint_angles(chain, readings)
+    angles = (chain.mixing @ readings[..., None])[..., 0] + chain.offset_rad
     turns = rotation(angles[..., None] * chain.axes)
     shape = np.broadcast_shapes(turns.shape[:-3], chain.points_m.shape[:-2], chain.end_m.shape[:-1])
     R, t, at = np.eye(3), np.zeros((*shape, 3)), np.zeros(3)
@@ -148,11 +141,7 @@ def T_base_eye(angles: Array, axes: EyeAxes | Array | None = None) -> Array:
 def eye_jacobians(angles: Array, axes: Array) -> tuple[Array, Array]:
     """Return how T_base_eye changes with the axes (..., 6, 6) and the readings (..., 6, 2).
 
-    In the increment of `se3.boxplus`.
-
-    Args:
-        angles: (..., 2) readings of pan and tilt [rad].
-        axes: (..., 6) fields of EyeAxes.
+    In the increment of `se3.boxplus`, at readings (..., 2) [rad] and rows (..., 6) of axes.
     """
     chain = eye_chain(axes)
     frames = _joint_frames(chain, angles)

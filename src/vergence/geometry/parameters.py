@@ -103,35 +103,33 @@ def change_named(head: HeadCalibration, names: Sequence[str], change: Array) -> 
 def boxminus(head: HeadCalibration, reference: HeadCalibration) -> dict[str, float]:
     """Return by name how much each parameter of a head differs from that of a reference.
 
-    Offsets of the joints are counted as turns of the bases and mountings: see without_offsets.
-
-    Args:
-        head: whose cameras are compared.
-        reference: with at least the same cameras.
+    Offsets of the joints are counted as turns of the bases and mountings: see without_offsets. The
+    reference has at least the same cameras.
     """
     head, reference = without_offsets(head), without_offsets(reference)
-    values: list[float] = []
-    for name, mounted in head.cameras.items():
-        other = reference.camera(name)
-        values.extend(lens_vector(mounted.intrinsics) - lens_vector(other.intrinsics))
-        values.extend(se3.boxminus(mounted.T_eye_cam, other.T_eye_cam))
-    values.extend(se3.boxminus(head.T_rbase_lbase, reference.T_rbase_lbase))
-    for eye in EYES:
-        values.extend(axes_row(head.axes[eye]) - axes_row(reference.axes[eye]))
-    values.append(head.time_offset_s - reference.time_offset_s)
-    return dict(zip(parameter_names(head.cameras), map(float, values), strict=True))
+    others = {name: reference.camera(name) for name in head.cameras}
+    values = _vector(head) - _vector(replace(reference, cameras=others))
+    poses = [
+        se3.boxminus(mounted.T_eye_cam, others[name].T_eye_cam)
+        for name, mounted in head.cameras.items()
+    ]
+    between = se3.boxminus(head.T_rbase_lbase, reference.T_rbase_lbase)
+    values[np.isnan(values)] = np.concatenate([*poses, between])
+    return dict(zip(parameter_names(head.cameras), values.tolist(), strict=True))
 
 
 def parameter_values(head: HeadCalibration) -> dict[str, float | None]:
     """Return by name the value of each parameter; None for those of poses."""
-    values: list[float | None] = []
-    for mounted in head.cameras.values():
-        values += [*lens_vector(mounted.intrinsics).tolist(), *[None] * 6]
-    values += [None] * 6
-    for eye in EYES:
-        values += axes_row(head.axes[eye]).tolist()
-    values.append(head.time_offset_s)
+    values = [None if np.isnan(value) else value for value in _vector(head).tolist()]
     return dict(zip(parameter_names(head.cameras), values, strict=True))
+
+
+def _vector(head: HeadCalibration) -> Array:
+    """Return (c,) the values of the parameters; NaN for those of poses."""
+    pose = np.full(len(POSE), np.nan)
+    own = [part for each in head.cameras.values() for part in (lens_vector(each.intrinsics), pose)]
+    axes = [axes_row(head.axes[eye]) for eye in EYES]
+    return np.concatenate([*own, pose, *axes, [head.time_offset_s]])
 
 
 def without_offsets(head: HeadCalibration) -> HeadCalibration:

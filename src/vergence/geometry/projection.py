@@ -23,7 +23,7 @@ def project_point(head: HeadCalibration, camera: str, joints: Array, points: Arr
     """Return the pixels (..., 2) of points in a camera, distortion included.
 
     Args:
-        head: calibration of the head.
+        head: that has a camera of this name.
         camera: its name.
         joints: (..., 4) joint readings [rad] in the order of kinematics.EYE_JOINTS.
         points: (..., 3) [m] in the left eye's base frame; leading dimensions broadcast with those
@@ -43,13 +43,9 @@ def project_point(head: HeadCalibration, camera: str, joints: Array, points: Arr
 def project_at(
     mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array, points: Array
 ) -> Array:
-    """Return the pixels (..., K, 2) of points in a camera whose eye stands at given poses.
+    """Return the pixels (..., K, 2) of points (..., K, 3) [m] in the left eye's base frame.
 
-    Args:
-        mounted: the camera, in its eye.
-        T_rbase_lbase: (4, 4) of the head.
-        T_base_eye: (..., 4, 4) poses of the camera's eye in its base.
-        points: (..., K, 3) [m] in the left eye's base frame.
+    The camera's eye stands at poses T_base_eye (..., 4, 4).
     """
     return project(mounted.intrinsics, _through(mounted, T_rbase_lbase, T_base_eye, points)[-1])
 
@@ -96,11 +92,7 @@ def project_with_jacobians(
 ) -> ProjectionJacobians:
     """Return pixels and their derivatives by everything that lies between point and pixel.
 
-    Args:
-        mounted: the camera, in its eye.
-        T_rbase_lbase: (4, 4) of the head.
-        T_base_eye: (M, 4, 4) poses of the camera's eye in its base.
-        points: (M, K, 3) [m] in the left eye's base frame.
+    The arguments are those of project_at: M poses (M, 4, 4), points (M, K, 3).
     """
     turned, arm, from_camera, in_camera = _through(mounted, T_rbase_lbase, T_base_eye, points)
     pixels, by_cam, by_lens = project_jacobians(mounted.intrinsics, in_camera)
@@ -151,12 +143,8 @@ def base_extrinsics(
 ) -> Array:
     """Eq. 10: T_rbase_lbase (..., 4, 4) from a static stereo pose and the eye poses of its moment.
 
-    Args:
-        T_rbase_reye: (..., 4, 4) pose of the right eye in its base; T_er^r of the paper.
-        T_reye_rcam: (..., 4, 4) mounting of the right camera; T_ec^r.
-        T_rcam_lcam: (..., 4, 4) static stereo; T_c^rl.
-        T_leye_lcam: (..., 4, 4) mounting of the left camera.
-        T_lbase_leye: (..., 4, 4) pose of the left eye in its base.
+    In the paper's symbols T_rbase_reye is T_er^r, T_reye_rcam is T_ec^r and T_rcam_lcam is T_c^rl,
+    the static stereo; all are (..., 4, 4).
     """
     return T_rbase_reye @ T_reye_rcam @ T_rcam_lcam @ inverse(T_lbase_leye @ T_leye_lcam)
 
@@ -169,21 +157,14 @@ def stereo_extrinsics(
     T_leye_lcam: Array,
     T_lbase_leye: Array,
 ) -> Array:
-    """Eq. 11: T_rcam_lcam (..., 4, 4) at the present eye poses; the inverse of Eq. 10.
-
-    Args: see base_extrinsics; T_rbase_lbase (..., 4, 4) is what it returns.
-    """
+    """Eq. 11: T_rcam_lcam (..., 4, 4) at the present eye poses; the inverse of Eq. 10."""
     return inverse(T_rbase_reye @ T_reye_rcam) @ T_rbase_lbase @ T_lbase_leye @ T_leye_lcam
 
 
 def stereo_cameras(
     head: HeadCalibration, cameras: tuple[str, str] | None
 ) -> tuple[MountedCamera, MountedCamera]:
-    """Return the left and the right camera of a pair.
-
-    Args:
-        head: calibration of the head.
-        cameras: names of a camera of the left eye and one of the right; None: the main ones.
+    """Return the left and the right camera of a pair of names; None: the main ones.
 
     Raises:
         VergenceError: the head has one eye only, has no such camera, or left and right are
@@ -209,12 +190,13 @@ def T_rcam_lcam(
     """Return Eq. 11 (..., 4, 4) at joint readings (..., 4) [rad].
 
     Args:
-        head: calibration of the head.
+        head: with a camera in each eye.
         joints: in the order of kinematics.EYE_JOINTS.
-        cameras: see stereo_cameras.
+        cameras: names of a camera of the left eye and one of the right; None: the main ones.
 
     Raises:
-        VergenceError: see stereo_cameras.
+        VergenceError: the head has one eye only, has no such camera, or left and right are
+            exchanged.
     """
     return stereo_poses(head, joints, cameras=cameras)[1]
 
@@ -249,11 +231,7 @@ def rebase(
 ) -> HeadCalibration:
     """Return the head with the T_rbase_lbase that a stereo pose demands (Eq. 10).
 
-    Args:
-        head: calibration of the head.
-        T_rcam_lcam: (4, 4) how the cameras stand to each other.
-        joints: (4,) joint readings [rad] at that moment.
-        cameras: see stereo_cameras.
+    The cameras stood at T_rcam_lcam (4, 4) at joint readings (4,) [rad].
 
     Raises:
         VergenceError: see stereo_cameras.

@@ -17,11 +17,7 @@ def depth_error(
 ) -> Array:
     """Eq. 20: return the error in depth (...,) [m] that an error in disparity makes.
 
-    Args:
-        depth_m: from the centres of the cameras.
-        baseline_m: between the centres of the cameras.
-        focal_px: of both cameras.
-        disparity_error_px: of the difference between the two image positions.
+    Depth and baseline are those of the cameras' centres.
     """
     depth, baseline, focal = (np.asarray(a, float) for a in (depth_m, baseline_m, focal_px))
     return depth**2 / (baseline * focal) * np.asarray(disparity_error_px, float)
@@ -48,8 +44,8 @@ def predicted_depth_std(
     Within 1.3 % from five baselines on; closer by, the half baseline is no small angle.
 
     Args:
-        depth_m: from the centres of the cameras.
-        baseline_m: between the centres of the cameras.
+        depth_m: from the centres of the cameras, as the baseline.
+        baseline_m: between them.
         focal_px: of both cameras.
         joint_std_rad: of each joint's reading.
         pixel_std_px: of each coordinate of the object's position in each image.

@@ -40,8 +40,6 @@ def triangulate(
     Args:
         left: (N, 2) pixels in the left camera, distortion included; NaN: not seen.
         right: (N, 2) pixels in the right camera.
-        left_camera: intrinsics.
-        right_camera: intrinsics.
         T_rcam_lcam: (N, 4, 4) or (4, 4) pose of the left camera in the right one.
 
     Returns:
@@ -85,8 +83,7 @@ def triangulate_at(
     """
     left, right, joints = checked(left, right, joints)
     readable = np.isfinite(joints).all(axis=-1, keepdims=True)
-    angles = np.where(readable, joints, 0.0)
-    T_lbase_lcam, T_rcam_lcam = stereo_poses(head, angles, cameras=cameras)
+    T_lbase_lcam, T_rcam_lcam = stereo_poses(head, np.where(readable, joints, 0.0), cameras=cameras)
     left_camera, right_camera = (each.intrinsics for each in stereo_cameras(head, cameras))
     points, status = triangulate(
         left=np.where(readable, left, np.nan),
@@ -127,9 +124,6 @@ def in_head(head: HeadCalibration, points_lbase: Array) -> Array:
 def in_body(head: HeadCalibration, points_lbase: Array, neck_angles: Array) -> Array:
     """Eq. 12: map points (..., 3) [m] from the left eye's base frame into frame body.
 
-    Args:
-        head: calibration of the head.
-        points_lbase: (..., 3) [m].
-        neck_angles: (..., n) [rad], in the order of the neck's chain.
+    The neck's angles (..., n) [rad] are in the order of its chain.
     """
     return transform(T_body_base(head, "left", neck_angles), points_lbase)

@@ -45,7 +45,7 @@ def locate(
     """Return where points are that both eyes see, and how well that is known.
 
     Args:
-        head: calibration of the head.
+        head: with or without its accuracy.
         left: (N, 2) pixels in the left camera, distortion included; NaN: not seen.
         right: (N, 2) pixels of the same points in the right camera.
         joints: (4,) joint readings [rad] of one posture that serves all points, or (N, 4), in the
@@ -60,42 +60,20 @@ def locate(
         VergenceError: shapes do not fit, the head has no such camera, or left and right are
             exchanged.
     """
-    points, status = triangulate_at(head, left=left, right=right, joints=joints, cameras=cameras)
+    points, status, jacobian = _linearised(head, left, right, joints, cameras)
     covariance = np.full((len(points), 3, 3), np.nan)
-    stated = _states_covariance(head.accuracy)
-    if stated or pixel_std_px is not None or joint_std_rad is not None:
-        pixel, joint = _noise(head.accuracy, pixel_std_px, joint_std_rad)
-        _, covariance = locate_with_covariance(
-            head,
-            left=left,
-            right=right,
-            joints=joints,
-            pixel_std_px=pixel,
-            joint_std_rad=joint,
-            cameras=cameras,
-        )
-    if stated:
+    accuracy = head.accuracy or Accuracy(method="paper")
+    if accuracy.parameters or pixel_std_px is not None or joint_std_rad is not None:
+        if pixel_std_px is None:
+            pixel_std_px = accuracy.pixel_std_px or 0.0
+        if joint_std_rad is None:
+            joint_std_rad = np.tile(accuracy.joint_std or (0.0,), 4)[:4]
+        covariance = _covariance(jacobian, _stds(len(points), pixel_std_px, joint_std_rad))
+    if accuracy.parameters:
         covariance = covariance + calibration_covariance(
             head, left=left, right=right, joints=joints, cameras=cameras
         )
     return LocatedPoints(points, covariance, status)
-
-
-def _states_covariance(accuracy: Accuracy | None) -> bool:
-    return accuracy is not None and bool(accuracy.parameters)
-
-
-def _noise(
-    accuracy: Accuracy | None, pixel_std_px: ArrayLike | None, joint_std_rad: ArrayLike | None
-) -> tuple[ArrayLike, ArrayLike]:
-    """Return the noise of pixels [px] and joints [rad]: as given, else as stated, else none."""
-    stated_px = accuracy.pixel_std_px if accuracy is not None else None
-    if pixel_std_px is None:
-        pixel_std_px = 0.0 if stated_px is None else stated_px
-    if joint_std_rad is None:
-        levels = accuracy.joint_std if accuracy is not None else ()
-        joint_std_rad = np.tile(levels, 4)[:4] if levels else 0.0
-    return pixel_std_px, joint_std_rad
 
 
 def locate_with_covariance(
@@ -114,7 +92,7 @@ def locate_with_covariance(
 
     Args and errors: see locate.
     """
-    points, jacobian = _linearised(head, left, right, joints, cameras)
+    points, _, jacobian = _linearised(head, left, right, joints, cameras)
     return points, _covariance(jacobian, _stds(len(points), pixel_std_px, joint_std_rad))
 
 
@@ -133,14 +111,11 @@ def locate_both(
     Both are seen by the same cameras at the same readings, so that an error of the readings is in
     both, and cancels as far as the two are near each other. The calibration is taken as exact.
 
+    Other args: see locate.
+
     Args:
-        head: calibration of the head.
         left: pixels (N, 2) of points a, and of points b, in the left camera.
         right: pixels (N, 2) of points a, and of points b, in the right camera.
-        joints: (4,) or (N, 4) joint readings [rad] in the order of kinematics.EYE_JOINTS.
-        pixel_std_px: noise of the pixels of either point, as for locate.
-        joint_std_rad: noise of the readings, as for locate.
-        cameras: names of the left and the right camera; None: the main ones.
 
     Returns:
         Points a and b (N, 3) [m], and covariances (N, 3, 3) [m^2] of a - b, in the left eye's base
@@ -151,7 +126,8 @@ def locate_both(
     """
     n = len(left[0])
     both = np.tile(np.broadcast_to(joints, (n, 4)), (2, 1))
-    points, jacobian = _linearised(head, np.concatenate(left), np.concatenate(right), both, cameras)
+    pixels = np.concatenate(left), np.concatenate(right)
+    points, _, jacobian = _linearised(head, *pixels, both, cameras)
     a, b = np.split(jacobian, 2, axis=1)
     apart = np.concatenate([a[:4], -b[:4], a[4:] - b[4:]])  # (12, N, 3)
     stds = _stds(n, pixel_std_px, joint_std_rad)
@@ -209,19 +185,20 @@ def _linearised(
     right: Array,
     joints: Array,
     cameras: tuple[str, str] | None,
-) -> tuple[Array, Array]:
-    """Return points (N, 3) and how they change (8, N, 3) with four pixel coordinates and angles."""
+) -> tuple[Array, np.ndarray, Array]:
+    """Return points (N, 3), their status, and how they change (8, N, 3) with pixels and angles."""
     left, right, joints = checked(left, right, joints)
     inputs = np.concatenate([left, right, np.broadcast_to(joints, (len(left), 4))], axis=1)
     steps = np.repeat([_PIXEL_STEP_PX, _JOINT_STEP_RAD], 4)
     moves = np.concatenate([np.zeros((1, 8)), np.diag(steps), -np.diag(steps)])
     flat = (inputs + moves[:, None]).reshape(-1, 8)  # (17 N, 8)
-    points, _ = triangulate_at(
+    points, status = triangulate_at(
         head, left=flat[:, :2], right=flat[:, 2:4], joints=flat[:, 4:], cameras=cameras
     )
     here, *around = points.reshape(17, -1, 3)
     forward, backward = np.reshape(around, (2, 8, -1, 3))
-    return here, (forward - backward) / (2 * steps[:, None, None])
+    jacobian = (forward - backward) / (2 * steps[:, None, None])
+    return here, status[: len(left)], jacobian
 
 
 def _stds(n: int, pixel_std_px: ArrayLike, joint_std_rad: ArrayLike) -> Array:

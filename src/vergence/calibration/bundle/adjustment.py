@@ -19,18 +19,14 @@ from vergence.calibration.bundle.solver import (
     OUTLIER,
     LinearProblem,
     NoiseLevels,
-    RobustWeights,
     corner_distances,
-    has_weights,
-    inliers,
+    inlier_weights,
     linearise,
     minimise,
     project_onto,
-    robust_weights,
 )
 from vergence.calibration.bundle.systematic_errors import systematic_errors
 from vergence.calibration.bundle.variance_components import (
-    Components,
     estimate_noise,
     image_levels,
     image_noise_scales,
@@ -59,12 +55,12 @@ class Adjusted:
     """The result of an adjustment."""
 
     state: BundleState
-    components: Components
+    noise: NoiseLevels
     observability: Observability
     """Its covariance allows for the levels of noise being estimates themselves, and for errors of
     corners that images share."""
-    weights: RobustWeights
-    """1 for inliers, 0 for outliers and what was not seen."""
+    outliers: int
+    """Corners that lost their weight."""
     assumed: np.ndarray
     """(groups,) whether a joint noise is USUAL_JOINT, for want of data."""
     given: np.ndarray
@@ -89,7 +85,7 @@ def adjust(
 
     Args:
         problem: the data.
-        start: where to start, within the reach of Gauss-Newton.
+        start: within the reach of Gauss-Newton.
         group: (n,) group of joint noise of each latent unknown.
         pixel_std_px: of one coordinate of a corner; None: estimated.
         joint_std: (groups,) of the readings; None: estimated.
@@ -101,14 +97,11 @@ def adjust(
     """
     groups = int(group.max()) + 1
     given = np.array([pixel_std_px is not None] + [joint_std is not None] * groups)
-    first = NoiseLevels(
-        max(_median_level(problem, start), 0.1) if pixel_std_px is None else pixel_std_px,
-        np.full(groups, GENEROUS_JOINT) if joint_std is None else joint_std,
-        group,
-        outlier,
-    )
-    basis, linear = whole_basis(problem, start), _linear(problem, start, first)
-    left = redundancy(project_onto(linear, basis), first)
+    pixel = max(_median_level(problem, start), 0.1) if pixel_std_px is None else pixel_std_px
+    joint = np.full(groups, GENEROUS_JOINT) if joint_std is None else joint_std
+    noise = NoiseLevels(np.array([pixel, *joint]), group, outlier)
+    basis, linear = whole_basis(problem, start), _linear(problem, start, noise)
+    left = redundancy(project_onto(linear, basis), noise)
     if left[0] < 1:
         raise VergenceError(
             f"There are {linear.count:.0f} corner coordinates for more unknowns than that; "
@@ -116,8 +109,8 @@ def adjust(
         )
     assumed = ~given[1:] & (left[1:] < 1)
     given[1:] |= assumed
-    noise = replace(first, joint=np.where(assumed, USUAL_JOINT, first.joint))
-    state, components, seen = start, Components(noise, np.zeros(1 + groups), left), None
+    noise = replace(noise, levels=np.array([pixel, *np.where(assumed, USUAL_JOINT, joint)]))
+    state, seen, log_variance = start, None, np.zeros(1 + groups)
     agreed, converged, restarted, releases = False, False, False, 0
     weighings = 0 if np.isfinite(outlier) else WEIGHINGS
     for _ in range(ROUNDS):
@@ -125,13 +118,13 @@ def adjust(
         problem = refit_trajectory(problem, state)
         # The level depends on the inliers and they on it: keep half of the corners among them.
         least = 0.0 if given[0] else 0.8 * _median_level(problem, state)
-        noise = replace(noise, pixel_px=max(noise.pixel_px, least))
+        noise = replace(noise, levels=np.maximum(noise.levels, [least] + [0.0] * groups))
         linear = _linear(problem, state, noise, known=linear)
-        components = estimate_noise(project_onto(linear, basis), noise, given)
-        change = np.abs(np.log(_levels(components.noise) / _levels(noise))).max()
-        well = components.noise.joint < TRUST_ENCODER * image_levels(linear, noise)
-        problem = replace(problem, trust_encoder=problem.trust_encoder | well[noise.group])
-        noise, before = components.noise, 0 if seen is None else len(seen.fixed)
+        estimated, log_variance, rest = estimate_noise(project_onto(linear, basis), noise, given)
+        change = np.abs(np.log(estimated.levels / noise.levels)).max()
+        well = estimated.joint < TRUST_ENCODER * image_levels(linear, noise)[group]
+        problem = replace(problem, trust_encoder=problem.trust_encoder | well)
+        noise, before = estimated, 0 if seen is None else len(seen.fixed)
         linear = _linear(problem, state, noise, known=linear)
         found = observe(problem, state, linear, noise)
         # While the noise settles good readings may pass for outliers, and what they determine for
@@ -145,21 +138,26 @@ def adjust(
         if agreed:
             if weighings == WEIGHINGS:
                 break
-            problem, weighings = _weighed(problem, state, noise, components), weighings + 1
+            problem, weighings = _weighed(problem, state, linear, rest[0]), weighings + 1
     assert seen is not None
-    weights, c = inliers(robust_weights(problem, state, noise)), head_size(problem)
-    shared = systematic_errors(problem, state, linear, weights, noise, seen.basis)
-    certain = observe(problem, state, linear, _allowing_for_estimation(components))
+    systematic_px, systematic = systematic_errors(problem, state, linear, noise, seen.basis)
+    # Levels that are larger by their own uncertainty. For one that is well known the variance grows
+    # by the factor 1 + Var(log sigma^2), which for nu degrees of freedom is nu / (nu - 2) to first
+    # order: Student's t has that variance. For one that is indistinguishable from zero it grows by
+    # the standard deviation of sigma^2.
+    factor = np.sqrt(1 + log_variance / (1 + np.sqrt(log_variance)))
+    certain = observe(problem, state, linear, replace(noise, levels=noise.levels * factor))
+    c = head_size(problem)
     return Adjusted(
         state,
-        components,
-        replace(seen, covariance=certain.covariance + shared.covariance[:c, :c]),
-        weights,
+        noise,
+        replace(seen, covariance=certain.covariance + systematic[:c, :c]),
+        int(problem.seen.sum() - linear.weights[0].sum()),
         assumed,
         np.full(groups, joint_std is not None),
         left[1:],
         converged and agreed,
-        shared.rms_px,
+        systematic_px,
     )
 
 
@@ -171,21 +169,19 @@ def _linear(
     known: LinearProblem | None = None,
 ) -> LinearProblem:
     """Return the problem linearised with inliers only: the known one, if that is what it is."""
-    weights = inliers(robust_weights(problem, state, noise))
-    if known is not None and has_weights(weights, known):
+    weights = inlier_weights(problem, state, noise)
+    if known is not None and all(map(np.array_equal, weights, known.weights)):
         return known
     return linearise(problem, state, weights)
 
 
 def _weighed(
-    problem: BundleProblem, state: BundleState, noise: NoiseLevels, components: Components
+    problem: BundleProblem, state: BundleState, linear: LinearProblem, redundancy: float
 ) -> BundleProblem:
     """Return the problem with the noise scale of each image, as the residuals have it now."""
-    kept = inliers(robust_weights(problem, state, noise)).corner
+    kept = linear.weights[0]
     squares = (kept[..., None] * corner_errors(problem, state) ** 2).sum(axis=(1, 2))
-    left = components.redundancy[0] / max(
-        2 * kept.sum(), 1
-    )  # the part of each that the fit has left
+    left = redundancy / max(linear.count, 1)  # the part of each that the fit has left
     return replace(problem, noise_scale=image_noise_scales(squares, 2 * left * kept.sum(axis=1)))
 
 
@@ -193,20 +189,3 @@ def _median_level(problem: BundleProblem, state: BundleState) -> float:
     """Return the pixel noise by the median, which half of the corners cannot spoil."""
     lengths = corner_distances(problem, state)[problem.seen]
     return float(np.nanmedian(lengths)) / np.sqrt(2 * np.log(2))
-
-
-def _levels(noise: NoiseLevels) -> Array:
-    return np.array([noise.pixel_px, *noise.joint])
-
-
-def _allowing_for_estimation(components: Components) -> NoiseLevels:
-    """Return levels that are larger by their own uncertainty.
-
-    For a level that is well known the variance grows by the factor 1 + Var(log sigma^2), which
-    for nu degrees of freedom is nu / (nu - 2) to first order: Student's t has that variance. For
-    one that is indistinguishable from zero it grows by the standard deviation of sigma^2.
-    """
-    v = components.log_variance
-    factor = np.sqrt(1 + v / (1 + np.sqrt(v)))
-    noise = components.noise
-    return replace(noise, pixel_px=noise.pixel_px * factor[0], joint=noise.joint * factor[1:])

@@ -18,7 +18,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.bundle import diagnostics
-from vergence.calibration.bundle.adjustment import Adjusted, adjust
+from vergence.calibration.bundle.adjustment import adjust
 from vergence.calibration.bundle.initial_state import initial_state
 from vergence.calibration.bundle.problem import BundleProblem, corner_errors, eye_poses
 from vergence.calibration.bundle.solver import OUTLIER
@@ -80,9 +80,11 @@ def bundle_adjust(
     observations: Observations,
     *,
     T_cam_target: Mapping[str, Array] | None = None,
+    points: Array | None = None,
     fixed: Collection[str] | None = None,
     pixel_std_px: float | None = None,
     joint_std: float | tuple[float, float] | None = None,
+    own_levels_from: float = OWN_LEVELS,
     outlier: float = OUTLIER,
 ) -> BundleEstimate:
     """Estimate a whole head at once: lenses, mountings, the pose between the eyes, axes, time.
@@ -92,10 +94,12 @@ def bundle_adjust(
         observations: corners and readings. Without timing the time offset is not estimated.
         T_cam_target: by camera (V, 4, 4) poses of the board in each image, where they were solved
             for before.
+        points: (K, 3) corners in frame target [m]; None: those of the board.
         fixed: names of parameters that keep their start; None: fixed_by_default.
         pixel_std_px: noise of one coordinate of a corner; None: estimated.
         joint_std: noise of the readings, [rad] or, for poses, ([rad], [m]); None: estimated; 0:
             the readings are exact.
+        own_levels_from: eyes times views from which pan and tilt have each a noise of their own.
         outlier: standard deviations beyond which a corner or a reading loses weight.
 
     Raises:
@@ -111,39 +115,38 @@ def bundle_adjust(
             "left_wide.fx, left_wide.T_eye_cam.rx, left.pan_gain and time_offset_s."
         )
     problem, state, numbers = initial_state(
-        start, observations, fixed=fixed, T_cam_target=T_cam_target
+        start, observations, fixed=fixed, points=points, T_cam_target=T_cam_target
     )
-    own_levels = joint_std is None and len(problem.reading) >= OWN_LEVELS
-    group = noise_groups(problem, own_levels=own_levels)
+    if problem.T_base_eye_read is not None:
+        group = np.array([0, 0, 0, 1, 1, 1])  # rotations, translations
+    else:
+        group = np.array([0, int(joint_std is None and len(problem.reading) >= own_levels_from)])
+    levels = None
+    if joint_std is not None:
+        levels = np.broadcast_to(np.maximum(joint_std, EXACT), (group.max() + 1,))
     found = adjust(
-        problem,
-        state,
-        group,
-        pixel_std_px=pixel_std_px,
-        joint_std=given_levels(joint_std, group),
-        outlier=outlier,
+        problem, state, group, pixel_std_px=pixel_std_px, joint_std=levels, outlier=outlier
     )
     T_base_eye = np.full((len(observations.placement), 2, 4, 4), np.nan)
     T_base_eye[problem.block_view, problem.block_eye] = eye_poses(problem, found.state)
-    seen = {name for c, name in enumerate(problem.cameras) if c in problem.camera}
-    blind = tuple(
-        f"{name} sees no board, and keeps its start."
-        for name in problem.cameras
-        if name not in seen
-    )
+    errors = np.where(problem.seen[..., None], corner_errors(problem, found.state), np.nan)
+    residuals, blind = {}, []
+    for c, name in enumerate(problem.cameras):
+        mine = problem.camera == c
+        if mine.any():
+            residuals[name] = np.full((len(T_base_eye), *errors.shape[1:]), np.nan)
+            residuals[name][problem.block_view[problem.block[mine]]] = errors[mine]
+        else:
+            blind.append(f"{name} sees no board, and keeps its start.")
     return BundleEstimate(
         head=replace(found.state.head, neck=start.neck),
         parameters=parameter_names(problem.cameras),
         covariance=found.observability.covariance,
-        pixel_std_px=found.components.noise.pixel_px,
-        joint_std=tuple(map(float, found.components.noise.joint)),
+        pixel_std_px=found.noise.pixel_px,
+        joint_std=tuple(map(float, found.noise.levels[1:])),
         T_lbase_target=dict(zip(numbers.tolist(), found.state.T_lbase_target, strict=True)),
         T_base_eye=T_base_eye,
-        residuals_px={
-            name: residuals
-            for name, residuals in _residuals(problem, found, observations).items()
-            if name in seen
-        },
+        residuals_px=residuals,
         warnings=(
             *blind,
             *_left_out(problem, observations),
@@ -151,37 +154,6 @@ def bundle_adjust(
             *diagnostics.warnings(problem, found),
         ),
     )
-
-
-def noise_groups(problem: BundleProblem, *, own_levels: bool) -> np.ndarray:
-    """Return (n,) the group of noise of each latent unknown.
-
-    Measured eye poses have one for rotations and one for translations; angles have one for all
-    joints, or one for pan and one for tilt.
-    """
-    if problem.T_base_eye_read is not None:
-        return np.array([0, 0, 0, 1, 1, 1])
-    return np.array([0, int(own_levels)])
-
-
-def given_levels(joint_std: float | tuple[float, float] | None, group: np.ndarray) -> Array | None:
-    """Return joint noise that was given as (groups,) levels; None where it is to be estimated."""
-    if joint_std is None:
-        return None
-    levels = np.broadcast_to(np.asarray(joint_std, dtype=float), (group.max() + 1,))
-    return np.maximum(levels, EXACT)
-
-
-def _residuals(
-    problem: BundleProblem, found: Adjusted, observations: Observations
-) -> dict[str, Array]:
-    errors = np.where(problem.seen[..., None], corner_errors(problem, found.state), np.nan)
-    shape = (len(observations.placement), len(problem.points), 2)
-    residuals = {name: np.full(shape, np.nan) for name in problem.cameras}
-    for c, name in enumerate(problem.cameras):
-        mine = problem.camera == c
-        residuals[name][problem.block_view[problem.block[mine]]] = errors[mine]
-    return residuals
 
 
 def _left_out(problem: BundleProblem, observations: Observations) -> tuple[str, ...]:

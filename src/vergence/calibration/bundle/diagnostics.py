@@ -6,7 +6,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.bundle.adjustment import Adjusted
-from vergence.calibration.bundle.problem import BundleProblem, BundleState, eye_poses
+from vergence.calibration.bundle.problem import BundleProblem, eye_poses
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.parameters import parameter_names
 from vergence.geometry.se3 import rotvec
@@ -25,51 +25,36 @@ optimistic."""
 NAMED = 0.3
 """A direction's components of this size, relative to the largest, are named."""
 
-_WORDS = {
-    "rx": "rotation about x",
-    "ry": "rotation about y",
-    "rz": "rotation about z",
-    "tx": "translation along x",
-    "ty": "translation along y",
-    "tz": "translation along z",
-}
+_WORDS = {f"r{axis}": f"rotation about {axis}" for axis in "xyz"}
+_WORDS |= {f"t{axis}": f"translation along {axis}" for axis in "xyz"}
 
 
 def warnings(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
     """Return a sentence for everything that the reader of a result must know."""
-    observability, noise = found.observability, found.components.noise
-    said = []
-    for what, rows in (
-        ("not observable, and left at the start", observability.fixed),
-        ("hardly observable", observability.weak),
-    ):
-        for subject, eyes in _subjects(problem, rows):
-            said.append(f"{subject}: {what}; {_causes(problem, found, eyes)}.")
+    noise = found.noise
+    said = _unobservable(problem, found)
     for e in np.unique(problem.block_eye):
         said += _senses(problem, found, int(e))
-    for k in np.flatnonzero(found.assumed):
-        said.append(
-            f"The noise of the joint readings cannot be estimated from these views; "
-            f"{noise.joint[k]:g} was assumed: let the eyes look at each board from several angles."
-        )
-    few = ~found.assumed & ~found.given & (found.redundancy < FEW)
-    for redundancy in found.redundancy[few]:
-        said.append(
-            f"The noise of the joint readings rests on {redundancy:.0f} readings more than it "
-            "takes to fit them: the stated accuracy is rough; record more views."
-        )
+    said += [
+        f"The noise of the joint readings cannot be estimated from these views; {level:g} was "
+        "assumed: let the eyes look at each board from several angles."
+        for level in noise.levels[1:][found.assumed]
+    ]
+    said += [
+        f"The noise of the joint readings rests on {redundancy:.0f} readings more than it takes to "
+        "fit them: the stated accuracy is rough; record more views."
+        for redundancy in found.redundancy[~found.assumed & ~found.given & (found.redundancy < FEW)]
+    ]
     corners = int(np.count_nonzero(problem.seen))
-    outliers = corners - np.count_nonzero(found.weights.corner)
-    if outliers > 0.01 * corners:
+    if found.outliers > 0.01 * corners:
         said.append(
-            f"{outliers} of {corners} corners lie beyond {noise.outlier:g} standard deviations of "
-            f"{noise.pixel_px:.2g} px and lost their weight: look at the views with the largest "
-            "residuals."
+            f"{found.outliers} of {corners} corners lie beyond {noise.outlier:g} standard "
+            f"deviations of {noise.pixel_px:.2g} px and lost their weight: look at the views with "
+            "the largest residuals."
         )
     systematic = max(found.systematic_px)
     if systematic > noise.pixel_px:  # the boards' poses may pass it on: the worst camera is named
-        camera = problem.cameras[found.systematic_px.index(systematic)]
-        whose = "" if len(problem.cameras) == 1 else f" of {camera}"
+        whose = _of_camera(problem, found.systematic_px.index(systematic))
         said.append(
             f"All images{whose} have a systematic error of {systematic:.2g} px, more than the "
             f"noise of single corners ({noise.pixel_px:.2g} px): the lens departs from its "
@@ -83,40 +68,44 @@ def warnings(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
 def contradicting_views(problem: BundleProblem) -> tuple[str, ...]:
     """Return a sentence for each camera some views of which contradict the others."""
     said = []
-    for c, camera in enumerate(problem.cameras):
+    for c in range(len(problem.cameras)):
         lost = problem.block_view[problem.block[(problem.camera == c) & ~problem.seen.any(axis=1)]]
         if len(lost):
-            subject = "" if len(problem.cameras) == 1 else f" of {camera}"
             said.append(
-                f"Views {', '.join(map(str, np.sort(lost)))}{subject} were left out: they show the "
-                "board turned against its other views, as when it is numbered from the wrong end."
+                f"Views {', '.join(map(str, np.sort(lost)))}{_of_camera(problem, c)} were left "
+                "out: they show the board turned against its other views, as when it is numbered "
+                "from the wrong end."
             )
     return tuple(said)
 
 
-def _subjects(problem: BundleProblem, rows: Array) -> list[tuple[str, list[int]]]:
-    """Return the subjects of directions, merged by their owners, and the eyes concerned."""
-    labels = parameter_names(problem.cameras)
-    merged: dict[tuple[str, ...], dict[str, list[str]]] = {}
-    for row in _sparse(rows):
-        parts: dict[str, list[str]] = {}  # dictionaries keep the order of the unknowns
-        for i in np.flatnonzero(np.abs(row) > NAMED * np.abs(row).max()):
-            owner, part = _words(labels[i])
-            parts.setdefault(owner, []).append(part)
-        group = merged.setdefault(tuple(parts), {owner: [] for owner in parts})
-        for owner, words in parts.items():
-            group[owner] += words
-    subjects = []
-    for owners, parts in merged.items():
-        text = " together with ".join(f"{owner} {_list(parts[owner])}".strip() for owner in owners)
-        subjects.append((text, sorted({eye for o in owners for eye in _eyes_of(problem, o)})))
-    return subjects
+def _of_camera(problem: BundleProblem, c: int) -> str:
+    return "" if len(problem.cameras) == 1 else f" of {problem.cameras[c]}"
 
 
-def _words(name: str) -> tuple[str, str]:
-    """Return the owner of an unknown, and what it is."""
-    owner, _, part = name.removeprefix("camera.").rpartition(".")
-    return (owner or name, _WORDS.get(part, part if owner else ""))
+def _unobservable(problem: BundleProblem, found: Adjusted) -> list[str]:
+    """Return sentences on directions of the head that the data hardly determine, or not at all.
+
+    Directions of the same owners share one.
+    """
+    names = [n.removeprefix("camera.").rpartition(".") for n in parameter_names(problem.cameras)]
+    owner = [before or after for before, _, after in names]
+    word = [_WORDS.get(after, after) if before else "" for before, _, after in names]
+    said = []
+    for what, rows in (
+        ("not observable, and left at the start", found.observability.fixed),
+        ("hardly observable", found.observability.weak),
+    ):
+        merged: dict[tuple[str, ...], set[int]] = {}
+        for row in _sparse(rows):
+            large = np.flatnonzero(np.abs(row) > NAMED * np.abs(row).max()).tolist()
+            merged.setdefault(tuple(dict.fromkeys(owner[i] for i in large)), set()).update(large)
+        for owners, large in merged.items():
+            parts = {o: [word[i] for i in sorted(large) if owner[i] == o] for o in owners}
+            subject = " together with ".join(f"{o} {_list(parts[o])}".strip() for o in owners)
+            eyes = sorted({eye for o in owners for eye in _eyes_of(problem, o)})
+            said.append(f"{subject}: {what}; {_causes(problem, found, eyes)}.")
+    return said
 
 
 def _eyes_of(problem: BundleProblem, owner: str) -> list[int]:
@@ -130,21 +119,20 @@ def _eyes_of(problem: BundleProblem, owner: str) -> list[int]:
 
 def _causes(problem: BundleProblem, found: Adjusted, eyes: list[int]) -> str:
     """Return what the motion of the eyes lacks."""
-    present = [e for e in eyes if (problem.block_eye == e).any()]
-    if len(eyes) == 2 and not _placements_of_both(problem):
+    eye = problem.eye[problem.camera]
+    shared = set(problem.placement[eye == 0]) & set(problem.placement[eye == 1])
+    if len(eyes) == 2 and not shared:
         return "no board stands where both eyes see it; show the same board to both"
-    causes = [cause for e in present for cause in _motion(problem, found, e)]
-    if causes:
-        return ", ".join(causes)
-    return (
+    causes = [
+        cause
+        for e in eyes
+        if (problem.block_eye == e).any()
+        for cause in _motion(problem, found, e)
+    ]
+    return ", ".join(causes) or (
         "the views do not distinguish it from other unknowns; record more of them, with pan and "
         "tilt moved by 0.25 rad and boards at several distances and slants"
     )
-
-
-def _placements_of_both(problem: BundleProblem) -> bool:
-    eye = problem.eye[problem.camera]
-    return bool(set(problem.placement[eye == 0]) & set(problem.placement[eye == 1]))
 
 
 def _motion(problem: BundleProblem, found: Adjusted, eye: int) -> list[str]:
@@ -154,14 +142,23 @@ def _motion(problem: BundleProblem, found: Adjusted, eye: int) -> list[str]:
     if np.bincount(which).max() < 2:
         return [f"{whose} sees each board in one view only; let it move before a board at rest"]
     if problem.T_base_eye_read is not None:
-        return _turning(problem, found.state, blocks, which, whose)
+        R = eye_poses(problem, found.state)[blocks, :3, :3]
+        first = np.unique(which, return_index=True)[1]
+        turns = rotvec(np.swapaxes(R[first][which], 1, 2) @ R)
+        reach = np.linalg.svd(turns, compute_uv=False) / np.sqrt(len(turns))
+        if reach[0] < SMALL_RAD:
+            return [f"{whose} turns by {reach[0]:.2g} rad only; turn it {ADVISED}"]
+        if reach[1] < SMALL_RAD:
+            return [
+                f"all turns of {whose} share one axis to within {reach[1]:.2g} rad; "
+                f"turn it about another axis as well, {ADVISED}"
+            ]
+        return []
     away = _away(found.state.latent[blocks], which)
-    noise = found.components.noise
     causes = []
-    for k, joint in enumerate(("pan", "tilt")):
-        rms, reach = np.sqrt((away[:, k] ** 2).mean()), np.abs(away[:, k]).max()
-        level = noise.joint[noise.group[k]]
-        if rms <= 1.5 * level:
+    for joint, own, level in zip(("pan", "tilt"), away.T, found.noise.joint, strict=True):
+        reach = np.abs(own).max()
+        if np.sqrt((own**2).mean()) <= 1.5 * level:
             causes.append(
                 f"all {joint} motion of {whose} ({reach:.2g} rad) is no larger than its noise "
                 f"({level:.2g} rad); move {joint} {ADVISED}"
@@ -186,13 +183,10 @@ def _senses(problem: BundleProblem, found: Adjusted, eye: int) -> list[str]:
     if problem.T_base_eye_read is not None or np.bincount(which).max() < 2:
         return []
     length = np.linalg.norm(_away(found.state.latent[blocks], which), axis=0)
-    noise = found.components.noise
     return [
         f"Readings of {joint} of {_whose(problem, eye)} hardly follow its motion: the noise is "
         f"{level:.2g} rad, and even the sense of the motion is uncertain; do not trust the result."
-        for joint, size, level in zip(
-            ("pan", "tilt"), length, noise.joint[noise.group], strict=True
-        )
+        for joint, size, level in zip(("pan", "tilt"), length, found.noise.joint, strict=True)
         if size < SENSE * level
     ]
 
@@ -215,24 +209,6 @@ def _whose(problem: BundleProblem, eye: int) -> str:
     return "the eye" if len(problem.cameras) == 1 else f"the {EYES[eye]} eye"
 
 
-def _turning(
-    problem: BundleProblem, state: BundleState, blocks: np.ndarray, which: np.ndarray, whose: str
-) -> list[str]:
-    """Return what the rotations of general eye poses lack."""
-    R = eye_poses(problem, state)[blocks, :3, :3]
-    first = np.unique(which, return_index=True)[1]
-    turns = rotvec(np.swapaxes(R[first][which], 1, 2) @ R)
-    reach = np.linalg.svd(turns, compute_uv=False) / np.sqrt(len(turns))
-    if reach[0] < SMALL_RAD:
-        return [f"{whose} turns by {reach[0]:.2g} rad only; turn it {ADVISED}"]
-    if reach[1] < SMALL_RAD:
-        return [
-            f"all turns of {whose} share one axis to within {reach[1]:.2g} rad; "
-            f"turn it about another axis as well, {ADVISED}"
-        ]
-    return []
-
-
 def _sparse(rows: Array) -> Array:
     """Return a basis of the same space with the zeros that pivoted elimination gives."""
     rows = rows.copy()
@@ -246,6 +222,4 @@ def _sparse(rows: Array) -> Array:
 
 
 def _list(words: list[str]) -> str:
-    order = list(_WORDS.values())
-    words = sorted(set(words), key=lambda word: order.index(word) if word in order else -1)
-    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]
+    return ", ".join(words[:-1]) + " and " + words[-1] if len(words) > 1 else words[0]

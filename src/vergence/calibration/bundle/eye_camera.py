@@ -7,11 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.bundle import diagnostics
-from vergence.calibration.bundle.adjustment import adjust
-from vergence.calibration.bundle.bundle_adjustment import given_levels, noise_groups
-from vergence.calibration.bundle.initial_state import initial_state
-from vergence.calibration.bundle.problem import corner_errors, eye_poses
+from vergence.calibration.bundle.bundle_adjustment import bundle_adjust, covariance_of
 from vergence.calibration.bundle.solver import OUTLIER
 from vergence.calibration.observations import Observations
 from vergence.calibration.sequential.hand_eye import robust_park_martin
@@ -20,7 +16,7 @@ from vergence.geometry.board import Chessboard
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, MountedCamera
 from vergence.geometry.kinematics import EyeAxes, T_base_eye
-from vergence.geometry.parameters import INTRINSICS, PER_CAMERA, parameter_names
+from vergence.geometry.parameters import parameter_names
 from vergence.vision.board_pose import board_poses
 
 _NAME = "camera"
@@ -102,40 +98,27 @@ def refine_eye_camera(
         T_rbase_lbase=np.eye(4),
         axes={"left": axes, "right": axes},
     )
-    names = parameter_names(head.cameras)
-    problem, state, _ = initial_state(
+    found = bundle_adjust(
         head,
         observations,
-        fixed=[name for name in names if ".T_eye_cam." not in name],
-        points=points,
         T_cam_target={_NAME: T_cam_target},
-    )
-    group = noise_groups(problem, own_levels=False)
-    found = adjust(
-        problem,
-        state,
-        group,
+        points=points,
+        fixed=[name for name in parameter_names(head.cameras) if ".T_eye_cam." not in name],
         pixel_std_px=pixel_std_px,
-        joint_std=given_levels(joint_std, group),
+        joint_std=joint_std,
+        own_levels_from=np.inf,
         outlier=outlier,
     )
-    mount = slice(len(INTRINSICS), PER_CAMERA)
-    true_poses, residuals = T_read.copy(), np.full(pixels.shape, np.nan)
-    true_poses[problem.block_view] = eye_poses(problem, found.state)
-    errors = corner_errors(problem, found.state)
-    residuals[problem.block_view] = np.where(problem.seen[..., None], errors, np.nan)
+    T_found = found.T_base_eye[:, 0]
     return EyeCamera(
-        T_eye_cam=found.state.head.cameras[_NAME].T_eye_cam,
-        covariance=found.observability.covariance[mount, mount],
-        T_base_target=found.state.T_lbase_target[0],
-        T_base_eye=true_poses,
-        residuals_px=residuals,
-        pixel_std_px=found.components.noise.pixel_px,
-        joint_std=tuple(map(float, found.components.noise.joint)),
-        warnings=(
-            *diagnostics.contradicting_views(problem),
-            *diagnostics.warnings(problem, found),
-        ),
+        T_eye_cam=found.head.cameras[_NAME].T_eye_cam,
+        covariance=covariance_of(found, f"{_NAME}.T_eye_cam"),
+        T_base_target=found.T_lbase_target[0],
+        T_base_eye=np.where(np.isnan(T_found), T_read, T_found),
+        residuals_px=found.residuals_px[_NAME],
+        pixel_std_px=found.pixel_std_px,
+        joint_std=found.joint_std,
+        warnings=found.warnings,
     )
 
 

@@ -14,7 +14,6 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.bundle.problem import BundleProblem, BundleState, head_size
 from vergence.calibration.bundle.solver import LinearProblem, NoiseLevels, factorise, project_onto
-from vergence.geometry.parameters import POSE
 
 ROTATION_RAD = 0.05
 """How well a ruler knows a mounting: about 3 degrees ..."""
@@ -47,8 +46,9 @@ class Observability:
     """(c, c) of the calibration; where nothing is known, UNKNOWN prior standard deviations."""
 
 
-def prior_std(problem: BundleProblem, state: BundleState) -> Array:
-    """Return (G,) the prior standard deviation of each shared unknown."""
+def whole_basis(problem: BundleProblem, state: BundleState) -> Array:
+    """Return (G, F) directions, one prior standard deviation long each, of all that is free."""
+    pose = [ROTATION_RAD] * 3 + [TRANSLATION_M] * 3
     scales = []
     for mounted in state.head.cameras.values():
         lens = mounted.intrinsics
@@ -56,17 +56,9 @@ def prior_std(problem: BundleProblem, state: BundleState) -> Array:
         reach = np.hypot(lens.width, lens.height) / 2 / f  # of the image's corner, normalised
         scales += [0.2 * f, 0.2 * f, 0.1 * lens.width, 0.1 * lens.height]
         # Distortion that moves the image's corner by a fifth of its distance from the centre.
-        scales += [0.2 / reach**2, 0.2 / reach**4, 0.2 / reach, 0.2 / reach, 0.2 / reach**6]
-        scales += [ROTATION_RAD] * 3 + [TRANSLATION_M] * 3
-    scales += [ROTATION_RAD] * 3 + [TRANSLATION_M] * 3
-    scales += [*AXES_STD, *AXES_STD, TIME_S]
-    placements = (len(problem.free) - len(scales)) // len(POSE)
-    return np.array(scales + ([ROTATION_RAD] * 3 + [TRANSLATION_M] * 3) * placements)
-
-
-def whole_basis(problem: BundleProblem, state: BundleState) -> Array:
-    """Return (G, F) directions, one prior standard deviation long each, of all that is free."""
-    return np.diag(prior_std(problem, state))[:, problem.free]
+        scales += (0.2 / reach ** np.array([2, 4, 1, 1, 6])).tolist() + pose
+    scales += [*pose, *AXES_STD, *AXES_STD, TIME_S] + pose * len(state.T_lbase_target)
+    return np.diag(scales)[:, problem.free]
 
 
 def observe(
@@ -90,17 +82,10 @@ def observe(
     values = np.maximum(values, UNKNOWN**-2)
     kept = values > FIXED**-2
     hardly = kept & (values < WEAK**-2)
-    directions = scale[:, mine] @ vectors
+    directions, unscaled = scale[:, mine] @ vectors, np.eye(c)[:, problem.free[:c]]
     return Observability(
         basis=np.concatenate([directions[:, kept], scale[:, ~mine]], axis=1),
-        fixed=_unscaled(vectors[:, ~kept], problem.free[:c]),
-        weak=_unscaled(vectors[:, hardly], problem.free[:c]),
+        fixed=(unscaled @ vectors[:, ~kept]).T,
+        weak=(unscaled @ vectors[:, hardly]).T,
         covariance=(directions / values @ directions.T)[:c, :c],
     )
-
-
-def _unscaled(vectors: Array, free: np.ndarray) -> Array:
-    """Return (H, c) of eigenvectors (free, H), with zeros for what is not free."""
-    rows = np.zeros((vectors.shape[1], len(free)))
-    rows[:, free] = vectors.T
-    return rows

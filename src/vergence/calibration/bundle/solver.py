@@ -34,28 +34,31 @@ OUTLIER = 4.0
 """Standard deviations; a good corner exceeds it once in 3000, a good joint reading in 16000."""
 
 
+Weights = tuple[Array, Array]
+"""Robust weights between 0 and 1: of corners (M, K), 0 where not seen, and of readings (B, n)."""
+
+
 @dataclass(frozen=True, eq=False)
 class NoiseLevels:
     """Standard deviations, with a group for each kind of reading."""
 
-    pixel_px: float
-    """Of one coordinate of a corner, in a typical image; see BundleProblem.noise_scale."""
-    joint: Array
-    """(groups,) [rad], or [m] for translations of eye poses."""
+    levels: Array
+    """(1 + groups,): of one coordinate of a corner in a typical image [px], see
+    BundleProblem.noise_scale; then of the readings [rad], or [m] for translations of eye poses."""
     group: Index
     """(n,) group of each latent unknown of a block."""
     outlier: float = OUTLIER
     """Standard deviations beyond which a residual loses weight."""
 
+    @property
+    def pixel_px(self) -> float:
+        """Of one coordinate of a corner."""
+        return float(self.levels[0])
 
-@dataclass(frozen=True, eq=False)
-class RobustWeights:
-    """Robust weights between 0 and 1."""
-
-    corner: Array
-    """(M, K), 0 where not seen."""
-    joint: Array
-    """(B, n)."""
+    @property
+    def joint(self) -> Array:
+        """(n,) of each latent unknown of a block."""
+        return self.levels[1:][self.group]
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,10 +84,7 @@ class LinearProblem:
     """Of corner coordinates with a weight."""
     joint_errors: Array
     """(B, n)."""
-    joint_weights: Array
-    """(B, n)."""
-    corner_weights: Array
-    """(M, K)."""
+    weights: Weights
     rate: Array
     """(B, n): the joint errors change by minus this with the time offset."""
     time: Array
@@ -105,12 +105,12 @@ class NormalEquations:
     """(G,), (B, n)."""
 
 
-def linearise(problem: BundleProblem, state: BundleState, weights: RobustWeights) -> LinearProblem:
+def linearise(problem: BundleProblem, state: BundleState, weights: Weights) -> LinearProblem:
     """Return the problem linearised at a state."""
     G, (B, n) = len(problem.free), problem.reading.shape
     shared, index, latent = jacobians(problem, state)
     error = corner_errors(problem, state)
-    root = np.sqrt(weights.corner)[..., None] / problem.noise_scale[:, None, None]
+    root = np.sqrt(weights[0])[..., None] / problem.noise_scale[:, None, None]
     M = len(index)
     J = (shared * root[..., None]).reshape(M, -1, index.shape[1])
     L = (latent * root[..., None]).reshape(M, -1, n)
@@ -126,10 +126,9 @@ def linearise(problem: BundleProblem, state: BundleState, weights: RobustWeights
     return LinearProblem(
         gg, gl, ll, g, rhs,
         sum_squares=float((r**2).sum()),
-        count=2.0 * np.count_nonzero(weights.corner),
+        count=2.0 * np.count_nonzero(weights[0]),
         joint_errors=joint_errors(problem, state),
-        joint_weights=weights.joint,
-        corner_weights=weights.corner,
+        weights=weights,
         rate=joint_rates(problem, state),
         time=np.eye(1, G, head_size(problem) - 1)[0],
     )  # fmt: skip
@@ -150,16 +149,10 @@ def project_onto(linear: LinearProblem, basis: Array) -> LinearProblem:
 
 
 def factorise(linear: LinearProblem, noise: NoiseLevels, damping: float = 0.0) -> NormalEquations:
-    """Return the normal equations for given noise.
-
-    Args:
-        linear: from linearise, onto what is free.
-        noise: standard deviations.
-        damping: Levenberg and Marquardt's, relative to the diagonal.
-    """
+    """Return the normal equations, damped (Levenberg, Marquardt) relative to their diagonal."""
     pixel = noise.pixel_px**-2
     # A reading keeps a little weight: without it, an eye with outliers only would have no pose.
-    joint = np.maximum(linear.joint_weights, 1e-9) * noise.joint[noise.group] ** -2
+    joint = np.maximum(linear.weights[1], 1e-9) * noise.joint**-2
     n = joint.shape[1]
     eye = np.eye(n, dtype=bool)
     ll = pixel * linear.ll + np.where(eye, joint[:, :, None], 0.0)
@@ -200,13 +193,21 @@ def cholesky(matrix: Array) -> tuple[Array, bool]:
     )
 
 
-def robust_weights(problem: BundleProblem, state: BundleState, noise: NoiseLevels) -> RobustWeights:
-    """Return Cauchy's weights beyond OUTLIER and 1 within."""
-    corner = corner_distances(problem, state) / noise.pixel_px
-    joint = np.abs(joint_errors(problem, state)) / noise.joint[noise.group]
-    return RobustWeights(
-        np.where(problem.seen, _weight(corner, noise.outlier), 0.0), _weight(joint, noise.outlier)
+def robust_weights(problem: BundleProblem, state: BundleState, noise: NoiseLevels) -> Weights:
+    """Return Cauchy's weights beyond noise.outlier and 1 within."""
+    corner, joint = (
+        (noise.outlier / np.maximum(s, noise.outlier)) ** 2
+        if np.isfinite(noise.outlier)
+        else np.ones_like(s)
+        for s in _in_noise(problem, state, noise)
     )
+    return np.where(problem.seen, corner, 0.0), joint
+
+
+def inlier_weights(problem: BundleProblem, state: BundleState, noise: NoiseLevels) -> Weights:
+    """Return 1 for what lies within noise.outlier and 0 for the rest."""
+    corner, joint = robust_weights(problem, state, noise)
+    return (corner == 1).astype(float), (joint == 1).astype(float)
 
 
 def corner_distances(problem: BundleProblem, state: BundleState) -> Array:
@@ -214,22 +215,22 @@ def corner_distances(problem: BundleProblem, state: BundleState) -> Array:
     return np.linalg.norm(corner_errors(problem, state), axis=-1) / problem.noise_scale[:, None]
 
 
-def inliers(weights: RobustWeights) -> RobustWeights:
-    """Return 1 for what lies within OUTLIER and 0 for the rest."""
-    return RobustWeights((weights.corner == 1).astype(float), (weights.joint == 1).astype(float))
-
-
-def has_weights(weights: RobustWeights, linear: LinearProblem) -> bool:
-    """Return whether a linear problem has these weights."""
-    corner, joint = linear.corner_weights, linear.joint_weights
-    return np.array_equal(weights.corner, corner) and np.array_equal(weights.joint, joint)
+def _in_noise(
+    problem: BundleProblem, state: BundleState, noise: NoiseLevels
+) -> tuple[Array, Array]:
+    """Return the sizes of all errors, (M, K) and (B, n), in units of the noise."""
+    corner = corner_distances(problem, state) / noise.pixel_px
+    return corner, np.abs(joint_errors(problem, state)) / noise.joint
 
 
 def cost(problem: BundleProblem, state: BundleState, noise: NoiseLevels) -> float:
     """Return the robust sum of squares in units of the noise; infinite behind a camera."""
-    corner = corner_distances(problem, state) / noise.pixel_px
-    joint = joint_errors(problem, state) / noise.joint[noise.group]
-    total = _loss(corner, noise.outlier).sum() + _loss(joint, noise.outlier).sum()
+    total = 0.0
+    for s in _in_noise(problem, state, noise):
+        total += (np.minimum(s, noise.outlier) ** 2).sum()
+        if np.isfinite(noise.outlier):
+            beyond = np.maximum(s / noise.outlier, 1.0)
+            total += 2 * noise.outlier**2 * np.log(beyond).sum()
     return float(total) if np.isfinite(total) else np.inf
 
 
@@ -257,8 +258,11 @@ def minimise(
             # A step of a ten-thousandth of a standard deviation changes nothing.
             if gain < 1e-8:
                 return state, True, linear
-            trial = _try(problem, state, basis @ free, latent)
-            found = np.inf if trial is None else cost(problem, trial, noise)
+            try:
+                trial = retract(problem, state, basis @ free, latent)
+                found = cost(problem, trial, noise)
+            except ValueError:  # a focal length that is not positive
+                trial, found = None, np.inf
             if trial is not None and found <= lowest + 1e-12 * abs(lowest):
                 state, damping = trial, max(damping / 10, 1e-12)
                 if problem.around is not None:
@@ -271,21 +275,3 @@ def minimise(
                 return state, False, linear
         if iterations == 0:
             return state, False, linearise(problem, state, robust_weights(problem, state, noise))
-
-
-def _try(
-    problem: BundleProblem, state: BundleState, shared: Array, latent: Array
-) -> BundleState | None:
-    try:
-        return retract(problem, state, shared, latent)
-    except ValueError:  # a focal length that is not positive
-        return None
-
-
-def _weight(s: Array, outlier: float) -> Array:
-    return (outlier / np.maximum(s, outlier)) ** 2 if np.isfinite(outlier) else np.ones_like(s)
-
-
-def _loss(s: Array, outlier: float) -> Array:
-    within, beyond = np.minimum(np.abs(s), outlier), np.maximum(np.abs(s) / outlier, 1.0)
-    return within**2 + (2 * outlier**2 * np.log(beyond) if np.isfinite(outlier) else 0.0)

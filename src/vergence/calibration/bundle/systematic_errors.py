@@ -12,8 +12,6 @@ The field of each camera is a sum of Legendre polynomials in both coordinates of
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.polynomial.legendre import legvander2d
 from scipy.linalg import cho_solve
@@ -23,7 +21,6 @@ from vergence.calibration.bundle.problem import BundleProblem, BundleState, corn
 from vergence.calibration.bundle.solver import (
     LinearProblem,
     NoiseLevels,
-    RobustWeights,
     cholesky,
     factorise,
     project_onto,
@@ -35,46 +32,39 @@ LEAST_FIELD_CORNERS = 200
 """A camera with fewer does not determine a field of thirty coefficients."""
 
 
-@dataclass(frozen=True, eq=False)
-class SystematicErrors:
-    """The systematic errors of a head's cameras."""
-
-    rms_px: tuple[float, ...]
-    """By camera: of one coordinate of the field, over the image."""
-    covariance: Array
-    """(G, G) what the fields add to the covariance of the shared unknowns."""
-
-
 def systematic_errors(
     problem: BundleProblem,
     state: BundleState,
     linear: LinearProblem,
-    weights: RobustWeights,
     noise: NoiseLevels,
     basis: Array,
-) -> SystematicErrors:
+) -> tuple[tuple[float, ...], Array]:
     """Return how large such fields are, and what they do to the unknowns.
 
     Args:
         problem: the data.
         state: the optimum.
-        linear: the problem linearised there, with these weights.
-        weights: of the corners.
+        linear: the problem linearised there, with inliers only.
         noise: standard deviations.
         basis: (G, F) free directions of the shared unknowns.
+
+    Returns:
+        By camera the rms of one coordinate of the field over the image [px], and (G, G) what the
+        fields add to the covariance of the shared unknowns.
     """
+    weights = linear.weights[0]
     factors = factorise(project_onto(linear, basis), noise)
     schur = cholesky(factors.schur)
     # The state is the robust optimum: without its outliers it would stand a little elsewhere.
     moved = step(factors)
     shared, index, latent = jacobians(problem, state)
     errors = corner_errors(problem, state)
-    precision = (weights.corner / (noise.pixel_px * problem.noise_scale[:, None]) ** 2)[..., None]
+    precision = (weights / (noise.pixel_px * problem.noise_scale[:, None]) ** 2)[..., None]
     levels, covariance = [], np.zeros((len(problem.free), len(problem.free)))
     for c, mounted in enumerate(state.head.cameras.values()):
         lens = mounted.intrinsics
         mine = np.flatnonzero(problem.camera == c)
-        estimable = np.count_nonzero(weights.corner[mine]) >= LEAST_FIELD_CORNERS
+        estimable = np.count_nonzero(weights[mine]) >= LEAST_FIELD_CORNERS
         if not len(mine) or not (estimable or problem.systematic_px):
             levels.append(0.0)
             continue
@@ -101,7 +91,7 @@ def systematic_errors(
         absorbed = basis @ free
         covariance += std**2 * absorbed @ absorbed.T
         levels.append(float(std / per_px))
-    return SystematicErrors(tuple(levels), covariance)
+    return tuple(levels), covariance
 
 
 def _fields(pixels: Array, width: int, height: int) -> Array:

@@ -10,7 +10,7 @@ elimination and no projection.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -35,28 +35,9 @@ FLOOR_JOINT = 0.05
 change."""
 
 
-@dataclass(frozen=True, eq=False)
-class Components:
-    """NoiseLevels levels and how well they are known."""
-
-    noise: NoiseLevels
-    log_variance: Array
-    """(1 + groups,) variance of log sigma^2: corners, then the groups of readings."""
-    redundancy: Array
-    """(1 + groups,) how many residuals of each group are left over after the fit."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Evaluation:
-    minus_two_log_likelihood: float
-    score: Array
-    fisher: Array
-    redundancy: Array
-
-
 def estimate_noise(
     linear: LinearProblem, noise: NoiseLevels, fixed: np.ndarray, *, iterations: int = 40
-) -> Components:
+) -> tuple[NoiseLevels, Array, Array]:
     """Return the noise levels of greatest restricted likelihood.
 
     Args:
@@ -64,35 +45,39 @@ def estimate_noise(
             free.
         noise: where to start.
         fixed: (1 + groups,) which levels are known and stay.
+
+    Returns:
+        The levels; (1 + groups,) the variance of log sigma^2 of each; and (1 + groups,) how many
+        residuals of each group are left over after the fit.
     """
-    s = _log_variances(noise)
-    floor = np.concatenate([[2 * np.log(FLOOR_PX)], _joint_floor(linear, noise)])
+    s = 2 * np.log(noise.levels)
+    # A group's readings count as exact below a part of what an image determines.
+    floor = 2 * np.log([FLOOR_PX, *FLOOR_JOINT * image_levels(linear, noise)])
     s = np.where(fixed, s, np.maximum(s, floor))
-    now = _evaluate(linear, noise, s)
+    value, score, information, left = _evaluate(linear, noise, s)
     for _ in range(iterations):
         # A level at its floor is left out of the scoring step.
-        stuck = fixed | ((s <= floor + 1e-9) & (now.score <= 0))
-        fisher = now.fisher + 1e-9 * np.eye(len(s))
+        stuck = fixed | ((s <= floor + 1e-9) & (score <= 0))
+        fisher = information + 1e-9 * np.eye(len(s))
         fisher[stuck] = fisher[:, stuck] = 0
         fisher[stuck, stuck] = 1
-        move = np.clip(np.linalg.solve(fisher, np.where(stuck, 0, now.score)), -2, 2)
+        move = np.clip(np.linalg.solve(fisher, np.where(stuck, 0, score)), -2, 2)
         for _ in range(12):
             trial_s = np.where(stuck, s, np.maximum(s + move, floor))
             trial = _evaluate(linear, noise, trial_s)
-            if trial.minus_two_log_likelihood <= now.minus_two_log_likelihood + 1e-9:
+            if trial[0] <= value + 1e-9:
                 break
             move = move / 3
         else:
             break
-        change, s, now = np.abs(trial_s - s).max(), trial_s, trial
+        change, s = np.abs(trial_s - s).max(), trial_s
+        value, score, information, left = trial
         if change < 1e-4:
             break
-    information = now.fisher + 1e-12 * np.eye(len(s))
-    information[fixed] = information[:, fixed] = 0
-    information[fixed, fixed] = np.inf
+    information = information + 1e-12 * np.eye(len(s))
     variance = np.zeros(len(s))
     variance[~fixed] = np.diag(np.linalg.inv(information[np.ix_(~fixed, ~fixed)]))
-    return Components(_with(noise, s), variance, now.redundancy)
+    return replace(noise, levels=np.exp(s / 2)), variance, left
 
 
 def redundancy(linear: LinearProblem, noise: NoiseLevels) -> Array:
@@ -100,7 +85,7 @@ def redundancy(linear: LinearProblem, noise: NoiseLevels) -> Array:
 
     At a generous noise, less than one of a group says that its level cannot be estimated.
     """
-    return _evaluate(linear, noise, _log_variances(noise)).redundancy
+    return _evaluate(linear, noise, 2 * np.log(noise.levels))[3]
 
 
 def image_noise_scales(squares: Array, counts: Array) -> Array:
@@ -127,40 +112,31 @@ def image_noise_scales(squares: Array, counts: Array) -> Array:
     return scales
 
 
-def _log_variances(noise: NoiseLevels) -> Array:
-    return 2 * np.log(np.array([noise.pixel_px, *noise.joint]))
-
-
-def _with(noise: NoiseLevels, s: Array) -> NoiseLevels:
-    sigma = np.exp(s / 2)
-    return replace(noise, pixel_px=float(sigma[0]), joint=sigma[1:])
-
-
 def image_levels(linear: LinearProblem, noise: NoiseLevels) -> Array:
     """Return (groups,) how well one image determines the joints [rad]: the best of each group."""
     seen = np.linalg.cond(linear.ll) < 1e12  # a block may have lost all its corners as outliers
     alone = np.linalg.inv(linear.ll[seen])[:, *np.diag_indices(linear.ll.shape[1])]
     variance = noise.pixel_px**2 * np.median(alone, axis=0)
-    return np.sqrt([variance[noise.group == k].min() for k in range(len(noise.joint))])
+    return np.sqrt([variance[noise.group == k].min() for k in range(len(noise.levels) - 1)])
 
 
-def _joint_floor(linear: LinearProblem, noise: NoiseLevels) -> Array:
-    """Return (groups,) log variances below which a group's readings count as exact."""
-    return 2 * np.log(FLOOR_JOINT * image_levels(linear, noise))
+def _evaluate(
+    linear: LinearProblem, noise: NoiseLevels, s: Array
+) -> tuple[float, Array, Array, Array]:
+    """Return -2 log of the restricted likelihood, its gradient and Fisher information in s.
 
-
-def _evaluate(linear: LinearProblem, noise: NoiseLevels, s: Array) -> _Evaluation:
-    """Return the restricted likelihood, its gradient and Fisher information in s = log sigma^2."""
-    noise = _with(noise, s)
+    With s = log sigma^2; and the redundancy of each group.
+    """
+    noise = replace(noise, levels=np.exp(s / 2))
     factors = factorise(linear, noise)
     free, latent = step(factors)
-    used = linear.joint_weights > 0
+    used = linear.weights[1] > 0
     error = linear.joint_errors + latent - linear.rate * (linear.time @ free)
     group = np.broadcast_to(noise.group, error.shape)
-    inverse_variance = used * noise.joint[group] ** -2
+    inverse_variance = used * noise.joint**-2
     squares = [_corner_squares(linear, free, latent) / noise.pixel_px**2]
     counts = [linear.count]
-    for k in range(len(noise.joint)):
+    for k in range(len(s) - 1):
         squares.append((inverse_variance * error**2)[group == k].sum())
         counts.append(float(np.count_nonzero(used[group == k])))
     squares, counts = np.array(squares), np.array(counts, dtype=float)
@@ -176,12 +152,8 @@ def _evaluate(linear: LinearProblem, noise: NoiseLevels, s: Array) -> _Evaluatio
     fisher[0, 0] = redundancy[0] - across.sum()
     log_det = -np.linalg.slogdet(factors.ll_inverse)[1].sum()
     log_det += 2 * np.log(np.diag(cholesky(factors.schur)[0])).sum()
-    return _Evaluation(
-        float((counts * s).sum() + log_det + squares.sum()),
-        (squares - redundancy) / 2,
-        fisher / 2,
-        redundancy,
-    )
+    value = float((counts * s).sum() + log_det + squares.sum())
+    return value, (squares - redundancy) / 2, fisher / 2, redundancy
 
 
 def _corner_squares(linear: LinearProblem, shared: Array, latent: Array) -> float:
@@ -207,7 +179,7 @@ def _absorbed(
     L, _ = cholesky(factors.schur)
     B, n, F = U.shape
     Z = solve_triangular(L, U.reshape(-1, F).T, lower=True).T.reshape(B, n, F)
-    groups = [np.flatnonzero(noise.group == k) for k in range(len(noise.joint))]
+    groups = [np.flatnonzero(noise.group == k) for k in range(len(noise.levels) - 1)]
     grams = [np.einsum("bnf,bng->fg", Z[:, k], Z[:, k], optimize=True) for k in groups]
     inner = Z @ np.swapaxes(Z, 1, 2)
     trace = np.array(

@@ -16,7 +16,7 @@ make a placement consistent are turned.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations, product
 
@@ -26,7 +26,6 @@ from vergence.arrays import Array
 from vergence.calibration.checks.flip_evidence import (
     PRIOR,
     SPREAD_RAD,
-    Links,
     angles_apart,
     apart,
     costs_of_turns,
@@ -60,7 +59,7 @@ class Renumbered:
 
 @dataclass(frozen=True, eq=False)
 class _CameraViews:
-    """What one camera saw of the board, in N views."""
+    """What one camera saw of the board, in N views; turns and unclear are filled in."""
 
     view: np.ndarray
     """(N,)."""
@@ -70,8 +69,8 @@ class _CameraViews:
     """(N, 3, 3)."""
     R_base_eye: Array
     """(N, 3, 3)."""
-    R_eye_cam: Array | None
-    """None: the eye moved too little to determine it."""
+    R_base_cam: Array | None
+    """(N, 3, 3); None: the eye moved too little to determine how its camera is mounted."""
     turns: np.ndarray
     """(N,)."""
     unclear: np.ndarray
@@ -96,7 +95,7 @@ def number_alike(observations: Observations, T_cam_target: Mapping[str, Array]) 
     eyes, R = camera_eyes(observations), _turns(observations.board)
     T_base_eye = observations.eye_poses()
     cameras = {
-        name: _consistent(_views_of(observations, T, T_base_eye[:, EYES.index(eyes[name])]), R)
+        name: _consistent(observations.placement, T, T_base_eye[:, EYES.index(eyes[name])], R)
         for name, T in T_cam_target.items()
     }
     _together(cameras, eyes, R)
@@ -115,14 +114,16 @@ def number_alike(observations: Observations, T_cam_target: Mapping[str, Array]) 
 
 def turn_boards(observations: Observations, turns: Mapping[str, np.ndarray]) -> Observations:
     """Return observations with boards turned: by camera (V,) times pi, or pi / 2 if square."""
-    order = _orders(observations.board)
+    points = corner_points(observations.board)
+    away = points - points.mean(axis=0)
+    moved = away @ np.swapaxes(_turns(observations.board), 1, 2)
+    # (n, K): which corner takes the place of each when the board is turned.
+    order = np.linalg.norm(moved[:, :, None] - away, axis=-1).argmin(axis=2)
     corners = {
-        name: np.take_along_axis(seen, order[turns[name]][..., None], axis=1)
-        if name in turns
-        else seen
-        for name, seen in observations.corners.items()
+        name: np.take_along_axis(observations.corners[name], order[each][..., None], axis=1)
+        for name, each in turns.items()
     }
-    return replace(observations, corners=corners)
+    return replace(observations, corners={**observations.corners, **corners})
 
 
 def nearest(R_cam_target: Array, board: Board) -> Array:
@@ -169,66 +170,46 @@ def _turns(board: Board) -> Array:
     return rotation(2 * np.pi / n * np.arange(n)[:, None] * [0.0, 0.0, 1.0])
 
 
-def _orders(board: Board) -> np.ndarray:
-    """Return (n, K): which corner takes the place of each when the board is turned."""
-    points = corner_points(board)
-    away = points - points.mean(axis=0)
-    moved = away @ np.swapaxes(_turns(board), 1, 2)
-    return np.linalg.norm(moved[:, :, None] - away, axis=-1).argmin(axis=2)
-
-
-def _views_of(observations: Observations, T_cam_target: Array, T_base_eye: Array) -> _CameraViews:
+def _consistent(
+    placement: np.ndarray, T_cam_target: Array, T_base_eye: Array, R: Array
+) -> _CameraViews:
+    """Return a camera's views with turns that make each placement agree with the readings."""
     usable = np.isfinite(T_cam_target).all(axis=(1, 2)) & np.isfinite(T_base_eye).all(axis=(1, 2))
     view = np.flatnonzero(usable)
-    return _CameraViews(
-        view=view,
-        placement=observations.placement[view],
-        R_cam_target=T_cam_target[view, :3, :3],
-        R_base_eye=T_base_eye[view, :3, :3],
-        R_eye_cam=None,
-        turns=np.zeros(len(view), dtype=int),
-        unclear=np.zeros(len(view), dtype=bool),
-    )
-
-
-def _consistent(seen: _CameraViews, R: Array) -> _CameraViews:
-    """Return the same with turns that make the views of each placement agree with the readings."""
-    groups = [np.flatnonzero(seen.placement == p) for p in np.unique(seen.placement)]
-    turns, unclear = seen.turns.copy(), seen.unclear.copy()
-    for group in groups:
-        if len(group) > 1:
-            off = angles_apart(seen.R_cam_target[group], seen.R_base_eye[group], R)
-            turns[group], evidence = synchronised(off)
-            unclear[group] = evidence < CLEAR
-    seen = replace(seen, turns=turns, unclear=unclear)
-    largest = max(groups, key=len, default=np.arange(0))
-    R_eye_cam = _mounting(seen, largest[~unclear[largest]], R)
-    if R_eye_cam is None:
-        return seen
-    # With the mounting known not only angles can be compared, but rotations.
-    R_base_target = seen.R_base_eye @ R_eye_cam @ seen.R_cam_target
-    for group in groups:
-        if len(group) > 1:
+    R_cam_target, R_base_eye = T_cam_target[view, :3, :3], T_base_eye[view, :3, :3]
+    groups = [np.flatnonzero(placement[view] == p) for p in np.unique(placement[view])]
+    several = [group for group in groups if len(group) > 1]
+    turns, unclear = np.zeros(len(view), dtype=int), np.zeros(len(view), dtype=bool)
+    for group in several:
+        off = angles_apart(R_cam_target[group], R_base_eye[group], R)
+        turns[group], evidence = synchronised(off)
+        unclear[group] = evidence < CLEAR
+    chosen = max(groups, key=len, default=np.arange(0))
+    chosen = chosen[~unclear[chosen]]
+    R_eye_cam = _mounting(R_base_eye[chosen], R_cam_target[chosen] @ R[turns[chosen]])
+    R_base_cam = None if R_eye_cam is None else R_base_eye @ R_eye_cam
+    if R_base_cam is not None:
+        # With the mounting known not only angles can be compared, but rotations.
+        R_base_target = R_base_cam @ R_cam_target
+        for group in several:
             off = apart(R_base_target[group][:, None], R_base_target[group][None], R)
             better, evidence = synchronised(off)
             clear = evidence >= CLEAR
             if clear.sum() >= (~unclear[group]).sum():
                 turns[group], unclear[group] = better, ~clear
-    return replace(seen, turns=turns, unclear=unclear, R_eye_cam=R_eye_cam)
+    return _CameraViews(view, placement[view], R_cam_target, R_base_eye, R_base_cam, turns, unclear)
 
 
-def _mounting(seen: _CameraViews, chosen: np.ndarray, R: Array) -> Array | None:
-    """Return R_eye_cam (3, 3) by the chosen views, or None where they move too little."""
-    if len(chosen) < 4:
+def _mounting(R_base_eye: Array, R_cam_target: Array) -> Array | None:
+    """Return R_eye_cam (3, 3) by views of one placement, or None where they move too little."""
+    if len(R_base_eye) < 4:
         return None
-    E = seen.R_base_eye[chosen]
-    motion = rotvec(np.swapaxes(E[:1], 1, 2) @ E)
+    motion = rotvec(np.swapaxes(R_base_eye[:1], 1, 2) @ R_base_eye)
     spread = np.linalg.svd(motion - motion.mean(axis=0), compute_uv=False) / np.sqrt(len(motion))
     if spread[1] < LEAST_MOTION_RAD:
         return None
-    R_cam_target = seen.R_cam_target[chosen] @ R[seen.turns[chosen]]
     try:
-        return robust_park_martin(pose(E), pose(R_cam_target))[:3, :3]
+        return robust_park_martin(pose(R_base_eye), pose(R_cam_target))[:3, :3]
     except VergenceError:
         return None
 
@@ -238,9 +219,9 @@ def _together(cameras: Mapping[str, _CameraViews], eyes: Mapping[str, str], R: A
     n = len(R)
     votes: dict[int, dict[tuple[str, str], Array]] = {}
     for a, b in combinations(cameras, 2):
-        links = _links(cameras[a], cameras[b], R, same_eye=eyes[a] == eyes[b])
-        if len(links.placement):
-            for p, cost in zip(links.placement, costs_of_turns(links, R), strict=True):
+        placement, links = _links(cameras[a], cameras[b], R, same_eye=eyes[a] == eyes[b])
+        if len(placement):
+            for p, cost in zip(placement, costs_of_turns(*links, R), strict=True):
                 pairs = votes.setdefault(int(p), {})
                 pairs[a, b] = pairs.get((a, b), np.zeros(n)) + cost
     upright = {name: seen.R_cam_target[:, :, 0].mean(axis=0) for name, seen in cameras.items()}
@@ -261,16 +242,16 @@ def _together(cameras: Mapping[str, _CameraViews], eyes: Mapping[str, str], R: A
                     float(cost[(by[b] - by[a]) % n]) for (a, b), cost in pairs.items() if a in by
                 )
             best = min(totals, key=lambda shifts: totals[shifts])
-            others = [t for shifts, t in totals.items() if not _alike(shifts, best, n)]
+            # Nothing depends on one turn of all: only what differs by more is another answer.
+            others = [
+                total
+                for shifts, total in totals.items()
+                if len({(k - m) % n for k, m in zip(shifts, best, strict=True)}) > 1
+            ]
             for name, shift in zip(names, best, strict=True):
                 seen = cameras[name]
                 seen.turns[here[name]] = (seen.turns[here[name]] + shift) % n
                 seen.unclear[here[name]] |= min(others) - totals[best] < CLEAR
-
-
-def _alike(one: tuple[int, ...], other: tuple[int, ...], n: int) -> bool:
-    """Return whether two sets of turns differ by one turn of all: nothing depends on that."""
-    return len({(k - m) % n for k, m in zip(one, other, strict=True)}) == 1
 
 
 def _connected(pairs: Collection[tuple[str, str]]) -> list[list[str]]:
@@ -283,25 +264,23 @@ def _connected(pairs: Collection[tuple[str, str]]) -> list[list[str]]:
     return [sorted(names) for names in found]
 
 
-def _links(a: _CameraViews, b: _CameraViews, R: Array, *, same_eye: bool) -> Links:
+def _links(
+    a: _CameraViews, b: _CameraViews, R: Array, *, same_eye: bool
+) -> tuple[np.ndarray, tuple[Array, Array, Array, Array]]:
+    """Return the placements (L,) that link two cameras, and the links: see costs_of_turns."""
     seen_a, seen_b = (each.R_cam_target @ R[each.turns] for each in (a, b))
-    if a.R_eye_cam is not None and b.R_eye_cam is not None:
+    if a.R_base_cam is not None and b.R_base_cam is not None:
         placement = np.intersect1d(a.placement[~a.unclear], b.placement[~b.unclear])
-        in_base = (a.R_base_eye @ a.R_eye_cam @ seen_a, b.R_base_eye @ b.R_eye_cam @ seen_b)
+        in_base = (a.R_base_cam @ seen_a, b.R_base_cam @ seen_b)
         groups = [[(e.placement == p) & ~e.unclear for p in placement] for e in (a, b)]
-        boards = [_means(R_base, group) for R_base, group in zip(in_base, groups, strict=True)]
-        least = np.min([[g.sum() for g in group] for group in groups], axis=0)
-        return Links(placement, boards[0], boards[1], np.zeros(len(placement)), least)
+        sums = [[R[g].sum(axis=0) for g in own] for R, own in zip(in_base, groups, strict=True)]
+        U, _, Vt = np.linalg.svd(np.reshape(sums, (2, -1, 3, 3)))
+        mean_a, mean_b = U @ Vt  # rotations, (P, 3, 3)
+        least = np.min([[g.sum() for g in own] for own in groups], axis=0)
+        return placement, (mean_a, mean_b, np.zeros(len(placement)), least)
     _, i, j = np.intersect1d(a.view, b.view, return_indices=True)
     usable = ~(a.unclear[i] | b.unclear[j])
     i, j = i[usable], j[usable]
     slack = angle(a.R_base_eye[i]) + angle(b.R_base_eye[j])
     slack = np.zeros(len(i)) if same_eye else slack
-    return Links(a.placement[i], seen_a[i], seen_b[j], slack, np.ones(len(i)))
-
-
-def _means(R: Array, groups: Sequence[np.ndarray]) -> Array:
-    """Return (G, 3, 3) the mean rotation of each group of (N, 3, 3)."""
-    sums = np.array([R[group].sum(axis=0) for group in groups]).reshape(-1, 3, 3)
-    U, _, Vt = np.linalg.svd(sums)
-    return U @ Vt
+    return a.placement[i], (seen_a[i], seen_b[j], slack, np.ones(len(i)))

@@ -26,44 +26,47 @@ from vergence.vision.board_pose import LEAST_CORNERS, board_poses, seen_corners
 FOLDS = 5
 
 
-def folds(placement: np.ndarray, count: int = FOLDS) -> np.ndarray:
+def folds(placement: np.ndarray) -> np.ndarray:
     """Return (V,) the fold of each view; the views of each placement are spread over all folds."""
     shuffled = np.random.default_rng(0).permutation(len(placement))
     order = shuffled[np.argsort(placement[shuffled], kind="stable")]
     numbers = np.empty(len(placement), dtype=int)
-    numbers[order] = np.arange(len(placement)) % count
+    numbers[order] = np.arange(len(placement)) % FOLDS
     return numbers
 
 
 def held_out(
-    observations: Observations,
-    calibrate_part: Callable[[np.ndarray], HeadCalibration],
-    *,
-    count: int = FOLDS,
+    observations: Observations, calibrate_part: Callable[[np.ndarray], HeadCalibration]
 ) -> HeldOut:
     """Predict each fold of the views from a calibration by the others.
 
     Args:
         observations: all views.
         calibrate_part: makes a calibration from the views of a mask (V,).
-        count: of the folds.
 
     Raises:
         VergenceError: there are fewer views than folds, or a calibration fails.
     """
-    if len(observations.placement) < count:
+    if len(observations.placement) < FOLDS:
         raise VergenceError(
-            f"A held-out error needs at least {count} views, found {len(observations.placement)}."
+            f"A held-out error needs at least {FOLDS} views, found {len(observations.placement)}."
         )
-    number = folds(observations.placement, count)
-    heads = [calibrate_part(number != k) for k in range(count)]
-    errors = [_fold(head, observations, number == k) for k, head in enumerate(heads)]
-    pixels, points, expected, distances = (
-        [each for fold in errors for each in fold[kind]]
-        for kind in ("pixels", "points", "expected", "distances")
-    )
+    number = folds(observations.placement)
+    heads = [calibrate_part(number != k) for k in range(FOLDS)]
+    pixels, points, expected, distances = [], [], [], []
+    for k, head in enumerate(heads):
+        main, narrow = main_pair(head), ("left_narrow", "right_narrow")
+        pairs = [] if main is None else [main]
+        if set(narrow) <= set(head.cameras) and main != narrow:
+            pairs.append(narrow)
+        for pair in pairs:
+            pixels += _transferred(head, observations, number == k, pair)
+        if main is not None and observations.T_base_eye is None:
+            found = _located(head, observations, number == k, main)
+            for every, own in zip((points, expected, distances), found, strict=True):
+                every.extend(own)
     return HeldOut(
-        folds=count,
+        folds=FOLDS,
         transfer_views=len(pixels),
         transfer_px=_rms(pixels),
         point_views=len(points),
@@ -100,21 +103,6 @@ def _rms(errors: list[Array], unit: float = 1.0) -> float | None:
     return unit * float(np.sqrt((np.concatenate(errors) ** 2).mean())) if errors else None
 
 
-def _fold(
-    head: HeadCalibration, observations: Observations, mine: np.ndarray
-) -> dict[str, list[Array]]:
-    """Return the errors of the views of one fold, an array of corners for each view."""
-    found: dict[str, list[Array]] = {"pixels": [], "points": [], "expected": [], "distances": []}
-    main, narrow = main_pair(head), ("left_narrow", "right_narrow")
-    if main is not None:
-        found["pixels"] += _transferred(head, observations, mine, main)
-        if observations.T_base_eye is None:
-            _located(head, observations, mine, main, found)
-    if set(narrow) <= set(head.cameras) and main != narrow:
-        found["pixels"] += _transferred(head, observations, mine, narrow)
-    return found
-
-
 def _transferred(
     head: HeadCalibration, observations: Observations, mine: np.ndarray, pair: tuple[str, str]
 ) -> list[Array]:
@@ -145,13 +133,12 @@ def _transferred(
 
 
 def _located(
-    head: HeadCalibration,
-    observations: Observations,
-    mine: np.ndarray,
-    pair: tuple[str, str],
-    found: dict[str, list[Array]],
-) -> None:
-    """Add for each view of a board at rest the distances of its corners from their place [m]."""
+    head: HeadCalibration, observations: Observations, mine: np.ndarray, pair: tuple[str, str]
+) -> tuple[list[Array], list[Array], list[Array]]:
+    """Return errors of corners of boards at rest [m], what they should be, and distances [m].
+
+    An array for each view; the expected ones in one array.
+    """
     views = observations.timely(head)
     V, K = views.corners[pair[0]].shape[:2]
     left, right = (views.corners[name].reshape(-1, 2) for name in pair)
@@ -164,17 +151,17 @@ def _located(
     for number in np.unique(views.placement[mine]):
         there = views.placement == number
         counts = seen[there & ~mine].sum(axis=0)
-        mean = np.nansum(located[there & ~mine], axis=0) / np.maximum(counts, 1)[:, None]
         usable[there & mine] = seen[there & mine] & (counts > 0)
-        place[there & mine] = mean
+        total = np.nansum(located[there & ~mine], axis=0)
+        place[there & mine] = total / np.maximum(counts, 1)[:, None]
     rows = np.flatnonzero(np.asarray(usable.any(axis=1)))
-    for row in rows:
-        here = usable[row]
-        found["points"].append(np.linalg.norm(located[row, here] - place[row, here], axis=1))
-        found["distances"].append(np.linalg.norm(located[row, here], axis=1))
+    errors, distances = np.linalg.norm(located - place, axis=2), np.linalg.norm(located, axis=2)
+    expected = []
     if len(rows) and head.accuracy and head.accuracy.parameters:
         # One corner of each view stands for it: a view's corners are equally far away.
         corner = [np.flatnonzero(usable[row])[usable[row].sum() // 2] for row in rows]
         left, right = (views.corners[name][rows, corner] for name in pair)
         here = locate(head, left=left, right=right, joints=views.eye_angles[rows], cameras=pair)
-        found["expected"].append(np.sqrt(np.trace(here.covariance, axis1=1, axis2=2)))
+        expected.append(np.sqrt(np.trace(here.covariance, axis1=1, axis2=2)))
+    off, away = ([each[row, usable[row]] for row in rows] for each in (errors, distances))
+    return off, expected, away

@@ -42,25 +42,27 @@ ASIDE = 0.7
 
 
 @dataclass(frozen=True, eq=False)
-class _Turns:
-    """Of one camera before the board that it sees most often."""
-
-    camera: str
-    eye: int
-    rows: np.ndarray
-    """(N,) of the views."""
-    turn: Array
-    """(N, 3) rotation vectors of the camera in frame cam [rad], less their mean."""
-
-
-@dataclass(frozen=True, eq=False)
 class _Fit:
+    """How the readings of an eye explain the turns of a camera before a board at rest."""
+
     axes: Array
     """(2, 3) u and v."""
     explained: float
     """Part of the turns' variance that the readings explain."""
     moved: Array
     """(2,) standard deviations of the readings [rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Turns:
+    """Of one camera before the board that it sees most often."""
+
+    camera: str
+    views: int
+    own: _Fit
+    """By the readings of the camera's own eye."""
+    other: _Fit
+    """By those of the other eye."""
 
 
 def check_encoders(seen: Observations, T_cam_target: Mapping[str, Array]) -> None:
@@ -75,19 +77,15 @@ def check_encoders(seen: Observations, T_cam_target: Mapping[str, Array]) -> Non
     """
     if seen.T_base_eye is not None or not np.isfinite(seen.eye_angles).all():
         return
-    found, eyes = {}, camera_eyes(seen)
-    for e, eye in enumerate(EYES):
-        own = [_turns(seen, name, e, T) for name, T in T_cam_target.items() if eyes[name] == eye]
-        usable = [each for each in own if each is not None]
-        if usable:
-            found[e] = max(usable, key=lambda each: len(each.rows))
-    fits = {e: [_fit(seen, turns, k) for k in (e, 1 - e)] for e, turns in found.items()}
-    exchanged = _exchanged(found, fits, T_cam_target)
-    if exchanged:
-        raise VergenceError(exchanged)
-    said = [
-        sentence for e, turns in found.items() for sentence in _contradictions(turns, fits[e][0])
-    ]
+    found: dict[int, _Turns] = {}
+    for name, eye in camera_eyes(seen).items():
+        e = EYES.index(eye)
+        turns = _turns(seen, name, e, T_cam_target[name]) if name in T_cam_target else None
+        if turns is not None and (e not in found or turns.views > found[e].views):
+            found[e] = turns
+    said = _exchanged(found, T_cam_target)
+    if not said:
+        said = [sentence for e in sorted(found) for sentence in _contradictions(found[e], EYES[e])]
     if said:
         raise VergenceError(" ".join(said))
 
@@ -116,6 +114,7 @@ def doubts(head: HeadCalibration) -> list[str]:
 
 
 def _turns(seen: Observations, name: str, e: int, T_cam_target: Array) -> _Turns | None:
+    """Return how a camera turns; None where it does so too little, or in too few views."""
     rows = most_seen_board(seen, T_cam_target)
     if len(rows) < LEAST_VIEWS:
         return None
@@ -125,69 +124,59 @@ def _turns(seen: Observations, name: str, e: int, T_cam_target: Array) -> _Turns
     turn = turn - turn.mean(axis=0)
     if np.linalg.svd(turn, compute_uv=False)[1] < LEAST_TURN_RAD * np.sqrt(len(turn)):
         return None
-    return _Turns(name, e, rows, turn)
+    fits = []
+    for eye in (e, 1 - e):
+        read = seen.eye_angles[rows, EYE_COLUMNS[EYES[eye]]]
+        read = read - read.mean(axis=0)
+        axes = np.linalg.lstsq(read, turn, rcond=None)[0]
+        left = ((turn - read @ axes) ** 2).sum() / (turn**2).sum()
+        fits.append(_Fit(axes, 1 - float(left), read.std(axis=0)))
+    return _Turns(name, len(rows), *fits)
 
 
-def _fit(seen: Observations, turns: _Turns, eye: int) -> _Fit:
-    """Return how the readings of an eye explain the turns of a camera."""
-    read = seen.eye_angles[turns.rows, EYE_COLUMNS[EYES[eye]]]
-    read = read - read.mean(axis=0)
-    axes = np.linalg.lstsq(read, turns.turn, rcond=None)[0]
-    left = ((turns.turn - read @ axes) ** 2).sum()
-    return _Fit(axes, 1 - float(left / (turns.turn**2).sum()), read.std(axis=0))
-
-
-def _exchanged(
-    found: Mapping[int, _Turns], fits: Mapping[int, list[_Fit]], poses: Mapping[str, Array]
-) -> str:
+def _exchanged(found: Mapping[int, _Turns], poses: Mapping[str, Array]) -> list[str]:
     """Return a sentence if left and right are exchanged, and what of them."""
     if len(found) < 2:
-        return ""
-    own, other = ([fits[e][k] for e in fits] for k in (0, 1))
-    follows_own = all(fit.explained > EXPLAINED for fit in own)
-    follows_other = all(fit.explained > EXPLAINED for fit in other)
+        return []
+    follows_own = all(turns.own.explained > EXPLAINED for turns in found.values())
+    follows_other = all(turns.other.explained > EXPLAINED for turns in found.values())
     if not follows_own and not follows_other:
-        return ""
-    aside = _left_of(found, own if follows_own else other, poses)
-    if aside is None or (follows_own and aside > 0):
-        if follows_own:
-            return ""
-        return (
-            "The images of each eye follow the joint readings of the other: left and right are "
-            "exchanged, in the images or in the columns of joint readings."
-        )
-    if not follows_own:
-        what = "columns of the joint readings" if aside > 0 else "images"
-        return (
-            f"The images of each eye follow the joint readings of the other, and the left camera "
-            f"stands to the {'left' if aside > 0 else 'right'} of the right one: left and right "
-            f"are exchanged in the {what}."
-        )
-    what = "images, or images and joint readings," if follows_other else "images and joint readings"
-    return (
-        f"{found[0].camera} stands to the right of {found[1].camera} by the images: left and right "
-        f"are exchanged in the {what} (or pan and tilt both count the other way)."
-    )
+        return []
+    left, right = (found[e].camera for e in (0, 1))
+    T = poses[right] @ inverse(poses[left])
+    T = T[np.isfinite(T).all(axis=(1, 2))]
+    aside = None  # how far the left eye's camera stands to the left of the right one's [m]
+    if len(T):
+        up = (found[1].own if follows_own else found[1].other).axes[0]
+        to_the_left = np.cross(up / np.linalg.norm(up), [0.0, 0.0, 1.0])
+        # Boards numbered from the wrong end move the camera, but not in most views.
+        aside = float(np.median(T[:, :3, 3] @ to_the_left))
+    if follows_own:
+        if aside is None or aside > 0:
+            return []
+        what = "images and joint readings"
+        if follows_other:
+            what = f"images, or {what},"
+        return [
+            f"{left} stands to the right of {right} by the images: left and right are exchanged in "
+            f"the {what} (or pan and tilt both count the other way)."
+        ]
+    follow = "The images of each eye follow the joint readings of the other"
+    if aside is None:
+        return [
+            f"{follow}: left and right are exchanged, in the images or in the columns of joint "
+            "readings."
+        ]
+    side, what = ("left", "columns of the joint readings") if aside > 0 else ("right", "images")
+    return [
+        f"{follow}, and the left camera stands to the {side} of the right one: left and right are "
+        f"exchanged in the {what}."
+    ]
 
 
-def _left_of(
-    found: Mapping[int, _Turns], fits: list[_Fit], poses: Mapping[str, Array]
-) -> float | None:
-    """Return how far the left eye's camera stands to the left of the right one's [m]."""
-    T_l, T_r = (poses[found[e].camera] for e in (0, 1))
-    T = T_r @ inverse(T_l)
-    both = np.isfinite(T).all(axis=(1, 2))
-    if not both.any():
-        return None
-    up = fits[1].axes[0] / np.linalg.norm(fits[1].axes[0])
-    left = np.cross(up, [0.0, 0.0, 1.0])
-    # Boards numbered from the wrong end move the camera, but not in most views.
-    return float(np.median(T[both, :3, 3] @ left))
-
-
-def _contradictions(turns: _Turns, fit: _Fit) -> list[str]:
+def _contradictions(turns: _Turns, eye: str) -> list[str]:
     """Return sentences on readings of an eye that contradict their description."""
-    eye = EYES[turns.eye]
+    fit = turns.own
     if fit.explained < EXPLAINED and fit.moved.min() < DEAD * fit.moved.max():
         joint = ("pan", "tilt")[int(fit.moved.argmin())]
         return [
@@ -206,16 +195,14 @@ def _contradictions(turns: _Turns, fit: _Fit) -> list[str]:
     gains = np.linalg.norm(fit.axes, axis=1)
     said = []
     for joint, gain in zip(("pan", "tilt"), gains, strict=True):
-        if GAINS[0] < gain < GAINS[1]:
-            continue
         why = "check its unit, its gear and its column"
-        if GAINS[0] < gain * DEGREE < GAINS[1]:
-            why = f"they are degrees; set joints.{eye}_{joint}.unit to deg"
-        elif GAINS[0] < gain / DEGREE < GAINS[1]:
-            why = f"they are radians; set joints.{eye}_{joint}.unit to rad"
-        said.append(
-            f"{turns.camera} turns by {gain:.3g} times the readings of {eye}_{joint}: {why}."
-        )
+        for factor, unit, key in ((DEGREE, "degrees", "deg"), (1 / DEGREE, "radians", "rad")):
+            if GAINS[0] < gain * factor < GAINS[1]:
+                why = f"they are {unit}; set joints.{eye}_{joint}.unit to {key}"
+        if not GAINS[0] < gain < GAINS[1]:
+            said.append(
+                f"{turns.camera} turns by {gain:.3g} times the readings of {eye}_{joint}: {why}."
+            )
     if said:
         return said
     up, left = (axis / np.linalg.norm(axis) for axis in fit.axes)
@@ -224,13 +211,11 @@ def _contradictions(turns: _Turns, fit: _Fit) -> list[str]:
     # By their description, the camera would look out of the back of the eye. One that stands
     # upright has its pan axis along -y, its tilt axis along -x.
     pan_up, tilt_left, pan_left, tilt_up = -up[1], -left[0], -up[0], -left[1]
-    worst = min(pan_up, tilt_left)
     if min(abs(pan_left), abs(tilt_up)) > max(abs(pan_up), abs(tilt_left)):
         what = f"{eye}_pan and {eye}_tilt are exchanged"
-    elif pan_up == worst:
-        what = f"{eye}_pan counts the other way; set joints.{eye}_pan.sign to its opposite"
     else:
-        what = f"{eye}_tilt counts the other way; set joints.{eye}_tilt.sign to its opposite"
+        joint = f"{eye}_pan" if pan_up <= tilt_left else f"{eye}_tilt"
+        what = f"{joint} counts the other way; set joints.{joint}.sign to its opposite"
     return [
         f"By the readings, {turns.camera} would look backwards out of its eye: {what}, if the "
         "camera stands upright."

@@ -15,7 +15,7 @@ from vergence.arrays import Array
 from vergence.calibration.bundle.diagnostics import ADVISED
 from vergence.calibration.observations import Observations, camera_eyes, most_seen_board
 from vergence.errors import VergenceError
-from vergence.geometry.head import HeadCalibration, MountedCamera
+from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYE_COLUMNS, EYES
 from vergence.geometry.se3 import rotvec
 
@@ -46,8 +46,7 @@ def check_excitation(seen: Observations, T_cam_target: Mapping[str, Array]) -> N
             if eyes[name] == eye:
                 rows = most_seen_board(seen, T)
                 R = T[rows, :3, :3]
-                turns = rotvec(R @ R[0].T) if len(rows) else np.zeros((0, 3))
-                found[name] = (_spread(turns)[0], rows)
+                found[name] = (_spread(rotvec(R @ R[:1].swapaxes(1, 2)))[0], rows)
         if found:
             name = max(found, key=lambda each: (found[each][0][1], len(found[each][1])))
             said += _lacking(seen, name, e, *found[name])
@@ -65,42 +64,32 @@ def _spread(vectors: Array) -> tuple[Array, Array]:
 
 def _lacking(seen: Observations, name: str, e: int, spread: Array, rows: np.ndarray) -> list[str]:
     """Return a sentence if the motion of an eye is too poor to place its camera."""
-    whose = f"the {EYES[e]} eye"
-    subject = f"{name}.T_eye_cam"
-    advice = f"move pan and tilt {ADVISED}"
+    whose, everything = f"the {EYES[e]} eye", "rotation and translation"
+    only = f"by {spread[1]:.2g} rad only before a board at rest"
+    motion = seen.eye_angles[rows, EYE_COLUMNS[EYES[e]]].std(axis=0) if len(rows) else np.ones(2)
     if len(rows) < 3:
         times = ("no view", "one view only", "two views only")[len(rows)]
-        return [
-            f"{subject} rotation and translation: not observable; {whose} sees a board at rest in "
-            f"{times}; let it look at one from 20 angles or more, and {advice}."
-        ]
-    if spread[1] >= LEAST_MOTION_RAD:
+        what, why = everything, f"{whose} sees a board at rest in {times}"
+        advice = f"let it look at one from 20 angles or more, and move pan and tilt {ADVISED}"
+    elif spread[1] >= LEAST_MOTION_RAD:
         return []
-    if spread[0] < LEAST_MOTION_RAD:
-        return [
-            f"{subject} rotation and translation: not observable; {whose} turns by "
-            f"{spread[0]:.2g} rad only before a board at rest; {advice}."
-        ]
-    only = f"by {spread[1]:.2g} rad only before a board at rest"
-    if seen.T_base_eye is not None:
+    elif spread[0] < LEAST_MOTION_RAD:
+        what, advice = everything, f"move pan and tilt {ADVISED}"
+        why = f"{whose} turns by {spread[0]:.2g} rad only before a board at rest"
+    elif seen.T_base_eye is not None:
         axis = _spread(rotvec(seen.T_base_eye[rows, e, :3, :3]))[1][0]
         along = ", ".join(f"{x:.2f}" for x in axis * np.sign(axis[np.abs(axis).argmax()]))
-        return [
-            f"{subject} rotation about and translation along ({along}): not observable; {whose} "
-            f"turns about another axis {only}; turn it about that {ADVISED}."
-        ]
-    motion = seen.eye_angles[rows, EYE_COLUMNS[EYES[e]]].std(axis=0)
-    if motion.min() > motion.max() / 3:
-        return [
-            f"{subject} rotation and translation along one axis: not observable; pan and tilt of "
-            f"{whose} move together, and apart {only}; move one without the other {ADVISED}."
-        ]
-    k = int(motion.argmin())
-    still, open_ = (("pan", "y"), ("tilt", "z"))[k]
-    return [
-        f"{subject} rotation about {open_} and translation along {open_}: not observable; {still} "
-        f"of {whose} moves {only}; move {still} {ADVISED}."
-    ]
+        what = f"rotation about and translation along ({along})"
+        why, advice = f"{whose} turns about another axis {only}", f"turn it about that {ADVISED}"
+    elif motion.min() > motion.max() / 3:
+        what = f"{everything} along one axis"
+        why = f"pan and tilt of {whose} move together, and apart {only}"
+        advice = f"move one without the other {ADVISED}"
+    else:
+        still, axis = (("pan", "y"), ("tilt", "z"))[int(motion.argmin())]
+        what = f"rotation about {axis} and translation along {axis}"
+        why, advice = f"{still} of {whose} moves {only}", f"move {still} {ADVISED}"
+    return [f"{name}.T_eye_cam {what}: not observable; {why}; {advice}."]
 
 
 def doubts(
@@ -126,26 +115,19 @@ def doubts(
                 f"{name}.fx and fy: hardly observable, known to {100 * part:.2g} %; record more "
                 f"views, and {SLANT}."
             )
-    alike = [
-        name
-        for name, mounted in head.cameras.items()
-        if _at_one_angle(seen, T_cam_target[name], mounted)
-    ]
+    alike = []
+    for name, mounted in head.cameras.items():
+        T_base_eye = seen.eye_poses()[:, EYES.index(mounted.eye)]
+        # Of the boards, in the eye's base.
+        normals = (T_base_eye @ mounted.T_eye_cam @ T_cam_target[name])[:, :3, 2]
+        known = np.isfinite(normals).all(axis=1)
+        numbers = np.unique(seen.placement[known])
+        means = [normals[known & (seen.placement == p)].mean(axis=0) for p in numbers]
+        if means and _spread(np.array(means))[0][0] < ONE_ANGLE_RAD:
+            alike.append(f"{name}.fx and fy")
     if alike:
         said.append(
-            f"{', '.join(f'{name}.fx and fy' for name in alike)}: hardly observable, all boards "
-            f"stand at one angle, and only the turns of the eyes determine them; {SLANT}."
+            f"{', '.join(alike)}: hardly observable, all boards stand at one angle, and only the "
+            f"turns of the eyes determine them; {SLANT}."
         )
     return said
-
-
-def _at_one_angle(seen: Observations, T_cam_target: Array, mounted: MountedCamera) -> bool:
-    """Return whether all boards before a camera have nearly the same normal, in the eye's base."""
-    T_base_eye = seen.eye_poses()[:, EYES.index(mounted.eye)]
-    normals = (T_base_eye @ mounted.T_eye_cam @ T_cam_target)[:, :3, 2]
-    known = np.isfinite(normals).all(axis=1)
-    if not known.any():
-        return False
-    numbers = np.unique(seen.placement[known])
-    means = [normals[known & (seen.placement == p)].mean(axis=0) for p in numbers]
-    return bool(_spread(np.array(means))[0][0] < ONE_ANGLE_RAD)

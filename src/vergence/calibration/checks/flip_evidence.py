@@ -6,8 +6,6 @@ that good views have, up to a cap.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from vergence.arrays import Array
@@ -21,22 +19,6 @@ PRIOR = float(np.log(2.0))
 """Against a view being turned: at most a third of the views are."""
 MOST_OFFERS = 100
 """Views of which each says how the others, or two cameras, are related; more find nothing new."""
-
-
-@dataclass(frozen=True, eq=False)
-class Links:
-    """L times, how a board is turned in two cameras, or in the bases of their eyes."""
-
-    placement: np.ndarray
-    """(L,)."""
-    R_a: Array
-    """(L, 3, 3)."""
-    R_b: Array
-    """(L, 3, 3): R_b = Y R_a, with one rotation Y for all."""
-    slack: Array
-    """(L,) how far that may be wrong because the eyes were not straight [rad]."""
-    weight: Array
-    """(L,) how many views it would take for a link to be wrong."""
 
 
 def angles_apart(R_cam_target: Array, R_base_eye: Array, R: Array) -> Array:
@@ -92,21 +74,28 @@ def synchronised(off: Array) -> tuple[np.ndarray, Array]:
     return (turns - np.bincount(turns, minlength=n).argmax()) % n, evidence
 
 
-def costs_of_turns(links: Links, R: Array) -> Array:
+def costs_of_turns(R_a: Array, R_b: Array, slack: Array, weight: Array, R: Array) -> Array:
     """Return (L, n) what it costs to turn the board of camera b by k more than that of a.
 
     The rotation between the cameras is unknown: each link offers n of them. A link's cost is that
     of the rotation that suits it and all others best, less the least of these.
+
+    Args:
+        R_a: (L, 3, 3) how a board is turned in camera a, or in the base of its eye.
+        R_b: (L, 3, 3) and in camera b: R_b = Y R_a, with one rotation Y for all.
+        slack: (L,) how far that may be wrong because the eyes were not straight [rad].
+        weight: (L,) how many views it would take for a link to be wrong.
+        R: (n, 3, 3) turns of the board.
     """
-    L, n = len(links.placement), len(R)
-    between = np.einsum("lab,nbc,ldc->lnad", links.R_b, R, links.R_a, optimize=True)
+    L, n = len(R_a), len(R)
+    between = np.einsum("lab,nbc,ldc->lnad", R_b, R, R_a, optimize=True)
     offering = np.unique(np.linspace(0, L - 1, MOST_OFFERS).astype(int))
     offers = between[offering].reshape(-1, 9)
     off = angle_of(offers @ between.reshape(-1, 9).T).reshape(len(offers), L, n)
-    slack = np.repeat(links.slack[offering], n)[:, None] + links.slack
-    cost = cost_of(np.maximum(off - slack[..., None], 0.0))
+    allowed = np.repeat(slack[offering], n)[:, None] + slack
+    cost = cost_of(np.maximum(off - allowed[..., None], 0.0))
     turned = np.arange(n) > 0
-    least = (cost + PRIOR * links.weight[:, None] * turned).min(axis=2)
+    least = (cost + PRIOR * weight[:, None] * turned).min(axis=2)
     total = least.sum(axis=1)[:, None, None] - least[..., None] + cost
     found = total.min(axis=0)
     return found - found.min(axis=1, keepdims=True)
