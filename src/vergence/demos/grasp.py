@@ -18,6 +18,7 @@ from vergence.data.dataset import Frame
 from vergence.demos.depth_error_by_range import DepthSample, RangeBin, bin_by_range, depth_sample
 from vergence.demos.experiment import calibrated_twin, check_trials, write_summary
 from vergence.gaze.commands import HEAD_JOINTS
+from vergence.progress import Progress, silent
 from vergence.reach.controller import run_reach
 from vergence.reach.state import ReachPhase, ReachSettings, ReachState, initial_reach_state
 from vergence.twin.hand import SimulatedHand, arm_mounting_error
@@ -174,7 +175,7 @@ def grasp(
     seed: int = 0,
     profile: ErrorProfile,
     out: Path | None = None,
-    done: Callable[[], None] = lambda: None,
+    progress: Progress = silent,
 ) -> tuple[Summary, list[Trial]]:
     """Calibrate the twin, and hold out objects to it.
 
@@ -184,13 +185,14 @@ def grasp(
         profile: imperfections of the head.
         out: folder for grasp.json, and the recording grasp.rrd of the first RECORDED trials; None:
             nothing is written.
-        done: called after each trial.
+        progress: is called after each trial.
 
     Raises:
         VergenceError: an argument is out of range, or the folder cannot be written.
     """
     check_trials(trials)
     made: list[Trial] = []
+    progress("grasp, trials", 0, trials)
     opened = calibrated_twin("grasp", profile, seed, out, reach_m=FAR_M[0], speed=0.5, hand=True)
     with opened as (twin, gaze, watch, report):
         settings = ReachSettings(gaze=gaze)
@@ -203,7 +205,7 @@ def grasp(
         for run in range(1, trials + 1):
             path, T_body_arm = held_out(seed, run), arm_mounting_error(seed, run)
             made.append(run_trial(twin, settings, run, path, T_body_arm, watch=record))
-            done()
+            progress("grasp, trials", len(made), trials)
         found = summary(made)
         report += as_markdown(found)
     write_summary(out, "grasp", found)

@@ -14,7 +14,6 @@ The world is the left eye's base frame. A row of frames.csv is a `frame`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +28,7 @@ from vergence.geometry.board import Board
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYE_JOINTS, EYES
 from vergence.geometry.se3 import inverse
+from vergence.progress import Progress, silent
 from vergence.viewer import style
 from vergence.viewer.frame import log_image, time_columns
 from vergence.viewer.layout import (
@@ -52,16 +52,11 @@ def record_dataset(
     result: CalibrationResult,
     *,
     report: str,
-    done: Callable[[], None] = lambda: None,
+    progress: Progress = silent,
 ) -> None:
     """Write a recording of a dataset and of the calibration that was made from it.
 
-    Args:
-        path: of the `.rrd` file; an earlier one is replaced.
-        dataset: the dataset with its images.
-        result: the calibration; without bundle adjustment only images and corners are recorded.
-        report: text in markdown.
-        done: called after each row.
+    Without bundle adjustment only images and corners are recorded. The report is markdown.
 
     Raises:
         VergenceError: the file cannot be written, or an image cannot be read.
@@ -90,7 +85,7 @@ def record_dataset(
                 errors = None if estimate is None else estimate.residuals_px.get(name)
                 offset = None if errors is None else magnified * errors[row]
                 _log_image(rec, entity, dataset.image(name, row), corners, offset)
-            done()
+            progress("writing the report", row + 1, len(dataset))
         _log_series(rec, dataset, estimate, time_s)
         log_report(rec, report)
 
