@@ -32,11 +32,7 @@ def figure_recording(
 ) -> Iterator[rr.RecordingStream]:
     """Record a figure in a `with` block; the file appears only when the block ends well.
 
-    Args:
-        path: of the `.rrd` file; an earlier one is replaced.
-        figure: the figure to record.
-        head: the calibration whose cameras are drawn.
-        geoms: visible shapes of the robot.
+    It shows the head's cameras and the visible shapes of the robot.
 
     Raises:
         VergenceError: the file cannot be written.
@@ -78,13 +74,8 @@ def log_results(
 ) -> None:
     """Record a figure's estimates as curves and as a trail in space, and its statistics.
 
-    Samples that were not located are left out.
-
-    Args:
-        rec: the recording.
-        result: of the replay.
-        head: the calibration, for the lines of sight.
-        T_world_lbase: (4, 4) pose of the left eye's base frame in the world.
+    Samples that were not located are left out. The head serves for the lines of sight;
+    `T_world_lbase` (4, 4) is the pose of the left eye's base frame in the world.
     """
     figure, statistics = result.figure, result.statistics
     time_s, eye_angles = result.measurements.time_s, result.measurements.eye_angles
@@ -105,7 +96,7 @@ def log_results(
                 ends = time_columns(time_s[[0, -1]], index[[0, -1]])
                 rec.send_columns(f"{kind}/{axis}", ends, rr.Scalars.columns(scalars=levels))
     rec.log("world/left_base", placed(T_world_lbase), static=True)
-    marker = rr.Points3D([result.object_m], radii=-4.0, colors=style.OBJECT)
+    marker = rr.Points3D([figure.mean_m], radii=-4.0, colors=style.OBJECT)
     rec.log("world/left_base/object", marker, static=True)
     if len(points) > 3:
         rec.log("world/left_base/spread", spread_ellipsoid(points), static=True)
@@ -119,12 +110,7 @@ def log_results(
 
 
 def blueprint(figure: Figure, head: HeadCalibration) -> rrb.Blueprint:
-    """Return the layout with which the viewer opens a figure's recording.
-
-    Args:
-        figure: the recorded figure; its object and the head fill the 3-D view.
-        head: the calibration whose cameras are shown.
-    """
+    """Return the layout with which the viewer opens a figure's recording."""
     whole = whole_time()
     axes = [
         rrb.TimeSeriesView(
