@@ -15,7 +15,7 @@ from vergence.geometry.kinematics import EYE_COLUMNS
 from vergence.geometry.parameters import parameter_values
 from vergence.progress import Progress, silent
 from vergence.viewer import plots_calibration as plots
-from vergence.viewer.dataset import record_dataset
+from vergence.viewer.dataset import record_dataset, rms_by_view
 
 FAILURES_NAMED = 20
 WORST_SHOWN, WORST_LISTED = 4, 10
@@ -88,11 +88,12 @@ def worst(result: CalibrationResult) -> list[tuple[float, str, int]]:
     """Return residual (root mean square, px), camera and row of all views, the worst first."""
     if result.estimate is None:
         return []
-    found = []
-    for name, errors in result.estimate.residuals_px.items():
-        squares = (errors**2).sum(axis=2)
-        for row in np.flatnonzero(np.asarray(np.isfinite(squares).any(axis=1))):
-            found.append((float(np.sqrt(np.nanmean(squares[row]))), name, int(row)))
+    found = [
+        (float(size), name, row)
+        for name, errors in result.estimate.residuals_px.items()
+        for row, size in enumerate(rms_by_view(errors))
+        if np.isfinite(size)
+    ]
     return sorted(found, reverse=True)
 
 

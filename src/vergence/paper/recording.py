@@ -19,9 +19,9 @@ from vergence.paper.replay import Replay, summary
 from vergence.twin.appearance import VisualGeom
 from vergence.viewer import style
 from vergence.viewer.frame import time_columns
-from vergence.viewer.layout import camera_views, hidden, playing, view_3d, whole_time
+from vergence.viewer.layout import camera_views, curves_view, hidden, playing, view_3d
 from vergence.viewer.opening import recording_file
-from vergence.viewer.shapes import lines_of_sight, placed, spread_ellipsoid
+from vergence.viewer.shapes import lines_of_sight, log_points_style, placed, spread_ellipsoid
 
 _TRAILS = {"world/left_base/trail": None, "world/left_base/recent": style.TRAIL_S}
 
@@ -58,13 +58,9 @@ def _log_styles(rec: rr.RecordingStream) -> None:
     for joint, color in style.JOINT_COLOURS.items():
         curve = rr.SeriesLines(names=joint.replace("_", " "), colors=color)
         rec.log(f"joints/{joint}", curve, static=True)
-    for name, radius_px, color in (
-        ("trail", 1.5, style.OLD),
-        ("recent", 2.5, style.ESTIMATE),
-        ("estimate", 6.0, style.ESTIMATE),
-    ):
-        points = rr.Points3D.from_fields(radii=-radius_px, colors=color)  # negative: in pixels
-        rec.log(f"world/left_base/{name}", points, static=True)
+    log_points_style(rec, "world/left_base/trail", 1.5, style.OLD)
+    log_points_style(rec, "world/left_base/recent", 2.5, style.ESTIMATE)
+    log_points_style(rec, "world/left_base/estimate", 6.0, style.ESTIMATE)
     rays = rr.LineStrips3D.from_fields(colors=style.RAY, radii=-1.0)
     rec.log("world/left_base/rays", rays, static=True)
 
@@ -111,26 +107,23 @@ def log_results(
 
 def blueprint(figure: Figure, head: HeadCalibration) -> rrb.Blueprint:
     """Return the layout with which the viewer opens a figure's recording."""
-    whole = whole_time()
     axes = [
-        rrb.TimeSeriesView(
-            name=f"{label} [m]: bright estimate, pale mean and ± std, grey the paper's",
-            origin="/",
+        curves_view(
+            f"{label} [m]: bright estimate, pale mean and ± std, grey the paper's",
+            "/",
+            legend=False,
             contents=[f"+ /{kind}/{axis}" for kind in ("paper", "estimate_mean", "estimate")],
-            axis_x=whole,
-            plot_legend=rrb.PlotLegend(visible=False),
         )
         for axis, label in zip(style.AXIS_COLOURS, ("x = depth", "y", "z"), strict=True)
     ]
-    joints = rrb.TimeSeriesView(name="joint readings [rad]", origin="joints", axis_x=whole)
     return playing(
         rrb.Horizontal(
             rrb.Vertical(
                 _head_view(figure, head),
-                rrb.Grid(*camera_views(head, marks="+ found, ○ truth"), grid_columns=2),
+                camera_views(head, marks="+ found, ○ truth"),
                 row_shares=[6, 7],
             ),
-            rrb.Vertical(*axes, joints),
+            rrb.Vertical(*axes, curves_view("joint readings [rad]", "joints")),
             rrb.Vertical(
                 rrb.TextDocumentView(name="report", origin="report"),
                 _close_up(figure),
