@@ -79,7 +79,7 @@ def run(profile: ErrorProfile, plans: Plans, seed: int) -> tuple[Array, Array]:
             seen = observe_points(
                 truth, profile, figure, times, pixel_noise=OBJECT_NOISE_PX, rng=rng
             )
-            ours = estimate(head, figure, np.array(figure.mean_m), seen).statistics
+            ours = estimate(head, figure, seen).statistics
             std[row] = ours.std_m
             bias[row] = abs(ours.mean_m[0] - figure.mean_m[0]) / ours.std_m[0]
     return std, bias

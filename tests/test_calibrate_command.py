@@ -17,8 +17,8 @@ from test_sequential import some_cameras
 from vergence import cli
 from vergence.calibration import calibrate as calibrate_module
 from vergence.calibration.observations import Observations
-from vergence.data import reader
 from vergence.data.dataset import Dataset, pose_columns
+from vergence.data.reader import load_dataset
 from vergence.geometry.head import load_head, main_pair, save_head
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Side
 from vergence.viewer.reading import read_series
@@ -78,7 +78,7 @@ def test_a_recorded_head_is_calibrated_and_evaluated(recorded, tmp_path, monkeyp
 
 def _check_recording(path: Path, folder: Path, stated: dict) -> None:
     """Every image of the dataset with a board has its corners and residuals in the recording."""
-    dataset = reader.load_dataset(folder)
+    dataset = load_dataset(folder)
     for camera, files in dataset.files.items():
         entity = f"/world/{camera.partition('_')[0]}_eye/{camera}"
         images, _ = read_series(

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from simulated_head import skewed_head
-from vergence.commands.evaluate import as_text, evaluate, save
+from vergence.commands.evaluate import as_text, evaluate
 from vergence.commands.truth import Truth
 from vergence.errors import VergenceError
+from vergence.files import write_json
 from vergence.geometry.board import Chessboard
 from vergence.geometry.head import Accuracy, HeadCalibration
 from vergence.geometry.parameters import change_named, without_offsets
@@ -72,5 +73,5 @@ def test_a_truth_of_another_head_is_refused(head):
 def test_an_evaluation_without_accuracy_says_so(head, tmp_path: Path):
     found = evaluate(head, truth_of(head))
     assert "states no accuracy" in as_text(found)
-    save(found, tmp_path / "errors.json")
+    write_json(found, tmp_path / "errors.json")
     assert '"focal_percent"' in (tmp_path / "errors.json").read_text()

@@ -28,7 +28,7 @@ def result(number: int, *, dropped: int = 3) -> Replay:
     times = np.linspace(0, default_duration_s(figure.motion), SAMPLES)
     seen = observe_points(head, NOISY, figure, times, rng=np.random.default_rng(number))
     seen.pixels_l[:dropped] = np.nan
-    return estimate(head, figure, np.array(figure.mean_m), seen)
+    return estimate(head, figure, seen)
 
 
 @pytest.mark.parametrize("numbers", [tuple(FIGURES), (8,), (9, 8), (6, 10), (6, 9)])

@@ -19,8 +19,7 @@ from vergence.geometry.head import HeadCalibration
 from vergence.geometry.se3 import pose, transform
 from vergence.paper.figures import FIGURES
 from vergence.paper.recording import figure_recording, log_results
-from vergence.paper.replay import Measurements, Replay
-from vergence.paper.statistics import describe
+from vergence.paper.replay import Measurements, Replay, describe
 from vergence.paper.trajectories import eye_angles
 from vergence.twin.appearance import VisualGeom, visual_geoms
 from vergence.twin.model import load_spec, model_folder, nominal_head
@@ -61,7 +60,7 @@ def replay_of(points: np.ndarray) -> Replay:
     """Return a replay with these estimates (N, 3)."""
     unseen = np.full((SAMPLES, 2), np.nan)
     seen = Measurements(TIMES, eye_angles(FIGURE.motion, TIMES), unseen, unseen)
-    return Replay(FIGURE, OBJECT, seen, points, describe(points))
+    return Replay(FIGURE, seen, points, describe(points))
 
 
 def noisy_image(rng: np.random.Generator) -> np.ndarray:

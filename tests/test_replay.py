@@ -47,7 +47,7 @@ def run(figure: Figure, profile: ErrorProfile = PERFECT, pixel_noise: float = 0.
         truth, profile, figure, times, pixel_noise=pixel_noise, rng=np.random.default_rng(6)
     )
     believed = inject_calibration_error(truth, profile.by_hand, figure.lens)
-    return estimate(believed, figure, np.array(figure.mean_m), measurements)
+    return estimate(believed, figure, measurements)
 
 
 def spread_mm(
@@ -229,7 +229,7 @@ def test_the_same_seed_gives_the_same_spreads_and_another_seed_others():
             pixel_noise=0.1,
             rng=np.random.default_rng(seed),
         )
-        return estimate(truth, figure, np.array(figure.mean_m), seen).statistics.std_m
+        return estimate(truth, figure, seen).statistics.std_m
 
     np.testing.assert_array_equal(once(1), once(1))
     assert (once(1) != once(2)).all()
@@ -240,10 +240,10 @@ def test_samples_in_which_the_object_was_not_found_are_dropped_and_counted():
     truth = table_head(figure)
     seen = observe_points(truth, PERFECT, figure, np.arange(10.0), rng=np.random.default_rng(0))
     seen.pixels_l[[2, 5]] = np.nan
-    statistics = estimate(truth, figure, np.array(figure.mean_m), seen).statistics
+    statistics = estimate(truth, figure, seen).statistics
     assert (statistics.samples, statistics.dropped) == (8, 2)
     np.testing.assert_allclose(statistics.mean_m, figure.mean_m, atol=1e-12)
     seen.pixels_r[:] = np.nan
-    statistics = estimate(truth, figure, np.array(figure.mean_m), seen).statistics
+    statistics = estimate(truth, figure, seen).statistics
     assert (statistics.samples, statistics.dropped) == (0, 10)
     assert np.isnan(statistics.mean_m).all()

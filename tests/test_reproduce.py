@@ -11,10 +11,9 @@ import pytest
 from vergence.calibration.sequential.sequential import calibrate_sequentially
 from vergence.paper import reproduce as main_job
 from vergence.paper.figures import FIGURES
-from vergence.paper.replay import estimate, observe_points, sample_times
+from vergence.paper.replay import describe, estimate, observe_points, sample_times
 from vergence.paper.report import report
 from vergence.paper.reproduce import reproduce
-from vergence.paper.statistics import describe
 from vergence.paper.trajectories import default_duration_s
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import plan, simulate_views
@@ -41,7 +40,7 @@ def point_level(profile_name: str, seed: int, samples: int = 640) -> tuple[np.nd
             if figure.lens == lens:
                 times = sample_times(figure, None, samples / default_duration_s(figure.motion))
                 seen = observe_points(truth, profile, figure, times, pixel_noise=0.03, rng=rng)
-                ours = estimate(head, figure, np.array(figure.mean_m), seen).statistics
+                ours = estimate(head, figure, seen).statistics
                 std.append(ours.std_m)
                 error.append(ours.mean_m - figure.mean_m)
     return np.array(std), np.array(error)
@@ -152,7 +151,7 @@ def test_the_report_of_two_lenses_has_one_whole_table_of_calibrations():
         views = simulate_views(head, profile, plan(head, 0), pixel_noise=0.03, rng=rng)
         calibrations[lens] = found = calibrate_sequentially(views)
         seen = observe_points(head, profile, figure, np.arange(10.0), pixel_noise=0.03, rng=rng)
-        replays[number] = estimate(found.head, figure, np.array(figure.mean_m), seen)
+        replays[number] = estimate(found.head, figure, seen)
     heads = {lens: found.head for lens, found in calibrations.items()}
     text = report(replays, calibrations, heads, profile, 0)
     table = markdown_tables(text)["Calibrations"]

@@ -6,12 +6,11 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, fields, is_dataclass
+from dataclasses import asdict, dataclass, fields
 from inspect import Parameter, signature
-from itertools import count
 from json import dumps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from rich.console import Console
@@ -21,14 +20,11 @@ from rich.progress import Progress as Bars
 from vergence import __version__
 from vergence.commands.invocation import invocation
 from vergence.errors import VergenceError
-from vergence.files import write_whole
+from vergence.files import write_json, write_whole
 from vergence.progress import Progress
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
-
-    from vergence.data.dataset import Frame
-    from vergence.gaze.state import GazeState
 
 
 def reproduce(
@@ -137,7 +133,7 @@ def calibrate(
     # The matrices are small: threads of linear algebra would wait for each other. Before numpy.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from vergence.calibration.calibrate import calibrate as run
-    from vergence.commands.calibration_report import write_json, write_report
+    from vergence.commands.calibration_report import figures, write_report
     from vergence.data.reader import load_dataset
     from vergence.geometry.head import save_head
 
@@ -146,10 +142,9 @@ def calibrate(
         result = run(data, method=method, progress=progress)
         save_head(result.head, out)
         if json is not None:
-            write_json(result, json)
+            write_whole(json, dumps(figures(result), indent=1, allow_nan=False) + "\n")
         if report is not None:
-            step = _counter(progress, "writing the report", len(data))
-            write_report(result, data, report, done=step)
+            write_report(result, data, report, progress=progress)
     print(f"{result.summary()}\nWrote {out}.")
     if report is not None:
         print(f"To view the images: {invocation('rerun', report / 'dataset.rrd')}")
@@ -169,14 +164,15 @@ def evaluate(
         truth: truth.json of the dataset.
         json: JSON file of all errors.
     """
-    from vergence.commands import evaluate as evaluation
-    from vergence.commands import truth as truth_file
+    from vergence.commands.evaluate import as_text
+    from vergence.commands.evaluate import evaluate as run
+    from vergence.commands.truth import load
     from vergence.geometry.head import load_head
 
-    found = evaluation.evaluate(load_head(calibration), truth_file.load(truth))
+    found = run(load_head(calibration), load(truth))
     if json is not None:
-        evaluation.save(found, json)
-    print(evaluation.as_text(found))
+        write_json(found, json)
+    print(as_text(found))
 
 
 def export(
@@ -251,7 +247,7 @@ def foveate(*, trials: int = 100, options: Options = DEFAULT) -> None:
     """
     from vergence.demos.foveate import foveate as run
 
-    _run_trials("foveate", run, trials, options)
+    _experiment("foveate", lambda **common: run(trials=trials, **common)[0], options)
 
 
 def grasp(*, trials: int = 10, options: Options = DEFAULT) -> None:
@@ -263,7 +259,7 @@ def grasp(*, trials: int = 10, options: Options = DEFAULT) -> None:
     """
     from vergence.demos.grasp import grasp as run
 
-    _run_trials("grasp", run, trials, options)
+    _experiment("grasp", lambda **common: run(trials=trials, **common)[0], options)
 
 
 def track(*, seconds: float = 60.0, options: Options = DEFAULT) -> None:
@@ -274,41 +270,23 @@ def track(*, seconds: float = 60.0, options: Options = DEFAULT) -> None:
         options: Common options.
     """
     from vergence.demos.track import track as run
+
+    _experiment("track", lambda **common: run(seconds=seconds, **common), options)
+
+
+def _experiment(name: str, run: Callable[..., DataclassInstance], options: Experiment) -> None:
+    """Run an experiment, print and write its summary, and say how to view its recording."""
     from vergence.twin.profile import load_profile
 
     chosen = load_profile(options.profile)
     with _progress() as progress:
-
-        def watch(state: GazeState, frame: Frame | None) -> None:
-            progress("track, seconds", max(0, int(state.frame_s)), int(seconds))
-
-        found = run(
-            seconds=seconds, seed=options.seed, profile=chosen, out=options.out, watch=watch
-        )
-    _summarise(found, options, "track.rrd")
-
-
-def _run_trials(
-    name: str, run: Callable[..., tuple[DataclassInstance, Any]], trials: int, options: Experiment
-) -> None:
-    """Run an experiment of several trials, and print its summary."""
-    from vergence.twin.profile import load_profile
-
-    chosen = load_profile(options.profile)
-    with _progress() as progress:
-        done = _counter(progress, f"{name}, trials", trials)
-        found, _ = run(trials=trials, seed=options.seed, profile=chosen, out=options.out, done=done)
-    _summarise(found, options, f"{name}.rrd")
-
-
-def _summarise(summary: DataclassInstance, options: Experiment, recording: str) -> None:
-    """Print a summary, write it to the file of the options, and say how to view the recording."""
-    text = dumps(asdict(summary), indent=1)
+        found = run(seed=options.seed, profile=chosen, out=options.out, progress=progress)
+    text = dumps(asdict(found), indent=1)
     if options.json is not None:
         write_whole(options.json, text + "\n")
     print(text)
     if options.out is not None:
-        typed = invocation("rerun", options.out / recording)
+        typed = invocation("rerun", options.out / f"{name}.rrd")
         print(f"To view the recording: {typed}", file=sys.stderr)
 
 
@@ -327,13 +305,6 @@ def _progress() -> Iterator[Progress]:
         yield show
 
 
-def _counter(progress: Progress, task: str, total: int) -> Callable[[], None]:
-    """Begin a task, and return a function to call after each of its steps."""
-    progress(task, 0, total)
-    steps = count(1)
-    return lambda: progress(task, next(steps), total)
-
-
 COMMANDS: dict[str, Callable[..., None]] = {
     "reproduce": reproduce,
     "record": record,
@@ -348,11 +319,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
 
 
 def _check(arguments: list[str]) -> None:
-    """Refuse an unknown command or option in one sentence.
-
-    Raises:
-        VergenceError: there is no such command, or it has no such option.
-    """
+    """Refuse an unknown command or option in one sentence."""
     if not arguments or arguments[0] in ("-h", "--help"):
         return
     name = arguments[0]
@@ -372,14 +339,11 @@ def _check(arguments: list[str]) -> None:
 
 
 def _options(command: Callable[..., None]) -> list[str]:
-    """Return the options of a command, with the fields of a group of options in its place."""
-    kinds, names = get_type_hints(command), []
-    for parameter in signature(command).parameters.values():
-        kind = kinds[parameter.name]
-        if is_dataclass(kind):
-            names += [field.name for field in fields(kind)]
-        elif parameter.kind is Parameter.KEYWORD_ONLY:
-            names.append(parameter.name)
+    """Return the options of a command, with those that experiments have in common."""
+    parameters = signature(command).parameters.values()
+    names = [each.name for each in parameters if each.kind is Parameter.KEYWORD_ONLY]
+    if names[-1] == "options":
+        names[-1:] = [field.name for field in fields(Experiment)]
     return [f"--{name}" for name in names]
 
 

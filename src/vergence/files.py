@@ -1,4 +1,4 @@
-"""Write files complete under their final name, or not at all."""
+"""Write files complete under their final name, or not at all; read and write JSON."""
 
 from __future__ import annotations
 
@@ -8,22 +8,21 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, TypeVar
 
-from vergence.errors import VergenceError
+from pydantic import TypeAdapter, ValidationError
+
+from vergence.errors import VergenceError, explain
+
+T = TypeVar("T")
 
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
     """Give a `with` block a temporary file, which gets its final name when the block ends well.
 
-    A block that raises leaves no file behind, and an earlier file of that name as it was. Parent
-    folders are created.
-
-    Args:
-        path: final name of the file; an earlier file of that name is replaced.
-
-    Yields:
-        Path of an empty file in the same folder, for the block to fill and to close.
+    An earlier file of that name is replaced; a block that raises leaves it as it was, and no other
+    file behind. Parent folders are created.
 
     Raises:
         VergenceError: the file cannot be written.
@@ -54,3 +53,31 @@ def write_whole(path: Path, text: str) -> None:
     """
     with whole_file(path) as part:
         part.write_text(text, encoding="utf-8", newline="\n")
+
+
+def write_json(value: Any, path: Path) -> None:
+    """Write a dataclass as JSON, complete or not at all.
+
+    Raises:
+        VergenceError: the file cannot be written.
+    """
+    write_whole(path, TypeAdapter(type(value)).dump_json(value, indent=1).decode() + "\n")
+
+
+def read_json(path: Path, kind: type[T], what: str) -> T:
+    """Read a dataclass from JSON.
+
+    Args:
+        path: of the file.
+        kind: the dataclass.
+        what: the file should be, for the error: `a head calibration`.
+
+    Raises:
+        VergenceError: the file is missing, not JSON, or a field of it is not valid.
+    """
+    try:
+        return TypeAdapter(kind).validate_json(path.read_bytes())
+    except OSError as error:
+        raise VergenceError(f"Cannot read {path}: {error.strerror}.") from error
+    except ValidationError as error:
+        raise VergenceError(f"{path} is not {what}: {explain(error)}.") from None

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +13,9 @@ from vergence.data.dataset import Dataset
 from vergence.files import write_whole
 from vergence.geometry.kinematics import EYE_COLUMNS
 from vergence.geometry.parameters import parameter_values
+from vergence.progress import Progress, silent
 from vergence.viewer import plots_calibration as plots
-from vergence.viewer.dataset import record_dataset
+from vergence.viewer.dataset import record_dataset, rms_by_view
 
 FAILURES_NAMED = 20
 WORST_SHOWN, WORST_LISTED = 4, 10
@@ -52,26 +51,18 @@ def _stds(result: CalibrationResult) -> dict[str, float]:
     return dict(zip(accuracy.parameters, stds, strict=True))
 
 
-def write_json(result: CalibrationResult, path: Path) -> None:
-    """Write the accuracy in figures."""
-    write_whole(path, json.dumps(figures(result), indent=1, allow_nan=False) + "\n")
-
-
 def write_report(
     result: CalibrationResult,
     dataset: Dataset,
     folder: Path,
     *,
-    done: Callable[[], None] = lambda: None,
+    progress: Progress = silent,
 ) -> None:
     """Write report.md, its pictures and the recording dataset.rrd into a folder.
 
-    Args:
-        result: the calibration.
-        dataset: from which it was made, for its images.
-        folder: made if it is not there.
-        done: called after each recorded row.
+    The pictures and the recording show images of the dataset from which it was made.
     """
+    progress("writing the report", 0, len(dataset))
     seen = result.observations
     angles = {eye: seen.eye_angles[:, columns] for eye, columns in EYE_COLUMNS.items()}
     eyes = {eye: angles[eye] for eye in dataset.description.eyes}
@@ -89,7 +80,7 @@ def write_report(
                 shown[title] = (image, seen.corners[name][row], errors[name][row])
         plots.views(folder / "worst_views.png", shown)
     text = as_markdown(result, dataset)
-    record_dataset(folder / "dataset.rrd", dataset, result, report=text, done=done)
+    record_dataset(folder / "dataset.rrd", dataset, result, report=text, progress=progress)
     write_whole(folder / "report.md", text)
 
 
@@ -97,11 +88,12 @@ def worst(result: CalibrationResult) -> list[tuple[float, str, int]]:
     """Return residual (root mean square, px), camera and row of all views, the worst first."""
     if result.estimate is None:
         return []
-    found = []
-    for name, errors in result.estimate.residuals_px.items():
-        squares = (errors**2).sum(axis=2)
-        for row in np.flatnonzero(np.asarray(np.isfinite(squares).any(axis=1))):
-            found.append((float(np.sqrt(np.nanmean(squares[row]))), name, int(row)))
+    found = [
+        (float(size), name, row)
+        for name, errors in result.estimate.residuals_px.items()
+        for row, size in enumerate(rms_by_view(errors))
+        if np.isfinite(size)
+    ]
     return sorted(found, reverse=True)
 
 

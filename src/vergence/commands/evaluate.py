@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-from pydantic import TypeAdapter
 from pydantic.dataclasses import dataclass
 from scipy.stats import chi2
 
 from vergence.arrays import Array
 from vergence.commands.truth import Truth
 from vergence.errors import VergenceError
-from vergence.files import write_whole
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import boxminus, without_offsets
 from vergence.geometry.se3 import angle, inverse
@@ -142,18 +139,6 @@ def _regions(
         limit = chi2.ppf(REGION, len(rows))
         regions[group] = Region(len(rows), float(np.sqrt(squared)), bool(squared <= limit))
     return regions
-
-
-_ADAPTER = TypeAdapter(Evaluation)
-
-
-def save(evaluation: Evaluation, path: Path) -> None:
-    """Write an evaluation as JSON.
-
-    Raises:
-        VergenceError: the file cannot be written.
-    """
-    write_whole(path, _ADAPTER.dump_json(evaluation, indent=1).decode() + "\n")
 
 
 def as_text(evaluation: Evaluation) -> str:

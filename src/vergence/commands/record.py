@@ -10,11 +10,11 @@ from typing import Literal
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.commands import truth as truth_file
-from vergence.commands.truth import Truth, with_sensors
+from vergence.commands.truth import TRUTH, Truth, with_sensors
 from vergence.data.dataset import DatasetCamera, DatasetJoint, Description
 from vergence.data.writer import DatasetRow, check_new, write_dataset
 from vergence.errors import VergenceError
+from vergence.files import write_json
 from vergence.geometry.board import Board, Charuco
 from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS
 from vergence.progress import Progress, silent
@@ -122,7 +122,7 @@ def record(
             lens=lens,
             profile=profile,
         )
-        truth_file.save(truth, out / truth_file.TRUTH)
+        write_json(truth, out / TRUTH)
     return images
 
 

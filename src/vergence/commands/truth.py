@@ -10,12 +10,11 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Matrix, Transform
-from vergence.errors import VergenceError
-from vergence.files import write_whole
+from vergence.files import read_json
 from vergence.geometry.board import Charuco, Chessboard
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYE_JOINTS, EYES
@@ -64,29 +63,10 @@ def with_sensors(head: HeadCalibration, joints: Joints) -> HeadCalibration:
     return replace(head, axes=axes)
 
 
-_ADAPTER = TypeAdapter(Truth)
-
-
-def save(truth: Truth, path: Path) -> None:
-    """Write the truth as JSON.
-
-    Raises:
-        VergenceError: the file cannot be written.
-    """
-    write_whole(path, _ADAPTER.dump_json(truth, indent=1).decode() + "\n")
-
-
 def load(path: Path) -> Truth:
     """Read a truth.json.
 
     Raises:
         VergenceError: the file is missing, not JSON, or a field of it is not valid.
     """
-    try:
-        return _ADAPTER.validate_json(Path(path).read_bytes())
-    except OSError as error:
-        raise VergenceError(f"Cannot read the truth {path}: {error.strerror}.") from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"])) or "the file"
-        raise VergenceError(f"{path} is not a truth.json: {where}: {first['msg']}.") from None
+    return read_json(path, Truth, TRUTH)

@@ -21,6 +21,7 @@ from vergence.demos.recording import recorded
 from vergence.gaze.commands import HEAD_JOINTS
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.state import NARROW, GazePhase, GazeSettings, GazeState, initial_gaze_state
+from vergence.progress import Progress, silent
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors, unoccluded
@@ -157,7 +158,7 @@ def foveate(
     seed: int = 0,
     profile: ErrorProfile,
     out: Path | None = None,
-    done: Callable[[], None] = lambda: None,
+    progress: Progress = silent,
 ) -> tuple[Summary, list[Trial]]:
     """Calibrate the twin and run a trial for each of a number of objects.
 
@@ -167,13 +168,14 @@ def foveate(
         profile: imperfections of the head.
         out: folder for foveate.json, the recording foveate.rrd of the first RECORDED trials, and
             depth.png; None: nothing is written.
-        done: called after each trial.
+        progress: is called after each trial.
 
     Raises:
         VergenceError: an argument is out of range, or the folder cannot be written.
     """
     check_trials(trials)
     made: list[Trial] = []
+    progress("foveate, trials", 0, trials)
     with (
         calibrated_twin(profile, seed) as (twin, settings),
         recorded(out, "foveate", twin, settings, seed=seed, reach_m=DEPTH_M[1], speed=PLAYBACK) as (
@@ -191,7 +193,7 @@ def foveate(
 
         for run, target in enumerate(targets(trials, seed, free=free), start=1):
             made.append(run_trial(twin, settings, run, target, watch=record))
-            done()
+            progress("foveate, trials", len(made), trials)
         report += as_markdown(made[:RECORDED])
     found = summary(made)
     write_summary(out, "foveate", found)

@@ -19,6 +19,7 @@ from vergence.demos.depth_error_by_range import DepthSample, RangeBin, bin_by_ra
 from vergence.demos.experiment import calibrated_twin, check_trials, write_summary
 from vergence.demos.recording import recorded
 from vergence.gaze.commands import HEAD_JOINTS
+from vergence.progress import Progress, silent
 from vergence.reach.controller import run_reach
 from vergence.reach.state import ReachPhase, ReachSettings, ReachState, initial_reach_state
 from vergence.twin.hand import SimulatedHand, arm_mounting_error
@@ -167,7 +168,7 @@ def grasp(
     seed: int = 0,
     profile: ErrorProfile,
     out: Path | None = None,
-    done: Callable[[], None] = lambda: None,
+    progress: Progress = silent,
 ) -> tuple[Summary, list[Trial]]:
     """Calibrate the twin, and hold out objects to it.
 
@@ -177,13 +178,14 @@ def grasp(
         profile: imperfections of the head.
         out: folder for grasp.json, and the recording grasp.rrd of the first RECORDED trials; None:
             nothing is written.
-        done: called after each trial.
+        progress: is called after each trial.
 
     Raises:
         VergenceError: an argument is out of range, or the folder cannot be written.
     """
     check_trials(trials)
     made: list[Trial] = []
+    progress("grasp, trials", 0, trials)
     with (
         calibrated_twin(profile, seed) as (twin, gaze),
         recorded(out, "grasp", twin, gaze, seed=seed, reach_m=FAR_M[0], speed=0.5, hand=True) as (
@@ -200,7 +202,7 @@ def grasp(
         for run in range(1, trials + 1):
             path, T_body_arm = held_out(seed, run), arm_mounting_error(seed, run)
             made.append(run_trial(twin, settings, run, path, T_body_arm, watch=record))
-            done()
+            progress("grasp, trials", len(made), trials)
         found = summary(made)
         report += as_markdown(found)
     write_summary(out, "grasp", found)

@@ -21,6 +21,7 @@ from vergence.gaze.commands import HEAD_JOINTS
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.state import WIDE, GazeSettings, GazeState, initial_gaze_state
 from vergence.geometry.head import HeadCalibration
+from vergence.progress import Progress, silent
 from vergence.stereo.triangulation import in_body, triangulate_at
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
@@ -182,7 +183,7 @@ def track(
     seed: int = 0,
     profile: ErrorProfile,
     out: Path | None = None,
-    watch: Callable[[GazeState, Frame | None], None] = lambda state, frame: None,
+    progress: Progress = silent,
 ) -> Summary:
     """Calibrate the twin, and track an object that is hidden once on its way.
 
@@ -191,7 +192,7 @@ def track(
         seed: of everything random.
         profile: imperfections of the head.
         out: folder for track.json and track.rrd; None: nothing is written.
-        watch: called with every state and its frame.
+        progress: is called with the seconds so far after every state.
 
     Raises:
         VergenceError: an argument is out of range, or the folder cannot be written.
@@ -206,7 +207,7 @@ def track(
         path = smooth_path(seed, seconds)
 
         def both(state: GazeState, frame: Frame | None) -> None:
-            watch(state, frame)
+            progress("track, seconds", max(0, int(state.frame_s)), int(seconds))
             record(state, frame, {}, None)
 
         found = follow(twin, settings, 1, path, seconds, hidden_s=hidden_s, watch=both)

@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import AliasChoices, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import AliasChoices, BeforeValidator, ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Array, Matrix, Transform
 from vergence.errors import VergenceError
-from vergence.files import write_whole
+from vergence.files import read_json, write_json
 from vergence.geometry.camera import Camera
 from vergence.geometry.kinematics import EYES, EyeAxes, Neck, Side, T_base_eye, T_body_head
 from vergence.geometry.se3 import inverse, pose
@@ -167,16 +167,13 @@ def T_narrow_wide(calibration: HeadCalibration, eye: Side) -> Array:
     return inverse(narrow.T_eye_cam) @ wide.T_eye_cam
 
 
-_ADAPTER = TypeAdapter(HeadCalibration)
-
-
 def save_head(head: HeadCalibration, path: Path | str) -> None:
     """Write a calibration as JSON.
 
     Raises:
         VergenceError: the file cannot be written.
     """
-    write_whole(Path(path), _ADAPTER.dump_json(head, indent=1).decode() + "\n")
+    write_json(head, Path(path))
 
 
 def load_head(path: Path | str) -> HeadCalibration:
@@ -185,11 +182,4 @@ def load_head(path: Path | str) -> HeadCalibration:
     Raises:
         VergenceError: the file is missing, not JSON, or a field of it is not valid.
     """
-    try:
-        return _ADAPTER.validate_json(Path(path).read_bytes())
-    except OSError as error:
-        raise VergenceError(f"Cannot read the calibration {path}: {error.strerror}.") from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"])) or "the file"
-        raise VergenceError(f"{path} is not a head calibration: {where}: {first['msg']}.") from None
+    return read_json(Path(path), HeadCalibration, "a head calibration")

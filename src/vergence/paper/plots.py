@@ -14,8 +14,7 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.offsetbox import AnchoredOffsetbox, HPacker, TextArea, VPacker
 
 from vergence.paper.figures import Figure
-from vergence.paper.replay import Replay
-from vergence.paper.statistics import Statistics
+from vergence.paper.replay import Replay, Statistics
 from vergence.viewer.canvas import BLUE, DPI, GREEN, RED, save
 
 _COLOURS = (BLUE, GREEN, RED)  # x, y, z
@@ -37,9 +36,7 @@ def draw(results: Sequence[Replay]) -> Canvas:
     """Draw figures as the paper does: estimated positions over time.
 
     Panels of a row have the same scale, so that parallel and divergent motion can be compared.
-
-    Args:
-        results: of one or more figures, in any order.
+    Results may be in any order.
     """
     place = {result.figure.number: divmod(result.figure.number - _FIRST, 2) for result in results}
     rows = sorted({row for row, _ in place.values()})

@@ -19,9 +19,9 @@ from vergence.paper.replay import Replay, summary
 from vergence.twin.appearance import VisualGeom
 from vergence.viewer import style
 from vergence.viewer.frame import time_columns
-from vergence.viewer.layout import camera_views, hidden, playing, view_3d, whole_time
+from vergence.viewer.layout import camera_views, curves_view, hidden, playing, view_3d
 from vergence.viewer.opening import recording_file
-from vergence.viewer.shapes import lines_of_sight, placed, spread_ellipsoid
+from vergence.viewer.shapes import lines_of_sight, log_points_style, placed, spread_ellipsoid
 
 _TRAILS = {"world/left_base/trail": None, "world/left_base/recent": style.TRAIL_S}
 
@@ -32,11 +32,7 @@ def figure_recording(
 ) -> Iterator[rr.RecordingStream]:
     """Record a figure in a `with` block; the file appears only when the block ends well.
 
-    Args:
-        path: of the `.rrd` file; an earlier one is replaced.
-        figure: the figure to record.
-        head: the calibration whose cameras are drawn.
-        geoms: visible shapes of the robot.
+    It shows the head's cameras and the visible shapes of the robot.
 
     Raises:
         VergenceError: the file cannot be written.
@@ -62,13 +58,9 @@ def _log_styles(rec: rr.RecordingStream) -> None:
     for joint, color in style.JOINT_COLOURS.items():
         curve = rr.SeriesLines(names=joint.replace("_", " "), colors=color)
         rec.log(f"joints/{joint}", curve, static=True)
-    for name, radius_px, color in (
-        ("trail", 1.5, style.OLD),
-        ("recent", 2.5, style.ESTIMATE),
-        ("estimate", 6.0, style.ESTIMATE),
-    ):
-        points = rr.Points3D.from_fields(radii=-radius_px, colors=color)  # negative: in pixels
-        rec.log(f"world/left_base/{name}", points, static=True)
+    log_points_style(rec, "world/left_base/trail", 1.5, style.OLD)
+    log_points_style(rec, "world/left_base/recent", 2.5, style.ESTIMATE)
+    log_points_style(rec, "world/left_base/estimate", 6.0, style.ESTIMATE)
     rays = rr.LineStrips3D.from_fields(colors=style.RAY, radii=-1.0)
     rec.log("world/left_base/rays", rays, static=True)
 
@@ -78,13 +70,8 @@ def log_results(
 ) -> None:
     """Record a figure's estimates as curves and as a trail in space, and its statistics.
 
-    Samples that were not located are left out.
-
-    Args:
-        rec: the recording.
-        result: of the replay.
-        head: the calibration, for the lines of sight.
-        T_world_lbase: (4, 4) pose of the left eye's base frame in the world.
+    Samples that were not located are left out. The head serves for the lines of sight;
+    `T_world_lbase` (4, 4) is the pose of the left eye's base frame in the world.
     """
     figure, statistics = result.figure, result.statistics
     time_s, eye_angles = result.measurements.time_s, result.measurements.eye_angles
@@ -105,7 +92,7 @@ def log_results(
                 ends = time_columns(time_s[[0, -1]], index[[0, -1]])
                 rec.send_columns(f"{kind}/{axis}", ends, rr.Scalars.columns(scalars=levels))
     rec.log("world/left_base", placed(T_world_lbase), static=True)
-    marker = rr.Points3D([result.object_m], radii=-4.0, colors=style.OBJECT)
+    marker = rr.Points3D([figure.mean_m], radii=-4.0, colors=style.OBJECT)
     rec.log("world/left_base/object", marker, static=True)
     if len(points) > 3:
         rec.log("world/left_base/spread", spread_ellipsoid(points), static=True)
@@ -119,32 +106,24 @@ def log_results(
 
 
 def blueprint(figure: Figure, head: HeadCalibration) -> rrb.Blueprint:
-    """Return the layout with which the viewer opens a figure's recording.
-
-    Args:
-        figure: the recorded figure; its object and the head fill the 3-D view.
-        head: the calibration whose cameras are shown.
-    """
-    whole = whole_time()
+    """Return the layout with which the viewer opens a figure's recording."""
     axes = [
-        rrb.TimeSeriesView(
-            name=f"{label} [m]: bright estimate, pale mean and ± std, grey the paper's",
-            origin="/",
+        curves_view(
+            f"{label} [m]: bright estimate, pale mean and ± std, grey the paper's",
+            "/",
+            legend=False,
             contents=[f"+ /{kind}/{axis}" for kind in ("paper", "estimate_mean", "estimate")],
-            axis_x=whole,
-            plot_legend=rrb.PlotLegend(visible=False),
         )
         for axis, label in zip(style.AXIS_COLOURS, ("x = depth", "y", "z"), strict=True)
     ]
-    joints = rrb.TimeSeriesView(name="joint readings [rad]", origin="joints", axis_x=whole)
     return playing(
         rrb.Horizontal(
             rrb.Vertical(
                 _head_view(figure, head),
-                rrb.Grid(*camera_views(head, marks="+ found, ○ truth"), grid_columns=2),
+                camera_views(head, marks="+ found, ○ truth"),
                 row_shares=[6, 7],
             ),
-            rrb.Vertical(*axes, joints),
+            rrb.Vertical(*axes, curves_view("joint readings [rad]", "joints")),
             rrb.Vertical(
                 rrb.TextDocumentView(name="report", origin="report"),
                 _close_up(figure),

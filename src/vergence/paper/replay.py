@@ -7,18 +7,16 @@ projected points without images (`observe_points`, then `estimate`).
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.data.dataset import Frame
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import NECK_JOINTS
 from vergence.geometry.projection import project_point
 from vergence.paper.figures import Figure
-from vergence.paper.statistics import Statistics, describe
 from vergence.paper.trajectories import PERIOD_S, default_duration_s, eye_angles
 from vergence.progress import Progress, silent
 from vergence.stereo.triangulation import triangulate_at
@@ -49,40 +47,35 @@ class Measurements:
 
 
 @dataclass(frozen=True, eq=False)
+class Statistics:
+    """Statistics of one figure's estimates, in the left eye's base frame (x forward = depth)."""
+
+    mean_m: Array
+    """(3,) mean."""
+    std_m: Array
+    """(3,) standard deviation, with N - 1 in the denominator."""
+    samples: int
+    """Samples that were located."""
+    dropped: int
+    """Samples in which the object was not found, or its rays did not meet."""
+
+
+@dataclass(frozen=True, eq=False)
 class Replay:
-    """One replayed figure."""
+    """One replayed figure; the object is at the mean that the paper prints."""
 
     figure: Figure
-    object_m: Array
-    """(3,) true position of the object, in the left eye's base frame."""
     measurements: Measurements
     points: Array
     """(N, 3) estimated positions [m] in the left eye's base frame; NaN: not located."""
     statistics: Statistics
 
 
-@dataclass(frozen=True, eq=False)
-class Sample:
-    """One sample with its ground truth, as the observer of a replay gets it."""
-
-    index: int
-    time_s: float
-    frame: Frame
-    detected: dict[str, Array]
-    """By camera: (2,) the detected centre of the object [px]; NaN: not found."""
-    truth: dict[str, Array]
-    """By camera: (2,) the true centre of the object [px]; NaN: behind the camera."""
-    body_poses: dict[str, Array]
-    """By body of the model: (4, 4) pose in the world."""
-
-
 def sample_times(figure: Figure, duration_s: float | None, rate_hz: float | None) -> Array:
     """Return the times (N,) [s] of a figure's samples, in whole milliseconds.
 
-    Args:
-        figure: whose motion sets the default duration.
-        duration_s: of the replay; None: the figure's full combined period, at least 60 s.
-        rate_hz: samples per second; None: SAMPLES samples, whatever the duration.
+    The default duration is the figure's full combined period, at least 60 s; without a rate there
+    are SAMPLES samples, whatever the duration.
     """
     duration = default_duration_s(figure.motion) if duration_s is None else duration_s
     count = SAMPLES if rate_hz is None else max(2, round(duration * rate_hz))
@@ -96,8 +89,8 @@ def replay(
     figure: Figure,
     times_s: Array,
     *,
-    observer: Callable[[Sample], None] | None = None,
-    all_cameras_every: int = 1,
+    observer: Callable[..., None] | None = None,
+    image_every: int = 1,
     progress: Progress = silent,
 ) -> Replay:
     """Replay a figure on rendered images.
@@ -107,9 +100,10 @@ def replay(
         calibration: the estimated calibration of the head.
         figure: the figure to replay.
         times_s: (N,) times of the samples, rising.
-        observer: is called with every sample in its order, from another thread.
-        all_cameras_every: every Nth sample is rendered by all cameras, the others only by the wide
-            cameras, which the estimation uses. Without an observer it has no effect.
+        observer: is called with every sample in its order, from another thread, with the arguments
+            of `viewer.frame.log_frame` by name.
+        image_every: every Nth sample is rendered by all cameras, and the observer gets its images;
+            the others only by the wide cameras, which the estimation uses.
         progress: is called after each sample.
     """
     start = _LEAD_S
@@ -119,77 +113,60 @@ def replay(
     def command(time_s: float) -> Array:
         return straight_neck(eye_angles(figure.motion, np.array(time_s - start)))
 
+    def measure(
+        index: int,
+        complete: bool,
+        exposure: Exposure,
+        eyes: Array,
+        where: Array,
+        bodies: dict[str, Array],
+    ) -> tuple[Array, dict[str, Array]]:
+        """Return the joint readings (4,), and by camera the object's pixel (2,)."""
+        frame = twin.develop(exposure)
+        detected = {
+            name: find_sphere(image, calibration.camera(name).intrinsics)
+            for name, image in frame.images.items()
+        }
+        if observer is not None:
+            shown = {n: project_point(twin.truth, n, eyes, where) for n in frame.images}
+            observer(
+                time_s=times_s[index],
+                index=index,
+                frame=frame if complete else None,
+                body_poses=bodies,
+                detected=detected,
+                truth=shown,
+            )
+        return frame.eye_angles, detected
+
     task = f"figure {figure.number}, {figure.motion}"
     progress(task, 0, len(times_s))
     twin.advance(start / 2, command(start))  # to the first posture
-    pending: list[Future[tuple[Array, dict[str, Array]]]] = []
+    pending = []
     # One worker: images are developed and searched while the next ones render.
     with ThreadPoolExecutor(max_workers=1) as worker:
         try:
             for index, time_s in enumerate(times_s):
                 twin.advance(start + time_s, command)
-                complete = observer is not None and index % all_cameras_every == 0
+                complete = observer is not None and index % image_every == 0
                 exposure = twin.expose(tuple(twin.truth.cameras) if complete else WIDE)
-                if len(pending) > index - 3 >= 0:
+                if index >= 3:
                     pending[index - 3].result()  # limits images in memory, raises errors early
-                truth = (twin.true_angles(), twin.true_object(), twin.body_poses())
-                pending.append(
-                    worker.submit(
-                        _measure, twin, calibration, exposure, index, time_s, observer, truth
-                    )
-                )
+                eyes, where = twin.true_angles()[len(NECK_JOINTS) :], twin.true_object()
+                now = (index, complete, exposure, eyes, where, twin.body_poses())
+                pending.append(worker.submit(measure, *now))
                 progress(task, index + 1, len(times_s))
         except BaseException:
             worker.shutdown(cancel_futures=True)
             raise
         results = [future.result() for future in pending]
-    measurements = Measurements(
-        time_s=times_s,
-        eye_angles=np.array([angles for angles, _ in results]),
-        pixels_l=np.array([pixels[WIDE[0]] for _, pixels in results]),
-        pixels_r=np.array([pixels[WIDE[1]] for _, pixels in results]),
-    )
-    return estimate(calibration, figure, np.array(figure.mean_m), measurements)
+    angles = np.array([angles for angles, _ in results])
+    pixels_l, pixels_r = (np.array([pixels[name] for _, pixels in results]) for name in WIDE)
+    return estimate(calibration, figure, Measurements(times_s, angles, pixels_l, pixels_r))
 
 
-def _measure(
-    twin: Twin,
-    calibration: HeadCalibration,
-    exposure: Exposure,
-    index: int,
-    time_s: float,
-    observer: Callable[[Sample], None] | None,
-    truth: tuple[Array, Array, dict[str, Array]],
-) -> tuple[Array, dict[str, Array]]:
-    """Develop the images of an exposure and find the object in them; call the observer.
-
-    Returns:
-        Joint readings (4,), and by camera the object's pixel (2,).
-    """
-    frame = twin.develop(exposure)
-    detected = {
-        name: find_sphere(image, calibration.camera(name).intrinsics)
-        for name, image in frame.images.items()
-    }
-    if observer is not None:
-        angles, where, body_poses = truth
-        eyes = angles[len(NECK_JOINTS) :]
-        shown = {name: project_point(twin.truth, name, eyes, where) for name in frame.images}
-        observer(Sample(index, time_s, frame, detected, shown, body_poses))
-    return frame.eye_angles, detected
-
-
-def estimate(
-    calibration: HeadCalibration, figure: Figure, object_m: Array, measurements: Measurements
-) -> Replay:
-    """Locate the object in all samples, and compute the statistics of its positions.
-
-    Args:
-        calibration: the estimated calibration of the head.
-        figure: the replayed figure.
-        object_m: (3,) true position of the object, in the left eye's base frame.
-        measurements: of rendered images or of projected points.
-    """
+def estimate(calibration: HeadCalibration, figure: Figure, measurements: Measurements) -> Replay:
+    """Locate the object in all samples, and compute the statistics of its positions."""
     points, _ = triangulate_at(
         calibration,
         left=measurements.pixels_l,
@@ -197,7 +174,16 @@ def estimate(
         joints=measurements.eye_angles,
         cameras=WIDE,
     )
-    return Replay(figure, object_m, measurements, points, describe(points))
+    return Replay(figure, measurements, points, describe(points))
+
+
+def describe(points: Array) -> Statistics:
+    """Return the statistics of points (N, 3) [m]; rows with NaN count as dropped samples."""
+    good = points[np.isfinite(points).all(axis=1)]
+    mean, std = np.full((2, 3), np.nan)
+    if len(good) >= 2:
+        mean, std = good.mean(0), good.std(0, ddof=1)
+    return Statistics(mean, std, len(good), len(points) - len(good))
 
 
 def summary(result: Replay) -> dict[str, list[float] | int]:
@@ -205,7 +191,7 @@ def summary(result: Replay) -> dict[str, list[float] | int]:
     return {
         "paper_mean_m": list(result.figure.mean_m),
         "paper_std_m": list(result.figure.std_m),
-        "object_m": result.object_m.tolist(),
+        "object_m": list(result.figure.mean_m),
         "mean_m": result.statistics.mean_m.tolist(),
         "std_m": result.statistics.std_m.tolist(),
         "samples": result.statistics.samples,
@@ -224,13 +210,8 @@ def observe_points(
 ) -> Measurements:
     """Simulate the measurements of a replay by projection, without images and physics.
 
-    Args:
-        truth: the true head.
-        profile: the error profile; only its joint sensors are used.
-        figure: the figure whose motion and object are simulated.
-        times_s: (N,) times of the samples [s].
-        pixel_noise: standard deviation of the object's position in the images [px].
-        rng: generator of the noise of pixels and joint readings.
+    Of the profile only the joint sensors are used. The noise of pixels is a standard deviation
+    [px]; `times_s` is (N,) [s].
     """
     delay = profile.joints.delay_ms * 1e-3
     at_image = eye_angles(figure.motion, times_s - max(0.0, -delay))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -40,7 +40,7 @@ def predicted_depth_std(result: Replay, profile: ErrorProfile, head: HeadCalibra
     """
     T_lbase_lcam, T_rcam_lcam = stereo_poses(head, np.zeros(4), cameras=WIDE)
     baseline = float(np.linalg.norm(T_rcam_lcam[:3, 3]))
-    depth = result.object_m[0] - T_lbase_lcam[0, 3]
+    depth = result.figure.mean_m[0] - T_lbase_lcam[0, 3]
     focal = head.camera("left_wide").intrinsics.matrix[0, 0]
     wrong = orientation_error(result, profile.joints)
     return float(depth_error(depth, baseline, focal, disparity_error(focal, wrong)))
@@ -49,20 +49,20 @@ def predicted_depth_std(result: Replay, profile: ErrorProfile, head: HeadCalibra
 def figure_report(result: Replay, profile: ErrorProfile, head: HeadCalibration) -> str:
     """Return the markdown page that goes into a figure's recording."""
     figure, ours = result.figure, result.statistics
-    rows = "\n".join(
-        f"| {axis} | {object_m:+.3f} | {mean:+.4f} | {std:.4f} | {paper:.3f} | {std / paper:.2f} |"
-        for axis, object_m, mean, std, paper in zip(
-            "xyz", result.object_m, ours.mean_m, ours.std_m, figure.std_m, strict=True
-        )
+    columns = zip("xyz", figure.mean_m, ours.mean_m, ours.std_m, figure.std_m, strict=True)
+    table = _table(
+        "| object | mean | std | paper's std | ratio",
+        [
+            (axis, f"{at:+.3f}", f"{mean:+.4f}", f"{std:.4f}", f"{paper:.3f}", f"{std / paper:.2f}")
+            for axis, at, mean, std, paper in columns
+        ],
     )
     return f"""# Fig. {figure.number}: {figure.motion} motion, {figure.lens} lens
 
 The eyes move, the object does not: a perfect head would draw three straight lines.
 Positions in metres from the left eye's rotation centre; x is depth.
 
-| | object | mean | std | paper's std | ratio |
-|---|---|---|---|---|---|
-{rows}
+{table}
 
 {ours.samples} samples located, {ours.dropped} dropped. Eqs. 20-21 predict a standard deviation of
 depth of {predicted_depth_std(result, profile, head):.4f} m from the joint sensors alone.
@@ -80,25 +80,22 @@ def report(
 ) -> str:
     """Return the text of report.md.
 
-    Args:
-        replays: by number of the figure.
-        calibrations: by lens, as they were estimated.
-        heads: by lens, as they were used: with the errors that the profile injects.
-        profile: the error profile of the run.
-        seed: the seed of the run.
+    Replays are by number of the figure, calibrations and heads by lens: as they were estimated,
+    and as they were used, with the errors that the profile injects.
     """
+    numbered = [replays[number] for number in sorted(replays)]
     parts = [
         f"# Figs. 6-11, error profile `{profile.name}`, seed {seed}",
         f"{profile.description} {_fitted_line(profile)}",
         "All numbers come from rendered images. Positions in metres from the left eye's rotation "
         "centre, x forward (depth), y left, z up; `paper` is what the paper's captions print.",
         "## Standard deviations",
-        _std_table(replays, heads, profile),
-        _verdict(replays),
+        *_std_table(numbered, heads, profile),
+        _verdict(numbered),
         "## Means",
-        _mean_table(replays),
+        _mean_table(numbered),
         "## Calibrations",
-        _calibration_table(calibrations),
+        *_calibration_table(calibrations),
     ]
     if profile.fitted:
         parts += ["## Fitted parameters", _fitted_table(profile)]
@@ -115,32 +112,36 @@ def _fitted_line(profile: ErrorProfile) -> str:
     )
 
 
+def _table(heading: str, rows: Iterable[Sequence[object]]) -> str:
+    """Return a table in markdown, whose heading has its cells divided by |."""
+    lines = [f"| {heading} |", "|" + "---|" * (heading.count("|") + 1)]
+    return "\n".join(lines + ["| " + " | ".join(map(str, row)) + " |" for row in rows])
+
+
 def _std_table(
-    replays: Mapping[int, Replay], heads: Mapping[str, HeadCalibration], profile: ErrorProfile
-) -> str:
-    lines = [
-        "| Fig. | motion | lens | paper x / y / z | ours x / y / z | ours / paper "
-        "| x by Eqs. 20-21 | samples | dropped |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
-    for number, result in sorted(replays.items()):
+    replays: Sequence[Replay], heads: Mapping[str, HeadCalibration], profile: ErrorProfile
+) -> list[str]:
+    rows = []
+    for result in replays:
         figure, ours = result.figure, result.statistics
         predicted = predicted_depth_std(result, profile, heads[figure.lens])
-        ratio = " / ".join(f"{r:.2f}" for r in ours.std_m / np.array(figure.std_m))
-        lines.append(
-            f"| {number} | {figure.motion} | {figure.lens} | {_three(figure.std_m, 3)} "
-            f"| {_three(ours.std_m, 4)} | {ratio} | {predicted:.4f} | {ours.samples} "
-            f"| {ours.dropped} |"
-        )
-    lines.append(
-        "\nThe column of Eqs. 20-21 includes the joint sensors only (noise, quantisation, gain, "
-        "delay), not what the calibration and the mechanics add."
+        ratio = _three(ours.std_m / np.array(figure.std_m), 2)
+        stds = _three(figure.std_m, 3), _three(ours.std_m, 4), ratio, f"{predicted:.4f}"
+        what = figure.number, figure.motion, figure.lens
+        rows.append((*what, *stds, ours.samples, ours.dropped))
+    heading = (
+        "Fig. | motion | lens | paper x / y / z | ours x / y / z | ours / paper "
+        "| x by Eqs. 20-21 | samples | dropped"
     )
-    return "\n".join(lines)
+    return [
+        _table(heading, rows),
+        "The column of Eqs. 20-21 includes the joint sensors only (noise, quantisation, gain, "
+        "delay), not what the calibration and the mechanics add.",
+    ]
 
 
-def _verdict(replays: Mapping[int, Replay]) -> str:
-    ratios = np.array([r.statistics.std_m / np.array(r.figure.std_m) for r in replays.values()])
+def _verdict(replays: Sequence[Replay]) -> str:
+    ratios = np.array([r.statistics.std_m / np.array(r.figure.std_m) for r in replays])
     if not np.isfinite(ratios).all():
         return "Not every figure could be located."
     worst = float(np.exp(np.abs(np.log(ratios)).max()))
@@ -153,46 +154,35 @@ def _verdict(replays: Mapping[int, Replay]) -> str:
     )
 
 
-def _mean_table(replays: Mapping[int, Replay]) -> str:
-    lines = [
-        "| Fig. | object (the paper's mean) | our mean | depth error / our std | error across |",
-        "|---|---|---|---|---|",
-    ]
-    for number, result in sorted(replays.items()):
-        ours = result.statistics
-        error = ours.mean_m - result.object_m
-        lines.append(
-            f"| {number} | {_three(result.object_m, 3)} | {_three(ours.mean_m, 4)} "
-            f"| {abs(error[0]) / ours.std_m[0]:.2f} "
-            f"| {1e3 * float(np.hypot(error[1], error[2])):.1f} mm |"
-        )
-    return "\n".join(lines)
+def _mean_table(replays: Sequence[Replay]) -> str:
+    rows = []
+    for result in replays:
+        paper, ours = result.figure.mean_m, result.statistics
+        error = ours.mean_m - paper
+        ratio = f"{abs(error[0]) / ours.std_m[0]:.2f}"
+        across = f"{1e3 * float(np.hypot(error[1], error[2])):.1f} mm"
+        rows.append((result.figure.number, _three(paper, 3), _three(ours.mean_m, 4), ratio, across))
+    heading = "Fig. | object (the paper's mean) | our mean | depth error / our std | error across"
+    return _table(heading, rows)
 
 
-def _calibration_table(calibrations: Mapping[str, SequentialCalibration]) -> str:
-    lines = ["| lens | camera | views | RMS residual | focal length |", "|---|---|---|---|---|"]
+def _calibration_table(calibrations: Mapping[str, SequentialCalibration]) -> list[str]:
+    rows, remarks = [], []
     for lens, found in calibrations.items():
-        for name, intrinsics in found.intrinsics.items():
-            focal = intrinsics.camera.matrix[0, 0]
-            lines.append(
-                f"| {lens} | {name} | {intrinsics.views} | {intrinsics.rms_px:.3f} px "
-                f"| {focal:.2f} px |"
-            )
-    for lens, found in calibrations.items():
+        for name, made in found.intrinsics.items():
+            focal = made.camera.matrix[0, 0]
+            rows.append((lens, name, made.views, f"{made.rms_px:.3f} px", f"{focal:.2f} px"))
         eyes = ", ".join(f"{count} ({eye})" for eye, count in found.eye_views.items())
-        lines.append(
-            f"\nStatic stereo with the {lens} lens: {found.stereo_views} views, RMS "
+        remarks.append(
+            f"Static stereo with the {lens} lens: {found.stereo_views} views, RMS "
             f"{found.stereo_rms_px:.3f} px. Eye orientations: {eyes}."
         )
-    return "\n".join(lines)
+    return [_table("lens | camera | views | RMS residual | focal length", rows), *remarks]
 
 
 def _fitted_table(profile: ErrorProfile) -> str:
-    lines = ["| name | value | meaning | how |", "|---|---|---|---|"]
-    lines += [
-        f"| `{f.name}` | {f.value:g} {f.unit} | {f.meaning} | {f.how} |" for f in profile.fitted
-    ]
-    return "\n".join(lines)
+    rows = [(f"`{f.name}`", f"{f.value:g} {f.unit}", f.meaning, f.how) for f in profile.fitted]
+    return _table("name | value | meaning | how", rows)
 
 
 def _three(values: Array | tuple[float, ...], digits: int) -> str:

@@ -6,6 +6,7 @@ import json
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from vergence.geometry.head import HeadCalibration, save_head
 from vergence.paper.figures import FIGURES, Figure
 from vergence.paper.plots import paper_figures
 from vergence.paper.recording import figure_recording, log_results
-from vergence.paper.replay import Replay, Sample, replay, sample_times, summary
+from vergence.paper.replay import Replay, replay, sample_times, summary
 from vergence.paper.report import figure_report, report
 from vergence.progress import Progress, silent
 from vergence.twin.appearance import visual_geoms
@@ -170,40 +171,19 @@ def record_replay(
     *,
     progress: Progress = silent,
 ) -> Replay:
-    """Replay one figure on rendered images, and record it.
-
-    Args:
-        twin: the head, with the figure's lens.
-        calibration: the estimated calibration of the head.
-        figure: the figure to replay.
-        times_s: (N,) times of the samples [s], rising.
-        path: of the recording.
-        progress: is called after each sample.
+    """Replay one figure on rendered images, as `replay` does, and record it.
 
     Raises:
         VergenceError: the recording cannot be written.
     """
-    every = image_interval(times_s)
     with figure_recording(path, figure, calibration, visual_geoms(twin.model)) as rec:
-
-        def observer(sample: Sample) -> None:
-            log_frame(
-                rec,
-                time_s=sample.time_s,
-                index=sample.index,
-                frame=sample.frame if sample.index % every == 0 else None,
-                body_poses=sample.body_poses,
-                detected=sample.detected,
-                truth=sample.truth,
-            )
-
         result = replay(
             twin,
             calibration,
             figure,
             times_s,
-            observer=observer,
-            all_cameras_every=every,
+            observer=partial(log_frame, rec),
+            image_every=image_interval(times_s),
             progress=progress,
         )
         log_results(rec, result, calibration, twin.T_world_lbase())

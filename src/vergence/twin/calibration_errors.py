@@ -17,10 +17,8 @@ def inject_calibration_error(
 ) -> HeadCalibration:
     """Return a calibration with errors in its wide cameras; straight gaze stays exact (Eq. 10).
 
-    Args:
-        calibration: of a head with the cameras left_wide and right_wide.
-        by_hand: the errors; without any, the calibration itself is returned.
-        figure_lens: 2.8mm or 4.0mm, which selects the error of the focal length.
+    T_rbase_lbase is recomputed by Eq. 10, so that T_rcam_lcam at zero joint angles stays the same.
+    The figure's lens, 2.8mm or 4.0mm, selects the error of the focal length.
     """
     if by_hand == ByHand():
         return calibration
@@ -36,16 +34,6 @@ def inject_calibration_error(
             intrinsics=replace(mounted.intrinsics, matrix=matrix),
             T_eye_cam=mounted.T_eye_cam @ pose(roll, [0, 0, by_hand.axial_mm * 1e-3]),
         )
-    return rebase_at_zero(calibration, replace(calibration, cameras=cameras))
-
-
-def rebase_at_zero(before: HeadCalibration, after: HeadCalibration) -> HeadCalibration:
-    """Recompute T_rbase_lbase by Eq. 10, so that T_rcam_lcam at zero joint angles stays the same.
-
-    Args:
-        before: the calibration that has the T_rcam_lcam to keep.
-        after: the calibration with changed cameras, which is returned with another T_rbase_lbase.
-    """
     straight, wide = np.zeros(4), ("left_wide", "right_wide")
-    T = T_rcam_lcam(before, straight, cameras=wide)
-    return rebase(after, T, joints=straight, cameras=wide)
+    T = T_rcam_lcam(calibration, straight, cameras=wide)
+    return rebase(replace(calibration, cameras=cameras), T, joints=straight, cameras=wide)

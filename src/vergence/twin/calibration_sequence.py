@@ -72,17 +72,14 @@ def plan(
     """
     wide_views, narrow_views, orientations = views
     rng = np.random.default_rng([seed, 4])
-    straight = np.zeros(4)
     shots: list[Shot] = []
     wide = ("left_wide", "right_wide")
-    for _ in range(wide_views):
-        T = _held_board(head, board, wide, (0.28, 0.65), 0.7, rng)
-        shots.append(Shot(len(shots), T, straight, wide))
-    for eye in EYES:
-        trio = (*wide, f"{eye}_narrow")
-        for _ in range(narrow_views):
-            T = _held_board(head, board, trio, (0.72, 1.1), 0.6, rng)
-            shots.append(Shot(len(shots), T, straight, trio))
+    held = [(wide, wide_views, (0.28, 0.65), 0.7)]
+    held += [((*wide, f"{eye}_narrow"), narrow_views, (0.72, 1.1), 0.6) for eye in EYES]
+    for cameras, count, depth_m, lean_rad in held:
+        for _ in range(count):
+            T = _held_board(head, board, cameras, depth_m, lean_rad, rng)
+            shots.append(Shot(len(shots), T, np.zeros(4), cameras))
     fixed = len(shots)
     T_fixed = _facing(board, *map(np.array, T_LBASE_FIXED))
     # Directions spread evenly over an ellipse (sunflower): pan and tilt vary independently. The
@@ -157,11 +154,8 @@ def straight_neck(eye_angles: Array) -> Array:
 def carry_out(twin: Twin, shots: Sequence[Shot], *, interval_s: float = 0.0) -> Iterator[Shot]:
     """Move board and eyes of the twin as each shot has them, and yield the shot.
 
-    Args:
-        twin: the head.
-        shots: in their order.
-        interval_s: simulated time between two shots with the same eye angles; otherwise the twin
-            advances until the eyes have settled.
+    Between two shots with the same eye angles `interval_s` of simulated time passes; otherwise the
+    twin advances until the eyes have settled.
     """
     posture: Array | None = None
     for shot in shots:
@@ -178,13 +172,7 @@ def carry_out(twin: Twin, shots: Sequence[Shot], *, interval_s: float = 0.0) -> 
 def capture_views(
     twin: Twin, shots: Sequence[Shot], *, progress: Progress = silent
 ) -> Observations:
-    """Carry out a sequence on the twin and find the board in its images.
-
-    Args:
-        twin: the head.
-        shots: the planned views.
-        progress: is called after each view.
-    """
+    """Carry out a sequence on the twin and find the board in its images."""
     task = "calibration views"
     progress(task, 0, len(shots))
     with ThreadPoolExecutor(max_workers=2) as pool:
@@ -214,12 +202,8 @@ def simulate_views(
 ) -> Observations:
     """Return what `capture_views` would, with projected corners instead of rendered images.
 
-    Args:
-        truth: the true head.
-        profile: the error profile; only its joint sensors and its board are used.
-        shots: the planned views.
-        pixel_noise: standard deviation of white noise in the corners [px].
-        rng: generator of the noise of corners and joint readings.
+    Of the profile only the joint sensors and the board are used. The noise of the corners is a
+    standard deviation [px].
     """
     true_angles = np.array([shot.eye_angles for shot in shots])
     found = []

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from types import TracebackType
 
 import mujoco
 import numpy as np
@@ -62,13 +61,10 @@ class Twin:
         lens: Lens = "2.8mm",
         board: Charuco | None = None,
     ):
-        """Build a head.
+        """Build a head with wide cameras of a lens, and with the imperfections of a profile.
 
-        Args:
-            profile: its imperfections.
-            seed: of everything random; the same seed gives the same head, whatever the lens.
-            lens: of the wide cameras.
-            board: in the place of the scene's chessboard.
+        The same seed gives the same head, whatever the lens. A board replaces the scene's
+        chessboard.
 
         Raises:
             VergenceError: there is no OpenGL, or the model cannot be loaded.
@@ -88,9 +84,8 @@ class Twin:
     def restart(self, run: int) -> None:
         """Go back to time zero and the home posture, with nothing in the room.
 
-        Args:
-            run: number of the run: its noise depends on this and the seed alone, not on what
-                the head did before.
+        The noise depends on the number of the run and the seed alone, not on what the head did
+        before.
         """
         self._rng = np.random.default_rng([self._seed, 3, run])
         self._renderer.restart(run)
@@ -132,13 +127,9 @@ class Twin:
                 mujoco.mj_step(self.model, self._data)
             angles = self._data.qpos[self._addresses]
             sensed = play(angles[None], width, self._sensed[-1])[0] if width else angles
-            for history, latest in (
-                (self._times, self._data.time),
-                (self._true, angles),
-                (self._sensed, sensed),
-            ):
-                history[:-1] = history[1:]
-                history[-1] = latest
+            self._times = np.append(self._times[1:], self._data.time)
+            self._true = np.vstack([self._true[1:], angles])
+            self._sensed = np.vstack([self._sensed[1:], sensed])
 
     def settle(self, command: Array, seconds: float = 0.6) -> None:
         """Go to a posture (7,) and wait until the motion has died away."""
@@ -216,9 +207,8 @@ class Twin:
     def place_hand(self, T_lbase_hand: Array | None, *, opening_m: float = 0.0) -> None:
         """Put the hand at a pose (4, 4) in the left eye's base frame; None takes it away.
 
-        Args:
-            T_lbase_hand: its origin is where the centre of what it grasps should be.
-            opening_m: between the faces of the fingers.
+        Its origin is where the centre of what it grasps should be, midway between the faces of the
+        fingers, which are `opening_m` apart.
         """
         self._place("hand", T_lbase_hand)
         for side, sign in (("left", 1), ("right", -1)):
@@ -242,10 +232,5 @@ class Twin:
     def __enter__(self) -> Twin:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        value: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()

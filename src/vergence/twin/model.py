@@ -6,6 +6,7 @@ The names that the model uses are looked up here and nowhere else.
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
@@ -109,11 +110,8 @@ def as_built_head(nominal: HeadCalibration, profile: ErrorProfile, seed: int) ->
         matrix[:2, 2] += principal
         cameras[name] = MountedCamera(
             eye=mounted.eye,
-            intrinsics=Camera(
-                width=camera.width,
-                height=camera.height,
-                matrix=matrix,
-                distortion=camera.distortion * optics.distortion,
+            intrinsics=replace(
+                camera, matrix=matrix, distortion=camera.distortion * optics.distortion
             ),
             T_eye_cam=pose(t=shift) @ mounted.T_eye_cam @ pose(rotation(turn)),
         )
@@ -127,15 +125,10 @@ def as_built_head(nominal: HeadCalibration, profile: ErrorProfile, seed: int) ->
     axes: dict[Side, EyeAxes] = {
         eye: EyeAxes(nonorthogonality_rad=np.radians(turn), axis_distance_m=distance * 1e-3)
         for eye, turn, distance in zip(
-            EYES,
-            profile.axes.nonorthogonality_deg,
-            profile.axes.distance_mm,
-            strict=True,
+            EYES, profile.axes.nonorthogonality_deg, profile.axes.distance_mm, strict=True
         )
     }
-    return HeadCalibration(
-        cameras=cameras, T_rbase_lbase=T_rbase_lbase, axes=axes, neck=nominal.neck
-    )
+    return replace(nominal, cameras=cameras, T_rbase_lbase=T_rbase_lbase, axes=axes)
 
 
 def compile_head(
@@ -147,10 +140,10 @@ def compile_head(
     """Compile the scene with the head as given.
 
     Args:
-        head: the as-built head; its lens distortion is the renderer's affair.
+        head: the as-built head, whose lens distortion the renderer adds.
         overscan: by camera, the width and height [px] to render, at the camera's own focal
             length; the image lies in the middle of it.
-        board: to be put in the place of the scene's chessboard.
+        board: replaces the scene's chessboard.
     """
     spec = load_spec()
     if board is not None:

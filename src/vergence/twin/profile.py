@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import tomllib
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -155,21 +156,19 @@ def load_profile(name_or_file: str) -> ErrorProfile:
     Raises:
         VergenceError: no such profile or file, not TOML, or a value that is unknown or impossible.
     """
+    source: Traversable = Path(name_or_file)
     if name_or_file in shipped():
-        text = (resources.files("vergence.twin") / "profiles" / f"{name_or_file}.toml").read_text()
+        source = resources.files("vergence.twin") / "profiles" / f"{name_or_file}.toml"
     elif not name_or_file.endswith(".toml"):
         raise VergenceError(
             f"No error profile is called {name_or_file!r}; there are {', '.join(shipped())}, "
             "and files that end in .toml."
         )
-    else:
-        try:
-            text = Path(name_or_file).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
-            raise VergenceError(
-                f"Cannot read the error profile {name_or_file}: {reason}."
-            ) from error
+    try:
+        text = source.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
+        raise VergenceError(f"Cannot read the error profile {name_or_file}: {reason}.") from error
     try:
         return ErrorProfile.model_validate(tomllib.loads(text))
     except tomllib.TOMLDecodeError as error:

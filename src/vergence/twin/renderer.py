@@ -52,14 +52,13 @@ def overscan_sizes(head: HeadCalibration) -> dict[str, tuple[int, int]]:
         if not camera.distortion.any():
             sizes[name] = (camera.width, camera.height)
             continue
-        rim = np.indices((camera.width, camera.height)).reshape(2, -1).T
-        rim = rim[
-            (rim == 0).any(axis=1) | (rim == [camera.width - 1, camera.height - 1]).any(axis=1)
-        ]
+        last = np.array([camera.width - 1, camera.height - 1])
+        every = np.indices((camera.width, camera.height)).reshape(2, -1).T
+        rim = every[((every == 0) | (every == last)).any(axis=1)]
         map_px = _in_pinhole(camera, rim.astype(float), (camera.width, camera.height))
         if not np.isfinite(map_px).all():
             raise VergenceError(f"The distortion of {name} folds over within its image.")
-        reach = np.abs(map_px - [(camera.width - 1) / 2, (camera.height - 1) / 2]).max(axis=0)
+        reach = np.abs(map_px - last / 2).max(axis=0)
         sizes[name] = tuple(int(2 * np.ceil(r + 2)) for r in reach)
     return sizes
 
@@ -86,13 +85,7 @@ class Renderer:
     """The cameras of a compiled head. Use it in the thread that created it, and close it."""
 
     def __init__(self, model: mujoco.MjModel, head: HeadCalibration, image: Image, seed: int):
-        """Open OpenGL.
-
-        Args:
-            model: compiled with the overscan sizes of the head.
-            head: the as-built head, for its lens distortion.
-            image: noise and blur.
-            seed: of the noise.
+        """Open OpenGL for a model that was compiled with the overscan sizes of the head.
 
         Raises:
             VergenceError: there is no OpenGL.

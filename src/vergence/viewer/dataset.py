@@ -14,7 +14,6 @@ The world is the left eye's base frame. A row of frames.csv is a `frame`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -25,19 +24,20 @@ from vergence.arrays import Array
 from vergence.calibration.bundle.bundle_adjustment import BundleEstimate
 from vergence.calibration.calibrate import CalibrationResult
 from vergence.data.dataset import Dataset
-from vergence.geometry.board import Board
+from vergence.geometry.board import Board, corner_points
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYE_JOINTS, EYES
 from vergence.geometry.se3 import inverse
+from vergence.progress import Progress, silent
 from vergence.viewer import style
 from vergence.viewer.frame import log_image, time_columns
 from vergence.viewer.layout import (
     camera_entities,
     camera_views,
+    curves_view,
     hidden,
     playing,
     view_3d,
-    whole_time,
 )
 from vergence.viewer.opening import log_report, recording_file
 from vergence.viewer.shapes import placed
@@ -52,16 +52,11 @@ def record_dataset(
     result: CalibrationResult,
     *,
     report: str,
-    done: Callable[[], None] = lambda: None,
+    progress: Progress = silent,
 ) -> None:
     """Write a recording of a dataset and of the calibration that was made from it.
 
-    Args:
-        path: of the `.rrd` file; an earlier one is replaced.
-        dataset: the dataset with its images.
-        result: the calibration; without bundle adjustment only images and corners are recorded.
-        report: text in markdown.
-        done: called after each row.
+    Without bundle adjustment only images and corners are recorded. The report is markdown.
 
     Raises:
         VergenceError: the file cannot be written, or an image cannot be read.
@@ -90,7 +85,7 @@ def record_dataset(
                 errors = None if estimate is None else estimate.residuals_px.get(name)
                 offset = None if errors is None else magnified * errors[row]
                 _log_image(rec, entity, dataset.image(name, row), corners, offset)
-            done()
+            progress("writing the report", row + 1, len(dataset))
         _log_series(rec, dataset, estimate, time_s)
         log_report(rec, report)
 
@@ -116,12 +111,9 @@ def _eye_poses(result: CalibrationResult) -> Array:
 
 def _outline(board: Board) -> rr.LineStrips3D:
     """Return the lines through the board's inner corners, in frame target."""
-    x, y = (board.columns - 1) * board.square_m, (board.rows - 1) * board.square_m
-    rows = [[[0, j * board.square_m, 0], [x, j * board.square_m, 0]] for j in range(board.rows)]
-    columns = [
-        [[i * board.square_m, 0, 0], [i * board.square_m, y, 0]] for i in range(board.columns)
-    ]
-    return rr.LineStrips3D(rows + columns, colors=style.OBJECT, radii=-1.0)
+    corners = corner_points(board).reshape(board.rows, board.columns, 3)
+    strips = [*corners[:, [0, -1]], *corners[[0, -1]].swapaxes(0, 1)]
+    return rr.LineStrips3D(strips, colors=style.OBJECT, radii=-1.0)
 
 
 def _log_image(
@@ -163,6 +155,14 @@ def _log_styles(rec: rr.RecordingStream, head: HeadCalibration, dataset: Dataset
             rec.log(f"joints/{joint}", points, static=True)
 
 
+def rms_by_view(errors: Array) -> Array:
+    """Return the root mean square (V,) [px] of residuals (V, K, 2); NaN: the view has none."""
+    squares = (errors**2).sum(axis=2)
+    seen = np.isfinite(squares)
+    total = np.where(seen, squares, 0.0).sum(axis=1)
+    return np.where(seen.any(axis=1), np.sqrt(total / np.maximum(seen.sum(axis=1), 1)), np.nan)
+
+
 def _log_series(
     rec: rr.RecordingStream, dataset: Dataset, estimate: BundleEstimate | None, time_s: Array
 ) -> None:
@@ -171,12 +171,7 @@ def _log_series(
     if dataset.T_base_eye is None:
         curves |= {f"joints/{name}": dataset.eye_angles[:, k] for k, name in enumerate(EYE_JOINTS)}
     for name, errors in ({} if estimate is None else estimate.residuals_px).items():
-        squares = (errors**2).sum(axis=2)
-        seen = np.isfinite(squares)
-        total = np.where(seen, squares, 0.0).sum(axis=1)
-        curves[f"residual/{name}"] = np.where(
-            seen.any(axis=1), np.sqrt(total / np.maximum(seen.sum(axis=1), 1)), np.nan
-        )
+        curves[f"residual/{name}"] = rms_by_view(errors)
     for entity, values in curves.items():
         known = np.isfinite(values)
         if known.any():
@@ -185,9 +180,9 @@ def _log_series(
 
 
 def _blueprint(head: HeadCalibration, magnified: int | None) -> rrb.Blueprint:
-    marks = (
-        "dots: corners" if magnified is None else f"dots: corners, lines: residuals x {magnified}"
-    )
+    marks = "dots: corners"
+    if magnified is not None:
+        marks += f", lines: residuals x {magnified}"
     space = view_3d(
         "estimated poses of eyes and board",
         origin="world",
@@ -196,22 +191,14 @@ def _blueprint(head: HeadCalibration, magnified: int | None) -> rrb.Blueprint:
         eye=np.array([-0.1, 0.5, 0.3]),
         trails={},
     )
-    plots = [
-        rrb.TimeSeriesView(name=name, origin=origin, axis_x=whole_time())
-        for name, origin in (
-            ("residuals of an image, rms [px]", "residual"),
-            ("joint readings [rad]", "joints"),
-        )
-    ]
     return playing(
         rrb.Horizontal(
+            rrb.Vertical(space, camera_views(head, marks=marks), row_shares=[5, 8]),
             rrb.Vertical(
-                space,
-                rrb.Grid(*camera_views(head, marks=marks), grid_columns=2),
-                row_shares=[5, 8],
-            ),
-            rrb.Vertical(
-                *plots, rrb.TextDocumentView(name="report", origin="report"), row_shares=[3, 3, 5]
+                curves_view("residuals of an image, rms [px]", "residual"),
+                curves_view("joint readings [rad]", "joints"),
+                rrb.TextDocumentView(name="report", origin="report"),
+                row_shares=[3, 3, 5],
             ),
             column_shares=[6, 5],
         ),

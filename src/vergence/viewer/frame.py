@@ -11,7 +11,7 @@ import rerun as rr
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.viewer import style
-from vergence.viewer.shapes import quaternions
+from vergence.viewer.shapes import placed
 
 
 def log_frame(
@@ -28,7 +28,7 @@ def log_frame(
 
     Args:
         rec: the recording.
-        time_s: time since the first sample [s].
+        time_s: since the first sample.
         index: number of the sample.
         frame: the images; None: only the posture is recorded.
         body_poses: by name, poses (4, 4) in the world.
@@ -37,13 +37,9 @@ def log_frame(
     """
     rec.set_time("sim_time", duration=time_s)
     rec.set_time("frame", sequence=index)
-    bodies = [body for body in body_poses if body != "world"]
-    if bodies:
-        T = np.array([body_poses[body] for body in bodies])
-        turns = quaternions(T[:, :3, :3])
-        for body, translation, quaternion in zip(bodies, T[:, :3, 3], turns, strict=True):
-            at = rr.Transform3D(translation=translation, quaternion=quaternion)
-            rec.log(f"world/{body}", at)
+    for body, T in body_poses.items():
+        if body != "world":
+            rec.log(f"world/{body}", placed(T))
     for name, image in ({} if frame is None else frame.images).items():
         entity = f"world/{name.split('_')[0]}_eye/{name}"
         log_image(rec, entity, image)

@@ -17,7 +17,7 @@ Images and postures are logged frame by frame (`log_gaze_frame`), curves and tra
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import rerun as rr
@@ -33,7 +33,7 @@ from vergence.geometry.se3 import inverse, transform
 from vergence.viewer import style
 from vergence.viewer.frame import log_frame, time_columns
 from vergence.viewer.layout import camera_entities
-from vergence.viewer.shapes import placed
+from vergence.viewer.shapes import log_points_style, placed
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,12 +54,12 @@ class Moment:
     """(3,) filtered position of the object, in frame body; NaN: no estimate."""
     one_frame: Array
     """(3,) position by stereo from this frame alone, in frame body; NaN: no estimate."""
-    truth: Array = field(default_factory=lambda: np.full(3, np.nan))
+    truth: Array
     """(3,) true position of the object, in frame body; NaN: unknown, or the object is hidden."""
-    errors_px: Array = field(default_factory=lambda: np.full(2, np.nan))
+    errors_px: Array
     """(2,) true distance of the object from the centre of the left and right narrow image."""
-    hand: Array = field(default_factory=lambda: np.full(3, np.nan))
-    """(3,) position of the hand, in frame body."""
+    hand: Array
+    """(3,) position of the hand, in frame body; NaN: there is none."""
 
 
 def moment(
@@ -75,15 +75,7 @@ def moment(
 ) -> Moment:
     """Return the moment of a frame, from the controller's state and the observer's truth.
 
-    Args:
-        settings: of the controller.
-        state: of the controller after the frame.
-        frame: the frame.
-        time_s: time in the recording.
-        lanes: states in addition to the phase of the gaze, as in Moment.
-        truth: (3,) as in Moment.
-        errors_px: (2,) as in Moment.
-        hand: (3,) as in Moment.
+    The state is that after the frame; lanes come in addition to the phase of the gaze.
     """
     readings = np.concatenate([frame.neck_angles, frame.eye_angles])
     nowhere = np.full(3, np.nan)
@@ -152,12 +144,14 @@ def log_gaze_frame(
 ) -> None:
     """Record a posture, and the images with the object's target, detected and true positions.
 
+    Images that were not searched get no mark of a detection.
+
     Args:
         rec: the recording.
         settings: of the controller.
         state: of the controller after the frame.
-        frame: the frame; images that were not searched get no mark of a detection.
-        time_s: time in the recording.
+        frame: the frame.
+        time_s: in the recording.
         index: number of the frame.
         pictures: whether the images are recorded.
         body_poses: by name, poses (4, 4) in the world.
@@ -185,12 +179,12 @@ def log_gaze_frame(
 def log_gaze_styles(rec: rr.RecordingStream, head: HeadCalibration, T_world_body: Array) -> None:
     """Record names and colours of curves and marks, and the pose (4, 4) of frame body."""
     curves: dict[str, tuple[str, tuple[int, int, int]]] = {}
-    for k, axis in enumerate(style.AXIS_COLOURS):
-        label = ("x = depth", "y", "z")[k]
+    for axis, colour in style.AXIS_COLOURS.items():
+        label = "x = depth" if axis == "x" else axis
         curves[f"position/true_{axis}"] = f"{label}, truth", style.PALE[axis]
-        curves[f"position/{axis}"] = label, style.AXIS_COLOURS[axis]
-    for eye, joint in zip(EYES, ("left_pan", "right_pan"), strict=True):
-        curves[f"gaze_error/{eye}"] = f"{eye} eye", style.JOINT_COLOURS[joint]
+        curves[f"position/{axis}"] = label, colour
+    for eye, colours in style.EYE_COLOURS.items():
+        curves[f"gaze_error/{eye}"] = f"{eye} eye", colours[0]
     curves["error/by_one_frame"] = "one frame", style.PAPER
     curves["error/fused"] = "fused", style.ESTIMATE
     curves["hand/distance"] = "hand from the object", style.HAND
@@ -202,20 +196,15 @@ def log_gaze_styles(rec: rr.RecordingStream, head: HeadCalibration, T_world_body
     for entity, (name, color) in curves.items():
         line = rr.SeriesLines(names=name, colors=color, widths=1.5, aggregation_policy="MinMax")
         rec.log(entity, line, static=True)
-    names = list(style.STATE_COLOURS)
-    colors = list(style.STATE_COLOURS.values())
+    names, colors = zip(*style.STATE_COLOURS.items(), strict=True)
     rec.log("doing/gaze", rr.StateConfiguration(values=names, colors=colors), static=True)
     for entity in camera_entities(head).values():
         cross = rr.LineStrips2D.from_fields(colors=style.AIM, radii=0.6)
         rec.log(f"{entity}/aim", cross, static=True)
     rec.log("world/gaze", placed(T_world_body), static=True)
-    for entity, radius_px, color in (
-        ("trail", 1.5, style.OLD),
-        ("estimate", 6.0, style.ESTIMATE),
-        ("hand_trail", 1.5, style.HAND),
-    ):
-        points = rr.Points3D.from_fields(radii=-radius_px, colors=color)  # negative: in pixels
-        rec.log(f"world/gaze/{entity}", points, static=True)
+    log_points_style(rec, "world/gaze/trail", 1.5, style.OLD)
+    log_points_style(rec, "world/gaze/estimate", 6.0, style.ESTIMATE)
+    log_points_style(rec, "world/gaze/hand_trail", 1.5, style.HAND)
     rays = rr.LineStrips3D.from_fields(colors=style.RAY, radii=-1.5)
     rec.log("world/gaze/axes", rays, static=True)
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import rerun.blueprint as rrb
 
 from vergence.geometry.head import HeadCalibration
 from vergence.viewer import style
-from vergence.viewer.layout import camera_views, hidden, playing, view_3d, whole_time
+from vergence.viewer.layout import camera_views, curves_view, hidden, playing, view_3d
 
 TRAILS = {"world/gaze/trail": style.GAZE_TRAIL_S, "world/gaze/hand_trail": style.GAZE_TRAIL_S}
 _FROM = np.array([-0.45, 0.75, 0.50])
@@ -25,54 +27,43 @@ def gaze_blueprint(
         title: of the 3-D view.
         head: the calibration whose cameras are shown.
         reach_m: largest distance of an object, which the 3-D view includes.
-        speed: playback speed, recorded seconds per second.
+        speed: recorded seconds per second.
         hand: whether the distance of a hand from the object is shown.
     """
-    errors = _plot("error [mm]: blue fused, grey one frame", "error")
+    plot = partial(curves_view, legend=False)
+    errors = plot("error [mm]: blue fused, grey one frame", "error")
     return playing(
         rrb.Horizontal(
             rrb.Vertical(
                 _space(title, head, reach_m),
-                rrb.Grid(
-                    *camera_views(head, marks="long cross target, + found, ○ truth"), grid_columns=2
-                ),
+                camera_views(head, marks="long cross target, + found, ○ truth"),
                 row_shares=[5, 8],
             ),
             rrb.Vertical(
                 rrb.StateTimelineView(name="what it is doing", origin="doing"),
-                _plot(
+                plot(
                     "object from the centre of the narrow images [px], cut off: "
                     "orange left eye, teal right",
                     "gaze_error",
                     axis_y=rrb.ScalarAxis(range=(0, ERROR_PX), zoom_lock=True),
                 ),
-                _plot(
+                plot(
                     "position in the body [m], pale the truth: x (depth) blue, y green, z red",
                     "position",
                 ),
-                rrb.Horizontal(errors, _plot("hand by its encoders, from the object [mm]", "hand"))
+                rrb.Horizontal(errors, plot("hand by its encoders, from the object [mm]", "hand"))
                 if hand
                 else errors,
-                _plot("eyes [rad], pale commanded: orange left, teal right, light tilt", "eyes"),
+                plot("eyes [rad], pale commanded: orange left, teal right, light tilt", "eyes"),
                 rrb.Tabs(
                     rrb.TextDocumentView(name="report", origin="report"),
-                    _plot("neck [rad], pale commanded: pitch violet, roll grey, yaw green", "neck"),
+                    plot("neck [rad], pale commanded: pitch violet, roll grey, yaw green", "neck"),
                 ),
                 row_shares=[3.2, 4, 3.5, 3.5, 3.5, 4],
             ),
             column_shares=[6, 5],
         ),
         speed=speed,
-    )
-
-
-def _plot(name: str, origin: str, *, axis_y: rrb.ScalarAxis | None = None) -> rrb.TimeSeriesView:
-    return rrb.TimeSeriesView(
-        name=name,
-        origin=origin,
-        axis_x=whole_time(),
-        axis_y=axis_y,
-        plot_legend=rrb.PlotLegend(visible=False),  # it would hide the latest samples
     )
 
 

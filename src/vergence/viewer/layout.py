@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import chain, zip_longest
 from typing import Any
 
 import rerun as rr
@@ -19,11 +20,23 @@ def camera_entities(head: HeadCalibration) -> dict[str, str]:
     return {name: f"world/{mounted.eye}_eye/{name}" for name, mounted in head.cameras.items()}
 
 
-def whole_time() -> rrb.TimeAxis:
-    """Return the time axis of a plot that shows the whole recording."""
-    # Without it a plot keeps the range of what was loaded when it was first drawn.
+def curves_view(
+    name: str, origin: str, *, legend: bool = True, **options: Any
+) -> rrb.TimeSeriesView:
+    """Return a plot of the curves below an entity, over the whole recording.
+
+    Args:
+        name: title of the plot.
+        origin: the entity.
+        legend: whether there is one; it hides the latest samples.
+        options: further arguments of `TimeSeriesView`.
+    """
+    # Without a range a plot keeps the one of what was loaded when it was first drawn.
     ever = rr.TimeRangeBoundary.infinite()
-    return rrb.TimeAxis(view_range=rr.TimeRange(start=ever, end=ever))
+    options["axis_x"] = rrb.TimeAxis(view_range=rr.TimeRange(start=ever, end=ever))
+    if not legend:
+        options["plot_legend"] = rrb.PlotLegend(visible=False)
+    return rrb.TimeSeriesView(name=name, origin=origin, **options)
 
 
 def view_3d(
@@ -43,11 +56,15 @@ def view_3d(
         contents: expressions for the entities to draw.
         middle: (3,) the point that the view looks at.
         eye: (3,) the point that it looks from.
-        trails: by entity, for how many seconds it stays visible; None: for ever.
+        trails: by entity, for how many seconds before the cursor it stays visible; None: for ever.
     """
-    overrides: dict[Any, rrb.VisibleTimeRanges] = {
-        entity: _last_seconds(seconds) for entity, seconds in trails.items()
-    }
+    boundary, overrides = rr.TimeRangeBoundary, {}
+    now = boundary.cursor_relative(seconds=0)
+    for entity, seconds in trails.items():
+        ever = seconds is None
+        start = boundary.infinite() if ever else boundary.cursor_relative(seconds=-seconds)
+        shown = rrb.VisibleTimeRange("sim_time", start=start, end=now)
+        overrides[entity] = rrb.VisibleTimeRanges(shown)
     return rrb.Spatial3DView(
         name=name,
         origin=origin,
@@ -73,11 +90,7 @@ def playing(
 ) -> rrb.Blueprint:
     """Return the layout of a recording that opens with these views only, and plays in a loop.
 
-    Args:
-        views: all views.
-        timeline: that is played.
-        speed: recorded seconds per second, of sim_time.
-        fps: steps per second, of frame.
+    On sim_time `speed` is in recorded seconds per second; on frame `fps` is in steps per second.
     """
     panel = rrb.TimePanel(
         timeline=timeline,
@@ -90,40 +103,21 @@ def playing(
     return rrb.Blueprint(views, panel, auto_views=False, collapse_panels=True)
 
 
-def _last_seconds(seconds: float | None) -> rrb.VisibleTimeRanges:
-    """Show what was logged in the last seconds before the cursor; None: since the beginning."""
-    boundary = rr.TimeRangeBoundary
-    start = boundary.infinite() if seconds is None else boundary.cursor_relative(seconds=-seconds)
-    now = boundary.cursor_relative(seconds=0)
-    return rrb.VisibleTimeRanges(rrb.VisibleTimeRange("sim_time", start=start, end=now))
-
-
-def camera_views(head: HeadCalibration, *, marks: str) -> list[rrb.Spatial2DView]:
-    """Return a view of each camera, the widest of each eye first; titles explain the marks."""
-    views = []
-    entities = camera_entities(head)
-    for name in _by_rank(head):
-        camera = head.camera(name).intrinsics
-        bounds = rrb.VisualBounds2D(x_range=(0, camera.width), y_range=(0, camera.height))
-        views.append(
-            rrb.Spatial2DView(
-                name=f"{name.replace('_', ' ')}: {marks}",
-                origin=entities[name],
-                visual_bounds=bounds,
-            )
-        )
-    return views
-
-
-def _by_rank(head: HeadCalibration) -> list[str]:
-    """Return the cameras by field of view: the widest of the left eye, of the right eye, ..."""
+def camera_views(head: HeadCalibration, *, marks: str) -> rrb.Grid:
+    """Return the views of the cameras, the widest of each eye first; titles explain the marks."""
 
     def narrowness(name: str) -> float:
         camera = head.camera(name).intrinsics
         return float(camera.matrix[0, 0] / camera.width)
 
-    ranked = []
-    for k, eye in enumerate(EYES):
-        own = [name for name, mounted in head.cameras.items() if mounted.eye == eye]
-        ranked += [(rank, k, name) for rank, name in enumerate(sorted(own, key=narrowness))]
-    return [name for _, _, name in sorted(ranked)]
+    views, entities = [], camera_entities(head)
+    own = [
+        sorted((n for n, mounted in head.cameras.items() if mounted.eye == eye), key=narrowness)
+        for eye in EYES
+    ]
+    for name in filter(None, chain.from_iterable(zip_longest(*own))):
+        camera = head.camera(name).intrinsics
+        bounds = rrb.VisualBounds2D(x_range=(0, camera.width), y_range=(0, camera.height))
+        title = f"{name.replace('_', ' ')}: {marks}"
+        views.append(rrb.Spatial2DView(name=title, origin=entities[name], visual_bounds=bounds))
+    return rrb.Grid(*views, grid_columns=2)

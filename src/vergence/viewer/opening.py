@@ -29,12 +29,8 @@ def recording_file(
 ) -> Iterator[rr.RecordingStream]:
     """Record in a `with` block; the file appears under its name only when the block ends well.
 
-    Args:
-        path: of the `.rrd` file; an earlier one is replaced.
-        title: of the recording; the name of its folder is added.
-        layout: what the viewer shows when it opens the recording.
-        head: the calibration whose cameras are drawn.
-        geoms: visible shapes of the robot; empty: only the cameras are drawn.
+    The head's cameras are drawn, and the visible shapes of the robot, of which there may be none.
+    The name of the folder is added to the title.
 
     Raises:
         VergenceError: the file cannot be written.

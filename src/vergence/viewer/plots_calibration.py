@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from vergence.arrays import Array
 from vergence.viewer.canvas import BLUE, GREEN, RED, image_frame, panels, save
@@ -69,15 +70,7 @@ def residuals(
         seen = np.asarray(np.isfinite(points + arrows).all(axis=1))
         size = float(np.sqrt((arrows[seen] ** 2).sum(axis=1).mean())) if seen.any() else 0.0
         enlarged = 0.02 * sizes[name][0] / max(size, 1e-9)
-        over_image.quiver(
-            *points[seen].T,
-            *(enlarged * arrows[seen]).T,
-            angles="xy",
-            scale_units="xy",
-            scale=1,
-            width=0.0015,
-            color=BLUE,
-        )
+        _arrows(over_image, points[seen], enlarged * arrows[seen], width=0.0015, color=BLUE)
         image_frame(over_image, sizes[name])
         title = f"{name}: rms {size:.3f} px, arrows x {enlarged:.0f}"
         over_image.set_title(title, fontsize=11, loc="left")
@@ -107,15 +100,13 @@ def views(path: Path, shown: Mapping[str, tuple[np.ndarray, Array, Array]]) -> N
         axes.imshow(image)
         axes.plot(*corners.T, "+", markersize=4, color=GREEN)
         seen = np.asarray(np.isfinite(errors).all(axis=1))
-        axes.quiver(
-            *corners[seen].T,
-            *(100 * errors[seen]).T,
-            angles="xy",
-            scale_units="xy",
-            scale=1,
-            width=0.003,
-            color=RED,
-        )
+        _arrows(axes, corners[seen], 100 * errors[seen], width=0.003, color=RED)
         axes.set_axis_off()
         axes.set_title(title, fontsize=10, loc="left")
     save(canvas, path)
+
+
+def _arrows(axes: Axes, points: Array, arrows: Array, *, width: float, color: str) -> None:
+    """Draw arrows (N, 2) that begin at points (N, 2), both in pixels of the image."""
+    to_scale = {"angles": "xy", "scale_units": "xy", "scale": 1}
+    axes.quiver(*points.T, *arrows.T, width=width, color=color, **to_scale)

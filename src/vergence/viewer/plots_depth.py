@@ -44,22 +44,24 @@ def draw_depth(calibration: HeadCalibration) -> Canvas:
     )
     depths = np.geomspace(NEAREST_M, FARTHEST_M, 200)
     for eye in EYES:
-        away = ideal_wide_pixel(calibration, eye, depths) - ideal_wide_pixel(
-            calibration, eye, np.inf
-        )
-        distance = np.linalg.norm(away, axis=1)
+        limit = ideal_wide_pixel(calibration, eye, np.inf)
+        distance = np.linalg.norm(ideal_wide_pixel(calibration, eye, depths) - limit, axis=1)
         width = 3.0 if eye == "left" else 1.5  # on a head as designed they are the same
         colour = html(EYE_COLOURS[eye][0])
         converge.plot(depths, distance, color=colour, linewidth=width, label=f"{eye} eye")
+    for wrong_m, wrong_px, colour in zip(WRONG_M, WRONG_PX, _SHADES, strict=True):
+        for axes, wrong, label in (
+            (cost, np.full_like(depths, wrong_m), f"depth wrong by {1e3 * wrong_m:.0f} mm"),
+            (
+                disparity,
+                by_disparity(calibration, depths, wrong_px),
+                f"disparity wrong by {wrong_px:g} px",
+            ),
+        ):
+            miss = miss_px(calibration, depths, wrong, eye="left")
+            axes.plot(depths, miss, color=colour, label=label)
     _finish(converge, "ideal position, from its limit at infinity", "wide image [px]")
-    for wrong_m, colour in zip(WRONG_M, _SHADES, strict=True):
-        miss = miss_px(calibration, depths, np.full_like(depths, wrong_m), eye="left")
-        cost.plot(depths, miss, color=colour, label=f"depth wrong by {1e3 * wrong_m:.0f} mm")
     _finish(cost, "what an error in depth costs, left eye", "narrow image [px]")
-    for wrong_px, colour in zip(WRONG_PX, _SHADES, strict=True):
-        wrong = by_disparity(calibration, depths, wrong_px)
-        miss = miss_px(calibration, depths, wrong, eye="left")
-        disparity.plot(depths, miss, color=colour, label=f"disparity wrong by {wrong_px:g} px")
     _finish(disparity, "what stereo by the wide images costs (Eq. 20)", "narrow image [px]")
     return canvas
 
@@ -67,11 +69,8 @@ def draw_depth(calibration: HeadCalibration) -> Canvas:
 def miss_px(calibration: HeadCalibration, depths: Array, wrong: Array, *, eye: Side) -> Array:
     """Return the distances (N,) [px] of objects from the centre of the narrow image.
 
-    Args:
-        calibration: of the head.
-        depths: (N,) [m] of the objects, on the narrow camera's axis.
-        wrong: (N,) error of the depth [m]; positive: taken for too large.
-        eye: left or right.
+    The objects are at depths (N,) [m] on the narrow camera's axis; `wrong` (N,) [m] is the error of
+    these depths, positive where they are taken for too large.
     """
     T_wide_narrow = inverse(T_narrow_wide(calibration, eye))
     from_wide = T_wide_narrow[2, 2] * depths + T_wide_narrow[2, 3]

@@ -28,7 +28,7 @@ def read_series(
         timeline: `sim_time`, or `frame`, whose times are sample numbers.
 
     Returns:
-        Values (N, ...); (N, k, ...) where k of them were logged at a time, as in `/paper/x`.
+        Times, and values (N, ...), or (N, k, ...) where k were logged at a time, as in `/paper/x`.
 
     Raises:
         VergenceError: the recording has no such series.

@@ -83,6 +83,14 @@ def _mesh(geom: VisualGeom, color: np.ndarray) -> rr.Mesh3D:
     )
 
 
+def log_points_style(
+    rec: rr.RecordingStream, entity: str, radius_px: float, color: tuple[int, int, int]
+) -> None:
+    """Record the size and the colour of the points that an entity gets later."""
+    points = rr.Points3D.from_fields(radii=-radius_px, colors=color)  # negative: in pixels
+    rec.log(entity, points, static=True)
+
+
 def log_cameras(rec: rr.RecordingStream, head: HeadCalibration) -> None:
     """Record the cameras in their eyes, and the colours of the marks in their images."""
     for name, entity in camera_entities(head).items():
@@ -124,10 +132,7 @@ def spread_ellipsoid(points: Array) -> rr.Ellipsoids3D:
 def lines_of_sight(head: HeadCalibration, points: Array, eye_angles: Array) -> Array:
     """Return polylines (N, 3, 3) from the left wide camera to a point to the right wide camera.
 
-    Args:
-        head: with the cameras left_wide and right_wide.
-        points: (N, 3) [m] in the left eye's base frame, as the result.
-        eye_angles: (N, 4) joint readings [rad].
+    Points (N, 3) [m] are in the left eye's base frame, as the result; `eye_angles` (N, 4) [rad].
     """
     left = T_base_cam(head, "left_wide", eye_angles[:, :2])[:, :3, 3]
     right = T_base_cam(head, "right_wide", eye_angles[:, 2:])[:, :3, 3]
