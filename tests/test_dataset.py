@@ -194,7 +194,7 @@ def fenced(language: str) -> list[str]:
 
 def test_the_documented_example_is_a_dataset(tmp_path):
     (tmp_path / "dataset.json").write_text(fenced("json")[0])
-    table = fenced("csv")[0]
+    table = fenced("text")[0]
     (tmp_path / "frames.csv").write_text(table)
     for name in re.findall(r"images/\w+\.png", table):
         (tmp_path / name).parent.mkdir(exist_ok=True)
