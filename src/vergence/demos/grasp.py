@@ -113,13 +113,9 @@ def run_trial(
 ) -> Trial:
     """Hold out one object until the hand has closed or the time is over.
 
-    Args:
-        twin: the head.
-        settings: of the controller.
-        run: number of the trial, for the noise.
-        path_head: position (3,) [m] of the object in frame head as a function of time [s].
-        T_body_arm: (4, 4) true pose of the arm relative to its assumed one.
-        watch: called with every state and its frame.
+    The number of the run determines the noise. The object's path is its position (3,) [m] in frame
+    head by time [s]; T_body_arm is the true pose (4, 4) of the arm relative to its assumed one.
+    `watch` is called with every state and its frame.
     """
     head = SimulatedHead(twin, run, path_head)
     head.hand = hand = SimulatedHand(twin, settings.home, T_body_arm)
@@ -136,9 +132,10 @@ def run_trial(
     state = run_reach(head, hand, settings, state, LONGEST_S, watch=keep)
     miss = unaided = np.inf
     if state.phase is ReachPhase.HELD:
-        miss = float(np.linalg.norm(twin.true_hand()[:3, 3] - twin.true_object()))
+        where = twin.true_object()
+        miss = float(np.linalg.norm(twin.true_hand()[:3, 3] - where))
         if state.object is not None:
-            unaided = float(np.linalg.norm(hand.true_point(state.object) - twin.true_object()))
+            unaided = float(np.linalg.norm(hand.true_point(state.object) - where))
     return Trial(state.phase, head.now_s(), miss, unaided, tuple(samples))
 
 
@@ -222,12 +219,8 @@ def as_markdown(found: Summary) -> list[str]:
             f"{found.worst_mm:.1f} mm at worst",
             f"- by its encoders alone: {found.unaided_median_mm:.0f} mm",
         ]
-    lines += [
-        "",
-        "| distance | depth error, rms | standard deviation | Eq. 20 |",
-        "|---|---|---|---|",
-    ]
-    return lines + [
+    head = "| distance | depth error, rms | standard deviation | Eq. 20 |"
+    return [*lines, "", head, "|---|---|---|---|"] + [
         f"| {d.from_m:.2f}-{d.to_m:.2f} m | {d.depth_rms_mm:.3g} mm | "
         f"{d.depth_std_mm:.3g} mm | {d.eq20_mm:.3g} mm |"
         for d in found.by_distance

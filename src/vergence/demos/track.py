@@ -109,14 +109,9 @@ def follow(
 ) -> Summary:
     """Run the gaze controller on a moving object and return the statistics.
 
-    Args:
-        twin: the head.
-        settings: of the controller.
-        run: number of the run, for the noise.
-        path_head: position (3,) [m] of the object in frame head, as a function of time [s].
-        seconds: length of the run.
-        hidden_s: time from which the object is hidden for HIDDEN_S; None: it is not hidden.
-        watch: called with every state and its frame.
+    The number of the run determines the noise. The object's path is its position (3,) [m] in frame
+    head by time [s]. From `hidden_s` on it is hidden for HIDDEN_S; None: it is not hidden. `watch`
+    is called with every state and its frame.
     """
     ends = -np.inf if hidden_s is None else hidden_s + HIDDEN_S
 

@@ -103,7 +103,13 @@ class SimulatedHead:
         """Advance to the next frame, and return it with the images of these cameras."""
         self.twin.advance(self._next_s, self._servo)
         self._next_s = round(self._next_s + FRAME_S, 6)
-        self._place_objects()
+        where = self.path_head(self.twin.time_s)
+        if where is not None:
+            T_lbase_start = inverse(self.twin.T_world_lbase()) @ self._T_world_start
+            where = transform(T_lbase_start, transform(self._T_lbase_head, where))
+        self.twin.place_object(where)
+        if self.hand is not None:
+            self.hand.place()
         if self._all_cameras_every and self._number % self._all_cameras_every == 0:
             cameras = tuple(self.twin.truth.cameras)
         self._number += 1
@@ -114,17 +120,6 @@ class SimulatedHead:
         wanted = setpoint(self._command, time_s)
         wanted[EYES_4] = (wanted[EYES_4] - self._offset) / self._gain
         return wanted
-
-    def _place_objects(self) -> None:
-        """Put object and hand where they are now."""
-        where = self.path_head(self.twin.time_s)
-        if where is not None:
-            where = transform(self._T_lbase_head, where)
-            T_lbase_start = inverse(self.twin.T_world_lbase()) @ self._T_world_start
-            where = transform(T_lbase_start, where)
-        self.twin.place_object(where)
-        if self.hand is not None:
-            self.hand.place()
 
 
 def true_pixels(twin: Twin) -> Array:
