@@ -131,7 +131,7 @@ def camera_eyes(observations: Observations) -> dict[str, Side]:
     found: dict[str, Side] = {}
     for name in observations.corners:
         begins: Side | None = next((eye for eye in EYES if name.startswith(eye)), None)
-        eye = observations.eyes.get(name, begins)
+        eye = observations.eyes.get(name) or begins
         if eye is None:
             raise VergenceError(
                 f"Which eye does {name} sit in? Observations.eyes says it, or a name that begins "

@@ -16,7 +16,7 @@ from pydantic import AliasChoices, BeforeValidator, ConfigDict, Field, TypeAdapt
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Array, Matrix, Transform
-from vergence.errors import VergenceError
+from vergence.errors import VergenceError, explain
 from vergence.files import write_whole
 from vergence.geometry.camera import Camera
 from vergence.geometry.kinematics import EYES, EyeAxes, Neck, Side, T_base_eye, T_body_head
@@ -120,12 +120,7 @@ class HeadCalibration:
 
 
 def main_camera(names: Collection[str], eye: Side) -> str:
-    """Return which of an eye's cameras it looks around with: its wide one, or else its first.
-
-    Args:
-        names: of the cameras of this eye, at least one.
-        eye: whose.
-    """
+    """Return which of an eye's cameras it looks around with: its wide one, or else its first."""
     return f"{eye}_wide" if f"{eye}_wide" in names else next(iter(names))
 
 
@@ -185,6 +180,4 @@ def load_head(path: Path | str) -> HeadCalibration:
     except OSError as error:
         raise VergenceError(f"Cannot read the calibration {path}: {error.strerror}.") from error
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"])) or "the file"
-        raise VergenceError(f"{path} is not a head calibration: {where}: {first['msg']}.") from None
+        raise VergenceError(f"{path} is not a head calibration: {explain(error)}.") from None
