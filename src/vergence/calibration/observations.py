@@ -144,9 +144,7 @@ def camera_eyes(observations: Observations) -> dict[str, Side]:
 def most_seen_board(observations: Observations, T_cam_target: Array) -> np.ndarray:
     """Return the views (N,) of the placement that a camera sees most often, perhaps none.
 
-    Args:
-        observations: V views.
-        T_cam_target: (V, 4, 4) poses of the board in the camera, NaN where not known.
+    T_cam_target are the board's poses (V, 4, 4) in the camera, NaN where not known.
     """
     known = np.flatnonzero(np.isfinite(T_cam_target).all(axis=(1, 2)))
     if not len(known):

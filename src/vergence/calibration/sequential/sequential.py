@@ -61,7 +61,7 @@ def calibrate_sequentially(
         observations: views in which the eyes stood still. Those with the gaze straight give the
             static stereo, those that share a placement while the eyes turn give T_eye_cam.
         wide_lens: see calibrate_intrinsics.
-        neck: the neck's chain, from the design.
+        neck: from the design.
         intrinsics: by camera, where calibrate_intrinsics was called before.
         T_cam_target: by camera (V, 4, 4) poses of the board, where they were solved for before with
             these intrinsics.
