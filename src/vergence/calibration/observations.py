@@ -106,28 +106,20 @@ class Observations:
     def eye_poses(self, axes: Mapping[Side, EyeAxes] | None = None) -> Array:
         """Return the poses (V, 2, 4, 4) of the left and the right eye in their bases, as read.
 
-        Args:
-            axes: how angles become poses; None: perfectly. Of no use where poses are given.
+        Axes say how angles become poses, None: perfectly; they are of no use where poses are given.
         """
         if self.T_base_eye is not None:
             return self.T_base_eye
-        return np.stack(
-            [
-                T_base_eye(
-                    self.eye_angles[:, EYE_COLUMNS[eye]], None if axes is None else axes[eye]
-                )
-                for eye in EYES
-            ],
-            axis=1,
-        )
+        own = {} if axes is None else axes
+        poses = [T_base_eye(self.eye_angles[:, EYE_COLUMNS[e]], own.get(e)) for e in EYES]
+        return np.stack(poses, axis=1)
 
     def timely(self, head: HeadCalibration) -> Observations:
         """Return the same with the readings at the moments of the images, by a time offset."""
         if self.timing is None or self.T_base_eye is not None:
             return self
-        return replace(
-            self, eye_angles=moved_readings(self.eye_angles, self.timing, head.time_offset_s)
-        )
+        moved = moved_readings(self.eye_angles, self.timing, head.time_offset_s)
+        return replace(self, eye_angles=moved)
 
 
 def camera_eyes(observations: Observations) -> dict[str, Side]:
@@ -138,23 +130,21 @@ def camera_eyes(observations: Observations) -> dict[str, Side]:
     """
     found: dict[str, Side] = {}
     for name in observations.corners:
-        stated = observations.eyes.get(name)
-        begins: list[Side] = [eye for eye in EYES if name.startswith(eye)]
-        if stated is None and not begins:
+        begins: Side | None = next((eye for eye in EYES if name.startswith(eye)), None)
+        eye = observations.eyes.get(name) or begins
+        if eye is None:
             raise VergenceError(
                 f"Which eye does {name} sit in? Observations.eyes says it, or a name that begins "
                 "with left or right."
             )
-        found[name] = begins[0] if stated is None else stated
+        found[name] = eye
     return found
 
 
 def most_seen_board(observations: Observations, T_cam_target: Array) -> np.ndarray:
     """Return the views (N,) of the placement that a camera sees most often, perhaps none.
 
-    Args:
-        observations: V views.
-        T_cam_target: (V, 4, 4) poses of the board in the camera, NaN where not known.
+    T_cam_target are the board's poses (V, 4, 4) in the camera, NaN where not known.
     """
     known = np.flatnonzero(np.isfinite(T_cam_target).all(axis=(1, 2)))
     if not len(known):

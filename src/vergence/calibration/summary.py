@@ -107,11 +107,10 @@ def summary_lines(head: HeadCalibration, observations: Observations) -> list[str
         f"{found} of {found + lost} images."
     ]
     if accuracy.pixel_std_px is not None:
-        levels = " and ".join(f"{np.degrees(s):.3f}" for s in accuracy.joint_std)
-        of_eyes = f"{levels} degrees in readings"
+        degrees = [f"{np.degrees(s):.3f}" for s in accuracy.joint_std]
+        of_eyes = f"{' and '.join(degrees)} degrees in readings"
         if accuracy.eye_motion == "poses":
-            turn, shift = accuracy.joint_std
-            of_eyes = f"{np.degrees(turn):.3f} degrees and {1e3 * shift:.3f} mm in eye poses"
+            of_eyes = f"{degrees[0]} degrees and {1e3 * accuracy.joint_std[1]:.3f} mm in eye poses"
         lines.append(f"Noise: {accuracy.pixel_std_px:.3f} px in corners, {of_eyes}.")
     checked = accuracy.held_out
     if checked is not None and checked.transfer_px is not None:

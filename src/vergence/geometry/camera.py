@@ -42,17 +42,6 @@ class Camera:
             )
 
 
-def _distort(camera: Camera, xy: Array) -> Array:
-    """Return distorted normalised coordinates (..., 2) of undistorted ones (..., 2)."""
-    return np.stack(_distortion(camera, xy[..., 0], xy[..., 1])[:2], axis=-1)
-
-
-def _distort_jacobian(camera: Camera, xy: Array) -> Array:
-    """Return d distorted / d undistorted, (..., 2, 2)."""
-    _, _, xx, cross, yy = _distortion(camera, xy[..., 0], xy[..., 1])
-    return np.stack([xx, cross, cross, yy], axis=-1).reshape(*xy.shape[:-1], 2, 2)
-
-
 def _distortion(camera: Camera, x: Array, y: Array) -> tuple[Array, Array, Array, Array, Array]:
     """Return the distorted coordinates (x', y') of undistorted ones, and their derivatives.
 
@@ -88,7 +77,8 @@ def project(camera: Camera, points_cam: Array) -> Array:
     """
     z = points_cam[..., 2:]
     xy = points_cam[..., :2] / np.where(z > 0, z, np.nan)
-    return _distort(camera, xy) @ camera.matrix[:2, :2].T + camera.matrix[:2, 2]
+    distorted = np.stack(_distortion(camera, xy[..., 0], xy[..., 1])[:2], axis=-1)
+    return distorted @ camera.matrix[:2, :2].T + camera.matrix[:2, 2]
 
 
 def project_jacobians(camera: Camera, points_cam: Array) -> tuple[Array, Array, Array]:
@@ -98,14 +88,13 @@ def project_jacobians(camera: Camera, points_cam: Array) -> tuple[Array, Array, 
     """
     z = points_cam[..., 2]
     inv_z = 1 / np.where(z > 0, z, np.nan)
-    xy = points_cam[..., :2] * inv_z[..., None]
-    x, y = xy[..., 0], xy[..., 1]
+    x, y = points_cam[..., 0] * inv_z, points_cam[..., 1] * inv_z
     zero, one = np.zeros_like(x), np.ones_like(x)
     d_xy = np.stack([inv_z, zero, -x * inv_z, zero, inv_z, -y * inv_z], axis=-1)
     d_xy = d_xy.reshape(*x.shape, 2, 3)
     K = camera.matrix[:2, :2]
-    d_point = K @ _distort_jacobian(camera, xy) @ d_xy
-    distorted = _distort(camera, xy)
+    distorted_x, distorted_y, xx, cross, yy = _distortion(camera, x, y)
+    d_point = K @ np.stack([xx, cross, cross, yy], axis=-1).reshape(*x.shape, 2, 2) @ d_xy
     r2 = x * x + y * y
     d_k = np.stack(
         [
@@ -114,9 +103,10 @@ def project_jacobians(camera: Camera, points_cam: Array) -> tuple[Array, Array, 
         ],
         axis=-2,
     )
-    d_f = np.stack([distorted[..., 0], zero, one, zero, zero, distorted[..., 1], zero, one], -1)
+    d_f = np.stack([distorted_x, zero, one, zero, zero, distorted_y, zero, one], axis=-1)
     d_intrinsics = np.concatenate([d_f.reshape(*x.shape, 2, 4), K @ d_k], axis=-1)
-    return distorted @ K.T + camera.matrix[:2, 2], d_point, d_intrinsics
+    pixels = np.stack([distorted_x, distorted_y], axis=-1) @ K.T + camera.matrix[:2, 2]
+    return pixels, d_point, d_intrinsics
 
 
 def normalise(camera: Camera, pixels: Array) -> Array:

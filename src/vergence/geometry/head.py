@@ -120,12 +120,7 @@ class HeadCalibration:
 
 
 def main_camera(names: Collection[str], eye: Side) -> str:
-    """Return which of an eye's cameras it looks around with: its wide one, or else its first.
-
-    Args:
-        names: of the cameras of this eye, at least one.
-        eye: whose.
-    """
+    """Return which of an eye's cameras it looks around with: its wide one, or else its first."""
     return f"{eye}_wide" if f"{eye}_wide" in names else next(iter(names))
 
 

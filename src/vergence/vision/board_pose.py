@@ -20,11 +20,9 @@ def seen_corners(corners: Array) -> np.ndarray:
 
 
 def determines_pose(points: Array, seen: np.ndarray) -> np.ndarray:
-    """Return (...,) whether the seen corners determine the board's pose: enough, not on one line.
+    """Return (...,) whether corners determine the board's pose: enough are seen, not on one line.
 
-    Args:
-        points: (K, 3) the board's corners in frame target.
-        seen: (..., K) of bool.
+    The board's corners are points (K, 3) in frame target, seen is (..., K) of bool.
     """
     count = seen.sum(axis=-1)
     weight = seen / np.maximum(count, 1)[..., None]
@@ -37,10 +35,7 @@ def determines_pose(points: Array, seen: np.ndarray) -> np.ndarray:
 def board_poses(camera: Camera, corners: Array, points: Array) -> Array:
     """Return T_cam_target (V, 4, 4) of each view, by least squares; NaN where it is not determined.
 
-    Args:
-        camera: with its distortion.
-        corners: (V, K, 2) pixels; NaN where a corner was not seen.
-        points: (K, 3) the board's corners in frame target [m].
+    Corners are pixels (V, K, 2), NaN where not seen, of points (K, 3) in frame target [m].
     """
     poses = np.full((len(corners), 4, 4), np.nan)
     seen = seen_corners(corners)

@@ -21,10 +21,7 @@ LENGTHS_PX = 2, 10
 HALF_WIDTH_PX = 2.0
 """Half width of the strips. On drawn boards under blur of 0.5 to 3 px, with and without noise, it
 errs less than 3 and 5, and about as 1, which is more sensitive to noise under strong blur."""
-_ALONG, _ASIDE = (
-    np.linspace(-1, 1, 15),
-    np.linspace(-1, 1, 5),
-)  # samples of a strip
+_ALONG, _ASIDE = np.linspace(-1, 1, 15), np.linspace(-1, 1, 5)  # samples of a strip
 ITERATIONS = 5
 MAX_SHIFT_PX = 1.5
 """Largest distance of a saddle point from the initial corner, and largest step."""
@@ -92,10 +89,7 @@ def curvatures(grid: Array) -> Array:
     """Return the second-order terms of the map from a board to the image at its corners.
 
     They are finite differences of a smooth map of the whole board, so that corners on its border
-    and corners that were not found have them like all others.
-
-    Args:
-        grid: (rows, columns, 2) px; NaN where a corner was not found.
+    and corners that were not found (NaN) have them like all others.
 
     Returns:
         (rows, columns, 2, 3): the coefficients of u^2, u v and v^2 in the deviation of x and y [px]
@@ -167,11 +161,7 @@ def _strips(grid: Array, lengths_px: Array, half_widths_px: Array) -> Array:
 def _saddle_points(grey: np.ndarray, corners: Array, strips: Array, curvature: Array) -> Array:
     """Return the saddle points (K, 2) [px] near corners (K, 2), NaN where there is none.
 
-    Args:
-        grey: (H, W) uint8.
-        corners: (K, 2) initial corners [px].
-        strips: (K, P, 2) offsets of the samples around each; they must lie within the image.
-        curvature: (K, 2, 3) of the edges, as from curvatures.
+    The samples around each, at offsets (K, P, 2), must lie within the image.
     """
     refined, asymmetry = np.full(corners.shape, np.nan), np.full(len(corners), np.nan)
     margin = np.abs(strips).max(axis=1) + 2  # NaN is not inside

@@ -60,19 +60,14 @@ def find_sphere(
     planes = (0, 1, 2) if colour == "red" else (2, 1, 0)  # the sphere's own colour first
     window = None
     if near is not None and np.isfinite(near).all():
-        window = _sphere_window(image, planes, *_search_window(near, image))
+        reach = round(_SEARCH_RADIUS * image.shape[1])
+        u, v = near.round().astype(int)
+        rows = slice(max(v - reach, 0), min(v + reach, image.shape[0]))
+        columns = slice(max(u - reach, 0), min(u + reach, image.shape[1]))
+        window = _sphere_window(image, planes, rows, columns)
     if window is None:
         window = _sphere_window(image, planes, slice(0, image.shape[0]), slice(0, image.shape[1]))
     return np.full(2, np.nan) if window is None else _centre(image, planes, *window, camera)
-
-
-def _search_window(pixel: Array, image: np.ndarray) -> tuple[slice, slice]:
-    """Return the rows and columns of an image in which the search around a pixel begins."""
-    height, width = image.shape[:2]
-    reach = round(_SEARCH_RADIUS * width)
-    u, v = pixel.round().astype(int)
-    rows = slice(max(v - reach, 0), min(v + reach, height))
-    return rows, slice(max(u - reach, 0), min(u + reach, width))
 
 
 def _sphere_window(

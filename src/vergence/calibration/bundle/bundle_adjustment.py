@@ -20,7 +20,7 @@ from vergence.arrays import Array
 from vergence.calibration.bundle import diagnostics
 from vergence.calibration.bundle.adjustment import adjust
 from vergence.calibration.bundle.initial_state import initial_state
-from vergence.calibration.bundle.problem import BundleProblem, corner_errors, eye_poses
+from vergence.calibration.bundle.problem import corner_errors, eye_poses
 from vergence.calibration.bundle.solver import OUTLIER
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
@@ -129,15 +129,22 @@ def bundle_adjust(
     )
     T_base_eye = np.full((len(observations.placement), 2, 4, 4), np.nan)
     T_base_eye[problem.block_view, problem.block_eye] = eye_poses(problem, found.state)
+    seen = np.any([np.isfinite(c).any(axis=(1, 2)) for c in observations.corners.values()], axis=0)
+    lost = np.setdiff1d(np.flatnonzero(seen), problem.block_view)
     errors = np.where(problem.seen[..., None], corner_errors(problem, found.state), np.nan)
-    residuals, blind = {}, []
+    residuals, left_out = {}, []
     for c, name in enumerate(problem.cameras):
         mine = problem.camera == c
         if mine.any():
             residuals[name] = np.full((len(T_base_eye), *errors.shape[1:]), np.nan)
             residuals[name][problem.block_view[problem.block[mine]]] = errors[mine]
         else:
-            blind.append(f"{name} sees no board, and keeps its start.")
+            left_out.append(f"{name} sees no board, and keeps its start.")
+    if len(lost):
+        left_out.append(
+            f"Views {', '.join(map(str, lost))} were left out: no image of these boards shows "
+            "enough corners."
+        )
     return BundleEstimate(
         head=replace(found.state.head, neck=start.neck),
         parameters=parameter_names(problem.cameras),
@@ -148,23 +155,10 @@ def bundle_adjust(
         T_base_eye=T_base_eye,
         residuals_px=residuals,
         warnings=(
-            *blind,
-            *_left_out(problem, observations),
+            *left_out,
             *diagnostics.contradicting_views(problem),
             *diagnostics.warnings(problem, found),
         ),
-    )
-
-
-def _left_out(problem: BundleProblem, observations: Observations) -> tuple[str, ...]:
-    """Return a sentence that names the views that have corners, but too few to place a board."""
-    seen = np.any([np.isfinite(c).any(axis=(1, 2)) for c in observations.corners.values()], axis=0)
-    lost = np.setdiff1d(np.flatnonzero(seen), problem.block_view)
-    if not len(lost):
-        return ()
-    return (
-        f"Views {', '.join(map(str, lost))} were left out: no image of these boards shows enough "
-        "corners.",
     )
 
 
@@ -194,11 +188,8 @@ def covariance_of(estimate: BundleEstimate, name: str) -> Array:
     Raises:
         VergenceError: no parameter has this name.
     """
-    chosen = [
-        i
-        for i, parameter in enumerate(estimate.parameters)
-        if name in (parameter, parameter.rpartition(".")[0])
-    ]
+    parameters = enumerate(estimate.parameters)
+    chosen = [i for i, each in parameters if name in (each, each.rpartition(".")[0])]
     if not chosen:
         raise VergenceError(f"No parameter is called {name!r}; see BundleEstimate.parameters.")
     return estimate.covariance[np.ix_(chosen, chosen)]

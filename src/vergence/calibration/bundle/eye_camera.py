@@ -67,10 +67,7 @@ def refine_eye_camera(
         camera: intrinsics.
         start: (4, 4) T_eye_cam to start from; None: Park and Martin's.
         axes: how readings become angles; None: perfectly. Of no use with poses.
-        pixel_std_px: noise of one coordinate of a corner; None: estimated.
-        joint_std: noise of the readings, [rad] or, for poses, ([rad], [m]); None: estimated; 0:
-            the readings are exact.
-        outlier: standard deviations beyond which a corner or a reading loses weight.
+        pixel_std_px: noise; as joint_std and outlier, see `bundle_adjust`.
 
     Raises:
         VergenceError: shapes do not fit, or Park and Martin's method has no answer.

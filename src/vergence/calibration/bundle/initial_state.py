@@ -43,24 +43,20 @@ def initial_state(
 ) -> tuple[BundleProblem, BundleState, np.ndarray]:
     """Return the problem of a head, its start, and the (P,) numbers of its placements.
 
-    Args:
-        start: calibration to start from; parameters of cameras that see no board keep their start.
-        observations: corners and readings.
-        fixed: names of parameters that keep their start.
-        points: (K, 3) corners in frame target [m]; None: those of the board.
-        T_cam_target: by camera (V, 4, 4) poses of the board, where they were solved for before; the
-            best of each placement is its start.
+    Args: see `bundle_adjust`. The best board pose of each placement is its start; parameters of
+    cameras that see no board keep theirs.
 
     Raises:
         VergenceError: no camera sees a board, or a reading that is needed is not finite.
     """
     cameras = tuple(start.cameras)
-    nothing = np.full((len(observations.placement), _count(observations), 2), np.nan)
+    board = observations.board
+    nothing = np.full((len(observations.placement), board.columns * board.rows, 2), np.nan)
     corners = np.stack([observations.corners.get(name, nothing) for name in cameras])
     seen = seen_corners(corners)
     if not seen.any():
         raise VergenceError(f"None of {', '.join(cameras)} sees a board.")
-    points = corner_points(observations.board) if points is None else points
+    points = corner_points(board) if points is None else points
     eye = np.array([EYES.index(each.eye) for each in start.cameras.values()], dtype=np.intp)
     # Without one view that says where it is, a placement is of no use.
     useful = determines_pose(points, seen).any(axis=0)
@@ -87,6 +83,17 @@ def initial_state(
         run = observations.timing.run[block_view]  # a motion of one eye, not of both
         time_s = observations.timing.time_s[block_view]
         around = stencil(time_s, np.where(run > 0, 2 * run - block_eye, 0))
+    # Not what is fixed by choice, nor what belongs to a camera or an eye without boards, nor what
+    # makes poses of angles where there are none.
+    blind = [name for c, name in enumerate(cameras) if c not in camera]
+    blind += [side for e, side in enumerate(EYES) if e not in eye[camera]]
+    without = () if measured is None else (*AXES, "time_offset_s")
+    free = [
+        name not in fixed
+        and name.partition(".")[0] not in blind
+        and name.rpartition(".")[2] not in without
+        for name in parameter_names(cameras)
+    ]
     problem = BundleProblem(
         cameras=cameras,
         eye=eye,
@@ -105,7 +112,7 @@ def initial_state(
         trust_encoder=np.zeros(reading.shape[1], dtype=bool),
         T_base_eye_read=T_base_eye_read,
         systematic_px=observations.systematic_px,
-        free=_free(cameras, camera, eye, fixed, len(numbers), angles=measured is None),
+        free=np.array(free + [True] * (len(POSE) * len(numbers))),
     )
     state = BundleState(
         head=replace(start, time_offset_s=0.0, accuracy=None),
@@ -119,36 +126,6 @@ def initial_state(
     ]
     found = np.stack(poses)[camera, view]
     return *_place_boards(problem, state, found), numbers
-
-
-def _count(observations: Observations) -> int:
-    return observations.board.columns * observations.board.rows
-
-
-def _free(
-    cameras: tuple[str, ...],
-    camera: np.ndarray,
-    eye: np.ndarray,
-    fixed: Collection[str],
-    placements: int,
-    *,
-    angles: bool,
-) -> np.ndarray:
-    """Return (G,) which shared unknowns may change.
-
-    Not what is fixed by choice, nor what belongs to a camera or an eye without boards, nor what
-    makes poses of angles where there are none.
-    """
-    blind = [name for c, name in enumerate(cameras) if c not in camera]
-    blind += [side for e, side in enumerate(EYES) if e not in eye[camera]]
-    without = () if angles else (*AXES, "time_offset_s")
-    free = [
-        name not in fixed
-        and name.partition(".")[0] not in blind
-        and name.rpartition(".")[2] not in without
-        for name in parameter_names(cameras)
-    ]
-    return np.array(free + [True] * (len(POSE) * placements))
 
 
 def _place_boards(

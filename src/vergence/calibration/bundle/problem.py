@@ -145,27 +145,21 @@ def eye_poses(problem: BundleProblem, state: BundleState) -> Array:
     return T_base_eye(state.latent, _axes_rows(problem, state))
 
 
+def _axes_rows(problem: BundleProblem, state: BundleState) -> Array:
+    return np.stack([axes_row(state.head.axes[eye]) for eye in EYES])[problem.block_eye]
+
+
 def _eye_jacobians(problem: BundleProblem, state: BundleState) -> tuple[Array, Array]:
     """Return how eye_poses change with the axes (B, 6, 6) and with the latent ones (B, 6, n)."""
     if problem.T_base_eye_read is None:
         return eye_jacobians(state.latent, _axes_rows(problem, state))
     by_latent = np.tile(np.eye(6), (len(state.latent), 1, 1))
-    by_latent[:, :3, :3] = _left_jacobian(state.latent[:, :3])
-    return np.zeros((len(state.latent), 6, 6)), by_latent
-
-
-def _axes_rows(problem: BundleProblem, state: BundleState) -> Array:
-    return np.stack([axes_row(state.head.axes[eye]) for eye in EYES])[problem.block_eye]
-
-
-def _left_jacobian(phi: Array) -> Array:
-    """Return (B, 3, 3): exp(phi + d) = exp(J d) exp(phi); a series, for turns well below 1 rad."""
-    term = np.broadcast_to(np.eye(3), (*phi.shape, 3))
-    total = term.copy()
+    # exp(phi + d) = exp(J d) exp(phi); J (B, 3, 3) by its series, for turns well below 1 rad.
+    term = by_latent[:, :3, :3].copy()
     for k in range(2, 12):
-        term = term @ hat(phi) / k
-        total += term
-    return total
+        term = term @ hat(state.latent[:, :3]) / k
+        by_latent[:, :3, :3] += term
+    return np.zeros((len(state.latent), 6, 6)), by_latent
 
 
 def _on_boards(problem: BundleProblem, state: BundleState) -> tuple[Array, Array]:

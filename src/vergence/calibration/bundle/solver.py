@@ -119,12 +119,12 @@ def linearise(problem: BundleProblem, state: BundleState, weights: Weights) -> L
     gg, g = np.zeros((G, G)), np.zeros(G)
     np.add.at(gg, (index[:, :, None], index[:, None, :]), J_T @ J)
     np.add.at(g, index, -(J_T @ r)[..., 0])
-    gl, ll, rhs = np.zeros((B, G, n)), np.zeros((B, n, n)), np.zeros((B, n))
+    gl, ll, right = np.zeros((B, G, n)), np.zeros((B, n, n)), np.zeros((B, n))
     np.add.at(gl, (problem.block[:, None], index), J_T @ L)
     np.add.at(ll, problem.block, L_T @ L)
-    np.add.at(rhs, problem.block, -(L_T @ r)[..., 0])
+    np.add.at(right, problem.block, -(L_T @ r)[..., 0])
     return LinearProblem(
-        gg, gl, ll, g, rhs,
+        gg, gl, ll, g, right,
         sum_squares=float((r**2).sum()),
         count=2.0 * np.count_nonzero(weights[0]),
         joint_errors=joint_errors(problem, state),
@@ -157,8 +157,7 @@ def factorise(linear: LinearProblem, noise: NoiseLevels, damping: float = 0.0) -
     eye = np.eye(n, dtype=bool)
     ll = pixel * linear.ll + np.where(eye, joint[:, :, None], 0.0)
     ll = ll + damping * np.where(eye, ll, 0.0)
-    timing = linear.rate * joint
-    row = linear.time
+    timing, row = linear.rate * joint, linear.time
     gl = pixel * linear.gl - row[:, None] * timing[:, None, :]
     gg = pixel * linear.gg + np.outer(row, row) * (linear.rate * timing).sum()
     gg[np.diag_indices_from(gg)] *= 1 + damping

@@ -134,12 +134,9 @@ def _evaluate(
     error = linear.joint_errors + latent - linear.rate * (linear.time @ free)
     group = np.broadcast_to(noise.group, error.shape)
     inverse_variance = used * noise.joint**-2
-    squares = [_corner_squares(linear, free, latent) / noise.pixel_px**2]
-    counts = [linear.count]
-    for k in range(len(s) - 1):
-        squares.append((inverse_variance * error**2)[group == k].sum())
-        counts.append(float(np.count_nonzero(used[group == k])))
-    squares, counts = np.array(squares), np.array(counts, dtype=float)
+    squares = np.bincount(group.ravel(), (inverse_variance * error**2).ravel())
+    squares = np.append(_corner_squares(linear, free, latent) / noise.pixel_px**2, squares)
+    counts = np.append(linear.count, np.bincount(group.ravel(), used.ravel()))
     trace, norms = _absorbed(linear, factors, inverse_variance, noise)
     unknowns = len(free) + latent.size
     redundancy = counts - np.concatenate([[unknowns - trace.sum()], trace])

@@ -82,10 +82,8 @@ def number_alike(observations: Observations, T_cam_target: Mapping[str, Array]) 
 
     ChArUco boards are numbered by their markers and come back as they are.
 
-    Args:
-        observations: corners and readings.
-        T_cam_target: by camera (V, 4, 4) poses of the board, NaN where not known; preliminary
-            intrinsics will do. Cameras that are not there are left as they are.
+    Of the poses T_cam_target (V, 4, 4) by camera, NaN where not known, those by preliminary
+    intrinsics will do. Cameras that are not there are left as they are.
     """
     V = len(observations.placement)
     turns = {name: np.zeros(V, dtype=int) for name in observations.corners}
@@ -140,28 +138,26 @@ def nearest(R_cam_target: Array, board: Board) -> Array:
 
 def remarks(found: Renumbered) -> tuple[str, ...]:
     """Return a sentence that names the views that were turned, if there are any."""
-    named = _named({name: turns != 0 for name, turns in found.turns.items()})
-    return (f"Numbered from the wrong end, and turned: {named}.",) if named else ()
+    return _about(found.turns, "Numbered from the wrong end, and turned: {}.")
 
 
 def warnings(found: Renumbered) -> tuple[str, ...]:
     """Return a sentence that names the views that could not be decided, if there are any."""
-    named = _named(found.unclear)
-    if not named:
-        return ()
-    return (
-        f"Whether these boards are numbered from the wrong end is not clear, and they were left as "
-        f"they are: {named}; the joint readings and the other cameras do not agree on them.",
+    return _about(
+        found.unclear,
+        "Whether these boards are numbered from the wrong end is not clear, and they were left as "
+        "they are: {}; the joint readings and the other cameras do not agree on them.",
     )
 
 
-def _named(chosen: Mapping[str, np.ndarray]) -> str:
+def _about(chosen: Mapping[str, np.ndarray], sentence: str) -> tuple[str, ...]:
+    """Return the sentence about the views that are not zero, by camera (V,), if there are any."""
     parts = []
     for name, mask in chosen.items():
         rows = np.flatnonzero(mask)
         if len(rows):
             parts.append(f"view{'s'[: len(rows) > 1]} {', '.join(map(str, rows))} of {name}")
-    return "; ".join(parts)
+    return (sentence.format("; ".join(parts)),) if parts else ()
 
 
 def _turns(board: Board) -> Array:

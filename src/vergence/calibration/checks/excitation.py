@@ -100,11 +100,8 @@ def doubts(
 ) -> list[str]:
     """Return sentences for focal lengths that the boards do not determine.
 
-    Args:
-        seen: all views.
-        T_cam_target: by camera (V, 4, 4) poses of the board, NaN where not known.
-        head: the calibration.
-        focal_std_px: by camera, the standard deviations of fx and fy.
+    By camera T_cam_target are the board's poses (V, 4, 4), NaN where not known, and focal_std_px
+    the standard deviations of fx and fy.
     """
     said = []
     for name, (fx, fy) in focal_std_px.items():

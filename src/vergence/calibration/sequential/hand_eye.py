@@ -34,13 +34,11 @@ def motion_pairs(T_base_eye: Array, T_cam_target: Array) -> tuple[Array, Array]:
 def solve_rotation(a: Array, b: Array) -> Array:
     """Return R_X (3, 3) of Eq. 9, the least-squares solution of a = R_X b (Eq. 7).
 
+    Rotation vectors a (P, 3) are the eye's motions, b (P, 3) the camera's.
+
     (M^T M)^(-1/2) M^T with M = sum b a^T is the orthogonal factor of M^T: with the singular
     values M = U S V^T it is V U^T. When all rotations share one axis M has rank one and the
     turn about that axis is free.
-
-    Args:
-        a: (P, 3) rotation vectors of the eye's motions.
-        b: (P, 3) rotation vectors of the camera's motions.
 
     Raises:
         VergenceError: all rotations share one axis, or there are none.
@@ -87,16 +85,9 @@ def park_martin(T_base_eye: Array, T_cam_target: Array) -> Array:
 
 
 def robust_park_martin(T_base_eye: Array, T_cam_target: Array) -> Array:
-    """Return T_eye_cam (4, 4) from the largest set of views that agree where the board stands.
+    """Return park_martin of the largest set of views that agree where the board stands.
 
-    Where all views agree this is park_martin of all, and nothing is drawn.
-
-    Args:
-        T_base_eye: (N, 4, 4) eye poses, from the joint readings.
-        T_cam_target: (N, 4, 4) board poses, from the images.
-
-    Raises:
-        VergenceError: the motion is degenerate, or there are fewer than three views.
+    Where all views agree nothing is drawn. Raises as park_martin does.
     """
     best = park_martin(T_base_eye, T_cam_target)
     agreeing = _agreeing(best, T_base_eye, T_cam_target)

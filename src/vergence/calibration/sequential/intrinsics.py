@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -22,14 +22,14 @@ from vergence.vision.board_pose import seen_corners
 LensModel = Literal["none", "k1", "k1k2", "radial-tangential"]
 """Which distortion is fitted: none, k1, k1 and k2, or (k1, k2, p1, p2)."""
 
-_COEFFICIENTS = {"none": 0, "k1": 1, "k1k2": 2, "radial-tangential": 4}
-_FLAGS = {
-    "none": cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST,
-    "k1": cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST,
-    "k1k2": cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST,
-    "radial-tangential": cv2.CALIB_FIX_K3,
+_K1, _K2, _K3 = cv2.CALIB_FIX_K1, cv2.CALIB_FIX_K2, cv2.CALIB_FIX_K3
+_LENSES: dict[LensModel, tuple[int, int]] = {
+    "none": (0, _K1 | _K2 | _K3 | cv2.CALIB_ZERO_TANGENT_DIST),
+    "k1": (1, _K2 | _K3 | cv2.CALIB_ZERO_TANGENT_DIST),
+    "k1k2": (2, _K3 | cv2.CALIB_ZERO_TANGENT_DIST),
+    "radial-tangential": (4, _K3),
 }
-assert set(_FLAGS) == set(_COEFFICIENTS) == set(get_args(LensModel))
+"""How many coefficients are fitted, and OpenCV's flags for it."""
 
 # OpenCV's default of 30 iterations stops short of the optimum where distortion is strong.
 CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-14)
@@ -108,8 +108,7 @@ def calibrate_camera(
         VergenceError: fewer than three views with four corners or more, or boards that do not
             determine the focal length.
     """
-    seen = seen_corners(corners)
-    usable = seen.sum(axis=1) >= 4
+    usable = seen_corners(corners).sum(axis=1) >= 4
     if usable.sum() < 3:
         raise VergenceError(
             f"Intrinsics need at least 3 views of the board, found {usable.sum()}; "
@@ -126,17 +125,15 @@ def _fitted(
     corners: Array, points: Array, size: tuple[int, int], lens_model: LensModel
 ) -> Intrinsics:
     seen = seen_corners(corners)
+    coefficients, flags = _LENSES[lens_model]
     with repeatable():
         rms, matrix, distortion, rvecs, tvecs = cv2.calibrateCamera(
             [points[each].astype(np.float32) for each in seen],
-            [
-                view[each].astype(np.float32).reshape(-1, 1, 2)
-                for view, each in zip(corners, seen, strict=True)
-            ],
+            [view[each].astype(np.float32) for view, each in zip(corners, seen, strict=True)],
             size,
             np.eye(3),  # only the type of these two is used: no guess is given
             np.zeros(5),
-            flags=_FLAGS[lens_model],
+            flags=flags,
             criteria=CRITERIA,
         )
     camera = Camera(
@@ -146,7 +143,7 @@ def _fitted(
         distortion=np.asarray(distortion, float).ravel()[:5],
     )
     poses = pose(rotation(np.array(rvecs).reshape(-1, 3)), np.array(tvecs).reshape(-1, 3))
-    std = _focal_std(camera, 4 + _COEFFICIENTS[lens_model], poses, corners, points)
+    std = _focal_std(camera, 4 + coefficients, poses, corners, points)
     if not (std < USELESS * camera.matrix[[0, 1], [0, 1]]).all():
         raise VergenceError(_NOT_OBSERVABLE)
     return Intrinsics(camera, float(rms), len(corners), (float(std[0]), float(std[1])))
@@ -155,14 +152,8 @@ def _fitted(
 def _focal_std(camera: Camera, free: int, poses: Array, corners: Array, points: Array) -> Array:
     """Return the standard deviations (2,) of fx and fy [px], by the residuals at the optimum.
 
-    Each view's own pose is projected out. Infinite where the views do not determine one.
-
-    Args:
-        camera: at the optimum.
-        free: how many of the intrinsics were free, in the order of project_jacobians.
-        poses: (V, 4, 4) T_cam_target at the optimum.
-        corners: (V, K, 2) pixels; NaN where not seen.
-        points: (K, 3) in frame target.
+    The first `free` intrinsics, in the order of project_jacobians, were free; each view's own pose
+    (V, 4, 4) is projected out. Infinite where the views do not determine a focal length.
     """
     V, seen = len(poses), np.isfinite(corners)[..., None]
     turned = points @ np.swapaxes(poses[:, :3, :3], 1, 2)

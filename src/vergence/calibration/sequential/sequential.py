@@ -61,7 +61,7 @@ def calibrate_sequentially(
         observations: views in which the eyes stood still. Those with the gaze straight give the
             static stereo, those that share a placement while the eyes turn give T_eye_cam.
         wide_lens: see calibrate_intrinsics.
-        neck: the neck's chain, from the design.
+        neck: from the design.
         intrinsics: by camera, where calibrate_intrinsics was called before.
         T_cam_target: by camera (V, 4, 4) poses of the board, where they were solved for before with
             these intrinsics.
@@ -102,9 +102,7 @@ def calibrate_sequentially(
                     T_eye_cam=T_eye_main @ inverse(T_name_main),
                 )
     T_rbase_lbase, rms, count = _between_the_eyes(observations, mounted, T_cam_target, points)
-    head = HeadCalibration(
-        cameras=mounted, T_rbase_lbase=T_rbase_lbase, neck=Neck() if neck is None else neck
-    )
+    head = HeadCalibration(cameras=mounted, T_rbase_lbase=T_rbase_lbase, neck=neck or Neck())
     return SequentialCalibration(head, intrinsics, rms, count, eye_views)
 
 
@@ -130,7 +128,10 @@ def _between_the_eyes(
             "hold it where both eyes see it."
         )
     T_l, T_r = np.moveaxis(observations.eye_poses(), 1, 0)
-    straight = both & (_turn(T_l) < STRAIGHT_RAD) & (_turn(T_r) < STRAIGHT_RAD)
+    readable = np.isfinite(T_l).all(axis=(1, 2)) & np.isfinite(T_r).all(axis=(1, 2))
+    straight = both & readable
+    for T in (T_l, T_r):
+        straight[straight] &= angle(T[straight, :3, :3]) < STRAIGHT_RAD
     if straight.any():
         T_rcam_lcam, rms = calibrate_pair(
             corners_l[straight],
@@ -155,14 +156,6 @@ def _between_the_eyes(
     between = T_rbase_target @ inverse(T_lbase_target)
     known = np.isfinite(between).all(axis=(1, 2))
     return _mean(between[known]), None, 0
-
-
-def _turn(T: Array) -> Array:
-    """Return how far poses (N, 4, 4) are turned (N,) [rad]; infinite where they are not known."""
-    known = np.isfinite(T).all(axis=(1, 2))
-    turns = np.full(len(T), np.inf)
-    turns[known] = angle(T[known, :3, :3])
-    return turns
 
 
 def _mean(T: Array) -> Array:

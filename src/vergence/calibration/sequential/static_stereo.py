@@ -25,8 +25,8 @@ def calibrate_pair(
         corners_a: (V, K, 2) pixels in camera a; NaN where a corner was not seen.
         corners_b: (V, K, 2) pixels in camera b, at the same moments.
         points: (K, 3) the board's corners in frame target.
-        a: intrinsics of camera a.
-        b: intrinsics of camera b.
+        a: its intrinsics.
+        b: its intrinsics.
 
     Raises:
         VergenceError: no view shows six common corners.
