@@ -22,9 +22,8 @@ from scipy.optimize import least_squares
 from vergence.arrays import Array
 from vergence.calibration.sequential.sequential import calibrate_sequentially
 from vergence.geometry.head import HeadCalibration
-from vergence.paper.figures import FIGURES
+from vergence.paper.figures import FIGURES, default_duration_s
 from vergence.paper.replay import SAMPLES, estimate, observe_points, sample_times
-from vergence.paper.trajectories import default_duration_s
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import Shot, plan, simulate_views
 from vergence.twin.model import FOCAL_MM, as_built_head, nominal_head

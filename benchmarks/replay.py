@@ -17,10 +17,9 @@ import numpy as np
 import tyro
 
 from vergence.arrays import Array
-from vergence.paper.figures import FIGURES
+from vergence.paper.figures import FIGURES, default_duration_s, eye_angles
 from vergence.paper.replay import SAMPLES, WIDE, sample_times
 from vergence.paper.reproduce import image_interval, record_replay
-from vergence.paper.trajectories import default_duration_s, eye_angles
 from vergence.twin.head import Twin
 from vergence.twin.model import CAMERAS, JOINTS
 from vergence.twin.profile import load_profile

@@ -8,10 +8,9 @@ import pytest
 
 from vergence.errors import VergenceError
 from vergence.paper import plots
-from vergence.paper.figures import FIGURES
+from vergence.paper.figures import FIGURES, default_duration_s
 from vergence.paper.plots import draw, paper_figures
 from vergence.paper.replay import Replay, estimate, observe_points
-from vergence.paper.trajectories import default_duration_s
 from vergence.stereo.depth_error import depth_error
 from vergence.twin.model import nominal_head
 from vergence.twin.profile import ErrorProfile, Joints

@@ -17,10 +17,9 @@ from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.se3 import pose, transform
-from vergence.paper.figures import FIGURES
+from vergence.paper.figures import FIGURES, eye_angles
 from vergence.paper.recording import figure_recording, log_results
 from vergence.paper.replay import Measurements, Replay, describe
-from vergence.paper.trajectories import eye_angles
 from vergence.twin.appearance import VisualGeom, visual_geoms
 from vergence.twin.model import load_spec, model_folder, nominal_head
 from vergence.viewer.frame import log_frame

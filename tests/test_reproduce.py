@@ -10,11 +10,10 @@ import pytest
 
 from vergence.calibration.sequential.sequential import calibrate_sequentially
 from vergence.paper import reproduce as main_job
-from vergence.paper.figures import FIGURES
+from vergence.paper.figures import FIGURES, default_duration_s
 from vergence.paper.replay import describe, estimate, observe_points, sample_times
 from vergence.paper.report import report
 from vergence.paper.reproduce import reproduce
-from vergence.paper.trajectories import default_duration_s
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import plan, simulate_views
 from vergence.twin.model import FOCAL_MM, as_built_head, nominal_head

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from vergence.paper.figures import FIGURES
-from vergence.paper.trajectories import PERIOD_S, default_duration_s, eye_angles
+from vergence.paper.figures import FIGURES, PERIOD_S, default_duration_s, eye_angles
 
 TIMES = np.linspace(0, 200, 1001)
 

@@ -99,27 +99,31 @@ def worst(result: CalibrationResult) -> list[tuple[float, str, int]]:
 
 def as_markdown(result: CalibrationResult, dataset: Dataset) -> str:
     """Return the report."""
-    lines = ["# Calibration", "", *(f"{line}  " for line in result.summary().splitlines()), ""]
     said = (*result.warnings, *result.observations.remarks)
-    lines += ["## Warnings", "", *([f"- {line}" for line in said] or ["None."]), ""]
-    lines += ["## Accuracy of points", "", *_points(result), ""]
-    lines += ["## Parameters", "", *_parameters(result), ""]
-    lines += ["## Images", "", "All of them, with corners and residuals: `rerun dataset.rrd`", ""]
-    lines += ["![coverage](coverage.png)", ""]
+    images = ["All of them, with corners and residuals: `rerun dataset.rrd`", ""]
+    images += ["![coverage](coverage.png)", ""]
     if result.estimate is not None:
-        lines += ["![residuals](residuals.png)", "", "![worst views](worst_views.png)", ""]
-        lines += ["| worst views | camera | residual [px] |", "|---|---|---|"]
-        lines += [
+        images += ["![residuals](residuals.png)", "", "![worst views](worst_views.png)", ""]
+        images += ["| worst views | camera | residual [px] |", "|---|---|---|"]
+        images += [
             f"| line {dataset.lines[row]} | {name} | {size:.3f} |"
             for size, name, row in worst(result)[:WORST_LISTED]
         ]
-        lines.append("")
+        images.append("")
     failures = result.observations.failures
     if failures:
-        lines += [f"{len(failures)} images gave no corners:", ""]
-        lines += [f"- {failure}" for failure in failures[:FAILURES_NAMED]]
+        images += [f"{len(failures)} images gave no corners:", ""]
+        images += [f"- {failure}" for failure in failures[:FAILURES_NAMED]]
         if len(failures) > FAILURES_NAMED:
-            lines.append(f"- and {len(failures) - FAILURES_NAMED} more, all in the JSON file")
+            images.append(f"- and {len(failures) - FAILURES_NAMED} more, all in the JSON file")
+    lines = ["# Calibration", "", *(f"{line}  " for line in result.summary().splitlines())]
+    for heading, section in (
+        ("Warnings", [f"- {line}" for line in said] or ["None."]),
+        ("Accuracy of points", _points(result)),
+        ("Parameters", _parameters(result)),
+        ("Images", images),
+    ):
+        lines += ["", f"## {heading}", "", *section]
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -134,15 +138,13 @@ def _points(result: CalibrationResult) -> list[str]:
         "",
         "| distance [m] | calibration [mm] | reading [mm] |",
         "|---|---|---|",
+        *(f"| {d:g} | {a:.2f} | {b:.2f} |" for d, a, b in table),
     ]
-    lines += [f"| {d:g} | {a:.2f} | {b:.2f} |" for d, a, b in table]
     checked = result.accuracy.held_out
     if checked is not None and checked.jackknife_ratio is not None:
-        lines += [
-            "",
-            f"Calibrations from parts of the views differ {checked.jackknife_ratio:.2f} times as "
-            "much as stated.",
-        ]
+        ratio = f"{checked.jackknife_ratio:.2f}"
+        stated = f"Calibrations from parts of the views differ {ratio} times as much as stated."
+        lines += ["", stated]
     return lines
 
 

@@ -101,17 +101,15 @@ def record(
         task = f"recording {total} frames"
         progress(task, 0, total)
 
-        def entries() -> Iterator[DatasetRow]:
+        def rows() -> Iterator[DatasetRow]:
             nonlocal images
-            for true, entry in _capture(twin, shots, board, moving):
+            for true, row in _capture(twin, shots, board, moving):
                 true_angles.append(true)
-                images += len(entry.frame.images)
+                images += len(row.frame.images)
                 progress(task, len(true_angles), total)
-                yield entry
+                yield row
 
-        write_dataset(
-            out, _description(twin, board_as_given(profile, board), lens, seed), entries()
-        )
+        write_dataset(out, _description(twin, board_as_given(profile, board), lens, seed), rows())
         truth = Truth(
             head=with_sensors(twin.truth, profile.joints),
             time_offset_s=profile.joints.delay_ms * 1e-3,

@@ -17,7 +17,7 @@ from vergence.arrays import Matrix, Transform
 from vergence.files import read_json
 from vergence.geometry.board import Charuco, Chessboard
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYE_JOINTS, EYES
+from vergence.geometry.kinematics import EYE_COLUMNS
 from vergence.twin.profile import ErrorProfile, Joints
 
 TRUTH = "truth.json"
@@ -51,14 +51,15 @@ def with_sensors(head: HeadCalibration, joints: Joints) -> HeadCalibration:
     gain = 1 / (1 + np.array(joints.gain_percent) / 100)
     offset = -gain * np.radians(joints.offset_deg)
     axes = {}
-    for eye in EYES:
-        pan, tilt = (EYE_JOINTS.index(f"{eye}_{joint}") for joint in ("pan", "tilt"))
+    for eye, columns in EYE_COLUMNS.items():
+        pan_gain, tilt_gain = gain[columns].tolist()
+        pan_offset, tilt_offset = offset[columns].tolist()
         axes[eye] = replace(
             head.axes[eye],
-            pan_gain=float(gain[pan]),
-            tilt_gain=float(gain[tilt]),
-            pan_offset_rad=float(offset[pan]),
-            tilt_offset_rad=float(offset[tilt]),
+            pan_gain=pan_gain,
+            tilt_gain=tilt_gain,
+            pan_offset_rad=pan_offset,
+            tilt_offset_rad=tilt_offset,
         )
     return replace(head, axes=axes)
 

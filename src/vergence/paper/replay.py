@@ -16,8 +16,7 @@ from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import NECK_JOINTS
 from vergence.geometry.projection import project_point
-from vergence.paper.figures import Figure
-from vergence.paper.trajectories import PERIOD_S, default_duration_s, eye_angles
+from vergence.paper.figures import PERIOD_S, Figure, default_duration_s, eye_angles
 from vergence.progress import Progress, silent
 from vergence.stereo.triangulation import triangulate_at
 from vergence.twin.calibration_sequence import straight_neck

@@ -7,6 +7,8 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +31,6 @@ from vergence.twin.appearance import visual_geoms
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import capture_views, plan
 from vergence.twin.head import Twin
-from vergence.twin.model import FOCAL_MM
 from vergence.twin.profile import ErrorProfile
 from vergence.viewer.frame import log_frame
 from vergence.viewer.opening import log_report
@@ -81,10 +82,7 @@ def reproduce(
     chosen = check(out, figures=figures, seed=seed, duration_s=duration_s, rate_hz=rate_hz)
     done = Reproduction(profile, seed, {}, {}, {})
     try:
-        for lens in FOCAL_MM:
-            through_it = [figure for figure in chosen if figure.lens == lens]
-            if not through_it:
-                continue
+        for lens, through_it in groupby(chosen, attrgetter("lens")):
             with Twin(profile, seed=seed, lens=lens) as twin:
                 found = _calibrate(twin, lens, seed, progress)
                 save_head(found.head, out / f"calibration-{lens}.json")
@@ -151,11 +149,10 @@ def check(
 
 
 def _calibrate(twin: Twin, lens: str, seed: int, progress: Progress) -> SequentialCalibration:
-    task = f"calibrating, {lens} lens"
     views = capture_views(
         twin,
         plan(twin.nominal, seed),
-        progress=lambda _, done, total: progress(task, done, total),
+        progress=lambda _, done, total: progress(f"calibrating, {lens} lens", done, total),
     )
     return calibrate_sequentially(
         views, wide_lens=twin.profile.calibration.wide_lens, neck=twin.nominal.neck
