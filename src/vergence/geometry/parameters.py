@@ -37,6 +37,17 @@ def parameter_names(cameras: Iterable[str]) -> tuple[str, ...]:
     )
 
 
+def camera_columns(head: HeadCalibration, camera: str) -> np.ndarray:
+    """Return which parameters (27,) the pixels of a camera depend on.
+
+    Those of its lens, of T_eye_cam, of T_rbase_lbase and of the axes of its eye.
+    """
+    own = PER_CAMERA * list(head.cameras).index(camera) + np.arange(PER_CAMERA)
+    base = PER_CAMERA * len(head.cameras) + np.arange(len(POSE))
+    axes = base[-1] + 1 + len(AXES) * EYES.index(head.cameras[camera].eye) + np.arange(len(AXES))
+    return np.concatenate([own, base, axes])
+
+
 def lens_vector(camera: Camera) -> Array:
     """Return (9,) in the order of INTRINSICS."""
     K = camera.matrix

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.geometry.head import Accuracy, HeadCalibration
-from vergence.geometry.parameters import change_named
+from vergence.geometry.head import Accuracy, HeadCalibration, main_pair
+from vergence.geometry.kinematics import EYE_COLUMNS, T_base_eye, axes_row, eye_jacobians
+from vergence.geometry.parameters import camera_columns, parameter_names
+from vergence.geometry.projection import project_with_jacobians
 from vergence.stereo.triangulation import checked, triangulate_at
 
 _PIXEL_STEP_PX = 1e-2  # of the central differences: rounding and curvature both stay below 1e-7
 _JOINT_STEP_RAD = 3e-5
-_STEP = 1e-2  # of the calibration, in standard deviations: no rounding, no curvature
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,26 +158,50 @@ def calibration_covariance(
             "This calibration states no covariance; `vergence calibrate --method bundle` makes "
             "one that does."
         )
-    # Along the principal axes of the covariance, where a step of fixed probability is harmless.
-    std = np.sqrt(np.diag(accuracy.covariance))
-    scale = np.where(std > 0, std, 1.0)
-    values, vectors = np.linalg.eigh(accuracy.covariance / np.outer(scale, scale))
-    axes = (vectors * np.sqrt(np.maximum(values, 0.0))).T * scale
-    total = np.zeros((len(left), 3, 3))
-    for axis in axes:
-        ahead, behind = (
-            triangulate_at(
-                change_named(head, accuracy.parameters, sign * _STEP * axis),
-                left=left,
-                right=right,
-                joints=joints,
-                cameras=cameras,
-            )[0]
-            for sign in (1, -1)
-        )
-        moved = (ahead - behind) / (2 * _STEP)
-        total += moved[:, :, None] * moved[:, None, :]
+    points, _ = triangulate_at(head, left=left, right=right, joints=joints, cameras=cameras)
+    total = np.full((len(points), 3, 3), np.nan)
+    found = np.isfinite(points).all(axis=1)
+    names = parameter_names(head.cameras)
+    own = [names.index(name) for name in accuracy.parameters]
+    readings = np.broadcast_to(joints, (len(points), 4))[found]
+    by_calibration = _by_parameters(head, points[found], readings, cameras)[..., own]
+    total[found] = by_calibration @ accuracy.covariance @ np.swapaxes(by_calibration, 1, 2)
     return total
+
+
+def _by_parameters(
+    head: HeadCalibration, points: Array, joints: Array, cameras: tuple[str, str] | None
+) -> Array:
+    """Return how triangulated points (N, 3) change with the head's parameters (N, 3, P).
+
+    The pixels stay where they are: the point makes up for what the parameters change. They weigh as
+    in Eqs. 3-4: undistorted, and by the distance from the camera.
+    """
+    by_point, by_parameters = [], []
+    for name in cameras or main_pair(head) or ():
+        mounted = head.cameras[name]
+        angles, axes = joints[:, EYE_COLUMNS[mounted.eye]], axes_row(head.axes[mounted.eye])
+        T = T_base_eye(angles, axes)
+        by_axes, _ = eye_jacobians(angles, np.broadcast_to(axes, (len(points), 6)))
+        pinhole = replace(mounted.intrinsics, distortion=np.zeros(5))
+        J, ideal = (
+            project_with_jacobians(
+                replace(mounted, intrinsics=lens), head.T_rbase_lbase, T, points[:, None]
+            )
+            for lens in (mounted.intrinsics, pinhole)
+        )
+        weights = ideal.by_point[:, 0] @ np.linalg.pinv(J.by_point[:, 0])
+        # A point's derivatives fall with its distance.
+        slope = np.linalg.norm(ideal.by_point[:, 0], axis=(1, 2)) / pinhole.matrix[0, 0]
+        weights /= slope[:, None, None]
+        rows = np.zeros((len(points), 2, len(parameter_names(head.cameras))))
+        rows[:, :, camera_columns(head, name)] = np.concatenate(
+            [J.by_lens, J.by_T_eye_cam, J.by_T_rbase_lbase, J.by_T_base_eye @ by_axes[:, None]],
+            axis=-1,
+        )[:, 0]
+        by_point.append(weights @ J.by_point[:, 0])
+        by_parameters.append(weights @ rows)
+    return -np.linalg.pinv(np.concatenate(by_point, axis=1)) @ np.concatenate(by_parameters, axis=1)
 
 
 def _linearised(

@@ -26,7 +26,7 @@ from vergence.data.timing import Stencil
 from vergence.geometry import parameters
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import AXES, EYES, T_base_eye, axes_row, eye_jacobians
-from vergence.geometry.parameters import PER_CAMERA, POSE
+from vergence.geometry.parameters import PER_CAMERA, POSE, camera_columns
 from vergence.geometry.projection import by_pose_of_points, project_at, project_with_jacobians
 from vergence.geometry.se3 import boxplus, hat
 
@@ -206,15 +206,8 @@ def jacobians(problem: BundleProblem, state: BundleState) -> tuple[Array, Index,
             axis=-1,
         )
         latent[own] = (of_eye @ by_latent[own]).reshape(-1, K, 2, latent.shape[-1])
-    base = PER_CAMERA * len(problem.cameras)
-    index = np.concatenate(
-        [
-            PER_CAMERA * problem.camera[:, None] + np.arange(PER_CAMERA),
-            np.broadcast_to(base + np.arange(6), (M, 6)),
-            base + 6 + 6 * problem.eye[problem.camera][:, None] + np.arange(6),
-            head_size(problem) + 6 * problem.placement[:, None] + np.arange(6),
-        ],
-        axis=1,
-    )
+    columns = np.stack([camera_columns(state.head, name) for name in problem.cameras])
+    board = head_size(problem) + 6 * problem.placement[:, None] + np.arange(6)
+    index = np.concatenate([columns[problem.camera], board], axis=1)
     seen = problem.seen[..., None, None]
     return np.where(seen, shared, 0.0), index, np.where(seen, latent, 0.0)
