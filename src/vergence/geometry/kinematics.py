@@ -49,7 +49,8 @@ class Chain:
 
 def chain_pose(chain: Chain, readings: Array) -> Array:
     """Return the pose (..., 4, 4) of the chain's end in its base at readings (..., r) [rad]."""
-    return _joint_frames(chain, readings)[-1]
+    R, t = _joint_frames(chain, readings)
+    return pose(R[..., -1, :, :], t[..., -1, :])
 
 
 def chain_linearised(chain: Chain, readings: Array) -> tuple[Array, Array]:
@@ -57,35 +58,36 @@ def chain_linearised(chain: Chain, readings: Array) -> tuple[Array, Array]:
 
     In the increment of `se3.boxplus`.
     """
-    frames = _joint_frames(chain, readings)
-    return frames[-1], _angle_jacobian(chain, frames) @ chain.mixing
+    R, t = _joint_frames(chain, readings)
+    return pose(R[..., -1, :, :], t[..., -1, :]), _angle_jacobian(chain, R, t) @ chain.mixing
 
 
-def _angle_jacobian(chain: Chain, frames: list[Array]) -> Array:
+def _angle_jacobian(chain: Chain, R: Array, t: Array) -> Array:
     """Return the geometric Jacobian (..., 6, n).
 
     A joint turns the end about its axis, and moves it by the axis times the arm from the axis to
     the end.
     """
-    T = np.stack(np.broadcast_arrays(*frames), axis=-3)
-    axes = (T[..., :-1, :3, :3] @ chain.axes[..., None])[..., 0]
-    arms = T[..., -1:, :3, 3] - T[..., :-1, :3, 3]
+    axes = (R[..., :-1, :, :] @ chain.axes[..., None])[..., 0]
+    arms = t[..., -1:, :] - t[..., :-1, :]
     return np.swapaxes(np.concatenate([axes, cross(axes, arms)], axis=-1), -1, -2)
 
 
-def _joint_frames(chain: Chain, readings: Array) -> list[Array]:
-    """Return the frames (..., 4, 4) at each joint before its turn, and at the chain's end."""
+def _joint_frames(chain: Chain, readings: Array) -> tuple[Array, Array]:
+    """Return R (..., n+1, 3, 3), t (..., n+1, 3): each joint before its turn, and the end."""
     angles = (chain.mixing @ readings[..., None])[..., 0] + chain.offset_rad
     turns = rotation(angles[..., None] * chain.axes)
     shape = np.broadcast_shapes(turns.shape[:-3], chain.points_m.shape[:-2], chain.end_m.shape[:-1])
-    R, t, at = np.eye(3), np.zeros((*shape, 3)), np.zeros(3)
-    frames = []
-    for k in range(chain.axes.shape[-2]):
-        point = chain.points_m[..., k, :]
-        t = t + (R @ (point - at)[..., None])[..., 0]
-        frames.append(pose(R, t))
-        R, at = R @ turns[..., k, :, :], point
-    return [*frames, pose(R, t + (R @ (chain.end_m - at)[..., None])[..., 0])]
+    n = chain.axes.shape[-2]
+    R, t = np.empty((*shape, n + 1, 3, 3)), np.empty((*shape, n + 1, 3))
+    R[..., 0, :, :] = np.eye(3)
+    t[..., 0, :] = chain.points_m[..., 0, :] if n else chain.end_m
+    for k in range(n):
+        R[..., k + 1, :, :] = R[..., k, :, :] @ turns[..., k, :, :]
+        ahead = chain.points_m[..., k + 1, :] if k + 1 < n else chain.end_m
+        step = ahead - chain.points_m[..., k, :]
+        t[..., k + 1, :] = t[..., k, :] + (R[..., k + 1, :, :] @ step[..., None])[..., 0]
+    return R, t
 
 
 @dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
@@ -144,9 +146,9 @@ def eye_jacobians(angles: Array, axes: Array) -> tuple[Array, Array]:
     In the increment of `se3.boxplus`, at readings (..., 2) [rad] and rows (..., 6) of axes.
     """
     chain = eye_chain(axes)
-    frames = _joint_frames(chain, angles)
-    by_angle = _angle_jacobian(chain, frames)
-    R_pan, R_eye = (T[..., :3, :3] for T in frames[1:])
+    R, t = _joint_frames(chain, angles)
+    by_angle = _angle_jacobian(chain, R, t)
+    R_pan, R_eye = R[..., 1, :, :], R[..., 2, :, :]
     by_axes = np.zeros((*by_angle.shape[:-1], 6))
     by_axes[..., :2] = by_angle * angles[..., None, :]
     by_axes[..., 2:4] = by_angle
