@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from simulated_head import R_EYE_CAM, probability, random_pose
 from simulated_recording import POINTS, facing
 from vergence.arrays import Array
-from vergence.calibration.bundle.eye_camera import EyeCamera, refine_eye_camera
+from vergence.calibration.bundle.latent_hand_eye import EyeCamera, refine_eye_camera
 from vergence.errors import VergenceError
 from vergence.geometry.camera import pinhole
 from vergence.geometry.head import MountedCamera

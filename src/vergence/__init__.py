@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.2.0"
 
 if TYPE_CHECKING:
-    from vergence.calibration.bundle.eye_camera import refine_eye_camera
+    from vergence.calibration.bundle.latent_hand_eye import refine_eye_camera
     from vergence.calibration.calibrate import CalibrationResult, calibrate
     from vergence.calibration.detection import detect_target
     from vergence.calibration.observations import Observations
@@ -64,7 +64,7 @@ __all__ = [
 ]
 
 _HOMES = {
-    "calibration.bundle.eye_camera": ("refine_eye_camera",),
+    "calibration.bundle.latent_hand_eye": ("refine_eye_camera",),
     "calibration.calibrate": ("CalibrationResult", "calibrate"),
     "calibration.detection": ("detect_target",),
     "calibration.observations": ("Observations",),
