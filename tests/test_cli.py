@@ -166,7 +166,7 @@ def test_the_version_is_that_of_the_package(capsys, monkeypatch):
 def test_a_refused_run_does_not_speak_of_replacing_results(capsys, monkeypatch, tmp_path):
     (tmp_path / "statistics.json").write_text("{}")
     _, text = run(["--out", str(tmp_path), "--figures", "5"], capsys, monkeypatch)
-    assert "Replacing" not in text
+    assert "replace" not in text
 
 
 @pytest.fixture

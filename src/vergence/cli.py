@@ -47,19 +47,15 @@ def reproduce(
         rate: Samples per second [Hz]; default: 640 samples per figure.
     """
     # Imported here, so that help and wrong arguments do not wait for OpenGL.
-    from vergence.paper.reproduce import check
     from vergence.paper.reproduce import reproduce as run
     from vergence.twin.profile import load_profile
 
-    chosen = load_profile(profile)
-    check(out, figures=figures, seed=seed, duration_s=duration, rate_hz=rate)
-    if (out / "statistics.json").exists():
-        print(f"Replacing the results of an earlier run in {out}.")
+    earlier = (out / "statistics.json").exists()
     with _progress() as progress:
         done = run(
             out,
             figures=figures,
-            profile=chosen,
+            profile=load_profile(profile),
             seed=seed,
             duration_s=duration,
             rate_hz=rate,
@@ -67,6 +63,8 @@ def reproduce(
         )
     recordings = [f"fig{number:02d}.rrd" for number in sorted(done.replays)]
     print(f"Wrote {' '.join(recordings)}, figures.png, report.md and statistics.json to {out}.")
+    if earlier:
+        print(f"They replace the results of an earlier run in {out}.")
     typed = invocation("rerun", out / recordings[0])
     made = out == Path("runs/paper") and 6 in done.replays and Path("Makefile").is_file()
     print(f"To view a recording: {typed}" + (", or make view" if made else ""))
@@ -96,11 +94,10 @@ def record(
     from vergence.commands.record import record as run
     from vergence.twin.profile import load_profile
 
-    chosen = load_profile(profile)
     with _progress() as progress:
         images = run(
             out,
-            profile=chosen,
+            profile=load_profile(profile),
             seed=seed,
             frames=frames,
             lens=lens,
@@ -278,9 +275,9 @@ def _experiment(name: str, run: Callable[..., DataclassInstance], options: Exper
     """Run an experiment, print and write its summary, and say how to view its recording."""
     from vergence.twin.profile import load_profile
 
-    chosen = load_profile(options.profile)
+    profile = load_profile(options.profile)
     with _progress() as progress:
-        found = run(seed=options.seed, profile=chosen, out=options.out, progress=progress)
+        found = run(seed=options.seed, profile=profile, out=options.out, progress=progress)
     text = dumps(asdict(found), indent=1)
     if options.json is not None:
         write_whole(options.json, text + "\n")
@@ -294,15 +291,19 @@ def _experiment(name: str, run: Callable[..., DataclassInstance], options: Exper
 def _progress() -> Iterator[Progress]:
     """Show each task as a bar on standard error."""
     columns = TextColumn("{task.description:<28}"), BarColumn(), MofNCompleteColumn()
-    with Bars(*columns, TimeElapsedColumn(), console=Console(stderr=True)) as bars:
-        tasks = {}
+    bars, tasks = Bars(*columns, TimeElapsedColumn(), console=Console(stderr=True)), {}
 
-        def show(task: str, done: int, total: int) -> None:
-            if task not in tasks:
-                tasks[task] = bars.add_task(task, total=total)
-            bars.update(tasks[task], completed=done, total=total)
+    def show(task: str, done: int, total: int) -> None:
+        bars.start()  # not earlier: refused arguments have no bar
+        if task not in tasks:
+            tasks[task] = bars.add_task(task, total=total)
+        bars.update(tasks[task], completed=done, total=total)
 
+    try:
         yield show
+    finally:
+        if tasks:
+            bars.stop()
 
 
 COMMANDS: dict[str, Callable[..., None]] = {

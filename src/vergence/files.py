@@ -46,31 +46,18 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a UTF-8 text file complete or not at all.
-
-    Raises:
-        VergenceError: the file cannot be written.
-    """
+    """Write a UTF-8 text file as `whole_file` does."""
     with whole_file(path) as part:
         part.write_text(text, encoding="utf-8", newline="\n")
 
 
 def write_json(value: Any, path: Path) -> None:
-    """Write a dataclass as JSON, complete or not at all.
-
-    Raises:
-        VergenceError: the file cannot be written.
-    """
+    """Write a dataclass as JSON as `whole_file` does."""
     write_whole(path, TypeAdapter(type(value)).dump_json(value, indent=1).decode() + "\n")
 
 
 def read_json(path: Path, kind: type[T], what: str) -> T:
-    """Read a dataclass from JSON.
-
-    Args:
-        path: of the file.
-        kind: the dataclass.
-        what: the file should be, for the error: `a head calibration`.
+    """Read a dataclass from JSON; errors say that it is not `what`, such as `a head calibration`.
 
     Raises:
         VergenceError: the file is missing, not JSON, or a field of it is not valid.

@@ -68,21 +68,11 @@ def record(
 ) -> int:
     """Record a dataset on the twin, and the truth beside it in truth.json.
 
-    Args:
-        out: folder that is new or empty.
-        profile: the error profile of the twin.
-        seed: of everything random.
-        frames: number of frames with the eyes at rest.
-        lens: of the wide cameras.
-        target: the kind of calibration board.
-        moving: number of frames that follow, at RATE_HZ, with moving eyes and the board at rest.
-        progress: is called after each frame.
-
-    Returns:
-        The number of images written.
+    After the frames with the eyes at rest come `moving` ones, at RATE_HZ, with moving eyes and the
+    board at rest. Returns the number of images written.
 
     Raises:
-        VergenceError: an argument cannot be met, or the folder cannot be written.
+        VergenceError: an argument cannot be met, or the folder is not empty or cannot be written.
     """
     if frames < LEAST_FRAMES:
         raise VergenceError(f"A dataset has at least {LEAST_FRAMES} frames; asked for {frames}.")

@@ -182,12 +182,8 @@ def track(
 ) -> Summary:
     """Calibrate the twin, and track an object that is hidden once on its way.
 
-    Args:
-        seconds: length of the run.
-        seed: of everything random.
-        profile: imperfections of the head.
-        out: folder for track.json and track.rrd; None: nothing is written.
-        progress: is called with the seconds so far after every state.
+    The folder gets track.json and track.rrd; None: nothing is written. `progress` is called with
+    the seconds so far.
 
     Raises:
         VergenceError: an argument is out of range, or the folder cannot be written.

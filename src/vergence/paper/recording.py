@@ -30,13 +30,7 @@ _TRAILS = {"world/left_base/trail": None, "world/left_base/recent": style.TRAIL_
 def figure_recording(
     path: Path, figure: Figure, head: HeadCalibration, geoms: Sequence[VisualGeom]
 ) -> Iterator[rr.RecordingStream]:
-    """Record a figure in a `with` block; the file appears only when the block ends well.
-
-    It shows the head's cameras and the visible shapes of the robot.
-
-    Raises:
-        VergenceError: the file cannot be written.
-    """
+    """Record a figure in a `with` block, as `recording_file` does."""
     layout = blueprint(figure, head)
     with recording_file(path, figure.title, layout, head, geoms) as rec:
         _log_styles(rec)

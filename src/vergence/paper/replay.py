@@ -103,7 +103,6 @@ def replay(
             of `viewer.frame.log_frame` by name.
         image_every: every Nth sample is rendered by all cameras, and the observer gets its images;
             the others only by the wide cameras, which the estimation uses.
-        progress: is called after each sample.
     """
     start = _LEAD_S
     twin.restart(figure.number)
@@ -187,14 +186,15 @@ def describe(points: Array) -> Statistics:
 
 def summary(result: Replay) -> dict[str, list[float] | int]:
     """Return a figure's results and the paper's beside them, as plain values for JSON."""
+    figure, ours = result.figure, result.statistics
     return {
-        "paper_mean_m": list(result.figure.mean_m),
-        "paper_std_m": list(result.figure.std_m),
-        "object_m": list(result.figure.mean_m),
-        "mean_m": result.statistics.mean_m.tolist(),
-        "std_m": result.statistics.std_m.tolist(),
-        "samples": result.statistics.samples,
-        "dropped": result.statistics.dropped,
+        "paper_mean_m": list(figure.mean_m),
+        "paper_std_m": list(figure.std_m),
+        "object_m": list(figure.mean_m),
+        "mean_m": ours.mean_m.tolist(),
+        "std_m": ours.std_m.tolist(),
+        "samples": ours.samples,
+        "dropped": ours.dropped,
     }
 
 

@@ -104,14 +104,12 @@ class Twin:
         return float(self._data.time)
 
     def advance(self, until_s: float, command: Callable[[float], Array] | Array) -> None:
-        """Step the physics.
+        """Step the physics until a simulated time.
 
-        Args:
-            until_s: simulated time at which to stop.
-            command: (7,) wanted angles in the order of model.JOINTS, or a function of the time
-                that gives them. The function is asked every 5 ms of simulated time, a clock of
-                its own, so that the motion does not depend on where it stops; in between goes a
-                line, which is servoed at 1 kHz.
+        The command is (7,) wanted angles [rad] in the order of model.JOINTS, or a function of the
+        time that gives them. The function is asked every 5 ms of simulated time, a clock of its
+        own, so that the motion does not depend on where it stops; in between goes a line, which is
+        servoed at 1 kHz.
         """
         width = np.radians(self.profile.joints.backlash_deg)
         while (left := round((until_s - self._data.time) * 1000)) > 0:

@@ -137,13 +137,10 @@ def compile_head(
     *,
     board: Charuco | None = None,
 ) -> mujoco.MjModel:
-    """Compile the scene with the head as given.
+    """Compile the scene with an as-built head, whose lens distortion the renderer adds.
 
-    Args:
-        head: the as-built head, whose lens distortion the renderer adds.
-        overscan: by camera, the width and height [px] to render, at the camera's own focal
-            length; the image lies in the middle of it.
-        board: replaces the scene's chessboard.
+    The overscan is by camera the width and height [px] to render, at the camera's own focal
+    length; the image lies in the middle of it. A board replaces the scene's chessboard.
     """
     spec = load_spec()
     if board is not None:

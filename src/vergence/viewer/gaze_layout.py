@@ -23,12 +23,7 @@ def gaze_blueprint(
 ) -> rrb.Blueprint:
     """Return the layout with which the viewer opens a recording of gaze control.
 
-    Args:
-        title: of the 3-D view.
-        head: the calibration whose cameras are shown.
-        reach_m: largest distance of an object, which the 3-D view includes.
-        speed: recorded seconds per second.
-        hand: whether the distance of a hand from the object is shown.
+    The 3-D view shows objects up to `reach_m` away; `speed` is in recorded seconds per second.
     """
     plot = partial(curves_view, legend=False)
     errors = plot("error [mm]: blue fused, grey one frame", "error")

@@ -25,11 +25,7 @@ _SHADES = ("#8fb4f0", "#4a7fe0", "#12389b")
 
 
 def depth(path: Path, calibration: HeadCalibration) -> None:
-    """Draw the plots of `draw_depth` into a PNG file.
-
-    Raises:
-        VergenceError: the file cannot be written, or the head lacks a camera.
-    """
+    """Draw the plots of `draw_depth` into a PNG file."""
     save(draw_depth(calibration), path)
 
 
