@@ -148,11 +148,7 @@ def calibrate(
 
 
 def evaluate(
-    calibration: Annotated[Path, tyro.conf.Positional],
-    /,
-    *,
-    truth: Path,
-    json: Path | None = None,
+    calibration: Annotated[Path, tyro.conf.Positional], /, *, truth: Path, json: Path | None = None
 ) -> None:
     """Compare a calibration with the ground truth of a dataset from the twin.
 

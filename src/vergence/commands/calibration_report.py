@@ -53,11 +53,7 @@ def _stds(result: CalibrationResult) -> dict[str, float]:
 
 
 def write_report(
-    result: CalibrationResult,
-    dataset: Dataset,
-    folder: Path,
-    *,
-    progress: Progress = silent,
+    result: CalibrationResult, dataset: Dataset, folder: Path, *, progress: Progress = silent
 ) -> None:
     """Write report.md, its pictures and the recording dataset.rrd into a folder.
 

@@ -20,12 +20,7 @@ from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, T_base_cam, T_head_base
 from vergence.geometry.projection import rebase
 from vergence.geometry.se3 import inverse
-from vergence.interchange.serialization import (
-    check_cameras,
-    read,
-    with_intrinsics,
-    write_yaml,
-)
+from vergence.interchange.serialization import check_cameras, read, with_intrinsics, write_yaml
 
 
 class _Cam(BaseModel):

@@ -139,11 +139,7 @@ def _head_view(figure: Figure, head: HeadCalibration) -> rrb.Spatial3DView:
     return view_3d(
         f"{figure.title}: head, lines of sight, estimates",
         origin="world",
-        contents=[
-            "+ $origin/**",
-            "- world/left_base/spread",
-            *hidden(head, "detected", "truth"),
-        ],
+        contents=["+ $origin/**", "- world/left_base/spread", *hidden(head, "detected", "truth")],
         middle=middle,
         eye=middle + np.array([0.33, 0.94, 0.0]) * scale,
         trails=_TRAILS,

@@ -13,10 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.sequential.sequential import (
-    SequentialCalibration,
-    calibrate_sequentially,
-)
+from vergence.calibration.sequential.sequential import SequentialCalibration, calibrate_sequentially
 from vergence.errors import VergenceError
 from vergence.files import write_whole
 from vergence.geometry.head import HeadCalibration, save_head

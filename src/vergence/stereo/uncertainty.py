@@ -180,11 +180,7 @@ def calibration_covariance(
 
 
 def _linearised(
-    head: HeadCalibration,
-    left: Array,
-    right: Array,
-    joints: Array,
-    cameras: tuple[str, str] | None,
+    head: HeadCalibration, left: Array, right: Array, joints: Array, cameras: tuple[str, str] | None
 ) -> tuple[Array, np.ndarray, Array]:
     """Return points (N, 3), their status, and how they change (8, N, 3) with pixels and angles."""
     left, right, joints = checked(left, right, joints)

@@ -132,10 +132,7 @@ def as_built_head(nominal: HeadCalibration, profile: ErrorProfile, seed: int) ->
 
 
 def compile_head(
-    head: HeadCalibration,
-    overscan: dict[str, tuple[int, int]],
-    *,
-    board: Charuco | None = None,
+    head: HeadCalibration, overscan: dict[str, tuple[int, int]], *, board: Charuco | None = None
 ) -> mujoco.MjModel:
     """Compile the scene with an as-built head, whose lens distortion the renderer adds.
 

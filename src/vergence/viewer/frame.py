@@ -64,7 +64,4 @@ def time_columns(time_s: Array, index: np.ndarray) -> list[rr.TimeColumn]:
     """Return the timelines sim_time and frame for times (N,) [s] and sample numbers (N,)."""
     # A float array would be truncated to nanoseconds, while set_time rounds.
     nanoseconds = np.round(time_s * 1e9).astype("timedelta64[ns]")
-    return [
-        rr.TimeColumn("sim_time", duration=nanoseconds),
-        rr.TimeColumn("frame", sequence=index),
-    ]
+    return [rr.TimeColumn("sim_time", duration=nanoseconds), rr.TimeColumn("frame", sequence=index)]

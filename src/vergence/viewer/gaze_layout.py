@@ -67,11 +67,7 @@ def _space(title: str, head: HeadCalibration, reach_m: float) -> rrb.Spatial3DVi
     return view_3d(
         f"{title}: head, axes of the narrow cameras, estimate and truth",
         origin="world",
-        contents=[
-            "+ $origin/**",
-            "- world/board/**",
-            *hidden(head, "detected", "truth", "aim"),
-        ],
+        contents=["+ $origin/**", "- world/board/**", *hidden(head, "detected", "truth", "aim")],
         middle=middle,
         eye=middle + (0.15 + 0.75 * reach_m) * _FROM,
         trails=TRAILS,

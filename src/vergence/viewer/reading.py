@@ -13,11 +13,7 @@ from vergence.errors import VergenceError
 
 
 def read_series(
-    path: Path,
-    entity: str,
-    *,
-    component: str = "Scalars:scalars",
-    timeline: str = "sim_time",
+    path: Path, entity: str, *, component: str = "Scalars:scalars", timeline: str = "sim_time"
 ) -> tuple[Array, Array]:
     """Return the times (N,) [s] and the values of one series of a recording, in order of time.
 

@@ -8,12 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.bundle.problem import (
-    BundleProblem,
-    BundleState,
-    corner_errors,
-    eye_poses,
-)
+from vergence.calibration.bundle.problem import BundleProblem, BundleState, corner_errors, eye_poses
 from vergence.calibration.observations import Observations
 from vergence.data.timing import DEGREE, stencil
 from vergence.errors import VergenceError

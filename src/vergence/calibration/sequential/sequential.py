@@ -97,9 +97,7 @@ def calibrate_sequentially(
                 both = observations.corners[main], observations.corners[name]
                 T_name_main, _ = calibrate_pair(*both, points, cameras[main], cameras[name])
                 mounted[name] = MountedCamera(
-                    eye=eye,
-                    intrinsics=cameras[name],
-                    T_eye_cam=T_eye_main @ inverse(T_name_main),
+                    eye=eye, intrinsics=cameras[name], T_eye_cam=T_eye_main @ inverse(T_name_main)
                 )
     T_rbase_lbase, rms, count = _between_the_eyes(observations, mounted, T_cam_target, points)
     head = HeadCalibration(cameras=mounted, T_rbase_lbase=T_rbase_lbase, neck=neck or Neck())
