@@ -227,11 +227,7 @@ class Dataset:
             )
 
     def frame(self, row: int) -> Frame:
-        """Return a row with all its images, as a head's driver would give it.
-
-        Raises:
-            VergenceError: an image cannot be read, or its size differs from dataset.json.
-        """
+        """Return a row with all its images, as a head's driver would; errors: see `image`."""
         images = {name: self.image(name, row) for name in self.files}
         return Frame(
             time_s=float(self.time_s[row]),
@@ -265,9 +261,7 @@ def runs(dataset: Dataset) -> np.ndarray:
     """Return (N,) of int: the number of the motion that each row belongs to, 0 for eyes at rest.
 
     Motions are counted from 1; one ends where the eyes rest or rows are more than MAX_GAP_S apart.
-
-    Raises:
-        VergenceError: a motion has fewer than three rows, too few to estimate its velocity.
+    VergenceError if one has fewer than three rows, too few to estimate its velocity.
     """
     late = np.diff(dataset.joint_time_s, prepend=-np.inf) > MAX_GAP_S
     before = np.concatenate([[False], dataset.moving[:-1]])

@@ -163,10 +163,8 @@ def foveate(
     """Calibrate the twin and run a trial for each of a number of objects.
 
     The folder gets foveate.json, the recording foveate.rrd of the first RECORDED trials, and
-    depth.png; None: nothing is written.
-
-    Raises:
-        VergenceError: an argument is out of range, or the folder cannot be written.
+    depth.png; None: nothing is written. VergenceError if an argument is out of range, or the folder
+    cannot be written.
     """
     check_trials(trials)
     made: list[Trial] = []

@@ -167,13 +167,10 @@ def grasp(
     out: Path | None = None,
     progress: Progress = silent,
 ) -> tuple[Summary, list[Trial]]:
-    """Calibrate the twin, and hold out objects to it.
+    """Calibrate the twin, and hold out objects to it, each on its own path.
 
-    Each has its own path, and its own mounting error of the arm. The folder gets grasp.json, and
-    the recording grasp.rrd of the first RECORDED trials; None: nothing is written.
-
-    Raises:
-        VergenceError: an argument is out of range, or the folder cannot be written.
+    The mounting error of the arm differs too. The folder gets grasp.json, and the recording
+    grasp.rrd of the first RECORDED trials; None: nothing is written. VergenceError as in `foveate`.
     """
     check_trials(trials)
     made: list[Trial] = []

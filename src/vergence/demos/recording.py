@@ -47,9 +47,6 @@ def recorded(
 
     The 3-D view shows objects up to `reach_m` away, and `speed` is in recorded seconds a second.
     The block gets the function to call, and a list for the lines of the report in markdown.
-
-    Raises:
-        VergenceError: the file cannot be written.
     """
     title = f"{name}, profile {twin.profile.name}, seed {seed}"
     report = [f"# {title}", ""]

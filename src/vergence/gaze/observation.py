@@ -165,11 +165,7 @@ def aim_by_one_eye(
 def _locate(
     settings: GazeSettings, state: GazeState, postures: Array
 ) -> list[tuple[Array, Array]] | None:
-    """Return the object (3,) [m] and its covariance (3, 3) [m^2] in frame body, by posture.
-
-    The postures (2, 7) [rad] are that by readings and that by commands. None unless both eyes see
-    the object and it can be located.
-    """
+    """Return by posture (2, 7) the object (3,) [m] and its covariance (3, 3) in frame body."""
     left, right = (best_camera(state.pixels, eye) for eye in EYES)
     if left is None or right is None:
         return None

@@ -62,11 +62,7 @@ def chain_linearised(chain: Chain, readings: Array) -> tuple[Array, Array]:
 
 
 def _angle_jacobian(chain: Chain, frames: list[Array]) -> Array:
-    """Return the geometric Jacobian (..., 6, n).
-
-    A joint turns the end about its axis, and moves it by the axis times the arm from the axis to
-    the end.
-    """
+    """Return the Jacobian (..., 6, n): a joint turns the end about its axis, and moves it so."""
     T = np.stack(np.broadcast_arrays(*frames), axis=-3)
     axes = (T[..., :-1, :3, :3] @ chain.axes[..., None])[..., 0]
     arms = T[..., -1:, :3, 3] - T[..., :-1, :3, 3]
@@ -114,11 +110,7 @@ def axes_row(axes: EyeAxes) -> Array:
 
 
 def eye_chain(axes: EyeAxes | Array | None = None) -> Chain:
-    """Return the chain of an eye: pan, then tilt.
-
-    Args:
-        axes: the eye's imperfections, or rows (..., 6) of them; None: perfect axes.
-    """
+    """Return the chain of an eye, pan then tilt; axes may be rows (..., 6); None: perfect axes."""
     rows = axes if isinstance(axes, np.ndarray) else axes_row(axes or EyeAxes())
     mixing, steps, directions = (np.zeros((*rows.shape[:-1], 2, n)) for n in (2, 3, 3))
     mixing[..., 0, 0], mixing[..., 1, 1] = rows[..., 0], rows[..., 1]
@@ -131,9 +123,7 @@ def eye_chain(axes: EyeAxes | Array | None = None) -> Chain:
 def T_base_eye(angles: Array, axes: EyeAxes | Array | None = None) -> Array:
     """Return the pose (..., 4, 4) of the eye in its fixed base frame: T_er(theta) of the paper.
 
-    Args:
-        angles: (..., 2) readings of pan and tilt [rad].
-        axes: see `eye_chain`.
+    Angles are (..., 2) readings of pan and tilt [rad]; axes are those of `eye_chain`.
     """
     return chain_pose(eye_chain(axes), angles)
 

@@ -53,10 +53,10 @@ def project_at(
 def _through(
     mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array, points: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Return points (..., K, 3) on their way from the left eye's base to the camera.
+    """Return points (..., K, 3) in four steps from the left eye's base to the camera.
 
-    Turned into the axes of the camera's eye base; from the eye's origin, in that base; from the
-    camera, along the axes of the eye; and in frame cam.
+    In the axes of the camera's eye base; from the eye's origin, in that base; from the camera,
+    along the axes of the eye; and in frame cam.
     """
     right = mounted.eye == "right"
     turned = points @ T_rbase_lbase[:3, :3].T if right else points
@@ -113,10 +113,8 @@ def project_with_jacobians(
 def by_pose_of_points(by_point: Array, turned: Array) -> Array:
     """Return derivatives (M, K, 2, 6) by the pose of a body to which the points are fixed.
 
-    Args:
-        by_point: (M, K, 2, 3) by the points.
-        turned: (M, K, 3) the points from the body's origin, along the axes of the frame that its
-            pose maps into.
+    Given are those by the points (M, K, 2, 3), and the points from the body's origin (M, K, 3),
+    along the axes of the frame that its pose maps into.
     """
     return np.concatenate([-_cross(by_point, turned), by_point], axis=-1)
 

@@ -24,10 +24,7 @@ from vergence.interchange.serialization import check_cameras, read, with_intrins
 
 
 class _Cam(BaseModel):
-    """A camera of a camchain; cam_overlaps, timeshift_cam_imu and T_cam_imu are not read.
-
-    YAML 1.1 reads 1e-5, without a point, as text; pydantic makes it a number.
-    """
+    """A camera of a camchain; text such as 1e-5, which YAML 1.1 is no number, becomes one."""
 
     camera_model: Literal["pinhole"]
     distortion_model: Literal["radtan", "none"] = "none"

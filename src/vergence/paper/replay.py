@@ -209,8 +209,7 @@ def observe_points(
 ) -> Measurements:
     """Simulate the measurements of a replay by projection, without images and physics.
 
-    Of the profile only the joint sensors are used. The noise of pixels is a standard deviation
-    [px]; `times_s` is (N,) [s].
+    Only the joint sensors of the profile are used; times are (N,) [s], noise is a std [px].
     """
     delay = profile.joints.delay_ms * 1e-3
     at_image = eye_angles(figure.motion, times_s - max(0.0, -delay))

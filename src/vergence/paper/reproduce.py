@@ -48,12 +48,9 @@ def reproduce(
     """Replay figures and write recordings, plots, report and statistics into a folder.
 
     Results are written after each figure, so that an interrupted run loses only its last one.
-
-    Without a duration each replay takes its full combined period, at least 60 s; without a rate
-    it has SAMPLES samples.
-
-    Raises:
-        VergenceError: an argument cannot be met, or the folder cannot be written.
+    Without a duration each replay takes its full combined period, at least 60 s; without a rate it
+    has SAMPLES samples. VergenceError if an argument cannot be met, or the folder cannot be
+    written.
     """
     chosen = _check(out, figures, seed, duration_s, rate_hz)
     done = Reproduction(profile, seed, {}, {}, {})
@@ -135,11 +132,7 @@ def record_replay(
     *,
     progress: Progress = silent,
 ) -> Replay:
-    """Replay one figure on rendered images, as `replay` does, and record it.
-
-    Raises:
-        VergenceError: the recording cannot be written.
-    """
+    """Replay one figure on rendered images, as `replay` does, and record it."""
     with figure_recording(path, figure, calibration, visual_geoms(twin.model)) as rec:
         result = replay(
             twin,

@@ -153,8 +153,7 @@ def shipped() -> list[str]:
 def load_profile(name_or_file: str) -> ErrorProfile:
     """Read a shipped profile by its name, or a profile from a TOML file.
 
-    Raises:
-        VergenceError: no such profile or file, not TOML, or a value that is unknown or impossible.
+    VergenceError if there is none, it is not TOML, or a value is unknown or impossible.
     """
     source: Traversable = Path(name_or_file)
     if name_or_file in shipped():

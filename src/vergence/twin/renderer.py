@@ -41,10 +41,7 @@ def overscan_sizes(head: HeadCalibration) -> dict[str, tuple[int, int]]:
     """Return by camera the width and height [px] of the pinhole image to render.
 
     It covers the field of view of the distorted image; cameras without distortion need only their
-    own size.
-
-    Raises:
-        VergenceError: a lens model is not one-to-one within its image.
+    own size. VergenceError if a lens model is not one-to-one within its image.
     """
     sizes = {}
     for name, mounted in head.cameras.items():
@@ -85,11 +82,7 @@ class Renderer:
     """The cameras of a compiled head. Use it in the thread that created it, and close it."""
 
     def __init__(self, model: mujoco.MjModel, head: HeadCalibration, image: Image, seed: int):
-        """Open OpenGL for a model that was compiled with the overscan sizes of the head.
-
-        Raises:
-            VergenceError: there is no OpenGL.
-        """
+        """Open OpenGL for a model that has the head's overscan sizes; VergenceError: none."""
         self._image = image
         self._seed = seed
         self.restart(0)

@@ -54,12 +54,10 @@ def record_dataset(
     report: str,
     progress: Progress = silent,
 ) -> None:
-    """Write a recording of a dataset and of the calibration that was made from it.
+    """Write a recording of a dataset, of its calibration and of the report, which is markdown.
 
-    Without bundle adjustment only images and corners are recorded. The report is markdown.
-
-    Raises:
-        VergenceError: the file cannot be written, or an image cannot be read.
+    Without bundle adjustment only images and corners are recorded. VergenceError if the file cannot
+    be written, or an image cannot be read.
     """
     head, estimate = result.head, result.estimate
     magnified = _magnification(estimate)
@@ -97,10 +95,7 @@ def _magnification(estimate: BundleEstimate | None) -> int:
 
 
 def _eye_poses(result: CalibrationResult) -> Array:
-    """Return poses (V, 2, 4, 4) of the eyes in the left eye's base frame.
-
-    Estimated poses where there are any, otherwise poses as read.
-    """
+    """Return poses (V, 2, 4, 4) of the eyes in the left eye's base, as read where not estimated."""
     poses = result.observations.eye_poses(result.head.axes).copy()
     if result.estimate is not None:
         estimated = result.estimate.T_base_eye

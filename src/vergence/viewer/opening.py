@@ -27,13 +27,10 @@ def recording_file(
     head: HeadCalibration,
     geoms: Sequence[VisualGeom],
 ) -> Iterator[rr.RecordingStream]:
-    """Record in a `with` block; the file appears under its name only when the block ends well.
+    """Record in a `with` block; the file appears as that of `whole_file`, when the block ends well.
 
     The head's cameras are drawn, and the visible shapes of the robot, of which there may be none.
     The name of the folder is added to the title.
-
-    Raises:
-        VergenceError: the file cannot be written.
     """
     rr.set_strict_mode(True)  # by default bad data is dropped with a warning
     folder = path.resolve().parent

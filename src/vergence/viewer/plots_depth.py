@@ -30,11 +30,7 @@ def depth(path: Path, calibration: HeadCalibration) -> None:
 
 
 def draw_depth(calibration: HeadCalibration) -> Canvas:
-    """Draw how the ideal wide pixel converges with depth, and what errors of depth cost.
-
-    Raises:
-        VergenceError: the head lacks a wide or a narrow camera.
-    """
+    """Draw how the ideal wide pixel converges with depth, and what errors of depth cost."""
     canvas, (converge, cost, disparity) = panels(
         3, "Where to hold an object in the wide image so that it falls on the fovea", columns=3
     )

@@ -92,14 +92,13 @@ def bundle_adjust(
     Args:
         start: the paper's calibration, or another that is about right.
         observations: corners and readings. Without timing the time offset is not estimated.
-        T_cam_target: by camera (V, 4, 4) poses of the board in each image, where they were solved
-            for before.
+        T_cam_target: by camera (V, 4, 4) poses of the board, where they were solved for before.
         points: (K, 3) corners in frame target [m]; None: those of the board.
         fixed: names of parameters that keep their start; None: fixed_by_default.
         pixel_std_px: noise of one coordinate of a corner; None: estimated.
-        joint_std: noise of the readings, [rad] or, for poses, ([rad], [m]); None: estimated; 0:
-            the readings are exact.
-        own_levels_from: eyes times views from which pan and tilt have each a noise of their own.
+        joint_std: noise of the readings, [rad] or, for poses, ([rad], [m]); None: estimated; 0: the
+            readings are exact.
+        own_levels_from: see OWN_LEVELS.
         outlier: standard deviations beyond which a corner or a reading loses weight.
 
     Raises:
@@ -184,9 +183,7 @@ def covariance_of(estimate: BundleEstimate, name: str) -> Array:
     """Return the covariance of one parameter, or of all that have the name before their last dot.
 
     For example (6, 6) of "left_wide.T_eye_cam" and "T_rbase_lbase", (9, 9) of "left_wide".
-
-    Raises:
-        VergenceError: no parameter has this name.
+    VergenceError if no parameter has this name.
     """
     parameters = enumerate(estimate.parameters)
     chosen = [i for i, each in parameters if name in (each, each.rpartition(".")[0])]

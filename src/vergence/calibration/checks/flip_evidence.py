@@ -49,8 +49,7 @@ def cost_of(off: Array) -> Array:
 def synchronised(off: Array) -> tuple[np.ndarray, Array]:
     """Return turns (N,) and the evidence for each.
 
-    Args:
-        off: (N, N, n) disagreement of views i and j if i is turned by k more than j.
+    `off` is (N, N, n), the disagreement of views i and j if i is turned by k more than j.
     """
     N, n = off.shape[0], off.shape[2]
     cost = cost_of(off)

@@ -57,12 +57,9 @@ def solve_rotation(a: Array, b: Array) -> Array:
 def park_martin(T_base_eye: Array, T_cam_target: Array) -> Array:
     """Return T_eye_cam (4, 4) from N views of a board at rest.
 
-    Args:
-        T_base_eye: (N, 4, 4) eye poses, from the joint readings.
-        T_cam_target: (N, 4, 4) board poses, from the images.
-
-    Raises:
-        VergenceError: shapes do not fit, a pose is not finite, or the motion is degenerate.
+    The eye's poses T_base_eye (N, 4, 4) are from the joint readings, the board's T_cam_target (N,
+    4, 4) from the images. VergenceError if shapes do not fit, a pose is not finite, or the motion
+    is degenerate.
     """
     if T_base_eye.shape != T_cam_target.shape or T_base_eye.shape[1:] != (4, 4):
         raise VergenceError(
