@@ -78,8 +78,6 @@ def record(
         raise VergenceError(f"A dataset has at least {LEAST_FRAMES} frames; asked for {frames}.")
     if moving < LEAST_MOVING and moving != 0:
         raise VergenceError(f"A motion has at least {LEAST_MOVING} frames; asked for {moving}.")
-    if seed < 0:
-        raise VergenceError(f"The seed must be a whole number from 0, found {seed}.")
     check_new(out)
     charuco = CHARUCO if target == "charuco" else None
     board: Board = charuco or BOARD

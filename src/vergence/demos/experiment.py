@@ -38,9 +38,7 @@ def p95(values: Sequence[float] | Array) -> float:
 
 @contextmanager
 def calibrated_twin(profile: ErrorProfile, seed: int) -> Iterator[tuple[Twin, GazeSettings]]:
-    """Give a `with` block a calibrated twin and its controller's settings; check the seed."""
-    if seed < 0:
-        raise VergenceError(f"The seed must be a whole number from 0, found {seed}.")
+    """Give a `with` block a calibrated twin, and the settings of its gaze controller."""
     with Twin(profile, seed=seed) as twin:
         yield twin, calibrate_twin(twin, seed)
 

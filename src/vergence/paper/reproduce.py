@@ -52,7 +52,7 @@ def reproduce(
     has SAMPLES samples. VergenceError if an argument cannot be met, or the folder cannot be
     written.
     """
-    chosen = _check(out, figures, seed, duration_s, rate_hz)
+    chosen = _check(out, figures, duration_s, rate_hz)
     done = Reproduction(profile, seed, {}, {}, {})
     try:
         for lens, through_it in groupby(chosen, attrgetter("lens")):
@@ -78,15 +78,13 @@ def reproduce(
 
 
 def _check(
-    out: Path, figures: Sequence[int], seed: int, duration_s: float | None, rate_hz: float | None
+    out: Path, figures: Sequence[int], duration_s: float | None, rate_hz: float | None
 ) -> list[Figure]:
     """Check the arguments of `reproduce` before any work is done, and return the figures."""
     unknown = [number for number in figures if number not in FIGURES]
     if unknown or not figures:
         asked = f"figure {unknown[0]}" if unknown else "no figure"
         raise VergenceError(f"Asked for {asked}; the paper's experiments are figures 6 to 11.")
-    if seed < 0:
-        raise VergenceError(f"The seed must be a whole number from 0, found {seed}.")
     for name, unit, value, most in (
         ("duration", "s", duration_s, 3600),
         ("rate", "Hz", rate_hz, 200),

@@ -138,16 +138,15 @@ def _log_styles(rec: rr.RecordingStream, head: HeadCalibration, dataset: Dataset
         rec.log(f"{entity}/corners", dots, static=True)
         lines = rr.LineStrips2D.from_fields(colors=style.RAY, radii=-1.0)
         rec.log(f"{entity}/residuals", lines, static=True)
+    joints = [joint for joint in dataset.description.joints if joint in EYE_JOINTS]
+    colours = {f"joints/{joint}": style.JOINT_COLOURS[joint] for joint in joints}
     for eye in EYES:
-        own = [name for name, mounted in head.cameras.items() if mounted.eye == eye]
-        for name, colour in zip(own, 9 * style.EYE_COLOURS[eye], strict=False):
-            points = rr.SeriesPoints(names=name.replace("_", " "), colors=colour, marker_sizes=3)
-            rec.log(f"residual/{name}", points, static=True)
-    for joint in dataset.description.joints:
-        if joint in EYE_JOINTS:
-            colour = style.JOINT_COLOURS[joint]
-            points = rr.SeriesPoints(names=joint.replace("_", " "), colors=colour, marker_sizes=3)
-            rec.log(f"joints/{joint}", points, static=True)
+        own = [f"residual/{name}" for name, mounted in head.cameras.items() if mounted.eye == eye]
+        colours |= zip(own, 9 * style.EYE_COLOURS[eye], strict=False)
+    for entity, colour in colours.items():
+        name = entity.partition("/")[2].replace("_", " ")
+        points = rr.SeriesPoints(names=name, colors=colour, marker_sizes=3)
+        rec.log(entity, points, static=True)
 
 
 def rms_by_view(errors: Array) -> Array:

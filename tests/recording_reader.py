@@ -1,4 +1,4 @@
-"""Read a recording back, for tests and for other programs."""
+"""Read a recording back."""
 
 from __future__ import annotations
 
