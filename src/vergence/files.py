@@ -22,10 +22,7 @@ def whole_file(path: Path) -> Iterator[Path]:
     """Give a `with` block a temporary file, which gets its final name when the block ends well.
 
     An earlier file of that name is replaced; a block that raises leaves it as it was, and no other
-    file behind. Parent folders are created.
-
-    Raises:
-        VergenceError: the file cannot be written.
+    file behind. Parent folders are created. VergenceError if the file cannot be written.
     """
     part: Path | None = None
     try:
@@ -57,10 +54,9 @@ def write_json(value: Any, path: Path) -> None:
 
 
 def read_json(path: Path, kind: type[T], what: str) -> T:
-    """Read a dataclass from JSON; errors say that it is not `what`, such as `a head calibration`.
+    """Read a dataclass from JSON.
 
-    Raises:
-        VergenceError: the file is missing, not JSON, or a field of it is not valid.
+    VergenceError if it cannot be read, or is not `what` it should be, such as `a head calibration`.
     """
     try:
         return TypeAdapter(kind).validate_json(path.read_bytes())

@@ -66,13 +66,10 @@ def record(
     moving: int = 0,
     progress: Progress = silent,
 ) -> int:
-    """Record a dataset on the twin, and the truth beside it in truth.json.
+    """Record a dataset on the twin with truth.json beside it; return the number of images written.
 
     After the frames with the eyes at rest come `moving` ones, at RATE_HZ, with moving eyes and the
-    board at rest. Returns the number of images written.
-
-    Raises:
-        VergenceError: an argument cannot be met, or the folder is not empty or cannot be written.
+    board at rest. VergenceError if an argument cannot be met, or the folder cannot be written.
     """
     if frames < LEAST_FRAMES:
         raise VergenceError(f"A dataset has at least {LEAST_FRAMES} frames; asked for {frames}.")

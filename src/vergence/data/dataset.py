@@ -204,8 +204,7 @@ class Dataset:
     def image(self, camera: str, row: int) -> np.ndarray | None:
         """Return an image (H, W, 3) uint8, RGB; None where the camera has none in this row.
 
-        Raises:
-            VergenceError: the file cannot be read, or its size differs from dataset.json.
+        VergenceError if the file cannot be read, or its size differs from dataset.json.
         """
         name = self.files[camera][row]
         if name is None:

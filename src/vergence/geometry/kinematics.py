@@ -53,10 +53,7 @@ def chain_pose(chain: Chain, readings: Array) -> Array:
 
 
 def chain_linearised(chain: Chain, readings: Array) -> tuple[Array, Array]:
-    """Return chain_pose (..., 4, 4), and how it changes with the readings (..., 6, r).
-
-    In the increment of `se3.boxplus`.
-    """
+    """Return chain_pose, and its derivatives (..., 6, r) by the readings as in `se3.boxplus`."""
     frames = _joint_frames(chain, readings)
     return frames[-1], _angle_jacobian(chain, frames) @ chain.mixing
 
@@ -129,7 +126,7 @@ def T_base_eye(angles: Array, axes: EyeAxes | Array | None = None) -> Array:
 
 
 def eye_jacobians(angles: Array, axes: Array) -> tuple[Array, Array]:
-    """Return how T_base_eye changes with the axes (..., 6, 6) and the readings (..., 6, 2).
+    """Return derivatives of T_base_eye by axes (..., 6, 6) and readings (..., 6, 2).
 
     In the increment of `se3.boxplus`, at readings (..., 2) [rad] and rows (..., 6) of axes.
     """

@@ -164,9 +164,7 @@ def stereo_cameras(
 ) -> tuple[MountedCamera, MountedCamera]:
     """Return the left and the right camera of a pair of names; None: the main ones.
 
-    Raises:
-        VergenceError: the head has one eye only, has no such camera, or left and right are
-            exchanged.
+    VergenceError if one of them is missing, or left and right are exchanged.
     """
     pair = main_pair(head) if cameras is None else cameras
     if pair is None:
@@ -202,10 +200,7 @@ def T_rcam_lcam(
 def stereo_poses(
     head: HeadCalibration, joints: Array, *, cameras: tuple[str, str] | None = None
 ) -> tuple[Array, Array]:
-    """Return T_lbase_lcam, where the left camera stands, and T_rcam_lcam (..., 4, 4).
-
-    Args and errors: see T_rcam_lcam.
-    """
+    """Return T_lbase_lcam, where the left camera stands, and T_rcam_lcam: see there."""
     left, right = stereo_cameras(head, cameras)
     T_lbase_leye, T_rbase_reye = (
         T_base_eye(joints[..., EYE_COLUMNS[eye]], head.axes[eye]) for eye in EYES
@@ -229,10 +224,8 @@ def rebase(
 ) -> HeadCalibration:
     """Return the head with the T_rbase_lbase that a stereo pose demands (Eq. 10).
 
-    The cameras stood at T_rcam_lcam (4, 4) at joint readings (4,) [rad].
-
-    Raises:
-        VergenceError: see stereo_cameras.
+    The cameras stood at T_rcam_lcam (4, 4) at joint readings (4,) [rad]. Errors are those of
+    `stereo_cameras`.
     """
     left, right = stereo_cameras(head, cameras)
     T = base_extrinsics(

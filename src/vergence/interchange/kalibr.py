@@ -51,8 +51,6 @@ class _Cam(BaseModel):
 
 
 _CAMS = TypeAdapter(dict[str, _Cam])
-
-
 Camchain = dict[str, tuple[Camera, Array | None]]
 """Cameras by name in the order of the chain, each with the pose (4, 4) of the previous camera in it
 (T_cn_cnm1), None where none is given."""
@@ -61,8 +59,7 @@ Camchain = dict[str, tuple[Camera, Array | None]]
 def save(head: HeadCalibration, path: Path) -> None:
     """Write a head's cameras as cam0, cam1, ... of a camchain; rostopic gives their names.
 
-    Raises:
-        VergenceError: a camera has skew or k3, or the file cannot be written.
+    VergenceError if a camera has skew or k3, or the file cannot be written.
     """
     check_cameras(head, "Kalibr's radtan model", has_k3=False)
     content: dict[str, Any] = {}
@@ -87,8 +84,7 @@ def save(head: HeadCalibration, path: Path) -> None:
 def load(path: Path) -> Camchain:
     """Read a camchain. Cameras are named after the first part of their rostopic, else cam0, ...
 
-    Raises:
-        VergenceError: the file is missing, not a camchain, or has another camera model.
+    VergenceError if the file is missing, not a camchain, or has another camera model.
     """
     return read(path, "a Kalibr camchain", _camchain)
 
@@ -116,9 +112,7 @@ def update_head(chain: Camchain, template: HeadCalibration) -> HeadCalibration:
 
     The wide cameras keep their poses in the eyes, which a chain does not hold. Those of the narrow
     ones and T_rbase_lbase follow from the chain, which is assumed to hold at readings of zero.
-
-    Raises:
-        VergenceError: the chain names a camera that the template does not have.
+    VergenceError if the chain names a camera that the template does not have.
     """
     head = with_intrinsics(template, {name: camera for name, (camera, _) in chain.items()})
     T, T_cam_first = np.eye(4), {}

@@ -90,11 +90,7 @@ def read(
 
 
 def with_intrinsics(head: HeadCalibration, cameras: Mapping[str, Camera]) -> HeadCalibration:
-    """Return a head with the intrinsics of some cameras replaced.
-
-    Raises:
-        VergenceError: the head has no camera of one of these names.
-    """
+    """Return a head with intrinsics of some cameras replaced; VergenceError: it lacks one."""
     mounted = {name: replace(head.camera(name), intrinsics=c) for name, c in cameras.items()}
     return replace(head, cameras={**head.cameras, **mounted})
 

@@ -131,10 +131,7 @@ def _held_board(
 
 
 def board_as_given(profile: ErrorProfile, board: Board = BOARD) -> Board:
-    """Return the board with the dimensions given to the calibration.
-
-    They are wrong if the profile says that the board was printed larger than intended.
-    """
+    """Return the board with the dimensions given to the calibration, perhaps wrong ones."""
     printed = 1 + profile.calibration.square_percent / 100
     if isinstance(board, Chessboard):
         return replace(board, square_m=board.square_m / printed)

@@ -64,10 +64,8 @@ class Twin:
         """Build a head with wide cameras of a lens, and with the imperfections of a profile.
 
         The same seed gives the same head, whatever the lens. A board replaces the scene's
-        chessboard.
-
-        Raises:
-            VergenceError: there is no OpenGL, the model cannot be loaded, or the seed is negative.
+        chessboard. VergenceError if there is no OpenGL, the model cannot be loaded, or the seed is
+        negative.
         """
         if seed < 0:
             raise VergenceError(f"The seed must be a whole number from 0, found {seed}.")

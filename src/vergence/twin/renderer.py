@@ -61,10 +61,9 @@ def overscan_sizes(head: HeadCalibration) -> dict[str, tuple[int, int]]:
 
 
 def _map(camera: Camera, size: tuple[int, int]) -> Sequence[np.ndarray]:
-    """Return x and y (H, W) in the rendered image for each pixel of the camera.
+    """Return float32 maps x and y (H, W) into the rendered image for each pixel of the camera.
 
-    The rendered image is FINER times as large as size. The maps are float32, since OpenCV's packed
-    maps round to 1/32 px, in every image alike.
+    That image is FINER times as large as size. OpenCV's packed maps would round to 1/32 px.
     """
     v, u = np.mgrid[: camera.height, : camera.width].astype(float)
     finer = FINER * _in_pinhole(camera, np.stack([u, v], axis=-1), size) + (FINER - 1) / 2

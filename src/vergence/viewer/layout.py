@@ -23,10 +23,7 @@ def camera_entities(head: HeadCalibration) -> dict[str, str]:
 def curves_view(
     name: str, origin: str, *, legend: bool = True, **options: Any
 ) -> rrb.TimeSeriesView:
-    """Return a plot of the curves below an entity, over the whole recording.
-
-    A legend hides the latest samples. The options are those of `TimeSeriesView`.
-    """
+    """Return a plot of all the curves below an entity; a legend would hide the latest samples."""
     # Without a range a plot keeps the one of what was loaded when it was first drawn.
     ever = rr.TimeRangeBoundary.infinite()
     options["axis_x"] = rrb.TimeAxis(view_range=rr.TimeRange(start=ever, end=ever))

@@ -95,10 +95,7 @@ def _detect_charuco(grey: np.ndarray, board: Charuco) -> Array | None:
 
 
 def _shortest_diagonals(grid: Array) -> Array:
-    """Return the shortest diagonal (rows, columns) [px] of the squares around each corner.
-
-    NaN for a corner without neighbours both along its row and along its column.
-    """
+    """Return the shortest diagonal [px] of the squares at each corner; NaN: no neighbours."""
     diagonals = [
         np.linalg.norm(along + sign * across, axis=-1)
         for along, across in adjacent_sides(grid)

@@ -173,10 +173,7 @@ def _saddle_points(grey: np.ndarray, corners: Array, strips: Array, curvature: A
 def _fit_saddle_points(
     spline: Array, corners: Array, strips: Array, curvature: Array
 ) -> tuple[Array, Array]:
-    """Return the saddle points (K, 2) of a spline near corners (K, 2), and their asymmetry (K,).
-
-    NaN where there is none. The asymmetry is explained at MAX_ASYMMETRY.
-    """
+    """Return a spline's saddle points (K, 2) or NaN, and the asymmetry (K,) around them."""
     u, v = strips[..., 0], strips[..., 1]
     squares = np.stack([u * u, u * v, v * v], axis=-1)
     fit = np.linalg.pinv(np.concatenate([squares, strips, np.ones_like(strips[..., :1])], axis=-1))

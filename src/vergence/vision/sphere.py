@@ -67,10 +67,7 @@ def find_sphere(
 def _sphere_window(
     image: np.ndarray, planes: tuple[int, int, int], rows: slice, columns: slice
 ) -> tuple[slice, slice] | None:
-    """Return the window of the largest region of a colour, with a margin for soft edges.
-
-    Only the given rows and columns are searched; None if it extends beyond them or is too small.
-    """
+    """Return the window, with a margin, of the largest region of a colour within these rows."""
     boxes = []
     for top in range(rows.start, rows.stop, _BAND_ROWS):
         band = image[top : min(top + _BAND_ROWS, rows.stop), columns]

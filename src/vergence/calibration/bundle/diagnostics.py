@@ -171,10 +171,7 @@ def _motion(problem: BundleProblem, found: Adjusted, eye: int) -> list[str]:
 
 
 def _senses(problem: BundleProblem, found: Adjusted, eye: int) -> list[str]:
-    """Return a sentence for each joint whose motion is so small that its sense is uncertain.
-
-    A mounting turned by half a turn then fits as well, which no covariance can show.
-    """
+    """Return a sentence for each joint whose motion is so small that its sense is uncertain."""
     blocks, which = _views(problem, eye)
     if problem.T_base_eye_read is not None or np.bincount(which).max() < 2:
         return []

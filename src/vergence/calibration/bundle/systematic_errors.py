@@ -100,10 +100,10 @@ def _fields(pixels: Array, width: int, height: int) -> Array:
 
 
 def _likeliest(left: Array, seen: Array) -> float:
-    """Return the standard deviation of the coefficients, of greatest likelihood for the residuals.
+    """Return the coefficients' standard deviation of greatest likelihood for the residuals.
 
-    The residuals' projection y onto the fields has the covariance G + s^2 G^2, with G what is left
-    of the fields after the fit, in units of the noise.
+    Their projection y onto the fields has the covariance G + s^2 G^2, with G what is left of the
+    fields after the fit, in units of the noise.
     """
     values, vectors = np.linalg.eigh((left + left.T) / 2)
     kept = values > 1e-5 * values.max()

@@ -114,10 +114,7 @@ def image_levels(linear: LinearProblem, noise: NoiseLevels) -> Array:
 def _evaluate(
     linear: LinearProblem, noise: NoiseLevels, s: Array
 ) -> tuple[float, Array, Array, Array]:
-    """Return -2 log of the restricted likelihood, its gradient and Fisher information in s.
-
-    With s = log sigma^2; and the redundancy of each group.
-    """
+    """Return -2 log restricted likelihood, gradient and Fisher information in s, and redundancy."""
     noise = replace(noise, levels=np.exp(s / 2))
     factors = factorise(linear, noise)
     free, latent = step(factors)
@@ -158,8 +155,8 @@ def _absorbed(
 ) -> tuple[Array, Array]:
     """Return trace (groups,) and squared norms (groups, groups) of the readings' hat matrix.
 
-    The hat matrix is Q^1/2 E Q^1/2, E the posterior covariance of the joint errors: a block
-    diagonal plus what the shared unknowns add, Z Z^T.
+    It is Q^1/2 E Q^1/2, E the posterior covariance of the joint errors: a block diagonal plus what
+    the shared unknowns add, Z Z^T.
     """
     root = np.sqrt(inverse_variance)
     own = factors.ll_inverse * root[:, :, None] * root[:, None, :]

@@ -34,14 +34,10 @@ def motion_pairs(T_base_eye: Array, T_cam_target: Array) -> tuple[Array, Array]:
 def solve_rotation(a: Array, b: Array) -> Array:
     """Return R_X (3, 3) of Eq. 9, the least-squares solution of a = R_X b (Eq. 7).
 
-    Rotation vectors a (P, 3) are the eye's motions, b (P, 3) the camera's.
-
-    (M^T M)^(-1/2) M^T with M = sum b a^T is the orthogonal factor of M^T: with the singular
-    values M = U S V^T it is V U^T. When all rotations share one axis M has rank one and the
-    turn about that axis is free.
-
-    Raises:
-        VergenceError: all rotations share one axis, or there are none.
+    Rotation vectors a (P, 3) are the eye's motions, b (P, 3) the camera's. (M^T M)^(-1/2) M^T with
+    M = sum b a^T is the orthogonal factor of M^T: with the singular values M = U S V^T it is V U^T.
+    When all rotations share one axis M has rank one, the turn about that axis is free, and a
+    VergenceError is raised.
     """
     U, S, Vt = np.linalg.svd(b.T @ a)
     # Two axes suffice: M then has rank two, and the third direction follows from handedness.
@@ -82,10 +78,7 @@ def park_martin(T_base_eye: Array, T_cam_target: Array) -> Array:
 
 
 def robust_park_martin(T_base_eye: Array, T_cam_target: Array) -> Array:
-    """Return park_martin of the largest set of views that agree where the board stands.
-
-    Where all views agree nothing is drawn. Raises as park_martin does.
-    """
+    """Return park_martin of the largest set of views that agree where the board stands."""
     best = park_martin(T_base_eye, T_cam_target)
     agreeing = _agreeing(best, T_base_eye, T_cam_target)
     if agreeing.all():

@@ -139,10 +139,10 @@ def _fitted(
 
 
 def _focal_std(camera: Camera, free: int, poses: Array, corners: Array, points: Array) -> Array:
-    """Return the standard deviations (2,) of fx and fy [px], by the residuals at the optimum.
+    """Return the standard deviations (2,) of fx and fy [px], with the views' poses projected out.
 
-    The first `free` intrinsics, in the order of project_jacobians, were free; each view's own pose
-    (V, 4, 4) is projected out. Infinite where the views do not determine a focal length.
+    Free were the first `free` intrinsics in the order of project_jacobians; infinite: not
+    determined.
     """
     V, seen = len(poses), np.isfinite(corners)[..., None]
     turned = points @ np.swapaxes(poses[:, :3, :3], 1, 2)
