@@ -55,10 +55,7 @@ def _stds(result: CalibrationResult) -> dict[str, float]:
 def write_report(
     result: CalibrationResult, dataset: Dataset, folder: Path, *, progress: Progress = silent
 ) -> None:
-    """Write report.md, its pictures and the recording dataset.rrd into a folder.
-
-    The pictures and the recording show images of the dataset from which it was made.
-    """
+    """Write report.md, its pictures and the recording dataset.rrd into a folder."""
     progress("writing the report", 0, len(dataset))
     seen = result.observations
     angles = {eye: seen.eye_angles[:, columns] for eye, columns in EYE_COLUMNS.items()}

@@ -22,13 +22,11 @@ from vergence.twin.simulated_robot import calibrate_twin
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-MOST_TRIALS = 10_000
-
 
 def check_trials(trials: int) -> None:
     """Raise a VergenceError unless a number of trials can be made."""
-    if not 1 <= trials <= MOST_TRIALS:
-        raise VergenceError(f"Asked for {trials} trials; from 1 to {MOST_TRIALS} can be made.")
+    if not 1 <= trials <= 10_000:
+        raise VergenceError(f"Asked for {trials} trials; from 1 to 10000 can be made.")
 
 
 def p95(values: Sequence[float] | Array) -> float:

@@ -84,10 +84,7 @@ class Summary:
 
 
 def held_out(seed: int, run: int) -> Callable[[float], Array]:
-    """Return a random path of a hand-held object: (3,) [m] in frame head, by time [s].
-
-    The path depends on the seed of the head and on the number of the run.
-    """
+    """Return a random path of a held object by seed and run: (3,) [m] in frame head by time [s]."""
     rng = np.random.default_rng([seed, 9, run])
     far, near = (
         rng.uniform(*depth) * np.array([1.0, *np.tan(rng.uniform(-widest, widest, 2))])

@@ -159,10 +159,7 @@ def follow(
 
 
 def by_wide_images(calibration: HeadCalibration, frame: Frame) -> Array:
-    """Return the object (3,) [m] in the left eye's base frame, by stereo from the wide images.
-
-    NaN where one of the two images does not show it; the frame must have both.
-    """
+    """Return the object (3,) [m] in the left eye's base by both wide images; NaN: not in both."""
     left, right = (
         find_sphere(frame.images[name], calibration.camera(name).intrinsics)[None] for name in WIDE
     )

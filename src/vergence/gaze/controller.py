@@ -66,10 +66,7 @@ def run_gaze(
     *,
     watch: Callable[[GazeState, Frame | None], None] = lambda state, frame: None,
 ) -> GazeState:
-    """Run the control loop until a time of the head's clock, and return its last state.
-
-    `watch` is called with every state and the frame that led to it.
-    """
+    """Run the loop until a time of the head's clock; `watch` gets every state and its frame."""
     while head.now_s() < until_s:
         frame = head.read(state.cameras)
         state = step_gaze(settings, state, frame, head.now_s())

@@ -29,10 +29,7 @@ _CONVERGED = 1e-8  # of x/z and y/z: the next step of Newton's method squares it
 
 
 def wide_from_narrow(T_narrow_wide: Array, points_narrow: Array) -> Array:
-    """Eq. 13: map points (..., 3) [m] from the narrow camera's frame into the wide one's.
-
-    T_narrow_wide (4, 4) is the pose of the wide camera in the narrow one: R_fp and t_fp.
-    """
+    """Eq. 13: map points (..., 3) [m] from the narrow frame to the wide by R_fp, t_fp (4, 4)."""
     R_fp, t_fp = T_narrow_wide[:3, :3], T_narrow_wide[:3, 3]
     return (points_narrow - t_fp) @ R_fp  # rows: R_fp^T (y_f - t_fp)
 

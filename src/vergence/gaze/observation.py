@@ -76,10 +76,7 @@ def posture_at_image(state: GazeState, frame: Frame) -> Array:
 
 
 def best_camera(pixels: Mapping[str, Array], eye: Side) -> str | None:
-    """Return the camera of an eye that shows the object best; None where neither shows it.
-
-    The object's pixels (2,) are given by camera, NaN where it was not found.
-    """
+    """Return the camera of an eye that shows the object best, by pixels (2,); None: neither."""
     for name in (f"{eye}_narrow", f"{eye}_wide"):
         if np.isfinite(pixels.get(name, np.nan)).all():
             return name

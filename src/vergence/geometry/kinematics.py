@@ -83,10 +83,7 @@ def _joint_frames(chain: Chain, readings: Array) -> list[Array]:
 
 @dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
 class EyeAxes:
-    """How the two axes of one eye differ from perfect ones; the default is perfect.
-
-    True angle = gain * reading + offset.
-    """
+    """How the axes of one eye differ from perfect ones; true angle = gain * reading + offset."""
 
     pan_gain: float = 1.0
     tilt_gain: float = 1.0

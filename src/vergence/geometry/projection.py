@@ -43,10 +43,7 @@ def project_point(head: HeadCalibration, camera: str, joints: Array, points: Arr
 def project_at(
     mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array, points: Array
 ) -> Array:
-    """Return the pixels (..., K, 2) of points (..., K, 3) [m] in the left eye's base frame.
-
-    The camera's eye stands at poses T_base_eye (..., 4, 4).
-    """
+    """Return pixels (..., K, 2) of points (..., K, 3) [m] in the left eye's base, by eye poses."""
     return project(mounted.intrinsics, _through(mounted, T_rbase_lbase, T_base_eye, points)[-1])
 
 
@@ -68,10 +65,7 @@ def _through(
 
 @dataclass(frozen=True, eq=False)
 class ProjectionJacobians:
-    """Pixels of K points in M postures, and their derivatives.
-
-    Poses change by the increment of `se3.boxplus`.
-    """
+    """Pixels of K points in M postures, and derivatives; poses change as in `se3.boxplus`."""
 
     pixels: Array
     """(M, K, 2); NaN for points that are not in front of the camera."""

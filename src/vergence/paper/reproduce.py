@@ -80,7 +80,7 @@ def reproduce(
 def _check(
     out: Path, figures: Sequence[int], duration_s: float | None, rate_hz: float | None
 ) -> list[Figure]:
-    """Check the arguments of `reproduce` before any work is done, and return the figures."""
+    """Check the arguments before any work is done, and return the figures."""
     unknown = [number for number in figures if number not in FIGURES]
     if unknown or not figures:
         asked = f"figure {unknown[0]}" if unknown else "no figure"

@@ -15,10 +15,7 @@ from vergence.arrays import Array
 def depth_error(
     depth_m: ArrayLike, baseline_m: ArrayLike, focal_px: ArrayLike, disparity_error_px: ArrayLike
 ) -> Array:
-    """Eq. 20: return the error in depth (...,) [m] that an error in disparity makes.
-
-    Depth and baseline are those of the cameras' centres.
-    """
+    """Eq. 20: return the depth error (...,) [m], from the camera centres, by one of disparity."""
     depth, baseline, focal = (np.asarray(a, float) for a in (depth_m, baseline_m, focal_px))
     return depth**2 / (baseline * focal) * np.asarray(disparity_error_px, float)
 

@@ -24,10 +24,7 @@ def play(angles: Array, width: float, start: Array | None = None) -> Array:
 
 
 def read(sensed: Array, joints: Joints, rng: np.random.Generator) -> Array:
-    """Return readings (N, J) [rad] of angles (N, J) [rad] on the sensor's side of the play.
-
-    The J = 4 columns are in the order of EYE_JOINTS.
-    """
+    """Return readings (N, 4) [rad], as EYE_JOINTS, of angles (N, 4) [rad] on the sensor's side."""
     noise = rng.normal(0.0, np.radians(joints.noise_deg), sensed.shape)
     gain = 1 + np.array(joints.gain_percent) / 100
     reading = gain * sensed + np.radians(joints.offset_deg) + noise

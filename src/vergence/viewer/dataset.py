@@ -60,7 +60,8 @@ def record_dataset(
     be written, or an image cannot be read.
     """
     head, estimate = result.head, result.estimate
-    magnified = _magnification(estimate)
+    typical = 1.0 if estimate is None else max(estimate.pixel_std_px, 1e-6)
+    magnified = int(10 ** max(0, round(np.log10(RESIDUAL_LENGTH_PX / typical))))
     layout = _blueprint(head, magnified if estimate else None)
     eyes = _eye_poses(result)
     entities = camera_entities(head)
@@ -86,12 +87,6 @@ def record_dataset(
             progress("writing the report", row + 1, len(dataset))
         _log_series(rec, dataset, estimate, time_s)
         log_report(rec, report)
-
-
-def _magnification(estimate: BundleEstimate | None) -> int:
-    """Return the power of ten at which residuals are drawn."""
-    typical = 1.0 if estimate is None else max(estimate.pixel_std_px, 1e-6)
-    return int(10 ** max(0, round(np.log10(RESIDUAL_LENGTH_PX / typical))))
 
 
 def _eye_poses(result: CalibrationResult) -> Array:

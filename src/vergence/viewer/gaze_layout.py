@@ -21,10 +21,7 @@ ERROR_PX = 50.0
 def gaze_blueprint(
     title: str, head: HeadCalibration, *, reach_m: float, speed: float, hand: bool
 ) -> rrb.Blueprint:
-    """Return the layout with which the viewer opens a recording of gaze control.
-
-    The 3-D view shows objects up to `reach_m` away; `speed` is in recorded seconds per second.
-    """
+    """Return the layout of a recording of gaze control with objects up to `reach_m` away."""
     plot = partial(curves_view, legend=False)
     errors = plot("error [mm]: blue fused, grey one frame", "error")
     return playing(

@@ -73,10 +73,7 @@ def residuals(
 
 
 def views(path: Path, shown: Mapping[str, tuple[np.ndarray, Array, Array]]) -> None:
-    """Draw images with the detected corners, and the residuals as arrows, magnified 100 times.
-
-    Each title has its image (H, W, 3), corners (K, 2) [px] and errors (K, 2) [px].
-    """
+    """Draw images with corners (K, 2), and residuals (K, 2) [px] as arrows, magnified 100 times."""
     canvas, grid = panels(len(shown), "The worst views; arrows: residuals x 100")
     for axes, (title, (image, corners, errors)) in zip(grid, shown.items(), strict=True):
         axes.imshow(image)
@@ -89,6 +86,6 @@ def views(path: Path, shown: Mapping[str, tuple[np.ndarray, Array, Array]]) -> N
 
 
 def _arrows(axes: Axes, points: Array, arrows: Array, *, width: float, color: str) -> None:
-    """Draw arrows (N, 2) that begin at points (N, 2), both in pixels of the image."""
+    """Draw arrows (N, 2) [px] that begin at points (N, 2) [px]."""
     to_scale = {"angles": "xy", "scale_units": "xy", "scale": 1}
     axes.quiver(*points.T, *arrows.T, width=width, color=color, **to_scale)
