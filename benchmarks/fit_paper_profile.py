@@ -19,13 +19,14 @@ import numpy as np
 import tyro
 from scipy.optimize import least_squares
 
+from simulated_twin import observe_points, simulate_views
 from vergence.arrays import Array
 from vergence.calibration.sequential.sequential import calibrate_sequentially
 from vergence.geometry.head import HeadCalibration
 from vergence.paper.figures import FIGURES, default_duration_s
-from vergence.paper.replay import SAMPLES, estimate, observe_points, sample_times
+from vergence.paper.replay import SAMPLES, estimate, sample_times
 from vergence.twin.calibration_errors import inject_calibration_error
-from vergence.twin.calibration_sequence import Shot, plan, simulate_views
+from vergence.twin.calibration_sequence import Shot, plan
 from vergence.twin.model import FOCAL_MM, as_built_head, nominal_head
 from vergence.twin.profile import ByHand, ErrorProfile, Joints, load_profile
 

@@ -19,7 +19,7 @@ import tyro
 from vergence.arrays import Array
 from vergence.paper.figures import FIGURES, default_duration_s, eye_angles
 from vergence.paper.replay import SAMPLES, WIDE, sample_times
-from vergence.paper.reproduce import image_interval, record_replay
+from vergence.paper.reproduce import SAMPLES_WITH_IMAGES, record_replay
 from vergence.twin.head import Twin
 from vergence.twin.model import CAMERAS, JOINTS
 from vergence.twin.profile import load_profile
@@ -37,7 +37,7 @@ def bare_seconds(twin: Twin, times_s: Array) -> float:
     sizes = overscan_sizes(twin.truth)
     eyes = [model.joint(name).qposadr[0] for name in JOINTS[-4:]]
     angles = eye_angles(FIGURE.motion, times_s)
-    every = image_interval(times_s)
+    every = max(1, len(times_s) // SAMPLES_WITH_IMAGES)
     renderers = {s: mujoco.Renderer(model, height=s[1], width=s[0]) for s in set(sizes.values())}
     start = time.perf_counter()
     for index, posture in enumerate(angles):

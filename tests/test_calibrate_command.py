@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recording_reader import read_series
 from recordings import description, write_dataset
 from simulated_head import plain_head
 from simulated_recording import BOARD, as_poses
@@ -21,7 +22,6 @@ from vergence.data.dataset import Dataset, pose_columns
 from vergence.data.reader import load_dataset
 from vergence.geometry.head import load_head, main_pair, save_head
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Side
-from vergence.viewer.reading import read_series
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:

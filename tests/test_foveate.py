@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recording_reader import read_series
 from vergence.demos import experiment
 from vergence.demos.foveate import Trial, foveate, run_trial, summary, targets
 from vergence.errors import VergenceError
@@ -17,7 +18,6 @@ from vergence.geometry.se3 import inverse, transform
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile, load_profile
 from vergence.twin.simulated_robot import unoccluded
-from vergence.viewer.reading import read_series
 
 SCENARIO = Path(__file__).parents[1] / "scenarios" / "gaze_demos.py"
 

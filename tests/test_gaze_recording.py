@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
+from recording_reader import read_series
 from vergence.data.dataset import Frame
 from vergence.demos.recording import recorded
 from vergence.gaze.controller import run_gaze
@@ -18,7 +19,6 @@ from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors
 from vergence.viewer.gaze import aims, moment
-from vergence.viewer.reading import read_series
 
 TARGET = np.array([0.6, 0.05, -0.1])
 HIDDEN_S = 0.2
@@ -138,7 +138,9 @@ def test_aims_are_the_centres_of_the_narrow_images_and_the_ideal_places_in_the_w
     np.testing.assert_array_equal(
         found["left_narrow"], head.camera("left_narrow").intrinsics.matrix[:2, 2]
     )
-    seen = moment(made.settings, state, frame, 0.0)
+    nowhere = np.full(3, np.nan)
+    observed = {"truth": nowhere, "errors_px": np.zeros(2), "hand": None}
+    seen = moment(made.settings, state, frame, 0.0, lanes={}, **observed)
     depth = np.linalg.norm(seen.axes[0, 1] - seen.axes[0, 0])  # on the axis by now
     np.testing.assert_allclose(found["left_wide"], ideal_wide_pixel(head, "left", depth), atol=0.05)
     unknown = aims(made.settings, initial_gaze_state(made.settings, np.zeros(7), 0.0), frame)

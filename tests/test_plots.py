@@ -6,11 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
+from simulated_twin import observe_points
 from vergence.errors import VergenceError
 from vergence.paper import plots
 from vergence.paper.figures import FIGURES, default_duration_s
 from vergence.paper.plots import draw, paper_figures
-from vergence.paper.replay import Replay, estimate, observe_points
+from vergence.paper.replay import Replay, estimate
 from vergence.stereo.depth_error import depth_error
 from vergence.twin.model import nominal_head
 from vergence.twin.profile import ErrorProfile, Joints

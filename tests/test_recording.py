@@ -12,6 +12,7 @@ import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 
+from recording_reader import read_series
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
@@ -24,7 +25,6 @@ from vergence.twin.appearance import VisualGeom, visual_geoms
 from vergence.twin.model import load_spec, model_folder, nominal_head
 from vergence.viewer.frame import log_frame
 from vergence.viewer.opening import log_report
-from vergence.viewer.reading import read_series
 from vergence.viewer.shapes import lines_of_sight
 
 FIGURE = FIGURES[6]

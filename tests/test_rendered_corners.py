@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from simulated_twin import simulate_views
 from vergence.calibration.observations import Observations
 from vergence.calibration.sequential.intrinsics import calibrate_camera
 from vergence.geometry.board import corner_points
 from vergence.geometry.head import HeadCalibration
-from vergence.twin.calibration_sequence import BOARD, capture_views, plan, simulate_views
+from vergence.twin.calibration_sequence import BOARD, capture_views, plan
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile, Mounting, Optics
 

@@ -8,17 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recording_reader import read_series
+from simulated_twin import observe_points, simulate_views
 from vergence.calibration.sequential.sequential import calibrate_sequentially
 from vergence.paper import reproduce as main_job
 from vergence.paper.figures import FIGURES, default_duration_s
-from vergence.paper.replay import describe, estimate, observe_points, sample_times
-from vergence.paper.report import report
+from vergence.paper.replay import describe, estimate, sample_times
+from vergence.paper.report import Reproduction, report
 from vergence.paper.reproduce import reproduce
 from vergence.twin.calibration_errors import inject_calibration_error
-from vergence.twin.calibration_sequence import plan, simulate_views
+from vergence.twin.calibration_sequence import plan
 from vergence.twin.model import FOCAL_MM, as_built_head, nominal_head
 from vergence.twin.profile import load_profile
-from vergence.viewer.reading import read_series
 
 PAPER_STD = np.array([figure.std_m for figure in FIGURES.values()])
 
@@ -152,7 +153,7 @@ def test_the_report_of_two_lenses_has_one_whole_table_of_calibrations():
         seen = observe_points(head, profile, figure, np.arange(10.0), pixel_noise=0.03, rng=rng)
         replays[number] = estimate(found.head, figure, seen)
     heads = {lens: found.head for lens, found in calibrations.items()}
-    text = report(replays, calibrations, heads, profile, 0)
+    text = report(Reproduction(profile, 0, calibrations, heads, replays))
     table = markdown_tables(text)["Calibrations"]
     assert [row[0] for row in table[1:]] == [lens for lens in FOCAL_MM for _ in range(4)]
     for lens, found in calibrations.items():

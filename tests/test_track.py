@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recording_reader import read_series
 from vergence.arrays import Array
 from vergence.demos import experiment
 from vergence.demos import track as module
@@ -19,7 +20,6 @@ from vergence.gaze.state import GazeSettings, initial_gaze_state
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile, load_profile
 from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors
-from vergence.viewer.reading import read_series
 
 LENSES = ("wide", "narrow")
 SCENARIO = Path(__file__).parents[1] / "scenarios" / "gaze_demos.py"

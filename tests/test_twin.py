@@ -176,16 +176,16 @@ def test_readings_are_as_old_as_the_delay_says(make: Make):
     before = twin.true_angles()[EYES]
     twin.advance(0.526, sweep)
     exposure = twin.expose(NOTHING_SEEN)
-    np.testing.assert_allclose(exposure.eye_angles, before, atol=1e-12)
-    assert np.abs(exposure.eye_angles - twin.true_angles()[EYES]).max() > 0.01
+    np.testing.assert_allclose(exposure.frame.eye_angles, before, atol=1e-12)
+    assert np.abs(exposure.frame.eye_angles - twin.true_angles()[EYES]).max() > 0.01
 
 
 def test_with_a_negative_delay_the_image_is_the_older_one(make: Make):
     twin = make(ErrorProfile(joints=Joints(delay_ms=-26)), seed=0)
     twin.advance(0.5, sweep)
-    before = twin.expose(NOTHING_SEEN).eye_angles
+    before = twin.expose(NOTHING_SEEN).frame.eye_angles
     twin.advance(0.526, sweep)
-    after = twin.expose(NOTHING_SEEN).eye_angles
+    after = twin.expose(NOTHING_SEEN).frame.eye_angles
     assert np.abs(after - before).max() > 0.01
     np.testing.assert_allclose(twin.true_angles()[EYES], before, atol=1e-12)
     # And that is where the eye stands in the picture.
@@ -201,7 +201,7 @@ def test_backlash_shows_when_a_posture_is_reached_from_both_sides(make: Make):
         twin.settle(np.array([0, 0, 0, start, start, start, start]))
         twin.settle(np.zeros(7))
         exposure = twin.expose(NOTHING_SEEN)
-        errors.append(np.degrees(exposure.eye_angles - twin.true_angles()[EYES]))
+        errors.append(np.degrees(exposure.frame.eye_angles - twin.true_angles()[EYES]))
     # A servo that overshoots by a little takes that much of the play back.
     np.testing.assert_allclose(errors[0] - errors[1], 0.5, atol=0.05)
 
@@ -211,7 +211,7 @@ def test_readings_of_a_coarse_encoder_come_in_steps(make: Make):
     step = 2 * np.pi / 1000
     for time_s in (0.1, 0.2, 0.3):
         twin.advance(time_s, sweep)
-        angles = twin.expose(NOTHING_SEEN).eye_angles
+        angles = twin.expose(NOTHING_SEEN).frame.eye_angles
         np.testing.assert_allclose(angles / step, np.round(angles / step), atol=1e-9)
         assert np.abs(angles - twin.true_angles()[EYES]).max() <= step / 2 + 1e-12
 

@@ -96,11 +96,10 @@ def record(
     from vergence.commands.record import record as run
     from vergence.twin.profile import load_profile
 
-    chosen = load_profile(profile)
     with _progress() as progress:
         images = run(
             out,
-            profile=chosen,
+            profile=load_profile(profile),
             seed=seed,
             frames=frames,
             lens=lens,
@@ -151,11 +150,7 @@ def calibrate(
 
 
 def evaluate(
-    calibration: Annotated[Path, tyro.conf.Positional],
-    /,
-    *,
-    truth: Path,
-    json: Path | None = None,
+    calibration: Annotated[Path, tyro.conf.Positional], /, *, truth: Path, json: Path | None = None
 ) -> None:
     """Compare a calibration with the ground truth of a dataset from the twin.
 
@@ -278,9 +273,9 @@ def _experiment(name: str, run: Callable[..., DataclassInstance], options: Exper
     """Run an experiment, print and write its summary, and say how to view its recording."""
     from vergence.twin.profile import load_profile
 
-    chosen = load_profile(options.profile)
+    profile = load_profile(options.profile)
     with _progress() as progress:
-        found = run(seed=options.seed, profile=chosen, out=options.out, progress=progress)
+        found = run(seed=options.seed, profile=profile, out=options.out, progress=progress)
     text = dumps(asdict(found), indent=1)
     if options.json is not None:
         write_whole(options.json, text + "\n")
@@ -294,15 +289,19 @@ def _experiment(name: str, run: Callable[..., DataclassInstance], options: Exper
 def _progress() -> Iterator[Progress]:
     """Show each task as a bar on standard error."""
     columns = TextColumn("{task.description:<28}"), BarColumn(), MofNCompleteColumn()
-    with Bars(*columns, TimeElapsedColumn(), console=Console(stderr=True)) as bars:
-        tasks = {}
+    bars, tasks = Bars(*columns, TimeElapsedColumn(), console=Console(stderr=True)), {}
 
-        def show(task: str, done: int, total: int) -> None:
-            if task not in tasks:
-                tasks[task] = bars.add_task(task, total=total)
-            bars.update(tasks[task], completed=done, total=total)
+    def show(task: str, done: int, total: int) -> None:
+        bars.start()  # not earlier: refused arguments have no bar
+        if task not in tasks:
+            tasks[task] = bars.add_task(task, total=total)
+        bars.update(tasks[task], completed=done, total=total)
 
+    try:
         yield show
+    finally:
+        if tasks:
+            bars.stop()
 
 
 COMMANDS: dict[str, Callable[..., None]] = {

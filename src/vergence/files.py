@@ -22,10 +22,7 @@ def whole_file(path: Path) -> Iterator[Path]:
     """Give a `with` block a temporary file, which gets its final name when the block ends well.
 
     An earlier file of that name is replaced; a block that raises leaves it as it was, and no other
-    file behind. Parent folders are created.
-
-    Raises:
-        VergenceError: the file cannot be written.
+    file behind. Parent folders are created. VergenceError if the file cannot be written.
     """
     part: Path | None = None
     try:
@@ -46,34 +43,20 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a UTF-8 text file complete or not at all.
-
-    Raises:
-        VergenceError: the file cannot be written.
-    """
+    """Write a UTF-8 text file as `whole_file` does."""
     with whole_file(path) as part:
         part.write_text(text, encoding="utf-8", newline="\n")
 
 
 def write_json(value: Any, path: Path) -> None:
-    """Write a dataclass as JSON, complete or not at all.
-
-    Raises:
-        VergenceError: the file cannot be written.
-    """
+    """Write a dataclass as JSON as `whole_file` does."""
     write_whole(path, TypeAdapter(type(value)).dump_json(value, indent=1).decode() + "\n")
 
 
 def read_json(path: Path, kind: type[T], what: str) -> T:
     """Read a dataclass from JSON.
 
-    Args:
-        path: of the file.
-        kind: the dataclass.
-        what: the file should be, for the error: `a head calibration`.
-
-    Raises:
-        VergenceError: the file is missing, not JSON, or a field of it is not valid.
+    VergenceError if it cannot be read, or is not `what` it should be, such as `a head calibration`.
     """
     try:
         return TypeAdapter(kind).validate_json(path.read_bytes())

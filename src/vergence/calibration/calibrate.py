@@ -15,10 +15,7 @@ from vergence.calibration.checks.cross_validation import held_out
 from vergence.calibration.detection import detect_target
 from vergence.calibration.observations import Observations, camera_eyes
 from vergence.calibration.sequential.intrinsics import LensModel, calibrate_intrinsics
-from vergence.calibration.sequential.sequential import (
-    SequentialCalibration,
-    calibrate_sequentially,
-)
+from vergence.calibration.sequential.sequential import SequentialCalibration, calibrate_sequentially
 from vergence.calibration.summary import summary_lines
 from vergence.data.dataset import Dataset
 from vergence.errors import VergenceError

@@ -123,11 +123,7 @@ class Observations:
 
 
 def camera_eyes(observations: Observations) -> dict[str, Side]:
-    """Return by camera which eye it sits in.
-
-    Raises:
-        VergenceError: neither `eyes` nor a camera's name says it.
-    """
+    """Return by camera its eye; VergenceError if neither `eyes` nor the camera's name says it."""
     found: dict[str, Side] = {}
     for name in observations.corners:
         begins: Side | None = next((eye for eye in EYES if name.startswith(eye)), None)

@@ -16,6 +16,7 @@ from vergence.geometry.parameters import parameter_values
 from vergence.progress import Progress, silent
 from vergence.viewer import plots_calibration as plots
 from vergence.viewer.dataset import record_dataset, rms_by_view
+from vergence.viewer.opening import markdown_table
 
 FAILURES_NAMED = 20
 WORST_SHOWN, WORST_LISTED = 4, 10
@@ -52,16 +53,9 @@ def _stds(result: CalibrationResult) -> dict[str, float]:
 
 
 def write_report(
-    result: CalibrationResult,
-    dataset: Dataset,
-    folder: Path,
-    *,
-    progress: Progress = silent,
+    result: CalibrationResult, dataset: Dataset, folder: Path, *, progress: Progress = silent
 ) -> None:
-    """Write report.md, its pictures and the recording dataset.rrd into a folder.
-
-    The pictures and the recording show images of the dataset from which it was made.
-    """
+    """Write report.md, its pictures and the recording dataset.rrd into a folder."""
     progress("writing the report", 0, len(dataset))
     seen = result.observations
     angles = {eye: seen.eye_angles[:, columns] for eye, columns in EYE_COLUMNS.items()}
@@ -104,12 +98,11 @@ def as_markdown(result: CalibrationResult, dataset: Dataset) -> str:
     images += ["![coverage](coverage.png)", ""]
     if result.estimate is not None:
         images += ["![residuals](residuals.png)", "", "![worst views](worst_views.png)", ""]
-        images += ["| worst views | camera | residual [px] |", "|---|---|---|"]
-        images += [
-            f"| line {dataset.lines[row]} | {name} | {size:.3f} |"
+        rows = [
+            (f"line {dataset.lines[row]}", name, f"{size:.3f}")
             for size, name, row in worst(result)[:WORST_LISTED]
         ]
-        images.append("")
+        images += [markdown_table("worst views | camera | residual [px]", rows), ""]
     failures = result.observations.failures
     if failures:
         images += [f"{len(failures)} images gave no corners:", ""]
@@ -128,17 +121,15 @@ def as_markdown(result: CalibrationResult, dataset: Dataset) -> str:
 
 
 def _points(result: CalibrationResult) -> list[str]:
-    table = point_accuracy(result.head)
-    if not table:
+    rows = [(f"{d:g}", f"{a:.2f}", f"{b:.2f}") for d, a, b in point_accuracy(result.head)]
+    if not rows:
         return ["Not stated: see `vergence calibrate --method bundle`."]
     lines = [
         "Standard deviation of a point ahead, located with the wide cameras, while the gaze goes",
         "round by 0.2 rad: what the calibration adds, the same for every reading at these angles,",
         "and what the noise of one reading and its pixels adds.",
         "",
-        "| distance [m] | calibration [mm] | reading [mm] |",
-        "|---|---|---|",
-        *(f"| {d:g} | {a:.2f} | {b:.2f} |" for d, a, b in table),
+        markdown_table("distance [m] | calibration [mm] | reading [mm]", rows),
     ]
     checked = result.accuracy.held_out
     if checked is not None and checked.jackknife_ratio is not None:
@@ -150,14 +141,17 @@ def _points(result: CalibrationResult) -> list[str]:
 
 def _parameters(result: CalibrationResult) -> list[str]:
     stds = _stds(result)
-    lines = [
+    rows = [
+        (
+            name,
+            "" if value is None else f"{value:.6g}",
+            f"{stds[name]:.2g}" if name in stds else "fixed",
+        )
+        for name, value in parameter_values(result.head).items()
+    ]
+    return [
         "Poses are given by their standard deviations alone; see the calibration file. Angles in",
         "radians, lengths in metres, focal lengths and centres in pixels, time in seconds.",
         "",
-        "| parameter | value | std |",
-        "|---|---|---|",
+        markdown_table("parameter | value | std", rows),
     ]
-    for name, value in parameter_values(result.head).items():
-        std = f"{stds[name]:.2g}" if name in stds else "fixed"
-        lines.append(f"| {name} | {'' if value is None else f'{value:.6g}'} | {std} |")
-    return lines

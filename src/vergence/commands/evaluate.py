@@ -75,10 +75,7 @@ def evaluate(head: HeadCalibration, truth: Truth) -> Evaluation:
     """Compare a calibration with the truth.
 
     Images cannot distinguish offsets of the joints from rotations of the mountings, so both heads
-    are compared with the offsets expressed as rotations.
-
-    Raises:
-        VergenceError: the truth lacks a camera of the calibration.
+    are compared with the offsets expressed as rotations. VergenceError if the truth lacks a camera.
     """
     missing = [name for name in head.cameras if name not in truth.head.cameras]
     if missing:

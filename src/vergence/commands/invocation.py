@@ -14,10 +14,6 @@ def invocation(program: str, *arguments: str | Path) -> str:
 
     A program of this Python environment gets the environment's folder in front of its name, unless
     the shell would find the same program without it: `.venv/bin/rerun runs/paper/fig06.rrd`.
-
-    Args:
-        program: `vergence`, `rerun`, or another script of this environment.
-        arguments: are quoted where the shell needs it.
     """
     own = shutil.which(program, path=sysconfig.get_path("scripts"))
     found = shutil.which(program)

@@ -65,9 +65,5 @@ def with_sensors(head: HeadCalibration, joints: Joints) -> HeadCalibration:
 
 
 def load(path: Path) -> Truth:
-    """Read a truth.json.
-
-    Raises:
-        VergenceError: the file is missing, not JSON, or a field of it is not valid.
-    """
+    """Read a truth.json; errors are those of `read_json`."""
     return read_json(path, Truth, TRUTH)

@@ -204,8 +204,7 @@ class Dataset:
     def image(self, camera: str, row: int) -> np.ndarray | None:
         """Return an image (H, W, 3) uint8, RGB; None where the camera has none in this row.
 
-        Raises:
-            VergenceError: the file cannot be read, or its size differs from dataset.json.
+        VergenceError if the file cannot be read, or its size differs from dataset.json.
         """
         name = self.files[camera][row]
         if name is None:
@@ -227,11 +226,7 @@ class Dataset:
             )
 
     def frame(self, row: int) -> Frame:
-        """Return a row with all its images, as a head's driver would give it.
-
-        Raises:
-            VergenceError: an image cannot be read, or its size differs from dataset.json.
-        """
+        """Return a row with all its images, as a head's driver would; errors: see `image`."""
         images = {name: self.image(name, row) for name in self.files}
         return Frame(
             time_s=float(self.time_s[row]),
@@ -265,9 +260,7 @@ def runs(dataset: Dataset) -> np.ndarray:
     """Return (N,) of int: the number of the motion that each row belongs to, 0 for eyes at rest.
 
     Motions are counted from 1; one ends where the eyes rest or rows are more than MAX_GAP_S apart.
-
-    Raises:
-        VergenceError: a motion has fewer than three rows, too few to estimate its velocity.
+    VergenceError if one has fewer than three rows, too few to estimate its velocity.
     """
     late = np.diff(dataset.joint_time_s, prepend=-np.inf) > MAX_GAP_S
     before = np.concatenate([[False], dataset.moving[:-1]])

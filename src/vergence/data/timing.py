@@ -32,7 +32,7 @@ class Timing:
     """(V,) of int: views of one motion share a number from 1; 0 where the eyes stood still."""
 
     def take(self, rows: np.ndarray) -> Timing:
-        """Return some of the views, by index or by truth."""
+        """Return some of the views, by index or by a mask."""
         return Timing(self.time_s[rows], self.run[rows])
 
 

@@ -109,10 +109,7 @@ def bin_by_range(runs: Sequence[Sequence[DepthSample]]) -> tuple[RangeBin, ...]:
         steps = [b.depth_error_m - a.depth_error_m for a, b in pairs if low <= a.distance_m < high]
         if len(steps) < _FEWEST:
             continue
-        z, b, f = (
-            np.array([getattr(sample, name) for sample in here])
-            for name in ("distance_m", "baseline_m", "focal_px")
-        )
+        z, b, f = np.array([(s.distance_m, s.baseline_m, s.focal_px) for s in here]).T
         by_eq20 = depth_error(z, b, f, np.hypot(pixel_std, disparity_error(f, vergence_std)))
         found.append(
             RangeBin(

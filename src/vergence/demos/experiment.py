@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.files import write_whole
 from vergence.gaze.state import GazeSettings
@@ -19,33 +22,26 @@ from vergence.twin.simulated_robot import calibrate_twin
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-MOST_TRIALS = 10_000
-
 
 def check_trials(trials: int) -> None:
     """Raise a VergenceError unless a number of trials can be made."""
-    if not 1 <= trials <= MOST_TRIALS:
-        raise VergenceError(f"Asked for {trials} trials; from 1 to {MOST_TRIALS} can be made.")
+    if not 1 <= trials <= 10_000:
+        raise VergenceError(f"Asked for {trials} trials; from 1 to 10000 can be made.")
+
+
+def p95(values: Sequence[float] | Array) -> float:
+    """Return the 95 % quantile of values, one of them."""
+    return float(np.quantile(values, 0.95, method="higher"))
 
 
 @contextmanager
 def calibrated_twin(profile: ErrorProfile, seed: int) -> Iterator[tuple[Twin, GazeSettings]]:
-    """Give a `with` block a calibrated twin, and the settings of its gaze controller.
-
-    Raises:
-        VergenceError: the seed is negative.
-    """
-    if seed < 0:
-        raise VergenceError(f"The seed must be a whole number from 0, found {seed}.")
+    """Give a `with` block a calibrated twin, and the settings of its gaze controller."""
     with Twin(profile, seed=seed) as twin:
         yield twin, calibrate_twin(twin, seed)
 
 
 def write_summary(out: Path | None, name: str, summary: DataclassInstance) -> None:
-    """Write a demo's summary to `name`.json in a folder; None: nothing is written.
-
-    Raises:
-        VergenceError: the file cannot be written.
-    """
+    """Write a demo's summary to `name`.json in a folder; None: nothing is written."""
     if out is not None:
         write_whole(out / f"{name}.json", json.dumps(asdict(summary), indent=1) + "\n")

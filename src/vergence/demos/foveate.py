@@ -16,7 +16,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.demos.experiment import calibrated_twin, check_trials, write_summary
+from vergence.demos.experiment import calibrated_twin, check_trials, p95, write_summary
 from vergence.demos.recording import recorded
 from vergence.gaze.commands import HEAD_JOINTS
 from vergence.gaze.controller import run_gaze
@@ -25,6 +25,7 @@ from vergence.progress import Progress, silent
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors, unoccluded
+from vergence.viewer.opening import markdown_table
 from vergence.viewer.plots_depth import depth
 
 WITHIN_S = 0.5
@@ -140,13 +141,12 @@ def run_trial(
 
 def summary(trials: list[Trial]) -> Summary:
     """Return the statistics of trials."""
-    final = np.array([trial.final_px for trial in trials])
-    settled = np.array([trial.settle_s for trial in trials])
-    slow = float(np.quantile(settled, 0.95, method="higher"))
+    final = [trial.final_px for trial in trials]
+    slow = p95([trial.settle_s for trial in trials])
     return Summary(
         trials=len(trials),
         median_px=float(np.median(final)),
-        p95_px=float(np.quantile(final, 0.95, method="higher")),
+        p95_px=p95(final),
         settle_s_p95=slow if np.isfinite(slow) else None,
         lost=sum(trial.lost for trial in trials),
     )
@@ -162,16 +162,9 @@ def foveate(
 ) -> tuple[Summary, list[Trial]]:
     """Calibrate the twin and run a trial for each of a number of objects.
 
-    Args:
-        trials: number of objects.
-        seed: of everything random.
-        profile: imperfections of the head.
-        out: folder for foveate.json, the recording foveate.rrd of the first RECORDED trials, and
-            depth.png; None: nothing is written.
-        progress: is called after each trial.
-
-    Raises:
-        VergenceError: an argument is out of range, or the folder cannot be written.
+    The folder gets foveate.json, the recording foveate.rrd of the first RECORDED trials, and
+    depth.png; None: nothing is written. VergenceError if an argument is out of range, or the folder
+    cannot be written.
     """
     check_trials(trials)
     made: list[Trial] = []
@@ -202,15 +195,18 @@ def foveate(
 
 def as_markdown(trials: list[Trial]) -> list[str]:
     """Return the lines of a report on trials."""
+    columns = (
+        "object | distance [m] | initial error [px] | final error [px] | within 8 px after [s]"
+    )
     rows = [
-        f"| {number} | {np.linalg.norm(trial.target_head):.2f} | {trial.errors_px[0].max():.0f} "
-        f"| {trial.final_px:.2f} | {trial.settle_s:.2f} |"
+        (
+            number,
+            f"{np.linalg.norm(trial.target_head):.2f}",
+            f"{trial.errors_px[0].max():.0f}",
+            f"{trial.final_px:.2f}",
+            f"{trial.settle_s:.2f}",
+        )
         for number, trial in enumerate(trials, start=1)
     ]
-    return [
-        f"The first {len(trials)} objects, each for {WITHIN_S} s.",
-        "",
-        "| object | distance [m] | initial error [px] | final error [px] | within 8 px after [s] |",
-        "|---|---|---|---|---|",
-        *rows,
-    ]
+    about = f"The first {len(trials)} objects, each for {WITHIN_S} s."
+    return [about, "", markdown_table(columns, rows)]

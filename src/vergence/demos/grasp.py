@@ -16,7 +16,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.demos.depth_error_by_range import DepthSample, RangeBin, bin_by_range, depth_sample
-from vergence.demos.experiment import calibrated_twin, check_trials, write_summary
+from vergence.demos.experiment import calibrated_twin, check_trials, p95, write_summary
 from vergence.demos.recording import recorded
 from vergence.gaze.commands import HEAD_JOINTS
 from vergence.progress import Progress, silent
@@ -26,6 +26,7 @@ from vergence.twin.hand import SimulatedHand, arm_mounting_error
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.simulated_robot import SimulatedHead
+from vergence.viewer.opening import markdown_table
 
 WITHIN_M = 0.010
 """Distance from the object's centre within which the hand should close."""
@@ -83,10 +84,7 @@ class Summary:
 
 
 def held_out(seed: int, run: int) -> Callable[[float], Array]:
-    """Return a random path of a hand-held object: (3,) [m] in frame head, by time [s].
-
-    The path depends on the seed of the head and on the number of the run.
-    """
+    """Return a random path of a held object by seed and run: (3,) [m] in frame head by time [s]."""
     rng = np.random.default_rng([seed, 9, run])
     far, near = (
         rng.uniform(*depth) * np.array([1.0, *np.tan(rng.uniform(-widest, widest, 2))])
@@ -144,17 +142,16 @@ def summary(trials: list[Trial]) -> Summary:
     miss = np.array([trial.miss_m for trial in trials])
     closed = np.sort(miss[np.isfinite(miss)]) * 1e3
     unaided = [trial.unaided_m for trial in trials if np.isfinite(trial.unaided_m)]
-    seconds = [trial.seconds for trial in trials]
     some = len(closed) > 0
     return Summary(
         trials=len(trials),
         held=len(closed),
         within=float(np.mean(miss <= WITHIN_M)),
         median_mm=float(np.median(closed)) if some else None,
-        p95_mm=float(np.quantile(closed, 0.95, method="higher")) if some else None,
+        p95_mm=p95(closed) if some else None,
         worst_mm=float(closed[-1]) if some else None,
         unaided_median_mm=float(np.median(unaided)) * 1e3 if unaided else None,
-        seconds_p95=float(np.quantile(seconds, 0.95, method="higher")),
+        seconds_p95=p95([trial.seconds for trial in trials]),
         by_distance=bin_by_range([trial.samples for trial in trials]),
     )
 
@@ -167,18 +164,10 @@ def grasp(
     out: Path | None = None,
     progress: Progress = silent,
 ) -> tuple[Summary, list[Trial]]:
-    """Calibrate the twin, and hold out objects to it.
+    """Calibrate the twin, and hold out objects to it, each on its own path.
 
-    Args:
-        trials: number of objects; each has its own path, and its own mounting error of the arm.
-        seed: of everything random.
-        profile: imperfections of the head.
-        out: folder for grasp.json, and the recording grasp.rrd of the first RECORDED trials; None:
-            nothing is written.
-        progress: is called after each trial.
-
-    Raises:
-        VergenceError: an argument is out of range, or the folder cannot be written.
+    The mounting error of the arm differs too. The folder gets grasp.json, and the recording
+    grasp.rrd of the first RECORDED trials; None: nothing is written. VergenceError as in `foveate`.
     """
     check_trials(trials)
     made: list[Trial] = []
@@ -219,9 +208,12 @@ def as_markdown(found: Summary) -> list[str]:
             f"{found.worst_mm:.1f} mm at worst",
             f"- by its encoders alone: {found.unaided_median_mm:.0f} mm",
         ]
-    head = "| distance | depth error, rms | standard deviation | Eq. 20 |"
-    return [*lines, "", head, "|---|---|---|---|"] + [
-        f"| {d.from_m:.2f}-{d.to_m:.2f} m | {d.depth_rms_mm:.3g} mm | "
-        f"{d.depth_std_mm:.3g} mm | {d.eq20_mm:.3g} mm |"
+    rows = [
+        (
+            f"{d.from_m:.2f}-{d.to_m:.2f} m",
+            *(f"{mm:.3g} mm" for mm in (d.depth_rms_mm, d.depth_std_mm, d.eq20_mm)),
+        )
         for d in found.by_distance
     ]
+    heading = "distance | depth error, rms | standard deviation | Eq. 20"
+    return [*lines, "", markdown_table(heading, rows)]

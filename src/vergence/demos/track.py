@@ -159,10 +159,7 @@ def follow(
 
 
 def by_wide_images(calibration: HeadCalibration, frame: Frame) -> Array:
-    """Return the object (3,) [m] in the left eye's base frame, by stereo from the wide images.
-
-    NaN where one of the two images does not show it; the frame must have both.
-    """
+    """Return the object (3,) [m] in the left eye's base by both wide images; NaN: not in both."""
     left, right = (
         find_sphere(frame.images[name], calibration.camera(name).intrinsics)[None] for name in WIDE
     )
@@ -182,15 +179,9 @@ def track(
 ) -> Summary:
     """Calibrate the twin, and track an object that is hidden once on its way.
 
-    Args:
-        seconds: length of the run.
-        seed: of everything random.
-        profile: imperfections of the head.
-        out: folder for track.json and track.rrd; None: nothing is written.
-        progress: is called with the seconds so far after every state.
-
-    Raises:
-        VergenceError: an argument is out of range, or the folder cannot be written.
+    The folder gets track.json and track.rrd; None: nothing is written. `progress` is called with
+    the seconds so far. VergenceError if an argument is out of range, or the folder cannot be
+    written.
     """
     if not SHORTEST_S <= seconds <= LONGEST_S:
         raise VergenceError(f"A run takes {SHORTEST_S:.0f} to {LONGEST_S:.0f} s, found {seconds}.")

@@ -73,10 +73,7 @@ def setpoint(command: HeadCommand, time_s: float) -> Array:
 
 
 def commanded(commands: Sequence[HeadCommand], time_s: float) -> Array:
-    """Return the set points (7,) [rad] that were in force at a time, by commands in time order.
-
-    The first command also holds for all times before it.
-    """
+    """Return the set points (7,) [rad] in force at a time; the first hold for earlier ones too."""
     valid = [command for command in commands if command.time_s <= time_s]
     return setpoint(valid[-1] if valid else commands[0], time_s)
 

@@ -66,10 +66,7 @@ def run_gaze(
     *,
     watch: Callable[[GazeState, Frame | None], None] = lambda state, frame: None,
 ) -> GazeState:
-    """Run the control loop until a time of the head's clock, and return its last state.
-
-    `watch` is called with every state and the frame that led to it.
-    """
+    """Run the loop until a time of the head's clock; `watch` gets every state and its frame."""
     while head.now_s() < until_s:
         frame = head.read(state.cameras)
         state = step_gaze(settings, state, frame, head.now_s())
@@ -83,11 +80,8 @@ def step_gaze(
 ) -> GazeState:
     """Return the next state: detect, estimate, decide, command.
 
-    Args:
-        settings: of the head and its controller.
-        state: the present one.
-        frame: the latest; None, a repeated frame or an older one counts as no new frame.
-        now_s: time from which the command can take effect, not before the frame's time stamp.
+    No frame, a repeated one and an older one all count as no new frame. The command can take effect
+    from `now_s` on, which is not before the frame's time stamp.
     """
     if frame is None or frame.time_s <= state.frame_s:
         return _without_detection(settings, state, now_s)
@@ -111,7 +105,7 @@ def _in_left_base(settings: GazeSettings, points_body: Array, neck: Array) -> Ar
 def _follow(
     settings: GazeSettings, state: GazeState, posture: Array, rays: Rays, now_s: float
 ) -> GazeState:
-    """Return the state with the command that brings the object onto both foveas and keeps it.
+    """Return the state with the command that keeps the object on both foveas.
 
     The aim, the posture (7,) [rad] and at least one ray are those at the time of the image.
     """
@@ -139,10 +133,7 @@ def _follow(
 
 
 def _turn_neck(settings: GazeSettings, state: GazeState, eyes: Array, now_s: float) -> GazeState:
-    """Return the state with the neck's velocity, which brings the eyes back towards their middle.
-
-    The angles of the eyes to the object are (4,) [rad].
-    """
+    """Return the state with the neck's velocity, by the eyes' angles (4,) [rad] to the object."""
     if not settings.use_neck or not np.isfinite(eyes).all():
         return state
     away = np.array([eyes[[1, 3]].mean(), 0.0, eyes[[0, 2]].mean()])  # pitch, roll, yaw
@@ -164,8 +155,7 @@ def _move_eyes(
 ) -> GazeState:
     """Return the state with the command for eyes and neck, and the phase that it implies.
 
-    The eyes' target angles (4,) [rad] are those of now, NaN: stay; their velocity (4,) is in rad/s,
-    NaN: zero. The neck's velocity is that of the state.
+    The eyes' target angles (4,) [rad] now, NaN: stay, move at a rate (4,) [rad/s], NaN: zero.
     """
     at = setpoint(state.command, now_s)
     goal = np.where(np.isfinite(goal), goal, at[EYES_4])

@@ -29,10 +29,7 @@ _CONVERGED = 1e-8  # of x/z and y/z: the next step of Newton's method squares it
 
 
 def wide_from_narrow(T_narrow_wide: Array, points_narrow: Array) -> Array:
-    """Eq. 13: map points (..., 3) [m] from the narrow camera's frame into the wide one's.
-
-    T_narrow_wide (4, 4) is the pose of the wide camera in the narrow one: R_fp and t_fp.
-    """
+    """Eq. 13: map points (..., 3) [m] from the narrow frame to the wide by R_fp, t_fp (4, 4)."""
     R_fp, t_fp = T_narrow_wide[:3, :3], T_narrow_wide[:3, 3]
     return (points_narrow - t_fp) @ R_fp  # rows: R_fp^T (y_f - t_fp)
 
@@ -42,9 +39,8 @@ def project_both(
 ) -> tuple[Array, Array]:
     """Eqs. 14-17: project points (..., 3) [m] of the narrow camera's frame into both cameras.
 
-    Returns:
-        Pixels (..., 2) in the narrow image (Eqs. 14-15) and in the wide one (Eqs. 16-17); NaN
-        where a point is not in front of that camera.
+    Returns pixels (..., 2) in the narrow image (Eqs. 14-15) and in the wide one (Eqs. 16-17); NaN
+    where a point is not in front of that camera.
     """
     points_wide = wide_from_narrow(T_narrow_wide(calibration, eye), points_narrow)
     return (
@@ -56,12 +52,9 @@ def project_both(
 def ideal_wide_pixel(calibration: HeadCalibration, eye: Side, depth_m: ArrayLike) -> Array:
     """Eqs. 18-19: return the wide pixels (..., 2) of points on the narrow camera's axis.
 
-    A point at such a wide pixel falls on the principal point of the narrow image. The pixels do
-    not depend on the narrow camera's intrinsic parameters. The depths (...) [m] are along the
-    narrow camera's axis; infinity gives the limit.
-
-    Raises:
-        VergenceError: a depth is not above 0, or the eye does not have both cameras.
+    A point at such a wide pixel falls on the principal point of the narrow image, whatever the
+    narrow camera's intrinsic parameters. The depths (...) [m] are along its axis; infinity gives
+    the limit. VergenceError if one is not above 0, or the eye does not have both cameras.
     """
     depth = np.asarray(depth_m, dtype=float)
     if not (depth > 0).all():
@@ -80,16 +73,9 @@ def foveal_miss(
 ) -> Array:
     """Return the offset (..., 2) [px] of a point from the narrow image's principal point.
 
-    The point is at the wide pixel that Eqs. 18-19 give for a wrong depth.
-
-    Args:
-        calibration: of the head, taken as exact.
-        eye: which eye.
-        depth_m: (...) true depth of the point along the wide camera's axis.
-        believed_m: (...) depth that Eqs. 18-19 are given, along the narrow camera's axis.
-
-    Raises:
-        VergenceError: a depth is not above 0, or the eye does not have both cameras.
+    The point is at a true depth (...) [m] along the wide camera's axis, and at the wide pixel that
+    Eqs. 18-19 give for a wrong depth (...) along the narrow camera's axis. Errors are those of
+    `ideal_wide_pixel`.
     """
     wide, narrow = (calibration.camera(f"{eye}_{lens}").intrinsics for lens in ("wide", "narrow"))
     xy = normalise(wide, ideal_wide_pixel(calibration, eye, believed_m))
@@ -107,11 +93,8 @@ def eye_angles_to(
 
     Newton's method on both axes at once, to machine precision, with the eye's imperfections and
     with the camera off its rotation centre. The points (..., 3) [m] are in the eye's base frame,
-    and are centred on the principal point.
-
-    Returns:
-        Joint readings, not limited to the joints' ranges; NaN for a point that no posture
-        centres: one that is NaN, on the pan axis, or closer than the camera.
+    and are centred on the principal point. Readings are not limited to the joints' ranges; NaN for
+    a point that no posture centres: one that is NaN, on the pan axis, or closer than the camera.
     """
     mounted, chain = calibration.camera(f"{eye}_{lens}"), eye_chain(calibration.axes[eye])
     R_eye_cam, t_eye_cam = mounted.T_eye_cam[:3, :3], mounted.T_eye_cam[:3, 3]

@@ -90,8 +90,7 @@ def predict(track: Track, time_s: float, *, jerk_density: float) -> Track:
 def nis(track: Track, point: Array, covariance: Array) -> float:
     """Return the normalised innovation squared of a measurement at the track's time.
 
-    The measurement is (3,) [m] with covariance (3, 3) [m^2]. The result is distributed as
-    chi-squared, with a mean of 3.
+    The measurement is (3,) [m] with covariance (3, 3) [m^2]; the result is chi-squared, mean 3.
     """
     innovation = point - track.position
     return float(innovation @ np.linalg.solve(track.covariance[:3, :3] + covariance, innovation))
@@ -118,16 +117,11 @@ def fuse(
     gate_chi2: float = GATE_CHI2,
     innovation_ratio: float = 1.0,
 ) -> Track:
-    """Return the track after a measurement; a new one where the measurement fails the gate.
+    """Return the track after a measurement (3,) [m]; a new one where that fails the gate.
 
-    Args:
-        track: at an earlier time; None: there is none yet.
-        time_s: time of the measurement.
-        point: (3,) [m].
-        covariance: (3, 3) [m^2], of its total error: the gate uses it as it is.
-        motion: of the point.
-        gate_chi2: greatest normalised innovation squared of a measurement of this track.
-        innovation_ratio: share of the covariance by which the measurement is weighed.
+    The covariance (3, 3) [m^2] is that of the measurement's total error, which the gate uses as it
+    is; the innovation ratio is the share of it by which the measurement is weighed. `gate_chi2` is
+    the greatest normalised innovation squared of a measurement of this track.
     """
     if track is not None:
         track = predict(track, time_s, jerk_density=motion.jerk_density)

@@ -76,10 +76,7 @@ def posture_at_image(state: GazeState, frame: Frame) -> Array:
 
 
 def best_camera(pixels: Mapping[str, Array], eye: Side) -> str | None:
-    """Return the camera of an eye that shows the object best; None where neither shows it.
-
-    The object's pixels (2,) are given by camera, NaN where it was not found.
-    """
+    """Return the camera of an eye that shows the object best, by pixels (2,); None: neither."""
     for name in (f"{eye}_narrow", f"{eye}_wide"):
         if np.isfinite(pixels.get(name, np.nan)).all():
             return name
@@ -165,11 +162,7 @@ def aim_by_one_eye(
 def _locate(
     settings: GazeSettings, state: GazeState, postures: Array
 ) -> list[tuple[Array, Array]] | None:
-    """Return the object (3,) [m] and its covariance (3, 3) [m^2] in frame body, by posture.
-
-    The postures (2, 7) [rad] are that by readings and that by commands. None unless both eyes see
-    the object and it can be located.
-    """
+    """Return by posture (2, 7) the object (3,) [m] and its covariance (3, 3) in frame body."""
     left, right = (best_camera(state.pixels, eye) for eye in EYES)
     if left is None or right is None:
         return None

@@ -43,11 +43,7 @@ class Camera:
 
 
 def _distortion(camera: Camera, x: Array, y: Array) -> tuple[Array, Array, Array, Array, Array]:
-    """Return the distorted coordinates (x', y') of undistorted ones, and their derivatives.
-
-    Which are d x' / d x, then d x' / d y, which is d y' / d x as well, and d y' / d y. Each is of
-    the shape of x and y: arrays of pairs and of matrices would take twice as long.
-    """
+    """Return distorted x', y', and dx'/dx, dx'/dy (which is dy'/dx), dy'/dy, each shaped as x."""
     k1, k2, p1, p2, k3 = camera.distortion.tolist()
     x2, xy, y2 = x * x, x * y, y * y
     r2 = x2 + y2

@@ -108,11 +108,7 @@ class HeadCalibration:
     format: Literal["vergence-head-calibration-1"] = "vergence-head-calibration-1"
 
     def camera(self, name: str) -> MountedCamera:
-        """Return a camera by its name.
-
-        Raises:
-            VergenceError: there is none of that name.
-        """
+        """Return a camera by its name; VergenceError if there is none of that name."""
         if name not in self.cameras:
             known = ", ".join(self.cameras)
             raise VergenceError(f"No camera is called {name!r}; this head has: {known}.")

@@ -54,20 +54,13 @@ def chain_pose(chain: Chain, readings: Array) -> Array:
 
 
 def chain_linearised(chain: Chain, readings: Array) -> tuple[Array, Array]:
-    """Return chain_pose (..., 4, 4), and how it changes with the readings (..., 6, r).
-
-    In the increment of `se3.boxplus`.
-    """
+    """Return chain_pose, and its derivatives (..., 6, r) by the readings as in `se3.boxplus`."""
     R, t = _joint_frames(chain, readings)
     return pose(R[..., -1, :, :], t[..., -1, :]), _angle_jacobian(chain, R, t) @ chain.mixing
 
 
 def _angle_jacobian(chain: Chain, R: Array, t: Array) -> Array:
-    """Return the geometric Jacobian (..., 6, n).
-
-    A joint turns the end about its axis, and moves it by the axis times the arm from the axis to
-    the end.
-    """
+    """Return the Jacobian (..., 6, n): a joint turns the end about its axis, and moves it so."""
     axes = (R[..., :-1, :, :] @ chain.axes[..., None])[..., 0]
     arms = t[..., -1:, :] - t[..., :-1, :]
     return np.swapaxes(np.concatenate([axes, cross(axes, arms)], axis=-1), -1, -2)
@@ -92,10 +85,7 @@ def _joint_frames(chain: Chain, readings: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
 class EyeAxes:
-    """How the two axes of one eye differ from perfect ones; the default is perfect.
-
-    True angle = gain * reading + offset.
-    """
+    """How the axes of one eye differ from perfect ones; true angle = gain * reading + offset."""
 
     pan_gain: float = 1.0
     tilt_gain: float = 1.0
@@ -116,11 +106,7 @@ def axes_row(axes: EyeAxes) -> Array:
 
 
 def eye_chain(axes: EyeAxes | Array | None = None) -> Chain:
-    """Return the chain of an eye: pan, then tilt.
-
-    Args:
-        axes: the eye's imperfections, or rows (..., 6) of them; None: perfect axes.
-    """
+    """Return the chain of an eye, pan then tilt; axes may be rows (..., 6); None: perfect axes."""
     rows = axes if isinstance(axes, np.ndarray) else axes_row(axes or EyeAxes())
     mixing, steps, directions = (np.zeros((*rows.shape[:-1], 2, n)) for n in (2, 3, 3))
     mixing[..., 0, 0], mixing[..., 1, 1] = rows[..., 0], rows[..., 1]
@@ -133,15 +119,13 @@ def eye_chain(axes: EyeAxes | Array | None = None) -> Chain:
 def T_base_eye(angles: Array, axes: EyeAxes | Array | None = None) -> Array:
     """Return the pose (..., 4, 4) of the eye in its fixed base frame: T_er(theta) of the paper.
 
-    Args:
-        angles: (..., 2) readings of pan and tilt [rad].
-        axes: see `eye_chain`.
+    Angles are (..., 2) readings of pan and tilt [rad]; axes are those of `eye_chain`.
     """
     return chain_pose(eye_chain(axes), angles)
 
 
 def eye_jacobians(angles: Array, axes: Array) -> tuple[Array, Array]:
-    """Return how T_base_eye changes with the axes (..., 6, 6) and the readings (..., 6, 2).
+    """Return derivatives of T_base_eye by axes (..., 6, 6) and readings (..., 6, 2).
 
     In the increment of `se3.boxplus`, at readings (..., 2) [rad] and rows (..., 6) of axes.
     """

@@ -55,11 +55,7 @@ def lens_vector(camera: Camera) -> Array:
 
 
 def lens_of_vector(camera: Camera, values: Array) -> Camera:
-    """Return a camera with other values (9,); its size and its skew stay.
-
-    Raises:
-        ValueError: a focal length is not positive.
-    """
+    """Return a camera with other values (9,); ValueError if a focal length is not positive."""
     fx, fy, cx, cy, *distortion = values
     matrix = np.array([[fx, camera.matrix[0, 1], cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     return replace(camera, matrix=matrix, distortion=np.array(distortion))
@@ -68,8 +64,7 @@ def lens_of_vector(camera: Camera, values: Array) -> Camera:
 def boxplus(head: HeadCalibration, change: Array) -> HeadCalibration:
     """Return a head whose parameters are changed by (c,), in the order of parameter_names.
 
-    Raises:
-        ValueError: a focal length would not stay positive.
+    ValueError if a focal length would not stay positive.
     """
     C = len(head.cameras)
     own, rest = change[: PER_CAMERA * C].reshape(C, PER_CAMERA), change[PER_CAMERA * C :]
@@ -97,11 +92,7 @@ def boxplus(head: HeadCalibration, change: Array) -> HeadCalibration:
 
 
 def change_named(head: HeadCalibration, names: Sequence[str], change: Array) -> HeadCalibration:
-    """Return a head with the named parameters changed by (c,).
-
-    Raises:
-        VergenceError: a parameter has an unknown name.
-    """
+    """Return a head with named parameters changed by (c,); VergenceError: an unknown name."""
     known = {name: k for k, name in enumerate(parameter_names(head.cameras))}
     unknown = [name for name in names if name not in known]
     if unknown:

@@ -43,20 +43,17 @@ def project_point(head: HeadCalibration, camera: str, joints: Array, points: Arr
 def project_at(
     mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array, points: Array
 ) -> Array:
-    """Return the pixels (..., K, 2) of points (..., K, 3) [m] in the left eye's base frame.
-
-    The camera's eye stands at poses T_base_eye (..., 4, 4).
-    """
+    """Return pixels (..., K, 2) of points (..., K, 3) [m] in the left eye's base, by eye poses."""
     return project(mounted.intrinsics, _through(mounted, T_rbase_lbase, T_base_eye, points)[-1])
 
 
 def _through(
     mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array, points: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Return points (..., K, 3) on their way from the left eye's base to the camera.
+    """Return points (..., K, 3) in four steps from the left eye's base to the camera.
 
-    Turned into the axes of the camera's eye base; from the eye's origin, in that base; from the
-    camera, along the axes of the eye; and in frame cam.
+    In the axes of the camera's eye base; from the eye's origin, in that base; from the camera,
+    along the axes of the eye; and in frame cam.
     """
     right = mounted.eye == "right"
     turned = points @ T_rbase_lbase[:3, :3].T if right else points
@@ -68,10 +65,7 @@ def _through(
 
 @dataclass(frozen=True, eq=False)
 class ProjectionJacobians:
-    """Pixels of K points in M postures, and their derivatives.
-
-    Poses change by the increment of `se3.boxplus`.
-    """
+    """Pixels of K points in M postures, and derivatives; poses change as in `se3.boxplus`."""
 
     pixels: Array
     """(M, K, 2); NaN for points that are not in front of the camera."""
@@ -113,10 +107,8 @@ def project_with_jacobians(
 def by_pose_of_points(by_point: Array, turned: Array) -> Array:
     """Return derivatives (M, K, 2, 6) by the pose of a body to which the points are fixed.
 
-    Args:
-        by_point: (M, K, 2, 3) by the points.
-        turned: (M, K, 3) the points from the body's origin, along the axes of the frame that its
-            pose maps into.
+    Given are those by the points (M, K, 2, 3), and the points from the body's origin (M, K, 3),
+    along the axes of the frame that its pose maps into.
     """
     return np.concatenate([-_cross(by_point, turned), by_point], axis=-1)
 
@@ -166,9 +158,7 @@ def stereo_cameras(
 ) -> tuple[MountedCamera, MountedCamera]:
     """Return the left and the right camera of a pair of names; None: the main ones.
 
-    Raises:
-        VergenceError: the head has one eye only, has no such camera, or left and right are
-            exchanged.
+    VergenceError if one of them is missing, or left and right are exchanged.
     """
     pair = main_pair(head) if cameras is None else cameras
     if pair is None:
@@ -204,10 +194,7 @@ def T_rcam_lcam(
 def stereo_poses(
     head: HeadCalibration, joints: Array, *, cameras: tuple[str, str] | None = None
 ) -> tuple[Array, Array]:
-    """Return T_lbase_lcam, where the left camera stands, and T_rcam_lcam (..., 4, 4).
-
-    Args and errors: see T_rcam_lcam.
-    """
+    """Return T_lbase_lcam, where the left camera stands, and T_rcam_lcam: see there."""
     left, right = stereo_cameras(head, cameras)
     T_lbase_leye, T_rbase_reye = (
         T_base_eye(joints[..., EYE_COLUMNS[eye]], head.axes[eye]) for eye in EYES
@@ -231,10 +218,8 @@ def rebase(
 ) -> HeadCalibration:
     """Return the head with the T_rbase_lbase that a stereo pose demands (Eq. 10).
 
-    The cameras stood at T_rcam_lcam (4, 4) at joint readings (4,) [rad].
-
-    Raises:
-        VergenceError: see stereo_cameras.
+    The cameras stood at T_rcam_lcam (4, 4) at joint readings (4,) [rad]. Errors are those of
+    `stereo_cameras`.
     """
     left, right = stereo_cameras(head, cameras)
     T = base_extrinsics(

@@ -20,19 +20,11 @@ from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, T_base_cam, T_head_base
 from vergence.geometry.projection import rebase
 from vergence.geometry.se3 import inverse
-from vergence.interchange.serialization import (
-    check_cameras,
-    read,
-    with_intrinsics,
-    write_yaml,
-)
+from vergence.interchange.serialization import check_cameras, read, with_intrinsics, write_yaml
 
 
 class _Cam(BaseModel):
-    """A camera of a camchain; cam_overlaps, timeshift_cam_imu and T_cam_imu are not read.
-
-    YAML 1.1 reads 1e-5, without a point, as text; pydantic makes it a number.
-    """
+    """A camera of a camchain; text such as 1e-5, which YAML 1.1 is no number, becomes one."""
 
     camera_model: Literal["pinhole"]
     distortion_model: Literal["radtan", "none"] = "none"
@@ -59,8 +51,6 @@ class _Cam(BaseModel):
 
 
 _CAMS = TypeAdapter(dict[str, _Cam])
-
-
 Camchain = dict[str, tuple[Camera, Array | None]]
 """Cameras by name in the order of the chain, each with the pose (4, 4) of the previous camera in it
 (T_cn_cnm1), None where none is given."""
@@ -69,8 +59,7 @@ Camchain = dict[str, tuple[Camera, Array | None]]
 def save(head: HeadCalibration, path: Path) -> None:
     """Write a head's cameras as cam0, cam1, ... of a camchain; rostopic gives their names.
 
-    Raises:
-        VergenceError: a camera has skew or k3, or the file cannot be written.
+    VergenceError if a camera has skew or k3, or the file cannot be written.
     """
     check_cameras(head, "Kalibr's radtan model", has_k3=False)
     content: dict[str, Any] = {}
@@ -95,8 +84,7 @@ def save(head: HeadCalibration, path: Path) -> None:
 def load(path: Path) -> Camchain:
     """Read a camchain. Cameras are named after the first part of their rostopic, else cam0, ...
 
-    Raises:
-        VergenceError: the file is missing, not a camchain, or has another camera model.
+    VergenceError if the file is missing, not a camchain, or has another camera model.
     """
     return read(path, "a Kalibr camchain", _camchain)
 
@@ -124,9 +112,7 @@ def update_head(chain: Camchain, template: HeadCalibration) -> HeadCalibration:
 
     The wide cameras keep their poses in the eyes, which a chain does not hold. Those of the narrow
     ones and T_rbase_lbase follow from the chain, which is assumed to hold at readings of zero.
-
-    Raises:
-        VergenceError: the chain names a camera that the template does not have.
+    VergenceError if the chain names a camera that the template does not have.
     """
     head = with_intrinsics(template, {name: camera for name, (camera, _) in chain.items()})
     T, T_cam_first = np.eye(4), {}

@@ -41,9 +41,8 @@ FORMAT = "vergence-head-opencv-1"
 def save(head: HeadCalibration, path: Path) -> None:
     """Write a head with cv2.FileStorage; its accuracy is left out.
 
-    Raises:
-        VergenceError: a camera has skew, which OpenCV's functions ignore; the file's suffix is
-            none of SUFFIXES; or it cannot be written.
+    VergenceError if a camera has skew, which OpenCV's functions ignore, the file's suffix is none
+    of SUFFIXES, or it cannot be written.
     """
     check_cameras(head, "OpenCV's camera model")
     _check_suffix(path)
@@ -109,9 +108,7 @@ def load(path: Path) -> HeadCalibration:
     """Read a head that `save` wrote, or a file of another program with the same fields.
 
     It does not use cv2.FileStorage, whose parser can end the process on a damaged file.
-
-    Raises:
-        VergenceError: the file is missing, cannot be read, or a field is not valid.
+    VergenceError if the file is missing, cannot be read, or a field is not valid.
     """
     _check_suffix(path)
     parsers = {".xml": _parse_xml, ".json": json.loads}

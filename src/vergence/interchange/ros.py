@@ -34,10 +34,7 @@ def save(head: HeadCalibration, folder: Path) -> None:
     """Write <camera>.yaml for every camera into a folder.
 
     No camera is rectified: the rectification is the identity, and the projection the camera's own
-    matrix.
-
-    Raises:
-        VergenceError: a camera has skew, or the folder cannot be written.
+    matrix. VergenceError if a camera has skew, or the folder cannot be written.
     """
     check_cameras(head, "ROS's plumb_bob model")
     if folder.is_file():
@@ -62,8 +59,7 @@ def _plain(value: Any) -> Any:
 def load(path: Path) -> dict[str, Camera]:
     """Read a camera_info file, or all *.yaml files of a folder; cameras by their camera_name.
 
-    Raises:
-        VergenceError: there is no such file, it is not a camera_info, or two have one name.
+    VergenceError if there is no such file, it is not a camera_info, or two have one name.
     """
     files = sorted(path.glob("*.yaml")) if path.is_dir() else [path]
     if not files:

@@ -73,16 +73,10 @@ def intrinsics_fields(camera: Camera) -> dict[str, Any]:
 def read(
     path: Path, what: str, build: Callable[[Any], T], parse: Callable[[str], Any] = yaml.safe_load
 ) -> T:
-    """Read a text file.
+    """Read a UTF-8 text file: `parse` makes dictionaries and lists of it, `build` the result.
 
-    Args:
-        path: text in UTF-8.
-        what: how a message calls such a file, with its article.
-        build: makes the result from the parsed content; raises ValueError where that is not valid.
-        parse: makes nested dictionaries and lists from the text.
-
-    Raises:
-        VergenceError: the file is missing, or is not what was expected.
+    `what` is how a message calls such a file, with its article. VergenceError if the file is
+    missing, or `build` raises a ValueError.
     """
     try:
         return build(parse(path.read_text(encoding="utf-8-sig")))
@@ -96,11 +90,7 @@ def read(
 
 
 def with_intrinsics(head: HeadCalibration, cameras: Mapping[str, Camera]) -> HeadCalibration:
-    """Return a head with the intrinsics of some cameras replaced.
-
-    Raises:
-        VergenceError: the head has no camera of one of these names.
-    """
+    """Return a head with intrinsics of some cameras replaced; VergenceError: it lacks one."""
     mounted = {name: replace(head.camera(name), intrinsics=c) for name, c in cameras.items()}
     return replace(head, cameras={**head.cameras, **mounted})
 

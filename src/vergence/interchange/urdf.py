@@ -34,8 +34,7 @@ T_LINK_OPTICAL = pose(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]))
 def save(head: HeadCalibration, path: Path) -> None:
     """Write a head as URDF, without the cameras' intrinsics, for which it has no field.
 
-    Raises:
-        VergenceError: there is no camera, or the file cannot be written.
+    VergenceError if there is no camera, or the file cannot be written.
     """
     check_names(head)
     robot = ElementTree.Element("robot", name="vergence_head")

@@ -62,8 +62,5 @@ def eye_angles(motion: Motion, time_s: Array) -> Array:
 
 
 def default_duration_s(motion: Motion) -> float:
-    """Return the full combined period, repeated until it lasts at least 60 s.
-
-    Below 60 s the standard deviations depend on the duration.
-    """
+    """Return the full combined period, repeated to at least 60 s: below, the std depends on it."""
     return float(PERIOD_S[motion] * np.ceil(60 / PERIOD_S[motion]))

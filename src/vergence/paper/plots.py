@@ -24,11 +24,7 @@ _STYLE: dict[str, Any] = {"fontsize": 12}
 
 
 def paper_figures(path: Path, results: Sequence[Replay]) -> None:
-    """Draw figures into a PNG file, as `draw` does.
-
-    Raises:
-        VergenceError: the file cannot be written.
-    """
+    """Draw figures into a PNG file, as `draw` does."""
     save(draw(results), path)
 
 

@@ -30,13 +30,7 @@ _TRAILS = {"world/left_base/trail": None, "world/left_base/recent": style.TRAIL_
 def figure_recording(
     path: Path, figure: Figure, head: HeadCalibration, geoms: Sequence[VisualGeom]
 ) -> Iterator[rr.RecordingStream]:
-    """Record a figure in a `with` block; the file appears only when the block ends well.
-
-    It shows the head's cameras and the visible shapes of the robot.
-
-    Raises:
-        VergenceError: the file cannot be written.
-    """
+    """Record a figure in a `with` block, as `recording_file` does."""
     layout = blueprint(figure, head)
     with recording_file(path, figure.title, layout, head, geoms) as rec:
         _log_styles(rec)
@@ -145,11 +139,7 @@ def _head_view(figure: Figure, head: HeadCalibration) -> rrb.Spatial3DView:
     return view_3d(
         f"{figure.title}: head, lines of sight, estimates",
         origin="world",
-        contents=[
-            "+ $origin/**",
-            "- world/left_base/spread",
-            *hidden(head, "detected", "truth"),
-        ],
+        contents=["+ $origin/**", "- world/left_base/spread", *hidden(head, "detected", "truth")],
         middle=middle,
         eye=middle + np.array([0.33, 0.94, 0.0]) * scale,
         trails=_TRAILS,

@@ -1,8 +1,4 @@
-"""Replay one of the paper's figures: locate a fixed object in every sample while the eyes move.
-
-The same estimation runs on rendered images (`replay`) and, for studies of many error sources, on
-projected points without images (`observe_points`, then `estimate`).
-"""
+"""Replay one of the paper's figures: locate a fixed object in every sample while the eyes move."""
 
 from __future__ import annotations
 
@@ -16,13 +12,11 @@ from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import NECK_JOINTS
 from vergence.geometry.projection import project_point
-from vergence.paper.figures import PERIOD_S, Figure, default_duration_s, eye_angles
+from vergence.paper.figures import Figure, default_duration_s, eye_angles
 from vergence.progress import Progress, silent
 from vergence.stereo.triangulation import triangulate_at
 from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Exposure, Twin
-from vergence.twin.profile import ErrorProfile
-from vergence.twin.sensors import play, read
 from vergence.vision.sphere import find_sphere
 
 SAMPLES = 640
@@ -103,7 +97,6 @@ def replay(
             of `viewer.frame.log_frame` by name.
         image_every: every Nth sample is rendered by all cameras, and the observer gets its images;
             the others only by the wide cameras, which the estimation uses.
-        progress: is called after each sample.
     """
     start = _LEAD_S
     twin.restart(figure.number)
@@ -187,41 +180,13 @@ def describe(points: Array) -> Statistics:
 
 def summary(result: Replay) -> dict[str, list[float] | int]:
     """Return a figure's results and the paper's beside them, as plain values for JSON."""
+    figure, ours = result.figure, result.statistics
     return {
-        "paper_mean_m": list(result.figure.mean_m),
-        "paper_std_m": list(result.figure.std_m),
-        "object_m": list(result.figure.mean_m),
-        "mean_m": result.statistics.mean_m.tolist(),
-        "std_m": result.statistics.std_m.tolist(),
-        "samples": result.statistics.samples,
-        "dropped": result.statistics.dropped,
+        "paper_mean_m": list(figure.mean_m),
+        "paper_std_m": list(figure.std_m),
+        "object_m": list(figure.mean_m),
+        "mean_m": ours.mean_m.tolist(),
+        "std_m": ours.std_m.tolist(),
+        "samples": ours.samples,
+        "dropped": ours.dropped,
     }
-
-
-def observe_points(
-    truth: HeadCalibration,
-    profile: ErrorProfile,
-    figure: Figure,
-    times_s: Array,
-    *,
-    pixel_noise: float = 0.0,
-    rng: np.random.Generator,
-) -> Measurements:
-    """Simulate the measurements of a replay by projection, without images and physics.
-
-    Of the profile only the joint sensors are used. The noise of pixels is a standard deviation
-    [px]; `times_s` is (N,) [s].
-    """
-    delay = profile.joints.delay_ms * 1e-3
-    at_image = eye_angles(figure.motion, times_s - max(0.0, -delay))
-    at_reading = eye_angles(figure.motion, times_s - max(0.0, delay))
-    if profile.joints.backlash_deg:  # taken up over one whole period beforehand
-        lead = np.linspace(-PERIOD_S[figure.motion], 0, 4000)[:-1]
-        width = np.radians(profile.joints.backlash_deg)
-        wound = np.concatenate([eye_angles(figure.motion, lead), at_reading])
-        at_reading = play(wound, width)[len(lead) :]
-    readings = read(at_reading, profile.joints, rng)
-    point = np.array(figure.mean_m)
-    pixels = [project_point(truth, name, at_image, point) for name in WIDE]
-    noisy = [uv + rng.normal(0, pixel_noise, uv.shape) for uv in pixels]
-    return Measurements(times_s, readings, noisy[0], noisy[1])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,11 +16,24 @@ from vergence.paper.replay import WIDE, Replay
 from vergence.stereo.depth_error import depth_error, disparity_error
 from vergence.twin.profile import ErrorProfile, Joints
 from vergence.twin.sensors import read
+from vergence.viewer.opening import markdown_table
 
-_LEFT_PAN, _RIGHT_PAN = 0, 2
+
+@dataclass(frozen=True, eq=False)
+class Reproduction:
+    """All results of a run so far."""
+
+    profile: ErrorProfile
+    seed: int
+    calibrations: dict[str, SequentialCalibration]
+    """By lens, as they were estimated."""
+    heads: dict[str, HeadCalibration]
+    """By lens, as they are used: with the calibration errors that the profile injects."""
+    replays: dict[int, Replay]
+    """By number of the figure."""
 
 
-def orientation_error(result: Replay, joints: Joints) -> float:
+def _orientation_error(result: Replay, joints: Joints) -> float:
     """Return the standard deviation [rad] of the error in the angle between the cameras.
 
     That error is what the joint sensors add to the difference of the two pan readings along the
@@ -29,7 +43,7 @@ def orientation_error(result: Replay, joints: Joints) -> float:
     true = eye_angles(result.figure.motion, times)
     sensed = eye_angles(result.figure.motion, times - joints.delay_ms * 1e-3)
     wrong = read(sensed, joints, np.random.default_rng(0)) - true
-    return float((wrong[:, _LEFT_PAN] - wrong[:, _RIGHT_PAN]).std())
+    return float((wrong[:, 0] - wrong[:, 2]).std())
 
 
 def predicted_depth_std(result: Replay, profile: ErrorProfile, head: HeadCalibration) -> float:
@@ -42,7 +56,7 @@ def predicted_depth_std(result: Replay, profile: ErrorProfile, head: HeadCalibra
     baseline = float(np.linalg.norm(T_rcam_lcam[:3, 3]))
     depth = result.figure.mean_m[0] - T_lbase_lcam[0, 3]
     focal = head.camera("left_wide").intrinsics.matrix[0, 0]
-    wrong = orientation_error(result, profile.joints)
+    wrong = _orientation_error(result, profile.joints)
     return float(depth_error(depth, baseline, focal, disparity_error(focal, wrong)))
 
 
@@ -50,19 +64,16 @@ def figure_report(result: Replay, profile: ErrorProfile, head: HeadCalibration) 
     """Return the markdown page that goes into a figure's recording."""
     figure, ours = result.figure, result.statistics
     columns = zip("xyz", figure.mean_m, ours.mean_m, ours.std_m, figure.std_m, strict=True)
-    table = _table(
-        "| object | mean | std | paper's std | ratio",
-        [
-            (axis, f"{at:+.3f}", f"{mean:+.4f}", f"{std:.4f}", f"{paper:.3f}", f"{std / paper:.2f}")
-            for axis, at, mean, std, paper in columns
-        ],
-    )
+    rows = [
+        (axis, f"{at:+.3f}", f"{mean:+.4f}", f"{std:.4f}", f"{paper:.3f}", f"{std / paper:.2f}")
+        for axis, at, mean, std, paper in columns
+    ]
     return f"""# Fig. {figure.number}: {figure.motion} motion, {figure.lens} lens
 
 The eyes move, the object does not: a perfect head would draw three straight lines.
 Positions in metres from the left eye's rotation centre; x is depth.
 
-{table}
+{markdown_table("| object | mean | std | paper's std | ratio", rows)}
 
 {ours.samples} samples located, {ours.dropped} dropped. Eqs. 20-21 predict a standard deviation of
 depth of {predicted_depth_std(result, profile, head):.4f} m from the joint sensors alone.
@@ -71,34 +82,28 @@ Error profile `{profile.name}`: {profile.description} {_fitted_line(profile)}
 """
 
 
-def report(
-    replays: Mapping[int, Replay],
-    calibrations: Mapping[str, SequentialCalibration],
-    heads: Mapping[str, HeadCalibration],
-    profile: ErrorProfile,
-    seed: int,
-) -> str:
-    """Return the text of report.md.
-
-    Replays are by number of the figure, calibrations and heads by lens: as they were estimated,
-    and as they were used, with the errors that the profile injects.
-    """
-    numbered = [replays[number] for number in sorted(replays)]
+def report(done: Reproduction) -> str:
+    """Return the text of report.md."""
+    profile = done.profile
+    replays = [done.replays[number] for number in sorted(done.replays)]
     parts = [
-        f"# Figs. 6-11, error profile `{profile.name}`, seed {seed}",
+        f"# Figs. 6-11, error profile `{profile.name}`, seed {done.seed}",
         f"{profile.description} {_fitted_line(profile)}",
         "All numbers come from rendered images. Positions in metres from the left eye's rotation "
         "centre, x forward (depth), y left, z up; `paper` is what the paper's captions print.",
         "## Standard deviations",
-        *_std_table(numbered, heads, profile),
-        _verdict(numbered),
+        _std_table(replays, done.heads, profile),
+        "The column of Eqs. 20-21 includes the joint sensors only (noise, quantisation, gain, "
+        "delay), not what the calibration and the mechanics add.",
+        _verdict(replays),
         "## Means",
-        _mean_table(numbered),
+        _mean_table(replays),
         "## Calibrations",
-        *_calibration_table(calibrations),
+        *_calibration_table(done.calibrations),
     ]
     if profile.fitted:
-        parts += ["## Fitted parameters", _fitted_table(profile)]
+        rows = [(f"`{f.name}`", f"{f.value:g} {f.unit}", f.meaning, f.how) for f in profile.fitted]
+        parts += ["## Fitted parameters", markdown_table("name | value | meaning | how", rows)]
     return "\n\n".join(parts) + "\n"
 
 
@@ -112,15 +117,9 @@ def _fitted_line(profile: ErrorProfile) -> str:
     )
 
 
-def _table(heading: str, rows: Iterable[Sequence[object]]) -> str:
-    """Return a table in markdown, whose heading has its cells divided by |."""
-    lines = [f"| {heading} |", "|" + "---|" * (heading.count("|") + 1)]
-    return "\n".join(lines + ["| " + " | ".join(map(str, row)) + " |" for row in rows])
-
-
 def _std_table(
     replays: Sequence[Replay], heads: Mapping[str, HeadCalibration], profile: ErrorProfile
-) -> list[str]:
+) -> str:
     rows = []
     for result in replays:
         figure, ours = result.figure, result.statistics
@@ -133,11 +132,7 @@ def _std_table(
         "Fig. | motion | lens | paper x / y / z | ours x / y / z | ours / paper "
         "| x by Eqs. 20-21 | samples | dropped"
     )
-    return [
-        _table(heading, rows),
-        "The column of Eqs. 20-21 includes the joint sensors only (noise, quantisation, gain, "
-        "delay), not what the calibration and the mechanics add.",
-    ]
+    return markdown_table(heading, rows)
 
 
 def _verdict(replays: Sequence[Replay]) -> str:
@@ -163,7 +158,7 @@ def _mean_table(replays: Sequence[Replay]) -> str:
         across = f"{1e3 * float(np.hypot(error[1], error[2])):.1f} mm"
         rows.append((result.figure.number, _three(paper, 3), _three(ours.mean_m, 4), ratio, across))
     heading = "Fig. | object (the paper's mean) | our mean | depth error / our std | error across"
-    return _table(heading, rows)
+    return markdown_table(heading, rows)
 
 
 def _calibration_table(calibrations: Mapping[str, SequentialCalibration]) -> list[str]:
@@ -177,12 +172,7 @@ def _calibration_table(calibrations: Mapping[str, SequentialCalibration]) -> lis
             f"Static stereo with the {lens} lens: {found.stereo_views} views, RMS "
             f"{found.stereo_rms_px:.3f} px. Eye orientations: {eyes}."
         )
-    return [_table("lens | camera | views | RMS residual | focal length", rows), *remarks]
-
-
-def _fitted_table(profile: ErrorProfile) -> str:
-    rows = [(f"`{f.name}`", f"{f.value:g} {f.unit}", f.meaning, f.how) for f in profile.fitted]
-    return _table("name | value | meaning | how", rows)
+    return [markdown_table("lens | camera | views | RMS residual | focal length", rows), *remarks]
 
 
 def _three(values: Array | tuple[float, ...], digits: int) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from itertools import groupby
 from operator import attrgetter
@@ -14,10 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.sequential.sequential import (
-    SequentialCalibration,
-    calibrate_sequentially,
-)
+from vergence.calibration.sequential.sequential import SequentialCalibration, calibrate_sequentially
 from vergence.errors import VergenceError
 from vergence.files import write_whole
 from vergence.geometry.head import HeadCalibration, save_head
@@ -25,7 +21,7 @@ from vergence.paper.figures import FIGURES, Figure
 from vergence.paper.plots import paper_figures
 from vergence.paper.recording import figure_recording, log_results
 from vergence.paper.replay import Replay, replay, sample_times, summary
-from vergence.paper.report import figure_report, report
+from vergence.paper.report import Reproduction, figure_report, report
 from vergence.progress import Progress, silent
 from vergence.twin.appearance import visual_geoms
 from vergence.twin.calibration_errors import inject_calibration_error
@@ -35,22 +31,8 @@ from vergence.twin.profile import ErrorProfile
 from vergence.viewer.frame import log_frame
 from vergence.viewer.opening import log_report
 
-_SAMPLES_WITH_IMAGES = 160
+SAMPLES_WITH_IMAGES = 160
 """About how many samples of a figure have their images in the recording, which keeps it small."""
-
-
-@dataclass(frozen=True, eq=False)
-class Reproduction:
-    """All results of a run so far."""
-
-    profile: ErrorProfile
-    seed: int
-    calibrations: dict[str, SequentialCalibration]
-    """By lens, as they were estimated."""
-    heads: dict[str, HeadCalibration]
-    """By lens, as they are used: with the calibration errors that the profile injects."""
-    replays: dict[int, Replay]
-    """By number of the figure."""
 
 
 def reproduce(
@@ -66,18 +48,9 @@ def reproduce(
     """Replay figures and write recordings, plots, report and statistics into a folder.
 
     Results are written after each figure, so that an interrupted run loses only its last one.
-
-    Args:
-        out: folder of the results; made if it is not there.
-        figures: numbers of the paper's figures.
-        profile: the error profile of the twin.
-        seed: of everything random.
-        duration_s: length of each replay; None: its full combined period, at least 60 s.
-        rate_hz: samples per second; None: 640 samples per figure.
-        progress: is called after each view of a calibration and each sample of a figure.
-
-    Raises:
-        VergenceError: an argument cannot be met, or the folder cannot be written.
+    Without a duration each replay takes its full combined period, at least 60 s; without a rate it
+    has SAMPLES samples. VergenceError if an argument cannot be met, or the folder cannot be
+    written.
     """
     chosen = check(out, figures=figures, seed=seed, duration_s=duration_s, rate_hz=rate_hz)
     done = Reproduction(profile, seed, {}, {}, {})
@@ -114,8 +87,7 @@ def check(
 ) -> list[Figure]:
     """Check the arguments of `reproduce` before any work is done, and return the figures.
 
-    Raises:
-        VergenceError: an argument cannot be met, or the folder cannot be written.
+    VergenceError if an argument cannot be met, or the folder cannot be written.
     """
     unknown = [number for number in figures if number not in FIGURES]
     if unknown or not figures:
@@ -168,11 +140,7 @@ def record_replay(
     *,
     progress: Progress = silent,
 ) -> Replay:
-    """Replay one figure on rendered images, as `replay` does, and record it.
-
-    Raises:
-        VergenceError: the recording cannot be written.
-    """
+    """Replay one figure on rendered images, as `replay` does, and record it."""
     with figure_recording(path, figure, calibration, visual_geoms(twin.model)) as rec:
         result = replay(
             twin,
@@ -180,17 +148,12 @@ def record_replay(
             figure,
             times_s,
             observer=partial(log_frame, rec),
-            image_every=image_interval(times_s),
+            image_every=max(1, len(times_s) // SAMPLES_WITH_IMAGES),
             progress=progress,
         )
         log_results(rec, result, calibration, twin.T_world_lbase())
         log_report(rec, figure_report(result, twin.profile, calibration))
     return result
-
-
-def image_interval(times_s: Array) -> int:
-    """Return N such that every Nth sample is recorded with its images."""
-    return max(1, len(times_s) // _SAMPLES_WITH_IMAGES)
 
 
 def _write(out: Path, done: Reproduction) -> None:
@@ -202,7 +165,4 @@ def _write(out: Path, done: Reproduction) -> None:
         "figures": {str(number): summary(done.replays[number]) for number in sorted(done.replays)},
     }
     write_whole(out / "statistics.json", json.dumps(results, indent=1) + "\n")
-    write_whole(
-        out / "report.md",
-        report(done.replays, done.calibrations, done.heads, done.profile, done.seed),
-    )
+    write_whole(out / "report.md", report(done))

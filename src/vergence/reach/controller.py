@@ -77,12 +77,8 @@ def step_reach(
 ) -> ReachState:
     """Return the next state: step the gaze, locate the hand, decide, command.
 
-    Args:
-        settings: of head and hand.
-        state: the present one.
-        frame: the latest; None, a repeated frame or an older one counts as no new frame.
-        reading: of the hand, now.
-        now_s: time from which the commands can take effect.
+    No frame, a repeated one and an older one all count as no new frame. The hand's reading is of
+    now, from when on the commands can take effect.
     """
     before, gaze = state.gaze, step_gaze(settings.gaze, state.gaze, frame, now_s)
     readings = (*state.readings[1 - _KEPT :], reading)
@@ -139,10 +135,7 @@ def _locate_target(settings: ReachSettings, state: ReachState, frame: Frame) -> 
 
 
 def _object_pixel(settings: ReachSettings, state: ReachState, frame: Frame, camera: str) -> Array:
-    """Return the object's pixel (2,) in an image that shows the marker; NaN where not found.
-
-    The gaze controller does not search all the images that there are.
-    """
+    """Return the object's pixel (2,), searched for if the gaze has not done so; NaN: not found."""
     if camera in state.gaze.pixels:
         return state.gaze.pixels[camera]
     intrinsics = settings.gaze.calibration.camera(camera).intrinsics

@@ -174,10 +174,7 @@ def target_covariance(settings: ReachSettings, state: ReachState) -> Array:
 def initial_reach_state(
     settings: ReachSettings, posture: Array, reading: HandReading, time_s: float
 ) -> ReachState:
-    """Return the state of a head and a hand at rest that have not seen anything.
-
-    The posture has the set points (7,) [rad] of the head's joints.
-    """
+    """Return the state of head (set points (7,) [rad]) and hand at rest, with nothing seen."""
     gaze = initial_gaze_state(settings.gaze, posture, time_s)
     rest = HandCommand(time_s, reading.T_body_hand[:3, 3], np.zeros(3))
     return ReachState(ReachPhase.SEEK, time_s, gaze, rest, (reading,), gaze.cameras)

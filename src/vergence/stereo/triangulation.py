@@ -34,16 +34,11 @@ def triangulate(
 ) -> tuple[Array, np.ndarray]:
     """Solve Eqs. 3-4 for the points in the left camera's frame, by linear least squares.
 
-    Each camera gives two equations that are linear in the point: with m1, m2, m3 the rows of
-    its 3 x 4 matrix A [R t], (u m3 - m1) y = 0 and (v m3 - m2) y = 0.
+    Each camera gives two equations that are linear in the point: with m1, m2, m3 the rows of its 3
+    x 4 matrix A [R t], (u m3 - m1) y = 0 and (v m3 - m2) y = 0.
 
-    Args:
-        left: (N, 2) pixels in the left camera, distortion included; NaN: not seen.
-        right: (N, 2) pixels in the right camera.
-        T_rcam_lcam: (N, 4, 4) or (4, 4) pose of the left camera in the right one.
-
-    Returns:
-        Points (N, 3) [m], NaN where the status is not OK, and the status (N,).
+    Pixels are (N, 2), distortion included, NaN: not seen; T_rcam_lcam is (N, 4, 4) or (4, 4).
+    Returns points (N, 3) [m], NaN where the status is not OK, and the status (N,).
     """
     u_l, u_r = undistort(left_camera, left), undistort(right_camera, right)
     n = len(u_l)
@@ -76,10 +71,8 @@ def triangulate_at(
 ) -> tuple[Array, np.ndarray]:
     """Return points in the left eye's base frame, and their status (Eqs. 3, 4, 11, 12 less neck).
 
-    Args and errors: see `uncertainty.locate`.
-
-    Returns:
-        Points (N, 3) [m], NaN where the status is not OK, and the status (N,).
+    Points are (N, 3) [m], NaN where the status (N,) is not OK. Arguments and errors are those of
+    `uncertainty.locate`.
     """
     left, right, joints = checked(left, right, joints)
     readable = np.isfinite(joints).all(axis=-1, keepdims=True)
@@ -96,11 +89,7 @@ def triangulate_at(
 
 
 def checked(left: Array, right: Array, joints: Array) -> tuple[Array, Array, Array]:
-    """Return pixels and joint readings as float arrays.
-
-    Raises:
-        VergenceError: they are not (N, 2), (N, 2) and (4,) or (N, 4).
-    """
+    """Return float arrays; VergenceError if they are not (N, 2), (N, 2) and (4,) or (N, 4)."""
     left, right, joints = (np.asarray(each, dtype=float) for each in (left, right, joints))
     n = len(left) if left.ndim else 0
     for name, array, shapes in (

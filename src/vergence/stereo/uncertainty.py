@@ -89,9 +89,8 @@ def locate_with_covariance(
 ) -> tuple[Array, Array]:
     """Return points (N, 3) [m] and the covariances (N, 3, 3) [m^2] that measurement noise makes.
 
-    The calibration is taken as exact. NaN where a point cannot be located.
-
-    Args and errors: see locate.
+    The calibration is taken as exact. NaN where a point cannot be located. Arguments and errors are
+    those of `locate`.
     """
     points, _, jacobian = _linearised(head, left, right, joints, cameras)
     return points, _covariance(jacobian, _stds(len(points), pixel_std_px, joint_std_rad))
@@ -112,18 +111,9 @@ def locate_both(
     Both are seen by the same cameras at the same readings, so that an error of the readings is in
     both, and cancels as far as the two are near each other. The calibration is taken as exact.
 
-    Other args: see locate.
-
-    Args:
-        left: pixels (N, 2) of points a, and of points b, in the left camera.
-        right: pixels (N, 2) of points a, and of points b, in the right camera.
-
-    Returns:
-        Points a and b (N, 3) [m], and covariances (N, 3, 3) [m^2] of a - b, in the left eye's base
-        frame; NaN where a point cannot be located.
-
-    Raises:
-        VergenceError: see locate.
+    `left` and `right` have the pixels (N, 2) of points a and of points b; other arguments and
+    errors are those of `locate`. Returns points a and b (N, 3) [m], and covariances (N, 3, 3) [m^2]
+    of a - b, in the left eye's base frame; NaN where a point cannot be located.
     """
     n = len(left[0])
     both = np.tile(np.broadcast_to(joints, (n, 4)), (2, 1))
@@ -147,10 +137,7 @@ def calibration_covariance(
 ) -> Array:
     """Return what the calibration's covariance adds (N, 3, 3) [m^2] to points that are located.
 
-    Args: see locate.
-
-    Raises:
-        VergenceError: the head states no covariance; and see locate.
+    Arguments and errors are those of `locate`; VergenceError also if the head states no covariance.
     """
     accuracy = head.accuracy
     if accuracy is None or not accuracy.parameters:
@@ -205,11 +192,7 @@ def _by_parameters(
 
 
 def _linearised(
-    head: HeadCalibration,
-    left: Array,
-    right: Array,
-    joints: Array,
-    cameras: tuple[str, str] | None,
+    head: HeadCalibration, left: Array, right: Array, joints: Array, cameras: tuple[str, str] | None
 ) -> tuple[Array, np.ndarray, Array]:
     """Return points (N, 3), their status, and how they change (8, N, 3) with pixels and angles."""
     left, right, joints = checked(left, right, joints)

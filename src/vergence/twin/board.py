@@ -23,11 +23,7 @@ BLACK, WHITE = 25, 235
 
 
 def put_charuco(spec: mujoco.MjSpec, board: Charuco) -> None:
-    """Replace the chessboard of a scene by a ChArUco board.
-
-    Raises:
-        VergenceError: OpenCV cannot draw this board.
-    """
+    """Replace the chessboard of a scene; VergenceError if OpenCV cannot draw this board."""
     size = np.array([board.squares_x, board.squares_y]) * TEXELS_PER_SQUARE
     try:
         drawn = opencv_board(board).generateImage(

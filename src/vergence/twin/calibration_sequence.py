@@ -1,7 +1,7 @@
 """The calibration sequence: poses of the board and directions of the eyes (Sec. II, Fig. 4).
 
 `plan` uses only the nominal head, as an engineer would; `capture_views` carries the plan out on the
-as-built twin, and `simulate_views` projects corners instead of rendering images.
+as-built twin.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from vergence.geometry.se3 import inverse, pose, rotation, transform
 from vergence.progress import Progress, silent
 from vergence.twin.head import Exposure, Twin
 from vergence.twin.profile import ErrorProfile
-from vergence.twin.sensors import read
 from vergence.vision.board_detection import detect_board
 
 BOARD = Chessboard(columns=9, rows=6, square_m=0.030)
@@ -61,14 +60,10 @@ def plan(
     board: Board = BOARD,
     views: tuple[int, int, int] = (WIDE_VIEWS, NARROW_VIEWS, ORIENTATIONS),
 ) -> list[Shot]:
-    """Plan the views of a calibration sequence.
+    """Plan the views of a calibration sequence for the nominal head.
 
-    Args:
-        head: the nominal head.
-        seed: of the poses of the board.
-        board: the board to show.
-        views: numbers of views for the wide cameras, for each narrow camera, and of the board at
-            rest.
+    `views` has the numbers of views for the wide cameras, for each narrow camera, and of the board
+    at rest.
     """
     wide_views, narrow_views, orientations = views
     rng = np.random.default_rng([seed, 4])
@@ -136,10 +131,7 @@ def _held_board(
 
 
 def board_as_given(profile: ErrorProfile, board: Board = BOARD) -> Board:
-    """Return the board with the dimensions given to the calibration.
-
-    They are wrong if the profile says that the board was printed larger than intended.
-    """
+    """Return the board with the dimensions given to the calibration, perhaps wrong ones."""
     printed = 1 + profile.calibration.square_percent / 100
     if isinstance(board, Chessboard):
         return replace(board, square_m=board.square_m / printed)
@@ -183,7 +175,7 @@ def capture_views(
         seen = [detection.result() for detection in detections]
     twin.place_board(None)
     angles = np.array([eye_angles for eye_angles, _ in seen])
-    return _views(twin.nominal, twin.profile, shots, angles, [corners for _, corners in seen])
+    return observations(twin.nominal, twin.profile, shots, angles, [corners for _, corners in seen])
 
 
 def _detect(twin: Twin, exposure: Exposure) -> tuple[Array, dict[str, Array | None]]:
@@ -192,44 +184,23 @@ def _detect(twin: Twin, exposure: Exposure) -> tuple[Array, dict[str, Array | No
     return frame.eye_angles, found
 
 
-def simulate_views(
-    truth: HeadCalibration,
-    profile: ErrorProfile,
-    shots: Sequence[Shot],
-    *,
-    pixel_noise: float,
-    rng: np.random.Generator,
-) -> Observations:
-    """Return what `capture_views` would, with projected corners instead of rendered images.
-
-    Of the profile only the joint sensors and the board are used. The noise of the corners is a
-    standard deviation [px].
-    """
-    true_angles = np.array([shot.eye_angles for shot in shots])
-    found = []
-    for shot in shots:
-        seen = {name: project_board(truth, BOARD, name, shot) for name in shot.cameras}
-        found.append({n: uv + rng.normal(0, pixel_noise, uv.shape) for n, uv in seen.items()})
-    return _views(truth, profile, shots, read(true_angles, profile.joints, rng), found)
-
-
-def _views(
+def observations(
     head: HeadCalibration,
     profile: ErrorProfile,
     shots: Sequence[Shot],
     eye_angles: Array,
     found: Sequence[Mapping[str, Array | None]],
 ) -> Observations:
+    """Return the corners found in each shot by camera, and the readings (V, 4), as observations."""
     nothing = np.full((BOARD.columns * BOARD.rows, 2), np.nan)
     corners = {}
     for name in head.cameras:
         seen = [view.get(name) for view in found]
         corners[name] = np.array([nothing if c is None else c for c in seen])
-    intrinsics = {name: mounted.intrinsics for name, mounted in head.cameras.items()}
     return Observations(
         board=board_as_given(profile),
         placement=np.array([shot.placement for shot in shots]),
         eye_angles=eye_angles,
         corners=corners,
-        sizes={name: (camera.width, camera.height) for name, camera in intrinsics.items()},
+        sizes={n: (m.intrinsics.width, m.intrinsics.height) for n, m in head.cameras.items()},
     )

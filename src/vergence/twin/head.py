@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
+from vergence.errors import VergenceError
 from vergence.geometry.board import Charuco
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS
@@ -41,9 +42,8 @@ _EYES = slice(len(NECK_JOINTS), len(NECK_JOINTS) + len(EYE_JOINTS))
 class Exposure:
     """A frame before its pictures are developed."""
 
-    time_s: float
-    eye_angles: Array
-    neck_angles: Array
+    frame: Frame
+    """Without images."""
     negatives: tuple[Negative, ...]
 
 
@@ -64,11 +64,11 @@ class Twin:
         """Build a head with wide cameras of a lens, and with the imperfections of a profile.
 
         The same seed gives the same head, whatever the lens. A board replaces the scene's
-        chessboard.
-
-        Raises:
-            VergenceError: there is no OpenGL, or the model cannot be loaded.
+        chessboard. VergenceError if there is no OpenGL, the model cannot be loaded, or the seed is
+        negative.
         """
+        if seed < 0:
+            raise VergenceError(f"The seed must be a whole number from 0, found {seed}.")
         self.profile = profile
         self.nominal: HeadCalibration = nominal_head(lens)
         self.truth: HeadCalibration = as_built_head(self.nominal, profile, seed)
@@ -104,14 +104,12 @@ class Twin:
         return float(self._data.time)
 
     def advance(self, until_s: float, command: Callable[[float], Array] | Array) -> None:
-        """Step the physics.
+        """Step the physics until a simulated time.
 
-        Args:
-            until_s: simulated time at which to stop.
-            command: (7,) wanted angles in the order of model.JOINTS, or a function of the time
-                that gives them. The function is asked every 5 ms of simulated time, a clock of
-                its own, so that the motion does not depend on where it stops; in between goes a
-                line, which is servoed at 1 kHz.
+        The command is (7,) wanted angles [rad] in the order of model.JOINTS, or a function of the
+        time that gives them. The function is asked every 5 ms of simulated time, a clock of its
+        own, so that the motion does not depend on where it stops; in between goes a line, which is
+        servoed at 1 kHz.
         """
         width = np.radians(self.profile.joints.backlash_deg)
         while (left := round((until_s - self._data.time) * 1000)) > 0:
@@ -149,8 +147,7 @@ class Twin:
 
     def true_object(self) -> Array:
         """Return where the object is (3,) [m], in the left eye's base frame."""
-        T_world_lbase = self.T_world_lbase()
-        return transform(inverse(T_world_lbase), self._data.body("object").xpos)
+        return transform(inverse(self.T_world_lbase()), self._data.body("object").xpos)
 
     def expose(self, cameras: Sequence[str] = CAMERAS) -> Exposure:
         """Take a frame: render, and read the sensors."""
@@ -164,17 +161,13 @@ class Twin:
         negatives = tuple(self._renderer.expose(self._seen, name) for name in cameras)
         sensed = self._at(self._sensed, joint_s)
         eye_angles = read(sensed[None, _EYES], self.profile.joints, self._rng)[0]
-        return Exposure(self.time_s, eye_angles, sensed[: len(NECK_JOINTS)], negatives)
+        neck_angles, now = sensed[: len(NECK_JOINTS)], self.time_s
+        return Exposure(Frame(now, now, eye_angles, neck_angles, {}), negatives)
 
     def develop(self, exposure: Exposure) -> Frame:
         """Finish the pictures of an exposure; may run in another thread than expose."""
-        return Frame(
-            time_s=exposure.time_s,
-            joint_time_s=exposure.time_s,
-            eye_angles=exposure.eye_angles,
-            neck_angles=exposure.neck_angles,
-            images={n.camera: self._renderer.develop(n) for n in exposure.negatives},
-        )
+        images = {n.camera: self._renderer.develop(n) for n in exposure.negatives}
+        return replace(exposure.frame, images=images)
 
     def capture(self, cameras: Sequence[str] = CAMERAS) -> Frame:
         """Take a frame and finish its pictures."""

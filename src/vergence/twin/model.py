@@ -132,18 +132,12 @@ def as_built_head(nominal: HeadCalibration, profile: ErrorProfile, seed: int) ->
 
 
 def compile_head(
-    head: HeadCalibration,
-    overscan: dict[str, tuple[int, int]],
-    *,
-    board: Charuco | None = None,
+    head: HeadCalibration, overscan: dict[str, tuple[int, int]], *, board: Charuco | None = None
 ) -> mujoco.MjModel:
-    """Compile the scene with the head as given.
+    """Compile the scene with an as-built head, whose lens distortion the renderer adds.
 
-    Args:
-        head: the as-built head, whose lens distortion the renderer adds.
-        overscan: by camera, the width and height [px] to render, at the camera's own focal
-            length; the image lies in the middle of it.
-        board: replaces the scene's chessboard.
+    The overscan is by camera the width and height [px] to render, at the camera's own focal
+    length; the image lies in the middle of it. A board replaces the scene's chessboard.
     """
     spec = load_spec()
     if board is not None:

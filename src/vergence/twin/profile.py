@@ -151,11 +151,7 @@ def shipped() -> list[str]:
 
 
 def load_profile(name_or_file: str) -> ErrorProfile:
-    """Read a shipped profile by its name, or a profile from a TOML file.
-
-    Raises:
-        VergenceError: no such profile or file, not TOML, or a value that is unknown or impossible.
-    """
+    """Read a shipped profile by its name, or a TOML file; VergenceError if it is not a profile."""
     source: Traversable = Path(name_or_file)
     if name_or_file in shipped():
         source = resources.files("vergence.twin") / "profiles" / f"{name_or_file}.toml"

@@ -41,10 +41,7 @@ def overscan_sizes(head: HeadCalibration) -> dict[str, tuple[int, int]]:
     """Return by camera the width and height [px] of the pinhole image to render.
 
     It covers the field of view of the distorted image; cameras without distortion need only their
-    own size.
-
-    Raises:
-        VergenceError: a lens model is not one-to-one within its image.
+    own size. VergenceError if a lens model is not one-to-one within its image.
     """
     sizes = {}
     for name, mounted in head.cameras.items():
@@ -64,10 +61,9 @@ def overscan_sizes(head: HeadCalibration) -> dict[str, tuple[int, int]]:
 
 
 def _map(camera: Camera, size: tuple[int, int]) -> Sequence[np.ndarray]:
-    """Return x and y (H, W) in the rendered image for each pixel of the camera.
+    """Return float32 maps x and y (H, W) into the rendered image for each pixel of the camera.
 
-    The rendered image is FINER times as large as size. The maps are float32, since OpenCV's packed
-    maps round to 1/32 px, in every image alike.
+    That image is FINER times as large as size. OpenCV's packed maps would round to 1/32 px.
     """
     v, u = np.mgrid[: camera.height, : camera.width].astype(float)
     finer = FINER * _in_pinhole(camera, np.stack([u, v], axis=-1), size) + (FINER - 1) / 2
@@ -85,11 +81,7 @@ class Renderer:
     """The cameras of a compiled head. Use it in the thread that created it, and close it."""
 
     def __init__(self, model: mujoco.MjModel, head: HeadCalibration, image: Image, seed: int):
-        """Open OpenGL for a model that was compiled with the overscan sizes of the head.
-
-        Raises:
-            VergenceError: there is no OpenGL.
-        """
+        """Open OpenGL for a model that has the head's overscan sizes; VergenceError: none."""
         self._image = image
         self._seed = seed
         self.restart(0)

@@ -16,11 +16,7 @@ BLUE, GREEN, RED = map(html, AXIS_COLOURS.values())
 
 
 def save(canvas: Canvas, path: Path) -> None:
-    """Write a canvas as a PNG file, complete or not at all.
-
-    Raises:
-        VergenceError: the file cannot be written.
-    """
+    """Write a canvas as a PNG file, as `whole_file` does."""
     with whole_file(path) as part:
         canvas.savefig(part, format="png")
 

@@ -54,15 +54,14 @@ def record_dataset(
     report: str,
     progress: Progress = silent,
 ) -> None:
-    """Write a recording of a dataset and of the calibration that was made from it.
+    """Write a recording of a dataset, of its calibration and of the report, which is markdown.
 
-    Without bundle adjustment only images and corners are recorded. The report is markdown.
-
-    Raises:
-        VergenceError: the file cannot be written, or an image cannot be read.
+    Without bundle adjustment only images and corners are recorded. VergenceError if the file cannot
+    be written, or an image cannot be read.
     """
     head, estimate = result.head, result.estimate
-    magnified = _magnification(estimate)
+    typical = 1.0 if estimate is None else max(estimate.pixel_std_px, 1e-6)
+    magnified = int(10 ** max(0, round(np.log10(RESIDUAL_LENGTH_PX / typical))))
     layout = _blueprint(head, magnified if estimate else None)
     eyes = _eye_poses(result)
     entities = camera_entities(head)
@@ -90,17 +89,8 @@ def record_dataset(
         log_report(rec, report)
 
 
-def _magnification(estimate: BundleEstimate | None) -> int:
-    """Return the power of ten at which residuals are drawn."""
-    typical = 1.0 if estimate is None else max(estimate.pixel_std_px, 1e-6)
-    return int(10 ** max(0, round(np.log10(RESIDUAL_LENGTH_PX / typical))))
-
-
 def _eye_poses(result: CalibrationResult) -> Array:
-    """Return poses (V, 2, 4, 4) of the eyes in the left eye's base frame.
-
-    Estimated poses where there are any, otherwise poses as read.
-    """
+    """Return poses (V, 2, 4, 4) of the eyes in the left eye's base, as read where not estimated."""
     poses = result.observations.eye_poses(result.head.axes).copy()
     if result.estimate is not None:
         estimated = result.estimate.T_base_eye
@@ -143,16 +133,15 @@ def _log_styles(rec: rr.RecordingStream, head: HeadCalibration, dataset: Dataset
         rec.log(f"{entity}/corners", dots, static=True)
         lines = rr.LineStrips2D.from_fields(colors=style.RAY, radii=-1.0)
         rec.log(f"{entity}/residuals", lines, static=True)
+    joints = [joint for joint in dataset.description.joints if joint in EYE_JOINTS]
+    colours = {f"joints/{joint}": style.JOINT_COLOURS[joint] for joint in joints}
     for eye in EYES:
-        own = [name for name, mounted in head.cameras.items() if mounted.eye == eye]
-        for name, colour in zip(own, 9 * style.EYE_COLOURS[eye], strict=False):
-            points = rr.SeriesPoints(names=name.replace("_", " "), colors=colour, marker_sizes=3)
-            rec.log(f"residual/{name}", points, static=True)
-    for joint in dataset.description.joints:
-        if joint in EYE_JOINTS:
-            colour = style.JOINT_COLOURS[joint]
-            points = rr.SeriesPoints(names=joint.replace("_", " "), colors=colour, marker_sizes=3)
-            rec.log(f"joints/{joint}", points, static=True)
+        own = [f"residual/{name}" for name, mounted in head.cameras.items() if mounted.eye == eye]
+        colours |= zip(own, 9 * style.EYE_COLOURS[eye], strict=False)
+    for entity, colour in colours.items():
+        name = entity.partition("/")[2].replace("_", " ")
+        points = rr.SeriesPoints(names=name, colors=colour, marker_sizes=3)
+        rec.log(entity, points, static=True)
 
 
 def rms_by_view(errors: Array) -> Array:

@@ -26,14 +26,8 @@ def log_frame(
 ) -> None:
     """Record posture, images and marks of one moment; may be called from another thread.
 
-    Args:
-        rec: the recording.
-        time_s: since the first sample.
-        index: number of the sample.
-        frame: the images; None: only the posture is recorded.
-        body_poses: by name, poses (4, 4) in the world.
-        detected: by camera, the detected pixel (2,) of the object; NaN: not found.
-        truth: by camera, the true pixel (2,) of the object.
+    Without a frame only the posture is recorded: poses (4, 4) in the world, by name. By camera
+    there are the detected pixel (2,) of the object, NaN where it was not found, and the true one.
     """
     rec.set_time("sim_time", duration=time_s)
     rec.set_time("frame", sequence=index)
@@ -70,7 +64,4 @@ def time_columns(time_s: Array, index: np.ndarray) -> list[rr.TimeColumn]:
     """Return the timelines sim_time and frame for times (N,) [s] and sample numbers (N,)."""
     # A float array would be truncated to nanoseconds, while set_time rounds.
     nanoseconds = np.round(time_s * 1e9).astype("timedelta64[ns]")
-    return [
-        rr.TimeColumn("sim_time", duration=nanoseconds),
-        rr.TimeColumn("frame", sequence=index),
-    ]
+    return [rr.TimeColumn("sim_time", duration=nanoseconds), rr.TimeColumn("frame", sequence=index)]

@@ -68,10 +68,10 @@ def moment(
     frame: Frame,
     time_s: float,
     *,
-    lanes: Mapping[str, str] | None = None,
-    truth: Array | None = None,
-    errors_px: Array | None = None,
-    hand: Array | None = None,
+    lanes: Mapping[str, str],
+    truth: Array,
+    errors_px: Array,
+    hand: Array | None,
 ) -> Moment:
     """Return the moment of a frame, from the controller's state and the observer's truth.
 
@@ -81,14 +81,14 @@ def moment(
     nowhere = np.full(3, np.nan)
     return Moment(
         time_s=time_s,
-        lanes={"gaze": state.phase.value, **(lanes or {})},
+        lanes={"gaze": state.phase.value, **lanes},
         readings=readings,
         commanded=commanded(state.commands, frame.time_s),
         axes=_axes(settings.calibration, readings, state),
         fused=nowhere if state.track is None else state.track.position,
         one_frame=nowhere if state.measured is None else state.measured,
-        truth=nowhere if truth is None else truth,
-        errors_px=np.full(2, np.nan) if errors_px is None else errors_px,
+        truth=truth,
+        errors_px=errors_px,
         hand=nowhere if hand is None else hand,
     )
 
@@ -144,18 +144,8 @@ def log_gaze_frame(
 ) -> None:
     """Record a posture, and the images with the object's target, detected and true positions.
 
-    Images that were not searched get no mark of a detection.
-
-    Args:
-        rec: the recording.
-        settings: of the controller.
-        state: of the controller after the frame.
-        frame: the frame.
-        time_s: in the recording.
-        index: number of the frame.
-        pictures: whether the images are recorded.
-        body_poses: by name, poses (4, 4) in the world.
-        truth: by camera, the true pixel (2,) of the object.
+    Images that were not searched get no mark of a detection, and without `pictures` none is
+    recorded. The state is that after the frame; poses and truth are those of `log_frame`.
     """
     log_frame(
         rec,

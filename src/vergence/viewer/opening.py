@@ -1,8 +1,8 @@
-"""Open the file of a recording, with its layout and everything that does not change over time."""
+"""The file of a recording, with what does not change over time; reports in markdown."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,13 +27,10 @@ def recording_file(
     head: HeadCalibration,
     geoms: Sequence[VisualGeom],
 ) -> Iterator[rr.RecordingStream]:
-    """Record in a `with` block; the file appears under its name only when the block ends well.
+    """Record in a `with` block; the file appears as that of `whole_file`, when the block ends well.
 
     The head's cameras are drawn, and the visible shapes of the robot, of which there may be none.
     The name of the folder is added to the title.
-
-    Raises:
-        VergenceError: the file cannot be written.
     """
     rr.set_strict_mode(True)  # by default bad data is dropped with a warning
     folder = path.resolve().parent
@@ -50,6 +47,12 @@ def recording_file(
         log_geoms(rec, geoms)
         log_cameras(rec, head)
         yield rec
+
+
+def markdown_table(heading: str, rows: Iterable[Sequence[object]]) -> str:
+    """Return a table in markdown, whose heading has its cells divided by |."""
+    lines = [f"| {heading} |", "|" + "---|" * (heading.count("|") + 1)]
+    return "\n".join(lines + ["| " + " | ".join(map(str, row)) + " |" for row in rows])
 
 
 def log_report(rec: rr.RecordingStream, markdown: str) -> None:

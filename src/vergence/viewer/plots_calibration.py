@@ -18,16 +18,10 @@ def coverage(
     sizes: Mapping[str, tuple[int, int]],
     eye_angles: Mapping[str, Array],
 ) -> None:
-    """Draw the corners seen by each camera, and the eye angles of the views.
+    """Draw the corners seen by each camera, and the eye angles of the views, into a PNG file.
 
-    Args:
-        path: of the PNG file.
-        corners: by camera, (V, K, 2) [px]; NaN where not seen.
-        sizes: by camera, width and height [px].
-        eye_angles: by eye, (V, 2) pan and tilt [rad].
-
-    Raises:
-        VergenceError: the file cannot be written.
+    By camera there are corners (V, K, 2) [px], NaN where not seen, and the image's width and
+    height; by eye, pan and tilt (V, 2) [rad].
     """
     canvas, grid = panels(len(corners) + len(eye_angles), "Where the board was seen")
     for axes, (name, pixels) in zip(grid, corners.items(), strict=False):
@@ -53,15 +47,8 @@ def residuals(
 ) -> None:
     """Draw residuals as magnified arrows in the image, and their size over the joint angles.
 
-    Args:
-        path: of the PNG file.
-        corners: by camera, (V, K, 2) [px].
-        errors: by camera, (V, K, 2) projected minus seen [px]; NaN where not seen.
-        sizes: by camera, width and height [px].
-        eye_angles: by camera, (V, 2) pan and tilt of its eye [rad].
-
-    Raises:
-        VergenceError: the file cannot be written.
+    By camera there are corners (V, K, 2) [px], errors (V, K, 2) projected minus seen [px], the
+    image's width and height, and pan and tilt (V, 2) of its eye [rad]; NaN where not seen.
     """
     canvas, grid = panels(3 * len(corners), "Residuals", columns=3)
     for k, (name, pixels) in enumerate(corners.items()):
@@ -86,15 +73,7 @@ def residuals(
 
 
 def views(path: Path, shown: Mapping[str, tuple[np.ndarray, Array, Array]]) -> None:
-    """Draw images with the detected corners, and the residuals as arrows, magnified 100 times.
-
-    Args:
-        path: of the PNG file.
-        shown: by title, image (H, W, 3), corners (K, 2) [px] and errors (K, 2) [px].
-
-    Raises:
-        VergenceError: the file cannot be written.
-    """
+    """Draw images with corners (K, 2), and residuals (K, 2) [px] as arrows, magnified 100 times."""
     canvas, grid = panels(len(shown), "The worst views; arrows: residuals x 100")
     for axes, (title, (image, corners, errors)) in zip(grid, shown.items(), strict=True):
         axes.imshow(image)
@@ -107,6 +86,6 @@ def views(path: Path, shown: Mapping[str, tuple[np.ndarray, Array, Array]]) -> N
 
 
 def _arrows(axes: Axes, points: Array, arrows: Array, *, width: float, color: str) -> None:
-    """Draw arrows (N, 2) that begin at points (N, 2), both in pixels of the image."""
+    """Draw arrows (N, 2) [px] that begin at points (N, 2) [px]."""
     to_scale = {"angles": "xy", "scale_units": "xy", "scale": 1}
     axes.quiver(*points.T, *arrows.T, width=width, color=color, **to_scale)

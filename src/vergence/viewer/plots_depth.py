@@ -25,20 +25,12 @@ _SHADES = ("#8fb4f0", "#4a7fe0", "#12389b")
 
 
 def depth(path: Path, calibration: HeadCalibration) -> None:
-    """Draw the plots of `draw_depth` into a PNG file.
-
-    Raises:
-        VergenceError: the file cannot be written, or the head lacks a camera.
-    """
+    """Draw the plots of `draw_depth` into a PNG file."""
     save(draw_depth(calibration), path)
 
 
 def draw_depth(calibration: HeadCalibration) -> Canvas:
-    """Draw how the ideal wide pixel converges with depth, and what errors of depth cost.
-
-    Raises:
-        VergenceError: the head lacks a wide or a narrow camera.
-    """
+    """Draw how the ideal wide pixel converges with depth, and what errors of depth cost."""
     canvas, (converge, cost, disparity) = panels(
         3, "Where to hold an object in the wide image so that it falls on the fovea", columns=3
     )

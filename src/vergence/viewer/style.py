@@ -10,10 +10,7 @@ AXIS_COLOURS = {"x": (31, 90, 255), "y": (0, 150, 40), "z": (225, 30, 30)}
 """The paper's: x (depth) blue, y green, z red."""
 PALE = {"x": (150, 185, 255), "y": (140, 215, 150), "z": (255, 165, 160)}
 PAPER = (150, 150, 150)
-EYE_COLOURS = {
-    "left": ((230, 120, 20), (240, 190, 90)),
-    "right": ((30, 140, 170), (120, 200, 215)),
-}
+EYE_COLOURS = {"left": ((230, 120, 20), (240, 190, 90)), "right": ((30, 140, 170), (120, 200, 215))}
 """Strong and light; of a joint: pan and tilt."""
 JOINT_COLOURS = {
     f"{eye}_{joint}": colour

@@ -28,20 +28,15 @@ MAX_UPSAMPLED_PX = 1_500_000
 
 
 def detect_board(image: np.ndarray, board: Board) -> Array | None:
-    """Detect a board and return its inner corners with subpixel accuracy.
+    """Detect a board in an image (H, W) or (H, W, 3) uint8, RGB, and return its inner corners.
 
     A ChArUco board may be partly visible. A chessboard must be visible as a whole, although single
     corners without a clear saddle point become NaN. If one of a chessboard's corner counts is odd
-    and the other even, its two ends differ, and corners are numbered so that the square outside
-    the first one is black. Otherwise they keep OpenCV's order, which may be rotated by 180 degrees.
+    and the other even, its two ends differ, and corners are numbered so that the square outside the
+    first one is black. Otherwise they keep OpenCV's order, which may be rotated by 180 degrees.
 
-    Args:
-        image: (H, W) or (H, W, 3) uint8, RGB.
-        board: the board to detect.
-
-    Returns:
-        (rows * columns, 2) pixels in the order of corner_points, NaN for corners that were not
-        found; None where no board was detected.
+    Returns pixels (rows * columns, 2) in the order of corner_points, NaN for corners that were not
+    found; None where no board was detected.
     """
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     if isinstance(board, Charuco):
@@ -100,10 +95,7 @@ def _detect_charuco(grey: np.ndarray, board: Charuco) -> Array | None:
 
 
 def _shortest_diagonals(grid: Array) -> Array:
-    """Return the shortest diagonal [px] of the squares around each corner, (rows, columns).
-
-    It is NaN for a corner without neighbours both along its row and along its column.
-    """
+    """Return the shortest diagonal [px] of the squares at each corner; NaN: no neighbours."""
     diagonals = [
         np.linalg.norm(along + sign * across, axis=-1)
         for along, across in adjacent_sides(grid)
@@ -113,10 +105,7 @@ def _shortest_diagonals(grid: Array) -> Array:
 
 
 def _reject_misread(corners: Array, points: Array, tolerance_px: float) -> None:
-    """Set corners (K, 2) that do not fit a homography of the board to NaN: misread markers.
-
-    The tolerance is large enough for lens distortion.
-    """
+    """Set corners (K, 2) that no homography (up to distortion) fits to NaN: misread markers."""
     valid = np.flatnonzero(np.isfinite(corners[:, 0]))
     if len(valid) < 6:  # too few to identify an outlier
         return

@@ -39,16 +39,11 @@ def refine_corners(
 ) -> Array:
     """Move the corners of a board to the saddle points of the grey levels around them.
 
-    Args:
-        grey: (H, W) uint8.
-        grid: (rows, columns, 2) the board's inner corners [px], right to about a pixel; NaN where
-            one is not known.
-        lengths_px: (rows, columns) lengths of the strips along the edges; clipped to LENGTHS_PX.
-        half_widths_px: (rows, columns) half widths of the strips, or one for all.
-
-    Returns:
-        (rows, columns, 2) px; NaN for a corner that is no clear saddle point, too near the image's
-        border, or without neighbours in its row and its column.
+    The image is (H, W) uint8. The board's inner corners (rows, columns, 2) [px] are right to about
+    a pixel, NaN where not known. The strips have lengths (rows, columns) [px], clipped to
+    LENGTHS_PX, and half widths (rows, columns), or one for all. NaN becomes a corner that is no
+    clear saddle point, too near the image's border, or without neighbours in its row and its
+    column.
     """
     shape = grid.shape
     lengths = np.clip(np.nan_to_num(lengths_px), *LENGTHS_PX).ravel()
@@ -72,11 +67,9 @@ def edge_distances(grid: Array) -> Array:
 
 
 def adjacent_sides(grid: Array) -> list[tuple[Array, Array]]:
-    """Return the two sides at each corner of the four squares around it, as vectors from it.
+    """Return the sides at each corner of the four squares around it, as vectors from it.
 
-    Returns:
-        Four pairs of (rows, columns, 2), along the row and along the column; NaN where there is no
-        neighbour.
+    Four pairs of (rows, columns, 2), along the row and the column; NaN: no neighbour there.
     """
     padded = np.pad(grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
     centre = padded[1:-1, 1:-1]
@@ -86,15 +79,12 @@ def adjacent_sides(grid: Array) -> list[tuple[Array, Array]]:
 
 
 def curvatures(grid: Array) -> Array:
-    """Return the second-order terms of the map from a board to the image at its corners.
+    """Return the second-order terms (rows, columns, 2, 3) of the map from a board to the image.
 
-    They are finite differences of a smooth map of the whole board, so that corners on its border
-    and corners that were not found (NaN) have them like all others.
-
-    Returns:
-        (rows, columns, 2, 3): the coefficients of u^2, u v and v^2 in the deviation of x and y [px]
-        from a linear map, at an offset (u, v) [px] from a corner; zero where too few corners were
-        found for an estimate.
+    Coefficients of u^2, u v and v^2 in the deviation of x and y [px] from a linear map, at an
+    offset (u, v) [px] from a corner. They are finite differences of a smooth map of the whole
+    board, so that corners on its border and corners that were not found (NaN) have them like all
+    others; zero where too few were found.
     """
     offsets = np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), axis=-1) * _STEP
     j, i = np.indices(grid.shape[:2])
@@ -116,8 +106,8 @@ def curvatures(grid: Array) -> Array:
 def _smooth_map(grid: Array, places: Array) -> Array:
     """Map places (N, 2) on the board, in squares from its first corner, to pixels (N, 2).
 
-    The map is a homography plus a polynomial for lens distortion, of the largest degree for which
-    there are twice as many corners as coefficients. NaN if there are too few corners.
+    A homography plus a polynomial for lens distortion, of the largest degree for which there are
+    twice as many corners as coefficients. NaN if there are too few corners.
     """
     valid = np.isfinite(grid[..., 0])
     j, i = np.nonzero(valid)
@@ -159,10 +149,7 @@ def _strips(grid: Array, lengths_px: Array, half_widths_px: Array) -> Array:
 
 
 def _saddle_points(grey: np.ndarray, corners: Array, strips: Array, curvature: Array) -> Array:
-    """Return the saddle points (K, 2) [px] near corners (K, 2), NaN where there is none.
-
-    The samples around each, at offsets (K, P, 2), must lie within the image.
-    """
+    """Return saddle points (K, 2) [px] near corners (K, 2), by strips (K, P, 2); NaN: none."""
     refined, asymmetry = np.full(corners.shape, np.nan), np.full(len(corners), np.nan)
     margin = np.abs(strips).max(axis=1) + 2  # NaN is not inside
     size = np.array(grey.shape[::-1])
@@ -186,11 +173,7 @@ def _saddle_points(grey: np.ndarray, corners: Array, strips: Array, curvature: A
 def _fit_saddle_points(
     spline: Array, corners: Array, strips: Array, curvature: Array
 ) -> tuple[Array, Array]:
-    """Return the saddle points (K, 2) of a spline near corners (K, 2), and their asymmetry (K,).
-
-    NaN where there is no saddle point. The asymmetry is the mean difference between the samples
-    and their half-turned copy, relative to their contrast.
-    """
+    """Return a spline's saddle points (K, 2) or NaN, and the asymmetry (K,) around them."""
     u, v = strips[..., 0], strips[..., 1]
     squares = np.stack([u * u, u * v, v * v], axis=-1)
     fit = np.linalg.pinv(np.concatenate([squares, strips, np.ones_like(strips[..., :1])], axis=-1))

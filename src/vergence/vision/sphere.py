@@ -42,20 +42,14 @@ def find_sphere(
     colour: Literal["red", "blue"] = "red",
     near: Array | None = None,
 ) -> Array:
-    """Return the pixel (2,) of the centre of a coloured sphere, distortion included.
+    """Return the pixel (2,) of the centre of a coloured sphere in an image (H, W, 3) uint8, RGB.
+
+    It is that of the largest region of this colour, distortion included; NaN if no region of at
+    least four pixels lies completely in the image. The search begins around the pixel `near` (2,),
+    which is faster if the region lies completely there; None or NaN: not known.
 
     For a sphere of uniform colour before a grey background the centroid is exact, however the
     camera averages over a pixel, since colour contrast is then proportional to coverage.
-
-    Args:
-        image: (H, W, 3) uint8, RGB.
-        camera: intrinsics of the camera that took it.
-        colour: of the sphere.
-        near: (2,) pixel around which the search begins, which is faster; None or NaN: not known.
-
-    Returns:
-        The centre of the largest region of this colour, of those around `near` if one lies
-        completely there; NaN if no region of at least four pixels lies completely in the image.
     """
     planes = (0, 1, 2) if colour == "red" else (2, 1, 0)  # the sphere's own colour first
     window = None
@@ -73,11 +67,7 @@ def find_sphere(
 def _sphere_window(
     image: np.ndarray, planes: tuple[int, int, int], rows: slice, columns: slice
 ) -> tuple[slice, slice] | None:
-    """Return the rows and columns of the largest region of a colour, with a margin for soft edges.
-
-    Only the given rows and columns are searched; None if the region extends beyond them or is too
-    small.
-    """
+    """Return the window, with a margin, of the largest region of a colour within these rows."""
     boxes = []
     for top in range(rows.start, rows.stop, _BAND_ROWS):
         band = image[top : min(top + _BAND_ROWS, rows.stop), columns]
@@ -109,10 +99,7 @@ def _colour_mask(image: np.ndarray, planes: tuple[int, int, int]) -> np.ndarray:
 def _centre(
     image: np.ndarray, planes: tuple[int, int, int], rows: slice, columns: slice, camera: Camera
 ) -> Array:
-    """Return the centre (2,) [px] of the sphere in these rows and columns.
-
-    NaN where the lens's distortion model cannot be inverted.
-    """
+    """Return the centre (2,) [px] of the sphere in these rows and columns; NaN: beyond the lens."""
     own, *others = np.moveaxis(image[rows, columns, planes].astype(float), -1, 0)
     contrast = own - 0.5 * (others[0] + others[1])
     cover = contrast / np.median(contrast[contrast > _THRESHOLD])
@@ -132,8 +119,7 @@ def _centre(
 def _interpolation(begin: int, end: int) -> tuple[Array, Array]:
     """Return Chebyshev points (K,) of the pixels from begin to end, and weights (N, K).
 
-    A pixel's weights times the values of a polynomial at the points, summed, give its value at the
-    pixel, for degrees below K.
+    They give a polynomial's values at the pixels from those at the points, for degrees below K.
     """
     middle, half = (begin + end - 1) / 2, (end - 1 - begin) / 2
     pixels = (np.arange(begin, end) - middle) / half

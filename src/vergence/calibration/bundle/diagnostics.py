@@ -84,10 +84,7 @@ def _of_camera(problem: BundleProblem, c: int) -> str:
 
 
 def _unobservable(problem: BundleProblem, found: Adjusted) -> list[str]:
-    """Return sentences on directions of the head that the data hardly determine, or not at all.
-
-    Directions of the same owners share one.
-    """
+    """Return a sentence for each set of owners whose parameters the data hardly determine."""
     names = [n.removeprefix("camera.").rpartition(".") for n in parameter_names(problem.cameras)]
     owner = [before or after for before, _, after in names]
     word = [_WORDS.get(after, after) if before else "" for before, _, after in names]
@@ -174,11 +171,7 @@ def _motion(problem: BundleProblem, found: Adjusted, eye: int) -> list[str]:
 
 
 def _senses(problem: BundleProblem, found: Adjusted, eye: int) -> list[str]:
-    """Return a sentence for each joint whose motion is so small that its sense is uncertain.
-
-    A mounting turned about the other axis by half a turn then fits as well: no covariance, which
-    describes one solution only, can show it.
-    """
+    """Return a sentence for each joint whose motion is so small that its sense is uncertain."""
     blocks, which = _views(problem, eye)
     if problem.T_base_eye_read is not None or np.bincount(which).max() < 2:
         return []

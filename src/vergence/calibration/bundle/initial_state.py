@@ -8,12 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.bundle.problem import (
-    BundleProblem,
-    BundleState,
-    corner_errors,
-    eye_poses,
-)
+from vergence.calibration.bundle.problem import BundleProblem, BundleState, corner_errors, eye_poses
 from vergence.calibration.observations import Observations
 from vergence.data.timing import DEGREE, stencil
 from vergence.errors import VergenceError
@@ -43,11 +38,8 @@ def initial_state(
 ) -> tuple[BundleProblem, BundleState, np.ndarray]:
     """Return the problem of a head, its start, and the (P,) numbers of its placements.
 
-    Args: see `bundle_adjust`. The best board pose of each placement is its start; parameters of
-    cameras that see no board keep theirs.
-
-    Raises:
-        VergenceError: no camera sees a board, or a reading that is needed is not finite.
+    The best board pose of each placement is its start; parameters of cameras that see no board keep
+    theirs. Arguments and errors are those of `bundle_adjust`.
     """
     cameras = tuple(start.cameras)
     board = observations.board
@@ -131,10 +123,7 @@ def initial_state(
 def _place_boards(
     problem: BundleProblem, state: BundleState, T_cam_target: Array
 ) -> tuple[BundleProblem, BundleState]:
-    """Return the state with each placement where the view says that explains the others best.
-
-    Views that contradict it lose their corners.
-    """
+    """Return the state with boards where their best view says; views that disagree lose corners."""
     placements = len(state.T_lbase_target)
     mounts = np.stack([mounted.T_eye_cam for mounted in state.head.cameras.values()])
     right = problem.eye[problem.camera] == 1

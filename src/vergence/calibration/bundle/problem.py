@@ -94,11 +94,7 @@ def head_size(problem: BundleProblem) -> int:
 def retract(
     problem: BundleProblem, state: BundleState, shared: Array, latent: Array
 ) -> BundleState:
-    """Return the state changed by (G,) and (B, n).
-
-    Raises:
-        ValueError: a focal length would not stay positive.
-    """
+    """Return the state changed by (G,) and (B, n); ValueError if a focal length gets negative."""
     c = head_size(problem)
     return BundleState(
         parameters.boxplus(state.head, shared[:c]),
@@ -181,11 +177,10 @@ def corner_errors(problem: BundleProblem, state: BundleState) -> Array:
 
 
 def jacobians(problem: BundleProblem, state: BundleState) -> tuple[Array, Index, Array]:
-    """Return the derivatives of corner_errors.
+    """Return the derivatives of corner_errors; zero where a corner is not seen.
 
-    Returns:
-        (M, K, 2, 33) by the shared unknowns that a detection meets, (M, 33) which these are, and
-        (M, K, 2, n) by the latent ones of its block. Zero where a corner is not seen.
+    (M, K, 2, 33) by the shared unknowns that a detection meets, (M, 33) which these are, and (M, K,
+    2, n) by the latent ones of its block.
     """
     M, K = problem.seen.shape
     T, (turned, points) = eye_poses(problem, state)[problem.block], _on_boards(problem, state)

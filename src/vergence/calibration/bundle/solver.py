@@ -32,8 +32,6 @@ from vergence.errors import VergenceError
 
 OUTLIER = 4.0
 """Standard deviations; a good corner exceeds it once in 3000, a good joint reading in 16000."""
-
-
 Weights = tuple[Array, Array]
 """Robust weights between 0 and 1: of corners (M, K), 0 where not seen, and of readings (B, n)."""
 

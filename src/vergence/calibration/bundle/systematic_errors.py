@@ -41,16 +41,9 @@ def systematic_errors(
 ) -> tuple[tuple[float, ...], Array]:
     """Return how large such fields are, and what they do to the unknowns.
 
-    Args:
-        problem: the data.
-        state: the optimum.
-        linear: the problem linearised there, with inliers only.
-        noise: standard deviations.
-        basis: (G, F) free directions of the shared unknowns.
-
-    Returns:
-        By camera the rms of one coordinate of the field over the image [px], and (G, G) what the
-        fields add to the covariance of the shared unknowns.
+    The problem is linearised at the optimum, with inliers only; the basis (G, F) has the free
+    directions of the shared unknowns. Returns by camera the rms of one coordinate of the field over
+    the image [px], and (G, G) what the fields add to the covariance of the shared unknowns.
     """
     weights = linear.weights[0]
     factors = factorise(project_onto(linear, basis), noise)
@@ -107,10 +100,10 @@ def _fields(pixels: Array, width: int, height: int) -> Array:
 
 
 def _likeliest(left: Array, seen: Array) -> float:
-    """Return the standard deviation of the coefficients, of greatest likelihood for the residuals.
+    """Return the coefficients' standard deviation of greatest likelihood for the residuals.
 
-    The residuals' projection y onto the fields has the covariance G + s^2 G^2, with G what is left
-    of the fields after the fit, in units of the noise.
+    Their projection y onto the fields has the covariance G + s^2 G^2, with G what is left of the
+    fields after the fit, in units of the noise.
     """
     values, vectors = np.linalg.eigh((left + left.T) / 2)
     kept = values > 1e-5 * values.max()

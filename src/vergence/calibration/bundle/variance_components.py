@@ -40,15 +40,9 @@ def estimate_noise(
 ) -> tuple[NoiseLevels, Array, Array]:
     """Return the noise levels of greatest restricted likelihood.
 
-    Args:
-        linear: the problem linearised near its optimum, with outliers weighted 0, onto what is
-            free.
-        noise: where to start.
-        fixed: (1 + groups,) which levels are known and stay.
-
-    Returns:
-        The levels; (1 + groups,) the variance of log sigma^2 of each; and (1 + groups,) how many
-        residuals of each group are left over after the fit.
+    The problem is linearised near its optimum, with outliers weighted 0, onto what is free; levels
+    (1 + groups,) that are `fixed` stay. Returns also, as (1 + groups,), the variance of log sigma^2
+    of each level and how many residuals of each group are left over after the fit.
     """
     s = 2 * np.log(noise.levels)
     # A group's readings count as exact below a part of what an image determines.
@@ -93,11 +87,8 @@ def image_noise_scales(squares: Array, counts: Array) -> Array:
 
     Far and leaning boards have small squares, and larger errors. The log variances of the images
     are assumed to be normally distributed (empirical Bayes): where they differ no more than chance
-    explains for so few corners, all scales are one.
-
-    Args:
-        squares: (M,) sums of squares of the residuals of each image [px^2].
-        counts: (M,) how many residuals are left over in each after the fit.
+    explains for so few corners, all scales are one. By image there are the sum of squares of the
+    residuals (M,) [px^2], and how many of them are left over after the fit (M,).
     """
     enough = counts > LEAST_LEFT
     scales = np.ones(len(squares))
@@ -123,10 +114,7 @@ def image_levels(linear: LinearProblem, noise: NoiseLevels) -> Array:
 def _evaluate(
     linear: LinearProblem, noise: NoiseLevels, s: Array
 ) -> tuple[float, Array, Array, Array]:
-    """Return -2 log of the restricted likelihood, its gradient and Fisher information in s.
-
-    With s = log sigma^2; and the redundancy of each group.
-    """
+    """Return -2 log restricted likelihood, gradient and Fisher information in s, and redundancy."""
     noise = replace(noise, levels=np.exp(s / 2))
     factors = factorise(linear, noise)
     free, latent = step(factors)
@@ -167,8 +155,8 @@ def _absorbed(
 ) -> tuple[Array, Array]:
     """Return trace (groups,) and squared norms (groups, groups) of the readings' hat matrix.
 
-    The hat matrix is Q^1/2 E Q^1/2, E the posterior covariance of the joint errors: a block
-    diagonal plus what the shared unknowns add, Z Z^T.
+    It is Q^1/2 E Q^1/2, E the posterior covariance of the joint errors: a block diagonal plus what
+    the shared unknowns add, Z Z^T.
     """
     root = np.sqrt(inverse_variance)
     own = factors.ll_inverse * root[:, :, None] * root[:, None, :]

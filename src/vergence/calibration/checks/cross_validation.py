@@ -40,12 +40,8 @@ def held_out(
 ) -> HeldOut:
     """Predict each fold of the views from a calibration by the others.
 
-    Args:
-        observations: all views.
-        calibrate_part: makes a calibration from the views of a mask (V,).
-
-    Raises:
-        VergenceError: there are fewer views than folds, or a calibration fails.
+    `calibrate_part` makes a calibration from the views of a mask (V,). VergenceError if there are
+    fewer views than folds, or a calibration fails.
     """
     if len(observations.placement) < FOLDS:
         raise VergenceError(
@@ -135,10 +131,7 @@ def _transferred(
 def _located(
     head: HeadCalibration, observations: Observations, mine: np.ndarray, pair: tuple[str, str]
 ) -> tuple[list[Array], list[Array], list[Array]]:
-    """Return errors of corners of boards at rest [m], what they should be, and distances [m].
-
-    An array for each view; the expected ones in one array.
-    """
+    """Return by view errors of corners of boards at rest [m]; expected errors and distances [m]."""
     views = observations.timely(head)
     V, K = views.corners[pair[0]].shape[:2]
     left, right = (views.corners[name].reshape(-1, 2) for name in pair)

@@ -66,14 +66,9 @@ class _Turns:
 
 
 def check_encoders(seen: Observations, T_cam_target: Mapping[str, Array]) -> None:
-    """Refuse readings that the images contradict.
+    """Refuse readings at rest that the images contradict: VergenceError says what they seem to be.
 
-    Args:
-        seen: views at rest.
-        T_cam_target: by camera (V, 4, 4) poses of the board, NaN where not known.
-
-    Raises:
-        VergenceError: says which readings, and what they seem to be.
+    T_cam_target has by camera the poses (V, 4, 4) of the board, NaN where not known.
     """
     if seen.T_base_eye is not None or not np.isfinite(seen.eye_angles).all():
         return

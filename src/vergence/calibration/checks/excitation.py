@@ -32,12 +32,8 @@ SLANT = "slant the board by 20 to 40 degrees, in different directions"
 def check_excitation(seen: Observations, T_cam_target: Mapping[str, Array]) -> None:
     """Refuse eyes that turn too little, or about one axis only, before each board at rest.
 
-    Args:
-        seen: views at rest, all numbered from the same end.
-        T_cam_target: by camera (V, 4, 4) poses of the board, NaN where not known.
-
-    Raises:
-        VergenceError: names what is not observable, and what to move by how much.
+    T_cam_target has by camera the poses (V, 4, 4) of the board, all numbered from the same end, NaN
+    where not known. VergenceError says what is not observable, and what to move by how much.
     """
     said, eyes = [], camera_eyes(seen)
     for e, eye in enumerate(EYES):

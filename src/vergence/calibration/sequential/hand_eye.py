@@ -34,14 +34,10 @@ def motion_pairs(T_base_eye: Array, T_cam_target: Array) -> tuple[Array, Array]:
 def solve_rotation(a: Array, b: Array) -> Array:
     """Return R_X (3, 3) of Eq. 9, the least-squares solution of a = R_X b (Eq. 7).
 
-    Rotation vectors a (P, 3) are the eye's motions, b (P, 3) the camera's.
-
-    (M^T M)^(-1/2) M^T with M = sum b a^T is the orthogonal factor of M^T: with the singular
-    values M = U S V^T it is V U^T. When all rotations share one axis M has rank one and the
-    turn about that axis is free.
-
-    Raises:
-        VergenceError: all rotations share one axis, or there are none.
+    Rotation vectors a (P, 3) are the eye's motions, b (P, 3) the camera's. (M^T M)^(-1/2) M^T with
+    M = sum b a^T is the orthogonal factor of M^T: with the singular values M = U S V^T it is V U^T.
+    When all rotations share one axis M has rank one, the turn about that axis is free, and a
+    VergenceError is raised.
     """
     U, S, Vt = np.linalg.svd(b.T @ a)
     # Two axes suffice: M then has rank two, and the third direction follows from handedness.
@@ -57,12 +53,9 @@ def solve_rotation(a: Array, b: Array) -> Array:
 def park_martin(T_base_eye: Array, T_cam_target: Array) -> Array:
     """Return T_eye_cam (4, 4) from N views of a board at rest.
 
-    Args:
-        T_base_eye: (N, 4, 4) eye poses, from the joint readings.
-        T_cam_target: (N, 4, 4) board poses, from the images.
-
-    Raises:
-        VergenceError: shapes do not fit, a pose is not finite, or the motion is degenerate.
+    The eye's poses T_base_eye (N, 4, 4) are from the joint readings, the board's T_cam_target (N,
+    4, 4) from the images. VergenceError if shapes do not fit, a pose is not finite, or the motion
+    is degenerate.
     """
     if T_base_eye.shape != T_cam_target.shape or T_base_eye.shape[1:] != (4, 4):
         raise VergenceError(
@@ -85,10 +78,7 @@ def park_martin(T_base_eye: Array, T_cam_target: Array) -> Array:
 
 
 def robust_park_martin(T_base_eye: Array, T_cam_target: Array) -> Array:
-    """Return park_martin of the largest set of views that agree where the board stands.
-
-    Where all views agree nothing is drawn. Raises as park_martin does.
-    """
+    """Return park_martin of the largest set of views that agree where the board stands."""
     best = park_martin(T_base_eye, T_cam_target)
     agreeing = _agreeing(best, T_base_eye, T_cam_target)
     if agreeing.all():

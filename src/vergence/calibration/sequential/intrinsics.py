@@ -72,14 +72,9 @@ def calibrate_intrinsics(
 ) -> dict[str, Intrinsics]:
     """Return the intrinsics of every camera by Zhang's method: the first step.
 
-    Args:
-        observations: views of the board; from which end a view is numbered does not matter here.
-        wide_lens: distortion fitted to all cameras but the narrow ones, which have none
-            (Sec. II-A) and names that end in "narrow".
-
-    Raises:
-        VergenceError: a camera has fewer than three views, or they do not determine its focal
-            length.
+    From which end a view is numbered does not matter here. The lens model is that of all cameras
+    but the narrow ones, which have no distortion (Sec. II-A) and names that end in "narrow".
+    VergenceError if a camera has fewer than three views, or they do not determine its focal length.
     """
     points = corner_points(observations.board)
     found = {}
@@ -98,15 +93,9 @@ def calibrate_camera(
 ) -> Intrinsics:
     """Fit a camera to views of a flat board; exact to what OpenCV's single precision allows.
 
-    Args:
-        corners: (V, K, 2) pixels; NaN where a corner was not seen.
-        points: (K, 3) the board's corners in frame target.
-        size: width and height of the images [px].
-        lens_model: which distortion coefficients are free.
-
-    Raises:
-        VergenceError: fewer than three views with four corners or more, or boards that do not
-            determine the focal length.
+    Corners are pixels (V, K, 2), NaN where not seen, of points (K, 3) in frame target; the lens
+    model says which distortion coefficients are free. VergenceError if fewer than three views have
+    four corners, or boards do not determine the focal length.
     """
     usable = seen_corners(corners).sum(axis=1) >= 4
     if usable.sum() < 3:
@@ -150,10 +139,10 @@ def _fitted(
 
 
 def _focal_std(camera: Camera, free: int, poses: Array, corners: Array, points: Array) -> Array:
-    """Return the standard deviations (2,) of fx and fy [px], by the residuals at the optimum.
+    """Return the standard deviations (2,) of fx and fy [px], with the views' poses projected out.
 
-    The first `free` intrinsics, in the order of project_jacobians, were free; each view's own pose
-    (V, 4, 4) is projected out. Infinite where the views do not determine a focal length.
+    Free were the first `free` intrinsics in the order of project_jacobians; infinite: not
+    determined.
     """
     V, seen = len(poses), np.isfinite(corners)[..., None]
     turned = points @ np.swapaxes(poses[:, :3, :3], 1, 2)

@@ -53,21 +53,12 @@ def calibrate_sequentially(
     intrinsics: Mapping[str, Intrinsics] | None = None,
     T_cam_target: Mapping[str, Array] | None = None,
 ) -> SequentialCalibration:
-    """Calibrate a head with a main camera, and perhaps others, in each eye.
+    """Calibrate a head with a main camera, its wide one or else its first, and others in each eye.
 
-    An eye's main camera is its wide one, or else its first.
-
-    Args:
-        observations: views in which the eyes stood still. Those with the gaze straight give the
-            static stereo, those that share a placement while the eyes turn give T_eye_cam.
-        wide_lens: see calibrate_intrinsics.
-        neck: from the design.
-        intrinsics: by camera, where calibrate_intrinsics was called before.
-        T_cam_target: by camera (V, 4, 4) poses of the board, where they were solved for before with
-            these intrinsics.
-
-    Raises:
-        VergenceError: a step has not the views it needs.
+    The eyes stand still in all views. Those with the gaze straight give the static stereo, those
+    that share a placement while the eyes turn give T_eye_cam. Intrinsics by camera, and with these
+    the board's poses T_cam_target (V, 4, 4), may be given where they were found before. The neck is
+    from the design. VergenceError if a step has not the views it needs.
     """
     points = corner_points(observations.board)
     if intrinsics is None:
@@ -97,9 +88,7 @@ def calibrate_sequentially(
                 both = observations.corners[main], observations.corners[name]
                 T_name_main, _ = calibrate_pair(*both, points, cameras[main], cameras[name])
                 mounted[name] = MountedCamera(
-                    eye=eye,
-                    intrinsics=cameras[name],
-                    T_eye_cam=T_eye_main @ inverse(T_name_main),
+                    eye=eye, intrinsics=cameras[name], T_eye_cam=T_eye_main @ inverse(T_name_main)
                 )
     T_rbase_lbase, rms, count = _between_the_eyes(observations, mounted, T_cam_target, points)
     head = HeadCalibration(cameras=mounted, T_rbase_lbase=T_rbase_lbase, neck=neck or Neck())
@@ -112,10 +101,7 @@ def _between_the_eyes(
     T_cam_target: Mapping[str, Array],
     points: Array,
 ) -> tuple[Array, float | None, int]:
-    """Return T_rbase_lbase (4, 4), the RMS of the static stereo [px], and its number of views.
-
-    The identity for a head with one eye.
-    """
+    """Return T_rbase_lbase (the identity for one eye), static stereo's RMS [px] and view count."""
     own = [[name for name in mounted if mounted[name].eye == eye] for eye in EYES]
     if not all(own):
         return np.eye(4), None, 0

@@ -1,4 +1,4 @@
-"""Read a recording back, for tests and for other programs."""
+"""Read a recording back."""
 
 from __future__ import annotations
 
@@ -13,22 +13,12 @@ from vergence.errors import VergenceError
 
 
 def read_series(
-    path: Path,
-    entity: str,
-    *,
-    component: str = "Scalars:scalars",
-    timeline: str = "sim_time",
+    path: Path, entity: str, *, component: str = "Scalars:scalars", timeline: str = "sim_time"
 ) -> tuple[Array, Array]:
     """Return the times (N,) [s] and the values of one series of a recording, in order of time.
 
-    Args:
-        path: of the `.rrd` file.
-        entity: for example `/estimate/x`.
-        component: for example `Points3D:positions`.
-        timeline: `sim_time`, or `frame`, whose times are sample numbers.
-
-    Returns:
-        Times, and values (N, ...), or (N, k, ...) where k were logged at a time, as in `/paper/x`.
+    Values are (N, ...), or (N, k, ...) where k were logged at a time, as in `/paper/x`. On the
+    timeline `frame` times are sample numbers.
 
     Raises:
         VergenceError: the recording has no such series.
