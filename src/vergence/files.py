@@ -56,7 +56,13 @@ def write_json(value: Any, path: Path) -> None:
 def read_json(path: Path, kind: type[T], what: str) -> T:
     """Read a dataclass from JSON.
 
-    VergenceError if it cannot be read, or is not `what` it should be, such as `a head calibration`.
+    Args:
+        path: of the file.
+        kind: the dataclass.
+        what: the file should be, for the error: `a head calibration`.
+
+    Raises:
+        VergenceError: the file is missing, not JSON, or a field of it is not valid.
     """
     try:
         return TypeAdapter(kind).validate_json(path.read_bytes())

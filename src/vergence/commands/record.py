@@ -66,10 +66,23 @@ def record(
     moving: int = 0,
     progress: Progress = silent,
 ) -> int:
-    """Record a dataset on the twin with truth.json beside it; return the number of images written.
+    """Record a dataset on the twin, and the truth beside it in truth.json.
 
-    After the frames with the eyes at rest come `moving` ones, at RATE_HZ, with moving eyes and the
-    board at rest. VergenceError if an argument cannot be met, or the folder cannot be written.
+    Args:
+        out: folder that is new or empty.
+        profile: the error profile of the twin.
+        seed: of everything random.
+        frames: number of frames with the eyes at rest.
+        lens: of the wide cameras.
+        target: the kind of calibration board.
+        moving: number of frames that follow, at RATE_HZ, with moving eyes and the board at rest.
+        progress: is called after each frame.
+
+    Returns:
+        The number of images written.
+
+    Raises:
+        VergenceError: an argument cannot be met, or the folder cannot be written.
     """
     if frames < LEAST_FRAMES:
         raise VergenceError(f"A dataset has at least {LEAST_FRAMES} frames; asked for {frames}.")

@@ -162,9 +162,16 @@ def foveate(
 ) -> tuple[Summary, list[Trial]]:
     """Calibrate the twin and run a trial for each of a number of objects.
 
-    The folder gets foveate.json, the recording foveate.rrd of the first RECORDED trials, and
-    depth.png; None: nothing is written. VergenceError if an argument is out of range, or the folder
-    cannot be written.
+    Args:
+        trials: number of objects.
+        seed: of everything random.
+        profile: imperfections of the head.
+        out: folder for foveate.json, the recording foveate.rrd of the first RECORDED trials, and
+            depth.png; None: nothing is written.
+        progress: is called after each trial.
+
+    Raises:
+        VergenceError: an argument is out of range, or the folder cannot be written.
     """
     check_trials(trials)
     made: list[Trial] = []

@@ -164,10 +164,18 @@ def grasp(
     out: Path | None = None,
     progress: Progress = silent,
 ) -> tuple[Summary, list[Trial]]:
-    """Calibrate the twin, and hold out objects to it, each on its own path.
+    """Calibrate the twin, and hold out objects to it.
 
-    The mounting error of the arm differs too. The folder gets grasp.json, and the recording
-    grasp.rrd of the first RECORDED trials; None: nothing is written. VergenceError as in `foveate`.
+    Args:
+        trials: number of objects; each has its own path, and its own mounting error of the arm.
+        seed: of everything random.
+        profile: imperfections of the head.
+        out: folder for grasp.json, and the recording grasp.rrd of the first RECORDED trials; None:
+            nothing is written.
+        progress: is called after each trial.
+
+    Raises:
+        VergenceError: an argument is out of range, or the folder cannot be written.
     """
     check_trials(trials)
     made: list[Trial] = []

@@ -45,8 +45,21 @@ def recorded(
     Several runs, each with its time from zero, follow each other on one timeline. Images are
     recorded of the frames that have those of all cameras. Without a folder nothing is recorded.
 
-    The 3-D view shows objects up to `reach_m` away, and `speed` is in recorded seconds a second.
-    The block gets the function to call, and a list for the lines of the report in markdown.
+    Args:
+        out: folder; None: there is none.
+        name: of the demo.
+        twin: the head; its truth is drawn beside the controller's estimates.
+        settings: of the controller.
+        seed: of the head, for the title.
+        reach_m: greatest distance of objects [m], for the 3-D view.
+        speed: of the playback, in recorded seconds a second.
+        hand: whether positions of a hand are recorded.
+
+    Yields:
+        The function to call, and a list for the lines of the report in Markdown.
+
+    Raises:
+        VergenceError: the file cannot be written.
     """
     title = f"{name}, profile {twin.profile.name}, seed {seed}"
     report = [f"# {title}", ""]

@@ -179,9 +179,15 @@ def track(
 ) -> Summary:
     """Calibrate the twin, and track an object that is hidden once on its way.
 
-    The folder gets track.json and track.rrd; None: nothing is written. `progress` is called with
-    the seconds so far. VergenceError if an argument is out of range, or the folder cannot be
-    written.
+    Args:
+        seconds: length of the run.
+        seed: of everything random.
+        profile: imperfections of the head.
+        out: folder for track.json and track.rrd; None: nothing is written.
+        progress: is called with the seconds so far after every state.
+
+    Raises:
+        VergenceError: an argument is out of range, or the folder cannot be written.
     """
     if not SHORTEST_S <= seconds <= LONGEST_S:
         raise VergenceError(f"A run takes {SHORTEST_S:.0f} to {LONGEST_S:.0f} s, found {seconds}.")

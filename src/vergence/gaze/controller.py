@@ -80,8 +80,11 @@ def step_gaze(
 ) -> GazeState:
     """Return the next state: detect, estimate, decide, command.
 
-    No frame, a repeated one and an older one all count as no new frame. The command can take effect
-    from `now_s` on, which is not before the frame's time stamp.
+    Args:
+        settings: of the head and its controller.
+        state: the present one.
+        frame: the latest; None, a repeated frame or an older one counts as no new frame.
+        now_s: time from which the command can take effect, not before the frame's time stamp.
     """
     if frame is None or frame.time_s <= state.frame_s:
         return _without_detection(settings, state, now_s)

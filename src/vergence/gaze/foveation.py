@@ -73,9 +73,16 @@ def foveal_miss(
 ) -> Array:
     """Return the offset (..., 2) [px] of a point from the narrow image's principal point.
 
-    The point is at a true depth (...) [m] along the wide camera's axis, and at the wide pixel that
-    Eqs. 18-19 give for a wrong depth (...) along the narrow camera's axis. Errors are those of
-    `ideal_wide_pixel`.
+    The point is at the wide pixel that Eqs. 18-19 give for a wrong depth.
+
+    Args:
+        calibration: of the head, taken as exact.
+        eye: which eye.
+        depth_m: (...) true depth of the point along the wide camera's axis.
+        believed_m: (...) depth that Eqs. 18-19 are given, along the narrow camera's axis.
+
+    Raises:
+        VergenceError: a depth is not above 0, or the eye does not have both cameras.
     """
     wide, narrow = (calibration.camera(f"{eye}_{lens}").intrinsics for lens in ("wide", "narrow"))
     xy = normalise(wide, ideal_wide_pixel(calibration, eye, believed_m))

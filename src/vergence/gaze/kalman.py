@@ -117,11 +117,16 @@ def fuse(
     gate_chi2: float = GATE_CHI2,
     innovation_ratio: float = 1.0,
 ) -> Track:
-    """Return the track after a measurement (3,) [m]; a new one where that fails the gate.
+    """Return the track after a measurement; a new one where the measurement fails the gate.
 
-    The covariance (3, 3) [m^2] is that of the measurement's total error, which the gate uses as it
-    is; the innovation ratio is the share of it by which the measurement is weighed. `gate_chi2` is
-    the greatest normalised innovation squared of a measurement of this track.
+    Args:
+        track: at an earlier time; None: there is none yet.
+        time_s: time of the measurement.
+        point: (3,) [m].
+        covariance: (3, 3) [m^2], of its total error: the gate uses it as it is.
+        motion: of the point.
+        gate_chi2: greatest normalised innovation squared of a measurement of this track.
+        innovation_ratio: share of the covariance by which the measurement is weighed.
     """
     if track is not None:
         track = predict(track, time_s, jerk_density=motion.jerk_density)

@@ -73,10 +73,16 @@ def intrinsics_fields(camera: Camera) -> dict[str, Any]:
 def read(
     path: Path, what: str, build: Callable[[Any], T], parse: Callable[[str], Any] = yaml.safe_load
 ) -> T:
-    """Read a UTF-8 text file: `parse` makes dictionaries and lists of it, `build` the result.
+    """Read a text file.
 
-    `what` is how a message calls such a file, with its article. VergenceError if the file is
-    missing, or `build` raises a ValueError.
+    Args:
+        path: text in UTF-8.
+        what: how a message calls such a file, with its article.
+        build: makes the result from the parsed content; raises ValueError where that is not valid.
+        parse: makes nested dictionaries and lists from the text.
+
+    Raises:
+        VergenceError: the file is missing, or is not what was expected.
     """
     try:
         return build(parse(path.read_text(encoding="utf-8-sig")))

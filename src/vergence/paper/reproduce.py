@@ -48,9 +48,18 @@ def reproduce(
     """Replay figures and write recordings, plots, report and statistics into a folder.
 
     Results are written after each figure, so that an interrupted run loses only its last one.
-    Without a duration each replay takes its full combined period, at least 60 s; without a rate it
-    has SAMPLES samples. VergenceError if an argument cannot be met, or the folder cannot be
-    written.
+
+    Args:
+        out: folder of the results; made if it is not there.
+        figures: numbers of the paper's figures.
+        profile: the error profile of the twin.
+        seed: of everything random.
+        duration_s: length of each replay; None: its full combined period, at least 60 s.
+        rate_hz: samples per second; None: 640 samples per figure.
+        progress: is called after each view of a calibration and each sample of a figure.
+
+    Raises:
+        VergenceError: an argument cannot be met, or the folder cannot be written.
     """
     chosen = check(out, figures=figures, seed=seed, duration_s=duration_s, rate_hz=rate_hz)
     done = Reproduction(profile, seed, {}, {}, {})

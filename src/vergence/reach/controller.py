@@ -77,8 +77,12 @@ def step_reach(
 ) -> ReachState:
     """Return the next state: step the gaze, locate the hand, decide, command.
 
-    No frame, a repeated one and an older one all count as no new frame. The hand's reading is of
-    now, from when on the commands can take effect.
+    Args:
+        settings: of head and hand.
+        state: the present one.
+        frame: the latest; None, a repeated frame or an older one counts as no new frame.
+        reading: of the hand, now.
+        now_s: time from which the commands can take effect.
     """
     before, gaze = state.gaze, step_gaze(settings.gaze, state.gaze, frame, now_s)
     readings = (*state.readings[1 - _KEPT :], reading)

@@ -36,12 +36,18 @@ def predicted_depth_std(
 ) -> Array:
     """Return the standard deviation of depth (...,) [m] by Eqs. 20-21.
 
-    Noise is white and independent in the two eyes, so their parts add as squares. Only pan counts:
-    on the axis, tilt moves both images along the direction that has no disparity. Within 1.3 % from
-    five baselines on; closer by, the half baseline is no small angle.
+    Noise is white and independent in the two eyes, so their parts add as squares. Only pan
+    counts: on the axis, tilt moves both images along the direction that has no disparity.
+    Within 1.3 % from five baselines on; closer by, the half baseline is no small angle.
 
-    Depth and baseline are those of the cameras' centres, which sit `camera_ahead_m` ahead of the
-    eyes' rotation centres: a wrong pan also shifts a camera that does so, which Eq. 21 leaves out.
+    Args:
+        depth_m: from the centres of the cameras, as the baseline.
+        baseline_m: between them.
+        focal_px: of both cameras.
+        joint_std_rad: of each joint's reading.
+        pixel_std_px: of each coordinate of the object's position in each image.
+        camera_ahead_m: how far the cameras' centres sit ahead of the eyes' rotation centres. A
+            wrong pan also shifts a camera that does so, which Eq. 21 leaves out.
     """
     lever = 1 + np.asarray(camera_ahead_m, float) / np.asarray(depth_m, float)
     turned = lever * disparity_error(focal_px, np.sqrt(2) * np.asarray(joint_std_rad, float))

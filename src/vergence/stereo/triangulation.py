@@ -34,11 +34,16 @@ def triangulate(
 ) -> tuple[Array, np.ndarray]:
     """Solve Eqs. 3-4 for the points in the left camera's frame, by linear least squares.
 
-    Each camera gives two equations that are linear in the point: with m1, m2, m3 the rows of its 3
-    x 4 matrix A [R t], (u m3 - m1) y = 0 and (v m3 - m2) y = 0.
+    Each camera gives two equations that are linear in the point: with m1, m2, m3 the rows of
+    its 3 x 4 matrix A [R t], (u m3 - m1) y = 0 and (v m3 - m2) y = 0.
 
-    Pixels are (N, 2), distortion included, NaN: not seen; T_rcam_lcam is (N, 4, 4) or (4, 4).
-    Returns points (N, 3) [m], NaN where the status is not OK, and the status (N,).
+    Args:
+        left: (N, 2) pixels in the left camera, distortion included; NaN: not seen.
+        right: (N, 2) pixels in the right camera.
+        T_rcam_lcam: (N, 4, 4) or (4, 4) pose of the left camera in the right one.
+
+    Returns:
+        Points (N, 3) [m], NaN where the status is not OK, and the status (N,).
     """
     u_l, u_r = undistort(left_camera, left), undistort(right_camera, right)
     n = len(u_l)

@@ -134,10 +134,13 @@ def as_built_head(nominal: HeadCalibration, profile: ErrorProfile, seed: int) ->
 def compile_head(
     head: HeadCalibration, overscan: dict[str, tuple[int, int]], *, board: Charuco | None = None
 ) -> mujoco.MjModel:
-    """Compile the scene with an as-built head, whose lens distortion the renderer adds.
+    """Compile the scene with the head as given.
 
-    The overscan is by camera the width and height [px] to render, at the camera's own focal
-    length; the image lies in the middle of it. A board replaces the scene's chessboard.
+    Args:
+        head: the as-built head, whose lens distortion the renderer adds.
+        overscan: by camera, the width and height [px] to render, at the camera's own focal
+            length; the image lies in the middle of it.
+        board: replaces the scene's chessboard.
     """
     spec = load_spec()
     if board is not None:

@@ -11,9 +11,13 @@ from vergence.twin.profile import Joints
 def play(angles: Array, width: float, start: Array | None = None) -> Array:
     """Return the angles (T, J) [rad] on the sensor's side of a mechanical play (backlash).
 
-    The sensor follows the eye's true angles (T, J) when the eye reaches either end of the play;
-    after a reversal the eye crosses the whole width [rad] before the sensor follows. The sensor's
-    side starts at angles (J,); None: in the middle of the play.
+    The sensor follows when the eye reaches either end of the play; after a reversal the eye crosses
+    the whole width before the sensor follows.
+
+    Args:
+        angles: (T, J) true angles of the eye in order of time [rad].
+        width: full width of the play [rad].
+        start: (J,) angle on the sensor's side before the first; None: the middle of the play.
     """
     sensed = np.empty_like(angles)
     last = angles[0] if start is None else start

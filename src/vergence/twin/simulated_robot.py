@@ -72,9 +72,13 @@ class SimulatedHead:
     ):
         """Restart the twin; the number of the run determines the noise.
 
-        The path is the object's position (3,) [m] by time, in frame head as it is at the start;
-        None: the object is hidden. Every Nth frame has the images of all cameras, recorded or not:
-        an observer must not change what the controller receives. 0: no frame has.
+        Args:
+            twin: the head.
+            run: number of the run.
+            path_head: position (3,) [m] of the object at a time, in frame head as it is at the
+                start; None: the object is hidden.
+            all_cameras_every: every Nth frame has the images of all cameras, recorded or not: an
+                observer must not change what the controller receives. 0: no frame has.
         """
         self.twin, self.path_head = twin, path_head
         self._all_cameras_every = all_cameras_every

@@ -26,8 +26,14 @@ def log_frame(
 ) -> None:
     """Record posture, images and marks of one moment; may be called from another thread.
 
-    Without a frame only the posture is recorded: poses (4, 4) in the world, by name. By camera
-    there are the detected pixel (2,) of the object, NaN where it was not found, and the true one.
+    Args:
+        rec: the recording.
+        time_s: since the first sample.
+        index: number of the sample.
+        frame: the images; None: only the posture is recorded.
+        body_poses: by name, poses (4, 4) in the world.
+        detected: by camera, the detected pixel (2,) of the object; NaN: not found.
+        truth: by camera, the true pixel (2,) of the object.
     """
     rec.set_time("sim_time", duration=time_s)
     rec.set_time("frame", sequence=index)

@@ -144,8 +144,18 @@ def log_gaze_frame(
 ) -> None:
     """Record a posture, and the images with the object's target, detected and true positions.
 
-    Images that were not searched get no mark of a detection, and without `pictures` none is
-    recorded. The state is that after the frame; poses and truth are those of `log_frame`.
+    Images that were not searched get no mark of a detection.
+
+    Args:
+        rec: the recording.
+        settings: of the controller.
+        state: of the controller after the frame.
+        frame: the frame.
+        time_s: in the recording.
+        index: number of the frame.
+        pictures: whether the images are recorded.
+        body_poses: by name, poses (4, 4) in the world.
+        truth: by camera, the true pixel (2,) of the object.
     """
     log_frame(
         rec,

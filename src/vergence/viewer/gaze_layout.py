@@ -21,7 +21,15 @@ ERROR_PX = 50.0
 def gaze_blueprint(
     title: str, head: HeadCalibration, *, reach_m: float, speed: float, hand: bool
 ) -> rrb.Blueprint:
-    """Return the layout of a recording of gaze control with objects up to `reach_m` away."""
+    """Return the layout with which the viewer opens a recording of gaze control.
+
+    Args:
+        title: of the 3-D view.
+        head: the calibration whose cameras are shown.
+        reach_m: largest distance of an object, which the 3-D view includes.
+        speed: recorded seconds per second.
+        hand: whether the distance of a hand from the object is shown.
+    """
     plot = partial(curves_view, legend=False)
     errors = plot("error [mm]: blue fused, grey one frame", "error")
     return playing(

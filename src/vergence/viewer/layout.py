@@ -23,7 +23,14 @@ def camera_entities(head: HeadCalibration) -> dict[str, str]:
 def curves_view(
     name: str, origin: str, *, legend: bool = True, **options: Any
 ) -> rrb.TimeSeriesView:
-    """Return a plot of all the curves below an entity; a legend would hide the latest samples."""
+    """Return a plot of the curves below an entity, over the whole recording.
+
+    Args:
+        name: title of the plot.
+        origin: the entity.
+        legend: whether there is one; it hides the latest samples.
+        options: further arguments of `TimeSeriesView`.
+    """
     # Without a range a plot keeps the one of what was loaded when it was first drawn.
     ever = rr.TimeRangeBoundary.infinite()
     options["axis_x"] = rrb.TimeAxis(view_range=rr.TimeRange(start=ever, end=ever))
@@ -41,10 +48,15 @@ def view_3d(
     eye: Array,
     trails: Mapping[str, float | None],
 ) -> rrb.Spatial3DView:
-    """Return a 3-D view in the frame of an entity, in which z points up.
+    """Return a 3-D view in which z points up.
 
-    It looks from `eye` (3,) at `middle` (3,). Trails are visible for some seconds before the
-    cursor; None: for ever.
+    Args:
+        name: title of the view.
+        origin: entity in whose frame it is drawn.
+        contents: expressions for the entities to draw.
+        middle: (3,) the point that the view looks at.
+        eye: (3,) the point that it looks from.
+        trails: by entity, for how many seconds before the cursor it stays visible; None: for ever.
     """
     boundary, overrides = rr.TimeRangeBoundary, {}
     now = boundary.cursor_relative(seconds=0)

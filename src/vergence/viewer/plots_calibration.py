@@ -18,10 +18,16 @@ def coverage(
     sizes: Mapping[str, tuple[int, int]],
     eye_angles: Mapping[str, Array],
 ) -> None:
-    """Draw the corners seen by each camera, and the eye angles of the views, into a PNG file.
+    """Draw the corners seen by each camera, and the eye angles of the views.
 
-    By camera there are corners (V, K, 2) [px], NaN where not seen, and the image's width and
-    height; by eye, pan and tilt (V, 2) [rad].
+    Args:
+        path: of the PNG file.
+        corners: by camera, (V, K, 2) [px]; NaN where not seen.
+        sizes: by camera, width and height [px].
+        eye_angles: by eye, (V, 2) pan and tilt [rad].
+
+    Raises:
+        VergenceError: the file cannot be written.
     """
     canvas, grid = panels(len(corners) + len(eye_angles), "Where the board was seen")
     for axes, (name, pixels) in zip(grid, corners.items(), strict=False):
@@ -47,8 +53,15 @@ def residuals(
 ) -> None:
     """Draw residuals as magnified arrows in the image, and their size over the joint angles.
 
-    By camera there are corners (V, K, 2) [px], errors (V, K, 2) projected minus seen [px], the
-    image's width and height, and pan and tilt (V, 2) of its eye [rad]; NaN where not seen.
+    Args:
+        path: of the PNG file.
+        corners: by camera, (V, K, 2) [px].
+        errors: by camera, (V, K, 2) projected minus seen [px]; NaN where not seen.
+        sizes: by camera, width and height [px].
+        eye_angles: by camera, (V, 2) pan and tilt of its eye [rad].
+
+    Raises:
+        VergenceError: the file cannot be written.
     """
     canvas, grid = panels(3 * len(corners), "Residuals", columns=3)
     for k, (name, pixels) in enumerate(corners.items()):

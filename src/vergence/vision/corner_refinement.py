@@ -39,11 +39,16 @@ def refine_corners(
 ) -> Array:
     """Move the corners of a board to the saddle points of the grey levels around them.
 
-    The image is (H, W) uint8. The board's inner corners (rows, columns, 2) [px] are right to about
-    a pixel, NaN where not known. The strips have lengths (rows, columns) [px], clipped to
-    LENGTHS_PX, and half widths (rows, columns), or one for all. NaN becomes a corner that is no
-    clear saddle point, too near the image's border, or without neighbours in its row and its
-    column.
+    Args:
+        grey: (H, W) uint8.
+        grid: (rows, columns, 2) the board's inner corners [px], right to about a pixel; NaN where
+            one is not known.
+        lengths_px: (rows, columns) lengths of the strips along the edges; clipped to LENGTHS_PX.
+        half_widths_px: (rows, columns) half widths of the strips, or one for all.
+
+    Returns:
+        (rows, columns, 2) px; NaN for a corner that is no clear saddle point, too near the image's
+        border, or without neighbours in its row and its column.
     """
     shape = grid.shape
     lengths = np.clip(np.nan_to_num(lengths_px), *LENGTHS_PX).ravel()

@@ -42,14 +42,20 @@ def find_sphere(
     colour: Literal["red", "blue"] = "red",
     near: Array | None = None,
 ) -> Array:
-    """Return the pixel (2,) of the centre of a coloured sphere in an image (H, W, 3) uint8, RGB.
-
-    It is that of the largest region of this colour, distortion included; NaN if no region of at
-    least four pixels lies completely in the image. The search begins around the pixel `near` (2,),
-    which is faster if the region lies completely there; None or NaN: not known.
+    """Return the pixel (2,) of the centre of a coloured sphere, distortion included.
 
     For a sphere of uniform colour before a grey background the centroid is exact, however the
     camera averages over a pixel, since colour contrast is then proportional to coverage.
+
+    Args:
+        image: (H, W, 3) uint8, RGB.
+        camera: intrinsics of the camera that took it.
+        colour: of the sphere.
+        near: (2,) pixel around which the search begins, which is faster; None or NaN: not known.
+
+    Returns:
+        The centre of the largest region of this colour, of those around `near` if one lies
+        completely there; NaN if no region of at least four pixels lies completely in the image.
     """
     planes = (0, 1, 2) if colour == "red" else (2, 1, 0)  # the sphere's own colour first
     window = None

@@ -83,10 +83,17 @@ def adjust(
 ) -> Adjusted:
     """Return the maximum a posteriori, its levels of noise, and what the data determine.
 
-    The group (n,) says which joint noise each latent unknown has. Levels that are None are
-    estimated: the pixel noise of one coordinate of a corner, and the joint noise (groups,). Beyond
-    `outlier` standard deviations a residual loses weight; infinity gives plain least squares, in
-    which all images count alike. VergenceError if there are more unknowns than data.
+    Args:
+        problem: the data.
+        start: within the reach of Gauss-Newton.
+        group: (n,) group of joint noise of each latent unknown.
+        pixel_std_px: of one coordinate of a corner; None: estimated.
+        joint_std: (groups,) of the readings; None: estimated.
+        outlier: standard deviations beyond which a residual loses weight; infinite: plain least
+            squares, in which all images count alike.
+
+    Raises:
+        VergenceError: there are more unknowns than data.
     """
     groups = int(group.max()) + 1
     given = np.array([pixel_std_px is not None] + [joint_std is not None] * groups)

@@ -89,13 +89,18 @@ def bundle_adjust(
 ) -> BundleEstimate:
     """Estimate a whole head at once: lenses, mountings, the pose between the eyes, axes, time.
 
-    It starts from the paper's calibration, or another that is about right; without timing the time
-    offset is not estimated. The board's poses T_cam_target (V, 4, 4) by camera may be given where
-    they were solved for before, and its corners `points` (K, 3) [m] where they are not those of the
-    board. Parameters named in `fixed` keep their start; None: fixed_by_default. Noise that is None
-    is estimated: that of one coordinate of a corner, and that of the readings, [rad] or, for poses,
-    ([rad], [m]), where 0 stands for exact ones. Beyond `outlier` standard deviations a corner or a
-    reading loses weight.
+    Args:
+        start: the paper's calibration, or another that is about right.
+        observations: corners and readings. Without timing the time offset is not estimated.
+        T_cam_target: by camera (V, 4, 4) poses of the board in each image, where they were solved
+            for before.
+        points: (K, 3) corners in frame target [m]; None: those of the board.
+        fixed: names of parameters that keep their start; None: fixed_by_default.
+        pixel_std_px: noise of one coordinate of a corner; None: estimated.
+        joint_std: noise of the readings, [rad] or, for poses, ([rad], [m]); None: estimated; 0:
+            the readings are exact.
+        own_levels_from: eyes times views from which pan and tilt have each a noise of their own.
+        outlier: standard deviations beyond which a corner or a reading loses weight.
 
     Raises:
         VergenceError: an unknown parameter is named, a reading that is needed is not finite, or

@@ -41,9 +41,16 @@ def systematic_errors(
 ) -> tuple[tuple[float, ...], Array]:
     """Return how large such fields are, and what they do to the unknowns.
 
-    The problem is linearised at the optimum, with inliers only; the basis (G, F) has the free
-    directions of the shared unknowns. Returns by camera the rms of one coordinate of the field over
-    the image [px], and (G, G) what the fields add to the covariance of the shared unknowns.
+    Args:
+        problem: the data.
+        state: the optimum.
+        linear: the problem linearised there, with inliers only.
+        noise: standard deviations.
+        basis: (G, F) free directions of the shared unknowns.
+
+    Returns:
+        By camera the rms of one coordinate of the field over the image [px], and (G, G) what the
+        fields add to the covariance of the shared unknowns.
     """
     weights = linear.weights[0]
     factors = factorise(project_onto(linear, basis), noise)

@@ -40,9 +40,15 @@ def estimate_noise(
 ) -> tuple[NoiseLevels, Array, Array]:
     """Return the noise levels of greatest restricted likelihood.
 
-    The problem is linearised near its optimum, with outliers weighted 0, onto what is free; levels
-    (1 + groups,) that are `fixed` stay. Returns also, as (1 + groups,), the variance of log sigma^2
-    of each level and how many residuals of each group are left over after the fit.
+    Args:
+        linear: the problem linearised near its optimum, with outliers weighted 0, onto what is
+            free.
+        noise: where to start.
+        fixed: (1 + groups,) which levels are known and stay.
+
+    Returns:
+        The levels; (1 + groups,) the variance of log sigma^2 of each; and (1 + groups,) how many
+        residuals of each group are left over after the fit.
     """
     s = 2 * np.log(noise.levels)
     # A group's readings count as exact below a part of what an image determines.

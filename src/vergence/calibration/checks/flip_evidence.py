@@ -79,10 +79,12 @@ def costs_of_turns(R_a: Array, R_b: Array, slack: Array, weight: Array, R: Array
     The rotation between the cameras is unknown: each link offers n of them. A link's cost is that
     of the rotation that suits it and all others best, less the least of these.
 
-    The board is turned by R_a (L, 3, 3) in camera a, or in the base of its eye, and by R_b = Y R_a
-    in camera b, with one rotation Y for all. That may be wrong by the slack (L,) [rad] because the
-    eyes were not straight, and it would take `weight` (L,) views for a link to be wrong. R (n, 3,
-    3) has the turns of the board.
+    Args:
+        R_a: (L, 3, 3) how a board is turned in camera a, or in the base of its eye.
+        R_b: (L, 3, 3) and in camera b: R_b = Y R_a, with one rotation Y for all.
+        slack: (L,) how far that may be wrong because the eyes were not straight [rad].
+        weight: (L,) how many views it would take for a link to be wrong.
+        R: (n, 3, 3) turns of the board.
     """
     L, n = len(R_a), len(R)
     between = np.einsum("lab,nbc,ldc->lnad", R_b, R, R_a, optimize=True)

@@ -93,9 +93,15 @@ def calibrate_camera(
 ) -> Intrinsics:
     """Fit a camera to views of a flat board; exact to what OpenCV's single precision allows.
 
-    Corners are pixels (V, K, 2), NaN where not seen, of points (K, 3) in frame target; the lens
-    model says which distortion coefficients are free. VergenceError if fewer than three views have
-    four corners, or boards do not determine the focal length.
+    Args:
+        corners: (V, K, 2) pixels; NaN where a corner was not seen.
+        points: (K, 3) the board's corners in frame target.
+        size: width and height of the images [px].
+        lens_model: which distortion coefficients are free.
+
+    Raises:
+        VergenceError: fewer than three views with four corners or more, or boards that do not
+            determine the focal length.
     """
     usable = seen_corners(corners).sum(axis=1) >= 4
     if usable.sum() < 3:

@@ -53,12 +53,21 @@ def calibrate_sequentially(
     intrinsics: Mapping[str, Intrinsics] | None = None,
     T_cam_target: Mapping[str, Array] | None = None,
 ) -> SequentialCalibration:
-    """Calibrate a head with a main camera, its wide one or else its first, and others in each eye.
+    """Calibrate a head with a main camera, and perhaps others, in each eye.
 
-    The eyes stand still in all views. Those with the gaze straight give the static stereo, those
-    that share a placement while the eyes turn give T_eye_cam. Intrinsics by camera, and with these
-    the board's poses T_cam_target (V, 4, 4), may be given where they were found before. The neck is
-    from the design. VergenceError if a step has not the views it needs.
+    An eye's main camera is its wide one, or else its first.
+
+    Args:
+        observations: views in which the eyes stood still. Those with the gaze straight give the
+            static stereo, those that share a placement while the eyes turn give T_eye_cam.
+        wide_lens: see calibrate_intrinsics.
+        neck: from the design.
+        intrinsics: by camera, where calibrate_intrinsics was called before.
+        T_cam_target: by camera (V, 4, 4) poses of the board, where they were solved for before with
+            these intrinsics.
+
+    Raises:
+        VergenceError: a step has not the views it needs.
     """
     points = corner_points(observations.board)
     if intrinsics is None:

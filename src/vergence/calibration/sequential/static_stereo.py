@@ -16,11 +16,20 @@ from vergence.vision.board_pose import LEAST_CORNERS, seen_corners
 def calibrate_pair(
     corners_a: Array, corners_b: Array, points: Array, a: Camera, b: Camera
 ) -> tuple[Array, float]:
-    """Return T_b_a (4, 4) of two rigidly connected cameras a and b, and the RMS residual [px].
+    """Return T_b_a (4, 4) of two rigidly connected cameras, and the RMS residual [px].
 
     OpenCV's bundle adjustment of the relative pose, with the intrinsics fixed; exact to what its
-    single precision allows. Corners are pixels (V, K, 2) at the same moments, NaN where not seen,
-    of points (K, 3) in frame target. VergenceError if no view shows six common corners.
+    single precision allows.
+
+    Args:
+        corners_a: (V, K, 2) pixels in camera a; NaN where a corner was not seen.
+        corners_b: (V, K, 2) pixels in camera b, at the same moments.
+        points: (K, 3) the board's corners in frame target.
+        a: its intrinsics.
+        b: its intrinsics.
+
+    Raises:
+        VergenceError: no view shows six common corners.
     """
     both = seen_corners(corners_a) & seen_corners(corners_b)
     usable = np.flatnonzero(both.sum(axis=1) >= LEAST_CORNERS)
