@@ -78,9 +78,10 @@ def test_values_change_by_what_is_added_to_them():
 
 def test_named_parameters_change_alone():
     names = ("right_wide.cx", "T_rbase_lbase.ty", "left.pan_gain", "time_offset_s")
-    changed = change_named(HEAD, names, np.array([1.5, 1e-3, 0.01, 0.02]))
-    moved = {name: value for name, value in boxminus(changed, HEAD).items() if abs(value) > 1e-15}
-    assert moved == pytest.approx(dict(zip(names, (1.5, 1e-3, 0.01, 0.02), strict=True)))
+    change = (1.5, 1e-3, 0.01, 0.02)
+    changed = boxminus(change_named(HEAD, names, np.array(change)), HEAD)
+    moved = {name: value for name, value in changed.items() if abs(value) > 1e-15}
+    assert moved == pytest.approx(dict(zip(names, change, strict=True)))
     with pytest.raises(VergenceError, match=r"no parameter 'left_wide\.focal'"):
         change_named(HEAD, ["left_wide.focal"], np.ones(1))
 
