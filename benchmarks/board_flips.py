@@ -34,7 +34,7 @@ from vergence.calibration.sequential.intrinsics import calibrate_intrinsics
 from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.se3 import pose, rotation
-from vergence.vision.board_pose import board_poses
+from vergence.vision.board_pose import board_poses, seen_corners
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Count:
     """Of the images of one dataset."""
 
     images: int
-    """That show the board."""
+    """That show at least six corners of the board."""
     injected: int
     """Numbered from a wrong end."""
     remaining: int
@@ -120,7 +120,7 @@ def count(views: Observations, injected: dict[str, np.ndarray], found: Renumbere
     """Return what came of a dataset."""
     n = 4 if views.board.columns == views.board.rows else 2
     names = list(injected)
-    seen = np.stack([np.isfinite(views.corners[name]).any(axis=(1, 2)) for name in names])
+    seen = np.stack([seen_corners(views.corners[name]).sum(axis=1) >= 6 for name in names])
     before = np.stack([injected[name] for name in names])
     after = (before + np.stack([found.turns[name] for name in names])) % n
     unclear = np.stack([found.unclear[name] for name in names])
