@@ -55,9 +55,7 @@ def test_a_good_recording_is_not_doubted(method: Method):
     ],
     ids=["pan only", "tilt only", "too little"],
 )  # fmt: skip
-def test_motion_that_leaves_a_direction_open_is_refused(
-    reach: tuple[float, float], hidden: str, cause: str, advice: str, method: Method
-):
+def test_motion_that_leaves_a_direction_open_is_refused(reach, hidden, cause, advice, method):
     noisy = Recording(reach_rad=reach, noise=Noise(0.1, np.radians(0.3)))
     said = sentences(recorded(noisy), method)
     for eye in ("left", "right"):

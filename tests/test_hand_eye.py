@@ -55,9 +55,7 @@ def X(rng: np.random.Generator) -> np.ndarray:
     return mounted(rng)
 
 
-def test_the_printed_equation_5_says_that_the_board_never_moves(
-    X: np.ndarray, rng: np.random.Generator
-):
+def test_the_printed_equation_5_says_that_the_board_never_moves(X, rng):
     """Eq. 5: printed with j where 0 belongs, its right side is the identity for every X."""
     T_er, T_co = views(X, rng)
     printed_right = X @ T_er @ inverse(T_er) @ inverse(X)
@@ -67,9 +65,7 @@ def test_the_printed_equation_5_says_that_the_board_never_moves(
 
 
 @pytest.mark.parametrize("sense", ["camera in eye", "eye in camera"])
-def test_equation_5_fails_with_the_index_mended_alone(
-    X: np.ndarray, rng: np.random.Generator, sense: str
-):
+def test_equation_5_fails_with_the_index_mended_alone(X, rng, sense):
     """Eq. 5: with 0 for j, it still fails for both senses of T_ec: the board's poses, too, stand
     in the opposite sense."""
     T_er, T_co = views(X, rng)

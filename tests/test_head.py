@@ -34,9 +34,7 @@ def file(head: HeadCalibration, tmp_path: Path) -> Path:
     return tmp_path / "head.json"
 
 
-def test_a_calibration_comes_back_from_its_file_to_the_last_digit(
-    head: HeadCalibration, file: Path
-):
+def test_a_calibration_comes_back_from_its_file_to_the_last_digit(head, file):
     again = load_head(file)
     assert list(again.cameras) == list(head.cameras)
     np.testing.assert_equal(asdict(again), asdict(head))
@@ -85,9 +83,7 @@ def test_a_head_without_a_neck_travels_through_json(tmp_path: Path):
     assert load_head(tmp_path / "plain.json").neck.axes.shape == (0, 3)
 
 
-def test_the_head_frame_lies_midway_between_the_eyes_with_the_left_eyes_axes(
-    head: HeadCalibration,
-):
+def test_the_head_frame_lies_midway_between_the_eyes_with_the_left_eyes_axes(head):
     left, right = T_head_base(head, "left"), T_head_base(head, "right")
     np.testing.assert_allclose(left[:3, 3] + right[:3, 3], 0, atol=1e-16)
     np.testing.assert_array_equal(left[:3, :3], np.eye(3))

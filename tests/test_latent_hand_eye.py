@@ -208,9 +208,7 @@ def test_poses_of_pan_and_tilt_are_taken_as_pan_and_tilt():
         ((0, 0), ["rotation about x", "rotation about z", "translation along y", "move pan"]),
     ],
 )
-def test_an_axis_that_does_not_move_is_named_with_what_it_hides(
-    reach: tuple[float, float], words: list[str]
-):
+def test_an_axis_that_does_not_move_is_named_with_what_it_hides(reach, words):
     recording = record(6, joint_std=0.002, pixel_std_px=0.1, reach=reach)
     found = solve(recording, start=recording.T_eye_cam)
     text = " ".join(found.warnings)

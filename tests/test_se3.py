@@ -78,9 +78,7 @@ def test_increments_along_one_line_add(T: np.ndarray, xi: np.ndarray, s: float, 
 
 
 @given(poses, poses, increments())
-def test_an_increment_is_along_the_axes_that_a_pose_maps_into(
-    T_a_b: np.ndarray, T_b_c: np.ndarray, xi: np.ndarray
-):
+def test_an_increment_is_along_the_axes_that_a_pose_maps_into(T_a_b, T_b_c, xi):
     only_turn = np.concatenate([xi[:3], np.zeros(3)])
     fixed = pose(T_a_b[:3, :3])  # without translation, which a turn leaves where it is
     assert_same(boxplus(fixed @ T_b_c, xi)[:3, :3], (boxplus(fixed, only_turn) @ T_b_c)[:3, :3])

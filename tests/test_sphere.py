@@ -44,9 +44,7 @@ def at(camera: Camera, pixel: tuple[float, float], depth_m: float) -> np.ndarray
 
 @pytest.mark.parametrize("camera", [WIDE, PLAIN], ids=["distorted", "pinhole"])
 @pytest.mark.parametrize("pixel", [(60.3, 50.7), (590.1, 60.2), (61.9, 430.4), (580.6, 420.9)])
-def test_the_centre_is_unbiased_in_the_corners_of_the_field(
-    camera: Camera, pixel: tuple[float, float]
-):
+def test_the_centre_is_unbiased_in_the_corners_of_the_field(camera, pixel):
     """Within 0.02 px, where the outline's own centre is off by more."""
     image = picture(camera, at(camera, pixel, 0.35))
     assert np.abs(find_sphere(image, camera) - pixel).max() < 0.02

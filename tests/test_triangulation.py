@@ -119,9 +119,7 @@ def stereo_pose(head: HeadCalibration, eyes: np.ndarray) -> np.ndarray:
     return inverse(T_rbase_rcam) @ head.T_rbase_lbase @ T_lbase_lcam
 
 
-def test_equation_3_needs_the_scale_that_the_printed_form_omits(
-    head: HeadCalibration, rng: np.random.Generator
-):
+def test_equation_3_needs_the_scale_that_the_printed_form_omits(head, rng):
     """Eq. 3: s u = A y; printed without s, which holds at depth 1 only."""
     points, eyes, left, _ = random_samples(head, rng, 10)
     y_l = point_in_camera(head, "left_wide", eyes, points)
@@ -131,9 +129,7 @@ def test_equation_3_needs_the_scale_that_the_printed_form_omits(
     assert (np.abs(homogeneous - right_side).max(axis=1) > 0.1).all()
 
 
-def test_equation_4_maps_from_the_left_camera_to_the_right_one(
-    head: HeadCalibration, rng: np.random.Generator
-):
+def test_equation_4_maps_from_the_left_camera_to_the_right_one(head, rng):
     """Eq. 4: s u_r = A_r T_rcam_lcam y_l.
 
     Printed T_c^l has lost its r, and the prose has it map from right to left, which misses.
@@ -175,18 +171,14 @@ def equation_10_terms(head: HeadCalibration, eyes: np.ndarray) -> dict[str, np.n
     }
 
 
-def test_equation_10_gives_the_same_wherever_the_eyes_look(
-    head: HeadCalibration, rng: np.random.Generator
-):
+def test_equation_10_gives_the_same_wherever_the_eyes_look(head, rng):
     """Eq. 10 holds as printed: T_rbase_lbase is constant, whatever theta_0 was."""
     eyes = rng.uniform(-0.25, 0.25, (20, 4))
     T = base_extrinsics(T_rcam_lcam=stereo_pose(head, eyes), **equation_10_terms(head, eyes))
     np.testing.assert_allclose(T, np.broadcast_to(head.T_rbase_lbase, T.shape), atol=1e-14)
 
 
-def test_equation_10_needs_the_camera_in_the_eye_and_not_the_eye_in_the_camera(
-    head: HeadCalibration, rng: np.random.Generator
-):
+def test_equation_10_needs_the_camera_in_the_eye_and_not_the_eye_in_the_camera(head, rng):
     """Eq. 10: with T_ec in the sense that Eqs. 5 and 11 print, nothing is constant."""
     eyes = rng.uniform(-0.25, 0.25, (20, 4))
     terms = equation_10_terms(head, eyes)
@@ -230,9 +222,7 @@ def printed_11(T_rbase_lbase: np.ndarray, terms: dict[str, np.ndarray]) -> np.nd
     )
 
 
-def test_equation_11_gives_the_static_calibration_back_at_theta_0(
-    head: HeadCalibration, rng: np.random.Generator
-):
+def test_equation_11_gives_the_static_calibration_back_at_theta_0(head, rng):
     """Eqs. 10-11: mended, Eq. 11 undoes Eq. 10; as printed, it does not even at theta = 0."""
     for eyes in (np.zeros((1, 4)), rng.uniform(-0.1, 0.1, (5, 4))):
         terms = equation_10_terms(head, eyes)
@@ -256,9 +246,7 @@ def test_equation_11_follows_the_eyes(head: HeadCalibration, rng: np.random.Gene
     assert (misses > 0.1).all()
 
 
-def test_equation_12_gives_the_same_body_point_wherever_eyes_and_neck_look(
-    head: HeadCalibration, rng: np.random.Generator
-):
+def test_equation_12_gives_the_same_body_point_wherever_eyes_and_neck_look(head, rng):
     """Eq. 12: y_b = T_be(neck) T_er(theta) T_ec y_l; with T_ec^-1 the point would wander."""
     in_body_m = np.array([1.0, 0.1, 0.2])
     neck = rng.uniform(-0.1, 0.1, (20, 3))
@@ -292,9 +280,7 @@ def test_the_head_frame_lies_half_a_baseline_to_the_right_of_the_left_eye():
 # What is not a point
 
 
-def test_nan_is_not_seen_and_leaves_the_others_alone(
-    head: HeadCalibration, rng: np.random.Generator
-):
+def test_nan_is_not_seen_and_leaves_the_others_alone(head, rng):
     points, eyes, left, right = random_samples(head, rng, 5)
     left[0, 1], right[1, 0], eyes[2, 3] = np.nan, np.nan, np.nan
     eyes[3, 0] = np.inf
@@ -347,9 +333,7 @@ def test_no_samples_give_no_points(head: HeadCalibration):
         ((2,), (2,), (4,), r"left of shape \(2, 2\), found \(2,\)"),
     ],
 )
-def test_wrong_shapes_are_named(
-    head: HeadCalibration, left: tuple, right: tuple, eyes: tuple, says: str
-):
+def test_wrong_shapes_are_named(head, left, right, eyes, says):
     with pytest.raises(VergenceError, match=says):
         locate(head, left=np.zeros(left), right=np.zeros(right), joints=np.zeros(eyes))
 

@@ -62,9 +62,7 @@ def simulate(
     ("depth", "focal", "joint_deg", "pixel"),
     [(0.426, 280, 0.1, 0), (0.642, 280, 0, 0.5), (0.426, 400, 0.1, 0.5), (1.106, 400, 0.1, 0.5)],
 )
-def test_the_closed_form_agrees_with_simulation_on_the_axis(
-    depth: float, focal: float, joint_deg: float, pixel: float
-):
+def test_the_closed_form_agrees_with_simulation_on_the_axis(depth, focal, joint_deg, pixel):
     """Eqs. 20-21: within 1.3 %, where sigma_z is below 8 % of z, and z above 5 baselines."""
     ahead, baseline = 0.02, 0.075
     head = plain_head(baseline, focal, camera_m=((ahead, 0, 0),) * 2)
