@@ -64,6 +64,7 @@ def test_an_exact_recording_gives_the_head_exactly(given: tuple[str, ...]):
 
 def test_measured_eye_poses_calibrate_a_whole_head_exactly():
     head, observed, start = simulated(22)
+    observed = observed.take(np.arange(0, 40, 2))
     found = bundle_adjust(start, replace(observed, T_base_eye=observed.eye_poses(head.axes)))
     poses = [i for i, name in enumerate(found.parameters) if "T_" in name]
     assert np.abs(errors(found, head)[poses]).max() < 1e-8
@@ -107,6 +108,7 @@ def test_the_time_offset_is_found_within_a_millisecond_and_the_noise(noisy_heads
 
 def test_what_is_fixed_keeps_its_start_and_has_no_variance():
     _, observed, start = simulated(21, Noise(pixel_px=0.1))
+    observed = observed.take(np.arange(0, 40, 2))
     fixed = fixed_by_default(start, timed=False) | {"left_wide.fx", "left_wide.fy"}
     found = bundle_adjust(start, observed, fixed=fixed)
     matrix = found.head.cameras["left_wide"].intrinsics.matrix

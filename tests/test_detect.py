@@ -22,7 +22,7 @@ from recordings import (
 from vergence.calibration.detection import detect_or_explain, detect_target
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
-from vergence.geometry.board import Charuco, corner_points
+from vergence.geometry.board import corner_points
 from vergence.vision.board_detection import detect_board
 
 
@@ -76,18 +76,22 @@ def test_points_run_along_the_rows_from_the_first_inner_corner():
 
 
 @pytest.mark.parametrize(
-    ("change", "named"),
+    ("board", "change", "named"),
     [
-        ({"squares_x": 2}, "3 to 100 squares"),
-        ({"marker_m": 0.04}, "marker_m lies between"),
-        ({"marker_m": 0.0}, "marker_m lies between"),
-        ({"dictionary": "DICT_9X9"}, "dictionary is one of"),
-        ({"squares_x": 12, "squares_y": 12}, "has 72 markers, but DICT_4X4_50 only 50"),
+        (CHARUCO, {"squares_x": 2}, "3 to 100 squares"),
+        (CHARUCO, {"marker_m": 0.04}, "marker_m lies between"),
+        (CHARUCO, {"marker_m": 0.0}, "marker_m lies between"),
+        (CHARUCO, {"dictionary": "DICT_9X9"}, "dictionary is one of"),
+        (CHARUCO, {"squares_x": 12, "squares_y": 12}, "has 72 markers, but DICT_4X4_50 only 50"),
+        (CHESSBOARD, {"columns": 0}, "columns"),
+        (CHESSBOARD, {"rows": -1}, "rows"),
+        (CHESSBOARD, {"square_m": 0.0}, "square_m"),
+        (CHESSBOARD, {"square": 1}, "square"),
     ],
 )
-def test_impossible_charuco_boards_are_refused(change, named):
+def test_impossible_boards_are_refused(board, change, named):
     with pytest.raises(ValueError, match=named):
-        Charuco(**{**vars(CHARUCO), **change})
+        type(board)(**vars(board) | change)
 
 
 def board_image() -> np.ndarray:
@@ -160,7 +164,7 @@ def test_a_dataset_that_shows_nothing_is_refused(tmp_path):
 
 
 def test_squares_counted_for_inner_corners_are_recognised(tmp_path):
-    seen_dataset(tmp_path / "set", CHESSBOARD)
+    seen_dataset(tmp_path / "set", CHESSBOARD, 1)
     change_about(tmp_path / "set", {"board.columns": 7, "board.rows": 6})
     with pytest.raises(VergenceError, match=r"one of 6 x 5 is there.*not its squares"):
         detect_target(load_dataset(tmp_path / "set"))

@@ -105,9 +105,10 @@ def test_eyes_that_never_move_are_refused(method: Method):
     assert "sees a board at rest in one view only" in said
 
 
-@pytest.mark.parametrize("name", ["left_wide", "right_wide"])
-def test_a_camera_that_never_finds_the_board_is_refused(name: str, method: Method):
+def test_a_camera_that_never_finds_the_board_is_refused(method: Method):
     observed = recorded(Recording())
-    nothing = np.full_like(observed.corners[name], np.nan)
-    said = sentences(with_corners(observed, name, nothing), method)
-    assert said.startswith(f"{name} shows the board in 0 images at rest: fx, fy and T_eye_cam are")
+    nothing = np.full_like(observed.corners["right_wide"], np.nan)
+    said = sentences(with_corners(observed, "right_wide", nothing), method)
+    assert said.startswith(
+        "right_wide shows the board in 0 images at rest: fx, fy and T_eye_cam"
+    )

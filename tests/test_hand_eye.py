@@ -12,15 +12,7 @@ from vergence.calibration.sequential.hand_eye import motion_pairs, park_martin, 
 from vergence.errors import VergenceError
 from vergence.geometry.camera import pinhole
 from vergence.geometry.kinematics import T_base_eye
-from vergence.geometry.se3 import (
-    angle,
-    boxminus,
-    hat,
-    inverse,
-    pose,
-    rotation,
-    rotvec,
-)
+from vergence.geometry.se3 import angle, boxminus, hat, inverse, pose, rotation, rotvec
 from vergence.vision.board_pose import board_poses
 
 seeds = st.integers(0, 2**32 - 1)

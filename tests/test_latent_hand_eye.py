@@ -235,7 +235,7 @@ def test_a_motion_that_is_small_but_seen_leaves_a_large_stated_error():
 
 
 def test_pan_and_tilt_that_move_together_are_named():
-    together = record(8, joint_std=0.002, pixel_std_px=0.1, together=True)
+    together = record(8, joint_std=0.002, pixel_std_px=0.1, views=12, together=True)
     text = " ".join(solve(together, start=together.T_eye_cam).warnings)
     assert "observable" in text
     assert "pan and tilt of the eye move together" in text

@@ -1,4 +1,7 @@
-"""Heads that are not built like this project's: one eye, other names, poses, no straight gaze."""
+"""Heads that are not built like this project's: one eye, other names, poses, no straight gaze.
+
+By the paper's method alone: test_sequential.py.
+"""
 
 from dataclasses import replace
 
@@ -8,21 +11,16 @@ import pytest
 from simulated_head import random_head
 from simulated_recording import Noise, Recording, as_poses, record
 from test_sequential import only, some_cameras
-from vergence.calibration.calibrate import CalibrationResult, Method, calibrate
+from vergence.calibration.calibrate import CalibrationResult, calibrate
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, main_pair
 from vergence.geometry.parameters import boxminus
 from vergence.geometry.se3 import pose
 
-pytestmark = pytest.mark.slow  # whole calibrations, by both methods
+pytestmark = pytest.mark.slow  # whole calibrations
 
 QUIET = Recording(reach_rad=(0.3, 0.3), noise=Noise(pixel_px=0.1, joint_rad=np.radians(0.05)))
-
-
-@pytest.fixture(params=["bundle", "paper"])
-def method(request: pytest.FixtureRequest) -> Method:
-    return request.param
 
 
 def recorded(seed: int, *lenses: str) -> tuple[HeadCalibration, Observations]:
@@ -38,9 +36,9 @@ def assert_near(found: CalibrationResult, truth: HeadCalibration) -> None:
             assert abs(value) < (np.radians(0.4) if turn else 0.004), name
 
 
-def test_eyes_that_give_poses_are_calibrated(method: Method):
+def test_eyes_that_give_poses_are_calibrated():
     truth, seen = recorded(1)
-    found = calibrate(as_poses(seen), method=method)
+    found = calibrate(as_poses(seen))
     assert_near(found, truth)
     assert found.accuracy.eye_motion == "poses"
     assert found.warnings == ()
@@ -54,11 +52,11 @@ def test_eye_poses_about_one_axis_are_refused_with_the_axis():
         calibrate(as_poses(seen))
 
 
-@pytest.mark.parametrize(("side", "method"), [("left", "bundle"), ("right", "paper")])
-def test_a_head_of_one_eye_is_calibrated(side: str, method: Method):
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_a_head_of_one_eye_is_calibrated(side: str):
     truth, seen = recorded(3, "wide", "middle")
     names = f"{side}_wide", f"{side}_middle"
-    found = calibrate(only(seen, *names), method=method)
+    found = calibrate(only(seen, *names))
     cameras = {name: truth.cameras[name] for name in names}
     assert_near(found, replace(truth, cameras=cameras, T_rbase_lbase=np.eye(4)))
     assert main_pair(found.head) is None
@@ -81,13 +79,13 @@ def test_cameras_may_be_called_anything_and_sit_three_in_an_eye():
     assert main_pair(found.head) == ("port", "starboard")
 
 
-def test_without_straight_gaze_a_board_before_both_eyes_will_do(method: Method):
+def test_without_straight_gaze_a_board_before_both_eyes_will_do():
     truth, _ = recorded(7)
     # Boards held at many places while the eyes look somewhere else than straight ahead.
     how = replace(QUIET, gaze_rad=(0.1, -0.08))
     seen = record(truth, np.random.default_rng(7), how)
     assert (np.abs(seen.eye_angles) > 0.05).any(axis=1).all()
-    found = calibrate(seen, method=method)
+    found = calibrate(seen)
     assert_near(found, truth)
     assert found.start.stereo_rms_px is None
 

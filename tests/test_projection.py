@@ -15,16 +15,15 @@ from vergence.calibration.bundle.initial_state import initial_state
 from vergence.calibration.bundle.problem import corner_errors, jacobians, retract
 from vergence.geometry.camera import project
 from vergence.geometry.head import MountedCamera
-from vergence.geometry.kinematics import EYE_COLUMNS, T_base_eye
+from vergence.geometry.kinematics import T_base_eye
 from vergence.geometry.parameters import lens_of_vector, lens_vector
 from vergence.geometry.projection import (
     ProjectionJacobians,
-    T_rcam_lcam,
     project_at,
     project_point,
     project_with_jacobians,
 )
-from vergence.geometry.se3 import boxplus, transform
+from vergence.geometry.se3 import boxplus
 
 CAMERAS = ("left_wide", "right_wide", "left_narrow", "right_narrow")
 seeds = st.integers(0, 2**32 - 1)
@@ -66,16 +65,6 @@ def test_what_is_not_in_front_of_the_camera_has_no_pixel():
     points = np.array([[1.0, 0.04, 0.0], [-1.0, 0.04, 0.0]])
     pixels = project_point(head, "right_wide", np.zeros(4), points)
     assert np.isfinite(pixels).all(axis=1).tolist() == [True, False]
-
-
-@given(seeds)
-def test_equation_11_leads_from_the_left_camera_to_the_right_one(seed: int):
-    rng = np.random.default_rng(seed)
-    head, points = skewed_head(rng), before_the_head(rng, 6)
-    joints = rng.uniform(-0.25, 0.25, (6, 4))
-    left, right = (point_in_camera(head, f"{eye}_narrow", joints, points) for eye in EYE_COLUMNS)
-    T = T_rcam_lcam(head, joints, cameras=("left_narrow", "right_narrow"))
-    np.testing.assert_allclose(transform(T, left), right, atol=1e-13)
 
 
 def slope(function, n: int, step: float) -> Array:

@@ -336,13 +336,3 @@ def test_no_samples_give_no_points(head: HeadCalibration):
 def test_wrong_shapes_are_named(head, left, right, eyes, says):
     with pytest.raises(VergenceError, match=says):
         locate(head, left=np.zeros(left), right=np.zeros(right), joints=np.zeros(eyes))
-
-
-def test_samples_do_not_see_each_other(head: HeadCalibration, rng: np.random.Generator):
-    _, eyes, left, right = random_samples(head, rng, 1000)
-    chosen = [0, 500, 999]
-    together, _ = triangulate_at(head, left=left, right=right, joints=eyes)
-    alone = [
-        triangulate_at(head, left=left[[k]], right=right[[k]], joints=eyes[k])[0][0] for k in chosen
-    ]
-    np.testing.assert_allclose(together[chosen], alone, atol=1e-12)
