@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simulated_head import random_head
-from simulated_recording import POINTS, Noise, Recording, record
+from simulated_recording import POINTS, Noise, Recording
+from test_other_heads import recorded as recorded_of
 from vergence.calibration.calibrate import calibrate
 from vergence.calibration.checks.board_flips import turn_boards
 from vergence.calibration.checks.encoders import check_encoders, doubts
@@ -24,9 +24,7 @@ GOOD = Recording(reach_rad=(0.3, 0.3), noise=Noise(pixel_px=0.1, joint_rad=np.ra
 
 def recorded(seed: int = 0, *, alike: bool = True) -> tuple[HeadCalibration, Observations]:
     """Return a head and what it observes, with eyes that move alike, or each by itself."""
-    rng = np.random.default_rng(seed)
-    truth = random_head(rng, lenses=("wide",), perfect_axes=True)
-    return truth, record(truth, rng, replace(GOOD, alike=alike))
+    return recorded_of(seed, how=replace(GOOD, alike=alike))
 
 
 def exchanged_images(seen: Observations) -> Observations:

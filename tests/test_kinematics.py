@@ -86,15 +86,6 @@ def test_joints_may_share_readings(seed: int, joints: int, readings: int):
     np.testing.assert_allclose(transform(chain_pose(chain, read), point), expected, atol=1e-13)
 
 
-def test_a_common_tilt_and_a_differential_pan_of_two_motors_are_a_chain():
-    """Both motors forward tilt the eye, one against the other pans it, as a differential does."""
-    mixing = np.array([[0.5, -0.5], [0.5, 0.5]])
-    chain = Chain(np.array([UP, LEFT]), np.zeros((2, 3)), np.zeros(3), mixing, np.zeros(2))
-    for motors, angles in (([0.2, 0.2], [0.0, 0.2]), ([0.2, -0.2], [0.2, 0.0])):
-        found = chain_pose(chain, np.array(motors))
-        np.testing.assert_allclose(found, T_base_eye(np.array(angles)), atol=1e-15)
-
-
 def slopes(function, at: np.ndarray, step: float = 1e-5) -> np.ndarray:
     """Return how poses (..., 4, 4) change with (..., n) by central differences (..., 6, n)."""
     columns = [

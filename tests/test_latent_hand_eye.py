@@ -166,10 +166,14 @@ def test_boards_numbered_from_the_wrong_end_are_left_out_and_named(flips: int):
 # Eye poses that are no pan and tilt.
 
 
-def record_poses(seed: int, std: tuple[float, float], pixel_std_px: float) -> Recording:
+def record_poses(
+    seed: int, std: tuple[float, float], pixel_std_px: float, axes: tuple[int, ...] = (1, 1, 1)
+) -> Recording:
+    """Return a recording of an eye that turns about some axes, and shifts if about all."""
     rng = np.random.default_rng(seed)
     T_eye_cam = random_pose(rng, 0.04, 0.004) @ pose(R_EYE_CAM, [0.02, 0, 0])
-    poses = pose(rotation(rng.uniform(-0.25, 0.25, (25, 3))), rng.normal(0, 0.02, (25, 3)))
+    shift = rng.normal(0, 0.02, (25, 3)) * min(axes)
+    poses = pose(rotation(rng.uniform(-0.25, 0.25, (25, 3)) * axes), shift)
     pixels = see(T_eye_cam, poses, rng)
     noise = rng.normal(size=(25, 6)) * np.repeat(std, 3)
     pixels = pixels + rng.normal(0, pixel_std_px, pixels.shape)
@@ -249,11 +253,8 @@ def test_two_views_are_too_few_and_said_so():
 
 
 def test_general_poses_about_one_axis_are_named():
-    rng = np.random.default_rng(10)
-    T_eye_cam = pose(R_EYE_CAM, [0.02, 0, 0])
-    turns = rng.uniform(-0.25, 0.25, (20, 1)) * [1, 0, 0]
-    poses = pose(rotation(turns), np.full((20, 3), 0.01))
-    found = solve(Recording(T_eye_cam, poses, see(T_eye_cam, poses, rng)), start=T_eye_cam)
+    recording = record_poses(10, (0.0, 0.0), 0.0, axes=(1, 0, 0))
+    found = solve(recording, start=recording.T_eye_cam)
     text = " ".join(found.warnings)
     assert "rotation about x and translation along x: not observable" in text
     assert "share one axis" in text

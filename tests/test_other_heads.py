@@ -23,10 +23,13 @@ pytestmark = pytest.mark.slow  # whole calibrations
 QUIET = Recording(reach_rad=(0.3, 0.3), noise=Noise(pixel_px=0.1, joint_rad=np.radians(0.05)))
 
 
-def recorded(seed: int, *lenses: str) -> tuple[HeadCalibration, Observations]:
+def recorded(
+    seed: int, *lenses: str, how: Recording = QUIET
+) -> tuple[HeadCalibration, Observations]:
+    """Return a head with perfect axes and these lenses, else wide ones, and what it observes."""
     rng = np.random.default_rng(seed)
     truth = random_head(rng, lenses=lenses or ("wide",), perfect_axes=True)
-    return truth, record(truth, rng, QUIET)
+    return truth, record(truth, rng, how)
 
 
 def assert_near(found: CalibrationResult, truth: HeadCalibration) -> None:
@@ -45,8 +48,7 @@ def test_eyes_that_give_poses_are_calibrated():
 
 
 def test_eye_poses_about_one_axis_are_refused_with_the_axis():
-    truth, _ = recorded(2)
-    seen = record(truth, np.random.default_rng(2), replace(QUIET, reach_rad=(0.25, 0)))
+    _, seen = recorded(2, how=replace(QUIET, reach_rad=(0.25, 0)))
     words = r"rotation about and translation along \(-?0\.0.*1\.00\)"
     with pytest.raises(VergenceError, match=words):
         calibrate(as_poses(seen))
@@ -80,10 +82,8 @@ def test_cameras_may_be_called_anything_and_sit_three_in_an_eye():
 
 
 def test_without_straight_gaze_a_board_before_both_eyes_will_do():
-    truth, _ = recorded(7)
     # Boards held at many places while the eyes look somewhere else than straight ahead.
-    how = replace(QUIET, gaze_rad=(0.1, -0.08))
-    seen = record(truth, np.random.default_rng(7), how)
+    truth, seen = recorded(7, how=replace(QUIET, gaze_rad=(0.1, -0.08)))
     assert (np.abs(seen.eye_angles) > 0.05).any(axis=1).all()
     found = calibrate(seen)
     assert_near(found, truth)

@@ -124,18 +124,6 @@ def test_a_row_of_the_covariance_moves_points_as_the_covariance_of_points_says()
     np.testing.assert_allclose(found, total, atol=2e-3 * np.abs(total).max())
 
 
-def test_the_covariance_of_points_is_that_of_sampled_calibrations():
-    rng = np.random.default_rng(3)
-    head = stated(HEAD, rng)
-    assert head.accuracy is not None
-    names, seen = head.accuracy.parameters, sight(head)
-    draws = rng.multivariate_normal(np.zeros(len(names)), head.accuracy.covariance, 400)
-    points = np.array([triangulate_at(change_named(head, names, d), **seen)[0] for d in draws])
-    predicted = calibration_covariance(head, **seen)
-    ratio = points.var(axis=0) / np.diagonal(predicted, axis1=1, axis2=2)
-    np.testing.assert_allclose(np.sqrt(ratio), 1, atol=0.14)  # 400 determine it to 3.5 %
-
-
 def test_noise_and_calibration_add_up_to_what_locate_states():
     head = stated(HEAD, np.random.default_rng(3))
     seen = sight(head)

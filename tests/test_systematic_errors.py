@@ -5,15 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulated_head import random_head
-from simulated_recording import Noise, Recording, record
+from test_other_heads import recorded
 from vergence.calibration.bundle.bundle_adjustment import BundleEstimate as Estimate
 from vergence.calibration.bundle.bundle_adjustment import bundle_adjust, covariance_of
 from vergence.calibration.sequential.sequential import calibrate_sequentially
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES
-
-QUIET = Recording(reach_rad=(0.3, 0.3), noise=Noise(pixel_px=0.1, joint_rad=np.radians(0.05)))
 
 
 def bent(corners: np.ndarray, size_px: float) -> np.ndarray:
@@ -30,9 +27,7 @@ def heads(slow_setup: None) -> tuple[HeadCalibration, Estimate, Estimate, Estima
     In the second the left images have a systematic error of 0.4 px; in the third all are assumed to
     have one of 1 px.
     """
-    rng = np.random.default_rng(9)
-    truth = random_head(rng, lenses=("wide",), perfect_axes=True)
-    observed = record(truth, rng, QUIET)
+    truth, observed = recorded(9)
     start = calibrate_sequentially(observed).head
     plain = bundle_adjust(start, observed)
     corners = {**observed.corners, "left_wide": bent(observed.corners["left_wide"], 0.4)}
