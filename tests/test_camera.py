@@ -75,10 +75,9 @@ def test_project_undoes_normalise_up_to_the_corners_of_the_image():
 def test_project_agrees_with_opencv(seed: int):
     rng = np.random.default_rng(seed)
     camera = random_camera(rng)
-    matrix = camera.matrix.copy()
-    matrix[0, 1] = 0  # OpenCV knows no skew
+    matrix = camera.matrix * (1 - np.eye(3, k=1))  # OpenCV knows no skew
     distortion = np.array([*camera.distortion[:4], rng.normal(0, 0.005)])
-    camera = Camera(width=640, height=480, matrix=matrix, distortion=distortion)
+    camera = Camera(640, 480, matrix, distortion)
     points = rng.uniform([-0.6, -0.5, 0.8], [0.6, 0.5, 2.0], (30, 3))
     expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, distortion)
     np.testing.assert_allclose(project(camera, points), expected.reshape(-1, 2), atol=1e-10)
@@ -144,13 +143,6 @@ def test_a_polynomial_that_rises_again_beyond_its_fold_is_not_followed_there():
     reached = np.linalg.norm(found, axis=1)
     assert np.nanmax(reached) < 0.859
     assert np.isnan(reached[pixels[:, 0] > 319.5 + 0.536 * 280]).all()
-
-
-def test_nan_pixels_leave_their_neighbours_alone():
-    pixels = np.array([[100.0, 80.0], [np.nan, 3.0], [500.0, 400.0]])
-    xy = normalise(WIDE, pixels)
-    np.testing.assert_array_equal(xy[[0, 2]], normalise(WIDE, pixels[[0, 2]]))
-    assert np.isnan(xy[1]).all()
 
 
 def test_the_middle_of_the_image_lies_between_the_middle_pixels():

@@ -69,12 +69,9 @@ def test_files_of_version_0_1_load_and_their_accuracy_travels_on(tmp_path: Path)
     assert back.parameters == head.accuracy.parameters
     assert vars(back.held_out) == vars(head.accuracy.held_out)
     np.testing.assert_array_equal(back.covariance, head.accuracy.covariance)
-
-
-def test_a_file_without_accuracy_loads(tmp_path: Path):
-    content = json.loads(VERSION_0_1)
-    del content["accuracy"], content["time_offset_s"]
-    (tmp_path / "older.json").write_text(json.dumps(content))
+    older = json.loads(VERSION_0_1)
+    del older["accuracy"], older["time_offset_s"]
+    (tmp_path / "older.json").write_text(json.dumps(older))
     assert load_head(tmp_path / "older.json").accuracy is None
 
 
@@ -116,12 +113,9 @@ def test_the_pose_of_the_wide_camera_in_the_narrow_one_maps_wide_to_narrow(head:
     np.testing.assert_allclose(transform(T_narrow_wide(head, "left"), point), in_narrow)
 
 
-def test_an_unknown_camera_is_answered_with_the_known_ones(head: HeadCalibration):
+def test_an_unknown_camera_and_a_missing_file_are_named(head: HeadCalibration, tmp_path: Path):
     with pytest.raises(VergenceError, match=r"'middle'.*left_wide, left_narrow, right_wide"):
         head.camera("middle")
-
-
-def test_a_missing_file_is_named(tmp_path: Path):
     with pytest.raises(VergenceError, match=r"no\.json: No such file"):
         load_head(tmp_path / "no.json")
 
@@ -165,8 +159,7 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path):
     assert [path.name for path in target.parent.iterdir()] == ["file.txt"]
     assert target.read_text() == "two"
     (tmp_path / "plain").write_text("")
-    with pytest.raises(VergenceError, match="Cannot write"):
-        write_whole(tmp_path / "plain" / "file.txt", "three")
-    with pytest.raises(VergenceError, match="Cannot write"):
-        write_whole(target.parent, "a folder is in the way")
+    for impossible in (tmp_path / "plain" / "file.txt", target.parent):
+        with pytest.raises(VergenceError, match="Cannot write"):
+            write_whole(impossible, "three")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["new", "plain"]

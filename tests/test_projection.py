@@ -60,13 +60,6 @@ def test_one_point_many_points_and_boards_have_the_same_pixels(name: str):
         np.testing.assert_allclose(found, expected, atol=1e-11)
 
 
-def test_what_is_not_in_front_of_the_camera_has_no_pixel():
-    head = skewed_head(np.random.default_rng(3))
-    points = np.array([[1.0, 0.04, 0.0], [-1.0, 0.04, 0.0]])
-    pixels = project_point(head, "right_wide", np.zeros(4), points)
-    assert np.isfinite(pixels).all(axis=1).tolist() == [True, False]
-
-
 def slope(function, n: int, step: float) -> Array:
     """Return derivatives (..., n) at zero by central differences."""
     rows = step * np.eye(n)

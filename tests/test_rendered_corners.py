@@ -31,10 +31,8 @@ def rendered(opengl: None) -> Rendered:
         chosen += [shot for shot in shots if shot.eye_angles.any()][::8]
         found = capture_views(twin, chosen)
         # The servos sag by thousandths of a degree; without sensor errors the readings show it.
-        stood = [
-            replace(shot, eye_angles=angles)
-            for shot, angles in zip(chosen, found.eye_angles, strict=True)
-        ]
+        both = zip(chosen, found.eye_angles, strict=True)
+        stood = [replace(shot, eye_angles=angles) for shot, angles in both]
         rng = np.random.default_rng(0)
         true = simulate_views(twin.truth, ErrorProfile(), stood, pixel_noise=0.0, rng=rng)
         return twin.truth, found, true

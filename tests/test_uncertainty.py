@@ -125,22 +125,13 @@ def test_each_input_may_have_its_own_noise():
     np.testing.assert_allclose(parts, covariance(0.3, 1e-3), rtol=1e-9, atol=1e-18)
 
 
-def test_what_cannot_be_located_has_no_covariance():
-    head = plain_head(0.09, 280.0)
+def test_what_cannot_be_located_has_no_covariance_nor_has_anything_if_no_noise_is_stated():
     left = np.array([[320.0, 240.0], [np.nan, 240.0], [340.0, 240.0]])
     right = np.array([[320.0, 240.0], [300.0, 240.0], [320.0, 240.0]])
-    found = locate(head, left=left, right=right, joints=np.zeros(4), pixel_std_px=0.1)
-    assert np.isfinite(found.covariance).all(axis=(1, 2)).tolist() == [False, False, True]
-
-
-def test_a_head_that_states_no_noise_gives_no_covariance_unless_noise_is_given():
-    head, pixels = plain_head(0.09, 280.0), np.array([[340.0, 240.0], [320.0, 240.0]])
-    left, right = pixels[:1], pixels[1:]
-    found = locate(head, left=left, right=right, joints=np.zeros(4))
-    assert np.isfinite(found.xyz).all()
-    assert np.isnan(found.covariance).all()
-    given = locate(head, left=left, right=right, joints=np.zeros(4), joint_std_rad=1e-3)
-    assert np.isfinite(given.covariance).all()
+    for stds in ({}, {"joint_std_rad": 1e-3}, {"pixel_std_px": 0.1}):
+        found = locate(plain_head(0.09, 280.0), left=left, right=right, joints=np.zeros(4), **stds)
+        assert np.isfinite(found.xyz).all(axis=1).tolist() == [False, False, True]
+        assert np.isfinite(found.covariance).all(axis=(1, 2)).tolist() == [False, False, bool(stds)]
 
 
 def test_the_covariance_of_a_difference_leaves_out_what_is_shared():
