@@ -122,6 +122,7 @@ def test_what_is_fixed_keeps_its_start_and_has_no_variance():
 
 def test_a_camera_that_sees_no_board_is_named_and_left_alone():
     _, observed, start = simulated(23, NOISY)
+    observed = observed.take(np.arange(0, 40, 2))
     nothing = np.full_like(observed.corners["left_narrow"], np.nan)
     blind = replace(observed, corners={**observed.corners, "left_narrow": nothing})
     found = bundle_adjust(start, blind)
