@@ -1,7 +1,7 @@
 """How well T_eye_cam is found, and how true the stated accuracy is, over many simulated trials.
 
     python benchmarks/hand_eye_monte_carlo.py
-    python benchmarks/hand_eye_monte_carlo.py --trials 1000 --focal-px 280 --motion grid
+    python benchmarks/hand_eye_monte_carlo.py --trials 1000 --focal-px 280
 
 One eye with a camera of known intrinsics looks at a board at rest; corners and joint readings
 carry normal noise whose levels no estimator is given. Compared are Park and Martin's closed form
@@ -22,7 +22,6 @@ import os
 import sys
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal
 
 import numpy as np
 import tyro
@@ -66,10 +65,8 @@ class Config:
     lean_rad: float = 0.3
     """Standard deviation of the board's turn from facing the head, about each axis."""
     spread_rad: float = 0.25
-    """Pan and tilt stay within plus and minus this."""
+    """Pan and tilt are drawn from plus and minus this."""
     views: int = 20
-    motion: Literal["grid", "uniform"] = "uniform"
-    """The eye visits a grid of 5 columns, or angles at random."""
     pixel_std_px: float = 0.1
 
 
@@ -86,25 +83,13 @@ class Trial:
     warned: bool
 
 
-def board_points(config: Config) -> Array:
-    """Return the board's corners (K, 3) [m]."""
-    board = Chessboard(columns=config.columns, rows=config.rows, square_m=config.square_m)
-    return corner_points(board)
-
-
 def simulate(
-    config: Config, joint_std_rad: float, rng: np.random.Generator
+    config: Config, points: Array, joint_std_rad: float, rng: np.random.Generator
 ) -> tuple[Array, Array, Array]:
-    """Return T_eye_cam, readings (N, 2) and corners (N, K, 2) of a recording."""
-    points = board_points(config)
+    """Return T_eye_cam, readings (N, 2) and corners (N, K, 2) of a board's points (K, 3) [m]."""
     mounting = rotation(rng.normal(0, np.radians(1.5), 3))
     T_eye_cam = pose(mounting @ R_EYE_CAM, rng.normal([0.02, 0, 0], 0.003))
-    if config.motion == "grid":
-        sides = np.linspace(-1, 1, 5), np.linspace(-1, 1, -(-config.views // 5))
-        grid = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
-        angles = config.spread_rad * grid[: config.views]
-    else:
-        angles = rng.uniform(-config.spread_rad, config.spread_rad, (config.views, 2))
+    angles = rng.uniform(-config.spread_rad, config.spread_rad, (config.views, 2))
     R_base_target = R_EYE_CAM @ rotation(rng.normal(0, config.lean_rad, 3))
     centre = R_base_target @ points.mean(axis=0)
     T_base_target = pose(R_base_target, [config.distance_m, 0, 0] - centre)
@@ -120,9 +105,9 @@ def run(config: Config, joint_std_deg: float, number: int) -> Trial | str:
     """Return one trial, or what made it fail."""
     joint_std = np.radians(joint_std_deg)
     rng = np.random.default_rng([config.seed, round(1e6 * joint_std_deg), number])
-    truth, readings, pixels = simulate(config, joint_std, rng)
+    points = corner_points(Chessboard(config.columns, config.rows, config.square_m))
+    truth, readings, pixels = simulate(config, points, joint_std, rng)
     camera = pinhole(640, 480, config.focal_px)
-    points = board_points(config)
     solve = partial(refine_eye_camera, readings, pixels, points, camera)
     try:
         closed = park_martin(T_base_eye(readings), board_poses(camera, pixels, points))
@@ -136,9 +121,8 @@ def run(config: Config, joint_std_deg: float, number: int) -> Trial | str:
     off = boxminus(found, truth)
     sizes = np.linalg.norm(off.reshape(-1, 2, 3), axis=-1) * [np.degrees(1), 1e3]
     largest = np.abs(off[2] / np.sqrt(np.diag(latent.covariance))).max()
-    return Trial(
-        sizes, probability(off[2], latent.covariance), float(largest), bool(latent.warnings)
-    )
+    stated = probability(off[2], latent.covariance)
+    return Trial(sizes, stated, float(largest), bool(latent.warnings))
 
 
 def main(config: Config) -> int:
@@ -148,32 +132,22 @@ def main(config: Config) -> int:
     with multiprocessing.get_context("spawn").Pool(config.workers) as pool:
         results = pool.starmap(run, jobs, chunksize=10)
     print(f"Median error of T_eye_cam [deg / mm], {config.trials} trials each; {config}\n")
-    print(
-        "| joint noise | "
-        + " | ".join(METHODS)
-        + " | relative bar | absolute bar | in 95 % region "
-        "| max std | warned |"
-    )
-    print("|---" * (len(METHODS) + 6) + "|")
+    columns = (*METHODS, "relative bar", "absolute bar", "in 95 % region", "max std", "warned")
+    print(f"| joint noise | {' | '.join(columns)} |")
+    print("|---" * (len(columns) + 1) + "|")
     missed = []
     for row, (level, reference) in enumerate(BARS.items()):
         mine = results[row * config.trials : (row + 1) * config.trials]
         trials = [trial for trial in mine if isinstance(trial, Trial)]
         missed += [f"{level}: a trial failed: {trial}" for trial in mine if isinstance(trial, str)]
         medians = np.median([trial.errors for trial in trials], axis=0)
-        bars = {
-            "relative": 1.05 * medians[:2].min(axis=0),
-            "absolute": 1.1 * np.array(reference),
-        }
+        relative, absolute = 1.05 * medians[:2].min(axis=0), 1.1 * np.array(reference)
         covered = np.mean([trial.probability < 0.95 for trial in trials])
         worst = max(trial.standardised for trial in trials)
-        cells = [f"{deg:.4f} / {mm:.3f}" for deg, mm in [*medians, *bars.values()]]
-        warned = sum(trial.warned for trial in trials)
-        print(
-            f"| {level} deg | {' | '.join(cells)} | {100 * covered:.1f} % | {worst:.1f} "
-            f"| {warned} |"
-        )
-        for kind, bar in bars.items():
+        cells = [f"{deg:.4f} / {mm:.3f}" for deg, mm in [*medians, relative, absolute]]
+        cells += [f"{100 * covered:.1f} %", f"{worst:.1f}", f"{sum(t.warned for t in trials)}"]
+        print(f"| {level} deg | {' | '.join(cells)} |")
+        for kind, bar in (("relative", relative), ("absolute", absolute)):
             if (medians[2] > bar).any():
                 also = "; so is that of one given the noise" if (medians[3] > bar).any() else ""
                 missed.append(f"{level}: the median of latent joints is above its {kind} bar{also}")

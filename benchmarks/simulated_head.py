@@ -33,29 +33,20 @@ def random_head(
 ) -> HeadCalibration:
     """Return a head that bundle adjustment models: no skew, no distortion but of wide lenses.
 
-    Args:
-        rng: of everything random.
-        lenses: of each eye.
-        perfect_axes: whether gains are one, and offsets and errors of the axes zero.
+    With perfect axes, gains are one, and offsets and errors of the axes zero.
     """
     cameras = {}
     for eye in EYES:
         for lens in lenses:
             focal = rng.uniform(*FOCAL_PX[lens]) * np.array([1.0, rng.uniform(0.99, 1.01)])
             middle = np.array([WIDTH - 1, HEIGHT - 1]) / 2 + rng.normal(0, 5, 2)
+            matrix = np.array([[focal[0], 0, middle[0]], [0, focal[1], middle[1]], [0, 0, 1]])
             # Barrel distortion of 4 to 12 % at the image's edge, as such lenses have.
             barrel = -rng.uniform(0.04, 0.12) / (WIDTH / 2 / focal[0]) ** 2
             distortion = [barrel, 0.15 * barrel**2, *rng.normal(0, 5e-4, 2), 0.0]
             cameras[f"{eye}_{lens}"] = MountedCamera(
                 eye=eye,
-                intrinsics=Camera(
-                    width=WIDTH,
-                    height=HEIGHT,
-                    matrix=np.array(
-                        [[focal[0], 0, middle[0]], [0, focal[1], middle[1]], [0, 0, 1]]
-                    ),
-                    distortion=np.array(distortion) * (lens == "wide"),
-                ),
+                intrinsics=Camera(WIDTH, HEIGHT, matrix, np.array(distortion) * (lens == "wide")),
                 T_eye_cam=pose(
                     rotation(rng.normal(0, np.radians(1.5), 3)) @ R_EYE_CAM,
                     np.array([0.02, 0, 0.01 if lens == "wide" else -0.02])
@@ -121,15 +112,10 @@ def plain_head(
 def random_camera(rng: np.random.Generator, *, distorted: bool = True) -> Camera:
     """Return a camera with skew, a shifted principal point and, perhaps, distortion."""
     focal = rng.uniform(250, 450)
-    matrix = np.array(
-        [
-            [focal, rng.normal(0, 1), 319.5 + rng.normal(0, 5)],
-            [0, focal * rng.uniform(0.98, 1.02), 239.5 + rng.normal(0, 5)],
-            [0, 0, 1],
-        ]
-    )
+    first = [focal, rng.normal(0, 1), 319.5 + rng.normal(0, 5)]
+    second = [0, focal * rng.uniform(0.98, 1.02), 239.5 + rng.normal(0, 5)]
     k = np.array([rng.uniform(-0.15, 0.05), rng.uniform(0, 0.02), *rng.normal(0, 5e-4, 2), 0])
-    return Camera(width=WIDTH, height=HEIGHT, matrix=matrix, distortion=k * distorted)
+    return Camera(WIDTH, HEIGHT, np.array([first, second, [0, 0, 1]]), k * distorted)
 
 
 def random_pose(rng: np.random.Generator, angle: float = 3.0, distance: float = 1.0) -> Array:

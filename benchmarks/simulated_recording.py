@@ -6,7 +6,7 @@ and poor ones, and `two_boards` is what bundle adjustment is tested on.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,22 +37,6 @@ class Noise:
 
 
 EXACT = Noise()
-
-
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """How the eyes move before the board at rest: each joint swings at its own frequency."""
-
-    frames: int
-    rate_hz: float
-    amplitude_rad: Array
-    """(4,)."""
-    frequency_hz: Array
-    """(4,)."""
-    phase_rad: Array
-    """(4,)."""
-    time_offset_s: float
-    """An image shows the joints this much later than their reading."""
 
 
 @dataclass(frozen=True)
@@ -137,14 +121,8 @@ def still_recording(
 ) -> Observations:
     """Return a recording of eyes at rest, with whole boards only.
 
-    Args:
-        head: the truth.
-        rng: of everything random.
-        noise: of corners and readings.
-        wide_views: boards near the head, at straight gaze.
-        narrow_views: boards for each narrow camera, seen by both wide ones too.
-        orientations: eye angles at which a board at rest is seen.
-        spread_rad: how far the eyes turn for them.
+    First `wide_views` boards near the head, then `narrow_views` for each narrow camera, seen by
+    both wide ones too; last a board at rest, at `orientations` eye angles of up to `spread_rad`.
     """
     wide = ("left_wide", "right_wide")
     places = [_held_board(head, wide, rng, (0.28, 0.65), 0.7) for _ in range(wide_views)]
@@ -171,29 +149,31 @@ def moving_recording(
     head: HeadCalibration,
     rng: np.random.Generator,
     noise: Noise,
-    motion: Motion,
     still: Observations,
+    *,
+    times_s: Array,
+    gaze: Callable[[Array], Array],
+    time_offset_s: float,
 ) -> Observations:
-    """Return still views, followed by a motion before a board at rest, with the readings' times."""
-    times = np.arange(motion.frames) / motion.rate_hz
+    """Return still views, followed by views of a board at rest by the wide cameras of moving eyes.
 
-    def gaze(t: Array) -> Array:
-        phase = 2 * np.pi * motion.frequency_hz * t[:, None] + motion.phase_rad
-        return motion.amplitude_rad * np.cos(phase)
-
+    `gaze` gives joints (V, 4) by times (V,); an image shows those `time_offset_s` after a reading.
+    """
+    count = len(times_s)
     moving = observe(
         head,
         rng,
         noise,
-        placement=np.zeros(motion.frames, dtype=int),
-        T_lbase_target=np.tile(_fixed_board(head, rng), (motion.frames, 1, 1)),
-        joints=gaze(times + motion.time_offset_s),
-        readings=gaze(times),
-        cameras=[("left_wide", "right_wide")] * motion.frames,
+        placement=np.zeros(count, dtype=int),
+        T_lbase_target=np.tile(_fixed_board(head, rng), (count, 1, 1)),
+        joints=gaze(times_s + time_offset_s),
+        readings=gaze(times_s),
+        cameras=[("left_wide", "right_wide")] * count,
         whole=True,
     )
-    counts = [len(still.placement), motion.frames]
-    timing = Timing(np.concatenate([np.zeros(counts[0]), times]), np.repeat([0, 1], counts))
+    at_rest = np.zeros(len(still.placement))
+    run = np.repeat([0, 1], [len(at_rest), count])
+    timing = Timing(np.concatenate([at_rest, times_s]), run)
     return replace(joined([still, moving]), timing=timing)
 
 
@@ -235,12 +215,7 @@ def two_boards(
 ) -> Observations:
     """Return 12 boards before eyes at rest, then two boards before eyes at 28 other angles.
 
-    Args:
-        head: the truth.
-        rng: of everything random.
-        noise: of corners and readings.
-        time_offset_s: None: the eyes stand still, at random angles. Otherwise they move, along
-            cubics, while they are read at 30 Hz; an image shows them this much later.
+    With a time offset the eyes move along cubics, read at 30 Hz; images show them this much later.
     """
     time_s, run = np.arange(40) / 30, (np.arange(40) >= 12).astype(int)
     coefficients = rng.permuted(np.tile([0.05, 0.1, -0.2, 0.15], (4, 1)), axis=1).T

@@ -28,24 +28,11 @@ from vergence.calibration.sequential.static_stereo import calibrate_pair
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.camera import Camera, undistort
+from vergence.geometry.se3 import hat
 from vergence.vision.board_detection import detect_board
 
 FOLDS = 5
-SIDES = ("left", "right")
 SUFFIXES = (".jpg", ".jpeg", ".png")
-
-
-@dataclass(frozen=True)
-class Config:
-    """Where the pictures are, and of what."""
-
-    folder: Annotated[Path, tyro.conf.Positional]
-    columns: int = 9
-    """Inner corners in a row."""
-    rows: int = 6
-    """Inner corners in a column."""
-    square_m: float = 1.0
-    """1 where it is not known: lengths come in squares."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,11 +48,11 @@ class Pair:
 
 def pictures(folder: Path) -> dict[str, tuple[Path, Path]]:
     """Return left and right picture by what follows the side in their names."""
-    by_side: list[dict[str, Path]] = []
-    for side in SIDES:
-        files = [p for p in sorted(folder.glob(f"{side}*")) if p.suffix.lower() in SUFFIXES]
-        by_side.append({p.name.removeprefix(side): p for p in files})
-    left, right = by_side
+    files = [path for path in sorted(folder.glob("*")) if path.suffix.lower() in SUFFIXES]
+    left, right = (
+        {p.name.removeprefix(side): p for p in files if p.name.startswith(side)}
+        for side in ("left", "right")
+    )
     found = {end: (left[end], right[end]) for end in left if end in right}
     if len(found) < FOLDS:
         raise VergenceError(
@@ -86,20 +73,17 @@ def corners_in(path: Path, board: Chessboard) -> tuple[Array, tuple[int, int]]:
 
 def calibrate(corners: Array, points: Array, size: tuple[int, int]) -> Pair:
     """Calibrate from corners (2, V, K, 2) of the left and the right camera."""
-    lenses = [
+    left, right = (
         calibrate_camera(c, points, size=size, lens_model="radial-tangential") for c in corners
-    ]
-    left, right = (lens.camera for lens in lenses)
-    T, rms = calibrate_pair(corners[0], corners[1], points, left, right)
-    return Pair((left, right), T, (lenses[0].rms_px, lenses[1].rms_px, rms))
+    )
+    T, rms = calibrate_pair(corners[0], corners[1], points, left.camera, right.camera)
+    return Pair((left.camera, right.camera), T, (left.rms_px, right.rms_px, rms))
 
 
 def epipolar_errors(pair: Pair, corners: Array) -> Array:
     """Return (2, ...) [px] how far corners (2, ..., 2) lie from their epipolar lines."""
-    R, t = pair.T_right_left[:3, :3], pair.T_right_left[:3, 3]
-    across = np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]])
     left, right = (np.linalg.inv(camera.matrix) for camera in pair.cameras)
-    F = right.T @ across @ R @ left
+    F = right.T @ hat(pair.T_right_left[:3, 3]) @ pair.T_right_left[:3, :3] @ left
     flat = [undistort(camera, c) for camera, c in zip(pair.cameras, corners, strict=True)]
     u, v = (np.concatenate([c, np.ones((*c.shape[:-1], 1))], axis=-1) for c in flat)
     in_left, in_right = v @ F, u @ F.T
@@ -107,11 +91,23 @@ def epipolar_errors(pair: Pair, corners: Array) -> Array:
     return np.stack([off / np.hypot(line[..., 0], line[..., 1]) for line in (in_left, in_right)])
 
 
-def main(config: Config) -> int:
-    """Print the four figures; 2 for what the user can mend."""
-    board = Chessboard(columns=config.columns, rows=config.rows, square_m=config.square_m)
+def main(
+    folder: Annotated[Path, tyro.conf.Positional],
+    columns: int = 9,
+    rows: int = 6,
+    square_m: float = 1.0,
+) -> int:
+    """Print the four figures; 2 for what the user can mend.
+
+    Args:
+        folder: of the pictures.
+        columns: inner corners in a row.
+        rows: inner corners in a column.
+        square_m: 1 where it is not known: lengths come in squares.
+    """
+    board = Chessboard(columns=columns, rows=rows, square_m=square_m)
     try:
-        found = pictures(config.folder)
+        found = pictures(folder)
         seen = [[corners_in(path, board) for path in pair] for pair in found.values()]
         sizes = {size for pair in seen for _, size in pair}
         if len(sizes) > 1:
@@ -120,14 +116,10 @@ def main(config: Config) -> int:
         points, size = corner_points(board), sizes.pop()
         whole = calibrate(corners, points, size)
         fold = np.arange(corners.shape[1]) % FOLDS
-        errors = np.concatenate(
-            [
-                epipolar_errors(
-                    calibrate(corners[:, fold != k], points, size), corners[:, fold == k]
-                ).ravel()
-                for k in range(FOLDS)
-            ]
-        )
+        errors = np.empty(corners.shape[:-1])
+        for k in range(FOLDS):
+            trained = calibrate(corners[:, fold != k], points, size)
+            errors[:, fold == k] = epipolar_errors(trained, corners[:, fold == k])
     except VergenceError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
@@ -142,4 +134,4 @@ def main(config: Config) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(tyro.cli(Config, description=__doc__)))
+    sys.exit(tyro.cli(main, description=__doc__))

@@ -12,6 +12,7 @@ beside what was stated; `within` is the share within 1.96 stated standard deviat
 
 from __future__ import annotations
 
+import itertools
 import sys
 from dataclasses import dataclass
 
@@ -20,7 +21,7 @@ import tyro
 from rich.progress import track
 
 from simulated_head import random_head
-from simulated_recording import Motion, Noise, moving_recording, still_recording
+from simulated_recording import Noise, moving_recording, still_recording
 from vergence.arrays import Array
 from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
 from vergence.calibration.sequential.sequential import calibrate_sequentially
@@ -71,22 +72,23 @@ def run(config: Config, joint_deg: float, offset_ms: float, number: int) -> Tria
         orientations=config.orientations,
         spread_rad=0.25,
     )
-    motion = Motion(
-        frames=config.frames,
-        rate_hz=30.0,
-        amplitude_rad=rng.uniform(0.15, 0.25, 4),
-        frequency_hz=rng.uniform(0.3, 1.0, 4),
-        phase_rad=rng.uniform(0, 2 * np.pi, 4),
-        time_offset_s=offset_ms * 1e-3,
+    amplitude, frequency = rng.uniform(0.15, 0.25, 4), 2 * np.pi * rng.uniform(0.3, 1.0, 4)
+    phase = rng.uniform(0, 2 * np.pi, 4)
+    times, offset_s = np.arange(config.frames) / 30, 1e-3 * offset_ms
+
+    def gaze(t: Array) -> Array:
+        return amplitude * np.cos(frequency * t[:, None] + phase)
+
+    observed = moving_recording(
+        truth, rng, noise, still, times_s=times, gaze=gaze, time_offset_s=offset_s
     )
-    observed = moving_recording(truth, rng, noise, motion, still)
     start = calibrate_sequentially(observed.take(observed.at_rest)).head
     estimate = bundle_adjust(start, observed)
     stds = np.sqrt(np.diag(estimate.covariance))
     stated = dict(zip(estimate.parameters, stds, strict=True))
     off = boxminus(estimate.head, truth)
     return Trial(
-        np.array([off["time_offset_s"] - motion.time_offset_s, stated["time_offset_s"]]),
+        np.array([off["time_offset_s"] - offset_s, stated["time_offset_s"]]),
         np.array([[each[name] for name in GAINS] for each in (off, stated)]),
         estimate.warnings,
     )
@@ -94,13 +96,8 @@ def run(config: Config, joint_deg: float, offset_ms: float, number: int) -> Tria
 
 def main(config: Config) -> int:
     """Run all trials, print the table, and return 1 if a bar is missed."""
-    jobs = [
-        (level, offset, number)
-        for level in JOINT_DEG
-        for offset in OFFSETS_MS
-        for number in range(config.trials)
-    ]
-    done = [(level, run(config, *job)) for job in track(jobs) for level in job[:1]]
+    jobs = list(itertools.product(JOINT_DEG, OFFSETS_MS, range(config.trials)))
+    done = [(job[0], run(config, *job)) for job in track(jobs)]
     print(f"{config.trials} trials at each of the offsets {OFFSETS_MS} ms; {config}\n")
     print(
         "| joint noise | offset: rms [ms] | worst | stated | within | gain: rms [%] | worst "

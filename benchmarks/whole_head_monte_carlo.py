@@ -18,8 +18,9 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tyro
@@ -66,27 +67,26 @@ class Trial:
     number: int
     joint_deg: float
     pixel_px: float
-    probability: dict[str, float]
-    """By region: the stated probability of a smaller error; uniform where the statement is true."""
-    largest: float
-    """The largest error of a parameter in stated standard deviations."""
-    point: float
-    """Mean square error of a located point in units of its predicted variance: 1 if true."""
-    point_calibration: float
-    """The same for what the calibration alone does to a point; its samples share one error."""
-    point_mm: float
-    """Root mean square error of a located point."""
-    warnings: int
     failure: str = ""
+    probability: dict[str, float] = field(default_factory=dict)
+    """By region: the stated probability of a smaller error; uniform where the statement is true."""
+    largest: float = 0.0
+    """The largest error of a parameter in stated standard deviations."""
+    point: float = 0.0
+    """Mean square error of a located point in units of its predicted variance: 1 if true."""
+    point_calibration: float = 0.0
+    """The same for what the calibration alone does to a point; its samples share one error."""
+    point_mm: float = 0.0
+    """Root mean square error of a located point."""
+    warnings: int = 0
 
 
 def run(seed: int, number: int) -> Trial:
     """Simulate, calibrate and judge one head."""
     rng = np.random.default_rng([seed, number])
     joint_deg = float(rng.choice(JOINT_DEG))
-    noise = Noise(
-        pixel_px=float(np.exp(rng.uniform(*np.log(PIXEL_PX)))), joint_rad=np.radians(joint_deg)
-    )
+    pixel_px = float(np.exp(rng.uniform(*np.log(PIXEL_PX))))
+    noise = Noise(pixel_px, np.radians(joint_deg))
     truth = random_head(rng)
     observed = still_recording(
         truth,
@@ -100,23 +100,20 @@ def run(seed: int, number: int) -> Trial:
     try:
         estimate = bundle_adjust(calibrate_sequentially(observed).head, observed)
     except VergenceError as error:
-        return Trial(number, joint_deg, noise.pixel_px, {}, 0, 0, 0, 0, 0, failure=str(error))
+        return Trial(number, joint_deg, pixel_px, failure=str(error))
     accuracy = estimate.accuracy
     head = replace(estimate.head, accuracy=accuracy)
     off = boxminus(head, truth)
     names, covariance = accuracy.parameters, accuracy.covariance
     error = np.array([off[name] for name in names])
-    point, alone, rms = judge_point(head, truth, noise, rng)
     return Trial(
         number,
         joint_deg,
-        noise.pixel_px,
-        probabilities(names, covariance, error),
-        float(np.abs(error / np.sqrt(np.diag(covariance))).max()),
-        point,
-        alone,
-        rms,
-        len(accuracy.warnings),
+        pixel_px,
+        probability=probabilities(names, covariance, error),
+        largest=float(np.abs(error / np.sqrt(np.diag(covariance))).max()),
+        warnings=len(accuracy.warnings),
+        **judge_point(head, truth, noise, rng),
     )
 
 
@@ -132,8 +129,8 @@ def probabilities(names: tuple[str, ...], covariance: Array, error: Array) -> di
 
 def judge_point(
     head: HeadCalibration, truth: HeadCalibration, noise: Noise, rng: np.random.Generator
-) -> tuple[float, float, float]:
-    """Return Trial.point, point_calibration and point_mm, of a point that is located 40 times."""
+) -> dict[str, Any]:
+    """Return a trial's values of a point that is located 40 times."""
     plain = without_offsets(truth)
     for _ in range(1000):
         at = np.array([rng.uniform(0.4, 1.2), *rng.uniform(-0.1, 0.1, 2)])
@@ -150,11 +147,11 @@ def judge_point(
     left, right = (uv + rng.normal(0, noise.pixel_px, uv.shape) for uv in (left, right))
     readings = readings + rng.normal(0, noise.joint_rad, readings.shape)
     error = triangulate_at(head, left=left, right=right, joints=readings)[0] - at
-    return (
-        _mean_square(error, predicted),
-        _mean_square(by_calibration, of_calibration),
-        float(1e3 * np.sqrt((error**2).sum(axis=1).mean())),
-    )
+    return {
+        "point": _mean_square(error, predicted),
+        "point_calibration": _mean_square(by_calibration, of_calibration),
+        "point_mm": float(1e3 * np.sqrt((error**2).sum(axis=1).mean())),
+    }
 
 
 def _mean_square(errors: Array, covariance: Array) -> float:
@@ -204,10 +201,8 @@ def missed(trials: list[Trial]) -> list[str]:
 
 def main(config: Config) -> int:
     """Run what has not been run, print the table, and return 1 if a bar is missed."""
-    done: dict[int, Trial] = {}
-    if config.out and config.out.exists():
-        kept = [Trial(**json.loads(line)) for line in config.out.read_text().splitlines()]
-        done = {trial.number: trial for trial in kept}
+    lines = config.out.read_text().splitlines() if config.out and config.out.exists() else []
+    done = {trial.number: trial for trial in (Trial(**json.loads(line)) for line in lines)}
     numbers = range(config.first, config.first + config.trials)
     for number in track([n for n in numbers if n not in done], description="trials"):
         done[number] = run(config.seed, number)
@@ -215,9 +210,8 @@ def main(config: Config) -> int:
             with config.out.open("a") as file:
                 file.write(json.dumps(asdict(done[number])) + "\n")
     trials = [done[number] for number in numbers]
-    print(table(trials))
-    print("\n" + ("\n".join(missed(trials)) or "All bars are met."))
-    return 1 if missed(trials) else 0
+    print(table(trials) + "\n\n" + ("\n".join(missed(trials)) or "All bars are met."))
+    return int(bool(missed(trials)))
 
 
 def table(trials: list[Trial]) -> str:
@@ -228,10 +222,8 @@ def table(trials: list[Trial]) -> str:
         "|---" * (len(KINDS) + 6) + "|",
     ]
     good = [trial for trial in trials if not trial.failure]
-    rows: list[tuple[str, list[Trial]]] = [
-        (f"{level:g}°", [t for t in good if t.joint_deg == level]) for level in JOINT_DEG
-    ]
-    for name, mine in [*rows, ("all", good)]:
+    rows = {f"{level:g}°": [t for t in good if t.joint_deg == level] for level in JOINT_DEG}
+    for name, mine in {**rows, "all": good}.items():
         if mine:
             cells = [f"{100 * share:.1f} %" for share in shares(mine).values()]
             cells += [

@@ -5,21 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from board_flips import count, flips, rolled, squared
 from simulated_head import random_head
 from simulated_recording import Noise, Recording, record
 from vergence.arrays import Array
-from vergence.calibration.checks.board_flips import (
-    Renumbered,
-    number_alike,
-    remarks,
-    turn_boards,
-    warnings,
-)
+from vergence.calibration.checks.board_flips import number_alike, remarks, turn_boards, warnings
 from vergence.calibration.observations import Observations
-from vergence.geometry.board import Charuco, Chessboard, corner_points
+from vergence.geometry.board import Charuco, corner_points
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.se3 import pose, rotation
-from vergence.vision.board_pose import board_poses, seen_corners
+from vergence.vision.board_pose import board_poses
 
 POOR = Recording(noise=Noise(pixel_px=0.3, joint_rad=np.radians(0.3)))
 
@@ -27,15 +21,7 @@ POOR = Recording(noise=Noise(pixel_px=0.3, joint_rad=np.radians(0.3)))
 def seen(seed: int, recording: Recording = POOR) -> tuple[HeadCalibration, Observations]:
     """Return a head with gains of 4 % and cameras rolled by any angle, and what it observes."""
     rng = np.random.default_rng(seed)
-    truth = random_head(rng)
-    cameras = {
-        name: replace(
-            mounted,
-            T_eye_cam=mounted.T_eye_cam @ pose(rotation(np.array([0, 0, rng.uniform(-3, 3)]))),
-        )
-        for name, mounted in truth.cameras.items()
-    }
-    truth = replace(truth, cameras=cameras)
+    truth = rolled(random_head(rng), rng)
     return truth, record(truth, rng, recording)
 
 
@@ -49,44 +35,21 @@ def rough_poses(truth: HeadCalibration, views: Observations) -> dict[str, Array]
     return found
 
 
-def with_turns(
-    views: Observations, seed: int, kinds: int = 2
-) -> tuple[Observations, dict[str, np.ndarray]]:
+def with_turns(views: Observations, seed: int) -> tuple[Observations, dict[str, np.ndarray]]:
     """Return views with up to a third of the boards turned, each camera's by itself."""
-    rng = np.random.default_rng(seed)
-    V = len(views.placement)
-    turns = {}
-    for name in views.corners:
-        wrong = rng.permutation(V) < rng.integers(1, V // 3 + 1)
-        turns[name] = np.where(wrong, rng.integers(1, kinds, V), 0)
+    rng, V = np.random.default_rng(seed), len(views.placement)
+    kinds = 4 if views.board.columns == views.board.rows else 2
+    turns = {name: flips(V, rng.uniform(1 / V, 1 / 3), kinds, rng) for name in views.corners}
     return turn_boards(views, turns), turns
 
 
-def left_over(
-    views: Observations, turns: dict[str, np.ndarray], found: Renumbered, kinds: int = 2
-) -> int:
-    """Return how many images differ from most others of their placement."""
-    count = 0
-    there = {name: seen_corners(c).sum(axis=1) >= 6 for name, c in views.corners.items()}
-    for p in np.unique(views.placement):
-        after = np.concatenate(
-            [
-                ((turns[name] + found.turns[name]) % kinds)[there[name] & (views.placement == p)]
-                for name in turns
-            ]
-        )
-        count += len(after) - np.bincount(after, minlength=1).max()
-    return count
-
-
 @pytest.mark.parametrize("seed", range(4))
-def test_every_board_that_is_numbered_from_the_wrong_end_is_turn_boards(seed: int):
+def test_every_board_that_is_numbered_from_the_wrong_end_is_turned(seed: int):
     truth, views = seen(seed)
     bad, turns = with_turns(views, seed)
-    found = number_alike(bad, rough_poses(truth, bad))
-    assert sum(np.count_nonzero(each) for each in turns.values()) > 10
-    assert left_over(views, turns, found) == 0
-    assert not any(each.any() for each in found.unclear.values())
+    counted = count(bad, turns, number_alike(bad, rough_poses(truth, bad)))
+    assert counted.injected > 10
+    assert counted.remaining == counted.turned_falsely == counted.unclear == 0
 
 
 def test_the_poses_are_those_of_the_boards_as_they_are_numbered_now():
@@ -107,14 +70,9 @@ def test_good_boards_are_left_alone():
 
 def test_square_boards_are_turned_by_quarters():
     truth, views = seen(11)
-    corners = {
-        name: each.reshape(-1, 6, 9, 2)[:, :, :6].reshape(-1, 36, 2)
-        for name, each in views.corners.items()
-    }
-    square = replace(views, board=Chessboard(6, 6, 0.03), corners=corners)
-    bad, turns = with_turns(square, 11, kinds=4)
-    found = number_alike(bad, rough_poses(truth, bad))
-    assert left_over(square, turns, found, kinds=4) == 0
+    bad, turns = with_turns(squared(views), 11)
+    counted = count(bad, turns, number_alike(bad, rough_poses(truth, bad)))
+    assert counted.remaining == counted.turned_falsely == 0
 
 
 def test_a_turned_board_keeps_its_corners_in_other_places():

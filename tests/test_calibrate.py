@@ -23,7 +23,6 @@ from vergence.data.dataset import Dataset
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import Side
 from vergence.geometry.parameters import boxminus
 from vergence.vision.board_detection import detect_board
 from vergence.vision.board_pose import board_poses
@@ -55,9 +54,8 @@ def test_a_result_holds_all_that_led_to_it(recorded, found: CalibrationResult):
     assert found.head.accuracy is found.accuracy
     assert found.accuracy.method == "bundle"
     assert found.estimate is not None
-    assert (
-        set(found.estimate.residuals_px) == set(recorded[1].corners) == set(found.start.intrinsics)
-    )
+    assert set(found.estimate.residuals_px) == set(recorded[1].corners)
+    assert set(found.start.intrinsics) == set(recorded[1].corners)
     held_out = found.accuracy.held_out
     assert held_out is not None
     assert held_out.folds == FOLDS
@@ -72,7 +70,9 @@ def test_the_paper_s_method_does_without_bundle_adjustment(recorded, monkeypatch
         raise AssertionError("bundle adjustment was asked for")
 
     monkeypatch.setattr(calibrate_module, "bundle_adjust", refuse)
-    found = calibrate(recorded[1], method="paper")
+    said = []
+    found = calibrate(recorded[1], method="paper", progress=lambda *step: said.append(step))
+    assert said == [("calibrating", k, 3) for k in range(4)]
     assert found.estimate is None
     assert found.accuracy.method == "paper"
     assert not found.accuracy.parameters
@@ -104,8 +104,9 @@ def _nothing() -> None:
     raise VergenceError("no held-out error here.")
 
 
-def test_boards_numbered_from_the_wrong_end_are_renumbered_and_named(recorded, found):
+def test_boards_numbered_from_the_wrong_end_are_renumbered_and_named(recorded, found, monkeypatch):
     observed = recorded[1]
+    monkeypatch.setattr(calibrate_module, "held_out", lambda *_: _nothing())
     turns = {"left_wide": np.isin(np.arange(36), [3, 20]).astype(int)}
     again = calibrate(turn_boards(observed, turns))
     remark = "Numbered from the wrong end, and turned: views 3, 20 of left_wide."
@@ -114,12 +115,6 @@ def test_boards_numbered_from_the_wrong_end_are_renumbered_and_named(recorded, f
         np.testing.assert_array_equal(again.observations.corners[name], corners)
     off = boxminus(again.head, found.head)
     assert max(map(abs, off.values())) < 1e-6
-
-
-def test_progress_is_reported_to_the_end(recorded):
-    said = []
-    calibrate(recorded[1], method="paper", progress=lambda *step: said.append(step))
-    assert said == [("calibrating", k, 3) for k in range(4)]
 
 
 # From images
@@ -149,23 +144,19 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 def own_detector(dataset: Dataset) -> Observations:
     """Return what someone would write who fills in observations without detect_target."""
-    about = dataset.description
     corners = {name: np.full((len(dataset), len(POINTS), 2), np.nan) for name in dataset.files}
     for name, files in dataset.files.items():
         for row, file in enumerate(files):
             if file is not None:
                 grey = cv2.imread(str(dataset.folder / file), cv2.IMREAD_GRAYSCALE)
-                assert grey is not None
-                found = detect_board(grey, about.board)
+                found = detect_board(grey, BOARD)
                 corners[name][row] = np.nan if found is None else found
-    eyes: dict[str, Side] = {name: camera.eye for name, camera in about.cameras.items()}
     return Observations(
-        board=about.board,
+        board=BOARD,
         placement=dataset.placement,
         eye_angles=dataset.eye_angles,
         corners=corners,
-        sizes={name: (camera.width, camera.height) for name, camera in about.cameras.items()},
-        eyes=eyes,
+        sizes=dict.fromkeys(corners, (640, 480)),
         systematic_px=SYSTEMATIC_PX,
     )
 

@@ -52,13 +52,7 @@ def test_training_never_contains_the_views_that_are_predicted():
 
 
 def test_noise_of_the_readings_explains_the_held_out_error():
-    exact = Accuracy(
-        method="bundle",
-        parameters=("left_wide.fx",),
-        covariance=np.array([[1e-20]]),
-        pixel_std_px=0.0,
-        joint_std=(2e-3,),
-    )
+    exact = Accuracy("bundle", ("left_wide.fx",), np.array([[1e-20]]), 0.0, (2e-3,))
     head = replace(HEAD, accuracy=exact)
     found = held_out(observations(60, Noise(joint_rad=2e-3)), lambda _: head)
     assert found.expected_mm is not None
@@ -84,7 +78,4 @@ def test_folds_that_differ_as_stated_have_a_jackknife_ratio_of_one():
         heads = [replace(change_named(head, names, m), accuracy=accuracy) for m in means]
         ratios.append(jackknife_ratio(heads))
     assert np.mean(ratios) == pytest.approx(1, abs=0.15)
-
-
-def test_heads_that_state_no_covariance_have_no_jackknife_ratio():
-    assert jackknife_ratio([HEAD] * 5) is None
+    assert jackknife_ratio([HEAD] * 5) is None  # states no covariance

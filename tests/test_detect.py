@@ -1,7 +1,7 @@
 """Finding the board in a dataset: what is found is right, what fails has its reason."""
 
-import json
 import os
+import shutil
 
 import cv2
 import numpy as np
@@ -10,6 +10,7 @@ import pytest
 from recordings import (
     CHARUCO,
     CHESSBOARD,
+    change_about,
     description,
     held,
     picture,
@@ -21,7 +22,7 @@ from recordings import (
 from vergence.calibration.detection import detect_or_explain, detect_target
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
-from vergence.geometry.board import Charuco, Chessboard, corner_points
+from vergence.geometry.board import corner_points
 from vergence.vision.board_detection import detect_board
 
 
@@ -29,7 +30,9 @@ from vergence.vision.board_detection import detect_board
 def test_corners_of_every_image_stand_at_its_row_and_camera(tmp_path, board):
     truth = seen_dataset(tmp_path / "set", board)
     dataset = load_dataset(tmp_path / "set")
-    found = detect_target(dataset)
+    calls = []
+    found = detect_target(dataset, progress=lambda *call: calls.append(call))
+    assert calls == [("finding the board", done, 5) for done in range(6)]
     assert found.failures == ()
     assert found.board == board
     assert found.sizes == {"left_wide": (280, 240), "right_wide": (280, 240)}
@@ -45,24 +48,11 @@ def test_corners_of_every_image_stand_at_its_row_and_camera(tmp_path, board):
     assert found.timing is None
 
 
-def test_progress_reaches_its_end(tmp_path):
-    seen_dataset(tmp_path / "set", CHARUCO, 2)
-    calls = []
-    detect_target(load_dataset(tmp_path / "set"), progress=lambda *call: calls.append(call))
-    assert calls == [("finding the board", done, 3) for done in range(4)]
-
-
-@pytest.mark.parametrize("corner", ["left", "right", "top", "bottom"])
-def test_part_of_a_charuco_board_gives_the_right_corners(corner):
+@pytest.mark.parametrize("seen", [np.s_[:, 130:], np.s_[:, :130], np.s_[78:], np.s_[:110]])
+def test_part_of_a_charuco_board_gives_the_right_corners(seen):
     image, truth = picture(CHARUCO, held(0, shift=20), (280, 240))
-    seen = {
-        "left": np.s_[:, 130:],
-        "right": np.s_[:, :130],
-        "top": np.s_[78:],
-        "bottom": np.s_[:110],
-    }
     part = np.full_like(image, 120)
-    part[seen[corner]] = image[seen[corner]]
+    part[seen] = image[seen]
     found = detect_board(part, CHARUCO)
     assert found is not None
     finite = np.isfinite(found[:, 0])
@@ -78,25 +68,30 @@ def test_charuco_corners_keep_their_numbers_when_the_board_is_upside_down():
     np.testing.assert_allclose(found, truth, atol=0.1)
 
 
-def test_charuco_points_begin_at_the_first_inner_corner():
-    points = corner_points(CHARUCO)
-    assert points.shape == (20, 3)
-    assert points[[0, 1, 5]].tolist() == [[0, 0, 0], [0.03, 0, 0], [0, 0.03, 0]]
+def test_points_run_along_the_rows_from_the_first_inner_corner():
+    for board, columns in ((CHARUCO, 5), (CHESSBOARD, 6)):
+        points = corner_points(board)
+        assert points.shape == (4 * 5 if board is CHARUCO else 5 * 6, 3)
+        assert points[[0, 1, columns]].tolist() == [[0, 0, 0], [0.03, 0, 0], [0, 0.03, 0]]
 
 
 @pytest.mark.parametrize(
-    ("change", "named"),
+    ("board", "change", "named"),
     [
-        ({"squares_x": 2}, "3 to 100 squares"),
-        ({"marker_m": 0.04}, "marker_m lies between"),
-        ({"marker_m": 0.0}, "marker_m lies between"),
-        ({"dictionary": "DICT_9X9"}, "dictionary is one of"),
-        ({"squares_x": 12, "squares_y": 12}, "has 72 markers, but DICT_4X4_50 only 50"),
+        (CHARUCO, {"squares_x": 2}, "3 to 100 squares"),
+        (CHARUCO, {"marker_m": 0.04}, "marker_m lies between"),
+        (CHARUCO, {"marker_m": 0.0}, "marker_m lies between"),
+        (CHARUCO, {"dictionary": "DICT_9X9"}, "dictionary is one of"),
+        (CHARUCO, {"squares_x": 12, "squares_y": 12}, "has 72 markers, but DICT_4X4_50 only 50"),
+        (CHESSBOARD, {"columns": 0}, "columns"),
+        (CHESSBOARD, {"rows": -1}, "rows"),
+        (CHESSBOARD, {"square_m": 0.0}, "square_m"),
+        (CHESSBOARD, {"square": 1}, "square"),
     ],
 )
-def test_impossible_charuco_boards_are_refused(change, named):
+def test_impossible_boards_are_refused(board, change, named):
     with pytest.raises(ValueError, match=named):
-        Charuco(**{**vars(CHARUCO), **change})
+        type(board)(**vars(board) | change)
 
 
 def board_image() -> np.ndarray:
@@ -129,38 +124,37 @@ def test_too_few_corners_are_a_failure():
     assert "corners of the board are seen; 6 are needed" in reason
 
 
-def test_an_unreadable_image_fails_alone(tmp_path):
+@pytest.fixture
+def folder(tmp_path):
+    """Return a dataset of a ChArUco board."""
     seen_dataset(tmp_path / "set", CHARUCO)
-    (tmp_path / "set" / "images" / "left_2.png").write_bytes(b"\x89PNG and no more")
-    found = detect_target(load_dataset(tmp_path / "set"))
+    return tmp_path / "set"
+
+
+def test_an_unreadable_image_fails_alone(folder):
+    (folder / "images" / "left_2.png").write_bytes(b"\x89PNG and no more")
+    found = detect_target(load_dataset(folder))
     assert [(f.row, f.line, f.camera) for f in found.failures] == [(2, 4, "left_wide")]
     assert str(found.failures[0]) == "line 4, images/left_2.png: the file is not a readable image"
     assert np.isfinite(found.corners["right_wide"][2]).all()
 
 
-def test_a_camera_that_stands_still_is_noticed(tmp_path):
-    seen_dataset(tmp_path / "set", CHARUCO)
-    folder = tmp_path / "set" / "images"
-    (folder / "left_2.png").write_bytes((folder / "left_1.png").read_bytes())
-    found = detect_target(load_dataset(tmp_path / "set"))
+def test_a_camera_that_stands_still_is_noticed(folder):
+    shutil.copy(folder / "images" / "left_1.png", folder / "images" / "left_2.png")
+    found = detect_target(load_dataset(folder))
     assert [f.reason for f in found.failures] == ["the same picture as in line 3"]
 
 
-def test_one_picture_from_two_cameras_is_refused(tmp_path):
-    seen_dataset(tmp_path / "set", CHARUCO)
-    folder = tmp_path / "set" / "images"
-    (folder / "right_2.png").write_bytes((folder / "left_2.png").read_bytes())
+def test_one_picture_from_two_cameras_is_refused(folder):
+    shutil.copy(folder / "images" / "left_2.png", folder / "images" / "right_2.png")
     with pytest.raises(VergenceError, match=r"line 4: .*right_2\.png .* same picture as .*left_2"):
-        detect_target(load_dataset(tmp_path / "set"))
+        detect_target(load_dataset(folder))
 
 
-def test_images_of_another_size_are_refused(tmp_path):
-    seen_dataset(tmp_path / "set", CHARUCO)
-    done, data = cv2.imencode(".png", np.zeros((120, 140), np.uint8))
-    assert done
-    (tmp_path / "set" / "images" / "left_2.png").write_bytes(data.tobytes())
+def test_images_of_another_size_are_refused(folder):
+    assert cv2.imwrite(str(folder / "images" / "left_2.png"), np.zeros((120, 140), np.uint8))
     with pytest.raises(VergenceError, match=r"line 4: left_wide: .* 140 x 120 .* 280 x 240"):
-        detect_target(load_dataset(tmp_path / "set"))
+        detect_target(load_dataset(folder))
 
 
 def test_a_dataset_that_shows_nothing_is_refused(tmp_path):
@@ -170,9 +164,8 @@ def test_a_dataset_that_shows_nothing_is_refused(tmp_path):
 
 
 def test_squares_counted_for_inner_corners_are_recognised(tmp_path):
-    seen_dataset(tmp_path / "set", CHESSBOARD)
-    about = description(Chessboard(7, 6, 0.03), (280, 240))
-    (tmp_path / "set" / "dataset.json").write_text(json.dumps(about))
+    seen_dataset(tmp_path / "set", CHESSBOARD, 1)
+    change_about(tmp_path / "set", {"board.columns": 7, "board.rows": 6})
     with pytest.raises(VergenceError, match=r"one of 6 x 5 is there.*not its squares"):
         detect_target(load_dataset(tmp_path / "set"))
 
@@ -188,9 +181,8 @@ def test_a_camera_that_sees_no_board_is_remarked(tmp_path):
     assert len(found.failures) == 1
 
 
-def test_detection_does_not_depend_on_the_number_of_threads(tmp_path, monkeypatch):
-    seen_dataset(tmp_path / "set", CHARUCO)
-    dataset = load_dataset(tmp_path / "set")
+def test_detection_does_not_depend_on_the_number_of_threads(folder, monkeypatch):
+    dataset = load_dataset(folder)
     many = detect_target(dataset)
     monkeypatch.setattr(os, "cpu_count", lambda: 1)
     one = detect_target(dataset)

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simulated_head import random_head
-from simulated_recording import POINTS, Noise, Recording, record
+from simulated_recording import POINTS, Noise, Recording
+from test_other_heads import recorded as recorded_of
 from vergence.calibration.calibrate import calibrate
 from vergence.calibration.checks.board_flips import turn_boards
 from vergence.calibration.checks.encoders import check_encoders, doubts
@@ -24,13 +24,11 @@ GOOD = Recording(reach_rad=(0.3, 0.3), noise=Noise(pixel_px=0.1, joint_rad=np.ra
 
 def recorded(seed: int = 0, *, alike: bool = True) -> tuple[HeadCalibration, Observations]:
     """Return a head and what it observes, with eyes that move alike, or each by itself."""
-    rng = np.random.default_rng(seed)
-    truth = random_head(rng, lenses=("wide",), perfect_axes=True)
-    return truth, record(truth, rng, replace(GOOD, alike=alike))
+    return recorded_of(seed, how=replace(GOOD, alike=alike))
 
 
 def exchanged_images(seen: Observations) -> Observations:
-    left, right = seen.corners["left_wide"], seen.corners["right_wide"]
+    left, right = seen.corners.values()
     return replace(seen, corners={"left_wide": right, "right_wide": left})
 
 
@@ -63,33 +61,28 @@ def test_exchanged_images_are_noticed_where_the_eyes_moved_alike():
     assert "exchanged in the images, or images and joint readings" in said
 
 
+RAD = np.radians(1)
+
+
 @pytest.mark.parametrize(
-    ("column", "factor", "said"),
+    ("matrix", "said"),
     [
-        (0, np.degrees(1), "times the readings of left_pan: they are degrees; set joints.left_pan"),
-        (3, np.radians(1), "times the readings of right_tilt: they are radians; set joints.right"),
-        (2, 3.0, "times the readings of right_pan: check its unit, its gear and its column."),
-        (0, -1.0, "left_pan counts the other way; set joints.left_pan.sign to its opposite"),
-        (3, -1.0, "right_tilt counts the other way; set joints.right_tilt.sign to its opposite"),
+        (np.diag([1 / RAD, 1, 1, 1]),
+         "times the readings of left_pan: they are degrees; set joints.left_pan"),
+        (np.diag([1, 1, 1, RAD]),
+         "times the readings of right_tilt: they are radians; set joints.right"),
+        (np.diag([1, 1, 3.0, 1]),
+         "times the readings of right_pan: check its unit, its gear and its column."),
+        (np.diag([-1, 1, 1, 1]), "left_pan counts the other way; set joints.left_pan.sign to its"),
+        (np.diag([1, 1, 1, -1]), "right_tilt counts the other way; set joints.right_tilt.sign to"),
+        (np.eye(4)[[1, 0, 2, 3]], "left_pan and left_tilt are exchanged"),
+        (np.diag([1, 1, 0, 1]),
+         "The readings of right_pan hardly change (0 rad), though right_wide turns"),
     ],
-)
-def test_a_joint_that_is_not_what_it_is_said_to_be_is_named(column: int, factor: float, said: str):
+)  # fmt: skip
+def test_a_joint_that_is_not_what_it_is_said_to_be_is_named(matrix: np.ndarray, said: str):
     _, seen = recorded()
-    angles = seen.eye_angles.copy()
-    angles[:, column] *= factor
-    assert said in refusal(with_readings(seen, angles))
-
-
-def test_pan_and_tilt_that_are_exchanged_are_named():
-    _, seen = recorded()
-    said = refusal(with_readings(seen, seen.eye_angles[:, [1, 0, 2, 3]]))
-    assert "left_pan and left_tilt are exchanged" in said
-
-
-def test_a_joint_that_is_always_read_the_same_is_named():
-    _, seen = recorded()
-    said = refusal(with_readings(seen, seen.eye_angles * [1, 1, 0, 1]))
-    assert "The readings of right_pan hardly change (0 rad), though right_wide turns" in said
+    assert said in refusal(with_readings(seen, seen.eye_angles @ matrix))
 
 
 def test_readings_of_other_moments_are_refused():
@@ -99,17 +92,13 @@ def test_readings_of_other_moments_are_refused():
     assert "% of the turns that left_wide makes before a board at rest" in said
 
 
-def test_both_joints_of_an_eye_that_count_the_other_way_are_doubted():
+def test_joints_of_an_eye_that_both_count_the_other_way_are_doubted_and_of_two_refused():
     _, seen = recorded()
-    found = calibrate(with_readings(seen, seen.eye_angles * [-1, -1, 1, 1]))
-    text = " ".join(found.warnings)
+    one_eye = with_readings(seen, seen.eye_angles * [-1, -1, 1, 1])
+    text = " ".join(calibrate(one_eye, method="paper").warnings)
     assert "the bases of the eyes are turned by 180 degrees against each other" in text
-
-
-def test_both_eyes_that_count_the_other_way_are_refused():
-    _, seen = recorded()
-    said = refusal(with_readings(seen, -seen.eye_angles))
-    assert "or pan and tilt both count the other way" in said
+    both_eyes = with_readings(seen, -seen.eye_angles)
+    assert "or pan and tilt both count the other way" in refusal(both_eyes)
 
 
 def test_a_head_whose_eyes_are_not_side_by_side_is_doubted():
@@ -161,9 +150,5 @@ def test_spoilt_readings_end_in_words_or_in_the_truth(seed: int, how: str, image
         return
     if not found.warnings:
         off = boxminus(found.head, truth)
-        assert off_by(off, "T_eye_cam.r") < np.radians(1)
-        assert off_by(off, "T_rbase_lbase.t") < 0.005
-
-
-def off_by(off: dict[str, float], part: str) -> float:
-    return max(abs(value) for name, value in off.items() if part in name)
+        for part, most in (("T_eye_cam.r", np.radians(1)), ("T_rbase_lbase.t", 0.005)):
+            assert max(abs(value) for name, value in off.items() if part in name) < most

@@ -6,7 +6,7 @@ On the twin: test_track.py, and by many: benchmarks/gaze_shifts.py.
 import numpy as np
 import pytest
 
-from gaze_shift import ANGLE_RAD, DISTANCE_M, EACH_S, _judged, number_at, objects
+from gaze_shifts import ANGLE_RAD, DISTANCE_M, EACH_S, _judged, number_at, objects
 from vergence.arrays import Array
 from vergence.gaze.commands import JointLimits
 

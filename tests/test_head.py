@@ -1,7 +1,7 @@
 """The calibration file, and the frames that follow from it."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -34,20 +34,10 @@ def file(head: HeadCalibration, tmp_path: Path) -> Path:
     return tmp_path / "head.json"
 
 
-def test_a_calibration_comes_back_from_its_file_to_the_last_digit(
-    head: HeadCalibration, file: Path
-):
+def test_a_calibration_comes_back_from_its_file_to_the_last_digit(head, file):
     again = load_head(file)
     assert list(again.cameras) == list(head.cameras)
-    for name, mounted in head.cameras.items():
-        other = again.cameras[name]
-        assert other.eye == mounted.eye
-        np.testing.assert_array_equal(other.T_eye_cam, mounted.T_eye_cam)
-        np.testing.assert_array_equal(other.intrinsics.matrix, mounted.intrinsics.matrix)
-        np.testing.assert_array_equal(other.intrinsics.distortion, mounted.intrinsics.distortion)
-    np.testing.assert_array_equal(again.T_rbase_lbase, head.T_rbase_lbase)
-    assert vars(again.axes["right"]) == vars(head.axes["right"])
-    np.testing.assert_array_equal(again.neck.points_m, head.neck.points_m)
+    np.testing.assert_equal(asdict(again), asdict(head))
     save_head(again, file.with_name("again.json"))
     assert file.read_bytes() == file.with_name("again.json").read_bytes()
 
@@ -66,32 +56,23 @@ VERSION_0_1 = """{
 }"""
 
 
-def test_files_of_version_0_1_load(tmp_path: Path):
-    (tmp_path / "old.json").write_text(VERSION_0_1)
-    accuracy = load_head(tmp_path / "old.json").accuracy
-    assert accuracy is not None
-    assert accuracy.method == "bundle"
-    assert accuracy.held_out is not None
-    assert accuracy.held_out.jackknife_ratio == 1.1
-
-
-def test_a_file_without_accuracy_loads(tmp_path: Path):
-    content = json.loads(VERSION_0_1)
-    del content["accuracy"], content["time_offset_s"]
-    (tmp_path / "older.json").write_text(json.dumps(content))
-    assert load_head(tmp_path / "older.json").accuracy is None
-
-
-def test_accuracy_travels_with_the_file(tmp_path: Path):
+def test_files_of_version_0_1_load_and_their_accuracy_travels_on(tmp_path: Path):
     (tmp_path / "old.json").write_text(VERSION_0_1)
     head = load_head(tmp_path / "old.json")
     save_head(head, tmp_path / "new.json")
-    back = load_head(tmp_path / "new.json")
+    back = load_head(tmp_path / "new.json").accuracy
     assert head.accuracy is not None
-    assert back.accuracy is not None
-    assert back.accuracy.parameters == head.accuracy.parameters
-    assert vars(back.accuracy.held_out) == vars(head.accuracy.held_out)
-    np.testing.assert_array_equal(back.accuracy.covariance, head.accuracy.covariance)
+    assert back is not None
+    assert head.accuracy.method == "bundle"
+    assert head.accuracy.held_out is not None
+    assert head.accuracy.held_out.jackknife_ratio == 1.1
+    assert back.parameters == head.accuracy.parameters
+    assert vars(back.held_out) == vars(head.accuracy.held_out)
+    np.testing.assert_array_equal(back.covariance, head.accuracy.covariance)
+    older = json.loads(VERSION_0_1)
+    del older["accuracy"], older["time_offset_s"]
+    (tmp_path / "older.json").write_text(json.dumps(older))
+    assert load_head(tmp_path / "older.json").accuracy is None
 
 
 def test_a_head_without_a_neck_travels_through_json(tmp_path: Path):
@@ -99,16 +80,11 @@ def test_a_head_without_a_neck_travels_through_json(tmp_path: Path):
     assert load_head(tmp_path / "plain.json").neck.axes.shape == (0, 3)
 
 
-def test_the_head_frame_lies_midway_between_the_eyes_with_the_left_eyes_axes(
-    head: HeadCalibration,
-):
+def test_the_head_frame_lies_midway_between_the_eyes_with_the_left_eyes_axes(head):
     left, right = T_head_base(head, "left"), T_head_base(head, "right")
     np.testing.assert_allclose(left[:3, 3] + right[:3, 3], 0, atol=1e-16)
     np.testing.assert_array_equal(left[:3, :3], np.eye(3))
     np.testing.assert_allclose(inverse(right) @ left, head.T_rbase_lbase, atol=1e-15)
-
-
-def test_the_left_eye_is_on_the_left():
     assert T_head_base(plain_head(0.09, 280.0), "left")[1, 3] == pytest.approx(0.045)
 
 
@@ -137,12 +113,9 @@ def test_the_pose_of_the_wide_camera_in_the_narrow_one_maps_wide_to_narrow(head:
     np.testing.assert_allclose(transform(T_narrow_wide(head, "left"), point), in_narrow)
 
 
-def test_an_unknown_camera_is_answered_with_the_known_ones(head: HeadCalibration):
+def test_an_unknown_camera_and_a_missing_file_are_named(head: HeadCalibration, tmp_path: Path):
     with pytest.raises(VergenceError, match=r"'middle'.*left_wide, left_narrow, right_wide"):
         head.camera("middle")
-
-
-def test_a_missing_file_is_named(tmp_path: Path):
     with pytest.raises(VergenceError, match=r"no\.json: No such file"):
         load_head(tmp_path / "no.json")
 
@@ -186,8 +159,7 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path):
     assert [path.name for path in target.parent.iterdir()] == ["file.txt"]
     assert target.read_text() == "two"
     (tmp_path / "plain").write_text("")
-    with pytest.raises(VergenceError, match="Cannot write"):
-        write_whole(tmp_path / "plain" / "file.txt", "three")
-    with pytest.raises(VergenceError, match="Cannot write"):
-        write_whole(target.parent, "a folder is in the way")
+    for impossible in (tmp_path / "plain" / "file.txt", target.parent):
+        with pytest.raises(VergenceError, match="Cannot write"):
+            write_whole(impossible, "three")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["new", "plain"]

@@ -35,10 +35,13 @@ def record(
     pixel_std_px: float = 0.0,
     views: int = 20,
     reach: tuple[float, float] = (0.25, 0.25),
+    together: bool = False,
 ) -> Recording:
+    """Return a recording of one eye, whose tilt may do what its pan does."""
     rng = np.random.default_rng(seed)
     T_eye_cam = random_pose(rng, 0.04, 0.004) @ pose(R_EYE_CAM, [0.02, 0, 0])
     angles = rng.uniform(-1, 1, (views, 2)) * reach
+    angles = angles[:, [0, 0]] if together else angles
     pixels = see(T_eye_cam, T_base_eye(angles), rng)
     return Recording(
         T_eye_cam,
@@ -64,8 +67,18 @@ def size(T: Array, truth: Array) -> Array:
     return np.array([np.degrees(np.linalg.norm(off[:3])), 1e3 * np.linalg.norm(off[3:])])
 
 
+def stated_probability(found: EyeCamera, recording: Recording) -> float:
+    """Return the probability of an error smaller than that of T_eye_cam."""
+    return probability(boxminus(found.T_eye_cam, recording.T_eye_cam), found.covariance)
+
+
+def assert_within_stated(found: EyeCamera, recording: Recording) -> None:
+    off = boxminus(found.T_eye_cam, recording.T_eye_cam)
+    assert (np.abs(off) < 4 * np.sqrt(np.diag(found.covariance))).all()
+
+
 @given(st.integers(0, 10**6))
-@settings(max_examples=10)
+@settings(max_examples=6)
 def test_an_exact_recording_gives_the_mounting_exactly(seed: int):
     recording = record(seed)
     found = solve(recording)
@@ -77,7 +90,7 @@ def test_an_exact_recording_gives_the_mounting_exactly(seed: int):
 
 @pytest.fixture(scope="module")
 def trials(slow_setup: None) -> list[tuple[Recording, EyeCamera, EyeCamera]]:
-    """Twenty recordings with 0.1 degrees and 0.1 px, refined with latent and with exact joints."""
+    """Recordings with 0.1 degrees and 0.1 px, refined with latent and with exact joints."""
     recordings = [record(k, joint_std=np.radians(0.1), pixel_std_px=0.1) for k in range(30)]
     # Without robustness: exact joints would take half of the views for outliers.
     return [(r, solve(r), solve(r, joint_std=0, outlier=np.inf)) for r in recordings]
@@ -91,28 +104,22 @@ def test_latent_joints_err_less_than_a_third_of_what_exact_joints_do(trials):
 
 
 def test_stated_regions_hold_the_truth(trials):
-    p = [
-        probability(boxminus(found.T_eye_cam, r.T_eye_cam), found.covariance)
-        for r, found, _ in trials
-    ]
+    p = [stated_probability(found, r) for r, found, _ in trials]
     # Of 30, between 25 and 30 are expected in the 95 % region, and 6 to 24 in the 50 % one.
     assert np.count_nonzero(np.array(p) < 0.95) >= 25
     assert 6 <= np.count_nonzero(np.array(p) < 0.5) <= 24
 
 
-def test_both_levels_of_noise_are_found(trials):
+def test_both_levels_of_noise_are_found_without_a_warning(trials):
+    assert not any(found.warnings for _, found, _ in trials)
     pixel = np.mean([found.pixel_std_px for _, found, _ in trials])
     joint = np.mean([found.joint_std[0] for _, found, _ in trials])
     assert pixel == pytest.approx(0.1, rel=0.02)
     assert joint == pytest.approx(np.radians(0.1), rel=0.1)
 
 
-def test_good_recordings_give_no_warnings(trials):
-    assert not any(found.warnings for _, found, _ in trials)
-
-
 def test_without_joint_noise_the_result_is_that_of_exact_joints():
-    recordings = [record(k, pixel_std_px=0.1) for k in range(8)]
+    recordings = [record(k, pixel_std_px=0.1) for k in range(4)]
     latent = [size(solve(r).T_eye_cam, r.T_eye_cam) for r in recordings]
     exact = [size(solve(r, joint_std=0).T_eye_cam, r.T_eye_cam) for r in recordings]
     assert (np.mean(latent, axis=0) < 1.05 * np.mean(exact, axis=0)).all()
@@ -131,8 +138,7 @@ def test_wild_corners_and_a_wild_reading_do_little_harm():
     recording.pixels[wild] += rng.normal(0, 8, (np.count_nonzero(wild), 2))
     recording.readings[3, 0] += 0.1
     found = solve(recording)
-    off = boxminus(found.T_eye_cam, recording.T_eye_cam)
-    assert (np.abs(off) < 4 * np.sqrt(np.diag(found.covariance))).all()
+    assert_within_stated(found, recording)
     assert found.joint_std[0] < 0.002
     assert any("corners lie beyond 4 standard deviations" in text for text in found.warnings)
 
@@ -151,8 +157,7 @@ def test_boards_numbered_from_the_wrong_end_are_left_out_and_named(flips: int):
     recording = record(40, joint_std=0.001, pixel_std_px=0.1)
     recording.pixels[:flips] = recording.pixels[:flips, ::-1]
     found = solve(recording)
-    off = boxminus(found.T_eye_cam, recording.T_eye_cam)
-    assert (np.abs(off) < 4 * np.sqrt(np.diag(found.covariance))).all()
+    assert_within_stated(found, recording)
     numbers = ", ".join(map(str, range(flips)))
     assert found.warnings[0].startswith(f"Views {numbers} were left out")
     assert len(found.warnings) == 1
@@ -161,10 +166,14 @@ def test_boards_numbered_from_the_wrong_end_are_left_out_and_named(flips: int):
 # Eye poses that are no pan and tilt.
 
 
-def record_poses(seed: int, std: tuple[float, float], pixel_std_px: float) -> Recording:
+def record_poses(
+    seed: int, std: tuple[float, float], pixel_std_px: float, axes: tuple[int, ...] = (1, 1, 1)
+) -> Recording:
+    """Return a recording of an eye that turns about some axes, and shifts if about all."""
     rng = np.random.default_rng(seed)
     T_eye_cam = random_pose(rng, 0.04, 0.004) @ pose(R_EYE_CAM, [0.02, 0, 0])
-    poses = pose(rotation(rng.uniform(-0.25, 0.25, (25, 3))), rng.normal(0, 0.02, (25, 3)))
+    shift = rng.normal(0, 0.02, (25, 3)) * min(axes)
+    poses = pose(rotation(rng.uniform(-0.25, 0.25, (25, 3)) * axes), shift)
     pixels = see(T_eye_cam, poses, rng)
     noise = rng.normal(size=(25, 6)) * np.repeat(std, 3)
     pixels = pixels + rng.normal(0, pixel_std_px, pixels.shape)
@@ -177,16 +186,13 @@ def test_exact_general_eye_poses_give_the_mounting_exactly():
 
 
 def test_general_eye_poses_have_noise_in_rotation_and_translation():
-    recordings = [record_poses(k, (0.002, 0.0005), 0.1) for k in range(10)]
+    recordings = [record_poses(k, (0.002, 0.0005), 0.1) for k in range(6)]
     found = [solve(recording) for recording in recordings]
     levels = np.mean([f.joint_std for f in found], axis=0)
     np.testing.assert_allclose(levels, [0.002, 0.0005], rtol=0.1)
-    p = [
-        probability(boxminus(f.T_eye_cam, r.T_eye_cam), f.covariance)
-        for f, r in zip(found, recordings, strict=True)
-    ]
+    p = [stated_probability(f, r) for f, r in zip(found, recordings, strict=True)]
     assert max(p) < 0.9999
-    assert np.count_nonzero(np.array(p) < 0.95) >= 7
+    assert np.count_nonzero(np.array(p) < 0.95) >= 5
 
 
 def test_poses_of_pan_and_tilt_are_taken_as_pan_and_tilt():
@@ -206,9 +212,7 @@ def test_poses_of_pan_and_tilt_are_taken_as_pan_and_tilt():
         ((0, 0), ["rotation about x", "rotation about z", "translation along y", "move pan"]),
     ],
 )
-def test_an_axis_that_does_not_move_is_named_with_what_it_hides(
-    reach: tuple[float, float], words: list[str]
-):
+def test_an_axis_that_does_not_move_is_named_with_what_it_hides(reach, words):
     recording = record(6, joint_std=0.002, pixel_std_px=0.1, reach=reach)
     found = solve(recording, start=recording.T_eye_cam)
     text = " ".join(found.warnings)
@@ -230,22 +234,13 @@ def test_an_unobservable_direction_stays_at_its_start():
 def test_a_motion_that_is_small_but_seen_leaves_a_large_stated_error():
     recording = record(7, joint_std=0.001, pixel_std_px=0.1, reach=(0.25, 0.005))
     found = solve(recording)
-    off = boxminus(found.T_eye_cam, recording.T_eye_cam)
-    assert probability(off, found.covariance) < 0.99
+    assert stated_probability(found, recording) < 0.99
     assert any("tilt of the eye moves by 0.0" in text for text in found.warnings)
 
 
 def test_pan_and_tilt_that_move_together_are_named():
-    recording = record(8)
-    angles = np.repeat(recording.readings[:, :1], 2, axis=1)
-    rng = np.random.default_rng(8)
-    pixels = see(recording.T_eye_cam, T_base_eye(angles), rng)
-    together = Recording(
-        recording.T_eye_cam,
-        angles + rng.normal(0, 0.002, angles.shape),
-        pixels + rng.normal(0, 0.1, pixels.shape),
-    )
-    text = " ".join(solve(together, start=recording.T_eye_cam).warnings)
+    together = record(8, joint_std=0.002, pixel_std_px=0.1, views=12, together=True)
+    text = " ".join(solve(together, start=together.T_eye_cam).warnings)
     assert "observable" in text
     assert "pan and tilt of the eye move together" in text
 
@@ -258,11 +253,8 @@ def test_two_views_are_too_few_and_said_so():
 
 
 def test_general_poses_about_one_axis_are_named():
-    rng = np.random.default_rng(10)
-    T_eye_cam = pose(R_EYE_CAM, [0.02, 0, 0])
-    turns = rng.uniform(-0.25, 0.25, (20, 1)) * [1, 0, 0]
-    poses = pose(rotation(turns), np.full((20, 3), 0.01))
-    found = solve(Recording(T_eye_cam, poses, see(T_eye_cam, poses, rng)), start=T_eye_cam)
+    recording = record_poses(10, (0.0, 0.0), 0.0, axes=(1, 0, 0))
+    found = solve(recording, start=recording.T_eye_cam)
     text = " ".join(found.warnings)
     assert "rotation about x and translation along x: not observable" in text
     assert "share one axis" in text

@@ -14,12 +14,8 @@ from vergence.twin.calibration_sequence import BOARD, capture_views, plan
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile, Mounting, Optics
 
-AS_BUILT = ErrorProfile(
-    mounting=Mounting(
-        rotation_deg=1.5, translation_mm=2, base_rotation_deg=0.5, base_translation_mm=1
-    ),
-    optics=Optics(focal_percent=1, principal_px=4),
-)
+MOUNTED = Mounting(rotation_deg=1.5, translation_mm=2, base_rotation_deg=0.5, base_translation_mm=1)
+AS_BUILT = ErrorProfile(mounting=MOUNTED, optics=Optics(focal_percent=1, principal_px=4))
 """Everything that the calibration is there to find, and nothing that spoils it."""
 Rendered = tuple[HeadCalibration, Observations, Observations]
 
@@ -36,10 +32,8 @@ def rendered(opengl: None) -> Rendered:
         chosen += [shot for shot in shots if shot.eye_angles.any()][::8]
         found = capture_views(twin, chosen)
         # The servos sag by thousandths of a degree; without sensor errors the readings show it.
-        stood = [
-            replace(shot, eye_angles=angles)
-            for shot, angles in zip(chosen, found.eye_angles, strict=True)
-        ]
+        both = zip(chosen, found.eye_angles, strict=True)
+        stood = [replace(shot, eye_angles=angles) for shot, angles in both]
         rng = np.random.default_rng(0)
         true = simulate_views(twin.truth, ErrorProfile(), stood, pixel_noise=0.0, rng=rng)
         return twin.truth, found, true
@@ -55,9 +49,7 @@ def test_corners_of_clean_renders_have_no_bias(rendered: Rendered):
         assert np.sqrt(np.nanmean(error**2)) < 0.05
 
 
-def test_focal_length_and_principal_point_of_clean_renders_are_mujocos(
-    rendered: Rendered,
-):
+def test_focal_length_and_principal_point_of_clean_renders_are_mujocos(rendered: Rendered):
     """With the board's poses given, corners tell them apart from the truth by below 0.05 px.
 
     In pixels at the edge of the image, where the focal length's error is largest.
@@ -77,19 +69,13 @@ def test_focal_length_and_principal_point_of_clean_renders_are_mujocos(
                 assert abs(focal - slope) < 0.05
 
 
-def test_zhangs_method_on_clean_renders_finds_the_rays(
-    rendered: Rendered,
-):
+def test_zhangs_method_on_clean_renders_finds_the_rays(rendered: Rendered):
     """Without given poses, the same corners leave the focal length open to a few tenths of a
     pixel, along with the poses."""
     truth, found, _ = rendered
     for name in ("left_wide", "right_wide"):
-        fit = calibrate_camera(
-            found.corners[name],
-            corner_points(BOARD),
-            size=(640, 480),
-            lens_model="radial-tangential",
-        )
+        about = {"size": (640, 480), "lens_model": "radial-tangential"}
+        fit = calibrate_camera(found.corners[name], corner_points(BOARD), **about)
         difference = fit.camera.matrix - truth.cameras[name].intrinsics.matrix
         assert np.abs(difference).max() < 0.5
         assert fit.rms_px < 0.06

@@ -49,11 +49,6 @@ def test_the_product_of_poses_is_a_pose(A: np.ndarray, B: np.ndarray):
     assert_same((A @ B)[3], [0, 0, 0, 1])
 
 
-@given(poses, poses, poses)
-def test_products_associate(A: np.ndarray, B: np.ndarray, C: np.ndarray):
-    assert_same((A @ B) @ C, A @ (B @ C))
-
-
 @given(poses)
 def test_identity_and_inverse_are_what_they_are_called(T: np.ndarray):
     assert_same(T @ pose(), T)
@@ -67,12 +62,6 @@ def test_poses_act_on_points_one_after_the_other(A: np.ndarray, B: np.ndarray, p
     assert_same((A @ [*p, 1])[:3], transform(A, p))
 
 
-@given(poses, vectors, vectors)
-def test_poses_keep_distances(T: np.ndarray, p: np.ndarray, q: np.ndarray):
-    moved = np.linalg.norm(transform(T, p) - transform(T, q))
-    assert moved == pytest.approx(np.linalg.norm(p - q), abs=1e-12)
-
-
 @given(poses, poses)
 def test_boxminus_leads_from_one_pose_to_the_other(A: np.ndarray, B: np.ndarray):
     assert_same(boxplus(B, boxminus(A, B)), A)
@@ -83,21 +72,13 @@ def test_boxminus_undoes_boxplus_below_pi(T: np.ndarray, xi: np.ndarray):
     assert_same(boxminus(boxplus(T, xi), T), xi, 1e-11)
 
 
-@given(poses)
-def test_no_increment_leaves_a_pose_as_it_is(T: np.ndarray):
-    assert_same(boxplus(T, np.zeros(6)), T, 1e-15)
-    assert_same(boxminus(T, T), np.zeros(6), 1e-15)
-
-
 @given(poses, increments(st.floats(0, 1.5)), st.floats(0, 1), st.floats(0, 1))
 def test_increments_along_one_line_add(T: np.ndarray, xi: np.ndarray, s: float, t: float):
     assert_same(boxplus(boxplus(T, s * xi), t * xi), boxplus(T, (s + t) * xi))
 
 
 @given(poses, poses, increments())
-def test_an_increment_is_along_the_axes_that_a_pose_maps_into(
-    T_a_b: np.ndarray, T_b_c: np.ndarray, xi: np.ndarray
-):
+def test_an_increment_is_along_the_axes_that_a_pose_maps_into(T_a_b, T_b_c, xi):
     only_turn = np.concatenate([xi[:3], np.zeros(3)])
     fixed = pose(T_a_b[:3, :3])  # without translation, which a turn leaves where it is
     assert_same(boxplus(fixed @ T_b_c, xi)[:3, :3], (boxplus(fixed, only_turn) @ T_b_c)[:3, :3])

@@ -1,17 +1,13 @@
 """The paper's steps on exact data give the truth, whatever the head, as far as OpenCV can tell."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 
 from simulated_head import random_head
 from simulated_recording import BOARD, EXACT, Noise, Recording, as_poses, record, still_recording
-from test_intrinsics import (
-    SINGLE_PRECISION_LENS,
-    SINGLE_PRECISION_POSE,
-    SINGLE_PRECISION_PX,
-)
+from test_intrinsics import SINGLE_PRECISION_LENS, SINGLE_PRECISION_POSE, SINGLE_PRECISION_PX
 from vergence.calibration.observations import Observations
 from vergence.calibration.sequential.sequential import calibrate_sequentially
 from vergence.errors import VergenceError
@@ -51,7 +47,7 @@ def some_cameras(
 
 
 def only(observations: Observations, *names: str) -> Observations:
-    return some_cameras(observations, {name: name for name in names})
+    return some_cameras(observations, dict(zip(names, names, strict=True)))
 
 
 def assert_same(a: object, b: object, tolerance: float = SINGLE_PRECISION_POSE) -> None:
@@ -65,10 +61,9 @@ def test_exact_data_give_the_head(exact, as_measured_poses: bool):
     found = calibrate_sequentially(as_poses(observed) if as_measured_poses else observed)
     for name, mounted in truth.cameras.items():
         camera, loose = found.head.cameras[name], NARROW if "narrow" in name else 1.0
-        assert_same(
-            camera.intrinsics.matrix, mounted.intrinsics.matrix, loose * SINGLE_PRECISION_LENS
-        )
-        assert_same(camera.intrinsics.distortion, mounted.intrinsics.distortion, 1e-5)
+        lens, true = camera.intrinsics, mounted.intrinsics
+        assert_same(lens.matrix, true.matrix, loose * SINGLE_PRECISION_LENS)
+        assert_same(lens.distortion, true.distortion, 1e-5)
         assert_same(camera.T_eye_cam, mounted.T_eye_cam, loose * SINGLE_PRECISION_POSE)
         assert found.intrinsics[name].rms_px < SINGLE_PRECISION_PX
     assert_same(found.head.T_rbase_lbase, truth.T_rbase_lbase)
@@ -107,18 +102,12 @@ def test_a_lens_model_without_distortion_leaves_what_it_cannot_say(exact):
     assert found.intrinsics["left_narrow"].rms_px < SINGLE_PRECISION_PX
 
 
-def test_a_head_without_narrow_cameras_is_calibrated_as_well(exact):
-    truth, observed = exact
-    found = calibrate_sequentially(only(observed, "left_wide", "right_wide"))
-    assert sorted(found.head.cameras) == ["left_wide", "right_wide"]
-    assert_same(found.head.T_rbase_lbase, truth.T_rbase_lbase)
-
-
 def test_without_straight_gaze_the_eyes_are_related_by_boards_that_both_see():
     rng = np.random.default_rng(2)
     truth = random_head(rng, lenses=("wide",), perfect_axes=True)
     observed = record(truth, rng, Recording(gaze_rad=(0.1, -0.08), noise=EXACT))
     found = calibrate_sequentially(observed)
+    assert sorted(found.head.cameras) == ["left_wide", "right_wide"]
     assert found.stereo_rms_px is None
     assert_same(found.head.T_rbase_lbase, truth.T_rbase_lbase)
 
@@ -159,10 +148,6 @@ def test_a_camera_that_never_saw_the_board_is_an_error(exact):
 def test_the_same_corners_give_the_same_digits():
     """OpenCV's own sums differ from run to run in their last digits when it uses threads."""
     _, observed = recorded(Noise(pixel_px=0.03, joint_rad=1e-3))
-    first, *others = (calibrate_sequentially(observed).head for _ in range(3))
+    first, *others = (asdict(calibrate_sequentially(observed).head) for _ in range(3))
     for other in others:
-        assert other.T_rbase_lbase.tobytes() == first.T_rbase_lbase.tobytes()
-        for name, mounted in other.cameras.items():
-            was = first.cameras[name]
-            assert mounted.intrinsics.matrix.tobytes() == was.intrinsics.matrix.tobytes()
-            assert mounted.T_eye_cam.tobytes() == was.T_eye_cam.tobytes()
+        np.testing.assert_equal(other, first)

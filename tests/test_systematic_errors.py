@@ -5,18 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulated_head import random_head
-from simulated_recording import Noise, Recording, record
-from vergence.calibration.bundle.bundle_adjustment import (
-    BundleEstimate,
-    bundle_adjust,
-    covariance_of,
-)
+from test_other_heads import recorded
+from vergence.calibration.bundle.bundle_adjustment import BundleEstimate as Estimate
+from vergence.calibration.bundle.bundle_adjustment import bundle_adjust, covariance_of
 from vergence.calibration.sequential.sequential import calibrate_sequentially
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES
-
-QUIET = Recording(reach_rad=(0.3, 0.3), noise=Noise(pixel_px=0.1, joint_rad=np.radians(0.05)))
 
 
 def bent(corners: np.ndarray, size_px: float) -> np.ndarray:
@@ -27,17 +21,13 @@ def bent(corners: np.ndarray, size_px: float) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def heads(
-    slow_setup: None,
-) -> tuple[HeadCalibration, BundleEstimate, BundleEstimate, BundleEstimate]:
+def heads(slow_setup: None) -> tuple[HeadCalibration, Estimate, Estimate, Estimate]:
     """A head and three estimates of it.
 
     In the second the left images have a systematic error of 0.4 px; in the third all are assumed to
     have one of 1 px.
     """
-    rng = np.random.default_rng(9)
-    truth = random_head(rng, lenses=("wide",), perfect_axes=True)
-    observed = record(truth, rng, QUIET)
+    truth, observed = recorded(9)
     start = calibrate_sequentially(observed).head
     plain = bundle_adjust(start, observed)
     corners = {**observed.corners, "left_wide": bent(observed.corners["left_wide"], 0.4)}
@@ -45,21 +35,16 @@ def heads(
     return truth, plain, spoilt, bundle_adjust(start, replace(observed, systematic_px=1.0))
 
 
-def std_of(estimate: BundleEstimate, name: str) -> float:
+def std_of(estimate: Estimate, name: str) -> float:
     return float(np.sqrt(covariance_of(estimate, name)[0, 0]))
 
 
-def test_independent_errors_are_not_called_systematic(heads):
-    _, plain, _, _ = heads
+def test_systematic_errors_are_named_by_camera_and_independent_ones_are_not(heads):
+    _, plain, spoilt, _ = heads
     assert not any("systematic error" in warning for warning in plain.warnings)
-
-
-def test_systematic_errors_are_named_by_camera(heads):
-    _, _, spoilt, _ = heads
-    said = [warning for warning in spoilt.warnings if "systematic error" in warning]
-    assert len(said) == 1
-    assert said[0].startswith("All images of left_wide have a systematic error of ")
-    assert "the lens departs from its model" in said[0]
+    (said,) = (warning for warning in spoilt.warnings if "systematic error" in warning)
+    assert said.startswith("All images of left_wide have a systematic error of ")
+    assert "the lens departs from its model" in said
 
 
 def test_systematic_errors_make_the_stated_accuracy_of_that_camera_worse_and_true(heads):

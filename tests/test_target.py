@@ -4,7 +4,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.camera import normalise, pinhole, project
@@ -14,7 +13,7 @@ from vergence.vision.corner_refinement import curvatures
 
 BOARD = Chessboard(columns=9, rows=6, square_m=0.03)
 CAMERA = pinhole(360, 300, 280.0, (-0.12, 0.02, 0.0005, -0.0005, 0.0))
-_FINE = 6  # samples along each side of a pixel
+_FINE = 4  # samples along each side of a pixel
 
 
 @cache
@@ -57,12 +56,6 @@ POSES = {  # none along the pixel grid, which this picture's samples would share
 }
 
 
-def test_corners_run_along_the_rows_from_the_first():
-    points = corner_points(BOARD)
-    assert points.shape == (54, 3)
-    np.testing.assert_allclose(points[[0, 1, 9]], [[0, 0, 0], [0.03, 0, 0], [0, 0.03, 0]])
-
-
 @pytest.mark.parametrize("name", POSES)
 def test_corners_are_found_in_their_order_and_without_bias(name: str):
     """Within 0.02 px on average; upside down, the first is still the first.
@@ -92,20 +85,14 @@ def test_a_board_whose_counts_have_the_same_parity_looks_alike_from_both_ends():
     assert min(np.abs(found - true).max(), np.abs(found[::-1] - true).max()) < 0.2
 
 
-def test_a_board_that_leaves_the_image_is_not_found():
-    assert detect_board(picture(pose(t=[0.2, 0, 0]) @ POSES["facing"]), BOARD) is None
-
-
-@pytest.mark.parametrize("out_px", [0, 14, 21, 28, 35])
+@pytest.mark.parametrize("out_px", [0, 14, 28])
 def test_a_board_half_out_of_sight_is_not_taken_for_one_that_is_shifted_by_a_square(out_px: int):
-    pose_there = held((0.2, 0.3, 0.06), 0.4)
-    image = picture(pose_there)
-    true = project(CAMERA, transform(pose_there, corner_points(BOARD)))
+    there = held((0.2, 0.3, 0.06), 0.4)
+    true = project(CAMERA, transform(there, corner_points(BOARD)))
     edge = int(true[:, 0].max()) + 30 - out_px
-    found = detect_board(np.ascontiguousarray(image[:, :edge]), BOARD)
+    found = detect_board(np.ascontiguousarray(picture(there)[:, :edge]), BOARD)
     assert found is not None or out_px > 0
-    if found is not None:
-        assert np.nanmax(np.abs(found - true)) < 0.5
+    assert found is None or np.nanmax(np.abs(found - true)) < 0.5
 
 
 @pytest.mark.parametrize("corner", [(2, 4), (0, 0), (5, 3)])
@@ -132,27 +119,16 @@ def test_the_bend_of_a_grid_is_that_of_the_camera(corner: tuple[int, int]):
 def test_corners_that_were_not_found_are_bent_like_the_others():
     grid = project(CAMERA, transform(POSES["leaning"], corner_points(BOARD))).reshape(6, 9, 2)
     whole = curvatures(grid)
+    assert not curvatures(grid[:2, :4]).any()  # too few to say
+    assert not curvatures(np.full((6, 9, 2), np.nan)).any()
     grid[2, 3], grid[0, 5:] = np.nan, np.nan
     np.testing.assert_allclose(curvatures(grid), whole, atol=2e-5)
 
 
-def test_too_few_corners_tell_of_no_bend():
-    grid = project(CAMERA, transform(POSES["leaning"], corner_points(BOARD))).reshape(6, 9, 2)
-    assert not curvatures(grid[:2, :4]).any()
-    assert not curvatures(np.full((6, 9, 2), np.nan)).any()
-
-
-def test_a_board_with_other_counts_is_not_found():
-    assert detect_board(picture(POSES["facing"]), Chessboard(10, 7, 0.03)) is None
-
-
-def test_an_empty_image_has_no_board():
-    assert detect_board(np.full((300, 360), 128, np.uint8), BOARD) is None
+def test_where_the_board_is_not_as_a_whole_it_is_not_found():
+    """One that leaves the image, one with other counts, and none."""
+    away = picture(pose(t=[0.2, 0, 0]) @ POSES["facing"])
     noise = np.random.default_rng(0).integers(0, 256, (300, 360, 3)).astype(np.uint8)
-    assert detect_board(noise, BOARD) is None
-
-
-@pytest.mark.parametrize("wrong", [{"columns": 0}, {"rows": -1}, {"square_m": 0.0}, {"square": 1}])
-def test_an_impossible_board_is_refused(wrong: dict):
-    with pytest.raises(ValidationError):
-        Chessboard(**({"columns": 9, "rows": 6, "square_m": 0.03} | wrong))
+    for image in (away, noise, np.full((300, 360), 128, np.uint8)):
+        assert detect_board(image, BOARD) is None
+    assert detect_board(picture(POSES["facing"]), Chessboard(10, 7, 0.03)) is None

@@ -35,10 +35,7 @@ def test_the_scales_of_images_with_few_corners_are_shrunk_more():
 
 
 @given(st.lists(st.floats(0, 6), max_size=5))
-def test_images_without_redundancy_count_as_typical(counts: list[float]):
+def test_images_without_redundancy_count_as_typical_and_exact_corners_have_finite_scales(counts):
     scales = image_noise_scales(np.zeros(len(counts)), np.array(counts))
     np.testing.assert_array_equal(scales, 1.0)
-
-
-def test_exact_corners_give_finite_scales():
     assert np.isfinite(image_noise_scales(np.zeros(5), np.full(5, 100.0))).all()
