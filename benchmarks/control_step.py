@@ -20,7 +20,7 @@ import numpy as np
 import tyro
 
 from vergence.arrays import Array
-from vergence.demos.grasp import LONGEST_S, held_out
+from vergence.demos.grasp import LONGEST_S, hand_held
 from vergence.gaze.commands import HEAD_JOINTS
 from vergence.gaze.controller import step_gaze
 from vergence.gaze.state import NARROW, WIDE, GazeSettings, initial_gaze_state
@@ -64,7 +64,7 @@ def reach_steps(twin: Twin, trials: int) -> dict[str, list[float]]:
     seconds: dict[str, list[float]] = defaultdict(list)
     settings = ReachSettings(gaze=GazeSettings(calibration=twin.truth))
     for run in range(1, trials + 1):
-        head = SimulatedHead(twin, run, held_out(0, run))
+        head = SimulatedHead(twin, run, hand_held(0, run))
         head.hand = hand = SimulatedHand(twin, settings.home, arm_mounting_error(0, run))
         state = initial_reach_state(settings, np.zeros(len(HEAD_JOINTS)), hand.read(), head.now_s())
         while head.now_s() < LONGEST_S and state.phase is not ReachPhase.HELD:

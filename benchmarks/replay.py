@@ -17,11 +17,12 @@ import numpy as np
 import tyro
 
 from vergence.arrays import Array
+from vergence.gaze.commands import HEAD_JOINTS
 from vergence.paper.figures import FIGURES, default_duration_s, eye_angles
 from vergence.paper.replay import SAMPLES, WIDE, sample_times
 from vergence.paper.reproduce import SAMPLES_WITH_IMAGES, record_replay
 from vergence.twin.head import Twin
-from vergence.twin.model import CAMERAS, JOINTS
+from vergence.twin.model import CAMERAS
 from vergence.twin.profile import load_profile
 from vergence.twin.renderer import overscan_sizes
 
@@ -35,7 +36,7 @@ def bare_seconds(twin: Twin, times_s: Array) -> float:
 
     model, data = twin.model, mujoco.MjData(twin.model)
     sizes = overscan_sizes(twin.truth)
-    eyes = [model.joint(name).qposadr[0] for name in JOINTS[-4:]]
+    eyes = [model.joint(name).qposadr[0] for name in HEAD_JOINTS[-4:]]
     angles = eye_angles(FIGURE.motion, times_s)
     every = max(1, len(times_s) // SAMPLES_WITH_IMAGES)
     renderers = {s: mujoco.Renderer(model, height=s[1], width=s[0]) for s in set(sizes.values())}

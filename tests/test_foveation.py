@@ -159,7 +159,7 @@ def test_gaze_angles_centre_a_point_in_both_eyes_exactly(seed: int, lens):
     made = head(seed)
     points = np.random.default_rng(seed).uniform([0.25, -0.8, -0.6], [3, 0.8, 0.6], (200, 3))
     points[:, 1:] *= points[:, :1]
-    angles = gaze_angles(made, points, lens=lens)
+    angles = gaze_angles(made, points, role=lens)
     assert angles.shape == (200, 4)
     for eye in EYES:
         in_cam = point_in_camera(made, f"{eye}_{lens}", angles, points)

@@ -18,7 +18,7 @@ from vergence.arrays import Array
 from vergence.demos import experiment
 from vergence.demos import grasp as module
 from vergence.demos.depth_error_by_range import EDGES_M, DepthSample, bin_by_range
-from vergence.demos.grasp import FAR_M, NEAR_M, WITHIN_M, grasp, held_out, summary
+from vergence.demos.grasp import FAR_M, NEAR_M, WITHIN_M, grasp, hand_held, summary
 from vergence.errors import VergenceError
 from vergence.gaze.foveation import gaze_angles
 from vergence.gaze.state import NARROW, GazeSettings
@@ -54,7 +54,7 @@ def test_the_hand_closes_on_the_object_though_joints_and_arm_are_wrong(
         return lambda t: np.array([0.42, 0.06 + 0.01 * np.sin(2 * t), -0.02])
 
     monkeypatch.setattr(experiment, "calibrate_twin", given)
-    monkeypatch.setattr(module, "held_out", near)
+    monkeypatch.setattr(module, "hand_held", near)
     scenario = runpy.run_path(str(ROOT / "scenarios" / "gaze_demos.py"))
     scenario["grasp"](out=tmp_path, profile="paper", seed=1, trials=1)
     assert "within 10 mm of the centre: 100% of 1" in capsys.readouterr().out
@@ -165,7 +165,7 @@ def test_the_mounting_error_has_the_stated_standard_deviations():
 
 @pytest.mark.parametrize("seed", range(6))
 def test_objects_come_from_a_distance_and_are_held_within_reach(seed: int):
-    path = held_out(seed, 1)
+    path = hand_held(seed, 1)
     points = np.array([path(t) for t in np.linspace(0, 9, 2001)])
     speeds = np.linalg.norm(np.diff(points, axis=0), axis=1) / (9 / 2000)
     assert FAR_M[0] - 0.02 < points[0, 0] < FAR_M[1] + 0.02

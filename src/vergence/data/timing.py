@@ -18,7 +18,7 @@ WINDOW_S = 0.3
 0.0014 % of the amplitude of 1 Hz, and 0.3 % of that of 2 Hz; a shorter one passes more noise on."""
 LEAST_ROWS = 7
 """Neighbours, and the row itself, if they come more slowly than that."""
-DEGREE = 7
+TRAJECTORY_DEGREE = 7
 _SLACK_S = 1e-6  # so that rounding of time stamps drops no row
 
 
@@ -43,7 +43,7 @@ class Stencil:
     neighbours: np.ndarray
     """(N, W) which samples."""
     weights: Array
-    """(N, W, DEGREE): the values of the neighbours, times these, are the coefficients of
+    """(N, W, TRAJECTORY_DEGREE): the values of the neighbours, times these, are the coefficients of
     s, s^2, ... of what is to be added to the sample's own value s seconds later; 0 at rest."""
 
 
@@ -64,13 +64,13 @@ def stencil(time_s: Array, run: np.ndarray) -> Stencil:
                 near[0] = max(0, min(first, len(t) - LEAST_ROWS))
                 near[1] = min(near[0] + LEAST_ROWS, len(t))
             window = slice(*near)
-            degree = min(DEGREE, (near[1] - near[0] + 2) // 3)
+            degree = min(TRAJECTORY_DEGREE, (near[1] - near[0] + 2) // 3)
             s = (t[window] - now) / WINDOW_S
             fit = np.linalg.pinv(s[:, None] ** np.arange(degree + 1))[1:]
             fit = fit / WINDOW_S ** np.arange(1, degree + 1)[:, None]
             found.append((row, rows[window], fit.T))
     W = max((len(rows) for _, rows, _ in found), default=1)
-    neighbours, weights = np.zeros((N, W), dtype=np.intp), np.zeros((N, W, DEGREE))
+    neighbours, weights = np.zeros((N, W), dtype=np.intp), np.zeros((N, W, TRAJECTORY_DEGREE))
     for row, rows, fit in found:
         neighbours[row, : len(rows)] = rows
         weights[row, : len(rows), : fit.shape[1]] = fit
@@ -78,18 +78,18 @@ def stencil(time_s: Array, run: np.ndarray) -> Stencil:
 
 
 def coefficients(around: Stencil, values: Array) -> Array:
-    """Return (N, n, DEGREE) coefficients of the polynomials through values (N, n)."""
+    """Return (N, n, TRAJECTORY_DEGREE) coefficients of the polynomials through values (N, n)."""
     return np.einsum("nwk,nwj->njk", around.weights, values[around.neighbours], optimize=True)
 
 
 def change(coefficients: Array, seconds: float) -> Array:
-    """Return (N, n): by how much values change within a time, by coefficients (N, n, DEGREE)."""
-    return coefficients @ seconds ** np.arange(1.0, DEGREE + 1)
+    """Return (N, n): the change within a time, by coefficients (N, n, TRAJECTORY_DEGREE)."""
+    return coefficients @ seconds ** np.arange(1.0, TRAJECTORY_DEGREE + 1)
 
 
 def rate(coefficients: Array, seconds: float) -> Array:
     """Return (N, n): how fast values change after a time [1/s]."""
-    powers = np.arange(1.0, DEGREE + 1)
+    powers = np.arange(1.0, TRAJECTORY_DEGREE + 1)
     return coefficients @ (powers * seconds ** (powers - 1))
 
 

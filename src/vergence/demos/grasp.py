@@ -83,7 +83,7 @@ class Summary:
     """Depth errors of the eyes."""
 
 
-def held_out(seed: int, run: int) -> Callable[[float], Array]:
+def hand_held(seed: int, run: int) -> Callable[[float], Array]:
     """Return a random path of a held object by seed and run: (3,) [m] in frame head by time [s]."""
     rng = np.random.default_rng([seed, 9, run])
     far, near = (
@@ -194,7 +194,7 @@ def grasp(
                 watch(state.gaze, frame, {"hand": state.phase.value}, state.hand)
 
         for run in range(1, trials + 1):
-            path, T_body_arm = held_out(seed, run), arm_mounting_error(seed, run)
+            path, T_body_arm = hand_held(seed, run), arm_mounting_error(seed, run)
             made.append(run_trial(twin, settings, run, path, T_body_arm, watch=record))
             progress("grasp, trials", len(made), trials)
         found = summary(made)

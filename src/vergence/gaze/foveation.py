@@ -22,7 +22,7 @@ from vergence.geometry.head import HeadCalibration, T_narrow_wide
 from vergence.geometry.kinematics import EYES, Side, chain_linearised, eye_chain
 from vergence.geometry.se3 import cross, inverse, transform
 
-Lens = Literal["wide", "narrow"]
+Role = Literal["wide", "narrow"]
 
 _NEWTON_STEPS = 20
 _CONVERGED = 1e-8  # of x/z and y/z: the next step of Newton's method squares it
@@ -94,7 +94,7 @@ def foveal_miss(
 
 
 def eye_angles_to(
-    calibration: HeadCalibration, eye: Side, points_base: Array, *, lens: Lens = "narrow"
+    calibration: HeadCalibration, eye: Side, points_base: Array, *, role: Role = "narrow"
 ) -> Array:
     """Return the pan and tilt (..., 2) [rad] that centre points in a camera of one eye.
 
@@ -103,7 +103,7 @@ def eye_angles_to(
     and are centred on the principal point. Readings are not limited to the joints' ranges; NaN for
     a point that no posture centres: one that is NaN, on the pan axis, or closer than the camera.
     """
-    mounted, chain = calibration.camera(f"{eye}_{lens}"), eye_chain(calibration.axes[eye])
+    mounted, chain = calibration.camera(f"{eye}_{role}"), eye_chain(calibration.axes[eye])
     R_eye_cam, t_eye_cam = mounted.T_eye_cam[:3, :3], mounted.T_eye_cam[:3, 3]
     usable = np.isfinite(points_base).all(axis=-1) & (points_base[..., :2] != 0).any(axis=-1)
     p = np.where(usable[..., None], points_base, [1.0, 0, 0])
@@ -142,14 +142,14 @@ def eye_angles_to(
 
 
 def gaze_angles(
-    calibration: HeadCalibration, points_lbase: Array, *, lens: Lens = "narrow"
+    calibration: HeadCalibration, points_lbase: Array, *, role: Role = "narrow"
 ) -> Array:
     """Return the angles (..., 4) [rad] that centre points in both eyes: version and vergence.
 
     The points (..., 3) [m] are in the left eye's base frame, and are centred on the principal
-    points. The angles are joint readings in the order of kinematics.EYE_JOINTS, NaN for points
-    that no posture centres.
+    points of the eyes' cameras of one role. The angles are joint readings in the order of
+    kinematics.EYE_JOINTS, NaN for points that no posture centres.
     """
     points = {"left": points_lbase, "right": transform(calibration.T_rbase_lbase, points_lbase)}
-    both = [eye_angles_to(calibration, eye, points[eye], lens=lens) for eye in EYES]
+    both = [eye_angles_to(calibration, eye, points[eye], role=role) for eye in EYES]
     return np.concatenate(both, axis=-1)

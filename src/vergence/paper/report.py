@@ -46,7 +46,7 @@ def _orientation_error(result: Replay, joints: Joints) -> float:
     return float((wrong[:, 0] - wrong[:, 2]).std())
 
 
-def predicted_depth_std(result: Replay, profile: ErrorProfile, head: HeadCalibration) -> float:
+def _depth_std_from_joints(result: Replay, profile: ErrorProfile, head: HeadCalibration) -> float:
     """Return the standard deviation of depth [m] that Eqs. 20-21 predict from the joint sensors.
 
     Depth and baseline are those of the camera centres at straight gaze. Eqs. 20-21, as the paper
@@ -76,7 +76,7 @@ Positions in metres from the left eye's rotation centre; x is depth.
 {markdown_table("| object | mean | std | paper's std | ratio", rows)}
 
 {ours.samples} samples located, {ours.dropped} dropped. Eqs. 20-21 predict a standard deviation of
-depth of {predicted_depth_std(result, profile, head):.4f} m from the joint sensors alone.
+depth of {_depth_std_from_joints(result, profile, head):.4f} m from the joint sensors alone.
 
 Error profile `{profile.name}`: {profile.description} {_fitted_line(profile)}
 """
@@ -123,7 +123,7 @@ def _std_table(
     rows = []
     for result in replays:
         figure, ours = result.figure, result.statistics
-        predicted = predicted_depth_std(result, profile, heads[figure.lens])
+        predicted = _depth_std_from_joints(result, profile, heads[figure.lens])
         ratio = _three(ours.std_m / np.array(figure.std_m), 2)
         stds = _three(figure.std_m, 3), _three(ours.std_m, 4), ratio, f"{predicted:.4f}"
         what = figure.number, figure.motion, figure.lens

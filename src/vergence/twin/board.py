@@ -15,7 +15,7 @@ MARGIN_SQUARES = 0.5
 TEXELS_PER_SQUARE = 128
 """Finer than the narrow cameras resolve, since magnified texels would show as steps. A power of
 two, so that mipmaps are halved evenly and do not shift the corners."""
-FINER = 4
+MARKER_OVERSAMPLING = 4
 """Oversampling: OpenCV draws a marker on whole pixels, off the centre of its square by up to one
 pixel, so the board is drawn this many times larger and averaged."""
 BLACK, WHITE = 25, 235
@@ -27,7 +27,7 @@ def put_charuco(spec: mujoco.MjSpec, board: Charuco) -> None:
     size = np.array([board.squares_x, board.squares_y]) * TEXELS_PER_SQUARE
     try:
         drawn = opencv_board(board).generateImage(
-            tuple((FINER * size).tolist()), marginSize=0, borderBits=1
+            tuple((MARKER_OVERSAMPLING * size).tolist()), marginSize=0, borderBits=1
         )
     except cv2.error as error:
         raise VergenceError(f"OpenCV cannot draw the board: {error.err}.") from error

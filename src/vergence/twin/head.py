@@ -12,13 +12,13 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
+from vergence.gaze.commands import HEAD_JOINTS
 from vergence.geometry.board import Charuco
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS
 from vergence.geometry.se3 import inverse, pose, transform
 from vergence.twin.model import (
     CAMERAS,
-    JOINTS,
     R_of_quat,
     T_world_body,
     as_built_head,
@@ -76,8 +76,8 @@ class Twin:
         self._data = mujoco.MjData(self.model)
         self._seen = mujoco.MjData(self.model)  # the pose at which pictures are taken
         self._seed = seed
-        self._addresses = [self.model.joint(name).qposadr[0] for name in JOINTS]
-        self._actuators = [self.model.actuator(name).id for name in JOINTS]
+        self._addresses = [self.model.joint(name).qposadr[0] for name in HEAD_JOINTS]
+        self._actuators = [self.model.actuator(name).id for name in HEAD_JOINTS]
         self._renderer = Renderer(self.model, self.truth, profile.image, seed)
         self.restart(0)
 
@@ -106,10 +106,10 @@ class Twin:
     def advance(self, until_s: float, command: Callable[[float], Array] | Array) -> None:
         """Step the physics until a simulated time.
 
-        The command is (7,) wanted angles [rad] in the order of model.JOINTS, or a function of the
-        time that gives them. The function is asked every 5 ms of simulated time, a clock of its
-        own, so that the motion does not depend on where it stops; in between goes a line, which is
-        servoed at 1 kHz.
+        The command is (7,) wanted angles [rad] in the order of gaze.commands.HEAD_JOINTS, or a
+        function of the time that gives them. The function is asked every 5 ms of simulated time, a
+        clock of its own, so that the motion does not depend on where it stops; in between goes a
+        line, which is servoed at 1 kHz.
         """
         width = np.radians(self.profile.joints.backlash_deg)
         while (left := round((until_s - self._data.time) * 1000)) > 0:

@@ -18,14 +18,12 @@ from vergence.errors import VergenceError
 from vergence.geometry.board import Charuco
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, MountedCamera, T_head_base
-from vergence.geometry.kinematics import EYE_JOINTS, EYES, NECK_JOINTS, EyeAxes, Neck, Side
+from vergence.geometry.kinematics import EYES, NECK_JOINTS, EyeAxes, Neck, Side
 from vergence.geometry.se3 import pose, rotation
 from vergence.twin.board import put_charuco
 from vergence.twin.profile import ErrorProfile, Lens
 
 CAMERAS = ("left_wide", "right_wide", "left_narrow", "right_narrow")
-JOINTS = (*NECK_JOINTS, *EYE_JOINTS)
-"""Order of qpos and ctrl."""
 
 R_MJCAM_CAM = np.diag([1.0, -1.0, -1.0])  # MuJoCo's cameras look along -z with +y up
 

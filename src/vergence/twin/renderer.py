@@ -22,7 +22,7 @@ from vergence.geometry.head import HeadCalibration
 from vergence.twin import no_opengl
 from vergence.twin.profile import Image
 
-FINER = 2
+OVERSAMPLING = 2
 """Oversampling along each axis of an image that is distorted afterwards: interpolation between
 pixels of the camera's own size would shift corners by 0.01 px, in every image alike."""
 _NOISE_MARGIN = 256  # the noise of an image is a window of a larger one, at one of 256 x 256 places
@@ -63,10 +63,12 @@ def overscan_sizes(head: HeadCalibration) -> dict[str, tuple[int, int]]:
 def _map(camera: Camera, size: tuple[int, int]) -> Sequence[np.ndarray]:
     """Return float32 maps x and y (H, W) into the rendered image for each pixel of the camera.
 
-    That image is FINER times as large as size. OpenCV's packed maps would round to 1/32 px.
+    That image is OVERSAMPLING times as large as size. OpenCV's packed maps would round to 1/32 px.
     """
     v, u = np.mgrid[: camera.height, : camera.width].astype(float)
-    finer = FINER * _in_pinhole(camera, np.stack([u, v], axis=-1), size) + (FINER - 1) / 2
+    finer = (
+        OVERSAMPLING * _in_pinhole(camera, np.stack([u, v], axis=-1), size) + (OVERSAMPLING - 1) / 2
+    )
     return cv2.split(finer.astype(np.float32))
 
 
@@ -101,7 +103,7 @@ class Renderer:
         before = buffer.offwidth, buffer.offheight, quality.offsamples
         try:
             for name, (width, height) in sizes.items():
-                finer = FINER if name in self._maps else 1
+                finer = OVERSAMPLING if name in self._maps else 1
                 self._sizes[name] = size = finer * width, finer * height
                 if size in self._renderers:
                     continue

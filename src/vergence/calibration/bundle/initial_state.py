@@ -10,7 +10,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.bundle.problem import BundleProblem, BundleState, corner_errors, eye_poses
 from vergence.calibration.observations import Observations
-from vergence.data.timing import DEGREE, stencil
+from vergence.data.timing import TRAJECTORY_DEGREE, stencil
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
 from vergence.geometry.head import HeadCalibration
@@ -100,7 +100,7 @@ def initial_state(
         block_eye=block_eye,
         reading=reading,
         around=around,
-        trajectory_coefficients=np.zeros((*reading.shape, DEGREE)),
+        trajectory_coefficients=np.zeros((*reading.shape, TRAJECTORY_DEGREE)),
         trust_encoder=np.zeros(reading.shape[1], dtype=bool),
         T_base_eye_read=T_base_eye_read,
         systematic_px=observations.systematic_px,

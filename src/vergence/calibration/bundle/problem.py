@@ -64,7 +64,7 @@ class BundleProblem:
     around: Stencil | None
     """The neighbours of each block in time; None: the eyes stood still."""
     trajectory_coefficients: Array
-    """(B, n, timing.DEGREE) how the latent unknowns go on in time; see refit_trajectory."""
+    """(B, n, TRAJECTORY_DEGREE) how the latent unknowns go on in time; see refit_trajectory."""
     trust_encoder: NDArray[np.bool_]
     """(n,) of which joints the readings know the trajectory better than the images do."""
     T_base_eye_read: Array | None
@@ -128,7 +128,7 @@ def refit_trajectory(problem: BundleProblem, state: BundleState) -> BundleProble
         return problem
     latent = timing.coefficients(problem.around, state.latent)
     # Seen from the reading's moment time runs the other way: odd powers keep their sign.
-    sign = -((-1.0) ** np.arange(1, timing.DEGREE + 1))
+    sign = -((-1.0) ** np.arange(1, timing.TRAJECTORY_DEGREE + 1))
     reading = sign * timing.coefficients(problem.around, problem.reading)
     chosen = np.where(problem.trust_encoder[:, None], reading, latent)
     return replace(problem, trajectory_coefficients=chosen)

@@ -7,7 +7,7 @@ field is estimated from that rest; the absorbed part is *assumed* to be as large
 beforehand of the detector sets a least size.
 
 The field of each camera is a sum of Legendre polynomials in both coordinates of the image, up to
-`DEGREE`, with coefficients of one standard deviation.
+`FIELD_DEGREE`, with coefficients of one standard deviation.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from vergence.calibration.bundle.solver import (
     step,
 )
 
-DEGREE = 4
+FIELD_DEGREE = 4
 LEAST_FIELD_CORNERS = 200
 """A camera with fewer does not determine a field of thirty coefficients."""
 
@@ -97,9 +97,9 @@ def systematic_errors(
 def _fields(pixels: Array, width: int, height: int) -> Array:
     """Return (M, K, 2, 2 n) the n functions in x, and in y, at pixels (M, K, 2)."""
     x, y = (2 * pixels[..., k] / (extent - 1) - 1 for k, extent in enumerate((width, height)))
-    i, j = np.divmod(np.arange((DEGREE + 1) ** 2), DEGREE + 1)
-    low = i + j <= DEGREE
-    values = legvander2d(x, y, [DEGREE, DEGREE])[..., low]
+    i, j = np.divmod(np.arange((FIELD_DEGREE + 1) ** 2), FIELD_DEGREE + 1)
+    low = i + j <= FIELD_DEGREE
+    values = legvander2d(x, y, [FIELD_DEGREE, FIELD_DEGREE])[..., low]
     values = values * np.sqrt((2 * i[low] + 1) * (2 * j[low] + 1))
     fields = np.zeros((*pixels.shape, 2 * values.shape[-1]))
     fields[..., 0, : values.shape[-1]] = fields[..., 1, values.shape[-1] :] = values

@@ -20,7 +20,7 @@ from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYE_COLUMNS, EYES
 from vergence.geometry.se3 import angle, inverse, rotvec
 
-LEAST_VIEWS = 6
+LEAST_VIEWS_AT_REST = 6
 """Of a board at rest, to say something about readings."""
 LEAST_TURN_RAD = 0.02
 """Root mean square, about the second axis; less is too near to the noise of readings, and says
@@ -34,7 +34,7 @@ DEAD = 0.03
 """Part of the other joint's motion, below which a reading does not change."""
 GAINS = (0.6, 1.6)
 """Of a joint that is calibrated; others are another unit, or another joint."""
-DEGREE = np.degrees(1.0)
+DEGREES_PER_RAD = np.degrees(1.0)
 MOST_TURNED_DEG = 30.0
 """Between the bases of the eyes; their axes are the head's, as built."""
 ASIDE = 0.7
@@ -111,7 +111,7 @@ def doubts(head: HeadCalibration) -> list[str]:
 def _turns(seen: Observations, name: str, e: int, T_cam_target: Array) -> _Turns | None:
     """Return how a camera turns; None where it does so too little, or in too few views."""
     rows = most_seen_board(seen, T_cam_target)
-    if len(rows) < LEAST_VIEWS:
+    if len(rows) < LEAST_VIEWS_AT_REST:
         return None
     R = board_flips.nearest(T_cam_target[rows, :3, :3], seen.board)
     # A camera that turns by T sees a board at rest turn by its inverse.
@@ -191,7 +191,10 @@ def _contradictions(turns: _Turns, eye: str) -> list[str]:
     said = []
     for joint, gain in zip(("pan", "tilt"), gains, strict=True):
         why = "check its unit, its gear and its column"
-        for factor, unit, key in ((DEGREE, "degrees", "deg"), (1 / DEGREE, "radians", "rad")):
+        for factor, unit, key in (
+            (DEGREES_PER_RAD, "degrees", "deg"),
+            (1 / DEGREES_PER_RAD, "radians", "rad"),
+        ):
             if GAINS[0] < gain * factor < GAINS[1]:
                 why = f"they are {unit}; set joints.{eye}_{joint}.unit to {key}"
         if not GAINS[0] < gain < GAINS[1]:
