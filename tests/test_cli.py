@@ -1,6 +1,5 @@
 """The command line: mistakes end in one sentence and exit code 2, runs in the stated files."""
 
-import json
 import os
 import re
 import subprocess
@@ -11,20 +10,6 @@ import pytest
 
 from vergence import __version__, cli
 from vergence.commands.invocation import invocation
-from vergence.errors import VergenceError
-from vergence.geometry.head import load_head
-
-BAD_PROFILES = {
-    "unknown section": "[jionts]\nnoise_deg = 1\n",
-    "unknown value": "[joints]\nnoise = 1\n",
-    "negative noise": "[joints]\nnoise_deg = -1\n",
-    "noise that is text": '[joints]\nnoise_deg = "much"\n',
-    "noise that is not finite": "[joints]\nnoise_deg = nan\n",
-    "three gains for four joints": "[joints]\ngain_percent = [1, 2, 3]\n",
-    "unknown lens model": '[calibration]\nwide_lens = "fisheye"\n',
-    "delay beyond the sensors' memory": "[joints]\ndelay_ms = 1000\n",
-    "not TOML": "[joints\n",
-}
 
 BAD_ARGUMENTS = {
     "unknown figure": (["--figures", "5"], "figures 6 to 11"),
@@ -69,39 +54,14 @@ def test_bad_argument_ends_in_a_sentence(case, capsys, monkeypatch, tmp_path):
     assert "Traceback" not in text
 
 
-@pytest.mark.parametrize("case", BAD_PROFILES)
-def test_bad_profile_ends_in_a_sentence_that_names_the_value(case, capsys, monkeypatch, tmp_path):
+def test_a_bad_profile_ends_in_a_sentence_that_names_the_value(capsys, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    Path("mine.toml").write_text(BAD_PROFILES[case])
+    Path("mine.toml").write_text("[joints]\nnoise_deg = -1\n")
     code, text = run(["--profile", "mine.toml"], capsys, monkeypatch)
     assert code == 2
     assert text.count("\n") == 1
     assert "mine.toml" in text
-
-
-@pytest.mark.parametrize(
-    ("content", "named"),
-    [
-        ("", "JSON"),
-        ("{}", "cameras"),
-        ('{"cameras": {}, "T_rbase_lbase": [[1, 2], [3, 4]]}', "T_rbase_lbase"),
-        (
-            '{"cameras": {}, "T_rbase_lbase": [[2,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}',
-            "rigid",
-        ),
-    ],
-)
-def test_corrupt_calibration_is_refused_in_a_sentence(content, named, tmp_path):
-    path = tmp_path / "calibration.json"
-    path.write_text(content)
-    with pytest.raises(VergenceError, match=named) as refused:
-        load_head(path)
-    assert "\n" not in str(refused.value)
-
-
-def test_missing_calibration_is_refused_in_a_sentence(tmp_path):
-    with pytest.raises(VergenceError, match="No such file"):
-        load_head(tmp_path / "none.json")
+    assert "joints.noise_deg = -1" in text
 
 
 def test_missing_opengl_says_what_to_install():
@@ -190,26 +150,3 @@ def test_a_printed_command_can_be_typed(environment, monkeypatch):
     monkeypatch.setenv("PATH", str(environment))
     assert invocation("rerun", "a.rrd") == "rerun a.rrd"
     assert invocation("absent") == "absent"
-
-
-@pytest.mark.usefixtures("few_views")
-@pytest.mark.render
-def test_the_seed_of_a_run_is_written_down(tmp_path, monkeypatch):
-    out = tmp_path / "run"
-    arguments = ["--figures", "6", "--duration", "2", "--rate", "4", "--seed", "3"]
-    monkeypatch.setattr(
-        sys, "argv", ["vergence", "reproduce", "--out", str(out), "--profile", "ideal", *arguments]
-    )
-    cli.main()
-    summary = json.loads((out / "statistics.json").read_text())
-    assert summary["seed"] == 3
-    assert summary["profile"] == "ideal"
-    assert summary["fitted_parameters"] == 0
-    assert list(summary["figures"]) == ["6"]
-    assert {path.name for path in out.iterdir()} == {
-        "calibration-2.8mm.json",
-        "fig06.rrd",
-        "figures.png",
-        "report.md",
-        "statistics.json",
-    }
