@@ -15,13 +15,12 @@ from drawn_hand import MARKER_HAND
 from drawn_head import four_cameras
 from vergence import cli
 from vergence.arrays import Array
-from vergence.demos import experiment
 from vergence.demos import grasp as module
 from vergence.demos.depth_error_by_range import EDGES_M, DepthSample, bin_by_range
 from vergence.demos.grasp import FAR_M, NEAR_M, WITHIN_M, grasp, held_out, summary
 from vergence.errors import VergenceError
 from vergence.gaze.foveation import gaze_angles
-from vergence.gaze.state import NARROW, GazeSettings
+from vergence.gaze.state import NARROW
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, pose, rotvec, transform
 from vergence.reach.state import HandCommand, ReachPhase
@@ -42,18 +41,15 @@ ROOT = Path(__file__).parents[1]
 
 
 @pytest.mark.render
+@pytest.mark.usefixtures("true_calibration")
 def test_the_hand_closes_on_the_object_though_joints_and_arm_are_wrong(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ):
     """In profile paper the joint gains are wrong by 3-4 %, which no calibration finds."""
 
-    def given(twin: Twin, seed: int) -> GazeSettings:
-        return GazeSettings(calibration=twin.truth, joint_std_rad=2.6e-3)
-
     def near(*_: int) -> Callable[[float], Array]:
         return lambda t: np.array([0.42, 0.06 + 0.01 * np.sin(2 * t), -0.02])
 
-    monkeypatch.setattr(experiment, "calibrate_twin", given)
     monkeypatch.setattr(module, "held_out", near)
     scenario = runpy.run_path(str(ROOT / "scenarios" / "gaze_demos.py"))
     scenario["grasp"](out=tmp_path, profile="paper", seed=1, trials=1)

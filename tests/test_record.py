@@ -43,7 +43,7 @@ PROFILE = ErrorProfile.model_validate(
 def recorded(request, tmp_path_factory, opengl: None) -> tuple[Dataset, Observations, Truth]:
     """A small recording with moving frames at its end."""
     out = tmp_path_factory.mktemp("out") / request.param
-    images = record(out, profile=PROFILE, seed=2, frames=14, target=request.param, moving=12)
+    images = record(out, profile=PROFILE, seed=2, frames=12, target=request.param, moving=10)
     assert len(list((out / "images").iterdir())) == images
     dataset = load_dataset(out)
     return dataset, detect_target(dataset), truth_file.load(out / "truth.json")
@@ -51,8 +51,8 @@ def recorded(request, tmp_path_factory, opengl: None) -> tuple[Dataset, Observat
 
 def test_the_kinds_of_views_are_all_there(recorded):
     dataset, found, _ = recorded
-    assert len(dataset) == 26
-    assert dataset.moving.tolist() == [False] * 14 + [True] * 12
+    assert len(dataset) == 22
+    assert dataset.moving.tolist() == [False] * 12 + [True] * 10
     counts = np.bincount(dataset.placement)
     assert (counts[:-1] == 1).all()  # held near the head, once each
     assert counts[-1] == len(dataset) - len(counts) + 1  # and one at rest
