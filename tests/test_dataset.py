@@ -1,6 +1,5 @@
 """Datasets on disk: good ones are read as they were meant."""
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -183,31 +182,3 @@ def test_a_motion_of_two_rows_is_refused(tmp_path):
     moving_dataset(tmp_path / "set", 2)
     with pytest.raises(VergenceError, match="moving rows come at least 3 in sequence"):
         runs(load_dataset(tmp_path / "set"))
-
-
-DOCUMENT = Path(__file__).parents[1] / "docs" / "dataset.md"
-
-
-def fenced(language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
-
-
-def test_the_documented_example_is_a_dataset(tmp_path):
-    (tmp_path / "dataset.json").write_text(fenced("json")[0])
-    table = fenced("text")[0]
-    (tmp_path / "frames.csv").write_text(table)
-    for name in re.findall(r"images/\w+\.png", table):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_bytes(b"")
-    dataset = load_dataset(tmp_path)
-    assert dataset.remarks == ()
-    assert len(dataset) == len(table.splitlines()) - 1
-
-
-def test_the_documented_reader_reads_a_dataset(folder, monkeypatch, capsys):
-    monkeypatch.chdir(folder)
-    exec(compile(fenced("python")[0], "docs/dataset.md", "exec"), {"__name__": "__main__"})
-    printed = capsys.readouterr().out.splitlines()
-    dataset = load_dataset(folder)
-    assert len(printed) == len(dataset)
-    assert f"{dataset.eye_angles[2, 0]:.4f}" in printed[2]

@@ -31,6 +31,7 @@ from documents import (
     read,
 )
 from vergence import cli
+from vergence.data.reader import load_dataset
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import Accuracy, HeadCalibration, HeldOut, MountedCamera
 from vergence.geometry.kinematics import EyeAxes, Neck
@@ -146,14 +147,20 @@ def test_the_reader_of_datasets_that_the_document_prints_reads_the_dataset_that_
     tmp_path, monkeypatch, capsys
 ):
     there = {block.language: block.text for block in blocks("docs/dataset.md")}
-    code = next(text.values[1] for text in PYTHON if "csv.DictReader" in str(text.values[1]))
     (tmp_path / "dataset.json").write_text(there["json"])
     (tmp_path / "frames.csv").write_text(there["text"])
+    for name in re.findall(r"images/\w+\.png", there["text"]):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(b"")
+    dataset = load_dataset(tmp_path)
+    assert dataset.remarks == ()
     monkeypatch.chdir(tmp_path)
+    code = next(text.values[1] for text in PYTHON if "csv.DictReader" in str(text.values[1]))
     exec(compile(str(code), "dataset.md", "exec"), {})
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 4
+    assert len(lines) == len(dataset) == len(there["text"].splitlines()) - 1 == 4
     assert "left_pan -0.1415" in lines[2]  # 8.11 degrees, counted the other way
+    assert f"{dataset.eye_angles[2, 0]:.4f}" in lines[2]
 
 
 @pytest.mark.parametrize("document", DOCUMENTS)

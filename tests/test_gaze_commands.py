@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vergence.data.dataset import Dataset, Description
+from recordings import small_dataset
+from vergence.data.reader import load_dataset
 from vergence.gaze.commands import (
     HeadCommand,
     JointLimits,
@@ -16,7 +17,6 @@ from vergence.gaze.commands import (
     hold,
     setpoint,
 )
-from vergence.geometry.board import Chessboard
 from vergence.twin.model import JOINTS, load_spec
 
 LIMITS = JointLimits()
@@ -61,27 +61,12 @@ def test_the_default_limits_are_those_of_the_model():
 
 
 def test_a_recording_is_a_head_that_goes_where_it_went(tmp_path: Path):
-    n = 3
-    times = np.arange(n) / 30
-    description = Description.__new__(Description)
-    object.__setattr__(description, "board", Chessboard(columns=9, rows=6, square_m=0.03))
-    dataset = Dataset(
-        folder=tmp_path,
-        description=description,
-        lines=np.arange(n) + 2,
-        time_s=times,
-        joint_time_s=times,
-        eye_angles=np.arange(4.0 * n).reshape(n, 4),
-        T_base_eye=None,
-        neck_angles=np.zeros((n, 3)),
-        placement=np.zeros(n, int),
-        moving=np.zeros(n, bool),
-        files={},
-    )
+    small_dataset(tmp_path / "set", 3)
+    dataset = load_dataset(tmp_path / "set")
     head = RecordedHead(dataset)
-    seen = [head.read(()) for _ in range(n + 1)]
+    seen = [head.read(()) for _ in range(4)]
     assert seen.pop() is None
     head.command(command(goal=0.3))
-    assert head.now_s() == pytest.approx(times[-1])
+    assert head.now_s() == pytest.approx(dataset.time_s[-1])
     angles = np.array([frame.eye_angles for frame in seen if frame is not None])
     np.testing.assert_array_equal(angles, dataset.eye_angles)

@@ -1,7 +1,5 @@
 """The recording of the gaze: what the controller said and what was true, read back."""
 
-import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,6 +7,7 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
+from rrd import assert_valid
 from vergence.data.dataset import Frame
 from vergence.demos.recording import recorded
 from vergence.gaze.controller import run_gaze
@@ -80,10 +79,7 @@ def texts(path: Path, entity: str) -> list[str]:
 
 
 def test_it_passes_the_viewers_own_check_and_brings_its_layout(made: Recorded):
-    command = [sys.executable, "-m", "rerun", "rrd", "verify", str(made.path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert len(RrdReader(made.path).blueprints()) == 1
+    assert_valid(made.path)
 
 
 def test_runs_follow_each_other_on_one_timeline(made: Recorded):
