@@ -109,11 +109,9 @@ class DrawnHead:
 
     def _draw(self, name: str, time_s: float) -> np.ndarray:
         image, point = self._blank.copy(), self.path(time_s)
-        return (
-            image
-            if point is None
-            else self.dot(image, name, time_s, point, _RADIUS_M, (220, 20, 20))
-        )
+        if point is None:
+            return image
+        return self.dot(image, name, time_s, point, _RADIUS_M, (220, 20, 20))
 
     def dot(self, image, name: str, time_s: float, point: Array, radius_m, colour) -> np.ndarray:
         """Draw a sphere at a point (3,) [m] in frame body, if the camera sees it."""

@@ -114,9 +114,7 @@ def test_errors_estimates_and_joints_come_back_to_the_last_digit(made: Recorded)
     np.testing.assert_allclose(hand, np.tile(HAND, (len(made.frames), 1)), atol=1e-6)
 
 
-def test_the_estimate_is_near_the_truth_and_the_truth_is_unknown_while_it_is_hidden(
-    made: Recorded,
-):
+def test_the_estimate_is_near_the_truth_and_the_truth_is_unknown_while_it_is_hidden(made):
     _, error_mm = read_series(made.path, "/error/fused")
     times, truth = read_series(made.path, "/position/true_x")
     assert np.nanmax(error_mm) < 5
@@ -125,9 +123,7 @@ def test_the_estimate_is_near_the_truth_and_the_truth_is_unknown_while_it_is_hid
     assert np.isfinite(truth[: len(times) // 2]).all()
 
 
-def test_aims_are_the_centres_of_the_narrow_images_and_the_ideal_places_in_the_wide_ones(
-    made: Recorded,
-):
+def test_aims_are_the_centres_of_the_narrow_images_and_the_ideal_places_in_the_wide_ones(made):
     k = len(made.frames) // 2 - 1
     state, frame, head = made.states[k], made.frames[k], made.settings.calibration
     found = aims(made.settings, state, frame)

@@ -62,9 +62,7 @@ def test_the_hand_closes_on_the_object_though_joints_and_arm_are_wrong(
     assert found["unaided_median_mm"] > 1.5 * found["worst_mm"]
 
 
-def test_the_command_line_prints_and_writes_the_summary(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-):
+def test_the_command_line_prints_and_writes_the_summary(tmp_path, monkeypatch, capsys):
     made = [module.Trial(ReachPhase.HELD, 4.0, 0.002, 0.03, tuple(depth_samples(1.0)))]
     asked: list[dict[str, object]] = []
 

@@ -109,13 +109,6 @@ def test_the_cost_of_depth_is_drawn_as_computed():
         np.testing.assert_array_equal(drawn, expected)
 
 
-def test_a_right_depth_costs_nothing_and_a_wrong_one_less_and_less_with_distance():
-    head, depths = nominal_head("2.8mm"), np.array([0.3, 0.6, 1.2, 2.4])
-    np.testing.assert_allclose(miss_px(head, depths, np.zeros(4), eye="right"), 0, atol=1e-9)
-    cost = miss_px(head, depths, np.full(4, 1e-4), eye="left")
-    np.testing.assert_allclose(cost[:-1] / cost[1:], 4, rtol=1e-2)  # as 1 / depth^2
-
-
 def test_an_error_of_disparity_costs_the_same_near_and_far():
     head, depths = nominal_head("2.8mm"), np.array([0.3, 1.0, 5.0])
     wrong = by_disparity(head, depths, 1.0)

@@ -229,9 +229,7 @@ def test_frames_may_come_from_another_thread(tmp_path: Path, head: HeadCalibrati
     np.testing.assert_allclose(times, TIMES[::EVERY], atol=1e-12)
 
 
-def test_recordings_of_two_runs_are_not_taken_for_one(
-    recorded: Path, tmp_path: Path, head: HeadCalibration
-):
+def test_recordings_of_two_runs_are_not_taken_for_one(recorded, tmp_path, head):
     path = tmp_path / recorded.name
     with figure_recording(path, FIGURE, head, []):
         pass
