@@ -126,10 +126,8 @@ def test_a_camchain_leads_from_camera_to_camera(tmp_path):
     head = plain(6)
     kalibr.save(head, tmp_path / "camchain.yaml")
     chain = kalibr.load(tmp_path / "camchain.yaml")
-    T = np.eye(4)  # from cam0, left_wide, to the last one, right_narrow
-    for _, step in list(chain.values())[1:]:
-        assert step is not None
-        T = step @ T
+    # From cam0, left_wide, to the last one, right_narrow.
+    T = np.linalg.multi_dot([step for _, step in reversed(chain.values()) if step is not None])
     T_lbase_first = T_base_cam(head, "left_wide", np.zeros(2))
     T_rbase_last = T_base_cam(head, "right_narrow", np.zeros(2))
     np.testing.assert_allclose(
@@ -167,12 +165,8 @@ def test_a_camera_info_has_every_field_that_ros_requires(tmp_path):
     ros.save(head, tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {f"{name}.yaml" for name in head.cameras}
     info = yaml.safe_load((tmp_path / "left_wide.yaml").read_text())
-    shapes = {
-        "camera_matrix": (3, 3),
-        "distortion_coefficients": (1, 5),
-        "rectification_matrix": (3, 3),
-        "projection_matrix": (3, 4),
-    }
+    shapes = {"camera_matrix": (3, 3), "distortion_coefficients": (1, 5)}
+    shapes |= {"rectification_matrix": (3, 3), "projection_matrix": (3, 4)}
     assert set(info) == {
         "image_width", "image_height", "camera_name", "distortion_model", *shapes
     }  # fmt: skip

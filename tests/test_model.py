@@ -126,11 +126,14 @@ def test_pan_and_tilt_axes_are_orthogonal_and_meet_in_the_base(model, data, side
     np.testing.assert_allclose(pan.xanchor, data.site(f"{side}_base").xpos, atol=1e-12)
 
 
-def test_head_origin_is_midway_between_the_eyes(data):
+def test_the_head_is_midway_between_the_eyes_and_narrow_cameras_are_30_mm_below(model, data):
     left, right = (data.site(f"{side}_base").xpos for side in SIDES)
     np.testing.assert_allclose((left + right) / 2.0, data.body("head").xpos, atol=1e-12)
     np.testing.assert_allclose(left - right, (0.0, 0.092, 0.0), atol=1e-12)
     np.testing.assert_allclose(data.body("head").xpos, (0.0, 0.0, 1.20), atol=1e-12)
+    for side in SIDES:
+        offset = model.cam(f"{side}_narrow").pos - model.cam(f"{side}_wide").pos
+        np.testing.assert_allclose(offset, (0.0, 0.0, -0.030), atol=1e-12)
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -154,12 +157,6 @@ def test_cameras_have_the_stated_focal_length(model, side: str, lens: str):
     np.testing.assert_array_equal(size_px, (WIDTH, HEIGHT))
     np.testing.assert_allclose(focal_px, FOCAL_PX[lens], rtol=1e-6)
     np.testing.assert_array_equal(model.cam_intrinsic[camera, 2:], 0.0)
-
-
-def test_narrow_cameras_are_30_mm_below_the_wide_ones(model):
-    for side in SIDES:
-        offset = model.cam(f"{side}_narrow").pos - model.cam(f"{side}_wide").pos
-        np.testing.assert_allclose(offset, (0.0, 0.0, -0.030), atol=1e-12)
 
 
 def robot_pixels(model, data, *, scale: float, postures: Iterable[tuple[float, ...]]) -> int:

@@ -21,17 +21,13 @@ from vergence.twin.model import (
     as_built_head,
     compile_head,
     nominal_head,
-)
+)  # fmt: skip
 from vergence.twin.profile import Axes, ErrorProfile, Image, Joints, Mounting, Optics
 from vergence.twin.renderer import overscan_sizes
 
 EVERYTHING = ErrorProfile(
     mounting=Mounting(
-        rotation_deg=2,
-        translation_mm=3,
-        base_rotation_deg=1,
-        base_translation_mm=2,
-        baseline_mm=80,
+        rotation_deg=2, translation_mm=3, base_rotation_deg=1, base_translation_mm=2, baseline_mm=80
     ),
     axes=Axes(nonorthogonality_deg=(1.0, -0.7), distance_mm=(0.8, -0.5)),
     optics=Optics(focal_percent=2, principal_px=5),
@@ -74,8 +70,7 @@ def test_the_same_seed_builds_the_same_head_and_another_seed_another():
     one, same, other = built(0), built(0), built(1)
     np.testing.assert_array_equal(one.T_rbase_lbase, same.T_rbase_lbase)
     assert np.abs(one.T_rbase_lbase - other.T_rbase_lbase).max() > 1e-4
-    for name in CAMERAS:
-        a, b, c = (head.cameras[name] for head in (one, same, other))
+    for a, b, c in zip(*(head.cameras.values() for head in (one, same, other)), strict=True):
         np.testing.assert_array_equal(a.T_eye_cam, b.T_eye_cam)
         np.testing.assert_array_equal(a.intrinsics.matrix, b.intrinsics.matrix)
         assert np.abs(a.T_eye_cam - c.T_eye_cam).max() > 1e-4
@@ -88,12 +83,10 @@ def test_profiles_share_their_random_numbers():
         as_built_head(nominal, ErrorProfile(mounting=Mounting(translation_mm=mm)), 3)
         for mm in (1.0, 2.0)
     )
-    shifts = [
-        head.cameras["right_narrow"].T_eye_cam[:3, 3]
-        - nominal.cameras["right_narrow"].T_eye_cam[:3, 3]
-        for head in (small, large)
-    ]
-    np.testing.assert_allclose(2 * shifts[0], shifts[1], atol=1e-15)
+    exact, once, twice = (
+        head.cameras["right_narrow"].T_eye_cam[:3, 3] for head in (nominal, small, large)
+    )
+    np.testing.assert_allclose(2 * (once - exact), twice - exact, atol=1e-15)
 
 
 def test_without_imperfection_the_head_is_the_nominal_one():
