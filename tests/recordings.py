@@ -100,6 +100,10 @@ def rows(count: int) -> list[dict[str, Any]]:
     ]
 
 
+def without(table: list[dict[str, Any]], *columns: str) -> list[dict[str, Any]]:
+    return [{name: row[name] for name in row if name not in columns} for row in table]
+
+
 def write_table(folder: Path, table: list[dict[str, Any]]) -> None:
     with (folder / "frames.csv").open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, list(table[0]))

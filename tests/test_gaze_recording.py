@@ -45,12 +45,9 @@ def made(tmp_path_factory: pytest.TempPathFactory, opengl: None) -> Recorded:
         settings = GazeSettings(calibration=twin.truth)
         with recorded(path.parent, "gaze", twin, settings, seed=0, reach_m=1.0) as (watch, report):
             for run in (0, 1):
-                head = SimulatedHead(
-                    twin,
-                    run,
-                    lambda t, run=run: TARGET if run == 0 or t < HIDDEN_S else None,
-                    all_cameras_every=4,
-                )
+
+                def path_of(t: float, run=run) -> np.ndarray | None:
+                    return TARGET if run == 0 or t < HIDDEN_S else None
 
                 def keep(state: GazeState, frame: Frame | None, run=run) -> None:
                     watch(state, frame, {"run": f"{run}"}, HAND)
@@ -59,9 +56,9 @@ def made(tmp_path_factory: pytest.TempPathFactory, opengl: None) -> Recorded:
                     frames.append(frame)
                     errors.append(foveal_errors(twin, settings.calibration))
 
-                run_gaze(
-                    head, settings, initial_gaze_state(settings, np.zeros(7), 0.0), 0.25, watch=keep
-                )
+                head = SimulatedHead(twin, run, path_of, all_cameras_every=4)
+                begin = initial_gaze_state(settings, np.zeros(7), 0.0)
+                run_gaze(head, settings, begin, 0.25, watch=keep)
             report.append("# A report")
     return Recorded(path, settings, states, frames, np.array(errors))
 
@@ -157,16 +154,9 @@ def test_images_are_recorded_of_frames_that_have_them_of_all_cameras(made: Recor
 def test_looking_on_changes_nothing(made: Recorded):
     with Twin(ErrorProfile(), seed=0) as twin:
         head = SimulatedHead(twin, 0, lambda _: TARGET, all_cameras_every=4)
-        states: list[GazeState] = []
-        run_gaze(
-            head,
-            made.settings,
-            initial_gaze_state(made.settings, np.zeros(7), 0.0),
-            0.25,
-            watch=lambda state, _: states.append(state),
-        )
-    track = states[-1].track
+        begin = initial_gaze_state(made.settings, np.zeros(7), 0.0)
+        alone = run_gaze(head, made.settings, begin, 0.25).track
     recorded_track = made.states[len(made.states) // 2 - 1].track
-    assert track is not None
+    assert alone is not None
     assert recorded_track is not None
-    np.testing.assert_array_equal(track.mean, recorded_track.mean)
+    np.testing.assert_array_equal(alone.mean, recorded_track.mean)

@@ -32,7 +32,7 @@ from vergence.twin.hand import (
     SPEED_M_S,
     SimulatedHand,
     arm_mounting_error,
-)
+)  # fmt: skip
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
 from vergence.vision.sphere import find_sphere
@@ -109,9 +109,8 @@ def test_an_open_hand_hides_neither_the_object_nor_the_marker(direction: tuple[f
         marker = where + MARKER_HAND
         for name in NARROW:
             lens = twin.truth.camera(name).intrinsics
-            np.testing.assert_allclose(
-                find_sphere(both[name], lens), find_sphere(alone[name], lens), atol=0.05
-            )
+            held, free = (find_sphere(images[name], lens) for images in (both, alone))
+            np.testing.assert_allclose(held, free, atol=0.05)
             expected = project_point(twin.truth, name, twin.true_angles()[3:], marker)
             found = find_sphere(both[name], lens, colour="blue")
             np.testing.assert_allclose(found, expected, atol=0.1)

@@ -13,7 +13,7 @@ from vergence.gaze.kalman import (
     predict,
     update,
     update_ratio,
-)
+)  # fmt: skip
 
 R = np.diag([4e-5, 1e-6, 1e-6])  # long along the line of sight
 LEANING_R = np.array([[4e-5, 1e-5, 0], [1e-5, 6e-6, 0], [0, 0, 1e-6]])
@@ -33,13 +33,8 @@ def filtered(points: np.ndarray, *, jerk: float = JERK, R: np.ndarray = R) -> li
 def wandering(rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
     """Return a path (n, 9) by the filter's own model, and measurements (n, 3) of it."""
     dt = STEP_S
-    growth = np.array(
-        [
-            [dt**5 / 20, dt**4 / 8, dt**3 / 6],
-            [dt**4 / 8, dt**3 / 3, dt**2 / 2],
-            [dt**3 / 6, dt**2 / 2, dt],
-        ]
-    )
+    G = np.array([[dt**5 / 20, dt**4 / 8, dt**3 / 6], [0, dt**3 / 3, dt**2 / 2], [0, 0, dt]])
+    growth = G + np.triu(G, 1).T
     root = np.linalg.cholesky(JERK * np.kron(growth, np.eye(3)))
     state = np.concatenate([[0.6, 0, 0], rng.normal(0, 0.3, 3), rng.normal(0, 0.5, 3)])
     path = [state]
@@ -132,9 +127,7 @@ def moving(times: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("ratio", [0.01, 0.3, 1.0, 4.0])
 def test_the_innovation_ratio_is_estimated_while_the_object_moves(ratio: float):
     rng = np.random.default_rng(1)
-    times = np.cumsum(
-        rng.choice([STEP_S, 2 * STEP_S], 400, p=[0.8, 0.2])
-    )  # some frames are missing
+    times = np.cumsum(rng.choice([STEP_S, 2 * STEP_S], 400, p=[0.8, 0.2]))  # with missing frames
     noise = rng.multivariate_normal(np.zeros(3), ratio * LEANING_R, len(times))
     shared = np.array([0.01, -0.004, 0.002])  # a systematic error
     found = ratio_after(moving(times) + shared + noise, times).value
@@ -164,15 +157,9 @@ def test_a_filter_with_the_innovation_ratio_beats_single_frames_that_share_an_er
         ratio, track, fused = InnovationRatio(), None, []
         for time_s, point in zip(times, points, strict=True):
             ratio = update_ratio(ratio, float(time_s), point, LEANING_R)
-            track = fuse(
-                track,
-                float(time_s),
-                point,
-                LEANING_R,
-                motion=MotionModel(),
-                gate_chi2=np.inf,
-                innovation_ratio=ratio.value if weighs else 1.0,
-            )
+            weight = ratio.value if weighs else 1.0
+            rest = {"motion": MotionModel(), "gate_chi2": np.inf, "innovation_ratio": weight}
+            track = fuse(track, float(time_s), point, LEANING_R, **rest)
             fused.append(track.position)
         squared[weighs] = float(np.mean((np.array(fused) - truth)[30:] ** 2))
     single = float(np.mean((points - truth)[30:] ** 2))

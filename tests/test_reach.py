@@ -18,7 +18,7 @@ from vergence.reach.state import (
     ReachState,
     initial_reach_state,
     target_covariance,
-)
+)  # fmt: skip
 
 SETTINGS = ReachSettings(gaze=GazeSettings(calibration=four_cameras()), marker_hand=MARKER_HAND)
 OBJECT = point_at(5, 6, 0.45)
