@@ -112,10 +112,7 @@ def write_table(folder: Path, table: list[dict[str, Any]]) -> None:
 
 
 def write_dataset(
-    folder: Path,
-    table: list[dict[str, Any]],
-    about: dict[str, Any],
-    images: dict[str, np.ndarray],
+    folder: Path, table: list[dict[str, Any]], about: dict[str, Any], images: dict[str, np.ndarray]
 ) -> None:
     """Write a dataset with json, csv and cv2 alone."""
     (folder / "images").mkdir(parents=True)

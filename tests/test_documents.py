@@ -240,35 +240,25 @@ def test_links_of_a_page_of_the_site_lead_to_pages_and_no_source_files():
     assert site_pages.relink(text, "README.md") == "[a](gaze.md#x) b ![c](images/gaze.png)"
 
 
-@pytest.fixture(scope="module")
-def my_head(tmp_path_factory: pytest.TempPathFactory, opengl: None) -> Path:
-    """Return a small dataset from the twin."""
-    folder = tmp_path_factory.mktemp("readme") / "my_head"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["vergence", "record", "--out", str(folder), "--frames", "20"])
-        cli.main()
-    return folder
-
-
 @pytest.mark.render
-def test_the_program_on_the_first_screen_finds_where_points_are(
-    my_head, tmp_path, monkeypatch, capsys
-):
+def test_the_program_on_the_first_screen_finds_where_points_are(tmp_path, monkeypatch, capsys):
     from vergence.commands.truth import TRUTH, load
 
     monkeypatch.chdir(tmp_path)
-    truth = load(my_head / TRUTH).head
+    record = ["vergence", "record", "--out", "my_head", "--frames", "20"]
+    monkeypatch.setattr(sys, "argv", record)
+    cli.main()
+    truth = load(Path("my_head") / TRUTH).head
     there = np.array([[0.5, -0.05, 0.02], [0.7, 0.1, -0.05]])
     angles = np.array([0.05, -0.02, 0.1, -0.02])
     left, right = (
         vergence.project_point(truth, f"{eye}_wide", angles, there) for eye in ("left", "right")
     )
-    names = {"uv_left": left, "uv_right": right, "angles": angles}
+    names: dict[str, Any] = {"uv_left": left, "uv_right": right, "angles": angles}
     code = first("README.md", "python")
     assert '"my_head/"' in code
-    code = code.replace('"my_head/"', repr(str(my_head)))
     exec(compile(code, "README.md", "exec"), names)
-    points: Any = names["points"]
+    points = names["points"]
     assert (points.status == vergence.Status.OK).all()
     error = points.xyz - there
     distance = np.einsum("ni,nij,nj->n", error, np.linalg.inv(points.covariance), error)

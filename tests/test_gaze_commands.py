@@ -9,14 +9,7 @@ from hypothesis import strategies as st
 
 from recordings import small_dataset
 from vergence.data.reader import load_dataset
-from vergence.gaze.commands import (
-    HeadCommand,
-    JointLimits,
-    RecordedHead,
-    commanded,
-    hold,
-    setpoint,
-)
+from vergence.gaze.commands import HeadCommand, JointLimits, RecordedHead, commanded, hold, setpoint
 from vergence.twin.model import JOINTS, load_spec
 
 LIMITS = JointLimits()
@@ -36,14 +29,10 @@ def test_set_points_keep_ranges_and_speeds(start, goal, rate, time_s):
     assert (np.abs(now - start) <= LIMITS.speed_rad_s * (time_s - 1) + 1e-12).all()
 
 
-def test_a_goal_within_reach_is_reached_and_followed_while_it_moves():
+def test_a_goal_is_reached_and_followed_until_no_further_command_comes():
     moving = command(goal=0.1, rate=0.5)
     np.testing.assert_allclose(setpoint(moving, 1.05), 0.125)
     np.testing.assert_array_equal(setpoint(moving, 0.5), 0)  # not before its time
-
-
-def test_a_goal_stops_when_no_further_command_comes():
-    moving = command(goal=0.1, rate=0.5)
     np.testing.assert_allclose(setpoint(moving, 1.1), setpoint(moving, 9.0))
 
 

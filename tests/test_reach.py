@@ -128,19 +128,15 @@ def test_the_hand_stays_at_home_while_the_object_is_out_of_reach():
     assert state.target is None
 
 
-def away(time_s: float) -> Array:
-    """Return a position that moves away before the hand arrives."""
-    return OBJECT + np.array([0.3 * min(max(time_s - 1.0, 0.0), 2.0), 0.0, 0.0])
-
-
-def hidden(time_s: float) -> Array | None:
-    return OBJECT if time_s < 1.0 else None
-
-
-@pytest.mark.parametrize(("path", "ends"), [(away, ReachPhase.TRACK), (hidden, ReachPhase.SEEK)])
-def test_the_hand_goes_home_when_the_object_is_gone(
-    path: Callable[[float], Array | None], ends: ReachPhase
-):
+@pytest.mark.parametrize(
+    ("path", "ends"),
+    [
+        (lambda t: OBJECT + np.array([0.3 * np.clip(t - 1, 0, 2), 0.0, 0.0]), ReachPhase.TRACK),
+        (lambda t: OBJECT if t < 1.0 else None, ReachPhase.SEEK),
+    ],
+    ids=["moves away", "hidden"],
+)
+def test_the_hand_goes_home_when_the_object_is_gone(path, ends: ReachPhase):
     head = DrawnHeadWithHand(path, home=SETTINGS.home)
     state, phases = run(head, 3.5)
     assert ReachPhase.REACH in phases

@@ -21,21 +21,23 @@ from vergence.geometry.kinematics import EYE_COLUMNS, EYES, EyeAxes, T_base_eye
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import transform
 from vergence.twin.calibration_sequence import BOARD
-from vergence.twin.profile import ErrorProfile, load_profile
+from vergence.twin.profile import (
+    CalibrationMade,
+    ErrorProfile,
+    Image,
+    Joints,
+    Mounting,
+    load_profile,
+)
 
-PROFILE = ErrorProfile.model_validate(
-    {
-        "name": "test",
-        "mounting": {"rotation_deg": 0.7, "translation_mm": 2.0},
-        "image": {"noise_grey": 1.5, "blur_px": 0.4},
-        "joints": {
-            "noise_deg": 0.02,
-            "delay_ms": 20,
-            "gain_percent": [1.0, 0.0, -0.5, 0.0],
-            "offset_deg": [0.3, 0.0, 0.0, -0.2],
-        },
-        "calibration": {"square_percent": 2.0},
-    }
+PROFILE = ErrorProfile(
+    name="test",
+    mounting=Mounting(rotation_deg=0.7, translation_mm=2.0),
+    image=Image(noise_grey=1.5, blur_px=0.4),
+    joints=Joints(
+        noise_deg=0.02, delay_ms=20, gain_percent=(1.0, 0, -0.5, 0), offset_deg=(0.3, 0, 0, -0.2)
+    ),
+    calibration=CalibrationMade(square_percent=2.0),
 )
 
 
@@ -112,12 +114,8 @@ def test_the_truth_is_in_one_file_alone(recorded):
     about = json.loads((dataset.folder / "dataset.json").read_text())
     assert set(about["cameras"]) == set(truth.head.cameras)
     assert all("intrinsics" not in camera for camera in about["cameras"].values())
-    assert {p.name for p in dataset.folder.iterdir()} == {
-        "dataset.json",
-        "frames.csv",
-        "images",
-        "truth.json",
-    }
+    names = sorted(path.name for path in dataset.folder.iterdir())
+    assert names == ["dataset.json", "frames.csv", "images", "truth.json"]
 
 
 def test_a_wrongly_printed_board_is_true_only_in_the_truth(recorded):

@@ -163,28 +163,21 @@ def test_a_frame_carries_what_a_real_head_would_give_and_no_truth(make: Make):
     assert frame.time_s == frame.joint_time_s == pytest.approx(0.1)
 
 
-def test_readings_are_as_old_as_the_delay_says(make: Make):
-    twin = make(ErrorProfile(joints=Joints(delay_ms=26)), seed=0)
+@pytest.mark.parametrize("delay_ms", [26, -26])
+def test_readings_are_older_than_the_image_by_the_delay(make: Make, delay_ms: int):
+    """With a negative delay the image is the older one."""
+    twin = make(ErrorProfile(joints=Joints(delay_ms=delay_ms)), seed=0)
     twin.advance(0.5, sweep)
-    before = twin.true_angles()[EYES]
+    read, true = twin.expose(NOTHING_SEEN).eye_angles, twin.true_angles()[EYES]
     twin.advance(0.526, sweep)
-    exposure = twin.expose(NOTHING_SEEN)
-    np.testing.assert_allclose(exposure.eye_angles, before, atol=1e-12)
-    assert np.abs(exposure.eye_angles - twin.true_angles()[EYES]).max() > 0.01
-
-
-def test_with_a_negative_delay_the_image_is_the_older_one(make: Make):
-    twin = make(ErrorProfile(joints=Joints(delay_ms=-26)), seed=0)
-    twin.advance(0.5, sweep)
-    before = twin.expose(NOTHING_SEEN).eye_angles
-    twin.advance(0.526, sweep)
-    after = twin.expose(NOTHING_SEEN).eye_angles
-    assert np.abs(after - before).max() > 0.01
-    np.testing.assert_allclose(twin.true_angles()[EYES], before, atol=1e-12)
-    # And that is where the eye stands in the picture.
+    read_later, true_later = twin.expose(NOTHING_SEEN).eye_angles, twin.true_angles()[EYES]
+    older, before = (read_later, true) if delay_ms > 0 else (true_later, read)
+    np.testing.assert_allclose(older, before, atol=1e-12)
+    assert np.abs(read_later - true_later).max() > 0.01
+    # And the true angles are where the eye stands in the picture.
     poses = twin.body_poses()
     R_head_eye = poses["head"][:3, :3].T @ poses["left_eye"][:3, :3]
-    np.testing.assert_allclose(R_head_eye, T_base_eye(before[:2])[:3, :3], atol=1e-9)
+    np.testing.assert_allclose(R_head_eye, T_base_eye(true_later[:2])[:3, :3], atol=1e-9)
 
 
 def test_backlash_shows_when_a_posture_is_reached_from_both_sides(make: Make):
