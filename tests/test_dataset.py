@@ -37,8 +37,8 @@ def test_a_dataset_is_read_as_it_was_written(folder):
     assert dataset.eye_angles.tolist() == [[row[name] for name in JOINTS] for row in table]
     assert (dataset.neck_angles == 0).all()
     assert dataset.lines.tolist() == [2, 3, 4, 5]
-    assert dataset.files["right_wide"] == ("images/right_0.png", None, "images/right_2.png",
-                                           "images/right_3.png")  # fmt: skip
+    right = [None if k == 1 else f"images/right_{k}.png" for k in range(4)]
+    assert list(dataset.files["right_wide"]) == right
     assert not dataset.moving.any()
     assert dataset.remarks == ()
     assert dataset.T_base_eye is None

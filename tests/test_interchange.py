@@ -87,18 +87,6 @@ def test_intrinsics_survive_kalibr_and_ros_to_the_last_digit(seed, tmp_path_fact
         assert numbers(chain[name][0]) == numbers(infos[name]) == numbers(mounted.intrinsics)
 
 
-def test_a_camchain_has_every_field_that_kalibr_requires(tmp_path):
-    head = plain(4)
-    kalibr.save(head, tmp_path / "camchain.yaml")
-    content = yaml.safe_load((tmp_path / "camchain.yaml").read_text())
-    assert list(content) == ["cam0", "cam1", "cam2", "cam3"]
-    required = {"camera_model", "intrinsics", "distortion_model", "distortion_coeffs"}
-    required |= {"resolution", "rostopic", "cam_overlaps"}
-    for k, cam in enumerate(content.values()):
-        assert set(cam) == required | ({"T_cn_cnm1"} if k else set())
-        assert (cam["camera_model"], cam["distortion_model"]) == ("pinhole", "radtan")
-
-
 def radtan(cam: dict, points: np.ndarray) -> np.ndarray:
     """Return pixels by Kalibr's own formulas (aslam_cv RadialTangentialDistortion)."""
     x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
@@ -111,15 +99,18 @@ def radtan(cam: dict, points: np.ndarray) -> np.ndarray:
     return np.stack([fu * u + pu, fv * v + pv], axis=-1)
 
 
-def test_a_camchain_projects_as_the_head_does(tmp_path):
-    head = plain(5)
+def test_a_camchain_has_every_field_that_kalibr_requires_and_projects_as_the_head_does(tmp_path):
+    head, points = plain(5), rays(np.random.default_rng(1))
     kalibr.save(head, tmp_path / "camchain.yaml")
     content = yaml.safe_load((tmp_path / "camchain.yaml").read_text())
-    points = rays(np.random.default_rng(1))
-    for cam, mounted in zip(content.values(), head.cameras.values(), strict=True):
-        np.testing.assert_allclose(
-            radtan(cam, points), project(mounted.intrinsics, points), atol=1e-9
-        )
+    assert list(content) == ["cam0", "cam1", "cam2", "cam3"]
+    required = {"camera_model", "intrinsics", "distortion_model", "distortion_coeffs"}
+    required |= {"resolution", "rostopic", "cam_overlaps"}
+    for k, (cam, mounted) in enumerate(zip(content.values(), head.cameras.values(), strict=True)):
+        assert set(cam) == required | ({"T_cn_cnm1"} if k else set())
+        assert (cam["camera_model"], cam["distortion_model"]) == ("pinhole", "radtan")
+        exact = project(mounted.intrinsics, points)
+        np.testing.assert_allclose(radtan(cam, points), exact, atol=1e-9)
 
 
 def test_a_camchain_leads_from_camera_to_camera(tmp_path):
