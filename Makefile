@@ -20,13 +20,13 @@ test: .venv/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
-	$(BIN)/pytest -n auto --dist worksteal
+	$(BIN)/pytest -n auto --dist loadfile
 
 check: .venv/installed
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/pyright
-	$(BIN)/pytest -n auto --dist worksteal -m "not render and not slow"
+	$(BIN)/pytest -n auto --dist loadfile -m "not render and not slow"
 
 docs: .venv/installed-docs
 	$(BIN)/python docs/site_pages.py site/pages

@@ -12,6 +12,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices; workers ha
 if sys.platform.startswith("linux"):
     os.environ.setdefault("MUJOCO_GL", "egl")  # read when a test imports mujoco, before the twin
 
+import numpy as np
 import pytest
 from hypothesis import settings
 
@@ -43,7 +44,20 @@ def few_views(monkeypatch: pytest.MonkeyPatch) -> None:
     """Shorten the twin's calibration sequence, where a test does not depend on its accuracy."""
     from vergence.twin.calibration_sequence import plan
 
-    monkeypatch.setitem(plan.__kwdefaults__, "views", (6, 4, 12))
+    monkeypatch.setitem(plan.__kwdefaults__, "views", (4, 3, 8))
+
+
+@pytest.fixture
+def true_calibration(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give the demos the true calibration, which takes no images."""
+    from vergence.demos import experiment
+    from vergence.gaze.state import GazeSettings
+
+    def given(twin, seed: int) -> GazeSettings:
+        joint_std_rad = np.hypot(5e-5, np.radians(twin.profile.joints.noise_deg))
+        return GazeSettings(calibration=twin.truth, joint_std_rad=float(joint_std_rad))
+
+    monkeypatch.setattr(experiment, "calibrate_twin", given)
 
 
 @pytest.hookimpl(wrapper=True)

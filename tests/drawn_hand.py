@@ -2,15 +2,11 @@
 
 from collections.abc import Callable
 
-import cv2
 import numpy as np
 
 from drawn_head import DrawnHead
 from vergence.arrays import Array
-from vergence.gaze.commands import EYES_4, NECK
-from vergence.geometry.camera import project
-from vergence.geometry.head import T_base_cam, T_body_base
-from vergence.geometry.se3 import inverse, pose, transform
+from vergence.geometry.se3 import pose, transform
 from vergence.reach.state import HandCommand, HandReading, hand_goal
 
 MARKER_HAND = np.array([-0.026, 0.0, -0.052])
@@ -67,18 +63,5 @@ class DrawnHeadWithHand(DrawnHead):
         if not self.shown(time_s):
             return image
         self.hand.advance(time_s)
-        angles, mounted = self.posture(time_s), self.calibration.cameras[name]
-        eyes = angles[EYES_4][:2] if mounted.eye == "left" else angles[EYES_4][2:]
-        T_body_cam = T_body_base(self.calibration, mounted.eye, angles[NECK]) @ T_base_cam(
-            self.calibration, name, eyes
-        )
         marker = self.hand.true(self.hand.position + MARKER_HAND)
-        point = transform(inverse(T_body_cam), marker)
-        if point[2] <= 0.05 or np.hypot(*point[:2]) > 1.5 * point[2]:
-            return image
-        centre = project(mounted.intrinsics, point)
-        radius = mounted.intrinsics.matrix[0, 0] * _RADIUS_M / point[2]
-        if not (np.abs(centre) < 2000).all():
-            return image
-        u, v, r = (round(float(x) * 16) for x in (*centre, radius))
-        return cv2.circle(image, (u, v), r, (20, 20, 220), -1, cv2.LINE_AA, 4)
+        return self.dot(image, name, time_s, marker, _RADIUS_M, (20, 20, 220))

@@ -100,38 +100,39 @@ class DrawnHead:
         )
         return self.last
 
-    def in_camera(self, name: str, time_s: float) -> Array | None:
-        """Return the object (3,) [m] in frame cam; None where it is hidden."""
-        point = self.path(time_s)
-        if point is None:
-            return None
+    def in_camera(self, name: str, time_s: float, point: Array) -> Array:
+        """Map a point (3,) [m] from frame body to frame cam."""
         angles, eye = self.posture(time_s), self.calibration.cameras[name].eye
         eyes = angles[EYES_4][:2] if eye == "left" else angles[EYES_4][2:]
-        T = T_body_base(self.calibration, eye, angles[NECK]) @ T_base_cam(
-            self.calibration, name, eyes
-        )
-        return transform(inverse(T), point)
+        T = T_body_base(self.calibration, eye, angles[NECK])
+        return transform(inverse(T @ T_base_cam(self.calibration, name, eyes)), point)
 
     def _draw(self, name: str, time_s: float) -> np.ndarray:
-        image, point = self._blank.copy(), self.in_camera(name, time_s)
-        if point is None or point[2] <= 0.05:
+        image, point = self._blank.copy(), self.path(time_s)
+        if point is None:
+            return image
+        return self.dot(image, name, time_s, point, _RADIUS_M, (220, 20, 20))
+
+    def dot(self, image, name: str, time_s: float, point: Array, radius_m, colour) -> np.ndarray:
+        """Draw a sphere at a point (3,) [m] in frame body, if the camera sees it."""
+        x, y, z = seen = self.in_camera(name, time_s, point)
+        if z <= 0.05 or np.hypot(x, y) > 2 * z:
             return image
         camera = self.calibration.cameras[name].intrinsics
         with np.errstate(over="ignore"):
-            centre = project(camera, point)
-        if not (np.abs(centre) < 2000).all() or np.hypot(*point[:2]) > 2 * point[2]:
+            centre = project(camera, seen)
+        if not (np.abs(centre) < 2000).all():
             return image
-        radius = camera.matrix[0, 0] * _RADIUS_M / point[2]
-        u, v, r = (round(float(x) * 16) for x in (*centre, radius))
-        return cv2.circle(image, (u, v), r, (220, 20, 20), -1, cv2.LINE_AA, 4)
+        u, v, r = (round(float(x) * 16) for x in (*centre, camera.matrix[0, 0] * radius_m / z))
+        return cv2.circle(image, (u, v), r, colour, -1, cv2.LINE_AA, 4)
 
     def errors_px(self, time_s: float) -> Array:
         """Return the distances (2,) [px] of the object from the centres of the narrow images."""
-        errors = []
-        for eye in EYES:
-            point = self.in_camera(f"{eye}_narrow", time_s)
-            camera = self.calibration.cameras[f"{eye}_narrow"].intrinsics
-            where = np.full(2, np.nan) if point is None else project(camera, point)
+        point, errors = self.path(time_s), []
+        for name in ("left_narrow", "right_narrow"):
+            camera, where = self.calibration.cameras[name].intrinsics, np.full(2, np.nan)
+            if point is not None:
+                where = project(camera, self.in_camera(name, time_s, point))
             errors.append(np.linalg.norm(where - camera.matrix[:2, 2]))
         return np.array(errors)
 

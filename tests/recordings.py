@@ -100,6 +100,10 @@ def rows(count: int) -> list[dict[str, Any]]:
     ]
 
 
+def without(table: list[dict[str, Any]], *columns: str) -> list[dict[str, Any]]:
+    return [{name: row[name] for name in row if name not in columns} for row in table]
+
+
 def write_table(folder: Path, table: list[dict[str, Any]]) -> None:
     with (folder / "frames.csv").open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, list(table[0]))
@@ -108,10 +112,7 @@ def write_table(folder: Path, table: list[dict[str, Any]]) -> None:
 
 
 def write_dataset(
-    folder: Path,
-    table: list[dict[str, Any]],
-    about: dict[str, Any],
-    images: dict[str, np.ndarray],
+    folder: Path, table: list[dict[str, Any]], about: dict[str, Any], images: dict[str, np.ndarray]
 ) -> None:
     """Write a dataset with json, csv and cv2 alone."""
     (folder / "images").mkdir(parents=True)

@@ -17,26 +17,10 @@ import pytest
 SRC = Path(__file__).parents[1] / "src"
 
 ROOMS = (
-    "errors",
-    "arrays",
-    "files",
-    "progress",
-    "geometry",
-    "data",
-    "vision",
-    "stereo",
-    "calibration",
-    "gaze",
-    "reach",
-    "interchange",
-    "vergence",
-    "twin",
-    "viewer",
-    "commands",
-    "paper",
-    "demos",
+    "errors", "arrays", "files", "progress", "geometry", "data", "vision", "stereo", "calibration",
+    "gaze", "reach", "interchange", "vergence", "twin", "viewer", "commands", "paper", "demos",
     "cli",
-)
+)  # fmt: skip
 """Folders and single modules, from the ground up: each may import itself and those before it.
 
 `vergence` is the public face, `vergence/__init__.py`: it offers names of the core, all that stands
@@ -44,14 +28,8 @@ before it, and the core does not import it.
 """
 CORE = ROOMS[: ROOMS.index("vergence") + 1]
 CALIBRATION = (
-    "observations",
-    "sequential",
-    "detection",
-    "bundle",
-    "checks",
-    "summary",
-    "calibrate",
-)
+    "observations", "sequential", "detection", "bundle", "checks", "summary", "calibrate",
+)  # fmt: skip
 """The same order inside the largest room; modules and subfolders that it lacks do not matter."""
 
 CORE_LIBRARIES = ("numpy", "scipy", "cv2", "pydantic", "yaml")

@@ -8,7 +8,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recordings import change_about, change_cell, refusal, rows, small_dataset, write_table
+from recordings import (
+    change_about,
+    change_cell,
+    refusal,
+    rows,
+    small_dataset,
+    without,
+    write_table,
+)  # fmt: skip
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.kinematics import EYE_JOINTS
@@ -99,10 +107,7 @@ def test_a_bad_field_is_named(folder, change, sentence):
 
 @pytest.mark.parametrize("column", ["time_s", "joint_time_s", "placement", "left_pan", "left_wide"])
 def test_a_missing_column_is_named(folder, column):
-    table = rows(4)
-    for row in table:
-        del row[column]
-    write_table(folder, table)
+    write_table(folder, without(rows(4), column))
     assert f"the column {column!r} is missing; found" in refusal(folder)
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recording_reader import read_series
 from recordings import description, write_dataset
+from rrd import read_series
 from simulated_head import plain_head
 from simulated_recording import BOARD, as_poses
 from test_other_heads import recorded as recorded_of_another
@@ -43,10 +43,8 @@ def test_a_recorded_head_is_calibrated_and_evaluated(recorded, tmp_path, monkeyp
     hidden = recorded / "truth.json"
     aside = hidden.rename(recorded / "hidden.json")  # calibration must do without it
     try:
-        run(
-            monkeypatch,
-            *("calibrate", recorded, "--out", out, "--report", report, "--json", accuracy),
-        )
+        words = ("calibrate", recorded, "--out", out, "--report", report, "--json", accuracy)
+        run(monkeypatch, *words)
     finally:
         aside.rename(hidden)
     run(monkeypatch, "evaluate", out, "--truth", hidden, "--json", errors)
@@ -65,13 +63,8 @@ def test_a_recorded_head_is_calibrated_and_evaluated(recorded, tmp_path, monkeyp
         assert camera["focal_percent"] < 0.5
     stated = json.loads(accuracy.read_text())
     assert stated["verdict"] in printed
-    assert {path.name for path in report.iterdir()} == {
-        "report.md",
-        "coverage.png",
-        "residuals.png",
-        "worst_views.png",
-        "dataset.rrd",
-    }
+    files = {path.name for path in report.iterdir()}
+    assert files == {"report.md", "coverage.png", "residuals.png", "worst_views.png", "dataset.rrd"}
     _check_recording(report / "dataset.rrd", recorded, stated)
     assert (report / "report.md").read_text().splitlines()[2].startswith(stated["verdict"])
 
@@ -113,11 +106,7 @@ def test_an_exported_head_comes_back(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("keep", "named"),
-    [
-        (lambda row: row < 0, "frames.csv"),
-        (lambda row: row < 2, "shows the board in [02] images at rest"),
-    ],
+    ("keep", "named"), [(0, "frames.csv"), (2, "shows the board in [02] images at rest")]
 )
 def test_too_little_data_ends_in_a_sentence(keep, named, recorded, tmp_path, monkeypatch, capsys):
     folder = tmp_path / "dataset"
@@ -125,8 +114,7 @@ def test_too_little_data_ends_in_a_sentence(keep, named, recorded, tmp_path, mon
     shutil.copytree(recorded / "images", folder / "images")
     (folder / "dataset.json").write_text((recorded / "dataset.json").read_text())
     head, *rows = (recorded / "frames.csv").read_text().splitlines()
-    rows = [row for k, row in enumerate(rows) if keep(k)]
-    (folder / "frames.csv").write_text("\n".join([head, *rows]) + "\n")
+    (folder / "frames.csv").write_text("\n".join([head, *rows[:keep]]) + "\n")
     with pytest.raises(SystemExit) as stopped:
         run(monkeypatch, "calibrate", folder, "--out", tmp_path / "c.json")
     assert stopped.value.code == 2

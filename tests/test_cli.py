@@ -1,6 +1,5 @@
 """The command line: mistakes end in one sentence and exit code 2, runs in the stated files."""
 
-import json
 import os
 import re
 import subprocess
@@ -11,20 +10,6 @@ import pytest
 
 from vergence import __version__, cli
 from vergence.commands.invocation import invocation
-from vergence.errors import VergenceError
-from vergence.geometry.head import load_head
-
-BAD_PROFILES = {
-    "unknown section": "[jionts]\nnoise_deg = 1\n",
-    "unknown value": "[joints]\nnoise = 1\n",
-    "negative noise": "[joints]\nnoise_deg = -1\n",
-    "noise that is text": '[joints]\nnoise_deg = "much"\n',
-    "noise that is not finite": "[joints]\nnoise_deg = nan\n",
-    "three gains for four joints": "[joints]\ngain_percent = [1, 2, 3]\n",
-    "unknown lens model": '[calibration]\nwide_lens = "fisheye"\n',
-    "delay beyond the sensors' memory": "[joints]\ndelay_ms = 1000\n",
-    "not TOML": "[joints\n",
-}
 
 BAD_ARGUMENTS = {
     "unknown figure": (["--figures", "5"], "figures 6 to 11"),
@@ -46,15 +31,13 @@ BAD_ARGUMENTS = {
 }
 
 
-def run(arguments: list[str], capsys: pytest.CaptureFixture, monkeypatch) -> tuple[int, str]:
-    """Return the exit code and what was printed."""
-    monkeypatch.setattr(sys, "argv", ["vergence", "reproduce", *arguments])
-    with pytest.raises(SystemExit) as stopped:
+def refused(arguments: list[str], capsys: pytest.CaptureFixture, monkeypatch) -> str:
+    """Return what is printed when a command line is refused."""
+    monkeypatch.setattr(sys, "argv", ["vergence", *arguments])
+    with pytest.raises(SystemExit, match="2"):
         cli.main()
     written = capsys.readouterr()
-    code = stopped.value.code
-    assert isinstance(code, int)
-    return code, written.err + written.out
+    return written.err + written.out
 
 
 @pytest.mark.parametrize("case", BAD_ARGUMENTS)
@@ -63,45 +46,18 @@ def test_bad_argument_ends_in_a_sentence(case, capsys, monkeypatch, tmp_path):
     Path("file").write_text("in the way")
     Path("folder.toml").mkdir()
     arguments, named = BAD_ARGUMENTS[case]
-    code, text = run(arguments, capsys, monkeypatch)
-    assert code == 2
+    text = refused(["reproduce", *arguments], capsys, monkeypatch)
     assert named in text
     assert "Traceback" not in text
 
 
-@pytest.mark.parametrize("case", BAD_PROFILES)
-def test_bad_profile_ends_in_a_sentence_that_names_the_value(case, capsys, monkeypatch, tmp_path):
+def test_a_bad_profile_ends_in_a_sentence_that_names_the_value(capsys, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    Path("mine.toml").write_text(BAD_PROFILES[case])
-    code, text = run(["--profile", "mine.toml"], capsys, monkeypatch)
-    assert code == 2
+    Path("mine.toml").write_text("[joints]\nnoise_deg = -1\n")
+    text = refused(["reproduce", "--profile", "mine.toml"], capsys, monkeypatch)
     assert text.count("\n") == 1
     assert "mine.toml" in text
-
-
-@pytest.mark.parametrize(
-    ("content", "named"),
-    [
-        ("", "JSON"),
-        ("{}", "cameras"),
-        ('{"cameras": {}, "T_rbase_lbase": [[1, 2], [3, 4]]}', "T_rbase_lbase"),
-        (
-            '{"cameras": {}, "T_rbase_lbase": [[2,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}',
-            "rigid",
-        ),
-    ],
-)
-def test_corrupt_calibration_is_refused_in_a_sentence(content, named, tmp_path):
-    path = tmp_path / "calibration.json"
-    path.write_text(content)
-    with pytest.raises(VergenceError, match=named) as refused:
-        load_head(path)
-    assert "\n" not in str(refused.value)
-
-
-def test_missing_calibration_is_refused_in_a_sentence(tmp_path):
-    with pytest.raises(VergenceError, match="No such file"):
-        load_head(tmp_path / "none.json")
+    assert "joints.noise_deg = -1" in text
 
 
 def test_missing_opengl_says_what_to_install():
@@ -117,18 +73,9 @@ def test_missing_opengl_says_what_to_install():
     assert "Traceback" not in done.stderr
 
 
-def refused(arguments: list[str], capsys: pytest.CaptureFixture, monkeypatch) -> str:
-    """Return the one line in which a command line is refused."""
-    monkeypatch.setattr(sys, "argv", ["vergence", *arguments])
-    with pytest.raises(SystemExit, match="2"):
-        cli.main()
-    text = capsys.readouterr().err
-    assert text.count("\n") == 1
-    return text
-
-
 def test_an_unknown_command_is_answered_with_the_known_ones(capsys, monkeypatch):
     text = refused(["reproduced"], capsys, monkeypatch)
+    assert text.count("\n") == 1
     assert "'reproduced'" in text
     assert ", ".join(cli.COMMANDS) in text
     assert "vergence --help" in text
@@ -144,6 +91,7 @@ def test_an_unknown_command_is_answered_with_the_known_ones(capsys, monkeypatch)
 )
 def test_an_unknown_option_is_answered_with_the_known_ones(arguments, known, capsys, monkeypatch):
     text = refused(arguments, capsys, monkeypatch)
+    assert text.count("\n") == 1
     assert known in text
     assert f"vergence {arguments[0]} --help" in text
 
@@ -165,8 +113,8 @@ def test_the_version_is_that_of_the_package(capsys, monkeypatch):
 
 def test_a_refused_run_does_not_speak_of_replacing_results(capsys, monkeypatch, tmp_path):
     (tmp_path / "statistics.json").write_text("{}")
-    _, text = run(["--out", str(tmp_path), "--figures", "5"], capsys, monkeypatch)
-    assert "Replacing" not in text
+    arguments = ["reproduce", "--out", str(tmp_path), "--figures", "5"]
+    assert "Replacing" not in refused(arguments, capsys, monkeypatch)
 
 
 @pytest.fixture
@@ -190,26 +138,3 @@ def test_a_printed_command_can_be_typed(environment, monkeypatch):
     monkeypatch.setenv("PATH", str(environment))
     assert invocation("rerun", "a.rrd") == "rerun a.rrd"
     assert invocation("absent") == "absent"
-
-
-@pytest.mark.usefixtures("few_views")
-@pytest.mark.render
-def test_the_seed_of_a_run_is_written_down(tmp_path, monkeypatch):
-    out = tmp_path / "run"
-    arguments = ["--figures", "6", "--duration", "2", "--rate", "4", "--seed", "3"]
-    monkeypatch.setattr(
-        sys, "argv", ["vergence", "reproduce", "--out", str(out), "--profile", "ideal", *arguments]
-    )
-    cli.main()
-    summary = json.loads((out / "statistics.json").read_text())
-    assert summary["seed"] == 3
-    assert summary["profile"] == "ideal"
-    assert summary["fitted_parameters"] == 0
-    assert list(summary["figures"]) == ["6"]
-    assert {path.name for path in out.iterdir()} == {
-        "calibration-2.8mm.json",
-        "fig06.rrd",
-        "figures.png",
-        "report.md",
-        "statistics.json",
-    }

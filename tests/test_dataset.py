@@ -1,6 +1,5 @@
 """Datasets on disk: good ones are read as they were meant."""
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +13,11 @@ from recordings import (
     refusal,
     rows,
     small_dataset,
+    without,
     write_dataset,
     write_table,
-)
-from simulated_head import random_pose
-from vergence.data.dataset import pose_columns, runs
+)  # fmt: skip
+from vergence.data.dataset import runs
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
 
@@ -38,8 +37,8 @@ def test_a_dataset_is_read_as_it_was_written(folder):
     assert dataset.eye_angles.tolist() == [[row[name] for name in JOINTS] for row in table]
     assert (dataset.neck_angles == 0).all()
     assert dataset.lines.tolist() == [2, 3, 4, 5]
-    assert dataset.files["right_wide"] == ("images/right_0.png", None, "images/right_2.png",
-                                           "images/right_3.png")  # fmt: skip
+    right = [None if k == 1 else f"images/right_{k}.png" for k in range(4)]
+    assert list(dataset.files["right_wide"]) == right
     assert not dataset.moving.any()
     assert dataset.remarks == ()
     assert dataset.T_base_eye is None
@@ -87,9 +86,8 @@ def test_units_signs_and_columns_are_those_of_the_head(folder):
             "joints.neck_yaw": {"column": "yaw", "unit": "rad", "sign": -1},
         },
     )
-    table = rows(2)
+    table = without(rows(2), "left_pan", "left_tilt", "right_tilt")
     for k, row in enumerate(table):
-        del row["left_pan"], row["left_tilt"], row["right_tilt"]
         row |= {"eyes_version": 20 * k, "eyes_tilt": -10, "yaw": 0.3, "placement": k}
     write_table(folder, table)
     dataset = load_dataset(folder)
@@ -97,36 +95,10 @@ def test_units_signs_and_columns_are_those_of_the_head(folder):
     np.testing.assert_allclose(dataset.neck_angles, [[0, 0, -0.3]] * 2)
 
 
-def test_poses_take_the_place_of_angles(folder):
-    change_about(folder, {"joints": {}, "eye_motion": "poses"})
-    rng = np.random.default_rng(3)
-    T = np.array([[random_pose(rng), random_pose(rng)] for _ in range(4)])
-    table = rows(4)
-    for k, row in enumerate(table):
-        for name in JOINTS:
-            del row[name]
-        for e, eye in enumerate(("left", "right")):
-            row |= dict(zip(pose_columns(eye), map(repr, T[k, e].ravel().tolist()), strict=True))
-    write_table(folder, table)
-    dataset = load_dataset(folder)
-    assert dataset.T_base_eye is not None
-    assert (dataset.T_base_eye == T).all()
-    assert np.isnan(dataset.eye_angles).all()
-    assert not runs(dataset).any()
-    table[2]["left_T00"] = "2.0"
-    write_table(folder, table)
-    assert "line 4: left_T00 to left_T33: expected a rigid transform" in refusal(folder)
-
-
 def test_an_eye_without_a_camera_needs_no_joints(folder):
-    change_about(
-        folder,
-        {"cameras.right_wide": None, "joints.right_pan": None, "joints.right_tilt": None},
-    )
-    table = rows(3)
-    for row in table:
-        del row["right_wide"], row["right_pan"], row["right_tilt"]
-    write_table(folder, table)
+    gone = ("right_wide", "right_pan", "right_tilt")
+    change_about(folder, dict.fromkeys(("cameras.right_wide", *(f"joints.{n}" for n in gone[1:]))))
+    write_table(folder, without(rows(3), *gone))
     assert (load_dataset(folder).eye_angles[:, 2:] == 0).all()
 
 
@@ -183,31 +155,3 @@ def test_a_motion_of_two_rows_is_refused(tmp_path):
     moving_dataset(tmp_path / "set", 2)
     with pytest.raises(VergenceError, match="moving rows come at least 3 in sequence"):
         runs(load_dataset(tmp_path / "set"))
-
-
-DOCUMENT = Path(__file__).parents[1] / "docs" / "dataset.md"
-
-
-def fenced(language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
-
-
-def test_the_documented_example_is_a_dataset(tmp_path):
-    (tmp_path / "dataset.json").write_text(fenced("json")[0])
-    table = fenced("text")[0]
-    (tmp_path / "frames.csv").write_text(table)
-    for name in re.findall(r"images/\w+\.png", table):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_bytes(b"")
-    dataset = load_dataset(tmp_path)
-    assert dataset.remarks == ()
-    assert len(dataset) == len(table.splitlines()) - 1
-
-
-def test_the_documented_reader_reads_a_dataset(folder, monkeypatch, capsys):
-    monkeypatch.chdir(folder)
-    exec(compile(fenced("python")[0], "docs/dataset.md", "exec"), {"__name__": "__main__"})
-    printed = capsys.readouterr().out.splitlines()
-    dataset = load_dataset(folder)
-    assert len(printed) == len(dataset)
-    assert f"{dataset.eye_angles[2, 0]:.4f}" in printed[2]

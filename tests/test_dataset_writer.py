@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from recordings import CHARUCO, small_dataset
+from recordings import CHARUCO, refusal, small_dataset
 from simulated_head import random_pose
-from vergence.data.dataset import DatasetCamera, DatasetJoint, Description, Frame
+from vergence.data.dataset import DatasetCamera, DatasetJoint, Description, Frame, runs
 from vergence.data.reader import load_dataset
 from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError
@@ -66,16 +66,19 @@ def test_what_is_written_is_read_back(tmp_path, joint):
             assert np.abs(image[..., 0] - grey).max() <= 1
 
 
-def test_written_poses_are_read_back_exactly(tmp_path):
-    rng = np.random.default_rng(2)
+def test_poses_take_the_place_of_angles_and_are_read_back_exactly(tmp_path):
+    rng, folder = np.random.default_rng(2), tmp_path / "set"
     described = Description(cameras=about().cameras, board=CHARUCO, eye_motion="poses")
-    T = [np.array([random_pose(rng), random_pose(rng)]) for _ in range(3)]
-    made = [
-        DatasetRow(frame=entry.frame, T_base_eye=each)
-        for entry, each in zip(entries(3, rng), T, strict=True)
-    ]
-    write_dataset(tmp_path / "set", described, made)
-    assert (load_dataset(tmp_path / "set").T_base_eye == np.array(T)).all()
+    T = np.array([[random_pose(rng), random_pose(rng)] for _ in range(3)])
+    made = zip(entries(3, rng), T, strict=True)
+    write_dataset(folder, described, [DatasetRow(frame=e.frame, T_base_eye=t) for e, t in made])
+    dataset = load_dataset(folder)
+    assert (dataset.T_base_eye == T).all()
+    assert np.isnan(dataset.eye_angles).all()
+    assert not runs(dataset).any()
+    table = (folder / "frames.csv").read_text()
+    (folder / "frames.csv").write_text(table.replace(repr(float(T[2, 0, 0, 0])), "2.0"))
+    assert "line 4: left_T00 to left_T33: expected a rigid transform" in refusal(folder)
 
 
 def test_a_folder_that_is_not_empty_is_never_overwritten(tmp_path):

@@ -29,8 +29,9 @@ from documents import (
     links,
     prose,
     read,
-)
+)  # fmt: skip
 from vergence import cli
+from vergence.data.reader import load_dataset
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import Accuracy, HeadCalibration, HeldOut, MountedCamera
 from vergence.geometry.kinematics import EyeAxes, Neck
@@ -43,6 +44,11 @@ PYTHON = [
     for k, block in enumerate(blocks(document))
     if block.language == "python"
 ]
+
+
+def first(document: str, language: str) -> str:
+    """Return the first block of a language in a document."""
+    return next(block.text for block in blocks(document) if block.language == language)
 
 
 @pytest.mark.parametrize("cited", sorted(set(re.findall(r"`(test_\w+\.py::test_\w+)`", EQUATIONS))))
@@ -96,27 +102,27 @@ def parse(words: list[str]) -> None:
     )
 
 
+def name_of(program: str, words: list[str]) -> str:
+    """Return the name of a program, and check that the target or script given to it exists."""
+    name = program.removeprefix(".venv/bin/")
+    if name == "make":
+        assert re.search(rf"^{words[0]}:", MAKEFILE, re.MULTILINE), words
+    elif name == "python" and words[0] != "-m":
+        assert (ROOT / words[0]).exists(), words
+    return name
+
+
 @pytest.mark.parametrize("document", DOCUMENTS)
 def test_commands_in_blocks_can_be_typed(document: str):
     for program, *words in commands(document):
-        name = program.removeprefix(".venv/bin/")
-        if name == "vergence" and words != ["--help"]:
+        if name_of(program, words) == "vergence" and words != ["--help"]:
             parse(words)
-        elif name == "make":
-            assert re.search(rf"^{words[0]}:", MAKEFILE, re.MULTILINE), words
-        elif name == "python" and words[0] != "-m":
-            assert (ROOT / words[0]).exists(), words
 
 
 @pytest.mark.parametrize("document", DOCUMENTS)
 def test_commands_in_sentences_have_names_and_options_that_exist(document: str, capsys):
     for program, *words in inline_commands(document):
-        name = program.removeprefix(".venv/bin/")
-        if name == "make":
-            assert re.search(rf"^{words[0]}:", MAKEFILE, re.MULTILINE), words
-        elif name == "python" and words[0].endswith(".py"):
-            assert (ROOT / words[0]).exists(), words
-        elif name == "vergence" and not words[0].startswith("-"):
+        if name_of(program, words) == "vergence" and not words[0].startswith("-"):
             assert words[0] in cli.COMMANDS, words
             with contextlib.suppress(SystemExit):
                 parse([words[0], "--help"])
@@ -146,14 +152,20 @@ def test_the_reader_of_datasets_that_the_document_prints_reads_the_dataset_that_
     tmp_path, monkeypatch, capsys
 ):
     there = {block.language: block.text for block in blocks("docs/dataset.md")}
-    code = next(text.values[1] for text in PYTHON if "csv.DictReader" in str(text.values[1]))
     (tmp_path / "dataset.json").write_text(there["json"])
     (tmp_path / "frames.csv").write_text(there["text"])
+    for name in re.findall(r"images/\w+\.png", there["text"]):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(b"")
+    dataset = load_dataset(tmp_path)
+    assert dataset.remarks == ()
     monkeypatch.chdir(tmp_path)
+    code = next(text.values[1] for text in PYTHON if "csv.DictReader" in str(text.values[1]))
     exec(compile(str(code), "dataset.md", "exec"), {})
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 4
+    assert len(lines) == len(dataset) == len(there["text"].splitlines()) - 1 == 4
     assert "left_pan -0.1415" in lines[2]  # 8.11 degrees, counted the other way
+    assert f"{dataset.eye_angles[2, 0]:.4f}" in lines[2]
 
 
 @pytest.mark.parametrize("document", DOCUMENTS)
@@ -168,13 +180,13 @@ def test_json_and_toml_in_documents_are_valid(document: str):
 def test_the_error_profile_that_is_printed_can_be_used(tmp_path):
     from vergence.twin.profile import load_profile
 
-    (text,) = (b.text for b in blocks("docs/reproduction.md") if b.language == "toml")
+    text = first("docs/reproduction.md", "toml")
     (tmp_path / "mine.toml").write_text(text)
     assert load_profile(str(tmp_path / "mine.toml")).joints.delay_ms == 20
 
 
 def test_the_calibration_file_that_is_printed_can_be_read(tmp_path):
-    (text,) = (b.text for b in blocks("docs/calibration_file.md") if b.language == "json")
+    text = first("docs/calibration_file.md", "json")
     (tmp_path / "head.json").write_text(text)
     head = vergence.load_head(tmp_path / "head.json")
     assert set(head.cameras) == {"left_wide"}
@@ -228,45 +240,25 @@ def test_links_of_a_page_of_the_site_lead_to_pages_and_no_source_files():
     assert site_pages.relink(text, "README.md") == "[a](gaze.md#x) b ![c](images/gaze.png)"
 
 
-@pytest.fixture(scope="module")
-def my_head(tmp_path_factory: pytest.TempPathFactory, opengl: None) -> Path:
-    """Return a small dataset from the twin."""
-    folder = tmp_path_factory.mktemp("readme") / "my_head"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["vergence", "record", "--out", str(folder), "--frames", "20"])
-        cli.main()
-    return folder
-
-
-def program(document: str) -> str:
-    """Return the first block of Python of a document."""
-    return next(block.text for block in blocks(document) if block.language == "python")
-
-
-def seen_by(head: Any, joints: np.ndarray, points_lbase: np.ndarray) -> list[np.ndarray]:
-    """Return the pixels (N, 2) of points (N, 3) in the wide cameras, left and right."""
-    return [
-        vergence.project_point(head, f"{eye}_wide", joints, points_lbase)
-        for eye in ("left", "right")
-    ]
-
-
 @pytest.mark.render
-def test_the_program_on_the_first_screen_finds_where_points_are(
-    my_head, tmp_path, monkeypatch, capsys
-):
+def test_the_program_on_the_first_screen_finds_where_points_are(tmp_path, monkeypatch, capsys):
     from vergence.commands.truth import TRUTH, load
 
     monkeypatch.chdir(tmp_path)
-    truth = load(my_head / TRUTH).head
+    record = ["vergence", "record", "--out", "my_head", "--frames", "20"]
+    monkeypatch.setattr(sys, "argv", record)
+    cli.main()
+    truth = load(Path("my_head") / TRUTH).head
     there = np.array([[0.5, -0.05, 0.02], [0.7, 0.1, -0.05]])
     angles = np.array([0.05, -0.02, 0.1, -0.02])
-    left, right = seen_by(truth, angles, there)
-    names = {"uv_left": left, "uv_right": right, "angles": angles}
-    code = program("README.md").replace('"my_head/"', repr(str(my_head)))
-    assert code != program("README.md")
+    left, right = (
+        vergence.project_point(truth, f"{eye}_wide", angles, there) for eye in ("left", "right")
+    )
+    names: dict[str, Any] = {"uv_left": left, "uv_right": right, "angles": angles}
+    code = first("README.md", "python")
+    assert '"my_head/"' in code
     exec(compile(code, "README.md", "exec"), names)
-    points: Any = names["points"]
+    points = names["points"]
     assert (points.status == vergence.Status.OK).all()
     error = points.xyz - there
     distance = np.einsum("ni,nij,nj->n", error, np.linalg.inv(points.covariance), error)
@@ -277,7 +269,7 @@ def test_the_program_on_the_first_screen_finds_where_points_are(
 
 
 def test_the_guide_to_using_a_calibration_runs(tmp_path, monkeypatch, capsys):
-    (text,) = (b.text for b in blocks("docs/calibration_file.md") if b.language == "json")
+    text = first("docs/calibration_file.md", "json")
     head = json.loads(text)
     left = head["cameras"]["left_wide"]
     narrow = json.loads(json.dumps(left))

@@ -12,8 +12,6 @@ from vergence.data.dataset import Frame
 from vergence.gaze.commands import EYES_4, HEAD_JOINTS, NECK, JointLimits, setpoint
 from vergence.gaze.controller import run_gaze, step_gaze
 from vergence.gaze.state import NARROW, GazePhase, GazeSettings, GazeState, initial_gaze_state
-from vergence.geometry.head import T_body_base
-from vergence.geometry.se3 import transform
 
 SETTINGS = GazeSettings(calibration=four_cameras())
 
@@ -68,12 +66,8 @@ def test_a_still_object_comes_to_the_middle_of_both_foveas_and_stays(pan, tilt, 
     done = run(DrawnHead(lambda _: target), 0.5)
     assert done.after(0.2).max() < 0.5
     assert set(done.phases[6:]) == {GazePhase.FIXATION}
-    np.testing.assert_allclose(done.states[-1].command.goal[EYES_4], straight_to(target), atol=1e-3)
-
-
-def test_fixation_asks_for_the_narrow_images_only():
-    done = run(DrawnHead(lambda _: point_at(10, 5, 0.7)), 0.5)
     assert set(done.states[-1].pixels) == set(NARROW)
+    np.testing.assert_allclose(done.states[-1].command.goal[EYES_4], straight_to(target), atol=1e-3)
 
 
 def test_the_position_in_frame_body_is_always_estimated():
@@ -105,8 +99,8 @@ def test_late_frames_are_used_at_the_time_of_their_stamp(latency):
 
 
 def test_readings_that_are_older_than_the_image_are_carried_to_it():
-    done = run(DrawnHead(circling(0.2), joint_lag_s=0.02), 2.0)
     path = circling(0.2)
+    done = run(DrawnHead(path, joint_lag_s=0.02), 2.0)
     errors = [
         np.linalg.norm(state.measured - path(state.frame_s))
         for state in done.states[10:]
@@ -213,11 +207,11 @@ def test_the_neck_stays_where_it_is_for_small_shifts():
     np.testing.assert_array_equal(head.posture(1.0)[NECK], 0)
 
 
-@pytest.mark.parametrize("pan", [80, -80])
-def test_no_limit_of_range_or_speed_is_ever_exceeded(pan):
-    head = DrawnHead(lambda t: point_at(pan * np.sin(t), 40 * np.sin(1.7 * t), 0.6))
-    done = run(head, 3.0, replace(SETTINGS, use_neck=True))
-    times = np.arange(0, 3.0, 1e-3)
+def test_no_limit_of_range_or_speed_is_ever_exceeded():
+    # Both ends of pan and of tilt are asked for.
+    head = DrawnHead(lambda t: point_at(80 * np.sin(t), 40 * np.sin(1.7 * t), 0.6))
+    done = run(head, 4.5, replace(SETTINGS, use_neck=True))
+    times = np.arange(0, 4.5, 1e-3)
     postures = np.array([head.posture(t) for t in times])
     limits = JointLimits()
     assert (postures >= limits.range_rad[:, 0] - 1e-12).all()
@@ -231,8 +225,6 @@ def test_a_head_without_a_calibrated_neck_works_in_frame_head():
     plain = replace(four_cameras(), neck=type(four_cameras().neck)())
     target = point_at(10, 5, 0.6)
     done = run(DrawnHead(lambda _: target), 0.4, GazeSettings(calibration=plain))
-    T = T_body_base(four_cameras(), "left", np.zeros(3))
     assert done.states[-1].track is not None
     in_body = done.states[-1].track.position + four_cameras().neck.head_m
     assert np.linalg.norm(in_body - target) < 3e-3
-    assert np.isfinite(transform(T, target)).all()

@@ -7,8 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vergence.data.dataset import Dataset, Description
+from recordings import small_dataset
+from vergence.data.reader import load_dataset
 from vergence.gaze.commands import (
+    HEAD_JOINTS,
     HeadCommand,
     JointLimits,
     RecordedHead,
@@ -16,8 +18,7 @@ from vergence.gaze.commands import (
     hold,
     setpoint,
 )
-from vergence.geometry.board import Chessboard
-from vergence.twin.model import JOINTS, load_spec
+from vergence.twin.model import load_spec
 
 LIMITS = JointLimits()
 SEVEN = st.lists(st.floats(-2, 2), min_size=7, max_size=7).map(np.array)
@@ -36,14 +37,10 @@ def test_set_points_keep_ranges_and_speeds(start, goal, rate, time_s):
     assert (np.abs(now - start) <= LIMITS.speed_rad_s * (time_s - 1) + 1e-12).all()
 
 
-def test_a_goal_within_reach_is_reached_and_followed_while_it_moves():
+def test_a_goal_is_reached_and_followed_until_no_further_command_comes():
     moving = command(goal=0.1, rate=0.5)
     np.testing.assert_allclose(setpoint(moving, 1.05), 0.125)
     np.testing.assert_array_equal(setpoint(moving, 0.5), 0)  # not before its time
-
-
-def test_a_goal_stops_when_no_further_command_comes():
-    moving = command(goal=0.1, rate=0.5)
     np.testing.assert_allclose(setpoint(moving, 1.1), setpoint(moving, 9.0))
 
 
@@ -56,32 +53,17 @@ def test_earlier_set_points_can_be_recovered():
 
 def test_the_default_limits_are_those_of_the_model():
     model = load_spec().compile()
-    ranges = np.array([model.joint(name).range for name in JOINTS])
+    ranges = np.array([model.joint(name).range for name in HEAD_JOINTS])
     np.testing.assert_allclose(LIMITS.range_rad, ranges, atol=1e-5)
 
 
 def test_a_recording_is_a_head_that_goes_where_it_went(tmp_path: Path):
-    n = 3
-    times = np.arange(n) / 30
-    description = Description.__new__(Description)
-    object.__setattr__(description, "board", Chessboard(columns=9, rows=6, square_m=0.03))
-    dataset = Dataset(
-        folder=tmp_path,
-        description=description,
-        lines=np.arange(n) + 2,
-        time_s=times,
-        joint_time_s=times,
-        eye_angles=np.arange(4.0 * n).reshape(n, 4),
-        T_base_eye=None,
-        neck_angles=np.zeros((n, 3)),
-        placement=np.zeros(n, int),
-        moving=np.zeros(n, bool),
-        files={},
-    )
+    small_dataset(tmp_path / "set", 3)
+    dataset = load_dataset(tmp_path / "set")
     head = RecordedHead(dataset)
-    seen = [head.read(()) for _ in range(n + 1)]
+    seen = [head.read(()) for _ in range(4)]
     assert seen.pop() is None
     head.command(command(goal=0.3))
-    assert head.now_s() == pytest.approx(times[-1])
+    assert head.now_s() == pytest.approx(dataset.time_s[-1])
     angles = np.array([frame.eye_angles for frame in seen if frame is not None])
     np.testing.assert_array_equal(angles, dataset.eye_angles)

@@ -35,9 +35,7 @@ def turning_until(time_s: float) -> np.ndarray:
 
 
 def test_the_error_counts_once_the_object_is_reached_and_while_the_neck_turns():
-    errors: Array = np.where(TIME < EACH_S + 0.35, 400.0, 1.0).astype(
-        float
-    )  # reached after four frames
+    errors: Array = 1.0 + 399.0 * (TIME < EACH_S + 0.35)  # reached after four frames
     errors[np.isclose(TIME, EACH_S + 0.8)] = 12.0  # the neck is turning
     errors[np.isclose(TIME, EACH_S + 2.0)] = 30.0  # it is not
     found = _judged(JointLimits(), TIME, errors, turning_until(EACH_S + 1.0), 1, 0.7)

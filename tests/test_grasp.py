@@ -15,13 +15,12 @@ from drawn_hand import MARKER_HAND
 from drawn_head import four_cameras
 from vergence import cli
 from vergence.arrays import Array
-from vergence.demos import experiment
 from vergence.demos import grasp as module
 from vergence.demos.depth_error_by_range import EDGES_M, DepthSample, bin_by_range
 from vergence.demos.grasp import FAR_M, NEAR_M, WITHIN_M, grasp, hand_held, summary
 from vergence.errors import VergenceError
 from vergence.gaze.foveation import gaze_angles
-from vergence.gaze.state import NARROW, GazeSettings
+from vergence.gaze.state import NARROW
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, pose, rotvec, transform
 from vergence.reach.state import HandCommand, ReachPhase
@@ -33,7 +32,7 @@ from vergence.twin.hand import (
     SPEED_M_S,
     SimulatedHand,
     arm_mounting_error,
-)
+)  # fmt: skip
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
 from vergence.vision.sphere import find_sphere
@@ -42,18 +41,15 @@ ROOT = Path(__file__).parents[1]
 
 
 @pytest.mark.render
+@pytest.mark.usefixtures("true_calibration")
 def test_the_hand_closes_on_the_object_though_joints_and_arm_are_wrong(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ):
     """In profile paper the joint gains are wrong by 3-4 %, which no calibration finds."""
 
-    def given(twin: Twin, seed: int) -> GazeSettings:
-        return GazeSettings(calibration=twin.truth, joint_std_rad=2.6e-3)
-
     def near(*_: int) -> Callable[[float], Array]:
         return lambda t: np.array([0.42, 0.06 + 0.01 * np.sin(2 * t), -0.02])
 
-    monkeypatch.setattr(experiment, "calibrate_twin", given)
     monkeypatch.setattr(module, "hand_held", near)
     scenario = runpy.run_path(str(ROOT / "scenarios" / "gaze_demos.py"))
     scenario["grasp"](out=tmp_path, profile="paper", seed=1, trials=1)
@@ -66,9 +62,7 @@ def test_the_hand_closes_on_the_object_though_joints_and_arm_are_wrong(
     assert found["unaided_median_mm"] > 1.5 * found["worst_mm"]
 
 
-def test_the_command_line_prints_and_writes_the_summary(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-):
+def test_the_command_line_prints_and_writes_the_summary(tmp_path, monkeypatch, capsys):
     made = [module.Trial(ReachPhase.HELD, 4.0, 0.002, 0.03, tuple(depth_samples(1.0)))]
     asked: list[dict[str, object]] = []
 
@@ -115,9 +109,8 @@ def test_an_open_hand_hides_neither_the_object_nor_the_marker(direction: tuple[f
         marker = where + MARKER_HAND
         for name in NARROW:
             lens = twin.truth.camera(name).intrinsics
-            np.testing.assert_allclose(
-                find_sphere(both[name], lens), find_sphere(alone[name], lens), atol=0.05
-            )
+            held, free = (find_sphere(images[name], lens) for images in (both, alone))
+            np.testing.assert_allclose(held, free, atol=0.05)
             expected = project_point(twin.truth, name, twin.true_angles()[3:], marker)
             found = find_sphere(both[name], lens, colour="blue")
             np.testing.assert_allclose(found, expected, atol=0.1)

@@ -19,10 +19,6 @@ def write(tmp_path: Path):
     return write
 
 
-def test_the_three_profiles_ship():
-    assert {"ideal", "noise-only", "paper"} <= set(shipped())
-
-
 @pytest.mark.parametrize("name", shipped())
 def test_what_ships_loads_under_its_own_name(name: str):
     profile = load_profile(name)
@@ -47,10 +43,6 @@ def test_noise_only_is_ideal_with_white_noise_in_the_joints():
     quiet = noisy.joints.model_copy(update={"noise_deg": 0.0})
     same = {"name": ideal.name, "description": ideal.description, "joints": quiet}
     assert noisy.model_copy(update=same) == ideal
-
-
-def test_paper_has_at_most_six_fitted_parameters():
-    assert len(load_profile("paper").fitted) <= 6
 
 
 def test_an_empty_file_is_a_perfect_head(write):
@@ -100,23 +92,15 @@ def test_an_unknown_or_impossible_value_is_refused_by_name(write, text: str):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("text", ["[joints", "noise = ", "a = 1\na = 2"])
-def test_malformed_toml_is_refused(write, text: str):
-    with pytest.raises(VergenceError, match=r"mine\.toml is not valid TOML"):
+@pytest.mark.parametrize("text", ["[joints", "noise = ", "a = 1\na = 2", b"\xff\xfe\x00"])
+def test_what_is_not_toml_is_refused(write, text: str | bytes):
+    with pytest.raises(VergenceError, match=r"mine\.toml.* not (valid TOML|UTF-8 text)"):
         load_profile(write(text))
 
 
-def test_a_file_that_is_no_text_is_refused(write):
-    with pytest.raises(VergenceError, match="not UTF-8 text"):
-        load_profile(write(b"\xff\xfe\x00"))
-
-
-def test_a_missing_file_is_named(tmp_path: Path):
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path):
     with pytest.raises(VergenceError, match=r"Cannot read .*none\.toml: No such file"):
         load_profile(str(tmp_path / "none.toml"))
-
-
-def test_a_folder_is_no_profile(tmp_path: Path):
     (tmp_path / "folder.toml").mkdir()
     with pytest.raises(VergenceError, match="Is a directory"):
         load_profile(str(tmp_path / "folder.toml"))

@@ -120,15 +120,15 @@ def test_the_readings_are_older_than_the_image_by_the_delay():
 
 
 def test_backlash_has_been_wound_up_before_the_first_sample():
-    figure = FIGURES[6]
-    times = np.arange(200) * PERIOD_S["parallel"] / 200
-    truth, rng = table_head(figure), np.random.default_rng(0)
-    once = observe_points(truth, joints(backlash_deg=0.5), figure, times, rng=rng)
-    twice = observe_points(
-        truth, joints(backlash_deg=0.5), figure, times + PERIOD_S["parallel"], rng=rng
+    figure, period = FIGURES[6], PERIOD_S["parallel"]
+    times = np.arange(200) * period / 200
+    truth, play, rng = table_head(figure), joints(backlash_deg=0.5), np.random.default_rng(0)
+    once, twice = (
+        observe_points(truth, play, figure, times + start, rng=rng).eye_angles
+        for start in (0, period)
     )
-    np.testing.assert_allclose(once.eye_angles, twice.eye_angles, atol=1e-12)
-    lag = np.abs(once.eye_angles - eye_angles("parallel", times))
+    np.testing.assert_allclose(once, twice, atol=1e-12)
+    lag = np.abs(once - eye_angles("parallel", times))
     assert lag.max() == pytest.approx(np.radians(0.25))
     assert lag[0].max() > np.radians(0.2)
 
@@ -146,21 +146,15 @@ def test_by_hand_errors_leave_straight_gaze_exact():
     assert np.abs(wrong.T_rbase_lbase - truth.T_rbase_lbase).max() > 1e-3
 
 
-def test_by_hand_focal_lengths_belong_to_a_lens():
+def test_by_hand_focal_lengths_belong_to_a_lens_and_nothing_leaves_the_calibration_alone():
     truth = table_head(FIGURES[6])
-    errors = ByHand(focal_percent_28=1, focal_percent_40=-2)
     for lens, factor in (("2.8mm", 1.01), ("4.0mm", 0.98)):
-        matrix = (
-            inject_calibration_error(truth, errors, lens).cameras["right_wide"].intrinsics.matrix
+        wrong = inject_calibration_error(
+            truth, ByHand(focal_percent_28=1, focal_percent_40=-2), lens
         )
-        assert matrix[0, 0] == pytest.approx(280 * factor)
-        assert matrix[1, 1] == pytest.approx(280 * factor)
-        assert matrix[0, 2] == 319.5
-
-
-def test_by_hand_nothing_leaves_the_calibration_alone():
-    truth = table_head(FIGURES[6])
-    assert inject_calibration_error(truth, ByHand(), "2.8mm") is truth
+        (fx, _, cx), (_, fy, _), _ = wrong.cameras["right_wide"].intrinsics.matrix
+        assert (fx, fy, cx) == (pytest.approx(280 * factor), pytest.approx(280 * factor), 319.5)
+        assert inject_calibration_error(truth, ByHand(), lens) is truth
 
 
 # Facts without a fit
@@ -217,22 +211,15 @@ def test_noise_and_a_shared_error_together_make_divergent_motion_worse(parallel:
 
 
 def test_the_same_seed_gives_the_same_spreads_and_another_seed_others():
-    figure = FIGURES[7]
+    figure, times = FIGURES[7], np.arange(50.0)
     truth, profile = table_head(figure), joints(noise_deg=0.1)
-
-    def once(seed: int) -> np.ndarray:
-        seen = observe_points(
-            truth,
-            profile,
-            figure,
-            np.arange(50.0),
-            pixel_noise=0.1,
-            rng=np.random.default_rng(seed),
-        )
-        return estimate(truth, figure, seen).statistics.std_m
-
-    np.testing.assert_array_equal(once(1), once(1))
-    assert (once(1) != once(2)).all()
+    one, same, other = (
+        observe_points(truth, profile, figure, times, pixel_noise=0.1, rng=np.random.default_rng(k))
+        for k in (1, 1, 2)
+    )
+    std = [estimate(truth, figure, seen).statistics.std_m for seen in (one, same, other)]
+    np.testing.assert_array_equal(std[0], std[1])
+    assert (std[0] != std[2]).all()
 
 
 def test_samples_in_which_the_object_was_not_found_are_dropped_and_counted():

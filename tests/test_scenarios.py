@@ -10,7 +10,7 @@ import pytest
 
 pytestmark = pytest.mark.render
 ROOT = Path(__file__).parents[1]
-SHORT = ("--duration", "3", "--rate", "4", "--profile", "ideal")
+SHORT = ("--duration", "2", "--rate", "2", "--profile", "ideal")
 SCENARIOS = {
     ("figure_pair.py", "near"): (SHORT, r"divergent / parallel std of depth: \d"),
     ("figure_pair.py", "longer-lens"): (SHORT, r"Fig\. 11: std \d+ mm in depth"),
@@ -40,12 +40,8 @@ def test_scenario_runs_and_prints_its_result(command, tmp_path, monkeypatch, cap
 
 
 def test_the_benchmark_prints_its_ratio(tmp_path):
-    done = subprocess.run(
-        [sys.executable, str(ROOT / "benchmarks" / "replay.py"), "--samples", "8", "--rounds", "1"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    script = str(ROOT / "benchmarks" / "replay.py")
+    command = [sys.executable, script, "--samples", "8", "--rounds", "1"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert re.search(r"same frames: \d+\.\d\d", done.stdout)

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recording_reader import read_series
+from rrd import read_series
 from vergence.arrays import Array
-from vergence.demos import experiment
 from vergence.demos import track as module
 from vergence.demos.track import SPEED_M_S, follow, smooth_path, track
 from vergence.errors import VergenceError
@@ -18,6 +17,7 @@ from vergence.gaze.commands import JointLimits
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.state import GazeSettings, initial_gaze_state
 from vergence.twin.head import Twin
+from vergence.twin.model import nominal_head
 from vergence.twin.profile import ErrorProfile, load_profile
 from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors
 
@@ -79,40 +79,21 @@ def test_a_gaze_shift_shared_with_the_neck_keeps_the_image_still():
 
 
 @pytest.mark.render
-def test_the_summary_is_written_as_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    def given(twin: Twin, seed: int) -> GazeSettings:
-        return GazeSettings(calibration=twin.truth)
-
-    monkeypatch.setattr(experiment, "calibrate_twin", given)
-    monkeypatch.setattr(module, "SHORTEST_S", 1.0)
-    found = track(seconds=1.2, profile=ErrorProfile(), out=tmp_path)
-    written = json.loads((tmp_path / "track.json").read_text())
-    assert written["frames"] == found.frames > 5
-    times, _ = read_series(tmp_path / "track.rrd", "/position/x")
-    np.testing.assert_allclose(times, FRAME_S * np.arange(37), atol=1e-9)
-
-
-@pytest.mark.render
-def test_the_scenario_says_what_it_found(
+@pytest.mark.usefixtures("true_calibration")
+def test_the_scenario_shows_that_the_narrow_images_beat_the_wide_ones(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    def given(twin: Twin, seed: int) -> GazeSettings:
-        return GazeSettings(calibration=twin.truth)
-
-    monkeypatch.setattr(experiment, "calibrate_twin", given)
-    monkeypatch.setattr(module, "SHORTEST_S", 0.7)
-    runpy.run_path(str(SCENARIO))["track"](out=tmp_path, seconds=0.7)
-    assert re.search(r"in both narrow images in \d+\.\d% of \d+", capsys.readouterr().out)
-
-
-@pytest.mark.render
-def test_stereo_by_the_narrow_images_beats_that_by_the_wide_ones():
     """By Eq. 20 errors are inversely proportional to the focal lengths, for equal pixel errors."""
-    with Twin(load_profile("ideal"), seed=2) as twin:
-        settings = GazeSettings(calibration=twin.truth)
-        found = follow(twin, settings, 0, smooth_path(2, 3.0), 1.6)
-    focal = [twin.truth.camera(f"left_{lens}").intrinsics.matrix[0, 0] for lens in LENSES]
-    assert found.wide_rms_m > focal[1] / focal[0] * found.single_frame_rms_m
+    monkeypatch.setattr(module, "SHORTEST_S", 1.0)
+    runpy.run_path(str(SCENARIO))["track"](out=tmp_path, profile="ideal", seed=2, seconds=2.2)
+    found = json.loads((tmp_path / "track.json").read_text())
+    assert re.search(rf"images in \d+\.\d% of {found['frames']} fr", capsys.readouterr().out)
+    assert found["frames"] > 30
+    wide, narrow = (nominal_head("2.8mm").camera(f"left_{lens}").intrinsics for lens in LENSES)
+    ratio = narrow.matrix[0, 0] / wide.matrix[0, 0]
+    assert found["wide_rms_m"] > ratio * found["single_frame_rms_m"]
+    times, _ = read_series(tmp_path / "track.rrd", "/position/x")
+    np.testing.assert_allclose(times, FRAME_S * np.arange(67), atol=1e-9)
 
 
 @pytest.mark.parametrize(("seconds", "seed"), [(0.0, 0), (1e9, 0), (10.0, -1)])

@@ -1,4 +1,4 @@
-"""How the eyes move: Eqs. 22-23."""
+"""How the eyes move: Eqs. 22-23, with t in seconds."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,6 @@ TIMES = np.linspace(0, 200, 1001)
 
 
 def test_parallel_motion_is_equation_22_in_both_eyes():
-    """Eq. 22, with t in seconds."""
     angles = eye_angles("parallel", TIMES)
     np.testing.assert_allclose(angles[:, 0], 0.25 * np.cos(TIMES))
     np.testing.assert_allclose(angles[:, 1], 0.25 * np.cos(TIMES / 1.5))
@@ -17,7 +16,6 @@ def test_parallel_motion_is_equation_22_in_both_eyes():
 
 
 def test_divergent_motion_is_equation_22_in_the_left_and_23_in_the_right_eye():
-    """Eqs. 22-23, with t in seconds."""
     angles = eye_angles("divergent", TIMES)
     np.testing.assert_array_equal(angles[:, :2], eye_angles("parallel", TIMES)[:, :2])
     np.testing.assert_allclose(angles[:, 2], 0.25 * np.cos(TIMES / 2))

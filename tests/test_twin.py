@@ -9,29 +9,25 @@ import numpy as np
 import pytest
 
 from vergence.data.dataset import Frame
+from vergence.gaze.commands import HEAD_JOINTS
 from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base
 from vergence.geometry.kinematics import T_base_eye
 from vergence.geometry.se3 import pose
 from vergence.twin.head import Twin
 from vergence.twin.model import (
     CAMERAS,
-    JOINTS,
     R_MJCAM_CAM,
     T_world_body,
     as_built_head,
     compile_head,
     nominal_head,
-)
+)  # fmt: skip
 from vergence.twin.profile import Axes, ErrorProfile, Image, Joints, Mounting, Optics
 from vergence.twin.renderer import overscan_sizes
 
 EVERYTHING = ErrorProfile(
     mounting=Mounting(
-        rotation_deg=2,
-        translation_mm=3,
-        base_rotation_deg=1,
-        base_translation_mm=2,
-        baseline_mm=80,
+        rotation_deg=2, translation_mm=3, base_rotation_deg=1, base_translation_mm=2, baseline_mm=80
     ),
     axes=Axes(nonorthogonality_deg=(1.0, -0.7), distance_mm=(0.8, -0.5)),
     optics=Optics(focal_percent=2, principal_px=5),
@@ -55,8 +51,8 @@ def test_the_truth_has_its_cameras_where_mujoco_has_them(seed: int):
     data = mujoco.MjData(model)
     rng = np.random.default_rng(seed)
     for _ in range(10):
-        angles = rng.uniform(-0.4, 0.4, len(JOINTS))
-        for name, angle in zip(JOINTS, angles, strict=True):
+        angles = rng.uniform(-0.4, 0.4, len(HEAD_JOINTS))
+        for name, angle in zip(HEAD_JOINTS, angles, strict=True):
             data.joint(name).qpos = angle
         mujoco.mj_kinematics(model, data)
         mujoco.mj_camlight(model, data)
@@ -74,8 +70,7 @@ def test_the_same_seed_builds_the_same_head_and_another_seed_another():
     one, same, other = built(0), built(0), built(1)
     np.testing.assert_array_equal(one.T_rbase_lbase, same.T_rbase_lbase)
     assert np.abs(one.T_rbase_lbase - other.T_rbase_lbase).max() > 1e-4
-    for name in CAMERAS:
-        a, b, c = (head.cameras[name] for head in (one, same, other))
+    for a, b, c in zip(*(head.cameras.values() for head in (one, same, other)), strict=True):
         np.testing.assert_array_equal(a.T_eye_cam, b.T_eye_cam)
         np.testing.assert_array_equal(a.intrinsics.matrix, b.intrinsics.matrix)
         assert np.abs(a.T_eye_cam - c.T_eye_cam).max() > 1e-4
@@ -88,12 +83,10 @@ def test_profiles_share_their_random_numbers():
         as_built_head(nominal, ErrorProfile(mounting=Mounting(translation_mm=mm)), 3)
         for mm in (1.0, 2.0)
     )
-    shifts = [
-        head.cameras["right_narrow"].T_eye_cam[:3, 3]
-        - nominal.cameras["right_narrow"].T_eye_cam[:3, 3]
-        for head in (small, large)
-    ]
-    np.testing.assert_allclose(2 * shifts[0], shifts[1], atol=1e-15)
+    exact, once, twice = (
+        head.cameras["right_narrow"].T_eye_cam[:3, 3] for head in (nominal, small, large)
+    )
+    np.testing.assert_allclose(2 * (once - exact), twice - exact, atol=1e-15)
 
 
 def test_without_imperfection_the_head_is_the_nominal_one():
@@ -170,28 +163,21 @@ def test_a_frame_carries_what_a_real_head_would_give_and_no_truth(make: Make):
     assert frame.time_s == frame.joint_time_s == pytest.approx(0.1)
 
 
-def test_readings_are_as_old_as_the_delay_says(make: Make):
-    twin = make(ErrorProfile(joints=Joints(delay_ms=26)), seed=0)
+@pytest.mark.parametrize("delay_ms", [26, -26])
+def test_readings_are_older_than_the_image_by_the_delay(make: Make, delay_ms: int):
+    """With a negative delay the image is the older one."""
+    twin = make(ErrorProfile(joints=Joints(delay_ms=delay_ms)), seed=0)
     twin.advance(0.5, sweep)
-    before = twin.true_angles()[EYES]
+    read, true = twin.expose(NOTHING_SEEN).frame.eye_angles, twin.true_angles()[EYES]
     twin.advance(0.526, sweep)
-    exposure = twin.expose(NOTHING_SEEN)
-    np.testing.assert_allclose(exposure.frame.eye_angles, before, atol=1e-12)
-    assert np.abs(exposure.frame.eye_angles - twin.true_angles()[EYES]).max() > 0.01
-
-
-def test_with_a_negative_delay_the_image_is_the_older_one(make: Make):
-    twin = make(ErrorProfile(joints=Joints(delay_ms=-26)), seed=0)
-    twin.advance(0.5, sweep)
-    before = twin.expose(NOTHING_SEEN).frame.eye_angles
-    twin.advance(0.526, sweep)
-    after = twin.expose(NOTHING_SEEN).frame.eye_angles
-    assert np.abs(after - before).max() > 0.01
-    np.testing.assert_allclose(twin.true_angles()[EYES], before, atol=1e-12)
-    # And that is where the eye stands in the picture.
+    read_later, true_later = twin.expose(NOTHING_SEEN).frame.eye_angles, twin.true_angles()[EYES]
+    older, before = (read_later, true) if delay_ms > 0 else (true_later, read)
+    np.testing.assert_allclose(older, before, atol=1e-12)
+    assert np.abs(read_later - true_later).max() > 0.01
+    # And the true angles are where the eye stands in the picture.
     poses = twin.body_poses()
     R_head_eye = poses["head"][:3, :3].T @ poses["left_eye"][:3, :3]
-    np.testing.assert_allclose(R_head_eye, T_base_eye(before[:2])[:3, :3], atol=1e-9)
+    np.testing.assert_allclose(R_head_eye, T_base_eye(true_later[:2])[:3, :3], atol=1e-9)
 
 
 def test_backlash_shows_when_a_posture_is_reached_from_both_sides(make: Make):

@@ -1,7 +1,7 @@
-"""Read a recording back."""
+"""Recordings as the tests read them."""
 
-from __future__ import annotations
-
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +9,17 @@ import numpy as np
 from rerun.chunk import RrdReader
 
 from vergence.arrays import Array
-from vergence.errors import VergenceError
+
+
+def assert_valid(*paths: Path) -> None:
+    """Check that recordings pass the viewer's own check, and that each brings its layout."""
+    command = [sys.executable, "-m", "rerun", "rrd", "verify", *map(str, paths)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    for path in paths:
+        stores = RrdReader(path)
+        assert len(stores.blueprints()) == 1
+        assert stores.blueprints()[0].application_id == stores.recordings()[0].application_id
 
 
 def read_series(
@@ -19,9 +29,6 @@ def read_series(
 
     Values are (N, ...), or (N, k, ...) where k were logged at a time, as in `/paper/x`. On the
     timeline `frame` times are sample numbers.
-
-    Raises:
-        VergenceError: the recording has no such series.
     """
     times: list[np.ndarray] = []
     rows: list[Any] = []
@@ -30,8 +37,7 @@ def read_series(
         batch = chunk.to_record_batch()
         times.append(batch.column(timeline).cast("int64").to_numpy())
         rows += batch.column(component).to_pylist()
-    if not times:
-        raise VergenceError(f"{path} has no {component} at {entity} on the timeline {timeline}.")
+    assert times, f"{path} has no {component} at {entity} on the timeline {timeline}."
     t, values = np.concatenate(times), np.array(rows)
     order = np.argsort(t, kind="stable")
     seconds = t[order] * (1e-9 if timeline == "sim_time" else 1.0)
