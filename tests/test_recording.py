@@ -282,11 +282,6 @@ def test_bad_data_is_refused_not_dropped(tmp_path: Path, head: HeadCalibration):
         )
 
 
-def test_a_missing_series_is_named(recorded: Path):
-    with pytest.raises(VergenceError, match="/estimate/w"):
-        read_series(recorded, "/estimate/w")
-
-
 def test_a_run_without_estimates_can_be_recorded(tmp_path: Path, head: HeadCalibration):
     path = tmp_path / "fig06.rrd"
     points = np.full((SAMPLES, 3), np.nan)
