@@ -41,9 +41,21 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture
 def few_views(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Shorten the twin's calibration sequence, where a test does not depend on its accuracy."""
+    """Shorten the twin's calibration sequence, where a test does not depend on its accuracy.
+
+    Images are rendered coarsely, too.
+    """
+    from vergence.twin import head, renderer
     from vergence.twin.calibration_sequence import plan
 
+    def coarse(*args, **kwargs):
+        model = compile_head(*args, **kwargs)
+        model.vis.quality.offsamples = 0
+        return model
+
+    compile_head = head.compile_head
+    monkeypatch.setattr(head, "compile_head", coarse)
+    monkeypatch.setattr(renderer, "FINER", 1)
     monkeypatch.setitem(plan.__kwdefaults__, "views", (4, 3, 8))
 
 
