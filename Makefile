@@ -6,7 +6,7 @@ PYTHON ?= python3
 OUT ?= runs/paper
 BIN := .venv/bin
 
-.PHONY: figures view test check docs clean
+.PHONY: figures view test check types tests-of-test tests-of-check docs clean
 
 figures: .venv/installed
 	$(BIN)/vergence reproduce --out $(OUT)
@@ -16,16 +16,18 @@ view:
 		echo "There is no $(OUT)/fig06.rrd yet; make it with: make figures OUT=$(OUT)"; exit 1; }
 	$(BIN)/rerun $(OUT)/fig06.rrd
 
-test: .venv/installed
-	$(BIN)/ruff check .
+test check: .venv/installed
 	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	@$(MAKE) --no-print-directory --jobs 2 types tests-of-$@
+
+types:
 	$(BIN)/pyright
+
+tests-of-test:
 	$(BIN)/pytest -n auto --dist loadfile
 
-check: .venv/installed
-	$(BIN)/ruff format --check .
-	$(BIN)/ruff check .
-	$(BIN)/pyright
+tests-of-check:
 	$(BIN)/pytest -n auto --dist loadfile -m "not render and not slow"
 
 docs: .venv/installed-docs

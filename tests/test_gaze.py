@@ -137,6 +137,7 @@ def test_without_frames_the_motion_stops_and_the_object_counts_as_lost():
         ).all()
 
 
+@pytest.mark.slow
 def test_a_hidden_object_is_lost_and_found_again():
     path = circling(0.2)
     done = run(DrawnHead(lambda t: None if 1.0 <= t < 1.5 else path(t)), 3.0)
@@ -145,6 +146,7 @@ def test_a_hidden_object_is_lost_and_found_again():
     assert done.after(2.0).max() < 32
 
 
+@pytest.mark.slow
 def test_an_object_beyond_the_view_is_searched_for_and_found():
     target = point_at(62, 0, 0.8)
     done = run(DrawnHead(lambda _: target), 5.0, replace(SETTINGS, use_neck=True))
@@ -153,6 +155,7 @@ def test_an_object_beyond_the_view_is_searched_for_and_found():
     assert done.errors[-1].max() < 2
 
 
+@pytest.mark.slow
 def test_a_stuck_joint_is_named_and_the_others_continue():
     held = np.full(7, np.nan)
     held[HEAD_JOINTS.index("left_pan")] = 0.0

@@ -10,7 +10,10 @@ from vergence.twin.profile import shipped
 
 ROOT = Path(__file__).parents[1]
 
+import pytest
 
+
+@pytest.mark.slow
 def test_the_wheel_carries_model_profiles_types_and_version(tmp_path):
     command = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--quiet", "-w", str(tmp_path)]
     done = subprocess.run([*command, str(ROOT)], capture_output=True, text=True, check=False)

@@ -143,6 +143,7 @@ def test_the_report_states_the_statistics(run):
         assert [int(row[7]), int(row[8])] == [found["samples"], found["dropped"]]
 
 
+@pytest.mark.slow
 def test_the_report_of_two_lenses_has_one_whole_table_of_calibrations():
     profile, rng = load_profile("ideal"), np.random.default_rng(0)
     calibrations, replays = {}, {}
