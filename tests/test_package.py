@@ -5,12 +5,12 @@ import sys
 import zipfile
 from pathlib import Path
 
+import pytest
+
 import vergence
 from vergence.twin.profile import shipped
 
 ROOT = Path(__file__).parents[1]
-
-import pytest
 
 
 @pytest.mark.slow
