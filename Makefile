@@ -6,7 +6,7 @@ PYTHON ?= python3
 OUT ?= runs/paper
 BIN := .venv/bin
 
-.PHONY: figures view test check types tests-of-test tests-of-check docs clean
+.PHONY: figures view test check docs clean
 
 figures: .venv/installed
 	$(BIN)/vergence reproduce --out $(OUT)
@@ -16,18 +16,16 @@ view:
 		echo "There is no $(OUT)/fig06.rrd yet; make it with: make figures OUT=$(OUT)"; exit 1; }
 	$(BIN)/rerun $(OUT)/fig06.rrd
 
-test check: .venv/installed
-	$(BIN)/ruff format --check .
+test: .venv/installed
 	$(BIN)/ruff check .
-	@$(MAKE) --no-print-directory --jobs 2 types tests-of-$@
-
-types:
+	$(BIN)/ruff format --check .
 	$(BIN)/pyright
-
-tests-of-test:
 	$(BIN)/pytest -n auto --dist loadfile
 
-tests-of-check:
+check: .venv/installed
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/pyright src
 	$(BIN)/pytest -n auto --dist loadfile -m "not render and not slow"
 
 docs: .venv/installed-docs

@@ -78,6 +78,7 @@ def test_the_position_in_frame_body_is_always_estimated():
         assert np.linalg.norm(state.track.position - target) < 2e-3
 
 
+@pytest.mark.slow
 def test_a_moving_object_is_followed_without_lag():
     path = circling(0.2)
     done = run(DrawnHead(path), 2.0)
@@ -89,6 +90,7 @@ def test_a_moving_object_is_followed_without_lag():
     assert np.sqrt((behind.after(0.5) ** 2).mean()) > 12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("latency", [0.02, 0.1])
 def test_late_frames_are_used_at_the_time_of_their_stamp(latency):
     still = run(DrawnHead(lambda _: point_at(15, -10, 0.6), latency_s=latency), 1.0)
@@ -171,6 +173,7 @@ def test_a_stuck_joint_is_named_and_the_others_continue():
     assert done.errors[-1].max() < 1
 
 
+@pytest.mark.slow
 def test_gains_and_noise_of_the_readings_do_not_reach_the_fovea():
     head = DrawnHead(lambda _: point_at(18, 12, 0.7), joint_gain=0.97, joint_noise_rad=2.5e-3)
     done = run(head, 2.0, replace(SETTINGS, joint_std_rad=2.5e-3))
@@ -184,6 +187,7 @@ def test_both_eyes_turn_to_an_object_that_only_one_sees():
     assert done.errors[-1].max() < 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shift", [(-28, 30), (20, -40)])
 def test_eyes_go_first_the_neck_follows_and_the_image_stays(shift):
     before, after = point_at(shift[0], 0, 0.9), point_at(shift[1], 8, 0.9)
@@ -210,6 +214,7 @@ def test_the_neck_stays_where_it_is_for_small_shifts():
     np.testing.assert_array_equal(head.posture(1.0)[NECK], 0)
 
 
+@pytest.mark.slow
 def test_no_limit_of_range_or_speed_is_ever_exceeded():
     # Both ends of pan and of tilt are asked for.
     head = DrawnHead(lambda t: point_at(80 * np.sin(2 * t), 40 * np.sin(3.4 * t), 0.6))

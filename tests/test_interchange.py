@@ -73,6 +73,7 @@ def test_opencv_alone_reads_what_it_needs_to_project(tmp_path):
     assert storage.getNode("T_rbase_lbase").mat().shape == (4, 4)
 
 
+@pytest.mark.slow
 @given(seed=SEEDS)
 def test_intrinsics_survive_kalibr_and_ros_to_the_last_digit(seed, tmp_path_factory):
     folder = tmp_path_factory.mktemp("out")

@@ -185,6 +185,7 @@ def test_exact_general_eye_poses_give_the_mounting_exactly():
     np.testing.assert_allclose(solve(recording).T_eye_cam, recording.T_eye_cam, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_general_eye_poses_have_noise_in_rotation_and_translation():
     recordings = [record_poses(k, (0.002, 0.0005), 0.1) for k in range(6)]
     found = [solve(recording) for recording in recordings]

@@ -51,6 +51,7 @@ def test_each_figure_has_a_panel_with_its_estimates(numbers: tuple[int, ...]):
         assert means == list(figure.mean_m)
 
 
+@pytest.mark.slow
 def test_parallel_motion_is_left_of_divergent_motion_and_rows_share_their_scale():
     canvas = draw([result(number) for number in FIGURES])
     canvas.draw_without_rendering()  # places the panels
