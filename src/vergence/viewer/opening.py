@@ -50,7 +50,7 @@ def recording_file(
 
 
 def markdown_table(heading: str, rows: Iterable[Sequence[object]]) -> str:
-    """Return a table in markdown, whose heading has its cells divided by |."""
+    """Return a table in markdown, whose heading has its cells divided by vertical bars."""
     lines = [f"| {heading} |", "|" + "---|" * (heading.count("|") + 1)]
     return "\n".join(lines + ["| " + " | ".join(map(str, row)) + " |" for row in rows])
 
