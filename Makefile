@@ -25,8 +25,9 @@ test: .venv/installed
 check: .venv/installed
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/pyright src
-	$(BIN)/pytest -n auto --dist loadfile -m "not render and not slow"
+	$(BIN)/pyright src & types=$$!; \
+	$(BIN)/pytest -n auto --dist loadfile -m "not render and not slow"; tests=$$?; \
+	wait $$types && exit $$tests
 
 docs: .venv/installed-docs
 	$(BIN)/python docs/site_pages.py site/pages

@@ -55,7 +55,7 @@ def few_views(monkeypatch: pytest.MonkeyPatch) -> None:
 
     compile_head = head.compile_head
     monkeypatch.setattr(head, "compile_head", coarse)
-    monkeypatch.setattr(renderer, "FINER", 1)
+    monkeypatch.setattr(renderer, "OVERSAMPLING", 1)
     monkeypatch.setitem(plan.__kwdefaults__, "views", (4, 3, 8))
 
 

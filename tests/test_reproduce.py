@@ -82,7 +82,7 @@ def run(tmp_path_factory, opengl: None) -> Path:
     out = tmp_path_factory.mktemp("paper")
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(plan.__kwdefaults__, "views", (9, 6, 30))
-        patch.setattr(main_job, "_SAMPLES_WITH_IMAGES", 20)
+        patch.setattr(main_job, "SAMPLES_WITH_IMAGES", 20)
         reproduce(out, figures=(7, 6), profile=load_profile("paper"), seed=0, rate_hz=0.8)
     return out
 
