@@ -16,7 +16,7 @@ from vergence.errors import VergenceError
 from vergence.geometry.camera import project, project_jacobians
 from vergence.geometry.head import HeadCalibration, MountedCamera, main_pair
 from vergence.geometry.kinematics import EYE_COLUMNS, EYES, T_base_eye
-from vergence.geometry.se3 import inverse
+from vergence.geometry.se3 import cross, inverse
 
 
 def project_point(head: HeadCalibration, camera: str, joints: Array, points: Array) -> Array:
@@ -91,14 +91,14 @@ def project_with_jacobians(
     turned, arm, from_camera, in_camera = _through(mounted, T_rbase_lbase, T_base_eye, points)
     pixels, by_cam, by_lens = project_jacobians(mounted.intrinsics, in_camera)
     by_eye = by_cam @ mounted.T_eye_cam[:3, :3].T
-    by_base = _rows(by_eye, np.swapaxes(T_base_eye[:, :3, :3], -1, -2))
+    by_base = rows_times(by_eye, np.swapaxes(T_base_eye[:, :3, :3], -1, -2))
     right = mounted.eye == "right"
     between = by_pose_of_points(by_base, turned)
     return ProjectionJacobians(
         pixels,
         by_lens,
-        np.concatenate([_cross(by_eye, from_camera), -by_eye], axis=-1),
-        np.concatenate([_cross(by_base, arm), -by_base], axis=-1),
+        np.concatenate([cross(by_eye, from_camera[:, :, None]), -by_eye], axis=-1),
+        np.concatenate([cross(by_base, arm[:, :, None]), -by_base], axis=-1),
         between if right else np.zeros_like(between),
         by_base @ T_rbase_lbase[:3, :3] if right else by_base,
     )
@@ -110,19 +110,23 @@ def by_pose_of_points(by_point: Array, turned: Array) -> Array:
     Given are those by the points (M, K, 2, 3), and the points from the body's origin (M, K, 3),
     along the axes of the frame that its pose maps into.
     """
-    return np.concatenate([-_cross(by_point, turned), by_point], axis=-1)
+    return np.concatenate([cross(turned[:, :, None], by_point), by_point], axis=-1)
 
 
-def _rows(rows: Array, matrix: Array) -> Array:
-    """Return each row of (M, K, 2, 3) times its matrix (M, 3, 3)."""
-    M, K = rows.shape[:2]  # M is 0 for a camera that sees no board
-    return (rows.reshape(M, 2 * K, 3) @ matrix).reshape(rows.shape)
+def by_parameters(J: ProjectionJacobians, by_axes: Array) -> Array:
+    """Return derivatives (M, K, 2, 27) by what a camera's pixels depend on in a head.
+
+    In the order of `parameters.camera_columns`; by_axes (M, 6, 6) are those of T_base_eye by the
+    fields of EyeAxes.
+    """
+    by_eye = rows_times(J.by_T_base_eye, by_axes)
+    return np.concatenate([J.by_lens, J.by_T_eye_cam, J.by_T_rbase_lbase, by_eye], axis=-1)
 
 
-def _cross(rows: Array, points: Array) -> Array:
-    """Return rows (M, K, 2, 3) times hat(points (M, K, 3)): their cross products."""
-    (a, b, c), (x, y, z) = np.moveaxis(rows, -1, 0), np.moveaxis(points[:, :, None], -1, 0)
-    return np.stack([b * z - c * y, c * x - a * z, a * y - b * x], axis=-1)
+def rows_times(rows: Array, matrix: Array) -> Array:
+    """Return each row of (M, K, 2, n) times the matrix (M, n, m) of its posture."""
+    M, K, _, n = rows.shape  # M is 0 for a camera that sees no board
+    return (rows.reshape(M, 2 * K, n) @ matrix).reshape(M, K, 2, matrix.shape[-1])
 
 
 def base_extrinsics(
@@ -194,7 +198,10 @@ def T_rcam_lcam(
 def stereo_poses(
     head: HeadCalibration, joints: Array, *, cameras: tuple[str, str] | None = None
 ) -> tuple[Array, Array]:
-    """Return T_lbase_lcam, where the left camera stands, and T_rcam_lcam: see there."""
+    """Return T_lbase_lcam (..., 4, 4) and T_rcam_lcam (..., 4, 4).
+
+    Arguments and errors are those of `T_rcam_lcam`.
+    """
     left, right = stereo_cameras(head, cameras)
     T_lbase_leye, T_rbase_reye = (
         T_base_eye(joints[..., EYE_COLUMNS[eye]], head.axes[eye]) for eye in EYES

@@ -74,7 +74,7 @@ def triangulate_at(
     joints: Array,
     cameras: tuple[str, str] | None = None,
 ) -> tuple[Array, np.ndarray]:
-    """Return points in the left eye's base frame, and their status (Eqs. 3, 4, 11, 12 less neck).
+    """Return points in the left eye's base frame, and their status (Eqs. 3, 4 and 11).
 
     Points are (N, 3) [m], NaN where the status (N,) is not OK. Arguments and errors are those of
     `uncertainty.locate`.

@@ -12,7 +12,7 @@ from vergence.errors import VergenceError
 from vergence.geometry.head import Accuracy, HeadCalibration, main_pair
 from vergence.geometry.kinematics import EYE_COLUMNS, T_base_eye, axes_row, eye_jacobians
 from vergence.geometry.parameters import camera_columns, parameter_names
-from vergence.geometry.projection import project_with_jacobians
+from vergence.geometry.projection import by_parameters, project_with_jacobians
 from vergence.stereo.triangulation import checked, triangulate_at
 
 _PIXEL_STEP_PX = 1e-2  # of the central differences: rounding and curvature both stay below 1e-7
@@ -71,9 +71,7 @@ def locate(
             joint_std_rad = np.tile(accuracy.joint_std or (0.0,), 4)[:4]
         covariance = _covariance(jacobian, _stds(len(points), pixel_std_px, joint_std_rad))
     if accuracy.parameters:
-        covariance = covariance + calibration_covariance(
-            head, left=left, right=right, joints=joints, cameras=cameras
-        )
+        covariance = covariance + _of_calibration(head, accuracy, points, joints, cameras)
     return LocatedPoints(points, covariance, status)
 
 
@@ -146,17 +144,28 @@ def calibration_covariance(
             "one that does."
         )
     points, _ = triangulate_at(head, left=left, right=right, joints=joints, cameras=cameras)
+    return _of_calibration(head, accuracy, points, joints, cameras)
+
+
+def _of_calibration(
+    head: HeadCalibration,
+    accuracy: Accuracy,
+    points: Array,
+    joints: Array,
+    cameras: tuple[str, str] | None,
+) -> Array:
+    """Return covariances (N, 3, 3) of located points (N, 3); NaN where the point is NaN."""
     total = np.full((len(points), 3, 3), np.nan)
     found = np.isfinite(points).all(axis=1)
     names = parameter_names(head.cameras)
     own = [names.index(name) for name in accuracy.parameters]
     readings = np.broadcast_to(joints, (len(points), 4))[found]
-    by_calibration = _by_parameters(head, points[found], readings, cameras)[..., own]
+    by_calibration = _moved_by_parameters(head, points[found], readings, cameras)[..., own]
     total[found] = by_calibration @ accuracy.covariance @ np.swapaxes(by_calibration, 1, 2)
     return total
 
 
-def _by_parameters(
+def _moved_by_parameters(
     head: HeadCalibration, points: Array, joints: Array, cameras: tuple[str, str] | None
 ) -> Array:
     """Return how triangulated points (N, 3) change with the head's parameters (N, 3, P).
@@ -164,7 +173,7 @@ def _by_parameters(
     The pixels stay where they are: the point makes up for what the parameters change. They weigh as
     in Eqs. 3-4: undistorted, and by the distance from the camera.
     """
-    by_point, by_parameters = [], []
+    by_point, by_head = [], []
     for name in cameras or main_pair(head) or ():
         mounted = head.cameras[name]
         angles, axes = joints[:, EYE_COLUMNS[mounted.eye]], axes_row(head.axes[mounted.eye])
@@ -182,13 +191,10 @@ def _by_parameters(
         slope = np.linalg.norm(ideal.by_point[:, 0], axis=(1, 2)) / pinhole.matrix[0, 0]
         weights /= slope[:, None, None]
         rows = np.zeros((len(points), 2, len(parameter_names(head.cameras))))
-        rows[:, :, camera_columns(head, name)] = np.concatenate(
-            [J.by_lens, J.by_T_eye_cam, J.by_T_rbase_lbase, J.by_T_base_eye @ by_axes[:, None]],
-            axis=-1,
-        )[:, 0]
+        rows[:, :, camera_columns(head, name)] = by_parameters(J, by_axes)[:, 0]
         by_point.append(weights @ J.by_point[:, 0])
-        by_parameters.append(weights @ rows)
-    return -np.linalg.pinv(np.concatenate(by_point, axis=1)) @ np.concatenate(by_parameters, axis=1)
+        by_head.append(weights @ rows)
+    return -np.linalg.pinv(np.concatenate(by_point, axis=1)) @ np.concatenate(by_head, axis=1)
 
 
 def _linearised(

@@ -27,7 +27,13 @@ from vergence.geometry import parameters
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import AXES, EYES, T_base_eye, axes_row, eye_jacobians
 from vergence.geometry.parameters import PER_CAMERA, POSE, camera_columns
-from vergence.geometry.projection import by_pose_of_points, project_at, project_with_jacobians
+from vergence.geometry.projection import (
+    by_parameters,
+    by_pose_of_points,
+    project_at,
+    project_with_jacobians,
+    rows_times,
+)
 from vergence.geometry.se3 import boxplus, hat
 
 Index = NDArray[np.intp]
@@ -189,18 +195,9 @@ def jacobians(problem: BundleProblem, state: BundleState) -> tuple[Array, Index,
     for c, mounted in enumerate(state.head.cameras.values()):
         own = problem.camera == c
         J = project_with_jacobians(mounted, state.head.T_rbase_lbase, T[own], points[own])
-        of_eye = J.by_T_base_eye.reshape(len(J.pixels), 2 * K, 6)
-        shared[own] = np.concatenate(
-            [
-                J.by_lens,
-                J.by_T_eye_cam,
-                J.by_T_rbase_lbase,
-                (of_eye @ by_axes[own]).reshape(-1, K, 2, 6),
-                by_pose_of_points(J.by_point, turned[own]),
-            ],
-            axis=-1,
-        )
-        latent[own] = (of_eye @ by_latent[own]).reshape(-1, K, 2, latent.shape[-1])
+        by_board = by_pose_of_points(J.by_point, turned[own])
+        shared[own] = np.concatenate([by_parameters(J, by_axes[own]), by_board], axis=-1)
+        latent[own] = rows_times(J.by_T_base_eye, by_latent[own])
     columns = np.stack([camera_columns(state.head, name) for name in problem.cameras])
     board = head_size(problem) + 6 * problem.placement[:, None] + np.arange(6)
     index = np.concatenate([columns[problem.camera], board], axis=1)
