@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
 from vergence.calibration.observations import Observations
@@ -59,7 +57,6 @@ def verdict(accuracy: Accuracy, head: HeadCalibration) -> tuple[str, str]:
     return "GOOD", "Next: nothing; more views would not make points much better."
 
 
-@lru_cache(maxsize=4)
 def point_accuracy(head: HeadCalibration) -> list[tuple[float, float, float]]:
     """Return at some distances [m] what calibration and what one reading add to a point [mm].
 
@@ -103,8 +100,8 @@ def summary_lines(head: HeadCalibration, observations: Observations) -> list[str
     corners, lost = observations.corners, len(observations.failures)
     found = sum(int(seen_corners(c).any(axis=1).sum()) for c in corners.values())
     lines = [
-        f"{word}: {len(corners)} cameras, {len(observations.placement)} views, the board found in "
-        f"{found} of {found + lost} images."
+        f"{word}: {len(corners)} camera{'s' * (len(corners) > 1)}, {len(observations.placement)} "
+        f"views, the board found in {found} of {found + lost} images."
     ]
     if accuracy.pixel_std_px is not None:
         degrees = [f"{np.degrees(s):.3f}" for s in accuracy.joint_std]
