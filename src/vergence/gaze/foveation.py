@@ -99,9 +99,10 @@ def eye_angles_to(
     """Return the pan and tilt (..., 2) [rad] that centre points in a camera of one eye.
 
     Newton's method on both axes at once, to machine precision, with the eye's imperfections and
-    with the camera off its rotation centre. It needs the direction to the point alone: no lens. The points (..., 3) [m] are in the eye's base frame,
-    and are centred on the principal point. Readings are not limited to the joints' ranges; NaN for
-    a point that no posture centres: one that is NaN, on the pan axis, or closer than the camera.
+    with the camera off its rotation centre. The points (..., 3) [m] are in the eye's base frame,
+    and are centred on the principal point, so that the lens does not matter. Readings are not
+    limited to the joints' ranges; NaN for a point that no posture centres: one that is NaN, on the
+    pan axis, or closer than the camera.
     """
     mounted, chain = calibration.camera(f"{eye}_{role}"), eye_chain(calibration.axes[eye])
     R_eye_cam, t_eye_cam = mounted.T_eye_cam[:3, :3], mounted.T_eye_cam[:3, 3]
