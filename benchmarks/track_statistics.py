@@ -7,15 +7,14 @@ series continues; delete the folder to start again, as after a change of the sof
 """
 
 import json
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import tyro
 
 from vergence.demos.track import track
-from vergence.files import write_whole
 from vergence.twin.profile import load_profile
+from vergence.writing import write_json
 
 OUT = Path("runs/track_statistics")
 IN_BOTH, RMS_PX = 0.99, 32.0
@@ -29,7 +28,7 @@ def summaries(out: Path, profile: str, runs: int, seconds: float) -> list[dict[s
         file = out / f"{profile}-{seconds:g}s-{seed}.json"
         if not file.is_file():
             made = track(seconds=seconds, seed=seed, profile=load_profile(profile))
-            write_whole(file, json.dumps(asdict(made), indent=1) + "\n")
+            write_json(made, file)
         found.append(json.loads(file.read_text()))
         print(row(f"{seed}", found[-1]), flush=True)
     return found

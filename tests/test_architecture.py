@@ -17,9 +17,9 @@ import pytest
 SRC = Path(__file__).parents[1] / "src"
 
 ROOMS = (
-    "errors", "arrays", "files", "progress", "geometry", "data", "vision", "stereo", "calibration",
-    "gaze", "reach", "interchange", "vergence", "twin", "viewer", "commands", "paper", "demos",
-    "cli",
+    "errors", "arrays", "reading", "writing", "progress", "geometry", "data", "vision", "stereo",
+    "calibration", "gaze", "reach", "interchange", "vergence", "twin", "viewer", "commands",
+    "paper", "demos", "cli",
 )  # fmt: skip
 """Folders and single modules, from the ground up: each may import itself and those before it.
 
@@ -32,7 +32,7 @@ CALIBRATION = (
 )  # fmt: skip
 """The same order inside the largest room; modules and subfolders that it lacks do not matter."""
 
-CORE_LIBRARIES = ("numpy", "scipy", "cv2", "pydantic", "yaml")
+CORE_LIBRARIES = ("numpy", "scipy", "cv2", "PIL", "pydantic", "yaml")
 OUTER_LIBRARIES = {
     "mujoco": ("twin",),
     "rerun": ("viewer", "paper.recording", "demos.recording"),

@@ -53,7 +53,7 @@ def folder(tmp_path: Path) -> Path:
         (1, "left_wide", "../secret.png", "'../secret.png' leads out of the dataset's folder"),
         (1, "left_wide", "/etc/passwd", "'/etc/passwd' leads out of the dataset's folder"),
         (1, "left_wide", "a\0b", "is not a possible file name"),
-        (1, "left_wide", "x" * 5000, "is not a possible file name"),
+        (1, "left_wide", "x" * 4000, "is not a possible file name"),
     ],
 )
 def test_a_bad_cell_is_named_by_its_line(folder, row, column, value, sentence):
@@ -117,8 +117,8 @@ def test_a_missing_column_is_named(folder, column):
         (b"", "is empty; its first line names the columns"),
         (b"time_s,time_s\n1,2\n", "the column 'time_s' is repeated"),
         (b"time_s;joint_time_s\n1;2\n", "separated by semicolons"),
-        (b"time_s,\xff\n", "is not a CSV file in UTF-8"),
-        (b'time_s\n"1', "is not a CSV file in UTF-8"),
+        (b"time_s,\xff\n", "is not a CSV file of frames"),
+        (b'time_s\n"1', "is not a CSV file of frames"),
         (b"time_s,joint_time_s\n", "has no frames, only a header"),
         (b"time_s,joint_time_s\n1\n", "line 2: found 1 fields for 2 columns"),
     ],

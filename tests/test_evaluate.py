@@ -10,11 +10,11 @@ from simulated_head import skewed_head
 from vergence.commands.evaluate import as_text, evaluate
 from vergence.commands.truth import Truth
 from vergence.errors import VergenceError
-from vergence.files import write_json
 from vergence.geometry.board import Chessboard
 from vergence.geometry.head import Accuracy, HeadCalibration
 from vergence.geometry.parameters import change_named, without_offsets
 from vergence.twin.profile import ErrorProfile
+from vergence.writing import write_json
 
 NAMES = ("left_wide.fx", "left_wide.fy", "left_wide.T_eye_cam.tx", "T_rbase_lbase.rz")
 STD = np.array([0.2, 0.2, 1e-3, 1e-3])

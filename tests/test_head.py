@@ -9,7 +9,6 @@ import pytest
 
 from simulated_head import plain_head, skewed_head
 from vergence.errors import VergenceError
-from vergence.files import write_whole
 from vergence.geometry.head import (
     HeadCalibration,
     T_base_cam,
@@ -21,6 +20,7 @@ from vergence.geometry.head import (
 )
 from vergence.geometry.kinematics import Neck
 from vergence.geometry.se3 import inverse, transform
+from vergence.writing import write_whole
 
 
 @pytest.fixture

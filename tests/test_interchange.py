@@ -10,7 +10,7 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 
 from simulated_head import random_pose, skewed_head
 from vergence.errors import VergenceError
@@ -286,8 +286,10 @@ def test_a_camera_that_the_head_has_not_is_named(tmp_path):
 def test_names_that_lead_out_of_the_folder_are_refused(tmp_path):
     head = plain(16)
     cameras = {"../left_wide": head.cameras["left_wide"]}
+    with pytest.raises(ValidationError, match="letters, digits"):
+        replace(head, cameras=cameras)
     with pytest.raises(VergenceError, match="letters, digits"):
-        ros.save(replace(head, cameras=cameras), tmp_path / "info")
+        ros.save(replace(head, cameras={"left-wide": head.cameras["left_wide"]}), tmp_path / "info")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -136,9 +136,9 @@ def test_the_same_seed_gives_the_same_dataset(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        ({"frames": 5}, "at least 12 frames; asked for 5"),
-        ({"moving": 2}, "at least 3 frames; asked for 2"),
-        ({"moving": -1}, "at least 3 frames; asked for -1"),
+        ({"frames": 5}, "12 to 10000 frames at rest; asked for 5"),
+        ({"moving": 2}, "3 to 10000 frames; asked for 2"),
+        ({"moving": -1}, "3 to 10000 frames; asked for -1"),
         ({"seed": -1}, "whole number from 0, found -1"),
     ],
 )

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from inspect import Parameter, signature
-from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -20,8 +20,8 @@ from rich.progress import Progress as Bars
 from vergence import __version__
 from vergence.commands.invocation import invocation
 from vergence.errors import VergenceError
-from vergence.files import write_json, write_whole
 from vergence.progress import Progress
+from vergence.writing import as_json, check_outputs, finished_files, unfinished, write_json
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -55,6 +55,7 @@ def reproduce(
     check(out, figures=figures, seed=seed, duration_s=duration, rate_hz=rate)
     if (out / "statistics.json").exists():
         print(f"Replacing the results of an earlier run in {out}.")
+    _say_if_unfinished(out)
     with _progress() as progress:
         done = run(
             out,
@@ -66,6 +67,8 @@ def reproduce(
             progress=progress,
         )
     recordings = [f"fig{number:02d}.rrd" for number in sorted(done.replays)]
+    if older := {path.name for path in out.glob("fig??.rrd")} - set(recordings):
+        print(f"Of an earlier run: {' '.join(sorted(older))}.")
     print(f"Wrote {' '.join(recordings)}, figures.png, report.md and statistics.json to {out}.")
     typed = invocation("rerun", out / recordings[0])
     made = out == Path("runs/paper") and 6 in done.replays and Path("Makefile").is_file()
@@ -133,15 +136,18 @@ def calibrate(
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from vergence.calibration.calibrate import calibrate as run
     from vergence.commands.calibration_report import figures, write_report
+    from vergence.data.dataset import DESCRIPTION, FRAMES
     from vergence.data.reader import load_dataset
     from vergence.geometry.head import save_head
 
+    check_outputs(out, json, folder=report, inputs=[dataset / DESCRIPTION, dataset / FRAMES])
     data = load_dataset(dataset)
+    _say_if_unfinished(report)
     with _progress() as progress:
         result = run(data, method=method, progress=progress)
         save_head(result.head, out)
         if json is not None:
-            write_whole(json, dumps(figures(result), indent=1, allow_nan=False) + "\n")
+            write_json(figures(result), json)
         if report is not None:
             write_report(result, data, report, progress=progress)
     print(f"{result.summary()}\nWrote {out}.")
@@ -164,6 +170,7 @@ def evaluate(
     from vergence.commands.truth import load
     from vergence.geometry.head import load_head
 
+    check_outputs(json, inputs=[calibration, truth])
     found = run(load_head(calibration), load(truth))
     if json is not None:
         write_json(found, json)
@@ -187,6 +194,7 @@ def export(
     from vergence.geometry.head import load_head
     from vergence.interchange.formats import export_head
 
+    check_outputs(None if format == "ros" else out, inputs=[calibration])
     export_head(load_head(calibration), out, format)
     print(f"Wrote {out}.")
 
@@ -210,6 +218,7 @@ def import_(
     from vergence.geometry.head import load_head, save_head
     from vergence.interchange.formats import import_head
 
+    check_outputs(out, inputs=[path])
     template = None if start is None else load_head(start)
     save_head(import_head(path, format, template=template), out)
     print(f"Wrote {out}.")
@@ -274,15 +283,25 @@ def _experiment(name: str, run: Callable[..., DataclassInstance], options: Exper
     from vergence.twin.profile import load_profile
 
     profile = load_profile(options.profile)
+    check_outputs(options.json, folder=options.out)
+    _say_if_unfinished(options.out)
     with _progress() as progress:
         found = run(seed=options.seed, profile=profile, out=options.out, progress=progress)
-    text = dumps(asdict(found), indent=1)
     if options.json is not None:
-        write_whole(options.json, text + "\n")
-    print(text)
+        write_json(found, options.json)
+    print(as_json(found), end="")
     if options.out is not None:
         typed = invocation("rerun", options.out / f"{name}.rrd")
         print(f"To view the recording: {typed}", file=sys.stderr)
+
+
+def _say_if_unfinished(folder: Path | None) -> None:
+    if folder is not None and unfinished(folder):
+        print(
+            f"An earlier run into {folder} was stopped before its end: until this one has ended, "
+            "files there may be of different runs.",
+            file=sys.stderr,
+        )
 
 
 @contextmanager
@@ -352,6 +371,7 @@ def main() -> None:
         print(f"vergence {__version__}")
         return
     try:
+        signal.signal(signal.SIGTERM, _stop)
         _check(sys.argv[1:])
         tyro.extras.subcommand_cli_from_dict(
             COMMANDS,
@@ -361,9 +381,16 @@ def main() -> None:
     except VergenceError as error:
         print(f"vergence: {error}", file=sys.stderr)
         raise SystemExit(2) from None
-    except KeyboardInterrupt:
-        print("vergence: interrupted; what was finished is in the output folder.", file=sys.stderr)
-        raise SystemExit(130) from None
+    except KeyboardInterrupt as stop:
+        files = " ".join(map(str, finished_files()))
+        kept = f"finished before: {files}" if files else "nothing was written"
+        print(f"vergence: stopped; {kept}.", file=sys.stderr)
+        raise SystemExit(128 + (stop.args[0] if stop.args else signal.SIGINT)) from None
+
+
+def _stop(number: int, frame: object) -> None:
+    """End as Ctrl-C does."""
+    raise KeyboardInterrupt(number)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,9 @@
 
 from pydantic import ValidationError
 
+MOST_CHARACTERS = 1000
+"""Of what is said of a file: a parser may cite the whole line."""
+
 
 class VergenceError(Exception):
     """What was asked, what was found, and what would be right, in one sentence.
@@ -15,9 +18,9 @@ def explain(error: Exception) -> str:
 
     Of pydantic's errors it is the first, with the path of its field: `joints.left_pan.unit: ...`.
     """
-    text = str(error)
+    text = "it is nested too deeply" if isinstance(error, RecursionError) else str(error)
     if isinstance(error, ValidationError):
         first = error.errors()[0]
-        where = ".".join(map(str, first["loc"]))
+        where = ".".join(str(step)[:60] for step in first["loc"])
         text = (f"{where}: " if where else "") + first["msg"].removeprefix("Value error, ")
-    return " ".join(text.split()).rstrip(".")
+    return " ".join(text[:MOST_CHARACTERS].split()).rstrip(".")

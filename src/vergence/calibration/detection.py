@@ -12,7 +12,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.observations import DetectionFailure, Observations
-from vergence.data.dataset import Dataset, read_image, runs
+from vergence.data.dataset import Dataset, runs
 from vergence.data.timing import Timing
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board, Chessboard
@@ -94,10 +94,9 @@ def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observati
 
 
 def _detect(dataset: Dataset, camera: str, row: int) -> _Detection:
-    image = read_image(dataset.folder / str(dataset.files[camera][row]))
+    image = dataset.readable_image(camera, row)
     if image is None:
         return _Detection(camera, row, None, "the file is not a readable image")
-    dataset.check_size(camera, row, image)
     digest = hashlib.blake2b(image.tobytes(), digest_size=16).digest()
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     return _Detection(camera, row, *detect_or_explain(grey, dataset.description.board), digest)
@@ -159,7 +158,7 @@ def _nothing_found(dataset: Dataset, seen: list[_Detection]) -> str:
     sentence = f"No image of {dataset.folder} shows a {board.kind} of {stated} ({common})"
     if isinstance(board, Chessboard):
         for each in seen[:: max(1, len(seen) // _PROBES)]:
-            image = read_image(dataset.folder / str(dataset.files[each.camera][each.row]))
+            image = dataset.readable_image(each.camera, each.row)
             for more in (-1, 1):
                 columns, rows = board.columns + more, board.rows + more
                 if image is None or min(columns, rows) < 3:

@@ -10,13 +10,13 @@ import numpy as np
 from vergence.calibration.calibrate import CalibrationResult
 from vergence.calibration.summary import point_accuracy, verdict
 from vergence.data.dataset import Dataset
-from vergence.files import write_whole
 from vergence.geometry.kinematics import EYE_COLUMNS
 from vergence.geometry.parameters import parameter_values
 from vergence.progress import Progress, silent
 from vergence.viewer import plots_calibration as plots
 from vergence.viewer.dataset import record_dataset, rms_by_view
 from vergence.viewer.opening import markdown_table
+from vergence.writing import results_folder, write_whole
 
 FAILURES_NAMED = 20
 WORST_SHOWN, WORST_LISTED = 4, 10
@@ -55,7 +55,17 @@ def _stds(result: CalibrationResult) -> dict[str, float]:
 def write_report(
     result: CalibrationResult, dataset: Dataset, folder: Path, *, progress: Progress = silent
 ) -> None:
-    """Write report.md, its pictures and the recording dataset.rrd into a folder."""
+    """Write report.md, its pictures and the recording dataset.rrd into a folder.
+
+    VergenceError if they cannot be written, or an image cannot be read.
+    """
+    with results_folder(folder):
+        _write_report(result, dataset, folder, progress)
+
+
+def _write_report(
+    result: CalibrationResult, dataset: Dataset, folder: Path, progress: Progress
+) -> None:
     progress("writing the report", 0, len(dataset))
     seen = result.observations
     angles = {eye: seen.eye_angles[:, columns] for eye, columns in EYE_COLUMNS.items()}

@@ -12,9 +12,8 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.commands.truth import TRUTH, Truth, with_sensors
 from vergence.data.dataset import DatasetCamera, DatasetJoint, Description
-from vergence.data.writer import DatasetRow, check_new, write_dataset
+from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError
-from vergence.files import write_json
 from vergence.geometry.board import Board, Charuco
 from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS
 from vergence.progress import Progress, silent
@@ -32,6 +31,7 @@ from vergence.twin.calibration_sequence import (
 )
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile, Lens
+from vergence.writing import as_json, check_new
 
 Target = Literal["chessboard", "charuco"]
 
@@ -45,6 +45,7 @@ FRAMES = 60
 """Default number of frames with the eyes at rest."""
 LEAST_FRAMES = 12
 """With fewer frames at rest some camera would have fewer than three views."""
+MOST_FRAMES = 10_000
 PART_SEEN = 0.4
 """Least visible part of a ChArUco board for which a camera takes an image."""
 
@@ -84,10 +85,14 @@ def record(
     Raises:
         VergenceError: an argument cannot be met, or the folder cannot be written.
     """
-    if frames < LEAST_FRAMES:
-        raise VergenceError(f"A dataset has at least {LEAST_FRAMES} frames; asked for {frames}.")
-    if moving < LEAST_MOVING and moving != 0:
-        raise VergenceError(f"A motion has at least {LEAST_MOVING} frames; asked for {moving}.")
+    if not LEAST_FRAMES <= frames <= MOST_FRAMES:
+        raise VergenceError(
+            f"A dataset has {LEAST_FRAMES} to {MOST_FRAMES} frames at rest; asked for {frames}."
+        )
+    if moving != 0 and not LEAST_MOVING <= moving <= MOST_FRAMES:
+        raise VergenceError(
+            f"A motion has {LEAST_MOVING} to {MOST_FRAMES} frames; asked for {moving}."
+        )
     check_new(out)
     charuco = CHARUCO if target == "charuco" else None
     board: Board = charuco or BOARD
@@ -107,18 +112,21 @@ def record(
                 progress(task, len(true_angles), total)
                 yield row
 
-        write_dataset(out, _description(twin, board_as_given(profile, board), lens, seed), rows())
-        truth = Truth(
-            head=with_sensors(twin.truth, profile.joints),
-            time_offset_s=profile.joints.delay_ms * 1e-3,
-            eye_angles=np.array(true_angles),
-            T_lbase_target={shot.placement: shot.T_lbase_target for shot in shots},
-            board=board,
-            seed=seed,
-            lens=lens,
-            profile=profile,
-        )
-        write_json(truth, out / TRUTH)
+        def write_truth(folder: Path) -> None:
+            truth = Truth(
+                head=with_sensors(twin.truth, profile.joints),
+                time_offset_s=profile.joints.delay_ms * 1e-3,
+                eye_angles=np.array(true_angles),
+                T_lbase_target={shot.placement: shot.T_lbase_target for shot in shots},
+                board=board,
+                seed=seed,
+                lens=lens,
+                profile=profile,
+            )
+            (folder / TRUTH).write_text(as_json(truth), encoding="utf-8")
+
+        description = _description(twin, board_as_given(profile, board), lens, seed)
+        write_dataset(out, description, rows(), beside=write_truth)
     return images
 
 

@@ -14,10 +14,10 @@ from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Matrix, Transform
-from vergence.files import read_json
 from vergence.geometry.board import Charuco, Chessboard
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYE_COLUMNS
+from vergence.reading import read_json
 from vergence.twin.profile import ErrorProfile, Joints
 
 TRUTH = "truth.json"

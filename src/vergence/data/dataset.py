@@ -6,24 +6,27 @@ A dataset is a folder whose format docs/dataset.md describes. This module define
 
 from __future__ import annotations
 
-import re
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass as plain_dataclass
 from dataclasses import field
+from io import BytesIO
 from pathlib import Path
 from typing import Annotated, Literal
 
 import cv2
 import numpy as np
+from PIL import Image
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.board import Charuco, Chessboard
-from vergence.geometry.camera import Camera
-from vergence.geometry.head import Side
-from vergence.geometry.kinematics import EYE_JOINTS, EYES, NECK_JOINTS
+from vergence.geometry.camera import MAX_IMAGE_PX, Camera, check_image_size
+from vergence.geometry.head import MAX_CAMERAS, check_camera_name
+from vergence.geometry.kinematics import EYE_JOINTS, EYES, NECK_JOINTS, Side
+from vergence.reading import read_bytes
 
 DESCRIPTION, FRAMES = "dataset.json", "frames.csv"
 TIME, JOINT_TIME, PLACEMENT, MOVING = "time_s", "joint_time_s", "placement", "moving"
@@ -31,7 +34,6 @@ TIME, JOINT_TIME, PLACEMENT, MOVING = "time_s", "joint_time_s", "placement", "mo
 
 MAX_SQUARE_M = 1.0
 """A larger side was probably given in millimetres; boards of unknown size have squares of 1."""
-MAX_IMAGE_PX = 20_000
 
 
 @plain_dataclass(frozen=True, eq=False)
@@ -54,6 +56,8 @@ JOINTS: tuple[str, ...] = (*EYE_JOINTS, *NECK_JOINTS)
 """Names of the joints whose readings a dataset can hold."""
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 _Pixels = Annotated[int, Field(gt=0, le=MAX_IMAGE_PX, strict=True)]
+MAX_IMAGE_BYTES = 256 * 2**20
+IMAGE_FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "PPM", "WEBP")
 
 
 @dataclass(frozen=True, eq=False, config=_STRICT)
@@ -95,14 +99,12 @@ class Description:
     format: Literal["vergence-dataset-1"] = "vergence-dataset-1"
 
     def __post_init__(self) -> None:
-        if not self.cameras:
-            raise ValueError("cameras is empty; a dataset has at least one")
+        if not 1 <= len(self.cameras) <= MAX_CAMERAS:
+            found = f"found {len(self.cameras)}" if self.cameras else "cameras is empty"
+            raise ValueError(f"a dataset has 1 to {MAX_CAMERAS} cameras; {found}")
         for name, camera in self.cameras.items():
-            if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,63}", name) or name in EYES:
-                raise ValueError(
-                    f"cameras.{name}: a camera's name begins with a letter, has letters, digits, "
-                    "- and _, and is not the name of an eye"
-                )
+            check_camera_name(name)
+            check_image_size(camera.width, camera.height)
             side = name.partition("_")[0]
             if side in EYES and side != camera.eye:
                 raise ValueError(
@@ -206,24 +208,29 @@ class Dataset:
 
         VergenceError if the file cannot be read, or its size differs from dataset.json.
         """
-        name = self.files[camera][row]
-        if name is None:
+        if self.files[camera][row] is None:
             return None
-        image = read_image(self.folder / name)
+        image = self.readable_image(camera, row)
         if image is None:
+            name = self.files[camera][row]
             raise VergenceError(f"{self.where(row)}: {camera}: {name} is not a readable image.")
-        self.check_size(camera, row, image)
         return image
 
-    def check_size(self, camera: str, row: int, image: np.ndarray) -> None:
-        """Raise VergenceError if an image's size differs from the one in dataset.json."""
+    def readable_image(self, camera: str, row: int) -> np.ndarray | None:
+        """Return the same, but None where the file is not a readable image.
+
+        VergenceError if its size differs from dataset.json, which is found in the file's header.
+        """
+        path = self.folder / str(self.files[camera][row])
+        content = read_bytes(path, MAX_IMAGE_BYTES)
+        size = image_size(content)
         stated = self.description.cameras[camera]
-        height, width = image.shape[:2]
-        if (width, height) != (stated.width, stated.height):
+        if size is not None and size != (stated.width, stated.height):
             raise VergenceError(
-                f"{self.where(row)}: {camera}: {self.files[camera][row]} has {width} x {height} "
+                f"{self.where(row)}: {camera}: {self.files[camera][row]} has {size[0]} x {size[1]} "
                 f"pixels, but dataset.json says {stated.width} x {stated.height}."
             )
+        return None if size is None else decode_image(content, size)
 
     def frame(self, row: int) -> Frame:
         """Return a row with all its images, as a head's driver would; errors: see `image`."""
@@ -241,15 +248,28 @@ class Dataset:
         return f"{self.folder / FRAMES}, line {self.lines[row]}"
 
 
-def read_image(path: Path) -> np.ndarray | None:
-    """Return an image file as (H, W, 3) uint8, RGB; None if it cannot be read."""
+def image_size(content: bytes) -> tuple[int, int] | None:
+    """Return width and height [px] by the header of an image file; None: not of IMAGE_FORMATS."""
+    try:
+        with warnings.catch_warnings():  # of odd metadata; large images are refused by the caller
+            warnings.simplefilter("ignore")
+            with Image.open(BytesIO(content), formats=IMAGE_FORMATS) as image:
+                return image.size
+    except Exception:  # its readers raise errors of many kinds on damaged headers
+        return None
+
+
+def decode_image(content: bytes, size: tuple[int, int]) -> np.ndarray | None:
+    """Return an image file of a known size as (H, W, 3) uint8, RGB; None if it cannot be read."""
     try:
         # As the sensor was read out: an EXIF orientation would turn the pixel coordinates.
         flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
-        image = cv2.imdecode(np.fromfile(path, np.uint8), flags)
-    except (OSError, ValueError, cv2.error):
+        image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
+    except cv2.error:
         return None
-    return None if image is None else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+    if image is None or image.shape[1::-1] != size:
+        return None
+    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
 MAX_GAP_S = 0.2

@@ -6,10 +6,10 @@ Whatever is missing, doubtful or impossible is refused with the file, the line a
 from __future__ import annotations
 
 import csv
-import json
 import re
 from collections import Counter
 from dataclasses import dataclass
+from io import StringIO
 from math import nan
 from pathlib import Path
 from typing import Any
@@ -31,6 +31,7 @@ from vergence.data.dataset import (
 )
 from vergence.errors import VergenceError, explain
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, NECK_JOINTS
+from vergence.reading import MAX_DIGITS, parse_json, read_bytes, read_parsed
 
 MAX_DELAY_S = 1.0
 """Largest time between an image and its joint reading; more means that the clocks differ."""
@@ -39,8 +40,15 @@ MAX_EYE_RAD = 1.2
 MAX_NECK_MOTION_RAD = 0.02
 """Largest apparent motion of the neck among rows of one placement."""
 # float() and int() also take 1_000 and digits of other scripts, which other readers do not.
-NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
+NUMBER = re.compile(r"[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?")
 WHOLE_NUMBER = re.compile(r"[0-9]{1,10}")
+
+MAX_TABLE_BYTES = 32 * 2**20
+MAX_ROWS = 100_000
+MAX_COLUMNS = 1000
+MAX_CELL = 4096
+"""Characters of a cell, which may be the name of a file."""
+MAX_DESCRIPTION_BYTES = 2**20
 
 
 def load_dataset(folder: str | Path) -> Dataset:
@@ -53,13 +61,17 @@ def load_dataset(folder: str | Path) -> Dataset:
     folder = Path(folder)
     if not folder.is_dir():
         raise VergenceError(f"There is no dataset folder {folder}.")
-    try:
-        description = _read_description(folder / DESCRIPTION)
-        table = _read_table(folder / FRAMES)
-    except FileNotFoundError as error:
-        raise VergenceError(f"There is no {Path(error.filename).name} in {folder}.") from None
-    except OSError as error:
-        raise VergenceError(f"Cannot read the dataset {folder}: {error.strerror}.") from error
+    for name in (DESCRIPTION, FRAMES):
+        if not (folder / name).exists():
+            raise VergenceError(f"There is no {name} in {folder}.")
+    description = read_parsed(
+        folder / DESCRIPTION,
+        "a description of a dataset",
+        _description,
+        parse_json,
+        most_bytes=MAX_DESCRIPTION_BYTES,
+    )
+    table = _read_table(folder / FRAMES)
     _check_columns(table, description)
     poses = description.eye_motion == "poses"
     time_s, joint_time_s = _time_stamps(table)
@@ -81,22 +93,12 @@ def load_dataset(folder: str | Path) -> Dataset:
     )
 
 
-def _read_description(path: Path) -> Description:
+def _description(content: Any) -> Description:
     try:
-        raw = json.loads(path.read_text(encoding="utf-8-sig"), object_pairs_hook=_unique_keys)
-        return TypeAdapter(Description).validate_python(raw)
+        return TypeAdapter(Description).validate_python(content)
     except ValidationError as error:
         reason = re.sub(r"^board\.(chessboard|charuco)", "board", explain(error))
-        raise VergenceError(f"{path}: {reason}.") from None
-    except (ValueError, RecursionError) as error:  # not JSON, not UTF-8, or a repeated key
-        raise VergenceError(f"{path} is not valid JSON: {explain(error)}.") from None
-
-
-def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    counts = Counter(name for name, _ in pairs)
-    if repeated := [name for name, count in counts.items() if count > 1]:
-        raise ValueError(f"the key {repeated[0]!r} is repeated")
-    return dict(pairs)
+        raise ValueError(reason) from None
 
 
 @dataclass(frozen=True)
@@ -116,7 +118,7 @@ class _Table:
     def numbers(self, names: list[str]) -> Array:
         """Return the numbers (N, n) of n columns; VergenceError where one is not finite."""
         cells = [self.columns[name] for name in names]
-        values = [[float(t) if NUMBER.fullmatch(t) else nan for t in column] for column in cells]
+        values = [[_number(text) for text in column] for column in cells]
         values = np.array(values).T
         for k, n in np.argwhere(~np.isfinite(values)).tolist():
             found = repr(cells[n][k][:40]) if cells[n][k] else "blank"
@@ -137,22 +139,34 @@ class _Table:
         return np.array([int(text or -1) for text in texts])
 
 
+def _number(text: str) -> float:
+    return float(text) if len(text) <= MAX_DIGITS and NUMBER.fullmatch(text) else nan
+
+
 def _read_table(path: Path) -> _Table:
     """Read the rows that are not blank; editors leave blank lines at the end."""
+    content = read_bytes(path, MAX_TABLE_BYTES)
+    rows: dict[int, list[str]] = {}
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            reader = csv.reader(file, strict=True)
-            header = [" ".join(name.split()) for name in next(reader, [])]
-            texts = ((reader.line_num, [*map(str.strip, cells)]) for cells in reader)
-            rows = {line: cells for line, cells in texts if any(cells)}
-    except (csv.Error, UnicodeDecodeError) as error:
-        raise VergenceError(f"{path} is not a CSV file in UTF-8: {explain(error)}.") from None
+        reader = csv.reader(StringIO(content.decode("utf-8-sig"), newline=""), strict=True)
+        header = [" ".join(name.split()) for name in next(reader, [])]
+        for cells in reader:
+            if len(cells) > MAX_COLUMNS or len(rows) > MAX_ROWS or len(header) > MAX_COLUMNS:
+                raise ValueError(f"it has more than {MAX_COLUMNS} columns or {MAX_ROWS} rows")
+            if any(len(cell) > MAX_CELL for cell in cells):
+                raise ValueError(f"line {reader.line_num} has a cell of over {MAX_CELL} characters")
+            stripped = [*map(str.strip, cells)]
+            if any(stripped):
+                rows[reader.line_num] = stripped
+    except (csv.Error, ValueError) as error:  # ValueError: not UTF-8 too
+        raise VergenceError(f"{path} is not a CSV file of frames: {explain(error)}.") from None
     if not any(header):
         raise VergenceError(f"{path} is empty; its first line names the columns.")
     if len(header) == 1 and ";" in header[0]:
         raise VergenceError(f"{path} is separated by semicolons; use commas.")
-    if repeated := [name for name in header if header.count(name) > 1]:
-        raise VergenceError(f"{path}: the column {repeated[0]!r} is repeated.")
+    if len(set(header)) < len(header):
+        name, _ = Counter(header).most_common(1)[0]
+        raise VergenceError(f"{path}: the column {name!r} is repeated.")
     for line, cells in rows.items():
         if len(cells) != len(header):
             raise VergenceError(

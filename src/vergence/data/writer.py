@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import csv
 import os
-import tempfile
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,8 +26,8 @@ from vergence.data.dataset import (
     Description,
     Frame,
 )
-from vergence.errors import VergenceError
 from vergence.geometry.kinematics import EYES
+from vergence.writing import check_new, whole_folder
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,43 +44,35 @@ class DatasetRow:
     """(2, 4, 4) poses of the left and right eye, needed if the description has poses."""
 
 
-def check_new(folder: Path) -> None:
-    """Raise VergenceError if a dataset cannot be written to a folder because it is not empty."""
-    try:
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise VergenceError(
-                f"{folder} already exists and is not empty; name another folder, or remove it."
-            )
-    except OSError as error:
-        raise VergenceError(f"Cannot use the folder {folder}: {error.strerror}.") from error
-
-
-def write_dataset(folder: Path, description: Description, rows: Iterable[DatasetRow]) -> None:
+def write_dataset(
+    folder: Path,
+    description: Description,
+    rows: Iterable[DatasetRow],
+    *,
+    beside: Callable[[Path], None] = lambda folder: None,
+) -> None:
     """Write a dataset into a temporary folder that is renamed when it is complete.
 
     Images become grey PNG files, a third of the size of colour ones and all that detection uses.
     They are encoded in worker threads while the next rows are being made.
 
-    The rows are in order of time; an iterator may make them one by one.
+    Args:
+        folder: new or empty.
+        description: of the cameras, the board and the joints.
+        rows: in order of time; an iterator may make them one by one.
+        beside: is called with the temporary folder after the last row, to write other files there.
 
     Raises:
         VergenceError: the folder is not empty, or cannot be written.
     """
     check_new(folder)
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as private:
-            part = Path(private) / folder.name
-            (part / "images").mkdir(parents=True)
-            adapter = TypeAdapter(Description)
-            text = adapter.dump_json(description, indent=1, exclude_none=True) + b"\n"
-            (part / DESCRIPTION).write_bytes(text)
-            _write_frames(part, description, rows)
-            if folder.is_dir():
-                folder.rmdir()
-            part.rename(folder)
-    except OSError as error:
-        raise VergenceError(f"Cannot write the dataset {folder}: {error.strerror}.") from error
+    with whole_folder(folder) as part:
+        (part / "images").mkdir()
+        adapter = TypeAdapter(Description)
+        text = adapter.dump_json(description, indent=1, exclude_none=True) + b"\n"
+        (part / DESCRIPTION).write_bytes(text)
+        _write_frames(part, description, rows)
+        beside(part)
 
 
 def _write_frames(folder: Path, description: Description, rows: Iterable[DatasetRow]) -> None:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,11 +11,11 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.files import write_whole
 from vergence.gaze.state import GazeSettings
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.simulated_robot import calibrate_twin
+from vergence.writing import write_json
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -44,4 +42,4 @@ def calibrated_twin(profile: ErrorProfile, seed: int) -> Iterator[tuple[Twin, Ga
 def write_summary(out: Path | None, name: str, summary: DataclassInstance) -> None:
     """Write a demo's summary to `name`.json in a folder; None: nothing is written."""
     if out is not None:
-        write_whole(out / f"{name}.json", json.dumps(asdict(summary), indent=1) + "\n")
+        write_json(summary, out / f"{name}.json")

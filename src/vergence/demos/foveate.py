@@ -195,8 +195,8 @@ def foveate(
             made.append(run_trial(twin, settings, run, target, watch=record))
             progress("foveate, trials", len(made), trials)
         report += as_markdown(made[:RECORDED])
-    found = summary(made)
-    write_summary(out, "foveate", found)
+        found = summary(made)
+        write_summary(out, "foveate", found)
     return found, made
 
 

@@ -199,7 +199,7 @@ def grasp(
             progress("grasp, trials", len(made), trials)
         found = summary(made)
         report += as_markdown(found)
-    write_summary(out, "grasp", found)
+        write_summary(out, "grasp", found)
     return found, made
 
 

@@ -21,7 +21,10 @@ from vergence.twin.simulated_robot import FRAME_S, foveal_errors
 from vergence.viewer.gaze import Moment, log_gaze_frame, log_gaze_series, log_gaze_styles, moment
 from vergence.viewer.gaze_layout import gaze_blueprint
 from vergence.viewer.opening import log_report, recording_file
+from vergence.writing import results_folder
 
+SERIES = 1000
+"""Number of frames whose curves are recorded at once, so that a long run needs no more memory."""
 Watch = Callable[[GazeState, Frame | None, Mapping[str, str], Array | None], None]
 """A function that is called with a state and the frame that led to it, with phases by lane beside
 that of the gaze, and with the position (3,) of a hand [m] in frame body. Without a frame nothing
@@ -41,6 +44,8 @@ def recorded(
     hand: bool = False,
 ) -> Iterator[tuple[Watch, list[str]]]:
     """Record in a `with` block what a function is called with, to `name`.rrd in a folder.
+
+    The folder is marked as unfinished until the block ends well.
 
     Several runs, each with its time from zero, follow each other on one timeline. Images are
     recorded of the frames that have those of all cameras. Without a folder nothing is recorded.
@@ -69,21 +74,33 @@ def recorded(
     head = settings.calibration
     layout = gaze_blueprint(title, head, reach_m=reach_m, speed=speed, hand=hand)
     moments: list[Moment] = []
+    lanes_before: Mapping[str, str] = {}
+    count = 0
     file = out / f"{name}.rrd"
-    with recording_file(file, title, layout, head, visual_geoms(twin.model)) as rec:
+    with (
+        results_folder(out),
+        recording_file(file, title, layout, head, visual_geoms(twin.model)) as rec,
+    ):
         before_s, began_s = -np.inf, 0.0
+
+        def record_series() -> None:
+            nonlocal lanes_before
+            log_gaze_series(rec, moments, first=count - len(moments), lanes=lanes_before)
+            if moments:
+                lanes_before = moments[-1].lanes
+            moments.clear()
 
         def watch(
             state: GazeState, frame: Frame | None, lanes: Mapping[str, str], hand: Array | None
         ) -> None:
-            nonlocal before_s, began_s
+            nonlocal before_s, began_s, count
             if frame is None:
                 return
             if frame.time_s < before_s:  # the next run
                 began_s += before_s + FRAME_S
             before_s, time_s = frame.time_s, began_s + frame.time_s
             T_body_lbase = T_body_base(head, "left", frame.neck_angles)
-            if not moments:
+            if not count:
                 log_gaze_styles(rec, head, twin.T_world_lbase() @ inverse(T_body_lbase))
             poses = twin.body_poses()
             hidden = poses["object"][2, 3] < 0  # below the floor
@@ -95,7 +112,7 @@ def recorded(
                 state,
                 frame,
                 time_s=time_s,
-                index=len(moments),
+                index=count,
                 pictures=len(frame.images) == len(head.cameras),
                 body_poses=poses,
                 truth={name: project_point(twin.truth, name, eyes, where) for name in frame.images},
@@ -112,7 +129,10 @@ def recorded(
                     hand=hand,
                 )
             )
+            count += 1
+            if len(moments) == SERIES:
+                record_series()
 
         yield watch, report
-        log_gaze_series(rec, moments)
+        record_series()
         log_report(rec, "\n".join(report))

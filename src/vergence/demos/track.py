@@ -204,7 +204,7 @@ def track(
 
         found = follow(twin, settings, 1, path, seconds, hidden_s=hidden_s, watch=both)
         report += as_markdown(found, hidden_s)
-    write_summary(out, "track", found)
+        write_summary(out, "track", found)
     return found
 
 

@@ -9,21 +9,38 @@ from __future__ import annotations
 
 from dataclasses import field
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
-from pydantic import ConfigDict, PositiveInt
+from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Array, Matrix3, Vector
 
+MAX_IMAGE_PX = 20_000
+MAX_IMAGE_AREA_PX = 50_000_000
+"""Width times height; decoding an image of this size takes 300 MB."""
+Pixels = Annotated[int, Field(gt=0, le=MAX_IMAGE_PX)]
+"""The width or height of an image."""
+MAX_NUMBER = 1e12
+"""Of the matrix and the distortion; with larger ones projections overflow."""
+
+
+def check_image_size(width: int, height: int) -> None:
+    """Raise ValueError if an image has more pixels than are read."""
+    if width * height > MAX_IMAGE_AREA_PX:
+        raise ValueError(
+            f"images have at most {MAX_IMAGE_AREA_PX:,} pixels, found {width} x {height}"
+        )
+
 
 @dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
 class Camera:
-    """Intrinsic parameters of one camera."""
+    """Intrinsic parameters of one camera; ValueError where they are not possible."""
 
-    width: PositiveInt
+    width: Pixels
     """Image width [px]."""
-    height: PositiveInt
+    height: Pixels
     """Image height [px]."""
     matrix: Matrix3
     """A of Eq. 2: [[alpha, gamma, u0], [0, beta, v0], [0, 0, 1]] [px]."""
@@ -33,6 +50,10 @@ class Camera:
     def __post_init__(self) -> None:
         if self.distortion.shape != (5,):
             raise ValueError(f"distortion has 5 coefficients, found {self.distortion.size}")
+        check_image_size(self.width, self.height)
+        largest = max(np.abs(self.distortion).max(), np.abs(self.matrix).max())
+        if largest > MAX_NUMBER:
+            raise ValueError(f"matrix and distortion are below {MAX_NUMBER:g}, found {largest:g}")
         if self.matrix[0, 0] <= 0 or self.matrix[1, 1] <= 0:
             raise ValueError("focal lengths are positive, found one that is not")
         if self.matrix[1, 0] != 0 or (self.matrix[2] != [0, 0, 1]).any():

@@ -6,6 +6,8 @@ the left eye's base frame (x forward, y left, z up).
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from collections.abc import Collection
 from dataclasses import field
 from pathlib import Path
@@ -17,13 +19,18 @@ from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Array, Matrix, Transform
 from vergence.errors import VergenceError
-from vergence.files import read_json, write_json
 from vergence.geometry.camera import Camera
 from vergence.geometry.kinematics import EYES, EyeAxes, Neck, Side, T_base_eye, T_body_head
 from vergence.geometry.se3 import inverse, pose
+from vergence.reading import read_json
+from vergence.writing import write_json
+
+_FINITE = ConfigDict(extra="forbid", allow_inf_nan=False)
+MAX_CAMERAS = 64
+MAX_TIME_OFFSET_S = 10.0
 
 
-@dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
+@dataclass(frozen=True, eq=False, config=_FINITE)
 class MountedCamera:
     """A camera and where it sits in its eye."""
 
@@ -33,7 +40,7 @@ class MountedCamera:
     """Pose of the camera in the eye: T_ec of the paper."""
 
 
-@dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
+@dataclass(frozen=True, eq=False, config=_FINITE)
 class HeldOut:
     """How well views were predicted that the calibration had not seen."""
 
@@ -63,7 +70,7 @@ def _method_of_version_0_1(name: str) -> str:
     return "bundle" if name == "refined" else name
 
 
-@dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
+@dataclass(frozen=True, eq=False, config=_FINITE)
 class Accuracy:
     """How well a calibration is known; see docs/calibration.md."""
 
@@ -74,9 +81,9 @@ class Accuracy:
     px, rad, m, s. Empty for the paper's method, which states no accuracy."""
     covariance: Matrix = field(default_factory=lambda: np.empty((0, 0)))
     """In the order of parameters. Poses change by the increment of `se3.boxplus`."""
-    pixel_std_px: float | None = None
+    pixel_std_px: Annotated[float, Field(ge=0)] | None = None
     """Noise of one coordinate of a corner."""
-    joint_std: tuple[float, ...] = ()
+    joint_std: tuple[Annotated[float, Field(ge=0)], ...] = ()
     """Noise of the readings [rad]: of all joints, or of pan and tilt; for eyes whose poses are
     given, rotation [rad] and translation [m]."""
     eye_motion: Literal["pan-tilt", "poses"] = "pan-tilt"
@@ -85,8 +92,29 @@ class Accuracy:
     warnings: tuple[str, ...] = ()
     """What the data could not determine, and what to record instead."""
 
+    def __post_init__(self) -> None:
+        n, C = len(self.parameters), self.covariance
+        if C.shape != (n, n):
+            raise ValueError(
+                f"covariance has a row and a column for each of {n} parameters, found "
+                f"{C.shape[0]} x {C.shape[1]} numbers"
+            )
+        if len(set(self.parameters)) < n:
+            name, _ = Counter(self.parameters).most_common(1)[0]
+            raise ValueError(f"parameters has {name!r} twice")
+        if (np.diag(C) <= 0).any():
+            name = self.parameters[int(np.argmax(np.diag(C) <= 0))]
+            raise ValueError(f"the variance of {name!r} is not positive")
+        if n:
+            std = np.sqrt(np.diag(C))
+            correlation = C / std / std[:, None]
+            if np.abs(correlation - correlation.T).max() > 1e-6:
+                raise ValueError("covariance is not symmetric")
+            if np.linalg.eigvalsh(correlation)[0] < -1e-6 * n:
+                raise ValueError("covariance is not positive semidefinite")
 
-@dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
+
+@dataclass(frozen=True, eq=False, config=_FINITE)
 class HeadCalibration:
     """Everything that calibration finds of a head, and nothing that only a twin could know."""
 
@@ -107,12 +135,35 @@ class HeadCalibration:
     """None: not stated; files of other programs and heads as designed have none."""
     format: Literal["vergence-head-calibration-1"] = "vergence-head-calibration-1"
 
+    def __post_init__(self) -> None:
+        if not 1 <= len(self.cameras) <= MAX_CAMERAS:
+            raise ValueError(f"a head has 1 to {MAX_CAMERAS} cameras, found {len(self.cameras)}")
+        for name in self.cameras:
+            check_camera_name(name)
+        for eye in EYES:
+            if eye not in self.axes:
+                raise ValueError(f"axes.{eye} is missing")
+        if abs(self.time_offset_s) > MAX_TIME_OFFSET_S:
+            raise ValueError(
+                f"time_offset_s is in seconds, at most {MAX_TIME_OFFSET_S:g}; found "
+                f"{self.time_offset_s:g}"
+            )
+
     def camera(self, name: str) -> MountedCamera:
         """Return a camera by its name; VergenceError if there is none of that name."""
         if name not in self.cameras:
             known = ", ".join(self.cameras)
             raise VergenceError(f"No camera is called {name!r}; this head has: {known}.")
         return self.cameras[name]
+
+
+def check_camera_name(name: str) -> None:
+    """Raise ValueError if a camera cannot be called so, which is also the name of files."""
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,63}", name) or name in EYES:
+        raise ValueError(
+            f"cameras.{name[:80]}: a camera's name begins with a letter, has letters, digits, - "
+            "and _, and is not the name of an eye"
+        )
 
 
 def main_camera(names: Collection[str], eye: Side) -> str:

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass as plain_dataclass
 from dataclasses import field, fields
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import ConfigDict
+from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Array, Vector3, Vectors3
@@ -83,17 +83,20 @@ def _joint_frames(chain: Chain, readings: Array) -> tuple[Array, Array]:
     return R, t
 
 
-@dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
+_Number = Annotated[float, Field(ge=-1e3, le=1e3)]
+
+
+@dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid", allow_inf_nan=False))
 class EyeAxes:
     """How the axes of one eye differ from perfect ones; true angle = gain * reading + offset."""
 
-    pan_gain: float = 1.0
-    tilt_gain: float = 1.0
-    pan_offset_rad: float = 0.0
-    tilt_offset_rad: float = 0.0
-    nonorthogonality_rad: float = 0.0
+    pan_gain: _Number = 1.0
+    tilt_gain: _Number = 1.0
+    pan_offset_rad: _Number = 0.0
+    tilt_offset_rad: _Number = 0.0
+    nonorthogonality_rad: _Number = 0.0
     """Turn of the tilt axis about +x, out of the plane that is perpendicular to the pan axis."""
-    axis_distance_m: float = 0.0
+    axis_distance_m: _Number = 0.0
     """Distance of the tilt axis ahead (+x) of the pan axis, which it should intersect."""
 
 
@@ -143,6 +146,9 @@ def eye_jacobians(angles: Array, axes: Array) -> tuple[Array, Array]:
     return by_axes, by_angle @ chain.mixing
 
 
+MAX_NECK_JOINTS = 20
+
+
 @dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
 class Neck:
     """The chain from body to head: each joint turns about an axis through a point.
@@ -157,6 +163,18 @@ class Neck:
     """(n, 3) a point on each axis."""
     head_m: Vector3 = field(default_factory=lambda: np.zeros(3))
     """Origin of frame head."""
+
+    def __post_init__(self) -> None:
+        if len(self.axes) != len(self.points_m):
+            raise ValueError(
+                f"a neck has a point on each axis, found {len(self.axes)} axes and "
+                f"{len(self.points_m)} points"
+            )
+        if len(self.axes) > MAX_NECK_JOINTS:
+            raise ValueError(f"a neck has at most {MAX_NECK_JOINTS} joints, found {len(self.axes)}")
+        lengths = np.linalg.norm(self.axes, axis=1)
+        if (np.abs(lengths - 1) > 1e-6).any():
+            raise ValueError(f"axes are unit vectors, found one of length {lengths.max():.6g}")
 
 
 def T_body_head(neck: Neck, angles: Array) -> Array:

@@ -10,20 +10,17 @@ time_offset_s
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 from xml.etree import ElementTree
 
 import cv2
-import yaml
 from pydantic import BaseModel, Field, FiniteFloat
 
 from vergence.errors import VergenceError
-from vergence.files import write_whole
 from vergence.geometry.head import HeadCalibration, MountedCamera
 from vergence.geometry.kinematics import EYES, EyeAxes, Neck, Side
 from vergence.interchange.serialization import (
@@ -31,11 +28,14 @@ from vergence.interchange.serialization import (
     Matrix,
     check_cameras,
     intrinsics_fields,
+    parse_yaml,
     read,
 )
+from vergence.reading import parse_json, unique_keys
+from vergence.writing import write_whole
 
 SUFFIXES = (".yml", ".yaml", ".xml", ".json")
-FORMAT = "vergence-head-opencv-1"
+FORMAT: Literal["vergence-head-opencv-1"] = "vergence-head-opencv-1"
 
 
 def save(head: HeadCalibration, path: Path) -> None:
@@ -97,6 +97,7 @@ class _Neck(BaseModel):
 
 
 class _Head(BaseModel):
+    format: Literal["vergence-head-opencv-1"] = FORMAT
     cameras: Annotated[dict[str, _Camera], Field(min_length=1)]
     T_rbase_lbase: Matrix
     axes: dict[Side, dict[str, FiniteFloat]]
@@ -111,7 +112,7 @@ def load(path: Path) -> HeadCalibration:
     VergenceError if the file is missing, cannot be read, or a field is not valid.
     """
     _check_suffix(path)
-    parsers = {".xml": _parse_xml, ".json": json.loads}
+    parsers = {".xml": _parse_xml, ".json": parse_json}
     what = "a head in a file of OpenCV's FileStorage"
     return read(path, what, _head, parsers.get(path.suffix, _parse_yaml))
 
@@ -136,13 +137,18 @@ def _head(content: Any) -> HeadCalibration:
 
 def _parse_yaml(text: str) -> Any:
     # OpenCV 4 begins with %YAML:1.0, which is not valid YAML; its matrices are plain mappings.
-    return yaml.safe_load(re.sub(r"\A%YAML[^\n]*|!!opencv-matrix", "", text))
+    return parse_yaml(re.sub(r"\A%YAML[^\n]*", "", text))
 
 
 def _parse_xml(text: str) -> Any:
     def value(element: ElementTree.Element) -> Any:
         if len(element):
-            return {child.tag: value(child) for child in element}
+            return unique_keys([(child.tag, value(child)) for child in element])
         return (element.text or "").strip().strip('"')
 
-    return value(ElementTree.fromstring(text))
+    if "<!DOCTYPE" in text:  # entities can stand for any amount of text
+        raise ValueError("it declares a document type, which FileStorage does not")
+    try:
+        return value(ElementTree.fromstring(text))
+    except ElementTree.ParseError as error:
+        raise ValueError(str(error)) from None

@@ -13,7 +13,7 @@ from pydantic import Field
 
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera
-from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head import MAX_CAMERAS, HeadCalibration
 from vergence.interchange.serialization import (
     Intrinsics,
     check_cameras,
@@ -21,6 +21,7 @@ from vergence.interchange.serialization import (
     read,
     write_yaml,
 )
+from vergence.writing import UNFINISHED, results_folder, unfinished
 
 
 class _CameraInfo(Intrinsics):
@@ -37,16 +38,16 @@ def save(head: HeadCalibration, folder: Path) -> None:
     matrix. VergenceError if a camera has skew, or the folder cannot be written.
     """
     check_cameras(head, "ROS's plumb_bob model")
-    if folder.is_file():
-        raise VergenceError(f"{folder} is a file; camera_info is written to a folder.")
-    for name, mounted in head.cameras.items():
-        content = intrinsics_fields(mounted.intrinsics) | {
-            "camera_name": name,
-            "distortion_model": "plumb_bob",
-            "rectification_matrix": np.eye(3),
-            "projection_matrix": np.pad(mounted.intrinsics.matrix, ((0, 0), (0, 1))),
-        }
-        write_yaml(folder / f"{name}.yaml", {key: _plain(value) for key, value in content.items()})
+    with results_folder(folder):
+        for name, mounted in head.cameras.items():
+            content = intrinsics_fields(mounted.intrinsics) | {
+                "camera_name": name,
+                "distortion_model": "plumb_bob",
+                "rectification_matrix": np.eye(3),
+                "projection_matrix": np.pad(mounted.intrinsics.matrix, ((0, 0), (0, 1))),
+            }
+            plain = {key: _plain(value) for key, value in content.items()}
+            write_yaml(folder / f"{name}.yaml", plain)
 
 
 def _plain(value: Any) -> Any:
@@ -61,9 +62,16 @@ def load(path: Path) -> dict[str, Camera]:
 
     VergenceError if there is no such file, it is not a camera_info, or two have one name.
     """
+    if unfinished(path):
+        raise VergenceError(
+            f"The export into {path} was stopped before its end; repeat it, or remove {UNFINISHED}."
+        )
     files = sorted(path.glob("*.yaml")) if path.is_dir() else [path]
-    if not files:
-        raise VergenceError(f"There is no *.yaml file in {path}.")
+    if not 1 <= len(files) <= MAX_CAMERAS:
+        raise VergenceError(
+            f"{path} has {len(files)} *.yaml files; expected one for each of 1 to {MAX_CAMERAS} "
+            "cameras."
+        )
     cameras: dict[str, Camera] = {}
     for file in files:
         name, camera = read(file, "a camera_info", _named_camera)

@@ -13,13 +13,16 @@ import yaml
 from pydantic import BaseModel, PlainValidator, PositiveInt
 
 from vergence.arrays import Array
-from vergence.errors import VergenceError, explain
-from vergence.files import write_whole
+from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration
+from vergence.reading import read_parsed, unique_keys
+from vergence.writing import write_whole
 
 T = TypeVar("T")
 
+MAX_BYTES = 2**18
+"""A head in one of these formats has 10 kB."""
 NEGLIGIBLE = 1e-9
 """A skew [px] or a k3 below this counts as zero: it moves no pixel by more than about as much."""
 
@@ -30,7 +33,9 @@ def _matrix(value: Any) -> Array:
         numbers = np.array(data.split() if isinstance(data, str) else data, dtype=float)
     except (LookupError, TypeError, ValueError, OverflowError):
         raise ValueError("expected a matrix of rows, cols and data") from None
-    if numbers.shape != (rows * cols,):
+    if not np.isfinite(numbers).all():
+        raise ValueError("expected finite numbers, found NaN or infinity")
+    if min(rows, cols) < 0 or numbers.shape != (rows * cols,):
         raise ValueError(f"a matrix of {rows} x {cols} has {numbers.size} numbers")
     return numbers.reshape(rows, cols)
 
@@ -70,29 +75,35 @@ def intrinsics_fields(camera: Camera) -> dict[str, Any]:
     }
 
 
-def read(
-    path: Path, what: str, build: Callable[[Any], T], parse: Callable[[str], Any] = yaml.safe_load
-) -> T:
-    """Read a text file.
+class _TextLoader(yaml.BaseLoader):
+    """Reads every scalar as text: pydantic makes numbers of it, and tags have no effect."""
 
-    Args:
-        path: text in UTF-8.
-        what: how a message calls such a file, with its article.
-        build: makes the result from the parsed content; raises ValueError where that is not valid.
-        parse: makes nested dictionaries and lists from the text.
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):  # a few of them can stand for any amount of data
+            raise ValueError("it has an alias, which these formats do not need")
+        return super().compose_node(parent, index)
 
-    Raises:
-        VergenceError: the file is missing, or is not what was expected.
-    """
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        pairs = [
+            (self.construct_object(key, deep=True), self.construct_object(value, deep=True))
+            for key, value in node.value
+        ]
+        return unique_keys(pairs)
+
+
+def parse_yaml(text: str) -> Any:
+    """Parse YAML, all scalars as text; ValueError for aliases and repeated keys."""
     try:
-        return build(parse(path.read_text(encoding="utf-8-sig")))
-    except OSError as error:
-        raise VergenceError(f"Cannot read {path}: {error.strerror}.") from error
-    # Parsers raise YAMLError, SyntaxError (XML), ValueError (JSON), the others on odd damage.
-    except (
-        yaml.YAMLError, SyntaxError, ValueError, TypeError, LookupError, RecursionError
-    ) as error:  # fmt: skip
-        raise VergenceError(f"{path} is not {what}: {explain(error)}.") from None
+        return yaml.load(text, Loader=_TextLoader)
+    except yaml.YAMLError as error:
+        raise ValueError(str(error)) from None
+
+
+def read(
+    path: Path, what: str, build: Callable[[Any], T], parse: Callable[[str], Any] = parse_yaml
+) -> T:
+    """Read another program's file; arguments and errors are those of `reading.read_parsed`."""
+    return read_parsed(path, what, build, parse, most_bytes=MAX_BYTES)
 
 
 def with_intrinsics(head: HeadCalibration, cameras: Mapping[str, Camera]) -> HeadCalibration:
@@ -108,9 +119,7 @@ def write_yaml(path: Path, content: dict[str, Any]) -> None:
 
 
 def check_names(head: HeadCalibration) -> None:
-    """Raise VergenceError if a head has no camera, or one whose name cannot be a file's."""
-    if not head.cameras:
-        raise VergenceError("The calibration has no camera to export.")
+    """Raise VergenceError if a camera's name has a dash, which other formats do not take."""
     for name in head.cameras:
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
             raise VergenceError(

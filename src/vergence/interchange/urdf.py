@@ -17,11 +17,11 @@ from xml.etree import ElementTree
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.files import write_whole
 from vergence.geometry.head import HeadCalibration, T_head_base
 from vergence.geometry.kinematics import EYES, NECK_JOINTS, Chain, eye_chain
 from vergence.geometry.se3 import inverse, pose
 from vergence.interchange.serialization import check_names
+from vergence.writing import write_whole
 
 LIMIT_RAD = (-1.5708, 1.5708)
 EFFORT, VELOCITY = 100.0, 100.0

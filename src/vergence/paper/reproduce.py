@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import tempfile
 from collections.abc import Sequence
 from functools import partial
 from itertools import groupby
@@ -15,7 +13,6 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.sequential.sequential import SequentialCalibration, calibrate_sequentially
 from vergence.errors import VergenceError
-from vergence.files import write_whole
 from vergence.geometry.head import HeadCalibration, save_head
 from vergence.paper.figures import FIGURES, Figure
 from vergence.paper.plots import paper_figures
@@ -30,6 +27,7 @@ from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
 from vergence.viewer.frame import log_frame
 from vergence.viewer.opening import log_report
+from vergence.writing import check_outputs, results_folder, write_json, write_whole
 
 SAMPLES_WITH_IMAGES = 160
 """About how many samples of a figure have their images in the recording, which keeps it small."""
@@ -63,6 +61,21 @@ def reproduce(
     """
     chosen = check(out, figures=figures, seed=seed, duration_s=duration_s, rate_hz=rate_hz)
     done = Reproduction(profile, seed, {}, {}, {})
+    with results_folder(out):
+        _replay_all(out, chosen, done, duration_s, rate_hz, progress)
+    return done
+
+
+def _replay_all(
+    out: Path,
+    chosen: Sequence[Figure],
+    done: Reproduction,
+    duration_s: float | None,
+    rate_hz: float | None,
+    progress: Progress,
+) -> None:
+    """Replay figures, and add each to what is done when its files are written."""
+    profile, seed = done.profile, done.seed
     try:
         for lens, through_it in groupby(chosen, attrgetter("lens")):
             with Twin(profile, seed=seed, lens=lens) as twin:
@@ -83,7 +96,6 @@ def reproduce(
     finally:
         if done.replays:
             paper_figures(out / "figures.png", list(done.replays.values()))
-    return done
 
 
 def check(
@@ -120,12 +132,7 @@ def check(
                 f"A duration of {duration_s} s at {rate_hz or 'the default rate'} gives samples "
                 "less than 1 ms apart, or fewer than two; ask for a longer or slower run."
             )
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=out):
-            pass
-    except OSError as error:
-        raise VergenceError(f"Cannot write into the folder {out}: {error.strerror}.") from error
+    check_outputs(folder=out)
     return chosen
 
 
@@ -173,5 +180,5 @@ def _write(out: Path, done: Reproduction) -> None:
         "seed": done.seed,
         "figures": {str(number): summary(done.replays[number]) for number in sorted(done.replays)},
     }
-    write_whole(out / "statistics.json", json.dumps(results, indent=1) + "\n")
+    write_json(results, out / "statistics.json")
     write_whole(out / "report.md", report(done))

@@ -10,59 +10,63 @@ from __future__ import annotations
 
 import tomllib
 from importlib import resources
-from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from vergence.calibration.sequential.intrinsics import LensModel
 from vergence.errors import VergenceError
+from vergence.reading import read_parsed
 
 Lens = Literal["2.8mm", "4.0mm"]
 """Focal length of the wide cameras."""
-StandardDeviation = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Number = Annotated[float, Field(allow_inf_nan=False)]
-PerEye = tuple[Number, Number]
-"""Left, right."""
-PerJoint = tuple[Number, Number, Number, Number]
-"""Left pan, left tilt, right pan, right tilt."""
+StdDeg = Annotated[float, Field(ge=0, le=10)]
+StdMm = Annotated[float, Field(ge=0, le=50)]
+"""Standard deviations: with larger ones a head could be drawn that cannot be built."""
+Degrees = Annotated[float, Field(ge=-45, le=45)]
+Millimetres = Annotated[float, Field(ge=-100, le=100)]
+Percent = Annotated[float, Field(ge=-50, le=50)]
+
+
+MAX_BYTES = 2**16
+"""Of a profile; those that are shipped have 4 kB."""
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class Mounting(_Section):
     """Mounting of the cameras in the as-built head, which calibration estimates."""
 
-    rotation_deg: StandardDeviation = 0.0
+    rotation_deg: StdDeg = 0.0
     """Standard deviation of each camera's mounting, about each axis."""
-    translation_mm: StandardDeviation = 0.0
+    translation_mm: StdMm = 0.0
     """Standard deviation of each camera's mounting, along each axis."""
-    base_rotation_deg: StandardDeviation = 0.0
+    base_rotation_deg: StdDeg = 0.0
     """Standard deviation of the right eye's base relative to the left eye's, about each axis."""
-    base_translation_mm: StandardDeviation = 0.0
+    base_translation_mm: StdMm = 0.0
     """Standard deviation of the right eye's rotation centre, along each axis."""
     baseline_mm: Annotated[float, Field(ge=20, le=300)] | None = None
     """Distance of the eyes' rotation centres; None: that of the model."""
 
 
 class Axes(_Section):
-    """Deviation of the eyes' axes from orthogonal and intersecting ones."""
+    """Deviation of the eyes' axes from orthogonal and intersecting ones: left, right."""
 
-    nonorthogonality_deg: PerEye = (0.0, 0.0)
+    nonorthogonality_deg: tuple[Degrees, Degrees] = (0.0, 0.0)
     """Turn of the tilt axis about the eye's forward axis."""
-    distance_mm: PerEye = (0.0, 0.0)
+    distance_mm: tuple[Millimetres, Millimetres] = (0.0, 0.0)
     """Distance of the tilt axis ahead of the pan axis."""
 
 
 class Optics(_Section):
     """Lenses and sensors of the as-built head."""
 
-    focal_percent: StandardDeviation = 0.0
+    focal_percent: Annotated[float, Field(ge=0, le=10)] = 0.0
     """Standard deviation of each camera's focal length, in percent of the nominal one."""
-    principal_px: StandardDeviation = 0.0
+    principal_px: Annotated[float, Field(ge=0, le=100)] = 0.0
     """Standard deviation of each camera's principal point, along each axis."""
     distortion: bool = True
     """Whether the wide lenses distort."""
@@ -78,15 +82,18 @@ class Image(_Section):
 
 
 class Joints(_Section):
-    """The joint sensors: reading = gain * (angle a delay ago, plus backlash) + offset + noise."""
+    """The joint sensors: reading = gain * (angle a delay ago, plus backlash) + offset + noise.
 
-    noise_deg: StandardDeviation = 0.0
+    Four numbers are those of left pan, left tilt, right pan, right tilt.
+    """
+
+    noise_deg: StdDeg = 0.0
     """Standard deviation of white noise in each reading."""
-    counts_per_turn: Annotated[int, Field(ge=0)] = 0
+    counts_per_turn: Annotated[int, Field(ge=0, le=2**32)] = 0
     """Steps of the encoder in a full turn; 0: no quantisation."""
-    gain_percent: PerJoint = (0.0, 0.0, 0.0, 0.0)
+    gain_percent: tuple[Percent, Percent, Percent, Percent] = (0.0, 0.0, 0.0, 0.0)
     """Scale error of each reading."""
-    offset_deg: PerJoint = (0.0, 0.0, 0.0, 0.0)
+    offset_deg: tuple[Degrees, Degrees, Degrees, Degrees] = (0.0, 0.0, 0.0, 0.0)
     """Constant error of each reading."""
     backlash_deg: Annotated[float, Field(ge=0, le=10)] = 0.0
     """Width of the play between the sensor and the eye."""
@@ -109,13 +116,13 @@ class ByHand(_Section):
     T_rbase_lbase is recomputed by Eq. 10, so that straight gaze stays exact, as on a robot.
     """
 
-    focal_percent_28: Number = 0.0
+    focal_percent_28: Percent = 0.0
     """Error of the focal length of the 2.8 mm lenses."""
-    focal_percent_40: Number = 0.0
+    focal_percent_40: Percent = 0.0
     """Error of the focal length of the 4.0 mm lenses."""
-    roll_deg: Number = 0.0
+    roll_deg: Degrees = 0.0
     """Rotation of the mounting about the optical axis: + in the left eye, - in the right."""
-    axial_mm: Number = 0.0
+    axial_mm: Millimetres = 0.0
     """Shift of the mounting along the optical axis."""
 
 
@@ -123,7 +130,7 @@ class Fitted(_Section):
     """One parameter of the profile that was fitted to the paper's figures."""
 
     name: str
-    value: Number
+    value: float
     unit: str
     meaning: str
     how: str
@@ -152,26 +159,29 @@ def shipped() -> list[str]:
 
 def load_profile(name_or_file: str) -> ErrorProfile:
     """Read a shipped profile by its name, or a TOML file; VergenceError if it is not a profile."""
-    source: Traversable = Path(name_or_file)
     if name_or_file in shipped():
-        source = resources.files("vergence.twin") / "profiles" / f"{name_or_file}.toml"
-    elif not name_or_file.endswith(".toml"):
+        shipped_file = resources.files("vergence.twin") / "profiles" / f"{name_or_file}.toml"
+        return ErrorProfile.model_validate(tomllib.loads(shipped_file.read_text(encoding="utf-8")))
+    if not name_or_file.endswith(".toml"):
         raise VergenceError(
             f"No error profile is called {name_or_file!r}; there are {', '.join(shipped())}, "
             "and files that end in .toml."
         )
+    path = Path(name_or_file)
+    return read_parsed(path, "an error profile", _profile, _toml, most_bytes=MAX_BYTES)
+
+
+def _toml(text: str) -> dict[str, Any]:
     try:
-        text = source.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
-        raise VergenceError(f"Cannot read the error profile {name_or_file}: {reason}.") from error
-    try:
-        return ErrorProfile.model_validate(tomllib.loads(text))
+        return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise VergenceError(f"{name_or_file} is not valid TOML: {error}.") from None
+        raise ValueError(f"it is not valid TOML: {error}") from None
+
+
+def _profile(content: dict[str, Any]) -> ErrorProfile:
+    try:
+        return ErrorProfile.model_validate(content)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"]))
-        raise VergenceError(
-            f"{name_or_file} is not an error profile: {where} = {first['input']!r}: {first['msg']}."
-        ) from None
+        raise ValueError(f"{where} = {first['input']!r:.80}: {first['msg']}") from None

@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure as Canvas
 
-from vergence.files import whole_file
 from vergence.viewer.style import AXIS_COLOURS, html
+from vergence.writing import whole_file
 
 DPI = 100
 BLUE, GREEN, RED = map(html, AXIS_COLOURS.values())

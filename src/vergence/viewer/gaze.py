@@ -1,7 +1,7 @@
 """Record the behaviour of a gaze controller: its images, its commands and its estimates.
 
-Images and postures are logged frame by frame (`log_gaze_frame`), curves and trails at the end
-(`log_gaze_series`). In addition to the entities of every recording there are
+Images and postures are logged frame by frame (`log_gaze_frame`), curves and trails of many
+frames at once (`log_gaze_series`). In addition to the entities of every recording there are
 
     /world/<side>_eye/<camera>/aim  a long cross at the target position of the object
     /world/gaze                     frame body, with the axes, the estimate, the truth, the hand
@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 import rerun as rr
@@ -213,11 +214,21 @@ def _joint(joint: str, kind: str = "") -> str:
     return f"{'neck' if joint in HEAD_JOINTS[NECK] else 'eyes'}/{kind}{joint}"
 
 
-def log_gaze_series(rec: rr.RecordingStream, moments: Sequence[Moment]) -> None:
-    """Record curves, trails and states of all moments, which are in order of time."""
+def log_gaze_series(
+    rec: rr.RecordingStream,
+    moments: Sequence[Moment],
+    *,
+    first: int = 0,
+    lanes: Mapping[str, str] = MappingProxyType({}),
+) -> None:
+    """Record curves, trails and states of moments, which are in order of time.
+
+    Of a long run parts can be recorded: `first` is then the number of the first moment, and `lanes`
+    are those of the moment before.
+    """
     if not moments:
         return
-    time_s, index = np.array([m.time_s for m in moments]), np.arange(len(moments))
+    time_s, index = np.array([m.time_s for m in moments]), first + np.arange(len(moments))
     fused, one_frame, truth, hand, errors = (
         np.array([getattr(m, name) for m in moments])
         for name in ("fused", "one_frame", "truth", "hand", "errors_px")
@@ -248,12 +259,13 @@ def log_gaze_series(rec: rr.RecordingStream, moments: Sequence[Moment]) -> None:
     strips = np.array([m.axes for m in moments]).reshape(-1, 2, 3)
     rays = rr.LineStrips3D.columns(strips=list(strips)).partition(np.full(len(moments), 2))
     rec.send_columns("world/gaze/axes", time_columns(time_s, index), rays)
-    _log_lanes(rec, moments)
+    _log_lanes(rec, moments, first, lanes)
 
 
-def _log_lanes(rec: rr.RecordingStream, moments: Sequence[Moment]) -> None:
-    before: Mapping[str, str] = {}
-    for index, m in enumerate(moments):
+def _log_lanes(
+    rec: rr.RecordingStream, moments: Sequence[Moment], first: int, before: Mapping[str, str]
+) -> None:
+    for index, m in enumerate(moments, start=first):
         for lane in {*before, *m.lanes}:
             if before.get(lane) != m.lanes.get(lane):
                 rec.set_time("sim_time", duration=m.time_s)

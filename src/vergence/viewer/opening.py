@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import sys
+import threading
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,10 +13,10 @@ from typing import TYPE_CHECKING
 import rerun as rr
 import rerun.blueprint as rrb
 
-from vergence.files import whole_file
 from vergence.geometry.head import HeadCalibration
 from vergence.viewer import style
 from vergence.viewer.shapes import log_cameras, log_geoms
+from vergence.writing import whole_file
 
 if TYPE_CHECKING:  # the twin, and with it mujoco, is not needed to record a real head
     from vergence.twin.appearance import VisualGeom
@@ -38,15 +41,50 @@ def recording_file(
     recording_id = f"{folder.name}-{path.stem}"
     with (
         whole_file(path) as part,
+        _noticing_errors(part) as sink,
         rr.RecordingStream(style.APPLICATION, recording_id=recording_id) as rec,
     ):
-        rec.save(part, default_blueprint=layout)
+        rec.save(sink, default_blueprint=layout)
         rec.set_log_time_enabled(False)  # recordings of one seed stay comparable
         rec.send_recording_name(f"{title} ({folder.name})")
         rec.log("world", rr.ViewCoordinates.FLU, static=True)
         log_geoms(rec, geoms)
         log_cameras(rec, head)
         yield rec
+
+
+@contextmanager
+def _noticing_errors(path: Path) -> Iterator[str]:
+    """Give a `with` block a pipe for rerun to write to, and copy what comes out of it to a file.
+
+    Rerun's own writer only logs that a disk is full, and waits for ever afterwards. OSError, when
+    the block ends, if the file could not be written.
+    """
+    if sys.platform == "win32":
+        yield str(path)
+        return
+    errors: list[OSError] = []
+    file = path.open("wb", buffering=0)
+    source, sink = os.pipe()
+
+    def copy() -> None:
+        with os.fdopen(source, "rb", buffering=0) as pipe, file:
+            while data := pipe.read(1 << 20):
+                try:
+                    while data and not errors:  # after an error the pipe is emptied, so that
+                        data = data[file.write(data) :]  # whoever fills it can end
+                except OSError as error:
+                    errors.append(error)
+
+    copier = threading.Thread(target=copy)
+    copier.start()
+    try:
+        yield f"/dev/fd/{sink}"
+    finally:
+        os.close(sink)
+        copier.join()
+    if errors:
+        raise errors[0]
 
 
 def markdown_table(heading: str, rows: Iterable[Sequence[object]]) -> str:

@@ -1,0 +1,279 @@
+"""Every file is written here: whole, under its final name, or not at all.
+
+Writers work on a temporary file beside the target, under a lock that ends with the process, so that
+what killed processes left behind can be told from what another process is writing, and is removed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import shutil
+import stat
+import sys
+import tempfile
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from vergence.errors import VergenceError, explain
+
+if sys.platform != "win32":
+    import fcntl
+
+UNFINISHED = "UNFINISHED.txt"
+"""Stands in a folder of results while they are being written, and after a run that was stopped."""
+
+_finished: list[Path] = []
+
+
+def finished_files() -> tuple[Path, ...]:
+    """Return the files and datasets that this process has written so far, in that order."""
+    return tuple(_finished)
+
+
+def check_outputs(
+    *outputs: Path | None, folder: Path | None = None, inputs: Iterable[Path] = ()
+) -> None:
+    """Check before any work that files can be written, and a folder of results.
+
+    Nothing is made. VergenceError if a path cannot be written, two are the same, or one of them is
+    an input of the same command.
+    """
+    taken = {path.resolve(): "that is read" for path in inputs}
+    for path in filter(None, outputs):
+        place = _target(path)
+        if place in taken:
+            raise VergenceError(f"Cannot write {path}: it is also the file {taken[place]}.")
+        taken[place] = "of another result"
+    if folder is not None:
+        _check_folder(folder)
+
+
+def _target(path: Path) -> Path:
+    """Return the file that a path leads to; VergenceError if it cannot be written."""
+    try:
+        target = path.resolve()  # through links: these stay
+        with contextlib.suppress(FileNotFoundError):
+            mode = target.stat().st_mode
+            if stat.S_ISDIR(mode):
+                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+            if not stat.S_ISREG(mode):
+                raise VergenceError(f"Cannot write {path}: it is not a regular file.")
+        _check_writable(target.parent)
+    except (OSError, RuntimeError) as error:  # RuntimeError: links in a circle
+        raise VergenceError(f"Cannot write {path}: {_reason(error)}.") from error
+    except ValueError:
+        raise VergenceError(f"{str(path)!r} is not a possible file name.") from None
+    return target
+
+
+def _check_folder(folder: Path) -> None:
+    try:
+        if folder.exists() and not folder.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
+        _check_writable(folder.resolve())
+    except (OSError, RuntimeError) as error:
+        raise VergenceError(f"Cannot write into the folder {folder}: {_reason(error)}.") from error
+    except ValueError:
+        raise VergenceError(f"{str(folder)!r} is not a possible file name.") from None
+
+
+def _check_writable(folder: Path) -> None:
+    """Raise OSError if no file can be made in a folder, which need not be there yet."""
+    while not folder.exists():
+        folder = folder.parent
+    if not folder.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, f"{folder} is not a folder")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise PermissionError(errno.EACCES, f"no permission to write into {folder}")
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, "strerror", None) or explain(error)
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Give a `with` block a temporary file, which gets its final name when the block ends well.
+
+    An earlier file of that name is replaced; a block that raises leaves it as it was, and no other
+    file behind. Parent folders are created. VergenceError if the file cannot be written.
+    """
+    target = _target(path)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with _temporary(target) as (handle, part):
+            yield part
+            os.fsync(handle)  # a full disk may show only now
+            part.chmod(0o644)  # temporary files are private
+            part.replace(target)
+    except OSError as error:
+        kept = "; the file of that name is as it was" if target.is_file() else ""
+        raise VergenceError(f"Cannot write {path}: {_reason(error)}{kept}.") from error
+    _finished.append(path)
+
+
+@contextmanager
+def whole_folder(folder: Path) -> Iterator[Path]:
+    """Give a `with` block a temporary folder, which gets its final name when the block ends well.
+
+    A folder of that name may be there if it is empty. VergenceError if the folder cannot be written
+    or is not empty.
+    """
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with _temporary(folder, is_folder=True) as (_, part):
+            part.chmod(0o755)
+            yield part
+            check_new(folder)
+            if folder.is_dir():
+                folder.rmdir()
+            part.rename(folder)
+    except OSError as error:
+        if error.errno in (errno.ENOTEMPTY, errno.EEXIST):
+            check_new(folder)
+        raise VergenceError(f"Cannot write the folder {folder}: {_reason(error)}.") from error
+    _finished.append(folder)
+
+
+def check_new(folder: Path) -> None:
+    """Raise VergenceError if a folder cannot be made, or is there and not empty."""
+    _check_folder(folder)
+    if folder.is_dir() and any(folder.iterdir()):
+        raise VergenceError(
+            f"{folder} already exists and is not empty; name another folder, or remove it."
+        )
+
+
+@contextmanager
+def _temporary(target: Path, *, is_folder: bool = False) -> Iterator[tuple[int, Path]]:
+    """Make a temporary file or folder beside the target, locked; yield its handle and path.
+
+    Remains of killed processes with the same target are removed.
+    """
+    prefix = f".{target.name[:60]}."
+    for remains in target.parent.glob(f"{_literal(prefix)}*.part"):
+        _remove_abandoned(remains)
+    while True:
+        make = tempfile.mkdtemp if is_folder else tempfile.mkstemp
+        made = make(dir=target.parent, prefix=prefix, suffix=".part")
+        handle, part = (-1, Path(made)) if isinstance(made, str) else (made[0], Path(made[1]))
+        if is_folder and sys.platform != "win32":
+            handle = os.open(part, os.O_RDONLY)
+        if handle < 0 or _lock(handle, part):
+            break
+        os.close(handle)  # another process took it for remains, and has removed it
+    try:
+        yield handle, part
+    finally:
+        if is_folder:
+            shutil.rmtree(part, ignore_errors=True)
+        else:
+            part.unlink(missing_ok=True)
+        if handle >= 0:
+            os.close(handle)
+
+
+def _literal(text: str) -> str:
+    """Return a text as a pattern that matches itself alone."""
+    return "".join(f"[{letter}]" if letter in "*?[" else letter for letter in text)
+
+
+def _lock(handle: int, path: Path) -> bool:
+    """Lock an open file or folder until the process ends; False if another has it, or removed it.
+
+    Where the system has no locks the answer is True.
+    """
+    if sys.platform != "win32":
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        except OSError:
+            return True
+    try:
+        return os.path.samestat(os.fstat(handle), path.stat())
+    except FileNotFoundError:
+        return False
+
+
+def _remove_abandoned(path: Path) -> None:
+    """Remove a temporary file or folder if no process has it locked."""
+    if sys.platform == "win32":
+        return
+    with contextlib.suppress(OSError):
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+        finally:
+            os.close(handle)
+
+
+def unfinished(folder: Path) -> bool:
+    """Return whether a run into a folder of results was stopped before its end, or is under way."""
+    return (folder / UNFINISHED).exists()
+
+
+@contextmanager
+def results_folder(folder: Path) -> Iterator[None]:
+    """Mark a folder of results as unfinished until a `with` block ends well.
+
+    A block that raises leaves the mark if it has written anything there: results of two runs may
+    stand side by side then. VergenceError if the folder cannot be written, or another process is
+    writing into it.
+    """
+    _check_folder(folder)
+    mark, before = folder / UNFINISHED, len(_finished)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        known = mark.exists()
+        handle = os.open(mark, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            if not _lock(handle, mark):
+                raise VergenceError(
+                    f"Another process is writing results into {folder}; wait for it, or name "
+                    "another folder."
+                )
+            try:
+                os.ftruncate(handle, 0)
+                os.write(handle, _notice().encode())
+                yield
+            except BaseException:
+                if not known and not any(path.parent == folder for path in _finished[before:]):
+                    mark.unlink(missing_ok=True)
+                raise
+            mark.unlink(missing_ok=True)
+        finally:
+            os.close(handle)
+    except OSError as error:
+        raise VergenceError(f"Cannot write into the folder {folder}: {_reason(error)}.") from error
+
+
+def _notice() -> str:
+    return (
+        f"The run that began at {time.strftime('%Y-%m-%d %H:%M:%S')} has not finished: files of "
+        "this folder may be of different runs. A run that finishes removes this file.\n"
+    )
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a UTF-8 text file as `whole_file` does."""
+    with whole_file(path) as part:
+        part.write_text(text, encoding="utf-8", newline="\n")
+
+
+def write_json(value: Any, path: Path) -> None:
+    """Write a dataclass or a dictionary as JSON as `whole_file` does; NaN and infinity are null."""
+    write_whole(path, as_json(value))
+
+
+def as_json(value: Any) -> str:
+    """Return a dataclass or a dictionary as JSON; NaN and infinity are null."""
+    return TypeAdapter(type(value)).dump_json(value, indent=1).decode() + "\n"
