@@ -29,7 +29,8 @@ def summaries(out: Path, profile: str, runs: int, seconds: float) -> list[dict[s
         if not file.is_file():
             made = track(seconds=seconds, seed=seed, profile=load_profile(profile))
             write_json(made, file)
-        found.append(json.loads(file.read_text()))
+        kept = json.loads(file.read_text())
+        found.append({key: np.inf if value is None else value for key, value in kept.items()})
         print(row(f"{seed}", found[-1]), flush=True)
     return found
 

@@ -20,6 +20,7 @@ from recordings import (
     write_dataset,
 )
 from vergence.calibration.detection import detect_or_explain, detect_target
+from vergence.data.dataset import UNREADABLE
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
@@ -135,7 +136,7 @@ def test_an_unreadable_image_fails_alone(folder):
     (folder / "images" / "left_2.png").write_bytes(b"\x89PNG and no more")
     found = detect_target(load_dataset(folder))
     assert [(f.row, f.line, f.camera) for f in found.failures] == [(2, 4, "left_wide")]
-    assert str(found.failures[0]) == "line 4, images/left_2.png: the file is not a readable image"
+    assert str(found.failures[0]) == f"line 4, images/left_2.png: the file {UNREADABLE}"
     assert np.isfinite(found.corners["right_wide"][2]).all()
 
 

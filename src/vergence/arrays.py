@@ -45,7 +45,8 @@ Matrix = Annotated[Array, *_shaped(None, None)]
 
 def _rigid(array: Array) -> Array:
     R = array[:3, :3]
-    if np.abs(R @ R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0:
+    possible = np.abs(R).max() < 1.1  # far larger numbers would overflow below
+    if not possible or np.abs(R @ R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0:
         raise ValueError("expected a rigid transform, found a rotation part that is not a rotation")
     if np.abs(array[3] - [0, 0, 0, 1]).max() > 1e-9:
         raise ValueError(f"expected a last row of 0 0 0 1, found {array[3].tolist()}")

@@ -12,7 +12,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.observations import DetectionFailure, Observations
-from vergence.data.dataset import Dataset, runs
+from vergence.data.dataset import UNREADABLE, Dataset, runs
 from vergence.data.timing import Timing
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board, Chessboard
@@ -96,7 +96,7 @@ def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observati
 def _detect(dataset: Dataset, camera: str, row: int) -> _Detection:
     image = dataset.readable_image(camera, row)
     if image is None:
-        return _Detection(camera, row, None, "the file is not a readable image")
+        return _Detection(camera, row, None, f"the file {UNREADABLE}")
     digest = hashlib.blake2b(image.tobytes(), digest_size=16).digest()
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     return _Detection(camera, row, *detect_or_explain(grey, dataset.description.board), digest)

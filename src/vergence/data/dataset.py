@@ -58,6 +58,7 @@ _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 _Pixels = Annotated[int, Field(gt=0, le=MAX_IMAGE_PX, strict=True)]
 MAX_IMAGE_BYTES = 256 * 2**20
 IMAGE_FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "PPM", "WEBP")
+UNREADABLE = f"is not a readable image ({', '.join(IMAGE_FORMATS)}), or far too large"
 
 
 @dataclass(frozen=True, eq=False, config=_STRICT)
@@ -213,7 +214,7 @@ class Dataset:
         image = self.readable_image(camera, row)
         if image is None:
             name = self.files[camera][row]
-            raise VergenceError(f"{self.where(row)}: {camera}: {name} is not a readable image.")
+            raise VergenceError(f"{self.where(row)}: {camera}: {name} {UNREADABLE}.")
         return image
 
     def readable_image(self, camera: str, row: int) -> np.ndarray | None:

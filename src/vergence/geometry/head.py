@@ -27,6 +27,8 @@ from vergence.writing import write_json
 
 _FINITE = ConfigDict(extra="forbid", allow_inf_nan=False)
 MAX_CAMERAS = 64
+SMALLEST_VARIANCE = 1e-60
+"""Of an estimated parameter; numbers far from one would overflow where variances are compared."""
 MAX_TIME_OFFSET_S = 10.0
 
 
@@ -102,9 +104,12 @@ class Accuracy:
         if len(set(self.parameters)) < n:
             name, _ = Counter(self.parameters).most_common(1)[0]
             raise ValueError(f"parameters has {name!r} twice")
-        if (np.diag(C) <= 0).any():
-            name = self.parameters[int(np.argmax(np.diag(C) <= 0))]
-            raise ValueError(f"the variance of {name!r} is not positive")
+        possible = (np.diag(C) > SMALLEST_VARIANCE) & (np.diag(C) < 1 / SMALLEST_VARIANCE)
+        if not possible.all():
+            name = self.parameters[int(np.argmin(possible))]
+            raise ValueError(f"the variance of {name!r} is not positive, or not possible")
+        if np.abs(C).max(initial=0.0) > 1 / SMALLEST_VARIANCE:
+            raise ValueError(f"covariance has the number {np.abs(C).max():g}")
         if n:
             std = np.sqrt(np.diag(C))
             correlation = C / std / std[:, None]

@@ -29,8 +29,8 @@ Millimetres = Annotated[float, Field(ge=-100, le=100)]
 Percent = Annotated[float, Field(ge=-50, le=50)]
 
 
-MAX_BYTES = 2**16
-"""Of a profile; those that are shipped have 4 kB."""
+MAX_BYTES = 2**14
+"""Of a profile; those that are shipped have at most 2 kB."""
 
 
 class _Section(BaseModel):

@@ -1,0 +1,313 @@
+"""Mutations of every kind of file that is read: each ends in a valid result or in one sentence.
+
+A file is damaged at random (bytes turned, cut, doubled, exchanged, numbers made odd) and read by
+the function that the command line calls. What fails is an exception other than VergenceError, a
+warning, a sentence of more than one line, more than 5 s or 1 GB, and a result that is not finite or
+does not survive being written and read again. Results are kept by batch in a folder, so that an
+interrupted series goes on; delete it to start again. Recordings are only written, never read.
+
+    python benchmarks/mutated_files.py [--count 20000]
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import sys
+import time
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, fields, is_dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import cv2
+import numpy as np
+import tyro
+
+from simulated_head import random_head
+from vergence.commands.evaluate import evaluate
+from vergence.commands.truth import Truth, load
+from vergence.data.dataset import DatasetCamera, DatasetJoint, Description, Frame
+from vergence.data.reader import load_dataset
+from vergence.data.writer import DatasetRow, write_dataset
+from vergence.errors import VergenceError
+from vergence.geometry.board import Chessboard
+from vergence.geometry.head import Accuracy, HeadCalibration, load_head, save_head
+from vergence.geometry.kinematics import EYE_JOINTS
+from vergence.geometry.parameters import parameter_values
+from vergence.interchange.formats import export_head, import_head
+from vergence.stereo.triangulation import triangulate_at
+from vergence.twin.model import as_built_head, nominal_head
+from vergence.twin.profile import ErrorProfile, load_profile
+from vergence.writing import write_json
+
+MOST_S, MOST_BYTES = 5.0, 10**9
+BATCH = 100
+TOKENS = (
+    b"", b"0", b"-1", b"1e999", b"-1e308", b"1e-320", b"NaN", b"nan", b".nan", b"Infinity",
+    b"-.inf", b"null", b"true", b"[]", b"{}", b"[[[[", b'""', b"\0", b"\xff", b"\xef\xbb\xbf",
+    b"\n", b",", b'"', b"9" * 400, b"1_000", b"0x10", b"*a", b"&a", b"<<: *a", b"../..",
+    b"!!python/object:os.system", "\u0663".encode(), b"%", b"<!DOCTYPE a>", b"&amp;", b"left_wide",
+    b"right", b"1:30", b"=1+1", b"- ", b"1", b"2.5", b"-0.01", b"1e-6", b"1e6",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A valid file, and what reads it."""
+
+    file: Path
+    """The one that is damaged."""
+    read: Callable[[], Any]
+    """Reads it, alone or with those that belong to it, and uses the result."""
+
+
+def kinds(folder: Path) -> dict[str, Kind]:
+    """Write a valid file of each kind into a new folder, and return them with their readers."""
+    head = stated_head()
+    calibration = folder / "calibration.json"
+    save_head(head, calibration)
+    small_dataset(folder / "set", head)
+    made = {
+        "dataset.json": Kind(folder / "set" / "dataset.json", lambda: use_dataset(folder / "set")),
+        "frames.csv": Kind(folder / "set" / "frames.csv", lambda: use_dataset(folder / "set")),
+        "png": Kind(folder / "set/images/00000_left_wide.png", lambda: use_dataset(folder / "set")),
+        "calibration": Kind(calibration, lambda: use_head(load_head(calibration))),
+    }
+    small_dataset(folder / "jpeg", head)
+    png = folder / "jpeg/images/00000_left_wide.png"
+    png.write_bytes(cv2.imencode(".jpg", cv2.imread(str(png)))[1].tobytes())
+    made["jpeg"] = Kind(png, lambda: use_dataset(folder / "jpeg"))
+    truth = folder / "truth.json"
+    write_json(true_of(head), truth)
+    made["truth"] = Kind(truth, lambda: finite(evaluate(head, load(truth))))
+    profile = folder / "mine.toml"
+    shipped = Path(sys.modules["vergence.twin"].__file__ or "").parent / "profiles" / "paper.toml"
+    profile.write_bytes(shipped.read_bytes())
+    made["profile"] = Kind(profile, lambda: use_profile(load_profile(str(profile))))
+    for suffix in (".yml", ".xml", ".json"):
+        file = folder / f"head{suffix}"
+        export_head(head, file, "opencv")
+        made[f"opencv {suffix}"] = Kind(
+            file, lambda file=file: use_head(import_head(file, "opencv"))
+        )
+    chain, info = folder / "camchain.yaml", folder / "info"
+    export_head(head, chain, "kalibr")
+    made["kalibr"] = Kind(chain, lambda: use_head(import_head(chain, "kalibr", template=head)))
+    export_head(head, info, "ros")
+    made["ros"] = Kind(
+        info / "left_wide.yaml", lambda: use_head(import_head(info, "ros", template=head))
+    )
+    return made
+
+
+def stated_head() -> HeadCalibration:
+    """Return a head without skew and k3, with an accuracy."""
+    head = random_head(np.random.default_rng(1))
+    names = tuple(parameter_values(head))
+    return replace(head, accuracy=Accuracy("bundle", names, np.diag(np.full(len(names), 1e-6))))
+
+
+def true_of(head: HeadCalibration) -> Truth:
+    """Return a truth with that head."""
+    return Truth(
+        head=replace(head, accuracy=None),
+        time_offset_s=0.0,
+        eye_angles=np.zeros((3, 4)),
+        T_lbase_target={0: np.eye(4)},
+        board=Chessboard(columns=6, rows=5, square_m=0.03),
+        seed=1,
+        lens="2.8mm",
+        profile=load_profile("paper"),
+    )
+
+
+def small_dataset(folder: Path, head: HeadCalibration) -> None:
+    """Write a dataset of four frames whose images show nothing."""
+    cameras = {name: DatasetCamera(mounted.eye, 64, 48) for name, mounted in head.cameras.items()}
+    joints = {name: DatasetJoint(column=name, unit="rad") for name in EYE_JOINTS}
+    board = Chessboard(columns=6, rows=5, square_m=0.03)
+    rng = np.random.default_rng(2)
+    rows = [
+        DatasetRow(
+            Frame(
+                time_s=10.0 + k,
+                joint_time_s=10.01 + k,
+                eye_angles=rng.uniform(-0.3, 0.3, 4),
+                neck_angles=np.zeros(3),
+                images={name: rng.integers(0, 255, (48, 64, 3), np.uint8) for name in cameras},
+            ),
+            placement=k // 2,
+        )
+        for k in range(4)
+    ]
+    write_dataset(folder, Description(cameras, board, joints), rows)
+
+
+def use_dataset(folder: Path) -> None:
+    """Read a dataset and all its images."""
+    dataset = load_dataset(folder)
+    finite(dataset.time_s, dataset.joint_time_s, dataset.neck_angles, dataset.description)
+    finite(dataset.eye_angles if dataset.T_base_eye is None else dataset.T_base_eye)
+    for row in range(len(dataset)):
+        for camera, image in dataset.frame(row).images.items():
+            stated = dataset.description.cameras[camera]
+            assert image.shape == (stated.height, stated.width, 3)
+
+
+def use_head(head: HeadCalibration) -> None:
+    """Export a head to every format, save it, and locate a point with it."""
+    finite(head)
+    with TemporaryDirectory() as folder:
+        for format_name, name in (
+            ("opencv", "a.yml"), ("kalibr", "b.yaml"), ("ros", "c"), ("urdf", "d.urdf")
+        ):  # fmt: skip
+            try:
+                export_head(head, Path(folder) / name, format_name)
+            except VergenceError:  # for example a skew, for which it has no field
+                continue
+            files = (Path(folder) / name).rglob("*") if name == "c" else [Path(folder) / name]
+            for file in files:
+                assert not re.search(r"\b(nan|inf)\b", file.read_text(), re.IGNORECASE), file
+        save_head(head, Path(folder) / "saved.json")
+        again = load_head(Path(folder) / "saved.json")
+        np.testing.assert_equal(parameter_values(again), parameter_values(head))
+    pairs = [[n for n, c in head.cameras.items() if c.eye == eye][:1] for eye in ("left", "right")]
+    if all(pairs):
+        triangulate_at(
+            head,
+            left=np.array([[30.0, 20.0]]),
+            right=np.array([[29.0, 20.0]]),
+            joints=np.zeros(4),
+            cameras=(pairs[0][0], pairs[1][0]),
+        )
+
+
+def use_profile(profile: ErrorProfile) -> None:
+    """Build heads with the imperfections of a profile."""
+    for seed in range(3):
+        finite(as_built_head(nominal_head("2.8mm"), profile, seed))
+
+
+def finite(*values: Any) -> None:
+    """Raise AssertionError where a number in a result is not finite, at any depth."""
+    for value in values:
+        if is_dataclass(value):
+            finite(*(getattr(value, each.name) for each in fields(value)))
+        elif isinstance(value, Mapping):
+            finite(*value.values())
+        elif isinstance(value, tuple | list):
+            finite(*value)
+        elif isinstance(value, float | np.ndarray):
+            assert np.isfinite(value).all(), f"a number is not finite: {value}"
+
+
+def mutated(content: bytes, rng: np.random.Generator) -> bytes:
+    """Return content with one to three damages, most of them small."""
+    data = bytearray(content)
+    for _ in range(rng.choice([1, 1, 1, 2, 3])):
+        kind, at = rng.integers(11), int(rng.integers(len(data) + 1))
+        length = int(rng.integers(1, 2 ** rng.integers(1, 9)))
+        span = slice(at, at + length)
+        if kind == 0:
+            data[span] = rng.bytes(len(data[span]))
+        elif kind == 1:
+            del data[span]
+        elif kind == 2:
+            data[at:at] = data[span] * int(rng.integers(1, 20))
+        elif kind == 3:
+            del data[at:]
+        elif kind == 4:
+            data[at:at] = TOKENS[rng.integers(len(TOKENS))]
+        elif kind == 5:
+            lines = bytes(data).split(b"\n")
+            a, b = rng.integers(len(lines), size=2)
+            lines[a], lines[b] = lines[b], lines[a]
+            data = bytearray(b"\n".join(lines))
+        else:
+            numbers = [*re.finditer(rb"-?\d[\d.eE+-]*|\"[^\"]{0,40}\"", bytes(data))]
+            if numbers:
+                old = numbers[rng.integers(len(numbers))]
+                data[old.start() : old.end()] = TOKENS[rng.integers(len(TOKENS))]
+    return bytes(data)
+
+
+def attempt(kind: Kind, content: bytes) -> str:
+    """Return how reading a file with that content ends: "read", "refused", or what went wrong."""
+    original = kind.file.read_bytes()
+    kind.file.write_bytes(content)
+    began = time.perf_counter()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            kind.read()
+        end = "read"
+    except VergenceError as error:
+        end = "refused" if "\n" not in str(error) else f"not one sentence: {error}"
+    except Exception:
+        end = traceback.format_exc(limit=-3)
+    finally:
+        kind.file.write_bytes(original)
+    took = time.perf_counter() - began
+    return end if took < MOST_S else f"took {took:.1f} s ({end})"
+
+
+def run_batch(number: int) -> list[tuple[str, int, str]]:
+    """Return kind, seed and end of a batch of mutations; memory beyond 1 GB is an error in it."""
+    limit_memory()
+    found = []
+    with TemporaryDirectory() as folder:
+        made = kinds(Path(folder))
+        names = list(made)
+        for seed in range(number * BATCH, (number + 1) * BATCH):
+            name = names[seed % len(names)]
+            content = mutated(made[name].file.read_bytes(), np.random.default_rng(seed))
+            found.append((name, seed, attempt(made[name], content)))
+    return found
+
+
+def limit_memory() -> None:
+    """Let this process allocate at most 1 GB more; Linux only."""
+    if sys.platform == "linux":
+        import resource
+
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        most = pages * os.sysconf("SC_PAGE_SIZE") + MOST_BYTES
+        resource.setrlimit(resource.RLIMIT_AS, (most, resource.RLIM_INFINITY))
+
+
+def main(count: int = 20_000, out: Path = Path("runs/mutated_files")) -> None:
+    """Print how the mutations end, by kind of file, and every failure.
+
+    Args:
+        count: number of mutations.
+        out: folder of the results by batch.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    wanted = range(-(-count // BATCH))
+    missing = [number for number in wanted if not (out / f"{number}.json").exists()]
+    with ProcessPoolExecutor(os.cpu_count()) as pool:
+        for number, found in zip(missing, pool.map(run_batch, missing), strict=True):
+            write_json({"found": found}, out / f"{number}.json")
+    ends: dict[str, Counter[str]] = {}
+    for number in wanted:
+        for name, seed, end in json.loads((out / f"{number}.json").read_text())["found"]:
+            short = end if end in ("read", "refused") else "failed"
+            ends.setdefault(name, Counter())[short] += 1
+            if short == "failed":
+                print(f"{name}, seed {seed}:\n{end}")
+    print("| kind | read | refused | failed |\n|---|---|---|---|")
+    for name, of_kind in ends.items():
+        print(f"| {name} | {of_kind['read']} | {of_kind['refused']} | {of_kind['failed']} |")
+    total = sum(ends.values(), Counter())
+    print(f"{total.total()} mutations: {total['failed']} failed")
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
