@@ -41,12 +41,15 @@ from vergence.geometry.board import Chessboard
 from vergence.geometry.head import Accuracy, HeadCalibration, load_head, save_head
 from vergence.geometry.kinematics import EYE_JOINTS
 from vergence.geometry.parameters import parameter_values
-from vergence.interchange.formats import export_head, import_head
+from vergence.interchange.formats import ExportFormat, export_head, import_head
 from vergence.stereo.triangulation import triangulate_at
 from vergence.twin.model import as_built_head, nominal_head
 from vergence.twin.profile import ErrorProfile, load_profile
 from vergence.writing import write_json
 
+EXPORTS: dict[ExportFormat, str] = {
+    "opencv": "a.yml", "kalibr": "b.yaml", "ros": "c", "urdf": "d.urdf"
+}  # fmt: skip
 MOST_S, MOST_BYTES = 5.0, 10**9
 BATCH = 100
 TOKENS = (
@@ -82,7 +85,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
     }
     small_dataset(folder / "jpeg", head)
     png = folder / "jpeg/images/00000_left_wide.png"
-    png.write_bytes(cv2.imencode(".jpg", cv2.imread(str(png)))[1].tobytes())
+    png.write_bytes(cv2.imencode(".jpg", np.zeros((48, 64, 3), np.uint8))[1].tobytes())
     made["jpeg"] = Kind(png, lambda: use_dataset(folder / "jpeg"))
     truth = folder / "truth.json"
     write_json(true_of(head), truth)
@@ -165,9 +168,7 @@ def use_head(head: HeadCalibration) -> None:
     """Export a head to every format, save it, and locate a point with it."""
     finite(head)
     with TemporaryDirectory() as folder:
-        for format_name, name in (
-            ("opencv", "a.yml"), ("kalibr", "b.yaml"), ("ros", "c"), ("urdf", "d.urdf")
-        ):  # fmt: skip
+        for format_name, name in EXPORTS.items():
             try:
                 export_head(head, Path(folder) / name, format_name)
             except VergenceError:  # for example a skew, for which it has no field

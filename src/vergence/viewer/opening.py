@@ -22,6 +22,11 @@ if TYPE_CHECKING:  # the twin, and with it mujoco, is not needed to record a rea
     from vergence.twin.appearance import VisualGeom
 
 
+_BATCHES = rr.ChunkBatcherConfig(flush_tick=10.0)
+"""Rows of an entity that come within ten seconds are stored together: for each batch rerun keeps a
+record in memory, and at every frame these would add up to 25 kB."""
+
+
 @contextmanager
 def recording_file(
     path: Path,
@@ -42,7 +47,9 @@ def recording_file(
     with (
         whole_file(path) as part,
         _noticing_errors(part) as sink,
-        rr.RecordingStream(style.APPLICATION, recording_id=recording_id) as rec,
+        rr.RecordingStream(
+            style.APPLICATION, recording_id=recording_id, batcher_config=_BATCHES
+        ) as rec,
     ):
         rec.save(sink, default_blueprint=layout)
         rec.set_log_time_enabled(False)  # recordings of one seed stay comparable

@@ -1,0 +1,209 @@
+"""A disk that is full ends every command in one sentence, and leaves the old files as they were."""
+
+import contextlib
+import resource
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from mutated_files import stated_head, true_of
+from recordings import CHESSBOARD, seen_dataset
+from vergence import cli
+from vergence.commands.record import record
+from vergence.geometry.head import save_head
+from vergence.interchange.formats import export_head
+from vergence.twin.profile import load_profile
+from vergence.writing import UNFINISHED, write_json
+
+OLD = "what was there before\n"
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a calibration, a truth, an export and a dataset that shows a board."""
+    folder, head = tmp_path_factory.mktemp("inputs"), stated_head()
+    save_head(head, folder / "head.json")
+    write_json(true_of(head), folder / "t.json")
+    export_head(head, folder / "head.yml", "opencv")
+    seen_dataset(folder / "set", CHESSBOARD, 3)
+    return folder
+
+
+@contextlib.contextmanager
+def by_limit(folder: Path, free: int) -> Iterator[None]:
+    """Let no file grow beyond a number of bytes: what tests without privileges can have."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (free, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@contextlib.contextmanager
+def by_ballast(folder: Path, free: int) -> Iterator[None]:
+    """Fill the small disk of a folder, but for a number of bytes."""
+    ballast = folder / "ballast"
+    with contextlib.suppress(OSError), ballast.open("wb", buffering=0) as file:
+        while file.write(b"x" * 1024):
+            pass
+    with ballast.open("ab") as file:
+        file.truncate(ballast.stat().st_size - free)
+    try:
+        yield
+    finally:
+        ballast.unlink()
+
+
+Disk = tuple[Path, Callable[[Path, int], contextlib.AbstractContextManager[None]]]
+
+
+@pytest.fixture(params=["limit", "disk"])
+def disk(request, tmp_path: Path) -> Iterator[Disk]:
+    """Return a folder, and a context that fills its disk but for a number of bytes."""
+    if request.param == "limit":
+        yield tmp_path, by_limit
+        return
+    command = ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(tmp_path)]
+    try:
+        mounted = subprocess.run(command, capture_output=True, check=False).returncode == 0
+    except OSError:
+        mounted = False
+    if not mounted:
+        pytest.skip("this user may not mount a disk")
+    yield tmp_path, by_ballast
+    subprocess.run(["umount", "-l", str(tmp_path)], check=True)
+
+
+def refused(arguments: list[str], capsys, monkeypatch) -> str:
+    """Return the sentence with which a command ends, exit code 2."""
+    monkeypatch.setattr(sys, "argv", ["vergence", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    written = capsys.readouterr()
+    assert ended.value.code == 2, written.err
+    assert "Traceback" not in written.err
+    assert "Wrote" not in written.out
+    said = written.err.strip().splitlines()[-1]
+    assert said.startswith("vergence: Cannot write")
+    return said
+
+
+def check(disk: Disk, results: list[str], arguments: list[str], free: int, capsys, monkeypatch):
+    """Run a command on a disk where old results stand and that is full.
+
+    `results` are the names of its results, which the arguments name as `out/<name>`.
+    """
+    folder, filled = disk
+    for name in results:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(OLD)
+    there = [argument.replace("out/", f"{folder}/") for argument in arguments]
+    with filled(folder, free):
+        said = refused(there, capsys, monkeypatch)
+    assert any(reason in said for reason in ("File too large", "No space left on device")), said
+    assert [(folder / name).read_text() for name in results] == [OLD] * len(results)
+    assert [path.name for path in folder.rglob(".*")] == []
+    kept = {folder / name for name in results}
+    for path in folder.rglob("*"):  # other results that were finished before it stand beside a mark
+        assert path in kept or path.is_dir() or (path.parent / UNFINISHED).exists()
+
+
+SMALL = {
+    "evaluate": ("a.json", "evaluate {inputs}/head.json --truth {inputs}/t.json --json out/a.json"),
+    "import": ("a.json", "import {inputs}/head.yml --format opencv --out out/a.json"),
+    "opencv yml": ("a.yml", "export {inputs}/head.json --format opencv --out out/a.yml"),
+    "opencv xml": ("a.xml", "export {inputs}/head.json --format opencv --out out/a.xml"),
+    "opencv json": ("a.json", "export {inputs}/head.json --format opencv --out out/a.json"),
+    "kalibr": ("a.yaml", "export {inputs}/head.json --format kalibr --out out/a.yaml"),
+    "urdf": ("a.urdf", "export {inputs}/head.json --format urdf --out out/a.urdf"),
+    "ros": ("r/left_wide.yaml", "export {inputs}/head.json --format ros --out out/r"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("free", [0, 300])
+@pytest.mark.parametrize("name", SMALL)
+def test_a_full_disk_leaves_the_old_file(name, free, disk, inputs, capsys, monkeypatch):
+    result, line = SMALL[name]
+    check(disk, [result], line.format(inputs=inputs).split(), free, capsys, monkeypatch)
+
+
+CALIBRATE = "calibrate {recorded} --method paper --out "
+LARGE = {
+    "calibration": (["a.json"], CALIBRATE + "out/a.json", 300),
+    "accuracy": (["b.json"], CALIBRATE + "{inputs}/new.json --json out/b.json", 300),
+    "report": (["r/dataset.rrd"], CALIBRATE + "{inputs}/new.json --report out/r", 100_000),
+    "pictures": (["r/coverage.png"], CALIBRATE + "{inputs}/new.json --report out/r", 8192),
+    "record": ([], "record --out out/set --frames 12", 16_384),
+    "reproduce": (
+        ["p/fig06.rrd", "p/statistics.json"],
+        "reproduce --out out/p --figures 6 --duration 1 --rate 4",
+        50_000,
+    ),
+    "foveate": (["f/foveate.rrd"], "foveate --trials 1 --out out/f", 200_000),
+    "track": (["t/track.rrd"], "track --seconds 3 --out out/t", 200_000),
+    "grasp": (["g/grasp.rrd"], "grasp --trials 1 --out out/g", 200_000),
+    "summary": (["a.json"], "foveate --trials 1 --json out/a.json", 16),
+}
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory, opengl: None) -> Path:
+    folder = tmp_path_factory.mktemp("recorded") / "set"
+    record(folder, profile=load_profile("ideal"), frames=12)
+    return folder
+
+
+@pytest.mark.parametrize("name", LARGE)
+def test_a_disk_that_fills_leaves_the_old_results(
+    name, tmp_path, inputs, recorded, few_views, true_calibration, capsys, monkeypatch
+):
+    results, line, free = LARGE[name]
+    arguments = line.format(inputs=inputs, recorded=recorded).split()
+    check((tmp_path, by_limit), results, arguments, free, capsys, monkeypatch)
+
+
+@pytest.mark.parametrize(
+    ("path", "says"),
+    [
+        ("file/a.json", "Not a directory"),
+        ("folder", "Is a directory"),
+        ("/dev/null", "it is not a regular file"),
+        ("circle", "circle"),
+        ("x" * 300, "File name too long"),
+        ("a\0b", "is not a possible file name"),
+        ("head.json", "it is also the file that is read"),
+    ],
+)
+def test_a_path_that_cannot_work_is_refused_before_the_work(
+    path, says, inputs, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("in the way")
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "circle").symlink_to("circle")
+    (tmp_path / "head.json").write_bytes((inputs / "head.json").read_bytes())
+    for line in (
+        ["calibrate", f"{inputs / 'set'}", "--out", "good.json", "--json", path],
+        ["export", "head.json", "--format", "opencv", "--out", path],
+        ["track", "--json", path],
+    ):
+        if says.endswith("read") and line[0] != "export":
+            continue
+        monkeypatch.setattr(sys, "argv", ["vergence", *line])
+        with pytest.raises(SystemExit, match="2"):
+            cli.main()
+        assert says in capsys.readouterr().err
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["circle", "file", "folder", "head.json"]
+
+
+def test_two_results_are_not_written_to_one_file(inputs, tmp_path, capsys, monkeypatch):
+    out = str(tmp_path / "a.json")
+    line = ["calibrate", f"{inputs / 'set'}", "--out", out, "--json", out]
+    monkeypatch.setattr(sys, "argv", ["vergence", *line])
+    with pytest.raises(SystemExit, match="2"):
+        cli.main()
+    assert "it is also the file of another result" in capsys.readouterr().err

@@ -1,0 +1,177 @@
+"""A file is whole under its final name, whoever else writes it and whenever a run is stopped."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from vergence.errors import VergenceError
+from vergence.writing import (
+    UNFINISHED,
+    as_json,
+    check_outputs,
+    finished_files,
+    results_folder,
+    unfinished,
+    whole_folder,
+    write_json,
+    write_whole,
+)
+
+LINES = 20_000
+WRITER = f"""
+import sys
+from pathlib import Path
+from vergence.writing import whole_file
+for k in range(50):
+    with whole_file(Path(sys.argv[1])) as part, part.open("w") as file:
+        for _ in range({LINES} // 50):
+            file.write(sys.argv[2] * 50 + "\\n")
+"""
+HELD = """
+import sys, time
+from pathlib import Path
+from vergence.writing import results_folder, whole_file, whole_folder, write_whole
+folder = Path(sys.argv[1])
+with results_folder(folder):
+    write_whole(folder / "first.txt", "new")
+    with whole_file(folder / "second.txt") as part, whole_folder(folder / "set") as inner:
+        part.write_text("half")
+        (inner / "image").write_text("half")
+        print("there", flush=True)
+        time.sleep(60)
+"""
+
+
+def start(code: str, *arguments: object) -> subprocess.Popen[str]:
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def temporaries(folder: Path) -> list[Path]:
+    return sorted(folder.rglob(".*.part"))
+
+
+@pytest.mark.slow
+def test_of_two_processes_that_write_one_file_the_last_wins_whole(tmp_path):
+    target = tmp_path / "a.txt"
+    writers = [start(WRITER, target, letter) for letter in "ab"]
+    seen = set()
+    while any(writer.poll() is None for writer in writers):
+        if target.exists():
+            lines = target.read_text().splitlines()
+            seen.add(lines[0][0])
+            assert len(lines) == LINES // 50
+            assert len(set(lines)) == 1
+    assert [writer.communicate()[1] for writer in writers] == ["", ""]
+    assert seen <= {"a", "b"}
+    assert temporaries(tmp_path) == []
+
+
+@pytest.mark.slow
+def test_what_a_killed_process_leaves_is_told_from_what_another_is_writing(tmp_path):
+    (tmp_path / "second.txt").write_text("old")
+    holder = start(HELD, tmp_path)
+    assert holder.stdout is not None
+    assert holder.stdout.readline() == "there\n"
+    assert len(temporaries(tmp_path)) == 2
+    with pytest.raises(VergenceError, match="Another process is writing"), results_folder(tmp_path):
+        pass
+    write_whole(tmp_path / "second.txt", "mine")  # while the other is writing
+    assert len(temporaries(tmp_path)) == 2
+    holder.kill()
+    holder.communicate()
+    assert len(temporaries(tmp_path)) == 2
+    assert (tmp_path / "second.txt").read_text() == "mine"
+    assert unfinished(tmp_path)
+    assert "of different runs" in (tmp_path / UNFINISHED).read_text()
+    with results_folder(tmp_path):
+        write_whole(tmp_path / "second.txt", "next")
+        with whole_folder(tmp_path / "set"):
+            pass
+    assert not unfinished(tmp_path)
+    assert temporaries(tmp_path) == []
+
+
+@pytest.mark.parametrize("wrote", [False, True])
+def test_a_folder_is_marked_if_a_run_that_failed_had_written_there(tmp_path, wrote):
+    with pytest.raises(KeyboardInterrupt), results_folder(tmp_path):  # noqa: PT012
+        assert unfinished(tmp_path)
+        if wrote:
+            write_whole(tmp_path / "a.txt", "a")
+        raise KeyboardInterrupt
+    assert unfinished(tmp_path) == wrote
+    with results_folder(tmp_path):
+        pass
+    assert not unfinished(tmp_path)
+
+
+def test_a_link_stays_a_link_and_leads_to_what_was_written(tmp_path):
+    (tmp_path / "link.txt").symlink_to("target.txt")
+    write_whole(tmp_path / "link.txt", "new")
+    assert (tmp_path / "link.txt").is_symlink()
+    assert (tmp_path / "target.txt").read_text() == "new"
+    assert finished_files()[-1] == tmp_path / "link.txt"
+
+
+@pytest.mark.parametrize("name", ["[a-z]*?.txt", ".hidden", "a" * 250, "\N{GREEK SMALL LETTER PI}"])
+def test_odd_names_are_written_and_their_remains_removed(tmp_path, name):
+    for text in ("one", "two"):
+        write_whole(tmp_path / name, text)
+    (tmp_path / f".{name[:60]}.abc.part").write_text("remains")
+    write_whole(tmp_path / name, "three")
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_a_folder_is_written_whole_or_not_at_all(tmp_path):
+    with pytest.raises(ValueError, match="odd"), whole_folder(tmp_path / "set") as part:  # noqa: PT012
+        (part / "a.txt").write_text("half")
+        raise ValueError("odd")
+    assert list(tmp_path.iterdir()) == []
+    with whole_folder(tmp_path / "set") as part:
+        (part / "a.txt").write_text("whole")
+        (tmp_path / "set").mkdir()
+        (tmp_path / "set" / "b.txt").write_text("of another process, which was faster")
+        with (
+            pytest.raises(VergenceError, match="already exists and is not empty"),
+            whole_folder(tmp_path / "set"),
+        ):
+            pass
+        (tmp_path / "set" / "b.txt").unlink()
+    assert [path.name for path in (tmp_path / "set").iterdir()] == ["a.txt"]
+
+
+def test_what_is_not_finite_is_null_in_json(tmp_path):
+    write_json({"a": float("nan"), "b": [1.0, float("-inf")]}, tmp_path / "a.json")
+    assert json.loads((tmp_path / "a.json").read_text()) == {"a": None, "b": [1.0, None]}
+    assert as_json({"x": 0.1 + 0.2}) == '{\n "x": 0.30000000000000004\n}\n'
+
+
+def test_a_file_that_nobody_may_write_is_refused_before_the_work(tmp_path):
+    check_outputs(tmp_path / "new" / "deeper" / "a.json", None, folder=tmp_path / "results")
+    assert list(tmp_path.iterdir()) == []
+    if os.geteuid() == 0:
+        pytest.skip("root may write everywhere")
+    tmp_path.chmod(0o500)
+    with pytest.raises(VergenceError, match="no permission"):
+        check_outputs(tmp_path / "a.json")
+
+
+@pytest.mark.render
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_stopped_command_says_what_it_had_finished(tmp_path, number):
+    out = tmp_path / "paper"
+    command = [sys.executable, "-m", "vergence.cli", "reproduce", "--out", str(out)]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    while not (out / UNFINISHED).exists() and process.poll() is None:
+        time.sleep(0.02)
+    process.send_signal(number)
+    _, said = process.communicate()
+    assert process.returncode == 128 + number, said
+    assert said.strip().splitlines()[-1] == "vergence: stopped; nothing was written."
+    assert list(out.iterdir()) == []
