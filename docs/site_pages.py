@@ -38,7 +38,7 @@ CONTENTS = {
         *(name.removesuffix(".md") for name in REFERENCE),
         *("calibration_file", "conventions", "equations"),
     ),
-    "Project": ("architecture", "model", "benchmarks", "contributing", "changelog"),
+    "Project": ("architecture", "security", "model", "benchmarks", "contributing", "changelog"),
 }
 """The site's table of contents; Sphinx warns of a page that is missing from it."""
 PICTURES = (".png", ".svg")
