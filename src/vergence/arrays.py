@@ -43,11 +43,17 @@ Matrix3 = Annotated[Array, *_shaped(3, 3)]
 Matrix = Annotated[Array, *_shaped(None, None)]
 
 
+MAX_M = 1e6
+"""Of a translation or a point; with far larger ones the algebra overflows."""
+
+
 def _rigid(array: Array) -> Array:
     R = array[:3, :3]
     possible = np.abs(R).max() < 1.1  # far larger numbers would overflow below
     if not possible or np.abs(R @ R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0:
         raise ValueError("expected a rigid transform, found a rotation part that is not a rotation")
+    if np.abs(array[:3, 3]).max() > MAX_M:
+        raise ValueError(f"expected a translation in metres, found {array[:3, 3].tolist()}")
     if np.abs(array[3] - [0, 0, 0, 1]).max() > 1e-9:
         raise ValueError(f"expected a last row of 0 0 0 1, found {array[3].tolist()}")
     return array

@@ -20,6 +20,7 @@ from vergence.arrays import Array, Matrix3, Vector
 MAX_IMAGE_PX = 20_000
 MAX_IMAGE_AREA_PX = 50_000_000
 """Width times height; decoding an image of this size takes 300 MB."""
+MIN_FOCAL_PX = 1e-6
 Pixels = Annotated[int, Field(gt=0, le=MAX_IMAGE_PX)]
 """The width or height of an image."""
 MAX_NUMBER = 1e12
@@ -54,8 +55,9 @@ class Camera:
         largest = max(np.abs(self.distortion).max(), np.abs(self.matrix).max())
         if largest > MAX_NUMBER:
             raise ValueError(f"matrix and distortion are below {MAX_NUMBER:g}, found {largest:g}")
-        if self.matrix[0, 0] <= 0 or self.matrix[1, 1] <= 0:
-            raise ValueError("focal lengths are positive, found one that is not")
+        smallest = self.matrix[[0, 1], [0, 1]].min()
+        if smallest < MIN_FOCAL_PX:
+            raise ValueError(f"focal lengths are positive, found one of {smallest:g} px")
         if self.matrix[1, 0] != 0 or (self.matrix[2] != [0, 0, 1]).any():
             rows = self.matrix[1:].tolist()
             raise ValueError(

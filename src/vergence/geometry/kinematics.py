@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
-from vergence.arrays import Array, Vector3, Vectors3
+from vergence.arrays import MAX_M, Array, Vector3, Vectors3
 from vergence.geometry.se3 import cross, pose, rotation
 
 Side = Literal["left", "right"]
@@ -172,6 +172,9 @@ class Neck:
             )
         if len(self.axes) > MAX_NECK_JOINTS:
             raise ValueError(f"a neck has at most {MAX_NECK_JOINTS} joints, found {len(self.axes)}")
+        largest = max(np.abs(self.points_m).max(initial=0.0), np.abs(self.head_m).max())
+        if largest > MAX_M:
+            raise ValueError(f"points are in metres, found {largest:g}")
         lengths = np.linalg.norm(self.axes, axis=1)
         if (np.abs(lengths - 1) > 1e-6).any():
             raise ValueError(f"axes are unit vectors, found one of length {lengths.max():.6g}")
