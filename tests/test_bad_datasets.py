@@ -43,7 +43,7 @@ def folder(tmp_path: Path) -> Path:
         (1, "left_pan", "-Infinity", "line 3: left_pan is '-Infinity'"),
         (1, "left_pan", "1e999", "line 3: left_pan is '1e999'"),
         (1, "left_pan", "0,2", "line 3: left_pan is '0,2', not a finite number such as 0.25"),
-        (3, "left_tilt", "17.2", "half a turn; if it is in degrees, set joints.left_tilt.unit"),
+        (3, "left_tilt", "17.2", "a turn; if it is in degrees, set joints.left_tilt.unit"),
         (1, "placement", "-1", "line 3: placement is '-1'; expected blank or a whole number"),
         (1, "placement", "1.5", "line 3: placement is '1.5'"),
         (1, "left_wide", "images/left_0.png", "is also the image of left_wide in line 2"),

@@ -1,5 +1,6 @@
 """Held-out errors: exact where all is exact, as large as stated where noise is as stated."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -8,10 +9,16 @@ import pytest
 from simulated_head import plain_head
 from simulated_recording import EXACT, Noise, Recording, record
 from test_parameters import stated
-from vergence.calibration.checks.cross_validation import folds, held_out, jackknife_ratio
+from vergence.calibration.checks.cross_validation import (
+    PartCalibration,
+    calibrate_folds,
+    folds,
+    held_out,
+    jackknife_ratio,
+)
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
-from vergence.geometry.head import Accuracy, HeadCalibration
+from vergence.geometry.head import Accuracy, HeadCalibration, HeldOut
 from vergence.geometry.parameters import change_named
 
 HEAD = plain_head(0.075, 280.0, camera_m=((0.02, 0, 0), (0.02, 0, 0)))
@@ -23,6 +30,14 @@ def observations(views: int = 20, noise: Noise = EXACT) -> Observations:
     return record(HEAD, np.random.default_rng(1), how)
 
 
+def cross_validated(
+    seen: Observations, calibrate: Callable[[np.ndarray], HeadCalibration]
+) -> HeldOut:
+    """Return the held-out errors of calibrations of heads, with no board known."""
+    parts = calibrate_folds(seen, lambda rows: PartCalibration(calibrate(rows), {}, 1.0))
+    return held_out(seen, parts)
+
+
 def test_folds_spread_each_placement():
     placement = np.repeat([0, 1], [10, 15])
     number = folds(placement)
@@ -31,7 +46,7 @@ def test_folds_spread_each_placement():
 
 
 def test_a_perfect_calibration_has_no_held_out_error():
-    found = held_out(observations(), lambda _: HEAD)
+    found = cross_validated(observations(), lambda _: HEAD)
     assert found.transfer_px == pytest.approx(0, abs=1e-4)  # as the poses of boards are found
     assert found.point_mm == pytest.approx(0, abs=1e-6)
     assert found.transfer_views == found.point_views == 20
@@ -45,7 +60,7 @@ def test_training_never_contains_the_views_that_are_predicted():
         trained.append(rows)
         return HEAD
 
-    held_out(observations(), calibrate)
+    cross_validated(observations(), calibrate)
     left_out = ~np.array(trained)
     assert left_out.sum(axis=1).tolist() == [4] * 5
     assert (left_out.sum(axis=0) == 1).all()
@@ -54,14 +69,14 @@ def test_training_never_contains_the_views_that_are_predicted():
 def test_noise_of_the_readings_explains_the_held_out_error():
     exact = Accuracy("bundle", ("left_wide.fx",), np.array([[1e-20]]), 0.0, (2e-3,))
     head = replace(HEAD, accuracy=exact)
-    found = held_out(observations(60, Noise(joint_rad=2e-3)), lambda _: head)
+    found = cross_validated(observations(60, Noise(joint_rad=2e-3)), lambda _: head)
     assert found.expected_mm is not None
     assert found.point_mm == pytest.approx(found.expected_mm, rel=0.25)
 
 
 def test_too_few_views_for_the_folds_are_refused():
     with pytest.raises(VergenceError, match="at least 5 views, found 4"):
-        held_out(observations(4), lambda _: HEAD)
+        cross_validated(observations(4), lambda _: HEAD)
 
 
 def test_folds_that_differ_as_stated_have_a_jackknife_ratio_of_one():

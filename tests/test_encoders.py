@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simulated_recording import POINTS, Noise, Recording
+from simulated_recording import POINTS, Noise, Recording, record
 from test_other_heads import recorded as recorded_of
 from vergence.calibration.calibrate import calibrate
 from vergence.calibration.checks.board_flips import turn_boards
@@ -16,7 +16,7 @@ from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import boxminus
-from vergence.geometry.se3 import pose
+from vergence.geometry.se3 import pose, rotation
 from vergence.vision.board_pose import board_poses
 
 GOOD = Recording(reach_rad=(0.3, 0.3), noise=Noise(pixel_px=0.1, joint_rad=np.radians(0.2)))
@@ -83,6 +83,23 @@ RAD = np.radians(1)
 def test_a_joint_that_is_not_what_it_is_said_to_be_is_named(matrix: np.ndarray, said: str):
     _, seen = recorded()
     assert said in refusal(with_readings(seen, seen.eye_angles @ matrix))
+
+
+@pytest.mark.parametrize("roll_deg", [30, 90, -135, 180])
+@pytest.mark.parametrize(
+    ("signs", "said"),
+    [
+        ([1, -1, 1, -1], "left_tilt counts the other way"),
+        ([-1, 1, -1, 1], "left_pan counts the other way"),
+        ([1, 1, -1, 1], "right_pan counts the other way"),
+    ],
+)
+def test_a_wrong_sign_is_named_however_the_cameras_are_rolled(roll_deg, signs, said):
+    truth, _ = recorded()
+    roll = pose(rotation([0, 0, np.radians(roll_deg)]))
+    cameras = {n: replace(m, T_eye_cam=m.T_eye_cam @ roll) for n, m in truth.cameras.items()}
+    seen = record(replace(truth, cameras=cameras), np.random.default_rng(3), GOOD)
+    assert said in refusal(with_readings(seen, seen.eye_angles * signs))
 
 
 def test_readings_of_other_moments_are_refused():

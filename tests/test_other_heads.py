@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 
 from simulated_head import random_head
-from simulated_recording import Noise, Recording, as_poses, record
+from simulated_recording import BOARD, POINTS, Noise, Recording, as_poses, record
 from test_sequential import only, some_cameras
 from vergence.calibration.calibrate import CalibrationResult, calibrate
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, main_pair
 from vergence.geometry.parameters import boxminus
-from vergence.geometry.se3 import pose
+from vergence.geometry.projection import project_at
+from vergence.geometry.se3 import boxplus, pose, rotation, transform
 
 pytestmark = pytest.mark.slow  # whole calibrations
 
@@ -45,6 +46,51 @@ def test_eyes_that_give_poses_are_calibrated():
     assert_near(found, truth)
     assert found.accuracy.eye_motion == "poses"
     assert found.warnings == ()
+
+
+def on_an_arm(
+    seed: int, *, size: float = 1.0, pose_std: tuple[float, float] = (2e-4, 2e-4)
+) -> tuple[HeadCalibration, Observations]:
+    """Return a head of one eye that an arm carries, and 24 views of a board of another size.
+
+    Measured poses have noise [rad], [m]; corners have 0.2 px.
+    """
+    rng = np.random.default_rng(seed)
+    truth, _ = recorded(seed)
+    mounted = truth.cameras["left_wide"]
+    truth = replace(truth, cameras={"left_wide": mounted}, T_rbase_lbase=np.eye(4))
+    V, K = 24, len(POINTS)
+    turns, places = rng.uniform(-0.35, 0.35, (V, 3)), rng.uniform(-0.1, 0.1, (V, 3))
+    T = pose(rotation(turns), places)
+    T_base_target = mounted.T_eye_cam @ pose(rotation([0.3, 0.2, 0.0]), [-0.12, -0.08, 0.5])
+    pixels = project_at(mounted, np.eye(4), T, transform(T_base_target, size * POINTS)[None])
+    inside = (np.abs(pixels - [320, 240]) < [320, 240]).all(axis=2, keepdims=True)
+    read = boxplus(T, rng.normal(0, 1, (V, 6)) * np.repeat(pose_std, 3))
+    return truth, Observations(
+        board=BOARD,
+        placement=np.zeros(V, int),
+        eye_angles=np.full((V, 4), np.nan),
+        corners={"left_wide": np.where(inside, pixels + rng.normal(0, 0.2, (V, K, 2)), np.nan)},
+        sizes={"left_wide": (640, 480)},
+        T_base_eye=np.stack([read, np.tile(np.eye(4), (V, 1, 1))], axis=1),
+    )
+
+
+@pytest.mark.parametrize("size", [1.0, 1.006])
+def test_poses_that_know_lengths_show_the_size_of_the_board(size: float):
+    truth, seen = on_an_arm(8, size=size)
+    found = calibrate(seen)
+    assert found.estimate is not None
+    assert found.estimate.board_scale == pytest.approx(size, abs=1e-3)
+    assert any("a square of the board measures" in said for said in found.observations.remarks) == (
+        size > 1
+    )
+    assert_near(found, truth)
+    checked = found.accuracy.held_out
+    assert checked is not None
+    assert checked.prediction_px is not None
+    # A reading is wrong by 0.2 mrad and 0.2 mm: at 0.5 m and 300 px that is a fifth of a pixel.
+    assert checked.prediction_px < 0.5
 
 
 def test_eye_poses_about_one_axis_are_refused_with_the_axis():

@@ -15,6 +15,8 @@ from vergence.vision.board_pose import seen_corners
 MISFIT = 1.5
 """Held-out error, as a multiple of what the noise explains, from which something is amiss; with
 the ten views or more of a usual fold set it stays below by far."""
+VOID_MISFIT = 5.0
+"""The same, from which the result is worth nothing."""
 PART = 1 / 3
 """Of the noise of a reading, which a calibration may add: it makes a twentieth of the whole."""
 SMALL = 0.002
@@ -24,12 +26,18 @@ _TURNS_RAD = 0.2
 
 
 def verdict(accuracy: Accuracy, head: HeadCalibration) -> tuple[str, str]:
-    """Return one word (GOOD, FAIR, DOUBTFUL, UNKNOWN), and what to do next."""
+    """Return one word, and what to do next.
+
+    GOOD: what is stated can be believed, and more views would not make points much better. VOID:
+    the calibration must not be used. DOUBTFUL: something is amiss, unknown, or not accurate yet.
+    """
+    if accuracy.void:
+        return "VOID", accuracy.void[0]
     if accuracy.warnings:
         return "DOUBTFUL", f"Next: {accuracy.warnings[0]}"
     if accuracy.method == "paper":
         return (
-            "UNKNOWN",
+            "DOUBTFUL",
             "Next: the paper's method states no accuracy; calibrate with --method bundle.",
         )
     checked = accuracy.held_out
@@ -38,19 +46,19 @@ def verdict(accuracy: Accuracy, head: HeadCalibration) -> tuple[str, str]:
         ratio = checked.point_mm / checked.expected_mm
         if ratio > MISFIT:
             return (
-                "DOUBTFUL",
+                "DOUBTFUL" if ratio < VOID_MISFIT else "VOID",
                 f"Next: held-out points are {ratio:.1f} times as wrong as the noise explains; look "
                 "for backlash, a board that moved or bends, and time stamps of moving eyes.",
             )
     table = point_accuracy(head)
     if not table:
-        return "UNKNOWN", (
+        return "DOUBTFUL", (
             "Next: look at the standard deviations; the accuracy of a point is stated for heads of "
             "two eyes that pan and tilt."
         )
     for distance, by_calibration, by_reading in table:
         if by_calibration > max(PART * by_reading, SMALL * 1e3 * distance):
-            return "FAIR", (
+            return "DOUBTFUL", (
                 f"Next: record more views, or larger eye motion; at {distance:g} m the calibration "
                 f"adds {by_calibration:.1f} mm to the {by_reading:.1f} mm of a reading's noise."
             )
@@ -110,6 +118,11 @@ def summary_lines(head: HeadCalibration, observations: Observations) -> list[str
             of_eyes = f"{degrees[0]} degrees and {1e3 * accuracy.joint_std[1]:.3f} mm in eye poses"
         lines.append(f"Noise: {accuracy.pixel_std_px:.3f} px in corners, {of_eyes}.")
     checked = accuracy.held_out
+    if checked is not None and checked.prediction_px is not None:
+        lines.append(
+            f"Held out: a corner is off by {checked.prediction_px:.2f} px from where its view's "
+            f"reading puts it ({checked.folds} folds)."
+        )
     if checked is not None and checked.transfer_px is not None:
         lines.append(
             f"Held out: a corner carried from eye to eye is off by {checked.transfer_px:.2f} px "
@@ -126,7 +139,8 @@ def summary_lines(head: HeadCalibration, observations: Observations) -> list[str
     if table:
         parts = ", ".join(f"{mm:.2f} mm at {distance:g} m" for distance, mm, _ in table)
         lines.append(f"Of this the calibration itself adds (1 std): {parts}.")
-    if len(accuracy.warnings) > 1:
-        lines.append(f"{len(accuracy.warnings)} warnings, listed in the report.")
+    said = len(accuracy.void) + len(accuracy.warnings)
+    if said > 1:
+        lines.append(f"{said} warnings, listed in the report.")
     lines.append(following)
     return lines

@@ -10,8 +10,10 @@ import numpy as np
 from vergence.calibration.calibrate import CalibrationResult
 from vergence.calibration.summary import point_accuracy, verdict
 from vergence.data.dataset import Dataset
+from vergence.geometry.head import main_pair
 from vergence.geometry.kinematics import EYE_COLUMNS
 from vergence.geometry.parameters import parameter_values
+from vergence.geometry.se3 import rotvec
 from vergence.progress import Progress, silent
 from vergence.viewer import plots_calibration as plots
 from vergence.viewer.dataset import record_dataset, rms_by_view
@@ -29,6 +31,7 @@ def figures(result: CalibrationResult) -> dict[str, Any]:
     checked = accuracy.held_out
     return {
         "verdict": word,
+        "void": list(accuracy.void),
         "next": following,
         "method": accuracy.method,
         "pixel_std_px": accuracy.pixel_std_px,
@@ -160,8 +163,31 @@ def _parameters(result: CalibrationResult) -> list[str]:
         for name, value in parameter_values(result.head).items()
     ]
     return [
-        "Poses are given by their standard deviations alone; see the calibration file. Angles in",
-        "radians, lengths in metres, focal lengths and centres in pixels, time in seconds.",
+        "Angles in radians, lengths in metres, focal lengths and centres in pixels, time in",
+        "seconds.",
         "",
         markdown_table("parameter | value | std", rows),
+        "",
+        *_poses(result),
     ]
+
+
+def _poses(result: CalibrationResult) -> list[str]:
+    """Return the poses of the cameras in their eyes, and of the eyes to each other."""
+    head = result.head
+    poses = {f"{name}.T_eye_cam": mounted.T_eye_cam for name, mounted in head.cameras.items()}
+    lines = []
+    if main_pair(head) is not None:
+        poses["T_rbase_lbase"] = head.T_rbase_lbase
+        baseline_mm = 1e3 * np.linalg.norm(head.T_rbase_lbase[:3, 3])
+        lines = ["", f"The eyes' rotation centres stand {baseline_mm:.3f} mm apart."]
+    rows = [
+        (
+            name,
+            " ".join(f"{x:.3f}" for x in 1e3 * T[:3, 3]),
+            " ".join(f"{x:.4f}" for x in np.degrees(rotvec(T[:3, :3]))),
+        )
+        for name, T in poses.items()
+    ]
+    table = markdown_table("pose | translation x y z [mm] | rotation vector x y z [deg]", rows)
+    return [table, *lines]

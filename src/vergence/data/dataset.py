@@ -264,11 +264,16 @@ def decode_image(content: bytes, size: tuple[int, int]) -> np.ndarray | None:
     """Return an image file of a known size as (H, W, 3) uint8, RGB; None if it cannot be read."""
     try:
         # As the sensor was read out: an EXIF orientation would turn the pixel coordinates.
-        flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+        flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
         image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
     except cv2.error:
         return None
     if image is None or image.shape[1::-1] != size:
+        return None
+    if image.dtype == np.uint16:  # of which cameras of 10 or 12 bits fill the lower ones only
+        unused = max(0, int(image.max()).bit_length() - 8)
+        image = np.right_shift(image, unused).astype(np.uint8)
+    if image.dtype != np.uint8:
         return None
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 

@@ -222,12 +222,14 @@ def _joint_angles(description: Description, names: tuple[str, ...], table: _Tabl
         if joint is None:
             continue
         readings = joint.sign * table.numbers([joint.column])[:, 0]
-        angles[:, n] = np.radians(readings) if joint.unit == "deg" else readings
+        turned = np.radians(readings) if joint.unit == "deg" else readings
+        beyond = (np.abs(turned) > np.pi) & (np.abs(turned) <= 2 * np.pi)  # 359 degrees are -1
+        angles[:, n] = turned - np.where(beyond, 2 * np.pi * np.sign(turned), 0.0)
         for k in np.flatnonzero(np.abs(angles[:, n]) > np.pi).tolist():
             advice = f'; if it is in degrees, set joints.{name}.unit to "deg"'
             raise VergenceError(
                 f"{table.where(k)}: {joint.column} = {table.columns[joint.column][k]} {joint.unit} "
-                f"is more than half a turn{advice if joint.unit == 'rad' else ''}."
+                f"is more than a turn{advice if joint.unit == 'rad' else ''}."
             )
     return angles
 

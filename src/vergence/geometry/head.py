@@ -66,6 +66,9 @@ class HeldOut:
     ] = None
     """Standard deviation of the parameters by the jackknife over the folds, relative to the stated
     one; 1 where the noise model is right. Files of version 0.1 call it scatter."""
+    prediction_px: float | None = None
+    """Root mean square distance of corners from where the view's reading, the calibration and the
+    board, as other views of its placement show it, put them; None: there is no such view."""
 
 
 def _method_of_version_0_1(name: str) -> str:
@@ -91,6 +94,8 @@ class Accuracy:
     eye_motion: Literal["pan-tilt", "poses"] = "pan-tilt"
     """Whether the eyes were read as angles or as poses."""
     held_out: HeldOut | None = None
+    void: tuple[str, ...] = ()
+    """Why the calibration must not be used; empty: it may be."""
     warnings: tuple[str, ...] = ()
     """What the data could not determine, and what to record instead."""
 

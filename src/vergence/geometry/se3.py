@@ -79,3 +79,12 @@ def cross(a: Array, b: Array) -> Array:
 def angle(R: Array) -> Array:
     """Return the angle (...,) [rad] of R (..., 3, 3)."""
     return Rotation.from_matrix(R).magnitude()
+
+
+def mean_pose(T: Array) -> Array:
+    """Return the mean rotation and median translation (4, 4) of poses (N, 4, 4) that differ little.
+
+    The rotation is the mean of the matrices, projected onto SO(3).
+    """
+    U, _, Vt = np.linalg.svd(T[:, :3, :3].sum(axis=0))
+    return pose(U @ Vt, np.median(T[:, :3, 3], axis=0))

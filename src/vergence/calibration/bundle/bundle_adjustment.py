@@ -53,10 +53,15 @@ class BundleEstimate:
     [rad] and translation [m]."""
     T_lbase_target: Mapping[int, Array]
     """By number of the placement: where the board stood."""
+    board_scale: float
+    """Size of the board relative to the stated one: estimated where measured poses of the eyes know
+    lengths, else 1."""
     T_base_eye: Array
     """(V, 2, 4, 4) the true poses of the left and the right eye; NaN where it saw no board."""
     residuals_px: Mapping[str, Array]
     """By camera that sees boards: (V, K, 2) projected minus seen; NaN where not seen."""
+    void: tuple[str, ...]
+    """Why the result is worth nothing; empty: it is worth something."""
     warnings: tuple[str, ...]
     """What the data cannot determine, and why."""
 
@@ -71,6 +76,7 @@ class BundleEstimate:
             covariance=(covariance + covariance.T) / 2,
             pixel_std_px=self.pixel_std_px,
             joint_std=self.joint_std,
+            void=self.void,
             warnings=self.warnings,
         )
 
@@ -152,8 +158,10 @@ def bundle_adjust(
         pixel_std_px=found.noise.pixel_px,
         joint_std=tuple(map(float, found.noise.levels[1:])),
         T_lbase_target=dict(zip(numbers.tolist(), found.state.T_lbase_target, strict=True)),
+        board_scale=found.state.board_scale,
         T_base_eye=T_base_eye,
         residuals_px=residuals,
+        void=diagnostics.void(problem, found),
         warnings=(
             *left_out,
             *diagnostics.contradicting_views(problem),

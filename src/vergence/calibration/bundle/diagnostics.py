@@ -33,8 +33,6 @@ def warnings(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
     """Return a sentence for everything that the reader of a result must know."""
     noise = found.noise
     said = _unobservable(problem, found)
-    for e in np.unique(problem.block_eye):
-        said += _senses(problem, found, int(e))
     said += [
         f"The noise of the joint readings cannot be estimated from these views; {level:g} was "
         "assumed: let the eyes look at each board from several angles."
@@ -60,9 +58,15 @@ def warnings(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
             f"noise of single corners ({noise.pixel_px:.2g} px): the lens departs from its "
             "model, or the board is not flat; look at the residuals over the image."
         )
-    if not found.converged:
-        said.append("The estimate did not converge: do not trust it.")
     return tuple(dict.fromkeys(said))  # pan and tilt may share one
+
+
+def void(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
+    """Return a sentence for everything that makes a result worthless."""
+    said = [] if found.converged else ["The estimate did not converge."]
+    for e in np.unique(problem.block_eye):
+        said += _senses(problem, found, int(e))
+    return tuple(said)
 
 
 def contradicting_views(problem: BundleProblem) -> tuple[str, ...]:
@@ -178,7 +182,7 @@ def _senses(problem: BundleProblem, found: Adjusted, eye: int) -> list[str]:
     length = np.linalg.norm(_away(found.state.latent[blocks], which), axis=0)
     return [
         f"Readings of {joint} of {_whose(problem, eye)} hardly follow its motion: the noise is "
-        f"{level:.2g} rad, and even the sense of the motion is uncertain; do not trust the result."
+        f"{level:.2g} rad, and even the sense of the motion is uncertain."
         for joint, size, level in zip(("pan", "tilt"), length, found.noise.joint, strict=True)
         if size < SENSE * level
     ]

@@ -23,6 +23,9 @@ CANDIDATES = 12
 """Views from which the start of a board's place is chosen."""
 FAR_PX = 50.0
 """Reprojection error that says no more than a larger one, when views vote on a board's place."""
+MEASURING_M = 0.02
+"""Standard deviation of an eye's place from which measured poses, good to a fraction of a
+millimetre, know lengths better than a printed board does."""
 TURNED_RAD = 0.5
 """A board turned by more than this against the other views of its placement contradicts them; the
 start is better than that, and a board numbered from the wrong end is turned by pi."""
@@ -104,7 +107,7 @@ def initial_state(
         trust_encoder=np.zeros(reading.shape[1], dtype=bool),
         T_base_eye_read=T_base_eye_read,
         systematic_px=observations.systematic_px,
-        free=np.array(free + [True] * (len(POSE) * len(numbers))),
+        free=np.array(free + [True] * (len(POSE) * len(numbers)) + [_measures_lengths(measured)]),
     )
     state = BundleState(
         head=replace(start, time_offset_s=0.0, accuracy=None),
@@ -118,6 +121,17 @@ def initial_state(
     ]
     found = np.stack(poses)[camera, view]
     return *_place_boards(problem, state, found), numbers
+
+
+def _measures_lengths(T_base_eye: Array | None) -> bool:
+    """Return whether measured eye poses say how long a metre is, and with it how large the board.
+
+    Angles do not, nor poses of eyes that turn about a point: the stated board is then the measure.
+    """
+    if T_base_eye is None:
+        return False
+    spread = np.nanstd(T_base_eye[..., :3, 3], axis=0)
+    return bool(np.linalg.norm(spread, axis=-1).max() > MEASURING_M)
 
 
 def _place_boards(

@@ -22,6 +22,7 @@ TRANSLATION_M = 0.01
 AXES_STD = (0.1, 0.1, 0.05, 0.05, 0.05, 0.005)
 """Gains, offsets and non-orthogonality [rad], distance of the axes [m]."""
 TIME_S = 0.1
+BOARD_SCALE = 0.02
 UNKNOWN = 1e3
 """Standard deviation, in prior ones, that stands for "not determined at all"."""
 FIXED = 5.0
@@ -58,6 +59,7 @@ def whole_basis(problem: BundleProblem, state: BundleState) -> Array:
         # Distortion that moves the image's corner by a fifth of its distance from the centre.
         scales += (0.2 / reach ** np.array([2, 4, 1, 1, 6])).tolist() + pose
     scales += [*pose, *AXES_STD, *AXES_STD, TIME_S] + pose * len(state.T_lbase_target)
+    scales.append(BOARD_SCALE)
     return np.diag(scales)[:, problem.free]
 
 

@@ -5,7 +5,8 @@ A corner P of a board passes through
 unknowns fall into two kinds:
 
 - *shared* ones, in one vector: the parameters of the head in the order of
-  `geometry.parameters.parameter_names`, then the 6 of each placement of the board, T_lbase_target;
+  `geometry.parameters.parameter_names`, then the 6 of each placement of the board, T_lbase_target,
+  and last the size of the board, relative to the stated one;
 - *latent* ones, n for each eye in each view: the readings u [rad] of pan and tilt as they would be
   without noise (n = 2) or, for measured eye poses, their errors (n = 6). An eye in a view is a
   *block*: every residual meets one block only, so blocks are eliminated one by one.
@@ -90,10 +91,12 @@ class BundleState:
     """(P, 4, 4)."""
     latent: Array
     """(B, n)."""
+    board_scale: float = 1.0
+    """Size of the board relative to the stated one."""
 
 
 def head_size(problem: BundleProblem) -> int:
-    """Return how many shared unknowns belong to the head; those of the placements follow."""
+    """Return how many shared unknowns belong to the head; those of the boards follow."""
     return PER_CAMERA * len(problem.cameras) + len(POSE) + len(EYES) * len(AXES) + 1
 
 
@@ -104,8 +107,9 @@ def retract(
     c = head_size(problem)
     return BundleState(
         parameters.boxplus(state.head, shared[:c]),
-        boxplus(state.T_lbase_target, shared[c:].reshape(-1, 6)),
+        boxplus(state.T_lbase_target, shared[c:-1].reshape(-1, 6)),
         state.latent + latent,
+        state.board_scale + float(shared[-1]),
     )
 
 
@@ -167,7 +171,7 @@ def _eye_jacobians(problem: BundleProblem, state: BundleState) -> tuple[Array, A
 def _on_boards(problem: BundleProblem, state: BundleState) -> tuple[Array, Array]:
     """Return the corners (M, K, 3) from the board's origin, and in the left eye's base frame."""
     T = state.T_lbase_target[problem.placement]
-    turned = problem.points @ np.swapaxes(T[:, :3, :3], 1, 2)
+    turned = state.board_scale * problem.points @ np.swapaxes(T[:, :3, :3], 1, 2)
     return turned, turned + T[:, None, :3, 3]
 
 
@@ -185,21 +189,24 @@ def corner_errors(problem: BundleProblem, state: BundleState) -> Array:
 def jacobians(problem: BundleProblem, state: BundleState) -> tuple[Array, Index, Array]:
     """Return the derivatives of corner_errors; zero where a corner is not seen.
 
-    (M, K, 2, 33) by the shared unknowns that a detection meets, (M, 33) which these are, and (M, K,
+    (M, K, 2, 34) by the shared unknowns that a detection meets, (M, 34) which these are, and (M, K,
     2, n) by the latent ones of its block.
     """
     M, K = problem.seen.shape
     T, (turned, points) = eye_poses(problem, state)[problem.block], _on_boards(problem, state)
     by_axes, by_latent = (each[problem.block] for each in _eye_jacobians(problem, state))
-    shared, latent = np.empty((M, K, 2, 33)), np.empty((M, K, 2, by_latent.shape[-1]))
+    shared, latent = np.empty((M, K, 2, 34)), np.empty((M, K, 2, by_latent.shape[-1]))
     for c, mounted in enumerate(state.head.cameras.values()):
         own = problem.camera == c
         J = project_with_jacobians(mounted, state.head.T_rbase_lbase, T[own], points[own])
         by_board = by_pose_of_points(J.by_point, turned[own])
-        shared[own] = np.concatenate([by_parameters(J, by_axes[own]), by_board], axis=-1)
+        by_size = (J.by_point @ turned[own][..., None]) / state.board_scale
+        of_head = by_parameters(J, by_axes[own])
+        shared[own] = np.concatenate([of_head, by_board, by_size], axis=-1)
         latent[own] = rows_times(J.by_T_base_eye, by_latent[own])
     columns = np.stack([camera_columns(state.head, name) for name in problem.cameras])
     board = head_size(problem) + 6 * problem.placement[:, None] + np.arange(6)
-    index = np.concatenate([columns[problem.camera], board], axis=1)
+    size = np.full((M, 1), len(problem.free) - 1)
+    index = np.concatenate([columns[problem.camera], board, size], axis=1)
     seen = problem.seen[..., None, None]
     return np.where(seen, shared, 0.0), index, np.where(seen, latent, 0.0)

@@ -6,7 +6,8 @@ are pixels and points, and do the calibrations differ from each other as much as
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,29 +17,47 @@ from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
 from vergence.geometry.camera import project
 from vergence.geometry.head import HeadCalibration, HeldOut, main_pair
+from vergence.geometry.kinematics import EYES
 from vergence.geometry.parameters import boxminus
-from vergence.geometry.projection import stereo_extrinsics
+from vergence.geometry.projection import project_at, stereo_extrinsics
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.triangulation import triangulate_at
 from vergence.stereo.uncertainty import locate
 from vergence.vision.board_pose import LEAST_CORNERS, board_poses, seen_corners
 
 FOLDS = 5
+EACH_BELOW = 20
+"""With fewer views each is left out by itself: a fifth of them would be missed too much."""
+
+
+@dataclass(frozen=True, eq=False)
+class PartCalibration:
+    """A calibration from a part of the views, by which the others are predicted."""
+
+    head: HeadCalibration
+    T_lbase_target: Mapping[int, Array]
+    """By number of the placement, where the board stood in the views of this part."""
+    board_scale: float
+    """Size of the board relative to the stated one."""
 
 
 def folds(placement: np.ndarray) -> np.ndarray:
-    """Return (V,) the fold of each view; the views of each placement are spread over all folds."""
+    """Return (V,) the fold of each view; the views of each placement are spread over all folds.
+
+    There are FOLDS of them, or as many as views if these are fewer than EACH_BELOW.
+    """
+    count = FOLDS if len(placement) >= EACH_BELOW else max(1, len(placement))
     shuffled = np.random.default_rng(0).permutation(len(placement))
     order = shuffled[np.argsort(placement[shuffled], kind="stable")]
     numbers = np.empty(len(placement), dtype=int)
-    numbers[order] = np.arange(len(placement)) % FOLDS
+    numbers[order] = np.arange(len(placement)) % count
     return numbers
 
 
-def held_out(
-    observations: Observations, calibrate_part: Callable[[np.ndarray], HeadCalibration]
-) -> HeldOut:
-    """Predict each fold of the views from a calibration by the others.
+def calibrate_folds(
+    observations: Observations, calibrate_part: Callable[[np.ndarray], PartCalibration]
+) -> list[PartCalibration]:
+    """Return for each fold of the views a calibration by the others.
 
     `calibrate_part` makes a calibration from the views of a mask (V,). VergenceError if there are
     fewer views than folds, or a calibration fails.
@@ -48,7 +67,41 @@ def held_out(
             f"A held-out error needs at least {FOLDS} views, found {len(observations.placement)}."
         )
     number = folds(observations.placement)
-    heads = [calibrate_part(number != k) for k in range(FOLDS)]
+    return [calibrate_part(number != k) for k in range(number.max() + 1)]
+
+
+def predicted_squares(observations: Observations, parts: Sequence[PartCalibration]) -> Array:
+    """Return (V, 2) the sum of squared prediction errors [px^2] and the number of corners.
+
+    A corner is predicted from the reading of its own view and from the fold's calibration, with
+    the board where the other views of its placement show it; zeros where none does.
+    """
+    number, points = folds(observations.placement), corner_points(observations.board)
+    found = np.zeros((len(number), 2))
+    for k, part in enumerate(parts):
+        head, views = part.head, observations.timely(part.head)
+        eye_poses = views.eye_poses(head.axes)
+        known = np.isin(views.placement, list(part.T_lbase_target))
+        rows = np.flatnonzero(known & (number == k))
+        boards = np.array([part.T_lbase_target[int(p)] for p in views.placement[rows]])
+        if not len(rows):
+            continue
+        on_boards = transform(boards[:, None], part.board_scale * points)
+        for name, mounted in head.cameras.items():
+            if name not in views.corners:
+                continue
+            T = eye_poses[rows, EYES.index(mounted.eye)]
+            expected = project_at(mounted, head.T_rbase_lbase, T, on_boards)
+            squares = ((expected - views.corners[name][rows]) ** 2).sum(axis=2)
+            found[rows, 0] += np.nansum(squares, axis=1)
+            found[rows, 1] += np.isfinite(squares).sum(axis=1)
+    return found
+
+
+def held_out(observations: Observations, parts: Sequence[PartCalibration]) -> HeldOut:
+    """Predict each fold of the views from its calibration, one of `calibrate_folds`."""
+    number, heads = folds(observations.placement), [part.head for part in parts]
+    squares, corners = predicted_squares(observations, parts).sum(axis=0)
     pixels, points, expected, distances = [], [], [], []
     for k, head in enumerate(heads):
         main, narrow = main_pair(head), ("left_narrow", "right_narrow")
@@ -62,7 +115,8 @@ def held_out(
             for every, own in zip((points, expected, distances), found, strict=True):
                 every.extend(own)
     return HeldOut(
-        folds=FOLDS,
+        folds=len(parts),
+        prediction_px=float(np.sqrt(squares / corners)) if corners else None,
         transfer_views=len(pixels),
         transfer_px=_rms(pixels),
         point_views=len(points),

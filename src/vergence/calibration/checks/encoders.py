@@ -78,9 +78,14 @@ def check_encoders(seen: Observations, T_cam_target: Mapping[str, Array]) -> Non
         turns = _turns(seen, name, e, T_cam_target[name]) if name in T_cam_target else None
         if turns is not None and (e not in found or turns.views > found[e].views):
             found[e] = turns
-    said = _exchanged(found, T_cam_target)
+    to_left = _direction_to_the_left(found, T_cam_target)
+    said = _exchanged(found, to_left)
     if not said:
-        said = [sentence for e in sorted(found) for sentence in _contradictions(found[e], EYES[e])]
+        said = [
+            sentence
+            for e in sorted(found)
+            for sentence in _contradictions(found[e], EYES[e], to_left.get(e))
+        ]
     if said:
         raise VergenceError(" ".join(said))
 
@@ -129,7 +134,26 @@ def _turns(seen: Observations, name: str, e: int, T_cam_target: Array) -> _Turns
     return _Turns(name, len(rows), *fits)
 
 
-def _exchanged(found: Mapping[int, _Turns], poses: Mapping[str, Array]) -> list[str]:
+def _direction_to_the_left(
+    found: Mapping[int, _Turns], poses: Mapping[str, Array]
+) -> dict[int, Array]:
+    """Return by eye the unit vector (3,) from the right to the left camera, in its camera's frame.
+
+    Empty where no view shows the board to both.
+    """
+    if len(found) < 2:
+        return {}
+    T = poses[found[1].camera] @ inverse(poses[found[0].camera])
+    T = T[np.isfinite(T).all(axis=(1, 2))]
+    if not len(T):
+        return {}
+    # Boards numbered from the wrong end move the camera, but not in most views.
+    in_left = np.median(-inverse(T)[:, :3, 3], axis=0)
+    in_right = np.median(T[:, :3, 3], axis=0)
+    return {e: t / np.linalg.norm(t) for e, t in enumerate((in_left, in_right))}
+
+
+def _exchanged(found: Mapping[int, _Turns], to_left: Mapping[int, Array]) -> list[str]:
     """Return a sentence if left and right are exchanged, and what of them."""
     if len(found) < 2:
         return []
@@ -138,14 +162,13 @@ def _exchanged(found: Mapping[int, _Turns], poses: Mapping[str, Array]) -> list[
     if not follows_own and not follows_other:
         return []
     left, right = (found[e].camera for e in (0, 1))
-    T = poses[right] @ inverse(poses[left])
-    T = T[np.isfinite(T).all(axis=(1, 2))]
-    aside = None  # how far the left eye's camera stands to the left of the right one's [m]
-    if len(T):
+    axes = [(turns.own if follows_own else turns.other).axes for turns in found.values()]
+    if any(np.cross(tilt, pan)[2] <= 0 for pan, tilt in axes):
+        return []  # one joint alone counts the other way: of that speaks _contradictions
+    aside = None  # how far the left eye's camera stands to the left of the right one's
+    if to_left:
         up = (found[1].own if follows_own else found[1].other).axes[0]
-        to_the_left = np.cross(up / np.linalg.norm(up), [0.0, 0.0, 1.0])
-        # Boards numbered from the wrong end move the camera, but not in most views.
-        aside = float(np.median(T[:, :3, 3] @ to_the_left))
+        aside = float(np.cross(up / np.linalg.norm(up), [0.0, 0.0, 1.0]) @ to_left[1])
     if follows_own:
         if aside is None or aside > 0:
             return []
@@ -169,8 +192,12 @@ def _exchanged(found: Mapping[int, _Turns], poses: Mapping[str, Array]) -> list[
     ]
 
 
-def _contradictions(turns: _Turns, eye: str) -> list[str]:
-    """Return sentences on readings of an eye that contradict their description."""
+def _contradictions(turns: _Turns, eye: str, to_left: Array | None) -> list[str]:
+    """Return sentences on readings of an eye that contradict their description.
+
+    `to_left` is the direction (3,) from the right to the left camera, in frame cam; None: not
+    known, and the camera is taken to stand upright.
+    """
     fit = turns.own
     if fit.explained < EXPLAINED and fit.moved.min() < DEAD * fit.moved.max():
         joint = ("pan", "tilt")[int(fit.moved.argmin())]
@@ -206,15 +233,15 @@ def _contradictions(turns: _Turns, eye: str) -> list[str]:
     up, left = (axis / np.linalg.norm(axis) for axis in fit.axes)
     if np.cross(left, up)[2] > 0:
         return []
-    # By their description, the camera would look out of the back of the eye. One that stands
-    # upright has its pan axis along -y, its tilt axis along -x.
-    pan_up, tilt_left, pan_left, tilt_up = -up[1], -left[0], -up[0], -left[1]
+    # By their description, the camera would look out of the back of the eye. The tilt axis of both
+    # eyes points to the left; of a camera that stands upright that is along -x, and up along -y.
+    y = np.array([-1.0, 0.0, 0.0]) if to_left is None else to_left
+    z = np.cross([0.0, 0.0, 1.0], y)
+    pan_up, tilt_left, pan_left, tilt_up = up @ z, left @ y, up @ y, left @ z
     if min(abs(pan_left), abs(tilt_up)) > max(abs(pan_up), abs(tilt_left)):
         what = f"{eye}_pan and {eye}_tilt are exchanged"
     else:
         joint = f"{eye}_pan" if pan_up <= tilt_left else f"{eye}_tilt"
         what = f"{joint} counts the other way; set joints.{joint}.sign to its opposite"
-    return [
-        f"By the readings, {turns.camera} would look backwards out of its eye: {what}, if the "
-        "camera stands upright."
-    ]
+    sure = ", if the camera stands upright" if to_left is None else ""
+    return [f"By the readings, {turns.camera} would look backwards out of its eye: {what}{sure}."]

@@ -26,6 +26,8 @@ ONE_ANGLE_RAD = 0.1
 """Root mean square spread of the boards' normals, below which they stand at one angle."""
 FOCAL_PART = 0.004
 """Standard deviation of a focal length, relative to it, that deserves a warning."""
+FOCAL_SURE = 1e-4
+"""The same, at which nothing is doubtful."""
 SLANT = "slant the board by 20 to 40 degrees, in different directions"
 
 
@@ -110,6 +112,9 @@ def doubts(
             )
     alike = []
     for name, mounted in head.cameras.items():
+        K = mounted.intrinsics.matrix
+        if max(focal_std_px[name]) < FOCAL_SURE * K[[0, 1], [0, 1]].min():
+            continue  # the eye's own turns have slanted the board
         T_base_eye = seen.eye_poses()[:, EYES.index(mounted.eye)]
         # Of the boards, in the eye's base.
         normals = (T_base_eye @ mounted.T_eye_cam @ T_cam_target[name])[:, :3, 2]

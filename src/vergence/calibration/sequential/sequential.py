@@ -25,7 +25,7 @@ from vergence.geometry.board import corner_points
 from vergence.geometry.head import HeadCalibration, MountedCamera, main_camera
 from vergence.geometry.kinematics import EYES, Neck
 from vergence.geometry.projection import base_extrinsics
-from vergence.geometry.se3 import angle, inverse, pose
+from vergence.geometry.se3 import angle, inverse, mean_pose
 from vergence.vision.board_pose import LEAST_CORNERS, board_poses, seen_corners
 
 STRAIGHT_RAD = 0.05
@@ -137,11 +137,11 @@ def _between_the_eyes(
         )
         T = base_extrinsics(
             # The eyes stand still at straight gaze: the mean of what was read is the better one.
-            T_rbase_reye=_mean(T_r[straight]),
+            T_rbase_reye=mean_pose(T_r[straight]),
             T_reye_rcam=mounted[right].T_eye_cam,
             T_rcam_lcam=T_rcam_lcam,
             T_leye_lcam=mounted[left].T_eye_cam,
-            T_lbase_leye=_mean(T_l[straight]),
+            T_lbase_leye=mean_pose(T_l[straight]),
         )
         return T, rms, int(straight.sum())
     T_lbase_target, T_rbase_target = (
@@ -150,10 +150,4 @@ def _between_the_eyes(
     )
     between = T_rbase_target @ inverse(T_lbase_target)
     known = np.isfinite(between).all(axis=(1, 2))
-    return _mean(between[known]), None, 0
-
-
-def _mean(T: Array) -> Array:
-    """Return the mean (4, 4) of poses (N, 4, 4) that differ little."""
-    U, _, Vt = np.linalg.svd(T[:, :3, :3].sum(axis=0))
-    return pose(U @ Vt, np.median(T[:, :3, 3], axis=0))
+    return mean_pose(between[known]), None, 0
