@@ -50,8 +50,20 @@ MAX_M = 1e6
 def _rigid(array: Array) -> Array:
     R = array[:3, :3]
     possible = np.abs(R).max() < 1.1  # far larger numbers would overflow below
-    if not possible or np.abs(R @ R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0:
-        raise ValueError("expected a rigid transform, found a rotation part that is not a rotation")
+    found = "a rotation part that is not a rotation"
+    if possible:
+        square, scale = R @ R.T, float(np.sqrt(np.trace(R @ R.T) / 3))
+        if scale > 0 and np.abs(square / scale**2 - np.eye(3)).max() < 1e-6:
+            if np.linalg.det(R) < 0:
+                found = "left-handed axes, which no rotation gives: one of them is mirrored"
+            elif abs(scale - 1) > 1e-6:
+                found = (
+                    f"a rotation times {scale:.6g}, as a quaternion gives that is not of length 1"
+                )
+            else:
+                found = ""
+    if found:
+        raise ValueError(f"expected a rigid transform, found {found}")
     if np.abs(array[:3, 3]).max() > MAX_M:
         raise ValueError(f"expected a translation in metres, found {array[:3, 3].tolist()}")
     if np.abs(array[3] - [0, 0, 0, 1]).max() > 1e-9:

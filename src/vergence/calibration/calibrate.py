@@ -18,6 +18,7 @@ from vergence.calibration.checks.cross_validation import (
     held_out,
     predicted_squares,
 )
+from vergence.calibration.checks.pose_readings import check_pose_readings
 from vergence.calibration.detection import detect_target
 from vergence.calibration.observations import Observations, camera_eyes
 from vergence.calibration.sequential.intrinsics import LensModel, calibrate_intrinsics
@@ -122,7 +123,8 @@ def calibrate(
         for name, each in intrinsics.items()
     }
     encoders.check_encoders(seen, _take(T_cam_target, data.at_rest))
-    renumbered = board_flips.number_alike(data, T_cam_target)
+    posed = check_pose_readings(data, T_cam_target)
+    renumbered = board_flips.number_alike(posed.observations, T_cam_target)
     observations, T_cam_target = renumbered.observations, renumbered.T_cam_target
     seen, T_rest = observations.take(data.at_rest), _take(T_cam_target, data.at_rest)
     excitation.check_excitation(seen, T_rest)
@@ -152,6 +154,7 @@ def calibrate(
     progress("calibrating", 3, 3)
     void = (*accuracy.void, *worthless, *encoders.doubts(head))
     warnings = (
+        *posed.warnings,
         *board_flips.warnings(renumbered),
         *excitation.doubts(observations, T_cam_target, head, focal_std),
         *accuracy.warnings,

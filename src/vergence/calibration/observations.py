@@ -84,6 +84,14 @@ class Observations:
                     f"Observations of {V} views of {K} corners need {name} of shape {shape}, found "
                     f"{np.shape(array)}."
                 )
+        if self.T_base_eye is not None:
+            T = self.T_base_eye[np.isfinite(self.T_base_eye).all(axis=(2, 3))]
+            off = np.abs(T[:, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2) - np.eye(3)).max(initial=0)
+            if off > 1e-6 or (np.linalg.det(T[:, :3, :3]) < 0).any():
+                raise VergenceError(
+                    "T_base_eye has a rotation part that is no rotation: of a quaternion that is "
+                    "not of length 1, or of left-handed axes."
+                )
 
     @property
     def at_rest(self) -> np.ndarray:

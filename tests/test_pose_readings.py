@@ -1,0 +1,87 @@
+"""Measured eye poses that are not what they should be are refused with their cause."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from simulated_recording import as_poses
+from test_other_heads import on_an_arm, recorded
+from vergence.calibration.calibrate import calibrate
+from vergence.calibration.observations import Observations
+from vergence.errors import VergenceError
+from vergence.geometry.se3 import inverse
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def seen() -> Observations:
+    return on_an_arm(8)[1]
+
+
+def changed(seen: Observations, change: Callable[[np.ndarray], np.ndarray]) -> Observations:
+    assert seen.T_base_eye is not None
+    return replace(seen, T_base_eye=change(seen.T_base_eye.copy()))
+
+
+def scaled(metre: float) -> Callable[[np.ndarray], np.ndarray]:
+    def change(T: np.ndarray) -> np.ndarray:
+        T[..., :3, 3] *= metre
+        return T
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (inverse, "they are inverted"),
+        (lambda T: np.roll(T, 1, axis=0), "they stand one row too late"),
+        (lambda T: np.roll(T, -1, axis=0), "they stand one row too early"),
+        (lambda T: np.random.default_rng(0).permutation(T), "not of this eye or not of these"),
+        (scaled(1e3), "they are in millimetres; give metres"),
+        (scaled(100), "they are in centimetres"),
+        (scaled(1.5), "measures 0.66.* m: check their unit, and board.square_m"),
+    ],
+)
+def test_poses_that_are_something_else_are_refused_with_what_they_are(seen, change, says):
+    with pytest.raises(VergenceError, match=says):
+        calibrate(changed(seen, change))
+
+
+@pytest.mark.parametrize("shift", [1, -1])
+def test_rows_of_eyes_that_turn_about_a_point_are_compared_too(shift):
+    poses = as_poses(recorded(1)[1])
+    with pytest.raises(VergenceError, match="one row too|not of this eye"):
+        calibrate(changed(poses, lambda T: np.roll(T, shift, axis=0)))
+
+
+def test_exchanged_rows_are_named_and_left_out(seen):
+    rows = np.arange(24)
+    rows[[4, 9]] = [9, 4]
+    found = calibrate(changed(seen, lambda T: T[rows]))
+    for view in (4, 9):
+        assert any(said.startswith(f"View {view}: the pose of the left") for said in found.warnings)
+        assert np.isnan(found.observations.corners["left_wide"][view]).all()
+    checked = found.accuracy.held_out
+    assert checked is not None
+    assert checked.prediction_px is not None
+    assert checked.prediction_px < 0.5
+
+
+def mirrored(T: np.ndarray) -> np.ndarray:
+    T[..., :3, 1] *= -1
+    return T
+
+
+def longer(T: np.ndarray) -> np.ndarray:
+    T[..., :3, :3] *= 1.02
+    return T
+
+
+@pytest.mark.parametrize("change", [mirrored, longer])
+def test_what_is_no_rotation_is_refused_when_observations_are_made(seen, change):
+    with pytest.raises(VergenceError, match="left-handed axes"):
+        changed(seen, change)
