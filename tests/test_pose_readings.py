@@ -54,7 +54,7 @@ def test_poses_that_are_something_else_are_refused_with_what_they_are(seen, chan
 @pytest.mark.parametrize("shift", [1, -1])
 def test_rows_of_eyes_that_turn_about_a_point_are_compared_too(shift):
     poses = as_poses(recorded(1)[1])
-    with pytest.raises(VergenceError, match="one row too|not of this eye"):
+    with pytest.raises(VergenceError, match=r"one row too|not of this eye"):
         calibrate(changed(poses, lambda T: np.roll(T, shift, axis=0)))
 
 

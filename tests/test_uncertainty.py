@@ -1,5 +1,7 @@
 """How far off a located point is: Eqs. 20-21 and the covariance, against simulation."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from simulated_head import plain_head, skewed_head
 from test_triangulation import random_samples
+from vergence.errors import VergenceError
 from vergence.geometry.camera import project
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.projection import project_point
@@ -41,6 +44,35 @@ def test_orientation_error_makes_focal_length_no_help_in_depth():
     """Eqs. 20-21 together: a longer lens does not improve what wrong orientation spoils."""
     depths = [depth_error(1.0, 0.09, f, disparity_error(f, 2e-3)) for f in (280.0, 400.0, 1200.0)]
     np.testing.assert_allclose(depths, depths[0])
+
+
+@pytest.mark.parametrize("noise_px", [0.0, 0.1])
+def test_an_offset_in_time_costs_moving_eyes_nothing_once_it_is_calibrated(noise_px: float):
+    """At 30 Hz and 0.5 Hz, with readings 40 ms before the images."""
+    rng, t = np.random.default_rng(4), np.arange(90) / 30
+    head = replace(plain_head(0.075, 280.0), time_offset_s=0.04)
+    point = np.array([0.6, -0.04, 0.02])
+
+    def eyes(time_s: np.ndarray) -> np.ndarray:
+        return 0.2 * np.cos(np.pi * time_s[:, None] + np.arange(4))
+
+    noise = rng.normal(0, noise_px, (2, len(t), 2))
+    left, right = (
+        project_point(head, name, eyes(t + 0.04), point) + own
+        for name, own in zip(("left_wide", "right_wide"), noise, strict=True)
+    )
+
+    def rms(joints: np.ndarray, **times: np.ndarray) -> float:
+        found = locate(head, left=left, right=right, joints=joints, **times)
+        return float(np.sqrt(((found.xyz - point) ** 2).sum(axis=1).mean()))
+
+    without = rms(eyes(t + 0.04))
+    assert rms(eyes(t), joint_time_s=t) < 1.1 * without + 1e-5
+    assert rms(eyes(t)) > 5e-3
+    with pytest.raises(VergenceError, match="Time stamps of a motion increase"):
+        rms(eyes(t), joint_time_s=10 * t)
+    with pytest.raises(VergenceError, match="one for each"):
+        rms(eyes(t), joint_time_s=t[:5])
 
 
 def simulate(

@@ -78,6 +78,14 @@ def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observati
         f"{name} never sees the board." for name, c in corners.items() if not np.isfinite(c).any()
     ]
     timed = dataset.moving.any() and dataset.T_base_eye is None
+    unused = []
+    if dataset.moving.any() and not timed:
+        for of_camera in corners.values():
+            of_camera[dataset.moving] = np.nan
+        unused.append(
+            f"{dataset.moving.sum()} moving rows were left out: the time offset is estimated for "
+            "joint angles, not for eye poses."
+        )
     return Observations(
         board=board,
         placement=dataset.placement,
@@ -89,7 +97,7 @@ def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observati
         T_base_eye=dataset.T_base_eye,
         systematic_px=SYSTEMATIC_PX,
         failures=tuple(failures),
-        remarks=(*dataset.remarks, *blind),
+        remarks=(*dataset.remarks, *blind, *unused),
     )
 
 

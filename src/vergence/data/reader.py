@@ -35,6 +35,10 @@ from vergence.reading import MAX_DIGITS, parse_json, read_bytes, read_parsed
 
 MAX_DELAY_S = 1.0
 """Largest time between an image and its joint reading; more means that the clocks differ."""
+MAX_TIME_S = 1e11
+"""Later than any time since 1970 in seconds."""
+MAX_SPAN_S = 1e7
+"""A recording does not take a hundred days."""
 MAX_EYE_RAD = 1.2
 """Larger angles of an eye are implausible: probably degrees that were declared as radians."""
 MAX_NECK_MOTION_RAD = 0.02
@@ -197,6 +201,17 @@ def _time_stamps(table: _Table) -> tuple[Array, Array]:
     """Return the time stamps of the images and of the joint readings, (N,) each [s]."""
     names = [TIME, JOINT_TIME]
     times = table.numbers(names)
+    for k, n in np.argwhere(np.abs(times) > MAX_TIME_S).tolist()[:1]:
+        raise VergenceError(
+            f"{table.where(k)}: {names[n]} = {table.columns[names[n]][k]} is no time in seconds; "
+            f"if it is in {_unit(float(times[k, n]))}, convert it."
+        )
+    span = np.ptp(times[:, 0])
+    if span > MAX_SPAN_S:
+        raise VergenceError(
+            f"{table.path}: {names[0]} spans {span:.3g} s, {span / 86400:.0f} days; convert time "
+            "stamps in nanoseconds or microseconds to seconds."
+        )
     steps = np.diff(times, axis=0)
     for n, k in np.argwhere(steps.T <= 0).tolist():
         found = "repeats" if steps[k, n] == 0 else "is earlier than"
@@ -212,6 +227,13 @@ def _time_stamps(table: _Table) -> tuple[Array, Array]:
             f"the same clock and differ by at most {MAX_DELAY_S:g} s."
         )
     return time_s, joint_time_s
+
+
+def _unit(stamp: float) -> str:
+    """Return the unit in which a time since 1970 would be about this large."""
+    digits = np.log10(abs(stamp)) - 9.25  # of seconds, in these decades
+    units = ("milliseconds", "microseconds", "nanoseconds")
+    return units[int(np.clip(round(digits / 3), 1, 3)) - 1]
 
 
 def _joint_angles(description: Description, names: tuple[str, ...], table: _Table) -> Array:

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
+from vergence.data.dataset import MAX_GAP_S
+from vergence.data.timing import Timing, moved_readings
 from vergence.errors import VergenceError
 from vergence.geometry.head import Accuracy, HeadCalibration, main_pair
 from vergence.geometry.kinematics import EYE_COLUMNS, T_base_eye, axes_row, eye_jacobians
@@ -42,6 +44,7 @@ def locate(
     cameras: tuple[str, str] | None = None,
     pixel_std_px: ArrayLike | None = None,
     joint_std_rad: ArrayLike | None = None,
+    joint_time_s: Array | None = None,
 ) -> LocatedPoints:
     """Return where points are that both eyes see, and how well that is known.
 
@@ -56,11 +59,16 @@ def locate(
         pixel_std_px: noise of (left u, left v, right u, right v); a number stands for all, and (4,)
             or (N, 4) are taken as they are. None: that of the corners of the calibration.
         joint_std_rad: noise of each reading, likewise. None: as the calibration found it.
+        joint_time_s: (N,) time stamps of the readings of one motion, at most 0.2 s apart; each is
+            then moved to the moment that its image shows, by the head's time offset, along a
+            polynomial through its neighbours. None: the eyes stood still.
 
     Raises:
         VergenceError: shapes do not fit, the head has no such camera, or left and right are
             exchanged.
     """
+    if joint_time_s is not None:
+        joints = _at_the_images(head, joints, joint_time_s)
     points, status, jacobian = _linearised(head, left, right, joints, cameras)
     covariance = np.full((len(points), 3, 3), np.nan)
     accuracy = head.accuracy or Accuracy(method="paper")
@@ -73,6 +81,25 @@ def locate(
     if accuracy.parameters:
         covariance = covariance + _of_calibration(head, accuracy, points, joints, cameras)
     return LocatedPoints(points, covariance, status)
+
+
+def _at_the_images(head: HeadCalibration, joints: Array, joint_time_s: Array) -> Array:
+    """Return joint readings (N, 4) at the moments of the images; VergenceError: see `locate`."""
+    if joints.shape != (len(joint_time_s), 4):
+        raise VergenceError(
+            f"Readings that have time stamps are one for each: found {joints.shape} readings and "
+            f"{len(joint_time_s)} time stamps."
+        )
+    steps = np.diff(joint_time_s)
+    if not np.isfinite(joint_time_s).all() or (steps < 0).any() or (steps > MAX_GAP_S).any():
+        raise VergenceError(
+            f"Time stamps of a motion increase by at most {MAX_GAP_S} s from reading to reading, "
+            f"found {steps.min():.3g} to {steps.max():.3g} s; locate each motion by itself."
+        )
+    distinct, which = np.unique(joint_time_s, return_inverse=True)  # points of one image
+    first = np.searchsorted(joint_time_s, distinct)
+    timing = Timing(distinct, np.ones(len(distinct), dtype=int))
+    return moved_readings(joints[first], timing, head.time_offset_s)[which]
 
 
 def locate_with_covariance(
