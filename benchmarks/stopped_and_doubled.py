@@ -208,10 +208,10 @@ def untrue(said: str, folder: Path, before: dict[Path, int]) -> list[str]:
     return wrong
 
 
-def stopped(root: Path, moments: int, seed: int) -> None:
+def stopped(tried: dict[str, Command], moments: int, seed: int) -> None:
     """Stop each command at random moments, and print what is wrong."""
     rng = np.random.default_rng(seed)
-    for name, command in commands(root).items():
+    for name, command in tried.items() if moments else ():
         shutil.rmtree(command.folder, ignore_errors=True)
         began = time.perf_counter()
         run(command.arguments)
@@ -237,9 +237,9 @@ def stopped(root: Path, moments: int, seed: int) -> None:
             print("   ", each)
 
 
-def doubled(root: Path, pairs: int) -> None:
+def doubled(tried: dict[str, Command], pairs: int) -> None:
     """Start each command twice at once, and print what is wrong."""
-    for name, command in commands(root).items():
+    for name, command in tried.items() if pairs else ():
         ends: Counter[str] = Counter()
         wrong: list[str] = []
         for _ in range(pairs):
@@ -266,6 +266,7 @@ def doubled(root: Path, pairs: int) -> None:
 def main(
     moments: int = 50,
     pairs: int = 50,
+    only: tuple[str, ...] = (),
     seed: int = 0,
     out: Path = Path("runs/stopped_and_doubled"),
 ) -> None:
@@ -274,14 +275,16 @@ def main(
     Args:
         moments: number of times that each command is stopped.
         pairs: number of times that each command is run twice at once.
+        only: names of the commands, such as reproduce or "export ros"; default: all.
         seed: of the moments.
         out: folder for the results.
     """
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     try:
         prepare(out)
-        stopped(out, moments, seed)
-        doubled(out, pairs)
+        tried = {name: each for name, each in commands(out).items() if not only or name in only}
+        stopped(tried, moments, seed)
+        doubled(tried, pairs)
     except (subprocess.CalledProcessError, VergenceError) as error:
         print(getattr(error, "stderr", error))
         raise SystemExit(1) from None
