@@ -162,7 +162,9 @@ def stop_at(command: Command, after_s: float, number: int) -> list[str]:
     wrong = broken(command.folder)
     name = signal.Signals(number).name
     ended = process.returncode
-    if ended not in (0, -signal.SIGKILL, 128 + number, 2):
+    if ended == -number and not said:
+        return wrong  # killed, or stopped while Python was still starting: it had done nothing
+    if ended not in (0, 128 + number):
         wrong.append(f"{name}: exit code {ended}: {said[-300:]}")
     if "Traceback" in said:
         wrong.append(f"{name}: {said[-600:]}")

@@ -324,8 +324,8 @@ def test_no_samples_give_no_points(head: HeadCalibration):
     [
         ((4, 3), (4, 2), (4, 4), r"left of shape \(4, 2\), found \(4, 3\)"),
         ((4, 2), (5, 2), (4, 4), r"right of shape \(4, 2\), found \(5, 2\)"),
-        ((4, 2), (4, 2), (3,), r"joints of shape \(4, 4\) or \(4,\), found \(3,\)"),
-        ((4, 2), (4, 2), (4, 7), r"joints of shape \(4, 4\) or \(4,\), found \(4, 7\)"),
+        ((4, 2), (4, 2), (3,), r"joints of shape \(4, 4\) or \(4,\) or .* found \(3,\)"),
+        ((4, 2), (4, 2), (4, 7), r"joints of shape \(4, 4\) or \(4,\) or .* found \(4, 7\)"),
         ((2,), (2,), (4,), r"left of shape \(2, 2\), found \(2,\)"),
     ],
 )

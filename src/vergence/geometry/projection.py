@@ -178,10 +178,26 @@ def stereo_cameras(
     return left, right
 
 
+def measured(joints: Array) -> bool:
+    """Return whether readings are measured eye poses (..., 2, 4, 4) instead of angles (..., 4)."""
+    return np.ndim(joints) > 2
+
+
+def eye_poses(head: HeadCalibration, joints: Array) -> Array:
+    """Return T_base_eye (..., 2, 4, 4) of the left and the right eye at readings (..., 4) [rad].
+
+    Measured poses (..., 2, 4, 4) are returned as they are.
+    """
+    if measured(joints):
+        return joints
+    poses = [T_base_eye(joints[..., EYE_COLUMNS[eye]], head.axes[eye]) for eye in EYES]
+    return np.stack(poses, axis=-3)
+
+
 def T_rcam_lcam(
     head: HeadCalibration, joints: Array, *, cameras: tuple[str, str] | None = None
 ) -> Array:
-    """Return Eq. 11 (..., 4, 4) at joint readings (..., 4) [rad].
+    """Return Eq. 11 (..., 4, 4) at joint readings (..., 4) [rad], or eye poses (..., 2, 4, 4).
 
     Args:
         head: with a camera in each eye.
@@ -203,9 +219,7 @@ def stereo_poses(
     Arguments and errors are those of `T_rcam_lcam`.
     """
     left, right = stereo_cameras(head, cameras)
-    T_lbase_leye, T_rbase_reye = (
-        T_base_eye(joints[..., EYE_COLUMNS[eye]], head.axes[eye]) for eye in EYES
-    )
+    T_lbase_leye, T_rbase_reye = np.moveaxis(eye_poses(head, joints), -3, 0)
     T = stereo_extrinsics(
         T_rbase_reye=T_rbase_reye,
         T_reye_rcam=right.T_eye_cam,

@@ -13,7 +13,7 @@ from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, undistort
 from vergence.geometry.head import HeadCalibration, T_body_base, T_head_base
-from vergence.geometry.projection import stereo_cameras, stereo_poses
+from vergence.geometry.projection import measured, stereo_cameras, stereo_poses
 from vergence.geometry.se3 import transform
 
 
@@ -80,8 +80,14 @@ def triangulate_at(
     `uncertainty.locate`.
     """
     left, right, joints = checked(left, right, joints)
-    readable = np.isfinite(joints).all(axis=-1, keepdims=True)
-    T_lbase_lcam, T_rcam_lcam = stereo_poses(head, np.where(readable, joints, 0.0), cameras=cameras)
+    if measured(joints):
+        finite = np.asarray(np.isfinite(joints).all(axis=(-3, -2, -1)))
+        usable = np.where(finite[..., None, None, None], joints, np.eye(4))
+    else:
+        finite = np.asarray(np.isfinite(joints).all(axis=-1))
+        usable = np.where(finite[..., None], joints, 0.0)
+    readable = finite[..., None]
+    T_lbase_lcam, T_rcam_lcam = stereo_poses(head, usable, cameras=cameras)
     left_camera, right_camera = (each.intrinsics for each in stereo_cameras(head, cameras))
     points, status = triangulate(
         left=np.where(readable, left, np.nan),
@@ -94,13 +100,16 @@ def triangulate_at(
 
 
 def checked(left: Array, right: Array, joints: Array) -> tuple[Array, Array, Array]:
-    """Return float arrays; VergenceError if they are not (N, 2), (N, 2) and (4,) or (N, 4)."""
+    """Return float arrays; VergenceError if they are not (N, 2), (N, 2) and readings.
+
+    These are angles (4,) or (N, 4), or measured eye poses (2, 4, 4) or (N, 2, 4, 4).
+    """
     left, right, joints = (np.asarray(each, dtype=float) for each in (left, right, joints))
     n = len(left) if left.ndim else 0
     for name, array, shapes in (
         ("left", left, [(n, 2)]),
         ("right", right, [(n, 2)]),
-        ("joints", joints, [(n, 4), (4,)]),
+        ("joints", joints, [(n, 4), (4,), (n, 2, 4, 4), (2, 4, 4)]),
     ):
         if array.shape not in shapes:
             raise VergenceError(

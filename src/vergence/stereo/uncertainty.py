@@ -11,14 +11,18 @@ from vergence.arrays import Array
 from vergence.data.dataset import MAX_GAP_S
 from vergence.data.timing import Timing, moved_readings
 from vergence.errors import VergenceError
+from vergence.geometry.camera import Camera
 from vergence.geometry.head import Accuracy, HeadCalibration, main_pair
-from vergence.geometry.kinematics import EYE_COLUMNS, T_base_eye, axes_row, eye_jacobians
+from vergence.geometry.kinematics import EYES, axes_row, eye_jacobians
 from vergence.geometry.parameters import camera_columns, parameter_names
-from vergence.geometry.projection import by_parameters, project_with_jacobians
-from vergence.stereo.triangulation import checked, triangulate_at
-
-_PIXEL_STEP_PX = 1e-2  # of the central differences: rounding and curvature both stay below 1e-7
-_JOINT_STEP_RAD = 3e-5
+from vergence.geometry.projection import (
+    by_parameters,
+    eye_poses,
+    measured,
+    project_with_jacobians,
+    stereo_cameras,
+)
+from vergence.stereo.triangulation import Status, triangulate_at
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,12 +57,15 @@ def locate(
         left: (N, 2) pixels in the left camera, distortion included; NaN: not seen.
         right: (N, 2) pixels of the same points in the right camera.
         joints: (4,) joint readings [rad] of one posture that serves all points, or (N, 4), in the
-            order of kinematics.EYE_JOINTS: left pan, left tilt, right pan, right tilt.
+            order of kinematics.EYE_JOINTS: left pan, left tilt, right pan, right tilt. Or, where
+            the eyes' poses are measured, T_base_eye of the left and the right eye: (2, 4, 4), or
+            (N, 2, 4, 4).
         cameras: names of a camera of the left eye and one of the right; None: the main ones (the
             wide ones, where a head has such).
         pixel_std_px: noise of (left u, left v, right u, right v); a number stands for all, and (4,)
             or (N, 4) are taken as they are. None: that of the corners of the calibration.
-        joint_std_rad: noise of each reading, likewise. None: as the calibration found it.
+        joint_std_rad: noise of each reading, likewise; of measured poses the two numbers of
+            rotation [rad] and translation [m]. None: as the calibration found it.
         joint_time_s: (N,) time stamps of the readings of one motion, at most 0.2 s apart; each is
             then moved to the moment that its image shows, by the head's time offset, along a
             polynomial through its neighbours. None: the eyes stood still.
@@ -69,18 +76,19 @@ def locate(
     """
     if joint_time_s is not None:
         joints = _at_the_images(head, joints, joint_time_s)
-    points, status, jacobian = _linearised(head, left, right, joints, cameras)
-    covariance = np.full((len(points), 3, 3), np.nan)
+    seen = _linearised(head, left, right, joints, cameras)
+    covariance = np.full((len(seen.points), 3, 3), np.nan)
     accuracy = head.accuracy or Accuracy(method="paper")
     if accuracy.parameters or pixel_std_px is not None or joint_std_rad is not None:
         if pixel_std_px is None:
             pixel_std_px = accuracy.pixel_std_px or 0.0
         if joint_std_rad is None:
-            joint_std_rad = np.tile(accuracy.joint_std or (0.0,), 4)[:4]
-        covariance = _covariance(jacobian, _stds(len(points), pixel_std_px, joint_std_rad))
+            count = 2 if measured(joints) else 4
+            joint_std_rad = np.tile(accuracy.joint_std or (0.0,), 4)[:count]
+        covariance = _of_noise(seen, pixel_std_px, joint_std_rad)
     if accuracy.parameters:
-        covariance = covariance + _of_calibration(head, accuracy, points, joints, cameras)
-    return LocatedPoints(points, covariance, status)
+        covariance = covariance + _of_calibration(seen, head, accuracy)
+    return LocatedPoints(seen.points, covariance, seen.status)
 
 
 def _at_the_images(head: HeadCalibration, joints: Array, joint_time_s: Array) -> Array:
@@ -117,8 +125,8 @@ def locate_with_covariance(
     The calibration is taken as exact. NaN where a point cannot be located. Arguments and errors are
     those of `locate`.
     """
-    points, _, jacobian = _linearised(head, left, right, joints, cameras)
-    return points, _covariance(jacobian, _stds(len(points), pixel_std_px, joint_std_rad))
+    seen = _linearised(head, left, right, joints, cameras)
+    return seen.points, _of_noise(seen, pixel_std_px, joint_std_rad)
 
 
 def locate_both(
@@ -143,12 +151,13 @@ def locate_both(
     n = len(left[0])
     both = np.tile(np.broadcast_to(joints, (n, 4)), (2, 1))
     pixels = np.concatenate(left), np.concatenate(right)
-    points, _, jacobian = _linearised(head, *pixels, both, cameras)
-    a, b = np.split(jacobian, 2, axis=1)
-    apart = np.concatenate([a[:4], -b[:4], a[4:] - b[4:]])  # (12, N, 3)
-    stds = _stds(n, pixel_std_px, joint_std_rad)
-    covariances = _covariance(apart, np.concatenate([stds[:, :4], stds], axis=1))
-    points_a, points_b = np.split(points, 2)
+    seen = _linearised(head, *pixels, both, cameras)
+    pixel_stds = np.broadcast_to(np.asarray(pixel_std_px, dtype=float), (n, 4))
+    a, b = np.split(seen.by_readings, 2)
+    covariances = _covariance(a - b, _reading_stds(seen, joint_std_rad)[:n])
+    for by_pixels in np.split(seen.by_pixels, 2):
+        covariances = covariances + _covariance(by_pixels, pixel_stds)
+    points_a, points_b = np.split(seen.points, 2)
     return points_a, points_b, covariances
 
 
@@ -170,86 +179,114 @@ def calibration_covariance(
             "This calibration states no covariance; `vergence calibrate --method bundle` makes "
             "one that does."
         )
-    points, _ = triangulate_at(head, left=left, right=right, joints=joints, cameras=cameras)
-    return _of_calibration(head, accuracy, points, joints, cameras)
+    seen = _linearised(head, left, right, joints, cameras)
+    return _of_calibration(seen, head, accuracy)
 
 
-def _of_calibration(
-    head: HeadCalibration,
-    accuracy: Accuracy,
-    points: Array,
-    joints: Array,
-    cameras: tuple[str, str] | None,
-) -> Array:
-    """Return covariances (N, 3, 3) of located points (N, 3); NaN where the point is NaN."""
-    total = np.full((len(points), 3, 3), np.nan)
-    found = np.isfinite(points).all(axis=1)
-    names = parameter_names(head.cameras)
-    own = [names.index(name) for name in accuracy.parameters]
-    readings = np.broadcast_to(joints, (len(points), 4))[found]
-    by_calibration = _moved_by_parameters(head, points[found], readings, cameras)[..., own]
-    total[found] = by_calibration @ accuracy.covariance @ np.swapaxes(by_calibration, 1, 2)
-    return total
+@dataclass(frozen=True, eq=False)
+class _Linearised:
+    """N located points, and how they change with all that they depend on; NaN: not located.
 
-
-def _moved_by_parameters(
-    head: HeadCalibration, points: Array, joints: Array, cameras: tuple[str, str] | None
-) -> Array:
-    """Return how triangulated points (N, 3) change with the head's parameters (N, 3, P).
-
-    The pixels stay where they are: the point makes up for what the parameters change. They weigh as
-    in Eqs. 3-4: undistorted, and by the distance from the camera.
+    The pixels weigh as in Eqs. 3-4: undistorted, and by the distance from the camera. To first
+    order: of rays that pass each other far off, derivatives are those of rays that meet.
     """
-    by_point, by_head = [], []
-    for name in cameras or main_pair(head) or ():
-        mounted = head.cameras[name]
-        angles, axes = joints[:, EYE_COLUMNS[mounted.eye]], axes_row(head.axes[mounted.eye])
-        T = T_base_eye(angles, axes)
-        by_axes, _ = eye_jacobians(angles, np.broadcast_to(axes, (len(points), 6)))
-        pinhole = replace(mounted.intrinsics, distortion=np.zeros(5))
-        J, ideal = (
-            project_with_jacobians(
-                replace(mounted, intrinsics=lens), head.T_rbase_lbase, T, points[:, None]
-            )
-            for lens in (mounted.intrinsics, pinhole)
-        )
-        weights = ideal.by_point[:, 0] @ np.linalg.pinv(J.by_point[:, 0])
-        # A point's derivatives fall with its distance.
-        slope = np.linalg.norm(ideal.by_point[:, 0], axis=(1, 2)) / pinhole.matrix[0, 0]
-        weights /= slope[:, None, None]
-        rows = np.zeros((len(points), 2, len(parameter_names(head.cameras))))
-        rows[:, :, camera_columns(head, name)] = by_parameters(J, by_axes)[:, 0]
-        by_point.append(weights @ J.by_point[:, 0])
-        by_head.append(weights @ rows)
-    return -np.linalg.pinv(np.concatenate(by_point, axis=1)) @ np.concatenate(by_head, axis=1)
+
+    points: Array
+    """(N, 3)."""
+    status: np.ndarray
+    """(N,)."""
+    by_pixels: Array
+    """(N, 3, 4) with left u, left v, right u, right v."""
+    by_readings: Array
+    """(N, 3, 2 r) with the r angles of each eye, or the 6 increments of each measured pose."""
+    by_parameters: Array
+    """(N, 3, P) with the parameters of the head."""
 
 
 def _linearised(
     head: HeadCalibration, left: Array, right: Array, joints: Array, cameras: tuple[str, str] | None
-) -> tuple[Array, np.ndarray, Array]:
-    """Return points (N, 3), their status, and how they change (8, N, 3) with pixels and angles."""
-    left, right, joints = checked(left, right, joints)
-    inputs = np.concatenate([left, right, np.broadcast_to(joints, (len(left), 4))], axis=1)
-    steps = np.repeat([_PIXEL_STEP_PX, _JOINT_STEP_RAD], 4)
-    moves = np.concatenate([np.zeros((1, 8)), np.diag(steps), -np.diag(steps)])
-    flat = (inputs + moves[:, None]).reshape(-1, 8)  # (17 N, 8)
-    points, status = triangulate_at(
-        head, left=flat[:, :2], right=flat[:, 2:4], joints=flat[:, 4:], cameras=cameras
-    )
-    here, *around = points.reshape(17, -1, 3)
-    forward, backward = np.reshape(around, (2, 8, -1, 3))
-    jacobian = (forward - backward) / (2 * steps[:, None, None])
-    return here, status[: len(left)], jacobian
+) -> _Linearised:
+    points, status = triangulate_at(head, left=left, right=right, joints=joints, cameras=cameras)
+    found = status == Status.OK
+    joints = np.asarray(joints, dtype=float)
+    if joints.ndim not in (1, 3):  # one for each point
+        joints = joints[found]
+    n = int(found.sum())
+    T, by_axes, by_reading = _eyes(head, joints, n)
+    by_point, by_pixels, by_readings, by_head = [], [], [], []
+    for k, mounted in enumerate(stereo_cameras(head, cameras)):
+        name = (cameras or main_pair(head) or ())[k]
+        lens = mounted.intrinsics
+        J, ideal = (
+            project_with_jacobians(
+                replace(mounted, intrinsics=each),
+                head.T_rbase_lbase,
+                T[:, k],
+                points[found][:, None],
+            )
+            for each in (lens, Camera(lens.width, lens.height, lens.matrix))
+        )
+        weights = ideal.by_point[:, 0] @ np.linalg.pinv(J.by_point[:, 0])
+        # A point's derivatives fall with its distance.
+        slope = np.linalg.norm(ideal.by_point[:, 0], axis=(1, 2)) / lens.matrix[0, 0]
+        weights /= slope[:, None, None]
+        of_pixels, of_readings = np.zeros((n, 2, 4)), np.zeros((n, 2, 2, by_reading.shape[-1]))
+        of_pixels[:, :, 2 * k : 2 * k + 2] = -weights
+        of_readings[:, :, k] = weights @ J.by_T_base_eye[:, 0] @ by_reading[:, k]
+        of_head = np.zeros((n, 2, len(parameter_names(head.cameras))))
+        of_head[:, :, camera_columns(head, name)] = weights @ by_parameters(J, by_axes[:, k])[:, 0]
+        by_point.append(weights @ J.by_point[:, 0])
+        by_pixels.append(of_pixels)
+        by_readings.append(of_readings.reshape(n, 2, 2 * by_reading.shape[-1]))
+        by_head.append(of_head)
+    # The point makes up for what changes, so that its projection stays where it was seen.
+    follows = -np.linalg.pinv(np.concatenate(by_point, axis=1))
+    changes = []
+    for rows in (by_pixels, by_readings, by_head):
+        change = np.full((len(points), 3, rows[0].shape[-1]), np.nan)
+        change[found] = follows @ np.concatenate(rows, axis=1)
+        changes.append(change)
+    return _Linearised(points, status, *changes)
 
 
-def _stds(n: int, pixel_std_px: ArrayLike, joint_std_rad: ArrayLike) -> Array:
-    """Return standard deviations (N, 8) of pixel coordinates and joint angles."""
-    return np.concatenate(
-        [np.broadcast_to(std, (n, 4)) for std in (pixel_std_px, joint_std_rad)], axis=1
-    )
+def _eyes(head: HeadCalibration, joints: Array, n: int) -> tuple[Array, Array, Array]:
+    """Return T_base_eye (n, 2, 4, 4), and its derivatives by axes and by readings.
+
+    These are (n, 2, 6, 6) and (n, 2, 6, r), in the increment of `se3.boxplus`.
+    """
+    T = np.broadcast_to(eye_poses(head, joints), (n, 2, 4, 4))
+    if measured(joints):
+        return T, np.zeros((n, 2, 6, 6)), np.broadcast_to(np.eye(6), (n, 2, 6, 6))
+    angles = np.broadcast_to(joints, (n, 4)).reshape(n, 2, 2)
+    axes = np.stack([axes_row(head.axes[eye]) for eye in EYES])
+    return T, *eye_jacobians(angles, np.broadcast_to(axes, (n, 2, 6)))
 
 
-def _covariance(jacobian: Array, stds: Array) -> Array:
-    """Return covariances (N, 3, 3) from (K, N, 3) and (N, K)."""
-    scaled = jacobian * stds.T[:, :, None]
-    return np.einsum("kni,knj->nij", scaled, scaled)
+def _covariance(change: Array, stds: Array) -> Array:
+    """Return covariances (N, 3, 3) from changes (N, 3, K) and standard deviations (N, K)."""
+    scaled = change * stds[:, None]
+    return scaled @ np.swapaxes(scaled, 1, 2)
+
+
+def _of_noise(seen: _Linearised, pixel_std_px: ArrayLike, joint_std: ArrayLike) -> Array:
+    """Return the covariances (N, 3, 3) that the noise of pixels and readings makes."""
+    n = len(seen.points)
+    readings = _reading_stds(seen, joint_std)
+    pixels = np.broadcast_to(np.asarray(pixel_std_px, dtype=float), (n, 4))
+    return _covariance(seen.by_pixels, pixels) + _covariance(seen.by_readings, readings)
+
+
+def _reading_stds(seen: _Linearised, joint_std: ArrayLike) -> Array:
+    """Return the standard deviations (N, 2 r) of readings; of poses from rotation, translation."""
+    n, _, count = seen.by_readings.shape
+    std = np.asarray(joint_std, dtype=float)
+    if count == 12:
+        std = np.tile(np.repeat(np.broadcast_to(std, (2,)), 3), 2)
+    return np.broadcast_to(std, (n, count))
+
+
+def _of_calibration(seen: _Linearised, head: HeadCalibration, accuracy: Accuracy) -> Array:
+    """Return covariances (N, 3, 3) that the calibration's covariance makes."""
+    names = parameter_names(head.cameras)
+    own = seen.by_parameters[..., [names.index(name) for name in accuracy.parameters]]
+    return own @ accuracy.covariance @ np.swapaxes(own, 1, 2)

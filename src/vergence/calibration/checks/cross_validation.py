@@ -110,7 +110,7 @@ def held_out(observations: Observations, parts: Sequence[PartCalibration]) -> He
             pairs.append(narrow)
         for pair in pairs:
             pixels += _transferred(head, observations, number == k, pair)
-        if main is not None and observations.T_base_eye is None:
+        if main is not None:
             found = _located(head, observations, number == k, main)
             for every, own in zip((points, expected, distances), found, strict=True):
                 every.extend(own)
@@ -189,7 +189,8 @@ def _located(
     views = observations.timely(head)
     V, K = views.corners[pair[0]].shape[:2]
     left, right = (views.corners[name].reshape(-1, 2) for name in pair)
-    joints = np.repeat(views.eye_angles, K, axis=0)
+    readings = views.eye_angles if views.T_base_eye is None else views.T_base_eye
+    joints = np.repeat(readings, K, axis=0)
     points, _ = triangulate_at(head, left=left, right=right, joints=joints, cameras=pair)
     located = points.reshape(V, K, 3)
     seen = np.asarray(np.isfinite(located).all(axis=2))
@@ -208,7 +209,7 @@ def _located(
         # One corner of each view stands for it: a view's corners are equally far away.
         corner = [np.flatnonzero(usable[row])[usable[row].sum() // 2] for row in rows]
         left, right = (views.corners[name][rows, corner] for name in pair)
-        here = locate(head, left=left, right=right, joints=views.eye_angles[rows], cameras=pair)
+        here = locate(head, left=left, right=right, joints=readings[rows], cameras=pair)
         expected.append(np.sqrt(np.trace(here.covariance, axis1=1, axis2=2)))
     off, away = ([each[row, usable[row]] for row in rows] for each in (errors, distances))
     return off, expected, away
