@@ -79,6 +79,10 @@ class ProjectionJacobians:
     """(M, K, 2, 6); zero for a camera of the left eye."""
     by_point: Array
     """(M, K, 2, 3) by the point in the left eye's base frame."""
+    in_camera: Array
+    """(M, K, 3) the points in frame cam."""
+    by_in_camera: Array
+    """(M, K, 2, 3) by the point in frame cam."""
 
 
 def project_with_jacobians(
@@ -101,6 +105,8 @@ def project_with_jacobians(
         np.concatenate([cross(by_base, arm[:, :, None]), -by_base], axis=-1),
         between if right else np.zeros_like(between),
         by_base @ T_rbase_lbase[:3, :3] if right else by_base,
+        in_camera,
+        by_cam,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,7 +11,6 @@ from vergence.arrays import Array
 from vergence.data.dataset import MAX_GAP_S
 from vergence.data.timing import Timing, moved_readings
 from vergence.errors import VergenceError
-from vergence.geometry.camera import Camera
 from vergence.geometry.head import Accuracy, HeadCalibration, main_pair
 from vergence.geometry.kinematics import EYES, axes_row, eye_jacobians
 from vergence.geometry.parameters import camera_columns, parameter_names
@@ -76,17 +75,18 @@ def locate(
     """
     if joint_time_s is not None:
         joints = _at_the_images(head, joints, joint_time_s)
-    seen = _linearised(head, left, right, joints, cameras)
-    covariance = np.full((len(seen.points), 3, 3), np.nan)
     accuracy = head.accuracy or Accuracy(method="paper")
-    if accuracy.parameters or pixel_std_px is not None or joint_std_rad is not None:
+    stated = bool(accuracy.parameters)
+    seen = _linearised(head, left, right, joints, cameras, parameters=stated)
+    covariance = np.full((len(seen.points), 3, 3), np.nan)
+    if stated or pixel_std_px is not None or joint_std_rad is not None:
         if pixel_std_px is None:
             pixel_std_px = accuracy.pixel_std_px or 0.0
         if joint_std_rad is None:
             count = 2 if measured(joints) else 4
             joint_std_rad = np.tile(accuracy.joint_std or (0.0,), 4)[:count]
         covariance = _of_noise(seen, pixel_std_px, joint_std_rad)
-    if accuracy.parameters:
+    if stated:
         covariance = covariance + _of_calibration(seen, head, accuracy)
     return LocatedPoints(seen.points, covariance, seen.status)
 
@@ -125,7 +125,7 @@ def locate_with_covariance(
     The calibration is taken as exact. NaN where a point cannot be located. Arguments and errors are
     those of `locate`.
     """
-    seen = _linearised(head, left, right, joints, cameras)
+    seen = _linearised(head, left, right, joints, cameras, parameters=False)
     return seen.points, _of_noise(seen, pixel_std_px, joint_std_rad)
 
 
@@ -151,7 +151,7 @@ def locate_both(
     n = len(left[0])
     both = np.tile(np.broadcast_to(joints, (n, 4)), (2, 1))
     pixels = np.concatenate(left), np.concatenate(right)
-    seen = _linearised(head, *pixels, both, cameras)
+    seen = _linearised(head, *pixels, both, cameras, parameters=False)
     pixel_stds = np.broadcast_to(np.asarray(pixel_std_px, dtype=float), (n, 4))
     a, b = np.split(seen.by_readings, 2)
     covariances = _covariance(a - b, _reading_stds(seen, joint_std_rad)[:n])
@@ -179,7 +179,7 @@ def calibration_covariance(
             "This calibration states no covariance; `vergence calibrate --method bundle` makes "
             "one that does."
         )
-    seen = _linearised(head, left, right, joints, cameras)
+    seen = _linearised(head, left, right, joints, cameras, parameters=True)
     return _of_calibration(seen, head, accuracy)
 
 
@@ -200,12 +200,19 @@ class _Linearised:
     by_readings: Array
     """(N, 3, 2 r) with the r angles of each eye, or the 6 increments of each measured pose."""
     by_parameters: Array
-    """(N, 3, P) with the parameters of the head."""
+    """(N, 3, P) with the parameters of the head; P is 0 where they are not wanted."""
 
 
 def _linearised(
-    head: HeadCalibration, left: Array, right: Array, joints: Array, cameras: tuple[str, str] | None
+    head: HeadCalibration,
+    left: Array,
+    right: Array,
+    joints: Array,
+    cameras: tuple[str, str] | None,
+    *,
+    parameters: bool,
 ) -> _Linearised:
+    """Locate points; `parameters`: whether the derivatives by the head's are wanted too."""
     points, status = triangulate_at(head, left=left, right=right, joints=joints, cameras=cameras)
     found = status == Status.OK
     joints = np.asarray(joints, dtype=float)
@@ -214,27 +221,24 @@ def _linearised(
     n = int(found.sum())
     T, by_axes, by_reading = _eyes(head, joints, n)
     by_point, by_pixels, by_readings, by_head = [], [], [], []
+    pair = cameras or main_pair(head) or ()
+    names = parameter_names(head.cameras) if parameters else ()
     for k, mounted in enumerate(stereo_cameras(head, cameras)):
-        name = (cameras or main_pair(head) or ())[k]
         lens = mounted.intrinsics
-        J, ideal = (
-            project_with_jacobians(
-                replace(mounted, intrinsics=each),
-                head.T_rbase_lbase,
-                T[:, k],
-                points[found][:, None],
-            )
-            for each in (lens, Camera(lens.width, lens.height, lens.matrix))
-        )
-        weights = ideal.by_point[:, 0] @ np.linalg.pinv(J.by_point[:, 0])
+        J = project_with_jacobians(mounted, head.T_rbase_lbase, T[:, k], points[found][:, None])
+        # By how much an undistorted pixel moves with a pixel.
+        distortion = J.by_in_camera[:, 0, :, :2] * J.in_camera[:, 0, 2, None, None]
+        weights = lens.matrix[:2, :2] @ np.linalg.inv(distortion)
         # A point's derivatives fall with its distance.
-        slope = np.linalg.norm(ideal.by_point[:, 0], axis=(1, 2)) / lens.matrix[0, 0]
+        slope = np.linalg.norm(weights @ J.by_point[:, 0], axis=(1, 2)) / lens.matrix[0, 0]
         weights /= slope[:, None, None]
         of_pixels, of_readings = np.zeros((n, 2, 4)), np.zeros((n, 2, 2, by_reading.shape[-1]))
         of_pixels[:, :, 2 * k : 2 * k + 2] = -weights
         of_readings[:, :, k] = weights @ J.by_T_base_eye[:, 0] @ by_reading[:, k]
-        of_head = np.zeros((n, 2, len(parameter_names(head.cameras))))
-        of_head[:, :, camera_columns(head, name)] = weights @ by_parameters(J, by_axes[:, k])[:, 0]
+        of_head = np.zeros((n, 2, len(names)))
+        if parameters:
+            columns = camera_columns(head, pair[k])
+            of_head[:, :, columns] = weights @ by_parameters(J, by_axes[:, k])[:, 0]
         by_point.append(weights @ J.by_point[:, 0])
         by_pixels.append(of_pixels)
         by_readings.append(of_readings.reshape(n, 2, 2 * by_reading.shape[-1]))
