@@ -36,7 +36,7 @@ from vergence.interchange.formats import import_head
 from vergence.writing import UNFINISHED, unfinished
 
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
-VERGENCE = (sys.executable, "-m", "vergence.cli")
+VERGENCE = (sys.executable, "-m", "vergence")
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,8 @@ def stop_at(command: Command, after_s: float, number: int) -> list[str]:
     ended = process.returncode
     if ended == -number and not said:
         return wrong  # killed, or stopped while Python was still starting: it had done nothing
-    if ended not in (0, 128 + number):
+    # Python ends with -SIGINT where the signal met code that it was making, as dataclasses do.
+    if ended not in (0, 128 + number, -signal.SIGINT):
         wrong.append(f"{name}: exit code {ended}: {said[-300:]}")
     if "Traceback" in said:
         wrong.append(f"{name}: {said[-600:]}")

@@ -371,6 +371,7 @@ def main() -> None:
         print(f"vergence {__version__}")
         return
     try:
+        signal.signal(signal.SIGINT, _stop)
         signal.signal(signal.SIGTERM, _stop)
         _check(sys.argv[1:])
         tyro.extras.subcommand_cli_from_dict(
