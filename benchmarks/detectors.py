@@ -100,7 +100,9 @@ def main(trials: int = 40, profile: str = "ideal", seed: int = 0) -> None:
         profile: error profile.
         seed: of everything random.
     """
-    print("| cameras, object | median [px] | 95 % [px] | worst [px] | lost |\n|---|---|---|---|---|")
+    print(
+        "| cameras, object | median [px] | 95 % [px] | worst [px] | lost |\n|---|---|---|---|---|"
+    )
     for kind in KINDS:
         found, lost = final_errors(kind, trials=trials, profile=profile, seed=seed)
         print(

@@ -58,6 +58,7 @@ def detect_object(settings: GazeSettings, state: GazeState, frame: Frame) -> Gaz
     stuck = (at_rest | was_stuck) & (np.abs(read - sent) > settings.stuck_rad)
     return replace(
         state,
+        aim=None if _seen_by_another(settings, state.detections, detections) else state.aim,
         detections=detections,
         frame_s=frame.time_s,
         stuck=tuple(name for name, is_stuck in zip(HEAD_JOINTS, stuck, strict=True) if is_stuck),
@@ -85,6 +86,21 @@ def _detect(
             f"coordinates and a standard deviation above 0; in {camera} it returned {found!r}."
         )
     return found
+
+
+def _seen_by_another(
+    settings: GazeSettings,
+    before: Mapping[str, Detection | None],
+    now: Mapping[str, Detection | None],
+) -> bool:
+    """Return whether the only eye in use sees the object by another camera than before.
+
+    At an assumed depth two cameras place it differently, which must not be taken for a motion.
+    """
+    if len(settings.eyes) > 1:
+        return False
+    views = [best_view(settings, seen, eye) for seen in (before, now) for eye in settings.eyes]
+    return len({view[0] for view in views if view is not None}) > 1
 
 
 def _readings_at_image(state: GazeState, frame: Frame) -> Array:

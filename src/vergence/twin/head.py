@@ -66,17 +66,15 @@ class Twin:
         """Build a head with wide cameras of a lens, and with the imperfections of a profile.
 
         The same seed gives the same head, whatever the lens. A board replaces the scene's
-        chessboard, a card the red sphere that is its object. VergenceError if there is no OpenGL, the model cannot be loaded, or the seed is
-        negative.
+        chessboard, a card the red sphere that is its object. VergenceError if there is no OpenGL,
+        the model cannot be loaded, or the seed is negative.
         """
         if seed < 0:
             raise VergenceError(f"The seed must be a whole number from 0, found {seed}.")
         self.profile = profile
         self.nominal: HeadCalibration = nominal_head(lens)
         self.truth: HeadCalibration = as_built_head(self.nominal, profile, seed)
-        self.model = compile_head(
-            self.truth, overscan_sizes(self.truth), board=board, card=card
-        )
+        self.model = compile_head(self.truth, overscan_sizes(self.truth), board=board, card=card)
         self._data = mujoco.MjData(self.model)
         self._seen = mujoco.MjData(self.model)  # the pose at which pictures are taken
         self._seed = seed
