@@ -23,6 +23,9 @@ LEAST_SIDE_PX = 8
 """Smaller pictures resemble too many places of an image."""
 LEAST_CONTRAST = 5.0
 """Standard deviation of the grey levels, below which a picture or a place is little but noise."""
+_SIZE_STEP = 1.1
+"""Ratio of the three sizes among which the size is interpolated: half of what the sizes that are
+searched for may differ by."""
 _LEAST_STD_PX = 0.05
 """What remains of the error without noise: the parabola is not quite the shape of the peak."""
 _SHAPE_STD = 0.005
@@ -85,6 +88,8 @@ def template_detector(
         for rows, columns in windows(there, near):
             found = _best(there[rows, columns], templates)
             if found is not None and found.score >= least_score:
+                if len(templates) > 1:
+                    found = _at_best_size(there[rows, columns], grey, found)
                 h, w = found.template.shape
                 to_middle = np.array([columns.start + (w - 1) / 2, rows.start + (h - 1) / 2])
                 return Detection(found.corner + to_middle, _std_px(found))
@@ -161,20 +166,55 @@ def _best(image: np.ndarray, templates: Sequence[_Template]) -> _Match | None:
         reduced.append(
             _resized(reduced[-1][: height & ~1, : width & ~1], [width // 2, height // 2])
         )
-    matches = []
+    matches: list[_Match] = []
     for template in templates:
-        h, w = template.full.shape
-        if h > image.shape[0] or w > image.shape[1]:
+        there = reduced[template.octaves]
+        if not _fits(template.reduced, there):
             continue
-        rough = _match(reduced[template.octaves], template.reduced)
         step = 2**template.octaves
-        u, v = (step * rough.corner).round().astype(int)
-        u0, v0 = max(u - step - 1, 0), max(v - step - 1, 0)
-        around = image[v0 : v + h + step + 1, u0 : u + w + step + 1]
-        if h <= around.shape[0] and w <= around.shape[1]:
-            fine = _match(around, template.full)
-            matches.append(replace(fine, corner=fine.corner + np.array([u0, v0])))
+        corner = step * _match(there, template.reduced).corner
+        fine = _match_near(image, template.full, corner, step + 1)
+        matches += [] if fine is None else [fine]
     return max(matches, key=lambda match: match.score, default=None)
+
+
+def _at_best_size(image: np.ndarray, picture: np.ndarray, found: _Match) -> _Match:
+    """Return a match with the size that resembles the image (H, W) most, near that of a match.
+
+    With another size than the object's, the parts of an uneven picture draw its centre aside. The
+    size is where a parabola through the scores of three sizes peaks.
+    """
+    h, w = found.template.shape
+
+    def sized(power: float) -> _Match | None:
+        size = [round(_SIZE_STEP**power * side) for side in (w, h)]
+        corner = found.corner + (np.array([w, h]) - size) / 2
+        return _match_near(image, _resized(picture, size), corner, 2)
+
+    around = sized(-1.0), sized(1.0)
+    if around[0] is None or around[1] is None:
+        return found
+    best = sized(_vertex(np.array([around[0].score, found.score, around[1].score])))
+    matches = [match for match in (found, *around, best) if match is not None]
+    return max(matches, key=lambda match: match.score)
+
+
+def _fits(template: np.ndarray, image: np.ndarray) -> bool:
+    return bool((np.array(template.shape) <= image.shape).all())
+
+
+def _match_near(
+    image: np.ndarray, template: np.ndarray, corner: Array, reach: int
+) -> _Match | None:
+    """Return the best match whose corner (2,) [px] is near a given one; None: it does not fit."""
+    h, w = template.shape
+    u, v = corner.round().astype(int)
+    u0, v0 = max(u - reach, 0), max(v - reach, 0)
+    around = image[v0 : v + h + reach, u0 : u + w + reach]
+    if not _fits(template, around):
+        return None
+    found = _match(around, template)
+    return replace(found, corner=found.corner + np.array([u0, v0]))
 
 
 def _match(image: np.ndarray, template: np.ndarray) -> _Match:
