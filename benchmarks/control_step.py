@@ -23,7 +23,7 @@ from vergence.arrays import Array
 from vergence.demos.grasp import LONGEST_S, hand_held
 from vergence.gaze.commands import HEAD_JOINTS
 from vergence.gaze.controller import step_gaze
-from vergence.gaze.state import NARROW, WIDE, GazeSettings, initial_gaze_state
+from vergence.gaze.state import GazeSettings, initial_gaze_state
 from vergence.reach.controller import step_reach
 from vergence.reach.state import ReachPhase, ReachSettings, initial_reach_state
 from vergence.twin.hand import SimulatedHand, arm_mounting_error
@@ -48,7 +48,7 @@ def gaze_steps(twin: Twin, frames: int) -> dict[str, list[float]]:
     head, settings = SimulatedHead(twin, 0, path), GazeSettings(calibration=twin.truth)
     state = initial_gaze_state(settings, np.zeros(len(HEAD_JOINTS)), head.now_s())
     for k in range(frames + WARM_UP):
-        cameras = (*WIDE, *NARROW) if k % 8 == 0 else state.cameras
+        cameras = settings.cameras if k % 8 == 0 else state.cameras
         frame = head.read(cameras)
         state = replace(state, cameras=cameras)
         began = time.thread_time()

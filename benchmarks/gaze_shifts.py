@@ -95,7 +95,7 @@ def shift_gaze(twin: Twin, settings: GazeSettings, run: int, places_head: Array)
     def keep(state: GazeState, frame: Frame | None) -> None:
         if frame is not None:
             times.append(frame.time_s)
-            errors.append(float(foveal_errors(twin, settings.calibration).max()))
+            errors.append(float(foveal_errors(twin, settings).max()))
             angles.append(twin.true_angles())
 
     state = initial_gaze_state(settings, np.zeros(len(HEAD_JOINTS)), head.now_s())

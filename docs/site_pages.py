@@ -33,7 +33,10 @@ REFERENCE = {
 }
 """Pages of the site, and the packages whose public names they list."""
 CONTENTS = {
-    "Guides": ("using_a_calibration", "dataset", "calibration", "gaze", "reproduction"),
+    "Guides": (
+        *("using_a_calibration", "dataset", "calibration", "gaze", "own_detector", "own_driver"),
+        "reproduction",
+    ),
     "Reference": (
         *(name.removesuffix(".md") for name in REFERENCE),
         *("calibration_file", "conventions", "equations"),

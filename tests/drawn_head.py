@@ -126,10 +126,12 @@ class DrawnHead:
         u, v, r = (round(float(x) * 16) for x in (*centre, camera.matrix[0, 0] * radius_m / z))
         return cv2.circle(image, (u, v), r, colour, -1, cv2.LINE_AA, 4)
 
-    def errors_px(self, time_s: float) -> Array:
-        """Return the distances (2,) [px] of the object from the centres of the narrow images."""
+    def errors_px(
+        self, time_s: float, cameras: Sequence[str] = ("left_narrow", "right_narrow")
+    ) -> Array:
+        """Return the distances (2,) [px] of the object from the centres of images."""
         point, errors = self.path(time_s), []
-        for name in ("left_narrow", "right_narrow"):
+        for name in cameras:
             camera, where = self.calibration.cameras[name].intrinsics, np.full(2, np.nan)
             if point is not None:
                 where = project(camera, self.in_camera(name, time_s, point))

@@ -8,10 +8,13 @@ import json
 import re
 import sys
 import tomllib
+from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import tyro
@@ -30,10 +33,19 @@ from documents import (
     prose,
     read,
 )  # fmt: skip
+from drawn_card import smooth_picture
+from drawn_head import DrawnHead, four_cameras, point_at
 from vergence import cli
+from vergence.data.dataset import Frame
 from vergence.data.reader import load_dataset
 from vergence.geometry.camera import Camera
-from vergence.geometry.head import Accuracy, HeadCalibration, HeldOut, MountedCamera
+from vergence.geometry.head import (
+    Accuracy,
+    HeadCalibration,
+    HeldOut,
+    MountedCamera,
+    save_head,
+)
 from vergence.geometry.kinematics import EyeAxes, Neck
 
 EQUATIONS = read("docs/equations.md")
@@ -190,6 +202,60 @@ def test_the_calibration_file_that_is_printed_can_be_read(tmp_path):
     (tmp_path / "head.json").write_text(text)
     head = vergence.load_head(tmp_path / "head.json")
     assert set(head.cameras) == {"left_wide"}
+
+
+def run_blocks(document: str, names: dict[str, Any]) -> dict[str, Any]:
+    """Run the blocks of Python of a document, as one program."""
+    for block in blocks(document):
+        if block.language == "python":
+            exec(compile(block.text, document, "exec"), names)
+    return names
+
+
+def test_the_guide_to_detectors_runs(tmp_path, monkeypatch, capsys):
+    save_head(four_cameras(), tmp_path / "head.json")
+    picture = np.repeat(smooth_picture(60)[..., None], 3, axis=-1)
+    cv2.imwrite(str(tmp_path / "mug.png"), picture)
+    table = np.full((480, 640, 3), 90, np.uint8)
+    table[200:260, 300:360] = picture
+    cv2.imwrite(str(tmp_path / "table.png"), table)
+    monkeypatch.chdir(tmp_path)
+    names = run_blocks("docs/own_detector.md", {})
+    np.testing.assert_allclose(names["found"].pixel, [329.5, 229.5], atol=0.3)
+    assert names["bright_spot"](np.zeros((480, 640, 3), np.uint8), None, None) is None
+    printed = capsys.readouterr().out
+    assert "looking at mug with ('left_wide', 'right_wide', 'left_narrow'" in printed
+    assert "No object is called 'cup'" in printed
+    assert "centred in ('left_wide', 'right_wide')" in printed
+
+
+def test_the_guide_to_drivers_moves_a_head(tmp_path, monkeypatch, capsys):
+    """The stand-in for motors and cameras is a drawn head, whose tilt encoders count upwards."""
+    drawn = DrawnHead(lambda _: point_at(10, 5, 0.6))
+    sign = {"left_pan": 1, "left_tilt": -1, "right_pan": 1, "right_tilt": -1}
+    moved: list[dict[str, float]] = []
+
+    def grab(names: Sequence[str], timeout_s: float) -> Frame | None:
+        drawn.commands.append(driver["head"].sent)
+        driver["head"].renew_setpoints()
+        return drawn.read(names)
+
+    def angles_rad() -> dict[str, float]:
+        assert drawn.last is not None
+        return {
+            name: sign[name] * angle
+            for name, angle in zip(sign, drawn.last.eye_angles, strict=True)
+        }
+
+    bus = SimpleNamespace(time_s=drawn.now_s, angles_rad=angles_rad, move_to=moved.append)
+    driver: dict[str, Any] = {"bus": bus, "cameras": SimpleNamespace(grab=grab)}
+    save_head(four_cameras(), tmp_path / "head.json")
+    monkeypatch.chdir(tmp_path)
+    run_blocks("docs/own_driver.md", driver)
+    assert drawn.errors_px(drawn.time_s).max() < 0.5
+    assert "fixation at [" in capsys.readouterr().out
+    assert moved[-1]["left_pan"] > 0.05
+    np.testing.assert_allclose(moved[-1]["left_tilt"], -drawn.posture(drawn.time_s)[4], atol=1e-3)
 
 
 def test_every_field_of_the_calibration_file_and_of_the_truth_is_documented():

@@ -153,7 +153,7 @@ def test_gaze_angles_centre_a_point_in_both_eyes_exactly(seed: int, lens):
     made = head(seed)
     points = np.random.default_rng(seed).uniform([0.25, -0.8, -0.6], [3, 0.8, 0.6], (200, 3))
     points[:, 1:] *= points[:, :1]
-    angles = gaze_angles(made, points, role=lens)
+    angles = gaze_angles(made, points, cameras=[f"{eye}_{lens}" for eye in EYES])
     assert angles.shape == (200, 4)
     for eye in EYES:
         in_cam = point_in_camera(made, f"{eye}_{lens}", angles, points)
@@ -168,9 +168,9 @@ def test_eyes_converge_on_what_is_near():
 
 def test_points_that_no_gaze_centres_are_nan_and_leave_the_others_alone():
     points = np.array([[np.nan, 0, 1], [0, 0, 1], [0.001, 0, 0], [0.5, 0, 0], [0, 0, 0]])
-    angles = eye_angles_to(head(0), "left", points)
+    angles = eye_angles_to(head(0), "left_narrow", points)
     np.testing.assert_array_equal(np.isfinite(angles).all(axis=1), [False] * 3 + [True, False])
-    alone = eye_angles_to(head(0), "left", points[3])
+    alone = eye_angles_to(head(0), "left_narrow", points[3])
     np.testing.assert_allclose(alone, angles[3], atol=1e-14)
 
 

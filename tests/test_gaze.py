@@ -11,7 +11,7 @@ from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.gaze.commands import EYES_4, HEAD_JOINTS, NECK, JointLimits, setpoint
 from vergence.gaze.controller import run_gaze, step_gaze
-from vergence.gaze.state import NARROW, GazePhase, GazeSettings, GazeState, initial_gaze_state
+from vergence.gaze.state import GazePhase, GazeSettings, GazeState, initial_gaze_state
 
 SETTINGS = GazeSettings(calibration=four_cameras())
 
@@ -66,7 +66,7 @@ def test_a_still_object_comes_to_the_middle_of_both_foveas_and_stays(pan, tilt, 
     done = run(DrawnHead(lambda _: target), 0.5)
     assert done.after(0.2).max() < 0.5
     assert set(done.phases[6:]) == {GazePhase.FIXATION}
-    assert set(done.states[-1].pixels) == set(NARROW)
+    assert set(done.states[-1].pixels) == set(SETTINGS.narrow)
     np.testing.assert_allclose(done.states[-1].command.goal[EYES_4], straight_to(target), atol=1e-3)
 
 

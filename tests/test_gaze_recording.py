@@ -53,7 +53,7 @@ def made(tmp_path_factory: pytest.TempPathFactory, opengl: None) -> Recorded:
                     assert frame is not None
                     states.append(state)
                     frames.append(frame)
-                    errors.append(foveal_errors(twin, settings.calibration))
+                    errors.append(foveal_errors(twin, settings))
 
                 head = SimulatedHead(twin, run, path_of, all_cameras_every=4)
                 begin = initial_gaze_state(settings, np.zeros(7), 0.0)

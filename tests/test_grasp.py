@@ -20,7 +20,6 @@ from vergence.demos.depth_error_by_range import EDGES_M, DepthSample, bin_by_ran
 from vergence.demos.grasp import FAR_M, NEAR_M, WITHIN_M, grasp, hand_held, summary
 from vergence.errors import VergenceError
 from vergence.gaze.foveation import gaze_angles
-from vergence.gaze.state import NARROW
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, pose, rotvec, transform
 from vergence.reach.state import HandCommand, ReachPhase
@@ -38,6 +37,7 @@ from vergence.twin.profile import ErrorProfile
 from vergence.vision.sphere import find_sphere
 
 ROOT = Path(__file__).parents[1]
+NARROW = ("left_narrow", "right_narrow")
 
 
 @pytest.mark.render

@@ -19,6 +19,7 @@ from vergence.reach.state import (
     initial_reach_state,
     target_covariance,
 )  # fmt: skip
+from vergence.vision.sphere import sphere_detector
 
 SETTINGS = ReachSettings(gaze=GazeSettings(calibration=four_cameras()), marker_hand=MARKER_HAND)
 OBJECT = point_at(5, 6, 0.45)
@@ -147,7 +148,8 @@ def test_the_hand_goes_home_when_the_object_is_gone(path, ends: ReachPhase):
 
 def test_the_hand_does_not_close_on_an_uncertain_position():
     """Pixels with a standard deviation of 3 px leave more uncertainty than the tolerance."""
-    unsure = replace(SETTINGS, gaze=replace(SETTINGS.gaze, pixel_std_px=3.0))
+    gaze = replace(SETTINGS.gaze, objects={"sphere": sphere_detector(std_px=3.0)})
+    unsure = replace(SETTINGS, gaze=gaze)
     head = DrawnHeadWithHand(still, home=SETTINGS.home)
     state, phases = run(head, 1.8, settings=unsure)
     assert state.phase is ReachPhase.SERVO

@@ -59,7 +59,7 @@ def test_a_gaze_shift_shared_with_the_neck_keeps_the_image_still():
         head = SimulatedHead(twin, 0, lambda t: before if t < 0.8 else after)
 
         def keep(*_: object) -> None:
-            seen.append((twin.time_s, foveal_errors(twin, twin.truth), twin.true_angles()))
+            seen.append((twin.time_s, foveal_errors(twin, settings), twin.true_angles()))
 
         run_gaze(head, settings, initial_gaze_state(settings, np.zeros(7), 0.0), 2.0, watch=keep)
     times = np.array([t for t, _, _ in seen])

@@ -15,7 +15,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.gaze.commands import EYES_4
-from vergence.gaze.state import NARROW, GazeSettings, GazeState
+from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.head import T_body_base
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.depth_error import depth_error, disparity_error
@@ -65,11 +65,12 @@ class RangeBin:
 def depth_sample(
     twin: Twin, settings: GazeSettings, state: GazeState, frame: Frame
 ) -> DepthSample | None:
-    """Return the errors of a frame; None where it gave no estimate by the narrow cameras.
+    """Return the errors of a frame; None where it gave no estimate by both narrow cameras.
 
     The frame must be taken at the twin's present time. The state is that after the frame.
     """
-    found = np.array([state.pixels.get(name, np.full(2, np.nan)) for name in NARROW])
+    pixels = state.pixels
+    found = np.array([pixels.get(name, np.full(2, np.nan)) for name in settings.narrow])
     if state.measured is None or state.frame_s != frame.time_s or not np.isfinite(found).all():
         return None
     calibration, truth = settings.calibration, twin.true_object()
@@ -78,7 +79,7 @@ def depth_sample(
     away = truth - middle
     distance = float(np.linalg.norm(away))
     error = transform(T_lbase_body, state.measured) - truth
-    pixel_errors = found - true_pixels(twin)
+    pixel_errors = found - true_pixels(twin, settings)
     reading_errors = frame.eye_angles - twin.true_angles()[EYES_4]
     return DepthSample(
         time_s=frame.time_s,
@@ -87,7 +88,7 @@ def depth_sample(
         pixel_error_px=float(pixel_errors[0, 0] - pixel_errors[1, 0]),
         vergence_error_rad=float(reading_errors[0] - reading_errors[2]),
         baseline_m=float(2 * np.linalg.norm(middle)),
-        focal_px=float(calibration.camera(NARROW[0]).intrinsics.matrix[0, 0]),
+        focal_px=float(calibration.camera(settings.narrow[0]).intrinsics.matrix[0, 0]),
     )
 
 

@@ -20,7 +20,7 @@ from vergence.demos.experiment import calibrated_twin, check_trials, p95, write_
 from vergence.demos.recording import recorded
 from vergence.gaze.commands import HEAD_JOINTS
 from vergence.gaze.controller import run_gaze
-from vergence.gaze.state import NARROW, GazePhase, GazeSettings, GazeState, initial_gaze_state
+from vergence.gaze.state import GazePhase, GazeSettings, GazeState, initial_gaze_state
 from vergence.progress import Progress, silent
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
@@ -130,11 +130,11 @@ def run_trial(
     def keep(state: GazeState, frame: Frame | None) -> None:
         if frame is not None:
             times.append(frame.time_s)
-            errors.append(foveal_errors(twin, settings.calibration))
+            errors.append(foveal_errors(twin, settings))
         watch(state, frame)
 
     state = run_gaze(head, settings, state, WITHIN_S - FRAME_S, watch=keep)
-    in_view = [np.isfinite(state.pixels.get(name, np.nan)).all() for name in NARROW]
+    in_view = [state.detections.get(name) is not None for name in settings.narrow]
     lost = state.phase is GazePhase.LOST or not all(in_view)
     return Trial(target_head, np.array(times), np.array(errors), lost)
 

@@ -85,7 +85,8 @@ def recorded(
 
         def record_series() -> None:
             nonlocal lanes_before
-            log_gaze_series(rec, moments, first=count - len(moments), lanes=lanes_before)
+            first, eyes = count - len(moments), tuple(settings.eyes)
+            log_gaze_series(rec, moments, eyes=eyes, first=first, lanes=lanes_before)
             if moments:
                 lanes_before = moments[-1].lanes
             moments.clear()
@@ -125,7 +126,9 @@ def recorded(
                     time_s,
                     lanes=lanes,
                     truth=transform(T_body_lbase, where),
-                    errors_px=np.full(2, np.nan) if hidden else foveal_errors(twin, head),
+                    errors_px=np.full(len(settings.eyes), np.nan)
+                    if hidden
+                    else foveal_errors(twin, settings),
                     hand=hand,
                 )
             )

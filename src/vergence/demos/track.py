@@ -19,13 +19,12 @@ from vergence.demos.recording import recorded
 from vergence.errors import VergenceError
 from vergence.gaze.commands import HEAD_JOINTS
 from vergence.gaze.controller import run_gaze
-from vergence.gaze.state import WIDE, GazeSettings, GazeState, initial_gaze_state
-from vergence.geometry.head import HeadCalibration
+from vergence.gaze.state import GazeSettings, GazeState, initial_gaze_state
 from vergence.progress import Progress, silent
 from vergence.stereo.triangulation import in_body, triangulate_at
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
-from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors, in_both_foveas
+from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors, in_all_foveas
 from vergence.vision.sphere import find_sphere
 
 SPEED_M_S = 0.3
@@ -133,10 +132,10 @@ def follow(
             truth = in_body(settings.calibration, where, frame.neck_angles)
             fused = np.sum((state.track.position - truth) ** 2)
             single = np.sum((state.measured - truth) ** 2)
-        if all(name in frame.images for name in WIDE):
-            wide = np.sum((by_wide_images(settings.calibration, frame) - where) ** 2)
-        distances = foveal_errors(twin, settings.calibration)
-        rows.append((frame.time_s, in_both_foveas(twin), *distances, fused, single, wide))
+        if all(name in frame.images for name in settings.wide):
+            wide = np.sum((by_wide_images(settings, frame) - where) ** 2)
+        distances = foveal_errors(twin, settings)
+        rows.append((frame.time_s, in_all_foveas(twin, settings), *distances, fused, single, wide))
 
     state = initial_gaze_state(settings, np.zeros(len(HEAD_JOINTS)), head.now_s())
     run_gaze(head, settings, state, seconds - FRAME_S, watch=keep)
@@ -158,13 +157,15 @@ def follow(
     )
 
 
-def by_wide_images(calibration: HeadCalibration, frame: Frame) -> Array:
-    """Return the object (3,) [m] in the left eye's base by both wide images; NaN: not in both."""
+def by_wide_images(settings: GazeSettings, frame: Frame) -> Array:
+    """Return the sphere (3,) [m] in the left eye's base by both wide images; NaN: not in both."""
+    cameras = settings.wide[0], settings.wide[1]
     left, right = (
-        find_sphere(frame.images[name], calibration.camera(name).intrinsics)[None] for name in WIDE
+        find_sphere(frame.images[name], settings.calibration.camera(name).intrinsics)[None]
+        for name in cameras
     )
     points, _ = triangulate_at(
-        calibration, left=left, right=right, joints=frame.eye_angles, cameras=WIDE
+        settings.calibration, left=left, right=right, joints=frame.eye_angles, cameras=cameras
     )
     return points[0]
 

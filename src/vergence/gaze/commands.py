@@ -10,7 +10,7 @@ Joints are in the order of HEAD_JOINTS: the three of the neck, then the four of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -18,6 +18,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Dataset, Frame
+from vergence.errors import VergenceError
 from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS
 
 HEAD_JOINTS = (*NECK_JOINTS, *EYE_JOINTS)
@@ -42,10 +43,54 @@ class JointLimits:
     margin_rad: float = float(np.radians(0.25))
     """Distance of the set points from the ends of the ranges, because servos overshoot a little."""
 
+    def __post_init__(self) -> None:
+        shapes = np.shape(self.range_rad), np.shape(self.speed_rad_s)
+        if shapes != ((len(HEAD_JOINTS), 2), (len(HEAD_JOINTS),)):
+            raise VergenceError(
+                f"Limits are given for the joints {', '.join(HEAD_JOINTS)}: ranges (7, 2) and "
+                f"speeds (7,), found {shapes[0]} and {shapes[1]}; see `joint_limits`."
+            )
+        for name, (lower, upper), speed in zip(
+            HEAD_JOINTS, self.range_rad, self.speed_rad_s, strict=True
+        ):
+            if not (-np.inf < lower <= upper < np.inf and 0 < speed < np.inf):
+                raise VergenceError(
+                    f"The range of {name} goes from a lower to an upper end and its speed is above "
+                    f"0; found {lower:g} to {upper:g} rad and {speed:g} rad/s."
+                )
+
     @property
     def setpoint_range_rad(self) -> Array:
         """(7, 2) lowest and highest set point of each joint."""
-        return self.range_rad + self.margin_rad * np.array([1.0, -1.0])
+        half = np.ptp(self.range_rad, axis=1) / 2  # the margin of a joint that hardly moves
+        margin = np.minimum(self.margin_rad, half)[:, None]
+        return self.range_rad + margin * np.array([1.0, -1.0])
+
+
+def joint_limits(
+    range_rad: Mapping[str, tuple[float, float]], speed_rad_s: Mapping[str, float]
+) -> JointLimits:
+    """Return limits by the names of joints; those that are not named stay at zero.
+
+    Args:
+        range_rad: lower and upper end of the range of each joint that the head has, by its name
+            among HEAD_JOINTS.
+        speed_rad_s: greatest speed of the same joints.
+
+    Raises:
+        VergenceError: a joint is unknown, or has only one of range and speed, or these are not
+            possible.
+    """
+    for name in {**range_rad, **speed_rad_s}:
+        if name not in HEAD_JOINTS:
+            raise VergenceError(f"No joint is called {name!r}; there are {', '.join(HEAD_JOINTS)}.")
+        if name not in range_rad or name not in speed_rad_s:
+            missing = "range" if name in speed_rad_s else "speed"
+            raise VergenceError(f"The joint {name} has no {missing}; both are needed.")
+    return JointLimits(
+        np.array([range_rad.get(name, (0.0, 0.0)) for name in HEAD_JOINTS], float),
+        np.array([speed_rad_s.get(name, 1.0) for name in HEAD_JOINTS], float),
+    )
 
 
 @dataclass(frozen=True, eq=False)

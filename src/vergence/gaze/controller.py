@@ -37,16 +37,15 @@ from vergence.gaze.kalman import Track
 from vergence.gaze.observation import (
     Rays,
     aim_by_one_eye,
-    best_camera,
     detect_object,
     is_central,
     measure,
     posture_at_image,
     rays_to,
 )
-from vergence.gaze.state import NARROW, WIDE, GazePhase, GazeSettings, GazeState
+from vergence.gaze.state import GazePhase, GazeSettings, GazeState
 from vergence.geometry.head import T_body_base
-from vergence.geometry.kinematics import EYE_COLUMNS, EYES
+from vergence.geometry.kinematics import EYE_COLUMNS
 from vergence.geometry.se3 import inverse, transform
 
 _RATE_STEP_S = 1e-3
@@ -87,11 +86,17 @@ def step_gaze(
         now_s: time from which the command can take effect, not before the frame's time stamp.
     """
     if frame is None or frame.time_s <= state.frame_s:
+        if not isinstance(state.target, str):
+            return state  # images do not tell where a given point is
         return _without_detection(settings, state, now_s)
     state = detect_object(settings, state, frame)
     if frame.time_s < state.landing_s:
-        return replace(state, cameras=(*WIDE, *NARROW))
+        return replace(state, cameras=settings.cameras)
     posture = posture_at_image(state, frame)
+    if not isinstance(state.target, str):
+        aim = Track(frame.time_s, np.concatenate([state.target, np.zeros(6)]), np.zeros((9, 9)))
+        state = replace(state, aim=aim, seen_s=frame.time_s)
+        return _follow(settings, state, posture, {}, now_s)
     rays = rays_to(settings, state, posture)
     if not rays:
         return _without_detection(settings, state, now_s)
@@ -108,38 +113,42 @@ def _in_left_base(settings: GazeSettings, points_body: Array, neck: Array) -> Ar
 def _follow(
     settings: GazeSettings, state: GazeState, posture: Array, rays: Rays, now_s: float
 ) -> GazeState:
-    """Return the state with the command that keeps the object on both foveas.
+    """Return the state with the command that keeps the aim on both foveas.
 
-    The aim, the posture (7,) [rad] and at least one ray are those at the time of the image.
+    Aim, posture (7,) [rad] and rays are those at the time of the image. An eye without a ray to the
+    object is turned by the aim alone.
     """
     calibration, aim, image_s = settings.calibration, state.aim, state.frame_s
     assert aim is not None  # `aim_by_one_eye` sets it wherever an eye sees the object
     start_now = setpoint(state.command, now_s)
     neck_then = posture[NECK]
     neck_now = neck_then + start_now[NECK] - commanded(state.commands, image_s)[NECK]
-    version = gaze_angles(calibration, _in_left_base(settings, aim.position, neck_now))
+    aim_now = _in_left_base(settings, aim.position, neck_now)
+    version = gaze_angles(calibration, aim_now, cameras=settings.narrow)
     state = _turn_neck(settings, state, version, now_s)
     moments = np.array([image_s, now_s, now_s + _RATE_STEP_S])
     velocity = aim.velocity * _is_moving(settings, aim)
     points = aim.position + (moments - image_s)[:, None] * velocity
     necks = np.stack([neck_then, neck_now, neck_now + _RATE_STEP_S * state.neck_rate])
     points_lbase = _in_left_base(settings, points, necks)
-    then, now, soon = gaze_angles(calibration, points_lbase)
+    then, now, soon = gaze_angles(calibration, points_lbase, cameras=settings.narrow)
     goal, rate = now.copy(), (soon - now) / _RATE_STEP_S
     aim_lbase = points_lbase[0]
     aim_base = {"left": aim_lbase, "right": transform(calibration.T_rbase_lbase, aim_lbase)}
     for eye, (centre, ray) in rays.items():
         along = np.linalg.norm(aim_base[eye] - centre) / np.linalg.norm(ray)
-        seen = eye_angles_to(calibration, eye, centre + along * ray)
+        seen = eye_angles_to(calibration, settings.eyes[eye].narrow, centre + along * ray)
         goal[EYE_COLUMNS[eye]] = seen + (now - then)[EYE_COLUMNS[eye]]
     return _move_eyes(settings, state, goal, rate, now_s)
 
 
 def _turn_neck(settings: GazeSettings, state: GazeState, eyes: Array, now_s: float) -> GazeState:
     """Return the state with the neck's velocity, by the eyes' angles (4,) [rad] to the object."""
-    if not settings.use_neck or not np.isfinite(eyes).all():
+    used = np.array([eyes[EYE_COLUMNS[eye]] for eye in settings.eyes])
+    if not settings.use_neck or not np.isfinite(used).all():
         return state
-    away = np.array([eyes[[1, 3]].mean(), 0.0, eyes[[0, 2]].mean()])  # pitch, roll, yaw
+    pan, tilt = used.T
+    away = np.array([tilt.mean(), 0.0, pan.mean()])  # pitch, roll, yaw
     begins, ends = settings.comfort_rad
     turning = bool(np.abs(away).max() > (ends if state.neck_turning else begins))
     top = settings.neck_speed_rad_s
@@ -165,7 +174,8 @@ def _move_eyes(
     rate = np.where(np.isfinite(rate), rate, 0.0)
     lower, upper = settings.limits.setpoint_range_rad[EYES_4].T
     distance = np.abs(np.clip(goal, lower, upper) - at[EYES_4])
-    foveal = all(best_camera(state.pixels, eye) == f"{eye}_narrow" for eye in EYES)
+    sighted = isinstance(state.target, str)  # otherwise no image shows how far the gaze is off
+    foveal = not sighted or all(state.detections.get(name) is not None for name in settings.narrow)
     landing = state.landing_s
     if distance.max() > settings.saccade_rad or state.phase is GazePhase.LOST:
         phase = GazePhase.SACCADE
@@ -182,10 +192,14 @@ def _move_eyes(
         np.concatenate([state.neck_rate, rate]),
         settings.limits,
     )
-    cameras = settings.calibration.cameras
-    central = phase is not GazePhase.SACCADE and all(
-        is_central(cameras[name].intrinsics, state.pixels[name], settings.central_share)
-        for name in NARROW
+    cameras, pixels = settings.calibration.cameras, state.pixels
+    central = (
+        sighted
+        and phase is not GazePhase.SACCADE
+        and all(
+            is_central(cameras[name].intrinsics, pixels[name], settings.central_share)
+            for name in settings.narrow
+        )
     )
     return _send(
         state,
@@ -193,7 +207,7 @@ def _move_eyes(
         phase=phase,
         since_s=state.since_s if phase is state.phase else now_s,
         landing_s=landing,
-        cameras=NARROW if central else (*WIDE, *NARROW),
+        cameras=settings.narrow if central else settings.cameras,
     )
 
 
@@ -211,7 +225,7 @@ def _is_moving(settings: GazeSettings, track: Track) -> bool:
 
 def _without_detection(settings: GazeSettings, state: GazeState, now_s: float) -> GazeState:
     """Return the next state without a new frame that shows the object: wait, then search."""
-    state = replace(state, cameras=(*WIDE, *NARROW))
+    state = replace(state, cameras=settings.cameras)
     if state.phase is not GazePhase.LOST:
         if now_s - max(state.seen_s, state.landing_s) < settings.lost_s:
             return state  # the command in force continues, and stops after its hold time

@@ -10,19 +10,18 @@ Equation numbers are the paper's; see docs/equations.md and docs/conventions.md.
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
+from vergence.gaze.roles import EyeCameras, default_roles
 from vergence.geometry.camera import normalise, project
 from vergence.geometry.head import HeadCalibration, T_narrow_wide
-from vergence.geometry.kinematics import EYES, Side, chain_linearised, eye_chain
+from vergence.geometry.kinematics import EYE_COLUMNS, EYE_JOINTS, Side, chain_linearised, eye_chain
 from vergence.geometry.se3 import cross, inverse, transform
-
-Role = Literal["wide", "narrow"]
 
 _NEWTON_STEPS = 20
 _CONVERGED = 1e-8  # of x/z and y/z: the next step of Newton's method squares it
@@ -49,13 +48,22 @@ def project_both(
     )
 
 
-def ideal_wide_pixel(calibration: HeadCalibration, eye: Side, depth_m: ArrayLike) -> Array:
+def ideal_wide_pixel(
+    calibration: HeadCalibration,
+    eye: Side,
+    depth_m: ArrayLike,
+    *,
+    cameras: EyeCameras | None = None,
+) -> Array:
     """Eqs. 18-19: return the wide pixels (..., 2) of points on the narrow camera's axis.
 
     A point at such a wide pixel falls on the principal point of the narrow image, whatever the
     narrow camera's intrinsic parameters. The depths (...) [m] are along its axis; infinity gives
-    the limit. VergenceError if one is not above 0, or the eye does not have both cameras.
+    the limit. The cameras are those of the eye that play the roles; None: those that are called so.
+    VergenceError if a depth is not above 0, or the eye does not have both cameras.
     """
+    names = cameras or EyeCameras(wide=f"{eye}_wide", narrow=f"{eye}_narrow")
+    wide, narrow = calibration.camera(names.wide), calibration.camera(names.narrow)
     depth = np.asarray(depth_m, dtype=float)
     if not (depth > 0).all():
         raise VergenceError(
@@ -63,9 +71,9 @@ def ideal_wide_pixel(calibration: HeadCalibration, eye: Side, depth_m: ArrayLike
         )
     # A point of the axis is z e_3 in the narrow camera and z r - R_fp^T t_fp in the wide one, with
     # r the third column of R_fp^T. Division by z leaves its projection and admits 1 / z = 0.
-    T_wide_narrow = inverse(T_narrow_wide(calibration, eye))
+    T_wide_narrow = inverse(inverse(narrow.T_eye_cam) @ wide.T_eye_cam)
     points = T_wide_narrow[:3, 2] + T_wide_narrow[:3, 3] / depth[..., None]
-    return project(calibration.camera(f"{eye}_wide").intrinsics, points)
+    return project(wide.intrinsics, points)
 
 
 def foveal_miss(
@@ -93,18 +101,17 @@ def foveal_miss(
     return seen - narrow.matrix[:2, 2]
 
 
-def eye_angles_to(
-    calibration: HeadCalibration, eye: Side, points_base: Array, *, role: Role = "narrow"
-) -> Array:
-    """Return the pan and tilt (..., 2) [rad] that centre points in a camera of one eye.
+def eye_angles_to(calibration: HeadCalibration, camera: str, points_base: Array) -> Array:
+    """Return the pan and tilt (..., 2) [rad] of its eye that centre points in a camera.
 
     Newton's method on both axes at once, to machine precision, with the eye's imperfections and
-    with the camera off its rotation centre. The points (..., 3) [m] are in the eye's base frame,
-    and are centred on the principal point, so that the lens does not matter. Readings are not
-    limited to the joints' ranges; NaN for a point that no posture centres: one that is NaN, on the
-    pan axis, or closer than the camera.
+    with the camera off its rotation centre. The points (..., 3) [m] are in the base frame of the
+    camera's eye, and are centred on the principal point, so that the lens does not matter. Readings
+    are not limited to the joints' ranges; NaN for a point that no posture centres: one that is NaN,
+    on the pan axis, or closer than the camera. VergenceError if the head has no such camera.
     """
-    mounted, chain = calibration.camera(f"{eye}_{role}"), eye_chain(calibration.axes[eye])
+    mounted = calibration.camera(camera)
+    chain = eye_chain(calibration.axes[mounted.eye])
     R_eye_cam, t_eye_cam = mounted.T_eye_cam[:3, :3], mounted.T_eye_cam[:3, 3]
     usable = np.isfinite(points_base).all(axis=-1) & (points_base[..., :2] != 0).any(axis=-1)
     p = np.where(usable[..., None], points_base, [1.0, 0, 0])
@@ -143,14 +150,30 @@ def eye_angles_to(
 
 
 def gaze_angles(
-    calibration: HeadCalibration, points_lbase: Array, *, role: Role = "narrow"
+    calibration: HeadCalibration, points_lbase: Array, *, cameras: Sequence[str] | None = None
 ) -> Array:
     """Return the angles (..., 4) [rad] that centre points in both eyes: version and vergence.
 
-    The points (..., 3) [m] are in the left eye's base frame, and are centred on the principal
-    points of the eyes' cameras of one role. The angles are joint readings in the order of
-    kinematics.EYE_JOINTS, NaN for points that no posture centres.
+    Args:
+        calibration: of the head.
+        points_lbase: (..., 3) [m] in the left eye's base frame; they are centred on the principal
+            points.
+        cameras: names of the cameras in which they are centred, at most one of each eye; None:
+            the narrow ones, or for an eye without such a camera its main one.
+
+    Returns:
+        Joint readings in the order of kinematics.EYE_JOINTS, NaN for points that no posture
+        centres, and for an eye that has no camera.
+
+    Raises:
+        VergenceError: the head has no such camera.
     """
-    points = {"left": points_lbase, "right": transform(calibration.T_rbase_lbase, points_lbase)}
-    both = [eye_angles_to(calibration, eye, points[eye], role=role) for eye in EYES]
-    return np.concatenate(both, axis=-1)
+    if cameras is None:
+        cameras = [roles.narrow for roles in default_roles(calibration).values()]
+    angles = np.full((*points_lbase.shape[:-1], len(EYE_JOINTS)), np.nan)
+    for name in cameras:
+        eye = calibration.camera(name).eye
+        right = eye == "right"
+        points = transform(calibration.T_rbase_lbase, points_lbase) if right else points_lbase
+        angles[..., EYE_COLUMNS[eye]] = eye_angles_to(calibration, name, points)
+    return angles

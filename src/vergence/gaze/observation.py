@@ -9,15 +9,16 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
+from vergence.errors import VergenceError
 from vergence.gaze.commands import EYES_4, HEAD_JOINTS, NECK, commanded
 from vergence.gaze.kalman import InnovationRatio, Track, begin, fuse, predict, update_ratio
-from vergence.gaze.state import NARROW, WIDE, GazeSettings, GazeState
+from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.camera import Camera, normalise
 from vergence.geometry.head import T_base_cam, T_body_base
 from vergence.geometry.kinematics import EYE_COLUMNS, EYES, Side
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.uncertainty import locate_with_covariance
-from vergence.vision.sphere import find_sphere
+from vergence.vision.detector import Detection
 
 Rays = Mapping[Side, tuple[Array, Array]]
 """By eye that sees the object: origin (3,) [m] and direction (3,) of the ray to it, in the eye's
@@ -28,16 +29,27 @@ def detect_object(settings: GazeSettings, state: GazeState, frame: Frame) -> Gaz
     """Return the state with the object's pixels in a new frame, and the joints that are stuck.
 
     Only requested images are searched, and an eye's wide image only where its narrow one does not
-    show the object.
+    show the object; none, while a point is looked at.
+
+    Raises:
+        VergenceError: the frame's images are those of other cameras, or of another size than the
+            calibration's, or the detector returned something else than it may.
     """
-    pixels: dict[str, Array] = {}
-    for name in (*NARROW, *WIDE):
+    detections: dict[str, Detection | None] = {}
+    if frame.images and not set(frame.images) & set(settings.cameras):
+        raise VergenceError(
+            f"The gaze uses the cameras {', '.join(settings.cameras)}, but the frame has images of "
+            f"{', '.join(frame.images)} only; the driver must call cameras as the calibration does."
+        )
+    for name in dict.fromkeys((*settings.narrow, *settings.wide)):
+        if not isinstance(state.target, str):
+            break
         if name not in frame.images or name not in state.cameras:
             continue
-        mounted = settings.calibration.camera(name)
-        if best_camera(pixels, mounted.eye) is None:
-            before = state.pixels.get(name)
-            pixels[name] = find_sphere(frame.images[name], mounted.intrinsics, near=before)
+        if best_view(settings, detections, settings.calibration.camera(name).eye) is None:
+            before = state.detections.get(name)
+            near = None if before is None else before.pixel
+            detections[name] = _detect(settings, state.target, frame, name, near)
     sent, earlier = (commanded(state.commands, frame.joint_time_s - ago) for ago in (0, 0.1))
     read = np.concatenate([frame.neck_angles, frame.eye_angles])
     at_rest = np.abs(sent - earlier) < settings.stuck_rad / 3
@@ -46,11 +58,49 @@ def detect_object(settings: GazeSettings, state: GazeState, frame: Frame) -> Gaz
     stuck = (at_rest | was_stuck) & (np.abs(read - sent) > settings.stuck_rad)
     return replace(
         state,
-        pixels=pixels,
+        aim=None if _seen_by_another(settings, state.detections, detections) else state.aim,
+        detections=detections,
         frame_s=frame.time_s,
         stuck=tuple(name for name, is_stuck in zip(HEAD_JOINTS, stuck, strict=True) if is_stuck),
         measured=None,
     )
+
+
+def _detect(
+    settings: GazeSettings, target: str, frame: Frame, camera: str, near: Array | None
+) -> Detection | None:
+    """Return where an object is in one image of a frame; errors are those of `detect_object`."""
+    image, intrinsics = frame.images[camera], settings.calibration.camera(camera).intrinsics
+    if image.shape[:2] != (intrinsics.height, intrinsics.width):
+        raise VergenceError(
+            f"The calibration of {camera} is for images of {intrinsics.width} x "
+            f"{intrinsics.height} px, but the frame's have {image.shape[1]} x {image.shape[0]} px."
+        )
+    found = settings.objects[target](image, intrinsics, near)
+    if found is None:
+        return None
+    pixel = np.asarray(found.pixel) if isinstance(found, Detection) else np.empty(0)
+    if pixel.shape != (2,) or not np.isfinite(pixel).all() or not found.std_px > 0:
+        raise VergenceError(
+            f"The detector of {target!r} must return None or a Detection with two finite "
+            f"coordinates and a standard deviation above 0; in {camera} it returned {found!r}."
+        )
+    return found
+
+
+def _seen_by_another(
+    settings: GazeSettings,
+    before: Mapping[str, Detection | None],
+    now: Mapping[str, Detection | None],
+) -> bool:
+    """Return whether the only eye in use sees the object by another camera than before.
+
+    At an assumed depth two cameras place it differently, which must not be taken for a motion.
+    """
+    if len(settings.eyes) > 1:
+        return False
+    views = [best_view(settings, seen, eye) for seen in (before, now) for eye in settings.eyes]
+    return len({view[0] for view in views if view is not None}) > 1
 
 
 def _readings_at_image(state: GazeState, frame: Frame) -> Array:
@@ -75,11 +125,15 @@ def posture_at_image(state: GazeState, frame: Frame) -> Array:
     return np.where(use_reading, _readings_at_image(state, frame), sent)
 
 
-def best_camera(pixels: Mapping[str, Array], eye: Side) -> str | None:
-    """Return the camera of an eye that shows the object best, by pixels (2,); None: neither."""
-    for name in (f"{eye}_narrow", f"{eye}_wide"):
-        if np.isfinite(pixels.get(name, np.nan)).all():
-            return name
+def best_view(
+    settings: GazeSettings, detections: Mapping[str, Detection | None], eye: Side
+) -> tuple[str, Detection] | None:
+    """Return the camera of an eye that shows the object best, and where; None: no camera does."""
+    cameras = settings.eyes.get(eye)
+    for name in (cameras.narrow, cameras.wide) if cameras else ():
+        found = detections.get(name)
+        if found is not None:
+            return name, found
     return None
 
 
@@ -92,11 +146,12 @@ def is_central(camera: Camera, pixel: Array, share: float) -> bool:
 def rays_to(settings: GazeSettings, state: GazeState, posture: Array) -> Rays:
     """Return the ray to the object for each eye that sees it, at a posture (7,) [rad]."""
     rays: dict[Side, tuple[Array, Array]] = {}
-    for eye in EYES:
-        name = best_camera(state.pixels, eye)
-        if name is None:
+    for eye in settings.eyes:
+        view = best_view(settings, state.detections, eye)
+        if view is None:
             continue
-        xy = normalise(settings.calibration.camera(name).intrinsics, state.pixels[name])
+        name, seen = view
+        xy = normalise(settings.calibration.camera(name).intrinsics, seen.pixel)
         T = T_base_cam(settings.calibration, name, posture[EYES_4][EYE_COLUMNS[eye]])
         rays[eye] = T[:3, 3], T[:3, :3] @ np.array([*xy, 1.0])
     return rays
@@ -142,13 +197,19 @@ def aim_by_one_eye(
     """Return the state with an aim at an assumed depth, where only one eye sees the object.
 
     An aim that lies near that eye's ray is kept, because its depth is known better. Once both
-    eyes see the object, the measurement replaces the assumption.
+    eyes see the object, the measurement replaces the assumption. On a head that uses one eye the
+    assumption is all there is: its direction is fused over time, so that a motion is followed.
     """
     if len(rays) != 1:
         return state
     ((eye, (centre, ray)),) = rays.items()
     T_body_eye = T_body_base(settings.calibration, eye, posture)
     ray = ray / np.linalg.norm(ray)
+    if len(settings.eyes) == 1:
+        point = transform(T_body_eye, centre + settings.initial_depth_m * ray)
+        covariance = _at_assumed_depth(settings, state, eye, T_body_eye[:3, :3] @ ray)
+        aim = fuse(state.aim, state.frame_s, point, covariance, motion=settings.motion)
+        return replace(state, aim=aim)
     if state.aim is not None:
         away = transform(inverse(T_body_eye), state.aim.position) - centre
         if ray @ away > np.cos(settings.aim_gate_rad) * np.linalg.norm(away):
@@ -159,22 +220,36 @@ def aim_by_one_eye(
     return replace(state, aim=aim, track=None)
 
 
+def _at_assumed_depth(settings: GazeSettings, state: GazeState, eye: Side, ray: Array) -> Array:
+    """Return the covariance (3, 3) [m^2] of a point at the assumed depth along a unit ray (3,).
+
+    The eye sees the object.
+    """
+    view = best_view(settings, state.detections, eye)
+    assert view is not None
+    name, seen = view
+    focal_px = settings.calibration.camera(name).intrinsics.matrix[0, 0]
+    depth = settings.initial_depth_m
+    across = depth * np.hypot(seen.std_px / focal_px, settings.command_std_rad)
+    return across**2 * np.eye(3) + ((depth / 3) ** 2 - across**2) * np.outer(ray, ray)
+
+
 def _locate(
     settings: GazeSettings, state: GazeState, postures: Array
 ) -> list[tuple[Array, Array]] | None:
     """Return by posture (2, 7) the object (3,) [m] and its covariance (3, 3) in frame body."""
-    left, right = (best_camera(state.pixels, eye) for eye in EYES)
+    left, right = (best_view(settings, state.detections, eye) for eye in EYES)
     if left is None or right is None:
         return None
     joint_stds = [[settings.joint_std_rad], [settings.command_std_rad]]
     points, covariances = locate_with_covariance(
         settings.calibration,
-        left=np.tile(state.pixels[left], (2, 1)),
-        right=np.tile(state.pixels[right], (2, 1)),
+        left=np.tile(left[1].pixel, (2, 1)),
+        right=np.tile(right[1].pixel, (2, 1)),
         joints=postures[:, EYES_4],
-        pixel_std_px=settings.pixel_std_px,
+        pixel_std_px=np.repeat([left[1].std_px, right[1].std_px], 2),
         joint_std_rad=np.repeat(joint_stds, 4, axis=1),
-        cameras=(left, right),
+        cameras=(left[0], right[0]),
     )
     if not np.isfinite(covariances).all():
         return None

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
-from vergence.gaze.commands import HeadCommand, JointLimits, hold
+from vergence.errors import VergenceError
+from vergence.gaze.commands import HEAD_JOINTS, NECK, HeadCommand, JointLimits, hold
 from vergence.gaze.kalman import InnovationRatio, MotionModel, Track
+from vergence.gaze.roles import EyeCameras, check_roles, default_roles
 from vergence.geometry.head import HeadCalibration
-
-NARROW, WIDE = ("left_narrow", "right_narrow"), ("left_wide", "right_wide")
+from vergence.geometry.kinematics import EYES, Side
+from vergence.vision.detector import Detection, Detector, pixel_or_nan
+from vergence.vision.sphere import sphere_detector
 
 
 class GazePhase(StrEnum):
@@ -31,14 +36,21 @@ class GazePhase(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class GazeSettings:
-    """The head and the parameters of its gaze controller."""
+    """The head, what it looks at, and the parameters of its gaze controller.
+
+    VergenceError where the head does not have what the settings ask for.
+    """
 
     calibration: HeadCalibration
+    objects: Mapping[str, Detector] = field(default_factory=lambda: {"sphere": sphere_detector()})
+    """By name, what finds each object that can be looked at; the first one is looked at until
+    `look_at` chooses otherwise."""
+    roles: Mapping[Side, EyeCameras] | None = None
+    """By eye, the cameras to use; None: `default_roles` of the calibration. An eye without an entry
+    is not moved, and not used."""
     limits: JointLimits = field(default_factory=JointLimits)
     use_neck: bool = False
     """Whether the neck shares in a gaze shift."""
-    pixel_std_px: float = 0.1
-    """Standard deviation of the object's position in an image."""
     joint_std_rad: float = 1e-3
     """Standard deviation of a joint reading, with all errors that the two eyes do not share."""
     command_std_rad: float = 2e-4
@@ -76,6 +88,47 @@ class GazeSettings:
     neck_acceleration_rad_s2: float = 6.0
     """Greatest acceleration of a neck joint."""
 
+    def __post_init__(self) -> None:
+        if self.roles is not None:
+            check_roles(self.calibration, self.roles)
+        if not self.objects:
+            raise VergenceError(
+                "There is no object to look at: `objects` needs a detector by name."
+            )
+        for name, detect in self.objects.items():
+            if not callable(detect):
+                raise VergenceError(
+                    f"The detector of {name!r} must be a function of image, camera and pixel, "
+                    f"found {type(detect).__name__}."
+                )
+        joints = len(self.calibration.neck.axes)
+        if self.use_neck and joints != len(HEAD_JOINTS[NECK]):
+            raise VergenceError(
+                f"A neck that shares in gaze shifts has the joints {', '.join(HEAD_JOINTS[NECK])}, "
+                f"and the calibration must describe them; it has {joints} neck joints."
+            )
+
+    @cached_property
+    def eyes(self) -> Mapping[Side, EyeCameras]:
+        """The cameras by eye and role, for the eyes that are used."""
+        roles = default_roles(self.calibration) if self.roles is None else self.roles
+        return {eye: roles[eye] for eye in EYES if eye in roles}
+
+    @cached_property
+    def wide(self) -> tuple[str, ...]:
+        """Names of the cameras that look around, one of each eye."""
+        return tuple(cameras.wide for cameras in self.eyes.values())
+
+    @cached_property
+    def narrow(self) -> tuple[str, ...]:
+        """Names of the cameras in which the object is to be centred, one of each eye."""
+        return tuple(cameras.narrow for cameras in self.eyes.values())
+
+    @cached_property
+    def cameras(self) -> tuple[str, ...]:
+        """Names of all cameras that are used, each once: the wide ones, then the narrow ones."""
+        return tuple(dict.fromkeys((*self.wide, *self.narrow)))
+
 
 @dataclass(frozen=True, eq=False)
 class GazeState:
@@ -88,14 +141,16 @@ class GazeState:
     """The latest is in force; the others give the set points at the times of earlier frames."""
     cameras: tuple[str, ...]
     """Cameras whose images are requested next."""
+    target: str | Array
+    """What is looked at: the name of an object, or a point (3,) [m] in frame body."""
     frame_s: float = -np.inf
     """Time stamp of the latest new frame."""
     seen_s: float = -np.inf
     """Time stamp of the latest frame in which an eye saw the object."""
     landing_s: float = -np.inf
     """Time at which the latest saccade is over; earlier images are not used."""
-    pixels: Mapping[str, Array] = field(default_factory=dict)
-    """(2,) pixel of the object by camera searched in the latest frame, NaN where not found."""
+    detections: Mapping[str, Detection | None] = field(default_factory=dict)
+    """The object by camera searched in the latest frame; None: not found."""
     measured: Array | None = None
     """(3,) [m] stereo estimate of the latest frame alone, in frame body."""
     track: Track | None = None
@@ -121,8 +176,56 @@ class GazeState:
         """The command in force."""
         return self.commands[-1]
 
+    @property
+    def pixels(self) -> Mapping[str, Array]:
+        """(2,) pixel of the object by camera searched in the latest frame, NaN: not found."""
+        return {name: pixel_or_nan(found) for name, found in self.detections.items()}
+
 
 def initial_gaze_state(settings: GazeSettings, posture: Array, time_s: float) -> GazeState:
-    """Return the state of a head that rests at set points (7,) [rad] and has not seen anything."""
+    """Return the state of a head that rests at set points (7,) [rad] and has not seen anything.
+
+    It will look at the first object of the settings; see `look_at`.
+    """
     command = hold(posture, settings.limits, time_s)
-    return GazeState(GazePhase.LOST, time_s, (command,), (*WIDE, *NARROW))
+    target = next(iter(settings.objects))
+    return GazeState(GazePhase.LOST, time_s, (command,), settings.cameras, target)
+
+
+def look_at(settings: GazeSettings, state: GazeState, target: str | ArrayLike) -> GazeState:
+    """Return the state that looks at another object, or at a point, from the next step on.
+
+    A point is looked at by the calibration and the joints' set points alone: images do not matter,
+    and nothing is searched for. What was estimated of the object before is forgotten.
+
+    Args:
+        settings: with the objects that can be looked at.
+        state: the present one.
+        target: the name of an object, or a point (3,) [m] in frame body.
+
+    Raises:
+        VergenceError: there is no object of this name, or the point is not three finite numbers, or
+            is the origin of frame body.
+    """
+    if isinstance(target, str):
+        if target not in settings.objects:
+            known = ", ".join(settings.objects)
+            raise VergenceError(f"No object is called {target!r}; the settings have: {known}.")
+    else:
+        target = np.array(target, float)
+        if target.shape != (3,) or not (np.isfinite(target).all() and target.any()):
+            raise VergenceError(
+                "A point to look at has three finite coordinates [m] in frame body, and is not its "
+                f"origin; found {target.tolist()}."
+            )
+    return replace(
+        state,
+        target=target,
+        cameras=settings.cameras,
+        detections={},
+        measured=None,
+        track=None,
+        aim=None,
+        innovation_ratio=InnovationRatio(),
+        aim_innovation_ratio=InnovationRatio(),
+    )

@@ -13,7 +13,7 @@ with sufficient confidence, which is decided from covariances alone.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +24,7 @@ from vergence.gaze.commands import EYES_4, HeadDriver
 from vergence.gaze.controller import step_gaze
 from vergence.gaze.kalman import Track, fuse, predict
 from vergence.gaze.observation import posture_at_image
-from vergence.gaze.state import NARROW, WIDE, GazePhase
+from vergence.gaze.state import GazePhase
 from vergence.geometry.head import T_body_base
 from vergence.geometry.se3 import transform
 from vergence.reach.state import (
@@ -37,7 +37,7 @@ from vergence.reach.state import (
     target_covariance,
 )
 from vergence.stereo.uncertainty import locate_both
-from vergence.vision.sphere import find_sphere
+from vergence.vision.detector import Detection
 
 _CLOSING = (ReachPhase.CLOSE, ReachPhase.HELD)
 _ENGAGED = (ReachPhase.REACH, ReachPhase.UNSEEN, ReachPhase.SERVO)
@@ -97,53 +97,63 @@ def step_reach(
     since = state.since_s if phase is state.phase else now_s
     state = replace(state, phase=phase, since_s=since, inside=inside)
     command = _command(settings, state, now_s)
-    return replace(state, command=command, cameras=_cameras_to_request(state))
+    return replace(state, command=command, cameras=_cameras_to_request(settings, state))
 
 
 def _detect_marker(settings: ReachSettings, state: ReachState, frame: Frame) -> ReachState:
     """Return the state with the marker's pixels in the requested images of a frame."""
     cameras = settings.gaze.calibration.cameras
     found = {
-        name: find_sphere(
-            image, cameras[name].intrinsics, colour="blue", near=state.pixels.get(name)
-        )
+        name: settings.detect_marker(image, cameras[name].intrinsics, _before(state, name))
         for name, image in frame.images.items()
         if name in state.cameras
     }
-    return replace(state, pixels=found)
+    return replace(state, detections=found)
 
 
-def _shows_marker(state: ReachState, cameras: tuple[str, str]) -> bool:
-    return all(np.isfinite(state.pixels.get(name, np.nan)).all() for name in cameras)
+def _before(state: ReachState, camera: str) -> Array | None:
+    """Return the marker's pixel (2,) in a camera's latest image; None: not found there."""
+    found = state.detections.get(camera)
+    return None if found is None else found.pixel
 
 
-def _cameras_to_request(state: ReachState) -> tuple[str, ...]:
+def _shows_marker(state: ReachState, cameras: tuple[str, ...]) -> bool:
+    return all(state.detections.get(name) is not None for name in cameras)
+
+
+def _cameras_to_request(settings: ReachSettings, state: ReachState) -> tuple[str, ...]:
     """Return the cameras whose images are needed next: for the gaze, and to find the hand."""
     if state.phase in (ReachPhase.SEEK, ReachPhase.TRACK):
         return state.gaze.cameras
-    wanted = (*state.gaze.cameras, *NARROW)
-    if not _shows_marker(state, NARROW):
-        wanted += WIDE
-    return tuple(name for name in (*WIDE, *NARROW) if name in wanted)
+    gaze = settings.gaze
+    wanted = (*state.gaze.cameras, *gaze.narrow)
+    if not _shows_marker(state, gaze.narrow):
+        wanted += gaze.wide
+    return tuple(name for name in gaze.cameras if name in wanted)
 
 
 def _locate_target(settings: ReachSettings, state: ReachState, frame: Frame) -> ReachState:
     """Return the state with the target at a frame, if a pair of cameras shows object and marker."""
-    for pair in (NARROW, WIDE):
-        if not _shows_marker(state, pair):
+    for pair in dict.fromkeys((settings.gaze.narrow, settings.gaze.wide)):
+        markers = [state.detections.get(name) for name in pair]
+        if any(marker is None for marker in markers):
             continue
-        left, right = (_object_pixel(settings, state, frame, name) for name in pair)
-        if np.isfinite([left, right]).all():
-            return _fuse_target(settings, state, frame, pair, (left, right))
+        objects = [_object(settings, state, frame, name) for name in pair]
+        seen = [each for each in (*objects, *markers) if each is not None]
+        if len(seen) == 4:
+            return _fuse_target(settings, state, frame, (pair[0], pair[1]), seen)
     return state
 
 
-def _object_pixel(settings: ReachSettings, state: ReachState, frame: Frame, camera: str) -> Array:
-    """Return the object's pixel (2,), searched for if the gaze has not done so; NaN: not found."""
-    if camera in state.gaze.pixels:
-        return state.gaze.pixels[camera]
+def _object(
+    settings: ReachSettings, state: ReachState, frame: Frame, camera: str
+) -> Detection | None:
+    """Return the object in an image, searched for if the gaze has not done so; None: not found."""
+    if camera in state.gaze.detections or not isinstance(state.gaze.target, str):
+        return state.gaze.detections.get(camera)
     intrinsics = settings.gaze.calibration.camera(camera).intrinsics
-    return find_sphere(frame.images[camera], intrinsics, near=state.pixels[camera])
+    detect = settings.gaze.objects[state.gaze.target]
+    return detect(frame.images[camera], intrinsics, _before(state, camera))
 
 
 def _fuse_target(
@@ -151,21 +161,22 @@ def _fuse_target(
     state: ReachState,
     frame: Frame,
     cameras: tuple[str, str],
-    object_px: tuple[Array, Array],
+    seen: Sequence[Detection],
 ) -> ReachState:
-    """Return the state after a measurement of the target, by object pixels (2,) in two cameras."""
+    """Return the state after a measurement of the target, from one pair of images.
+
+    The detections are those of the object, left and right, and of the marker, left and right.
+    """
     calibration = settings.gaze.calibration
     posture = posture_at_image(state.gaze, frame)
-    left, right = (
-        (seen[None], state.pixels[name][None])
-        for seen, name in zip(object_px, cameras, strict=True)
-    )
+    pixels = np.array([each.pixel for each in seen]).reshape(2, 2, 1, 2)  # object or marker, eye
+    stds = np.array([each.std_px for each in seen]).reshape(2, 2).max(axis=0)  # by eye
     objects, markers, covariances = locate_both(
         calibration,
-        left=left,
-        right=right,
+        left=(pixels[0, 0], pixels[1, 0]),
+        right=(pixels[0, 1], pixels[1, 1]),
         joints=posture[EYES_4],
-        pixel_std_px=settings.gaze.pixel_std_px,
+        pixel_std_px=np.repeat(stds, 2),
         joint_std_rad=settings.gaze.command_std_rad,
         cameras=cameras,
     )

@@ -15,9 +15,12 @@ from typing import Protocol
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.errors import VergenceError
 from vergence.gaze.commands import HOLD_S
 from vergence.gaze.kalman import MotionModel, Track
 from vergence.gaze.state import GazeSettings, GazeState, initial_gaze_state
+from vergence.vision.detector import Detection, Detector
+from vergence.vision.sphere import sphere_detector
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,11 +89,16 @@ class ReachPhase(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class ReachSettings:
-    """The head, the hand, and the parameters of the reach controller."""
+    """The head, the hand, and the parameters of the reach controller.
+
+    VergenceError if the gaze uses one eye only.
+    """
 
     gaze: GazeSettings
+    detect_marker: Detector = field(default_factory=lambda: sphere_detector("blue"))
+    """What finds the marker on the hand; the default is this project's model."""
     marker_hand: Array = field(default_factory=lambda: np.array([-0.026, 0.0, -0.052]))
-    """(3,) centre of the blue marker in frame hand [m]; the default is this project's model."""
+    """(3,) centre of the marker in frame hand [m]; the default is this project's model."""
     home: Array = field(default_factory=lambda: np.array([0.25, -0.25, -0.10]))
     """(3,) where the hand waits, by its encoders [m]: below the field of view."""
     shoulder: Array = field(default_factory=lambda: np.array([-0.02, -0.16, -0.08]))
@@ -125,6 +133,13 @@ class ReachSettings:
     escaped_m: float = 0.03
     """Distance of an object from the closed hand from which it is certainly not held."""
 
+    def __post_init__(self) -> None:
+        if len(self.gaze.eyes) < 2:
+            raise VergenceError(
+                f"Reaching needs depth, and so a camera in each eye; the gaze uses the "
+                f"{', '.join(self.gaze.eyes)} eye only."
+            )
+
 
 @dataclass(frozen=True, eq=False)
 class ReachState:
@@ -141,8 +156,8 @@ class ReachState:
     """The latest readings of the hand, the newest last."""
     cameras: tuple[str, ...]
     """Cameras whose images are requested next."""
-    pixels: Mapping[str, Array] = field(default_factory=dict)
-    """(2,) pixel of the marker by camera searched in the latest frame, NaN where not found."""
+    detections: Mapping[str, Detection | None] = field(default_factory=dict)
+    """The marker by camera searched in the latest frame; None: not found."""
     target: Track | None = None
     """Object in the coordinates of the hand's encoders: the measured difference between object and
     marker, added to the marker by the encoders. None: they have not been seen together."""

@@ -37,7 +37,7 @@ def put_charuco(spec: mujoco.MjSpec, board: Charuco) -> None:
     done, png = cv2.imencode(".png", grey)
     assert done
     # In memory, with a name of its own: MuJoCo caches files by name for a second.
-    spec.assets = {"charuco.png": png.tobytes()}
+    spec.assets = {**spec.assets, "charuco.png": png.tobytes()}
     spec.texture("board").file = "charuco.png"
     half = (np.array([board.squares_x, board.squares_y]) / 2 + MARGIN_SQUARES) * board.square_m
     centre = (np.array([board.columns, board.rows]) - 1) / 2 * board.square_m

@@ -17,6 +17,7 @@ from vergence.geometry.board import Charuco
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS
 from vergence.geometry.se3 import inverse, pose, transform
+from vergence.twin.card import Card
 from vergence.twin.model import (
     CAMERAS,
     R_of_quat,
@@ -60,19 +61,20 @@ class Twin:
         seed: int = 0,
         lens: Lens = "2.8mm",
         board: Charuco | None = None,
+        card: Card | None = None,
     ):
         """Build a head with wide cameras of a lens, and with the imperfections of a profile.
 
         The same seed gives the same head, whatever the lens. A board replaces the scene's
-        chessboard. VergenceError if there is no OpenGL, the model cannot be loaded, or the seed is
-        negative.
+        chessboard, a card the red sphere that is its object. VergenceError if there is no OpenGL,
+        the model cannot be loaded, or the seed is negative.
         """
         if seed < 0:
             raise VergenceError(f"The seed must be a whole number from 0, found {seed}.")
         self.profile = profile
         self.nominal: HeadCalibration = nominal_head(lens)
         self.truth: HeadCalibration = as_built_head(self.nominal, profile, seed)
-        self.model = compile_head(self.truth, overscan_sizes(self.truth), board=board)
+        self.model = compile_head(self.truth, overscan_sizes(self.truth), board=board, card=card)
         self._data = mujoco.MjData(self.model)
         self._seen = mujoco.MjData(self.model)  # the pose at which pictures are taken
         self._seed = seed
@@ -194,7 +196,10 @@ class Twin:
         self._place("board", T_lbase_target)
 
     def place_object(self, position: Array | None) -> None:
-        """Put the object at (3,) [m] in the left eye's base frame; None takes it away."""
+        """Put the object at (3,) [m] in the left eye's base frame; None takes it away.
+
+        A card faces the head: against the x axis of this frame, with its upper side along z.
+        """
         self._place("object", None if position is None else pose(t=position))
 
     def place_hand(self, T_lbase_hand: Array | None, *, opening_m: float = 0.0) -> None:

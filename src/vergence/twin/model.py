@@ -21,6 +21,7 @@ from vergence.geometry.head import HeadCalibration, MountedCamera, T_head_base
 from vergence.geometry.kinematics import EYES, NECK_JOINTS, EyeAxes, Neck, Side
 from vergence.geometry.se3 import pose, rotation
 from vergence.twin.board import put_charuco
+from vergence.twin.card import Card, put_card
 from vergence.twin.profile import ErrorProfile, Lens
 
 CAMERAS = ("left_wide", "right_wide", "left_narrow", "right_narrow")
@@ -130,7 +131,11 @@ def as_built_head(nominal: HeadCalibration, profile: ErrorProfile, seed: int) ->
 
 
 def compile_head(
-    head: HeadCalibration, overscan: dict[str, tuple[int, int]], *, board: Charuco | None = None
+    head: HeadCalibration,
+    overscan: dict[str, tuple[int, int]],
+    *,
+    board: Charuco | None = None,
+    card: Card | None = None,
 ) -> mujoco.MjModel:
     """Compile the scene with the head as given.
 
@@ -139,10 +144,13 @@ def compile_head(
         overscan: by camera, the width and height [px] to render, at the camera's own focal
             length; the image lies in the middle of it.
         board: replaces the scene's chessboard.
+        card: replaces the sphere that is the scene's object.
     """
     spec = load_spec()
     if board is not None:
         put_charuco(spec, board)
+    if card is not None:
+        put_card(spec, card)
     for eye in EYES:
         T = T_head_base(head, eye)
         pan, tilt = spec.body(f"{eye}_pan"), spec.joint(f"{eye}_tilt")

@@ -16,8 +16,8 @@ from vergence.calibration.sequential.sequential import calibrate_sequentially
 from vergence.data.dataset import Frame
 from vergence.gaze.commands import EYES_4, HEAD_JOINTS, HeadCommand, JointLimits, hold, setpoint
 from vergence.gaze.observation import is_central
-from vergence.gaze.state import NARROW, GazeSettings
-from vergence.geometry.head import HeadCalibration, T_head_base
+from vergence.gaze.state import GazeSettings
+from vergence.geometry.head import T_head_base
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.twin.calibration_errors import inject_calibration_error
@@ -122,28 +122,34 @@ class SimulatedHead:
         return wanted
 
 
-def true_pixels(twin: Twin) -> Array:
-    """Return the object's true pixels (2, 2) in the left and the right narrow image, now."""
+def true_pixels(twin: Twin, settings: GazeSettings) -> Array:
+    """Return the object's true pixels (E, 2) in the images that are to be centred, now.
+
+    There is one for each of the E eyes that the settings use: that of its narrow camera, or of its
+    only one.
+    """
     eyes, where = twin.true_angles()[EYES_4], twin.true_object()
-    return np.array([project_point(twin.truth, name, eyes, where) for name in NARROW])
+    return np.array([project_point(twin.truth, name, eyes, where) for name in settings.narrow])
 
 
-def foveal_errors(twin: Twin, calibration: HeadCalibration) -> Array:
-    """Return the object's true distances (2,) [px] from the centres of the two narrow images, now.
+def foveal_errors(twin: Twin, settings: GazeSettings) -> Array:
+    """Return the object's true distances (E,) [px] from the centres of these images, now.
 
     The centres are the principal points of the calibration: the controller does not know the true
     ones, which cannot be seen in an image. Infinite where the object is behind a camera.
     """
-    centres = [calibration.camera(name).intrinsics.matrix[:2, 2] for name in NARROW]
-    errors = np.array([np.linalg.norm(offset) for offset in true_pixels(twin) - centres], float)
+    cameras = settings.calibration.cameras
+    centres = [cameras[name].intrinsics.matrix[:2, 2] for name in settings.narrow]
+    offsets = true_pixels(twin, settings) - centres
+    errors = np.array([np.linalg.norm(offset) for offset in offsets], float)
     return np.nan_to_num(errors, nan=np.inf)
 
 
-def in_both_foveas(twin: Twin) -> bool:
-    """Return whether the object's centre is truly within both narrow images, now."""
+def in_all_foveas(twin: Twin, settings: GazeSettings) -> bool:
+    """Return whether the object's centre is truly within these images, now."""
     return all(
         is_central(twin.truth.camera(name).intrinsics, pixel, share=1.0)
-        for name, pixel in zip(NARROW, true_pixels(twin), strict=True)
+        for name, pixel in zip(settings.narrow, true_pixels(twin, settings), strict=True)
     )
 
 

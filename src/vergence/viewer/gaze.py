@@ -29,7 +29,7 @@ from vergence.gaze.commands import EYES_4, HEAD_JOINTS, NECK, commanded
 from vergence.gaze.foveation import ideal_wide_pixel
 from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base
-from vergence.geometry.kinematics import EYES
+from vergence.geometry.kinematics import EYE_COLUMNS, EYES, Side
 from vergence.geometry.se3 import inverse, transform
 from vergence.viewer import style
 from vergence.viewer.frame import log_frame, time_columns
@@ -50,7 +50,8 @@ class Moment:
     commanded: Array
     """(7,) commanded joint angles [rad], at the moment of the image."""
     axes: Array
-    """(2, 2, 3) by eye: the narrow camera's centre and a point on its axis, in frame body."""
+    """(E, 2, 3) by eye: the centre of the camera to be centred and a point on its axis, in frame
+    body. E is 2, or 1 for a head that uses one eye."""
     fused: Array
     """(3,) filtered position of the object, in frame body; NaN: no estimate."""
     one_frame: Array
@@ -58,7 +59,7 @@ class Moment:
     truth: Array
     """(3,) true position of the object, in frame body; NaN: unknown, or the object is hidden."""
     errors_px: Array
-    """(2,) true distance of the object from the centre of the left and right narrow image."""
+    """(E,) by eye: true distance of the object from the centre of the image to be centred."""
     hand: Array
     """(3,) position of the hand, in frame body; NaN: there is none."""
 
@@ -85,7 +86,7 @@ def moment(
         lanes={"gaze": state.phase.value, **lanes},
         readings=readings,
         commanded=commanded(state.commands, frame.time_s),
-        axes=_axes(settings.calibration, readings, state),
+        axes=_axes(settings, readings, state),
         fused=nowhere if state.track is None else state.track.position,
         one_frame=nowhere if state.measured is None else state.measured,
         truth=truth,
@@ -94,18 +95,20 @@ def moment(
     )
 
 
-def _cameras(head: HeadCalibration, readings: Array) -> list[Array]:
-    """Return the poses (4, 4) of the narrow cameras in frame body, at joint readings (7,)."""
-    return [
-        T_body_base(head, eye, readings) @ T_base_cam(head, f"{eye}_narrow", angles)
-        for eye, angles in zip(EYES, readings[EYES_4].reshape(2, 2), strict=True)
-    ]
+def _cameras(settings: GazeSettings, readings: Array) -> dict[Side, Array]:
+    """Return by eye the pose (4, 4) of the camera to be centred in frame body, at readings (7,)."""
+    head = settings.calibration
+    return {
+        eye: T_body_base(head, eye, readings)
+        @ T_base_cam(head, cameras.narrow, readings[EYES_4][EYE_COLUMNS[eye]])
+        for eye, cameras in settings.eyes.items()
+    }
 
 
-def _axes(head: HeadCalibration, readings: Array, state: GazeState) -> Array:
+def _axes(settings: GazeSettings, readings: Array, state: GazeState) -> Array:
     """Return Moment.axes; an axis ends at the object's distance where that is known."""
     found = []
-    for T in _cameras(head, readings):
+    for T in _cameras(settings, readings).values():
         length = style.AXIS_M
         if state.track is not None:
             length = float(np.linalg.norm(state.track.position - T[:3, 3]))
@@ -116,18 +119,22 @@ def _axes(head: HeadCalibration, readings: Array, state: GazeState) -> Array:
 def aims(settings: GazeSettings, state: GazeState, frame: Frame) -> dict[str, Array]:
     """Return by camera the target pixel (2,) of the object.
 
-    In a narrow image that is the principal point; in a wide image the pixel of Eqs. 18-19 for the
-    estimated depth, or its limit at infinity while there is no estimate.
+    In the image to be centred that is the principal point; in the wide image of another camera the
+    pixel of Eqs. 18-19 for the estimated depth, or its limit at infinity while there is none.
     """
     head = settings.calibration
     readings = np.concatenate([frame.neck_angles, frame.eye_angles])
     found = {}
-    for eye, T in zip(EYES, _cameras(head, readings), strict=True):
-        found[f"{eye}_narrow"] = head.camera(f"{eye}_narrow").intrinsics.matrix[:2, 2]
+    for eye, T in _cameras(settings, readings).items():
+        cameras = settings.eyes[eye]
+        found[cameras.narrow] = head.camera(cameras.narrow).intrinsics.matrix[:2, 2]
+        if cameras.wide == cameras.narrow:
+            continue
         depth = np.inf
         if state.track is not None:
             depth = float(transform(inverse(T), state.track.position)[2])
-        found[f"{eye}_wide"] = ideal_wide_pixel(head, eye, depth if depth > 0 else np.inf)
+        depth = depth if depth > 0 else np.inf
+        found[cameras.wide] = ideal_wide_pixel(head, eye, depth, cameras=cameras)
     return found
 
 
@@ -218,13 +225,14 @@ def log_gaze_series(
     rec: rr.RecordingStream,
     moments: Sequence[Moment],
     *,
+    eyes: Sequence[Side] = EYES,
     first: int = 0,
     lanes: Mapping[str, str] = MappingProxyType({}),
 ) -> None:
     """Record curves, trails and states of moments, which are in order of time.
 
     Of a long run parts can be recorded: `first` is then the number of the first moment, and `lanes`
-    are those of the moment before.
+    are those of the moment before. `eyes` are those that are used, E of them.
     """
     if not moments:
         return
@@ -240,7 +248,7 @@ def log_gaze_series(
     }
     for k, axis in enumerate(style.AXIS_COLOURS):
         series |= {f"position/{axis}": fused[:, k], f"position/true_{axis}": truth[:, k]}
-    for k, eye in enumerate(EYES):
+    for k, eye in enumerate(eyes):
         series[f"gaze_error/{eye}"] = errors[:, k]
     for k, joint in enumerate(HEAD_JOINTS):
         series[_joint(joint)] = np.array([m.readings[k] for m in moments])
@@ -257,7 +265,7 @@ def log_gaze_series(
                 f"world/gaze/{name}", times, rr.Points3D.columns(positions=points[good])
             )
     strips = np.array([m.axes for m in moments]).reshape(-1, 2, 3)
-    rays = rr.LineStrips3D.columns(strips=list(strips)).partition(np.full(len(moments), 2))
+    rays = rr.LineStrips3D.columns(strips=list(strips)).partition(np.full(len(moments), len(eyes)))
     rec.send_columns("world/gaze/axes", time_columns(time_s, index), rays)
     _log_lanes(rec, moments, first, lanes)
 

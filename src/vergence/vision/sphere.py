@@ -21,11 +21,15 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebpts2, chebvander
 
 from vergence.arrays import Array
+from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, normalise, normalise_area, project
+from vergence.vision.detector import Detection, Detector, windows
 
+COLOURS = ("red", "blue")
+STD_PX = 0.1
+"""Standard deviation of a sphere's centre: more than noise makes, for blur and soft shadows."""
 _THRESHOLD = 100  # grey levels of colour contrast above which a pixel belongs to the sphere
 _BAND_ROWS = 96  # processed at a time: allocating memory for a whole image is slow
-_SEARCH_RADIUS = 0.2  # of the image's width, around the pixel where the search begins
 _MARGIN_PX = 3  # for soft edges: blur and anti-aliasing extend over two pixels, plus a reserve
 _MIN_PIXELS = 4
 _POINTS = np.asarray(chebpts2(16), dtype=float)
@@ -33,6 +37,29 @@ _POINTS = np.asarray(chebpts2(16), dtype=float)
 interpolate windows of 120 px to 1e-10 px, and the whole image to 3e-4 px."""
 _COEFFICIENTS = np.linalg.inv(chebvander(_POINTS, len(_POINTS) - 1))
 """Matrix from values at the points to the coefficients of their Chebyshev polynomial."""
+
+
+def sphere_detector(colour: Literal["red", "blue"] = "red", *, std_px: float = STD_PX) -> Detector:
+    """Return a detector of the largest sphere of a colour.
+
+    Args:
+        colour: of the sphere.
+        std_px: standard deviation of its centre to report.
+
+    Raises:
+        VergenceError: spheres of this colour are not detected, or the standard deviation is not
+            positive.
+    """
+    if colour not in COLOURS:
+        raise VergenceError(f"Spheres are {' or '.join(COLOURS)}, found {colour!r}.")
+    if not std_px > 0:
+        raise VergenceError(f"The standard deviation must be above 0 px, found {std_px:g}.")
+
+    def detect(image: np.ndarray, camera: Camera, near: Array | None) -> Detection | None:
+        pixel = find_sphere(image, camera, colour=colour, near=near)
+        return Detection(pixel, std_px) if np.isfinite(pixel).all() else None
+
+    return detect
 
 
 def find_sphere(
@@ -58,16 +85,11 @@ def find_sphere(
         completely there; NaN if no region of at least four pixels lies completely in the image.
     """
     planes = (0, 1, 2) if colour == "red" else (2, 1, 0)  # the sphere's own colour first
-    window = None
-    if near is not None and np.isfinite(near).all():
-        reach = round(_SEARCH_RADIUS * image.shape[1])
-        u, v = near.round().astype(int)
-        rows = slice(max(v - reach, 0), min(v + reach, image.shape[0]))
-        columns = slice(max(u - reach, 0), min(u + reach, image.shape[1]))
+    for rows, columns in windows(image, near):
         window = _sphere_window(image, planes, rows, columns)
-    if window is None:
-        window = _sphere_window(image, planes, slice(0, image.shape[0]), slice(0, image.shape[1]))
-    return np.full(2, np.nan) if window is None else _centre(image, planes, *window, camera)
+        if window is not None:
+            return _centre(image, planes, *window, camera)
+    return np.full(2, np.nan)
 
 
 def _sphere_window(

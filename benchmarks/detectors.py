@@ -1,0 +1,116 @@
+"""Final error of the gaze by detector and by cameras: a sphere, a marker and a template.
+
+    python benchmarks/detectors.py [--trials 40] [--profile ideal] [--seed 0]
+
+The trials are those of `vergence foveate`: an object appears, and half a second later its true
+distance from the image's centre is measured, in the worse eye. With the wide cameras alone the head
+has no others: calibration, roles and error are those of the wide images. Pixels of a wide camera
+are 4.3 times as large as those of a narrow one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import cv2
+import numpy as np
+import tyro
+
+from vergence.demos.experiment import p95
+from vergence.demos.foveate import run_trial, targets
+from vergence.gaze.state import GazeSettings
+from vergence.twin.card import Card, marker_card
+from vergence.twin.head import Twin
+from vergence.twin.profile import load_profile
+from vergence.twin.simulated_robot import calibrate_twin, unoccluded
+from vergence.vision.detector import Detector
+from vergence.vision.marker import marker_detector
+from vergence.vision.sphere import sphere_detector
+from vergence.vision.template import template_detector
+
+DICTIONARY, MARKER = "DICT_4X4_50", 7
+CARD_M = 0.1
+"""Side of the marker, and of the picture: 19 px in a wide image at 1.5 m."""
+PICTURE_PX, DETAIL = 400, 12
+"""Side of the picture, and how many of its details lie side by side: two pixels each at 1.5 m."""
+TEMPLATE_PX = 100
+SCALES = tuple(np.geomspace(0.16, 1.1, 11).tolist())
+"""Sizes of the picture in a wide image, relative to the template: at 1.6 m to 0.27 m."""
+
+
+def picture(seed: int = 0) -> np.ndarray:
+    """Return a smooth random picture (PICTURE_PX, PICTURE_PX, 3) uint8."""
+    noise = np.random.default_rng([seed, 12]).normal(size=(PICTURE_PX, PICTURE_PX))
+    smooth = cv2.GaussianBlur(noise, (0, 0), PICTURE_PX / DETAIL / 2)
+    low, high = np.quantile(smooth, [0.02, 0.98])
+    grey = 25 + 210 * np.clip((smooth - low) / (high - low), 0, 1)
+    return np.repeat(grey.round().astype(np.uint8)[..., None], 3, axis=-1)
+
+
+def picture_detector() -> Detector:
+    """Return the detector of the picture."""
+    small = cv2.resize(picture(), (TEMPLATE_PX, TEMPLATE_PX), interpolation=cv2.INTER_AREA)
+    return template_detector(small, scales=SCALES)
+
+
+def wide_alone(settings: GazeSettings) -> GazeSettings:
+    """Return the settings of a head that has no narrow cameras."""
+    head = settings.calibration
+    wide = {name: head.cameras[name] for name in settings.wide}
+    return replace(settings, calibration=replace(head, cameras=wide))
+
+
+KINDS: dict[str, tuple[Card | None, Detector, bool]] = {
+    "four cameras, sphere": (None, sphere_detector(), False),
+    "wide alone, sphere": (None, sphere_detector(), True),
+    "wide alone, marker": (
+        marker_card(DICTIONARY, MARKER, CARD_M),
+        marker_detector(DICTIONARY, MARKER),
+        True,
+    ),
+    "wide alone, template": (Card(picture(), CARD_M), picture_detector(), True),
+}
+"""By name: the card that is shown, None for the sphere, its detector, and whether the head has wide
+cameras only."""
+
+
+def final_errors(
+    kind: str, *, trials: int, profile: str, seed: int, calibration: GazeSettings | None = None
+) -> tuple[list[float], int]:
+    """Return the final errors [px] of trials, and how many lost the object.
+
+    Settings with a calibration may be given; None: the twin is calibrated.
+    """
+    card, detect, alone = KINDS[kind]
+    with Twin(load_profile(profile), seed=seed, card=card) as twin:
+        settings = calibrate_twin(twin, seed) if calibration is None else calibration
+        settings = replace(settings, objects={"object": detect})
+        settings = wide_alone(settings) if alone else settings
+        places = targets(trials, seed, free=partial(unoccluded, twin, margin_m=CARD_M / 2))
+        made = [run_trial(twin, settings, k, place) for k, place in enumerate(places, start=1)]
+    return [trial.final_px for trial in made], sum(trial.lost for trial in made)
+
+
+def main(trials: int = 40, profile: str = "ideal", seed: int = 0) -> None:
+    """Print a table of final errors.
+
+    Args:
+        trials: number of objects of each kind.
+        profile: error profile.
+        seed: of everything random.
+    """
+    print(
+        "| cameras, object | median [px] | 95 % [px] | worst [px] | lost |\n|---|---|---|---|---|"
+    )
+    for kind in KINDS:
+        found, lost = final_errors(kind, trials=trials, profile=profile, seed=seed)
+        print(
+            f"| {kind} | {np.median(found):.3f} | {p95(found):.3f} | {max(found):.3f} "
+            f"| {lost} of {trials} |",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,76 @@
+"""The gaze on the twin with wide cameras alone, by marker and by template: few of the benchmark's.
+
+The benchmark is benchmarks/detectors.py.
+"""
+
+import numpy as np
+import pytest
+
+from detectors import CARD_M, DICTIONARY, KINDS, MARKER, final_errors, picture
+from vergence.errors import VergenceError
+from vergence.gaze.state import GazeSettings
+from vergence.geometry.projection import project_point
+from vergence.twin.card import Card, marker_card
+from vergence.twin.head import Twin
+from vergence.twin.model import as_built_head, nominal_head
+from vergence.twin.profile import load_profile
+from vergence.vision.marker import marker_detector
+
+
+def true_settings(profile: str) -> GazeSettings:
+    truth = as_built_head(nominal_head("2.8mm"), load_profile(profile), 0)
+    return GazeSettings(calibration=truth, joint_std_rad=2.6e-3)
+
+
+@pytest.mark.render
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if "alone" in kind])
+def test_a_head_with_wide_cameras_alone_centres_what_it_is_told_to_look_at(kind: str):
+    found, lost = final_errors(
+        kind, trials=2, profile="paper", seed=0, calibration=true_settings("paper")
+    )
+    assert lost == 0
+    assert max(found) < 3
+
+
+@pytest.mark.render
+def test_a_card_shows_its_picture_upright_at_the_place_of_the_object():
+    card = Card(np.dstack([picture(1)[..., 0], picture(2)[..., 0], picture(3)[..., 0]]), CARD_M)
+    with Twin(load_profile("ideal"), card=card) as twin:
+        place = np.array([0.3, -0.046, 0.0])
+        twin.place_object(place)
+        image = twin.capture(("left_wide",)).images["left_wide"]
+        half = CARD_M / 2 * 0.6
+        angles = twin.true_angles()[3:]
+        for y, z, down, right in ((1, 1, 0.2, 0.2), (1, -1, 0.8, 0.2), (-1, 1, 0.2, 0.8)):
+            corner = place + half * np.array([0.0, y, z])
+            u, v = project_point(twin.truth, "left_wide", angles, corner).round().astype(int)
+            side = len(card.picture)
+            expected = card.picture[round(down * side), round(right * side)].astype(int)
+            assert np.abs(image[v, u] - expected).max() < 45
+
+
+@pytest.mark.render
+def test_the_marker_of_a_card_is_centred_on_the_object():
+    with Twin(load_profile("ideal"), card=marker_card(DICTIONARY, MARKER, CARD_M)) as twin:
+        place = np.array([0.5, -0.1, 0.08])
+        twin.place_object(place)
+        image = twin.capture(("right_wide",)).images["right_wide"]
+        camera = twin.truth.camera("right_wide").intrinsics
+        found = marker_detector(DICTIONARY, MARKER)(image, camera, None)
+        truth = project_point(twin.truth, "right_wide", twin.true_angles()[3:], twin.true_object())
+    assert found is not None
+    assert np.linalg.norm(found.pixel - truth) < 0.3
+
+
+@pytest.mark.parametrize(
+    ("made", "words"),
+    [
+        (lambda: Card(np.zeros((10, 10)), 0.1), "float64"),
+        (lambda: Card(picture(), 2.0), "up to 1 m wide, found 2 m"),
+        (lambda: marker_card("DICT_9X9", 0, 0.1), "'DICT_9X9'"),
+        (lambda: marker_card(DICTIONARY, 50, 0.1), "0 to 49"),
+    ],
+)
+def test_cards_that_cannot_be_shown_are_refused(made, words: str):
+    with pytest.raises(VergenceError, match=words):
+        made()
