@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
+from vergence.geometry.camera import Camera
 from vergence.geometry.head import Accuracy, HeadCalibration, main_pair
 from vergence.geometry.kinematics import EYE_COLUMNS, T_base_eye, axes_row, eye_jacobians
 from vergence.geometry.parameters import camera_columns, parameter_names
@@ -179,7 +180,8 @@ def _moved_by_parameters(
         angles, axes = joints[:, EYE_COLUMNS[mounted.eye]], axes_row(head.axes[mounted.eye])
         T = T_base_eye(angles, axes)
         by_axes, _ = eye_jacobians(angles, np.broadcast_to(axes, (len(points), 6)))
-        pinhole = replace(mounted.intrinsics, distortion=np.zeros(5))
+        lens = mounted.intrinsics
+        pinhole = Camera(lens.width, lens.height, lens.matrix)
         J, ideal = (
             project_with_jacobians(
                 replace(mounted, intrinsics=lens), head.T_rbase_lbase, T, points[:, None]

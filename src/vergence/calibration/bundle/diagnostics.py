@@ -8,7 +8,6 @@ from vergence.arrays import Array
 from vergence.calibration.bundle.adjustment import Adjusted
 from vergence.calibration.bundle.problem import BundleProblem, eye_poses
 from vergence.geometry.kinematics import EYES
-from vergence.geometry.parameters import parameter_names
 from vergence.geometry.se3 import rotvec
 
 SMALL_RAD = 0.05
@@ -85,7 +84,7 @@ def _of_camera(problem: BundleProblem, c: int) -> str:
 
 def _unobservable(problem: BundleProblem, found: Adjusted) -> list[str]:
     """Return a sentence for each set of owners whose parameters the data hardly determine."""
-    names = [n.removeprefix("camera.").rpartition(".") for n in parameter_names(problem.cameras)]
+    names = [n.removeprefix("camera.").rpartition(".") for n in problem.parameters]
     owner = [before or after for before, _, after in names]
     word = [_WORDS.get(after, after) if before else "" for before, _, after in names]
     said = []
