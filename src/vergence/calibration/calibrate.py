@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -14,7 +14,12 @@ from vergence.calibration.checks import board_flips, encoders, excitation
 from vergence.calibration.checks.cross_validation import held_out
 from vergence.calibration.detection import detect_target
 from vergence.calibration.observations import Observations, camera_eyes
-from vergence.calibration.sequential.intrinsics import LensModel, calibrate_intrinsics
+from vergence.calibration.sequential.intrinsics import (
+    LensModel,
+    calibrate_intrinsics,
+    lenses_of_the_paper,
+)
+from vergence.calibration.sequential.lens_choice import Lens, LensChoice, choose_lenses
 from vergence.calibration.sequential.sequential import SequentialCalibration, calibrate_sequentially
 from vergence.calibration.summary import summary_lines
 from vergence.data.dataset import Dataset
@@ -44,6 +49,8 @@ class CalibrationResult:
     """By the paper's method."""
     estimate: BundleEstimate | None
     """With residuals and the boards' poses; None: the paper's method was asked for."""
+    lenses: Mapping[str, LensChoice] = field(default_factory=dict)
+    """By camera its lens model, and how well others predicted held-out images."""
 
     @property
     def accuracy(self) -> Accuracy:
@@ -65,7 +72,8 @@ def calibrate(
     data: Dataset | Observations,
     *,
     method: Method = "bundle",
-    wide_lens: LensModel = "radial-tangential",
+    lens: Lens | Mapping[str, Lens] = "auto",
+    wide_lens: LensModel | None = None,
     progress: Progress = silent,
 ) -> CalibrationResult:
     """Calibrate a head, and predict each fold of its views from the others.
@@ -74,7 +82,11 @@ def calibrate(
         data: a dataset, in whose images the board is then sought; or the observations of one's own
             detector.
         method: the paper's steps alone, or bundle adjustment, which starts from them.
-        wide_lens: distortion of the wide cameras; the narrow ones have none.
+        lens: lens model of all cameras, or by camera; "auto": the one that predicts held-out images
+            best or, for the paper's method, the paper's: radial-tangential, and none for the narrow
+            cameras.
+        wide_lens: lens model of all cameras but the narrow ones, which then have none; takes the
+            place of `lens`.
         progress: see vergence.progress.
 
     Raises:
@@ -98,7 +110,9 @@ def calibrate(
                 f"are not observable; record at least {LEAST_VIEWS}, better 10, at different "
                 "distances and slants."
             )
-    intrinsics = calibrate_intrinsics(seen, wide_lens=wide_lens)
+    lenses = _lenses(seen, method, lens, wide_lens)
+    models = {name: choice.model for name, choice in lenses.items()}
+    intrinsics = calibrate_intrinsics(seen, lenses=models)
     points = corner_points(data.board)
     # Once for each image: all that follows asks for these.
     T_cam_target = {
@@ -127,7 +141,7 @@ def calibrate(
         part = observations.take(rows)
         if estimate is None:
             at_rest = part.take(part.at_rest)
-            return calibrate_sequentially(at_rest, wide_lens=wide_lens).head
+            return calibrate_sequentially(at_rest, lenses=models).head
         levels = estimate.joint_std
         # One level for all joints is given; the folds are hardly the worse for it.
         mean = float(np.sqrt(np.mean(np.square(levels))))
@@ -157,8 +171,28 @@ def calibrate(
     )
     remarks = (*observations.remarks, *board_flips.remarks(renumbered))
     return CalibrationResult(
-        replace(head, accuracy=accuracy), replace(observations, remarks=remarks), start, estimate
+        replace(head, accuracy=accuracy),
+        replace(observations, remarks=remarks),
+        start,
+        estimate,
+        lenses,
     )
+
+
+def _lenses(
+    seen: Observations,
+    method: Method,
+    lens: Lens | Mapping[str, Lens],
+    wide_lens: LensModel | None,
+) -> dict[str, LensChoice]:
+    """Return the lens model of every camera."""
+    if wide_lens is not None:
+        return choose_lenses(seen, lenses_of_the_paper(seen, wide_lens))
+    if method == "paper":
+        stated = dict.fromkeys(seen.corners, lens) if isinstance(lens, str) else lens
+        own = {name: each for name, each in stated.items() if each != "auto"}
+        return choose_lenses(seen, {**lenses_of_the_paper(seen), **own})
+    return choose_lenses(seen, lens)
 
 
 def _take(T_cam_target: Mapping[str, Array], rows: np.ndarray) -> dict[str, Array]:

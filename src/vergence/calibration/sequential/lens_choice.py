@@ -44,6 +44,9 @@ LEAST_VIEWS = 10
 """Of a camera, for a choice; with fewer the paper's model is taken."""
 MOST_VIEWS = 60
 """More views, spread over the recording, would not change the choice, and take time."""
+PROMISING = 4.0
+"""Fall of the sum of squares for each coefficient more, in variances of a corner, from which the
+rational model may predict better; coefficients of no use give 1."""
 
 
 @dataclass(frozen=True)
@@ -110,11 +113,14 @@ def best_lens(
     if len(usable) < LEAST_VIEWS:
         return LensChoice(otherwise)
     corners = corners[usable]
+    fits = _fits(corners, points, size)
+    if "rational" in fits and not _promises(fits):
+        del fits["rational"]
     squares = {
         model: held_out_squares(
             fit, free_intrinsics(model), corners, points, refit=model == "rational"
         )
-        for model, fit in _fits(corners, points, size).items()
+        for model, fit in fits.items()
     }
     squares = {model: each for model, each in squares.items() if np.isfinite(each).all()}
     if not squares:
@@ -163,6 +169,18 @@ def _pinhole_start(corners: Array, points: Array, size: tuple[int, int]) -> Star
         return None
     poses = board_poses(camera, corners, points)
     return (camera, poses) if np.isfinite(poses).all() else None
+
+
+def _promises(fits: Mapping[LensModel, LensFit]) -> bool:
+    """Return whether the rational model fits so much better that its folds are worth their time."""
+    others = {model: fit.sum_squares for model, fit in fits.items() if model != "rational"}
+    if not others:
+        return True
+    best = min(others, key=lambda model: others[model])
+    more = FREE_COEFFICIENTS["rational"] - FREE_COEFFICIENTS[best]
+    rational = fits["rational"]
+    variance = rational.sum_squares / np.count_nonzero(rational.errors)
+    return others[best] - rational.sum_squares > PROMISING * more * variance
 
 
 def _determined(model: LensModel, fit: LensFit) -> bool:

@@ -183,7 +183,7 @@ def held_out_squares(
         if refit:
             T = fit.T_cam_target
             lens = fit_lens(
-                fit.camera, free, T[~mine], corners[~mine], points, tolerance=ROUGH
+                fit.camera, free, T[~mine], corners[~mine], points, iterations=20, tolerance=ROUGH
             ).camera
             squares[mine] = refined_poses(lens, corners[mine], points, T[mine])[1]
         else:
