@@ -12,6 +12,7 @@ from vergence.arrays import Array
 from vergence.calibration.bundle.bundle_adjustment import BundleEstimate, bundle_adjust
 from vergence.calibration.checks import board_flips, encoders, excitation
 from vergence.calibration.checks.cross_validation import held_out
+from vergence.calibration.checks.lens_map import edge_warnings
 from vergence.calibration.detection import detect_target
 from vergence.calibration.observations import Observations, camera_eyes
 from vergence.calibration.sequential.intrinsics import (
@@ -154,6 +155,9 @@ def calibrate(
         )
         return replace(found.head, accuracy=replace(found.accuracy, joint_std=levels))
 
+    at_the_edge = ()
+    if estimate is not None:
+        at_the_edge = edge_warnings(head, observations.corners, estimate.residuals_px)
     checked, doubts = _cross_validated(observations, of_part)
     progress("calibrating", 3, 3)
     warnings = (
@@ -161,6 +165,7 @@ def calibrate(
         *encoders.doubts(head),
         *excitation.doubts(observations, T_cam_target, head, focal_std),
         *accuracy.warnings,
+        *at_the_edge,
         *doubts,
     )
     accuracy = replace(

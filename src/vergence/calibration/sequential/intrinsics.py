@@ -22,6 +22,7 @@ from vergence.geometry.projection import by_pose_of_points
 from vergence.geometry.se3 import pose, rotation, transform
 from vergence.vision.board_pose import (
     board_poses,
+    determines_pose,
     refined_poses,
     seen_corners,
     seen_from_the_other_side,
@@ -57,6 +58,7 @@ FREE_COEFFICIENTS: dict[LensModel, int] = {
     "fisheye": 4,
 }
 """How many coefficients are fitted: the first ones of geometry.lens."""
+LEAST_VIEWS = 3
 SLANT_DOUBTED = 4.0
 """Mean square of a view's errors, relative to that of the typical view, from which the board's
 slant is doubted."""
@@ -150,9 +152,9 @@ def calibrate_camera(
             determine the focal length.
     """
     usable = seen_corners(corners).sum(axis=1) >= 4
-    if usable.sum() < 3:
+    if usable.sum() < LEAST_VIEWS:
         raise VergenceError(
-            f"Intrinsics need at least 3 views of the board, found {usable.sum()}; "
+            f"Intrinsics need at least {LEAST_VIEWS} views of the board, found {usable.sum()}; "
             "show the whole board to the camera at different angles."
         )
     try:
@@ -166,15 +168,26 @@ def _fitted(
     corners: Array, points: Array, size: tuple[int, int], lens_model: LensModel
 ) -> Intrinsics:
     if lens_model in _BY_OPENCV:
-        camera, poses, rms = by_opencv(corners, points, size, lens_model)
-    else:
-        fit = fit_model(lens_model, None, corners, points, size)
-        camera, poses = fit.camera, fit.T_cam_target
-        rms = np.sqrt(fit.sum_squares / np.count_nonzero(seen_corners(corners)))
-    std = _focal_std(camera, len(free_intrinsics(lens_model)), poses, corners, points)
+        try:
+            camera, poses, rms = by_opencv(corners, points, size, lens_model)
+            return _checked(camera, poses, rms, corners, points, lens_model)
+        except (cv2.error, ValueError, np.linalg.LinAlgError, VergenceError):
+            pass  # a board on one line of corners, or found slanted the other way
+    corners = corners[determines_pose(points, seen_corners(corners))]
+    if len(corners) < LEAST_VIEWS:
+        raise VergenceError(_NOT_OBSERVABLE)
+    fit = fit_model(lens_model, None, corners, points, size)
+    rms = np.sqrt(fit.sum_squares / np.count_nonzero(seen_corners(corners)))
+    return _checked(fit.camera, fit.T_cam_target, float(rms), corners, points, lens_model)
+
+
+def _checked(
+    camera: Camera, poses: Array, rms: float, corners: Array, points: Array, model: LensModel
+) -> Intrinsics:
+    std = _focal_std(camera, len(free_intrinsics(model)), poses, corners, points)
     if not (std < USELESS * camera.matrix[[0, 1], [0, 1]]).all():
         raise VergenceError(_NOT_OBSERVABLE)
-    return Intrinsics(camera, float(rms), len(corners), (float(std[0]), float(std[1])))
+    return Intrinsics(camera, rms, len(corners), (float(std[0]), float(std[1])))
 
 
 def by_opencv(
@@ -249,6 +262,23 @@ def fit_model(
     return fit_lens(fit.camera, free, T, corners, points, tolerance=tolerance)
 
 
+def pinhole_start(corners: Array, points: Array, size: tuple[int, int]) -> Start | None:
+    """Return a camera without distortion and the boards before it (Zhang's closed form)."""
+    seen = seen_corners(corners)
+    try:
+        with repeatable():
+            matrix = cv2.initCameraMatrix2D(
+                [points[each].astype(np.float32) for each in seen],
+                [view[each].astype(np.float32) for view, each in zip(corners, seen, strict=True)],
+                size,
+            )
+        camera = Camera(*size, np.asarray(matrix, float))
+    except (cv2.error, ValueError):
+        return None
+    poses = board_poses(camera, corners, points)
+    return (camera, poses) if np.isfinite(poses).all() else None
+
+
 def free_intrinsics(lens_model: LensModel) -> np.ndarray:
     """Return which intrinsics a lens model leaves free, as indices of intrinsics_names."""
     return np.arange(len(PINHOLE) + FREE_COEFFICIENTS[lens_model])
@@ -274,7 +304,12 @@ def _fit_from(
         camera = _rational(*start, points)
     else:
         if start is None:
-            start = by_opencv(corners, points, size, "radial-tangential")[:2]
+            start = pinhole_start(corners, points, size)
+            if start is None:
+                start = by_opencv(corners, points, size, "radial-tangential")[:2]
+            elif lens_model == "radial-tangential-k3":
+                before = _fit_from("radial-tangential", start, corners, points, size, ROUGH)
+                start = before.camera, before.T_cam_target
         k = np.zeros(5)
         k[: len(free) - len(PINHOLE)] = start[0].distortion[: len(free) - len(PINHOLE)]
         camera = replace(start[0], distortion=k)

@@ -19,17 +19,15 @@ from vergence.calibration.observations import Observations
 from vergence.calibration.sequential.intrinsics import (
     FREE_COEFFICIENTS,
     LensModel,
-    Start,
     fit_model,
     free_intrinsics,
     lenses_of_the_paper,
-    repeatable,
+    pinhole_start,
 )
 from vergence.calibration.sequential.lens_fit import ROUGH, LensFit, held_out_squares
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
-from vergence.geometry.camera import Camera
-from vergence.vision.board_pose import board_poses, determines_pose, seen_corners
+from vergence.vision.board_pose import determines_pose, seen_corners
 
 Lens = LensModel | Literal["auto"]
 CANDIDATES: tuple[LensModel, ...] = (
@@ -138,7 +136,7 @@ def best_lens(
 def _fits(corners: Array, points: Array, size: tuple[int, int]) -> dict[LensModel, LensFit]:
     """Return the fits of the candidates that these views allow; each starts from one before."""
     fits: dict[LensModel, LensFit] = {}
-    pinhole = _pinhole_start(corners, points, size)
+    pinhole = pinhole_start(corners, points, size)
     start = pinhole
     for model in CANDIDATES:
         if model == "rational" and "fisheye" in fits:
@@ -152,23 +150,6 @@ def _fits(corners: Array, points: Array, size: tuple[int, int]) -> dict[LensMode
         if model == "radial-tangential":
             start = fits[model].camera, fits[model].T_cam_target
     return {model: fit for model, fit in fits.items() if _determined(model, fit)}
-
-
-def _pinhole_start(corners: Array, points: Array, size: tuple[int, int]) -> Start | None:
-    """Return a camera without distortion and the boards before it (Zhang's closed form)."""
-    seen = seen_corners(corners)
-    try:
-        with repeatable():
-            matrix = cv2.initCameraMatrix2D(
-                [points[each].astype(np.float32) for each in seen],
-                [view[each].astype(np.float32) for view, each in zip(corners, seen, strict=True)],
-                size,
-            )
-        camera = Camera(*size, np.asarray(matrix, float))
-    except (cv2.error, ValueError):
-        return None
-    poses = board_poses(camera, corners, points)
-    return (camera, poses) if np.isfinite(poses).all() else None
 
 
 def _promises(fits: Mapping[LensModel, LensFit]) -> bool:
