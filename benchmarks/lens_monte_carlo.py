@@ -2,8 +2,9 @@
 
 Simulated heads whose wide cameras have radial-tangential lenses with k3, rational or fisheye lenses
 see boards all over their images; each head is calibrated with the lens model chosen by held-out
-views, or with one that is stated. At pixels of a grid out to the corners, the stated 95 % region of
-where a direction is projected is compared with the truth, and the held-out error with the stated one.
+views, or with one that is stated. At pixels of a grid out to the corners, the stated 95 % region
+of where a direction is projected is compared with the truth, and the held-out error with the stated
+one.
 
     python benchmarks/lens_monte_carlo.py --lens k3 --heads 25
 """

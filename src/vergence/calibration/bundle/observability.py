@@ -37,6 +37,14 @@ _POWERS: dict[CameraModel, tuple[int, ...]] = {
     "fisheye": (2, 4, 6, 8),
 }
 """Of the radius, with which each coefficient moves a point relative to its distance."""
+_MOVED: dict[CameraModel, float] = {
+    "radial-tangential": 0.2,
+    "rational": 0.02,
+    "fisheye": 0.2,
+}
+"""By how much a coefficient may move the image's corner, relative to its distance from the centre.
+Those of a rational lens nearly cancel one another: combinations that the images hardly determine
+would lead far away along a curved valley, and keep their start."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +71,8 @@ def whole_basis(problem: BundleProblem, state: BundleState) -> Array:
         # Of the image's corner: normalised radius or, for a fisheye lens, angle.
         reach = np.hypot(lens.width, lens.height) / 2 / f
         scales += [0.2 * f, 0.2 * f, 0.1 * lens.width, 0.1 * lens.height]
-        # Distortion that moves the image's corner by a fifth of its distance from the centre.
-        scales += (0.2 / reach ** np.array(_POWERS[lens.model])).tolist() + pose
+        moved = _MOVED[lens.model]
+        scales += (moved / reach ** np.array(_POWERS[lens.model])).tolist() + pose
     scales += [*pose, *AXES_STD, *AXES_STD, TIME_S] + pose * len(state.T_lbase_target)
     return np.diag(scales)[:, problem.free]
 
