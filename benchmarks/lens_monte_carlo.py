@@ -66,9 +66,9 @@ def random_lens(kind: str, rng: np.random.Generator) -> Camera:
         k = [rng.uniform(-0.16, -0.08), rng.uniform(0.0, 0.04), *tangential]
         k, model = [*k, rng.uniform(0.005, 0.02)], "radial-tangential"
     elif kind == "rational":
-        f = rng.uniform(200, 300)
-        k = [rng.uniform(0.2, 0.6), rng.uniform(0.01, 0.05), *tangential, 0.001]
-        k, model = [*k, k[0] + rng.uniform(0.2, 0.35), rng.uniform(0.05, 0.12), 0.004], "rational"
+        f = rng.uniform(280, 340)
+        k = [rng.uniform(0.2, 0.5), rng.uniform(0.01, 0.05), *tangential, 0.001]
+        k, model = [*k, k[0] + rng.uniform(0.12, 0.2), rng.uniform(0.05, 0.07), 0.002], "rational"
     else:
         f = rng.uniform(290, 380)  # up to 80 degrees from the axis
         k, model = rng.normal(0, [0.02, 0.008, 0.003, 0.001]), "fisheye"

@@ -20,7 +20,12 @@ from vergence.calibration.sequential.intrinsics import (
     calibrate_intrinsics,
     lenses_of_the_paper,
 )
-from vergence.calibration.sequential.lens_choice import Lens, LensChoice, choose_lenses
+from vergence.calibration.sequential.lens_choice import (
+    Lens,
+    LensChoice,
+    by_camera,
+    choose_lenses,
+)
 from vergence.calibration.sequential.sequential import SequentialCalibration, calibrate_sequentially
 from vergence.calibration.summary import summary_lines
 from vergence.data.dataset import Dataset
@@ -112,7 +117,7 @@ def calibrate(
                 "distances and slants."
             )
     lenses = _lenses(seen, method, lens, wide_lens)
-    models = {name: choice.model for name, choice in lenses.items()}
+    models: dict[str, LensModel] = {name: choice.model for name, choice in lenses.items()}
     intrinsics = calibrate_intrinsics(seen, lenses=models)
     points = corner_points(data.board)
     # Once for each image: all that follows asks for these.
@@ -194,9 +199,10 @@ def _lenses(
     if wide_lens is not None:
         return choose_lenses(seen, lenses_of_the_paper(seen, wide_lens))
     if method == "paper":
-        stated = dict.fromkeys(seen.corners, lens) if isinstance(lens, str) else lens
-        own = {name: each for name, each in stated.items() if each != "auto"}
-        return choose_lenses(seen, {**lenses_of_the_paper(seen), **own})
+        stated: dict[str, Lens] = {**lenses_of_the_paper(seen)}
+        for name, each in by_camera(seen, lens).items():
+            stated[name] = stated.get(name, each) if each == "auto" else each
+        return choose_lenses(seen, stated)
     return choose_lenses(seen, lens)
 
 

@@ -135,7 +135,9 @@ def normalise(camera: Camera, pixels: Array) -> Array:
             error, det = np.maximum(np.abs(error_x), np.abs(error_y)), xx * yy - cross * cross
             x = x - (yy * error_x - cross * error_y) / det
             y = y - (xx * error_y - cross * error_x) / det
-            if not np.nanmax(error, initial=0.0) > 1e-9:  # which this step has squared
+            if (
+                not np.fmax.reduce(np.ravel(error), initial=0.0) > 1e-9
+            ):  # which this step has squared
                 break
         good = (error < 1e-9) & (det > 0)
         good &= x * x + y * y < lens.reach(camera.model, k)  # another sheet may reach back

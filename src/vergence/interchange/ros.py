@@ -30,7 +30,7 @@ _NAMES: dict[CameraModel, str] = {
     "fisheye": "equidistant",
 }
 """ROS's names of the lens models, from sensor_msgs/distortion_models.h."""
-_MODELS = {name: model for model, name in _NAMES.items()}
+_MODELS: dict[str, CameraModel] = {name: model for model, name in _NAMES.items()}
 
 
 class _CameraInfo(Intrinsics):

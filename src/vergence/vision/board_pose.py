@@ -113,5 +113,5 @@ def refined_poses(camera: Camera, corners: Array, points: Array, T: Array) -> tu
             break
         damping = np.where(better, np.maximum(damping / 10, 1e-12), damping * 100)
         damped = H + damping[:, None, None] * H * np.eye(6)
-        step = -np.linalg.solve(damped, g[..., None])[..., 0]
+        step = np.asarray(-np.linalg.solve(damped, g[..., None])[..., 0], dtype=float)
     return best, lowest

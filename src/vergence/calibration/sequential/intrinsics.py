@@ -115,7 +115,8 @@ def calibrate_intrinsics(
     they do not determine its focal length.
     """
     points = corner_points(observations.board)
-    models = lenses_of_the_paper(observations, wide_lens) | dict(lenses or {})
+    models: dict[str, LensModel] = lenses_of_the_paper(observations, wide_lens)
+    models.update(lenses or {})
     found = {}
     for name, corners in observations.corners.items():
         size = observations.sizes[name]

@@ -42,7 +42,7 @@ LEAST_VIEWS = 10
 """Of a camera, for a choice; with fewer the paper's model is taken."""
 MOST_VIEWS = 60
 """More views, spread over the recording, would not change the choice, and take time."""
-PROMISING = 4.0
+PROMISING = 6.0
 """Fall of the sum of squares for each coefficient more, in variances of a corner, from which the
 rational model may predict better; coefficients of no use give 1."""
 
@@ -59,7 +59,9 @@ class LensChoice:
     @property
     def runner_up(self) -> LensModel | None:
         """The best of the candidates that were not taken; None: there was no choice."""
-        others = {name: px for name, px in self.held_out_px.items() if name != self.model}
+        others: dict[LensModel, float] = {
+            name: px for name, px in self.held_out_px.items() if name != self.model
+        }
         return min(others, key=lambda name: others[name]) if others else None
 
 
@@ -75,23 +77,35 @@ def choose_lenses(
     Raises:
         VergenceError: a camera is named that there is not.
     """
-    names = list(observations.corners)
-    wanted = dict.fromkeys(names, lens) if isinstance(lens, str) else dict(lens)
-    unknown = sorted(set(wanted) - set(names))
-    if unknown:
-        raise VergenceError(
-            f"A lens is stated for {unknown[0]!r}; the cameras are {', '.join(names)}."
-        )
+    wanted = by_camera(observations, lens)
     usual, points = lenses_of_the_paper(observations), corner_points(observations.board)
-    choices = {}
-    for name in names:
-        stated = wanted.get(name, "auto")
+    choices: dict[str, LensChoice] = {}
+    for name, stated in wanted.items():
         if stated == "auto":
             corners, size = observations.corners[name], observations.sizes[name]
             choices[name] = best_lens(corners, points, size=size, otherwise=usual[name])
         else:
             choices[name] = LensChoice(stated)
     return choices
+
+
+def by_camera(observations: Observations, lens: Lens | Mapping[str, Lens]) -> dict[str, Lens]:
+    """Return what is stated of each camera's lens; errors are those of choose_lenses."""
+    names = list(observations.corners)
+    stated: dict[str, Lens] = dict.fromkeys(names, lens if isinstance(lens, str) else "auto")
+    if not isinstance(lens, str):
+        unknown = sorted(set(lens) - set(names))
+        if unknown:
+            raise VergenceError(
+                f"A lens is stated for {unknown[0]!r}; the cameras are {', '.join(names)}."
+            )
+        stated.update(lens)
+    wrong = [each for each in stated.values() if each != "auto" and each not in FREE_COEFFICIENTS]
+    if wrong:
+        raise VergenceError(
+            f"There is no lens model {wrong[0]!r}; there are auto, {', '.join(FREE_COEFFICIENTS)}."
+        )
+    return stated
 
 
 def best_lens(
@@ -114,7 +128,7 @@ def best_lens(
     fits = _fits(corners, points, size)
     if "rational" in fits and not _promises(fits):
         del fits["rational"]
-    squares = {
+    squares: dict[LensModel, Array] = {
         model: held_out_squares(
             fit, free_intrinsics(model), corners, points, refit=model == "rational"
         )
@@ -124,7 +138,9 @@ def best_lens(
     if not squares:
         return LensChoice(otherwise)
     count = 2 * np.count_nonzero(seen_corners(corners))
-    held_out = {model: float(np.sqrt(each.sum() / count)) for model, each in squares.items()}
+    held_out: dict[LensModel, float] = {
+        model: float(np.sqrt(each.sum() / count)) for model, each in squares.items()
+    }
     best = min(squares, key=lambda model: squares[model].sum())
     for model, own in squares.items():
         worse = own - squares[best]
@@ -167,4 +183,4 @@ def _promises(fits: Mapping[LensModel, LensFit]) -> bool:
 def _determined(model: LensModel, fit: LensFit) -> bool:
     """Return whether there are more corners than unknowns, and a lens that a camera can have."""
     unknowns = 4 + FREE_COEFFICIENTS[model] + 6 * len(fit.T_cam_target)
-    return np.count_nonzero(fit.errors) > unknowns and bool(np.isfinite(fit.errors).all())
+    return bool(np.count_nonzero(fit.errors) > unknowns and np.isfinite(fit.errors).all())
