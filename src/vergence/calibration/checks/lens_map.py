@@ -16,6 +16,7 @@ from vergence.arrays import Array
 from vergence.geometry.camera import Camera, normalise, project_jacobians
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import intrinsics_names
+from vergence.geometry.se3 import cross
 
 COLUMNS, ROWS = 12, 9
 MIDDLE, EDGE = 0.5, 0.75
@@ -38,8 +39,8 @@ class LensMap:
     v: Array
     """(ROWS,) [px]."""
     std_px: Array
-    """(ROWS, COLUMNS) standard deviation of the pixel of a direction in frame cam (root mean square
-    of its coordinates); NaN where the lens reaches none, or where no covariance is stated."""
+    """(ROWS, COLUMNS) standard deviation of the pixel of a direction, by the lens (root mean square
+    of its coordinates); NaN where it reaches none, or where no covariance is stated."""
     corners: np.ndarray
     """(ROWS, COLUMNS) how many corners were seen; 0: never covered."""
     residual_px: Array
@@ -99,25 +100,58 @@ def _map(head: HeadCalibration, name: str, corners: Array, residuals: Array) -> 
 
 
 def pixel_covariance(head: HeadCalibration, name: str, pixels: Array) -> Array:
-    """Return the covariance (N, 2, 2) [px^2] of where directions in frame cam are projected.
+    """Return the covariance (N, 2, 2) [px^2] of where directions are projected, by the lens.
 
-    The directions are those of the named camera's pixels (N, 2); unknown is its lens. NaN where the
-    lens reaches no direction, or no covariance is stated.
+    The directions are those of the named camera's pixels (N, 2). A turn of the camera that makes up
+    for an error of its lens is of no effect, and taken out: see `without_turn`. NaN where the lens
+    reaches no direction, or no covariance is stated.
     """
     accuracy, camera = head.accuracy, head.camera(name).intrinsics
     total = np.full((len(pixels), 2, 2), np.nan)
     if accuracy is None or not accuracy.parameters:
         return total
-    ray = unit_rays(camera, pixels)
-    found = np.isfinite(ray).all(axis=1)
     known = {each: k for k, each in enumerate(accuracy.parameters)}
     own = [f"{name}.{each}" for each in intrinsics_names(camera)]
     chosen = [k for k, each in enumerate(own) if each in known]
     columns = [known[own[k]] for k in chosen]
-    rows = project_jacobians(camera, ray[found])[2][..., chosen]
+    both = np.concatenate([pixels, reference_pixels(camera)])
+    with np.errstate(invalid="ignore"):
+        rows = project_jacobians(camera, unit_rays(camera, both))[2][..., chosen]
+    rows = without_turn(camera, pixels, rows[: len(pixels)], rows[len(pixels) :])
     C = accuracy.covariance[np.ix_(columns, columns)]
-    total[found] = rows @ C @ np.swapaxes(rows, 1, 2)
-    return total
+    return rows @ C @ np.swapaxes(rows, 1, 2)
+
+
+def reference_pixels(camera: Camera) -> Array:
+    """Return pixels (M, 2) about the image's middle, at which the turn of a camera is told."""
+    x, y = np.meshgrid(*2 * [np.linspace(-1, 1, 9)])
+    place = np.stack([x, y], axis=-1)[np.hypot(x, y) <= 1]
+    middle = np.array([camera.width - 1, camera.height - 1]) / 2
+    return middle + EDGE * middle.min() * place
+
+
+def without_turn(camera: Camera, pixels: Array, errors: Array, at_reference: Array) -> Array:
+    """Return errors (N, 2, n) at pixels (N, 2) less those of the turn that explains them best.
+
+    Least squares over the errors (M, 2, n) at reference_pixels: where a direction is projected
+    depends on how lens and camera frame are divided, and another lens model divides them otherwise;
+    the mounting makes up for it.
+    """
+    by_turn, reference = (
+        cross(unit_rays(camera, each)[:, None], _by_ray(camera, each))
+        for each in (pixels, reference_pixels(camera))
+    )
+    good = np.isfinite(reference).all(axis=(1, 2)) & np.isfinite(at_reference).all(axis=(1, 2))
+    turn = np.linalg.lstsq(
+        reference[good].reshape(-1, 3), at_reference[good].reshape(-1, at_reference.shape[-1])
+    )[0]
+    return errors - by_turn @ turn
+
+
+def _by_ray(camera: Camera, pixels: Array) -> Array:
+    """Return derivatives (N, 2, 3) of pixels by the directions seen there."""
+    with np.errstate(invalid="ignore"):
+        return project_jacobians(camera, unit_rays(camera, pixels))[1]
 
 
 def unit_rays(camera: Camera, pixels: Array) -> Array:

@@ -42,7 +42,7 @@ LEAST_VIEWS = 10
 """Of a camera, for a choice; with fewer the paper's model is taken."""
 MOST_VIEWS = 60
 """More views, spread over the recording, would not change the choice, and take time."""
-PROMISING = 6.0
+PROMISING = 4.0
 """Fall of the sum of squares for each coefficient more, in variances of a corner, from which the
 rational model may predict better; coefficients of no use give 1."""
 
@@ -170,7 +170,9 @@ def _fits(corners: Array, points: Array, size: tuple[int, int]) -> dict[LensMode
 
 def _promises(fits: Mapping[LensModel, LensFit]) -> bool:
     """Return whether the rational model fits so much better that its folds are worth their time."""
-    others = {model: fit.sum_squares for model, fit in fits.items() if model != "rational"}
+    others: dict[LensModel, float] = {
+        model: fit.sum_squares for model, fit in fits.items() if model != "rational"
+    }
     if not others:
         return True
     best = min(others, key=lambda model: others[model])
