@@ -2,7 +2,8 @@
 
 Every candidate is fitted to the views of one camera, and each view is predicted by the lens of
 the others: only the board's pose is fitted in it. The model of least error wins, unless a simpler
-one is worse by no more than the standard error of the difference, view by view.
+one is worse by no more than the standard error of the difference, view by view, or two of them if
+the winner is a fisheye or a rational lens.
 """
 
 from __future__ import annotations
@@ -42,6 +43,9 @@ LEAST_VIEWS = 10
 """Of a camera, for a choice; with fewer the paper's model is taken."""
 MOST_VIEWS = 60
 """More views, spread over the recording, would not change the choice, and take time."""
+MARGIN: dict[LensModel, float] = {"fisheye": 2.0, "rational": 2.0}
+"""Standard errors by which a model must predict better than a simpler one, where not one: these do
+not contain the usual models, which mild lenses fit nearly as well."""
 PROMISING = 4.0
 """Fall of the sum of squares for each coefficient more, in variances of a corner, from which the
 rational model may predict better; coefficients of no use give 1."""
@@ -144,7 +148,7 @@ def best_lens(
     best = min(squares, key=lambda model: squares[model].sum())
     for model, own in squares.items():
         worse = own - squares[best]
-        if worse.sum() <= np.sqrt(len(worse)) * worse.std():
+        if worse.sum() <= MARGIN.get(best, 1.0) * np.sqrt(len(worse)) * worse.std():
             return LensChoice(model, held_out)
     return LensChoice(best, held_out)
 
