@@ -46,6 +46,9 @@ MOST_VIEWS = 60
 MARGIN: dict[LensModel, float] = {"fisheye": 2.0, "rational": 2.0}
 """Standard errors by which a model must predict better than a simpler one, where not one: these do
 not contain the usual models, which mild lenses fit nearly as well."""
+BEYOND_CHANCE = 25.0
+"""Sum of squares, in variances of a corner, by which no model predicts better by chance. Where a
+few views at the edge make all the difference, its standard error is as large as itself."""
 PROMISING = 4.0
 """Fall of the sum of squares for each coefficient more, in variances of a corner, from which the
 rational model may predict better; coefficients of no use give 1."""
@@ -148,7 +151,8 @@ def best_lens(
     best = min(squares, key=lambda model: squares[model].sum())
     for model, own in squares.items():
         worse = own - squares[best]
-        if worse.sum() <= MARGIN.get(best, 1.0) * np.sqrt(len(worse)) * worse.std():
+        certain = MARGIN.get(best, 1.0) * np.sqrt(len(worse)) * worse.std()
+        if worse.sum() <= min(certain, BEYOND_CHANCE * held_out[best] ** 2):
             return LensChoice(model, held_out)
     return LensChoice(best, held_out)
 
