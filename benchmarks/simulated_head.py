@@ -15,7 +15,8 @@ from vergence.arrays import Array
 from vergence.geometry.camera import Camera, pinhole
 from vergence.geometry.head import HeadCalibration, MountedCamera, T_base_cam
 from vergence.geometry.kinematics import EYE_COLUMNS, EYES, EyeAxes, Neck, Side
-from vergence.geometry.parameters import INTRINSICS, POSE, boxplus, parameter_values
+from vergence.geometry.lens import COEFFICIENTS
+from vergence.geometry.parameters import POSE, boxplus, parameter_values
 from vergence.geometry.se3 import inverse, pose, rotation, transform
 
 WIDTH, HEIGHT = 640, 480
@@ -140,7 +141,7 @@ def rough_start(head: HeadCalibration, rng: np.random.Generator) -> HeadCalibrat
         last = name.rpartition(".")[2]
         if value is None:
             return rng.normal(0, 0.003)
-        if last in INTRINSICS[4:]:
+        if last in COEFFICIENTS["rational"]:
             return -0.1 * value
         if last.endswith("gain"):
             return 1 - value

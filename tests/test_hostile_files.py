@@ -353,7 +353,7 @@ def test_an_image_is_refused_by_its_header(made, image):
     ("change", "says"),
     [
         ({"camera_model": "omni"}, "camera_model"),
-        ({"distortion_model": "equidistant"}, "distortion_model"),
+        ({"distortion_model": "fov"}, "distortion_model"),
         ({"distortion_coeffs": "[0.1]"}, "distortion_coeffs has 1 numbers"),
         ({"intrinsics": "[1, 2, 3]"}, "intrinsics"),
         ({"intrinsics": "[-300, 300, 320, 240]"}, "focal lengths"),

@@ -17,6 +17,7 @@ from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, project
 from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base, T_head_base
 from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS, EyeAxes, Neck, T_body_head
+from vergence.geometry.lens import CameraModel
 from vergence.geometry.se3 import inverse, pose, rotation, rotvec
 from vergence.interchange import kalibr, opencv, ros, urdf
 from vergence.interchange.formats import export_head, import_head
@@ -331,3 +332,46 @@ def test_a_missing_file_is_named(tmp_path, format_name):
 def test_opencv_says_which_endings_it_knows(tmp_path):
     with pytest.raises(VergenceError, match=r"\.yml, \.yaml, \.xml, \.json"):
         opencv.save(plain(19), tmp_path / "head.txt")
+
+
+FISHEYE = (-0.02, 0.01, -0.004, 0.001)
+RATIONAL = (0.3, 0.02, 5e-4, -5e-4, 0.001, 0.45, 0.06, 0.002)
+
+
+def with_lens(head: HeadCalibration, model: CameraModel) -> HeadCalibration:
+    """Return the head with a fisheye or a rational lens on its left wide camera."""
+    k = np.array(FISHEYE if model == "fisheye" else RATIONAL)
+    lens = replace(head.cameras["left_wide"].intrinsics, distortion=k, model=model)
+    return with_intrinsics(head, {"left_wide": lens})
+
+
+@pytest.mark.parametrize("model", ["fisheye", "rational"])
+def test_every_lens_survives_opencv_and_ros(tmp_path, model):
+    head = with_lens(plain(21), model)
+    opencv.save(head, tmp_path / "head.yml")
+    assert numbers(opencv.load(tmp_path / "head.yml")) == numbers(head)
+    ros.save(head, tmp_path / "ros")
+    text = yaml.safe_load((tmp_path / "ros" / "left_wide.yaml").read_text())
+    name = {"fisheye": "equidistant", "rational": "rational_polynomial"}[model]
+    assert text["distortion_model"] == name
+    lens = ros.load(tmp_path / "ros")["left_wide"]
+    assert numbers(lens) == numbers(head.cameras["left_wide"].intrinsics)
+
+
+def test_kalibr_keeps_a_fisheye_lens_and_refuses_a_rational_one(tmp_path):
+    head = with_lens(plain(22), "fisheye")
+    kalibr.save(head, tmp_path / "chain.yaml")
+    cam = yaml.safe_load((tmp_path / "chain.yaml").read_text())["cam0"]
+    assert (cam["distortion_model"], cam["distortion_coeffs"]) == ("equidistant", list(FISHEYE))
+    lens, _ = kalibr.load(tmp_path / "chain.yaml")["left_wide"]
+    assert numbers(lens) == numbers(head.cameras["left_wide"].intrinsics)
+    with pytest.raises(VergenceError, match=r"rational lens.*--lens radial-tangential or fisheye"):
+        kalibr.save(with_lens(plain(22), "rational"), tmp_path / "other.yaml")
+
+
+def test_a_file_without_a_lens_model_has_the_five_coefficients(tmp_path):
+    head = plain(23)
+    opencv.save(head, tmp_path / "head.json")
+    text = (tmp_path / "head.json").read_text().replace('"lens_model"', '"note"')
+    (tmp_path / "head.json").write_text(text)
+    assert numbers(opencv.load(tmp_path / "head.json")) == numbers(head)

@@ -3,11 +3,25 @@
 import numpy as np
 import pytest
 
-from vergence.calibration.sequential.intrinsics import calibrate_camera
+from vergence.calibration.observations import Observations
+from vergence.calibration.sequential.intrinsics import (
+    calibrate_camera,
+    fit_model,
+    free_intrinsics,
+)
+from vergence.calibration.sequential.lens_choice import best_lens, choose_lenses
+from vergence.calibration.sequential.lens_fit import held_out_squares
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard, corner_points
-from vergence.geometry.camera import Camera, project
+from vergence.geometry.camera import Camera, normalise, pinhole, project
 from vergence.geometry.se3 import pose, rotation, transform
+from vergence.vision.board_pose import (
+    board_poses,
+    determines_pose,
+    refined_poses,
+    seen_corners,
+    seen_from_the_other_side,
+)
 
 POINTS = corner_points(Chessboard(9, 6, 0.03))
 SIZE = (640, 480)
@@ -101,3 +115,116 @@ def test_boards_that_all_face_the_camera_tell_no_focal_length(model):
     corners = views(camera, facing) + rng.normal(0, 0.1, (8, len(POINTS), 2))
     with pytest.raises(VergenceError, match=r"fx and fy are not observable.*slant the board by 20"):
         calibrate_camera(corners, POINTS, size=SIZE, lens_model=model)
+
+
+def scattered(camera: Camera, n: int, rng: np.random.Generator) -> np.ndarray:
+    """Return corners of boards in all parts of the image, cut off at its edges."""
+    pixels = rng.uniform([0, 0], [639, 479], (n, 2))
+    xy = normalise(camera, pixels)
+    ray = np.concatenate([xy, np.ones((n, 1))], axis=1)
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    where = pose(t=rng.uniform(0.25, 0.45, (n, 1)) * ray)
+    turn = pose(rotation(rng.uniform(-0.6, 0.6, (n, 3))))
+    seen = views(camera, where @ turn @ pose(t=-POINTS.mean(axis=0)))
+    inside = ((seen > 0) & (seen < [639, 479])).all(axis=-1, keepdims=True)
+    return np.where(inside, seen, np.nan)
+
+
+LENSES = {
+    "radial-tangential-k3": pinhole(640, 480, 300.0, (-0.1, 0.02, 1e-3, -1e-3, 0.01)),
+    "rational": pinhole(
+        640, 480, 300.0, (0.3, 0.02, 5e-4, -5e-4, 0.001, 0.45, 0.06, 0.002), model="rational"
+    ),
+    "fisheye": pinhole(640, 480, 300.0, (-0.02, 0.01, -0.004, 0.001), model="fisheye"),
+}
+
+
+@pytest.mark.parametrize("model", LENSES)
+def test_richer_lenses_are_found_to_double_precision(model):
+    camera = LENSES[model]
+    corners = scattered(camera, 25, np.random.default_rng(3))
+    found = calibrate_camera(corners, POINTS, size=SIZE, lens_model=model)
+    assert found.camera.model == camera.model
+    # Numerator and denominator of a rational lens nearly cancel.
+    atol = 1e-4 if model == "rational" else 1e-7
+    np.testing.assert_allclose(found.camera.matrix, camera.matrix, atol=atol)
+    np.testing.assert_allclose(found.camera.distortion, camera.distortion, atol=atol)
+    assert found.rms_px < 1e-6
+
+
+@pytest.mark.parametrize("model", ["none", "radial-tangential", *LENSES])
+def test_the_lens_that_is_true_predicts_held_out_views_best(model):
+    rng = np.random.default_rng(6)
+    plain = {"none": (), "radial-tangential": (-0.1, 0.01, 1e-3, -1e-3, 0.0)}
+    camera = LENSES.get(model) or pinhole(640, 480, 400.0, plain[model] or None)
+    corners = scattered(camera, 30, rng)
+    corners += rng.normal(0, 0.1, corners.shape)
+    choice = best_lens(corners, POINTS, size=SIZE, otherwise="k1")
+    assert choice.model == model
+    assert choice.runner_up not in (None, model)
+    assert choice.held_out_px[model] == pytest.approx(0.1, rel=0.07)
+    again = best_lens(corners, POINTS, size=SIZE, otherwise="k1")
+    assert again == choice
+
+
+def test_the_held_out_error_is_that_of_fits_without_the_views():
+    rng = np.random.default_rng(7)
+    corners = scattered(LENSES["radial-tangential-k3"], 20, rng)
+    corners += rng.normal(0, 0.1, corners.shape)
+    corners = corners[determines_pose(POINTS, seen_corners(corners))]
+    fit = fit_model("radial-tangential-k3", None, corners, POINTS, SIZE)
+    free = free_intrinsics("radial-tangential-k3")
+    linear, refitted = (
+        held_out_squares(fit, free, corners, POINTS, refit=refit) for refit in (False, True)
+    )
+    np.testing.assert_allclose(linear, refitted, rtol=0.05)
+    assert linear.sum() > fit.sum_squares
+
+
+def test_too_few_views_leave_the_usual_model():
+    corners = scattered(LENSES["fisheye"], 6, np.random.default_rng(8))
+    choice = best_lens(corners, POINTS, size=SIZE, otherwise="radial-tangential")
+    assert (choice.model, choice.runner_up) == ("radial-tangential", None)
+
+
+def observed(corners: dict[str, np.ndarray]) -> Observations:
+    V = len(next(iter(corners.values())))
+    return Observations(
+        board=Chessboard(9, 6, 0.03),
+        placement=np.arange(V),
+        eye_angles=np.zeros((V, 4)),
+        corners=corners,
+        sizes=dict.fromkeys(corners, SIZE),
+    )
+
+
+def test_a_lens_is_stated_for_all_cameras_or_by_camera():
+    rng = np.random.default_rng(9)
+    seen = observed({name: scattered(LENSES["fisheye"], 15, rng) for name in ("left", "right")})
+    assert {c.model for c in choose_lenses(seen, "k1").values()} == {"k1"}
+    found = choose_lenses(seen, {"left": "rational"})
+    assert (found["left"].model, found["left"].held_out_px) == ("rational", {})
+    assert found["right"].model == "fisheye"
+    with pytest.raises(VergenceError, match="'middle'; the cameras are left, right"):
+        choose_lenses(seen, {"middle": "fisheye"})
+    with pytest.raises(VergenceError, match="no lens model 'mirror'; there are auto, none"):
+        choose_lenses(seen, "mirror")  # pyright: ignore[reportArgumentType]
+
+
+def test_a_board_found_slanted_the_other_way_is_turned_back():
+    rng = np.random.default_rng(10)
+    camera = LENSES["radial-tangential-k3"]
+    T = boards(12, rng)
+    corners = views(camera, T)
+    wrong = T.copy()
+    wrong[5] = seen_from_the_other_side(T[5:6], POINTS)[0]
+    start = camera, refined_poses(camera, corners, POINTS, wrong)[0]
+    found = fit_model("radial-tangential-k3", start, corners, POINTS, SIZE)
+    np.testing.assert_allclose(found.T_cam_target, T, atol=1e-9)
+
+
+def test_a_board_before_a_fisheye_lens_is_found_exactly():
+    rng = np.random.default_rng(11)
+    T = boards(10, rng)
+    found = board_poses(LENSES["fisheye"], views(LENSES["fisheye"], T), POINTS)
+    np.testing.assert_allclose(found, T, atol=1e-9)

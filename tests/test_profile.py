@@ -76,7 +76,7 @@ WRONG = {
     "[image]\nnoise_grey = 300": "image.noise_grey = 300",
     "[image]\nblur_px = -1": "image.blur_px = -1",
     "[optics]\ndistortion = 'none'": "optics.distortion = 'none'",
-    "[calibration]\nwide_lens = 'fisheye'": "calibration.wide_lens = 'fisheye'",
+    "[calibration]\nwide_lens = 'mirror'": "calibration.wide_lens = 'mirror'",
     "[calibration]\nsquare_percent = -50": "calibration.square_percent",
     "[by_hand]\nfocal_percent = 1": "by_hand.focal_percent",
     "[[fitted]]\nname = 'x'": "fitted.0.value",

@@ -121,6 +121,16 @@ def calibrate(
     out: Path,
     report: Path | None = None,
     method: Literal["bundle", "paper"] = "bundle",
+    lens: Literal[
+        "auto",
+        "none",
+        "k1",
+        "k1k2",
+        "radial-tangential",
+        "radial-tangential-k3",
+        "rational",
+        "fisheye",
+    ] = "auto",
     json: Path | None = None,
 ) -> None:
     """Calibrate a head from a dataset, and state the accuracy.
@@ -130,6 +140,8 @@ def calibrate(
         out: JSON file of the calibration.
         report: Folder for report.md, its pictures and a recording of the dataset.
         method: Bundle adjustment, which starts from the paper's steps, or these steps alone.
+        lens: Lens model of all cameras; auto: for each the one that predicts held-out images best
+            (for the paper's method radial-tangential, and none for narrow cameras).
         json: JSON file of the accuracy alone.
     """
     # The matrices are small: threads of linear algebra would wait for each other. Before numpy.
@@ -144,7 +156,7 @@ def calibrate(
     data = load_dataset(dataset)
     _say_if_unfinished(report)
     with _progress() as progress:
-        result = run(data, method=method, progress=progress)
+        result = run(data, method=method, lens=lens, progress=progress)
         save_head(result.head, out)
         if json is not None:
             write_json(figures(result), json)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -16,30 +15,39 @@ from vergence.calibration.checks.cross_validation import (
     PartCalibration,
     calibrate_folds,
     held_out,
-    predicted_squares,
+)
+from vergence.calibration.checks.lens_map import edge_warnings
+from vergence.calibration.checks.part_calibration import (
+    bundle_of_part,
+    placed_boards,
+    predicting_better,
 )
 from vergence.calibration.checks.pose_readings import check_pose_readings
 from vergence.calibration.detection import detect_target
 from vergence.calibration.observations import Observations, camera_eyes
-from vergence.calibration.sequential.intrinsics import LensModel, calibrate_intrinsics
+from vergence.calibration.sequential.intrinsics import (
+    LensModel,
+    calibrate_intrinsics,
+    lenses_of_the_paper,
+)
+from vergence.calibration.sequential.lens_choice import (
+    Lens,
+    LensChoice,
+    by_camera,
+    choose_lenses,
+)
 from vergence.calibration.sequential.sequential import SequentialCalibration, calibrate_sequentially
 from vergence.calibration.summary import summary_lines
 from vergence.data.dataset import Dataset
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
 from vergence.geometry.head import Accuracy, HeadCalibration, HeldOut
-from vergence.geometry.kinematics import EYES
-from vergence.geometry.se3 import inverse, mean_pose
 from vergence.progress import Progress, silent
 from vergence.vision.board_pose import LEAST_CORNERS, board_poses, seen_corners
 
 Method = Literal["bundle", "paper"]
 LEAST_VIEWS = 3
 """Of a camera, for its intrinsics."""
-BOARD_SIZE_REMARK = 0.001
-"""Relative error of the board's size from which it is spoken of."""
-BEYOND_CHANCE = 2.0
-"""Standard errors by which a prediction must be better to be preferred."""
 LARGEST_JACKKNIFE_RATIO = 2.0
 """Ratio of standard deviations from which the stated ones are called too small. The folds determine
 it to about a tenth."""
@@ -61,6 +69,8 @@ class CalibrationResult:
     """By the paper's method."""
     estimate: BundleEstimate | None
     """With residuals and the boards' poses; None: the paper's method was asked for."""
+    lenses: Mapping[str, LensChoice] = field(default_factory=dict)
+    """By camera its lens model, and how well others predicted held-out images."""
 
     @property
     def accuracy(self) -> Accuracy:
@@ -82,7 +92,8 @@ def calibrate(
     data: Dataset | Observations,
     *,
     method: Method = "bundle",
-    wide_lens: LensModel = "radial-tangential",
+    lens: Lens | Mapping[str, Lens] = "auto",
+    wide_lens: LensModel | None = None,
     progress: Progress = silent,
 ) -> CalibrationResult:
     """Calibrate a head, and predict each fold of its views from the others.
@@ -91,7 +102,11 @@ def calibrate(
         data: a dataset, in whose images the board is then sought; or the observations of one's own
             detector.
         method: the paper's steps alone, or bundle adjustment, which starts from them.
-        wide_lens: distortion of the wide cameras; the narrow ones have none.
+        lens: lens model of all cameras, or by camera; "auto": the one that predicts held-out images
+            best or, for the paper's method, the paper's: radial-tangential, and none for the narrow
+            cameras.
+        wide_lens: lens model of all cameras but the narrow ones, which then have none; takes the
+            place of `lens`.
         progress: see vergence.progress.
 
     Raises:
@@ -115,7 +130,9 @@ def calibrate(
                 f"are not observable; record at least {LEAST_VIEWS}, better 10, at different "
                 "distances and slants."
             )
-    intrinsics = calibrate_intrinsics(seen, wide_lens=wide_lens)
+    lenses = _lenses(seen, method, lens, wide_lens)
+    models: dict[str, LensModel] = {name: choice.model for name, choice in lenses.items()}
+    intrinsics = calibrate_intrinsics(seen, lenses=models)
     points = corner_points(data.board)
     # Once for each image: all that follows asks for these.
     T_cam_target = {
@@ -136,7 +153,7 @@ def calibrate(
         focal_std = {name: each.focal_std_px for name, each in intrinsics.items()}
     else:
         estimate = bundle_adjust(start.head, observations, T_cam_target=T_cam_target)
-        estimate, choice = _better_of_two(start.head, observations, T_cam_target, estimate)
+        estimate, choice = predicting_better(start.head, observations, T_cam_target, estimate)
         head, accuracy = estimate.head, estimate.accuracy
         std = dict(zip(estimate.parameters, np.sqrt(np.diag(estimate.covariance)), strict=True))
         focal_std = {name: (std[f"{name}.fx"], std[f"{name}.fy"]) for name in head.cameras}
@@ -144,12 +161,15 @@ def calibrate(
 
     def of_part(rows: np.ndarray) -> PartCalibration:
         if estimate is not None:
-            return _part_of(estimate, observations, T_cam_target, rows)
+            return bundle_of_part(estimate, observations, T_cam_target, rows)
         part = observations.take(rows)
         at_rest = part.take(part.at_rest)
-        found = calibrate_sequentially(at_rest, wide_lens=wide_lens).head
-        return PartCalibration(found, _boards(found, part, _take(T_cam_target, rows)), 1.0)
+        found = calibrate_sequentially(at_rest, lenses=models).head
+        return PartCalibration(found, placed_boards(found, part, _take(T_cam_target, rows)), 1.0)
 
+    at_the_edge = ()
+    if estimate is not None:
+        at_the_edge = edge_warnings(head, observations.corners, estimate.residuals_px)
     checked, doubts, worthless = _cross_validated(observations, of_part)
     progress("calibrating", 3, 3)
     void = (*accuracy.void, *worthless, *encoders.doubts(head))
@@ -158,6 +178,7 @@ def calibrate(
         *board_flips.warnings(renumbered),
         *excitation.doubts(observations, T_cam_target, head, focal_std),
         *accuracy.warnings,
+        *at_the_edge,
         *doubts,
     )
     accuracy = replace(
@@ -169,95 +190,29 @@ def calibrate(
     )
     remarks = (*observations.remarks, *board_flips.remarks(renumbered), *choice)
     return CalibrationResult(
-        replace(head, accuracy=accuracy), replace(observations, remarks=remarks), start, estimate
+        replace(head, accuracy=accuracy),
+        replace(observations, remarks=remarks),
+        start,
+        estimate,
+        lenses,
     )
 
 
-def _better_of_two(
-    start: HeadCalibration,
-    observations: Observations,
-    T_cam_target: Mapping[str, Array],
-    estimate: BundleEstimate,
-) -> tuple[BundleEstimate, tuple[str, ...]]:
-    """Return the estimate that predicts unseen views better, and what there is to say of it.
-
-    Errors of measured eye poses need not be independent and of one size, as an estimate of their
-    noise assumes; where poses that are taken as exact predict better, beyond chance, they are.
-    """
-    if observations.T_base_eye is None:
-        return estimate, ()
-    said = []
-    change = estimate.board_scale - 1
-    if abs(change) > BOARD_SIZE_REMARK:
-        square_mm = 1e3 * observations.board.square_m
-        said.append(
-            f"By the eye poses a square of the board measures {square_mm * (1 + change):.3f} mm, "
-            f"not {square_mm:.3f} mm ({100 * change:+.2f} %): measure it; lengths are those of the "
-            "poses."
-        )
-    exact = bundle_adjust(start, observations, T_cam_target=T_cam_target, joint_std=0.0)
-    try:
-        found = []
-        for each in (estimate, exact):
-            of_part = partial(_part_of, each, observations, T_cam_target)
-            parts = calibrate_folds(observations, of_part)
-            found.append(predicted_squares(observations, parts))
-        squares, counts = np.moveaxis(np.array(found), 2, 0)
-    except VergenceError:
-        return estimate, tuple(said)  # too few views: there is no held-out error at all
-    gain = squares[0] - squares[1]
-    rms = np.sqrt(squares.sum(axis=1) / np.maximum(counts.sum(axis=1), 1))
-    if gain.sum() <= BEYOND_CHANCE * np.sqrt((gain**2).sum()):
-        return estimate, tuple(said)
-    said.append(
-        f"Eye poses are taken as exact: they then predict unseen views to {rms[1]:.2f} px, and to "
-        f"{rms[0]:.2f} px if their noise is estimated."
-    )
-    return exact, tuple(said)
-
-
-def _part_of(
-    estimate: BundleEstimate,
-    observations: Observations,
-    T_cam_target: Mapping[str, Array],
-    rows: np.ndarray,
-) -> PartCalibration:
-    """Return the calibration from a part of the views (V,), at the noise that all of them show."""
-    part, levels = observations.take(rows), estimate.joint_std
-    # One level for all joints is given; the folds are hardly the worse for it.
-    mean = float(np.sqrt(np.mean(np.square(levels))))
-    found = bundle_adjust(
-        estimate.head,
-        part,
-        T_cam_target=_take(T_cam_target, rows),
-        pixel_std_px=estimate.pixel_std_px,
-        joint_std=mean if part.T_base_eye is None else (levels[0], levels[-1]),
-    )
-    head = replace(found.head, accuracy=replace(found.accuracy, joint_std=levels))
-    return PartCalibration(head, found.T_lbase_target, found.board_scale)
-
-
-def _boards(
-    head: HeadCalibration, seen: Observations, T_cam_target: Mapping[str, Array]
-) -> dict[int, Array]:
-    """Return where the board of each placement stands, by the cameras that see it."""
-    eye_poses, found = seen.eye_poses(head.axes), {}
-    T_lbase_base = {"left": np.eye(4), "right": inverse(head.T_rbase_lbase)}
-    for number in np.unique(seen.placement):
-        rows = seen.placement == number
-        views = [
-            T_lbase_base[m.eye]
-            @ eye_poses[rows, EYES.index(m.eye)]
-            @ m.T_eye_cam
-            @ T_cam_target[name][rows]
-            for name, m in head.cameras.items()
-            if name in T_cam_target
-        ]
-        T = np.concatenate(views)
-        T = T[np.isfinite(T).all(axis=(1, 2))]
-        if len(T):
-            found[int(number)] = mean_pose(T)
-    return found
+def _lenses(
+    seen: Observations,
+    method: Method,
+    lens: Lens | Mapping[str, Lens],
+    wide_lens: LensModel | None,
+) -> dict[str, LensChoice]:
+    """Return the lens model of every camera."""
+    if wide_lens is not None:
+        return choose_lenses(seen, lenses_of_the_paper(seen, wide_lens))
+    if method == "paper":
+        stated: dict[str, Lens] = {**lenses_of_the_paper(seen)}
+        for name, each in by_camera(seen, lens).items():
+            stated[name] = stated.get(name, each) if each == "auto" else each
+        return choose_lenses(seen, stated)
+    return choose_lenses(seen, lens)
 
 
 def _take(T_cam_target: Mapping[str, Array], rows: np.ndarray) -> dict[str, Array]:

@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from vergence.arrays import Array
 from vergence.calibration.calibrate import CalibrationResult
+from vergence.calibration.checks.lens_map import lens_maps
 from vergence.calibration.summary import point_accuracy, verdict
 from vergence.data.dataset import Dataset
 from vergence.geometry.head import main_pair
@@ -21,6 +23,9 @@ from vergence.viewer.opening import markdown_table
 from vergence.writing import results_folder, write_whole
 
 FAILURES_NAMED = 20
+SYSTEMATIC = 4.0
+"""Standard errors of a mean residual from which it is marked; of a hundred cells one is beyond
+three by chance."""
 WORST_SHOWN, WORST_LISTED = 4, 10
 
 
@@ -42,6 +47,14 @@ def figures(result: CalibrationResult) -> dict[str, Any]:
             {"distance_m": d, "calibration_mm": a, "reading_mm": b}
             for d, a, b in point_accuracy(result.head)
         ],
+        "lenses": {
+            name: {
+                "model": choice.model,
+                "runner_up": choice.runner_up,
+                "held_out_px": dict(choice.held_out_px),
+            }
+            for name, choice in result.lenses.items()
+        },
         "std": _stds(result),
         "warnings": list(accuracy.warnings),
         "remarks": list(result.observations.remarks),
@@ -126,6 +139,7 @@ def as_markdown(result: CalibrationResult, dataset: Dataset) -> str:
     for heading, section in (
         ("Warnings", [f"- {line}" for line in said] or ["None."]),
         ("Accuracy of points", _points(result)),
+        ("Lenses", _lenses(result)),
         ("Parameters", _parameters(result)),
         ("Images", images),
     ):
@@ -150,6 +164,57 @@ def _points(result: CalibrationResult) -> list[str]:
         stated = f"Calibrations from parts of the views differ {ratio} times as much as stated."
         lines += ["", stated]
     return lines
+
+
+def _lenses(result: CalibrationResult) -> list[str]:
+    rows = []
+    for name, choice in result.lenses.items():
+        own, other = choice.held_out_px.get(choice.model), choice.runner_up
+        rows.append(
+            (
+                name,
+                choice.model,
+                "stated" if own is None else f"{own:.4f}",
+                "" if other is None else f"{other}, {choice.held_out_px[other]:.4f}",
+            )
+        )
+    lines = [
+        "Where the model was not stated it is the one that predicts views best that its fit had",
+        "not seen, or a simpler one that is worse by no more than the difference's standard error.",
+        "Errors are of one coordinate of a corner, root mean square.",
+        "",
+        markdown_table("camera | lens model | held out [px] | runner-up, held out [px]", rows),
+    ]
+    if result.estimate is None:
+        return lines
+    maps = lens_maps(result.head, result.observations.corners, result.estimate.residuals_px)
+    lines += [
+        "",
+        "Part by part of each image: the standard deviation of a direction's pixel by the lens, in",
+        "brackets where no corner was ever seen; and the mean of the residuals of corners there,",
+        f"with * beyond {SYSTEMATIC:g} standard errors. Both in px.",
+    ]
+    for name, own in maps.items():
+        off = np.linalg.norm(own.residual_px, axis=-1)
+        beyond = off > SYSTEMATIC * np.sqrt(2) * own.residual_std_px
+        std = _grid(own.std_px, np.where(own.corners > 0, " %s ", "(%s)"))
+        mean = _grid(off, np.where(beyond, " %s*", " %s "))
+        covered = f"{100 * own.covered:.0f} % of the image covered"
+        lines += ["", f"{name}, {covered}; standard deviation:", "", *std]
+        lines += ["", f"{name}, mean residual:", "", *mean]
+    return lines
+
+
+def _grid(values: Array, form: np.ndarray) -> list[str]:
+    """Return a block of numbers (R, C), each in its form; those that are not known are left out."""
+    return [
+        "    "
+        + " ".join(
+            (each % (f"{value:.3g}" if np.isfinite(value) else "-")).rjust(8)
+            for value, each in zip(row, forms, strict=True)
+        )
+        for row, forms in zip(values, form, strict=True)
+    ]
 
 
 def _parameters(result: CalibrationResult) -> list[str]:

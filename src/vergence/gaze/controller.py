@@ -92,7 +92,7 @@ def step_gaze(
     state = detect_object(settings, state, frame)
     if frame.time_s < state.landing_s:
         return replace(state, cameras=settings.cameras)
-    posture = posture_at_image(state, frame)
+    posture = posture_at_image(settings, state, frame)
     if not isinstance(state.target, str):
         aim = Track(frame.time_s, np.concatenate([state.target, np.zeros(6)]), np.zeros((9, 9)))
         state = replace(state, aim=aim, seen_s=frame.time_s)

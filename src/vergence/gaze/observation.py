@@ -103,16 +103,26 @@ def _seen_by_another(
     return len({view[0] for view in views if view is not None}) > 1
 
 
-def _readings_at_image(state: GazeState, frame: Frame) -> Array:
+def moment_of_image(settings: GazeSettings, frame: Frame) -> float:
+    """Return when the joints stood as an image shows them, on the clock of the joint readings [s].
+
+    By the calibrated time offset where there is one, otherwise by the image's time stamp.
+    """
+    offset_s = settings.calibration.time_offset_s
+    return frame.joint_time_s + offset_s if offset_s else frame.time_s
+
+
+def _readings_at_image(settings: GazeSettings, state: GazeState, frame: Frame) -> Array:
     """Return the joint readings (7,) [rad], moved from their own time to that of the image."""
     read = np.concatenate([frame.neck_angles, frame.eye_angles])
-    if frame.time_s == frame.joint_time_s:
+    moment_s = moment_of_image(settings, frame)
+    if moment_s == frame.joint_time_s:
         return read
-    sent = [commanded(state.commands, t) for t in (frame.joint_time_s, frame.time_s)]
+    sent = [commanded(state.commands, t) for t in (frame.joint_time_s, moment_s)]
     return read + sent[1] - sent[0]
 
 
-def posture_at_image(state: GazeState, frame: Frame) -> Array:
+def posture_at_image(settings: GazeSettings, state: GazeState, frame: Frame) -> Array:
     """Return the joint angles (7,) [rad] at the time of the image, as the commands had them.
 
     The set points are used because readings have noise and gains, which do not matter to a loop
@@ -121,8 +131,8 @@ def posture_at_image(state: GazeState, frame: Frame) -> Array:
     """
     use_reading = np.isin(HEAD_JOINTS, state.stuck)
     use_reading[NECK] = True
-    sent = commanded(state.commands, frame.time_s)
-    return np.where(use_reading, _readings_at_image(state, frame), sent)
+    sent = commanded(state.commands, moment_of_image(settings, frame))
+    return np.where(use_reading, _readings_at_image(settings, state, frame), sent)
 
 
 def best_view(
@@ -163,7 +173,9 @@ def measure(settings: GazeSettings, state: GazeState, frame: Frame, posture: Arr
     The posture (7,) [rad] by commands is from `posture_at_image`.
     """
     motion, time_s = settings.motion, frame.time_s
-    found = _locate(settings, state, np.stack([_readings_at_image(state, frame), posture]))
+    found = _locate(
+        settings, state, np.stack([_readings_at_image(settings, state, frame), posture])
+    )
     if found is None:
         track, aim = (
             None if before is None else predict(before, time_s, jerk_density=motion.jerk_density)

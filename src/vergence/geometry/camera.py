@@ -1,14 +1,14 @@
 """Pinhole camera with distortion: project, normalise, and the Jacobians of both.
 
 Frame `cam` is OpenCV's: x right, y down, z forward; pixel (0, 0) is the centre of the top-left
-pixel. Distortion is OpenCV's (k1, k2, p1, p2, k3), so that both agree to the last digit; unlike
-OpenCV, the matrix may have skew (the paper's Eq. 2). See docs/conventions.md.
+pixel. The lens models are OpenCV's (see `geometry.lens`), so that both agree to the last digit;
+unlike OpenCV, the matrix may have skew (the paper's Eq. 2). Directions at 90 degrees from the axis
+and beyond are not supported, whatever the lens. See docs/conventions.md.
 """
 
 from __future__ import annotations
 
 from dataclasses import field
-from functools import lru_cache
 from typing import Annotated
 
 import numpy as np
@@ -16,6 +16,8 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Array, Matrix3, Vector
+from vergence.geometry import lens
+from vergence.geometry.lens import COEFFICIENTS, CameraModel
 
 MAX_IMAGE_PX = 20_000
 MAX_IMAGE_AREA_PX = 50_000_000
@@ -46,11 +48,17 @@ class Camera:
     matrix: Matrix3
     """A of Eq. 2: [[alpha, gamma, u0], [0, beta, v0], [0, 0, 1]] [px]."""
     distortion: Vector = field(default_factory=lambda: np.zeros(5))
-    """(k1, k2, p1, p2, k3)."""
+    """The coefficients of the lens model, in the order of `lens.COEFFICIENTS`."""
+    model: CameraModel = "radial-tangential"
+    """The lens model; files of earlier versions, which do not state one, have this one."""
 
     def __post_init__(self) -> None:
-        if self.distortion.shape != (5,):
-            raise ValueError(f"distortion has 5 coefficients, found {self.distortion.size}")
+        names = COEFFICIENTS[self.model]
+        if self.distortion.shape != (len(names),):
+            raise ValueError(
+                f"distortion has {len(names)} coefficients, found {self.distortion.size}; those of "
+                f"a {self.model} lens are {', '.join(names)}"
+            )
         check_image_size(self.width, self.height)
         largest = max(np.abs(self.distortion).max(), np.abs(self.matrix).max())
         if largest > MAX_NUMBER:
@@ -65,28 +73,13 @@ class Camera:
             )
 
 
-def _distortion(camera: Camera, x: Array, y: Array) -> tuple[Array, Array, Array, Array, Array]:
+def _coefficients(camera: Camera) -> tuple[float, ...]:
+    return tuple(camera.distortion.tolist())
+
+
+def _distortion(camera: Camera, x: Array, y: Array) -> tuple[Array, ...]:
     """Return distorted x', y', and dx'/dx, dx'/dy (which is dy'/dx), dy'/dy, each shaped as x."""
-    k1, k2, p1, p2, k3 = camera.distortion.tolist()
-    x2, xy, y2 = x * x, x * y, y * y
-    r2 = x2 + y2
-    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    slope = 2 * (k1 + r2 * (2 * k2 + 3 * k3 * r2))  # d radial / d x = slope * x
-    return (
-        x * radial + 2 * p1 * xy + p2 * (r2 + 2 * x2),
-        y * radial + p1 * (r2 + 2 * y2) + 2 * p2 * xy,
-        radial + slope * x2 + 2 * p1 * y + 6 * p2 * x,
-        slope * xy + 2 * p1 * x + 2 * p2 * y,
-        radial + slope * y2 + 6 * p1 * y + 2 * p2 * x,
-    )
-
-
-@lru_cache
-def _fold(k1: float, k2: float, k3: float) -> float:
-    """Return x^2 + y^2 at which the radial polynomial first stops rising; infinity: nowhere."""
-    inverse = np.roots([1, 3 * k1, 5 * k2, 7 * k3])  # of 1 / (x^2 + y^2), where the slope is zero
-    rising = max((root.real for root in inverse if root.imag == 0 < root.real), default=0.0)
-    return 1 / rising if rising > 0 else np.inf
+    return lens.distort(camera.model, _coefficients(camera), x, y)
 
 
 def project(camera: Camera, points_cam: Array) -> Array:
@@ -101,9 +94,9 @@ def project(camera: Camera, points_cam: Array) -> Array:
 
 
 def project_jacobians(camera: Camera, points_cam: Array) -> tuple[Array, Array, Array]:
-    """Return pixels (..., 2), their Jacobians by point (..., 2, 3) and by intrinsics (..., 2, 9).
+    """Return pixels (..., 2), their Jacobians by point (..., 2, 3) and by intrinsics (..., 2, n).
 
-    The intrinsics are in the order (fx, fy, cx, cy, k1, k2, p1, p2, k3).
+    The intrinsics are fx, fy, cx, cy and the coefficients of the lens model.
     """
     z = points_cam[..., 2]
     inv_z = 1 / np.where(z > 0, z, np.nan)
@@ -114,14 +107,7 @@ def project_jacobians(camera: Camera, points_cam: Array) -> tuple[Array, Array, 
     K = camera.matrix[:2, :2]
     distorted_x, distorted_y, xx, cross, yy = _distortion(camera, x, y)
     d_point = K @ np.stack([xx, cross, cross, yy], axis=-1).reshape(*x.shape, 2, 2) @ d_xy
-    r2 = x * x + y * y
-    d_k = np.stack(
-        [
-            np.stack([x * r2, x * r2**2, 2 * x * y, r2 + 2 * x * x, x * r2**3], axis=-1),
-            np.stack([y * r2, y * r2**2, r2 + 2 * y * y, 2 * x * y, y * r2**3], axis=-1),
-        ],
-        axis=-2,
-    )
+    d_k = lens.by_coefficients(camera.model, _coefficients(camera), x, y)
     d_f = np.stack([distorted_x, zero, one, zero, zero, distorted_y, zero, one], axis=-1)
     d_intrinsics = np.concatenate([d_f.reshape(*x.shape, 2, 4), K @ d_k], axis=-1)
     pixels = np.stack([distorted_x, distorted_y], axis=-1) @ K.T + camera.matrix[:2, 2]
@@ -131,15 +117,16 @@ def project_jacobians(camera: Camera, points_cam: Array) -> tuple[Array, Array, 
 def normalise(camera: Camera, pixels: Array) -> Array:
     """Return undistorted normalised coordinates (x/z, y/z) (..., 2) of pixels (..., 2).
 
-    Newton's method to machine precision. Pixels beyond the reach of the distortion polynomial
-    (where it folds over) give NaN.
+    Newton's method to machine precision. Pixels beyond the reach of the lens model (where it folds
+    over, or 90 degrees from the axis) give NaN.
     """
     (fx, skew, cx), (_, fy, cy), _ = camera.matrix.tolist()
     wanted_y = (pixels[..., 1] - cy) / fy
     wanted_x = (pixels[..., 0] - cx - skew * wanted_y) / fx
-    if not camera.distortion.any():
+    if camera.model != "fisheye" and not camera.distortion.any():
         return np.stack([wanted_x, wanted_y], axis=-1)
-    x, y = wanted_x, wanted_y
+    k = _coefficients(camera)
+    x, y = lens.first_guess(camera.model, k, wanted_x, wanted_y)
     error, det = np.full(x.shape, np.inf), np.ones_like(x)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         for _ in range(20):
@@ -148,11 +135,12 @@ def normalise(camera: Camera, pixels: Array) -> Array:
             error, det = np.maximum(np.abs(error_x), np.abs(error_y)), xx * yy - cross * cross
             x = x - (yy * error_x - cross * error_y) / det
             y = y - (xx * error_y - cross * error_x) / det
-            if not np.nanmax(error, initial=0.0) > 1e-9:  # which this step has squared
+            if (
+                not np.fmax.reduce(np.ravel(error), initial=0.0) > 1e-9
+            ):  # which this step has squared
                 break
         good = (error < 1e-9) & (det > 0)
-        k1, k2, _, _, k3 = camera.distortion.tolist()
-        good &= x * x + y * y < _fold(k1, k2, k3)  # further out, another sheet reaches back
+        good &= x * x + y * y < lens.reach(camera.model, k)  # another sheet may reach back
     return np.where(good[..., None], np.stack([x, y], axis=-1), np.nan)
 
 
@@ -171,9 +159,12 @@ def pinhole(
     width: int,
     height: int,
     focal_px: float | tuple[float, float],
-    distortion: tuple[float, ...] = (0.0,) * 5,
+    distortion: tuple[float, ...] | None = None,
+    *,
+    model: CameraModel = "radial-tangential",
 ) -> Camera:
-    """Return a camera whose principal point is the middle of its image."""
+    """Return a camera whose principal point is the middle of its image; no coefficients: zeros."""
     fx, fy = focal_px if isinstance(focal_px, tuple) else (focal_px, focal_px)
     matrix = np.array([[fx, 0, (width - 1) / 2], [0, fy, (height - 1) / 2], [0, 0, 1]])
-    return Camera(width=width, height=height, matrix=matrix, distortion=np.array(distortion))
+    k = np.zeros(len(COEFFICIENTS[model])) if distortion is None else np.array(distortion)
+    return Camera(width=width, height=height, matrix=matrix, distortion=k, model=model)

@@ -1,14 +1,14 @@
 """A head as a vector of named parameters: what is estimated, and what covariances speak of.
 
-For each camera fx, fy, cx, cy [px], k1, k2, p1, p2, k3 and the 6 increments of T_eye_cam; the 6
-increments of T_rbase_lbase; the 6 fields of EyeAxes for each eye; the time offset [s]. Poses change
-by `se3.boxplus`: rotation [rad], then translation [m], along the axes of the frame that they map
-into.
+For each camera fx, fy, cx, cy [px], the coefficients of its lens model (see geometry.lens) and the
+6 increments of T_eye_cam; the 6 increments of T_rbase_lbase; the 6 fields of EyeAxes for each eye;
+the time offset [s]. Poses change by `se3.boxplus`: rotation [rad], then translation [m], along the
+axes of the frame that they map into.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,20 +17,29 @@ from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry import se3
 from vergence.geometry.camera import Camera
-from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head import HeadCalibration, MountedCamera
 from vergence.geometry.kinematics import AXES, EYES, EyeAxes, axes_row, eye_chain
+from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.se3 import pose, rotation
 
-INTRINSICS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+PINHOLE = ("fx", "fy", "cx", "cy")
 POSE = ("rx", "ry", "rz", "tx", "ty", "tz")
-PER_CAMERA = len(INTRINSICS) + len(POSE)
 
 
-def parameter_names(cameras: Iterable[str]) -> tuple[str, ...]:
+def intrinsics_names(camera: Camera) -> tuple[str, ...]:
+    """Return the names of a camera's intrinsics: fx, fy, cx, cy, k1, ..., in their order."""
+    return (*PINHOLE, *COEFFICIENTS[camera.model])
+
+
+def parameter_names(cameras: Mapping[str, MountedCamera]) -> tuple[str, ...]:
     """Return the names of the parameters of a head with these cameras, in their order."""
-    own = (*INTRINSICS, *(f"T_eye_cam.{name}" for name in POSE))
+    poses = tuple(f"T_eye_cam.{name}" for name in POSE)
     return (
-        *(f"{camera}.{name}" for camera in cameras for name in own),
+        *(
+            f"{camera}.{name}"
+            for camera, mounted in cameras.items()
+            for name in (*intrinsics_names(mounted.intrinsics), *poses)
+        ),
         *(f"T_rbase_lbase.{name}" for name in POSE),
         *(f"{eye}.{name}" for eye in EYES for name in AXES),
         "time_offset_s",
@@ -38,24 +47,30 @@ def parameter_names(cameras: Iterable[str]) -> tuple[str, ...]:
 
 
 def camera_columns(head: HeadCalibration, camera: str) -> np.ndarray:
-    """Return which parameters (27,) the pixels of a camera depend on.
+    """Return which parameters (n + 18,) the pixels of a camera depend on.
 
-    Those of its lens, of T_eye_cam, of T_rbase_lbase and of the axes of its eye.
+    The n of its lens, those of T_eye_cam, of T_rbase_lbase and of the axes of its eye.
     """
-    own = PER_CAMERA * list(head.cameras).index(camera) + np.arange(PER_CAMERA)
-    base = PER_CAMERA * len(head.cameras) + np.arange(len(POSE))
+    sizes = [_size(mounted) for mounted in head.cameras.values()]
+    k = list(head.cameras).index(camera)
+    own = sum(sizes[:k]) + np.arange(sizes[k])
+    base = sum(sizes) + np.arange(len(POSE))
     axes = base[-1] + 1 + len(AXES) * EYES.index(head.cameras[camera].eye) + np.arange(len(AXES))
     return np.concatenate([own, base, axes])
 
 
+def _size(mounted: MountedCamera) -> int:
+    return len(PINHOLE) + len(mounted.intrinsics.distortion) + len(POSE)
+
+
 def lens_vector(camera: Camera) -> Array:
-    """Return (9,) in the order of INTRINSICS."""
+    """Return (n,) in the order of intrinsics_names."""
     K = camera.matrix
     return np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *camera.distortion])
 
 
 def lens_of_vector(camera: Camera, values: Array) -> Camera:
-    """Return a camera with other values (9,); ValueError if a focal length is not positive."""
+    """Return a camera with other values (n,); ValueError if a focal length is not positive."""
     fx, fy, cx, cy, *distortion = values
     matrix = np.array([[fx, camera.matrix[0, 1], cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     return replace(camera, matrix=matrix, distortion=np.array(distortion))
@@ -66,18 +81,15 @@ def boxplus(head: HeadCalibration, change: Array) -> HeadCalibration:
 
     ValueError if a focal length would not stay positive.
     """
-    C = len(head.cameras)
-    own, rest = change[: PER_CAMERA * C].reshape(C, PER_CAMERA), change[PER_CAMERA * C :]
-    cameras = {
-        name: replace(
+    cameras, rest = {}, change
+    for name, mounted in head.cameras.items():
+        own, rest = np.split(rest, [_size(mounted)])
+        lens = lens_vector(mounted.intrinsics)
+        cameras[name] = replace(
             mounted,
-            intrinsics=lens_of_vector(
-                mounted.intrinsics, lens_vector(mounted.intrinsics) + row[: len(INTRINSICS)]
-            ),
-            T_eye_cam=se3.boxplus(mounted.T_eye_cam, row[len(INTRINSICS) :]),
+            intrinsics=lens_of_vector(mounted.intrinsics, lens + own[: len(lens)]),
+            T_eye_cam=se3.boxplus(mounted.T_eye_cam, own[len(lens) :]),
         )
-        for (name, mounted), row in zip(head.cameras.items(), own, strict=True)
-    }
     axes = {
         eye: EyeAxes(*(axes_row(head.axes[eye]) + row).tolist())
         for eye, row in zip(EYES, rest[6:18].reshape(2, len(AXES)), strict=True)
@@ -106,10 +118,17 @@ def boxminus(head: HeadCalibration, reference: HeadCalibration) -> dict[str, flo
     """Return by name how much each parameter of a head differs from that of a reference.
 
     Offsets of the joints are counted as turns of the bases and mountings: see without_offsets. The
-    reference has at least the same cameras.
+    reference has at least the same cameras. VergenceError if a camera has another lens model there.
     """
     head, reference = without_offsets(head), without_offsets(reference)
     others = {name: reference.camera(name) for name in head.cameras}
+    for name, mounted in head.cameras.items():
+        models = mounted.intrinsics.model, others[name].intrinsics.model
+        if models[0] != models[1]:
+            raise VergenceError(
+                f"{name} has a {models[0]} lens here and a {models[1]} one there: coefficients of "
+                "different lens models cannot be compared."
+            )
     values = _vector(head) - _vector(replace(reference, cameras=others))
     poses = [
         se3.boxminus(mounted.T_eye_cam, others[name].T_eye_cam)

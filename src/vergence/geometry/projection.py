@@ -70,7 +70,7 @@ class ProjectionJacobians:
     pixels: Array
     """(M, K, 2); NaN for points that are not in front of the camera."""
     by_lens: Array
-    """(M, K, 2, 9) by fx, fy, cx, cy, k1, k2, p1, p2, k3."""
+    """(M, K, 2, n) by the intrinsics, in the order of `parameters.intrinsics_names`."""
     by_T_eye_cam: Array
     """(M, K, 2, 6)."""
     by_T_base_eye: Array
@@ -120,7 +120,7 @@ def by_pose_of_points(by_point: Array, turned: Array) -> Array:
 
 
 def by_parameters(J: ProjectionJacobians, by_axes: Array) -> Array:
-    """Return derivatives (M, K, 2, 27) by what a camera's pixels depend on in a head.
+    """Return derivatives (M, K, 2, n + 18) by what a camera's pixels depend on in a head.
 
     In the order of `parameters.camera_columns`; by_axes (M, 6, 6) are those of T_base_eye by the
     fields of EyeAxes.

@@ -1,4 +1,4 @@
-"""Kalibr's camchain YAML: pinhole cameras with radtan distortion, and the poses between them.
+"""Kalibr's camchain YAML: pinhole cameras, radtan or equidistant, and the poses between them.
 
 A chain holds for one posture of the eyes: readings of zero, straight gaze. It does not say where
 the cameras sit in the eyes, so a head cannot be read from it alone.
@@ -18,6 +18,7 @@ from vergence.arrays import Array, Transform
 from vergence.errors import explain
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, T_base_cam, T_head_base
+from vergence.geometry.lens import CameraModel
 from vergence.geometry.projection import rebase
 from vergence.geometry.se3 import inverse
 from vergence.interchange.serialization import check_cameras, read, with_intrinsics, write_yaml
@@ -27,7 +28,7 @@ class _Cam(BaseModel):
     """A camera of a camchain; text such as 1e-5, which YAML 1.1 is no number, becomes one."""
 
     camera_model: Literal["pinhole"]
-    distortion_model: Literal["radtan", "none"] = "none"
+    distortion_model: Literal["radtan", "equidistant", "none"] = "none"
     distortion_coeffs: list[FiniteFloat] = []
     intrinsics: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
     resolution: tuple[PositiveInt, PositiveInt]
@@ -35,18 +36,21 @@ class _Cam(BaseModel):
     T_cn_cnm1: Transform | None = None
 
     def camera(self) -> Camera:
-        count = 4 if self.distortion_model == "radtan" else 0
+        count = 0 if self.distortion_model == "none" else 4
         if len(self.distortion_coeffs) != count:
             raise ValueError(
                 f"distortion_coeffs has {len(self.distortion_coeffs)} numbers; "
                 f"{self.distortion_model} has {count}"
             )
         fx, fy, cx, cy = self.intrinsics
+        fisheye = self.distortion_model == "equidistant"
+        spare = [] if fisheye else [0.0] * (5 - count)
         return Camera(
             width=self.resolution[0],
             height=self.resolution[1],
             matrix=np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]),
-            distortion=np.array(self.distortion_coeffs + [0.0] * (5 - count)),
+            distortion=np.array(self.distortion_coeffs + spare),
+            model="fisheye" if fisheye else "radial-tangential",
         )
 
 
@@ -59,9 +63,10 @@ Camchain = dict[str, tuple[Camera, Array | None]]
 def save(head: HeadCalibration, path: Path) -> None:
     """Write a head's cameras as cam0, cam1, ... of a camchain; rostopic gives their names.
 
-    VergenceError if a camera has skew or k3, or the file cannot be written.
+    VergenceError if a camera has skew, k3 or a rational lens, or the file cannot be written.
     """
-    check_cameras(head, "Kalibr's radtan model", has_k3=False)
+    models: tuple[CameraModel, ...] = ("radial-tangential", "fisheye")
+    check_cameras(head, "Kalibr's camchain", models=models, has_k3=False)
     content: dict[str, Any] = {}
     T_head_previous = np.eye(4)
     for k, (name, mounted) in enumerate(head.cameras.items()):
@@ -72,7 +77,7 @@ def save(head: HeadCalibration, path: Path) -> None:
             "cam_overlaps": [other for other in range(len(head.cameras)) if other != k],
             "camera_model": "pinhole",
             "distortion_coeffs": camera.distortion[:4].tolist(),
-            "distortion_model": "radtan",
+            "distortion_model": "equidistant" if camera.model == "fisheye" else "radtan",
             "intrinsics": camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist(),
             "resolution": [camera.width, camera.height],
             "rostopic": f"/{name}/image_raw",

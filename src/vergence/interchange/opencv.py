@@ -1,7 +1,9 @@
 """OpenCV's FileStorage (.yml, .yaml, .xml or .json): a whole head, matrices as cv::Mat.
 
 cameras:  by name  eye, image_width, image_height, camera_matrix (3x3),
-                   distortion_coefficients (1x5: k1 k2 p1 p2 k3), T_eye_cam (4x4)
+                   lens_model (radial-tangential where there is none: cv2.projectPoints with 5
+                   numbers; rational: with 8; fisheye: cv2.fisheye.projectPoints),
+                   distortion_coefficients (1xn), T_eye_cam (4x4)
 T_rbase_lbase (4x4)
 axes:     left, right: the numbers of kinematics.EyeAxes
 neck:     axes (nx3), points_m (nx3), head_m (1x3)
@@ -23,6 +25,7 @@ from pydantic import BaseModel, Field, FiniteFloat
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, MountedCamera
 from vergence.geometry.kinematics import EYES, EyeAxes, Neck, Side
+from vergence.geometry.lens import CameraModel
 from vergence.interchange.serialization import (
     Intrinsics,
     Matrix,
@@ -51,6 +54,7 @@ def save(head: HeadCalibration, path: Path) -> None:
         "cameras": {
             name: {
                 "eye": mounted.eye,
+                "lens_model": mounted.intrinsics.model,
                 **intrinsics_fields(mounted.intrinsics),
                 "T_eye_cam": mounted.T_eye_cam,
             }
@@ -87,6 +91,7 @@ def _write(storage: cv2.FileStorage, content: Mapping[str, Any]) -> None:
 
 class _Camera(Intrinsics):
     eye: Side
+    lens_model: CameraModel = "radial-tangential"
     T_eye_cam: Matrix
 
 
@@ -125,7 +130,7 @@ def _head(content: Any) -> HeadCalibration:
                 raise ValueError(f"axes.{eye}.{field.name} is missing")
     return HeadCalibration(
         cameras={
-            name: MountedCamera(eye=c.eye, intrinsics=c.camera(), T_eye_cam=c.T_eye_cam)
+            name: MountedCamera(eye=c.eye, intrinsics=c.camera(c.lens_model), T_eye_cam=c.T_eye_cam)
             for name, c in found.cameras.items()
         },
         T_rbase_lbase=found.T_rbase_lbase,

@@ -14,6 +14,7 @@ from pydantic import Field
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import MAX_CAMERAS, HeadCalibration
+from vergence.geometry.lens import CameraModel
 from vergence.interchange.serialization import (
     Intrinsics,
     check_cameras,
@@ -23,12 +24,20 @@ from vergence.interchange.serialization import (
 )
 from vergence.writing import UNFINISHED, results_folder, unfinished
 
+_NAMES: dict[CameraModel, str] = {
+    "radial-tangential": "plumb_bob",
+    "rational": "rational_polynomial",
+    "fisheye": "equidistant",
+}
+"""ROS's names of the lens models, from sensor_msgs/distortion_models.h."""
+_MODELS: dict[str, CameraModel] = {name: model for model, name in _NAMES.items()}
+
 
 class _CameraInfo(Intrinsics):
     """Rectification and projection are not read: they follow from the rest."""
 
     camera_name: Annotated[str, Field(min_length=1)]
-    distortion_model: Literal["plumb_bob"]
+    distortion_model: Literal["plumb_bob", "rational_polynomial", "equidistant"]
 
 
 def save(head: HeadCalibration, folder: Path) -> None:
@@ -37,12 +46,12 @@ def save(head: HeadCalibration, folder: Path) -> None:
     No camera is rectified: the rectification is the identity, and the projection the camera's own
     matrix. VergenceError if a camera has skew, or the folder cannot be written.
     """
-    check_cameras(head, "ROS's plumb_bob model")
+    check_cameras(head, "ROS's camera_info")
     with results_folder(folder):
         for name, mounted in head.cameras.items():
             content = intrinsics_fields(mounted.intrinsics) | {
                 "camera_name": name,
-                "distortion_model": "plumb_bob",
+                "distortion_model": _NAMES[mounted.intrinsics.model],
                 "rectification_matrix": np.eye(3),
                 "projection_matrix": np.pad(mounted.intrinsics.matrix, ((0, 0), (0, 1))),
             }
@@ -83,4 +92,4 @@ def load(path: Path) -> dict[str, Camera]:
 
 def _named_camera(content: Any) -> tuple[str, Camera]:
     info = _CameraInfo.model_validate(content)
-    return info.camera_name, info.camera()
+    return info.camera_name, info.camera(_MODELS[info.distortion_model])

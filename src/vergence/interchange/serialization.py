@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -16,6 +16,7 @@ from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration
+from vergence.geometry.lens import COEFFICIENTS, CameraModel
 from vergence.reading import read_parsed, unique_keys
 from vergence.writing import write_whole
 
@@ -52,13 +53,14 @@ class Intrinsics(BaseModel):
     camera_matrix: Matrix
     distortion_coefficients: Matrix
 
-    def camera(self) -> Camera:
-        """Return the camera; ValueError if it has skew or is not a pinhole camera."""
+    def camera(self, model: CameraModel = "radial-tangential") -> Camera:
+        """Return the camera; ValueError if it has skew, or coefficients of another lens model."""
         camera = Camera(
             width=self.image_width,
             height=self.image_height,
             matrix=self.camera_matrix,
             distortion=self.distortion_coefficients.ravel(),
+            model=model,
         )
         if camera.matrix[0, 1] != 0:
             raise ValueError("camera_matrix is not [fx 0 cx; 0 fy cy; 0 0 1]")
@@ -127,21 +129,35 @@ def check_names(head: HeadCalibration) -> None:
             )
 
 
-def check_cameras(head: HeadCalibration, model: str, *, has_k3: bool = True) -> None:
-    """Raise VergenceError if a camera has a name, skew or k3 that a camera model cannot hold.
+def check_cameras(
+    head: HeadCalibration,
+    format: str,
+    *,
+    models: Collection[CameraModel] = tuple(COEFFICIENTS),
+    has_k3: bool = True,
+) -> None:
+    """Raise VergenceError if a camera has a name, skew, lens model or k3 that a format cannot hold.
 
-    A message calls it by `model`; `has_k3` is whether it has a third radial coefficient.
+    A message calls it by `format`; `has_k3` is whether its radial-tangential model has a third
+    radial coefficient.
     """
     check_names(head)
     for name, mounted in head.cameras.items():
-        skew, k3 = mounted.intrinsics.matrix[0, 1], mounted.intrinsics.distortion[4]
+        lens = mounted.intrinsics
+        skew = lens.matrix[0, 1]
         if abs(skew) > NEGLIGIBLE:
             raise VergenceError(
-                f"{name} has a skew of {skew:.3g} px, for which {model} has no field; "
+                f"{name} has a skew of {skew:.3g} px, for which {format} has no field; "
                 "calibrate without skew to export it."
             )
+        if lens.model not in models:
+            raise VergenceError(
+                f"{name} has a {lens.model} lens, which {format} cannot hold; export to opencv or "
+                f"ros, or calibrate with --lens {' or '.join(models)}."
+            )
+        k3 = lens.distortion[4] if lens.model == "radial-tangential" else 0.0
         if abs(k3) > NEGLIGIBLE and not has_k3:
             raise VergenceError(
-                f"{name} has k3 = {k3:.3g}, for which {model} has no field; export to opencv "
+                f"{name} has k3 = {k3:.3g}, for which {format} has no field; export to opencv "
                 "or ros, or calibrate without k3."
             )

@@ -168,7 +168,7 @@ def _fuse_target(
     The detections are those of the object, left and right, and of the marker, left and right.
     """
     calibration = settings.gaze.calibration
-    posture = posture_at_image(state.gaze, frame)
+    posture = posture_at_image(settings.gaze, state.gaze, frame)
     pixels = np.array([each.pixel for each in seen]).reshape(2, 2, 1, 2)  # object or marker, eye
     stds = np.array([each.std_px for each in seen]).reshape(2, 2).max(axis=0)  # by eye
     objects, markers, covariances = locate_both(

@@ -6,11 +6,12 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.geometry.camera import Camera
-from vergence.geometry.se3 import pose, rotation
+from vergence.geometry.camera import Camera, normalise, project_jacobians
+from vergence.geometry.se3 import boxplus, cross, pose, rotation
 
 LEAST_CORNERS = 6
 """Fewer do not say where a board is."""
+_REFINEMENTS = 20
 _CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-14)
 
 
@@ -37,6 +38,8 @@ def board_poses(camera: Camera, corners: Array, points: Array) -> Array:
 
     Corners are pixels (V, K, 2), NaN where not seen, of points (K, 3) in frame target [m].
     """
+    if camera.model == "fisheye":
+        return _fisheye_poses(camera, corners, points)
     poses = np.full((len(corners), 4, 4), np.nan)
     seen = seen_corners(corners)
     for v in np.flatnonzero(determines_pose(points, seen)):
@@ -46,3 +49,69 @@ def board_poses(camera: Camera, corners: Array, points: Array) -> Array:
             rvec, tvec = cv2.solvePnPRefineLM(*view, rvec, tvec, _CRITERIA)
             poses[v] = pose(rotation(rvec.ravel()), tvec.ravel())
     return poses
+
+
+def _fisheye_poses(camera: Camera, corners: Array, points: Array) -> Array:
+    """Return what board_poses does, for a lens that OpenCV's solvePnP does not know.
+
+    The poses by directions are the start; by pixels, all views at once, they are refined.
+    """
+    xy = normalise(camera, corners)
+    plain = Camera(camera.width, camera.height, np.eye(3))
+    poses = board_poses(plain, xy, points)
+    known = np.isfinite(poses).all(axis=(1, 2))
+    if known.any():
+        reached = np.where(np.isfinite(xy), corners, np.nan)
+        poses[known], _ = refined_poses(camera, reached[known], points, poses[known])
+    return poses
+
+
+def seen_from_the_other_side(T_cam_target: Array, points: Array) -> Array:
+    """Return the poses (V, 4, 4) with which small boards look almost the same.
+
+    The board is slanted the other way about its middle: seen along the line of sight, its normal is
+    the mirror image.
+    """
+    middle = points.mean(axis=0)
+    R, centre = T_cam_target[:, :3, :3], T_cam_target[:, :3, :3] @ middle + T_cam_target[:, :3, 3]
+    sight = centre / np.linalg.norm(centre, axis=-1, keepdims=True)
+    half_turn = 2 * sight[:, :, None] * sight[:, None] - np.eye(3)
+    R_other = half_turn @ R @ np.diag([-1.0, -1.0, 1.0])
+    return pose(R_other, centre - R_other @ middle)
+
+
+def refined_poses(camera: Camera, corners: Array, points: Array, T: Array) -> tuple[Array, Array]:
+    """Return poses (V, 4, 4) of least reprojection error near T, and the sums of squares [px^2].
+
+    All views at once, by Levenberg and Marquardt's method; each has four corners or more.
+    """
+    seen = seen_corners(corners)[..., None]
+    target = np.where(seen, corners, 0.0)
+    damping, lowest, best = np.full(len(T), 1e-6), np.full(len(T), np.inf), T
+    step = np.zeros((len(T), 6))
+    kept: tuple[Array, Array] | None = None
+    for _ in range(_REFINEMENTS):
+        trial = boxplus(best, step)
+        turned = points @ np.swapaxes(trial[:, :3, :3], 1, 2)
+        pixels, by_point, _ = project_jacobians(camera, turned + trial[:, None, :3, 3])
+        errors = np.where(seen, pixels - target, 0.0).reshape(len(T), -1)
+        J = np.concatenate([cross(turned[:, :, None], by_point), by_point], axis=-1)
+        J = np.where(seen[..., None], J, 0.0).reshape(len(T), -1, 6)
+        cost = np.nan_to_num((errors**2).sum(axis=1), nan=np.inf)
+        better = (cost <= lowest) & np.isfinite(cost)
+        J_T = np.swapaxes(J, 1, 2)
+        H, g = J_T @ J, (J_T @ errors[..., None])[..., 0]
+        if kept is not None:
+            H = np.where(better[:, None, None], H, kept[0])
+            g = np.where(better[:, None], g, kept[1])
+        kept = H, g
+        best = np.where(better[:, None, None], trial, best)
+        fall = lowest - np.where(better, cost, 0.0)
+        settled = better & (fall < 1e-14 * np.where(better, cost, 0.0) + 1e-20)
+        lowest = np.minimum(cost, lowest)
+        if settled.all():
+            break
+        damping = np.where(better, np.maximum(damping / 10, 1e-12), damping * 100)
+        damped = H + damping[:, None, None] * H * np.eye(6)
+        step = np.asarray(-np.linalg.solve(damped, g[..., None])[..., 0], dtype=float)
+    return best, lowest

@@ -26,7 +26,8 @@ from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.head import Accuracy, HeadCalibration, main_pair
 from vergence.geometry.kinematics import EYES
-from vergence.geometry.parameters import INTRINSICS, POSE, lens_vector, parameter_names
+from vergence.geometry.lens import COEFFICIENTS
+from vergence.geometry.parameters import POSE, parameter_names
 
 EXACT = 1e-8
 """Joint noise [rad or m] that stands for exact readings."""
@@ -153,7 +154,7 @@ def bundle_adjust(
         )
     return BundleEstimate(
         head=replace(found.state.head, neck=start.neck),
-        parameters=parameter_names(problem.cameras),
+        parameters=problem.parameters,
         covariance=found.observability.covariance,
         pixel_std_px=found.noise.pixel_px,
         joint_std=tuple(map(float, found.noise.levels[1:])),
@@ -181,7 +182,8 @@ def fixed_by_default(start: HeadCalibration, *, timed: bool) -> set[str]:
     """
     fixed = {f"{eye}.{joint}_offset_rad" for eye in EYES for joint in ("pan", "tilt")}
     for camera, mounted in start.cameras.items():
-        values = zip(INTRINSICS[4:], lens_vector(mounted.intrinsics)[4:], strict=True)
+        lens = mounted.intrinsics
+        values = zip(COEFFICIENTS[lens.model], lens.distortion, strict=True)
         fixed |= {f"{camera}.{name}" for name, value in values if value == 0}
     if main_pair(start) is None:
         fixed |= {f"T_rbase_lbase.{name}" for name in POSE}

@@ -8,7 +8,7 @@ from vergence.arrays import Array
 from vergence.calibration.bundle.adjustment import Adjusted
 from vergence.calibration.bundle.problem import BundleProblem, eye_poses
 from vergence.geometry.kinematics import EYES
-from vergence.geometry.parameters import parameter_names
+from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.se3 import rotvec
 
 SMALL_RAD = 0.05
@@ -89,9 +89,17 @@ def _of_camera(problem: BundleProblem, c: int) -> str:
 
 def _unobservable(problem: BundleProblem, found: Adjusted) -> list[str]:
     """Return a sentence for each set of owners whose parameters the data hardly determine."""
-    names = [n.removeprefix("camera.").rpartition(".") for n in parameter_names(problem.cameras)]
+    names = [n.removeprefix("camera.").rpartition(".") for n in problem.parameters]
     owner = [before or after for before, _, after in names]
     word = [_WORDS.get(after, after) if before else "" for before, _, after in names]
+    # Numerator and denominator of a rational lens nearly cancel; what that leaves open is in the
+    # covariance, and in the map of the lens.
+    cancelling = {
+        f"{camera}.{name}"
+        for camera in problem.cameras
+        if f"{camera}.k6" in problem.parameters
+        for name in COEFFICIENTS["rational"]
+    }
     said = []
     for what, rows in (
         ("not observable, and left at the start", found.observability.fixed),
@@ -100,6 +108,8 @@ def _unobservable(problem: BundleProblem, found: Adjusted) -> list[str]:
         merged: dict[tuple[str, ...], set[int]] = {}
         for row in _sparse(rows):
             large = np.flatnonzero(np.abs(row) > NAMED * np.abs(row).max()).tolist()
+            if all(problem.parameters[i] in cancelling for i in large):
+                continue
             merged.setdefault(tuple(dict.fromkeys(owner[i] for i in large)), set()).update(large)
         for owners, large in merged.items():
             parts = {o: [word[i] for i in sorted(large) if owner[i] == o] for o in owners}

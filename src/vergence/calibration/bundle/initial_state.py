@@ -83,14 +83,16 @@ def initial_state(
     blind = [name for c, name in enumerate(cameras) if c not in camera]
     blind += [side for e, side in enumerate(EYES) if e not in eye[camera]]
     without = () if measured is None else (*AXES, "time_offset_s")
+    parameters = parameter_names(start.cameras)
     free = [
         name not in fixed
         and name.partition(".")[0] not in blind
         and name.rpartition(".")[2] not in without
-        for name in parameter_names(cameras)
+        for name in parameters
     ]
     problem = BundleProblem(
         cameras=cameras,
+        parameters=parameters,
         eye=eye,
         camera=camera,
         block=block.ravel(),

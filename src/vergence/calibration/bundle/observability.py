@@ -14,6 +14,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.bundle.problem import BundleProblem, BundleState, head_size
 from vergence.calibration.bundle.solver import LinearProblem, NoiseLevels, factorise, project_onto
+from vergence.geometry.lens import CameraModel
 
 ROTATION_RAD = 0.05
 """How well a ruler knows a mounting: about 3 degrees ..."""
@@ -31,6 +32,20 @@ known better is estimated: the start may be worse still, and would spoil what is
 WEAK = 0.3
 """Standard deviation, in prior ones, from which a direction deserves a warning: 0.9 degrees,
 3 mm."""
+_POWERS: dict[CameraModel, tuple[int, ...]] = {
+    "radial-tangential": (2, 4, 1, 1, 6),
+    "rational": (2, 4, 1, 1, 6, 2, 4, 6),
+    "fisheye": (2, 4, 6, 8),
+}
+"""Of the radius, with which each coefficient moves a point relative to its distance."""
+_MOVED: dict[CameraModel, float] = {
+    "radial-tangential": 0.2,
+    "rational": 0.02,
+    "fisheye": 0.2,
+}
+"""By how much a coefficient may move the image's corner, relative to its distance from the centre.
+Those of a rational lens nearly cancel one another: combinations that the images hardly determine
+would lead far away along a curved valley, and keep their start."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,10 +69,11 @@ def whole_basis(problem: BundleProblem, state: BundleState) -> Array:
     for mounted in state.head.cameras.values():
         lens = mounted.intrinsics
         f = lens.matrix[0, 0]
-        reach = np.hypot(lens.width, lens.height) / 2 / f  # of the image's corner, normalised
+        # Of the image's corner: normalised radius or, for a fisheye lens, angle.
+        reach = np.hypot(lens.width, lens.height) / 2 / f
         scales += [0.2 * f, 0.2 * f, 0.1 * lens.width, 0.1 * lens.height]
-        # Distortion that moves the image's corner by a fifth of its distance from the centre.
-        scales += (0.2 / reach ** np.array([2, 4, 1, 1, 6])).tolist() + pose
+        moved = _MOVED[lens.model]
+        scales += (moved / reach ** np.array(_POWERS[lens.model])).tolist() + pose
     scales += [*pose, *AXES_STD, *AXES_STD, TIME_S] + pose * len(state.T_lbase_target)
     scales.append(BOARD_SCALE)
     return np.diag(scales)[:, problem.free]

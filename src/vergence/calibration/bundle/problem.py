@@ -26,8 +26,8 @@ from vergence.data import timing
 from vergence.data.timing import Stencil
 from vergence.geometry import parameters
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import AXES, EYES, T_base_eye, axes_row, eye_jacobians
-from vergence.geometry.parameters import PER_CAMERA, POSE, camera_columns
+from vergence.geometry.kinematics import EYES, T_base_eye, axes_row, eye_jacobians
+from vergence.geometry.parameters import camera_columns
 from vergence.geometry.projection import (
     by_parameters,
     by_pose_of_points,
@@ -46,6 +46,8 @@ class BundleProblem:
 
     cameras: tuple[str, ...]
     """All cameras of the head."""
+    parameters: tuple[str, ...]
+    """Names of the shared unknowns that belong to the head, which come first."""
     eye: Index
     """(C,) 0 for the left eye, 1 for the right one."""
     camera: Index
@@ -97,7 +99,7 @@ class BundleState:
 
 def head_size(problem: BundleProblem) -> int:
     """Return how many shared unknowns belong to the head; those of the boards follow."""
-    return PER_CAMERA * len(problem.cameras) + len(POSE) + len(EYES) * len(AXES) + 1
+    return len(problem.parameters)
 
 
 def retract(
@@ -189,24 +191,30 @@ def corner_errors(problem: BundleProblem, state: BundleState) -> Array:
 def jacobians(problem: BundleProblem, state: BundleState) -> tuple[Array, Index, Array]:
     """Return the derivatives of corner_errors; zero where a corner is not seen.
 
-    (M, K, 2, 34) by the shared unknowns that a detection meets, (M, 34) which these are, and (M, K,
-    2, n) by the latent ones of its block.
+    (M, K, 2, s) by the shared unknowns that a detection meets, (M, s) which these are, and (M, K,
+    2, n) by the latent ones of its block. The lens with the most coefficients sets s; for others
+    the last columns are zero.
     """
     M, K = problem.seen.shape
+    columns = [camera_columns(state.head, name) for name in problem.cameras]
+    s = max(map(len, columns)) + 7
     T, (turned, points) = eye_poses(problem, state)[problem.block], _on_boards(problem, state)
     by_axes, by_latent = (each[problem.block] for each in _eye_jacobians(problem, state))
-    shared, latent = np.empty((M, K, 2, 34)), np.empty((M, K, 2, by_latent.shape[-1]))
+    shared, latent = np.zeros((M, K, 2, s)), np.empty((M, K, 2, by_latent.shape[-1]))
+    index = np.zeros((M, s), dtype=np.intp)
     for c, mounted in enumerate(state.head.cameras.values()):
         own = problem.camera == c
         J = project_with_jacobians(mounted, state.head.T_rbase_lbase, T[own], points[own])
         by_board = by_pose_of_points(J.by_point, turned[own])
         by_size = (J.by_point @ turned[own][..., None]) / state.board_scale
-        of_head = by_parameters(J, by_axes[own])
-        shared[own] = np.concatenate([of_head, by_board, by_size], axis=-1)
+        width = len(columns[c]) + 7
+        shared[own, ..., :width] = np.concatenate(
+            [by_parameters(J, by_axes[own]), by_board, by_size], axis=-1
+        )
         latent[own] = rows_times(J.by_T_base_eye, by_latent[own])
-    columns = np.stack([camera_columns(state.head, name) for name in problem.cameras])
-    board = head_size(problem) + 6 * problem.placement[:, None] + np.arange(6)
-    size = np.full((M, 1), len(problem.free) - 1)
-    index = np.concatenate([columns[problem.camera], board, size], axis=1)
+        index[own, : width - 7] = columns[c]
+        board = head_size(problem) + 6 * problem.placement[own, None] + np.arange(6)
+        index[own, width - 7 : width - 1] = board
+        index[own, width - 1] = len(problem.free) - 1
     seen = problem.seen[..., None, None]
     return np.where(seen, shared, 0.0), index, np.where(seen, latent, 0.0)

@@ -183,7 +183,7 @@ def cholesky(matrix: Array) -> tuple[Array, bool]:
     for ridge in 10.0 ** np.arange(-13, -3):
         try:
             return cho_factor(matrix + ridge * unit, lower=True)
-        except np.linalg.LinAlgError:
+        except (np.linalg.LinAlgError, ValueError):  # the latter: not finite
             continue
     raise VergenceError(
         "The equations of the bundle adjustment are not finite: look for wild corners or readings."

@@ -8,9 +8,13 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.sequential.intrinsics import CRITERIA, repeatable
 from vergence.errors import VergenceError
-from vergence.geometry.camera import Camera
+from vergence.geometry.camera import Camera, normalise, undistort
 from vergence.geometry.se3 import pose
 from vergence.vision.board_pose import LEAST_CORNERS, seen_corners
+
+WIDEST = 2.0
+"""Tangent of the angle from the axis (63 degrees) beyond which undistorted corners are left out:
+their errors grow with its square."""
 
 
 def calibrate_pair(
@@ -19,7 +23,8 @@ def calibrate_pair(
     """Return T_b_a (4, 4) of two rigidly connected cameras, and the RMS residual [px].
 
     OpenCV's bundle adjustment of the relative pose, with the intrinsics fixed; exact to what its
-    single precision allows.
+    single precision allows. Fisheye images are undistorted before, up to WIDEST from the axis; the
+    residual is then that of undistorted pixels.
 
     Args:
         corners_a: (V, K, 2) pixels in camera a; NaN where a corner was not seen.
@@ -37,6 +42,11 @@ def calibrate_pair(
         raise VergenceError(
             "The pose between two cameras needs views in which both see the board, found none."
         )
+    if "fisheye" in (a.model, b.model):  # which OpenCV's function does not know
+        corners_a, a = _undistorted(corners_a, a)
+        corners_b, b = _undistorted(corners_b, b)
+        both = seen_corners(corners_a) & seen_corners(corners_b)
+        usable = np.flatnonzero(both.sum(axis=1) >= LEAST_CORNERS)
     with repeatable():
         rms, *_, R, t, _E, _F = cv2.stereoCalibrate(
             [points[both[v]].astype(np.float32) for v in usable],
@@ -51,3 +61,11 @@ def calibrate_pair(
             criteria=CRITERIA,
         )
     return pose(R, t.ravel()), float(rms)
+
+
+def _undistorted(corners: Array, camera: Camera) -> tuple[Array, Camera]:
+    """Return the corners as a pinhole camera would see them, NaN far from the axis, and it."""
+    xy = normalise(camera, corners)
+    near = np.linalg.norm(xy, axis=-1) < WIDEST
+    pixels = np.where(near[..., None], undistort(camera, corners), np.nan)
+    return pixels, Camera(camera.width, camera.height, camera.matrix)

@@ -1,0 +1,202 @@
+"""How well a lens is known, part by part of the image: what a mean over the image would hide.
+
+For each cell of the image: the standard deviation of the pixel of a point that stands there, the
+corners that were seen there, and the mean of their residuals. A misfit at the edge shows as
+residuals that grow towards it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.geometry.camera import Camera, normalise, project_jacobians
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.parameters import intrinsics_names
+from vergence.geometry.se3 import cross
+
+COLUMNS, ROWS = 12, 9
+MIDDLE, EDGE = 0.5, 0.75
+"""Distances from the image's middle, relative to that of its corners: inside the first is the
+middle, outside the second the edge."""
+LEAST_VIEWS = 5
+"""With corners at the edge, and in the middle, from which the two are compared."""
+LARGER = 1.25
+"""Ratio of residuals at the edge and in the middle that is called larger ..."""
+CERTAIN = 4.0
+"""... if it exceeds one by as many standard errors."""
+
+
+@dataclass(frozen=True, eq=False)
+class LensMap:
+    """What is known of a camera in each cell of its image; ROWS from the top, COLUMNS."""
+
+    u: Array
+    """(COLUMNS,) middles of the cells [px]."""
+    v: Array
+    """(ROWS,) [px]."""
+    std_px: Array
+    """(ROWS, COLUMNS) standard deviation of the pixel of a direction, by the lens (root mean square
+    of its coordinates); NaN where it reaches none, or where no covariance is stated."""
+    corners: np.ndarray
+    """(ROWS, COLUMNS) how many corners were seen; 0: never covered."""
+    residual_px: Array
+    """(ROWS, COLUMNS, 2) mean of projected minus seen; NaN where not covered."""
+    residual_std_px: Array
+    """(ROWS, COLUMNS) standard error of a coordinate of that mean; NaN for fewer than two corners.
+    """
+
+    @property
+    def covered(self) -> float:
+        """The part of the image in which corners were seen."""
+        return float((self.corners > 0).mean())
+
+
+def lens_maps(
+    head: HeadCalibration, corners: Mapping[str, Array], residuals_px: Mapping[str, Array]
+) -> dict[str, LensMap]:
+    """Return the map of each camera that has residuals.
+
+    Args:
+        head: with its accuracy.
+        corners: by camera (V, K, 2) pixels; NaN where not seen.
+        residuals_px: by camera (V, K, 2) projected minus seen; NaN where not seen.
+    """
+    return {name: _map(head, name, corners[name], own) for name, own in residuals_px.items()}
+
+
+def _map(head: HeadCalibration, name: str, corners: Array, residuals: Array) -> LensMap:
+    camera = head.cameras[name].intrinsics
+    u, v = (
+        (np.arange(n) + 0.5) * size / n - 0.5
+        for n, size in ((COLUMNS, camera.width), (ROWS, camera.height))
+    )
+    grid = np.stack(np.meshgrid(u, v), axis=-1)
+    covariance = pixel_covariance(head, name, grid.reshape(-1, 2))
+    std = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2).reshape(ROWS, COLUMNS)
+    used = np.isfinite(residuals).all(axis=-1) & np.isfinite(corners).all(axis=-1)
+    place, off = corners[used], residuals[used]
+    column, row = (
+        np.clip((place[:, k] + 0.5) * n / size, 0, n - 1).astype(int)
+        for k, n, size in ((0, COLUMNS, camera.width), (1, ROWS, camera.height))
+    )
+    cell, cells = row * COLUMNS + column, ROWS * COLUMNS
+    count = np.bincount(cell, minlength=cells)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.stack([np.bincount(cell, e, cells) / count for e in off.T], axis=-1)
+        squares = np.bincount(cell, ((off - mean[cell]) ** 2).sum(axis=1), cells)
+        error = np.sqrt(squares / (2 * (count - 1) * count))
+    return LensMap(
+        u=u,
+        v=v,
+        std_px=std,
+        corners=count.reshape(ROWS, COLUMNS),
+        residual_px=mean.reshape(ROWS, COLUMNS, 2),
+        residual_std_px=np.where(count > 1, error, np.nan).reshape(ROWS, COLUMNS),
+    )
+
+
+def pixel_covariance(head: HeadCalibration, name: str, pixels: Array) -> Array:
+    """Return the covariance (N, 2, 2) [px^2] of where directions are projected, by the lens.
+
+    The directions are those of the named camera's pixels (N, 2). A turn of the camera that makes up
+    for an error of its lens is of no effect, and taken out: see `without_turn`. NaN where the lens
+    reaches no direction, or no covariance is stated.
+    """
+    accuracy, camera = head.accuracy, head.camera(name).intrinsics
+    total = np.full((len(pixels), 2, 2), np.nan)
+    if accuracy is None or not accuracy.parameters:
+        return total
+    known = {each: k for k, each in enumerate(accuracy.parameters)}
+    own = [f"{name}.{each}" for each in intrinsics_names(camera)]
+    chosen = [k for k, each in enumerate(own) if each in known]
+    columns = [known[own[k]] for k in chosen]
+    both = np.concatenate([pixels, reference_pixels(camera)])
+    with np.errstate(invalid="ignore"):
+        rows = project_jacobians(camera, unit_rays(camera, both))[2][..., chosen]
+    rows = without_turn(camera, pixels, rows[: len(pixels)], rows[len(pixels) :])
+    C = accuracy.covariance[np.ix_(columns, columns)]
+    return rows @ C @ np.swapaxes(rows, 1, 2)
+
+
+def reference_pixels(camera: Camera) -> Array:
+    """Return pixels (M, 2) about the image's middle, at which the turn of a camera is told."""
+    x, y = np.meshgrid(*2 * [np.linspace(-1, 1, 9)])
+    place = np.stack([x, y], axis=-1)[np.hypot(x, y) <= 1]
+    middle = np.array([camera.width - 1, camera.height - 1]) / 2
+    return middle + EDGE * middle.min() * place
+
+
+def without_turn(camera: Camera, pixels: Array, errors: Array, at_reference: Array) -> Array:
+    """Return errors (N, 2, n) at pixels (N, 2) less those of the turn that explains them best.
+
+    Least squares over the errors (M, 2, n) at reference_pixels: where a direction is projected
+    depends on how lens and camera frame are divided, and another lens model divides them otherwise;
+    the mounting makes up for it.
+    """
+    by_turn, reference = (
+        cross(unit_rays(camera, each)[:, None], _by_ray(camera, each))
+        for each in (pixels, reference_pixels(camera))
+    )
+    good = np.isfinite(reference).all(axis=(1, 2)) & np.isfinite(at_reference).all(axis=(1, 2))
+    turn = np.linalg.lstsq(
+        reference[good].reshape(-1, 3), at_reference[good].reshape(-1, at_reference.shape[-1])
+    )[0]
+    return errors - by_turn @ turn
+
+
+def _by_ray(camera: Camera, pixels: Array) -> Array:
+    """Return derivatives (N, 2, 3) of pixels by the directions seen there."""
+    with np.errstate(invalid="ignore"):
+        return project_jacobians(camera, unit_rays(camera, pixels))[1]
+
+
+def unit_rays(camera: Camera, pixels: Array) -> Array:
+    """Return unit vectors (N, 3) in frame cam towards what is seen at pixels (N, 2)."""
+    xy = normalise(camera, pixels)
+    ray = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
+    return ray / np.linalg.norm(ray, axis=1, keepdims=True)
+
+
+def edge_warnings(
+    head: HeadCalibration, corners: Mapping[str, Array], residuals_px: Mapping[str, Array]
+) -> tuple[str, ...]:
+    """Return a sentence for each camera whose residuals are larger at the edge than in the middle.
+
+    Arguments are those of lens_maps.
+    """
+    said = []
+    for name, residuals in residuals_px.items():
+        camera = head.cameras[name].intrinsics
+        middle = np.array([camera.width - 1, camera.height - 1]) / 2
+        away = np.linalg.norm((corners[name] - middle) / np.linalg.norm(middle), axis=-1)
+        squares = (residuals**2).sum(axis=-1) / 2
+        with np.errstate(invalid="ignore"):
+            rings = [_by_view(squares, away < MIDDLE), _by_view(squares, away > EDGE)]
+        if any((count > 0).sum() < LEAST_VIEWS for _, count in rings):
+            continue
+        (inner, inner_error), (outer, outer_error) = (_mean_square(*ring) for ring in rings)
+        error = np.hypot(outer_error, LARGER**2 * inner_error)
+        if outer - LARGER**2 * inner > 0 and outer - inner > CERTAIN * error:
+            said.append(
+                f"Residuals of {name} grow towards the edge of its image: {np.sqrt(outer):.2g} px "
+                f"there, {np.sqrt(inner):.2g} px in the middle; its lens model does not hold at "
+                "the edge: choose a richer one (--lens), record more boards at the edge, and look "
+                "at the map of the lens."
+            )
+    return tuple(said)
+
+
+def _by_view(squares: Array, mine: np.ndarray) -> tuple[Array, np.ndarray]:
+    """Return sums (V,) of squares (V, K) that are mine, and how many these are."""
+    used = mine & np.isfinite(squares)
+    return np.where(used, squares, 0.0).sum(axis=1), used.sum(axis=1)
+
+
+def _mean_square(total: Array, count: np.ndarray) -> tuple[float, float]:
+    """Return the mean of squares and its standard error; a view's corners err together."""
+    mean = total.sum() / count.sum()
+    return float(mean), float(np.sqrt(((total - mean * count) ** 2).sum()) / count.sum())

@@ -1,0 +1,196 @@
+"""Which lens model each camera gets: as stated, or the one that predicts held-out images best.
+
+Every candidate is fitted to the views of one camera, and each view is predicted by the lens of
+the others: only the board's pose is fitted in it. The model of least error wins, unless a simpler
+one is worse by no more than the standard error of the difference, view by view, or two of them if
+the winner is a fisheye or a rational lens.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.calibration.observations import Observations
+from vergence.calibration.sequential.intrinsics import (
+    FREE_COEFFICIENTS,
+    LensModel,
+    fit_model,
+    free_intrinsics,
+    lenses_of_the_paper,
+    pinhole_start,
+)
+from vergence.calibration.sequential.lens_fit import ROUGH, LensFit, held_out_squares
+from vergence.errors import VergenceError
+from vergence.geometry.board import corner_points
+from vergence.vision.board_pose import determines_pose, seen_corners
+
+Lens = LensModel | Literal["auto"]
+CANDIDATES: tuple[LensModel, ...] = (
+    "none",
+    "radial-tangential",
+    "radial-tangential-k3",
+    "fisheye",
+    "rational",
+)
+"""The simplest first: between models that predict alike, the earlier one is taken."""
+LEAST_VIEWS = 10
+"""Of a camera, for a choice; with fewer the paper's model is taken."""
+MOST_VIEWS = 60
+"""More views, spread over the recording, would not change the choice, and take time."""
+MARGIN: dict[LensModel, float] = {"fisheye": 2.0, "rational": 2.0}
+"""Standard errors by which a model must predict better than a simpler one, where not one: these do
+not contain the usual models, which mild lenses fit nearly as well."""
+BEYOND_CHANCE = 25.0
+"""Sum of squares, in variances of a corner, by which no model predicts better by chance. Where a
+few views at the edge make all the difference, its standard error is as large as itself."""
+PROMISING = 4.0
+"""Fall of the sum of squares for each coefficient more, in variances of a corner, from which the
+rational model may predict better; coefficients of no use give 1."""
+
+
+@dataclass(frozen=True)
+class LensChoice:
+    """The lens model of a camera, and how well the candidates predicted held-out images."""
+
+    model: LensModel
+    held_out_px: Mapping[LensModel, float] = field(default_factory=dict)
+    """By candidate: root mean square of one coordinate of a corner in a view that the fit had not
+    seen [px]; empty where the model was stated, or there were too few views for a choice."""
+
+    @property
+    def runner_up(self) -> LensModel | None:
+        """The best of the candidates that were not taken; None: there was no choice."""
+        others: dict[LensModel, float] = {
+            name: px for name, px in self.held_out_px.items() if name != self.model
+        }
+        return min(others, key=lambda name: others[name]) if others else None
+
+
+def choose_lenses(
+    observations: Observations, lens: Lens | Mapping[str, Lens] = "auto"
+) -> dict[str, LensChoice]:
+    """Return the lens model of every camera.
+
+    Args:
+        observations: views in which the eyes stood still.
+        lens: for all cameras, or by camera (those left out: "auto").
+
+    Raises:
+        VergenceError: a camera is named that there is not.
+    """
+    wanted = by_camera(observations, lens)
+    usual, points = lenses_of_the_paper(observations), corner_points(observations.board)
+    choices: dict[str, LensChoice] = {}
+    for name, stated in wanted.items():
+        if stated == "auto":
+            corners, size = observations.corners[name], observations.sizes[name]
+            choices[name] = best_lens(corners, points, size=size, otherwise=usual[name])
+        else:
+            choices[name] = LensChoice(stated)
+    return choices
+
+
+def by_camera(observations: Observations, lens: Lens | Mapping[str, Lens]) -> dict[str, Lens]:
+    """Return what is stated of each camera's lens; errors are those of choose_lenses."""
+    names = list(observations.corners)
+    stated: dict[str, Lens] = dict.fromkeys(names, lens if isinstance(lens, str) else "auto")
+    if not isinstance(lens, str):
+        unknown = sorted(set(lens) - set(names))
+        if unknown:
+            raise VergenceError(
+                f"A lens is stated for {unknown[0]!r}; the cameras are {', '.join(names)}."
+            )
+        stated.update(lens)
+    wrong = [each for each in stated.values() if each != "auto" and each not in FREE_COEFFICIENTS]
+    if wrong:
+        raise VergenceError(
+            f"There is no lens model {wrong[0]!r}; there are auto, {', '.join(FREE_COEFFICIENTS)}."
+        )
+    return stated
+
+
+def best_lens(
+    corners: Array, points: Array, *, size: tuple[int, int], otherwise: LensModel
+) -> LensChoice:
+    """Return the lens model that predicts held-out views of a board best.
+
+    Args:
+        corners: (V, K, 2) pixels; NaN where not seen.
+        points: (K, 3) the board's corners in frame target.
+        size: width and height of the images [px].
+        otherwise: the model where the views are too few, or no model fits them.
+    """
+    usable = np.flatnonzero(determines_pose(points, seen_corners(corners)))
+    if len(usable) > MOST_VIEWS:
+        usable = usable[np.arange(MOST_VIEWS) * len(usable) // MOST_VIEWS]
+    if len(usable) < LEAST_VIEWS:
+        return LensChoice(otherwise)
+    corners = corners[usable]
+    fits = _fits(corners, points, size)
+    if "rational" in fits and not _promises(fits):
+        del fits["rational"]
+    squares: dict[LensModel, Array] = {
+        model: held_out_squares(
+            fit, free_intrinsics(model), corners, points, refit=model == "rational"
+        )
+        for model, fit in fits.items()
+    }
+    squares = {model: each for model, each in squares.items() if np.isfinite(each).all()}
+    if not squares:
+        return LensChoice(otherwise)
+    count = 2 * np.count_nonzero(seen_corners(corners))
+    held_out: dict[LensModel, float] = {
+        model: float(np.sqrt(each.sum() / count)) for model, each in squares.items()
+    }
+    best = min(squares, key=lambda model: squares[model].sum())
+    for model, own in squares.items():
+        worse = own - squares[best]
+        certain = MARGIN.get(best, 1.0) * np.sqrt(len(worse)) * worse.std()
+        if worse.sum() <= min(certain, BEYOND_CHANCE * held_out[best] ** 2):
+            return LensChoice(model, held_out)
+    return LensChoice(best, held_out)
+
+
+def _fits(corners: Array, points: Array, size: tuple[int, int]) -> dict[LensModel, LensFit]:
+    """Return the fits of the candidates that these views allow; each starts from one before."""
+    fits: dict[LensModel, LensFit] = {}
+    pinhole = pinhole_start(corners, points, size)
+    start = pinhole
+    for model in CANDIDATES:
+        if model == "rational" and "fisheye" in fits:
+            start = fits["fisheye"].camera, fits["fisheye"].T_cam_target
+        elif model not in ("fisheye", "rational") and pinhole is None:
+            continue
+        try:
+            fits[model] = fit_model(model, start, corners, points, size, tolerance=ROUGH)
+        except (cv2.error, ValueError, np.linalg.LinAlgError):
+            continue
+        if model == "radial-tangential":
+            start = fits[model].camera, fits[model].T_cam_target
+    return {model: fit for model, fit in fits.items() if _determined(model, fit)}
+
+
+def _promises(fits: Mapping[LensModel, LensFit]) -> bool:
+    """Return whether the rational model fits so much better that its folds are worth their time."""
+    others: dict[LensModel, float] = {
+        model: fit.sum_squares for model, fit in fits.items() if model != "rational"
+    }
+    if not others:
+        return True
+    best = min(others, key=lambda model: others[model])
+    more = FREE_COEFFICIENTS["rational"] - FREE_COEFFICIENTS[best]
+    rational = fits["rational"]
+    variance = rational.sum_squares / np.count_nonzero(rational.errors)
+    return others[best] - rational.sum_squares > PROMISING * more * variance
+
+
+def _determined(model: LensModel, fit: LensFit) -> bool:
+    """Return whether there are more corners than unknowns, and a lens that a camera can have."""
+    unknowns = 4 + FREE_COEFFICIENTS[model] + 6 * len(fit.T_cam_target)
+    return bool(np.count_nonzero(fit.errors) > unknowns and np.isfinite(fit.errors).all())

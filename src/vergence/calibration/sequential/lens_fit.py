@@ -1,0 +1,192 @@
+"""Least squares of one lens and the boards before it, in double precision, for every lens model.
+
+The boards' poses are eliminated view by view (the Schur complement), which leaves a system in the
+intrinsics alone. What is left of the intrinsics' derivatives after the poses have been projected
+out also says, to first order, how well a view would have been predicted without it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.geometry.camera import Camera, project_jacobians
+from vergence.geometry.parameters import lens_of_vector, lens_vector
+from vergence.geometry.projection import by_pose_of_points
+from vergence.geometry.se3 import boxplus
+from vergence.vision.board_pose import refined_poses
+
+ITERATIONS = 60
+NEGLIGIBLE_GAIN = 1e-10
+"""Predicted decrease of the sum of squares, relative to it, from which a fit has converged."""
+ROUGH = 1e-6
+"""The same where a fit is compared with others."""
+FOLDS = 5
+EXACT_PX2 = 1e-20
+"""Mean square of errors at which a fit is exact."""
+SMALLEST_EIGENVALUE = 1e-13
+"""Of information scaled to a unit diagonal, below which a direction counts as not determined."""
+
+
+@dataclass(frozen=True, eq=False)
+class LensFit:
+    """A lens with the boards before it, at the least sum of squares."""
+
+    camera: Camera
+    T_cam_target: Array
+    """(V, 4, 4)."""
+    errors: Array
+    """(V, 2 K) [px] projected minus seen; zero where not seen."""
+    rest: Array
+    """(V, 2 K, n) derivatives of the errors by the n free intrinsics, poses projected out."""
+
+    @property
+    def sum_squares(self) -> float:
+        """Of the errors [px^2]."""
+        return float((self.errors**2).sum())
+
+
+def fit_lens(
+    camera: Camera,
+    free: np.ndarray,
+    T_cam_target: Array,
+    corners: Array,
+    points: Array,
+    *,
+    iterations: int = ITERATIONS,
+    tolerance: float = NEGLIGIBLE_GAIN,
+) -> LensFit:
+    """Return the fit of a lens to views of a board, by Levenberg and Marquardt's method.
+
+    Args:
+        camera: to start from.
+        free: (n,) indices of the intrinsics that may change, in the order of intrinsics_names.
+        T_cam_target: (V, 4, 4) to start from.
+        corners: (V, K, 2) pixels; NaN where not seen.
+        points: (K, 3) in frame target.
+        iterations: at most.
+        tolerance: predicted decrease of the sum of squares, relative to it, at which it stops.
+
+    Raises:
+        ValueError: a corner has no place in the image at the start.
+    """
+    seen = np.isfinite(corners)
+    damping, lens = 1e-4, camera
+    state = _linearised(lens, free, T_cam_target, corners, points, seen)
+    if state is None:
+        raise ValueError("the start of a lens shows a corner behind the camera")
+    T = T_cam_target
+    for _ in range(iterations):
+        errors, of_view, of_lens = state
+        lowest = (errors**2).sum()
+        accepted = False
+        while not accepted:
+            step_lens, step_view, gain = _step(errors, of_view, of_lens, damping)
+            if gain <= tolerance * lowest + EXACT_PX2 * errors.size or damping > 1e10:
+                return _fit(lens, T, state)
+            values = lens_vector(lens)
+            values[free] += step_lens
+            try:
+                trial = lens_of_vector(lens, values)
+            except ValueError:
+                damping *= 10
+                continue
+            moved = boxplus(T, step_view)
+            found = _linearised(trial, free, moved, corners, points, seen)
+            accepted = found is not None and (found[0] ** 2).sum() <= lowest
+            if found is not None and accepted:
+                lens, T, state, damping = trial, moved, found, max(damping / 10, 1e-14)
+            else:
+                damping *= 10
+    return _fit(lens, T, state)
+
+
+_Linear = tuple[Array, Array, Array]
+
+
+def _linearised(
+    camera: Camera, free: np.ndarray, T: Array, corners: Array, points: Array, seen: np.ndarray
+) -> _Linear | None:
+    """Return errors (V, 2 K), and their derivatives by poses (V, 2 K, 6) and lens (V, 2 K, n)."""
+    V = len(T)
+    turned = points @ np.swapaxes(T[:, :3, :3], 1, 2)
+    with np.errstate(over="ignore", invalid="ignore"):
+        pixels, by_point, by_lens = project_jacobians(camera, turned + T[:, None, :3, 3])
+    errors = np.where(seen, pixels - np.where(seen, corners, 0.0), 0.0).reshape(V, -1)
+    if not np.isfinite(errors).all():
+        return None
+    of_view = np.where(seen[..., None], by_pose_of_points(by_point, turned), 0.0)
+    of_lens = np.where(seen[..., None], by_lens[..., free], 0.0)
+    return errors, of_view.reshape(V, -1, 6), of_lens.reshape(V, -1, len(free))
+
+
+def _step(
+    errors: Array, of_view: Array, of_lens: Array, damping: float
+) -> tuple[Array, Array, float]:
+    """Return the steps of the lens (n,) and of the poses (V, 6), and the decrease they promise."""
+    of_view_T = np.swapaxes(of_view, 1, 2)
+    N = of_view_T @ of_view
+    N[:, range(6), range(6)] *= 1 + damping
+    g_view = -(of_view_T @ errors[..., None])
+    both = np.linalg.solve(N, np.concatenate([of_view_T @ of_lens, g_view], axis=2))
+    coupling, alone = both[..., :-1], both[..., -1]
+    gg = np.einsum("vin,vim->nm", of_lens, of_lens, optimize=True)
+    gg[np.diag_indices_from(gg)] *= 1 + damping
+    cross = of_view_T @ of_lens
+    S = gg - np.einsum("vin,vim->nm", cross, coupling, optimize=True)
+    g_lens = -np.einsum("vin,vi->n", of_lens, errors, optimize=True)
+    g = g_lens - np.einsum("vin,vi->n", cross, alone, optimize=True)
+    step_lens = _solve(S, g) if len(g) else g
+    step_view = alone - coupling @ step_lens
+    gain = float(step_lens @ g_lens + (step_view * g_view[..., 0]).sum())
+    return step_lens, step_view, gain
+
+
+def _solve(H: Array, g: Array) -> Array:
+    """Return the shortest x (..., n) of H x = g, in units of H's diagonal; H may be singular."""
+    scale = np.sqrt(np.maximum(np.diagonal(H, axis1=-2, axis2=-1), 1e-300))
+    values, vectors = np.linalg.eigh(H / scale[..., None, :] / scale[..., None])
+    inverse = np.where(values > SMALLEST_EIGENVALUE, 1 / np.maximum(values, 1e-300), 0.0)
+    along = (np.swapaxes(vectors, -1, -2) @ (g / scale)[..., None])[..., 0]
+    return (vectors @ (inverse * along)[..., None])[..., 0] / scale
+
+
+def _fit(camera: Camera, T: Array, state: _Linear) -> LensFit:
+    errors, of_view, of_lens = state
+    of_view_T = np.swapaxes(of_view, 1, 2)
+    rest = of_lens - of_view @ np.linalg.solve(of_view_T @ of_view, of_view_T @ of_lens)
+    return LensFit(camera, T, errors, rest)
+
+
+def held_out_squares(
+    fit: LensFit, free: np.ndarray, corners: Array, points: Array, *, refit: bool
+) -> Array:
+    """Return (V,) [px^2] the squares of each view's errors, predicted by a lens from other views.
+
+    The views are divided into FOLDS; of a view itself only the board's pose is fitted. Arguments
+    are those of `fit_lens`.
+
+    Args:
+        fit: of all views.
+        refit: whether the lens without a fold is found step by step; otherwise it is taken to be
+            one Gauss-Newton step away from that of all views, which is so unless coefficients
+            nearly cancel.
+    """
+    number = np.arange(len(corners)) % FOLDS
+    squares = np.empty(len(corners))
+    rest_T = np.swapaxes(fit.rest, 1, 2)
+    H, g = rest_T @ fit.rest, (rest_T @ fit.errors[..., None])[..., 0]
+    for k in range(FOLDS):
+        mine = number == k
+        if refit:
+            T = fit.T_cam_target
+            lens = fit_lens(
+                fit.camera, free, T[~mine], corners[~mine], points, iterations=20, tolerance=ROUGH
+            ).camera
+            squares[mine] = refined_poses(lens, corners[mine], points, T[mine])[1]
+        else:
+            moved = _solve(H[~mine].sum(axis=0), g[mine].sum(axis=0))
+            squares[mine] = ((fit.errors[mine] + fit.rest[mine] @ moved) ** 2).sum(axis=1)
+    return squares

@@ -1,0 +1,169 @@
+"""Lens models: how (x/z, y/z) is distorted, its derivatives, and how far out it can be undone.
+
+Three models, each OpenCV's, so that both agree to the last digits:
+
+- `radial-tangential` (k1, k2, p1, p2, k3): Brown's polynomial.
+- `rational` (k1, k2, p1, p2, k3, k4, k5, k6): the same with the radial factor divided by
+  1 + k4 r^2 + k5 r^4 + k6 r^6.
+- `fisheye` (k1, k2, k3, k4): equidistant; with t the angle from the axis, a point lies at the
+  radius t (1 + k1 t^2 + k2 t^4 + k3 t^6 + k4 t^8) (Kannala and Brandt; cv2.fisheye).
+
+Directions are given by x/z and y/z, so all models end at 90 degrees from the axis.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+
+from vergence.arrays import Array
+
+CameraModel = Literal["radial-tangential", "rational", "fisheye"]
+COEFFICIENTS: dict[CameraModel, tuple[str, ...]] = {
+    "radial-tangential": ("k1", "k2", "p1", "p2", "k3"),
+    "rational": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    "fisheye": ("k1", "k2", "k3", "k4"),
+}
+"""The names of the distortion coefficients, in their order."""
+
+Coefficients = tuple[float, ...]
+_SMALLEST_RADIUS = 1e-9
+"""Below it a fisheye lens is linear to machine precision."""
+_LARGEST_TANGENT = 100.0
+"""Of the angle from the axis up to which a rational lens is inverted: 89.4 degrees."""
+
+
+def distort(model: CameraModel, k: Coefficients, x: Array, y: Array) -> tuple[Array, ...]:
+    """Return distorted x', y', and dx'/dx, dx'/dy (which is dy'/dx), dy'/dy, each shaped as x.
+
+    x and y are x/z and y/z; k are the coefficients of the model.
+    """
+    if model == "fisheye":
+        return _distort_fisheye(k, x, y)
+    k1, k2, p1, p2, k3 = k[:5]
+    x2, xy, y2 = x * x, x * y, y * y
+    r2 = x2 + y2
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = 2 * (k1 + r2 * (2 * k2 + 3 * k3 * r2))  # d radial / d x = slope * x
+    if model == "rational":
+        k4, k5, k6 = k[5:]
+        below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+        slope_below = 2 * (k4 + r2 * (2 * k5 + 3 * k6 * r2))
+        radial = radial / below
+        slope = (slope - radial * slope_below) / below
+    return (
+        x * radial + 2 * p1 * xy + p2 * (r2 + 2 * x2),
+        y * radial + p1 * (r2 + 2 * y2) + 2 * p2 * xy,
+        radial + slope * x2 + 2 * p1 * y + 6 * p2 * x,
+        slope * xy + 2 * p1 * x + 2 * p2 * y,
+        radial + slope * y2 + 6 * p1 * y + 2 * p2 * x,
+    )
+
+
+def _distort_fisheye(k: Coefficients, x: Array, y: Array) -> tuple[Array, ...]:
+    r = np.maximum(np.hypot(x, y), _SMALLEST_RADIUS)
+    theta = np.arctan(r)
+    scale = _radius(k, theta) / r
+    slope = (_radius_slope(k, theta) / (1 + r * r) - scale) / (r * r)  # d scale / d x = slope * x
+    return x * scale, y * scale, scale + slope * x * x, slope * x * y, scale + slope * y * y
+
+
+def _radius(k: Coefficients, theta: Array) -> Array:
+    k1, k2, k3, k4 = k
+    t2 = theta * theta
+    return theta * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
+
+
+def _radius_slope(k: Coefficients, theta: Array) -> Array:
+    k1, k2, k3, k4 = k
+    t2 = theta * theta
+    return 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * 9 * k4)))
+
+
+def by_coefficients(model: CameraModel, k: Coefficients, x: Array, y: Array) -> Array:
+    """Return the derivatives (..., 2, n) of distorted x', y' by the n coefficients of the model."""
+    r2 = x * x + y * y
+    if model == "fisheye":
+        r = np.maximum(np.sqrt(r2), _SMALLEST_RADIUS)
+        theta = np.arctan(r)
+        powers = theta[..., None] ** np.array([3, 5, 7, 9]) / r[..., None]
+        return np.stack([x[..., None] * powers, y[..., None] * powers], axis=-2)
+    columns = [
+        np.stack([x * r2, x * r2**2, 2 * x * y, r2 + 2 * x * x, x * r2**3], axis=-1),
+        np.stack([y * r2, y * r2**2, r2 + 2 * y * y, 2 * x * y, y * r2**3], axis=-1),
+    ]
+    if model == "radial-tangential":
+        return np.stack(columns, axis=-2)
+    k1, k2, _, _, k3, k4, k5, k6 = k
+    below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+    radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / below
+    both = np.stack(columns, axis=-2)
+    both[..., [0, 1, 4]] /= below[..., None, None]
+    return np.concatenate([both, -radial[..., None, None] * both[..., [0, 1, 4]]], axis=-1)
+
+
+@lru_cache(maxsize=1024)
+def reach(model: CameraModel, k: Coefficients) -> float:
+    """Return x^2 + y^2 up to which the radius in the image rises; infinity: up to 90 degrees.
+
+    Further out the lens folds over, or has a pole: pixels there belong to no direction.
+    """
+    if model == "radial-tangential":
+        k1, k2, _, _, k3 = k
+        inverse = np.roots([1, 3 * k1, 5 * k2, 7 * k3])  # of 1 / r^2, where the slope is zero
+    elif model == "fisheye":
+        k1, k2, k3, k4 = k
+        inverse = np.roots([1, 3 * k1, 5 * k2, 7 * k3, 9 * k4])
+    else:
+        k1, k2, _, _, k3, k4, k5, k6 = k
+        above, below = np.array([k3, k2, k1, 1.0]), np.array([k6, k5, k4, 1.0])
+        u = np.array([1.0, 0.0])
+        slope = np.polyadd(
+            np.polymul(np.polyadd(above, 2 * np.polymul(u, np.polyder(above))), below),
+            -2 * np.polymul(u, np.polymul(above, np.polyder(below))),
+        )
+        inverse = np.concatenate([np.roots(slope[::-1]), np.roots(below[::-1])])
+    rising = max((root.real for root in inverse if root.imag == 0 < root.real), default=0.0)
+    first = 1 / rising if rising > 0 else np.inf
+    if model != "fisheye":
+        return first
+    theta = np.sqrt(first)
+    return np.tan(theta) ** 2 if theta < np.pi / 2 else np.inf
+
+
+@lru_cache(maxsize=1024)
+def _table(model: CameraModel, k: Coefficients) -> tuple[Array, Array]:
+    """Return radii in the image, rising, and the tangents (rational) or angles there."""
+    end = reach(model, k)
+    if model == "fisheye":
+        theta = np.linspace(0, min(np.arctan(np.sqrt(end)), np.pi / 2), 500)
+        return _radius(k, theta), theta
+    largest = min(np.sqrt(end), _LARGEST_TANGENT)
+    # Even in the angle: a lens is smooth in it.
+    r = np.tan(np.linspace(0, np.arctan(largest), 500))
+    rational = (*k[:2], 0.0, 0.0, *k[4:])
+    return distort(model, rational, r, np.zeros_like(r))[0], r
+
+
+def first_guess(model: CameraModel, k: Coefficients, x: Array, y: Array) -> tuple[Array, Array]:
+    """Return about the undistorted coordinates of distorted x, y, for Newton's method.
+
+    NaN for a fisheye lens where no direction before the camera has this radius; there the result is
+    exact.
+    """
+    if model == "radial-tangential":
+        return x, y
+    radius = np.hypot(x, y)
+    in_image, out = _table(model, k)
+    found = np.interp(radius, in_image, out)
+    if model == "fisheye":
+        theta = found
+        with np.errstate(divide="ignore", invalid="ignore"):
+            for _ in range(6):  # of a table this dense, three are enough but at a fold
+                theta = theta - (_radius(k, theta) - radius) / _radius_slope(k, theta)
+            inside = (radius < in_image[-1]) & (theta < np.pi / 2) & (theta >= 0)
+            found = np.where(inside, np.tan(theta), np.nan)
+    scale = np.where(radius > 0, found / np.where(radius > 0, radius, 1.0), 1.0)
+    return x * scale, y * scale

@@ -1,0 +1,92 @@
+"""What is known of a lens in each part of the image, and whole calibrations with every lens."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lens_monte_carlo import GRID, lens_head, recording, tried
+from simulated_recording import EXACT
+from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
+from vergence.calibration.calibrate import CalibrationResult, calibrate
+from vergence.calibration.checks.lens_map import (
+    COLUMNS,
+    ROWS,
+    edge_warnings,
+    lens_maps,
+    pixel_covariance,
+)
+from vergence.errors import VergenceError
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.parameters import boxminus, parameter_names
+
+
+@pytest.fixture(scope="module")
+def fisheye() -> tuple[HeadCalibration, CalibrationResult]:
+    rng = np.random.default_rng(1)
+    head = lens_head("fisheye", rng)
+    return head, calibrate(recording(head, rng))
+
+
+def test_a_calibration_chooses_the_lens_and_its_regions_reach_the_corners(fisheye):
+    head, result = fisheye
+    assert {choice.model for choice in result.lenses.values()} == {"fisheye"}
+    assert {m.intrinsics.model for m in result.head.cameras.values()} == {"fisheye"}
+    assert not [line for line in result.warnings if "edge" in line]
+    assert tried(result, head).inside.mean() > 0.7  # the pixels of a camera err together
+    assert "left_wide.k4" in result.accuracy.parameters
+    assert "left_wide.p1" not in parameter_names(result.head.cameras)
+
+
+def test_the_map_shows_what_was_covered_and_how_well_it_is_known(fisheye):
+    _, result = fisheye
+    maps = lens_maps(result.head, result.observations.corners, result.estimate.residuals_px)
+    for name, own in maps.items():
+        assert own.std_px.shape == own.corners.shape == (ROWS, COLUMNS)
+        used = np.isfinite(result.estimate.residuals_px[name]).all(axis=-1)
+        assert own.corners.sum() == used.sum()
+        assert own.std_px[0, 0] > own.std_px[ROWS // 2, COLUMNS // 2]
+        assert 0.5 < own.covered <= 1
+        well = own.corners > 50
+        assert np.abs(own.residual_px[well]).max() < 0.1
+
+
+def test_no_covariance_is_stated_without_an_accuracy(fisheye):
+    _, result = fisheye
+    head = replace(result.head, accuracy=None)
+    assert np.isnan(pixel_covariance(head, "left_wide", GRID)).all()
+
+
+def test_a_misfit_at_the_edge_is_named_with_its_camera():
+    rng = np.random.default_rng(2)
+    head = lens_head("k3", rng)
+    seen = recording(head, rng)
+    result = calibrate(seen, lens="radial-tangential")
+    said = " ".join(edge_warnings(result.head, seen.corners, result.estimate.residuals_px))
+    assert "Residuals of left_wide grow towards the edge of its image" in said
+    assert said.split(".")[0] in " ".join(result.warnings)
+    right = calibrate(seen)
+    assert not edge_warnings(right.head, seen.corners, right.estimate.residuals_px)
+
+
+@pytest.mark.parametrize("kind", ["k3", "fisheye"])
+def test_bundle_adjustment_is_exact_with_every_lens(kind):
+    rng = np.random.default_rng(4)
+    head = lens_head(kind, rng)
+    seen = recording(head, rng, EXACT)
+    found = bundle_adjust(head, seen, pixel_std_px=0.1, joint_std=1e-3)
+    lens = {
+        name: value
+        for name, value in boxminus(found.head, head).items()
+        if "T_" not in name and "_wide." in name
+    }
+    assert max(map(abs, lens.values())) < 1e-6
+
+
+def test_lenses_of_different_models_cannot_be_compared():
+    rng = np.random.default_rng(5)
+    head, other = lens_head("k3", rng), lens_head("fisheye", rng)
+    with pytest.raises(
+        VergenceError, match="left_wide has a radial-tangential lens here and a fish"
+    ):
+        boxminus(head, other)
