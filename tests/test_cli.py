@@ -86,7 +86,7 @@ def test_an_unknown_command_is_answered_with_the_known_ones(capsys, monkeypatch)
     [
         (["grasp", "--trails", "3"], "--trials, --seed, --profile, --out, --json"),
         (["record", "--frame=12"], "--out, --profile, --seed, --frames"),
-        (["calibrate", "folder", "--our", "x.json"], "--out, --report, --method, --json"),
+        (["calibrate", "folder", "--our", "x.json"], "--out, --report, --method, --lens, --json"),
     ],
 )
 def test_an_unknown_option_is_answered_with_the_known_ones(arguments, known, capsys, monkeypatch):

@@ -3,7 +3,8 @@
 Every candidate is fitted to the views of one camera, and each view is predicted by the lens of
 the others: only the board's pose is fitted in it. The model of least error wins, unless a simpler
 one is worse by no more than the standard error of the difference, view by view, or two of them if
-the winner is a fisheye or a rational lens.
+the winner is a fisheye. A rational lens is taken only where it is stated: it contains so many
+others that the data of a usual recording seldom tell it from them.
 """
 
 from __future__ import annotations
@@ -21,7 +22,6 @@ from vergence.calibration.sequential.intrinsics import (
     FREE_COEFFICIENTS,
     LensModel,
     fit_model,
-    free_intrinsics,
     lenses_of_the_paper,
     pinhole_start,
 )
@@ -36,22 +36,21 @@ CANDIDATES: tuple[LensModel, ...] = (
     "radial-tangential",
     "radial-tangential-k3",
     "fisheye",
-    "rational",
 )
 """The simplest first: between models that predict alike, the earlier one is taken."""
 LEAST_VIEWS = 10
 """Of a camera, for a choice; with fewer the paper's model is taken."""
 MOST_VIEWS = 60
 """More views, spread over the recording, would not change the choice, and take time."""
-MARGIN: dict[LensModel, float] = {"fisheye": 2.0, "rational": 2.0}
-"""Standard errors by which a model must predict better than a simpler one, where not one: these do
-not contain the usual models, which mild lenses fit nearly as well."""
+MARGIN: dict[LensModel, float] = {"fisheye": 2.0}
+"""Standard errors by which a model must predict better than a simpler one, where not one: it does
+not contain the usual models, which fit mild lenses nearly as well."""
+BY_CHANCE = 10.0
+"""Sum of squares, in variances of a corner, by which a model may always predict better by chance:
+about three standard errors of one of its coefficients."""
 BEYOND_CHANCE = 25.0
 """Sum of squares, in variances of a corner, by which no model predicts better by chance. Where a
 few views at the edge make all the difference, its standard error is as large as itself."""
-PROMISING = 4.0
-"""Fall of the sum of squares for each coefficient more, in variances of a corner, from which the
-rational model may predict better; coefficients of no use give 1."""
 
 
 @dataclass(frozen=True)
@@ -133,14 +132,7 @@ def best_lens(
         return LensChoice(otherwise)
     corners = corners[usable]
     fits = _fits(corners, points, size)
-    if "rational" in fits and not _promises(fits):
-        del fits["rational"]
-    squares: dict[LensModel, Array] = {
-        model: held_out_squares(
-            fit, free_intrinsics(model), corners, points, refit=model == "rational"
-        )
-        for model, fit in fits.items()
-    }
+    squares: dict[LensModel, Array] = {model: held_out_squares(fit) for model, fit in fits.items()}
     squares = {model: each for model, each in squares.items() if np.isfinite(each).all()}
     if not squares:
         return LensChoice(otherwise)
@@ -152,7 +144,9 @@ def best_lens(
     for model, own in squares.items():
         worse = own - squares[best]
         certain = MARGIN.get(best, 1.0) * np.sqrt(len(worse)) * worse.std()
-        if worse.sum() <= min(certain, BEYOND_CHANCE * held_out[best] ** 2):
+        variance = held_out[best] ** 2
+        likely = min(certain, BEYOND_CHANCE * variance)
+        if worse.sum() <= max(likely, BY_CHANCE * variance):
             return LensChoice(model, held_out)
     return LensChoice(best, held_out)
 
@@ -163,9 +157,7 @@ def _fits(corners: Array, points: Array, size: tuple[int, int]) -> dict[LensMode
     pinhole = pinhole_start(corners, points, size)
     start = pinhole
     for model in CANDIDATES:
-        if model == "rational" and "fisheye" in fits:
-            start = fits["fisheye"].camera, fits["fisheye"].T_cam_target
-        elif model not in ("fisheye", "rational") and pinhole is None:
+        if model != "fisheye" and pinhole is None:
             continue
         try:
             fits[model] = fit_model(model, start, corners, points, size, tolerance=ROUGH)
@@ -174,20 +166,6 @@ def _fits(corners: Array, points: Array, size: tuple[int, int]) -> dict[LensMode
         if model == "radial-tangential":
             start = fits[model].camera, fits[model].T_cam_target
     return {model: fit for model, fit in fits.items() if _determined(model, fit)}
-
-
-def _promises(fits: Mapping[LensModel, LensFit]) -> bool:
-    """Return whether the rational model fits so much better that its folds are worth their time."""
-    others: dict[LensModel, float] = {
-        model: fit.sum_squares for model, fit in fits.items() if model != "rational"
-    }
-    if not others:
-        return True
-    best = min(others, key=lambda model: others[model])
-    more = FREE_COEFFICIENTS["rational"] - FREE_COEFFICIENTS[best]
-    rational = fits["rational"]
-    variance = rational.sum_squares / np.count_nonzero(rational.errors)
-    return others[best] - rational.sum_squares > PROMISING * more * variance
 
 
 def _determined(model: LensModel, fit: LensFit) -> bool:

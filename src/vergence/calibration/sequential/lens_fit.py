@@ -16,7 +16,6 @@ from vergence.geometry.camera import Camera, project_jacobians
 from vergence.geometry.parameters import lens_of_vector, lens_vector
 from vergence.geometry.projection import by_pose_of_points
 from vergence.geometry.se3 import boxplus
-from vergence.vision.board_pose import refined_poses
 
 ITERATIONS = 60
 NEGLIGIBLE_GAIN = 1e-10
@@ -160,33 +159,18 @@ def _fit(camera: Camera, T: Array, state: _Linear) -> LensFit:
     return LensFit(camera, T, errors, rest)
 
 
-def held_out_squares(
-    fit: LensFit, free: np.ndarray, corners: Array, points: Array, *, refit: bool
-) -> Array:
+def held_out_squares(fit: LensFit) -> Array:
     """Return (V,) [px^2] the squares of each view's errors, predicted by a lens from other views.
 
-    The views are divided into FOLDS; of a view itself only the board's pose is fitted. Arguments
-    are those of `fit_lens`.
-
-    Args:
-        fit: of all views.
-        refit: whether the lens without a fold is found step by step; otherwise it is taken to be
-            one Gauss-Newton step away from that of all views, which is so unless coefficients
-            nearly cancel.
+    The views are divided into FOLDS; of a view itself only the board's pose is fitted. The lens
+    without a fold is one Gauss-Newton step away from that of all views.
     """
-    number = np.arange(len(corners)) % FOLDS
-    squares = np.empty(len(corners))
+    V = len(fit.errors)
+    number, squares = np.arange(V) % FOLDS, np.empty(V)
     rest_T = np.swapaxes(fit.rest, 1, 2)
     H, g = rest_T @ fit.rest, (rest_T @ fit.errors[..., None])[..., 0]
     for k in range(FOLDS):
         mine = number == k
-        if refit:
-            T = fit.T_cam_target
-            lens = fit_lens(
-                fit.camera, free, T[~mine], corners[~mine], points, iterations=20, tolerance=ROUGH
-            ).camera
-            squares[mine] = refined_poses(lens, corners[mine], points, T[mine])[1]
-        else:
-            moved = _solve(H[~mine].sum(axis=0), g[mine].sum(axis=0))
-            squares[mine] = ((fit.errors[mine] + fit.rest[mine] @ moved) ** 2).sum(axis=1)
+        moved = _solve(H[~mine].sum(axis=0), g[mine].sum(axis=0))
+        squares[mine] = ((fit.errors[mine] + fit.rest[mine] @ moved) ** 2).sum(axis=1)
     return squares
