@@ -6,12 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulated_recording import as_poses
-from test_other_heads import on_an_arm, recorded
+from simulated_recording import BOARD, POINTS, as_poses
+from test_other_heads import assert_near, on_an_arm, recorded
 from vergence.calibration.calibrate import calibrate
+from vergence.calibration.checks.pose_readings import PAN_TILT
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
-from vergence.geometry.se3 import inverse
+from vergence.geometry.kinematics import EYES
+from vergence.geometry.projection import project_at
+from vergence.geometry.se3 import inverse, pose, rotation, transform
 
 pytestmark = pytest.mark.slow
 
@@ -69,6 +72,39 @@ def test_exchanged_rows_are_named_and_left_out(seen):
     assert checked is not None
     assert checked.prediction_px is not None
     assert checked.prediction_px < 0.5
+
+
+@pytest.mark.parametrize("shared", [False, True], ids=["each its own", "common tilt"])
+def test_tilt_before_pan_is_refused_with_the_order_that_the_images_show(shared):
+    """And the same images with the poses of the eyes instead are calibrated."""
+    rng = np.random.default_rng(5)
+    truth, _ = recorded(1)
+    V = 30
+    angles = rng.uniform(-0.3, 0.3, (V, 4))
+    if shared:
+        angles[:, 3] = angles[:, 1]
+    pan, tilt = (rotation(angles[:, k::2, None] * axis) for k, axis in enumerate(PAN_TILT))
+    T_base_eye = pose(tilt @ pan)
+    T_lbase_target = truth.cameras["left_wide"].T_eye_cam @ pose(
+        rotation([0.3, 0.2, 0.0]), [-0.15, -0.08, 0.6]
+    )
+    corners = {}
+    for name, mounted in truth.cameras.items():
+        T = T_base_eye[:, EYES.index(mounted.eye)]
+        points = transform(T_lbase_target, POINTS)[None]
+        pixels = project_at(mounted, truth.T_rbase_lbase, T, points)
+        corners[name] = pixels + rng.normal(0, 0.1, pixels.shape)
+    seen = Observations(
+        board=BOARD,
+        placement=np.zeros(V, dtype=int),
+        eye_angles=angles + rng.normal(0, 1e-3, (V, 4)),
+        corners=corners,
+        sizes=dict.fromkeys(corners, (640, 480)),
+    )
+    with pytest.raises(VergenceError, match="fit tilt before pan"):
+        calibrate(seen)
+    found = calibrate(replace(seen, T_base_eye=T_base_eye))
+    assert_near(found, truth)
 
 
 def mirrored(T: np.ndarray) -> np.ndarray:

@@ -22,7 +22,7 @@ from vergence.calibration.checks.part_calibration import (
     placed_boards,
     predicting_better,
 )
-from vergence.calibration.checks.pose_readings import check_pose_readings
+from vergence.calibration.checks.pose_readings import check_axis_order, check_pose_readings
 from vergence.calibration.detection import detect_target
 from vergence.calibration.observations import Observations, camera_eyes
 from vergence.calibration.sequential.intrinsics import (
@@ -140,6 +140,7 @@ def calibrate(
         for name, each in intrinsics.items()
     }
     encoders.check_encoders(seen, _take(T_cam_target, data.at_rest))
+    check_axis_order(seen, _take(T_cam_target, data.at_rest))
     posed = check_pose_readings(data, T_cam_target)
     renumbered = board_flips.number_alike(posed.observations, T_cam_target)
     observations, T_cam_target = renumbered.observations, renumbered.T_cam_target
