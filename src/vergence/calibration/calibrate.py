@@ -51,10 +51,8 @@ LEAST_VIEWS = 3
 LARGEST_JACKKNIFE_RATIO = 2.0
 """Ratio of standard deviations from which the stated ones are called too small. The folds determine
 it to about a tenth."""
-
-
 VOID_RATIO = 10.0
-"""The same, from which the result is worth nothing."""
+"""The same, from which the result must not be used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,9 +169,9 @@ def calibrate(
     at_the_edge = ()
     if estimate is not None:
         at_the_edge = edge_warnings(head, observations.corners, estimate.residuals_px)
-    checked, doubts, worthless = _cross_validated(observations, of_part)
+    checked, doubts, contradictions = _cross_validated(observations, of_part)
     progress("calibrating", 3, 3)
-    void = (*accuracy.void, *worthless, *encoders.doubts(head))
+    void = (*accuracy.void, *contradictions, *encoders.doubts(head))
     warnings = (
         *posed.warnings,
         *board_flips.warnings(renumbered),

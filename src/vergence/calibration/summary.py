@@ -16,7 +16,7 @@ MISFIT = 1.5
 """Held-out error, as a multiple of what the noise explains, from which something is amiss; with
 the ten views or more of a usual fold set it stays below by far."""
 VOID_MISFIT = 5.0
-"""The same, from which the result is worth nothing."""
+"""The same, from which the result must not be used."""
 PART = 1 / 3
 """Of the noise of a reading, which a calibration may add: it makes a twentieth of the whole."""
 SMALL = 0.002

@@ -62,7 +62,7 @@ class BundleEstimate:
     residuals_px: Mapping[str, Array]
     """By camera that sees boards: (V, K, 2) projected minus seen; NaN where not seen."""
     void: tuple[str, ...]
-    """Why the result is worth nothing; empty: it is worth something."""
+    """Why the result must not be used; empty: it may be."""
     warnings: tuple[str, ...]
     """What the data cannot determine, and why."""
 

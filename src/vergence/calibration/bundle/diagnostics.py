@@ -62,7 +62,7 @@ def warnings(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
 
 
 def void(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
-    """Return a sentence for everything that makes a result worthless."""
+    """Return a sentence for every reason not to use a result."""
     said = [] if found.converged else ["The estimate did not converge."]
     for e in np.unique(problem.block_eye):
         said += _senses(problem, found, int(e))
