@@ -123,7 +123,7 @@ def pixel_covariance(head: HeadCalibration, name: str, pixels: Array) -> Array:
 
 
 def reference_pixels(camera: Camera) -> Array:
-    """Return pixels (M, 2) about the image's middle, from which the turn of a camera is estimated."""
+    """Return pixels (M, 2) about the image's middle, from which a camera's turn is estimated."""
     x, y = np.meshgrid(*2 * [np.linspace(-1, 1, 9)])
     place = np.stack([x, y], axis=-1)[np.hypot(x, y) <= 1]
     middle = np.array([camera.width - 1, camera.height - 1]) / 2
