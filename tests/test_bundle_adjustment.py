@@ -130,7 +130,7 @@ def test_a_camera_that_sees_no_board_is_named_and_left_alone():
     kept, was = (h.cameras["left_narrow"] for h in (found.head, start))
     np.testing.assert_array_equal(kept.intrinsics.matrix, was.intrinsics.matrix)
     np.testing.assert_array_equal(kept.T_eye_cam, was.T_eye_cam)
-    assert found.parameters == parameter_names(start.cameras)
+    assert found.parameters == parameter_names(start)
     assert "left_narrow" not in found.residuals_px
     assert not any(name.startswith("left_narrow") for name in found.accuracy.parameters)
 

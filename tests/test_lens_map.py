@@ -35,7 +35,7 @@ def test_a_calibration_chooses_the_lens_and_its_regions_reach_the_corners(fishey
     assert not [line for line in result.warnings if "edge" in line]
     assert tried(result, head).inside.mean() > 0.7  # the pixels of a camera err together
     assert "left_wide.k4" in result.accuracy.parameters
-    assert "left_wide.p1" not in parameter_names(result.head.cameras)
+    assert "left_wide.p1" not in parameter_names(result.head)
 
 
 def test_the_map_shows_what_was_covered_and_how_well_it_is_known(fisheye):

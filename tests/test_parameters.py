@@ -29,7 +29,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 def stated(head: HeadCalibration, rng: np.random.Generator) -> HeadCalibration:
     """Return a head that states a correlated covariance of plausible size."""
-    names = parameter_names(head.cameras)
+    names = parameter_names(head)
     chosen = tuple(n for n in names if n.endswith((".fx", "rx", "ry", "rz", "tx", "ty", "tz")))
     scale = [0.3 if n.endswith("fx") else 1e-3 if n[-2] == "r" else 2e-4 for n in chosen]
     A = np.eye(len(chosen)) + 0.2 * rng.normal(size=(len(chosen),) * 2)
@@ -57,7 +57,7 @@ def sight(head: HeadCalibration) -> dict[str, Array]:
 def test_boxminus_is_the_increment_that_boxplus_makes(seed: int):
     rng = np.random.default_rng(seed)
     head = without_offsets(skewed_head(rng))
-    names = parameter_names(head.cameras)
+    names = parameter_names(head)
     change = rng.normal(0, 1e-3, len(names)) * [not n.endswith("offset_rad") for n in names]
     off = boxminus(boxplus(head, change), head)
     assert tuple(off) == names
@@ -67,7 +67,7 @@ def test_boxminus_is_the_increment_that_boxplus_makes(seed: int):
 def test_values_change_by_what_is_added_to_them():
     rng = np.random.default_rng(1)
     head = skewed_head(rng)
-    change = rng.normal(0, 1e-3, len(parameter_names(head.cameras)))
+    change = rng.normal(0, 1e-3, len(parameter_names(head)))
     before, after = parameter_values(head), parameter_values(boxplus(head, change))
     for k, (name, value) in enumerate(before.items()):
         there = after[name]
@@ -108,7 +108,7 @@ def test_a_row_of_the_covariance_moves_points_as_the_covariance_of_points_says()
     """To first order, cov(point) = J C J^T, with J by differences of whole heads."""
     head = stated(HEAD, np.random.default_rng(3))
     assert head.accuracy is not None
-    names, seen = parameter_names(head.cameras), sight(head)
+    names, seen = parameter_names(head), sight(head)
     rows = [names.index(name) for name in head.accuracy.parameters]
     root = np.linalg.cholesky(head.accuracy.covariance)
     total = np.zeros((6, 3, 3))

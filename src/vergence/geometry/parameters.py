@@ -8,7 +8,7 @@ axes of the frame that they map into.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -31,13 +31,13 @@ def intrinsics_names(camera: Camera) -> tuple[str, ...]:
     return (*PINHOLE, *COEFFICIENTS[camera.model])
 
 
-def parameter_names(cameras: Mapping[str, MountedCamera]) -> tuple[str, ...]:
-    """Return the names of the parameters of a head with these cameras, in their order."""
+def parameter_names(head: HeadCalibration) -> tuple[str, ...]:
+    """Return the names of the parameters of a head, in their order."""
     poses = tuple(f"T_eye_cam.{name}" for name in POSE)
     return (
         *(
             f"{camera}.{name}"
-            for camera, mounted in cameras.items()
+            for camera, mounted in head.cameras.items()
             for name in (*intrinsics_names(mounted.intrinsics), *poses)
         ),
         *(f"T_rbase_lbase.{name}" for name in POSE),
@@ -105,7 +105,7 @@ def boxplus(head: HeadCalibration, change: Array) -> HeadCalibration:
 
 def change_named(head: HeadCalibration, names: Sequence[str], change: Array) -> HeadCalibration:
     """Return a head with named parameters changed by (c,); VergenceError: an unknown name."""
-    known = {name: k for k, name in enumerate(parameter_names(head.cameras))}
+    known = {name: k for k, name in enumerate(parameter_names(head))}
     unknown = [name for name in names if name not in known]
     if unknown:
         raise VergenceError(f"This head has no parameter {unknown[0]!r}.")
@@ -136,13 +136,13 @@ def boxminus(head: HeadCalibration, reference: HeadCalibration) -> dict[str, flo
     ]
     between = se3.boxminus(head.T_rbase_lbase, reference.T_rbase_lbase)
     values[np.isnan(values)] = np.concatenate([*poses, between])
-    return dict(zip(parameter_names(head.cameras), values.tolist(), strict=True))
+    return dict(zip(parameter_names(head), values.tolist(), strict=True))
 
 
 def parameter_values(head: HeadCalibration) -> dict[str, float | None]:
     """Return by name the value of each parameter; None for those of poses."""
     values = [None if np.isnan(value) else value for value in _vector(head).tolist()]
-    return dict(zip(parameter_names(head.cameras), values, strict=True))
+    return dict(zip(parameter_names(head), values, strict=True))
 
 
 def _vector(head: HeadCalibration) -> Array:

@@ -15,7 +15,7 @@ from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.camera import project, project_jacobians
 from vergence.geometry.head import HeadCalibration, MountedCamera, main_pair
-from vergence.geometry.kinematics import EYE_COLUMNS, EYES, T_base_eye
+from vergence.geometry.kinematics import EYE_COLUMNS, EYES, T_base_eye, axes_row, eye_jacobians
 from vergence.geometry.se3 import cross, inverse
 
 
@@ -198,6 +198,29 @@ def eye_poses(head: HeadCalibration, joints: Array) -> Array:
         return joints
     poses = [T_base_eye(joints[..., EYE_COLUMNS[eye]], head.axes[eye]) for eye in EYES]
     return np.stack(poses, axis=-3)
+
+
+def eye_poses_with_jacobians(
+    head: HeadCalibration, joints: Array, n: int
+) -> tuple[Array, Array, Array]:
+    """Return T_base_eye (n, 2, 4, 4), and its derivatives by axes and by readings.
+
+    The derivatives (n, 2, 6, a) are by the `a` parameters of the axes of an eye, the last ones of
+    `parameters.camera_columns`, and (n, 2, 6, r) by the r readings of the head, or by the increments
+    of both eyes' measured poses (r = 12); in the increment of `se3.boxplus`. Readings are (n, 4) or
+    (4,) angles [rad], or (n, 2, 4, 4) or (2, 4, 4) measured poses.
+    """
+    T = np.broadcast_to(eye_poses(head, joints), (n, 2, 4, 4))
+    if measured(joints):
+        by_pose = np.eye(12).reshape(2, 6, 12)
+        return T, np.zeros((n, 2, 6, 6)), np.broadcast_to(by_pose, (n, 2, 6, 12))
+    angles = np.broadcast_to(joints, (n, 4)).reshape(n, 2, 2)
+    axes = np.stack([axes_row(head.axes[eye]) for eye in EYES])
+    by_axes, by_own = eye_jacobians(angles, np.broadcast_to(axes, (n, 2, 6)))
+    by_readings = np.zeros((n, 2, 6, 4))
+    for e, eye in enumerate(EYES):
+        by_readings[:, e, :, EYE_COLUMNS[eye]] = by_own[:, e]
+    return T, by_axes, by_readings
 
 
 def T_rcam_lcam(

@@ -12,11 +12,10 @@ from vergence.data.dataset import MAX_GAP_S
 from vergence.data.timing import Timing, moved_readings
 from vergence.errors import VergenceError
 from vergence.geometry.head import Accuracy, HeadCalibration, main_pair
-from vergence.geometry.kinematics import EYES, axes_row, eye_jacobians
 from vergence.geometry.parameters import camera_columns, parameter_names
 from vergence.geometry.projection import (
     by_parameters,
-    eye_poses,
+    eye_poses_with_jacobians,
     measured,
     project_with_jacobians,
     stereo_cameras,
@@ -198,7 +197,7 @@ class _Linearised:
     by_pixels: Array
     """(N, 3, 4) with left u, left v, right u, right v."""
     by_readings: Array
-    """(N, 3, 2 r) with the r angles of each eye, or the 6 increments of each measured pose."""
+    """(N, 3, r) with the readings, or the increments of both measured poses (r = 12)."""
     by_parameters: Array
     """(N, 3, P) with the parameters of the head; P is 0 where they are not wanted."""
 
@@ -219,10 +218,10 @@ def _linearised(
     if joints.ndim not in (1, 3):  # one for each point
         joints = joints[found]
     n = int(found.sum())
-    T, by_axes, by_reading = _eyes(head, joints, n)
+    T, by_axes, by_reading = eye_poses_with_jacobians(head, joints, n)
     by_point, by_pixels, by_readings, by_head = [], [], [], []
     pair = cameras or main_pair(head) or ()
-    names = parameter_names(head.cameras) if parameters else ()
+    names = parameter_names(head) if parameters else ()
     for k, mounted in enumerate(stereo_cameras(head, cameras)):
         lens = mounted.intrinsics
         J = project_with_jacobians(mounted, head.T_rbase_lbase, T[:, k], points[found][:, None])
@@ -232,16 +231,15 @@ def _linearised(
         # A point's derivatives fall with its distance.
         slope = np.linalg.norm(weights @ J.by_point[:, 0], axis=(1, 2)) / lens.matrix[0, 0]
         weights /= slope[:, None, None]
-        of_pixels, of_readings = np.zeros((n, 2, 4)), np.zeros((n, 2, 2, by_reading.shape[-1]))
+        of_pixels = np.zeros((n, 2, 4))
         of_pixels[:, :, 2 * k : 2 * k + 2] = -weights
-        of_readings[:, :, k] = weights @ J.by_T_base_eye[:, 0] @ by_reading[:, k]
         of_head = np.zeros((n, 2, len(names)))
         if parameters:
             columns = camera_columns(head, pair[k])
             of_head[:, :, columns] = weights @ by_parameters(J, by_axes[:, k])[:, 0]
         by_point.append(weights @ J.by_point[:, 0])
         by_pixels.append(of_pixels)
-        by_readings.append(of_readings.reshape(n, 2, 2 * by_reading.shape[-1]))
+        by_readings.append(weights @ J.by_T_base_eye[:, 0] @ by_reading[:, k])
         by_head.append(of_head)
     # The point makes up for what changes, so that its projection stays where it was seen.
     follows = -np.linalg.pinv(np.concatenate(by_point, axis=1))
@@ -251,19 +249,6 @@ def _linearised(
         change[found] = follows @ np.concatenate(rows, axis=1)
         changes.append(change)
     return _Linearised(points, status, *changes)
-
-
-def _eyes(head: HeadCalibration, joints: Array, n: int) -> tuple[Array, Array, Array]:
-    """Return T_base_eye (n, 2, 4, 4), and its derivatives by axes and by readings.
-
-    These are (n, 2, 6, 6) and (n, 2, 6, r), in the increment of `se3.boxplus`.
-    """
-    T = np.broadcast_to(eye_poses(head, joints), (n, 2, 4, 4))
-    if measured(joints):
-        return T, np.zeros((n, 2, 6, 6)), np.broadcast_to(np.eye(6), (n, 2, 6, 6))
-    angles = np.broadcast_to(joints, (n, 4)).reshape(n, 2, 2)
-    axes = np.stack([axes_row(head.axes[eye]) for eye in EYES])
-    return T, *eye_jacobians(angles, np.broadcast_to(axes, (n, 2, 6)))
 
 
 def _covariance(change: Array, stds: Array) -> Array:
@@ -281,7 +266,7 @@ def _of_noise(seen: _Linearised, pixel_std_px: ArrayLike, joint_std: ArrayLike) 
 
 
 def _reading_stds(seen: _Linearised, joint_std: ArrayLike) -> Array:
-    """Return the standard deviations (N, 2 r) of readings; of poses from rotation, translation."""
+    """Return the standard deviations (N, r) of readings; of poses from rotation, translation."""
     n, _, count = seen.by_readings.shape
     std = np.asarray(joint_std, dtype=float)
     if count == 12:
@@ -291,6 +276,6 @@ def _reading_stds(seen: _Linearised, joint_std: ArrayLike) -> Array:
 
 def _of_calibration(seen: _Linearised, head: HeadCalibration, accuracy: Accuracy) -> Array:
     """Return covariances (N, 3, 3) that the calibration's covariance makes."""
-    names = parameter_names(head.cameras)
+    names = parameter_names(head)
     own = seen.by_parameters[..., [names.index(name) for name in accuracy.parameters]]
     return own @ accuracy.covariance @ np.swapaxes(own, 1, 2)

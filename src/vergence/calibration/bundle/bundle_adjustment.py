@@ -115,7 +115,7 @@ def bundle_adjust(
     """
     timed = observations.timing is not None
     fixed = fixed_by_default(start, timed=timed) if fixed is None else fixed
-    unknown = set(fixed) - set(parameter_names(start.cameras))
+    unknown = set(fixed) - set(parameter_names(start))
     if unknown:
         raise VergenceError(
             f"There is no parameter {min(unknown)!r} to fix; there are, for example, "

@@ -83,7 +83,7 @@ def initial_state(
     blind = [name for c, name in enumerate(cameras) if c not in camera]
     blind += [side for e, side in enumerate(EYES) if e not in eye[camera]]
     without = () if measured is None else (*AXES, "time_offset_s")
-    parameters = parameter_names(start.cameras)
+    parameters = parameter_names(start)
     free = [
         name not in fixed
         and name.partition(".")[0] not in blind

@@ -100,7 +100,7 @@ def refine_eye_camera(
         observations,
         T_cam_target={_NAME: T_cam_target},
         points=points,
-        fixed=[name for name in parameter_names(head.cameras) if ".T_eye_cam." not in name],
+        fixed=[name for name in parameter_names(head) if ".T_eye_cam." not in name],
         pixel_std_px=pixel_std_px,
         joint_std=joint_std,
         own_levels_from=np.inf,
