@@ -206,7 +206,7 @@ def eye_poses_with_jacobians(
     """Return T_base_eye (n, 2, 4, 4), and its derivatives by axes and by readings.
 
     The derivatives (n, 2, 6, a) are by the `a` parameters of the axes of an eye, the last ones of
-    `parameters.camera_columns`, and (n, 2, 6, r) by the r readings of the head, or by the increments
+    `parameters.camera_columns`, and (n, 2, 6, r) by the r readings of the head, or the increments
     of both eyes' measured poses (r = 12); in the increment of `se3.boxplus`. Readings are (n, 4) or
     (4,) angles [rad], or (n, 2, 4, 4) or (2, 4, 4) measured poses.
     """
