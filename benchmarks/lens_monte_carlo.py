@@ -106,7 +106,7 @@ def recording(
         mounted = head.cameras[name]
         pixel = rng.uniform([0, 0], [WIDTH - 1, HEIGHT - 1])
         ray = unit_rays(mounted.intrinsics, pixel[None])[0]
-        T = T_base_cam(head, name, np.zeros(2))
+        T = T_base_cam(head, name, np.zeros(4))
         if mounted.eye == "right":
             T = inverse(head.T_rbase_lbase) @ T
         centre = transform(T, rng.uniform(0.25, 0.5) * ray)

@@ -282,7 +282,7 @@ def _held_board(
 ) -> Array:
     """Return a random T_lbase_target at which all the cameras see the whole board."""
     mounted = head.camera(cameras[-1])
-    T_base_camera = T_base_cam(head, cameras[-1], np.zeros(2))
+    T_base_camera = T_base_cam(head, cameras[-1], np.zeros(4))
     slope = WIDTH / 2 / mounted.intrinsics.matrix[0, 0]
     for _ in range(10_000):
         depth = rng.uniform(*depth_m)
