@@ -79,6 +79,23 @@ def random_pan_tilt(rng: np.random.Generator) -> Kinematics:
     return Kinematics(eyes)
 
 
+def as_designed(kinematics: Kinematics) -> Kinematics:
+    """Return the joints without their errors: what the description of a dataset says.
+
+    Factors are whole numbers or halves by design.
+    """
+    eyes: dict[Side, tuple[Joint, ...]] = {}
+    for eye, joints in kinematics.eyes.items():
+        own = []
+        for joint in joints:
+            factors = {name: round(2 * factor) / 2 for name, factor in joint.readings.items()}
+            own.append(
+                Joint(name=joint.name, axis=joint.axis, readings=factors, point_m=joint.point_m)
+            )
+        eyes[eye] = tuple(own)
+    return Kinematics(eyes, kinematics.readings)
+
+
 def pan_tilt_pose(angles: Array) -> Array:
     """Return the pose (..., 4, 4) of an eye at perfect pan and tilt (..., 2) [rad]."""
     pan, tilt = (angles[..., k, None] * axis for k, axis in enumerate(np.eye(3)[[2, 1]]))

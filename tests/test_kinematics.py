@@ -19,7 +19,7 @@ from vergence.geometry.kinematics import (
     change_joints,
     eye_linearised,
     eye_turn,
-    joint_errors,
+    joint_parameters,
     pan_tilt,
     reading_kinds,
     readings_to_turn,
@@ -123,7 +123,7 @@ def random_eyes(rng: np.random.Generator, joints: int, readings: int = 3) -> Kin
         )
 
     own = {eye: tuple(joint(k) for k in range(joints)) for eye in EYES}
-    off = {eye: rng.normal(0, 0.05, len(joint_errors(own[eye]))) for eye in EYES}
+    off = {eye: rng.normal(0, 0.05, len(joint_parameters(own[eye]))) for eye in EYES}
     return Kinematics({eye: change_joints(own[eye], off[eye]) for eye in EYES}, names)
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass as plain_dataclass
 from dataclasses import field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import ConfigDict, Field
@@ -80,7 +80,7 @@ def _joint_frames(chain: Chain, readings: Array) -> tuple[Array, Array]:
 
 _Number = Annotated[float, Field(ge=-1e3, le=1e3)]
 _Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,40}$")]
-ReadingName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_.:()/ -]{0,60}$")]
+ReadingName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_:()/ -]{0,60}$")]
 _FINITE = ConfigDict(extra="forbid", allow_inf_nan=False)
 MAX_JOINTS = 20
 """Of a chain, and readings of a head."""
@@ -261,15 +261,18 @@ def eye_turn(kinematics: Kinematics, eye: Side, readings: Array) -> Array:
     return (readings[..., used] @ chain.mixing[:, used].T + chain.offset_rad) @ chain.axes
 
 
-def joint_errors(joints: tuple[Joint, ...]) -> list[tuple[int, str]]:
-    """Return the fields of joints that say how the real ones differ: number and name of each.
+def joint_parameters(joints: tuple[Joint, ...]) -> list[tuple[int, str]]:
+    """Return what may differ of joints from their design: the number of each joint, and a name.
 
-    Not the slide of the first and the last joint, which is one of the eye's base and of the
+    Of a joint with several readings the factor of each takes the place of a gain of all. Not the
+    slide of the first and the last joint, which is one of the eye's base and of the
     cameras in the eye; nor how the first axis stands, which defines the base.
     """
     found = []
     for k in range(len(joints)):
-        found += [(k, "gain"), (k, "offset_rad")]
+        several = list(joints[k].readings) if len(joints[k].readings) > 1 else []
+        found += [(k, f"factor_{name}") for name in several] or [(k, "gain")]
+        found.append((k, "offset_rad"))
         if k:
             found += [(k, "nonorthogonality_rad"), (k, "axis_distance_m")]
         if 0 < k < len(joints) - 1:
@@ -277,11 +280,19 @@ def joint_errors(joints: tuple[Joint, ...]) -> list[tuple[int, str]]:
     return found
 
 
+def joint_value(joint: Joint, name: str) -> float:
+    """Return one of the numbers that joint_parameters names."""
+    if name.startswith("factor_"):
+        return joint.readings[name.removeprefix("factor_")]
+    return getattr(joint, name)
+
+
 def change_joints(joints: tuple[Joint, ...], change: Array) -> tuple[Joint, ...]:
-    """Return joints whose errors are changed by (a,), in the order of joint_errors."""
-    own: list[dict[str, float]] = [{} for _ in joints]
-    for (k, name), value in zip(joint_errors(joints), change.tolist(), strict=True):
-        own[k][name] = getattr(joints[k], name) + value
+    """Return joints whose errors are changed by (a,), in the order of joint_parameters."""
+    own: list[dict[str, Any]] = [{"readings": dict(joint.readings)} for joint in joints]
+    for (k, name), value in zip(joint_parameters(joints), change.tolist(), strict=True):
+        into = own[k]["readings"] if name.startswith("factor_") else own[k]
+        into[name.removeprefix("factor_")] = joint_value(joints[k], name) + value
     return tuple(replace(joint, **new) for joint, new in zip(joints, own, strict=True))
 
 
@@ -298,18 +309,21 @@ def eye_linearised(
 ) -> tuple[Array, Array, Array]:
     """Return T_base_eye (..., 4, 4) and its derivatives, in the increment of `se3.boxplus`.
 
-    By the errors of the joints (..., 6, a), in the order of joint_errors, and by the readings
+    By the errors of the joints (..., 6, a), in the order of joint_parameters, and by the readings
     (..., 6, r). Readings are (..., r) [rad].
     """
     chain, joints = kinematics.chains[eye], kinematics.eyes[eye]
     R, t = _joint_frames(chain, readings)
     by_angle = _angle_jacobian(chain, R, t)
-    fields = joint_errors(joints)
+    fields = joint_parameters(joints)
     by_errors = np.zeros((*by_angle.shape[:-1], len(fields)))
     for column, (k, name) in enumerate(fields):
         if name == "gain":
             factors = np.array([joints[k].readings.get(one, 0.0) for one in kinematics.readings])
             by_errors[..., column] = by_angle[..., k] * (readings @ factors)[..., None]
+        elif name.startswith("factor_"):
+            reading = kinematics.readings.index(name.removeprefix("factor_"))
+            by_errors[..., column] = by_angle[..., k] * joints[k].gain * readings[..., [reading]]
         elif name == "offset_rad":
             by_errors[..., column] = by_angle[..., k]
         elif name == "nonorthogonality_rad":

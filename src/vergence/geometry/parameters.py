@@ -2,7 +2,7 @@
 
 For each camera fx, fy, cx, cy [px], the coefficients of its lens model (see geometry.lens) and the
 6 increments of T_eye_cam; the 6 increments of T_rbase_lbase; for each eye the errors of its joints
-(`kinematics.joint_errors`), such as left.pan_gain; the time offset [s]. Poses change by
+(`kinematics.joint_parameters`), such as left.pan_gain; the time offset [s]. Poses change by
 `se3.boxplus`: rotation [rad], then translation [m], along the axes of the frame they map into.
 """
 
@@ -18,7 +18,7 @@ from vergence.errors import VergenceError
 from vergence.geometry import se3
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, MountedCamera
-from vergence.geometry.kinematics import EYES, Side, change_joints, joint_errors
+from vergence.geometry.kinematics import EYES, Side, change_joints, joint_parameters, joint_value
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.se3 import inverse, pose, rotation
 
@@ -49,7 +49,7 @@ def parameter_names(head: HeadCalibration) -> tuple[str, ...]:
 def axes_names(head: HeadCalibration, eye: Side) -> tuple[str, ...]:
     """Return the names of the parameters of an eye's joints, such as left.pan_gain."""
     joints = head.kinematics.eyes[eye]
-    return tuple(f"{eye}.{joints[k].name}_{name}" for k, name in joint_errors(joints))
+    return tuple(f"{eye}.{joints[k].name}_{name}" for k, name in joint_parameters(joints))
 
 
 def camera_columns(head: HeadCalibration, camera: str) -> np.ndarray:
@@ -160,9 +160,9 @@ def _vector(head: HeadCalibration) -> Array:
     pose = np.full(len(POSE), np.nan)
     own = [part for each in head.cameras.values() for part in (lens_vector(each.intrinsics), pose)]
     axes = [
-        getattr(head.kinematics.eyes[eye][k], name)
+        joint_value(head.kinematics.eyes[eye][k], name)
         for eye in EYES
-        for k, name in joint_errors(head.kinematics.eyes[eye])
+        for k, name in joint_parameters(head.kinematics.eyes[eye])
     ]
     return np.concatenate([*own, pose, axes, [head.time_offset_s]])
 

@@ -183,5 +183,8 @@ def _place_boards(
     turn = np.swapaxes(best[problem.placement][:, :3, :3], 1, 2) @ found[:, :3, :3]
     seen = problem.seen.copy()
     seen[known] &= angle(turn[known])[:, None] < TURNED_RAD
+    state = replace(state, T_lbase_target=best)
+    # A few corners may be too little for a pose, and then lie behind the camera.
+    seen &= np.isfinite(corner_errors(problem, state)).all(axis=(1, 2))[:, None]
     pixels = np.where(seen[..., None], problem.pixels, 0.0)
-    return replace(problem, seen=seen, pixels=pixels), replace(state, T_lbase_target=best)
+    return replace(problem, seen=seen, pixels=pixels), state

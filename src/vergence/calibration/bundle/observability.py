@@ -14,7 +14,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.bundle.problem import BundleProblem, BundleState, head_size
 from vergence.calibration.bundle.solver import LinearProblem, NoiseLevels, factorise, project_onto
-from vergence.geometry.kinematics import EYES, joint_errors
+from vergence.geometry.kinematics import EYES, joint_parameters
 from vergence.geometry.lens import CameraModel
 
 ROTATION_RAD = 0.05
@@ -29,6 +29,8 @@ JOINT_STD = {
     "slide_m": 0.005,
 }
 """Of the errors of a joint."""
+FACTOR_STD = 0.1
+"""Of the factor of one of several readings of a joint."""
 TIME_S = 0.1
 BOARD_SCALE = 0.02
 UNKNOWN = 1e3
@@ -82,7 +84,8 @@ def whole_basis(problem: BundleProblem, state: BundleState) -> Array:
         moved = _MOVED[lens.model]
         scales += (moved / reach ** np.array(_POWERS[lens.model])).tolist() + pose
     joints = state.head.kinematics.eyes
-    errors = [JOINT_STD[name] for eye in EYES for _, name in joint_errors(joints[eye])]
+    names = [name for eye in EYES for _, name in joint_parameters(joints[eye])]
+    errors = [JOINT_STD.get(name, FACTOR_STD) for name in names]
     scales += [*pose, *errors, TIME_S] + pose * len(state.T_lbase_target)
     scales.append(BOARD_SCALE)
     return np.diag(scales)[:, problem.free]

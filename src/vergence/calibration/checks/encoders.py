@@ -1,9 +1,9 @@
 """Whether the joint readings are what the description says: the images know how the eyes turned.
 
-Before a board at rest the turns of a camera are linear in the joints' angles, as long as they are
-small: turn = sum of w_k angle_k, with w_k the joint's axis in frame cam, as long as its gain. That
-shows wrong units, wrong signs, and exchanged joints and eyes before any of them spoils a
-calibration.
+Before a board at rest the turns of a camera are linear in the readings, as long as they are small:
+turn = sum of w_r reading_r. By the description w_r is gain * R_cam_eye d_r, where d_r is the sum
+over the joints of factor * axis. That shows wrong units, wrong signs, and exchanged readings and
+eyes before any of them spoils a calibration.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from vergence.calibration.checks import board_flips
 from vergence.calibration.observations import Observations, camera_eyes, most_seen_board
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYE_JOINTS, EYES, Joint, Kinematics, Side
+from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side
 from vergence.geometry.projection import eye_poses, stereo_cameras
 from vergence.geometry.se3 import angle, inverse, rotvec
 
@@ -40,27 +40,31 @@ GAINS = (0.6, 1.6)
 DEGREES_PER_RAD = np.degrees(1.0)
 MOST_TURNED_DEG = 30.0
 """Between the bases of the eyes; their axes are the head's, as built."""
+AHEAD = 0.3
+"""Cosine of the angle between a camera's axis and the eye's x axis, at least: some look aside."""
 ASIDE = 0.7
 """Cosine of the angle between the line through the eyes and the head's y axis, at least."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """How the readings of an eye explain the turns of a camera before a board at rest."""
+    """How the u readings of an eye explain the turns of a camera before a board at rest."""
 
-    axes: Array
-    """(n, 3) by joint w_k."""
+    names: list[str]
+    """Of the readings."""
+    gains: Array
+    """(u,) of each: by what factor w_r is R_cam_eye d_r."""
     explained: float
     """Part of the turns' variance that the readings explain."""
     moved: Array
-    """(n,) standard deviations of the joints' angles [rad], as read."""
+    """(u,) standard deviations of the readings [rad]."""
     R_cam_eye: Array
-    """(3, 3) how the eye stands in frame cam, with the joints' axes where the images show them."""
+    """(3, 3) how the eye stands in frame cam, for the axes to be where the images show them."""
 
     @property
-    def backwards(self) -> bool:
-        """Whether the camera would look out of the back of its eye, where no camera does."""
-        return bool(self.R_cam_eye[2, 0] <= 0)
+    def possible(self) -> bool:
+        """Whether the camera looks out of its eye, and all readings count as described."""
+        return bool(self.R_cam_eye[2, 0] > AHEAD and (self.gains > 0).all())
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,14 +155,18 @@ def _turns(seen: Observations, name: str, e: int, T_cam_target: Array) -> _Turns
 
 def _fit(kinematics: Kinematics, eye: Side, readings: Array, turn: Array) -> _Fit:
     """Return how readings (N, r) of an eye explain turns (N, 3)."""
-    angles = readings @ kinematics.chains[eye].mixing.T
-    angles = angles - angles.mean(axis=0)
-    axes = np.linalg.lstsq(angles, turn, rcond=None)[0]
-    left = ((turn - angles @ axes) ** 2).sum() / (turn**2).sum()
-    # The rotation that takes the joints' axes best to where the images show them.
-    U, _, Vt = np.linalg.svd(axes.T @ kinematics.chains[eye].axes)
+    chain, used = kinematics.chains[eye], kinematics.used(eye)
+    read = readings[:, used] - readings[:, used].mean(axis=0)
+    w = np.linalg.lstsq(read, turn, rcond=None)[0]
+    d = chain.mixing[:, used].T @ chain.axes
+    left = ((turn - read @ w) ** 2).sum() / (turn**2).sum()
+    # The rotation that takes the described axes best to where the images show them.
+    lengths = [np.linalg.norm(each, axis=1, keepdims=True) for each in (w, d)]
+    U, _, Vt = np.linalg.svd((w / np.maximum(lengths[0], 1e-12)).T @ (d / lengths[1]))
     R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-    return _Fit(axes, 1 - float(left), angles.std(axis=0), R)
+    gains = (w * (d @ R.T)).sum(axis=1) / lengths[1][:, 0] ** 2
+    names = [kinematics.readings[r] for r in used]
+    return _Fit(names, gains, 1 - float(left), read.std(axis=0), R)
 
 
 def _direction_to_the_left(
@@ -190,7 +198,7 @@ def _exchanged(found: Mapping[int, _Turns], to_left: Mapping[int, Array]) -> lis
         return []
     left, right = (found[e].camera for e in (0, 1))
     fits = [turns.own if follows_own else turns.other for turns in found.values()]
-    if any(fit.backwards for fit in fits):
+    if not all(fit.possible for fit in fits):
         return []  # one joint alone counts the other way: of that speaks _contradictions
     aside = None  # how far the left eye's camera stands to the left of the right one's
     if to_left:
@@ -226,50 +234,38 @@ def _contradictions(
     `to_left` is the direction (3,) from the right to the left camera, in frame cam; None: not
     known, and the camera is taken to stand upright.
     """
-    fit, names = turns.own, [_reading_of(joint, eye) for joint in kinematics.eyes[eye]]
+    fit = turns.own
     if fit.explained < EXPLAINED and fit.moved.min() < DEAD * fit.moved.max():
         return [
-            f"The readings of {names[int(fit.moved.argmin())]} hardly change "
+            f"The readings of {fit.names[int(fit.moved.argmin())]} hardly change "
             f"({fit.moved.min():.2g} rad), though {turns.camera} turns about that axis too before "
             "a board at rest: check their column and the sensor."
         ]
     if fit.explained < LOST:
-        sentence = (
-            f"The readings of {' and '.join(names)} explain {100 * max(fit.explained, 0):.0f} % "
-            f"of the turns that {turns.camera} makes before a board at rest: "
-        )
-        cause = _what_explains(kinematics, turns, eye, to_left)
         return [
-            sentence
-            + (cause or "they are not of this eye, not of these moments, or the board moved")
-            + "."
+            f"The readings of {' and '.join(fit.names)} explain {100 * max(fit.explained, 0):.0f} "
+            f"% of the turns that {turns.camera} makes before a board at rest: they are not of "
+            "this eye, not of these moments, or the board moved."
         ]
     if fit.explained < EXPLAINED:
         return []  # too noisy to say more; the noise is estimated, and warned of
+    if not fit.possible:
+        cause = _what_explains(kinematics, turns, eye, to_left)
+        look = f"By the readings, {turns.camera} would look backwards or aside out of its eye"
+        return [f"{look}: {cause or 'check the axes of its joints and the signs of readings'}."]
     said = []
-    for joint, name, gain in zip(
-        kinematics.eyes[eye], names, np.linalg.norm(fit.axes, axis=1), strict=True
-    ):
-        why = "check its unit, its gear and its column"
-        key = f"joints.{name}" if kinematics.readings == EYE_JOINTS else f"readings.{name}"
+    table = "joints" if kinematics.readings == EYE_JOINTS else "readings"
+    for name, gain in zip(fit.names, fit.gains, strict=True):
+        why = "check its unit, its gear or factor, and its column"
         for factor, unit, value in (
             (DEGREES_PER_RAD, "degrees", "deg"),
             (1 / DEGREES_PER_RAD, "radians", "rad"),
         ):
-            if GAINS[0] < gain * factor < GAINS[1] and len(joint.readings) == 1:
-                why = f"they are {unit}; set {key}.unit to {value}"
+            if GAINS[0] < gain * factor < GAINS[1]:
+                why = f"they are {unit}; set {table}.{name}.unit to {value}"
         if not GAINS[0] < gain < GAINS[1]:
             said.append(f"{turns.camera} turns by {gain:.3g} times the readings of {name}: {why}.")
-    if said or not fit.backwards:
-        return said
-    cause = _what_explains(kinematics, turns, eye, to_left) or "check the signs of its readings"
-    return [f"By the readings, {turns.camera} would look backwards out of its eye: {cause}."]
-
-
-def _reading_of(joint: Joint, eye: Side) -> str:
-    """Return what to call the readings of a joint: by the only one, or by the joint."""
-    only = list(joint.readings)
-    return only[0] if len(only) == 1 else f"{joint.name} of the {eye} eye"
+    return said
 
 
 def _what_explains(
@@ -282,9 +278,8 @@ def _what_explains(
     """
     # Of a camera that stands upright left is along -x.
     y = np.array([-1.0, 0.0, 0.0]) if to_left is None else to_left
-    used = kinematics.used(eye)
     found: list[tuple[float, str]] = []
-    for a, b in combinations_with_replacement(used, 2):
+    for a, b in combinations_with_replacement(kinematics.used(eye), 2):
         readings = turns.readings.copy()
         names = [kinematics.readings[a], kinematics.readings[b]]
         if a == b:
@@ -295,9 +290,7 @@ def _what_explains(
             readings[:, [a, b]] = readings[:, [b, a]]
             what = f"{names[0]} and {names[1]} are exchanged"
         fit = _fit(kinematics, eye, readings, turns.turn)
-        gains = np.linalg.norm(fit.axes, axis=1)
-        possible = fit.explained > EXPLAINED and GAINS[0] < gains.min() <= gains.max() < GAINS[1]
-        if possible and not fit.backwards:
+        if fit.possible and GAINS[0] < fit.gains.min() <= fit.gains.max() < GAINS[1]:
             found.append((float(fit.R_cam_eye[:, 1] @ y), what))
     if not found:
         return None
