@@ -36,6 +36,15 @@ def _joint(name: str, readings: dict[str, float], *point_m: float) -> Joint:
     return Joint(name=name, axis=axis, readings=readings, point_m=np.array(point_m or (0, 0, 0.0)))
 
 
+def tilt_before_pan() -> Kinematics:
+    """Return eyes each of which tilts, and pans behind its tilt."""
+    eyes: dict[Side, tuple[Joint, ...]] = {
+        eye: (_joint("tilt", {f"{eye}_tilt": 1.0}), _joint("pan", {f"{eye}_pan": 1.0}))
+        for eye in EYES
+    }
+    return Kinematics(eyes)
+
+
 def shared_tilt() -> Kinematics:
     """Return eyes that tilt together, each of which then pans by itself."""
     eyes: dict[Side, tuple[Joint, ...]] = {
@@ -76,6 +85,7 @@ def pair_on_a_neck() -> Kinematics:
 
 KINDS: dict[str, Callable[[], Kinematics]] = {
     "pan, tilt": Kinematics,
+    "tilt, pan": tilt_before_pan,
     "shared tilt, pan": shared_tilt,
     "version and vergence": version_and_vergence,
     "pan, tilt, roll": three_axes,
