@@ -5,7 +5,8 @@
 The trials are those of `vergence foveate`: an object appears, and half a second later its true
 distance from the image's centre is measured, in the worse eye. With the wide cameras alone the head
 has no others: calibration, roles and error are those of the wide images. Pixels of a wide camera
-are 4.3 times as large as those of a narrow one.
+are 4.3 times as large as those of a narrow one. Eyes that share a tilt cannot both centre the
+object where their narrow cameras are mounted at different heights: half of that remains.
 """
 
 from __future__ import annotations

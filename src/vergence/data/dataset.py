@@ -9,7 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass as plain_dataclass
-from dataclasses import field
+from dataclasses import field, replace
 from functools import cached_property
 from io import BytesIO
 from pathlib import Path
@@ -34,6 +34,7 @@ from vergence.geometry.kinematics import (
     Joint,
     Kinematics,
     Side,
+    pan_tilt,
 )
 from vergence.reading import read_bytes
 
@@ -221,9 +222,13 @@ class Description:
 
     @cached_property
     def head_kinematics(self) -> Kinematics:
-        """The joints of both eyes as designed; of an eye without cameras none if not given."""
+        """The joints of both eyes as designed; of an eye without cameras none if not given.
+
+        Of eyes that pan and tilt, joints with one column are moved by one reading, which is called
+        as the first of them.
+        """
         if self.kinematics is None:
-            return Kinematics()
+            return _pan_and_tilt({n: j for n, j in self.joints.items() if n in EYE_JOINTS})
         eyes: dict[Side, tuple[Joint, ...]] = {
             eye: tuple(map(_joint, self.kinematics.get(eye, ()))) for eye in EYES
         }
@@ -246,6 +251,27 @@ class Description:
         joints = dict.fromkeys(joint.column for joint in self.joints.values())
         fixed = [TIME, JOINT_TIME, PLACEMENT, MOVING]
         return [*fixed, *joints, *self.readings, *self.pose_columns, *self.cameras]
+
+
+def _pan_and_tilt(joints: Mapping[str, DatasetJoint]) -> Kinematics:
+    first: dict[str, str] = {}  # by column the joint that names its reading
+    for name in EYE_JOINTS:
+        if name in joints:
+            first.setdefault(joints[name].column, name)
+    if len(first) == len(joints):
+        return Kinematics()
+    eyes: dict[Side, tuple[Joint, ...]] = {}
+    for eye in EYES:
+        own = []
+        for joint in pan_tilt(eye):
+            stated = joints[f"{eye}_{joint.name}"]
+            name = first[stated.column]
+            if stated.unit != joints[name].unit:
+                raise ValueError(f"joints.{eye}_{joint.name}.unit differs from joints.{name}.unit")
+            factor = float(stated.sign * joints[name].sign)
+            own.append(replace(joint, readings={name: factor}))
+        eyes[eye] = tuple(own)
+    return Kinematics(eyes, tuple(first.values()))
 
 
 def _joint(stated: EyeJoint) -> Joint:

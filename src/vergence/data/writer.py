@@ -106,6 +106,8 @@ def _cells(description: Description, row: DatasetRow) -> dict[str, object]:
     names = (*description.head_kinematics.readings, *NECK_JOINTS)
     angles = dict(zip(names, (*frame.eye_angles, *frame.neck_angles), strict=True))
     for name, joint in description.sources.items():
+        if name not in angles:
+            continue  # it shares its column with another
         angle = joint.sign * angles[name]
         cells[joint.column] = float(np.degrees(angle) if joint.unit == "deg" else angle)
     if row.T_base_eye is not None:

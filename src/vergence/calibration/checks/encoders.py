@@ -254,7 +254,7 @@ def _contradictions(
         look = f"By the readings, {turns.camera} would look backwards or aside out of its eye"
         return [f"{look}: {cause or 'check the axes of its joints and the signs of readings'}."]
     said = []
-    table = "joints" if kinematics.readings == EYE_JOINTS else "readings"
+    table = "joints" if set(kinematics.readings) <= set(EYE_JOINTS) else "readings"
     for name, gain in zip(fit.names, fit.gains, strict=True):
         why = "check its unit, its gear or factor, and its column"
         for factor, unit, value in (
@@ -284,7 +284,7 @@ def _what_explains(
         names = [kinematics.readings[a], kinematics.readings[b]]
         if a == b:
             readings[:, a] *= -1
-            table = "joints" if kinematics.readings == EYE_JOINTS else "readings"
+            table = "joints" if set(kinematics.readings) <= set(EYE_JOINTS) else "readings"
             what = f"{names[0]} counts the other way; set {table}.{names[0]}.sign to its opposite"
         else:
             readings[:, [a, b]] = readings[:, [b, a]]
