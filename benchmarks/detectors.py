@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 import tyro
 
-from other_heads import shared_tilt, version_and_vergence
+from other_heads import shared_tilt, tilt_before_pan
 from vergence.demos.experiment import p95
 from vergence.demos.foveate import run_trial, targets
 from vergence.gaze.state import GazeSettings
@@ -66,8 +66,8 @@ def wide_alone(settings: GazeSettings) -> GazeSettings:
 
 KINDS: dict[str, tuple[Card | None, Detector, bool, Kinematics | None]] = {
     "four cameras, sphere": (None, sphere_detector(), False, None),
+    "tilt before pan, sphere": (None, sphere_detector(), False, tilt_before_pan()),
     "shared tilt before pan, sphere": (None, sphere_detector(), False, shared_tilt()),
-    "version and vergence, sphere": (None, sphere_detector(), False, version_and_vergence()),
     "wide alone, sphere": (None, sphere_detector(), True, None),
     "wide alone, marker": (
         marker_card(DICTIONARY, MARKER, CARD_M),

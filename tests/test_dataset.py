@@ -157,3 +157,76 @@ def test_a_motion_of_two_rows_is_refused(tmp_path):
     moving_dataset(tmp_path / "set", 2)
     with pytest.raises(VergenceError, match="moving rows come at least 3 in sequence"):
         runs(load_dataset(tmp_path / "set"))
+
+
+def joint(name: str, readings: dict[str, float], **more) -> dict:
+    return {"name": name, "axis": name, "readings": readings} | more
+
+
+VERGENCE = {
+    "kinematics": {
+        eye: [joint("pan", {"version": 1, "vergence": sign}), joint("tilt", {"tilt": 1})]
+        for eye, sign in (("left", 0.5), ("right", -0.5))
+    },
+    "readings": {
+        "version": {"unit": "deg"},
+        "vergence": {"unit": "rad", "sign": -1},
+        "tilt": {"unit": "rad"},
+    },
+}
+"""Eyes that are read by their mean angle and their difference."""
+
+
+def without_pan_and_tilt(folder: Path, described: dict) -> None:
+    names = ("left_pan", "left_tilt", "right_pan", "right_tilt")
+    change_about(folder, {f"joints.{name}": None for name in names} | described)
+    table = without(rows(3), *names)
+    for k, row in enumerate(table):
+        row |= {"version": 10 * k, "vergence": 0.02, "tilt": -0.1}
+    write_table(folder, table)
+
+
+def test_readings_are_those_of_the_joints_that_are_described(folder):
+    without_pan_and_tilt(folder, VERGENCE)
+    dataset = load_dataset(folder)
+    expected = [[np.radians(10 * k), -0.02, -0.1] for k in range(3)]
+    np.testing.assert_allclose(dataset.eye_angles, expected)
+    assert dataset.description.head_kinematics.readings == ("version", "vergence", "tilt")
+    pan, tilt = dataset.description.head_kinematics.eyes["right"]
+    assert pan.readings == {"version": 1.0, "vergence": -0.5}
+    np.testing.assert_array_equal(tilt.axis, [0, 1, 0])
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"kinematics.left": []}, "kinematics.left is missing; that eye has a camera"),
+        ({"readings.tilt": None}, "readings.tilt is missing"),
+        ({"readings.roll": {"unit": "deg"}}, "readings.roll is in no joint of kinematics"),
+        ({"eye_motion": "poses"}, "eye_motion is poses, but kinematics is given"),
+        ({"joints.left_pan": {"column": "p", "unit": "deg"}}, "joints.left_pan too"),
+        ({"kinematics.left": [joint("yaw", {"version": 1})]}, "'pan', 'tilt' or 'roll'"),
+        (
+            {
+                "kinematics.left": [
+                    joint("pan", {"version": 1, "vergence": 1, "tilt": 1}, axis=[0, 0, 0])
+                ]
+            },
+            "is pan, tilt, roll or a direction",
+        ),
+        (
+            {"kinematics.left": [joint("pan", {"version": 1}), joint("pan", {"tilt": 1})]},
+            "each of its own name",
+        ),
+        ({"kinematics": None}, "readings are those of kinematics, which is missing"),
+        (
+            {"kinematics.left": [joint("pan", {"version": 1}, point_m=[50, 0, 0])]},
+            "point_m of joint pan is in metres",
+        ),
+    ],
+)
+def test_joints_that_contradict_themselves_are_refused(folder, change: dict, said: str):
+    without_pan_and_tilt(folder, VERGENCE)
+    change_about(folder, change)
+    with pytest.raises(VergenceError, match=said):
+        load_dataset(folder)

@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 import pytest
 import tyro
+from pydantic import TypeAdapter
 
 import make_map
 import site_pages
@@ -36,7 +37,7 @@ from documents import (
 from drawn_card import smooth_picture
 from drawn_head import DrawnHead, four_cameras, point_at
 from vergence import cli
-from vergence.data.dataset import Frame
+from vergence.data.dataset import Description, Frame
 from vergence.data.reader import load_dataset
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import (
@@ -227,6 +228,26 @@ def test_the_guide_to_detectors_runs(tmp_path, monkeypatch, capsys):
     assert "looking at mug with ('left_wide', 'right_wide', 'left_narrow'" in printed
     assert "No object is called 'cup'" in printed
     assert "centred in ('left_wide', 'right_wide')" in printed
+
+
+def test_the_guide_to_other_joints_describes_and_uses_them(tmp_path, monkeypatch, capsys):
+    described, version = (
+        json.loads(block.text)
+        for block in blocks("docs/other_joints.md")
+        if block.language == "json"
+    )
+    adapter = TypeAdapter(Description)
+    shared = adapter.validate_python(described).head_kinematics
+    assert shared.used("left") == [0, 1]
+    assert shared.used("right") == [0, 2]
+    readings = {name: {"unit": "rad"} for name in ("version", "vergence", "tilt")}
+    described |= {"kinematics": version, "readings": readings}
+    assert adapter.validate_python(described).head_kinematics.readings == tuple(readings)
+    save_head(four_cameras(), tmp_path / "calibration.json")
+    monkeypatch.chdir(tmp_path)
+    names = run_blocks("docs/other_joints.md", {})
+    np.testing.assert_allclose(names["points"].xyz, [[0.6, -0.04, 0.1]], atol=1e-9)
+    assert "(3,) [[ 0.6" in capsys.readouterr().out
 
 
 def test_the_guide_to_drivers_moves_a_head(tmp_path, monkeypatch, capsys):

@@ -8,14 +8,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulated_head import random_head
+from head_kinds import points
+from lens_monte_carlo import recording
+from other_heads import KINDS, other_head
+from simulated_head import as_designed, random_head
 from simulated_recording import BOARD, POINTS, Noise, Recording, as_poses, record
 from test_sequential import only, some_cameras
+from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
 from vergence.calibration.calibrate import CalibrationResult, calibrate
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, main_pair
-from vergence.geometry.parameters import boxminus
+from vergence.geometry.parameters import (
+    boxminus,
+    change_named,
+    parameter_names,
+    without_offsets,
+)
 from vergence.geometry.projection import project_at
 from vergence.geometry.se3 import boxplus, pose, rotation, transform
 
@@ -142,3 +151,44 @@ def test_eyes_that_never_see_one_board_together_are_refused():
     seen.corners["right_wide"][1::2] = np.nan
     with pytest.raises(VergenceError, match="T_rbase_lbase is not observable: no view shows the"):
         calibrate(seen)
+
+
+# Other joints than pan and tilt of each eye
+
+
+@pytest.mark.parametrize("kind", sorted(set(KINDS) - {"pan, tilt"}))
+def test_any_joints_are_calibrated_exactly_from_exact_corners(kind: str):
+    rng = np.random.default_rng(7)
+    truth = without_offsets(other_head(kind, rng, rolled=True))
+    seen = recording(truth, rng, Noise())
+    found = bundle_adjust(nearby(truth, rng), seen)
+    for name, value in boxminus(found.head, truth).items():
+        assert abs(value) < 1e-6, name
+
+
+def nearby(truth: HeadCalibration, rng: np.random.Generator) -> HeadCalibration:
+    """Return a head that is a little wrong everywhere, with joints as designed."""
+    start = replace(truth, kinematics=as_designed(truth.kinematics))
+    names = [n for n in parameter_names(start) if ".T_eye_cam." in n or n.startswith("T_rbase")]
+    return change_named(start, names, rng.normal(0, 1e-3, len(names)))
+
+
+@pytest.mark.parametrize("kind", ["shared tilt, pan", "version and vergence"])
+def test_readings_that_eyes_share_have_one_noise_and_true_regions(kind: str):
+    rng = np.random.default_rng(3)
+    truth = without_offsets(other_head(kind, rng, rolled=True))
+    found = bundle_adjust(nearby(truth, rng), recording(truth, rng))
+    assert found.joint_std == pytest.approx([np.radians(0.05)] * len(found.joint_std), rel=0.35)
+    assert len(found.joint_std) == {"shared tilt, pan": 2, "version and vergence": 3}[kind]
+    off = boxminus(found.head, truth)
+    std = dict(zip(found.parameters, np.sqrt(np.diag(found.covariance)), strict=True))
+    scores = [off[name] / std[name] for name in std if std[name] > 0]
+    assert 0.6 < np.sqrt(np.mean(np.square(scores))) < 1.4
+
+
+def test_points_of_a_head_with_a_shared_tilt_are_located_within_their_regions():
+    rng = np.random.default_rng(4)
+    truth = without_offsets(other_head("shared tilt, pan", rng))
+    found = calibrate(recording(truth, rng))
+    inside = list(points(found.head, truth, rng))
+    assert np.mean(inside) > 0.6

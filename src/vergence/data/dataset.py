@@ -168,6 +168,7 @@ class Description:
                 "board.columns and board.rows count inner corners, 3 to 100 each; found "
                 f"{columns} x {rows}"
             )
+        self._check_kinematics()
         for name in EYE_JOINTS:
             if self.eye_motion == "poses" and name in self.joints:
                 raise ValueError(f"eye_motion is poses, but joints has {name}; give one of the two")
@@ -176,7 +177,6 @@ class Description:
                 raise ValueError(f"kinematics is given, and joints.{name} too; give one of the two")
             if needed and self.kinematics is None and name not in self.joints:
                 raise ValueError(f"joints.{name} is missing; that eye has a camera")
-        self._check_kinematics()
         reserved = {TIME, JOINT_TIME, PLACEMENT, MOVING, *self.pose_columns}
         if clash := reserved & set(self.cameras):
             raise ValueError(f"no camera can be called {min(clash)}, which is another column")

@@ -84,6 +84,8 @@ ReadingName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_:()/ -]{0,60}$"
 _FINITE = ConfigDict(extra="forbid", allow_inf_nan=False)
 MAX_JOINTS = 20
 """Of a chain, and readings of a head."""
+MAX_POINT_M = 5.0
+"""Of a point on an eye's joint; one that is farther away was probably given in millimetres."""
 PARALLEL = 0.1
 """Sine of the angle between successive axes below which they count as one joint's."""
 
@@ -118,7 +120,7 @@ class Joint:
         if abs(np.linalg.norm(self.axis) - 1) > 1e-6:
             length = np.linalg.norm(self.axis)
             raise ValueError(f"the axis of joint {self.name} is a unit vector, found {length:.6g}")
-        if np.abs(self.point_m).max() > MAX_M:
+        if np.abs(self.point_m).max() > MAX_POINT_M:
             raise ValueError(f"point_m of joint {self.name} is in metres, found {self.point_m}")
         if not any(self.readings.values()):
             raise ValueError(f"no reading moves joint {self.name}")

@@ -185,6 +185,7 @@ def _place_boards(
     seen[known] &= angle(turn[known])[:, None] < TURNED_RAD
     state = replace(state, T_lbase_target=best)
     # A few corners may be too little for a pose, and then lie behind the camera.
-    seen &= np.isfinite(corner_errors(problem, state)).all(axis=(1, 2), keepdims=True)[..., 0]
+    before = np.asarray(np.isfinite(corner_errors(problem, state)).all(axis=(1, 2)))
+    seen &= before[:, None]
     pixels = np.where(seen[..., None], problem.pixels, 0.0)
     return replace(problem, seen=seen, pixels=pixels), state
