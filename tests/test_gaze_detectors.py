@@ -9,17 +9,20 @@ import pytest
 from detectors import CARD_M, DICTIONARY, KINDS, MARKER, final_errors, picture
 from vergence.errors import VergenceError
 from vergence.gaze.state import GazeSettings
+from vergence.geometry.kinematics import Kinematics
 from vergence.geometry.projection import project_point
 from vergence.twin.card import Card, marker_card
 from vergence.twin.head import Twin
 from vergence.twin.model import as_built_head, nominal_head
 from vergence.twin.profile import load_profile
+from vergence.twin.simulated_robot import twin_limits
 from vergence.vision.marker import marker_detector
 
 
-def true_settings(profile: str) -> GazeSettings:
-    truth = as_built_head(nominal_head("2.8mm"), load_profile(profile), 0)
-    return GazeSettings(calibration=truth, joint_std_rad=2.6e-3)
+def true_settings(profile: str, joints: Kinematics | None = None) -> GazeSettings:
+    truth = as_built_head(nominal_head("2.8mm", joints), load_profile(profile), 0)
+    limits = twin_limits(truth.kinematics)
+    return GazeSettings(calibration=truth, limits=limits, joint_std_rad=2.6e-3)
 
 
 @pytest.mark.render
@@ -30,6 +33,15 @@ def test_a_head_with_wide_cameras_alone_centres_what_it_is_told_to_look_at(kind:
     )
     assert lost == 0
     assert max(found) < 3
+
+
+@pytest.mark.render
+def test_eyes_that_tilt_before_they_pan_centre_an_object():
+    kind = "tilt before pan, sphere"
+    settings = true_settings("paper", KINDS[kind][3])
+    found, lost = final_errors(kind, trials=2, profile="paper", seed=0, calibration=settings)
+    assert lost == 0
+    assert max(found) < 8
 
 
 @pytest.mark.render

@@ -8,14 +8,17 @@ import mujoco
 import numpy as np
 import pytest
 
+from other_heads import tilt_before_pan
 from simulated_head import pan_tilt_pose
 from vergence.data.dataset import Frame
 from vergence.gaze.commands import HEAD_JOINTS
 from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base
+from vergence.geometry.kinematics import NECK_JOINTS, Kinematics
 from vergence.geometry.se3 import pose
 from vergence.twin.head import Twin
 from vergence.twin.model import (
     CAMERAS,
+    HINGES,
     R_MJCAM_CAM,
     T_world_body,
     as_built_head,
@@ -39,28 +42,31 @@ NECK = slice(0, 3)
 EYES = slice(3, 7)
 
 
-def built(seed: int) -> HeadCalibration:
-    return as_built_head(nominal_head("2.8mm"), EVERYTHING, seed)
+def built(seed: int, joints: Kinematics | None = None) -> HeadCalibration:
+    return as_built_head(nominal_head("2.8mm", joints), EVERYTHING, seed)
 
 
+@pytest.mark.parametrize("joints", [None, tilt_before_pan()])
 @pytest.mark.parametrize("seed", [0, 1])
-def test_the_truth_has_its_cameras_where_mujoco_has_them(seed: int):
+def test_the_truth_has_its_cameras_where_mujoco_has_them(seed: int, joints: Kinematics | None):
     """At random angles of all seven joints, with every imperfection: to 1e-9."""
-    truth = built(seed)
+    truth = built(seed, joints)
     model = compile_head(truth, overscan_sizes(truth))
     data = mujoco.MjData(model)
     rng = np.random.default_rng(seed)
     for _ in range(10):
         angles = rng.uniform(-0.4, 0.4, len(HEAD_JOINTS))
-        for name, angle in zip(HEAD_JOINTS, angles, strict=True):
+        hinges = (*NECK_JOINTS, *HINGES["left"], *HINGES["right"])
+        mixing = [truth.kinematics.chains[eye].mixing for eye in ("left", "right")]
+        turned = [angles[NECK], *(each @ angles[EYES] for each in mixing)]
+        for name, angle in zip(hinges, np.concatenate(turned), strict=True):
             data.joint(name).qpos = angle
         mujoco.mj_kinematics(model, data)
         mujoco.mj_camlight(model, data)
         for name in CAMERAS:
             eye = truth.cameras[name].eye
-            pan_tilt = angles[EYES][:2] if eye == "left" else angles[EYES][2:]
             T = T_world_body(data, "body") @ T_body_base(truth, eye, angles[NECK])
-            T = T @ T_base_cam(truth, name, pan_tilt) @ pose(R_MJCAM_CAM)
+            T = T @ T_base_cam(truth, name, angles[EYES]) @ pose(R_MJCAM_CAM)
             camera = data.camera(name)
             np.testing.assert_allclose(T[:3, 3], camera.xpos, atol=1e-9)
             np.testing.assert_allclose(T[:3, :3], camera.xmat.reshape(3, 3), atol=1e-9)
