@@ -4,8 +4,14 @@ import numpy as np
 import pytest
 
 import time_offset
+from simulated_head import plain_head
+from simulated_recording import BOARD, POINTS, facing, inside_image
 from vergence.arrays import Array
+from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
+from vergence.calibration.observations import Observations
 from vergence.data.timing import Timing, change, coefficients, moved_readings, rate, stencil
+from vergence.geometry.projection import project_at
+from vergence.geometry.se3 import boxminus, boxplus, pose, rotation, transform
 
 SWING = 2 * np.pi  # 1 Hz
 
@@ -67,3 +73,50 @@ def test_offsets_are_found_to_half_a_millisecond_and_gains_to_a_thousandth(offse
     assert np.abs(found.gains[0]).max() < 1e-3
     assert abs(found.offset[0]) < 4 * found.offset[1]
     assert (np.abs(found.gains[0]) < 4 * found.gains[1]).all()
+
+
+def turning(t: Array) -> Array:
+    """Return poses (V, 4, 4) of an eye on an arm that swings and moves."""
+    angles = 0.3 * np.cos(2.0 * t[:, None] + np.arange(3))
+    return pose(rotation(angles), 0.1 * np.sin(1.5 * t[:, None] + np.arange(3)))
+
+
+@pytest.mark.parametrize("late_s", [-0.04, 0.04])
+def test_poses_are_moved_in_time_as_angles_are(late_s: float):
+    t = np.arange(60) / 30
+    moved = moved_readings(turning(t), Timing(t, np.ones(60, dtype=int)), late_s)
+    off = boxminus(moved, turning(t + late_s))
+    assert np.abs(off[8:-8]).max() < 1e-7
+
+
+@pytest.mark.slow
+def test_the_offset_of_measured_poses_is_found():
+    rng = np.random.default_rng(2)
+    truth = plain_head(0.08, 300.0)
+    still, moving, late_s = 30, 90, 0.04
+    t = np.concatenate([np.zeros(still), np.arange(moving) / 30])
+    run = np.repeat([0, 1], [still, moving])
+    at_rest = pose(rotation(rng.uniform(-0.3, 0.3, (still, 3))), rng.uniform(-0.1, 0.1, (still, 3)))
+    at_image = np.concatenate([at_rest, turning(t[still:] + late_s)])
+    at_reading = np.concatenate([at_rest, turning(t[still:])])
+    board = facing(np.array([0.55, 0.0, 0.0]), np.array([0.3, -0.3, 0.1]))
+    corners = {}
+    for name, mounted in truth.cameras.items():
+        uv = project_at(mounted, truth.T_rbase_lbase, at_image, transform(board, POINTS)[None])
+        seen = inside_image(uv)[..., None]
+        corners[name] = np.where(seen, uv + rng.normal(0, 0.1, uv.shape), np.nan)
+    noise = rng.normal(0, 2e-4, (len(t), 2, 6))
+    seen = Observations(
+        board=BOARD,
+        placement=np.zeros(len(t), dtype=int),
+        eye_angles=np.full((len(t), 4), np.nan),
+        corners=corners,
+        sizes=dict.fromkeys(corners, (640, 480)),
+        timing=Timing(t, run),
+        T_base_eye=boxplus(np.stack([at_reading, at_reading], axis=1), noise),
+    )
+    found = bundle_adjust(truth, seen)
+    row = found.parameters.index("time_offset_s")
+    std = np.sqrt(found.covariance[row, row])
+    assert std < 1e-3
+    assert abs(found.head.time_offset_s - late_s) < 4 * std

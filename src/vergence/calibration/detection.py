@@ -77,15 +77,6 @@ def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observati
     blind = [
         f"{name} never sees the board." for name, c in corners.items() if not np.isfinite(c).any()
     ]
-    timed = dataset.moving.any() and dataset.T_base_eye is None
-    unused = []
-    if dataset.moving.any() and not timed:
-        for of_camera in corners.values():
-            of_camera[dataset.moving] = np.nan
-        unused.append(
-            f"{dataset.moving.sum()} moving rows were left out: the time offset is estimated for "
-            "joint angles, not for eye poses."
-        )
     return Observations(
         board=board,
         placement=dataset.placement,
@@ -94,11 +85,11 @@ def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observati
         sizes={name: (camera.width, camera.height) for name, camera in cameras.items()},
         eyes={name: camera.eye for name, camera in cameras.items()},
         kinematics=dataset.description.head_kinematics,
-        timing=Timing(dataset.joint_time_s, runs(dataset)) if timed else None,
+        timing=Timing(dataset.joint_time_s, runs(dataset)) if dataset.moving.any() else None,
         T_base_eye=dataset.T_base_eye,
         systematic_px=SYSTEMATIC_PX,
         failures=tuple(failures),
-        remarks=(*dataset.remarks, *blind, *unused),
+        remarks=(*dataset.remarks, *blind),
     )
 
 

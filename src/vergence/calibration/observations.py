@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -125,10 +126,13 @@ class Observations:
 
     def timely(self, head: HeadCalibration) -> Observations:
         """Return the same with the readings at the moments of the images, by a time offset."""
-        if self.timing is None or self.T_base_eye is not None:
+        if self.timing is None:
             return self
-        moved = moved_readings(self.eye_angles, self.timing, head.time_offset_s)
-        return replace(self, eye_angles=moved)
+        move = partial(moved_readings, timing=self.timing, seconds=head.time_offset_s)
+        if self.T_base_eye is None:
+            return replace(self, eye_angles=move(self.eye_angles))
+        poses = [move(T) for T in np.moveaxis(self.T_base_eye, 1, 0)]
+        return replace(self, T_base_eye=np.stack(poses, axis=1))
 
 
 def camera_eyes(observations: Observations) -> dict[str, Side]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.geometry.se3 import boxminus, boxplus
 
 WINDOW_S = 0.3
 """Neighbours on each side to which the polynomial is fitted. At 30 Hz and moved by 40 ms it misses
@@ -93,7 +94,15 @@ def rate(coefficients: Array, seconds: float) -> Array:
     return coefficients @ (powers * seconds ** (powers - 1))
 
 
+def pose_coefficients(around: Stencil, T: Array) -> Array:
+    """Return (N, 6, TRAJECTORY_DEGREE) coefficients of the increments along poses (N, 4, 4)."""
+    away = boxminus(T[around.neighbours], T[:, None])
+    return np.einsum("nwk,nwj->njk", around.weights, away, optimize=True)
+
+
 def moved_readings(readings: Array, timing: Timing, seconds: float) -> Array:
-    """Return what would have been read some seconds later (V, J), of readings (V, J)."""
+    """Return what readings (V, J), or poses (V, 4, 4), would have been some seconds later."""
     around = stencil(timing.time_s, timing.run)
+    if readings.ndim == 3:
+        return boxplus(readings, change(pose_coefficients(around, readings), seconds))
     return readings + change(coefficients(around, readings), seconds)

@@ -79,7 +79,7 @@ def initial_state(
         raise VergenceError(
             f"{who} a board in view {v}, but {its} joint reading is not finite; leave the view out."
         )
-    if observations.timing is not None and measured is None:
+    if observations.timing is not None:
         run = observations.timing.run[block_view]  # a motion of one eye, not of both
         time_s = observations.timing.time_s[block_view]
         around = stencil(time_s, np.where(run > 0, 2 * run - block_eye, 0))
@@ -88,7 +88,7 @@ def initial_state(
     blind = [name for c, name in enumerate(cameras) if c not in camera]
     blind += [side for e, side in enumerate(EYES) if e not in eye[camera]]
     parameters = parameter_names(start)
-    without = ["time_offset_s", *axes_names(start, "left"), *axes_names(start, "right")]
+    without = [*axes_names(start, "left"), *axes_names(start, "right")]
     without = without if measured is not None else []
     free = [
         name not in fixed and name.partition(".")[0] not in blind and name not in without

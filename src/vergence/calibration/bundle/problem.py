@@ -138,10 +138,15 @@ def refit_trajectory(problem: BundleProblem, state: BundleState) -> BundleProble
     """
     if problem.around is None:
         return problem
-    latent = timing.coefficients(problem.around, state.latent)
+    if problem.T_base_eye_read is None:
+        latent = timing.coefficients(problem.around, state.latent)
+        reading = timing.coefficients(problem.around, problem.reading)
+    else:
+        read = problem.T_base_eye_read
+        latent = timing.pose_coefficients(problem.around, boxplus(read, state.latent))
+        reading = timing.pose_coefficients(problem.around, read)
     # Seen from the reading's moment time runs the other way: odd powers keep their sign.
-    sign = -((-1.0) ** np.arange(1, timing.TRAJECTORY_DEGREE + 1))
-    reading = sign * timing.coefficients(problem.around, problem.reading)
+    reading = reading * -((-1.0) ** np.arange(1, timing.TRAJECTORY_DEGREE + 1))
     chosen = np.where(problem.trust_encoder[:, None], reading, latent)
     return replace(problem, trajectory_coefficients=chosen)
 
