@@ -13,9 +13,9 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.geometry.camera import project, project_jacobians
+from vergence.geometry.camera import project, projection_rows
 from vergence.geometry.head import HeadCalibration, MountedCamera, main_pair
-from vergence.geometry.kinematics import EYE_COLUMNS, EYES, T_base_eye, axes_row, eye_jacobians
+from vergence.geometry.kinematics import EYE_COLUMNS, EYES, T_base_eye, eye_linearised
 from vergence.geometry.se3 import cross, inverse
 
 
@@ -44,23 +44,37 @@ def project_at(
     mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array, points: Array
 ) -> Array:
     """Return pixels (..., K, 2) of points (..., K, 3) [m] in the left eye's base, by eye poses."""
-    return project(mounted.intrinsics, _through(mounted, T_rbase_lbase, T_base_eye, points)[-1])
+    in_camera = _through(mounted, T_rbase_lbase, T_base_eye, points)[-1]
+    return project(mounted.intrinsics, np.moveaxis(in_camera, 0, -1))
 
 
 def _through(
     mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array, points: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Return points (..., K, 3) in four steps from the left eye's base to the camera.
+    """Return points (3, ..., K) in four steps from the left eye's base to the camera.
 
     In the axes of the camera's eye base; from the eye's origin, in that base; from the camera,
-    along the axes of the eye; and in frame cam.
+    along the axes of the eye; and in frame cam. Points (..., K, 3) are given as elsewhere; inside,
+    the components come first, since numpy is fast on long rows.
     """
+    missing = T_base_eye.ndim - points.ndim
+    points = points.reshape((1,) * missing + points.shape)
+    T = T_base_eye.reshape((1,) * -missing + T_base_eye.shape)
+    T = T.transpose(-2, -1, *range(T.ndim - 2))[..., None]
+    points = points.transpose(-1, *range(points.ndim - 1))
     right = mounted.eye == "right"
-    turned = points @ T_rbase_lbase[:3, :3].T if right else points
-    shift = T_rbase_lbase[:3, 3] if right else 0.0
-    arm = turned + shift - T_base_eye[..., None, :3, 3]
-    from_camera = arm @ T_base_eye[..., :3, :3] - mounted.T_eye_cam[:3, 3]
-    return turned, arm, from_camera, from_camera @ mounted.T_eye_cam[:3, :3]
+    turned = rotated(T_rbase_lbase, points) if right else points
+    arm = turned - T[:3, 3]
+    if right:
+        arm += T_rbase_lbase[:3, 3].reshape(3, *(1,) * (arm.ndim - 1))
+    from_camera = np.add.reduce(T[:3, :3] * arm[:, None], axis=0)
+    from_camera -= mounted.T_eye_cam[:3, 3].reshape(3, *(1,) * (arm.ndim - 1))
+    return turned, arm, from_camera, rotated(mounted.T_eye_cam.T, from_camera)
+
+
+def rotated(T: Array, vectors: Array) -> Array:
+    """Return vectors (3, ...), components first, turned by the rotation of one pose (4, 4)."""
+    return (T[:3, :3] @ vectors.reshape(3, -1)).reshape(vectors.shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,28 +100,53 @@ class ProjectionJacobians:
 
 
 def project_with_jacobians(
-    mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array, points: Array
+    mounted: MountedCamera,
+    T_rbase_lbase: Array,
+    T_base_eye: Array,
+    points: Array,
+    *,
+    parameters: bool = True,
 ) -> ProjectionJacobians:
     """Return pixels and their derivatives by everything that lies between point and pixel.
 
-    The arguments are those of project_at: M poses (M, 4, 4), points (M, K, 3).
+    The arguments are those of project_at: M poses (M, 4, 4), points (M, K, 3). Where the
+    derivatives by lens, T_eye_cam and T_rbase_lbase are not wanted, these have no columns. All are
+    views of arrays whose components come first.
     """
     turned, arm, from_camera, in_camera = _through(mounted, T_rbase_lbase, T_base_eye, points)
-    pixels, by_cam, by_lens = project_jacobians(mounted.intrinsics, in_camera)
-    by_eye = by_cam @ mounted.T_eye_cam[:3, :3].T
-    by_base = rows_times(by_eye, np.swapaxes(T_base_eye[:, :3, :3], -1, -2))
+    pixels, by_cam, by_lens = projection_rows(mounted.intrinsics, in_camera, intrinsics=parameters)
+    R = T_base_eye[:, :3, :3].transpose(1, 2, 0)[..., None]
+    by_eye = np.stack([rotated(mounted.T_eye_cam, row) for row in by_cam])
+    by_base = np.add.reduce(R * by_eye[:, None], axis=2)
     right = mounted.eye == "right"
-    between = by_pose_of_points(by_base, turned)
+    by_point = by_base
+    if right:
+        by_point = np.stack([rotated(T_rbase_lbase.T, row) for row in by_base])
+    between, mounting = np.empty((2, 2, 0, *in_camera.shape[1:]))
+    if parameters:
+        mounting = _by_increment(by_eye, from_camera)
+        between = -_by_increment(by_base, turned) if right else np.zeros_like(mounting)
     return ProjectionJacobians(
-        pixels,
-        by_lens,
-        np.concatenate([cross(by_eye, from_camera[:, :, None]), -by_eye], axis=-1),
-        np.concatenate([cross(by_base, arm[:, :, None]), -by_base], axis=-1),
-        between if right else np.zeros_like(between),
-        by_base @ T_rbase_lbase[:3, :3] if right else by_base,
-        in_camera,
-        by_cam,
+        pixels.transpose(1, 2, 0),
+        *(
+            each.transpose(2, 3, 0, 1)
+            for each in (by_lens, mounting, _by_increment(by_base, arm), between, by_point)
+        ),
+        in_camera.transpose(1, 2, 0),
+        by_cam.transpose(2, 3, 0, 1),
     )
+
+
+def _by_increment(by_point: Array, arm: Array) -> Array:
+    """Return derivatives (2, 6, ...) by the pose of a frame in which a fixed point is looked at.
+
+    Given are those by the point (2, 3, ...) and the point from the frame's origin (3, ...), along
+    the axes of the increment.
+    """
+    rows = np.empty((2, 6, *arm.shape[1:]))
+    for row, own in zip(rows, by_point, strict=True):
+        row[:3], row[3:] = cross(own, arm, axis=0), -own
+    return rows
 
 
 def by_pose_of_points(by_point: Array, turned: Array) -> Array:
@@ -196,8 +235,11 @@ def eye_poses(head: HeadCalibration, joints: Array) -> Array:
     """
     if measured(joints):
         return joints
-    poses = [T_base_eye(joints[..., EYE_COLUMNS[eye]], head.axes[eye]) for eye in EYES]
-    return np.stack(poses, axis=-3)
+    T = np.empty((2, 4, 4, *joints.shape[:-1]))
+    for e, eye in enumerate(EYES):
+        own = T_base_eye(joints[..., EYE_COLUMNS[eye]], head.axes[eye])
+        T[e] = np.moveaxis(own, (-2, -1), (0, 1))
+    return np.moveaxis(T, (0, 1, 2), (-3, -2, -1))
 
 
 def eye_poses_with_jacobians(
@@ -210,17 +252,16 @@ def eye_poses_with_jacobians(
     of both eyes' measured poses (r = 12); in the increment of `se3.boxplus`. Readings are (n, 4) or
     (4,) angles [rad], or (n, 2, 4, 4) or (2, 4, 4) measured poses.
     """
-    T = np.broadcast_to(eye_poses(head, joints), (n, 2, 4, 4))
     if measured(joints):
         by_pose = np.eye(12).reshape(2, 6, 12)
+        T = np.broadcast_to(joints, (n, 2, 4, 4))
         return T, np.zeros((n, 2, 6, 6)), np.broadcast_to(by_pose, (n, 2, 6, 12))
-    angles = np.broadcast_to(joints, (n, 4)).reshape(n, 2, 2)
-    axes = np.stack([axes_row(head.axes[eye]) for eye in EYES])
-    by_axes, by_own = eye_jacobians(angles, np.broadcast_to(axes, (n, 2, 6)))
-    by_readings = np.zeros((n, 2, 6, 4))
+    joints = np.broadcast_to(joints, (n, 4))
+    T, by_axes, by_readings = (np.zeros((2, *size, n)) for size in ((4, 4), (6, 6), (6, 4)))
     for e, eye in enumerate(EYES):
-        by_readings[:, e, :, EYE_COLUMNS[eye]] = by_own[:, e]
-    return T, by_axes, by_readings
+        own = eye_linearised(joints[:, EYE_COLUMNS[eye]], head.axes[eye])
+        T[e], by_axes[e], by_readings[e, :, EYE_COLUMNS[eye]] = (x.transpose(1, 2, 0) for x in own)
+    return T.transpose(3, 0, 1, 2), by_axes.transpose(3, 0, 1, 2), by_readings.transpose(3, 0, 1, 2)
 
 
 def T_rcam_lcam(
