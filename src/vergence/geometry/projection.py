@@ -165,13 +165,15 @@ def by_parameters(J: ProjectionJacobians, by_axes: Array) -> Array:
     fields of EyeAxes.
     """
     by_eye = rows_times(J.by_T_base_eye, by_axes)
-    return np.concatenate([J.by_lens, J.by_T_eye_cam, J.by_T_rbase_lbase, by_eye], axis=-1)
+    parts = (J.by_lens, J.by_T_eye_cam, J.by_T_rbase_lbase, by_eye)
+    whole = np.concatenate([part.transpose(2, 3, 0, 1) for part in parts], axis=1)
+    return whole.transpose(2, 3, 0, 1)
 
 
 def rows_times(rows: Array, matrix: Array) -> Array:
     """Return each row of (M, K, 2, n) times the matrix (M, n, m) of its posture."""
-    M, K, _, n = rows.shape  # M is 0 for a camera that sees no board
-    return (rows.reshape(M, 2 * K, n) @ matrix).reshape(M, K, 2, matrix.shape[-1])
+    first, factors = rows.transpose(2, 3, 0, 1), matrix.transpose(1, 2, 0)[..., None]
+    return np.add.reduce(first[:, :, None] * factors, axis=1).transpose(2, 3, 0, 1)
 
 
 def base_extrinsics(
@@ -298,6 +300,23 @@ def stereo_poses(
         T_lbase_leye=T_lbase_leye,
     )
     return T_lbase_leye @ left.T_eye_cam, T
+
+
+def camera_poses(pair: tuple[MountedCamera, MountedCamera], T_rbase_lbase: Array, T: Array) -> Array:
+    """Return the poses (3, 4, 2, N) of a left and a right camera in the left eye's base frame.
+
+    Without their last row, components first; at eye poses T (N, 2, 4, 4).
+    """
+    first = T.transpose(1, 2, 3, 0)
+    poses = np.empty((3, 4, 2, len(T)))
+    for k, mounted in enumerate(pair):
+        poses[:, :, k] = mounted.T_eye_cam[:3].T @ first[k, :3, :3]
+        poses[:, 3, k] += first[k, :3, 3]
+    T_lbase_rbase = inverse(T_rbase_lbase)
+    right = poses[:, :, 1]
+    poses[:, :, 1] = rotated(T_lbase_rbase, right)
+    poses[:, 3, 1] += T_lbase_rbase[:3, 3, None]
+    return poses
 
 
 def rebase(
