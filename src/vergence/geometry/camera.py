@@ -165,15 +165,16 @@ def normalised_rows(camera: Camera, pixels: Array) -> tuple[Array, Array]:
         for _ in range(20):
             distorted_x, distorted_y, xx, cross, yy = _distortion(camera, x, y)
             error_x, error_y = distorted_x - wanted_x, distorted_y - wanted_y
-            error, det = np.maximum(np.abs(error_x), np.abs(error_y)), xx * yy - cross * cross
+            squared, det = error_x * error_x + error_y * error_y, xx * yy - cross * cross
             x = x - (yy * error_x - cross * error_y) / det
             y = y - (xx * error_y - cross * error_x) / det
-            # NaN counts as nothing; this step has squared the error.
-            if not np.fmax.reduce(np.ravel(error), initial=0.0) > 1e-9:
+            if not (squared > 1e-18).any():  # NaN is none; this step has squared the error
                 break
-        good = (error < 1e-9) & (det > 0)
+        good = (squared < 1e-18) & (det > 0)
         good &= x * x + y * y < lens.reach(camera.model, k)  # another sheet may reach back
-    xy[0], xy[1] = np.where(good, x, np.nan), np.where(good, y, np.nan)
+    xy[0], xy[1] = x, y
+    if not good.all():
+        xy[:, ~good] = np.nan
     slopes[0, 0], slopes[0, 1] = fx * xx + skew * cross, fx * cross + skew * yy
     slopes[1, 0], slopes[1, 1] = fy * cross, fy * yy
     return xy, slopes

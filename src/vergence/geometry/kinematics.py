@@ -54,7 +54,9 @@ class Chain:
         generators = hat(self.axes)
         points = np.concatenate([self.points_m, self.end_m[..., None, :]], axis=-2)
         matrices = (_first(each, 3) for each in (generators, generators @ generators))
-        return *matrices, *(_first(each, 2) for each in (self.axes, points, np.diff(points, axis=-2)))
+        return *matrices, *(
+            _first(each, 2) for each in (self.axes, points, np.diff(points, axis=-2))
+        )
 
 
 def chain_pose(chain: Chain, readings: Array) -> Array:

@@ -302,7 +302,9 @@ def stereo_poses(
     return T_lbase_leye @ left.T_eye_cam, T
 
 
-def camera_poses(pair: tuple[MountedCamera, MountedCamera], T_rbase_lbase: Array, T: Array) -> Array:
+def camera_poses(
+    pair: tuple[MountedCamera, MountedCamera], T_rbase_lbase: Array, T: Array
+) -> Array:
     """Return the poses (3, 4, 2, N) of a left and a right camera in the left eye's base frame.
 
     Without their last row, components first; at eye poses T (N, 2, 4, 4).

@@ -72,7 +72,7 @@ def hat(v: Array) -> Array:
 
 
 def cross(a: Array, b: Array, *, axis: Literal[0, -1] = -1) -> Array:
-    """Return a x b (..., 3), or (3, ...); numpy's own takes four times as long for a few vectors."""
+    """Return a x b (..., 3), or (3, ...); numpy's own takes four times as long for few vectors."""
     if axis == 0:
         (a1, a2, a3), (b1, b2, b3) = a, b
     else:

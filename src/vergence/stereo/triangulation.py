@@ -15,10 +15,10 @@ from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, normalised_rows
 from vergence.geometry.head import HeadCalibration, MountedCamera, T_body_base, T_head_base
-from vergence.geometry.projection import camera_poses, eye_poses, measured, stereo_cameras
+from vergence.geometry.projection import camera_poses, eye_poses, stereo_cameras
 from vergence.geometry.se3 import cross, inverse, transform
 
-CHUNK = 2048
+CHUNK = 4096
 """Points at a time: their arrays stay in the processor's cache, and memory does not grow."""
 PARALLEL_RAD = 1e-12
 """Angle between two rays that rounding errors make of none."""
@@ -148,7 +148,9 @@ def intersect(
         by_u, by_v = (d * by_x - c * by_y) / det, (a * by_y - b * by_x) / det
         u, v = by_u * variances[0], by_v * variances[1]
         factor = gap / np.add.reduce(u * by_u + v * by_v) / det
-        rays -= across[:, 0] * (factor * (d * u - b * v)) + across[:, 1] * (factor * (a * v - c * u))
+        rays -= across[:, 0] * (factor * (d * u - b * v)) + across[:, 1] * (
+            factor * (a * v - c * u)
+        )
         left, right = rays[:, 0], rays[:, 1]
         normal = cross(left, right, axis=0)
         size = np.add.reduce(normal * normal)
@@ -156,7 +158,9 @@ def intersect(
         depths = np.add.reduce(cross(base, rays[:, ::-1], axis=0) * normal[:, None]) / size
         points = centres[:, 0] + depths[0] * left
         parallel = size <= PARALLEL_RAD**2 * np.multiply(*np.add.reduce(rays * rays))
-    status = np.where(parallel, Status.PARALLEL, np.where((depths <= 0).any(axis=0), Status.BEHIND, 0))
+    status = np.where(
+        parallel, Status.PARALLEL, np.where((depths <= 0).any(axis=0), Status.BEHIND, 0)
+    )
     status[~np.isfinite(rays[0, 0] + rays[0, 1])] = Status.NOT_SEEN
     points[:, status != Status.OK] = np.nan
     return points, status
@@ -179,7 +183,7 @@ def postures(joints: Array, part: slice) -> Array:
 
 
 def readable(joints: Array) -> Array:
-    """Return readings (n, r), or poses (n, 2, 4, 4), with all of a posture NaN if one is not finite."""
+    """Return readings (n, r), or poses (n, 2, 4, 4); all of a posture is NaN if one number is."""
     finite = np.isfinite(joints)
     if finite.all():
         return joints

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +21,17 @@ from vergence.geometry.projection import (
     project_with_jacobians,
     stereo_cameras,
 )
-from vergence.stereo.triangulation import Status, triangulate_at
+from vergence.geometry.se3 import cross
+from vergence.stereo.triangulation import (
+    checked,
+    chunks,
+    of_part,
+    pixel_variances,
+    postures,
+    rays_meet,
+    readable,
+    triangulate_at,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,10 +42,14 @@ class LocatedPoints:
     """(N, 3) [m] in the left eye's base frame (x forward = depth, y left, z up); NaN where the
     status is not OK."""
     covariance: Array
-    """(N, 3, 3) [m^2], to first order; NaN where the status is not OK, or where neither the caller
-    nor the calibration states any noise."""
+    """(N, 3, 3) [m^2], to first order, of noise and calibration together; NaN where the status is
+    not OK, or where neither the caller nor the calibration states any noise."""
     status: np.ndarray
     """(N,) of triangulation.Status."""
+    calibration_covariance: Array
+    """(N, 3, 3) [m^2]: the part of `covariance` that the calibration's makes. Its errors are the
+    same in all points, so that no average makes them smaller: see `combination`. Zero where the
+    calibration states none."""
 
 
 def locate(
@@ -60,8 +75,9 @@ def locate(
             (N, 2, 4, 4).
         cameras: names of a camera of the left eye and one of the right; None: the main ones (the
             wide ones, where a head has such).
-        pixel_std_px: noise of (left u, left v, right u, right v); a number stands for all, and (4,)
-            or (N, 4) are taken as they are. None: that of the corners of the calibration.
+        pixel_std_px: noise of (left u, left v, right u, right v), by which they are weighted; a
+            number stands for all, and (4,) or (N, 4) are taken as they are. None: that of the
+            corners of the calibration.
         joint_std_rad: noise of each reading, likewise; of measured poses the two numbers of
             rotation [rad] and translation [m]. None: as the calibration found it.
         joint_time_s: (N,) time stamps of the readings of one motion, at most 0.2 s apart; each is
@@ -74,20 +90,36 @@ def locate(
     """
     if joint_time_s is not None:
         joints = _at_the_images(head, joints, joint_time_s)
+    left, right, joints = checked(left, right, joints)
+    factor = calibration_factor(head, cameras)
+    stated = factor.size > 0
+    n = len(left)
+    if not stated and pixel_std_px is None and joint_std_rad is None:
+        points, status = triangulate_at(
+            head, left=left, right=right, joints=joints, cameras=cameras
+        )
+        return LocatedPoints(points, np.full((n, 3, 3), np.nan), status, np.zeros((n, 3, 3)))
     accuracy = head.accuracy or Accuracy(method="paper")
-    stated = bool(accuracy.parameters)
-    seen = _linearised(head, left, right, joints, cameras, parameters=stated)
-    covariance = np.full((len(seen.points), 3, 3), np.nan)
-    if stated or pixel_std_px is not None or joint_std_rad is not None:
-        if pixel_std_px is None:
-            pixel_std_px = accuracy.pixel_std_px or 0.0
-        if joint_std_rad is None:
-            count = 2 if measured(joints) else 4
-            joint_std_rad = np.tile(accuracy.joint_std or (0.0,), 4)[:count]
-        covariance = _of_noise(seen, pixel_std_px, joint_std_rad)
-    if stated:
-        covariance = covariance + _of_calibration(seen, head, accuracy)
-    return LocatedPoints(seen.points, covariance, seen.status)
+    if pixel_std_px is None:
+        pixel_std_px = accuracy.pixel_std_px or 0.0
+    if joint_std_rad is None:
+        joint_std_rad = np.tile(accuracy.joint_std or (0.0,), 4)[: 2 if measured(joints) else 4]
+    points, status = np.empty((n, 3)), np.empty(n, dtype=int)
+    covariance, shared = np.empty((n, 3, 3)), np.zeros((n, 3, 3))
+    weights, pixel_stds = pixel_variances(pixel_std_px, n), _rows(pixel_std_px, n)
+    for part in chunks(n):
+        pixels = left[part], right[part]
+        seen = _linearised(
+            head, pixels, postures(joints, part), cameras, of_part(weights, part), parameters=stated
+        )
+        points[part], status[part] = seen.points.T, seen.status
+        noise = [seen.by_pixels * pixel_stds[:, part], seen.by_readings]
+        noise[1] = noise[1] * reading_stds(joint_std_rad, noise[1].shape[1], n)[:, part]
+        covariance[part] = _squares(np.concatenate(noise, axis=1))
+        if stated:
+            shared[part] = _squares(factor.T @ seen.by_parameters)
+            covariance[part] += shared[part]
+    return LocatedPoints(points, covariance, status, shared)
 
 
 def _at_the_images(head: HeadCalibration, joints: Array, joint_time_s: Array) -> Array:
@@ -124,8 +156,74 @@ def locate_with_covariance(
     The calibration is taken as exact. NaN where a point cannot be located. Arguments and errors are
     those of `locate`.
     """
-    seen = _linearised(head, left, right, joints, cameras, parameters=False)
-    return seen.points, _of_noise(seen, pixel_std_px, joint_std_rad)
+    found = locate(
+        _exact(head),
+        left=left,
+        right=right,
+        joints=joints,
+        cameras=cameras,
+        pixel_std_px=pixel_std_px,
+        joint_std_rad=joint_std_rad,
+    )
+    return found.xyz, found.covariance
+
+
+@lru_cache(maxsize=64)
+def _exact(head: HeadCalibration) -> HeadCalibration:
+    """Return a head that states no accuracy."""
+    return replace(head, accuracy=None)
+
+
+def combination(
+    head: HeadCalibration,
+    *,
+    weights: Array,
+    left: Array,
+    right: Array,
+    joints: Array,
+    cameras: tuple[str, str] | None = None,
+    pixel_std_px: ArrayLike = 0.0,
+    joint_std_rad: ArrayLike = 0.0,
+) -> tuple[Array, Array]:
+    """Return the sum (3,) [m] of points times weights (N,), and its covariance (3, 3) [m^2].
+
+    With weights 1/N an average, with 1 and -1 a difference. Errors of pixels are each point's own;
+    those of readings are too, but are shared by all points where one posture serves all; and those
+    of the calibration are always shared. Points that cannot be located must have weight zero, or
+    the result is NaN. Other arguments and errors are those of `locate`.
+    """
+    left, right, joints = checked(left, right, joints)
+    factor, n = calibration_factor(head, cameras), len(left)
+    pixel_stds = _rows(pixel_std_px, n)
+    weights_px, one = pixel_variances(pixel_std_px, n), joints.ndim in (1, 3)
+    total, covariance, by_head, by_readings = np.zeros(3), np.zeros((3, 3)), 0.0, 0.0
+    for part in chunks(n):
+        pixels = left[part], right[part]
+        seen = _linearised(
+            head,
+            pixels,
+            postures(joints, part),
+            cameras,
+            of_part(weights_px, part),
+            parameters=factor.size > 0,
+        )
+        own = np.where(weights[part] == 0, 0.0, weights[part])
+        points, *changes = (
+            np.where(own == 0, 0.0, each) * own
+            for each in (seen.points, seen.by_pixels, seen.by_readings, seen.by_parameters)
+        )
+        total += points.sum(axis=-1)
+        covariance += _squares(changes[0] * pixel_stds[:, part]).sum(axis=0)
+        noisy = changes[1] * reading_stds(joint_std_rad, changes[1].shape[1], n)[:, part]
+        if one:
+            by_readings = by_readings + noisy.sum(axis=-1)
+        else:
+            covariance += _squares(noisy).sum(axis=0)
+        by_head = by_head + changes[2].sum(axis=-1)
+    for shared in (by_readings, by_head @ factor):
+        shared = np.reshape(shared, (3, -1))
+        covariance += shared @ shared.T
+    return total, covariance
 
 
 def locate_both(
@@ -147,17 +245,17 @@ def locate_both(
     errors are those of `locate`. Returns points a and b (N, 3) [m], and covariances (N, 3, 3) [m^2]
     of a - b, in the left eye's base frame; NaN where a point cannot be located.
     """
-    n = len(left[0])
-    both = np.tile(np.broadcast_to(joints, (n, 4)), (2, 1))
-    pixels = np.concatenate(left), np.concatenate(right)
-    seen = _linearised(head, *pixels, both, cameras, parameters=False)
-    pixel_stds = np.broadcast_to(np.asarray(pixel_std_px, dtype=float), (n, 4))
-    a, b = np.split(seen.by_readings, 2)
-    covariances = _covariance(a - b, _reading_stds(seen, joint_std_rad)[:n])
-    for by_pixels in np.split(seen.by_pixels, 2):
-        covariances = covariances + _covariance(by_pixels, pixel_stds)
-    points_a, points_b = np.split(seen.points, 2)
-    return points_a, points_b, covariances
+    n, weights = len(left[0]), pixel_variances(pixel_std_px, len(left[0]))
+    pixel_stds, points, changes = _rows(pixel_std_px, n), [], []
+    for own in zip(left, right, strict=True):
+        *own, own_joints = checked(*own, joints)
+        own_joints = own_joints[None] if own_joints.ndim in (1, 3) else own_joints
+        seen = _linearised(head, own, own_joints, cameras, weights, parameters=False)
+        points.append(seen.points.T)
+        changes += [seen.by_pixels * pixel_stds, seen.by_readings]
+    shared = changes.pop(1) - changes.pop()
+    shared = shared * reading_stds(joint_std_rad, shared.shape[1], n)
+    return *points, _squares(np.concatenate([*changes, shared], axis=1))
 
 
 def calibration_covariance(
@@ -172,110 +270,190 @@ def calibration_covariance(
 
     Arguments and errors are those of `locate`; VergenceError also if the head states no covariance.
     """
-    accuracy = head.accuracy
-    if accuracy is None or not accuracy.parameters:
+    if head.accuracy is None or not head.accuracy.parameters:
         raise VergenceError(
             "This calibration states no covariance; `vergence calibrate --method bundle` makes "
             "one that does."
         )
-    seen = _linearised(head, left, right, joints, cameras, parameters=True)
-    return _of_calibration(seen, head, accuracy)
+    found = locate(head, left=left, right=right, joints=joints, cameras=cameras)
+    return np.where(np.isnan(found.covariance), np.nan, found.calibration_covariance)
+
+
+@lru_cache(maxsize=64)
+def calibration_factor(head: HeadCalibration, cameras: tuple[str, str] | None) -> Array:
+    """Return F (P, q) with F F^T the calibration's covariance of what a pair of cameras depends on.
+
+    The P rows are those of `pair_parameters`; P and q are 0 where the head states no covariance.
+    """
+    accuracy, names = head.accuracy, pair_parameters(head, cameras)
+    if accuracy is None or not accuracy.parameters:
+        return np.zeros((len(names), 0))
+    rows = {name: k for k, name in enumerate(accuracy.parameters)}
+    own = np.array([rows.get(name, -1) for name in names])
+    known = own >= 0
+    C = accuracy.covariance[np.ix_(own[known], own[known])]
+    std = np.sqrt(np.diag(C))
+    values, vectors = np.linalg.eigh(C / std / std[:, None])
+    keep = values > 1e-14 * len(std)
+    factor = np.zeros((len(names), int(keep.sum())))
+    factor[known] = std[:, None] * vectors[:, keep] * np.sqrt(values[keep])
+    return factor
+
+
+@lru_cache(maxsize=64)
+def _columns(
+    head: HeadCalibration, cameras: tuple[str, str] | None
+) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Return the parameters (P,) that a pair depends on, and where each camera's are in them."""
+    pair = cameras or main_pair(head) or ()
+    own = [camera_columns(head, name) for name in pair]
+    both = np.unique(np.concatenate(own))
+    return both, (np.searchsorted(both, own[0]), np.searchsorted(both, own[1]))
+
+
+@lru_cache(maxsize=64)
+def pair_parameters(head: HeadCalibration, cameras: tuple[str, str] | None) -> tuple[str, ...]:
+    """Return the names of the P parameters that the points of a pair of cameras depend on."""
+    stereo_cameras(head, cameras)
+    names = parameter_names(head)
+    return tuple(names[k] for k in _columns(head, cameras)[0])
 
 
 @dataclass(frozen=True, eq=False)
-class _Linearised:
-    """N located points, and how they change with all that they depend on; NaN: not located.
+class Linearised:
+    """n located points, and how they change with all that they depend on, components first.
 
-    The pixels weigh as in Eqs. 3-4: undistorted, and by the distance from the camera. To first
-    order: of rays that pass each other far off, derivatives are those of rays that meet.
+    To first order: of rays that pass each other far off, derivatives are those of rays that meet.
+    NaN: not located.
     """
 
     points: Array
-    """(N, 3)."""
+    """(3, n)."""
     status: np.ndarray
-    """(N,)."""
+    """(n,)."""
     by_pixels: Array
-    """(N, 3, 4) with left u, left v, right u, right v."""
+    """(3, 4, n) with left u, left v, right u, right v."""
     by_readings: Array
-    """(N, 3, r) with the readings, or the increments of both measured poses (r = 12)."""
+    """(3, r, n) with the readings, or the increments of both measured poses (r = 12)."""
     by_parameters: Array
-    """(N, 3, P) with the parameters of the head; P is 0 where they are not wanted."""
+    """(3, P, n) with those of `pair_parameters`; P is 0 where they are not wanted."""
+
+
+def linearised(
+    head: HeadCalibration,
+    *,
+    left: Array,
+    right: Array,
+    joints: Array,
+    cameras: tuple[str, str] | None = None,
+) -> Linearised:
+    """Return points and all their derivatives, for as many points as memory has room for.
+
+    Pixels count equally. Arguments and errors are those of `locate`.
+    """
+    left, right, joints = checked(left, right, joints)
+    joints = joints[None] if joints.ndim in (1, 3) else joints
+    weights = pixel_variances(1.0, len(left))
+    return _linearised(head, (left, right), joints, cameras, weights, parameters=True)
 
 
 def _linearised(
     head: HeadCalibration,
-    left: Array,
-    right: Array,
+    pixels: tuple[Array, Array],
     joints: Array,
     cameras: tuple[str, str] | None,
+    variances: Array,
     *,
     parameters: bool,
-) -> _Linearised:
-    """Locate points; `parameters`: whether the derivatives by the head's are wanted too."""
-    points, status = triangulate_at(head, left=left, right=right, joints=joints, cameras=cameras)
-    found = status == Status.OK
-    joints = np.asarray(joints, dtype=float)
-    if joints.ndim not in (1, 3):  # one for each point
-        joints = joints[found]
-    n = int(found.sum())
-    T, by_axes, by_reading = eye_poses_with_jacobians(head, joints, n)
-    by_point, by_pixels, by_readings, by_head = [], [], [], []
-    pair = cameras or main_pair(head) or ()
-    names = parameter_names(head) if parameters else ()
-    for k, mounted in enumerate(stereo_cameras(head, cameras)):
-        lens = mounted.intrinsics
-        J = project_with_jacobians(mounted, head.T_rbase_lbase, T[:, k], points[found][:, None])
-        # By how much an undistorted pixel moves with a pixel.
-        distortion = J.by_in_camera[:, 0, :, :2] * J.in_camera[:, 0, 2, None, None]
-        weights = lens.matrix[:2, :2] @ np.linalg.inv(distortion)
-        # A point's derivatives fall with its distance.
-        slope = np.linalg.norm(weights @ J.by_point[:, 0], axis=(1, 2)) / lens.matrix[0, 0]
-        weights /= slope[:, None, None]
-        of_pixels = np.zeros((n, 2, 4))
-        of_pixels[:, :, 2 * k : 2 * k + 2] = -weights
-        of_head = np.zeros((n, 2, len(names)))
+) -> Linearised:
+    """Locate points; `parameters`: whether the derivatives by the head's are wanted too.
+
+    Joints are (n, ...) or (1, ...), variances those of `triangulation.rays_meet`.
+    """
+    pair = stereo_cameras(head, cameras)
+    joints = readable(joints)
+    T, by_axes, by_reading = eye_poses_with_jacobians(head, joints, len(joints))
+    points, status = rays_meet(pair, head.T_rbase_lbase, T, pixels, variances)
+    one = len(joints) == 1
+    arranged = points.T[None] if one else points.T[:, None]  # postures, points in each
+    J = [
+        project_with_jacobians(each, head.T_rbase_lbase, T[:, k], arranged, parameters=parameters)
+        for k, each in enumerate(pair)
+    ]
+
+    def flat(rows: Array) -> Array:
+        """Return rows (M, K, a, b) of derivatives with their components first: (a, b, n)."""
+        return rows.transpose(2, 3, 0, 1).reshape(*rows.shape[2:], -1)
+
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        by_pixels = _by_pixels(flat(J[0].by_point), flat(J[1].by_point), variances)
+    by_readings, columns = 0.0, ((), ())
+    by_head = np.zeros((3, 0, points.shape[1]))
+    if parameters:
+        both, columns = _columns(head, cameras)
+        by_head = np.zeros((3, len(both), points.shape[1]))
+    for k in (0, 1):
+        own = by_pixels[:, 2 * k : 2 * k + 2]
+        # The point makes up for what changes, so that its projection stays where it was seen.
+        by_pose = _times(own, flat(J[k].by_T_base_eye))
+        by_readings = by_readings - _times(by_pose, by_reading[:, k].transpose(1, 2, 0))
         if parameters:
-            columns = camera_columns(head, pair[k])
-            of_head[:, :, columns] = weights @ by_parameters(J, by_axes[:, k])[:, 0]
-        by_point.append(weights @ J.by_point[:, 0])
-        by_pixels.append(of_pixels)
-        by_readings.append(weights @ J.by_T_base_eye[:, 0] @ by_reading[:, k])
-        by_head.append(of_head)
-    # The point makes up for what changes, so that its projection stays where it was seen.
-    follows = -np.linalg.pinv(np.concatenate(by_point, axis=1))
-    changes = []
-    for rows in (by_pixels, by_readings, by_head):
-        change = np.full((len(points), 3, rows[0].shape[-1]), np.nan)
-        change[found] = follows @ np.concatenate(rows, axis=1)
-        changes.append(change)
-    return _Linearised(points, status, *changes)
+            by_head[:, columns[k]] -= _times(own, flat(by_parameters(J[k], by_axes[:, k])))
+    return Linearised(points, status, by_pixels, by_readings, by_head)
 
 
-def _covariance(change: Array, stds: Array) -> Array:
-    """Return covariances (N, 3, 3) from changes (N, 3, K) and standard deviations (N, K)."""
-    scaled = change * stds[:, None]
-    return scaled @ np.swapaxes(scaled, 1, 2)
+def _times(rows: Array, matrix: Array) -> Array:
+    """Return the products (a, c, n) of matrices (a, b, n) and (b, c, n)."""
+    total = rows[:, 0, None] * matrix[0]
+    for k in range(1, len(matrix)):
+        total += rows[:, k, None] * matrix[k]
+    return total
 
 
-def _of_noise(seen: _Linearised, pixel_std_px: ArrayLike, joint_std: ArrayLike) -> Array:
-    """Return the covariances (N, 3, 3) that the noise of pixels and readings makes."""
-    n = len(seen.points)
-    readings = _reading_stds(seen, joint_std)
-    pixels = np.broadcast_to(np.asarray(pixel_std_px, dtype=float), (n, 4))
-    return _covariance(seen.by_pixels, pixels) + _covariance(seen.by_readings, readings)
+def _by_pixels(left: Array, right: Array, variances: Array) -> Array:
+    """Return the derivatives (3, 4, n) of located points by their pixels.
+
+    Given are those of the pixels by the point (2, 3, n), and the variances of
+    `triangulation.rays_meet`. Three pixel coordinates make a point: both of the left image, and in
+    the right one that along the epipolar line. The fourth says by how much the rays miss each
+    other, and the pixels share this in proportion to their variances.
+    """
+    a, b = left
+    along = cross(a, b, axis=0)  # the left ray
+    m1, m2 = np.add.reduce(right * along, axis=1)
+    c, d = m1 * right[0] + m2 * right[1], m1 * right[1] - m2 * right[0]
+    by_a, by_b = cross(b, c, axis=0), cross(c, a, axis=0)
+    scale = 1 / (m1 * m1 + m2 * m2)
+    by_pixels = np.empty((3, 4, len(m1)))
+    by_pixels[:, 0], by_pixels[:, 1] = by_a * scale, by_b * scale
+    along = along * scale
+    by_pixels[:, 2], by_pixels[:, 3] = along * m1, along * m2
+    miss = np.empty((4, len(m1)))
+    miss[0] = -np.add.reduce(d * by_pixels[:, 0])
+    miss[1] = -np.add.reduce(d * by_pixels[:, 1])
+    miss[2], miss[3] = -m2, m1
+    shares = miss * variances.swapaxes(0, 1).reshape(4, -1)
+    shares /= np.add.reduce(shares * miss)
+    return by_pixels - np.add.reduce(by_pixels * shares, axis=1)[:, None] * miss
 
 
-def _reading_stds(seen: _Linearised, joint_std: ArrayLike) -> Array:
-    """Return the standard deviations (N, r) of readings; of poses from rotation, translation."""
-    n, _, count = seen.by_readings.shape
+def _squares(changes: Array) -> Array:
+    """Return covariances (n, 3, 3) of changes (3, K, n) by K independent standard deviations."""
+    found = np.empty((changes.shape[-1], 3, 3))
+    for i in range(3):
+        for j in range(i, 3):
+            found[:, i, j] = found[:, j, i] = np.add.reduce(changes[i] * changes[j])
+    return found
+
+
+def _rows(std: ArrayLike, n: int) -> Array:
+    """Return standard deviations (4, n) of pixels, from a number, (4,) or (n, 4)."""
+    return np.broadcast_to(np.asarray(std, dtype=float), (n, 4)).T
+
+
+def reading_stds(joint_std: ArrayLike, count: int, n: int) -> Array:
+    """Return the standard deviations (r, n) of readings; of poses from rotation, translation."""
     std = np.asarray(joint_std, dtype=float)
     if count == 12:
         std = np.tile(np.repeat(np.broadcast_to(std, (2,)), 3), 2)
-    return np.broadcast_to(std, (n, count))
-
-
-def _of_calibration(seen: _Linearised, head: HeadCalibration, accuracy: Accuracy) -> Array:
-    """Return covariances (N, 3, 3) that the calibration's covariance makes."""
-    names = parameter_names(head)
-    own = seen.by_parameters[..., [names.index(name) for name in accuracy.parameters]]
-    return own @ accuracy.covariance @ np.swapaxes(own, 1, 2)
+    return np.broadcast_to(std, (n, count)).T
