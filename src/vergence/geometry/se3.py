@@ -78,7 +78,13 @@ def cross(a: Array, b: Array, *, axis: Literal[0, -1] = -1) -> Array:
     else:
         a1, a2, a3 = a[..., 0], a[..., 1], a[..., 2]
         b1, b2, b3 = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack([a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1], axis=axis)
+    first = a2 * b3 - a3 * b2
+    product = np.empty((3, *first.shape) if axis == 0 else (*first.shape, 3))
+    x, y, z = product if axis == 0 else (product[..., k] for k in range(3))
+    x[...] = first
+    np.subtract(a3 * b1, a1 * b3, out=y)
+    np.subtract(a1 * b2, a2 * b1, out=z)
+    return product
 
 
 def angle(R: Array) -> Array:
