@@ -91,10 +91,8 @@ def locate(
     if joint_time_s is not None:
         joints = _at_the_images(head, joints, joint_time_s)
     left, right, joints = checked(left, right, joints)
-    factor = calibration_factor(head, cameras)
-    stated = factor.size > 0
-    n = len(left)
-    if not stated and pixel_std_px is None and joint_std_rad is None:
+    known, n = _calibration(head, cameras), len(left)
+    if known is None and pixel_std_px is None and joint_std_rad is None:
         points, status = triangulate_at(
             head, left=left, right=right, joints=joints, cameras=cameras
         )
@@ -110,14 +108,19 @@ def locate(
     for part in chunks(n):
         pixels = left[part], right[part]
         seen = _linearised(
-            head, pixels, postures(joints, part), cameras, of_part(weights, part), parameters=stated
+            head,
+            pixels,
+            postures(joints, part),
+            cameras,
+            of_part(weights, part),
+            parameters=known is not None,
         )
         points[part], status[part] = seen.points.T, seen.status
         noise = [seen.by_pixels * pixel_stds[:, part], seen.by_readings]
         noise[1] = noise[1] * reading_stds(joint_std_rad, noise[1].shape[1], n)[:, part]
         covariance[part] = _squares(np.concatenate(noise, axis=1))
-        if stated:
-            shared[part] = _squares(factor.T @ seen.by_parameters)
+        if known is not None:
+            shared[part] = _of_calibration(seen, known)
             covariance[part] += shared[part]
     return LocatedPoints(points, covariance, status, shared)
 
@@ -193,7 +196,7 @@ def combination(
     the result is NaN. Other arguments and errors are those of `locate`.
     """
     left, right, joints = checked(left, right, joints)
-    factor, n = calibration_factor(head, cameras), len(left)
+    factor, n = _factor(head, cameras), len(left)
     pixel_stds = _rows(pixel_std_px, n)
     weights_px, one = pixel_variances(pixel_std_px, n), joints.ndim in (1, 3)
     total, covariance, by_head, by_readings = np.zeros(3), np.zeros((3, 3)), 0.0, 0.0
@@ -205,12 +208,17 @@ def combination(
             postures(joints, part),
             cameras,
             of_part(weights_px, part),
-            parameters=factor.size > 0,
+            parameters=True,
         )
         own = np.where(weights[part] == 0, 0.0, weights[part])
         points, *changes = (
             np.where(own == 0, 0.0, each) * own
-            for each in (seen.points, seen.by_pixels, seen.by_readings, seen.by_parameters)
+            for each in (
+                seen.points,
+                seen.by_pixels,
+                seen.by_readings,
+                by_head_parameters(head, cameras, seen),
+            )
         )
         total += points.sum(axis=-1)
         covariance += _squares(changes[0] * pixel_stds[:, part]).sum(axis=0)
@@ -279,44 +287,90 @@ def calibration_covariance(
     return np.where(np.isnan(found.covariance), np.nan, found.calibration_covariance)
 
 
-@lru_cache(maxsize=64)
-def calibration_factor(head: HeadCalibration, cameras: tuple[str, str] | None) -> Array:
-    """Return F (P, q) with F F^T the calibration's covariance of what a pair of cameras depends on.
+@dataclass(frozen=True, eq=False)
+class _Calibration:
+    """Of a covariance of a head what the pixels of two cameras depend on."""
 
-    The P rows are those of `pair_parameters`; P and q are 0 where the head states no covariance.
+    own: tuple[np.ndarray, np.ndarray]
+    """By camera which of its columns are known to be uncertain, (p_l,) and (p_r,)."""
+    by_left: Array
+    """(p_l + p_r, p_l) covariance of both cameras' with the left one's."""
+    by_right: Array
+    """(p_r, p_r)."""
+
+
+@lru_cache(maxsize=64)
+def _calibration(head: HeadCalibration, cameras: tuple[str, str] | None) -> _Calibration | None:
+    """Return the covariance that the pixels of a pair depend on; None where none is stated."""
+    if head.accuracy is None or not head.accuracy.parameters:
+        return None
+    rows = {name: k for k, name in enumerate(head.accuracy.parameters)}
+    names, (left, right) = pair_parameters(head, cameras), _columns(head, cameras)
+    of_base = np.array([name.startswith("T_rbase_lbase.") for name in names])
+    stated = np.array([name in rows for name in names])
+    own = np.flatnonzero((stated & ~of_base)[left]), np.flatnonzero(stated[right])
+    order = [rows[names[k]] for k in (*left[own[0]], *right[own[1]])]
+    C, n = head.accuracy.covariance[np.ix_(order, order)], len(own[0])
+    return _Calibration(own, np.ascontiguousarray(C[:, :n]), np.ascontiguousarray(C[n:, n:]))
+
+
+def _of_calibration(seen: Linearised, known: _Calibration) -> Array:
+    """Return the covariances (n, 3, 3) that the calibration's covariance makes.
+
+    First that of the four pixel coordinates, of which a point is made: it takes half the time.
     """
+    left, right = (rows[:, own] for rows, own in zip(seen.pixels_by_head, known.own, strict=True))
+    by_left, by_right = known.by_left @ left, known.by_right @ right
+    split = left.shape[1]
+    pixels = np.empty((4, 4, left.shape[2]))
+    for i in (0, 1):
+        for j in (0, 1):
+            pixels[i, j] = np.add.reduce(left[i] * by_left[j, :split])
+            pixels[2 + i, 2 + j] = np.add.reduce(right[i] * by_right[j])
+            pixels[i, 2 + j] = pixels[2 + j, i] = np.add.reduce(right[j] * by_left[i, split:])
+    half = _times(seen.by_pixels, pixels)
+    return _products(half, seen.by_pixels)
+
+
+@lru_cache(maxsize=64)
+def _factor(head: HeadCalibration, cameras: tuple[str, str] | None) -> Array:
+    """Return F (P, q) with F F^T the calibration's covariance of `pair_parameters`."""
     accuracy, names = head.accuracy, pair_parameters(head, cameras)
     if accuracy is None or not accuracy.parameters:
         return np.zeros((len(names), 0))
     rows = {name: k for k, name in enumerate(accuracy.parameters)}
-    own = np.array([rows.get(name, -1) for name in names])
-    known = own >= 0
-    C = accuracy.covariance[np.ix_(own[known], own[known])]
+    stated = np.array([name in rows for name in names])
+    order = [rows[name] for name in names if name in rows]
+    C = accuracy.covariance[np.ix_(order, order)]
     std = np.sqrt(np.diag(C))
     values, vectors = np.linalg.eigh(C / std / std[:, None])
-    keep = values > 1e-14 * len(std)
-    factor = np.zeros((len(names), int(keep.sum())))
-    factor[known] = std[:, None] * vectors[:, keep] * np.sqrt(values[keep])
+    factor = np.zeros((len(names), len(order)))
+    factor[stated] = std[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     return factor
 
 
 @lru_cache(maxsize=64)
 def _columns(
     head: HeadCalibration, cameras: tuple[str, str] | None
-) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """Return the parameters (P,) that a pair depends on, and where each camera's are in them."""
-    pair = cameras or main_pair(head) or ()
-    own = [camera_columns(head, name) for name in pair]
-    both = np.unique(np.concatenate(own))
-    return both, (np.searchsorted(both, own[0]), np.searchsorted(both, own[1]))
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return where the columns of each camera are among the `pair_parameters`."""
+    names = pair_parameters(head, cameras)
+    everything = parameter_names(head)
+    place = {everything.index(name): k for k, name in enumerate(names)}
+    left, right = (
+        np.array([place[k] for k in camera_columns(head, name)])
+        for name in cameras or main_pair(head) or ()
+    )
+    return left, right
 
 
 @lru_cache(maxsize=64)
 def pair_parameters(head: HeadCalibration, cameras: tuple[str, str] | None) -> tuple[str, ...]:
     """Return the names of the P parameters that the points of a pair of cameras depend on."""
     stereo_cameras(head, cameras)
-    names = parameter_names(head)
-    return tuple(names[k] for k in _columns(head, cameras)[0])
+    names, pair = parameter_names(head), cameras or main_pair(head) or ()
+    both = np.unique(np.concatenate([camera_columns(head, name) for name in pair]))
+    return tuple(names[k] for k in both)
 
 
 @dataclass(frozen=True, eq=False)
@@ -335,8 +389,22 @@ class Linearised:
     """(3, 4, n) with left u, left v, right u, right v."""
     by_readings: Array
     """(3, r, n) with the readings, or the increments of both measured poses (r = 12)."""
-    by_parameters: Array
-    """(3, P, n) with those of `pair_parameters`; P is 0 where they are not wanted."""
+    pixels_by_head: tuple[Array, ...]
+    """(2, p, n) by camera, of its pixels by its `parameters.camera_columns`; empty where they are
+    not wanted."""
+
+
+def by_head_parameters(
+    head: HeadCalibration, cameras: tuple[str, str] | None, seen: Linearised
+) -> Array:
+    """Return how points change (3, P, n) with the P `pair_parameters`."""
+    total = np.zeros((3, len(pair_parameters(head, cameras)), seen.points.shape[1]))
+    for k, (rows, columns) in enumerate(
+        zip(seen.pixels_by_head, _columns(head, cameras), strict=True)
+    ):
+        # The point makes up for what changes, so that its projection stays where it was seen.
+        total[:, columns] -= _times(seen.by_pixels[:, 2 * k : 2 * k + 2], rows)
+    return total
 
 
 def linearised(
@@ -387,19 +455,14 @@ def _linearised(
 
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         by_pixels = _by_pixels(flat(J[0].by_point), flat(J[1].by_point), variances)
-    by_readings, columns = 0.0, ((), ())
-    by_head = np.zeros((3, 0, points.shape[1]))
-    if parameters:
-        both, columns = _columns(head, cameras)
-        by_head = np.zeros((3, len(both), points.shape[1]))
+    by_readings, rows = 0.0, []
     for k in (0, 1):
-        own = by_pixels[:, 2 * k : 2 * k + 2]
         # The point makes up for what changes, so that its projection stays where it was seen.
-        by_pose = _times(own, flat(J[k].by_T_base_eye))
+        by_pose = _times(by_pixels[:, 2 * k : 2 * k + 2], flat(J[k].by_T_base_eye))
         by_readings = by_readings - _times(by_pose, by_reading[:, k].transpose(1, 2, 0))
         if parameters:
-            by_head[:, columns[k]] -= _times(own, flat(by_parameters(J[k], by_axes[:, k])))
-    return Linearised(points, status, by_pixels, by_readings, by_head)
+            rows.append(flat(by_parameters(J[k], by_axes[:, k])))
+    return Linearised(points, status, by_pixels, by_readings, tuple(rows))
 
 
 def _times(rows: Array, matrix: Array) -> Array:
@@ -439,10 +502,15 @@ def _by_pixels(left: Array, right: Array, variances: Array) -> Array:
 
 def _squares(changes: Array) -> Array:
     """Return covariances (n, 3, 3) of changes (3, K, n) by K independent standard deviations."""
-    found = np.empty((changes.shape[-1], 3, 3))
+    return _products(changes, changes)
+
+
+def _products(left: Array, right: Array) -> Array:
+    """Return the symmetric products (n, 3, 3) of (3, K, n) and (3, K, n) over K."""
+    found = np.empty((left.shape[-1], 3, 3))
     for i in range(3):
         for j in range(i, 3):
-            found[:, i, j] = found[:, j, i] = np.add.reduce(changes[i] * changes[j])
+            found[:, i, j] = found[:, j, i] = np.add.reduce(left[i] * right[j])
     return found
 
 
