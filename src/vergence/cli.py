@@ -235,7 +235,9 @@ def budget(
     console = Console()
     for k, own in enumerate(found.budgets):
         x, y, z = own.point_m
-        rows = Table(*HEADING, title=f"({x:g}, {y:g}, {z:g}) m, {motion} motion: 1 std [mm]")
+        rows = Table(title=f"({x:g}, {y:g}, {z:g}) m, {motion} motion: 1 std [mm]")
+        for name in HEADING:
+            rows.add_column(name, justify="left" if name == HEADING[0] else "right")
         for row in table(found, k):
             rows.add_row(*row)
         console.print(rows)

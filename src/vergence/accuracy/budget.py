@@ -62,8 +62,6 @@ class Part:
     root of the variance with its sign."""
     shared_m: Array
     """(3,) what all samples of the motion have in common; zero for white noise."""
-    halved_m: float | None = None
-    """Standard deviation of a point, x, y and z together, with this source halved."""
 
     @property
     def std_m(self) -> Array:
@@ -81,6 +79,9 @@ class Budget:
     """By source. Known errors, and the groups of a calibration, are correlated: what that adds or
     takes away is a part of its own, so that the squares add up to the total."""
     total: Part
+    halved_m: dict[str, float]
+    """Standard deviation of a point, x, y and z together, if a source were half as large; the
+    groups of a calibration only get better together."""
     samples: int
     """Samples of the motion in which both cameras see the point."""
 
@@ -149,23 +150,14 @@ def _budget(
     spread = spread + sum(white.values(), np.zeros(3))
     total = Part("total", np.sqrt(spread), np.sqrt(shared))
     variance = float((spread + shared).sum())
-    halved = {name: variance - 0.75 * float(own.sum()) for name, own in white.items()}
+    less = {name: 0.75 * float(own.sum()) for name, own in white.items()}
     if groups:
-        halved[CALIBRATION] = variance - 0.75 * float(_moments(calibration).sum())
-        parts.append(Part(CALIBRATION, *np.sqrt(_moments(calibration))))
+        less[CALIBRATION] = 0.75 * float(_moments(calibration).sum())
     for name, own in known.items():
-        change = _moments(together - own[:, None] / 2) - _moments(together)
-        halved[name] = variance + float(change.sum())
-    said = [
-        Part(
-            p.name,
-            p.spread_m,
-            p.shared_m,
-            float(np.sqrt(halved[p.name])) if p.name in halved else None,
-        )
-        for p in parts
-    ]
-    return Budget(point, tuple(said), total, len(kept))
+        half = _moments(together - own[:, None] / 2)
+        less[name] = float((_moments(together) - half).sum())
+    halved = {name: float(np.sqrt(variance - change)) for name, change in less.items()}
+    return Budget(point, tuple(parts), total, halved, len(kept))
 
 
 def _samples(

@@ -156,23 +156,27 @@ def _nonzero(errors: dict[str, float]) -> dict[str, float]:
     return {name: error for name, error in errors.items() if abs(error) > 1e-15}
 
 
-HEADING = ("source", "x", "y", "z", "shared x", "y", "z", "x in parallel")
-"""Standard deviations [mm]: what differs between samples, what all share, what parallel motion
-leaves."""
+HEADING = ("source", "x", "y", "z", "x, parallel", "shared")
+"""Standard deviations [mm]: what differs between samples, and what of it in x parallel motion
+leaves; what all samples share, x, y and z."""
 
 
 def table(found: Budgets, k: int) -> list[tuple[str, ...]]:
-    """Return the rows of the table of point k; the last one is the total."""
+    """Return the rows of the table of point k, as HEADING says; the last one is the total."""
     own = found.budgets[k]
     beside = found.parallel[k] if found.parallel else own
     return [
-        (one.name, *map(_mm, (*one.spread_m, *one.shared_m)), _mm(other.spread_m[0]))
+        (
+            one.name,
+            *map(_mm, (*one.spread_m, other.spread_m[0])),
+            " ".join(map(_mm, one.shared_m)) if one.shared_m.any() else "",
+        )
         for one, other in zip((*own.parts, own.total), (*beside.parts, beside.total), strict=True)
     ]
 
 
 def _mm(value: float) -> str:
-    return f"{1e3 * value:.2f}"
+    return f"{1e3 * value + 0.0:.2f}"
 
 
 def advice(found: Budgets, k: int) -> str:
