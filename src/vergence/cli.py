@@ -196,7 +196,7 @@ def budget(
     profile: str | None = None,
     at: Annotated[tuple[tuple[float, float, float], ...], tyro.conf.UseAppendAction] = (),
     motion: str = "divergent",
-    pixel_std: float | None = None,
+    noise: float | None = None,
     json: Path | None = None,
     figure: Path | None = None,
 ) -> None:
@@ -209,7 +209,7 @@ def budget(
         at: Position of a point [m] from the left eye, x forward, y left, z up; may be repeated.
             Default: 0.5 m and 1 m ahead.
         motion: Motion of the eyes: parallel, divergent, or the folder of a dataset.
-        pixel_std: Noise of a pixel coordinate [px]; default: the calibration's, or that of the
+        noise: Noise of a pixel coordinate [px]; default: the calibration's, or that of the
             twin's object.
         json: JSON file of all numbers.
         figure: PNG file of the bars.
@@ -223,9 +223,7 @@ def budget(
     check_outputs(json, figure, inputs=[] if calibration is None else [calibration])
     chosen = None if profile is None else load_profile(profile)
     head = nominal_head("2.8mm") if calibration is None else load_head(calibration)
-    found = run_budget(
-        head, points=at or AHEAD, motion=motion, profile=chosen, pixel_std_px=pixel_std
-    )
+    found = run_budget(head, points=at or AHEAD, motion=motion, profile=chosen, pixel_std_px=noise)
     if json is not None:
         write_json(as_plain(found), json)
     if figure is not None:

@@ -62,7 +62,7 @@ def run(
     if not sources and (head.accuracy is None or not head.accuracy.parameters):
         raise VergenceError(
             "A budget needs sources of errors: give a calibration that states its accuracy, an "
-            "error profile (--profile paper), or --pixel-std."
+            "error profile (--profile paper), or --noise in pixels."
         )
     found = [
         budget(head, np.array(points), joints=joints, rates=rates, sources=sources)
@@ -184,7 +184,7 @@ def advice(found: Budgets, k: int) -> str:
     own = found.budgets[k]
     total = 1e3 * float(np.linalg.norm(own.total.std_m))
     best = sorted(own.halved_m.items(), key=lambda item: item[1])[:2]
-    parts = [f"halving the error by {name} gives {1e3 * value:.2f} mm" for name, value in best]
+    parts = [f"half of {name!r} would give {1e3 * value:.2f} mm" for name, value in best]
     return f"A point is off by {total:.2f} mm (1 std in space); {', '.join(parts)}."
 
 

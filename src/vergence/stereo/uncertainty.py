@@ -199,7 +199,8 @@ def combination(
     factor, n = _factor(head, cameras), len(left)
     pixel_stds = _rows(pixel_std_px, n)
     weights_px, one = pixel_variances(pixel_std_px, n), joints.ndim in (1, 3)
-    total, covariance, by_head, by_readings = np.zeros(3), np.zeros((3, 3)), 0.0, 0.0
+    total, covariance = np.zeros(3), np.zeros((3, 3))
+    by_readings, by_head = np.zeros((3, 1)), np.zeros((3, len(factor)))
     for part in chunks(n):
         pixels = left[part], right[part]
         seen = _linearised(
@@ -229,7 +230,6 @@ def combination(
             covariance += _squares(noisy).sum(axis=0)
         by_head = by_head + changes[2].sum(axis=-1)
     for shared in (by_readings, by_head @ factor):
-        shared = np.reshape(shared, (3, -1))
         covariance += shared @ shared.T
     return total, covariance
 
