@@ -83,7 +83,7 @@ def mahalanobis(
 ) -> tuple[float, float, float]:
     """Return the mean squared distance over its degrees of freedom, and the pixels' noise."""
     off = seen["pixels"] - seen["true_pixels"]
-    good = np.isfinite(off).all(axis=(0, 2))
+    good = np.array(np.isfinite(off).all(axis=(0, 2)))
     fitted, tested = good.copy(), good.copy()
     fitted[::2], tested[1::2] = False, False
     bias = off[:, fitted].mean(axis=1)

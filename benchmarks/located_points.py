@@ -17,6 +17,7 @@ import resource
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -30,7 +31,7 @@ from vergence.geometry.parameters import parameter_names
 from vergence.geometry.projection import project_point
 
 WIDE = ("left_wide", "right_wide")
-NOISE = {"pixel_std_px": 0.1, "joint_std_rad": 1e-3}
+NOISE: dict[str, Any] = {"pixel_std_px": 0.1, "joint_std_rad": 1e-3}
 
 
 def stated(head: vg.HeadCalibration) -> vg.HeadCalibration:
@@ -62,7 +63,7 @@ def fixed_geometry(head: vg.HeadCalibration, left: Array, right: Array) -> Array
     return (X[:3] / X[3]).T
 
 
-def samples(head: vg.HeadCalibration, n: int) -> dict[str, Array]:
+def samples(head: vg.HeadCalibration, n: int) -> dict[str, Any]:
     """Return pixels of n points before the head, each in a posture of its own."""
     rng = np.random.default_rng(0)
     points = rng.uniform([0.3, -0.1, -0.1], [1.5, 0.1, 0.1], (n, 3))
@@ -102,7 +103,9 @@ def main(points: int = 200_000, rounds: int = 7) -> None:
     for name, each in times.items():
         print(f"{name:<30} {points / each / 1e6:5.2f} million a second, {reference / each:4.2f}")
 
-    one = {name: each[:1] for name, each in seen.items()} | {"joints": seen["joints"][0]}
+    one: dict[str, Any] = {name: each[:1] for name, each in seen.items()} | {
+        "joints": seen["joints"][0]
+    }
     steps: dict[str, Callable[[], object]] = {
         "one point": lambda: vg.locate(head, **one),
         "one point, noise": lambda: vg.locate(head, **one, **NOISE),

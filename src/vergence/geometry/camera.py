@@ -98,10 +98,9 @@ def project_jacobians(camera: Camera, points_cam: Array) -> tuple[Array, Array, 
 
     The intrinsics are fx, fy, cx, cy and the coefficients of the lens model.
     """
-    found = projection_rows(camera, np.moveaxis(points_cam, -1, 0))
-    pixels, by_point, by_intrinsics = found
-    last = (np.moveaxis(each, (0, 1), (-2, -1)) for each in (by_point, by_intrinsics))
-    return np.moveaxis(pixels, 0, -1), *last
+    pixels, by_point, by_lens = projection_rows(camera, np.moveaxis(points_cam, -1, 0))
+    by_point, by_lens = (np.moveaxis(each, (0, 1), (-2, -1)) for each in (by_point, by_lens))
+    return np.moveaxis(pixels, 0, -1), by_point, by_lens
 
 
 def projection_rows(
@@ -163,6 +162,7 @@ def normalised_rows(camera: Camera, pixels: Array) -> tuple[Array, Array]:
     if wanted_x.size == 1:  # numpy is six times as fast on a number as on an array of one
         wanted_x, wanted_y = wanted_x.reshape(-1)[0], wanted_y.reshape(-1)[0]
     x, y = lens.first_guess(camera.model, k, wanted_x, wanted_y)
+    xx = cross = yy = det = squared = x
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         for _ in range(20):
             distorted_x, distorted_y, xx, cross, yy = _distortion(camera, x, y)

@@ -53,10 +53,9 @@ class Chain:
         these (n, 3, ...): what does not depend on readings, components first."""
         generators = hat(self.axes)
         points = np.concatenate([self.points_m, self.end_m[..., None, :]], axis=-2)
-        matrices = (_first(each, 3) for each in (generators, generators @ generators))
-        return *matrices, *(
-            _first(each, 2) for each in (self.axes, points, np.diff(points, axis=-2))
-        )
+        turns = _first(generators, 3), _first(generators @ generators, 3)
+        steps = np.diff(points, axis=-2)
+        return *turns, _first(self.axes, 2), _first(points, 2), _first(steps, 2)
 
 
 def chain_pose(chain: Chain, readings: Array) -> Array:

@@ -126,14 +126,20 @@ def project_with_jacobians(
     if parameters:
         mounting = _by_increment(by_eye, from_camera)
         between = -_by_increment(by_base, turned) if right else np.zeros_like(mounting)
+    by_eye_pose = _by_increment(by_base, arm)
+    rows = by_lens, mounting, by_eye_pose, between, by_point, by_cam
+    by_lens, mounting, by_eye_pose, between, by_point, by_cam = (
+        each.transpose(2, 3, 0, 1) for each in rows
+    )
     return ProjectionJacobians(
         pixels.transpose(1, 2, 0),
-        *(
-            each.transpose(2, 3, 0, 1)
-            for each in (by_lens, mounting, _by_increment(by_base, arm), between, by_point)
-        ),
+        by_lens,
+        mounting,
+        by_eye_pose,
+        between,
+        by_point,
         in_camera.transpose(1, 2, 0),
-        by_cam.transpose(2, 3, 0, 1),
+        by_cam,
     )
 
 

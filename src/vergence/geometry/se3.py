@@ -80,10 +80,8 @@ def cross(a: Array, b: Array, *, axis: Literal[0, -1] = -1) -> Array:
         b1, b2, b3 = b[..., 0], b[..., 1], b[..., 2]
     first = a2 * b3 - a3 * b2
     product = np.empty((3, *first.shape) if axis == 0 else (*first.shape, 3))
-    x, y, z = product if axis == 0 else (product[..., k] for k in range(3))
-    x[...] = first
-    np.subtract(a3 * b1, a1 * b3, out=y)
-    np.subtract(a1 * b2, a2 * b1, out=z)
+    last = product if axis == 0 else np.moveaxis(product, -1, 0)
+    last[0], last[1], last[2] = first, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1
     return product
 
 

@@ -8,6 +8,7 @@ the located points.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -133,7 +134,7 @@ def sampled_mm(figure: Figure, errors: Errors, seed: int, *, samples: int = 6000
 
 def _measured(
     figure: Figure, errors: Errors, samples: int, truth: HeadCalibration | None
-) -> tuple[HeadCalibration, dict[str, Array]]:
+) -> tuple[HeadCalibration, dict[str, Any]]:
     """Return the believed head, and pixels and readings without noise, as `locate` takes them."""
     truth = truth or true_head(figure.lens, errors.baseline_mm)
     time_s = np.arange(samples) * PERIOD_S[figure.motion] / samples

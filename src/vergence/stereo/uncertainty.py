@@ -256,9 +256,9 @@ def locate_both(
     n, weights = len(left[0]), pixel_variances(pixel_std_px, len(left[0]))
     pixel_stds, points, changes = _rows(pixel_std_px, n), [], []
     for own in zip(left, right, strict=True):
-        *own, own_joints = checked(*own, joints)
-        own_joints = own_joints[None] if own_joints.ndim in (1, 3) else own_joints
-        seen = _linearised(head, own, own_joints, cameras, weights, parameters=False)
+        u_l, u_r, readings = checked(*own, joints)
+        readings = readings[None] if readings.ndim in (1, 3) else readings
+        seen = _linearised(head, (u_l, u_r), readings, cameras, weights, parameters=False)
         points.append(seen.points.T)
         changes += [seen.by_pixels * pixel_stds, seen.by_readings]
     shared = changes.pop(1) - changes.pop()
