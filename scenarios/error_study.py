@@ -99,7 +99,7 @@ LARGE = Model(
     (
         BASELINE,
         Unknown("joint noise", "deg", 0.05, 0.05),
-        Unknown("pixel noise", "um", 2.0, 2.0),
+        Unknown("pixel noise", "µm", 2.0, 2.0),
         Unknown("delay", "ms", 10.0, 20.0),
         *(Unknown(f"{j} gain, {e}", "%", 0.5, 1.0) for j in ("pan", "tilt") for e in ("l", "r")),
         Unknown("roll, left", "deg", 0.2, 0.5),
@@ -128,7 +128,7 @@ LARGE = Model(
 )
 NOISE_ALONE = Model(
     "noise alone",
-    (BASELINE, NOISE, Unknown("pixel noise", "um", 3.0, 5.0)),
+    (BASELINE, NOISE, Unknown("pixel noise", "µm", 3.0, 5.0)),
     lambda v: Errors(v[0], abs(v[1]), abs(v[2])),
 )
 ORIENTATION = Model(
@@ -161,7 +161,7 @@ FORMS: dict[str, tuple[Unknown, Callable[[Errors, float], Errors]]] = {
         lambda e, v: replace(e, focal_28_percent=(v, v)),
     ),
     "along the axis": (Unknown("shift", "mm", 5, 5), lambda e, v: replace(e, axial_mm=(v, v))),
-    "pixel noise": (Unknown("noise", "um", 3, 5), lambda e, v: replace(e, pixel_noise_um=abs(v))),
+    "pixel noise": (Unknown("noise", "µm", 3, 5), lambda e, v: replace(e, pixel_noise_um=abs(v))),
     "roll, opposite": (Unknown("roll", "deg", 0.5, 1), lambda e, v: replace(e, roll_deg=(v, -v))),
 }
 """Sources that could stand beside baseline and joint noise in a model of three numbers."""
@@ -237,7 +237,7 @@ def models(fitted: dict[str, Array]) -> str:
 def numbers(model: Model, values: Array) -> str:
     """Return the table of fitted numbers."""
     rows = [
-        (u.name, f"{abs(v) if 'noise' in u.name else v:.3g} {u.unit}", f"{u.plausible:g}")
+        (u.name, f"{abs(v) if 'noise' in u.name else v + 0.0:.2f} {u.unit}", f"{u.plausible:g}")
         for u, v in zip(model.unknowns, values, strict=True)
     ]
     return markdown_table("fitted number | value | plausible size", rows)
