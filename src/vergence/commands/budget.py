@@ -15,7 +15,7 @@ from vergence.arrays import Array
 from vergence.commands.truth import with_sensors
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
-from vergence.geometry.head import HeadCalibration, main_pair
+from vergence.geometry.head import HeadCalibration, main_pair, reading_stds
 from vergence.geometry.parameters import boxminus
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.profile import ErrorProfile, Lens
@@ -104,9 +104,8 @@ def sources_of(
         pixel_std_px = OBJECT_NOISE_PX if profile else stated
     sources = [Source("pixel noise", pixel_std_px=pixel_std_px)] if pixel_std_px else []
     if profile is None:
-        stds = accuracy.joint_std if accuracy else ()
-        noise = [Source("joint noise", joint_std_rad=np.tile(stds, 4)[:4])] if any(stds) else []
-        return sources + noise
+        stds = reading_stds(head)
+        return sources + [Source("joint noise", joint_std_rad=stds)] * bool(stds.any())
     joints = profile.joints
     step = 2 * np.pi / joints.counts_per_turn if joints.counts_per_turn else 0.0
     for name, std in (

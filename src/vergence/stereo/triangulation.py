@@ -86,7 +86,7 @@ def triangulate_at(
     Points are (N, 3) [m], NaN where the status (N,) is not OK. Arguments and errors are those of
     `uncertainty.locate`, and the noise that of `triangulate`.
     """
-    left, right, joints = checked(left, right, joints)
+    left, right, joints = checked(left, right, joints, len(head.kinematics.readings))
     pair, n = stereo_cameras(head, cameras), len(left)
     variances = pixel_variances(pixel_std_px, n)
     points, status = np.empty((n, 3)), np.empty(n, dtype=int)
@@ -208,17 +208,17 @@ def of_part(variances: Array, part: slice) -> Array:
     return variances if variances.shape[-1] == 1 else variances[..., part]
 
 
-def checked(left: Array, right: Array, joints: Array) -> tuple[Array, Array, Array]:
+def checked(left: Array, right: Array, joints: Array, r: int) -> tuple[Array, Array, Array]:
     """Return float arrays; VergenceError if they are not (N, 2), (N, 2) and readings.
 
-    These are angles (4,) or (N, 4), or measured eye poses (2, 4, 4) or (N, 2, 4, 4).
+    These are angles (r,) or (N, r), or measured eye poses (2, 4, 4) or (N, 2, 4, 4).
     """
     left, right, joints = (np.asarray(each, dtype=float) for each in (left, right, joints))
     n = len(left) if left.ndim else 0
     for name, array, shapes in (
         ("left", left, [(n, 2)]),
         ("right", right, [(n, 2)]),
-        ("joints", joints, [(n, 4), (4,), (n, 2, 4, 4), (2, 4, 4)]),
+        ("joints", joints, [(n, r), (r,), (n, 2, 4, 4), (2, 4, 4)]),
     ):
         if array.shape not in shapes:
             raise VergenceError(

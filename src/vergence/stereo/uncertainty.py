@@ -12,7 +12,7 @@ from vergence.arrays import Array
 from vergence.data.dataset import MAX_GAP_S
 from vergence.data.timing import Timing, moved_readings
 from vergence.errors import VergenceError
-from vergence.geometry.head import Accuracy, HeadCalibration, main_pair
+from vergence.geometry.head import Accuracy, HeadCalibration, main_pair, reading_stds
 from vergence.geometry.parameters import camera_columns, parameter_names
 from vergence.geometry.projection import (
     by_parameters,
@@ -69,10 +69,10 @@ def locate(
         head: with or without its accuracy.
         left: (N, 2) pixels in the left camera, distortion included; NaN: not seen.
         right: (N, 2) pixels of the same points in the right camera.
-        joints: (4,) joint readings [rad] of one posture that serves all points, or (N, 4), in the
-            order of kinematics.EYE_JOINTS: left pan, left tilt, right pan, right tilt. Or, where
-            the eyes' poses are measured, T_base_eye of the left and the right eye: (2, 4, 4), or
-            (N, 2, 4, 4).
+        joints: (r,) joint readings [rad] of one posture that serves all points, or (N, r), in the
+            order of head.kinematics.readings, by default left pan, left tilt, right pan, right
+            tilt. Or, where the eyes' poses are measured, T_base_eye of the left and the right eye:
+            (2, 4, 4), or (N, 2, 4, 4).
         cameras: names of a camera of the left eye and one of the right; None: the main ones (the
             wide ones, where a head has such).
         pixel_std_px: noise of (left u, left v, right u, right v), by which they are weighted; a
@@ -90,7 +90,7 @@ def locate(
     """
     if joint_time_s is not None:
         joints = _at_the_images(head, joints, joint_time_s)
-    left, right, joints = checked(left, right, joints)
+    left, right, joints = checked(left, right, joints, len(head.kinematics.readings))
     known, n = _calibration(head, cameras), len(left)
     if known is None and pixel_std_px is None and joint_std_rad is None:
         points, status = triangulate_at(
@@ -101,7 +101,9 @@ def locate(
     if pixel_std_px is None:
         pixel_std_px = accuracy.pixel_std_px or 0.0
     if joint_std_rad is None:
-        joint_std_rad = np.tile(accuracy.joint_std or (0.0,), 4)[: 2 if measured(joints) else 4]
+        joint_std_rad = reading_stds(head)
+        if measured(joints):
+            joint_std_rad = np.resize(accuracy.joint_std or (0.0,), 2)
     points, status = np.empty((n, 3)), np.empty(n, dtype=int)
     covariance, shared = np.empty((n, 3, 3)), np.zeros((n, 3, 3))
     weights, pixel_stds = pixel_variances(pixel_std_px, n), _rows(pixel_std_px, n)
@@ -117,7 +119,7 @@ def locate(
         )
         points[part], status[part] = seen.points.T, seen.status
         noise = [seen.by_pixels * pixel_stds[:, part], seen.by_readings]
-        noise[1] = noise[1] * reading_stds(joint_std_rad, noise[1].shape[1], n)[:, part]
+        noise[1] = noise[1] * noise_of_readings(joint_std_rad, noise[1].shape[1], n)[:, part]
         covariance[part] = _squares(np.concatenate(noise, axis=1))
         if known is not None:
             shared[part] = _of_calibration(seen, known)
@@ -126,8 +128,8 @@ def locate(
 
 
 def _at_the_images(head: HeadCalibration, joints: Array, joint_time_s: Array) -> Array:
-    """Return joint readings (N, 4) at the moments of the images; VergenceError: see `locate`."""
-    if joints.shape != (len(joint_time_s), 4):
+    """Return joint readings (N, r) at the moments of the images; VergenceError: see `locate`."""
+    if joints.shape != (len(joint_time_s), len(head.kinematics.readings)):
         raise VergenceError(
             f"Readings that have time stamps are one for each: found {joints.shape} readings and "
             f"{len(joint_time_s)} time stamps."
@@ -195,7 +197,7 @@ def combination(
     of the calibration are always shared. Points that cannot be located must have weight zero, or
     the result is NaN. Other arguments and errors are those of `locate`.
     """
-    left, right, joints = checked(left, right, joints)
+    left, right, joints = checked(left, right, joints, len(head.kinematics.readings))
     factor, n = _factor(head, cameras), len(left)
     pixel_stds = _rows(pixel_std_px, n)
     weights_px, one = pixel_variances(pixel_std_px, n), joints.ndim in (1, 3)
@@ -223,7 +225,7 @@ def combination(
         )
         total += points.sum(axis=-1)
         covariance += _squares(changes[0] * pixel_stds[:, part]).sum(axis=0)
-        noisy = changes[1] * reading_stds(joint_std_rad, changes[1].shape[1], n)[:, part]
+        noisy = changes[1] * noise_of_readings(joint_std_rad, changes[1].shape[1], n)[:, part]
         if one:
             by_readings = by_readings + noisy.sum(axis=-1)
         else:
@@ -256,13 +258,13 @@ def locate_both(
     n, weights = len(left[0]), pixel_variances(pixel_std_px, len(left[0]))
     pixel_stds, points, changes = _rows(pixel_std_px, n), [], []
     for own in zip(left, right, strict=True):
-        u_l, u_r, readings = checked(*own, joints)
+        u_l, u_r, readings = checked(*own, joints, len(head.kinematics.readings))
         readings = readings[None] if readings.ndim in (1, 3) else readings
         seen = _linearised(head, (u_l, u_r), readings, cameras, weights, parameters=False)
         points.append(seen.points.T)
         changes += [seen.by_pixels * pixel_stds, seen.by_readings]
     shared = changes.pop(1) - changes.pop()
-    shared = shared * reading_stds(joint_std_rad, shared.shape[1], n)
+    shared = shared * noise_of_readings(joint_std_rad, shared.shape[1], n)
     return *points, _squares(np.concatenate([*changes, shared], axis=1))
 
 
@@ -419,7 +421,7 @@ def linearised(
 
     Pixels count equally. Arguments and errors are those of `locate`.
     """
-    left, right, joints = checked(left, right, joints)
+    left, right, joints = checked(left, right, joints, len(head.kinematics.readings))
     joints = joints[None] if joints.ndim in (1, 3) else joints
     weights = pixel_variances(1.0, len(left))
     return _linearised(head, (left, right), joints, cameras, weights, parameters=True)
@@ -461,7 +463,7 @@ def _linearised(
         by_pose = _times(by_pixels[:, 2 * k : 2 * k + 2], flat(J[k].by_T_base_eye))
         by_readings = by_readings - _times(by_pose, by_reading[:, k].transpose(1, 2, 0))
         if parameters:
-            rows.append(flat(by_parameters(J[k], by_axes[:, k])))
+            rows.append(flat(by_parameters(J[k], by_axes[k])))
     return Linearised(points, status, by_pixels, by_readings, tuple(rows))
 
 
@@ -519,9 +521,9 @@ def _rows(std: ArrayLike, n: int) -> Array:
     return np.broadcast_to(np.asarray(std, dtype=float), (n, 4)).T
 
 
-def reading_stds(joint_std: ArrayLike, count: int, n: int) -> Array:
+def noise_of_readings(joint_std: ArrayLike, count: int, n: int) -> Array:
     """Return the standard deviations (r, n) of readings; of poses from rotation, translation."""
     std = np.asarray(joint_std, dtype=float)
-    if count == 12:
+    if std.shape == (2,) and count == 12:
         std = np.tile(np.repeat(np.broadcast_to(std, (2,)), 3), 2)
     return np.broadcast_to(std, (n, count)).T
