@@ -69,14 +69,10 @@ STD = {"f": 0.5, "c": 0.5, "r": 4e-4, "t": 3e-4, "pan_gain": 2e-3, "tilt_gain": 
 
 def stated(head: HeadCalibration) -> HeadCalibration:
     """Return a head that states a correlated covariance of everything but distortion."""
-    lens = COEFFICIENTS["radial-tangential"]
     last = {name: name.rpartition(".")[2] for name in parameter_names(head)}
-    names = tuple(
-        n
-        for n, end in last.items()
-        if end not in lens and not end.startswith(("non", "axis", "time"))
-    )
-    names = tuple(n for n in names if not n.endswith("offset_rad"))
+    unlikely = ("nonorthogonality_rad", "axis_distance_m", "offset_rad", "time_offset_s")
+    lens = COEFFICIENTS["radial-tangential"]
+    names = tuple(n for n in last if last[n] not in lens and not n.endswith(unlikely))
     std = np.array([STD.get(last[n], STD.get(last[n][0], 0.0)) for n in names])
     A = np.eye(len(names)) + 0.15 * np.random.default_rng(4).normal(size=(len(names),) * 2)
     C = A @ A.T

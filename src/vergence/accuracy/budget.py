@@ -225,6 +225,8 @@ def _root(C: Array) -> Array:
 
 def group_of(parameter: str) -> str:
     """Return to which group of sources a parameter of a head belongs."""
+    if "_factor_" in parameter:
+        return "gains"
     return next((group for group, ends in GROUPS if parameter.endswith(ends)), "axes of the eyes")
 
 
