@@ -13,8 +13,8 @@ import os
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy
 
-import resource
 import time
+import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -116,10 +116,11 @@ def main(points: int = 200_000, rounds: int = 7) -> None:
         print(f"{name:<30} {min(hundreds) / 100 * 1e3:5.3f} ms")
 
     many = samples(head, 1_000_000)
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    tracemalloc.start()
     located = vg.locate(known, **many)
-    after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    print(f"a million points: {before / 1e3:.0f} MB before, {after / 1e3:.0f} MB at most")
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    print(f"a million points with covariance: {most / 1e6:.0f} MB at most, beside the samples")
     assert np.isfinite(located.covariance).all()
 
 

@@ -44,19 +44,26 @@ SOURCES = {
 }
 
 
-def sensitivity() -> str:
-    """Return the table of what one unit of each source does."""
+def sensitivities() -> dict[str, Array]:
+    """Return by source the spreads (6, 3) [mm] that one unit of it makes."""
     heads = {
         lens: true_head(lens, 75.0, TABLE_CAMERA_MM, TABLE_MOUNTING_DEG)
         for lens in ("2.8mm", "4.0mm")
     }
-    rows = []
-    for name, errors in SOURCES.items():
-        found = [
-            spread_mm(figure, errors, samples=3000, truth=heads[figure.lens])
-            for figure in FIGURES.values()
-        ]
-        rows.append((name, *map(_cell, found)))
+    return {
+        name: np.array(
+            [
+                spread_mm(figure, errors, samples=3000, truth=heads[figure.lens])
+                for figure in FIGURES.values()
+            ]
+        )
+        for name, errors in SOURCES.items()
+    }
+
+
+def sensitivity() -> str:
+    """Return the table of what one unit of each source does."""
+    rows = [(name, *map(_cell, found)) for name, found in sensitivities().items()]
     return markdown_table("source | " + " | ".join(f"Fig. {n}" for n in FIGURES), rows)
 
 
