@@ -127,11 +127,7 @@ WRONG: list[tuple[str, Change, str]] = [
     (ROLL, sign(2), "left_roll counts the other way"),
     (VERGENCE, exchange(0, 1), "version and vergence are exchanged"),
     (PLAIN, exchange(0, 1), "left_pan and left_tilt are exchanged"),
-    (
-        VERGENCE,
-        described(whole_vergence),
-        r"turns by 0\.\d+ times the readings of vergence: check .* factor",
-    ),
+    (VERGENCE, described(whole_vergence), r"turns by 0\.\d+ times the readings of vergence: check .* factor"),
     (TILT, in_degrees(0), "tilt: they are degrees"),
     (VERGENCE, in_degrees(1), "vergence: they are degrees"),
     (ROLL, copied(0, 3), "right_pan"),
