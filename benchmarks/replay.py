@@ -16,9 +16,10 @@ from pathlib import Path
 import numpy as np
 import tyro
 
+from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.gaze.commands import HEAD_JOINTS
-from vergence.paper.figures import FIGURES, default_duration_s, eye_angles
+from vergence.paper.figures import FIGURES, default_duration_s
 from vergence.paper.replay import SAMPLES, WIDE, sample_times
 from vergence.paper.reproduce import SAMPLES_WITH_IMAGES, record_replay
 from vergence.twin.head import Twin

@@ -6,11 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from vergence.accuracy.motions import PERIOD_S, eye_angles
 from vergence.arrays import Array
 from vergence.calibration.observations import Observations
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.projection import project_point
-from vergence.paper.figures import PERIOD_S, Figure, eye_angles
+from vergence.paper.figures import Figure
 from vergence.paper.replay import WIDE, Measurements
 from vergence.twin.calibration_sequence import BOARD, Shot, observations, project_board
 from vergence.twin.profile import ErrorProfile

@@ -10,12 +10,13 @@ import rerun as rr
 from rerun.chunk import RrdReader
 
 from rrd import assert_valid, read_series
+from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.se3 import pose, transform
-from vergence.paper.figures import FIGURES, eye_angles
+from vergence.paper.figures import FIGURES
 from vergence.paper.recording import figure_recording, log_results
 from vergence.paper.replay import Measurements, Replay, describe
 from vergence.twin.appearance import VisualGeom, visual_geoms

@@ -7,10 +7,11 @@ import pytest
 
 from simulated_head import plain_head
 from simulated_twin import observe_points
+from vergence.accuracy.motions import PERIOD_S, eye_angles
 from vergence.geometry.head import HeadCalibration, T_base_cam
 from vergence.geometry.se3 import inverse
 from vergence.paper import replay
-from vergence.paper.figures import FIGURES, PERIOD_S, Figure, eye_angles
+from vergence.paper.figures import FIGURES, Figure
 from vergence.paper.replay import estimate
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.profile import ByHand, ErrorProfile, Joints

@@ -17,8 +17,8 @@ SCENARIOS = {
     ("calibration_sequence.py",): (("--lens", "4.0mm"), r"right_narrow: 0\.\d+ degrees"),
     ("own_experiment.py",): ((), r"vergence \+0\.40 rad: error"),
 }
-TESTED_ELSEWHERE = {"gaze_demos.py"}
-"""Beside the commands that it uses."""
+TESTED_ELSEWHERE = {"gaze_demos.py", "error_study.py"}
+"""Beside the commands that they use, and with the document of the study."""
 
 
 def test_every_scenario_is_tested_and_names_its_own_command():

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from vergence.paper.figures import FIGURES, PERIOD_S, default_duration_s, eye_angles
+from vergence.accuracy.motions import PERIOD_S, eye_angles
+from vergence.paper.figures import FIGURES, default_duration_s
 
 TIMES = np.linspace(0, 200, 1001)
 

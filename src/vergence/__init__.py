@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from vergence.geometry.projection import T_rcam_lcam, project_point
     from vergence.interchange.formats import export_head, import_head
     from vergence.stereo.triangulation import Status, in_body, in_head
-    from vergence.stereo.uncertainty import LocatedPoints, locate
+    from vergence.stereo.uncertainty import LocatedPoints, combination, locate
 
 __all__ = [
     "CalibrationResult",
@@ -49,6 +49,7 @@ __all__ = [
     "VergenceError",
     "__version__",
     "calibrate",
+    "combination",
     "detect_target",
     "export_head",
     "gaze_angles",
@@ -81,7 +82,7 @@ _HOMES = {
     "geometry.projection": ("T_rcam_lcam", "project_point"),
     "interchange.formats": ("export_head", "import_head"),
     "stereo.triangulation": ("Status", "in_body", "in_head"),
-    "stereo.uncertainty": ("LocatedPoints", "locate"),
+    "stereo.uncertainty": ("LocatedPoints", "combination", "locate"),
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 

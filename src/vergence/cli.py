@@ -16,6 +16,7 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bars
+from rich.table import Table
 
 from vergence import __version__
 from vergence.commands.invocation import invocation
@@ -189,6 +190,62 @@ def evaluate(
     print(as_text(found))
 
 
+def budget(
+    *,
+    calibration: Path | None = None,
+    profile: str | None = None,
+    at: Annotated[tuple[tuple[float, float, float], ...], tyro.conf.UseAppendAction] = (),
+    motion: str = "divergent",
+    noise: float | None = None,
+    json: Path | None = None,
+    figure: Path | None = None,
+) -> None:
+    """State what each source of errors adds to the error of a located point.
+
+    Args:
+        calibration: JSON file of a head, whose stated accuracy counts; default: the twin as
+            designed, with its 2.8 mm lenses.
+        profile: Error profile of the twin: ideal, paper, noise-only, or a TOML file.
+        at: Position of a point [m] from the left eye, x forward, y left, z up; may be repeated.
+            Default: 0.5 m and 1 m ahead.
+        motion: Motion of the eyes: parallel, divergent, or the folder of a dataset.
+        noise: Noise of a pixel coordinate [px]; default: the calibration's, or that of the
+            twin's object.
+        json: JSON file of all numbers.
+        figure: PNG file of the bars.
+    """
+    from vergence.commands.budget import HEADING, advice, as_plain, table
+    from vergence.commands.budget import run as run_budget
+    from vergence.geometry.head import load_head
+    from vergence.twin.model import nominal_head
+    from vergence.twin.profile import load_profile
+
+    check_outputs(json, figure, inputs=[] if calibration is None else [calibration])
+    chosen = None if profile is None else load_profile(profile)
+    head = nominal_head("2.8mm") if calibration is None else load_head(calibration)
+    found = run_budget(head, points=at or AHEAD, motion=motion, profile=chosen, pixel_std_px=noise)
+    if json is not None:
+        write_json(as_plain(found), json)
+    if figure is not None:
+        from vergence.viewer.plots_budget import budget_figure
+
+        budget_figure(figure, found.budgets, f"{motion} motion")
+    console = Console()
+    for k, own in enumerate(found.budgets):
+        x, y, z = own.point_m
+        rows = Table(title=f"({x:g}, {y:g}, {z:g}) m, {motion} motion: 1 std [mm]")
+        for name in HEADING:
+            rows.add_column(name, justify="left" if name == HEADING[0] else "right")
+        for row in table(found, k):
+            rows.add_row(*row)
+        console.print(rows)
+        print(advice(found, k))
+
+
+AHEAD = ((0.5, -0.04, 0.0), (1.0, -0.04, 0.0))
+"""Points [m] in front of the twin's eyes."""
+
+
 def export(
     calibration: Annotated[Path, tyro.conf.Positional],
     /,
@@ -340,6 +397,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "record": record,
     "calibrate": calibrate,
     "evaluate": evaluate,
+    "budget": budget,
     "export": export,
     "import": import_,
     "foveate": foveate,

@@ -83,25 +83,27 @@ def _radius_slope(k: Coefficients, theta: Array) -> Array:
 
 
 def by_coefficients(model: CameraModel, k: Coefficients, x: Array, y: Array) -> Array:
-    """Return the derivatives (..., 2, n) of distorted x', y' by the n coefficients of the model."""
+    """Return the derivatives (2, n, ...) of distorted x', y' by the n coefficients of the model."""
     r2 = x * x + y * y
     if model == "fisheye":
         r = np.maximum(np.sqrt(r2), _SMALLEST_RADIUS)
         theta = np.arctan(r)
-        powers = theta[..., None] ** np.array([3, 5, 7, 9]) / r[..., None]
-        return np.stack([x[..., None] * powers, y[..., None] * powers], axis=-2)
-    columns = [
-        np.stack([x * r2, x * r2**2, 2 * x * y, r2 + 2 * x * x, x * r2**3], axis=-1),
-        np.stack([y * r2, y * r2**2, r2 + 2 * y * y, 2 * x * y, y * r2**3], axis=-1),
-    ]
-    if model == "radial-tangential":
-        return np.stack(columns, axis=-2)
-    k1, k2, _, _, k3, k4, k5, k6 = k
-    below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
-    radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / below
-    both = np.stack(columns, axis=-2)
-    both[..., [0, 1, 4]] /= below[..., None, None]
-    return np.concatenate([both, -radial[..., None, None] * both[..., [0, 1, 4]]], axis=-1)
+        powers = np.stack([theta**n / r for n in (3, 5, 7, 9)])
+        return np.stack([x * powers, y * powers])
+    r4 = r2 * r2
+    xy, r6 = 2 * x * y, r4 * r2
+    rows = np.empty((2, len(k), *r2.shape))
+    for row, (own, terms) in zip(
+        rows, ((x, (xy, r2 + 2 * x * x)), (y, (r2 + 2 * y * y, xy))), strict=True
+    ):
+        row[0], row[1], row[4], row[2:4] = own * r2, own * r4, own * r6, terms
+    if model == "rational":
+        k1, k2, _, _, k3, k4, k5, k6 = k
+        below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+        radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / below
+        rows[:, [0, 1, 4]] /= below
+        rows[:, 5:] = -radial * rows[:, [0, 1, 4]]
+    return rows
 
 
 @lru_cache(maxsize=1024)

@@ -13,7 +13,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.geometry.camera import project, project_jacobians
+from vergence.geometry.camera import project, projection_rows
 from vergence.geometry.head import HeadCalibration, MountedCamera, main_pair
 from vergence.geometry.kinematics import EYES, T_base_eye, eye_linearised
 from vergence.geometry.parameters import axes_names
@@ -45,23 +45,37 @@ def project_at(
     mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array, points: Array
 ) -> Array:
     """Return pixels (..., K, 2) of points (..., K, 3) [m] in the left eye's base, by eye poses."""
-    return project(mounted.intrinsics, _through(mounted, T_rbase_lbase, T_base_eye, points)[-1])
+    in_camera = _through(mounted, T_rbase_lbase, T_base_eye, points)[-1]
+    return project(mounted.intrinsics, np.moveaxis(in_camera, 0, -1))
 
 
 def _through(
     mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array, points: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Return points (..., K, 3) in four steps from the left eye's base to the camera.
+    """Return points (3, ..., K) in four steps from the left eye's base to the camera.
 
     In the axes of the camera's eye base; from the eye's origin, in that base; from the camera,
-    along the axes of the eye; and in frame cam.
+    along the axes of the eye; and in frame cam. Points (..., K, 3) are given as elsewhere; inside,
+    the components come first, since numpy is fast on long rows.
     """
+    missing = T_base_eye.ndim - points.ndim
+    points = points.reshape((1,) * missing + points.shape)
+    T = T_base_eye.reshape((1,) * -missing + T_base_eye.shape)
+    T = T.transpose(-2, -1, *range(T.ndim - 2))[..., None]
+    points = points.transpose(-1, *range(points.ndim - 1))
     right = mounted.eye == "right"
-    turned = points @ T_rbase_lbase[:3, :3].T if right else points
-    shift = T_rbase_lbase[:3, 3] if right else 0.0
-    arm = turned + shift - T_base_eye[..., None, :3, 3]
-    from_camera = arm @ T_base_eye[..., :3, :3] - mounted.T_eye_cam[:3, 3]
-    return turned, arm, from_camera, from_camera @ mounted.T_eye_cam[:3, :3]
+    turned = rotated(T_rbase_lbase, points) if right else points
+    arm = turned - T[:3, 3]
+    if right:
+        arm += T_rbase_lbase[:3, 3].reshape(3, *(1,) * (arm.ndim - 1))
+    from_camera = np.add.reduce(T[:3, :3] * arm[:, None], axis=0)
+    from_camera -= mounted.T_eye_cam[:3, 3].reshape(3, *(1,) * (arm.ndim - 1))
+    return turned, arm, from_camera, rotated(mounted.T_eye_cam.T, from_camera)
+
+
+def rotated(T: Array, vectors: Array) -> Array:
+    """Return vectors (3, ...), components first, turned by the rotation of one pose (4, 4)."""
+    return (T[:3, :3] @ vectors.reshape(3, -1)).reshape(vectors.shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,28 +101,59 @@ class ProjectionJacobians:
 
 
 def project_with_jacobians(
-    mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array, points: Array
+    mounted: MountedCamera,
+    T_rbase_lbase: Array,
+    T_base_eye: Array,
+    points: Array,
+    *,
+    parameters: bool = True,
 ) -> ProjectionJacobians:
     """Return pixels and their derivatives by everything that lies between point and pixel.
 
-    The arguments are those of project_at: M poses (M, 4, 4), points (M, K, 3).
+    The arguments are those of project_at: M poses (M, 4, 4), points (M, K, 3). Where the
+    derivatives by lens, T_eye_cam and T_rbase_lbase are not wanted, these have no columns. All are
+    views of arrays whose components come first.
     """
     turned, arm, from_camera, in_camera = _through(mounted, T_rbase_lbase, T_base_eye, points)
-    pixels, by_cam, by_lens = project_jacobians(mounted.intrinsics, in_camera)
-    by_eye = by_cam @ mounted.T_eye_cam[:3, :3].T
-    by_base = rows_times(by_eye, np.swapaxes(T_base_eye[:, :3, :3], -1, -2))
+    pixels, by_cam, by_lens = projection_rows(mounted.intrinsics, in_camera, intrinsics=parameters)
+    R = T_base_eye[:, :3, :3].transpose(1, 2, 0)[..., None]
+    by_eye = np.stack([rotated(mounted.T_eye_cam, row) for row in by_cam])
+    by_base = np.add.reduce(R * by_eye[:, None], axis=2)
     right = mounted.eye == "right"
-    between = by_pose_of_points(by_base, turned)
+    by_point = by_base
+    if right:
+        by_point = np.stack([rotated(T_rbase_lbase.T, row) for row in by_base])
+    between, mounting = np.empty((2, 2, 0, *in_camera.shape[1:]))
+    if parameters:
+        mounting = _by_increment(by_eye, from_camera)
+        between = -_by_increment(by_base, turned) if right else np.zeros_like(mounting)
+    by_eye_pose = _by_increment(by_base, arm)
+    rows = by_lens, mounting, by_eye_pose, between, by_point, by_cam
+    by_lens, mounting, by_eye_pose, between, by_point, by_cam = (
+        each.transpose(2, 3, 0, 1) for each in rows
+    )
     return ProjectionJacobians(
-        pixels,
+        pixels.transpose(1, 2, 0),
         by_lens,
-        np.concatenate([cross(by_eye, from_camera[:, :, None]), -by_eye], axis=-1),
-        np.concatenate([cross(by_base, arm[:, :, None]), -by_base], axis=-1),
-        between if right else np.zeros_like(between),
-        by_base @ T_rbase_lbase[:3, :3] if right else by_base,
-        in_camera,
+        mounting,
+        by_eye_pose,
+        between,
+        by_point,
+        in_camera.transpose(1, 2, 0),
         by_cam,
     )
+
+
+def _by_increment(by_point: Array, arm: Array) -> Array:
+    """Return derivatives (2, 6, ...) by the pose of a frame in which a fixed point is looked at.
+
+    Given are those by the point (2, 3, ...) and the point from the frame's origin (3, ...), along
+    the axes of the increment.
+    """
+    rows = np.empty((2, 6, *arm.shape[1:]))
+    for row, own in zip(rows, by_point, strict=True):
+        row[:3], row[3:] = cross(own, arm, axis=0), -own
+    return rows
 
 
 def by_pose_of_points(by_point: Array, turned: Array) -> Array:
@@ -127,13 +172,15 @@ def by_parameters(J: ProjectionJacobians, by_axes: Array) -> Array:
     errors of the eye's joints.
     """
     by_eye = rows_times(J.by_T_base_eye, by_axes)
-    return np.concatenate([J.by_lens, J.by_T_eye_cam, J.by_T_rbase_lbase, by_eye], axis=-1)
+    parts = (J.by_lens, J.by_T_eye_cam, J.by_T_rbase_lbase, by_eye)
+    whole = np.concatenate([part.transpose(2, 3, 0, 1) for part in parts], axis=1)
+    return whole.transpose(2, 3, 0, 1)
 
 
 def rows_times(rows: Array, matrix: Array) -> Array:
     """Return each row of (M, K, 2, n) times the matrix (M, n, m) of its posture."""
-    M, K, _, n = rows.shape  # M is 0 for a camera that sees no board
-    return (rows.reshape(M, 2 * K, n) @ matrix).reshape(M, K, 2, matrix.shape[-1])
+    first, factors = rows.transpose(2, 3, 0, 1), matrix.transpose(1, 2, 0)[..., None]
+    return np.add.reduce(first[:, :, None] * factors, axis=1).transpose(2, 3, 0, 1)
 
 
 def base_extrinsics(
@@ -197,8 +244,10 @@ def eye_poses(head: HeadCalibration, joints: Array) -> Array:
     """
     if measured(joints):
         return joints
-    poses = [T_base_eye(head.kinematics, eye, joints) for eye in EYES]
-    return np.stack(poses, axis=-3)
+    first = [
+        np.moveaxis(T_base_eye(head.kinematics, eye, joints), (-2, -1), (0, 1)) for eye in EYES
+    ]
+    return np.moveaxis(np.stack(first), (0, 1, 2), (-3, -2, -1))
 
 
 def eye_poses_with_jacobians(
@@ -217,7 +266,11 @@ def eye_poses_with_jacobians(
         return np.broadcast_to(joints, (n, 2, 4, 4)), (left, right), by_pose
     angles = np.broadcast_to(joints, (n, joints.shape[-1]))
     left, right = (eye_linearised(head.kinematics, eye, angles) for eye in EYES)
-    T, by_readings = (np.stack([left[k], right[k]], axis=1) for k in (0, 2))
+    # Components first in memory, where eye_linearised has them.
+    T, by_readings = (
+        np.stack([each[k].transpose(1, 2, 0) for each in (left, right)]).transpose(3, 0, 1, 2)
+        for k in (0, 2)
+    )
     return T, (left[1], right[1]), by_readings
 
 
@@ -255,6 +308,25 @@ def stereo_poses(
         T_lbase_leye=T_lbase_leye,
     )
     return T_lbase_leye @ left.T_eye_cam, T
+
+
+def camera_poses(
+    pair: tuple[MountedCamera, MountedCamera], T_rbase_lbase: Array, T: Array
+) -> Array:
+    """Return the poses (3, 4, 2, N) of a left and a right camera in the left eye's base frame.
+
+    Without their last row, components first; at eye poses T (N, 2, 4, 4).
+    """
+    first = T.transpose(1, 2, 3, 0)
+    poses = np.empty((3, 4, 2, len(T)))
+    for k, mounted in enumerate(pair):
+        poses[:, :, k] = mounted.T_eye_cam[:3].T @ first[k, :3, :3]
+        poses[:, 3, k] += first[k, :3, 3]
+    T_lbase_rbase = inverse(T_rbase_lbase)
+    right = poses[:, :, 1]
+    poses[:, :, 1] = rotated(T_lbase_rbase, right)
+    poses[:, 3, 1] += T_lbase_rbase[:3, 3, None]
+    return poses
 
 
 def rebase(

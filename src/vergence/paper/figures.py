@@ -1,4 +1,4 @@
-"""The paper's Figs. 6-11: settings, eye motions (Eqs. 22-23) and printed results.
+"""The paper's Figs. 6-11: settings and printed results.
 
 Source: A. Ude and E. Oztop, "Active 3-D Vision on a Humanoid Head", captions of Figs. 6-11.
 """
@@ -6,14 +6,11 @@ Source: A. Ude and E. Oztop, "Active 3-D Vision on a Humanoid Head", captions of
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
-from vergence.arrays import Array
+from vergence.accuracy.motions import PERIOD_S, Motion
 from vergence.twin.profile import Lens
-
-Motion = Literal["parallel", "divergent"]
 
 
 @dataclass(frozen=True)
@@ -45,20 +42,6 @@ FIGURES = {
         Figure(11, "divergent", "4.0mm", (0.643, 0.173, -0.035), (0.029, 0.011, 0.002)),
     )
 }
-
-AMPLITUDE_RAD = 0.25
-PERIOD_S = {"parallel": 6 * np.pi, "divergent": 60 * np.pi}
-"""Combined period of all joints: the least common multiple of their periods."""
-
-
-def eye_angles(motion: Motion, time_s: Array) -> Array:
-    """Return (N, 4) joint angles [rad], in the order of EYE_JOINTS, at (N,) times.
-
-    Parallel: both eyes by Eq. 22. Divergent: the left eye by Eq. 22, the right by Eq. 23.
-    """
-    eq22 = AMPLITUDE_RAD * np.cos(np.stack([time_s, time_s / 1.5], axis=-1))
-    eq23 = AMPLITUDE_RAD * np.cos(np.stack([time_s / 2, time_s / 2.5], axis=-1))
-    return np.concatenate([eq22, eq22 if motion == "parallel" else eq23], axis=-1)
 
 
 def default_duration_s(motion: Motion) -> float:

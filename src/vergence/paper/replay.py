@@ -8,11 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import NECK_JOINTS
 from vergence.geometry.projection import project_point
-from vergence.paper.figures import Figure, default_duration_s, eye_angles
+from vergence.paper.figures import Figure, default_duration_s
 from vergence.progress import Progress, silent
 from vergence.stereo.triangulation import triangulate_at
 from vergence.twin.calibration_sequence import straight_neck

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.calibration.sequential.sequential import SequentialCalibration
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.projection import stereo_poses
-from vergence.paper.figures import eye_angles
 from vergence.paper.replay import WIDE, Replay
 from vergence.stereo.depth_error import depth_error, disparity_error
 from vergence.twin.profile import ErrorProfile, Joints

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +21,17 @@ from vergence.geometry.projection import (
     project_with_jacobians,
     stereo_cameras,
 )
-from vergence.stereo.triangulation import Status, triangulate_at
+from vergence.geometry.se3 import cross
+from vergence.stereo.triangulation import (
+    checked,
+    chunks,
+    of_part,
+    pixel_variances,
+    postures,
+    rays_meet,
+    readable,
+    triangulate_at,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,10 +42,14 @@ class LocatedPoints:
     """(N, 3) [m] in the left eye's base frame (x forward = depth, y left, z up); NaN where the
     status is not OK."""
     covariance: Array
-    """(N, 3, 3) [m^2], to first order; NaN where the status is not OK, or where neither the caller
-    nor the calibration states any noise."""
+    """(N, 3, 3) [m^2], to first order, of noise and calibration together; NaN where the status is
+    not OK, or where neither the caller nor the calibration states any noise."""
     status: np.ndarray
     """(N,) of triangulation.Status."""
+    calibration_covariance: Array
+    """(N, 3, 3) [m^2]: the part of `covariance` that the calibration's makes. Its errors are the
+    same in all points, so that no average makes them smaller: see `combination`. Zero where the
+    calibration states none."""
 
 
 def locate(
@@ -60,8 +75,9 @@ def locate(
             (2, 4, 4), or (N, 2, 4, 4).
         cameras: names of a camera of the left eye and one of the right; None: the main ones (the
             wide ones, where a head has such).
-        pixel_std_px: noise of (left u, left v, right u, right v); a number stands for all, and (4,)
-            or (N, 4) are taken as they are. None: that of the corners of the calibration.
+        pixel_std_px: noise of (left u, left v, right u, right v), by which they are weighted; a
+            number stands for all, and (4,) or (N, 4) are taken as they are. None: that of the
+            corners of the calibration.
         joint_std_rad: noise of each reading, likewise; of measured poses the two numbers of
             rotation [rad] and translation [m]. None: as the calibration found it.
         joint_time_s: (N,) time stamps of the readings of one motion, at most 0.2 s apart; each is
@@ -74,26 +90,47 @@ def locate(
     """
     if joint_time_s is not None:
         joints = _at_the_images(head, joints, joint_time_s)
+    left, right, joints = checked(left, right, joints, len(head.kinematics.readings))
+    known, n = _calibration(head, cameras), len(left)
+    if known is None and pixel_std_px is None and joint_std_rad is None:
+        points, status = triangulate_at(
+            head, left=left, right=right, joints=joints, cameras=cameras
+        )
+        return LocatedPoints(points, np.full((n, 3, 3), np.nan), status, np.zeros((n, 3, 3)))
     accuracy = head.accuracy or Accuracy(method="paper")
-    stated = bool(accuracy.parameters)
-    seen = _linearised(head, left, right, joints, cameras, parameters=stated)
-    covariance = np.full((len(seen.points), 3, 3), np.nan)
-    if stated or pixel_std_px is not None or joint_std_rad is not None:
-        if pixel_std_px is None:
-            pixel_std_px = accuracy.pixel_std_px or 0.0
-        if joint_std_rad is None:
-            joint_std_rad = reading_stds(head)
-            if measured(joints):
-                joint_std_rad = np.resize(accuracy.joint_std or (0.0,), 2)
-        covariance = _of_noise(seen, pixel_std_px, joint_std_rad)
-    if stated:
-        covariance = covariance + _of_calibration(seen, head, accuracy)
-    return LocatedPoints(seen.points, covariance, seen.status)
+    if pixel_std_px is None:
+        pixel_std_px = accuracy.pixel_std_px or 0.0
+    if joint_std_rad is None:
+        joint_std_rad = reading_stds(head)
+        if measured(joints):
+            joint_std_rad = np.resize(accuracy.joint_std or (0.0,), 2)
+    points, status = np.empty((n, 3)), np.empty(n, dtype=int)
+    covariance, shared = np.empty((n, 3, 3)), np.zeros((n, 3, 3))
+    weights, pixel_stds = pixel_variances(pixel_std_px, n), _rows(pixel_std_px, n)
+    for part in chunks(n):
+        pixels = left[part], right[part]
+        seen = _linearised(
+            head,
+            pixels,
+            postures(joints, part),
+            cameras,
+            of_part(weights, part),
+            parameters=known is not None,
+        )
+        points[part], status[part] = seen.points.T, seen.status
+        noise = [seen.by_pixels * pixel_stds[:, part], seen.by_readings]
+        noise[1] = noise[1] * noise_of_readings(joint_std_rad, noise[1].shape[1], n)[:, part]
+        covariance[part] = _squares(np.concatenate(noise, axis=1))
+        if known is not None:
+            shared[part] = _of_calibration(seen, known)
+            covariance[part] += shared[part]
+    return LocatedPoints(points, covariance, status, shared)
 
 
 def _at_the_images(head: HeadCalibration, joints: Array, joint_time_s: Array) -> Array:
-    """Return joint readings (N, r) at the moments of the images; VergenceError: see `locate`."""
-    if joints.shape != (len(joint_time_s), len(head.kinematics.readings)):
+    """Return readings (N, r), or poses, at the moments of the images; VergenceError: see `locate`."""
+    shape = (2, 4, 4) if measured(joints) else (len(head.kinematics.readings),)
+    if joints.shape != (len(joint_time_s), *shape):
         raise VergenceError(
             f"Readings that have time stamps are one for each: found {joints.shape} readings and "
             f"{len(joint_time_s)} time stamps."
@@ -107,7 +144,10 @@ def _at_the_images(head: HeadCalibration, joints: Array, joint_time_s: Array) ->
     distinct, which = np.unique(joint_time_s, return_inverse=True)  # points of one image
     first = np.searchsorted(joint_time_s, distinct)
     timing = Timing(distinct, np.ones(len(distinct), dtype=int))
-    return moved_readings(joints[first], timing, head.time_offset_s)[which]
+    move = partial(moved_readings, timing=timing, seconds=head.time_offset_s)
+    if not measured(joints):
+        return move(joints[first])[which]
+    return np.stack([move(T) for T in np.moveaxis(joints[first], 1, 0)], axis=1)[which]
 
 
 def locate_with_covariance(
@@ -125,8 +165,79 @@ def locate_with_covariance(
     The calibration is taken as exact. NaN where a point cannot be located. Arguments and errors are
     those of `locate`.
     """
-    seen = _linearised(head, left, right, joints, cameras, parameters=False)
-    return seen.points, _of_noise(seen, pixel_std_px, joint_std_rad)
+    found = locate(
+        _exact(head),
+        left=left,
+        right=right,
+        joints=joints,
+        cameras=cameras,
+        pixel_std_px=pixel_std_px,
+        joint_std_rad=joint_std_rad,
+    )
+    return found.xyz, found.covariance
+
+
+@lru_cache(maxsize=64)
+def _exact(head: HeadCalibration) -> HeadCalibration:
+    """Return a head that states no accuracy."""
+    return replace(head, accuracy=None)
+
+
+def combination(
+    head: HeadCalibration,
+    *,
+    weights: Array,
+    left: Array,
+    right: Array,
+    joints: Array,
+    cameras: tuple[str, str] | None = None,
+    pixel_std_px: ArrayLike = 0.0,
+    joint_std_rad: ArrayLike = 0.0,
+) -> tuple[Array, Array]:
+    """Return the sum (3,) [m] of points times weights (N,), and its covariance (3, 3) [m^2].
+
+    With weights 1/N an average, with 1 and -1 a difference. Errors of pixels are each point's own;
+    those of readings are too, but are shared by all points where one posture serves all; and those
+    of the calibration are always shared. Points that cannot be located must have weight zero, or
+    the result is NaN. Other arguments and errors are those of `locate`.
+    """
+    left, right, joints = checked(left, right, joints, len(head.kinematics.readings))
+    factor, n = _factor(head, cameras), len(left)
+    pixel_stds = _rows(pixel_std_px, n)
+    weights_px, one = pixel_variances(pixel_std_px, n), joints.ndim in (1, 3)
+    total, covariance = np.zeros(3), np.zeros((3, 3))
+    by_readings, by_head = np.zeros((3, 1)), np.zeros((3, len(factor)))
+    for part in chunks(n):
+        pixels = left[part], right[part]
+        seen = _linearised(
+            head,
+            pixels,
+            postures(joints, part),
+            cameras,
+            of_part(weights_px, part),
+            parameters=True,
+        )
+        own = np.where(weights[part] == 0, 0.0, weights[part])
+        points, *changes = (
+            np.where(own == 0, 0.0, each) * own
+            for each in (
+                seen.points,
+                seen.by_pixels,
+                seen.by_readings,
+                by_head_parameters(head, cameras, seen),
+            )
+        )
+        total += points.sum(axis=-1)
+        covariance += _squares(changes[0] * pixel_stds[:, part]).sum(axis=0)
+        noisy = changes[1] * noise_of_readings(joint_std_rad, changes[1].shape[1], n)[:, part]
+        if one:
+            by_readings = by_readings + noisy.sum(axis=-1)
+        else:
+            covariance += _squares(noisy).sum(axis=0)
+        by_head = by_head + changes[2].sum(axis=-1)
+    for shared in (by_readings, by_head @ factor):
+        covariance += shared @ shared.T
+    return total, covariance
 
 
 def locate_both(
@@ -148,17 +259,17 @@ def locate_both(
     errors are those of `locate`. Returns points a and b (N, 3) [m], and covariances (N, 3, 3) [m^2]
     of a - b, in the left eye's base frame; NaN where a point cannot be located.
     """
-    n = len(left[0])
-    both = np.tile(np.broadcast_to(joints, (n, np.shape(joints)[-1])), (2, 1))
-    pixels = np.concatenate(left), np.concatenate(right)
-    seen = _linearised(head, *pixels, both, cameras, parameters=False)
-    pixel_stds = np.broadcast_to(np.asarray(pixel_std_px, dtype=float), (n, 4))
-    a, b = np.split(seen.by_readings, 2)
-    covariances = _covariance(a - b, _reading_stds(seen, joint_std_rad)[:n])
-    for by_pixels in np.split(seen.by_pixels, 2):
-        covariances = covariances + _covariance(by_pixels, pixel_stds)
-    points_a, points_b = np.split(seen.points, 2)
-    return points_a, points_b, covariances
+    n, weights = len(left[0]), pixel_variances(pixel_std_px, len(left[0]))
+    pixel_stds, points, changes = _rows(pixel_std_px, n), [], []
+    for own in zip(left, right, strict=True):
+        u_l, u_r, readings = checked(*own, joints, len(head.kinematics.readings))
+        readings = readings[None] if readings.ndim in (1, 3) else readings
+        seen = _linearised(head, (u_l, u_r), readings, cameras, weights, parameters=False)
+        points.append(seen.points.T)
+        changes += [seen.by_pixels * pixel_stds, seen.by_readings]
+    shared = changes.pop(1) - changes.pop()
+    shared = shared * noise_of_readings(joint_std_rad, shared.shape[1], n)
+    return *points, _squares(np.concatenate([*changes, shared], axis=1))
 
 
 def calibration_covariance(
@@ -173,110 +284,250 @@ def calibration_covariance(
 
     Arguments and errors are those of `locate`; VergenceError also if the head states no covariance.
     """
-    accuracy = head.accuracy
-    if accuracy is None or not accuracy.parameters:
+    if head.accuracy is None or not head.accuracy.parameters:
         raise VergenceError(
             "This calibration states no covariance; `vergence calibrate --method bundle` makes "
             "one that does."
         )
-    seen = _linearised(head, left, right, joints, cameras, parameters=True)
-    return _of_calibration(seen, head, accuracy)
+    found = locate(head, left=left, right=right, joints=joints, cameras=cameras)
+    return np.where(np.isnan(found.covariance), np.nan, found.calibration_covariance)
 
 
 @dataclass(frozen=True, eq=False)
-class _Linearised:
-    """N located points, and how they change with all that they depend on; NaN: not located.
+class _Calibration:
+    """Of a covariance of a head what the pixels of two cameras depend on."""
 
-    The pixels weigh as in Eqs. 3-4: undistorted, and by the distance from the camera. To first
-    order: of rays that pass each other far off, derivatives are those of rays that meet.
+    own: tuple[np.ndarray, np.ndarray]
+    """By camera which of its columns are known to be uncertain, (p_l,) and (p_r,)."""
+    by_left: Array
+    """(p_l + p_r, p_l) covariance of both cameras' with the left one's."""
+    by_right: Array
+    """(p_r, p_r)."""
+
+
+@lru_cache(maxsize=64)
+def _calibration(head: HeadCalibration, cameras: tuple[str, str] | None) -> _Calibration | None:
+    """Return the covariance that the pixels of a pair depend on; None where none is stated."""
+    if head.accuracy is None or not head.accuracy.parameters:
+        return None
+    rows = {name: k for k, name in enumerate(head.accuracy.parameters)}
+    names, (left, right) = pair_parameters(head, cameras), _columns(head, cameras)
+    of_base = np.array([name.startswith("T_rbase_lbase.") for name in names])
+    stated = np.array([name in rows for name in names])
+    own = np.flatnonzero((stated & ~of_base)[left]), np.flatnonzero(stated[right])
+    order = [rows[names[k]] for k in (*left[own[0]], *right[own[1]])]
+    C, n = head.accuracy.covariance[np.ix_(order, order)], len(own[0])
+    return _Calibration(own, np.ascontiguousarray(C[:, :n]), np.ascontiguousarray(C[n:, n:]))
+
+
+def _of_calibration(seen: Linearised, known: _Calibration) -> Array:
+    """Return the covariances (n, 3, 3) that the calibration's covariance makes.
+
+    First that of the four pixel coordinates, of which a point is made: it takes half the time.
+    """
+    left, right = (rows[:, own] for rows, own in zip(seen.pixels_by_head, known.own, strict=True))
+    by_left, by_right = known.by_left @ left, known.by_right @ right
+    split = left.shape[1]
+    pixels = np.empty((4, 4, left.shape[2]))
+    for i in (0, 1):
+        for j in (0, 1):
+            pixels[i, j] = np.add.reduce(left[i] * by_left[j, :split])
+            pixels[2 + i, 2 + j] = np.add.reduce(right[i] * by_right[j])
+            pixels[i, 2 + j] = pixels[2 + j, i] = np.add.reduce(right[j] * by_left[i, split:])
+    half = _times(seen.by_pixels, pixels)
+    return _products(half, seen.by_pixels)
+
+
+@lru_cache(maxsize=64)
+def _factor(head: HeadCalibration, cameras: tuple[str, str] | None) -> Array:
+    """Return F (P, q) with F F^T the calibration's covariance of `pair_parameters`."""
+    accuracy, names = head.accuracy, pair_parameters(head, cameras)
+    if accuracy is None or not accuracy.parameters:
+        return np.zeros((len(names), 0))
+    rows = {name: k for k, name in enumerate(accuracy.parameters)}
+    stated = np.array([name in rows for name in names])
+    order = [rows[name] for name in names if name in rows]
+    C = accuracy.covariance[np.ix_(order, order)]
+    std = np.sqrt(np.diag(C))
+    values, vectors = np.linalg.eigh(C / std / std[:, None])
+    factor = np.zeros((len(names), len(order)))
+    factor[stated] = std[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    return factor
+
+
+@lru_cache(maxsize=64)
+def _columns(
+    head: HeadCalibration, cameras: tuple[str, str] | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return where the columns of each camera are among the `pair_parameters`."""
+    names = pair_parameters(head, cameras)
+    everything = parameter_names(head)
+    place = {everything.index(name): k for k, name in enumerate(names)}
+    left, right = (
+        np.array([place[k] for k in camera_columns(head, name)])
+        for name in cameras or main_pair(head) or ()
+    )
+    return left, right
+
+
+@lru_cache(maxsize=64)
+def pair_parameters(head: HeadCalibration, cameras: tuple[str, str] | None) -> tuple[str, ...]:
+    """Return the names of the P parameters that the points of a pair of cameras depend on."""
+    stereo_cameras(head, cameras)
+    names, pair = parameter_names(head), cameras or main_pair(head) or ()
+    both = np.unique(np.concatenate([camera_columns(head, name) for name in pair]))
+    return tuple(names[k] for k in both)
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """n located points, and how they change with all that they depend on, components first.
+
+    To first order: of rays that pass each other far off, derivatives are those of rays that meet.
+    NaN: not located.
     """
 
     points: Array
-    """(N, 3)."""
+    """(3, n)."""
     status: np.ndarray
-    """(N,)."""
+    """(n,)."""
     by_pixels: Array
-    """(N, 3, 4) with left u, left v, right u, right v."""
+    """(3, 4, n) with left u, left v, right u, right v."""
     by_readings: Array
-    """(N, 3, r) with the readings, or the increments of both measured poses (r = 12)."""
-    by_parameters: Array
-    """(N, 3, P) with the parameters of the head; P is 0 where they are not wanted."""
+    """(3, r, n) with the readings, or the increments of both measured poses (r = 12)."""
+    pixels_by_head: tuple[Array, ...]
+    """(2, p, n) by camera, of its pixels by its `parameters.camera_columns`; empty where they are
+    not wanted."""
+
+
+def by_head_parameters(
+    head: HeadCalibration, cameras: tuple[str, str] | None, seen: Linearised
+) -> Array:
+    """Return how points change (3, P, n) with the P `pair_parameters`."""
+    total = np.zeros((3, len(pair_parameters(head, cameras)), seen.points.shape[1]))
+    for k, (rows, columns) in enumerate(
+        zip(seen.pixels_by_head, _columns(head, cameras), strict=True)
+    ):
+        # The point makes up for what changes, so that its projection stays where it was seen.
+        total[:, columns] -= _times(seen.by_pixels[:, 2 * k : 2 * k + 2], rows)
+    return total
+
+
+def linearised(
+    head: HeadCalibration,
+    *,
+    left: Array,
+    right: Array,
+    joints: Array,
+    cameras: tuple[str, str] | None = None,
+) -> Linearised:
+    """Return points and all their derivatives, for as many points as memory has room for.
+
+    Pixels count equally. Arguments and errors are those of `locate`.
+    """
+    left, right, joints = checked(left, right, joints, len(head.kinematics.readings))
+    joints = joints[None] if joints.ndim in (1, 3) else joints
+    weights = pixel_variances(1.0, len(left))
+    return _linearised(head, (left, right), joints, cameras, weights, parameters=True)
 
 
 def _linearised(
     head: HeadCalibration,
-    left: Array,
-    right: Array,
+    pixels: tuple[Array, Array],
     joints: Array,
     cameras: tuple[str, str] | None,
+    variances: Array,
     *,
     parameters: bool,
-) -> _Linearised:
-    """Locate points; `parameters`: whether the derivatives by the head's are wanted too."""
-    points, status = triangulate_at(head, left=left, right=right, joints=joints, cameras=cameras)
-    found = status == Status.OK
-    joints = np.asarray(joints, dtype=float)
-    if joints.ndim not in (1, 3):  # one for each point
-        joints = joints[found]
-    n = int(found.sum())
-    T, by_axes, by_reading = eye_poses_with_jacobians(head, joints, n)
-    by_point, by_pixels, by_readings, by_head = [], [], [], []
-    pair = cameras or main_pair(head) or ()
-    names = parameter_names(head) if parameters else ()
-    for k, mounted in enumerate(stereo_cameras(head, cameras)):
-        lens = mounted.intrinsics
-        J = project_with_jacobians(mounted, head.T_rbase_lbase, T[:, k], points[found][:, None])
-        # By how much an undistorted pixel moves with a pixel.
-        distortion = J.by_in_camera[:, 0, :, :2] * J.in_camera[:, 0, 2, None, None]
-        weights = lens.matrix[:2, :2] @ np.linalg.inv(distortion)
-        # A point's derivatives fall with its distance.
-        slope = np.linalg.norm(weights @ J.by_point[:, 0], axis=(1, 2)) / lens.matrix[0, 0]
-        weights /= slope[:, None, None]
-        of_pixels = np.zeros((n, 2, 4))
-        of_pixels[:, :, 2 * k : 2 * k + 2] = -weights
-        of_head = np.zeros((n, 2, len(names)))
+) -> Linearised:
+    """Locate points; `parameters`: whether the derivatives by the head's are wanted too.
+
+    Joints are (n, ...) or (1, ...), variances those of `triangulation.rays_meet`.
+    """
+    pair = stereo_cameras(head, cameras)
+    joints = readable(joints)
+    T, by_axes, by_reading = eye_poses_with_jacobians(head, joints, len(joints))
+    points, status = rays_meet(pair, head.T_rbase_lbase, T, pixels, variances)
+    one = len(joints) == 1
+    arranged = points.T[None] if one else points.T[:, None]  # postures, points in each
+    J = [
+        project_with_jacobians(each, head.T_rbase_lbase, T[:, k], arranged, parameters=parameters)
+        for k, each in enumerate(pair)
+    ]
+
+    def flat(rows: Array) -> Array:
+        """Return rows (M, K, a, b) of derivatives with their components first: (a, b, n)."""
+        return rows.transpose(2, 3, 0, 1).reshape(*rows.shape[2:], -1)
+
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        by_pixels = _by_pixels(flat(J[0].by_point), flat(J[1].by_point), variances)
+    by_readings, rows = 0.0, []
+    for k in (0, 1):
+        # The point makes up for what changes, so that its projection stays where it was seen.
+        by_pose = _times(by_pixels[:, 2 * k : 2 * k + 2], flat(J[k].by_T_base_eye))
+        by_readings = by_readings - _times(by_pose, by_reading[:, k].transpose(1, 2, 0))
         if parameters:
-            columns = camera_columns(head, pair[k])
-            of_head[:, :, columns] = weights @ by_parameters(J, by_axes[k])[:, 0]
-        by_point.append(weights @ J.by_point[:, 0])
-        by_pixels.append(of_pixels)
-        by_readings.append(weights @ J.by_T_base_eye[:, 0] @ by_reading[:, k])
-        by_head.append(of_head)
-    # The point makes up for what changes, so that its projection stays where it was seen.
-    follows = -np.linalg.pinv(np.concatenate(by_point, axis=1))
-    changes = []
-    for rows in (by_pixels, by_readings, by_head):
-        change = np.full((len(points), 3, rows[0].shape[-1]), np.nan)
-        change[found] = follows @ np.concatenate(rows, axis=1)
-        changes.append(change)
-    return _Linearised(points, status, *changes)
+            rows.append(flat(by_parameters(J[k], by_axes[k])))
+    return Linearised(points, status, by_pixels, by_readings, tuple(rows))
 
 
-def _covariance(change: Array, stds: Array) -> Array:
-    """Return covariances (N, 3, 3) from changes (N, 3, K) and standard deviations (N, K)."""
-    scaled = change * stds[:, None]
-    return scaled @ np.swapaxes(scaled, 1, 2)
+def _times(rows: Array, matrix: Array) -> Array:
+    """Return the products (a, c, n) of matrices (a, b, n) and (b, c, n)."""
+    total = rows[:, 0, None] * matrix[0]
+    for k in range(1, len(matrix)):
+        total += rows[:, k, None] * matrix[k]
+    return total
 
 
-def _of_noise(seen: _Linearised, pixel_std_px: ArrayLike, joint_std: ArrayLike) -> Array:
-    """Return the covariances (N, 3, 3) that the noise of pixels and readings makes."""
-    n = len(seen.points)
-    readings = _reading_stds(seen, joint_std)
-    pixels = np.broadcast_to(np.asarray(pixel_std_px, dtype=float), (n, 4))
-    return _covariance(seen.by_pixels, pixels) + _covariance(seen.by_readings, readings)
+def _by_pixels(left: Array, right: Array, variances: Array) -> Array:
+    """Return the derivatives (3, 4, n) of located points by their pixels.
+
+    Given are those of the pixels by the point (2, 3, n), and the variances of
+    `triangulation.rays_meet`. Three pixel coordinates make a point: both of the left image, and in
+    the right one that along the epipolar line. The fourth says by how much the rays miss each
+    other, and the pixels share this in proportion to their variances.
+    """
+    a, b = left
+    along = cross(a, b, axis=0)  # the left ray
+    m1, m2 = np.add.reduce(right * along, axis=1)
+    c, d = m1 * right[0] + m2 * right[1], m1 * right[1] - m2 * right[0]
+    by_a, by_b = cross(b, c, axis=0), cross(c, a, axis=0)
+    scale = 1 / (m1 * m1 + m2 * m2)
+    by_pixels = np.empty((3, 4, len(m1)))
+    by_pixels[:, 0], by_pixels[:, 1] = by_a * scale, by_b * scale
+    along = along * scale
+    by_pixels[:, 2], by_pixels[:, 3] = along * m1, along * m2
+    miss = np.empty((4, len(m1)))
+    miss[0] = -np.add.reduce(d * by_pixels[:, 0])
+    miss[1] = -np.add.reduce(d * by_pixels[:, 1])
+    miss[2], miss[3] = -m2, m1
+    shares = miss * variances.swapaxes(0, 1).reshape(4, -1)
+    shares /= np.add.reduce(shares * miss)
+    return by_pixels - np.add.reduce(by_pixels * shares, axis=1)[:, None] * miss
 
 
-def _reading_stds(seen: _Linearised, joint_std: ArrayLike) -> Array:
-    """Return the standard deviations (N, r) of readings; of poses from rotation, translation."""
-    n, _, count = seen.by_readings.shape
+def _squares(changes: Array) -> Array:
+    """Return covariances (n, 3, 3) of changes (3, K, n) by K independent standard deviations."""
+    return _products(changes, changes)
+
+
+def _products(left: Array, right: Array) -> Array:
+    """Return the symmetric products (n, 3, 3) of (3, K, n) and (3, K, n) over K."""
+    found = np.empty((left.shape[-1], 3, 3))
+    for i in range(3):
+        for j in range(i, 3):
+            found[:, i, j] = found[:, j, i] = np.add.reduce(left[i] * right[j])
+    return found
+
+
+def _rows(std: ArrayLike, n: int) -> Array:
+    """Return standard deviations (4, n) of pixels, from a number, (4,) or (n, 4)."""
+    return np.broadcast_to(np.asarray(std, dtype=float), (n, 4)).T
+
+
+def noise_of_readings(joint_std: ArrayLike, count: int, n: int) -> Array:
+    """Return the standard deviations (r, n) of readings; of poses from rotation, translation."""
     std = np.asarray(joint_std, dtype=float)
     if std.shape == (2,) and count == 12:
         std = np.tile(np.repeat(np.broadcast_to(std, (2,)), 3), 2)
-    return np.broadcast_to(std, (n, count))
-
-
-def _of_calibration(seen: _Linearised, head: HeadCalibration, accuracy: Accuracy) -> Array:
-    """Return covariances (N, 3, 3) that the calibration's covariance makes."""
-    names = parameter_names(head)
-    own = seen.by_parameters[..., [names.index(name) for name in accuracy.parameters]]
-    return own @ accuracy.covariance @ np.swapaxes(own, 1, 2)
+    return np.broadcast_to(std, (n, count)).T

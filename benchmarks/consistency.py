@@ -1,0 +1,161 @@
+"""Whether the stated covariances and budgets are true of rendered replays.
+
+Replays the paper's figures on rendered images with several error profiles, calibrated by the
+paper's method, and prints for each figure
+
+- the mean squared Mahalanobis distance of located points from the truth, as a multiple of its three
+  degrees of freedom, with its 95 % band: with the true head, so that only the noise of pixels and
+  readings is left. The noise of the readings is the profile's; that of the pixels is measured in
+  every second sample and used in the others;
+- predicted / observed spread over the motion, x, y and z: by `accuracy.budget`, with all that is
+  wrong with the calibration taken from the truth as known errors;
+- predicted / observed spread in depth by the budget as a user gets it, who knows the profile only.
+
+Measurements are kept in a folder, and a second run goes on where the first one was stopped.
+
+    python benchmarks/consistency.py [--samples 640] [--folder runs/consistency]
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import tyro
+from scipy.stats import chi2
+
+from vergence.accuracy.budget import Source, budget
+from vergence.accuracy.motions import eye_angles
+from vergence.arrays import Array
+from vergence.calibration.sequential.sequential import calibrate_sequentially
+from vergence.commands.budget import sources_of
+from vergence.commands.truth import with_sensors
+from vergence.geometry.head import HeadCalibration, load_head, save_head
+from vergence.geometry.parameters import boxminus
+from vergence.paper.figures import FIGURES, Figure, default_duration_s
+from vergence.paper.replay import WIDE, describe, replay, sample_times
+from vergence.stereo.triangulation import triangulate_at
+from vergence.stereo.uncertainty import locate
+from vergence.twin.calibration_errors import inject_calibration_error
+from vergence.twin.calibration_sequence import capture_views, plan
+from vergence.twin.head import Twin
+from vergence.twin.profile import ErrorProfile, load_profile
+
+PROFILES = ("ideal", "noise-only", "paper")
+
+
+def measure(folder: Path, profile: ErrorProfile, seed: int, samples: int) -> None:
+    """Replay what is missing, and keep heads and measurements in a folder."""
+    for lens in ("2.8mm", "4.0mm"):
+        figures = [f for f in FIGURES.values() if f.lens == lens]
+        missing = [f for f in figures if not (folder / f"fig{f.number}.npz").exists()]
+        if not missing:
+            continue
+        with Twin(profile, seed=seed, lens=lens) as twin:
+            used = folder / f"calibration-{lens}.json"
+            if not used.exists():
+                views = capture_views(twin, plan(twin.nominal, seed))
+                wide_lens = profile.calibration.wide_lens
+                found = calibrate_sequentially(views, wide_lens=wide_lens, neck=twin.nominal.neck)
+                save_head(twin.truth, folder / f"truth-{lens}.json")
+                save_head(inject_calibration_error(found.head, profile.by_hand, lens), used)
+            for figure in missing:
+                times = sample_times(figure, None, samples / default_duration_s(figure.motion))
+                true: list[tuple[Array, Array]] = []
+
+                def look(*, truth: dict[str, Array], true: list = true, **_: object) -> None:
+                    true.append((truth[WIDE[0]], truth[WIDE[1]]))
+
+                done = replay(
+                    twin, load_head(used), figure, times, observer=look, image_every=10**9
+                ).measurements
+                np.savez(
+                    folder / f"fig{figure.number}.npz",
+                    joints=done.eye_angles,
+                    pixels=np.stack([done.pixels_l, done.pixels_r]),
+                    true_pixels=np.array(true).swapaxes(0, 1),
+                    time_s=times,
+                )
+                print(f"{profile.name}: figure {figure.number} replayed", flush=True)
+
+
+def mahalanobis(
+    truth: HeadCalibration, profile: ErrorProfile, figure: Figure, seen: dict[str, Array]
+) -> tuple[float, float, float]:
+    """Return the mean squared distance over its degrees of freedom, and the pixels' noise."""
+    off = seen["pixels"] - seen["true_pixels"]
+    good = np.array(np.isfinite(off).all(axis=(0, 2)))
+    fitted, tested = good.copy(), good.copy()
+    fitted[::2], tested[1::2] = False, False
+    bias = off[:, fitted].mean(axis=1)
+    pixel_std = off[:, fitted].std(axis=1).ravel()
+    found = locate(
+        truth,
+        left=seen["pixels"][0, tested] - bias[0],
+        right=seen["pixels"][1, tested] - bias[1],
+        joints=seen["joints"][tested],
+        cameras=WIDE,
+        pixel_std_px=pixel_std,
+        joint_std_rad=np.radians(profile.joints.noise_deg),
+    )
+    there = np.array(figure.mean_m)
+    if not profile.joints.noise_deg:  # the neck sags by some hundredths of a millimetre
+        at = {"left": seen["true_pixels"][0, tested], "right": seen["true_pixels"][1, tested]}
+        there, _ = triangulate_at(truth, **at, joints=seen["joints"][tested], cameras=WIDE)
+    error = found.xyz - there
+    distance = np.einsum("ni,nij,nj->n", error, np.linalg.inv(found.covariance), error)
+    return float(distance.mean() / 3), float(np.sqrt((pixel_std**2).mean())), len(distance)
+
+
+def main(
+    samples: int = 640,
+    folder: Path = Path("runs/consistency"),
+    seed: int = 0,
+    profiles: Sequence[str] = PROFILES,
+) -> None:
+    """Measure what is missing, and print the figures.
+
+    Args:
+        samples: of each replay.
+        folder: of the measurements.
+        seed: of the heads.
+        profiles: error profiles.
+    """
+    for name in profiles:
+        profile, own = load_profile(name), folder / f"{name}-{samples}-{seed}"
+        own.mkdir(parents=True, exist_ok=True)
+        measure(own, profile, seed, samples)
+        for figure in FIGURES.values():
+            print(line(own, profile, figure))
+
+
+def line(folder: Path, profile: ErrorProfile, figure: Figure) -> str:
+    """Return what is found of a figure."""
+    truth = with_sensors(load_head(folder / f"truth-{figure.lens}.json"), profile.joints)
+    used = load_head(folder / f"calibration-{figure.lens}.json")
+    with np.load(folder / f"fig{figure.number}.npz") as file:
+        seen = dict(file)
+    ratio, noise_px, n = mahalanobis(truth, profile, figure, seen)
+    low, high = chi2.ppf([0.025, 0.975], 3 * n) / (3 * n)
+    left, right = seen["pixels"]
+    points, _ = triangulate_at(used, left=left, right=right, joints=seen["joints"], cameras=WIDE)
+    observed = describe(points)
+    white = Source(
+        "noise", pixel_std_px=noise_px, joint_std_rad=np.radians(profile.joints.noise_deg)
+    )
+    joints = eye_angles(figure.motion, seen["time_s"])
+    motion = {"joints": joints, "rates": np.gradient(joints, seen["time_s"], axis=0)}
+    at = observed.mean_m[None]
+    errors = Source("calibration", errors=boxminus(used, truth))
+    (full,) = budget(used, at, **motion, sources=[white, errors], cameras=WIDE)
+    (plain,) = budget(used, at, **motion, sources=sources_of(used, profile, None), cameras=WIDE)
+    predicted = full.total.spread_m / observed.std_m
+    depth = plain.total.spread_m[0] / observed.std_m[0]
+    return (
+        f"{profile.name:<10} Fig. {figure.number:<2} d2/3 {ratio:.3f} ({low:.3f} to {high:.3f}), "
+        f"pixels {noise_px:.3f} px; spread {' '.join(f'{1e3 * s:.2f}' for s in observed.std_m)} mm,"
+        f" with the truth {' '.join(f'{p:.2f}' for p in predicted)}, by the profile {depth:.2f}"
+    )
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,363 @@
+"""What the paper's eighteen standard deviations can support, and what they cannot.
+
+A point model of the experiment (vergence.paper.error_model) with stated sources of errors: how far
+each spreads the points, which kinds of errors cannot explain the paper, and how well fitted models
+predict figures that they were not fitted to. Prints its tables in Markdown, those of
+docs/error_study.md, and writes them and a figure into a folder.
+
+    python scenarios/error_study.py [--out runs/error_study] [--seed 0]
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import tyro
+from scipy.optimize import least_squares
+
+from vergence.arrays import Array
+from vergence.paper.error_model import (
+    PAPER_MM,
+    TABLE_CAMERA_MM,
+    TABLE_MOUNTING_DEG,
+    Errors,
+    sampled_mm,
+    spread_mm,
+    spreads_mm,
+    true_head,
+)
+from vergence.paper.figures import FIGURES
+from vergence.progress import Progress, silent
+from vergence.viewer.canvas import BLUE, GREEN, RED, panels, save
+from vergence.viewer.opening import markdown_table
+from vergence.writing import results_folder, write_whole
+
+SOURCES = {
+    "white noise 0.1° on all joints": Errors(joint_noise_deg=0.1),
+    "white noise 5.6 µm on the sensor": Errors(pixel_noise_um=5.6),
+    "joint readings 10 ms old": Errors(delay_ms=10),
+    "pan gain 1 %, both eyes": Errors(pan_gain_percent=(1, 1)),
+    "mounting roll ±1°, opposite": Errors(roll_deg=(1, -1)),
+    "mounting 5 mm along the axis, both": Errors(axial_mm=(5, 5)),
+    "focal length of the 2.8 mm lens 1 %": Errors(focal_28_percent=(1, 1)),
+}
+
+
+def sensitivities() -> dict[str, Array]:
+    """Return by source the spreads (6, 3) [mm] that one unit of it makes."""
+    heads = {
+        lens: true_head(lens, 75.0, TABLE_CAMERA_MM, TABLE_MOUNTING_DEG)
+        for lens in ("2.8mm", "4.0mm")
+    }
+    return {
+        name: np.array(
+            [
+                spread_mm(figure, errors, samples=3000, truth=heads[figure.lens])
+                for figure in FIGURES.values()
+            ]
+        )
+        for name, errors in SOURCES.items()
+    }
+
+
+def sensitivity() -> str:
+    """Return the table of what one unit of each source does."""
+    rows = [(name, *map(_cell, found)) for name, found in sensitivities().items()]
+    return markdown_table("source | " + " | ".join(f"Fig. {n}" for n in FIGURES), rows)
+
+
+def _cell(spread: Array) -> str:
+    return "/".join(f"{value + 0.0:.1f}" if value < 9.95 else f"{value:.0f}" for value in spread)
+
+
+# Models, and how they are fitted
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """One fitted number."""
+
+    name: str
+    unit: str
+    start: float
+    plausible: float
+    """Standard deviation of what one would expect before looking at the figures."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """A family of errors with fitted numbers."""
+
+    name: str
+    unknowns: tuple[Unknown, ...]
+    build: Callable[[Array], Errors]
+
+
+BASELINE = Unknown("baseline", "mm", 85.0, 12.0)
+NOISE = Unknown("joint noise", "deg", 0.15, 0.2)
+SMALL = Model(
+    "small",
+    (BASELINE, NOISE, Unknown("focal length, 2.8 mm", "%", 2.0, 2.0)),
+    lambda v: Errors(v[0], abs(v[1]), focal_28_percent=(v[2], v[2])),
+)
+LARGE = Model(
+    "large",
+    (
+        BASELINE,
+        Unknown("joint noise", "deg", 0.05, 0.05),
+        Unknown("pixel noise", "µm", 2.0, 2.0),
+        Unknown("delay", "ms", 10.0, 20.0),
+        *(Unknown(f"{j} gain, {e}", "%", 0.5, 1.0) for j in ("pan", "tilt") for e in ("l", "r")),
+        Unknown("roll, left", "deg", 0.2, 0.5),
+        Unknown("roll, right", "deg", -0.2, 0.5),
+        Unknown("pitch, left", "deg", 0.2, 0.7),
+        Unknown("pitch, right", "deg", -0.2, 0.7),
+        Unknown("along the axis, both", "mm", 1.0, 3.0),
+        Unknown("focal length, 2.8 mm, left", "%", 1.0, 2.0),
+        Unknown("focal length, 2.8 mm, right", "%", 1.0, 2.0),
+        Unknown("focal length, 4.0 mm, left", "%", 0.5, 2.0),
+        Unknown("focal length, 4.0 mm, right", "%", 0.5, 2.0),
+    ),
+    lambda v: Errors(
+        v[0],
+        abs(v[1]),
+        abs(v[2]),
+        v[3],
+        (v[4], v[5]),
+        (v[6], v[7]),
+        (v[8], v[9]),
+        (v[10], v[11]),
+        (v[12], v[12]),
+        (v[13], v[14]),
+        (v[15], v[16]),
+    ),
+)
+NOISE_ALONE = Model(
+    "noise alone",
+    (BASELINE, NOISE, Unknown("pixel noise", "µm", 3.0, 5.0)),
+    lambda v: Errors(v[0], abs(v[1]), abs(v[2])),
+)
+ORIENTATION = Model(
+    "orientation alone",
+    (
+        BASELINE,
+        NOISE,
+        Unknown("delay", "ms", 10.0, 20.0),
+        Unknown("pan gain", "%", 0.5, 2.0),
+        Unknown("tilt gain", "%", 0.5, 2.0),
+        Unknown("roll, opposite", "deg", 0.2, 0.7),
+        Unknown("pitch, opposite", "deg", 0.2, 1.0),
+    ),
+    lambda v: Errors(
+        v[0],
+        abs(v[1]),
+        0.0,
+        v[2],
+        (v[3], v[3]),
+        (v[4], v[4]),
+        (v[5], -v[5]),
+        (v[6], -v[6]),
+    ),
+)
+FORMS: dict[str, tuple[Unknown, Callable[[Errors, float], Errors]]] = {
+    "delay": (Unknown("delay", "ms", 10, 20), lambda e, v: replace(e, delay_ms=v)),
+    "pan gain": (Unknown("gain", "%", 1, 2), lambda e, v: replace(e, pan_gain_percent=(v, v))),
+    "focal length, 2.8 mm": (
+        Unknown("focal length", "%", 2, 2),
+        lambda e, v: replace(e, focal_28_percent=(v, v)),
+    ),
+    "along the axis": (Unknown("shift", "mm", 5, 5), lambda e, v: replace(e, axial_mm=(v, v))),
+    "pixel noise": (Unknown("noise", "µm", 3, 5), lambda e, v: replace(e, pixel_noise_um=abs(v))),
+    "roll, opposite": (Unknown("roll", "deg", 0.5, 1), lambda e, v: replace(e, roll_deg=(v, -v))),
+}
+"""Sources that could stand beside baseline and joint noise in a model of three numbers."""
+ALL = tuple(range(6))
+
+
+def fit(model: Model, figures: Sequence[int] = ALL) -> Array:
+    """Return the numbers of a model that suit some figures, given by their places among the six.
+
+    Least squares of log(ours / paper's), whose standard deviation is taken for 0.15 and the
+    rounding of the captions, and of the distance from what is plausible.
+    """
+    start = np.array([u.start for u in model.unknowns])
+    expected = np.array([u.start if u is BASELINE else 0.0 for u in model.unknowns])
+    scale = np.array([u.plausible for u in model.unknowns])
+    paper = PAPER_MM[list(figures)]
+    weight = 1 / np.hypot(0.15, 0.29 / paper)
+    chosen = [list(FIGURES.values())[k] for k in figures]
+
+    def residuals(values: Array) -> Array:
+        errors = model.build(values)
+        ours = np.array([spread_mm(figure, errors) for figure in chosen])
+        off = np.nan_to_num(np.log(ours / paper), nan=5.0) * weight
+        return np.concatenate([off.ravel(), 0.5 * (values - expected) / scale])
+
+    return least_squares(residuals, start, x_scale=scale, diff_step=1e-3, max_nfev=40).x
+
+
+def judged(ours: Array, figures: Sequence[int] = ALL) -> tuple[str, str, str]:
+    """Return the largest factor, how many are within 25 %, and the largest error in depth."""
+    ratio = ours[list(figures)] / PAPER_MM[list(figures)]
+    factor = np.exp(np.abs(np.log(ratio)).max())
+    within = int((np.abs(ratio - 1) <= 0.25).sum())
+    depth = 100 * np.abs(ratio[:, 0] - 1).max()
+    return f"{factor:.2f}", f"{within} of {ratio.size}", f"{depth:.0f} %"
+
+
+JUDGED = "largest factor | within 25 % | largest error in depth"
+
+
+def noise_alone() -> str:
+    """Return the table of divergent over parallel spread in depth."""
+    ours = spreads_mm(NOISE_ALONE.build(fit(NOISE_ALONE)))
+    rows = [
+        (f"Figs. {6 + k} and {7 + k}", *(f"{s[k + 1, 0] / s[k, 0]:.2f}" for s in (PAPER_MM, ours)))
+        for k in (0, 2, 4)
+    ]
+    return markdown_table("divergent / parallel | paper | noise alone", rows)
+
+
+def orientation_alone() -> str:
+    """Return the table of Fig. 10 as scaled from Fig. 8, whose lens is another one."""
+    rows = []
+    for name, errors in (
+        ("joint noise alone", Errors(joint_noise_deg=0.1)),
+        ("pixel noise alone", Errors(pixel_noise_um=5.6)),
+    ):
+        ours = spreads_mm(errors)
+        scaled = ours[4, 0] * PAPER_MM[2, 0] / ours[2, 0]
+        rows.append((name, f"{scaled:.1f} mm", f"{PAPER_MM[4, 0]:.0f} mm"))
+    return markdown_table("scaled to Fig. 8 | gives Fig. 10 | paper", rows)
+
+
+def models(fitted: dict[str, Array]) -> str:
+    """Return the table of all models that were fitted to all figures."""
+    rows = [
+        (model.name, len(model.unknowns), *judged(spreads_mm(model.build(fitted[model.name]))))
+        for model in (NOISE_ALONE, ORIENTATION, SMALL, LARGE)
+    ]
+    return markdown_table(f"model | fitted numbers | {JUDGED}", rows)
+
+
+def numbers(model: Model, values: Array) -> str:
+    """Return the table of fitted numbers."""
+    rows = [
+        (u.name, f"{abs(v) if 'noise' in u.name else v + 0.0:.2f} {u.unit}", f"{u.plausible:g}")
+        for u, v in zip(model.unknowns, values, strict=True)
+    ]
+    return markdown_table("fitted number | value | plausible size", rows)
+
+
+def spreads(fitted: dict[str, Array], seed: int) -> str:
+    """Return the table of spreads, and a check of the noise by sampling."""
+    rows = []
+    for k, figure in enumerate(FIGURES.values()):
+        cells = [_cell(PAPER_MM[k])]
+        for model in (SMALL, LARGE):
+            errors = model.build(fitted[model.name])
+            cells += [_cell(spread_mm(figure, errors)), _cell(sampled_mm(figure, errors, seed))]
+        rows.append((figure.number, *cells))
+    return markdown_table("Fig. | paper | small | small, sampled | large | large, sampled", rows)
+
+
+HOLD_OUTS = {
+    "Figs. 6-7 to 8-11": (0, 1),
+    "parallel to divergent": (0, 2, 4),
+    "2.8 mm lens to 4.0 mm": (0, 1, 2, 3),
+    "4.0 mm lens to 2.8 mm": (4, 5),
+    **{f"all but Fig. {6 + k}": tuple(i for i in ALL if i != k) for k in ALL},
+}
+
+
+def hold_outs(progress: Progress = silent) -> str:
+    """Return the table of figures that are predicted from others."""
+    rows = []
+    progress("hold-outs", 0, len(HOLD_OUTS))
+    for done, (name, used) in enumerate(HOLD_OUTS.items()):
+        rest = [k for k in ALL if k not in used]
+        cells = []
+        for model in (SMALL, LARGE):
+            cells += judged(spreads_mm(model.build(fit(model, used))), rest)[:2]
+        rows.append((name, *cells))
+        progress("hold-outs", done + 1, len(HOLD_OUTS))
+    heading = "fitted to, predicted | small: largest factor | within 25 % | large: largest factor"
+    return markdown_table(f"{heading} | within 25 %", rows)
+
+
+def forms(progress: Progress = silent) -> str:
+    """Return the table of models of three numbers, each fitted to Figs. 6 and 7 alone."""
+    rows = []
+    progress("forms", 0, len(FORMS))
+    for done, (name, (unknown, add)) in enumerate(FORMS.items()):
+        model = Model(
+            name,
+            (BASELINE, NOISE, unknown),
+            lambda v, add=add: add(Errors(v[0], abs(v[1])), v[2]),
+        )
+        ours = spreads_mm(model.build(fit(model, (0, 1))))
+        rows.append((name, judged(ours, (0, 1))[0], *judged(ours, (2, 3, 4, 5))))
+        progress("forms", done + 1, len(FORMS))
+    return markdown_table(f"third number | factor in Figs. 6-7 | Figs. 8-11: {JUDGED}", rows)
+
+
+def draw(path: Path, fitted: dict[str, Array]) -> None:
+    """Draw the spreads of the paper and of the models."""
+    canvas, axes = panels(3, "Spreads of Figs. 6-11: paper, small and large model", columns=3)
+    ours = {model.name: spreads_mm(model.build(fitted[model.name])) for model in (SMALL, LARGE)}
+    for k, (panel, colour) in enumerate(zip(axes, (BLUE, GREEN, RED), strict=True)):
+        places = np.arange(6)
+        panel.bar(places, PAPER_MM[:, k], color=colour, alpha=0.35, label="paper")
+        panel.plot(places, ours["small"][:, k], "o", color="0.2", label="small, 3 fitted")
+        panel.plot(places, ours["large"][:, k], "x", color="0.2", label="large, 17 fitted")
+        panel.set_xticks(places, [f"Fig. {n}" for n in FIGURES], fontsize=9)
+        panel.set_ylabel("standard deviation [mm]")
+        panel.set_title(("x = depth", "y", "z")[k], fontsize=11, loc="left")
+        panel.legend(fontsize=9, frameon=False)
+    save(canvas, path)
+
+
+def study(seed: int, progress: Progress = silent) -> tuple[dict[str, str], dict[str, Array]]:
+    """Return all tables by their names, and the fitted numbers by model."""
+    fitted = {}
+    together = (NOISE_ALONE, ORIENTATION, SMALL, LARGE)
+    progress("fits", 0, len(together))
+    for done, model in enumerate(together):
+        fitted[model.name] = fit(model)
+        progress("fits", done + 1, len(together))
+    tables = {
+        "Spread per unit of each source [mm, x/y/z]": sensitivity(),
+        "Noise alone": noise_alone(),
+        "Orientation alone": orientation_alone(),
+        "Fitted models": models(fitted),
+        "Spreads [mm, x/y/z]": spreads(fitted, seed),
+        "The small model": numbers(SMALL, fitted["small"]),
+        "The large model": numbers(LARGE, fitted["large"]),
+        "Hold-outs": hold_outs(progress),
+        "Models of three numbers, fitted to Figs. 6 and 7 alone": forms(progress),
+    }
+    return tables, fitted
+
+
+def main(out: Path = Path("runs/error_study"), seed: int = 0) -> None:
+    """Run the study.
+
+    Args:
+        out: Folder for tables.md and spreads.png.
+        seed: Seed of the sampled noise.
+    """
+
+    def show(task: str, done: int, total: int) -> None:
+        print(f"{task}: {done} of {total}", flush=True)
+
+    with results_folder(out):
+        tables, fitted = study(seed, show)
+        text = "\n\n".join(f"## {name}\n\n{table}" for name, table in tables.items())
+        write_whole(out / "tables.md", text + "\n")
+        draw(out / "spreads.png", fitted)
+    print(text)
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

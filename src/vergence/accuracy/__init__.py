@@ -1,0 +1,1 @@
+"""How well a head locates points, where its errors come from, and which head meets an accuracy."""

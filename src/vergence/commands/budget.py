@@ -1,0 +1,215 @@
+"""`vergence budget`: the error budget of a head and an error profile, as tables, text and JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vergence.accuracy.budget import TIME_OFFSET, Budget, Part, Source, budget
+from vergence.accuracy.motions import PERIOD_S, eye_angles
+from vergence.arrays import Array
+from vergence.commands.truth import with_sensors
+from vergence.data.reader import load_dataset
+from vergence.errors import VergenceError
+from vergence.geometry.head import HeadCalibration, main_pair, reading_stds
+from vergence.geometry.parameters import boxminus
+from vergence.twin.calibration_errors import inject_calibration_error
+from vergence.twin.profile import ErrorProfile, Lens
+
+SAMPLES = 400
+"""Of a motion: as many as the budget needs to be smooth."""
+OBJECT_NOISE_PX = 0.03
+"""Of the centre of the twin's sphere in its images."""
+LONG_LENS_PX = 340.0
+"""Focal length between those of the twin's lenses of 2.8 mm and 4.0 mm."""
+
+
+@dataclass(frozen=True, eq=False)
+class Budgets:
+    """The budgets of K points in the motion that was asked for, and in parallel motion."""
+
+    motion: str
+    budgets: list[Budget]
+    parallel: list[Budget] | None
+    """None: the motion is parallel itself, or the head does not pan and tilt."""
+
+
+def run(
+    head: HeadCalibration,
+    *,
+    points: ArrayLike,
+    motion: str,
+    profile: ErrorProfile | None,
+    pixel_std_px: float | None,
+) -> Budgets:
+    """Return the budgets of points (K, 3) [m] in the left eye's base frame.
+
+    Args:
+        head: the calibration; what it states of noise and covariance is a source of errors.
+        motion: parallel, divergent, or the folder of a dataset whose motion is taken.
+        profile: whose errors are sources too; its noise replaces the calibration's.
+        pixel_std_px: noise of a pixel coordinate; None: the calibration's, or of the twin's object.
+
+    Raises:
+        VergenceError: there is nothing that could be wrong, a point is not seen, or the motion is
+            none.
+    """
+    sources = sources_of(head, profile, pixel_std_px)
+    if not sources and (head.accuracy is None or not head.accuracy.parameters):
+        raise VergenceError(
+            "A budget needs sources of errors: give a calibration that states its accuracy, an "
+            "error profile (--profile paper), or --noise in pixels."
+        )
+    found = [
+        budget(head, np.array(points), joints=joints, rates=rates, sources=sources)
+        for joints, rates in map(motion_of, dict.fromkeys((motion, "parallel")))
+    ]
+    return Budgets(motion, found[0], found[1] if len(found) > 1 else None)
+
+
+def motion_of(name: str) -> tuple[Array, Array]:
+    """Return joints (T, r) [rad] of a motion and their rates (T, r) [rad/s]."""
+    if name in PERIOD_S:
+        time_s = np.arange(SAMPLES) * PERIOD_S[name] / SAMPLES
+        joints = eye_angles("parallel" if name == "parallel" else "divergent", time_s)
+        return joints, np.gradient(joints, time_s, axis=0)
+    if not Path(name).is_dir():
+        raise VergenceError(
+            f"There is no motion {name!r}; there are parallel, divergent, and the folders of "
+            "datasets."
+        )
+    data = load_dataset(name)
+    if data.T_base_eye is not None or len(data.eye_angles) < 2:
+        raise VergenceError(
+            f"The motion of {name} is not one of joints: it has {len(data.eye_angles)} rows"
+            + (" of measured eye poses." if data.T_base_eye is not None else ".")
+        )
+    rates = np.gradient(data.eye_angles, data.joint_time_s, axis=0)
+    every = -(-len(rates) // (4 * SAMPLES))
+    return data.eye_angles[::every], np.where(data.moving[:, None], rates, 0.0)[::every]
+
+
+def sources_of(
+    head: HeadCalibration, profile: ErrorProfile | None, pixel_std_px: float | None
+) -> list[Source]:
+    """Return white noise, and the errors that a profile is known to make."""
+    accuracy = head.accuracy
+    estimated = accuracy is not None and accuracy.method == "bundle"
+    if pixel_std_px is None:
+        stated = accuracy.pixel_std_px if accuracy else None
+        pixel_std_px = OBJECT_NOISE_PX if profile else stated
+    sources = [Source("pixel noise", pixel_std_px=pixel_std_px)] if pixel_std_px else []
+    if profile is None:
+        stds = reading_stds(head)
+        return sources + [Source("joint noise", joint_std_rad=stds)] * bool(stds.any())
+    joints = profile.joints
+    step = 2 * np.pi / joints.counts_per_turn if joints.counts_per_turn else 0.0
+    for name, std in (
+        ("joint noise", np.radians(joints.noise_deg)),
+        ("steps of the encoders", step / np.sqrt(12)),
+        ("backlash", np.radians(joints.backlash_deg) / 2),  # the sensor lags by half of it
+    ):
+        if std:
+            sources.append(Source(name, joint_std_rad=float(std)))
+    known = {} if estimated else _known_of_sensors(head, profile)
+    focal = head.camera((main_pair(head) or ("",))[0]).intrinsics.matrix[0, 0]
+    lens: Lens = "4.0mm" if focal > LONG_LENS_PX else "2.8mm"
+    for name in ("focal_percent_28", "focal_percent_40", "roll_deg", "axial_mm"):
+        if value := getattr(profile.by_hand, name):
+            alone = type(profile.by_hand)(**{name: value})
+            wrong = inject_calibration_error(head, alone, lens)
+            known[_BY_HAND[name]] = boxminus(wrong, head)
+    return sources + [Source(name, errors=_nonzero(e)) for name, e in known.items() if _nonzero(e)]
+
+
+_BY_HAND = {
+    "focal_percent_28": "focal lengths, by hand",
+    "focal_percent_40": "focal lengths, by hand",
+    "roll_deg": "roll of the mountings, by hand",
+    "axial_mm": "shift of the mountings, by hand",
+}
+
+
+def _known_of_sensors(head: HeadCalibration, profile: ErrorProfile) -> dict[str, dict[str, float]]:
+    """Return errors that the paper's method does not find, by name and parameter of the head.
+
+    Offsets of joints are none: calibration takes them for turns of the mountings.
+    """
+    without = profile.joints.model_copy(update={"offset_deg": (0.0,) * 4})
+    gains = boxminus(replace(head, accuracy=None), with_sensors(head, without))
+    known = {"gains of the joints": {n: e for n, e in gains.items() if n.endswith("_gain")}}
+    known["delay"] = {TIME_OFFSET: -1e-3 * profile.joints.delay_ms}
+    larger = 1 / (1 + profile.calibration.square_percent / 100) - 1
+    shift = larger * head.T_rbase_lbase[:3, 3]
+    known["size of the board"] = {
+        f"T_rbase_lbase.t{axis}": float(value) for axis, value in zip("xyz", shift, strict=True)
+    }
+    return known
+
+
+def _nonzero(errors: dict[str, float]) -> dict[str, float]:
+    return {name: error for name, error in errors.items() if abs(error) > 1e-15}
+
+
+HEADING = ("source", "x", "y", "z", "x, parallel", "shared")
+"""Standard deviations [mm]: what differs between samples, and what of it in x parallel motion
+leaves; what all samples share, x, y and z."""
+
+
+def table(found: Budgets, k: int) -> list[tuple[str, ...]]:
+    """Return the rows of the table of point k, as HEADING says; the last one is the total."""
+    own = found.budgets[k]
+    beside = found.parallel[k] if found.parallel else own
+    return [
+        (
+            one.name,
+            *map(_mm, (*one.spread_m, other.spread_m[0])),
+            " ".join(map(_mm, one.shared_m)) if one.shared_m.any() else "",
+        )
+        for one, other in zip((*own.parts, own.total), (*beside.parts, beside.total), strict=True)
+    ]
+
+
+def _mm(value: float) -> str:
+    return f"{1e3 * value + 0.0:.2f}"
+
+
+def advice(found: Budgets, k: int) -> str:
+    """Return what would help most at point k, in a sentence."""
+    own = found.budgets[k]
+    total = 1e3 * float(np.linalg.norm(own.total.std_m))
+    best = sorted(own.halved_m.items(), key=lambda item: item[1])[:2]
+    parts = [f"half of {name!r} would give {1e3 * value:.2f} mm" for name, value in best]
+    return f"A point is off by {total:.2f} mm (1 std in space); {', '.join(parts)}."
+
+
+def as_plain(found: Budgets) -> dict[str, object]:
+    """Return everything as plain values for JSON [m]."""
+
+    def part(each: Part) -> dict[str, object]:
+        return {
+            "spread_m": each.spread_m.tolist(),
+            "shared_m": each.shared_m.tolist(),
+        }
+
+    def each_of(budgets: Sequence[Budget]) -> list[dict[str, object]]:
+        return [
+            {
+                "point_m": one.point_m.tolist(),
+                "samples": one.samples,
+                "sources": {p.name: part(p) for p in one.parts},
+                "total": part(one.total),
+                "std_m_if_halved": one.halved_m,
+            }
+            for one in budgets
+        ]
+
+    return {
+        "motion": found.motion,
+        "points": each_of(found.budgets),
+        "in_parallel_motion": each_of(found.parallel or found.budgets),
+    }

@@ -1,0 +1,197 @@
+"""The error budget: its parts against moved heads, what cancels, and the command."""
+
+import json
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from simulated_head import plain_head
+from test_location_accuracy import stated
+from vergence import cli
+from vergence.accuracy.budget import CALIBRATION, Source, budget, group_of
+from vergence.accuracy.motions import PERIOD_S, eye_angles
+from vergence.arrays import Array
+from vergence.commands.budget import advice, as_plain, motion_of, run, table
+from vergence.errors import VergenceError
+from vergence.geometry.head import HeadCalibration, save_head
+from vergence.geometry.parameters import boxplus, change_named, parameter_names
+from vergence.geometry.projection import project_point
+from vergence.stereo.triangulation import triangulate_at
+from vergence.twin.profile import ErrorProfile, Joints, load_profile
+
+HEAD = plain_head(0.092, 280.0, camera_m=((0.02, 0.001, 0.01), (0.02, -0.001, 0.01)))
+POINT = np.array([0.6, -0.03, 0.02])
+T = 100
+
+
+def motion(name: str) -> dict[str, Array]:
+    time_s = np.arange(T) * PERIOD_S[name] / T
+    joints = eye_angles("parallel" if name == "parallel" else "divergent", time_s)
+    return {"joints": joints, "rates": np.gradient(joints, time_s, axis=0)}
+
+
+def located(believed: HeadCalibration, joints: Array, readings: Array) -> Array:
+    """Return where a wrong head puts the point, and wrong readings."""
+    left, right = (project_point(HEAD, f"{eye}_wide", joints, POINT) for eye in ("left", "right"))
+    return triangulate_at(believed, left=left, right=right, joints=readings)[0]
+
+
+@pytest.mark.parametrize("name", ["right_wide.fx", "left_wide.T_eye_cam.rz", "left.pan_gain"])
+@pytest.mark.parametrize("kind", ["parallel", "divergent"])
+def test_a_known_error_spreads_and_shifts_points_as_a_wrong_head_does(name: str, kind: str):
+    size = 0.02 if name.endswith("fx") else 2e-5
+    moves = motion(kind)
+    wrong = change_named(HEAD, [name], np.array([size]))
+    points = located(wrong, moves["joints"], moves["joints"])
+    source = Source("wrong", errors={name: size})
+    (found,) = budget(HEAD, POINT[None], **moves, sources=[source])
+    np.testing.assert_allclose(found.total.spread_m, points.std(axis=0), rtol=2e-3, atol=1e-8)
+    shift = np.abs(points.mean(axis=0) - POINT)
+    np.testing.assert_allclose(found.total.shared_m, shift, rtol=2e-3, atol=1e-8)
+    assert found.samples == T
+
+
+def test_a_wrong_time_offset_counts_by_how_fast_the_eyes_turn():
+    moves, late = motion("divergent"), 1e-4
+    points = located(HEAD, moves["joints"], moves["joints"] + late * moves["rates"])
+    source = Source("offset", errors={"time_offset_s": late})
+    (found,) = budget(HEAD, POINT[None], **moves, sources=[source])
+    np.testing.assert_allclose(found.total.spread_m, points.std(axis=0), rtol=2e-3)
+
+
+def test_squares_of_the_parts_add_up_to_those_of_the_total():
+    errors = {"left.pan_gain": 0.01}, {"left_wide.fx": 2.0, "right_wide.fx": 2.0}
+    sources = [
+        Source("pixels", pixel_std_px=0.2),
+        Source("joints", joint_std_rad=np.array([1e-3, 1e-3, 2e-3, 1e-3])),
+        *(Source(str(k), errors=each) for k, each in enumerate(errors)),
+    ]
+    (found,) = budget(stated(HEAD), POINT[None], **motion("divergent"), sources=sources)
+    for name in ("spread_m", "shared_m"):
+        parts = np.array([getattr(part, name) for part in found.parts])
+        total = getattr(found.total, name)
+        np.testing.assert_allclose((np.sign(parts) * parts**2).sum(axis=0), total**2, rtol=1e-9)
+
+
+def test_halving_a_source_gives_what_the_budget_says():
+    def total(pixel: float, gain: float) -> float:
+        sources = [
+            Source("pixels", pixel_std_px=pixel),
+            Source("gain", errors={"left.pan_gain": gain}),
+            Source("lens", errors={"left_wide.fx": 2.0}),
+        ]
+        (found,) = budget(stated(HEAD), POINT[None], **motion("divergent"), sources=sources)
+        halved.update(found.halved_m)
+        return float(np.linalg.norm(found.total.std_m))
+
+    halved: dict[str, float] = {}
+    less_noise, less_gain = total(0.1, 0.01), total(0.2, 0.005)
+    whole = total(0.2, 0.01)
+    assert halved["pixels"] == pytest.approx(less_noise)
+    assert halved["gain"] == pytest.approx(less_gain)
+    assert halved[CALIBRATION] < whole
+
+
+def test_errors_that_both_eyes_share_cancel_in_parallel_motion():
+    """In depth; white noise is the same in both."""
+    both = {"left.pan_gain": 0.01, "right.pan_gain": 0.01}
+    sources = [Source("joints", joint_std_rad=1e-3), Source("gain", errors=both)]
+    found = {
+        kind: budget(HEAD, POINT[None], **motion(kind), sources=sources)[0].parts
+        for kind in ("parallel", "divergent")
+    }
+    noise, gain = (
+        [found[kind][k].spread_m[0] for kind in ("parallel", "divergent")] for k in (0, 1)
+    )
+    assert noise[0] == pytest.approx(noise[1], rel=0.05)
+    assert gain[0] < 0.06 * gain[1]
+
+
+def test_the_covariance_of_a_calibration_is_split_into_its_groups():
+    head = stated(HEAD)
+    accuracy = head.accuracy
+    assert accuracy is not None
+    moves = motion("divergent")
+    (found,) = budget(head, POINT[None], **moves, sources=[])
+    names = [part.name for part in found.parts]
+    groups = list(dict.fromkeys(map(group_of, accuracy.parameters)))
+    assert names == [*groups, "correlation of the calibration's errors"]
+    rng = np.random.default_rng(1)
+    drawn = rng.multivariate_normal(
+        np.zeros(len(accuracy.parameters)), 1e-4 * accuracy.covariance, 400
+    )
+    everything, spreads = parameter_names(head), []
+    rows = [everything.index(name) for name in accuracy.parameters]
+    for each in drawn:
+        change = np.zeros(len(everything))
+        change[rows] = each
+        points = located(boxplus(head, change), moves["joints"], moves["joints"])
+        spreads.append([points.var(axis=0), (points.mean(axis=0) - POINT) ** 2])
+    sampled = 100 * np.sqrt(np.mean(spreads, axis=0))
+    np.testing.assert_allclose(found.total.spread_m, sampled[0], rtol=0.12)
+    np.testing.assert_allclose(found.total.shared_m, sampled[1], rtol=0.12)
+
+
+def test_every_parameter_of_a_head_has_a_group():
+    groups = {name: group_of(name) for name in parameter_names(HEAD)}
+    assert groups["left_wide.fx"] == "focal lengths"
+    assert groups["left_wide.p2"] == "distortion"
+    assert groups["T_rbase_lbase.rz"] == "base"
+    axes = {name for name, group in groups.items() if group == "axes of the eyes"}
+    assert any(name.endswith("nonorthogonality_rad") for name in axes)
+    assert groups["left.pan_gain"] == "gains"
+    assert groups["time_offset_s"] == "time offset"
+
+
+def test_what_cannot_be_budgeted_is_refused():
+    nothing = {"motion": "parallel", "profile": None, "pixel_std_px": None}
+    with pytest.raises(VergenceError, match="needs sources of errors"):
+        run(HEAD, points=POINT[None], **nothing)
+    with pytest.raises(VergenceError, match="both cameras see"):
+        run(stated(HEAD), points=-POINT[None], **nothing)
+    with pytest.raises(VergenceError, match="There is no motion 'round'"):
+        motion_of("round")
+    source = Source("wrong", errors={"nose.fx": 1.0})
+    with pytest.raises(VergenceError, match=r"no parameter 'nose\.fx'"):
+        budget(HEAD, POINT[None], **motion("parallel"), sources=[source])
+
+
+def test_a_profile_gives_sources_that_the_papers_method_does_not_find():
+    found = run(
+        HEAD,
+        points=POINT[None],
+        motion="divergent",
+        profile=load_profile("paper"),
+        pixel_std_px=None,
+    )
+    names = [row[0] for row in table(found, 0)]
+    assert names[:3] == ["pixel noise", "joint noise", "gains of the joints"]
+    assert names[-1] == "total"
+    assert "half of" in advice(found, 0)
+    bundle = replace(HEAD, accuracy=replace(stated(HEAD).accuracy, method="bundle"))
+    sensors = ErrorProfile(joints=Joints(noise_deg=0.1, gain_percent=(1, 1, 1, 1), delay_ms=5))
+    common = {"points": POINT[None], "motion": "parallel", "pixel_std_px": None}
+    parts = [
+        [part.name for part in run(head, profile=sensors, **common).budgets[0].parts]
+        for head in (HEAD, bundle)
+    ]
+    assert "delay" in parts[0]
+    assert "delay" not in parts[1]
+
+
+def test_the_command_writes_a_table_json_and_a_figure(tmp_path, monkeypatch, capsys):
+    save_head(stated(HEAD), tmp_path / "head.json")
+    monkeypatch.chdir(tmp_path)
+    typed = "budget --calibration head.json --at 0.6 -0.03 0.02 --json budget.json --figure b.png"
+    monkeypatch.setattr(sys, "argv", ["vergence", *typed.split()])
+    cli.main()
+    printed = capsys.readouterr().out
+    assert "mountings" in printed
+    written = json.loads((tmp_path / "budget.json").read_text())
+    found = run(
+        stated(HEAD), points=POINT[None], motion="divergent", profile=None, pixel_std_px=None
+    )
+    assert written == json.loads(json.dumps(as_plain(found)))
+    assert (tmp_path / "b.png").stat().st_size > 1000
