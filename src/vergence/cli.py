@@ -167,6 +167,54 @@ def calibrate(
         print(f"To view the images: {invocation('rerun', report / 'dataset.rrd')}")
 
 
+def plan(
+    source: Annotated[Path, tyro.conf.Positional],
+    /,
+    *,
+    views: int = 10,
+    board: tuple[int, int, float] | None = None,
+    limits_deg: tuple[float, ...] = (25.0, 20.0, 25.0, 20.0),
+    distances: tuple[float, ...] = (0.3, 0.6, 1.0),
+    seed: int = 0,
+    figure: Path | None = None,
+    json: Path | None = None,
+) -> None:
+    """Say which views of the board to record next, and what accuracy they will bring.
+
+    Args:
+        source: JSON file of a calibration, or folder of a dataset, which is calibrated first.
+        views: Number of views to plan.
+        board: Inner corners in a row and in a column, and side of a square [m]; default: the
+            dataset's.
+        limits_deg: Largest reading of each joint, to either side: left pan, left tilt, right pan,
+            right tilt.
+        distances: Distances of the points that are to be accurate, from the middle of the head [m].
+        seed: Seed of the candidates, which are random.
+        figure: PNG file of the board's places and of the accuracy after each view.
+        json: JSON file of the plan.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices, as in calibrate
+    from vergence.commands.plan import as_text, figures, run
+    from vergence.viewer.plots_plan import draw_plan
+
+    check_outputs(figure, json, inputs=[source])
+    with _progress() as progress:
+        found = run(
+            source,
+            board=board,
+            views=views,
+            limits_deg=limits_deg,
+            distances_m=distances,
+            seed=seed,
+            progress=progress,
+        )
+    print(as_text(found))
+    if json is not None:
+        write_json(figures(found), json)
+    if figure is not None:
+        draw_plan(figure, found)
+
+
 def evaluate(
     calibration: Annotated[Path, tyro.conf.Positional], /, *, truth: Path, json: Path | None = None
 ) -> None:
@@ -339,6 +387,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "reproduce": reproduce,
     "record": record,
     "calibrate": calibrate,
+    "plan": plan,
     "evaluate": evaluate,
     "export": export,
     "import": import_,
@@ -374,7 +423,7 @@ def _options(command: Callable[..., None]) -> list[str]:
     names = [each.name for each in parameters if each.kind is Parameter.KEYWORD_ONLY]
     if names[-1] == "options":
         names[-1:] = [field.name for field in fields(Experiment)]
-    return [f"--{name}" for name in names]
+    return [f"--{name.replace('_', '-')}" for name in names]
 
 
 def main() -> None:

@@ -16,8 +16,10 @@ from vergence.accuracy.plan_information import stated, view_information, without
 from vergence.accuracy.plan_views import Views, admissible_views, checked_pair
 from vergence.accuracy.plan_workspace import DISTANCES_M, Workspace, largest_std, workspace
 from vergence.arrays import Array
+from vergence.errors import VergenceError
 from vergence.geometry.board import Board
 from vergence.geometry.head import HeadCalibration
+from vergence.geometry.projection import eye_poses_with_jacobians
 from vergence.progress import Progress, silent
 
 LIMITS_RAD = (0.44, 0.35, 0.44, 0.35)
@@ -35,6 +37,9 @@ EXCHANGES = 2
 class Plan:
     """Views to record next, and what they bring."""
 
+    head: HeadCalibration
+    """The calibration that they are to improve."""
+    board: Board
     views: Views
     """N of them, ordered by their place."""
     before_m: Array
@@ -73,9 +78,9 @@ def plan(
         VergenceError: no covariance is stated, the head has one eye, no board can be seen, or the
             workspace is out of the eyes' reach.
     """
-    limits = np.asarray(limits_rad, dtype=float)
     accuracy, known = stated(head)
     pair = checked_pair(head)
+    limits = _checked(head, limits_rad)
     points = workspace(head, pair, limits, names=known.names, distances_m=distances_m)
     candidates = admissible_views(
         head, board, limits, np.random.default_rng(seed), places=PLACES, gazes=GAZES
@@ -99,7 +104,19 @@ def plan(
     covariances = np.linalg.inv(np.array([known.information, *steps]))
     std = largest_std(by_scaled, covariances)
     unit = np.outer(known.scale, known.scale)
-    return Plan(taken, std[0], std[-1], std[1:].max(axis=1), points, covariances[-1] * unit)
+    return Plan(head, board, taken, std[0], std[-1], std[1:].max(axis=1), points, covariances[-1] * unit)
+
+
+def _checked(head: HeadCalibration, limits_rad: Array | tuple[float, ...]) -> Array:
+    """Return limits as an array; VergenceError if they are not one for each reading of the head."""
+    limits = np.asarray(limits_rad, dtype=float)
+    try:
+        eye_poses_with_jacobians(head, limits, 1)
+    except ValueError:
+        raise VergenceError(
+            f"Limits are one for each joint reading of the head; found {len(limits)}."
+        ) from None
+    return limits
 
 
 def gained(information: Array, place: np.ndarray) -> Array:

@@ -1,6 +1,7 @@
 """The points for which a recording is planned, and how an error of the head moves them.
 
-Points stand before the head, near to far, ahead and to the sides; both eyes fixate each.
+Points stand before the head, near to far, ahead and to the sides; both eyes fixate each, as nearly
+as the limits of their joints allow.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ DISTANCES_M = (0.3, 0.6, 1.0)
 ASIDE_RAD, ABOVE_RAD = 0.25, 0.2
 """To the side and upwards, from the middle of the head."""
 ROUNDS = 30
-"""Newton steps in which eyes fixate a point; five suffice but at their limits."""
+"""Gauss-Newton steps in which eyes fixate a point; five suffice but at their limits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +50,7 @@ def workspace(
 ) -> Workspace:
     """Return points before the head, with their derivatives by named parameters.
 
-    VergenceError if the eyes cannot fixate one of them.
+    VergenceError if the eyes cannot both see one of them.
     """
     a, b = np.meshgrid(ASIDE_RAD * np.arange(-1, 2), ABOVE_RAD * np.arange(-1, 2))
     ray = np.stack([np.cos(a) * np.cos(b), np.sin(a) * np.cos(b), np.sin(b)], axis=-1)
@@ -65,23 +66,23 @@ def fixating(
 ) -> Array:
     """Return readings (N, r) [rad] at which both cameras have points (N, 3) at their centres.
 
-    Gauss-Newton from readings of zero. Limits (r,) are the largest reading of each joint.
-    VergenceError if eyes within them leave a point more than a pixel from a centre.
+    Or as near as limits (r,), the largest readings of the joints, allow. VergenceError if a point
+    is not in both images then.
     """
     joints = np.zeros((len(points), len(limits_rad)))
-    error = np.zeros(0)
     for _ in range(ROUNDS):
         J, error = _eyes_on(head, pair, points, joints)
-        if not np.isfinite(error).all():
-            break
-        move = np.linalg.pinv(J) @ error[..., None]
+        move = np.linalg.pinv(np.nan_to_num(J)) @ np.nan_to_num(error)[..., None]
         joints = np.clip(joints - move[..., 0], -limits_rad, limits_rad)
-    off = np.nan_to_num(np.abs(error).max(axis=1), nan=np.inf)
-    if off.max() > 1.0:
-        x, y, z = points[off.argmax()]
+    _, error = _eyes_on(head, pair, points, joints)
+    lens = [head.cameras[name].intrinsics for name in pair]
+    size = np.array([extent for each in lens for extent in (each.width, each.height)])
+    seen = (np.abs(error) < size / 2).all(axis=1)
+    if not seen.all():
+        x, y, z = points[seen.argmin()]
         raise VergenceError(
-            f"The eyes cannot both fixate the point ({x:.2f}, {y:.2f}, {z:.2f}) m from the left "
-            "eye within the limits of their joints; allow them more."
+            f"The eyes cannot both see the point ({x:.2f}, {y:.2f}, {z:.2f}) m from the left eye "
+            "within the limits of their joints; allow them more, or name larger distances."
         )
     return joints
 

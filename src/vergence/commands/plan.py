@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from vergence.accuracy.plan import Plan, plan
+from vergence.arrays import Array
 from vergence.calibration.calibrate import calibrate
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
@@ -21,48 +21,40 @@ from vergence.viewer.opening import markdown_table
 MOST_VIEWS = 100
 
 
-@dataclass(frozen=True)
-class PlanSettings:
-    """Options of `vergence plan`."""
-
-    views: int = 10
-    """How many views to plan."""
-    board: tuple[int, int, float] | None = None
-    """Inner corners in a row and in a column, and the side of a square [m]; a dataset states it."""
-    limits_deg: tuple[float, ...] = (25.0, 20.0, 25.0, 20.0)
-    """The largest reading of each joint of the eyes, to either side: left pan, left tilt, right
-    pan, right tilt."""
-    distances: tuple[float, ...] = (0.3, 0.6, 1.0)
-    """Of the points that are to be accurate, from the middle of the head [m]."""
-    seed: int = 0
-    """Seed of the candidates, which are random."""
-
-
-def run(source: Path, settings: PlanSettings, *, progress: Progress = silent) -> tuple[Plan, Board]:
+def run(
+    source: Path,
+    *,
+    board: tuple[int, int, float] | None,
+    views: int,
+    limits_deg: tuple[float, ...],
+    distances_m: tuple[float, ...],
+    seed: int,
+    progress: Progress = silent,
+) -> Plan:
     """Return the plan for a calibration file, or for a dataset, which is calibrated first.
 
-    VergenceError if the source is neither, or an option is not possible.
+    Arguments are those of the command. VergenceError if the source is neither file nor folder of
+    that kind, or an option is not possible.
     """
-    _check(settings)
-    head, board = _head_and_board(source, settings.board, progress)
-    found = plan(
+    _check(views, limits_deg, distances_m)
+    head, shown = _head_and_board(source, board, progress)
+    return plan(
         head,
-        board,
-        views=settings.views,
-        limits_rad=tuple(np.radians(settings.limits_deg).tolist()),
-        distances_m=settings.distances,
-        seed=settings.seed,
+        shown,
+        views=views,
+        limits_rad=np.radians(limits_deg),
+        distances_m=distances_m,
+        seed=seed,
         progress=progress,
     )
-    return found, board
 
 
-def _check(settings: PlanSettings) -> None:
-    if not 1 <= settings.views <= MOST_VIEWS:
-        raise VergenceError(f"A plan has 1 to {MOST_VIEWS} views, found --views {settings.views}.")
+def _check(views: int, limits_deg: tuple[float, ...], distances_m: tuple[float, ...]) -> None:
+    if not 1 <= views <= MOST_VIEWS:
+        raise VergenceError(f"A plan has 1 to {MOST_VIEWS} views, found --views {views}.")
     for name, values, most, unit in (
-        ("--limits-deg", settings.limits_deg, 90, "degrees"),
-        ("--distances", settings.distances, 100, "m"),
+        ("--limits-deg", limits_deg, 90, "degrees"),
+        ("--distances", distances_m, 100, "m"),
     ):
         if not values or not all(0 < value <= most for value in values):
             found = " ".join(f"{value:g}" for value in values) or "none"
@@ -95,9 +87,9 @@ def _chessboard(stated: tuple[int, int, float]) -> Chessboard:
     return Chessboard(columns, rows, square_m)
 
 
-def as_text(found: Plan, head: HeadCalibration, board: Board) -> str:
+def as_text(found: Plan) -> str:
     """Return a plan as tables: the views, and what they bring."""
-    centres, normals = board_places(found, head, board)
+    centres, normals = board_places(found)
     rows = []
     for k, joints in enumerate(found.views.joints):
         same = k > 0 and found.views.place[k] == found.views.place[k - 1]
@@ -126,15 +118,15 @@ def as_text(found: Plan, head: HeadCalibration, board: Board) -> str:
     )
 
 
-def board_places(found: Plan, head: HeadCalibration, board: Board) -> tuple[Any, Any]:
+def board_places(found: Plan) -> tuple[Array, Array]:
     """Return the board's centre (N, 3) [m] and its normal (N, 3), towards the head, in the head."""
-    T = T_head_base(head, "left") @ found.views.T_lbase_target
-    return transform(T, corner_points(board).mean(axis=0)), -T[:, :3, 2]
+    T = T_head_base(found.head, "left") @ found.views.T_lbase_target
+    return transform(T, corner_points(found.board).mean(axis=0)), -T[:, :3, 2]
 
 
-def figures(found: Plan, head: HeadCalibration, board: Board) -> dict[str, Any]:
+def figures(found: Plan) -> dict[str, Any]:
     """Return a plan for programs."""
-    centres, normals = board_places(found, head, board)
+    centres, normals = board_places(found)
     return {
         "views": [
             {
