@@ -28,7 +28,6 @@ from simulated_recording import BOARD, Noise, Recording, joined, observe, record
 from vergence.accuracy.plan import LIMITS_RAD, Plan, plan
 from vergence.accuracy.plan_views import Views, admissible_views, checked_pair
 from vergence.accuracy.plan_workspace import largest_std, point_by_parameters
-from vergence.arrays import Array
 from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
 from vergence.calibration.observations import Observations
 from vergence.calibration.sequential.sequential import calibrate_sequentially

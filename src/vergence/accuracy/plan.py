@@ -12,7 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vergence.accuracy.plan_information import stated, view_information, without_place
+from vergence.accuracy.plan_information import (
+    information,
+    linearised_views,
+    stated,
+    without_place,
+)
 from vergence.accuracy.plan_views import Views, admissible_views, checked_pair
 from vergence.accuracy.plan_workspace import DISTANCES_M, Workspace, largest_std, workspace
 from vergence.arrays import Array
@@ -26,6 +31,8 @@ LIMITS_RAD = (0.44, 0.35, 0.44, 0.35)
 """Of pan and tilt: 25 and 20 degrees. Many heads can do more; boards are then hard to hold."""
 PLACES, GAZES = 40, 12
 """Candidates: places of the board, and directions of gaze at each."""
+LEAST_PX = 1e-3
+"""Noise of corners [px] where a calibration states none."""
 POWER = 8
 """Views are chosen by a mean of this power over the points' standard deviations, which their
 largest dominates; of the largest alone most views would seem to be of no use."""
@@ -85,15 +92,8 @@ def plan(
     candidates = admissible_views(
         head, board, limits, np.random.default_rng(seed), places=PLACES, gazes=GAZES
     )
-    N = view_information(
-        head,
-        board,
-        candidates,
-        names=known.names,
-        scale=known.scale,
-        pixel_std_px=accuracy.pixel_std_px or 0.0,
-        joint_std_rad=np.array(accuracy.joint_std),
-    )
+    linear = linearised_views(head, board, candidates, known.names, known.scale)
+    N = information(linear, accuracy.pixel_std_px or LEAST_PX, np.array(accuracy.joint_std))
     by_scaled = points.by_parameters * known.scale
     chosen = choose(known.information, N, candidates.place, by_scaled, views, progress)
     chosen = chosen[np.argsort(candidates.place[chosen], kind="stable")]
@@ -104,7 +104,9 @@ def plan(
     covariances = np.linalg.inv(np.array([known.information, *steps]))
     std = largest_std(by_scaled, covariances)
     unit = np.outer(known.scale, known.scale)
-    return Plan(head, board, taken, std[0], std[-1], std[1:].max(axis=1), points, covariances[-1] * unit)
+    return Plan(
+        head, board, taken, std[0], std[-1], std[1:].max(axis=1), points, covariances[-1] * unit
+    )
 
 
 def _checked(head: HeadCalibration, limits_rad: Array | tuple[float, ...]) -> Array:
@@ -119,15 +121,15 @@ def _checked(head: HeadCalibration, limits_rad: Array | tuple[float, ...]) -> Ar
     return limits
 
 
-def gained(information: Array, place: np.ndarray) -> Array:
+def gained(of_views: Array, place: np.ndarray) -> Array:
     """Return (p, p) what views (V, p + 6, p + 6) at places (V,) together tell of the head."""
-    of_places = [information[place == each].sum(axis=0) for each in np.unique(place)]
+    of_places = [of_views[place == each].sum(axis=0) for each in np.unique(place)]
     return without_place(np.array(of_places)).sum(axis=0)
 
 
 def choose(
     before: Array,
-    information: Array,
+    of_views: Array,
     place: np.ndarray,
     by_parameters: Array,
     count: int,
@@ -137,7 +139,7 @@ def choose(
 
     Args:
         before: (p, p) information on the head that there is.
-        information: (V, p + 6, p + 6) of the candidates.
+        of_views: (V, p + 6, p + 6) information of the candidates.
         place: (V,) of the board.
         by_parameters: (W, 3, p) of the points, in the same units.
         count: how many views to take, each once.
@@ -148,7 +150,7 @@ def choose(
     progress(task, 0, total)
     for done in range(total):
         leaves = chosen.pop(0) if done >= count else -1  # the oldest is exchanged next
-        costs = _costs(before, information, place, by_parameters, chosen)
+        costs = _costs(before, of_views, place, by_parameters, chosen)
         costs[chosen] = np.inf
         best = int(costs.argmin())
         stays = leaves >= 0 and costs[leaves] <= costs[best] * (1 + 1e-9)
@@ -158,15 +160,15 @@ def choose(
 
 
 def _costs(
-    before: Array, information: Array, place: np.ndarray, by_parameters: Array, chosen: list[int]
+    before: Array, of_views: Array, place: np.ndarray, by_parameters: Array, chosen: list[int]
 ) -> Array:
     """Return (V,) how inaccurate points are once each candidate is added to the chosen views."""
-    at_place = np.zeros((place.max() + 1, *information.shape[1:]))
-    np.add.at(at_place, place[chosen], information[chosen])
+    at_place = np.zeros((place.max() + 1, *of_views.shape[1:]))
+    np.add.at(at_place, place[chosen], of_views[chosen])
     used = np.unique(place[chosen])
     of_places = np.zeros((len(at_place), *before.shape))
     of_places[used] = without_place(at_place[used]) if len(used) else 0.0
     rest = before + of_places.sum(axis=0) - of_places
-    together = rest[place] + without_place(at_place[place] + information)
+    together = rest[place] + without_place(at_place[place] + of_views)
     std = largest_std(by_parameters, np.linalg.inv(together))
     return (std**POWER).mean(axis=-1)

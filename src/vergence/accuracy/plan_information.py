@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vergence.accuracy.plan_views import Views, T_cam_target, as_seen
+from vergence.accuracy.plan_views import T_cam_target, Views, as_seen
 from vergence.arrays import Array
 from vergence.calibration.bundle.initial_state import initial_state
 from vergence.calibration.bundle.problem import head_size, jacobians
@@ -61,54 +61,71 @@ def stated(head: HeadCalibration) -> tuple[Accuracy, Knowledge]:
     return accuracy, Knowledge(accuracy.parameters, scale, np.linalg.inv(correlation))
 
 
-def view_information(
-    head: HeadCalibration,
-    board: Board,
-    views: Views,
-    *,
-    names: tuple[str, ...],
-    scale: Array,
-    pixel_std_px: float,
-    joint_std_rad: Array,
-) -> Array:
-    """Return (V, p + 6, p + 6) the information of each view on the head and the board's place.
+@dataclass(frozen=True, eq=False)
+class LinearViews:
+    """V views linearised: J^T J of their corners in pixels, with B eyes in views.
 
-    Args:
-        head: the calibrated head, at which all is linearised.
-        board: that is shown.
-        views: V of them.
-        names: the p parameters of the head that are estimated.
-        scale: (p,) units of their information; the place has rad and m.
-        pixel_std_px: noise of one coordinate of a corner.
-        joint_std_rad: noise of the readings of one eye: (n,), or one for all.
+    The unknowns of a view are p parameters of the head, in given units, and the 6 of the board's
+    place [rad, m]; and n latent readings of each eye.
+    """
+
+    whole: Array
+    """(V, p + 6, p + 6)."""
+    across: Array
+    """(B, p + 6, n)."""
+    latent: Array
+    """(B, n, n)."""
+    view: np.ndarray
+    """(B,) to which view an eye belongs."""
+
+
+def linearised_views(
+    head: HeadCalibration, board: Board, views: Views, names: tuple[str, ...], scale: Array
+) -> LinearViews:
+    """Return views of a board, linearised at the head and at corners without noise.
+
+    The p parameters that are estimated have names, and units `scale` (p,).
     """
     apart = Views(views.T_lbase_target, views.joints, np.arange(len(views.place)))
     fixed = set(parameter_names(head)) - set(names)
     problem, state, _ = initial_state(
         head, as_seen(head, board, apart), fixed=fixed, T_cam_target=T_cam_target(head, apart)
     )
-    shared, index, latent = jacobians(problem, state)
+    shared, index, by_latent = jacobians(problem, state)
     c, (B, n), V = head_size(problem), problem.reading.shape, len(views.place)
     # Each view's place has the same six columns after those of the head; the board's size is known.
     size = index == len(problem.free) - 1
     index = np.where(size, 0, np.where(index < c, index, c + (index - c) % len(POSE)))
-    J = np.where(size[:, None, None], 0.0, shared / pixel_std_px)
-    J = J.reshape(len(J), -1, J.shape[-1])
-    L = (latent / pixel_std_px).reshape(len(J), -1, n)
-    whole = np.zeros((V, c + len(POSE), c + len(POSE)))
-    across, own = np.zeros((B, c + len(POSE), n)), np.zeros((B, n, n))
-    view = problem.block_view[problem.block]
+    shared = np.where(size[:, None, None], 0.0, shared)
+    J = shared.reshape(len(index), -1, index.shape[1])
+    L = by_latent.reshape(len(index), -1, n)
     J_T = np.swapaxes(J, 1, 2)
+    whole = np.zeros((V, c + len(POSE), c + len(POSE)))
+    across, latent = np.zeros((B, c + len(POSE), n)), np.zeros((B, n, n))
+    view = problem.block_view[problem.block]
     np.add.at(whole, (view[:, None, None], index[:, :, None], index[:, None, :]), J_T @ J)
     np.add.at(across, (problem.block[:, None], index), J_T @ L)
-    np.add.at(own, problem.block, np.swapaxes(L, 1, 2) @ L)
-    precision = np.maximum(np.broadcast_to(joint_std_rad, n), LEAST_JOINT_STD) ** -2.0
-    taken = across @ np.linalg.solve(own + np.diag(precision), np.swapaxes(across, 1, 2))
-    np.subtract.at(whole, problem.block_view, taken)
+    np.add.at(latent, problem.block, np.swapaxes(L, 1, 2) @ L)
     known = {name: k for k, name in enumerate(problem.parameters)}
     kept = np.array([known[name] for name in names] + [*range(c, c + len(POSE))])
     unit = np.append(scale, np.ones(len(POSE)))
-    return whole[:, kept[:, None], kept] * np.outer(unit, unit)
+    whole = whole[:, kept[:, None], kept] * np.outer(unit, unit)
+    return LinearViews(whole, across[:, kept] * unit[:, None], latent, problem.block_view)
+
+
+def information(linear: LinearViews, pixel_std_px: float, joint_std_rad: Array) -> Array:
+    """Return (V, p + 6, p + 6) what each view tells of the head and of the board's place.
+
+    By the noise of one coordinate of a corner, and of the readings of an eye: (n,), or one for all.
+    """
+    n = linear.latent.shape[-1]
+    joint = np.maximum(np.broadcast_to(joint_std_rad, n), LEAST_JOINT_STD)
+    # In pixels: (J^T J - J^T L (L^T L + s^2 / j^2)^-1 L^T J) / s^2.
+    tied = linear.latent + np.diag((pixel_std_px / joint) ** 2)
+    taken = linear.across @ np.linalg.solve(tied, np.swapaxes(linear.across, 1, 2))
+    left = linear.whole.copy()
+    np.subtract.at(left, linear.view, taken)
+    return left / pixel_std_px**2
 
 
 def without_place(information: Array) -> Array:

@@ -111,9 +111,7 @@ def point_by_parameters(
     T, by_axes, _ = eye_poses_with_jacobians(head, joints, len(points))
     by_point, by_head = [], []
     for k, name in enumerate(pair):
-        J = project_with_jacobians(
-            head.cameras[name], head.T_rbase_lbase, T[:, k], points[:, None]
-        )
+        J = project_with_jacobians(head.cameras[name], head.T_rbase_lbase, T[:, k], points[:, None])
         rows = np.zeros((len(points), 2, len(parameter_names(head))))
         rows[:, :, camera_columns(head, name)] = by_parameters(J, by_axes[:, k])[:, 0]
         by_head.append(rows)
