@@ -27,6 +27,10 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 
+FILES_NAMED = 10
+"""Of those that a stopped command has finished."""
+
+
 def reproduce(
     *,
     out: Path = Path("runs/paper"),
@@ -215,6 +219,72 @@ def plan(
         draw_plan(figure, found)
 
 
+def design(
+    settings: Annotated[Path | None, tyro.conf.Positional] = None,
+    /,
+    *,
+    out: Path = Path("runs/design"),
+    accuracy_mm: float = 5.0,
+    at_m: float = 0.5,
+    baseline_mm: tuple[float, ...] | None = None,
+    focal_px: tuple[float, ...] | None = None,
+    square_mm: tuple[float, ...] | None = None,
+    views: tuple[float, ...] | None = None,
+    counts_per_turn: tuple[float, ...] | None = None,
+    joint_noise_deg: tuple[float, ...] | None = None,
+    pixel_noise_px: tuple[float, ...] | None = None,
+    delay_ms: tuple[float, ...] | None = None,
+    jobs: int = -1,
+    cluster: str | None = None,
+) -> None:
+    """Compare designs of a head, and find the cheapest that is as accurate as wanted.
+
+    Args:
+        settings: TOML or JSON file of what is swept, of the workspace and of prices; default:
+            those of docs/design.md. The options below take the place of its values.
+        out: Folder of the results; a run that was stopped goes on from what is there.
+        accuracy_mm: Accuracy that is wanted: rms error, in the worst direction and posture.
+        at_m: Distance of the points for which it is wanted.
+        baseline_mm: Distances of the eyes to try.
+        focal_px: Focal lengths to try.
+        square_mm: Sides of a square of the calibration board to try.
+        views: Numbers of calibration views to try.
+        counts_per_turn: Resolutions of the encoders to try; 0: no steps.
+        joint_noise_deg: Levels of noise of the joint readings to try.
+        pixel_noise_px: Levels of noise of a point in an image to try.
+        delay_ms: Unknown delays of joint readings to try.
+        jobs: Processes on this machine; -1: one for each core.
+        cluster: Address of a Dask scheduler, which then does the work: tcp://HOST:PORT.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # one process a core
+    from vergence.commands.design import chosen_settings, run, said
+
+    given = {
+        "baseline_mm": baseline_mm,
+        "focal_px": focal_px,
+        "square_mm": square_mm,
+        "views": views,
+        "counts_per_turn": counts_per_turn,
+        "joint_noise_deg": joint_noise_deg,
+        "pixel_noise_px": pixel_noise_px,
+        "delay_ms": delay_ms,
+    }
+    check_outputs(folder=out, inputs=[settings] if settings else [])
+    swept = chosen_settings(settings, given, accuracy_mm=accuracy_mm, at_m=at_m, jobs=jobs)
+    with _progress() as progress:
+        found = run(
+            swept,
+            out,
+            accuracy_m=1e-3 * accuracy_mm,
+            distance_m=at_m,
+            jobs=jobs,
+            cluster=cluster,
+            progress=progress,
+        )
+    print("\n".join(said(found)))
+    print(f"Wrote report.md, design.json, sweep.npz and two pictures to {out}.")
+
+
 def evaluate(
     calibration: Annotated[Path, tyro.conf.Positional], /, *, truth: Path, json: Path | None = None
 ) -> None:
@@ -388,6 +458,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "record": record,
     "calibrate": calibrate,
     "plan": plan,
+    "design": design,
     "evaluate": evaluate,
     "export": export,
     "import": import_,
@@ -444,7 +515,9 @@ def main() -> None:
         print(f"vergence: {error}", file=sys.stderr)
         raise SystemExit(2) from None
     except KeyboardInterrupt as stop:
-        files = " ".join(map(str, finished_files()))
+        done = finished_files()
+        files = " ".join(map(str, done[-FILES_NAMED:]))
+        files += f" and {len(done) - FILES_NAMED} more" if len(done) > FILES_NAMED else ""
         kept = f"finished before: {files}" if files else "nothing was written"
         print(f"vergence: stopped; {kept}.", file=sys.stderr)
         raise SystemExit(128 + (stop.args[0] if stop.args else signal.SIGINT)) from None

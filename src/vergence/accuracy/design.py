@@ -43,8 +43,11 @@ class Sensitivity:
     """(...) [m^2 / rad^2] by independent errors in all four readings."""
     between: Array
     """(...) [m^2 / rad^2] twice the covariance by errors of the same joint in both eyes."""
-    in_image: Array
-    """(...) the largest coordinate of the point in both images, in focal lengths."""
+    image_x: Array
+    """(...) distance of the point from the middle of an image, the larger of both, sideways, in
+    focal lengths."""
+    image_y: Array
+    """(...) the same upwards or downwards."""
 
 
 def joint_std_rad(counts_per_turn: ArrayLike, noise_deg: ArrayLike) -> Array:
@@ -81,7 +84,7 @@ def sensitivity(
     P = point[..., 0], point[..., 1], point[..., 2]
     rows: list[Vec] = []
     errors = []  # by row: depth, and depth times the change by pan and by tilt
-    in_image = np.zeros(())
+    image = [np.zeros(()), np.zeros(())]
     for side, pan, tilt in ((0.5, left_pan, left_tilt), (-0.5, right_pan, right_tilt)):
         pan, tilt = pan + pan_off, tilt + tilt_off
         cp, sp, ct, st = np.cos(pan), np.sin(pan), np.cos(tilt), np.sin(tilt)
@@ -89,7 +92,7 @@ def sensitivity(
         q = P[0], P[1] - side * baseline, P[2]
         r = q[0] - camera_ahead_m * F[0], q[1] - camera_ahead_m * F[1], q[2] - camera_ahead_m * F[2]
         depth = _dot(F, r)
-        for axis in (L, U):
+        for k, axis in enumerate((L, U)):
             at = -_dot(axis, r) / depth
             row = axis[0] + at * F[0], axis[1] + at * F[1], axis[2] + at * F[2]
             # A turn of the eye moves the point, as the eye sees it, by -axis x q.
@@ -97,19 +100,19 @@ def sensitivity(
             by_tilt = _dot(row, (L[1] * q[2], -L[0] * q[2], L[0] * q[1] - L[1] * q[0]))
             rows.append(row)
             errors.append((depth, by_pan, by_tilt))
-            in_image = np.maximum(in_image, np.abs(at))
+            image[k] = np.maximum(image[k], np.abs(at))
     inverse = _inverse_of_squares(rows)
     columns = [_times(inverse, row) for row in rows]
     pixel = sum(_dot(c, c) * e[0] ** 2 for c, e in zip(columns, errors, strict=True))
     joint, between = np.zeros(()), np.zeros(())
     for k in (1, 2):
-        own = [
-            tuple(columns[i][m] * errors[i][k] + columns[i + 1][m] * errors[i + 1][k] for m in range(3))
+        left, right = (
+            _add(_scaled(columns[i], errors[i][k]), _scaled(columns[i + 1], errors[i + 1][k]))
             for i in (0, 2)
-        ]
-        joint = joint + _dot(own[0], own[0]) + _dot(own[1], own[1])
-        between = between + 2 * _dot(own[0], own[1])
-    return Sensitivity(np.asarray(pixel), joint, between, in_image)
+        )
+        joint = joint + _dot(left, left) + _dot(right, right)
+        between = between + 2 * _dot(left, right)
+    return Sensitivity(np.asarray(pixel), joint, between, *image)
 
 
 def mean_square(
@@ -133,6 +136,14 @@ def mean_square(
 
 def _dot(a: Vec, b: Vec) -> Array:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _add(a: Vec, b: Vec) -> Vec:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+def _scaled(a: Vec, by: Array) -> Vec:
+    return a[0] * by, a[1] * by, a[2] * by
 
 
 def _inverse_of_squares(rows: list[Vec]) -> tuple[Array, ...]:
