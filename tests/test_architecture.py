@@ -18,8 +18,8 @@ SRC = Path(__file__).parents[1] / "src"
 
 ROOMS = (
     "errors", "arrays", "reading", "writing", "progress", "geometry", "data", "vision", "stereo",
-    "calibration", "accuracy", "gaze", "reach", "interchange", "vergence", "twin", "viewer", "commands",
-    "paper", "demos", "cli", "__main__",
+    "calibration", "accuracy", "gaze", "reach", "interchange", "vergence", "twin", "viewer",
+    "commands", "paper", "demos", "cli", "__main__",
 )  # fmt: skip
 """Folders and single modules, from the ground up: each may import itself and those before it.
 
@@ -37,6 +37,8 @@ OUTER_LIBRARIES = {
     "mujoco": ("twin",),
     "rerun": ("viewer", "paper.recording", "demos.recording"),
     "matplotlib": ("viewer", "paper.plots", "demos.plots"),
+    "joblib": ("commands.design",),
+    "distributed": ("commands.design",),
     "tyro": ("cli",),
     "rich": ("cli",),
 }

@@ -130,7 +130,7 @@ def mean_square(
     """
     late = np.asarray(late_rad, float) ** 2
     joint = np.asarray(joint_std_rad, float) ** 2 + late
-    by_pixels = (np.asarray(pixel_std_px, float) / focal_px) ** 2 * seen.pixel
+    by_pixels = (np.asarray(pixel_std_px, float) / np.asarray(focal_px, float)) ** 2 * seen.pixel
     return by_pixels + joint * seen.joint + correlation * late * seen.between
 
 
@@ -149,7 +149,7 @@ def _scaled(a: Vec, by: Array) -> Vec:
 def _inverse_of_squares(rows: list[Vec]) -> tuple[Array, ...]:
     """Return xx, xy, xz, yy, yz, zz of the inverse of the sum of row row^T."""
     xx, xy, xz, yy, yz, zz = (
-        sum(row[a] * row[b] for row in rows)
+        np.sum([row[a] * row[b] for row in rows], axis=0)
         for a, b in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
     )
     first = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy

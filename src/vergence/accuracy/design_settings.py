@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from vergence.arrays import Array
 from vergence.reading import parse_json, read_parsed
@@ -43,30 +43,49 @@ def _values(value: Any) -> Any:
     return value
 
 
-def _axis(least: float, most: float) -> Any:
-    each = Annotated[float, Field(ge=least, le=most)]
-    kind = tuple[each, ...]
-    return Annotated[kind, BeforeValidator(_values), Field(min_length=1, max_length=1000)]
+def _within(least: float, most: float) -> AfterValidator:
+    """Return a check of values; ValueError if one of them is not between two bounds."""
+
+    def check(values: tuple[float, ...]) -> tuple[float, ...]:
+        for value in values:
+            if not least <= value <= most:
+                raise ValueError(f"values are from {least:g} to {most:g}, found {value:g}")
+        return values
+
+    return AfterValidator(check)
+
+
+Values = Annotated[
+    tuple[float, ...], BeforeValidator(_values), Field(min_length=1, max_length=1000)
+]
 
 
 class Designs(_Section):
     """The values of each property of a head that are tried, in all combinations."""
 
-    baseline_mm: _axis(10, 1000) = (60.0, 70.0, 80.0, 90.0, 100.0, 110.0, 120.0)
+    baseline_mm: Annotated[Values, _within(10, 1000)] = (
+        60.0,
+        70.0,
+        80.0,
+        90.0,
+        100.0,
+        110.0,
+        120.0,
+    )
     """Distance of the eyes."""
-    focal_px: _axis(50, 10_000) = (250.0, 350.0, 450.0, 550.0, 650.0)
+    focal_px: Annotated[Values, _within(50, 10_000)] = (250.0, 350.0, 450.0, 550.0, 650.0)
     """Focal length of the cameras that locate points."""
-    square_mm: _axis(1, 500) = (20.0, 30.0)
+    square_mm: Annotated[Values, _within(1, 500)] = (20.0, 30.0)
     """Side of a square of the calibration board."""
-    views: _axis(5, 10_000) = (20.0, 40.0, 80.0)
+    views: Annotated[Values, _within(5, 10_000)] = (20.0, 40.0, 80.0)
     """Views of the board by both eyes that are calibrated with."""
-    counts_per_turn: _axis(0, 2**32) = (4096.0, 16384.0, 65536.0)
+    counts_per_turn: Annotated[Values, _within(0, 2**32)] = (4096.0, 16384.0, 65536.0)
     """Resolution of the encoders; 0: no steps."""
-    joint_noise_deg: _axis(0, 5) = (0.01, 0.03, 0.1)
+    joint_noise_deg: Annotated[Values, _within(0, 5)] = (0.01, 0.03, 0.1)
     """Noise of a joint reading, besides its steps."""
-    pixel_noise_px: _axis(0.001, 20) = (0.1, 0.25, 0.5)
+    pixel_noise_px: Annotated[Values, _within(0.001, 20)] = (0.1, 0.25, 0.5)
     """Noise of one coordinate of a point in an image."""
-    delay_ms: _axis(0, 1000) = (0.0, 5.0, 20.0)
+    delay_ms: Annotated[Values, _within(0, 1000)] = (0.0, 1.0, 5.0)
     """What is not known of the time between an image and its joint reading."""
 
 
@@ -79,11 +98,11 @@ CHUNK_AXES = AXES[:3]
 class Workspace(_Section):
     """Where points are located, and how the eyes look at them."""
 
-    distances_m: _axis(0.05, 100) = (0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0)
+    distances_m: Annotated[Values, _within(0.05, 100)] = (0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0)
     """From the middle between the eyes."""
-    pan_deg: _axis(-60, 60) = (-20.0, -10.0, 0.0, 10.0, 20.0)
+    pan_deg: Annotated[Values, _within(-60, 60)] = (-20.0, -10.0, 0.0, 10.0, 20.0)
     """Directions of points to the side."""
-    tilt_deg: _axis(-60, 60) = (-15.0, 0.0, 15.0)
+    tilt_deg: Annotated[Values, _within(-60, 60)] = (-15.0, 0.0, 15.0)
     """Directions of points downwards."""
     off_deg: Annotated[tuple[tuple[float, float], ...], Field(min_length=1, max_length=1000)] = (
         (0.0, 0.0),
@@ -125,7 +144,7 @@ class Prices(_Section):
     counts_per_turn: Price = ((4096, 40), (16384, 120), (65536, 300))
     joint_noise_deg: Price = ((0.01, 200), (0.03, 80), (0.1, 0))
     pixel_noise_px: Price = ((0.1, 80), (0.25, 20), (0.5, 0))
-    delay_ms: Price = ((0, 120), (5, 40), (20, 0))
+    delay_ms: Price = ((0, 120), (1, 60), (5, 0))
 
     @model_validator(mode="after")
     def _rising(self) -> Prices:

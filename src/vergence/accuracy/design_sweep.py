@@ -177,7 +177,7 @@ def by_source(settings: DesignSettings, values: dict[str, float], points: Array)
     )
     joint = joint_std_rad(values["counts_per_turn"], values["joint_noise_deg"])
     late = 1e-3 * values["delay_ms"] * np.radians(settings.workspace.eye_speed_deg_s)
-    stds = np.diag([values["pixel_noise_px"], joint, late])
+    stds = np.diag([values["pixel_noise_px"], float(joint), float(late)])
     by_noise = [
         mean_square(
             seen,

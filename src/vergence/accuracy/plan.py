@@ -101,7 +101,7 @@ def plan(
     steps = [
         known.information + gained(N[chosen[: k + 1]], taken.place[: k + 1]) for k in range(views)
     ]
-    covariances = np.linalg.inv(np.array([known.information, *steps]))
+    covariances: Array = np.linalg.inv(np.array([known.information, *steps])).astype(float)
     std = largest_std(by_scaled, covariances)
     unit = np.outer(known.scale, known.scale)
     return Plan(

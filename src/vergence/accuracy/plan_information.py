@@ -58,7 +58,8 @@ def stated(head: HeadCalibration) -> tuple[Accuracy, Knowledge]:
         )
     scale = np.sqrt(np.diag(accuracy.covariance))
     correlation = accuracy.covariance / np.outer(scale, scale)
-    return accuracy, Knowledge(accuracy.parameters, scale, np.linalg.inv(correlation))
+    information: Array = np.linalg.inv(correlation).astype(float)
+    return accuracy, Knowledge(accuracy.parameters, scale, information)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ import zipfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import joblib
 import numpy as np
@@ -100,16 +100,11 @@ def run(
         chosen = cheapest(swept, accuracy_m, distance_m)
         shown = chosen[0] if chosen else most_accurate(swept, distance_m)
         found = summary(swept, chosen, shown, accuracy_m, distance_m)
+        arrays = {name: np.array(getattr(settings.designs, name)) for name in AXES}
+        arrays |= {"worst_m": swept.worst_m, "mean_m": swept.mean_m, "cost": swept.cost}
+        arrays["distances_m"] = np.array(settings.workspace.distances_m)
         with whole_file(out / "sweep.npz") as part, part.open("wb") as file:
-            axes = {name: np.array(getattr(settings.designs, name)) for name in AXES}
-            np.savez(
-                file,
-                worst_m=swept.worst_m,
-                mean_m=swept.mean_m,
-                cost=swept.cost,
-                distances_m=np.array(settings.workspace.distances_m),
-                **axes,
-            )
+            np.savez(file, allow_pickle=False, **arrays)
         draw_design(out / "design.png", swept, shown, accuracy_m, distance_m)
         draw_axes(out / "properties.png", swept, shown, distance_m)
         write_json(found, out / "design.json")
@@ -161,7 +156,7 @@ def _computed(
     tasks = [joblib.delayed(_numbered)(k, chunk) for k, chunk in missing]
     with _backend(cluster):
         parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
-        yield from parallel(tasks)
+        yield from cast(Iterable[tuple[int, Array]], parallel(tasks))
 
 
 def _numbered(k: int, chunk: DesignSettings) -> tuple[int, Array]:
