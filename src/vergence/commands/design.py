@@ -104,7 +104,7 @@ def run(
         arrays |= {"worst_m": swept.worst_m, "mean_m": swept.mean_m, "cost": swept.cost}
         arrays["distances_m"] = np.array(settings.workspace.distances_m)
         with whole_file(out / "sweep.npz") as part, part.open("wb") as file:
-            np.savez(file, allow_pickle=False, **arrays)
+            np.savez(file, **arrays)  # pyright: ignore[reportArgumentType]
         draw_design(out / "design.png", swept, shown, accuracy_m, distance_m)
         draw_axes(out / "properties.png", swept, shown, distance_m)
         write_json(found, out / "design.json")
