@@ -1,7 +1,7 @@
 """What the calibration of a designed head adds to the error of a point, by the effort it takes.
 
 A standard recording: boards at eight places near the head, each seen by both eyes from three
-directions of gaze, filling a third to a half of the images' width whatever the lens. Its
+directions of gaze, filling half to three quarters of the images' height whatever the lens. Its
 information is bundle adjustment's own, with joint readings as noisy as the head's and corners as
 noisy as stated; V views carry V / 24 of it. Focal lengths, image centres, mountings, gains and axes
 are estimated, distortion is taken as known.
@@ -13,7 +13,7 @@ import numpy as np
 
 from vergence.accuracy.design import gaze_at
 from vergence.accuracy.plan_information import information, linearised_views, without_place
-from vergence.accuracy.plan_views import Views
+from vergence.accuracy.plan_views import MARGIN_PX, Views
 from vergence.accuracy.plan_workspace import point_by_parameters
 from vergence.arrays import Array
 from vergence.calibration.bundle.bundle_adjustment import fixed_by_default
@@ -28,8 +28,8 @@ R_EYE_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """A camera, and a board, that look along x and against it."""
 PLACES, GAZES = 8, 3
 VIEWS = PLACES * GAZES
-FILLS = (0.3, 0.5)
-"""Of an image's width, by a board that faces it."""
+FILLS = (0.5, 0.75)
+"""Of an image's height, by the circle about a board, as large as its slant may make it."""
 LEAN_RAD = (0.6, 0.6, 0.4)
 """Slants, and the turn in its plane, of a board."""
 GAZE_RAD = (0.35, 0.25)
@@ -62,19 +62,20 @@ def standard_recording(head: HeadCalibration, board: Chessboard) -> Views:
     size_px, f = np.array([lens.width, lens.height]), lens.matrix[0, 0]
     baseline = head.T_rbase_lbase[1, 3]
     corners = corner_points(board)
-    fills = np.mean(FILLS) + draw[:, 0] * np.ptp(FILLS) / 2
-    distance = np.ptp(corners, axis=0).max() * f / (fills * lens.width)
+    radius = np.linalg.norm(np.ptp(corners, axis=0)) / 2
+    radius_px = (np.mean(FILLS) + draw[:, 0] * np.ptp(FILLS) / 2) * lens.height / 2
+    distance = radius * (f / radius_px + np.sin(np.linalg.norm(LEAN_RAD[:2])))
     pan, tilt = draw[:, 1] * GAZE_RAD[0], draw[:, 2] * GAZE_RAD[1]
     ray = np.stack([np.cos(tilt) * np.cos(pan), np.cos(tilt) * np.sin(pan), -np.sin(tilt)], -1)
     centre = distance[:, None] * ray
     R = _turn(pan, tilt) @ R_EYE_CAM @ rotation(draw[:, 3:] * LEAN_RAD)
     from_left = centre - [0.0, baseline / 2, 0.0]
     T = pose(R, from_left - R @ corners.mean(axis=0))
-    # The board moves through the images by as much as leaves it whole there.
-    radius = f * np.linalg.norm(np.ptp(corners, axis=0)) / 2 / distance
-    room = np.maximum(USED * (size_px / 2 - radius[:, None]), 0.0) / f
+    # The board moves through the images by as much as leaves it whole there; angles add up.
+    edge = np.arctan((size_px / 2 - MARGIN_PX) / f)
+    room = USED * np.maximum(edge - np.arctan(radius_px / f)[:, None], 0.0)
     fixating = np.stack(gaze_at(np.array(baseline), centre), axis=-1)
-    off = rng.uniform(-1, 1, (PLACES, GAZES, 2, 2)) * np.arctan(room)[:, None, None]
+    off = rng.uniform(-1, 1, (PLACES, GAZES, 2, 2)) * room[:, None, None]
     joints = fixating[:, None] + off.reshape(PLACES, GAZES, 4)
     place = np.repeat(np.arange(PLACES), GAZES)
     return Views(T[place], joints.reshape(VIEWS, 4), place)

@@ -116,7 +116,8 @@ def _checked(head: HeadCalibration, limits_rad: Array | tuple[float, ...]) -> Ar
         eye_poses_with_jacobians(head, limits, 1)
     except ValueError:
         raise VergenceError(
-            f"Limits are one for each joint reading of the head; found {len(limits)}."
+            f"Limits are one for each joint reading, found {limits.size}: left pan, left tilt, "
+            "right pan, right tilt."
         ) from None
     return limits
 

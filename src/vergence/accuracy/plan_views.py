@@ -16,6 +16,7 @@ from vergence.errors import VergenceError
 from vergence.geometry.board import Board, corner_points
 from vergence.geometry.head import HeadCalibration, main_pair
 from vergence.geometry.kinematics import EYES
+from vergence.geometry.lens import reach
 from vergence.geometry.projection import eye_poses, project_at
 from vergence.geometry.se3 import inverse, pose, rotation, transform
 
@@ -45,25 +46,29 @@ class Views:
         return Views(self.T_lbase_target[rows], self.joints[rows], self.place[rows])
 
 
-def held_whole(head: HeadCalibration, board: Board, T_lbase_target: Array, joints: Array) -> Array:
-    """Return (V, C) of bool: which cameras hold the whole board, by views.
-
-    Args:
-        head: with C cameras.
-        board: that is shown.
-        T_lbase_target: (V, 4, 4).
-        joints: (V, r) readings [rad].
-    """
-    points = transform(T_lbase_target[:, None], corner_points(board))
-    T = eye_poses(head, joints)
-    held = []
-    for mounted in head.cameras.values():
-        lens = mounted.intrinsics
-        own = T[:, EYES.index(mounted.eye)]
-        uv = project_at(mounted, head.T_rbase_lbase, own, points)
+def held_whole(head: HeadCalibration, board: Board, views: Views) -> np.ndarray:
+    """Return (V, C) of bool: which of the C cameras of a head hold the whole board in V views."""
+    corners = corner_points(board)
+    pixels, held = seen_by(head, board, views), []
+    for name, T in T_cam_target(head, views).items():
+        lens = head.cameras[name].intrinsics
+        x, y, z = np.moveaxis(transform(T[:, None], corners), -1, 0)
+        # Beyond its reach a lens model folds over, and shows what no camera would see.
+        straight = (z > 0) & (x**2 + y**2 < reach(lens.model, tuple(lens.distortion)) * z**2)
         low, high = MARGIN_PX, np.array([lens.width, lens.height]) - 1 - MARGIN_PX
-        held.append(((uv > low) & (uv < high)).all(axis=(1, 2)))
+        inside = ((pixels[name] > low) & (pixels[name] < high)).all(axis=-1)
+        held.append((inside & straight).all(axis=1))
     return np.stack(held, axis=1)
+
+
+def seen_by(head: HeadCalibration, board: Board, views: Views) -> dict[str, Array]:
+    """Return by camera the pixels (V, K, 2) of the corners, in the image or not."""
+    points = transform(views.T_lbase_target[:, None], corner_points(board))
+    T = eye_poses(head, views.joints)
+    return {
+        name: project_at(mounted, head.T_rbase_lbase, T[:, EYES.index(mounted.eye)], points)
+        for name, mounted in head.cameras.items()
+    }
 
 
 def admissible_views(
@@ -93,8 +98,8 @@ def admissible_views(
     found = []
     for T in boards:
         joints = rng.uniform(-limits_rad, limits_rad, (TRIES, len(limits_rad)))
-        both = held_whole(head, board, np.broadcast_to(T, (TRIES, 4, 4)), joints)[:, pair]
-        good = joints[both.all(axis=1)][:gazes]
+        tried = Views(np.broadcast_to(T, (TRIES, 4, 4)), joints, np.zeros(TRIES, dtype=int))
+        good = joints[held_whole(head, board, tried)[:, pair].all(axis=1)][:gazes]
         if len(good) == gazes:
             found.append(Views(np.tile(T, (gazes, 1, 1)), good, np.full(gazes, len(found))))
         if len(found) == places:
@@ -145,15 +150,11 @@ def _boards(
 
 def as_seen(head: HeadCalibration, board: Board, views: Views) -> Observations:
     """Return what such a head would record of views without noise, of whole boards only."""
-    points = transform(views.T_lbase_target[:, None], corner_points(board))
-    T = eye_poses(head, views.joints)
-    held = held_whole(head, board, views.T_lbase_target, views.joints)
-    corners, sizes = {}, {}
-    for c, (name, mounted) in enumerate(head.cameras.items()):
-        own = T[:, EYES.index(mounted.eye)]
-        uv = project_at(mounted, head.T_rbase_lbase, own, points)
+    held, corners, sizes = held_whole(head, board, views), {}, {}
+    for c, (name, uv) in enumerate(seen_by(head, board, views).items()):
         corners[name] = np.where(held[:, c, None, None], uv, np.nan)
-        sizes[name] = (mounted.intrinsics.width, mounted.intrinsics.height)
+        lens = head.cameras[name].intrinsics
+        sizes[name] = (lens.width, lens.height)
     return Observations(
         board=board,
         placement=views.place,

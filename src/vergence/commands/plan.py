@@ -36,7 +36,7 @@ def run(
     Arguments are those of the command. VergenceError if the source is neither file nor folder of
     that kind, or an option is not possible.
     """
-    _check(views, limits_deg, distances_m)
+    _check(views, limits_deg, distances_m, seed)
     head, shown = _head_and_board(source, board, progress)
     return plan(
         head,
@@ -49,7 +49,11 @@ def run(
     )
 
 
-def _check(views: int, limits_deg: tuple[float, ...], distances_m: tuple[float, ...]) -> None:
+def _check(
+    views: int, limits_deg: tuple[float, ...], distances_m: tuple[float, ...], seed: int
+) -> None:
+    if seed < 0:
+        raise VergenceError(f"--seed takes 0 or more, found {seed}.")
     if not 1 <= views <= MOST_VIEWS:
         raise VergenceError(f"A plan has 1 to {MOST_VIEWS} views, found --views {views}.")
     for name, values, most, unit in (
