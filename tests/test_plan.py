@@ -12,8 +12,8 @@ from simulated_head import plain_head, random_head, rough_start
 from simulated_recording import BOARD, EXACT, Recording, joined, record
 from vergence import cli
 from vergence.accuracy import plan as plan_module
-from vergence.accuracy.plan import LIMITS_RAD, Plan, choose, gained, plan
-from vergence.accuracy.plan_information import information, linearised_views, stated
+from vergence.accuracy.plan import LIMITS_RAD, Plan, choose, plan
+from vergence.accuracy.plan_information import gained, information, linearised_views, stated
 from vergence.accuracy.plan_views import (
     MARGIN_PX,
     admissible_views,

@@ -1,9 +1,10 @@
 """What the calibration of a designed head adds to the error of a point, by the effort it takes.
 
-A standard recording: boards at eight places near the head, each seen by both eyes from three
-directions of gaze, filling half to three quarters of the images' height whatever the lens. Its
-information is bundle adjustment's own, with joint readings as noisy as the head's and corners as
-noisy as stated; V views carry V / 24 of it. Focal lengths, image centres, mountings, gains and axes
+A standard recording, as docs/calibration.md advises one: boards at eight places near the head, seen
+by both eyes at straight gaze, and one board at rest that they see from 16 directions of gaze. They
+fill half to three quarters of the images' height whatever the lens. Its information is bundle
+adjustment's own, with joint readings as noisy as the head's and corners as noisy as stated; V views
+carry V / 24 of it. Focal lengths, image centres, mountings, gains and axes
 are estimated, distortion is taken as known.
 """
 
@@ -12,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from vergence.accuracy.design import gaze_at
-from vergence.accuracy.plan_information import information, linearised_views, without_place
+from vergence.accuracy.plan_information import gained, information, linearised_views
 from vergence.accuracy.plan_views import MARGIN_PX, Views
 from vergence.accuracy.plan_workspace import point_by_parameters
 from vergence.arrays import Array
@@ -21,19 +22,17 @@ from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.camera import pinhole
 from vergence.geometry.head import HeadCalibration, MountedCamera
 from vergence.geometry.kinematics import EYES
-from vergence.geometry.parameters import POSE, parameter_names
+from vergence.geometry.parameters import parameter_names
 from vergence.geometry.se3 import pose, rotation
 
 R_EYE_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """A camera, and a board, that look along x and against it."""
-PLACES, GAZES = 8, 3
-VIEWS = PLACES * GAZES
+STRAIGHT, GAZES = 8, 16
+VIEWS = STRAIGHT + GAZES
 FILLS = (0.5, 0.75)
 """Of an image's height, by the circle about a board, as large as its slant may make it."""
 LEAN_RAD = (0.6, 0.6, 0.4)
 """Slants, and the turn in its plane, of a board."""
-GAZE_RAD = (0.35, 0.25)
-"""Pan and tilt towards boards, to either side."""
 USED = 0.85
 """Part of the room that a board leaves in an image through which it moves."""
 
@@ -57,35 +56,28 @@ def designed_head(
 def standard_recording(head: HeadCalibration, board: Chessboard) -> Views:
     """Return 24 views of a board by a designed head: the same for all heads, to their scale."""
     rng = np.random.default_rng(0)
-    draw = rng.uniform(-1, 1, (PLACES, 6))
-    lens = head.cameras["left_wide"].intrinsics
+    draw, around = rng.uniform(-1, 1, (STRAIGHT + 1, 6)), rng.uniform(-1, 1, (GAZES, 2))
+    draw[-1, 1:3] = 0  # the board at rest stands ahead
+    lens, baseline = head.cameras["left_wide"].intrinsics, head.T_rbase_lbase[1, 3]
     size_px, f = np.array([lens.width, lens.height]), lens.matrix[0, 0]
-    baseline = head.T_rbase_lbase[1, 3]
     corners = corner_points(board)
     radius = np.linalg.norm(np.ptp(corners, axis=0)) / 2
     radius_px = (np.mean(FILLS) + draw[:, 0] * np.ptp(FILLS) / 2) * lens.height / 2
     distance = radius * (f / radius_px + np.sin(np.linalg.norm(LEAN_RAD[:2])))
-    pan, tilt = draw[:, 1] * GAZE_RAD[0], draw[:, 2] * GAZE_RAD[1]
-    ray = np.stack([np.cos(tilt) * np.cos(pan), np.cos(tilt) * np.sin(pan), -np.sin(tilt)], -1)
-    centre = distance[:, None] * ray
-    R = _turn(pan, tilt) @ R_EYE_CAM @ rotation(draw[:, 3:] * LEAN_RAD)
-    from_left = centre - [0.0, baseline / 2, 0.0]
-    T = pose(R, from_left - R @ corners.mean(axis=0))
-    # The board moves through the images by as much as leaves it whole there; angles add up.
+    # The board stands wherever both images hold it whole; angles add up.
     edge = np.arctan((size_px / 2 - MARGIN_PX) / f)
     room = USED * np.maximum(edge - np.arctan(radius_px / f)[:, None], 0.0)
-    fixating = np.stack(gaze_at(np.array(baseline), centre), axis=-1)
-    off = rng.uniform(-1, 1, (PLACES, GAZES, 2, 2)) * room[:, None, None]
-    joints = fixating[:, None] + off.reshape(PLACES, GAZES, 4)
-    place = np.repeat(np.arange(PLACES), GAZES)
-    return Views(T[place], joints.reshape(VIEWS, 4), place)
-
-
-def _turn(pan: Array, tilt: Array) -> Array:
-    """Return Rz(pan) Ry(tilt) (N, 3, 3)."""
-    zero = np.zeros_like(pan)
-    about_z = rotation(np.stack([zero, zero, pan], axis=-1))
-    return about_z @ rotation(np.stack([zero, tilt, zero], axis=-1))
+    apart = np.arctan(baseline / 2 / distance)
+    pan = draw[:, 1] * np.maximum(room[:, 0] - apart, 0.0)
+    tilt = draw[:, 2] * room[:, 1]
+    ray = np.stack([np.cos(tilt) * np.cos(pan), np.cos(tilt) * np.sin(pan), -np.sin(tilt)], -1)
+    centre = distance[:, None] * ray
+    R = R_EYE_CAM @ rotation(draw[:, 3:] * LEAN_RAD)
+    T = pose(R, centre - [0.0, baseline / 2, 0.0] - R @ corners.mean(axis=0))
+    fixating = np.stack(gaze_at(np.array(baseline), centre[-1]), axis=-1)
+    moving = fixating + np.tile(around * room[-1], 2)
+    place = np.append(np.arange(STRAIGHT), np.full(GAZES, STRAIGHT))
+    return Views(T[place], np.concatenate([np.zeros((STRAIGHT, 4)), moving]), place)
 
 
 def calibration_mean_square(
@@ -116,10 +108,7 @@ def calibration_mean_square(
     moved = point_by_parameters(head, pair, points_m, joints)[..., columns].reshape(-1, len(names))
     found = []
     for std in joint_std_rad:
-        of_views = information(linear, corner_std_px, np.array(std))
-        unknowns = len(names) + len(POSE)
-        at_places = of_views.reshape(PLACES, GAZES, unknowns, unknowns).sum(axis=1)
-        total = without_place(at_places).sum(axis=0)
+        total = gained(information(linear, corner_std_px, np.array(std)), views.place)
         scale = 1 / np.sqrt(np.diag(total))
         L = np.linalg.cholesky(np.linalg.inv(total * np.outer(scale, scale)))
         spread = moved @ (scale[:, None] * L)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vergence.accuracy.plan_information import (
+    gained,
     information,
     linearised_views,
     stated,
@@ -120,12 +121,6 @@ def _checked(head: HeadCalibration, limits_rad: Array | tuple[float, ...]) -> Ar
             "right pan, right tilt."
         ) from None
     return limits
-
-
-def gained(of_views: Array, place: np.ndarray) -> Array:
-    """Return (p, p) what views (V, p + 6, p + 6) at places (V,) together tell of the head."""
-    of_places = [of_views[place == each].sum(axis=0) for each in np.unique(place)]
-    return without_place(np.array(of_places)).sum(axis=0)
 
 
 def choose(

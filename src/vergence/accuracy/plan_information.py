@@ -135,3 +135,9 @@ def without_place(information: Array) -> Array:
     across = information[..., place, head]
     rest = np.linalg.solve(information[..., place, place], across)
     return information[..., head, head] - np.swapaxes(across, -1, -2) @ rest
+
+
+def gained(of_views: Array, place: np.ndarray) -> Array:
+    """Return (p, p) what views (V, p + 6, p + 6) at places (V,) together tell of the head."""
+    of_places = [of_views[place == each].sum(axis=0) for each in np.unique(place)]
+    return without_place(np.array(of_places)).sum(axis=0)
