@@ -1,13 +1,13 @@
 """What planned views are worth beside random ones, and whether a plan's accuracy is reached.
 
     python benchmarks/next_views.py
-    python benchmarks/next_views.py --heads 5 --straight 12 --orientations 24
+    python benchmarks/next_views.py --straight 8 --orientations 10
 
-For each of many simulated heads, drawn at random, a short recording (pixel noise 0.1 px, joint
+For each of many simulated heads, drawn at random, a first recording (pixel noise 0.1 px, joint
 noise 0.1 degrees) is calibrated. Then ten more views are recorded: planned ones as `vergence plan`
 plans them; random admissible ones, each with the board elsewhere; and random admissible ones that
 move the board as seldom as the plan does. In all three the board stands 5 mm and 1 degree off, in
-each direction, where it should stand. Each is calibrated together with the short recording.
+each direction, where it should stand. Each is calibrated together with the first recording.
 
 Printed are the largest standard deviations of a point in the workspace that the calibrations state,
 by the calibration alone, what was predicted for the planned views, and how large the true errors of
@@ -48,9 +48,9 @@ class Config:
     heads: int = 20
     seed: int = 0
     views: int = 10
-    straight: int = 8
+    straight: int = 12
     """Boards at straight gaze."""
-    orientations: int = 10
+    orientations: int = 24
     """Eye angles at which a board at rest is seen."""
 
 

@@ -4,6 +4,7 @@ import json
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,6 @@ import pytest
 from simulated_head import plain_head, random_head, rough_start
 from simulated_recording import BOARD, EXACT, Recording, joined, record
 from vergence import cli
-from vergence.accuracy import plan as plan_module
 from vergence.accuracy.plan import LIMITS_RAD, Plan, choose, plan
 from vergence.accuracy.plan_information import gained, information, linearised_views, stated
 from vergence.accuracy.plan_views import (
@@ -25,6 +25,7 @@ from vergence.accuracy.plan_views import (
 from vergence.accuracy.plan_workspace import fixating, largest_std, workspace
 from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
 from vergence.calibration.observations import Observations
+from vergence.commands import plan as command
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, save_head
 from vergence.geometry.parameters import without_offsets
@@ -170,8 +171,7 @@ def test_two_views_of_one_place_tell_more_than_the_place_costs(truth):
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(plan_module, "PLACES", 6)
-    monkeypatch.setattr(plan_module, "GAZES", 3)
+    monkeypatch.setitem(plan.__kwdefaults__, "candidates", (6, 3))
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
@@ -198,6 +198,20 @@ def test_the_command_prints_a_plan_and_writes_figure_and_json(
     middle = transform(T, np.array([4, 2.5, 0]) * BOARD.square_m)
     left_eye = inverse(calibrated.T_rbase_lbase)[:3, 3] / 2  # the head is midway
     np.testing.assert_allclose(first["board_centre_head_m"], middle - left_eye, atol=1e-12)
+
+
+def test_a_dataset_is_calibrated_first_and_states_its_board(
+    calibrated, quick, tmp_path, monkeypatch, capsys
+):
+    data = SimpleNamespace(description=SimpleNamespace(board=BOARD))
+    monkeypatch.setattr(command, "load_dataset", lambda folder: data)
+    result = SimpleNamespace(head=calibrated)
+    monkeypatch.setattr(command, "calibrate", lambda given, **_: result if given is data else None)
+    run(monkeypatch, "plan", tmp_path, "--views", 2)
+    of_dataset = capsys.readouterr().out
+    save_head(calibrated, tmp_path / "head.json")
+    run(monkeypatch, "plan", tmp_path / "head.json", "--views", 2, "--board", 9, 6, 0.03)
+    assert capsys.readouterr().out == of_dataset
 
 
 @pytest.mark.parametrize(

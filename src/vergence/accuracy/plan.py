@@ -68,6 +68,7 @@ def plan(
     views: int = 10,
     limits_rad: Array | tuple[float, ...] = LIMITS_RAD,
     distances_m: tuple[float, ...] = DISTANCES_M,
+    candidates: tuple[int, int] = (PLACES, GAZES),
     seed: int = 0,
     progress: Progress = silent,
 ) -> Plan:
@@ -79,6 +80,7 @@ def plan(
         views: how many to plan.
         limits_rad: (r,) the largest reading of each joint of the eyes, to either side.
         distances_m: of the points from the middle of the head.
+        candidates: how many places of the board are tried, and directions of gaze at each.
         seed: of the candidates, which are random.
         progress: see vergence.progress.
 
@@ -90,15 +92,15 @@ def plan(
     pair = checked_pair(head)
     limits = _checked(head, limits_rad)
     points = workspace(head, pair, limits, names=known.names, distances_m=distances_m)
-    candidates = admissible_views(
-        head, board, limits, np.random.default_rng(seed), places=PLACES, gazes=GAZES
-    )
-    linear = linearised_views(head, board, candidates, known.names, known.scale)
+    rng = np.random.default_rng(seed)
+    places, gazes = candidates
+    tried = admissible_views(head, board, limits, rng, places=places, gazes=gazes)
+    linear = linearised_views(head, board, tried, known.names, known.scale)
     N = information(linear, accuracy.pixel_std_px or LEAST_PX, np.array(accuracy.joint_std))
     by_scaled = points.by_parameters * known.scale
-    chosen = choose(known.information, N, candidates.place, by_scaled, views, progress)
-    chosen = chosen[np.argsort(candidates.place[chosen], kind="stable")]
-    taken = candidates.take(chosen)
+    chosen = choose(known.information, N, tried.place, by_scaled, views, progress)
+    chosen = chosen[np.argsort(tried.place[chosen], kind="stable")]
+    taken = tried.take(chosen)
     steps = [
         known.information + gained(N[chosen[: k + 1]], taken.place[: k + 1]) for k in range(views)
     ]
