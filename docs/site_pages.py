@@ -34,8 +34,8 @@ REFERENCE = {
 """Pages of the site, and the packages whose public names they list."""
 CONTENTS = {
     "Guides": (
-        *("using_a_calibration", "dataset", "calibration", "gaze", "own_detector", "own_driver"),
-        "reproduction",
+        *("using_a_calibration", "dataset", "calibration", "design_and_plan", "gaze"),
+        *("own_detector", "own_driver", "reproduction"),
     ),
     "Reference": (
         *(name.removesuffix(".md") for name in REFERENCE),

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from documents import blocks
 from simulated_head import plain_head
 from vergence import cli
 from vergence.accuracy.design import gaze_at, joint_std_rad, mean_square, sensitivity
@@ -344,6 +345,16 @@ def test_settings_that_are_not_possible_end_in_a_sentence(text, said, tmp_path: 
     (tmp_path / "d.toml").write_text(text)
     with pytest.raises(VergenceError, match=said):
         load_settings(tmp_path / "d.toml")
+
+
+def test_the_settings_that_are_printed_can_be_used_and_are_the_default_ones(tmp_path: Path):
+    (text,) = (b.text for b in blocks("docs/design_and_plan.md") if b.language == "toml")
+    (tmp_path / "mine.toml").write_text(text)
+    found, usual = load_settings(tmp_path / "mine.toml"), DesignSettings()
+    assert found.prices == usual.prices
+    assert found.designs.baseline_mm == (60, 70, 80, 90, 100, 110, 120)
+    for name in ("eye_speed_deg_s", "camera_ahead_mm", "image_px", "board", "corner_noise_px"):
+        assert getattr(found.workspace, name) == getattr(usual.workspace, name)
 
 
 def test_too_many_designs_are_refused():

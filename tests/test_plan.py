@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from documents import blocks
 from simulated_head import plain_head, random_head, rough_start
 from simulated_recording import BOARD, EXACT, Recording, joined, record
 from vergence import cli
@@ -212,6 +213,15 @@ def test_a_dataset_is_calibrated_first_and_states_its_board(
     save_head(calibrated, tmp_path / "head.json")
     run(monkeypatch, "plan", tmp_path / "head.json", "--views", 2, "--board", 9, 6, 0.03)
     assert capsys.readouterr().out == of_dataset
+
+
+def test_the_guide_to_plans_runs(calibrated, quick, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    save_head(calibrated, tmp_path / "head.json")
+    (code,) = (b.text for b in blocks("docs/design_and_plan.md") if b.language == "python")
+    names = {}
+    exec(compile(code, "design_and_plan.md", "exec"), names)
+    assert names["found"].views.joints.shape == (6, 4)
 
 
 @pytest.mark.parametrize(

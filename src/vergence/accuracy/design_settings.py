@@ -1,6 +1,6 @@
 """What a sweep over designs of a head varies, where it looks, and what the parts cost.
 
-From the command line, or from a TOML or JSON file; docs/design.md describes both.
+From the command line, or from a TOML or JSON file; docs/design_and_plan.md describes both.
 """
 
 from __future__ import annotations
@@ -189,5 +189,5 @@ def chunks(settings: DesignSettings) -> Iterator[DesignSettings]:
 def load_settings(path: Path) -> DesignSettings:
     """Read settings from a TOML or JSON file; VergenceError if it is not valid."""
     parse = parse_json if path.suffix == ".json" else tomllib.loads
-    what = "a description of designs (see docs/design.md)"
+    what = "a description of designs (see docs/design_and_plan.md)"
     return read_parsed(path, what, DesignSettings.model_validate, parse, most_bytes=MAX_BYTES)
