@@ -7,9 +7,13 @@ that was stopped, and a sweep that shares designs with an earlier one, compute o
 from __future__ import annotations
 
 import hashlib
+import os
+import threading
+import time
 import zipfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
@@ -153,14 +157,30 @@ def _computed(
     missing: list[tuple[int, DesignSettings]], jobs: int, cluster: str | None
 ) -> Iterable[tuple[int, Array]]:
     """Yield the numbers and values of chunks as they are finished."""
-    tasks = [joblib.delayed(_numbered)(k, chunk) for k, chunk in missing]
+    parent = os.getpid() if cluster is None else None
+    tasks = [joblib.delayed(_numbered)(k, chunk, parent) for k, chunk in missing]
     with _backend(cluster):
         parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
         yield from cast(Iterable[tuple[int, Array]], parallel(tasks))
 
 
-def _numbered(k: int, chunk: DesignSettings) -> tuple[int, Array]:
+def _numbered(k: int, chunk: DesignSettings, parent: int | None) -> tuple[int, Array]:
+    """Compute a chunk, in a process that ends with its parent; None: it belongs to a cluster."""
+    if parent not in (None, os.getpid()):
+        _end_with(parent)
     return k, compute_chunk(chunk)
+
+
+@cache
+def _end_with(parent: int | None) -> None:
+    """Let this process end when its parent was killed; joblib's would wait for work for ever."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 @contextmanager
