@@ -275,6 +275,10 @@ def test_a_sweep_that_was_stopped_goes_on_without_doing_finished_work_again(
     kept = sorted(tmp_path.glob("*.npy"))
     assert len(kept) == 2
     kept[0].write_bytes(kept[0].read_bytes()[:100])  # as no write of ours leaves a file
+    other = tmp_path / "other"
+    other.mkdir()
+    for file in kept:
+        np.save(other / file.name, np.zeros(3))
 
     def counted(chunk: DesignSettings) -> Array:
         computed.append(chunk)
@@ -286,6 +290,8 @@ def test_a_sweep_that_was_stopped_goes_on_without_doing_finished_work_again(
     assert len(computed) == 2 + 3  # of four chunks one was whole
     assert steps == [(1, 4), (2, 4), (3, 4), (4, 4)]
     np.testing.assert_array_equal(found.worst_m, swept.worst_m)
+    np.testing.assert_array_equal(sweep(SMALL, other).worst_m, swept.worst_m)
+    del computed[5:]
     wider = SMALL.designs.model_copy(update={"baseline_mm": (60.0, 90.0, 120.0)})
     sweep(SMALL.model_copy(update={"designs": wider}), tmp_path)
     assert len(computed) == 5 + 2  # those of the new baseline

@@ -62,6 +62,12 @@ def combinations(settings: DesignSettings) -> int:
     return int(costs(settings).size * points.shape[0] * points.shape[1])
 
 
+def chunk_shape(settings: DesignSettings) -> tuple[int, ...]:
+    """Return the shape of what compute_chunk returns."""
+    own = (len(getattr(settings.designs, name)) for name in AXES[len(CHUNK_AXES) :])
+    return (2, *own, len(settings.workspace.distances_m))
+
+
 def compute_chunk(settings: DesignSettings) -> Array:
     """Return (2, views, counts, joint noise, pixel noise, delay, D): worst_m and mean_m of Sweep.
 
@@ -76,8 +82,8 @@ def compute_chunk(settings: DesignSettings) -> Array:
     held = (seen.image_x * focal < width / 2) & (seen.image_y * focal < height / 2)
     count = held.sum(axis=1)
     speed = np.radians(settings.workspace.eye_speed_deg_s)
-    shape = [len(getattr(designs, name)) for name in AXES[len(CHUNK_AXES) :]]
-    found = np.empty((2, *shape, len(points)))
+    found = np.empty(chunk_shape(settings))
+    shape = found.shape[1:]
     for v, c, j, t in np.ndindex(shape[0], shape[1], shape[2], shape[4]):
         squares = mean_square(
             seen,

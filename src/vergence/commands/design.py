@@ -30,6 +30,7 @@ from vergence.accuracy.design_sweep import (
     at_distance,
     by_source,
     cheapest,
+    chunk_shape,
     compute_chunk,
     most_accurate,
     values_of,
@@ -127,7 +128,8 @@ def sweep(
     """Return a sweep, whose chunks are read from a folder or else computed and written there."""
     each = list(chunks(settings))
     files = [folder / f"{digest(chunk)}.npy" for chunk in each]
-    found = {k: known for k, file in enumerate(files) if (known := _read(file)) is not None}
+    kept = [_read(file, chunk_shape(chunk)) for file, chunk in zip(files, each, strict=True)]
+    found = {k: known for k, known in enumerate(kept) if known is not None}
     missing = [(k, each[k]) for k in range(len(each)) if k not in found]
     progress("sweeping designs", len(found), len(each))
     if missing:
@@ -145,12 +147,13 @@ def digest(chunk: DesignSettings) -> str:
     return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
 
 
-def _read(file: Path) -> Array | None:
-    """Return what an earlier run has written; None if there is nothing that can be read."""
+def _read(file: Path, shape: tuple[int, ...]) -> Array | None:
+    """Return what an earlier run has written; None if there is nothing of this shape to be read."""
     try:
-        return np.load(file, allow_pickle=False)
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+        values = np.load(file, allow_pickle=False)
+    except (OSError, ValueError, EOFError, MemoryError, zipfile.BadZipFile):
         return None
+    return values if isinstance(values, np.ndarray) and values.shape == shape else None
 
 
 def _computed(
