@@ -1,11 +1,12 @@
-"""Final error of the gaze by detector and by cameras: a sphere, a marker and a template.
+"""Final error of the gaze by detector, cameras and joints: a sphere, a marker and a template.
 
     python benchmarks/detectors.py [--trials 40] [--profile ideal] [--seed 0]
 
 The trials are those of `vergence foveate`: an object appears, and half a second later its true
 distance from the image's centre is measured, in the worse eye. With the wide cameras alone the head
 has no others: calibration, roles and error are those of the wide images. Pixels of a wide camera
-are 4.3 times as large as those of a narrow one.
+are 4.3 times as large as those of a narrow one. Eyes that share a tilt cannot both centre the
+object where their narrow cameras are mounted at different heights: half of that remains.
 """
 
 from __future__ import annotations
@@ -17,9 +18,11 @@ import cv2
 import numpy as np
 import tyro
 
+from other_heads import shared_tilt, version_and_vergence
 from vergence.demos.experiment import p95
 from vergence.demos.foveate import run_trial, targets
 from vergence.gaze.state import GazeSettings
+from vergence.geometry.kinematics import Kinematics
 from vergence.twin.card import Card, marker_card
 from vergence.twin.head import Twin
 from vergence.twin.profile import load_profile
@@ -61,18 +64,21 @@ def wide_alone(settings: GazeSettings) -> GazeSettings:
     return replace(settings, calibration=replace(head, cameras=wide))
 
 
-KINDS: dict[str, tuple[Card | None, Detector, bool]] = {
-    "four cameras, sphere": (None, sphere_detector(), False),
-    "wide alone, sphere": (None, sphere_detector(), True),
+KINDS: dict[str, tuple[Card | None, Detector, bool, Kinematics | None]] = {
+    "four cameras, sphere": (None, sphere_detector(), False, None),
+    "shared tilt before pan, sphere": (None, sphere_detector(), False, shared_tilt()),
+    "version and vergence, sphere": (None, sphere_detector(), False, version_and_vergence()),
+    "wide alone, sphere": (None, sphere_detector(), True, None),
     "wide alone, marker": (
         marker_card(DICTIONARY, MARKER, CARD_M),
         marker_detector(DICTIONARY, MARKER),
         True,
+        None,
     ),
-    "wide alone, template": (Card(picture(), CARD_M), picture_detector(), True),
+    "wide alone, template": (Card(picture(), CARD_M), picture_detector(), True, None),
 }
-"""By name: the card that is shown, None for the sphere, its detector, and whether the head has wide
-cameras only."""
+"""By name: the card that is shown, None for the sphere; its detector; whether the head has wide
+cameras only; and its joints, None for pan, then tilt."""
 
 
 def final_errors(
@@ -82,8 +88,8 @@ def final_errors(
 
     Settings with a calibration may be given; None: the twin is calibrated.
     """
-    card, detect, alone = KINDS[kind]
-    with Twin(load_profile(profile), seed=seed, card=card) as twin:
+    card, detect, alone, joints = KINDS[kind]
+    with Twin(load_profile(profile), seed=seed, card=card, kinematics=joints) as twin:
         settings = calibrate_twin(twin, seed) if calibration is None else calibration
         settings = replace(settings, objects={"object": detect})
         settings = wide_alone(settings) if alone else settings

@@ -26,7 +26,7 @@ from functools import partial
 import numpy as np
 import tyro
 
-from simulated_head import R_EYE_CAM, probability
+from simulated_head import R_EYE_CAM, pan_tilt_pose, probability
 from simulated_recording import inside_image
 from vergence.arrays import Array
 from vergence.calibration.bundle.latent_hand_eye import refine_eye_camera
@@ -35,7 +35,6 @@ from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.camera import pinhole
 from vergence.geometry.head import MountedCamera
-from vergence.geometry.kinematics import T_base_eye
 from vergence.geometry.projection import project_at
 from vergence.geometry.se3 import boxminus, pose, rotation, transform
 from vergence.vision.board_pose import board_poses
@@ -95,7 +94,7 @@ def simulate(
     T_base_target = pose(R_base_target, [config.distance_m, 0, 0] - centre)
     lens = pinhole(640, 480, config.focal_px)
     camera = MountedCamera(eye="left", intrinsics=lens, T_eye_cam=T_eye_cam)
-    pixels = project_at(camera, np.eye(4), T_base_eye(angles), transform(T_base_target, points))
+    pixels = project_at(camera, np.eye(4), pan_tilt_pose(angles), transform(T_base_target, points))
     pixels = pixels + rng.normal(0, config.pixel_std_px, pixels.shape)
     readings = angles + rng.normal(0, joint_std_rad, angles.shape)
     return T_eye_cam, readings, np.where(inside_image(pixels)[..., None], pixels, np.nan)
@@ -110,7 +109,7 @@ def run(config: Config, joint_std_deg: float, number: int) -> Trial | str:
     camera = pinhole(640, 480, config.focal_px)
     solve = partial(refine_eye_camera, readings, pixels, points, camera)
     try:
-        closed = park_martin(T_base_eye(readings), board_poses(camera, pixels, points))
+        closed = park_martin(pan_tilt_pose(readings), board_poses(camera, pixels, points))
         # The baseline knows nothing of outliers: it would take half of the views for such.
         exact = solve(joint_std=0.0, outlier=np.inf)
         given = solve(joint_std=joint_std, pixel_std_px=config.pixel_std_px)

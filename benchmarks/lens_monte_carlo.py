@@ -31,6 +31,7 @@ from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, project
 from vergence.geometry.head import HeadCalibration, T_base_cam
+from vergence.geometry.kinematics import EYE_JOINTS
 from vergence.geometry.parameters import without_offsets
 from vergence.geometry.se3 import inverse, transform
 
@@ -100,13 +101,14 @@ def recording(
 
     Each stands where one of the cameras has a pixel drawn evenly from its image.
     """
-    places = []
+    places, straight = [], np.zeros(len(head.kinematics.readings))
     for k in range(STRAIGHT):
-        name = list(head.cameras)[k % 2]
+        name = list(head.cameras)[k % len(head.cameras)]
         mounted = head.cameras[name]
-        pixel = rng.uniform([0, 0], [WIDTH - 1, HEIGHT - 1])
+        lens = mounted.intrinsics
+        pixel = rng.uniform([0, 0], [lens.width - 1, lens.height - 1])
         ray = unit_rays(mounted.intrinsics, pixel[None])[0]
-        T = T_base_cam(head, name, np.zeros(2))
+        T = T_base_cam(head, name, straight)
         if mounted.eye == "right":
             T = inverse(head.T_rbase_lbase) @ T
         centre = transform(T, rng.uniform(0.25, 0.5) * ray)
@@ -115,13 +117,16 @@ def recording(
     phase = np.arange(ORIENTATIONS) * 2.399963
     spread = 0.3 * np.sqrt((np.arange(ORIENTATIONS) + 0.5) / ORIENTATIONS)
     gaze = spread[:, None] * np.stack([np.cos(phase), 0.85 * np.sin(phase)], axis=1)
+    readings = np.tile(gaze, 2)
+    if head.kinematics.readings != EYE_JOINTS:  # each for itself
+        readings = rng.uniform(-0.25, 0.25, (ORIENTATIONS, len(straight)))
     return observe(
         head,
         rng,
         noise,
         placement=np.concatenate([np.arange(STRAIGHT), np.full(ORIENTATIONS, STRAIGHT)]),
         T_lbase_target=np.array(places + [fixed] * ORIENTATIONS),
-        joints=np.concatenate([np.zeros((STRAIGHT, 4)), np.tile(gaze, 2)]),
+        joints=np.concatenate([np.tile(straight, (STRAIGHT, 1)), readings]),
     )
 
 
@@ -138,9 +143,10 @@ def tried(result: CalibrationResult, truth: HeadCalibration) -> Tried:
         found = result.head.cameras[name]
         lens, true = found.intrinsics, mounted.intrinsics
         middle = reference_pixels(true)
-        off, there = (project(lens, unit_rays(true, each)) - each for each in (GRID, middle))
-        error = without_turn(true, GRID, off[..., None], there[..., None])[..., 0]
-        covariance = pixel_covariance(result.head, name, GRID + off)
+        grid = GRID * [true.width / WIDTH, true.height / HEIGHT]
+        off, there = (project(lens, unit_rays(true, each)) - each for each in (grid, middle))
+        error = without_turn(true, grid, off[..., None], there[..., None])[..., 0]
+        covariance = pixel_covariance(result.head, name, grid + off)
         # A direction that a calibration does not reach counts as outside.
         p = [
             probability(*each) if np.isfinite(each[1]).all() else 1.0

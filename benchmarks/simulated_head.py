@@ -14,7 +14,7 @@ from scipy.stats import chi2
 from vergence.arrays import Array
 from vergence.geometry.camera import Camera, pinhole
 from vergence.geometry.head import HeadCalibration, MountedCamera, T_base_cam
-from vergence.geometry.kinematics import EYE_COLUMNS, EYES, EyeAxes, Neck, Side
+from vergence.geometry.kinematics import EYES, Joint, Kinematics, Neck, Side, pan_tilt
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.parameters import POSE, boxplus, parameter_values
 from vergence.geometry.se3 import inverse, pose, rotation, transform
@@ -58,18 +58,48 @@ def random_head(
         rotation(rng.normal(0, np.radians(0.5), 3)),
         np.array([0, rng.uniform(0.055, 0.12), 0]) + rng.normal(0, 0.001, 3),
     )
-    if perfect_axes:
-        return HeadCalibration(cameras=cameras, T_rbase_lbase=T_rbase_lbase)
-    axes: dict[Side, EyeAxes] = {
-        eye: EyeAxes(
-            *map(float, rng.uniform(0.96, 1.04, 2)),
-            *map(float, rng.normal(0, np.radians(0.4), 2)),
+    head = HeadCalibration(cameras=cameras, T_rbase_lbase=T_rbase_lbase)
+    return head if perfect_axes else replace(head, kinematics=random_pan_tilt(rng))
+
+
+def random_pan_tilt(rng: np.random.Generator) -> Kinematics:
+    """Return eyes that pan and tilt with gains, offsets and axes as wrong as they may be."""
+    eyes: dict[Side, tuple[Joint, ...]] = {}
+    for eye in EYES:
+        gains, offsets = rng.uniform(0.96, 1.04, 2), rng.normal(0, np.radians(0.4), 2)
+        eyes[eye] = pan_tilt(
+            eye,
+            pan_gain=gains[0],
+            tilt_gain=gains[1],
+            pan_offset_rad=offsets[0],
+            tilt_offset_rad=offsets[1],
             nonorthogonality_rad=rng.normal(0, np.radians(0.3)),
             axis_distance_m=rng.normal(0, 0.001),
         )
-        for eye in EYES
-    }
-    return HeadCalibration(cameras=cameras, T_rbase_lbase=T_rbase_lbase, axes=axes)
+    return Kinematics(eyes)
+
+
+def as_designed(kinematics: Kinematics) -> Kinematics:
+    """Return the joints without their errors: what the description of a dataset says.
+
+    Factors are whole numbers or halves by design.
+    """
+    eyes: dict[Side, tuple[Joint, ...]] = {}
+    for eye, joints in kinematics.eyes.items():
+        own = []
+        for joint in joints:
+            factors = {name: round(2 * factor) / 2 for name, factor in joint.readings.items()}
+            own.append(
+                Joint(name=joint.name, axis=joint.axis, readings=factors, point_m=joint.point_m)
+            )
+        eyes[eye] = tuple(own)
+    return Kinematics(eyes, kinematics.readings)
+
+
+def pan_tilt_pose(angles: Array) -> Array:
+    """Return the pose (..., 4, 4) of an eye at perfect pan and tilt (..., 2) [rad]."""
+    pan, tilt = (angles[..., k, None] * axis for k, axis in enumerate(np.eye(3)[[2, 1]]))
+    return pose(rotation(pan) @ rotation(tilt))
 
 
 def skewed_head(rng: np.random.Generator, *, distorted: bool = True) -> HeadCalibration:
@@ -127,10 +157,10 @@ def random_pose(rng: np.random.Generator, angle: float = 3.0, distance: float = 
 
 
 def point_in_camera(head: HeadCalibration, name: str, joints: Array, points: Array) -> Array:
-    """Return points (N, 3) of the left eye's base in frame cam, at joint readings (N, 4)."""
+    """Return points (N, 3) of the left eye's base in frame cam, at joint readings (N, r)."""
     eye = head.cameras[name].eye
     in_base = points if eye == "left" else transform(head.T_rbase_lbase, points)
-    return transform(inverse(T_base_cam(head, name, joints[:, EYE_COLUMNS[eye]])), in_base)
+    return transform(inverse(T_base_cam(head, name, joints)), in_base)
 
 
 def rough_start(head: HeadCalibration, rng: np.random.Generator) -> HeadCalibration:

@@ -12,11 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.polynomial.chebyshev import chebval
 
-from simulated_head import HEIGHT, R_EYE_CAM, WIDTH
+from simulated_head import HEIGHT, R_EYE_CAM, WIDTH, as_designed
 from vergence.arrays import Array
 from vergence.calibration.observations import Observations
 from vergence.data.timing import Timing
 from vergence.geometry.board import Chessboard, corner_points
+from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, T_base_cam
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.projection import project_point
@@ -80,8 +81,8 @@ def observe(
         noise: of corners and readings.
         placement: (V,) numbers of the boards' places.
         T_lbase_target: (V, 4, 4) where the boards stand.
-        joints: (V, 4) what the joints would read without noise at the moments of the images.
-        readings: (V, 4) the same at the moments of the readings; None: the eyes stand still.
+        joints: (V, r) what the joints would read without noise at the moments of the images.
+        readings: (V, r) the same at the moments of the readings; None: the eyes stand still.
         cameras: by view, those that take an image; None: all.
         whole: whether an image gives no corners unless it shows them all.
     """
@@ -89,7 +90,7 @@ def observe(
     corners = {}
     for name in head.cameras:
         uv = project_point(head, name, joints[:, None], points)
-        held = inside_image(uv)[..., None]
+        held = inside_image(uv, head.cameras[name].intrinsics)[..., None]
         held = held.all(axis=1, keepdims=True) if whole else held
         if cameras is not None:
             held = held & np.array([name in each for each in cameras])[:, None, None]
@@ -100,13 +101,16 @@ def observe(
         placement=placement,
         eye_angles=readings + rng.normal(0, noise.joint_rad, readings.shape),
         corners=corners,
-        sizes=dict.fromkeys(corners, (WIDTH, HEIGHT)),
+        sizes={n: (m.intrinsics.width, m.intrinsics.height) for n, m in head.cameras.items()},
+        eyes={name: mounted.eye for name, mounted in head.cameras.items()},
+        kinematics=as_designed(head.kinematics),
     )
 
 
-def inside_image(pixels: Array) -> np.ndarray:
-    """Return (...,) of bool: whether the image holds pixels (..., 2)."""
-    return np.asarray(((pixels > 0) & (pixels < [WIDTH - 1, HEIGHT - 1])).all(axis=-1))
+def inside_image(pixels: Array, camera: Camera | None = None) -> np.ndarray:
+    """Return (...,) of bool: whether an image, None: 640 x 480, holds pixels (..., 2)."""
+    width, height = (WIDTH, HEIGHT) if camera is None else (camera.width, camera.height)
+    return np.asarray(((pixels > 0) & (pixels < [width - 1, height - 1])).all(axis=-1))
 
 
 def still_recording(
@@ -282,7 +286,7 @@ def _held_board(
 ) -> Array:
     """Return a random T_lbase_target at which all the cameras see the whole board."""
     mounted = head.camera(cameras[-1])
-    T_base_camera = T_base_cam(head, cameras[-1], np.zeros(2))
+    T_base_camera = T_base_cam(head, cameras[-1], np.zeros(4))
     slope = WIDTH / 2 / mounted.intrinsics.matrix[0, 0]
     for _ in range(10_000):
         depth = rng.uniform(*depth_m)

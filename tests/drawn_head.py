@@ -7,7 +7,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.gaze.commands import EYES_4, NECK, HeadCommand, JointLimits, hold, setpoint
+from vergence.gaze.commands import EYE_READINGS, NECK, HeadCommand, JointLimits, hold, setpoint
 from vergence.gaze.foveation import gaze_angles
 from vergence.geometry.camera import pinhole, project
 from vergence.geometry.head import HeadCalibration, MountedCamera, T_base_cam, T_body_base
@@ -90,11 +90,13 @@ class DrawnHead:
             return self.last
         joint_s = max(image_s - self.joint_lag_s, 0.0)
         reading = self.posture(joint_s)
-        reading[EYES_4] = self.gain * reading[EYES_4] + self.rng.normal(0, self.noise, 4)
+        reading[EYE_READINGS] = self.gain * reading[EYE_READINGS] + self.rng.normal(
+            0, self.noise, 4
+        )
         self.last = Frame(
             image_s,
             joint_s,
-            reading[EYES_4],
+            reading[EYE_READINGS],
             reading[NECK],
             {name: self._draw(name, image_s) for name in cameras},
         )
@@ -103,7 +105,7 @@ class DrawnHead:
     def in_camera(self, name: str, time_s: float, point: Array) -> Array:
         """Map a point (3,) [m] from frame body to frame cam."""
         angles, eye = self.posture(time_s), self.calibration.cameras[name].eye
-        eyes = angles[EYES_4][:2] if eye == "left" else angles[EYES_4][2:]
+        eyes = angles[EYE_READINGS]
         T = T_body_base(self.calibration, eye, angles[NECK])
         return transform(inverse(T @ T_base_cam(self.calibration, name, eyes)), point)
 

@@ -65,7 +65,7 @@ def test_an_exact_recording_gives_the_head_exactly(given: tuple[str, ...]):
 def test_measured_eye_poses_calibrate_a_whole_head_exactly():
     head, observed, start = simulated(22)
     observed = observed.take(np.arange(0, 40, 2))
-    found = bundle_adjust(start, replace(observed, T_base_eye=observed.eye_poses(head.axes)))
+    found = bundle_adjust(start, replace(observed, T_base_eye=observed.eye_poses(head)))
     poses = [i for i, name in enumerate(found.parameters) if "T_" in name]
     assert np.abs(errors(found, head)[poses]).max() < 1e-8
 

@@ -91,7 +91,9 @@ def test_units_signs_and_columns_are_those_of_the_head(folder):
         row |= {"eyes_version": 20 * k, "eyes_tilt": -10, "yaw": 0.3, "placement": k}
     write_table(folder, table)
     dataset = load_dataset(folder)
-    np.testing.assert_allclose(dataset.eye_angles[1, [0, 1, 3]], np.radians([-20, -10, -10]))
+    np.testing.assert_allclose(dataset.eye_angles[1, [0, 1]], np.radians([-20, -10]))
+    # Both tilts are one reading.
+    assert dataset.description.head_kinematics.readings == ("left_pan", "left_tilt", "right_pan")
     np.testing.assert_allclose(dataset.neck_angles, [[0, 0, -0.3]] * 2)
 
 

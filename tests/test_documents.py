@@ -46,7 +46,7 @@ from vergence.geometry.head import (
     MountedCamera,
     save_head,
 )
-from vergence.geometry.kinematics import EyeAxes, Neck
+from vergence.geometry.kinematics import Joint, Kinematics, Neck
 
 EQUATIONS = read("docs/equations.md")
 MAKEFILE = read("Makefile")
@@ -264,7 +264,7 @@ def test_every_field_of_the_calibration_file_and_of_the_truth_is_documented():
     text = read("docs/calibration_file.md")
     named = set(re.findall(r"`(?:[\w*]+\.)*(\w+)`", text))
     described = (
-        HeadCalibration, MountedCamera, Camera, EyeAxes, Neck, Accuracy, HeldOut, Truth,
+        HeadCalibration, MountedCamera, Camera, Joint, Kinematics, Neck, Accuracy, HeldOut, Truth,
     )  # fmt: skip
     assert {field.name for each in described for field in fields(each)} <= named
 

@@ -72,7 +72,7 @@ RAD = np.radians(1)
         (np.diag([1, 1, 1, RAD]),
          "times the readings of right_tilt: they are radians; set joints.right"),
         (np.diag([1, 1, 3.0, 1]),
-         "times the readings of right_pan: check its unit, its gear and its column."),
+         "times the readings of right_pan: check its unit, its gear or factor, and its column."),
         (np.diag([-1, 1, 1, 1]), "left_pan counts the other way; set joints.left_pan.sign to its"),
         (np.diag([1, 1, 1, -1]), "right_tilt counts the other way; set joints.right_tilt.sign to"),
         (np.eye(4)[[1, 0, 2, 3]], "left_pan and left_tilt are exchanged"),

@@ -8,11 +8,11 @@ import pytest
 from simulated_head import point_in_camera, skewed_head
 from vergence.errors import VergenceError
 from vergence.gaze.foveation import (
-    eye_angles_to,
     foveal_miss,
     gaze_angles,
     ideal_wide_pixel,
     project_both,
+    readings_to,
     wide_from_narrow,
 )
 from vergence.geometry.camera import pinhole
@@ -168,9 +168,9 @@ def test_eyes_converge_on_what_is_near():
 
 def test_points_that_no_gaze_centres_are_nan_and_leave_the_others_alone():
     points = np.array([[np.nan, 0, 1], [0, 0, 1], [0.001, 0, 0], [0.5, 0, 0], [0, 0, 0]])
-    angles = eye_angles_to(head(0), "left_narrow", points)
+    angles = readings_to(head(0), {"left_narrow": points})[..., :2]
     np.testing.assert_array_equal(np.isfinite(angles).all(axis=1), [False] * 3 + [True, False])
-    alone = eye_angles_to(head(0), "left_narrow", points[3])
+    alone = readings_to(head(0), {"left_narrow": points[3]})[..., :2]
     np.testing.assert_allclose(alone, angles[3], atol=1e-14)
 
 

@@ -9,7 +9,7 @@ import pytest
 from drawn_head import DrawnHead, four_cameras, point_at, straight_to
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.gaze.commands import EYES_4, HEAD_JOINTS, NECK, JointLimits, setpoint
+from vergence.gaze.commands import EYE_READINGS, HEAD_JOINTS, NECK, JointLimits, setpoint
 from vergence.gaze.controller import run_gaze, step_gaze
 from vergence.gaze.state import GazePhase, GazeSettings, GazeState, initial_gaze_state
 
@@ -67,7 +67,9 @@ def test_a_still_object_comes_to_the_middle_of_both_foveas_and_stays(pan, tilt, 
     assert done.after(0.2).max() < 0.5
     assert set(done.phases[6:]) == {GazePhase.FIXATION}
     assert set(done.states[-1].pixels) == set(SETTINGS.narrow)
-    np.testing.assert_allclose(done.states[-1].command.goal[EYES_4], straight_to(target), atol=1e-3)
+    np.testing.assert_allclose(
+        done.states[-1].command.goal[EYE_READINGS], straight_to(target), atol=1e-3
+    )
 
 
 def test_the_position_in_frame_body_is_always_estimated():
@@ -203,7 +205,7 @@ def test_eyes_go_first_the_neck_follows_and_the_image_stays(shift):
         assert done.errors[inside][-1].max() < 2
         # The eyes end near their middle, because the neck has followed.
         last = head.posture(done.times[inside][-1])
-        assert np.abs(last[EYES_4][[0, 2]].mean()) < 0.06
+        assert np.abs(last[EYE_READINGS][[0, 2]].mean()) < 0.06
     assert (turning & foveated).sum() > 20
     assert done.errors[turning & foveated].max() < 20
 

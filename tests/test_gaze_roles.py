@@ -10,7 +10,7 @@ from drawn_head import DrawnHead, four_cameras, point_at, straight_to
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
-from vergence.gaze.commands import EYES_4, HEAD_JOINTS, NECK, JointLimits, hold, joint_limits
+from vergence.gaze.commands import EYE_READINGS, HEAD_JOINTS, NECK, JointLimits, hold, joint_limits
 from vergence.gaze.controller import run_gaze, step_gaze
 from vergence.gaze.roles import EyeCameras, default_roles
 from vergence.gaze.state import (
@@ -95,7 +95,7 @@ def test_a_head_of_one_eye_looks_with_that_and_leaves_the_other_alone(eye):
     assert at_end(head, settings).max() < 0.5
     assert state.track is None
     assert state.aim is not None
-    moved = state.command.goal[EYES_4].reshape(2, 2)
+    moved = state.command.goal[EYE_READINGS].reshape(2, 2)
     assert (moved[EYES.index(eye)] != 0).all()
     assert (moved[1 - EYES.index(eye)] == 0).all()
 
@@ -127,13 +127,13 @@ def test_a_given_point_is_looked_at_without_images_of_it():
     head, state = run(settings, change=lambda s: look_at(settings, s, TARGET.tolist()))
     assert state.phase is GazePhase.FIXATION
     assert head.errors_px(head.time_s).max() < 1e-6
-    np.testing.assert_allclose(state.command.goal[EYES_4], straight_to(TARGET), atol=1e-12)
+    np.testing.assert_allclose(state.command.goal[EYE_READINGS], straight_to(TARGET), atol=1e-12)
     assert state.track is None
     hidden, state = run(
         settings, path=lambda _: None, change=lambda s: look_at(settings, s, TARGET)
     )
     assert state.phase is GazePhase.FIXATION
-    np.testing.assert_allclose(hidden.posture(0.5)[EYES_4], straight_to(TARGET), atol=1e-12)
+    np.testing.assert_allclose(hidden.posture(0.5)[EYE_READINGS], straight_to(TARGET), atol=1e-12)
 
 
 @pytest.mark.slow
@@ -172,7 +172,7 @@ def test_objects_are_chosen_by_name_and_points_in_between():
     ):
         state = run_gaze(head, settings, look_at(settings, state, target), head.time_s + 0.4)
         assert state.phase is GazePhase.FIXATION
-        angles = head.posture(head.time_s)[EYES_4]
+        angles = head.posture(head.time_s)[EYE_READINGS]
         np.testing.assert_allclose(angles, straight_to(where), atol=5e-4)
 
 

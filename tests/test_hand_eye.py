@@ -6,12 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hand_eye_monte_carlo import Config, simulate
-from simulated_head import R_EYE_CAM, random_pose
+from simulated_head import R_EYE_CAM, pan_tilt_pose, random_pose
 from simulated_recording import POINTS
 from vergence.calibration.sequential.hand_eye import motion_pairs, park_martin, solve_rotation
 from vergence.errors import VergenceError
 from vergence.geometry.camera import pinhole
-from vergence.geometry.kinematics import T_base_eye
 from vergence.geometry.se3 import angle, boxminus, hat, inverse, pose, rotation, rotvec
 from vergence.vision.board_pose import board_poses
 
@@ -26,7 +25,7 @@ def mounted(rng: np.random.Generator) -> np.ndarray:
 
 def views(X: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Return T_base_eye and T_cam_target (20, 4, 4) of a panning and tilting eye."""
-    eyes = T_base_eye(rng.uniform(-0.25, 0.25, (20, 2)))
+    eyes = pan_tilt_pose(rng.uniform(-0.25, 0.25, (20, 2)))
     return eyes, inverse(eyes @ X) @ T_BASE_TARGET
 
 
@@ -176,7 +175,7 @@ def test_any_rigid_motion_serves(seed: int):
 
 @pytest.mark.parametrize("moving", [(1, 0), (0, 1), (0, 0)])
 def test_turning_about_one_axis_or_none_is_refused(X: np.ndarray, moving: tuple[int, int]):
-    eyes = T_base_eye(np.linspace(-0.25, 0.25, 10)[:, None] * moving)
+    eyes = pan_tilt_pose(np.linspace(-0.25, 0.25, 10)[:, None] * moving)
     with pytest.raises(VergenceError, match=r"share one axis.*both pans and tilts"):
         park_martin(eyes, inverse(eyes @ X) @ T_BASE_TARGET)
 
@@ -211,7 +210,7 @@ def test_noise_leaves_the_errors_that_the_method_is_known_for_and_no_bias(
     errors = []
     for _ in range(40):
         X, readings, corners = simulate(config, POINTS, np.radians(joint_deg), rng)
-        found = park_martin(T_base_eye(readings), board_poses(camera, corners, POINTS))
+        found = park_martin(pan_tilt_pose(readings), board_poses(camera, corners, POINTS))
         errors.append(boxminus(found, X))
     turn = np.degrees(np.linalg.norm(np.array(errors)[:, :3], axis=1))
     shift = 1e3 * np.linalg.norm(np.array(errors)[:, 3:], axis=1)

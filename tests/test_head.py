@@ -19,6 +19,8 @@ from vergence.geometry.head import (
     save_head,
 )
 from vergence.geometry.kinematics import Neck
+from vergence.geometry.parameters import parameter_names
+from vergence.geometry.projection import eye_poses
 from vergence.geometry.se3 import inverse, transform
 from vergence.writing import write_whole
 
@@ -100,7 +102,7 @@ def test_a_camera_moves_with_pan_then_with_the_neck():
         (0.0, quarter, (-0.045, 0.02, 1.0), (0, 1, 0)),
         (quarter, quarter, (-0.065, 0.0, 1.0), (-1, 0, 0)),
     ):
-        T_lbase_cam = T_base_cam(head, "left_wide", np.array([pan, 0.0]))
+        T_lbase_cam = T_base_cam(head, "left_wide", np.array([pan, 0.0, 0.0, 0.0]))
         T_body_cam = T_body_base(head, "left", np.array([yaw])) @ T_lbase_cam
         np.testing.assert_allclose(T_body_cam[:3, 3], where, atol=1e-15)
         np.testing.assert_allclose(T_body_cam[:3, 2], towards, atol=1e-15)
@@ -129,7 +131,7 @@ def test_an_unknown_camera_and_a_missing_file_are_named(head: HeadCalibration, t
         (["cameras", "left_wide", "T_eye_cam", 1, 3], "NaN", "left_wide.*NaN"),
         (["cameras", "left_wide", "intrinsics", "width"], -1, "left_wide.intrinsics.width"),
         (["cameras", "left_wide", "eye"], "third", "left_wide.eye"),
-        (["axes", "left", "pan_gain"], "much", "axes.left.pan_gain"),
+        (["kinematics", "eyes", "left", 0, "gain"], "much", "kinematics.eyes.left.0.gain"),
         (["format"], "other", "vergence-head-calibration-1"),
         (["surplus"], 1, "surplus"),
     ],
@@ -163,3 +165,27 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path):
         with pytest.raises(VergenceError, match="Cannot write"):
             write_whole(impossible, "three")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["new", "plain"]
+
+
+def test_a_file_of_version_0_1_has_axes_instead_of_joints(file: Path, head: HeadCalibration):
+    content = json.loads(file.read_text())
+    eyes = content.pop("kinematics")["eyes"]
+    content["axes"] = {}
+    for eye, (pan, tilt) in eyes.items():
+        own = {f"{joint['name']}_gain": joint["gain"] for joint in (pan, tilt)}
+        own |= {f"{joint['name']}_offset_rad": joint["offset_rad"] for joint in (pan, tilt)}
+        content["axes"][eye] = own | {
+            name: tilt[name] for name in ("nonorthogonality_rad", "axis_distance_m")
+        }
+    content["format"] = "vergence-head-calibration-1"
+    content["accuracy"] = {
+        "method": "refined",
+        "parameters": ["left.pan_gain", "left.nonorthogonality_rad", "right.axis_distance_m"],
+        "covariance": np.eye(3).tolist(),
+    }
+    file.write_text(json.dumps(content))
+    read = load_head(file)
+    joints = np.random.default_rng(0).uniform(-0.3, 0.3, (5, 4))
+    np.testing.assert_array_equal(eye_poses(read, joints), eye_poses(head, joints))
+    assert read.accuracy is not None
+    assert set(read.accuracy.parameters) < set(parameter_names(read))

@@ -197,10 +197,14 @@ def put(*path: str | int, value: object) -> Callable[[dict], None]:
 
 
 CALIBRATIONS = {
-    "pan_gain": put("axes", "left", "pan_gain", value="nan"),
-    "tilt_gain": put("axes", "right", "tilt_gain", value=1e300),
-    "axes.right is missing": lambda head: head["axes"].pop("right"),
-    "axes.left": put("axes", "left", value=None),
+    "left.0.gain": put("kinematics", "eyes", "left", 0, "gain", value="nan"),
+    "right.1.gain": put("kinematics", "eyes", "right", 1, "gain", value=1e300),
+    "joints of the right eye are missing": lambda head: head["kinematics"]["eyes"].pop("right"),
+    "kinematics.eyes.left": put("kinematics", "eyes", "left", value=None),
+    "parallel axes": put("kinematics", "eyes", "left", 1, "axis", value=[0, 0, 1]),
+    "none of the readings": put("kinematics", "readings", value=["left_pan"]),
+    "at most 20 readings": put("kinematics", "readings", value=[f"r{k}" for k in range(21)]),
+    "axes has for each eye": lambda head: head.update(axes={"left": {}}, kinematics=None),
     "not a rotation": put("cameras", "left_wide", "T_eye_cam", 0, 0, value=3),
     "T_rbase_lbase": put("T_rbase_lbase", value=np.diag([-1, -1, -1, 1]).tolist()),
     "last row": put("T_rbase_lbase", 3, 0, value=1e-3),
@@ -227,7 +231,7 @@ CALIBRATIONS = {
         {"width": 20_000, "height": 20_000}
     ),
     "less than or equal to 20000": put("cameras", "left_wide", "intrinsics", "width", value=10**9),
-    "format": put("format", value="vergence-head-calibration-2"),
+    "format": put("format", value="vergence-head-calibration-9"),
     "Unexpected keyword": put("cameras", "left_wide", "colour", value=True),
 }
 
@@ -398,9 +402,10 @@ def test_an_impossible_camera_info_is_refused(made, old, new, says):
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ("vergence-head-opencv-1", "vergence-head-opencv-9", "format"),
+        ("vergence-head-opencv-2", "vergence-head-opencv-9", "format"),
         ("right_narrow", "left", "not the name of an eye"),
-        ("pan_gain", "pan_gian", "pan_gain"),
+        ("offset_rad", "offset_read", "offset_rad"),
+        ("left_pan,", "", "1"),
         ("T_rbase_lbase", "T_rbase", "T_rbase_lbase"),
         ("image_width", "image_with", "image_width"),
         ("640", "64000000", "width"),

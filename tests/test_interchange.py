@@ -16,7 +16,7 @@ from simulated_head import random_pose, skewed_head
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, project
 from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base, T_head_base
-from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS, EyeAxes, Neck, T_body_head
+from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS, Kinematics, Neck, T_body_head
 from vergence.geometry.lens import CameraModel
 from vergence.geometry.se3 import inverse, pose, rotation, rotvec
 from vergence.interchange import kalibr, opencv, ros, urdf
@@ -121,8 +121,8 @@ def test_a_camchain_leads_from_camera_to_camera(tmp_path):
     chain = kalibr.load(tmp_path / "camchain.yaml")
     # From cam0, left_wide, to the last one, right_narrow.
     T = np.linalg.multi_dot([step for _, step in reversed(chain.values()) if step is not None])
-    T_lbase_first = T_base_cam(head, "left_wide", np.zeros(2))
-    T_rbase_last = T_base_cam(head, "right_narrow", np.zeros(2))
+    T_lbase_first = T_base_cam(head, "left_wide", np.zeros(4))
+    T_rbase_last = T_base_cam(head, "right_narrow", np.zeros(4))
     np.testing.assert_allclose(
         T, inverse(T_rbase_last) @ head.T_rbase_lbase @ T_lbase_first, atol=1e-12
     )
@@ -135,7 +135,7 @@ def test_a_camchain_brings_a_head_all_but_its_wide_mountings(tmp_path):
         name: m if name.endswith("wide") else replace(m, T_eye_cam=random_pose(rng))
         for name, m in head.cameras.items()
     }
-    start = replace(plain(8), cameras=cameras, axes=head.axes)
+    start = replace(plain(8), cameras=cameras, kinematics=head.kinematics)
     kalibr.save(head, tmp_path / "camchain.yaml")
     back = import_head(tmp_path / "camchain.yaml", "kalibr", template=start)
     np.testing.assert_allclose(back.T_rbase_lbase, head.T_rbase_lbase, atol=1e-12)
@@ -215,13 +215,12 @@ def test_the_urdf_moves_as_the_head_does(seed, tmp_path_factory):
         np.testing.assert_allclose(
             tree.T_root(f"{mounted.eye}_base", angles), T_body_eye_base, atol=1e-12
         )
-        two = eyes[:2] if mounted.eye == "left" else eyes[2:]
-        wanted = T_body_eye_base @ T_base_cam(head, name, two)
+        wanted = T_body_eye_base @ T_base_cam(head, name, eyes)
         np.testing.assert_allclose(tree.T_root(f"{name}_optical_frame", angles), wanted, atol=1e-12)
 
 
 def test_a_head_with_perfect_axes_has_plain_joints(tmp_path):
-    head = replace(plain(10), axes={"left": EyeAxes(), "right": EyeAxes()}, neck=Neck())
+    head = replace(plain(10), kinematics=Kinematics(), neck=Neck())
     urdf.save(head, tmp_path / "head.urdf")
     robot = ElementTree.parse(tmp_path / "head.urdf").getroot()
     revolute = {j.get("name"): j for j in robot.iter("joint") if j.get("type") == "revolute"}

@@ -1,20 +1,28 @@
 """Joint angles to poses: signs, order, imperfect axes, the neck."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
+from simulated_head import random_pan_tilt
 from vergence.geometry.kinematics import (
+    EYES,
     Chain,
-    EyeAxes,
+    Joint,
+    Kinematics,
     Neck,
     T_base_eye,
     T_body_head,
-    axes_row,
-    chain_linearised,
     chain_pose,
-    eye_chain,
-    eye_jacobians,
+    change_joints,
+    eye_linearised,
+    eye_turn,
+    joint_parameters,
+    pan_tilt,
+    reading_kinds,
+    readings_to_turn,
 )
 from vergence.geometry.se3 import boxminus, pose, rotation, transform
 
@@ -22,29 +30,34 @@ FORWARD, LEFT, UP = np.eye(3)
 angle_pairs = st.tuples(st.floats(-0.7, 0.7), st.floats(-0.7, 0.7)).map(np.array)
 
 
+def left_eye(angles: np.ndarray, **errors: float) -> np.ndarray:
+    """Return the pose of a left eye at pan and tilt."""
+    kinematics = Kinematics({"left": pan_tilt("left", **errors), "right": pan_tilt("right")})
+    return T_base_eye(kinematics, "left", np.concatenate([angles, 9 * np.ones_like(angles)], -1))
+
+
 def test_positive_pan_looks_left_and_positive_tilt_looks_down():
-    assert (T_base_eye(np.array([0.1, 0.0]))[:3, :3] @ FORWARD) @ LEFT > 0.09
-    assert (T_base_eye(np.array([0.0, 0.1]))[:3, :3] @ FORWARD) @ UP < -0.09
+    assert (left_eye(np.array([0.1, 0.0]))[:3, :3] @ FORWARD) @ LEFT > 0.09
+    assert (left_eye(np.array([0.0, 0.1]))[:3, :3] @ FORWARD) @ UP < -0.09
 
 
 @given(angle_pairs)
 def test_pan_comes_first_about_axes_that_intersect(angles: np.ndarray):
     expected = rotation(angles[0] * UP) @ rotation(angles[1] * LEFT)
-    np.testing.assert_allclose(T_base_eye(angles), pose(expected), atol=1e-14)
+    np.testing.assert_allclose(left_eye(angles), pose(expected), atol=1e-14)
 
 
 @given(angle_pairs)
 def test_true_angles_are_gain_times_reading_plus_offset(reading: np.ndarray):
-    axes = EyeAxes(pan_gain=1.02, tilt_gain=0.97, pan_offset_rad=0.01, tilt_offset_rad=-0.02)
+    errors = dict(pan_gain=1.02, tilt_gain=0.97, pan_offset_rad=0.01, tilt_offset_rad=-0.02)
     true = np.array([1.02 * reading[0] + 0.01, 0.97 * reading[1] - 0.02])
-    np.testing.assert_allclose(T_base_eye(reading, axes), T_base_eye(true), atol=1e-14)
+    np.testing.assert_allclose(left_eye(reading, **errors), left_eye(true), atol=1e-14)
 
 
 @given(angle_pairs)
 def test_a_tilt_axis_out_of_square_turns_about_x(angles: np.ndarray):
-    axes = EyeAxes(nonorthogonality_rad=0.03)
     tilt_axis = rotation(angles[0] * UP) @ rotation(0.03 * FORWARD) @ LEFT
-    R = T_base_eye(angles, axes)[:3, :3]
+    R = left_eye(angles, nonorthogonality_rad=0.03)[:3, :3]
     np.testing.assert_allclose(
         R, rotation(angles[1] * tilt_axis) @ rotation(angles[0] * UP), atol=1e-14
     )
@@ -52,9 +65,9 @@ def test_a_tilt_axis_out_of_square_turns_about_x(angles: np.ndarray):
 
 @given(angle_pairs)
 def test_a_tilt_axis_ahead_of_the_pan_axis_moves_with_pan_only(angles: np.ndarray):
-    axes = EyeAxes(axis_distance_m=0.002)
     expected = 0.002 * (rotation(angles[0] * UP) @ FORWARD)
-    np.testing.assert_allclose(T_base_eye(angles, axes)[:3, 3], expected, atol=1e-17)
+    T = left_eye(angles, axis_distance_m=0.002)
+    np.testing.assert_allclose(T[:3, 3], expected, atol=1e-17)
 
 
 def random_chain(rng: np.random.Generator, joints: int, readings: int) -> Chain:
@@ -96,42 +109,116 @@ def slopes(function, at: np.ndarray, step: float = 1e-5) -> np.ndarray:
     return np.stack(columns, axis=-1)
 
 
-@given(st.integers(0, 2**32 - 1), st.integers(1, 4))
-def test_the_jacobian_of_a_chain_agrees_with_differences(seed: int, joints: int):
+def random_eyes(rng: np.random.Generator, joints: int, readings: int = 3) -> Kinematics:
+    """Return eyes whose joints turn about any axes, moved by any combination of readings."""
+    names = tuple(f"r{k}" for k in range(readings))
+
+    def joint(k: int) -> Joint:
+        axis = np.eye(3)[k % 3] + rng.normal(0, 0.2, 3)
+        return Joint(
+            name=f"j{k}",
+            axis=axis / np.linalg.norm(axis),
+            readings=dict(zip(names, rng.normal(size=readings).tolist(), strict=True)),
+            point_m=rng.normal(0, 0.05, 3),
+        )
+
+    own = {eye: tuple(joint(k) for k in range(joints)) for eye in EYES}
+    off = {eye: rng.normal(0, 0.05, len(joint_parameters(own[eye]))) for eye in EYES}
+    return Kinematics({eye: change_joints(own[eye], off[eye]) for eye in EYES}, names)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 4))
+def test_the_jacobians_of_an_eye_agree_with_differences(seed: int, joints: int):
     rng = np.random.default_rng(seed)
-    chain, readings = random_chain(rng, joints, 2), rng.normal(size=(5, 2))
-    _, found = chain_linearised(chain, readings)
-    expected = slopes(lambda each: chain_pose(chain, each), readings)
-    np.testing.assert_allclose(found, expected, atol=1e-7)
+    kinematics, readings = random_eyes(rng, joints), rng.uniform(-0.5, 0.5, (5, 3))
+    T, by_errors, by_readings = eye_linearised(kinematics, "left", readings)
+    np.testing.assert_array_equal(T, T_base_eye(kinematics, "left", readings))
+
+    def with_errors(change: np.ndarray) -> np.ndarray:
+        eyes = kinematics.eyes | {"left": change_joints(kinematics.eyes["left"], change)}
+        return T_base_eye(Kinematics(eyes, kinematics.readings), "left", readings)
+
+    expected = slopes(lambda each: T_base_eye(kinematics, "left", each), readings)
+    np.testing.assert_allclose(by_readings, expected, atol=1e-7)
+    if joints:
+        expected = slopes(with_errors, np.zeros(by_errors.shape[-1]))
+        np.testing.assert_allclose(by_errors, expected, atol=1e-7)
+    else:
+        assert by_errors.shape == (5, 6, 0)
+    one = eye_linearised(kinematics, "left", readings[1])
+    np.testing.assert_allclose(one[1], by_errors[1], atol=1e-15)
 
 
-@given(st.integers(0, 2**32 - 1))
-def test_the_jacobians_of_an_eye_agree_with_differences(seed: int):
-    rng = np.random.default_rng(seed)
-    readings = rng.uniform(-0.5, 0.5, (5, 2))
-    axes = axes_row(EyeAxes()) + rng.normal(0, 0.05, (5, 6))
-    by_axes = slopes(lambda each: T_base_eye(readings, each), axes)
-    by_readings = slopes(lambda each: T_base_eye(each, axes), readings)
-    for found, expected in zip(eye_jacobians(readings, axes), (by_axes, by_readings), strict=True):
-        np.testing.assert_allclose(found, expected, atol=1e-8)
-    one_posture = eye_jacobians(readings[1], axes[1])
-    for found, many in zip(one_posture, eye_jacobians(readings, axes), strict=True):
-        np.testing.assert_allclose(found, many[1], atol=1e-15)
-
-
-def test_a_chain_serves_many_postures_and_many_chains_one():
+def test_a_chain_serves_many_postures():
     rng = np.random.default_rng(1)
-    angles = rng.normal(size=(3, 5, 2))
-    T = T_base_eye(angles)
+    kinematics, angles = random_pan_tilt(rng), rng.normal(size=(3, 5, 4))
+    T = T_base_eye(kinematics, "right", angles)
     assert T.shape == (3, 5, 4, 4)
-    np.testing.assert_allclose(T[2, 4], T_base_eye(angles[2, 4]), atol=1e-15)
-    readings, rows = rng.normal(0, 0.2, (7, 2)), axes_row(EyeAxes()) + rng.normal(0, 0.05, (7, 6))
-    many = chain_pose(eye_chain(rows), readings)
-    np.testing.assert_allclose(many[3], chain_pose(eye_chain(rows[3]), readings[3]), atol=1e-15)
-    one = chain_pose(eye_chain(rows), readings[0])
-    np.testing.assert_allclose(one[3], chain_pose(eye_chain(rows[3]), readings[0]), atol=1e-15)
+    np.testing.assert_allclose(T[2, 4], T_base_eye(kinematics, "right", angles[2, 4]), atol=1e-15)
     fixed = Chain(np.empty((0, 3)), np.empty((0, 3)), np.ones(3), np.empty((0, 0)), np.empty(0))
     np.testing.assert_array_equal(chain_pose(fixed, np.empty((7, 0)))[6], pose(t=np.ones(3)))
+
+
+def shared_tilt() -> Kinematics:
+    """Return eyes that tilt together and pan each by itself, in this order."""
+    eyes = {}
+    for eye in EYES:
+        tilt = Joint(name="tilt", axis=LEFT, readings={"tilt": 1.0})
+        eyes[eye] = tilt, Joint(name="pan", axis=UP, readings={f"{eye}_pan": 1.0})
+    return Kinematics(eyes, ("tilt", "left_pan", "right_pan"))
+
+
+def version_and_vergence() -> Kinematics:
+    """Return eyes that are read by their mean angle and their difference."""
+    eyes = {}
+    for eye, sign in zip(EYES, (0.5, -0.5), strict=True):
+        pan = Joint(name="pan", axis=UP, readings={"version": 1.0, "vergence": sign})
+        eyes[eye] = pan, Joint(name="tilt", axis=LEFT, readings={"tilt": 1.0})
+    return Kinematics(eyes, ("version", "vergence", "tilt"))
+
+
+def test_readings_that_eyes_share_have_kinds_of_their_own():
+    assert reading_kinds(Kinematics()) == [0, 1, 0, 1]
+    assert reading_kinds(shared_tilt()) == [1, 0, 0]
+    assert reading_kinds(version_and_vergence()) == [0, 1, 2]
+
+
+def test_both_eyes_turn_by_the_readings_that_are_asked_for():
+    turn = np.array([0.0, 0.02, -0.03])
+    for kinematics in (Kinematics(), shared_tilt(), version_and_vergence()):
+        readings = readings_to_turn(kinematics, turn)
+        for eye in EYES:
+            np.testing.assert_allclose(eye_turn(kinematics, eye, readings), turn, atol=1e-15)
+    np.testing.assert_allclose(readings_to_turn(Kinematics(), turn), [-0.03, 0.02] * 2, atol=1e-15)
+    np.testing.assert_allclose(
+        readings_to_turn(version_and_vergence(), turn), [-0.03, 0, 0.02], atol=1e-15
+    )
+
+
+@pytest.mark.parametrize(
+    ("eyes", "said"),
+    [
+        ((Joint(name="a", axis=UP, readings={"x": 1.0}),), "none of the readings left_pan"),
+        (
+            (
+                Joint(name="a", axis=UP, readings={"left_pan": 1.0}),
+                Joint(name="b", axis=UP, readings={"left_tilt": 1.0}),
+            ),
+            "joints a and b of the left eye have parallel axes",
+        ),
+        ((Joint(name="a", axis=UP, readings={"left_pan": 1.0}),) * 2, "each of its own name"),
+    ],
+)
+def test_impossible_joints_are_refused(eyes: tuple[Joint, ...], said: str):
+    with pytest.raises(ValidationError, match=said):
+        Kinematics({"left": eyes, "right": pan_tilt("right")})
+
+
+def test_a_joint_needs_a_unit_axis_and_a_reading():
+    with pytest.raises(ValidationError, match="unit vector, found 2"):
+        Joint(name="pan", axis=2 * UP, readings={"pan": 1.0})
+    with pytest.raises(ValidationError, match="no reading moves joint pan"):
+        Joint(name="pan", axis=UP, readings={"pan": 0.0})
 
 
 def test_each_neck_joint_carries_those_after_it():

@@ -91,13 +91,13 @@ def test_a_head_without_offsets_sees_the_same(seed: int):
     rng = np.random.default_rng(seed)
     head = skewed_head(rng)
     plain = without_offsets(head)
-    angles = rng.normal(0, 0.2, (10, 2))
+    angles = rng.normal(0, 0.2, (10, 4))
     for name, mounted in head.cameras.items():
         one, other = T_base_cam(head, name, angles), T_base_cam(plain, name, angles)
         turn = one[0] @ np.linalg.inv(other[0])
         np.testing.assert_allclose(one, turn @ other, atol=1e-12)
         assert turn[2, 2] == pytest.approx(1)  # about the pan axis alone
-        offset = head.axes[mounted.eye].pan_offset_rad
+        offset = head.kinematics.eyes[mounted.eye][0].offset_rad
         assert offset == pytest.approx(np.arctan2(turn[1, 0], turn[0, 0]))
 
 

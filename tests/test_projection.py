@@ -71,8 +71,7 @@ def test_every_derivative_of_the_projection_agrees_with_differences(seed: int, n
     rng = np.random.default_rng(seed)
     head, points = skewed_head(rng), before_the_head(rng, 3, 4)
     mounted, between = head.cameras[name], head.T_rbase_lbase
-    readings = rng.uniform(-0.25, 0.25, (3, 2))
-    T = T_base_eye(readings, head.axes[mounted.eye])
+    T = T_base_eye(head.kinematics, mounted.eye, rng.uniform(-0.25, 0.25, (3, 4)))
     found = project_with_jacobians(mounted, between, T, points)
 
     def with_lens(change: Array) -> MountedCamera:

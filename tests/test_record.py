@@ -17,7 +17,7 @@ from vergence.data.timing import moved_readings
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
 from vergence.geometry.head import T_base_cam
-from vergence.geometry.kinematics import EYE_COLUMNS, EYES, EyeAxes, T_base_eye
+from vergence.geometry.kinematics import EYES, Kinematics
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import transform
 from vergence.twin.calibration_sequence import BOARD
@@ -73,7 +73,7 @@ def test_corners_lie_where_the_truth_says(recorded):
     dataset, found, truth = recorded
     points = corner_points(truth.board)
     # True angles need no gain and offset; these axes are perfect otherwise.
-    head = replace(truth.head, axes={eye: EyeAxes() for eye in EYES})
+    head = replace(truth.head, kinematics=Kinematics())
     boards = np.stack(
         [transform(truth.T_lbase_target[int(number)], points) for number in dataset.placement]
     )
@@ -88,10 +88,10 @@ def test_the_true_axes_turn_readings_into_true_angles(recorded):
     dataset, _, truth = recorded
     still = ~dataset.moving
     for eye in EYES:
-        columns = EYE_COLUMNS[eye]
         wide = f"{eye}_wide"
-        seen = T_base_cam(truth.head, wide, dataset.eye_angles[still, columns])
-        true = T_base_eye(truth.eye_angles[still, columns]) @ truth.head.cameras[wide].T_eye_cam
+        seen = T_base_cam(truth.head, wide, dataset.eye_angles[still])
+        perfect = replace(truth.head, kinematics=Kinematics())
+        true = T_base_cam(perfect, wide, truth.eye_angles[still])
         angle = np.abs(seen[:, :3, :3] - true[:, :3, :3]).max()
         assert angle < 5 * np.radians(0.02)
 
@@ -101,11 +101,11 @@ def test_the_true_delay_explains_the_moving_readings(recorded):
     assert truth.time_offset_s == 0.02
     assert found.timing is not None
     np.testing.assert_array_equal(found.timing.run > 0, dataset.moving)
-    moving, axes = dataset.moving, truth.head.axes["left"]
+    moving, (pan, _) = dataset.moving, truth.head.kinematics.eyes["left"]
     later = moved_readings(dataset.eye_angles, found.timing, truth.time_offset_s)[moving, 0]
-    read = axes.pan_gain * later + axes.pan_offset_rad
+    read = pan.gain * later + pan.offset_rad
     off = truth.eye_angles[moving, 0] - read
-    moved = axes.pan_gain * (later - dataset.eye_angles[moving, 0])
+    moved = pan.gain * (later - dataset.eye_angles[moving, 0])
     assert abs(off @ moved / (moved @ moved)) < 0.15
 
 

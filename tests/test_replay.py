@@ -139,7 +139,7 @@ def test_by_hand_errors_leave_straight_gaze_exact():
     wrong = inject_calibration_error(truth, ByHand(roll_deg=1, axial_mm=5), "2.8mm")
 
     def stereo(head: HeadCalibration) -> np.ndarray:
-        left, right = (T_base_cam(head, f"{eye}_wide", np.zeros(2)) for eye in ("left", "right"))
+        left, right = (T_base_cam(head, f"{eye}_wide", np.zeros(4)) for eye in ("left", "right"))
         return inverse(right) @ head.T_rbase_lbase @ left
 
     np.testing.assert_allclose(stereo(wrong), stereo(truth), atol=1e-14)

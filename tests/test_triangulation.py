@@ -110,8 +110,8 @@ def head(rng: np.random.Generator) -> HeadCalibration:
 
 def stereo_pose(head: HeadCalibration, eyes: np.ndarray) -> np.ndarray:
     """Return T_rcam_lcam (N, 4, 4), straight from the poses of the two cameras."""
-    T_lbase_lcam = T_base_cam(head, "left_wide", eyes[:, :2])
-    T_rbase_rcam = T_base_cam(head, "right_wide", eyes[:, 2:])
+    T_lbase_lcam = T_base_cam(head, "left_wide", eyes)
+    T_rbase_rcam = T_base_cam(head, "right_wide", eyes)
     return inverse(T_rbase_rcam) @ head.T_rbase_lbase @ T_lbase_lcam
 
 
@@ -160,10 +160,10 @@ def test_triangulation_solves_equations_3_and_4_exactly(seed: int):
 def equation_10_terms(head: HeadCalibration, eyes: np.ndarray) -> dict[str, np.ndarray]:
     """Return what Eqs. 10-11 are made of, at eye angles (N, 4)."""
     return {
-        "T_rbase_reye": T_base_eye(eyes[:, 2:], head.axes["right"]),
+        "T_rbase_reye": T_base_eye(head.kinematics, "right", eyes),
         "T_reye_rcam": head.cameras["right_wide"].T_eye_cam,
         "T_leye_lcam": head.cameras["left_wide"].T_eye_cam,
-        "T_lbase_leye": T_base_eye(eyes[:, :2], head.axes["left"]),
+        "T_lbase_leye": T_base_eye(head.kinematics, "left", eyes),
     }
 
 
@@ -249,7 +249,7 @@ def test_equation_12_gives_the_same_body_point_wherever_eyes_and_neck_look(head,
     eyes = rng.uniform(-0.25, 0.25, (20, 4))
     T_body_lbase = T_body_base(head, "left", neck)
     y_l = point_in_camera(head, "left_wide", eyes, transform(inverse(T_body_lbase), in_body_m))
-    T_er, T_ec = T_base_eye(eyes[:, :2], head.axes["left"]), head.cameras["left_wide"].T_eye_cam
+    T_er, T_ec = T_base_eye(head.kinematics, "left", eyes), head.cameras["left_wide"].T_eye_cam
     y_b = transform(T_body_lbase @ T_er @ T_ec, y_l)
     np.testing.assert_allclose(y_b, np.tile(in_body_m, (20, 1)), atol=1e-14)
     wandering = transform(T_body_lbase @ T_er @ inverse(T_ec), y_l)

@@ -8,10 +8,10 @@ import mujoco
 import numpy as np
 import pytest
 
+from simulated_head import pan_tilt_pose
 from vergence.data.dataset import Frame
 from vergence.gaze.commands import HEAD_JOINTS
 from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base
-from vergence.geometry.kinematics import T_base_eye
 from vergence.geometry.se3 import pose
 from vergence.twin.head import Twin
 from vergence.twin.model import (
@@ -177,7 +177,7 @@ def test_readings_are_older_than_the_image_by_the_delay(make: Make, delay_ms: in
     # And the true angles are where the eye stands in the picture.
     poses = twin.body_poses()
     R_head_eye = poses["head"][:3, :3].T @ poses["left_eye"][:3, :3]
-    np.testing.assert_allclose(R_head_eye, T_base_eye(true_later[:2])[:3, :3], atol=1e-9)
+    np.testing.assert_allclose(R_head_eye, pan_tilt_pose(true_later[:2])[:3, :3], atol=1e-9)
 
 
 def test_backlash_shows_when_a_posture_is_reached_from_both_sides(make: Make):

@@ -13,6 +13,7 @@ from test_triangulation import random_samples
 from vergence.errors import VergenceError
 from vergence.geometry.camera import project
 from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import EYES
 from vergence.geometry.projection import eye_poses, project_point
 from vergence.geometry.se3 import boxplus, rotation
 from vergence.stereo.depth_error import depth_error, disparity_error, predicted_depth_std
@@ -158,7 +159,7 @@ def test_the_covariance_agrees_with_the_closed_form_on_the_axis():
     """Eqs. 20-21 against the Jacobian: equal up to the squared angle of the half baseline."""
     head = plain_head(0.092, 280.0, camera_m=((0.02, 0, 0),) * 2)
     point, straight = np.array([[1.02, -0.046, 0.0]]), np.zeros(4)  # 1 m before the cameras
-    left, right = (project_point(head, f"{eye}_wide", straight, point) for eye in head.axes)
+    left, right = (project_point(head, f"{eye}_wide", straight, point) for eye in EYES)
     noise = {"joint_std_rad": 1e-3, "pixel_std_px": 0.3}
     (covariance,) = locate(head, left=left, right=right, joints=straight, **noise).covariance
     closed = predicted_depth_std(1.0, 0.092, 280.0, camera_ahead_m=0.02, **noise)
@@ -196,7 +197,7 @@ def test_the_covariance_of_a_difference_leaves_out_what_is_shared():
     head = skewed_head(np.random.default_rng(3))
     points = np.array([[0.5, 0.03, 0.0], [0.48, 0.02, -0.05]])
     eyes = np.array([0.12, 0.02, -0.06, 0.03])
-    left, right = (project_point(head, f"{eye}_wide", eyes, points) for eye in head.axes)
+    left, right = (project_point(head, f"{eye}_wide", eyes, points) for eye in EYES)
     turned = eyes + rng.normal(0, joint_std, (n, 4))
     noisy = np.stack([left, right], axis=1)[:, :, None] + rng.normal(0, pixel_std, (2, 2, n, 2))
     a, b = (triangulate_at(head, left=u, right=v, joints=turned)[0] for u, v in noisy)

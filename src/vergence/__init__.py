@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from vergence.geometry.board import Charuco, Chessboard
     from vergence.geometry.camera import Camera
     from vergence.geometry.head import HeadCalibration, MountedCamera, load_head, save_head
-    from vergence.geometry.kinematics import EyeAxes
+    from vergence.geometry.kinematics import Joint, Kinematics
     from vergence.geometry.projection import T_rcam_lcam, project_point
     from vergence.interchange.formats import export_head, import_head
     from vergence.stereo.triangulation import Status, in_body, in_head
@@ -37,9 +37,10 @@ __all__ = [
     "Charuco",
     "Chessboard",
     "Dataset",
-    "EyeAxes",
     "Frame",
     "HeadCalibration",
+    "Joint",
+    "Kinematics",
     "LocatedPoints",
     "MountedCamera",
     "Observations",
@@ -76,7 +77,7 @@ _HOMES = {
     "geometry.board": ("Charuco", "Chessboard"),
     "geometry.camera": ("Camera",),
     "geometry.head": ("HeadCalibration", "MountedCamera", "load_head", "save_head"),
-    "geometry.kinematics": ("EyeAxes",),
+    "geometry.kinematics": ("Joint", "Kinematics"),
     "geometry.projection": ("T_rcam_lcam", "project_point"),
     "interchange.formats": ("export_head", "import_head"),
     "stereo.triangulation": ("Status", "in_body", "in_head"),

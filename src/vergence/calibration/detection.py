@@ -93,6 +93,7 @@ def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observati
         corners=corners,
         sizes={name: (camera.width, camera.height) for name, camera in cameras.items()},
         eyes={name: camera.eye for name, camera in cameras.items()},
+        kinematics=dataset.description.head_kinematics,
         timing=Timing(dataset.joint_time_s, runs(dataset)) if timed else None,
         T_base_eye=dataset.T_base_eye,
         systematic_px=SYSTEMATIC_PX,

@@ -15,7 +15,7 @@ from vergence.data.timing import Timing, moved_readings
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYE_COLUMNS, EYES, EyeAxes, Side, T_base_eye
+from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Observations:
     placement: np.ndarray
     """(V,) of int: views with the same number show the board at the same place in the head."""
     eye_angles: Array
-    """(V, 4) joint readings [rad] in the order of kinematics.EYE_JOINTS; of no meaning where
+    """(V, r) joint readings [rad] in the order of kinematics.readings; of no meaning where
     T_base_eye is given."""
     corners: Mapping[str, Array]
     """By camera: (V, K, 2) pixels in the order of board.corner_points, NaN where not seen."""
@@ -54,6 +54,8 @@ class Observations:
     """By camera: width and height of its images [px]."""
     eyes: Mapping[str, Side] = field(default_factory=dict)
     """By camera, which eye it sits in; left out: as its name begins."""
+    kinematics: Kinematics = field(default_factory=Kinematics)
+    """How the readings turn the eyes, as designed; the default is the paper's pan and tilt."""
     timing: Timing | None = None
     """When the readings were taken; None: the eyes stood still in all views."""
     T_base_eye: Array | None = None
@@ -70,7 +72,7 @@ class Observations:
     def __post_init__(self) -> None:
         V, K = len(self.placement), self.board.columns * self.board.rows
         wanted: dict[str, tuple[np.ndarray, tuple[int, ...]]] = {
-            "eye_angles": (self.eye_angles, (V, 4))
+            "eye_angles": (self.eye_angles, (V, len(self.kinematics.readings)))
         }
         wanted |= {f"corners of {name}": (c, (V, K, 2)) for name, c in self.corners.items()}
         if self.timing is not None:
@@ -111,16 +113,15 @@ class Observations:
             T_base_eye=None if self.T_base_eye is None else self.T_base_eye[rows],
         )
 
-    def eye_poses(self, axes: Mapping[Side, EyeAxes] | None = None) -> Array:
+    def eye_poses(self, head: HeadCalibration | None = None) -> Array:
         """Return the poses (V, 2, 4, 4) of the left and the right eye in their bases, as read.
 
-        Axes say how angles become poses, None: perfectly; they are of no use where poses are given.
+        Angles become poses as in a head, None: as designed.
         """
         if self.T_base_eye is not None:
             return self.T_base_eye
-        own = {} if axes is None else axes
-        poses = [T_base_eye(self.eye_angles[:, EYE_COLUMNS[e]], own.get(e)) for e in EYES]
-        return np.stack(poses, axis=1)
+        own = self.kinematics if head is None else head.kinematics
+        return np.stack([T_base_eye(own, eye, self.eye_angles) for eye in EYES], axis=1)
 
     def timely(self, head: HeadCalibration) -> Observations:
         """Return the same with the readings at the moments of the images, by a time offset."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from vergence.calibration.observations import Observations
-from vergence.geometry.head import Accuracy, HeadCalibration, main_pair
+from vergence.geometry.head import Accuracy, HeadCalibration, main_pair, reading_stds
+from vergence.geometry.kinematics import readings_to_turn
 from vergence.geometry.parameters import without_offsets
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse
@@ -78,7 +79,8 @@ def point_accuracy(head: HeadCalibration) -> list[tuple[float, float, float]]:
     if accuracy.eye_motion == "poses":
         return []
     plain, phase = without_offsets(head), np.arange(8) * np.pi / 4
-    joints = _TURNS_RAD * np.stack([np.cos(phase), np.sin(phase)] * 2, axis=1)
+    turns = np.stack([np.zeros(8), np.sin(phase), np.cos(phase)], axis=1)
+    joints = readings_to_turn(head.kinematics, _TURNS_RAD * turns)
     rows = []
     for distance in DISTANCES_M:
         # Both eyes turn in the same sense; the point stays in the middle of the head.
@@ -91,7 +93,7 @@ def point_accuracy(head: HeadCalibration) -> list[tuple[float, float, float]]:
             right=right,
             joints=joints,
             pixel_std_px=accuracy.pixel_std_px or 0.0,
-            joint_std_rad=np.tile(accuracy.joint_std, 4)[:4],
+            joint_std_rad=reading_stds(head),
         )
         both = (
             1e3 * float(np.sqrt(np.trace(each, axis1=1, axis2=2).mean()))

@@ -16,7 +16,7 @@ from vergence.commands.plan import as_text
 from vergence.data.dataset import Dataset
 from vergence.errors import VergenceError
 from vergence.geometry.head import main_pair
-from vergence.geometry.kinematics import EYE_COLUMNS
+from vergence.geometry.kinematics import EYES
 from vergence.geometry.parameters import parameter_values
 from vergence.geometry.se3 import rotvec
 from vergence.progress import Progress, silent
@@ -91,7 +91,11 @@ def _write_report(
 ) -> None:
     progress("writing the report", 0, len(dataset))
     seen = result.observations
-    angles = {eye: seen.eye_angles[:, columns] for eye, columns in EYE_COLUMNS.items()}
+    axes = np.moveaxis(seen.eye_poses()[..., :3, 0], 1, 0)  # the eyes' own x, which looks ahead
+    angles = {
+        eye: np.stack([np.arctan2(y, x), -np.arctan2(z, np.hypot(x, y))], axis=-1)
+        for eye, (x, y, z) in zip(EYES, np.moveaxis(axes, -1, 1), strict=True)
+    }
     eyes = {eye: angles[eye] for eye in dataset.description.eyes}
     plots.coverage(folder / "coverage.png", seen.corners, seen.sizes, eyes)
     if result.estimate is not None:

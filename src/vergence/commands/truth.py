@@ -16,9 +16,9 @@ from pydantic.dataclasses import dataclass
 from vergence.arrays import Matrix, Transform
 from vergence.geometry.board import Charuco, Chessboard
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYE_COLUMNS
 from vergence.reading import read_json
 from vergence.twin.profile import ErrorProfile, Joints
+from vergence.twin.sensors import sensor_columns, with_sensor_errors
 
 TRUTH = "truth.json"
 
@@ -32,7 +32,7 @@ class Truth:
     time_offset_s: float
     """Time from a joint reading to the moment that its image shows."""
     eye_angles: Matrix
-    """(N, 4) true angles [rad] at the moment of each row's images, in the order of EYE_JOINTS."""
+    """(N, r) true angles [rad] at the moment of each row's images, in the order of the readings."""
     T_lbase_target: dict[int, Transform]
     """By number of the placement: the true pose of the board."""
     board: Chessboard | Charuco
@@ -44,24 +44,14 @@ class Truth:
 
 
 def with_sensors(head: HeadCalibration, joints: Joints) -> HeadCalibration:
-    """Return a head whose axes undo the gains and offsets of its joint sensors.
+    """Return a head whose joints undo the gains and offsets of its joint sensors.
 
     A sensor reads gain * angle + offset; a calibration states angle = gain * reading + offset.
     """
-    gain = 1 / (1 + np.array(joints.gain_percent) / 100)
-    offset = -gain * np.radians(joints.offset_deg)
-    axes = {}
-    for eye, columns in EYE_COLUMNS.items():
-        pan_gain, tilt_gain = gain[columns].tolist()
-        pan_offset, tilt_offset = offset[columns].tolist()
-        axes[eye] = replace(
-            head.axes[eye],
-            pan_gain=pan_gain,
-            tilt_gain=tilt_gain,
-            pan_offset_rad=pan_offset,
-            tilt_offset_rad=tilt_offset,
-        )
-    return replace(head, axes=axes)
+    columns = sensor_columns(head.kinematics)
+    gain = 1 / (1 + np.array(joints.gain_percent)[columns] / 100)
+    offset = -gain * np.radians(joints.offset_deg)[columns]
+    return replace(head, kinematics=with_sensor_errors(head.kinematics, gain, offset))
 
 
 def load(path: Path) -> Truth:

@@ -9,7 +9,8 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass as plain_dataclass
-from dataclasses import field
+from dataclasses import field, replace
+from functools import cached_property
 from io import BytesIO
 from pathlib import Path
 from typing import Annotated, Literal
@@ -20,12 +21,21 @@ from PIL import Image
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
-from vergence.arrays import Array
+from vergence.arrays import Array, Vector3
 from vergence.errors import VergenceError
 from vergence.geometry.board import Charuco, Chessboard
 from vergence.geometry.camera import MAX_IMAGE_PX, Camera, check_image_size
 from vergence.geometry.head import MAX_CAMERAS, check_camera_name
-from vergence.geometry.kinematics import EYE_JOINTS, EYES, NECK_JOINTS, Side
+from vergence.geometry.kinematics import (
+    AXIS_NAMES,
+    EYE_JOINTS,
+    EYES,
+    NECK_JOINTS,
+    Joint,
+    Kinematics,
+    Side,
+    pan_tilt,
+)
 from vergence.reading import read_bytes
 
 DESCRIPTION, FRAMES = "dataset.json", "frames.csv"
@@ -45,7 +55,7 @@ class Frame:
     joint_time_s: float
     """Time stamp of the joint readings."""
     eye_angles: Array
-    """(4,) joint readings of the eyes [rad] in the order of kinematics.EYE_JOINTS."""
+    """(r,) joint readings of the eyes [rad] in the order of the head's kinematics.readings."""
     neck_angles: Array
     """(3,) joint readings of the neck [rad] in the order of kinematics.NECK_JOINTS."""
     images: Mapping[str, np.ndarray]
@@ -53,7 +63,7 @@ class Frame:
 
 
 JOINTS: tuple[str, ...] = (*EYE_JOINTS, *NECK_JOINTS)
-"""Names of the joints whose readings a dataset can hold."""
+"""Names of the joints whose readings a dataset can hold without stating its kinematics."""
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 _Pixels = Annotated[int, Field(gt=0, le=MAX_IMAGE_PX, strict=True)]
 MAX_IMAGE_BYTES = 256 * 2**20
@@ -87,13 +97,41 @@ class DatasetJoint:
 
 
 @dataclass(frozen=True, eq=False, config=_STRICT)
+class DatasetReading:
+    """Unit and sign of a column of frames.csv from which joints' angles are made."""
+
+    unit: Literal["rad", "deg"]
+    sign: Literal[1, -1] = 1
+    """-1 where the encoder counts in the opposite direction."""
+
+
+@dataclass(frozen=True, eq=False, config=_STRICT)
+class EyeJoint:
+    """A joint of an eye as designed: angle = sum of factor * reading."""
+
+    name: str
+    axis: Literal["pan", "tilt", "roll"] | Vector3
+    """Of a right-handed turn, with every joint at zero: up, to the left, ahead, or a vector in the
+    axes of the head (x ahead, y left, z up)."""
+    readings: dict[str, float]
+    """By column of frames.csv its factor."""
+    point_m: Vector3 = field(default_factory=lambda: np.zeros(3))
+    """A point on the axis, in the eye's base."""
+
+
+@dataclass(frozen=True, eq=False, config=_STRICT)
 class Description:
     """Content of dataset.json: cameras, board and joints."""
 
     cameras: dict[str, DatasetCamera]
     board: Annotated[Chessboard | Charuco, Field(discriminator="kind")]
     joints: dict[str, DatasetJoint] = field(default_factory=dict)
-    """Pan and tilt of each eye that has cameras, unless poses are given; optionally the neck's."""
+    """Pan and tilt of each eye that has cameras, unless `kinematics` or poses are given; optionally
+    the neck's."""
+    kinematics: dict[Side, tuple[EyeJoint, ...]] | None = None
+    """The joints of each eye that has cameras, from the head outwards; None: pan, then tilt."""
+    readings: dict[str, DatasetReading] = field(default_factory=dict)
+    """By column the unit and the sign of the readings that `kinematics` speaks of."""
     eye_motion: Literal["pan-tilt", "poses"] = "pan-tilt"
     """Whether frames.csv gives joint angles, or 4x4 poses of the eyes in their bases."""
     note: str = ""
@@ -134,8 +172,11 @@ class Description:
             if self.eye_motion == "poses" and name in self.joints:
                 raise ValueError(f"eye_motion is poses, but joints has {name}; give one of the two")
             needed = self.eye_motion == "pan-tilt" and name.partition("_")[0] in self.eyes
-            if needed and name not in self.joints:
+            if self.kinematics is not None and name in self.joints:
+                raise ValueError(f"kinematics is given, and joints.{name} too; give one of the two")
+            if needed and self.kinematics is None and name not in self.joints:
                 raise ValueError(f"joints.{name} is missing; that eye has a camera")
+        self._check_kinematics()
         reserved = {TIME, JOINT_TIME, PLACEMENT, MOVING, *self.pose_columns}
         if clash := reserved & set(self.cameras):
             raise ValueError(f"no camera can be called {min(clash)}, which is another column")
@@ -147,6 +188,51 @@ class Description:
                     f"joints.{name}.column is {joint.column!r}, which is not the name of a column "
                     "of joint readings"
                 )
+
+    def _check_kinematics(self) -> None:
+        if self.kinematics is None:
+            if self.readings:
+                raise ValueError("readings are those of kinematics, which is missing")
+            return
+        if self.eye_motion == "poses":
+            raise ValueError("eye_motion is poses, but kinematics is given; give one of the two")
+        for eye in self.eyes:
+            if not self.kinematics.get(eye):
+                raise ValueError(f"kinematics.{eye} is missing; that eye has a camera")
+        joints = [joint for own in self.kinematics.values() for joint in own]
+        used = {column for joint in joints for column in joint.readings}
+        if odd := used ^ set(self.readings):
+            name = min(odd)
+            known = "is in no joint of kinematics" if name in self.readings else "is missing"
+            raise ValueError(f"readings.{name} {known}; each column has its unit there once")
+        reserved = {TIME, JOINT_TIME, PLACEMENT, MOVING, *self.cameras}
+        reserved |= {*self.joints, *(joint.column for joint in self.joints.values())}
+        if clash := reserved & used:
+            raise ValueError(f"no reading can be called {min(clash)}, which is another column")
+        _ = self.head_kinematics  # its joints are checked when they are made
+
+    @property
+    def sources(self) -> dict[str, DatasetJoint]:
+        """Column, unit and sign of each reading of eyes and neck that has a column, by its name."""
+        own = {
+            name: DatasetJoint(column=name, unit=reading.unit, sign=reading.sign)
+            for name, reading in self.readings.items()
+        }
+        return self.joints | own
+
+    @cached_property
+    def head_kinematics(self) -> Kinematics:
+        """The joints of both eyes as designed; of an eye without cameras none if not given.
+
+        Of eyes that pan and tilt, joints with one column are moved by one reading, which is called
+        as the first of them.
+        """
+        if self.kinematics is None:
+            return _pan_and_tilt({n: j for n, j in self.joints.items() if n in EYE_JOINTS})
+        eyes: dict[Side, tuple[Joint, ...]] = {
+            eye: tuple(map(_joint, self.kinematics.get(eye, ()))) for eye in EYES
+        }
+        return Kinematics(eyes, tuple(self.readings))
 
     @property
     def eyes(self) -> tuple[Side, ...]:
@@ -164,7 +250,45 @@ class Description:
         """Columns of frames.csv, of which `moving` may be missing."""
         joints = dict.fromkeys(joint.column for joint in self.joints.values())
         fixed = [TIME, JOINT_TIME, PLACEMENT, MOVING]
-        return [*fixed, *joints, *self.pose_columns, *self.cameras]
+        return [*fixed, *joints, *self.readings, *self.pose_columns, *self.cameras]
+
+
+def _pan_and_tilt(joints: Mapping[str, DatasetJoint]) -> Kinematics:
+    first: dict[str, str] = {}  # by column the joint that names its reading
+    for name in EYE_JOINTS:
+        if name in joints:
+            first.setdefault(joints[name].column, name)
+    if len(first) == len(joints):
+        return Kinematics()
+    eyes: dict[Side, tuple[Joint, ...]] = {}
+    for eye in EYES:
+        own = []
+        for joint in pan_tilt(eye):
+            stated = joints[f"{eye}_{joint.name}"]
+            name = first[stated.column]
+            if stated.unit != joints[name].unit:
+                raise ValueError(f"joints.{eye}_{joint.name}.unit differs from joints.{name}.unit")
+            factor = float(stated.sign * joints[name].sign)
+            own.append(replace(joint, readings={name: factor}))
+        eyes[eye] = tuple(own)
+    return Kinematics(eyes, tuple(first.values()))
+
+
+def _joint(stated: EyeJoint) -> Joint:
+    axis = stated.axis
+    direction = np.array(AXIS_NAMES[axis] if isinstance(axis, str) else axis)
+    length = np.linalg.norm(direction)
+    if not 0.1 < length < 10:
+        raise ValueError(
+            f"the axis of joint {stated.name} is pan, tilt, roll or a direction such as [0, 0, 1], "
+            f"found {direction.tolist()}"
+        )
+    return Joint(
+        name=stated.name,
+        axis=direction / length,
+        readings=stated.readings,
+        point_m=stated.point_m,
+    )
 
 
 def pose_columns(eye: str) -> list[str]:
@@ -185,8 +309,8 @@ class Dataset:
     joint_time_s: Array
     """(N,) time stamps of the joint readings, strictly increasing."""
     eye_angles: Array
-    """(N, 4) [rad] in the order of kinematics.EYE_JOINTS; 0 for an eye without cameras, NaN
-    where poses are given."""
+    """(N, r) [rad] in the order of description.head_kinematics.readings; 0 for an eye without
+    cameras, NaN where poses are given."""
     T_base_eye: Array | None
     """(N, 2, 4, 4) poses of the left and the right eye in their bases, the identity for an eye
     without cameras; None where joint angles are given instead."""

@@ -30,7 +30,7 @@ from vergence.data.dataset import (
     pose_columns,
 )
 from vergence.errors import VergenceError, explain
-from vergence.geometry.kinematics import EYE_JOINTS, EYES, NECK_JOINTS
+from vergence.geometry.kinematics import EYES, NECK_JOINTS
 from vergence.reading import MAX_DIGITS, parse_json, read_bytes, read_parsed
 
 MAX_DELAY_S = 1.0
@@ -79,7 +79,7 @@ def load_dataset(folder: str | Path) -> Dataset:
     _check_columns(table, description)
     poses = description.eye_motion == "poses"
     time_s, joint_time_s = _time_stamps(table)
-    eye_angles = _joint_angles(description, EYE_JOINTS, table)
+    eye_angles = _joint_angles(description, description.head_kinematics.readings, table)
     neck_angles = _joint_angles(description, NECK_JOINTS, table)
     return Dataset(
         folder=folder,
@@ -238,9 +238,9 @@ def _unit(stamp: float) -> str:
 
 def _joint_angles(description: Description, names: tuple[str, ...], table: _Table) -> Array:
     """Return joint angles (N, n) [rad], signs applied; zeros for a joint without a column."""
-    angles = np.zeros((len(table.lines), len(names)))
+    angles, sources = np.zeros((len(table.lines), len(names))), description.sources
     for n, name in enumerate(names):
-        joint = description.joints.get(name)
+        joint = sources.get(name)
         if joint is None:
             continue
         readings = joint.sign * table.numbers([joint.column])[:, 0]
@@ -248,7 +248,8 @@ def _joint_angles(description: Description, names: tuple[str, ...], table: _Tabl
         beyond = (np.abs(turned) > np.pi) & (np.abs(turned) <= 2 * np.pi)  # 359 degrees are -1
         angles[:, n] = turned - np.where(beyond, 2 * np.pi * np.sign(turned), 0.0)
         for k in np.flatnonzero(np.abs(angles[:, n]) > np.pi).tolist():
-            advice = f'; if it is in degrees, set joints.{name}.unit to "deg"'
+            where = "joints" if name in description.joints else "readings"
+            advice = f'; if it is in degrees, set {where}.{name}.unit to "deg"'
             raise VergenceError(
                 f"{table.where(k)}: {joint.column} = {table.columns[joint.column][k]} {joint.unit} "
                 f"is more than a turn{advice if joint.unit == 'rad' else ''}."
@@ -318,10 +319,10 @@ def _image_files(
 
 
 def _remarks(description: Description, eye_angles: Array, table: _Table) -> tuple[str, ...]:
-    """Return a sentence for each joint whose angles (N, 4) look like another unit."""
-    remarks = []
-    for n, name in enumerate(EYE_JOINTS):
-        joint = description.joints.get(name)
+    """Return a sentence for each joint whose angles (N, r) look like another unit."""
+    remarks, sources = [], description.sources
+    for n, name in enumerate(description.head_kinematics.readings):
+        joint = sources.get(name)
         if joint is None:
             continue
         k = np.abs(eye_angles[:, n]).argmax()

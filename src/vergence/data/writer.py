@@ -19,14 +19,13 @@ from vergence.data.dataset import (
     DESCRIPTION,
     FRAMES,
     JOINT_TIME,
-    JOINTS,
     MOVING,
     PLACEMENT,
     TIME,
     Description,
     Frame,
 )
-from vergence.geometry.kinematics import EYES
+from vergence.geometry.kinematics import EYES, NECK_JOINTS
 from vergence.writing import check_new, whole_folder
 
 
@@ -104,8 +103,11 @@ def _cells(description: Description, row: DatasetRow) -> dict[str, object]:
         PLACEMENT: row.placement,
         MOVING: int(row.moving),
     }
-    angles = dict(zip(JOINTS, (*frame.eye_angles, *frame.neck_angles), strict=True))
-    for name, joint in description.joints.items():
+    names = (*description.head_kinematics.readings, *NECK_JOINTS)
+    angles = dict(zip(names, (*frame.eye_angles, *frame.neck_angles), strict=True))
+    for name, joint in description.sources.items():
+        if name not in angles:
+            continue  # it shares its column with another
         angle = joint.sign * angles[name]
         cells[joint.column] = float(np.degrees(angle) if joint.unit == "deg" else angle)
     if row.T_base_eye is not None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.gaze.commands import EYES_4
+from vergence.gaze.commands import EYE_READINGS
 from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.head import T_body_base
 from vergence.geometry.se3 import inverse, transform
@@ -80,7 +80,7 @@ def depth_sample(
     distance = float(np.linalg.norm(away))
     error = transform(T_lbase_body, state.measured) - truth
     pixel_errors = found - true_pixels(twin, settings)
-    reading_errors = frame.eye_angles - twin.true_angles()[EYES_4]
+    reading_errors = frame.eye_angles - twin.true_angles()[EYE_READINGS]
     return DepthSample(
         time_s=frame.time_s,
         distance_m=distance,

@@ -18,7 +18,6 @@ from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.demos.experiment import calibrated_twin, check_trials, p95, write_summary
 from vergence.demos.recording import recorded
-from vergence.gaze.commands import HEAD_JOINTS
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.state import GazePhase, GazeSettings, GazeState, initial_gaze_state
 from vergence.progress import Progress, silent
@@ -123,7 +122,7 @@ def run_trial(
     `watch` is called with every state and its frame.
     """
     head = SimulatedHead(twin, run, lambda _: target_head, all_cameras_every=1)
-    state = initial_gaze_state(settings, np.zeros(len(HEAD_JOINTS)), head.now_s())
+    state = initial_gaze_state(settings, np.zeros(len(settings.joints)), head.now_s())
     times: list[float] = []
     errors: list[Array] = []
 

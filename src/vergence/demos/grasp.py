@@ -18,7 +18,6 @@ from vergence.data.dataset import Frame
 from vergence.demos.depth_error_by_range import DepthSample, RangeBin, bin_by_range, depth_sample
 from vergence.demos.experiment import calibrated_twin, check_trials, p95, write_summary
 from vergence.demos.recording import recorded
-from vergence.gaze.commands import HEAD_JOINTS
 from vergence.progress import Progress, silent
 from vergence.reach.controller import run_reach
 from vergence.reach.state import ReachPhase, ReachSettings, ReachState, initial_reach_state
@@ -126,7 +125,9 @@ def run_trial(
             samples.append(sample)
         watch(state, frame)
 
-    state = initial_reach_state(settings, np.zeros(len(HEAD_JOINTS)), hand.read(), head.now_s())
+    state = initial_reach_state(
+        settings, np.zeros(len(settings.gaze.joints)), hand.read(), head.now_s()
+    )
     state = run_reach(head, hand, settings, state, LONGEST_S, watch=keep)
     miss = unaided = np.inf
     if state.phase is ReachPhase.HELD:

@@ -10,7 +10,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.gaze.commands import EYES_4
+from vergence.gaze.commands import EYE_READINGS
 from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.head import T_body_base
 from vergence.geometry.projection import project_point
@@ -106,7 +106,7 @@ def recorded(
             poses = twin.body_poses()
             hidden = poses["object"][2, 3] < 0  # below the floor
             where = np.full(3, np.nan) if hidden else twin.true_object()
-            eyes = twin.true_angles()[EYES_4]
+            eyes = twin.true_angles()[EYE_READINGS]
             log_gaze_frame(
                 rec,
                 settings,

@@ -17,7 +17,6 @@ from vergence.data.dataset import Frame
 from vergence.demos.experiment import calibrated_twin, write_summary
 from vergence.demos.recording import recorded
 from vergence.errors import VergenceError
-from vergence.gaze.commands import HEAD_JOINTS
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.state import GazeSettings, GazeState, initial_gaze_state
 from vergence.progress import Progress, silent
@@ -137,7 +136,7 @@ def follow(
         distances = foveal_errors(twin, settings)
         rows.append((frame.time_s, in_all_foveas(twin, settings), *distances, fused, single, wide))
 
-    state = initial_gaze_state(settings, np.zeros(len(HEAD_JOINTS)), head.now_s())
+    state = initial_gaze_state(settings, np.zeros(len(settings.joints)), head.now_s())
     run_gaze(head, settings, state, seconds - FRAME_S, watch=keep)
     table = np.array(rows, float).reshape(-1, 7)
     time, seen = table[:, 0], table[:, 1] == 1

@@ -5,7 +5,8 @@ points every millisecond therefore needs nothing more from a controller that run
 rate, and the controller can compute the set points that were in force at the time of any frame,
 however late the frame arrives.
 
-Joints are in the order of HEAD_JOINTS: the three of the neck, then the four of the eyes.
+The j joints of a posture are the three of the neck, then the readings of the eyes in the order of
+the head's kinematics: HEAD_JOINTS, where both eyes pan and tilt.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ from vergence.errors import VergenceError
 from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS
 
 HEAD_JOINTS = (*NECK_JOINTS, *EYE_JOINTS)
-NECK, EYES_4 = slice(0, len(NECK_JOINTS)), slice(len(NECK_JOINTS), len(HEAD_JOINTS))
-"""Columns of the neck and of both eyes in a posture (..., 7)."""
+NECK, EYE_READINGS = slice(0, len(NECK_JOINTS)), slice(len(NECK_JOINTS), None)
+"""Columns of the neck and of both eyes in a posture (..., j)."""
 HOLD_S = 0.1
 """Time after which a moving goal stops if no further command arrives: extrapolation degrades."""
 
@@ -37,21 +38,23 @@ class JointLimits:
             [(-30, 40), (-30, 30), (-50, 50), (-35, 35), (-30, 30), (-35, 35), (-30, 30)]
         )
     )
-    """(7, 2) lower and upper end of each joint's range."""
+    """(j, 2) lower and upper end of each joint's range."""
     speed_rad_s: Array = field(default_factory=lambda: np.array([3.0] * 3 + [10.0] * 4))
-    """(7,) greatest speed of the set points."""
+    """(j,) greatest speed of the set points."""
     margin_rad: float = float(np.radians(0.25))
     """Distance of the set points from the ends of the ranges, because servos overshoot a little."""
+    joints: tuple[str, ...] = HEAD_JOINTS
+    """Names of the joints."""
 
     def __post_init__(self) -> None:
-        shapes = np.shape(self.range_rad), np.shape(self.speed_rad_s)
-        if shapes != ((len(HEAD_JOINTS), 2), (len(HEAD_JOINTS),)):
+        shapes, j = (np.shape(self.range_rad), np.shape(self.speed_rad_s)), len(self.joints)
+        if shapes != ((j, 2), (j,)):
             raise VergenceError(
-                f"Limits are given for the joints {', '.join(HEAD_JOINTS)}: ranges (7, 2) and "
-                f"speeds (7,), found {shapes[0]} and {shapes[1]}; see `joint_limits`."
+                f"Limits are given for the joints {', '.join(self.joints)}: ranges ({j}, 2) and "
+                f"speeds ({j},), found {shapes[0]} and {shapes[1]}; see `joint_limits`."
             )
         for name, (lower, upper), speed in zip(
-            HEAD_JOINTS, self.range_rad, self.speed_rad_s, strict=True
+            self.joints, self.range_rad, self.speed_rad_s, strict=True
         ):
             if not (-np.inf < lower <= upper < np.inf and 0 < speed < np.inf):
                 raise VergenceError(
@@ -61,35 +64,40 @@ class JointLimits:
 
     @property
     def setpoint_range_rad(self) -> Array:
-        """(7, 2) lowest and highest set point of each joint."""
+        """(j, 2) lowest and highest set point of each joint."""
         half = np.ptp(self.range_rad, axis=1) / 2  # the margin of a joint that hardly moves
         margin = np.minimum(self.margin_rad, half)[:, None]
         return self.range_rad + margin * np.array([1.0, -1.0])
 
 
 def joint_limits(
-    range_rad: Mapping[str, tuple[float, float]], speed_rad_s: Mapping[str, float]
+    range_rad: Mapping[str, tuple[float, float]],
+    speed_rad_s: Mapping[str, float],
+    *,
+    joints: Sequence[str] = HEAD_JOINTS,
 ) -> JointLimits:
     """Return limits by the names of joints; those that are not named stay at zero.
 
     Args:
         range_rad: lower and upper end of the range of each joint that the head has, by its name
-            among HEAD_JOINTS.
+            among the joints.
         speed_rad_s: greatest speed of the same joints.
+        joints: all joints of a posture: the neck's, then the readings of the eyes.
 
     Raises:
         VergenceError: a joint is unknown, or has only one of range and speed, or these are not
             possible.
     """
     for name in {**range_rad, **speed_rad_s}:
-        if name not in HEAD_JOINTS:
-            raise VergenceError(f"No joint is called {name!r}; there are {', '.join(HEAD_JOINTS)}.")
+        if name not in joints:
+            raise VergenceError(f"No joint is called {name!r}; there are {', '.join(joints)}.")
         if name not in range_rad or name not in speed_rad_s:
             missing = "range" if name in speed_rad_s else "speed"
             raise VergenceError(f"The joint {name} has no {missing}; both are needed.")
     return JointLimits(
-        np.array([range_rad.get(name, (0.0, 0.0)) for name in HEAD_JOINTS], float),
-        np.array([speed_rad_s.get(name, 1.0) for name in HEAD_JOINTS], float),
+        np.array([range_rad.get(name, (0.0, 0.0)) for name in joints], float),
+        np.array([speed_rad_s.get(name, 1.0) for name in joints], float),
+        joints=tuple(joints),
     )
 
 
@@ -100,16 +108,16 @@ class HeadCommand:
     time_s: float
     """Time at which the motion begins."""
     start: Array
-    """(7,) set points at that time [rad]."""
+    """(j,) set points at that time [rad]."""
     goal: Array
-    """(7,) target angles at that time [rad]."""
+    """(j,) target angles at that time [rad]."""
     rate: Array
-    """(7,) velocity of the goal from then on [rad/s]."""
+    """(j,) velocity of the goal from then on [rad/s]."""
     limits: JointLimits
 
 
 def setpoint(command: HeadCommand, time_s: float) -> Array:
-    """Return the set points (7,) [rad] of a command at a time, within ranges and speeds."""
+    """Return the set points (j,) [rad] of a command at a time, within ranges and speeds."""
     elapsed = max(time_s - command.time_s, 0.0)
     goal = command.goal + command.rate * min(elapsed, HOLD_S)
     reach = command.limits.speed_rad_s * elapsed
@@ -118,14 +126,14 @@ def setpoint(command: HeadCommand, time_s: float) -> Array:
 
 
 def commanded(commands: Sequence[HeadCommand], time_s: float) -> Array:
-    """Return the set points (7,) [rad] in force at a time; the first hold for earlier ones too."""
+    """Return the set points (j,) [rad] in force at a time; the first hold for earlier ones too."""
     valid = [command for command in commands if command.time_s <= time_s]
     return setpoint(valid[-1] if valid else commands[0], time_s)
 
 
 def hold(posture: Array, limits: JointLimits, time_s: float) -> HeadCommand:
-    """Return the command that holds a posture (7,) [rad]."""
-    return HeadCommand(time_s, posture, posture, np.zeros(len(HEAD_JOINTS)), limits)
+    """Return the command that holds a posture (j,) [rad]."""
+    return HeadCommand(time_s, posture, posture, np.zeros(len(posture)), limits)
 
 
 class HeadDriver(Protocol):

@@ -23,8 +23,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.gaze.commands import (
-    EYES_4,
-    HEAD_JOINTS,
+    EYE_READINGS,
     NECK,
     HeadCommand,
     HeadDriver,
@@ -32,7 +31,7 @@ from vergence.gaze.commands import (
     hold,
     setpoint,
 )
-from vergence.gaze.foveation import eye_angles_to, gaze_angles
+from vergence.gaze.foveation import gaze_angles, readings_to
 from vergence.gaze.kalman import Track
 from vergence.gaze.observation import (
     Rays,
@@ -45,7 +44,7 @@ from vergence.gaze.observation import (
 )
 from vergence.gaze.state import GazePhase, GazeSettings, GazeState
 from vergence.geometry.head import T_body_base
-from vergence.geometry.kinematics import EYE_COLUMNS
+from vergence.geometry.kinematics import eye_turn, readings_to_turn
 from vergence.geometry.se3 import inverse, transform
 
 _RATE_STEP_S = 1e-3
@@ -115,7 +114,7 @@ def _follow(
 ) -> GazeState:
     """Return the state with the command that keeps the aim on both foveas.
 
-    Aim, posture (7,) [rad] and rays are those at the time of the image. An eye without a ray to the
+    Aim, posture (j,) [rad] and rays are those at the time of the image. An eye without a ray to the
     object is turned by the aim alone.
     """
     calibration, aim, image_s = settings.calibration, state.aim, state.frame_s
@@ -124,31 +123,37 @@ def _follow(
     neck_then = posture[NECK]
     neck_now = neck_then + start_now[NECK] - commanded(state.commands, image_s)[NECK]
     aim_now = _in_left_base(settings, aim.position, neck_now)
-    version = gaze_angles(calibration, aim_now, cameras=settings.narrow)
-    state = _turn_neck(settings, state, version, now_s)
+    eyes_now = gaze_angles(calibration, aim_now, cameras=settings.narrow)
+    state = _turn_neck(settings, state, eyes_now, now_s)
     moments = np.array([image_s, now_s, now_s + _RATE_STEP_S])
     velocity = aim.velocity * _is_moving(settings, aim)
     points = aim.position + (moments - image_s)[:, None] * velocity
     necks = np.stack([neck_then, neck_now, neck_now + _RATE_STEP_S * state.neck_rate])
     points_lbase = _in_left_base(settings, points, necks)
     then, now, soon = gaze_angles(calibration, points_lbase, cameras=settings.narrow)
-    goal, rate = now.copy(), (soon - now) / _RATE_STEP_S
     aim_lbase = points_lbase[0]
     aim_base = {"left": aim_lbase, "right": transform(calibration.T_rbase_lbase, aim_lbase)}
-    for eye, (centre, ray) in rays.items():
-        along = np.linalg.norm(aim_base[eye] - centre) / np.linalg.norm(ray)
-        seen = eye_angles_to(calibration, settings.eyes[eye].narrow, centre + along * ray)
-        goal[EYE_COLUMNS[eye]] = seen + (now - then)[EYE_COLUMNS[eye]]
-    return _move_eyes(settings, state, goal, rate, now_s)
+    targets = {}
+    for eye, cameras in settings.eyes.items():
+        targets[cameras.narrow] = aim_base[eye]
+        if eye in rays:
+            centre, ray = rays[eye]
+            along = np.linalg.norm(aim_base[eye] - centre) / np.linalg.norm(ray)
+            targets[cameras.narrow] = centre + along * ray
+    goal = now + readings_to(calibration, targets) - then
+    return _move_eyes(settings, state, goal, (soon - now) / _RATE_STEP_S, now_s)
 
 
 def _turn_neck(settings: GazeSettings, state: GazeState, eyes: Array, now_s: float) -> GazeState:
-    """Return the state with the neck's velocity, by the eyes' angles (4,) [rad] to the object."""
-    used = np.array([eyes[EYE_COLUMNS[eye]] for eye in settings.eyes])
-    if not settings.use_neck or not np.isfinite(used).all():
+    """Return the state with the neck's velocity, by the eyes' readings (r,) [rad] to the object."""
+    if not settings.use_neck:
         return state
-    pan, tilt = used.T
-    away = np.array([tilt.mean(), 0.0, pan.mean()])  # pitch, roll, yaw
+    kinematics = settings.calibration.kinematics
+    turns = [eye_turn(kinematics, eye, eyes) for eye in settings.eyes]
+    if not np.isfinite(turns).all():
+        return state
+    _, tilt, pan = np.mean(turns, axis=0)
+    away = np.array([tilt, 0.0, pan])  # pitch, roll, yaw
     begins, ends = settings.comfort_rad
     turning = bool(np.abs(away).max() > (ends if state.neck_turning else begins))
     top = settings.neck_speed_rad_s
@@ -157,7 +162,7 @@ def _turn_neck(settings: GazeSettings, state: GazeState, eyes: Array, now_s: flo
     rate = state.neck_rate + np.clip(wanted - state.neck_rate, -change, change)
     at = setpoint(state.command, now_s)[NECK]
     lower, upper = settings.limits.setpoint_range_rad[NECK].T
-    blocked = np.isin(HEAD_JOINTS[NECK], state.stuck)
+    blocked = np.isin(settings.joints[NECK], state.stuck)
     blocked |= ((at >= upper) & (rate > 0)) | ((at <= lower) & (rate < 0))
     return replace(state, neck_turning=turning, neck_rate=np.where(blocked, 0.0, rate))
 
@@ -167,19 +172,21 @@ def _move_eyes(
 ) -> GazeState:
     """Return the state with the command for eyes and neck, and the phase that it implies.
 
-    The eyes' target angles (4,) [rad] now, NaN: stay, move at a rate (4,) [rad/s], NaN: zero.
+    The eyes' target readings (r,) [rad] now, NaN: stay, move at a rate (r,) [rad/s], NaN: zero.
     """
     at = setpoint(state.command, now_s)
-    goal = np.where(np.isfinite(goal), goal, at[EYES_4])
+    goal = np.where(np.isfinite(goal), goal, at[EYE_READINGS])
     rate = np.where(np.isfinite(rate), rate, 0.0)
-    lower, upper = settings.limits.setpoint_range_rad[EYES_4].T
-    distance = np.abs(np.clip(goal, lower, upper) - at[EYES_4])
+    lower, upper = settings.limits.setpoint_range_rad[EYE_READINGS].T
+    distance = np.abs(np.clip(goal, lower, upper) - at[EYE_READINGS])
     sighted = isinstance(state.target, str)  # otherwise no image shows how far the gaze is off
     foveal = not sighted or all(state.detections.get(name) is not None for name in settings.narrow)
     landing = state.landing_s
     if distance.max() > settings.saccade_rad or state.phase is GazePhase.LOST:
         phase = GazePhase.SACCADE
-        landing = now_s + (distance / settings.limits.speed_rad_s[EYES_4]).max() + settings.settle_s
+        landing = (
+            now_s + (distance / settings.limits.speed_rad_s[EYE_READINGS]).max() + settings.settle_s
+        )
     elif not foveal or (goal < lower).any() or (goal > upper).any():  # until the neck follows
         phase = GazePhase.SACCADE
     else:
@@ -246,8 +253,9 @@ def _without_detection(settings: GazeSettings, state: GazeState, now_s: float) -
         return state
     pan, tilt = _SEARCH_RAD[state.searched % len(_SEARCH_RAD)]
     neck = np.array([0.0, 0.0, pan * settings.use_neck])
-    goal = np.concatenate([neck, np.tile([pan, tilt], 2)])
+    eyes = readings_to_turn(settings.calibration.kinematics, np.array([0.0, tilt, pan]))
+    goal = np.concatenate([neck, eyes])
     at = setpoint(state.command, now_s)
-    command = HeadCommand(now_s, at, goal, np.zeros(len(HEAD_JOINTS)), settings.limits)
+    command = HeadCommand(now_s, at, goal, np.zeros(len(goal)), settings.limits)
     landing = now_s + (np.abs(goal - at) / settings.limits.speed_rad_s).max() + settings.settle_s
     return _send(state, command, landing_s=landing, searched=state.searched + 1)

@@ -10,12 +10,12 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
-from vergence.gaze.commands import EYES_4, HEAD_JOINTS, NECK, commanded
+from vergence.gaze.commands import EYE_READINGS, NECK, commanded
 from vergence.gaze.kalman import InnovationRatio, Track, begin, fuse, predict, update_ratio
 from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.camera import Camera, normalise
 from vergence.geometry.head import T_base_cam, T_body_base
-from vergence.geometry.kinematics import EYE_COLUMNS, EYES, Side
+from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.uncertainty import locate_with_covariance
 from vergence.vision.detector import Detection
@@ -53,7 +53,7 @@ def detect_object(settings: GazeSettings, state: GazeState, frame: Frame) -> Gaz
     sent, earlier = (commanded(state.commands, frame.joint_time_s - ago) for ago in (0, 0.1))
     read = np.concatenate([frame.neck_angles, frame.eye_angles])
     at_rest = np.abs(sent - earlier) < settings.stuck_rad / 3
-    was_stuck = np.isin(HEAD_JOINTS, state.stuck)
+    was_stuck = np.isin(settings.joints, state.stuck)
     # A stuck joint is free again once it is at its set point, at rest or not.
     stuck = (at_rest | was_stuck) & (np.abs(read - sent) > settings.stuck_rad)
     return replace(
@@ -61,7 +61,9 @@ def detect_object(settings: GazeSettings, state: GazeState, frame: Frame) -> Gaz
         aim=None if _seen_by_another(settings, state.detections, detections) else state.aim,
         detections=detections,
         frame_s=frame.time_s,
-        stuck=tuple(name for name, is_stuck in zip(HEAD_JOINTS, stuck, strict=True) if is_stuck),
+        stuck=tuple(
+            name for name, is_stuck in zip(settings.joints, stuck, strict=True) if is_stuck
+        ),
         measured=None,
     )
 
@@ -113,7 +115,7 @@ def moment_of_image(settings: GazeSettings, frame: Frame) -> float:
 
 
 def _readings_at_image(settings: GazeSettings, state: GazeState, frame: Frame) -> Array:
-    """Return the joint readings (7,) [rad], moved from their own time to that of the image."""
+    """Return the joint readings (j,) [rad], moved from their own time to that of the image."""
     read = np.concatenate([frame.neck_angles, frame.eye_angles])
     moment_s = moment_of_image(settings, frame)
     if moment_s == frame.joint_time_s:
@@ -123,13 +125,13 @@ def _readings_at_image(settings: GazeSettings, state: GazeState, frame: Frame) -
 
 
 def posture_at_image(settings: GazeSettings, state: GazeState, frame: Frame) -> Array:
-    """Return the joint angles (7,) [rad] at the time of the image, as the commands had them.
+    """Return the joint angles (j,) [rad] at the time of the image, as the commands had them.
 
     The set points are used because readings have noise and gains, which do not matter to a loop
     that is closed by the image. The heavy neck lags behind its set points: for the neck, and for
     joints that are stuck, the reading is the better one.
     """
-    use_reading = np.isin(HEAD_JOINTS, state.stuck)
+    use_reading = np.isin(settings.joints, state.stuck)
     use_reading[NECK] = True
     sent = commanded(state.commands, moment_of_image(settings, frame))
     return np.where(use_reading, _readings_at_image(settings, state, frame), sent)
@@ -154,7 +156,7 @@ def is_central(camera: Camera, pixel: Array, share: float) -> bool:
 
 
 def rays_to(settings: GazeSettings, state: GazeState, posture: Array) -> Rays:
-    """Return the ray to the object for each eye that sees it, at a posture (7,) [rad]."""
+    """Return the ray to the object for each eye that sees it, at a posture (j,) [rad]."""
     rays: dict[Side, tuple[Array, Array]] = {}
     for eye in settings.eyes:
         view = best_view(settings, state.detections, eye)
@@ -162,7 +164,7 @@ def rays_to(settings: GazeSettings, state: GazeState, posture: Array) -> Rays:
             continue
         name, seen = view
         xy = normalise(settings.calibration.camera(name).intrinsics, seen.pixel)
-        T = T_base_cam(settings.calibration, name, posture[EYES_4][EYE_COLUMNS[eye]])
+        T = T_base_cam(settings.calibration, name, posture[EYE_READINGS])
         rays[eye] = T[:3, 3], T[:3, :3] @ np.array([*xy, 1.0])
     return rays
 
@@ -170,7 +172,7 @@ def rays_to(settings: GazeSettings, state: GazeState, posture: Array) -> Rays:
 def measure(settings: GazeSettings, state: GazeState, frame: Frame, posture: Array) -> GazeState:
     """Return the state with both tracks at a frame: `track` by readings, `aim` by commands.
 
-    The posture (7,) [rad] by commands is from `posture_at_image`.
+    The posture (j,) [rad] by commands is from `posture_at_image`.
     """
     motion, time_s = settings.motion, frame.time_s
     found = _locate(
@@ -249,18 +251,19 @@ def _at_assumed_depth(settings: GazeSettings, state: GazeState, eye: Side, ray: 
 def _locate(
     settings: GazeSettings, state: GazeState, postures: Array
 ) -> list[tuple[Array, Array]] | None:
-    """Return by posture (2, 7) the object (3,) [m] and its covariance (3, 3) in frame body."""
+    """Return by posture (2, j) the object (3,) [m] and its covariance (3, 3) in frame body."""
     left, right = (best_view(settings, state.detections, eye) for eye in EYES)
     if left is None or right is None:
         return None
+    readings = postures[:, EYE_READINGS]
     joint_stds = [[settings.joint_std_rad], [settings.command_std_rad]]
     points, covariances = locate_with_covariance(
         settings.calibration,
         left=np.tile(left[1].pixel, (2, 1)),
         right=np.tile(right[1].pixel, (2, 1)),
-        joints=postures[:, EYES_4],
+        joints=readings,
         pixel_std_px=np.repeat([left[1].std_px, right[1].std_px], 2),
-        joint_std_rad=np.repeat(joint_stds, 4, axis=1),
+        joint_std_rad=np.repeat(joint_stds, readings.shape[1], axis=1),
         cameras=(left[0], right[0]),
     )
     if not np.isfinite(covariances).all():

@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.gaze.commands import HEAD_JOINTS, NECK, HeadCommand, JointLimits, hold
+from vergence.gaze.commands import HeadCommand, JointLimits, hold
 from vergence.gaze.kalman import InnovationRatio, MotionModel, Track
 from vergence.gaze.roles import EyeCameras, check_roles, default_roles
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYES, Side
+from vergence.geometry.kinematics import EYES, NECK_JOINTS, Side
 from vergence.vision.detector import Detection, Detector, pixel_or_nan
 from vergence.vision.sphere import sphere_detector
 
@@ -101,12 +101,22 @@ class GazeSettings:
                     f"The detector of {name!r} must be a function of image, camera and pixel, "
                     f"found {type(detect).__name__}."
                 )
-        joints = len(self.calibration.neck.axes)
-        if self.use_neck and joints != len(HEAD_JOINTS[NECK]):
+        if self.limits.joints != self.joints:
             raise VergenceError(
-                f"A neck that shares in gaze shifts has the joints {', '.join(HEAD_JOINTS[NECK])}, "
+                f"The limits are those of {', '.join(self.limits.joints)}, but the joints of this "
+                f"head are {', '.join(self.joints)}: give `joint_limits(..., joints=...)`."
+            )
+        joints = len(self.calibration.neck.axes)
+        if self.use_neck and joints != len(NECK_JOINTS):
+            raise VergenceError(
+                f"A neck that shares in gaze shifts has the joints {', '.join(NECK_JOINTS)}, "
                 f"and the calibration must describe them; it has {joints} neck joints."
             )
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints of a posture: the neck's, then the readings of the eyes."""
+        return (*NECK_JOINTS, *self.calibration.kinematics.readings)
 
     @cached_property
     def eyes(self) -> Mapping[Side, EyeCameras]:
@@ -183,7 +193,7 @@ class GazeState:
 
 
 def initial_gaze_state(settings: GazeSettings, posture: Array, time_s: float) -> GazeState:
-    """Return the state of a head that rests at set points (7,) [rad] and has not seen anything.
+    """Return the state of a head that rests at set points (j,) [rad] and has not seen anything.
 
     It will look at the first object of the settings; see `look_at`.
     """

@@ -10,17 +10,28 @@ import re
 from collections import Counter
 from collections.abc import Collection
 from dataclasses import field
+from inspect import signature
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AliasChoices, BeforeValidator, ConfigDict, Field
+from pydantic import AliasChoices, BeforeValidator, ConfigDict, Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Array, Matrix, Transform
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera
-from vergence.geometry.kinematics import EYES, EyeAxes, Neck, Side, T_base_eye, T_body_head
+from vergence.geometry.kinematics import (
+    EYES,
+    Joint,
+    Kinematics,
+    Neck,
+    Side,
+    T_base_eye,
+    T_body_head,
+    pan_tilt,
+    reading_kinds,
+)
 from vergence.geometry.se3 import inverse, pose
 from vergence.reading import read_json
 from vergence.writing import write_json
@@ -75,13 +86,21 @@ def _method_of_version_0_1(name: str) -> str:
     return "bundle" if name == "refined" else name
 
 
+def _names_of_version_0_1(names: Any) -> Any:
+    """Return the names with those of the axes' geometry as the joint's that they belong to."""
+    if not isinstance(names, (list, tuple)):
+        return names
+    old = {f"{eye}.{name}" for eye in EYES for name in ("nonorthogonality_rad", "axis_distance_m")}
+    return tuple(name.replace(".", ".tilt_") if name in old else name for name in names)
+
+
 @dataclass(frozen=True, eq=False, config=_FINITE)
 class Accuracy:
     """How well a calibration is known; see docs/calibration.md."""
 
     method: Annotated[Literal["bundle", "paper"], BeforeValidator(_method_of_version_0_1)]
     """Bundle adjustment, or the paper's steps alone."""
-    parameters: tuple[str, ...] = ()
+    parameters: Annotated[tuple[str, ...], BeforeValidator(_names_of_version_0_1)] = ()
     """Names of what was estimated, such as left_wide.fx, left_wide.T_eye_cam.rx, left.pan_gain;
     px, rad, m, s. Empty for the paper's method, which states no accuracy."""
     covariance: Matrix = field(default_factory=lambda: np.empty((0, 0)))
@@ -89,8 +108,8 @@ class Accuracy:
     pixel_std_px: Annotated[float, Field(ge=0)] | None = None
     """Noise of one coordinate of a corner."""
     joint_std: tuple[Annotated[float, Field(ge=0)], ...] = ()
-    """Noise of the readings [rad]: of all joints, or of pan and tilt; for eyes whose poses are
-    given, rotation [rad] and translation [m]."""
+    """Noise of the readings [rad]: of all, or of each kind (`kinematics.reading_kinds`), such as
+    pan and tilt; for eyes whose poses are given, rotation [rad] and translation [m]."""
     eye_motion: Literal["pan-tilt", "poses"] = "pan-tilt"
     """Whether the eyes were read as angles or as poses."""
     held_out: HeldOut | None = None
@@ -134,25 +153,39 @@ class HeadCalibration:
     T_rbase_lbase: Transform
     """Pose of the left eye's base frame in the right one's: T_e^rl of the paper (Eq. 10); the
     identity for a head of one eye."""
-    axes: dict[Side, EyeAxes] = field(
-        default_factory=lambda: {"left": EyeAxes(), "right": EyeAxes()}
-    )
+    kinematics: Kinematics = field(default_factory=Kinematics)
+    """How readings of the joints turn the eyes."""
     neck: Neck = field(default_factory=Neck)
     """From the design, not calibrated; without joints the head is the body."""
     time_offset_s: float = 0.0
     """An image shows the joints this much later than their reading."""
     accuracy: Accuracy | None = None
     """None: not stated; files of other programs and heads as designed have none."""
-    format: Literal["vergence-head-calibration-1"] = "vergence-head-calibration-1"
+    format: Literal["vergence-head-calibration-1", "vergence-head-calibration-2"] = (
+        "vergence-head-calibration-2"
+    )
+    """Files of version 0.1 have the first."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_version_0_1(cls, found: Any) -> Any:
+        """Turn `axes`, the errors of pan and tilt by eye, into the joints of `kinematics`."""
+        if not isinstance(found, dict) or "axes" not in found or found.get("kinematics"):
+            return found
+        try:
+            axes = {eye: dict(found["axes"][eye]) for eye in EYES}
+            eyes: dict[Side, tuple[Joint, ...]] = {eye: pan_tilt(eye, **axes[eye]) for eye in EYES}
+        except (TypeError, KeyError, ValueError):
+            known = ", ".join(list(signature(pan_tilt).parameters)[1:])
+            raise ValueError(f"axes has for each eye some of {known}, each a number") from None
+        rest = {name: value for name, value in found.items() if name not in ("axes", "kinematics")}
+        return rest | {"kinematics": Kinematics(eyes), "format": "vergence-head-calibration-2"}
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.cameras) <= MAX_CAMERAS:
             raise ValueError(f"a head has 1 to {MAX_CAMERAS} cameras, found {len(self.cameras)}")
         for name in self.cameras:
             check_camera_name(name)
-        for eye in EYES:
-            if eye not in self.axes:
-                raise ValueError(f"axes.{eye} is missing")
         if abs(self.time_offset_s) > MAX_TIME_OFFSET_S:
             raise ValueError(
                 f"time_offset_s is in seconds, at most {MAX_TIME_OFFSET_S:g}; found "
@@ -165,6 +198,15 @@ class HeadCalibration:
             known = ", ".join(self.cameras)
             raise VergenceError(f"No camera is called {name!r}; this head has: {known}.")
         return self.cameras[name]
+
+
+def reading_stds(head: HeadCalibration) -> Array:
+    """Return the stated noise of each reading (r,) [rad], 0 where none is stated."""
+    accuracy, kinds = head.accuracy, reading_kinds(head.kinematics)
+    if accuracy is None or not accuracy.joint_std:
+        return np.zeros(len(kinds))
+    levels = np.array(accuracy.joint_std)
+    return levels[np.minimum(kinds, len(levels) - 1)]
 
 
 def check_camera_name(name: str) -> None:
@@ -197,10 +239,10 @@ def T_head_base(calibration: HeadCalibration, eye: Side) -> Array:
     return T_head_lbase if eye == "left" else T_head_lbase @ T_lbase_rbase
 
 
-def T_base_cam(calibration: HeadCalibration, camera: str, angles: Array) -> Array:
-    """Return poses (..., 4, 4) of a camera in its eye's base frame, at (..., 2) pan and tilt."""
+def T_base_cam(calibration: HeadCalibration, camera: str, joints: Array) -> Array:
+    """Return poses (..., 4, 4) of a camera in its eye's base, at readings (..., r) of the head."""
     mounted = calibration.camera(camera)
-    return T_base_eye(angles, calibration.axes[mounted.eye]) @ mounted.T_eye_cam
+    return T_base_eye(calibration.kinematics, mounted.eye, joints) @ mounted.T_eye_cam
 
 
 def T_body_base(calibration: HeadCalibration, eye: Side, neck_angles: Array) -> Array:

@@ -7,9 +7,12 @@ linear combination of readings. The default of an eye is the paper's: pan, a rig
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass as plain_dataclass
-from dataclasses import field, fields
-from typing import Annotated, Literal
+from dataclasses import field, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import ConfigDict, Field
@@ -21,10 +24,10 @@ from vergence.geometry.se3 import cross, pose, rotation
 Side = Literal["left", "right"]
 EYES: tuple[Side, Side] = ("left", "right")
 EYE_JOINTS = ("left_pan", "left_tilt", "right_pan", "right_tilt")
-"""Order of the columns wherever the angles of both eyes stand in one (N, 4) array."""
-EYE_COLUMNS: dict[Side, slice] = {"left": slice(0, 2), "right": slice(2, 4)}
-"""Where pan and tilt of an eye stand among the four angles of both."""
+"""The readings of eyes that pan and tilt, each on its own."""
 NECK_JOINTS = ("neck_pitch", "neck_roll", "neck_yaw")
+AXIS_NAMES = {"pan": (0.0, 0.0, 1.0), "tilt": (0.0, 1.0, 0.0), "roll": (1.0, 0.0, 0.0)}
+"""The axes of a head that stands upright: up, to the left, ahead."""
 
 
 @plain_dataclass(frozen=True, eq=False)
@@ -32,31 +35,24 @@ class Chain:
     """n revolute joints from a base outwards, moved by r readings.
 
     Axes and points are given in the base with every joint at zero, where all frames are parallel.
-    Leading dimensions are batches.
     """
 
     axes: Array
-    """(..., n, 3) unit vectors."""
+    """(n, 3) unit vectors."""
     points_m: Array
-    """(..., n, 3) a point on each axis."""
+    """(n, 3) a point on each axis."""
     end_m: Array
-    """(..., 3) origin of the frame at the end of the chain."""
+    """(3,) origin of the frame at the end of the chain."""
     mixing: Array
-    """(..., n, r): angles = mixing @ readings + offset."""
+    """(n, r): angles = mixing @ readings + offset."""
     offset_rad: Array
-    """(..., n)."""
+    """(n,)."""
 
 
 def chain_pose(chain: Chain, readings: Array) -> Array:
     """Return the pose (..., 4, 4) of the chain's end in its base at readings (..., r) [rad]."""
     R, t = _joint_frames(chain, readings)
     return pose(R[..., -1, :, :], t[..., -1, :])
-
-
-def chain_linearised(chain: Chain, readings: Array) -> tuple[Array, Array]:
-    """Return chain_pose, and its derivatives (..., 6, r) by the readings as in `se3.boxplus`."""
-    R, t = _joint_frames(chain, readings)
-    return pose(R[..., -1, :, :], t[..., -1, :]), _angle_jacobian(chain, R, t) @ chain.mixing
 
 
 def _angle_jacobian(chain: Chain, R: Array, t: Array) -> Array:
@@ -68,85 +64,280 @@ def _angle_jacobian(chain: Chain, R: Array, t: Array) -> Array:
 
 def _joint_frames(chain: Chain, readings: Array) -> tuple[Array, Array]:
     """Return R (..., n+1, 3, 3), t (..., n+1, 3): each joint before its turn, and the end."""
-    angles = (chain.mixing @ readings[..., None])[..., 0] + chain.offset_rad
-    turns = rotation(angles[..., None] * chain.axes)
-    shape = np.broadcast_shapes(turns.shape[:-3], chain.points_m.shape[:-2], chain.end_m.shape[:-1])
-    n = chain.axes.shape[-2]
+    n = len(chain.axes)
+    shape = readings.shape[:-1]
     R, t = np.empty((*shape, n + 1, 3, 3)), np.empty((*shape, n + 1, 3))
     R[..., 0, :, :] = np.eye(3)
-    t[..., 0, :] = chain.points_m[..., 0, :] if n else chain.end_m
+    t[..., 0, :] = chain.points_m[0] if n else chain.end_m
+    angles = (chain.mixing @ readings[..., None])[..., 0] + chain.offset_rad
+    turns = rotation(angles[..., None] * chain.axes)
     for k in range(n):
         R[..., k + 1, :, :] = R[..., k, :, :] @ turns[..., k, :, :]
-        ahead = chain.points_m[..., k + 1, :] if k + 1 < n else chain.end_m
-        step = ahead - chain.points_m[..., k, :]
-        t[..., k + 1, :] = t[..., k, :] + (R[..., k + 1, :, :] @ step[..., None])[..., 0]
+        step = (chain.points_m[k + 1] if k + 1 < n else chain.end_m) - chain.points_m[k]
+        t[..., k + 1, :] = t[..., k, :] + R[..., k + 1, :, :] @ step
     return R, t
 
 
 _Number = Annotated[float, Field(ge=-1e3, le=1e3)]
+_Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,40}$")]
+ReadingName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_:()/ -]{0,60}$")]
+_FINITE = ConfigDict(extra="forbid", allow_inf_nan=False)
+MAX_JOINTS = 20
+"""Of a chain, and readings of a head."""
+PARALLEL = 0.1
+"""Sine of the angle between successive axes below which they count as one joint's."""
 
 
-@dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid", allow_inf_nan=False))
-class EyeAxes:
-    """How the axes of one eye differ from perfect ones; true angle = gain * reading + offset."""
+@dataclass(frozen=True, eq=False, config=_FINITE)
+class Joint:
+    """A revolute joint of an eye: as designed, and how the real one differs.
 
-    pan_gain: _Number = 1.0
-    tilt_gain: _Number = 1.0
-    pan_offset_rad: _Number = 0.0
-    tilt_offset_rad: _Number = 0.0
+    angle = gain * (sum of factor * reading) + offset. The common normal of two successive axes is
+    (own axis) x (axis before); along it, and about it, one axis may be off against the other.
+    """
+
+    name: _Name
+    axis: Vector3
+    """Unit vector in the eye's base, with every joint at zero."""
+    readings: dict[ReadingName, _Number]
+    """By reading its factor."""
+    point_m: Vector3 = field(default_factory=lambda: np.zeros(3))
+    """A point on the axis, in the eye's base."""
+    gain: _Number = 1.0
+    offset_rad: _Number = 0.0
     nonorthogonality_rad: _Number = 0.0
-    """Turn of the tilt axis about +x, out of the plane that is perpendicular to the pan axis."""
+    """Turn of the axis about the common normal; for a tilt behind a pan: out of the plane that is
+    perpendicular to the pan axis."""
     axis_distance_m: _Number = 0.0
-    """Distance of the tilt axis ahead (+x) of the pan axis, which it should intersect."""
+    """Shift along the common normal, of this joint and all behind it; for a tilt behind a pan: how
+    far it lies ahead (+x) of the pan axis, which it should intersect."""
+    slide_m: _Number = 0.0
+    """Shift along the axis, of this joint and all behind it."""
+
+    def __post_init__(self) -> None:
+        if abs(np.linalg.norm(self.axis) - 1) > 1e-6:
+            length = np.linalg.norm(self.axis)
+            raise ValueError(f"the axis of joint {self.name} is a unit vector, found {length:.6g}")
+        if np.abs(self.point_m).max() > MAX_M:
+            raise ValueError(f"point_m of joint {self.name} is in metres, found {self.point_m}")
+        if not any(self.readings.values()):
+            raise ValueError(f"no reading moves joint {self.name}")
 
 
-AXES = tuple(each.name for each in fields(EyeAxes))
+def pan_tilt(
+    eye: Side,
+    *,
+    pan_gain: float = 1.0,
+    pan_offset_rad: float = 0.0,
+    tilt_gain: float = 1.0,
+    tilt_offset_rad: float = 0.0,
+    nonorthogonality_rad: float = 0.0,
+    axis_distance_m: float = 0.0,
+) -> tuple[Joint, Joint]:
+    """Return the joints of the paper's eye: pan about +z, then tilt about +y."""
+    pan = Joint(
+        name="pan",
+        axis=np.array(AXIS_NAMES["pan"]),
+        readings={f"{eye}_pan": 1.0},
+        gain=pan_gain,
+        offset_rad=pan_offset_rad,
+    )
+    tilt = Joint(
+        name="tilt",
+        axis=np.array(AXIS_NAMES["tilt"]),
+        readings={f"{eye}_tilt": 1.0},
+        gain=tilt_gain,
+        offset_rad=tilt_offset_rad,
+        nonorthogonality_rad=nonorthogonality_rad,
+        axis_distance_m=axis_distance_m,
+    )
+    return pan, tilt
 
 
-def axes_row(axes: EyeAxes) -> Array:
-    """Return the fields (6,) of EyeAxes in the order of AXES."""
-    return np.array([getattr(axes, name) for name in AXES])
+@dataclass(frozen=True, eq=False, config=_FINITE)
+class Kinematics:
+    """How readings turn the eyes: by eye its joints, from the head outwards."""
+
+    eyes: dict[Side, tuple[Joint, ...]] = field(
+        default_factory=lambda: {eye: pan_tilt(eye) for eye in EYES}
+    )
+    """Both eyes; an eye without joints is fixed to the head."""
+    readings: tuple[ReadingName, ...] = EYE_JOINTS
+    """Names, in the order in which readings stand in arrays (..., r)."""
+
+    def __post_init__(self) -> None:
+        if not len(set(self.readings)) == len(self.readings) <= MAX_JOINTS:
+            raise ValueError(f"a head has at most {MAX_JOINTS} readings, each of its own name")
+        for eye in EYES:
+            if eye not in self.eyes:
+                raise ValueError(f"the joints of the {eye} eye are missing")
+            _check_joints(f"{eye} eye", self.eyes[eye], self.readings)
+
+    @cached_property
+    def chains(self) -> Mapping[Side, Chain]:
+        """By eye its chain, with the errors of its joints."""
+        return {eye: _eye_chain(self.eyes[eye], self.readings) for eye in EYES}
+
+    def used(self, eye: Side) -> list[int]:
+        """Return which of the readings move an eye, in the order of the joints that they move."""
+        mixing = self.chains[eye].mixing != 0
+        used = np.flatnonzero(mixing.any(axis=0))
+        return used[np.argsort(mixing[:, used].argmax(axis=0), kind="stable")].tolist()
 
 
-def eye_chain(axes: EyeAxes | Array | None = None) -> Chain:
-    """Return the chain of an eye, pan then tilt; axes may be rows (..., 6); None: perfect axes."""
-    rows = axes if isinstance(axes, np.ndarray) else axes_row(axes or EyeAxes())
-    mixing, steps, directions = (np.zeros((*rows.shape[:-1], 2, n)) for n in (2, 3, 3))
-    mixing[..., 0, 0], mixing[..., 1, 1] = rows[..., 0], rows[..., 1]
-    directions[..., 0, 2] = 1.0
-    directions[..., 1, 1], directions[..., 1, 2] = np.cos(rows[..., 4]), np.sin(rows[..., 4])
-    steps[..., 1, 0] = rows[..., 5]
-    return Chain(directions, steps, steps[..., 1, :], mixing, rows[..., 2:4])
+def _check_joints(whose: str, joints: tuple[Joint, ...], readings: tuple[str, ...]) -> None:
+    names = [joint.name for joint in joints]
+    if not len(set(names)) == len(names) <= MAX_JOINTS:
+        raise ValueError(
+            f"the {whose} has at most {MAX_JOINTS} joints, each of its own name; found "
+            f"{', '.join(names)[:200]}"
+        )
+    for joint in joints:
+        if unknown := set(joint.readings) - set(readings):
+            raise ValueError(
+                f"joint {joint.name} of the {whose} is moved by {min(unknown)!r}, which is none "
+                f"of the readings {', '.join(readings)}"
+            )
+    for before, joint in pairwise(joints):
+        if np.linalg.norm(cross(before.axis, joint.axis)) < PARALLEL:
+            raise ValueError(
+                f"joints {before.name} and {joint.name} of the {whose} have parallel axes; where "
+                "they coincide give one joint with the readings of both, otherwise the eyes' poses"
+            )
 
 
-def T_base_eye(angles: Array, axes: EyeAxes | Array | None = None) -> Array:
-    """Return the pose (..., 4, 4) of the eye in its fixed base frame: T_er(theta) of the paper.
+def _normal(before: Joint, joint: Joint) -> Array:
+    """Return the unit vector (3,) of the common normal of two successive axes."""
+    normal = cross(joint.axis, before.axis)
+    return normal / np.linalg.norm(normal)
 
-    Angles are (..., 2) readings of pan and tilt [rad]; axes are those of `eye_chain`.
+
+def _eye_chain(joints: tuple[Joint, ...], readings: tuple[str, ...]) -> Chain:
+    n = len(joints)
+    axes, points, mixing = np.empty((n, 3)), np.empty((n, 3)), np.zeros((n, len(readings)))
+    shift = np.zeros(3)
+    for k, joint in enumerate(joints):
+        axes[k] = joint.axis
+        if k:
+            normal = _normal(joints[k - 1], joint)
+            axes[k] = rotation(joint.nonorthogonality_rad * normal) @ joint.axis
+            shift = shift + joint.axis_distance_m * normal + joint.slide_m * joint.axis
+        points[k] = joint.point_m + shift
+        for name, factor in joint.readings.items():
+            mixing[k, readings.index(name)] = joint.gain * factor
+    offset = np.array([joint.offset_rad for joint in joints])
+    return Chain(axes, points, points[-1] if n else np.zeros(3), mixing, offset)
+
+
+def reading_kinds(kinematics: Kinematics) -> list[int]:
+    """Return (r,) of what kind each reading is: those of a kind have noise of one level.
+
+    The nth reading of the left eye alone is of one kind with the nth of the right eye alone, such
+    as pan with pan; a reading that moves both eyes is of a kind of its own.
     """
-    return chain_pose(eye_chain(axes), angles)
+    left, right = (kinematics.used(eye) for eye in EYES)
+    kinds = [-1] * len(kinematics.readings)
+    for one, other in ((left, right), (right, left)):
+        for n, reading in enumerate(r for r in one if r not in other):
+            kinds[reading] = n
+    alone = max(kinds, default=-1) + 1
+    for n, reading in enumerate(r for r in left if r in right):
+        kinds[reading] = alone + n
+    return kinds
 
 
-def eye_jacobians(angles: Array, axes: Array) -> tuple[Array, Array]:
-    """Return derivatives of T_base_eye by axes (..., 6, 6) and readings (..., 6, 2).
+def readings_to_turn(kinematics: Kinematics, turn: Array) -> Array:
+    """Return readings (..., r) at which both eyes have turned by vectors (..., 3) [rad].
 
-    In the increment of `se3.boxplus`, at readings (..., 2) [rad] and rows (..., 6) of axes.
+    Along the axes of the head, to first order in the turn, and as nearly as the joints can.
     """
-    chain = eye_chain(axes)
-    R, t = _joint_frames(chain, angles)
+    maps = [chain.axes.T @ chain.mixing for chain in kinematics.chains.values()]
+    return np.concatenate([turn, turn], axis=-1) @ np.linalg.pinv(np.concatenate(maps)).T
+
+
+def eye_turn(kinematics: Kinematics, eye: Side, readings: Array) -> Array:
+    """Return the turn (..., 3) [rad] of an eye at readings (..., r), to first order in it."""
+    chain, used = kinematics.chains[eye], kinematics.used(eye)  # others may be NaN
+    return (readings[..., used] @ chain.mixing[:, used].T + chain.offset_rad) @ chain.axes
+
+
+def joint_parameters(joints: tuple[Joint, ...]) -> list[tuple[int, str]]:
+    """Return what may differ of joints from their design: the number of each joint, and a name.
+
+    Of a joint with several readings the factor of each takes the place of a gain of all. Not the
+    slide of the first and the last joint, which is one of the eye's base and of the
+    cameras in the eye; nor how the first axis stands, which defines the base.
+    """
+    found = []
+    for k in range(len(joints)):
+        several = list(joints[k].readings) if len(joints[k].readings) > 1 else []
+        found += [(k, f"factor_{name}") for name in several] or [(k, "gain")]
+        found.append((k, "offset_rad"))
+        if k:
+            found += [(k, "nonorthogonality_rad"), (k, "axis_distance_m")]
+        if 0 < k < len(joints) - 1:
+            found.append((k, "slide_m"))
+    return found
+
+
+def joint_value(joint: Joint, name: str) -> float:
+    """Return one of the numbers that joint_parameters names."""
+    if name.startswith("factor_"):
+        return joint.readings[name.removeprefix("factor_")]
+    return getattr(joint, name)
+
+
+def change_joints(joints: tuple[Joint, ...], change: Array) -> tuple[Joint, ...]:
+    """Return joints whose errors are changed by (a,), in the order of joint_parameters."""
+    own: list[dict[str, Any]] = [{"readings": dict(joint.readings)} for joint in joints]
+    for (k, name), value in zip(joint_parameters(joints), change.tolist(), strict=True):
+        into = own[k]["readings"] if name.startswith("factor_") else own[k]
+        into[name.removeprefix("factor_")] = joint_value(joints[k], name) + value
+    return tuple(replace(joint, **new) for joint, new in zip(joints, own, strict=True))
+
+
+def T_base_eye(kinematics: Kinematics, eye: Side, readings: Array) -> Array:
+    """Return the pose (..., 4, 4) of an eye in its fixed base: T_er(theta) of the paper.
+
+    Readings are (..., r) [rad], all those of the head.
+    """
+    return chain_pose(kinematics.chains[eye], readings)
+
+
+def eye_linearised(
+    kinematics: Kinematics, eye: Side, readings: Array
+) -> tuple[Array, Array, Array]:
+    """Return T_base_eye (..., 4, 4) and its derivatives, in the increment of `se3.boxplus`.
+
+    By the errors of the joints (..., 6, a), in the order of joint_parameters, and by the readings
+    (..., 6, r). Readings are (..., r) [rad].
+    """
+    chain, joints = kinematics.chains[eye], kinematics.eyes[eye]
+    R, t = _joint_frames(chain, readings)
     by_angle = _angle_jacobian(chain, R, t)
-    R_pan, R_eye = R[..., 1, :, :], R[..., 2, :, :]
-    by_axes = np.zeros((*by_angle.shape[:-1], 6))
-    by_axes[..., :2] = by_angle * angles[..., None, :]
-    by_axes[..., 2:4] = by_angle
-    R_tilt = np.swapaxes(R_pan, -1, -2) @ R_eye
-    # The tilt axis is turned about x: R_tilt becomes exp(e x) R_tilt exp(-e x).
-    by_axes[..., :3, 4] = (R_pan @ (np.eye(3) - R_tilt))[..., :, 0]
-    by_axes[..., 3:, 5] = R_pan[..., :, 0]
-    return by_axes, by_angle @ chain.mixing
-
-
-MAX_NECK_JOINTS = 20
+    fields = joint_parameters(joints)
+    by_errors = np.zeros((*by_angle.shape[:-1], len(fields)))
+    for column, (k, name) in enumerate(fields):
+        if name == "gain":
+            factors = np.array([joints[k].readings.get(one, 0.0) for one in kinematics.readings])
+            by_errors[..., column] = by_angle[..., k] * (readings @ factors)[..., None]
+        elif name.startswith("factor_"):
+            reading = kinematics.readings.index(name.removeprefix("factor_"))
+            by_errors[..., column] = by_angle[..., k] * joints[k].gain * readings[..., [reading]]
+        elif name == "offset_rad":
+            by_errors[..., column] = by_angle[..., k]
+        elif name == "nonorthogonality_rad":
+            # The axis is turned about the normal n: its turn R becomes exp(e n) R exp(-e n).
+            normal = _normal(joints[k - 1], joints[k])
+            before, after = R[..., k, :, :], R[..., k + 1, :, :]
+            turn = before @ normal - after @ normal
+            by_errors[..., :3, column] = turn
+            by_errors[..., 3:, column] = cross(turn, t[..., -1, :] - t[..., k, :])
+        else:
+            slides = name == "slide_m"
+            along = joints[k].axis if slides else _normal(joints[k - 1], joints[k])
+            by_errors[..., 3:, column] = R[..., k, :, :] @ along
+    return pose(R[..., -1, :, :], t[..., -1, :]), by_errors, by_angle @ chain.mixing
 
 
 @dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
@@ -170,8 +361,8 @@ class Neck:
                 f"a neck has a point on each axis, found {len(self.axes)} axes and "
                 f"{len(self.points_m)} points"
             )
-        if len(self.axes) > MAX_NECK_JOINTS:
-            raise ValueError(f"a neck has at most {MAX_NECK_JOINTS} joints, found {len(self.axes)}")
+        if len(self.axes) > MAX_JOINTS:
+            raise ValueError(f"a neck has at most {MAX_JOINTS} joints, found {len(self.axes)}")
         largest = max(np.abs(self.points_m).max(initial=0.0), np.abs(self.head_m).max())
         if largest > MAX_M:
             raise ValueError(f"points are in metres, found {largest:g}")

@@ -1,9 +1,9 @@
 """A head as a vector of named parameters: what is estimated, and what covariances speak of.
 
 For each camera fx, fy, cx, cy [px], the coefficients of its lens model (see geometry.lens) and the
-6 increments of T_eye_cam; the 6 increments of T_rbase_lbase; the 6 fields of EyeAxes for each eye;
-the time offset [s]. Poses change by `se3.boxplus`: rotation [rad], then translation [m], along the
-axes of the frame that they map into.
+6 increments of T_eye_cam; the 6 increments of T_rbase_lbase; for each eye the errors of its joints
+(`kinematics.joint_parameters`), such as left.pan_gain; the time offset [s]. Poses change by
+`se3.boxplus`: rotation [rad], then translation [m], along the axes of the frame they map into.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from vergence.errors import VergenceError
 from vergence.geometry import se3
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, MountedCamera
-from vergence.geometry.kinematics import AXES, EYES, EyeAxes, axes_row, eye_chain
+from vergence.geometry.kinematics import EYES, Side, change_joints, joint_parameters, joint_value
 from vergence.geometry.lens import COEFFICIENTS
-from vergence.geometry.se3 import pose, rotation
+from vergence.geometry.se3 import inverse, pose, rotation
 
 PINHOLE = ("fx", "fy", "cx", "cy")
 POSE = ("rx", "ry", "rz", "tx", "ty", "tz")
@@ -41,21 +41,30 @@ def parameter_names(head: HeadCalibration) -> tuple[str, ...]:
             for name in (*intrinsics_names(mounted.intrinsics), *poses)
         ),
         *(f"T_rbase_lbase.{name}" for name in POSE),
-        *(f"{eye}.{name}" for eye in EYES for name in AXES),
+        *(name for eye in EYES for name in axes_names(head, eye)),
         "time_offset_s",
     )
 
 
-def camera_columns(head: HeadCalibration, camera: str) -> np.ndarray:
-    """Return which parameters (n + 18,) the pixels of a camera depend on.
+def axes_names(head: HeadCalibration, eye: Side) -> tuple[str, ...]:
+    """Return the names of the parameters of an eye's joints, such as left.pan_gain."""
+    joints = head.kinematics.eyes[eye]
+    return tuple(f"{eye}.{joints[k].name}_{name}" for k, name in joint_parameters(joints))
 
-    The n of its lens, those of T_eye_cam, of T_rbase_lbase and of the axes of its eye.
+
+def camera_columns(head: HeadCalibration, camera: str) -> np.ndarray:
+    """Return which parameters (n + 12 + a,) the pixels of a camera depend on.
+
+    The n of its lens, those of T_eye_cam and of T_rbase_lbase, and the a of the joints of its eye.
     """
     sizes = [_size(mounted) for mounted in head.cameras.values()]
     k = list(head.cameras).index(camera)
     own = sum(sizes[:k]) + np.arange(sizes[k])
     base = sum(sizes) + np.arange(len(POSE))
-    axes = base[-1] + 1 + len(AXES) * EYES.index(head.cameras[camera].eye) + np.arange(len(AXES))
+    first = base[-1] + 1
+    for eye in EYES[: EYES.index(head.cameras[camera].eye)]:
+        first += len(axes_names(head, eye))
+    axes = first + np.arange(len(axes_names(head, head.cameras[camera].eye)))
     return np.concatenate([own, base, axes])
 
 
@@ -90,16 +99,17 @@ def boxplus(head: HeadCalibration, change: Array) -> HeadCalibration:
             intrinsics=lens_of_vector(mounted.intrinsics, lens + own[: len(lens)]),
             T_eye_cam=se3.boxplus(mounted.T_eye_cam, own[len(lens) :]),
         )
-    axes = {
-        eye: EyeAxes(*(axes_row(head.axes[eye]) + row).tolist())
-        for eye, row in zip(EYES, rest[6:18].reshape(2, len(AXES)), strict=True)
-    }
+    between, rest = np.split(rest, [len(POSE)])
+    eyes = {}
+    for eye in EYES:
+        own, rest = np.split(rest, [len(axes_names(head, eye))])
+        eyes[eye] = change_joints(head.kinematics.eyes[eye], own)
     return replace(
         head,
         cameras=cameras,
-        T_rbase_lbase=se3.boxplus(head.T_rbase_lbase, rest[:6]),
-        axes=axes,
-        time_offset_s=head.time_offset_s + float(rest[18]),
+        T_rbase_lbase=se3.boxplus(head.T_rbase_lbase, between),
+        kinematics=replace(head.kinematics, eyes=eyes),
+        time_offset_s=head.time_offset_s + float(rest[0]),
     )
 
 
@@ -149,28 +159,38 @@ def _vector(head: HeadCalibration) -> Array:
     """Return (c,) the values of the parameters; NaN for those of poses."""
     pose = np.full(len(POSE), np.nan)
     own = [part for each in head.cameras.values() for part in (lens_vector(each.intrinsics), pose)]
-    axes = [axes_row(head.axes[eye]) for eye in EYES]
-    return np.concatenate([*own, pose, *axes, [head.time_offset_s]])
+    axes = [
+        joint_value(head.kinematics.eyes[eye][k], name)
+        for eye in EYES
+        for k, name in joint_parameters(head.kinematics.eyes[eye])
+    ]
+    return np.concatenate([*own, pose, axes, [head.time_offset_s]])
 
 
 def without_offsets(head: HeadCalibration) -> HeadCalibration:
-    """Return a head that does the same without offsets of its joints.
+    """Return a head that does the same without offsets of its first and last joints.
 
     Rz(pan + o) = Rz(o) Rz(pan) turns the base frame; an offset of tilt, whose axis is fixed behind
     pan, turns the mountings of the cameras. Two calibrations can be compared only in the same
     choice, and this is the one that bundle adjustment makes.
     """
-    axes, bases, mounts = {}, {}, {}
+    eyes, bases, mounts = {}, {}, {}
     for eye in EYES:
-        own = head.axes[eye]
-        chain = eye_chain(own)
-        bases[eye], mounts[eye] = (
-            pose(R) for R in rotation(chain.offset_rad[:, None] * chain.axes)
-        )
-        axes[eye] = replace(own, pan_offset_rad=0.0, tilt_offset_rad=0.0)
+        joints, chain = list(head.kinematics.eyes[eye]), head.kinematics.chains[eye]
+        bases[eye], mounts[eye] = np.eye(4), np.eye(4)
+        if len(joints):
+            R = rotation(chain.offset_rad[[0, -1], None] * chain.axes[[0, -1]])
+            # About the point of the first axis, and about the origin of the eye.
+            around = pose(t=chain.points_m[0])
+            bases[eye] = around @ pose(R[0]) @ inverse(around)
+            mounts[eye] = pose(R[1]) if len(joints) > 1 else np.eye(4)
+            for k in (0, -1):
+                joints[k] = replace(joints[k], offset_rad=0.0)
+        eyes[eye] = tuple(joints)
     cameras = {
         name: replace(mounted, T_eye_cam=mounts[mounted.eye] @ mounted.T_eye_cam)
         for name, mounted in head.cameras.items()
     }
-    T_rbase_lbase = bases["right"].T @ head.T_rbase_lbase @ bases["left"]
-    return replace(head, cameras=cameras, axes=axes, T_rbase_lbase=T_rbase_lbase)
+    T_rbase_lbase = inverse(bases["right"]) @ head.T_rbase_lbase @ bases["left"]
+    kinematics = replace(head.kinematics, eyes=eyes)
+    return replace(head, cameras=cameras, kinematics=kinematics, T_rbase_lbase=T_rbase_lbase)

@@ -15,7 +15,8 @@ from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.camera import project, project_jacobians
 from vergence.geometry.head import HeadCalibration, MountedCamera, main_pair
-from vergence.geometry.kinematics import EYE_COLUMNS, EYES, T_base_eye, axes_row, eye_jacobians
+from vergence.geometry.kinematics import EYES, T_base_eye, eye_linearised
+from vergence.geometry.parameters import axes_names
 from vergence.geometry.se3 import cross, inverse
 
 
@@ -25,7 +26,7 @@ def project_point(head: HeadCalibration, camera: str, joints: Array, points: Arr
     Args:
         head: that has a camera of this name.
         camera: its name.
-        joints: (..., 4) joint readings [rad] in the order of kinematics.EYE_JOINTS.
+        joints: (..., r) joint readings [rad] in the order of head.kinematics.readings.
         points: (..., 3) [m] in the left eye's base frame; leading dimensions broadcast with those
             of the joints.
 
@@ -36,7 +37,7 @@ def project_point(head: HeadCalibration, camera: str, joints: Array, points: Arr
         VergenceError: the head has no such camera.
     """
     mounted = head.camera(camera)
-    T = T_base_eye(joints[..., EYE_COLUMNS[mounted.eye]], head.axes[mounted.eye])
+    T = T_base_eye(head.kinematics, mounted.eye, joints)
     return project_at(mounted, head.T_rbase_lbase, T, points[..., None, :])[..., 0, :]
 
 
@@ -120,10 +121,10 @@ def by_pose_of_points(by_point: Array, turned: Array) -> Array:
 
 
 def by_parameters(J: ProjectionJacobians, by_axes: Array) -> Array:
-    """Return derivatives (M, K, 2, n + 18) by what a camera's pixels depend on in a head.
+    """Return derivatives (M, K, 2, n + 12 + a) by what a camera's pixels depend on in a head.
 
-    In the order of `parameters.camera_columns`; by_axes (M, 6, 6) are those of T_base_eye by the
-    fields of EyeAxes.
+    In the order of `parameters.camera_columns`; by_axes (M, 6, a) are those of T_base_eye by the
+    errors of the eye's joints.
     """
     by_eye = rows_times(J.by_T_base_eye, by_axes)
     return np.concatenate([J.by_lens, J.by_T_eye_cam, J.by_T_rbase_lbase, by_eye], axis=-1)
@@ -185,52 +186,49 @@ def stereo_cameras(
 
 
 def measured(joints: Array) -> bool:
-    """Return whether readings are measured eye poses (..., 2, 4, 4) instead of angles (..., 4)."""
+    """Return whether readings are measured eye poses (..., 2, 4, 4) instead of angles (..., r)."""
     return np.ndim(joints) > 2
 
 
 def eye_poses(head: HeadCalibration, joints: Array) -> Array:
-    """Return T_base_eye (..., 2, 4, 4) of the left and the right eye at readings (..., 4) [rad].
+    """Return T_base_eye (..., 2, 4, 4) of the left and the right eye at readings (..., r) [rad].
 
     Measured poses (..., 2, 4, 4) are returned as they are.
     """
     if measured(joints):
         return joints
-    poses = [T_base_eye(joints[..., EYE_COLUMNS[eye]], head.axes[eye]) for eye in EYES]
+    poses = [T_base_eye(head.kinematics, eye, joints) for eye in EYES]
     return np.stack(poses, axis=-3)
 
 
 def eye_poses_with_jacobians(
     head: HeadCalibration, joints: Array, n: int
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, tuple[Array, Array], Array]:
     """Return T_base_eye (n, 2, 4, 4), and its derivatives by axes and by readings.
 
-    The derivatives (n, 2, 6, a) are by the `a` parameters of the axes of an eye, the last ones of
-    `parameters.camera_columns`, and (n, 2, 6, r) by the r readings of the head, or the increments
-    of both eyes' measured poses (r = 12); in the increment of `se3.boxplus`. Readings are (n, 4) or
-    (4,) angles [rad], or (n, 2, 4, 4) or (2, 4, 4) measured poses.
+    The derivatives by the a errors of the joints (n, 6, a) are a pair, for the left and the right
+    eye, in the order of `parameters.axes_names`. Those by the r readings of the head, or by the
+    increments of both eyes' measured poses (r = 12), are (n, 2, 6, r). All are in the increment of
+    `se3.boxplus`. Readings are (n, r) or (r,) angles [rad], or (n, 2, 4, 4) or (2, 4, 4) poses.
     """
-    T = np.broadcast_to(eye_poses(head, joints), (n, 2, 4, 4))
     if measured(joints):
-        by_pose = np.eye(12).reshape(2, 6, 12)
-        return T, np.zeros((n, 2, 6, 6)), np.broadcast_to(by_pose, (n, 2, 6, 12))
-    angles = np.broadcast_to(joints, (n, 4)).reshape(n, 2, 2)
-    axes = np.stack([axes_row(head.axes[eye]) for eye in EYES])
-    by_axes, by_own = eye_jacobians(angles, np.broadcast_to(axes, (n, 2, 6)))
-    by_readings = np.zeros((n, 2, 6, 4))
-    for e, eye in enumerate(EYES):
-        by_readings[:, e, :, EYE_COLUMNS[eye]] = by_own[:, e]
-    return T, by_axes, by_readings
+        by_pose = np.broadcast_to(np.eye(12).reshape(2, 6, 12), (n, 2, 6, 12))
+        left, right = (np.zeros((n, 6, len(axes_names(head, eye)))) for eye in EYES)
+        return np.broadcast_to(joints, (n, 2, 4, 4)), (left, right), by_pose
+    angles = np.broadcast_to(joints, (n, joints.shape[-1]))
+    left, right = (eye_linearised(head.kinematics, eye, angles) for eye in EYES)
+    T, by_readings = (np.stack([left[k], right[k]], axis=1) for k in (0, 2))
+    return T, (left[1], right[1]), by_readings
 
 
 def T_rcam_lcam(
     head: HeadCalibration, joints: Array, *, cameras: tuple[str, str] | None = None
 ) -> Array:
-    """Return Eq. 11 (..., 4, 4) at joint readings (..., 4) [rad], or eye poses (..., 2, 4, 4).
+    """Return Eq. 11 (..., 4, 4) at joint readings (..., r) [rad], or eye poses (..., 2, 4, 4).
 
     Args:
         head: with a camera in each eye.
-        joints: in the order of kinematics.EYE_JOINTS.
+        joints: in the order of head.kinematics.readings.
         cameras: names of a camera of the left eye and one of the right; None: the main ones.
 
     Raises:
@@ -268,15 +266,15 @@ def rebase(
 ) -> HeadCalibration:
     """Return the head with the T_rbase_lbase that a stereo pose demands (Eq. 10).
 
-    The cameras stood at T_rcam_lcam (4, 4) at joint readings (4,) [rad]. Errors are those of
+    The cameras stood at T_rcam_lcam (4, 4) at joint readings (r,) [rad]. Errors are those of
     `stereo_cameras`.
     """
     left, right = stereo_cameras(head, cameras)
     T = base_extrinsics(
-        T_rbase_reye=T_base_eye(joints[EYE_COLUMNS["right"]], head.axes["right"]),
+        T_rbase_reye=T_base_eye(head.kinematics, "right", joints),
         T_reye_rcam=right.T_eye_cam,
         T_rcam_lcam=T_rcam_lcam,
         T_leye_lcam=left.T_eye_cam,
-        T_lbase_leye=T_base_eye(joints[EYE_COLUMNS["left"]], head.axes["left"]),
+        T_lbase_leye=T_base_eye(head.kinematics, "left", joints),
     )
     return replace(head, T_rbase_lbase=T)

@@ -70,7 +70,8 @@ def save(head: HeadCalibration, path: Path) -> None:
     content: dict[str, Any] = {}
     T_head_previous = np.eye(4)
     for k, (name, mounted) in enumerate(head.cameras.items()):
-        T_head_cam = T_head_base(head, mounted.eye) @ T_base_cam(head, name, np.zeros(2))
+        straight = np.zeros(len(head.kinematics.readings))
+        T_head_cam = T_head_base(head, mounted.eye) @ T_base_cam(head, name, straight)
         camera = mounted.intrinsics
         step = {"T_cn_cnm1": (inverse(T_head_cam) @ T_head_previous).tolist()} if k else {}
         content[f"cam{k}"] = step | {

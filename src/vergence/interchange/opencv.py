@@ -5,7 +5,7 @@ cameras:  by name  eye, image_width, image_height, camera_matrix (3x3),
                    numbers; rational: with 8; fisheye: cv2.fisheye.projectPoints),
                    distortion_coefficients (1xn), T_eye_cam (4x4)
 T_rbase_lbase (4x4)
-axes:     left, right: the numbers of kinematics.EyeAxes
+kinematics: readings, and for left and right by joint the fields of kinematics.Joint
 neck:     axes (nx3), points_m (nx3), head_m (1x3)
 time_offset_s
 """
@@ -15,16 +15,18 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, fields
+from inspect import signature
 from pathlib import Path
 from typing import Annotated, Any, Literal
 from xml.etree import ElementTree
 
 import cv2
-from pydantic import BaseModel, Field, FiniteFloat
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, Field, FiniteFloat
 
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, MountedCamera
-from vergence.geometry.kinematics import EYES, EyeAxes, Neck, Side
+from vergence.geometry.kinematics import EYES, Joint, Kinematics, Neck, Side, pan_tilt
 from vergence.geometry.lens import CameraModel
 from vergence.interchange.serialization import (
     Intrinsics,
@@ -38,7 +40,9 @@ from vergence.reading import parse_json, unique_keys
 from vergence.writing import write_whole
 
 SUFFIXES = (".yml", ".yaml", ".xml", ".json")
-FORMAT: Literal["vergence-head-opencv-1"] = "vergence-head-opencv-1"
+FORMAT = "vergence-head-opencv-2"
+_ERRORS = tuple(field.name for field in fields(Joint) if isinstance(field.default, float))
+"""The fields of a joint that say how it differs from the design."""
 
 
 def save(head: HeadCalibration, path: Path) -> None:
@@ -61,7 +65,13 @@ def save(head: HeadCalibration, path: Path) -> None:
             for name, mounted in head.cameras.items()
         },
         "T_rbase_lbase": head.T_rbase_lbase,
-        "axes": {eye: asdict(axes) for eye, axes in head.axes.items()},
+        "kinematics": {
+            "readings": ",".join(head.kinematics.readings),
+            **{
+                eye: {joint.name: _joint_fields(joint, head.kinematics) for joint in joints}
+                for eye, joints in head.kinematics.eyes.items()
+            },
+        },
         "neck": asdict(head.neck) | {"head_m": head.neck.head_m[None]},
         "time_offset_s": head.time_offset_s,
     }
@@ -69,6 +79,12 @@ def save(head: HeadCalibration, path: Path) -> None:
     storage = cv2.FileStorage(f"head{path.suffix}", flags)  # the suffix chooses the format
     _write(storage, content)
     write_whole(path, storage.releaseAndGetString())
+
+
+def _joint_fields(joint: Joint, kinematics: Kinematics) -> dict[str, Any]:
+    factors = np.array([[joint.readings.get(name, 0.0) for name in kinematics.readings]])
+    rest = {name: value for name, value in vars(joint).items() if name in _ERRORS}
+    return {"axis": joint.axis[None], "point_m": joint.point_m[None], "factors": factors, **rest}
 
 
 def _check_suffix(path: Path) -> None:
@@ -95,6 +111,27 @@ class _Camera(Intrinsics):
     T_eye_cam: Matrix
 
 
+class _Joint(BaseModel):
+    axis: Matrix
+    point_m: Matrix
+    factors: Matrix
+    gain: FiniteFloat
+    offset_rad: FiniteFloat
+    nonorthogonality_rad: FiniteFloat
+    axis_distance_m: FiniteFloat
+    slide_m: FiniteFloat
+
+
+# An eye without joints is written as an element without content.
+_Joints = Annotated[dict[str, _Joint], BeforeValidator(lambda found: found or {})]
+
+
+class _Kinematics(BaseModel):
+    readings: str
+    left: _Joints
+    right: _Joints
+
+
 class _Neck(BaseModel):
     axes: Matrix
     points_m: Matrix
@@ -102,10 +139,12 @@ class _Neck(BaseModel):
 
 
 class _Head(BaseModel):
-    format: Literal["vergence-head-opencv-1"] = FORMAT
+    format: Literal["vergence-head-opencv-1", "vergence-head-opencv-2"] = FORMAT
     cameras: Annotated[dict[str, _Camera], Field(min_length=1)]
     T_rbase_lbase: Matrix
-    axes: dict[Side, dict[str, FiniteFloat]]
+    kinematics: _Kinematics | None = None
+    axes: dict[Side, dict[str, FiniteFloat]] = {}
+    """Of pan and tilt; files of version 0.1 have these instead."""
     neck: _Neck
     time_offset_s: FiniteFloat = 0.0
 
@@ -124,20 +163,43 @@ def load(path: Path) -> HeadCalibration:
 
 def _head(content: Any) -> HeadCalibration:
     found = _Head.model_validate(content)
-    for eye in EYES:
-        for field in fields(EyeAxes):
-            if field.name not in found.axes.get(eye, {}):
-                raise ValueError(f"axes.{eye}.{field.name} is missing")
     return HeadCalibration(
         cameras={
             name: MountedCamera(eye=c.eye, intrinsics=c.camera(c.lens_model), T_eye_cam=c.T_eye_cam)
             for name, c in found.cameras.items()
         },
         T_rbase_lbase=found.T_rbase_lbase,
-        axes={eye: EyeAxes(**found.axes[eye]) for eye in EYES},
+        kinematics=_kinematics(found),
         neck=Neck(**vars(found.neck) | {"head_m": found.neck.head_m.ravel()}),
         time_offset_s=found.time_offset_s,
     )
+
+
+def _kinematics(found: _Head) -> Kinematics:
+    if found.kinematics is None:
+        known = set(signature(pan_tilt).parameters) - {"eye"}
+        for eye in EYES:
+            if lacking := known.symmetric_difference(found.axes.get(eye, {})):
+                raise ValueError(f"axes.{eye}.{min(lacking)} is missing, or not known")
+        return Kinematics({eye: pan_tilt(eye, **found.axes[eye]) for eye in EYES})
+    names = tuple(found.kinematics.readings.split(","))
+    eyes: dict[Side, tuple[Joint, ...]] = {}
+    for eye in EYES:
+        eyes[eye] = tuple(
+            Joint(
+                name=name,
+                axis=joint.axis.ravel(),
+                point_m=joint.point_m.ravel(),
+                readings={
+                    reading: factor
+                    for reading, factor in zip(names, joint.factors.ravel().tolist(), strict=True)
+                    if factor
+                },
+                **{error: getattr(joint, error) for error in _ERRORS},
+            )
+            for name, joint in getattr(found.kinematics, eye).items()
+        )
+    return Kinematics(eyes, names)
 
 
 def _parse_yaml(text: str) -> Any:

@@ -10,7 +10,7 @@ link, and <joint>_true mimics it with URDF's multiplier and offset; transforms t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -18,7 +18,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration, T_head_base
-from vergence.geometry.kinematics import EYES, NECK_JOINTS, Chain, eye_chain
+from vergence.geometry.kinematics import EYES, NECK_JOINTS, Kinematics, Side
 from vergence.geometry.se3 import inverse, pose
 from vergence.interchange.serialization import check_names
 from vergence.writing import write_whole
@@ -43,14 +43,14 @@ def save(head: HeadCalibration, path: Path) -> None:
     n = len(neck.axes)
     names = NECK_JOINTS if n == len(NECK_JOINTS) else [f"neck_{k + 1}" for k in range(n)]
     links = ["body", *names]
-    chain = Chain(neck.axes, neck.points_m, neck.head_m, np.eye(n), np.zeros(n))
-    _add_chain(robot, chain, links, names)
+    for k, step in enumerate(np.diff(neck.points_m, axis=0, prepend=np.zeros((1, 3)))):
+        _add_joint(robot, names[k], links[k], names[k], pose(t=step), neck.axes[k])
     T_last_head = pose(t=neck.head_m - (neck.points_m[-1] if n else 0.0))
     _add_joint(robot, "head_joint", links[-1], "head", T_last_head)
     for eye in EYES:
-        base, pan, tilt, link = (f"{eye}_{part}" for part in ("base", "pan", "tilt", "eye"))
+        base, link = f"{eye}_base", f"{eye}_eye"
         _add_joint(robot, f"{base}_joint", "head", base, T_head_base(head, eye))
-        _add_chain(robot, eye_chain(head.axes[eye]), [base, pan, link], [pan, tilt])
+        _add_eye(robot, head.kinematics, eye, base, link)
         for name, mounted in head.cameras.items():
             if mounted.eye == eye:
                 T_eye_link = mounted.T_eye_cam @ inverse(T_LINK_OPTICAL)
@@ -62,22 +62,46 @@ def save(head: HeadCalibration, path: Path) -> None:
     write_whole(path, f'<?xml version="1.0"?>\n{text}\n')
 
 
-def _add_chain(
-    robot: ElementTree.Element, chain: Chain, links: Sequence[str], joints: Sequence[str]
+def _add_eye(
+    robot: ElementTree.Element, kinematics: Kinematics, eye: Side, base: str, end: str
 ) -> None:
-    """Add a chain of n joints between n + 1 links: true angle = gain * reading + offset."""
-    steps = np.diff(chain.points_m, axis=0, prepend=np.zeros((1, 3)))
-    for k, (parent, child, name) in enumerate(zip(links[:-1], links[1:], joints, strict=True)):
-        T, axis = pose(t=steps[k]), chain.axes[k]
-        gain, offset = chain.mixing[k, k], chain.offset_rad[k]
-        if (gain, offset) == (1.0, 0.0):
-            _add_joint(robot, name, parent, child, T, axis)
+    """Add the joints of an eye between two links: angle = sum of factor * reading + offset.
+
+    A joint that is one reading bears its name. Others mimic theirs, one turn about the axis for
+    each; a reading that is no joint's angle is the joint of a link of its own, beside the eye.
+    """
+    chain, parent, at = kinematics.chains[eye], base, np.zeros(3)
+    for k, joint in enumerate(kinematics.eyes[eye]):
+        T, at = pose(t=chain.points_m[k] - at), chain.points_m[k]
+        terms = [r for r in kinematics.used(eye) if chain.mixing[k, r]]
+        last = k == len(chain.axes) - 1
+        child = end if last else f"{eye}_{joint.name}"
+        one = kinematics.readings[terms[0]]
+        users = sum(np.count_nonzero(c.mixing[:, terms[0]]) for c in kinematics.chains.values())
+        alone = len(terms) == 1 and users == 1
+        if alone and (chain.mixing[k, terms[0]], chain.offset_rad[k]) == (1.0, 0.0):
+            _add_joint(robot, _identifier(one), parent, child, T, chain.axes[k])
+            parent = child
             continue
-        _add_joint(robot, name, parent, f"{name}_reading", T, axis)
-        limit = tuple(sorted(gain * angle + offset for angle in LIMIT_RAD))
-        true = _add_joint(robot, f"{name}_true", parent, child, T, axis, limit)
-        relation = {"joint": name, "multiplier": _text(gain), "offset": _text(offset)}
-        ElementTree.SubElement(true, "mimic", relation)
+        offset = chain.offset_rad[k]
+        for r in terms:
+            name, factor = _identifier(kinematics.readings[r]), chain.mixing[k, r]
+            if robot.find(f"joint[@name='{name}']") is None:
+                _add_joint(robot, name, parent, f"{name}_reading", T, chain.axes[k])
+            true = f"{eye}_{joint.name}_true" + ("" if len(terms) == 1 else f"_{name}")
+            through = child if r == terms[-1] else true
+            limit = tuple(sorted(factor * angle + offset for angle in LIMIT_RAD))
+            follower = _add_joint(robot, true, parent, through, T, chain.axes[k], limit)
+            relation = {"joint": name, "multiplier": _text(factor), "offset": _text(offset)}
+            ElementTree.SubElement(follower, "mimic", relation)
+            parent, T, offset = through, np.eye(4), 0.0
+    if not len(chain.axes):
+        _add_joint(robot, f"{end}_joint", base, end, np.eye(4))
+
+
+def _identifier(name: str) -> str:
+    """Return a name of letters, digits and _ for a reading."""
+    return re.sub(r"[^A-Za-z0-9_]", "_", name)
 
 
 def _add_joint(

@@ -20,7 +20,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.gaze.commands import EYES_4, HeadDriver
+from vergence.gaze.commands import EYE_READINGS, HeadDriver
 from vergence.gaze.controller import step_gaze
 from vergence.gaze.kalman import Track, fuse, predict
 from vergence.gaze.observation import posture_at_image
@@ -175,7 +175,7 @@ def _fuse_target(
         calibration,
         left=(pixels[0, 0], pixels[1, 0]),
         right=(pixels[0, 1], pixels[1, 1]),
-        joints=posture[EYES_4],
+        joints=posture[EYE_READINGS],
         pixel_std_px=np.repeat(stds, 2),
         joint_std_rad=settings.gaze.command_std_rad,
         cameras=cameras,

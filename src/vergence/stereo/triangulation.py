@@ -79,7 +79,7 @@ def triangulate_at(
     Points are (N, 3) [m], NaN where the status (N,) is not OK. Arguments and errors are those of
     `uncertainty.locate`.
     """
-    left, right, joints = checked(left, right, joints)
+    left, right, joints = checked(left, right, joints, len(head.kinematics.readings))
     if measured(joints):
         finite = np.asarray(np.isfinite(joints).all(axis=(-3, -2, -1)))
         usable = np.where(finite[..., None, None, None], joints, np.eye(4))
@@ -99,17 +99,17 @@ def triangulate_at(
     return transform(T_lbase_lcam, points), status
 
 
-def checked(left: Array, right: Array, joints: Array) -> tuple[Array, Array, Array]:
+def checked(left: Array, right: Array, joints: Array, r: int) -> tuple[Array, Array, Array]:
     """Return float arrays; VergenceError if they are not (N, 2), (N, 2) and readings.
 
-    These are angles (4,) or (N, 4), or measured eye poses (2, 4, 4) or (N, 2, 4, 4).
+    These are angles (r,) or (N, r), or measured eye poses (2, 4, 4) or (N, 2, 4, 4).
     """
     left, right, joints = (np.asarray(each, dtype=float) for each in (left, right, joints))
     n = len(left) if left.ndim else 0
     for name, array, shapes in (
         ("left", left, [(n, 2)]),
         ("right", right, [(n, 2)]),
-        ("joints", joints, [(n, 4), (4,), (n, 2, 4, 4), (2, 4, 4)]),
+        ("joints", joints, [(n, r), (r,), (n, 2, 4, 4), (2, 4, 4)]),
     ):
         if array.shape not in shapes:
             raise VergenceError(

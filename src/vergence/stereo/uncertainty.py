@@ -11,7 +11,7 @@ from vergence.arrays import Array
 from vergence.data.dataset import MAX_GAP_S
 from vergence.data.timing import Timing, moved_readings
 from vergence.errors import VergenceError
-from vergence.geometry.head import Accuracy, HeadCalibration, main_pair
+from vergence.geometry.head import Accuracy, HeadCalibration, main_pair, reading_stds
 from vergence.geometry.parameters import camera_columns, parameter_names
 from vergence.geometry.projection import (
     by_parameters,
@@ -54,10 +54,10 @@ def locate(
         head: with or without its accuracy.
         left: (N, 2) pixels in the left camera, distortion included; NaN: not seen.
         right: (N, 2) pixels of the same points in the right camera.
-        joints: (4,) joint readings [rad] of one posture that serves all points, or (N, 4), in the
-            order of kinematics.EYE_JOINTS: left pan, left tilt, right pan, right tilt. Or, where
-            the eyes' poses are measured, T_base_eye of the left and the right eye: (2, 4, 4), or
-            (N, 2, 4, 4).
+        joints: (r,) joint readings [rad] of one posture that serves all points, or (N, r), in the
+            order of head.kinematics.readings, by default left pan, left tilt, right pan, right
+            tilt. Or, where the eyes' poses are measured, T_base_eye of the left and the right eye:
+            (2, 4, 4), or (N, 2, 4, 4).
         cameras: names of a camera of the left eye and one of the right; None: the main ones (the
             wide ones, where a head has such).
         pixel_std_px: noise of (left u, left v, right u, right v); a number stands for all, and (4,)
@@ -82,8 +82,9 @@ def locate(
         if pixel_std_px is None:
             pixel_std_px = accuracy.pixel_std_px or 0.0
         if joint_std_rad is None:
-            count = 2 if measured(joints) else 4
-            joint_std_rad = np.tile(accuracy.joint_std or (0.0,), 4)[:count]
+            joint_std_rad = reading_stds(head)
+            if measured(joints):
+                joint_std_rad = np.resize(accuracy.joint_std or (0.0,), 2)
         covariance = _of_noise(seen, pixel_std_px, joint_std_rad)
     if stated:
         covariance = covariance + _of_calibration(seen, head, accuracy)
@@ -91,8 +92,8 @@ def locate(
 
 
 def _at_the_images(head: HeadCalibration, joints: Array, joint_time_s: Array) -> Array:
-    """Return joint readings (N, 4) at the moments of the images; VergenceError: see `locate`."""
-    if joints.shape != (len(joint_time_s), 4):
+    """Return joint readings (N, r) at the moments of the images; VergenceError: see `locate`."""
+    if joints.shape != (len(joint_time_s), len(head.kinematics.readings)):
         raise VergenceError(
             f"Readings that have time stamps are one for each: found {joints.shape} readings and "
             f"{len(joint_time_s)} time stamps."
@@ -148,7 +149,7 @@ def locate_both(
     of a - b, in the left eye's base frame; NaN where a point cannot be located.
     """
     n = len(left[0])
-    both = np.tile(np.broadcast_to(joints, (n, 4)), (2, 1))
+    both = np.tile(np.broadcast_to(joints, (n, np.shape(joints)[-1])), (2, 1))
     pixels = np.concatenate(left), np.concatenate(right)
     seen = _linearised(head, *pixels, both, cameras, parameters=False)
     pixel_stds = np.broadcast_to(np.asarray(pixel_std_px, dtype=float), (n, 4))
@@ -236,7 +237,7 @@ def _linearised(
         of_head = np.zeros((n, 2, len(names)))
         if parameters:
             columns = camera_columns(head, pair[k])
-            of_head[:, :, columns] = weights @ by_parameters(J, by_axes[:, k])[:, 0]
+            of_head[:, :, columns] = weights @ by_parameters(J, by_axes[k])[:, 0]
         by_point.append(weights @ J.by_point[:, 0])
         by_pixels.append(of_pixels)
         by_readings.append(weights @ J.by_T_base_eye[:, 0] @ by_reading[:, k])
@@ -269,7 +270,7 @@ def _reading_stds(seen: _Linearised, joint_std: ArrayLike) -> Array:
     """Return the standard deviations (N, r) of readings; of poses from rotation, translation."""
     n, _, count = seen.by_readings.shape
     std = np.asarray(joint_std, dtype=float)
-    if count == 12:
+    if std.shape == (2,) and count == 12:
         std = np.tile(np.repeat(np.broadcast_to(std, (2,)), 3), 2)
     return np.broadcast_to(std, (n, count))
 

@@ -16,7 +16,7 @@ from vergence.arrays import Array
 from vergence.calibration.observations import Observations
 from vergence.geometry.board import Board, Chessboard, corner_points
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYES, NECK_JOINTS
+from vergence.geometry.kinematics import EYES, NECK_JOINTS, readings_to_turn
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, pose, rotation, transform
 from vergence.progress import Progress, silent
@@ -48,7 +48,7 @@ class Shot:
     T_lbase_target: Array
     """(4, 4) pose of the board."""
     eye_angles: Array
-    """(4,) commanded joint angles [rad], in the order of EYE_JOINTS."""
+    """(r,) commanded readings [rad], in the order of the head's kinematics."""
     cameras: tuple[str, ...]
     """The cameras that take an image."""
 
@@ -78,16 +78,21 @@ def plan(
     for cameras, count, depth_m, lean_rad in held:
         for _ in range(count):
             T = _held_board(head, board, cameras, depth_m, lean_rad, rng)
-            shots.append(Shot(len(shots), T, np.zeros(4), cameras))
+            shots.append(Shot(len(shots), T, _straight(head), cameras))
     fixed = len(shots)
     T_fixed = _facing(board, *map(np.array, T_LBASE_FIXED))
     # Directions spread evenly over an ellipse (sunflower): pan and tilt vary independently. The
     # innermost three are left out: the calibration would take them for straight gaze.
     k = np.arange(3, orientations + 3) + 0.5
     radius, turn = np.sqrt(k / (orientations + 3)), k * np.pi * (3 - np.sqrt(5))
-    gaze = np.stack([0.30 * radius * np.cos(turn), 0.26 * radius * np.sin(turn)], axis=-1)
-    shots += [Shot(fixed, T_fixed, np.tile(angles, 2), wide) for angles in gaze]
+    pan, tilt = 0.30 * radius * np.cos(turn), 0.26 * radius * np.sin(turn)
+    gaze = readings_to_turn(head.kinematics, np.stack([0 * pan, tilt, pan], axis=-1))
+    shots += [Shot(fixed, T_fixed, readings, wide) for readings in gaze]
     return shots
+
+
+def _straight(head: HeadCalibration) -> Array:
+    return np.zeros(len(head.kinematics.readings))
 
 
 def _facing(board: Board, centre: Sequence[float] | Array, turn: Array) -> Array:
@@ -128,7 +133,7 @@ def _held_board(
         y, z = rng.uniform(-slope, slope, 2) * depth
         turn = rng.uniform(-1, 1, 3) * [lean_rad, lean_rad, 0.3]
         T = _facing(board, (depth, y + eye_y, z), turn)
-        shot = Shot(0, T, np.zeros(4), ())
+        shot = Shot(0, T, _straight(head), ())
         if all(visible(head, board, camera, shot).all() for camera in cameras):
             return T
     raise AssertionError("the board fits into no image at these depths")
@@ -143,7 +148,7 @@ def board_as_given(profile: ErrorProfile, board: Board = BOARD) -> Board:
 
 
 def straight_neck(eye_angles: Array) -> Array:
-    """Return the command (7,) for eye angles (4,) [rad] with the neck straight."""
+    """Return the command (j,) for readings of the eyes (r,) [rad] with the neck straight."""
     return np.concatenate([np.zeros(len(NECK_JOINTS)), eye_angles])
 
 
@@ -195,7 +200,7 @@ def observations(
     eye_angles: Array,
     found: Sequence[Mapping[str, Array | None]],
 ) -> Observations:
-    """Return the corners found in each shot by camera, and the readings (V, 4), as observations."""
+    """Return the corners found in each shot by camera, and the readings (V, r), as observations."""
     nothing = np.full((BOARD.columns * BOARD.rows, 2), np.nan)
     corners = {}
     for name in head.cameras:
@@ -207,4 +212,5 @@ def observations(
         eye_angles=eye_angles,
         corners=corners,
         sizes={n: (m.intrinsics.width, m.intrinsics.height) for n, m in head.cameras.items()},
+        kinematics=head.kinematics,
     )

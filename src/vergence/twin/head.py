@@ -8,18 +8,19 @@ from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
+from scipy.linalg import block_diag
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
-from vergence.gaze.commands import HEAD_JOINTS
 from vergence.geometry.board import Charuco
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS
+from vergence.geometry.kinematics import EYES, NECK_JOINTS, Kinematics
 from vergence.geometry.se3 import inverse, pose, transform
 from vergence.twin.card import Card
 from vergence.twin.model import (
     CAMERAS,
+    HINGES,
     R_of_quat,
     T_world_body,
     as_built_head,
@@ -29,14 +30,14 @@ from vergence.twin.model import (
 )
 from vergence.twin.profile import ErrorProfile, Lens
 from vergence.twin.renderer import Negative, Renderer, overscan_sizes
-from vergence.twin.sensors import play, read
+from vergence.twin.sensors import play, read, sensor_columns
 
 _TICK_STEPS = 5
 """Physics steps of 1 ms between two commands and two entries of the joints' history."""
 _HISTORY = 64
 """Entries kept: 0.32 s, beyond the longest delay that a profile may have."""
 _AWAY = np.array([0.0, 0.0, -10.0])  # below the floor, where no camera looks
-_EYES = slice(len(NECK_JOINTS), len(NECK_JOINTS) + len(EYE_JOINTS))
+_EYES = slice(len(NECK_JOINTS), None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,24 +63,32 @@ class Twin:
         lens: Lens = "2.8mm",
         board: Charuco | None = None,
         card: Card | None = None,
+        kinematics: Kinematics | None = None,
     ):
         """Build a head with wide cameras of a lens, and with the imperfections of a profile.
 
         The same seed gives the same head, whatever the lens. A board replaces the scene's
-        chessboard, a card the red sphere that is its object. VergenceError if there is no OpenGL,
-        the model cannot be loaded, or the seed is negative.
+        chessboard, a card the red sphere that is its object. The eyes have two joints each; by
+        default pan, then tilt. VergenceError if there is no OpenGL, the model cannot be loaded, the
+        eyes have another number of joints, or the seed is negative.
         """
         if seed < 0:
             raise VergenceError(f"The seed must be a whole number from 0, found {seed}.")
         self.profile = profile
-        self.nominal: HeadCalibration = nominal_head(lens)
+        self.nominal: HeadCalibration = nominal_head(lens, kinematics)
         self.truth: HeadCalibration = as_built_head(self.nominal, profile, seed)
         self.model = compile_head(self.truth, overscan_sizes(self.truth), board=board, card=card)
         self._data = mujoco.MjData(self.model)
         self._seen = mujoco.MjData(self.model)  # the pose at which pictures are taken
         self._seed = seed
-        self._addresses = [self.model.joint(name).qposadr[0] for name in HEAD_JOINTS]
-        self._actuators = [self.model.actuator(name).id for name in HEAD_JOINTS]
+        hinges = [*NECK_JOINTS, *(name for eye in EYES for name in HINGES[eye])]
+        self._addresses = [self.model.joint(name).qposadr[0] for name in hinges]
+        self._actuators = [self.model.actuator(name).id for name in hinges]
+        chains = self.truth.kinematics.chains
+        # Angles of the model's joints by neck joints and readings, and back.
+        eyes = np.concatenate([chains[eye].mixing for eye in EYES])
+        self._mixing: Array = np.asarray(block_diag(np.eye(len(NECK_JOINTS)), eyes))
+        self._unmixing = np.linalg.pinv(self._mixing)
         self._renderer = Renderer(self.model, self.truth, profile.image, seed)
         self.restart(0)
 
@@ -94,7 +103,7 @@ class Twin:
         mujoco.mj_resetDataKeyframe(self.model, self._data, self.model.key("home").id)
         mujoco.mj_forward(self.model, self._data)
         self._times = np.full(_HISTORY, 0.0)
-        self._true = np.tile(self._data.qpos[self._addresses], (_HISTORY, 1))
+        self._true = np.tile(self._posture(), (_HISTORY, 1))
         self._sensed = self._true.copy()
         self.place_board(None)
         self.place_object(None)
@@ -108,7 +117,7 @@ class Twin:
     def advance(self, until_s: float, command: Callable[[float], Array] | Array) -> None:
         """Step the physics until a simulated time.
 
-        The command is (7,) wanted angles [rad] in the order of gaze.commands.HEAD_JOINTS, or a
+        The command is (j,) wanted angles [rad] of the neck's joints, then the readings, or a
         function of the time that gives them. The function is asked every 5 ms of simulated time, a
         clock of its own, so that the motion does not depend on where it stops; in between goes a
         line, which is servoed at 1 kHz.
@@ -123,17 +132,22 @@ class Twin:
             ]
             for step in range(past, min(past + left, _TICK_STEPS)):
                 part = step / _TICK_STEPS
-                self._data.ctrl[self._actuators] = (1 - part) * ends[0] + part * ends[1]
+                wanted = (1 - part) * ends[0] + part * ends[1]
+                self._data.ctrl[self._actuators] = self._mixing @ wanted
                 mujoco.mj_step(self.model, self._data)
-            angles = self._data.qpos[self._addresses]
+            angles = self._posture()
             sensed = play(angles[None], width, self._sensed[-1])[0] if width else angles
             self._times = np.append(self._times[1:], self._data.time)
             self._true = np.vstack([self._true[1:], angles])
             self._sensed = np.vstack([self._sensed[1:], sensed])
 
     def settle(self, command: Array, seconds: float = 0.6) -> None:
-        """Go to a posture (7,) and wait until the motion has died away."""
+        """Go to a posture (j,) and wait until the motion has died away."""
         self.advance(self.time_s + seconds, command)
+
+    def _posture(self) -> Array:
+        """Return the angles of the neck and what readings without errors would be, (j,) [rad]."""
+        return self._unmixing @ self._data.qpos[self._addresses]
 
     def _at(self, history: Array, time_s: float) -> Array:
         return np.array([np.interp(time_s, self._times, column) for column in history.T])
@@ -144,7 +158,7 @@ class Twin:
         return self.time_s - max(0.0, -delay), self.time_s - max(0.0, delay)
 
     def true_angles(self) -> Array:
-        """Return the true (7,) angles at the moment of the image, if a frame is taken now."""
+        """Return the true (j,) angles at the moment of the image, if a frame is taken now."""
         return self._at(self._true, self._moments()[0])
 
     def true_object(self) -> Array:
@@ -155,14 +169,15 @@ class Twin:
         """Take a frame: render, and read the sensors."""
         image_s, joint_s = self._moments()
         self._seen.qpos[:] = self._data.qpos
-        self._seen.qpos[self._addresses] = self._at(self._true, image_s)
+        self._seen.qpos[self._addresses] = self._mixing @ self._at(self._true, image_s)
         self._seen.mocap_pos[:] = self._data.mocap_pos
         self._seen.mocap_quat[:] = self._data.mocap_quat
         mujoco.mj_kinematics(self.model, self._seen)
         mujoco.mj_camlight(self.model, self._seen)
         negatives = tuple(self._renderer.expose(self._seen, name) for name in cameras)
         sensed = self._at(self._sensed, joint_s)
-        eye_angles = read(sensed[None, _EYES], self.profile.joints, self._rng)[0]
+        columns = sensor_columns(self.truth.kinematics)
+        eye_angles = read(sensed[None, _EYES], self.profile.joints, self._rng, columns)[0]
         neck_angles, now = sensed[: len(NECK_JOINTS)], self.time_s
         return Exposure(Frame(now, now, eye_angles, neck_angles, {}), negatives)
 

@@ -18,7 +18,7 @@ from vergence.errors import VergenceError
 from vergence.geometry.board import Charuco
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, MountedCamera, T_head_base
-from vergence.geometry.kinematics import EYES, NECK_JOINTS, EyeAxes, Neck, Side
+from vergence.geometry.kinematics import EYES, NECK_JOINTS, Joint, Kinematics, Neck, Side
 from vergence.geometry.se3 import pose, rotation
 from vergence.twin.board import put_charuco
 from vergence.twin.card import Card, put_card
@@ -51,8 +51,25 @@ def load_spec() -> mujoco.MjSpec:
         raise VergenceError(f"Cannot load the model {path}: {error}.") from error
 
 
-def nominal_head(lens: Lens) -> HeadCalibration:
-    """Return the head as designed, with a lens in the wide cameras."""
+HINGES: dict[Side, tuple[str, str]] = {
+    "left": ("left_pan", "left_tilt"),
+    "right": ("right_pan", "right_tilt"),
+}
+"""By eye the two joints of the model, from the head outwards; their axes are the head's own."""
+
+
+def nominal_head(lens: Lens, kinematics: Kinematics | None = None) -> HeadCalibration:
+    """Return the head as designed, with a lens in the wide cameras.
+
+    Its eyes have two joints each; None: pan, then tilt. VergenceError if they have not.
+    """
+    kinematics = kinematics or Kinematics()
+    for eye, joints in kinematics.eyes.items():
+        if len(joints) != len(HINGES[eye]):
+            raise VergenceError(
+                f"An eye of the twin has {len(HINGES[eye])} joints, the {eye} one was given "
+                f"{len(joints)}."
+            )
     spec = load_spec()
     model = spec.compile()
     data = mujoco.MjData(model)
@@ -82,6 +99,7 @@ def nominal_head(lens: Lens) -> HeadCalibration:
     return HeadCalibration(
         cameras=cameras,
         T_rbase_lbase=pose(t=bases["left"] - bases["right"]),
+        kinematics=kinematics,
         neck=Neck(
             axes=np.array([joint.xaxis for joint in joints]),
             points_m=np.array([joint.xanchor - body for joint in joints]),
@@ -121,13 +139,17 @@ def as_built_head(nominal: HeadCalibration, profile: ErrorProfile, seed: int) ->
         rotation(rng.normal(0, np.radians(mounting.base_rotation_deg), 3)),
         rng.normal(0, mounting.base_translation_mm * 1e-3, 3),
     )
-    axes: dict[Side, EyeAxes] = {
-        eye: EyeAxes(nonorthogonality_rad=np.radians(turn), axis_distance_m=distance * 1e-3)
-        for eye, turn, distance in zip(
-            EYES, profile.axes.nonorthogonality_deg, profile.axes.distance_mm, strict=True
+    eyes: dict[Side, tuple[Joint, ...]] = {}
+    for eye, turn, distance in zip(
+        EYES, profile.axes.nonorthogonality_deg, profile.axes.distance_mm, strict=True
+    ):
+        first, second = nominal.kinematics.eyes[eye]
+        second = replace(
+            second, nonorthogonality_rad=np.radians(turn), axis_distance_m=distance * 1e-3
         )
-    }
-    return replace(nominal, cameras=cameras, T_rbase_lbase=T_rbase_lbase, axes=axes)
+        eyes[eye] = first, second
+    kinematics = replace(nominal.kinematics, eyes=eyes)
+    return replace(nominal, cameras=cameras, T_rbase_lbase=T_rbase_lbase, kinematics=kinematics)
 
 
 def compile_head(
@@ -153,11 +175,14 @@ def compile_head(
         put_card(spec, card)
     for eye in EYES:
         T = T_head_base(head, eye)
-        pan, tilt = spec.body(f"{eye}_pan"), spec.joint(f"{eye}_tilt")
-        pan.pos, pan.quat = T[:3, 3], quat_of_R(T[:3, :3])
-        axes = head.axes[eye]
-        spec.body(f"{eye}_eye").pos = [axes.axis_distance_m, 0, 0]
-        tilt.axis = [0, np.cos(axes.nonorthogonality_rad), np.sin(axes.nonorthogonality_rad)]
+        chain, base = head.kinematics.chains[eye], spec.body(f"{eye}_pan")
+        base.pos, base.quat = T[:3, 3], quat_of_R(T[:3, :3])
+        spec.body(f"{eye}_eye").pos = chain.end_m
+        for name, axis, point in zip(HINGES[eye], chain.axes, chain.points_m, strict=True):
+            hinge = spec.joint(name)
+            hinge.axis = axis
+            # In the frame of its body: that of the second stands at its own axis.
+            hinge.pos = point if name == HINGES[eye][0] else point - chain.end_m
     for name, mounted in head.cameras.items():
         camera, T = spec.camera(name), mounted.T_eye_cam
         nominal_width = camera.resolution[0]

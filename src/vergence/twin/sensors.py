@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.geometry.kinematics import EYE_JOINTS, EYES, Joint, Kinematics, Side
 from vergence.twin.profile import Joints
 
 
@@ -27,11 +31,50 @@ def play(angles: Array, width: float, start: Array | None = None) -> Array:
     return sensed
 
 
-def read(sensed: Array, joints: Joints, rng: np.random.Generator) -> Array:
-    """Return readings (N, 4) [rad], as EYE_JOINTS, of angles (N, 4) [rad] on the sensor's side."""
+def sensor_columns(kinematics: Kinematics) -> list[int]:
+    """Return (r,) which of a profile's four sensors, in the order of EYE_JOINTS, reads each joint.
+
+    Of a head with other joints: the one of the first eye that the reading moves, and of pan or tilt
+    as the axis of the joint is nearer to z or to y.
+    """
+    found = []
+    for r, name in enumerate(kinematics.readings):
+        if name in EYE_JOINTS:
+            found.append(EYE_JOINTS.index(name))
+            continue
+        eye = EYES[0] if r in kinematics.used(EYES[0]) else EYES[1]
+        _, y, z = np.abs(kinematics.chains[eye].mixing[:, r] @ kinematics.chains[eye].axes)
+        found.append(EYE_JOINTS.index(f"{eye}_{'pan' if z >= y else 'tilt'}"))
+    return found
+
+
+def with_sensor_errors(kinematics: Kinematics, gain: Array, offset: Array) -> Kinematics:
+    """Return joints that take readings for angles gain * reading + offset, both (r,).
+
+    A joint of several readings takes the mean of their gains, by what each adds to its angle.
+    """
+    eyes: dict[Side, tuple[Joint, ...]] = {}
+    for eye, joints in kinematics.eyes.items():
+        mixing = kinematics.chains[eye].mixing
+        share = np.abs(mixing) / np.abs(mixing).sum(axis=1, keepdims=True)
+        errors = zip(joints, share @ gain, mixing @ offset, strict=True)
+        eyes[eye] = tuple(
+            replace(joint, gain=joint.gain * float(factor), offset_rad=float(turn))
+            for joint, factor, turn in errors
+        )
+    return replace(kinematics, eyes=eyes)
+
+
+def read(
+    sensed: Array, joints: Joints, rng: np.random.Generator, columns: Sequence[int] = range(4)
+) -> Array:
+    """Return readings (N, r) [rad] of angles (N, r) [rad] on the sensors' side.
+
+    `columns` are those of `sensor_columns`.
+    """
     noise = rng.normal(0.0, np.radians(joints.noise_deg), sensed.shape)
-    gain = 1 + np.array(joints.gain_percent) / 100
-    reading = gain * sensed + np.radians(joints.offset_deg) + noise
+    gain = 1 + np.array(joints.gain_percent)[columns] / 100
+    reading = gain * sensed + np.radians(joints.offset_deg)[columns] + noise
     if joints.counts_per_turn:
         step = 2 * np.pi / joints.counts_per_turn
         reading = np.round(reading / step) * step

@@ -14,16 +14,25 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.sequential.sequential import calibrate_sequentially
 from vergence.data.dataset import Frame
-from vergence.gaze.commands import EYES_4, HEAD_JOINTS, HeadCommand, JointLimits, hold, setpoint
+from vergence.gaze.commands import (
+    EYE_READINGS,
+    HeadCommand,
+    JointLimits,
+    hold,
+    joint_limits,
+    setpoint,
+)
 from vergence.gaze.observation import is_central
 from vergence.gaze.state import GazeSettings
 from vergence.geometry.head import T_head_base
+from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS, Kinematics
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import capture_views, plan
 from vergence.twin.hand import SimulatedHand
 from vergence.twin.head import Twin
+from vergence.twin.sensors import sensor_columns
 
 FRAME_S = 0.033
 """Frame period: 30 Hz, in whole milliseconds, because the physics steps in them."""
@@ -45,7 +54,24 @@ def calibrate_twin(twin: Twin, seed: int) -> GazeSettings:
     rest = np.array([twin.capture(()).eye_angles for _ in range(_REST_READINGS)])
     floor = 5e-5  # more would make the filter of a perfect head lag behind what it sees
     std = float(rest.std(axis=0, ddof=1).mean())
-    return GazeSettings(calibration=head, joint_std_rad=float(np.hypot(floor, std)))
+    return GazeSettings(
+        calibration=head,
+        limits=twin_limits(twin.truth.kinematics),
+        joint_std_rad=float(np.hypot(floor, std)),
+    )
+
+
+def twin_limits(kinematics: Kinematics) -> JointLimits:
+    """Return the limits of the twin's joints: a reading has those of the hinge that it turns."""
+    model = JointLimits()
+    rows = [model.joints.index(EYE_JOINTS[k]) for k in sensor_columns(kinematics)]
+    names = [*NECK_JOINTS, *kinematics.readings]
+    order = [*range(len(NECK_JOINTS)), *rows]
+    return joint_limits(
+        dict(zip(names, map(tuple, model.range_rad[order].tolist()), strict=True)),
+        dict(zip(names, model.speed_rad_s[order].tolist(), strict=True)),
+        joints=names,
+    )
 
 
 class SimulatedHead:
@@ -85,11 +111,14 @@ class SimulatedHead:
         twin.restart(run)
         self._T_world_start = twin.T_world_lbase()
         self._T_lbase_head = inverse(T_head_base(twin.truth, "left"))
-        self._command = hold(np.zeros(len(HEAD_JOINTS)), JointLimits(), twin.time_s)
+        kinematics = twin.truth.kinematics
+        self._limits = twin_limits(kinematics)
+        self._command = hold(np.zeros(len(self._limits.joints)), self._limits, twin.time_s)
         self._next_s, self._number = twin.time_s, 0
         joints = twin.profile.joints
-        self._gain = 1 + np.array(joints.gain_percent) / 100
-        self._offset = np.radians(joints.offset_deg)
+        columns = sensor_columns(kinematics)
+        self._gain = 1 + np.array(joints.gain_percent)[columns] / 100
+        self._offset = np.radians(joints.offset_deg)[columns]
 
     def now_s(self) -> float:
         """Return the simulated time [s]."""
@@ -118,7 +147,7 @@ class SimulatedHead:
     def _servo(self, time_s: float) -> Array:
         """Return the angles (7,) [rad] that the simulated joints are sent to at a time."""
         wanted = setpoint(self._command, time_s)
-        wanted[EYES_4] = (wanted[EYES_4] - self._offset) / self._gain
+        wanted[EYE_READINGS] = (wanted[EYE_READINGS] - self._offset) / self._gain
         return wanted
 
 
@@ -128,7 +157,7 @@ def true_pixels(twin: Twin, settings: GazeSettings) -> Array:
     There is one for each of the E eyes that the settings use: that of its narrow camera, or of its
     only one.
     """
-    eyes, where = twin.true_angles()[EYES_4], twin.true_object()
+    eyes, where = twin.true_angles()[EYE_READINGS], twin.true_object()
     return np.array([project_point(twin.truth, name, eyes, where) for name in settings.narrow])
 
 

@@ -14,6 +14,7 @@ The world is the left eye's base frame. A row of frames.csv is a `frame`.
 
 from __future__ import annotations
 
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ from vergence.calibration.calibrate import CalibrationResult
 from vergence.data.dataset import Dataset
 from vergence.geometry.board import Board, corner_points
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYE_JOINTS, EYES
+from vergence.geometry.kinematics import EYES
 from vergence.geometry.se3 import inverse
 from vergence.progress import Progress, silent
 from vergence.viewer import style
@@ -91,7 +92,7 @@ def record_dataset(
 
 def _eye_poses(result: CalibrationResult) -> Array:
     """Return poses (V, 2, 4, 4) of the eyes in the left eye's base, as read where not estimated."""
-    poses = result.observations.eye_poses(result.head.axes).copy()
+    poses = result.observations.eye_poses(result.head).copy()
     if result.estimate is not None:
         estimated = result.estimate.T_base_eye
         poses = np.where(np.isfinite(estimated), estimated, poses)
@@ -133,8 +134,12 @@ def _log_styles(rec: rr.RecordingStream, head: HeadCalibration, dataset: Dataset
         rec.log(f"{entity}/corners", dots, static=True)
         lines = rr.LineStrips2D.from_fields(colors=style.RAY, radii=-1.0)
         rec.log(f"{entity}/residuals", lines, static=True)
-    joints = [joint for joint in dataset.description.joints if joint in EYE_JOINTS]
-    colours = {f"joints/{joint}": style.JOINT_COLOURS[joint] for joint in joints}
+    readings = dataset.description.head_kinematics.readings
+    joints = [joint for joint in readings if joint in dataset.description.sources]
+    others = cycle(style.JOINT_COLOURS.values())
+    colours = {
+        f"joints/{joint}": style.JOINT_COLOURS.get(joint) or next(others) for joint in joints
+    }
     for eye in EYES:
         own = [f"residual/{name}" for name, mounted in head.cameras.items() if mounted.eye == eye]
         colours |= zip(own, 9 * style.EYE_COLOURS[eye], strict=False)
@@ -158,7 +163,8 @@ def _log_series(
     rows = np.arange(len(dataset))
     curves: dict[str, Array] = {}
     if dataset.T_base_eye is None:
-        curves |= {f"joints/{name}": dataset.eye_angles[:, k] for k, name in enumerate(EYE_JOINTS)}
+        names = dataset.description.head_kinematics.readings
+        curves |= {f"joints/{name}": dataset.eye_angles[:, k] for k, name in enumerate(names)}
     for name, errors in ({} if estimate is None else estimate.residuals_px).items():
         curves[f"residual/{name}"] = rms_by_view(errors)
     for entity, values in curves.items():

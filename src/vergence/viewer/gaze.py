@@ -25,11 +25,11 @@ import rerun as rr
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.gaze.commands import EYES_4, HEAD_JOINTS, NECK, commanded
+from vergence.gaze.commands import EYE_READINGS, HEAD_JOINTS, NECK, commanded
 from vergence.gaze.foveation import ideal_wide_pixel
 from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base
-from vergence.geometry.kinematics import EYE_COLUMNS, EYES, Side
+from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.se3 import inverse, transform
 from vergence.viewer import style
 from vergence.viewer.frame import log_frame, time_columns
@@ -100,7 +100,7 @@ def _cameras(settings: GazeSettings, readings: Array) -> dict[Side, Array]:
     head = settings.calibration
     return {
         eye: T_body_base(head, eye, readings)
-        @ T_base_cam(head, cameras.narrow, readings[EYES_4][EYE_COLUMNS[eye]])
+        @ T_base_cam(head, cameras.narrow, readings[EYE_READINGS])
         for eye, cameras in settings.eyes.items()
     }
 

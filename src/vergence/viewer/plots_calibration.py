@@ -24,7 +24,7 @@ def coverage(
         path: of the PNG file.
         corners: by camera, (V, K, 2) [px]; NaN where not seen.
         sizes: by camera, width and height [px].
-        eye_angles: by eye, (V, 2) pan and tilt [rad].
+        eye_angles: by eye, (V, 2) pan and tilt of where it looks [rad].
 
     Raises:
         VergenceError: the file cannot be written.
@@ -58,7 +58,7 @@ def residuals(
         corners: by camera, (V, K, 2) [px].
         errors: by camera, (V, K, 2) projected minus seen [px]; NaN where not seen.
         sizes: by camera, width and height [px].
-        eye_angles: by camera, (V, 2) pan and tilt of its eye [rad].
+        eye_angles: by camera, (V, 2) pan and tilt of where its eye looks [rad].
 
     Raises:
         VergenceError: the file cannot be written.

@@ -132,9 +132,9 @@ def spread_ellipsoid(points: Array) -> rr.Ellipsoids3D:
 def lines_of_sight(head: HeadCalibration, points: Array, eye_angles: Array) -> Array:
     """Return polylines (N, 3, 3) from the left wide camera to a point to the right wide camera.
 
-    Points (N, 3) [m] are in the left eye's base frame, as the result; `eye_angles` (N, 4) [rad].
+    Points (N, 3) [m] are in the left eye's base frame, as the result; `eye_angles` (N, r) [rad].
     """
-    left = T_base_cam(head, "left_wide", eye_angles[:, :2])[:, :3, 3]
-    right = T_base_cam(head, "right_wide", eye_angles[:, 2:])[:, :3, 3]
+    left = T_base_cam(head, "left_wide", eye_angles)[:, :3, 3]
+    right = T_base_cam(head, "right_wide", eye_angles)[:, :3, 3]
     right = transform(inverse(head.T_rbase_lbase), right)
     return np.stack([left, points, right], axis=1)

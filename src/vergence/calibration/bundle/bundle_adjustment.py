@@ -20,19 +20,19 @@ from vergence.arrays import Array
 from vergence.calibration.bundle import diagnostics
 from vergence.calibration.bundle.adjustment import adjust
 from vergence.calibration.bundle.initial_state import initial_state
-from vergence.calibration.bundle.problem import corner_errors, eye_poses
+from vergence.calibration.bundle.problem import corner_errors, detection_eyes, eye_poses
 from vergence.calibration.bundle.solver import OUTLIER
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.head import Accuracy, HeadCalibration, main_pair
-from vergence.geometry.kinematics import EYES
+from vergence.geometry.kinematics import reading_kinds
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.parameters import POSE, parameter_names
 
 EXACT = 1e-8
 """Joint noise [rad or m] that stands for exact readings."""
 OWN_LEVELS = 40
-"""Eyes times views from which pan and tilt have each a noise of their own: it is then known to
+"""Eyes times views from which each kind of reading has a noise of its own: it is then known to
 about a tenth."""
 
 
@@ -50,8 +50,7 @@ class BundleEstimate:
     pixel_std_px: float
     """Noise of one coordinate of a corner."""
     joint_std: tuple[float, ...]
-    """Noise of the readings [rad]: all joints, or pan and tilt; for measured eye poses rotation
-    [rad] and translation [m]."""
+    """Noise of the readings, see Accuracy.joint_std."""
     T_lbase_target: Mapping[int, Array]
     """By number of the placement: where the board stood."""
     board_scale: float
@@ -106,7 +105,7 @@ def bundle_adjust(
         pixel_std_px: noise of one coordinate of a corner; None: estimated.
         joint_std: noise of the readings, [rad] or, for poses, ([rad], [m]); None: estimated; 0:
             the readings are exact.
-        own_levels_from: eyes times views from which pan and tilt have each a noise of their own.
+        own_levels_from: eyes times views from which each kind of reading has a noise of its own.
         outlier: standard deviations beyond which a corner or a reading loses weight.
 
     Raises:
@@ -124,10 +123,12 @@ def bundle_adjust(
     problem, state, numbers = initial_state(
         start, observations, fixed=fixed, points=points, T_cam_target=T_cam_target
     )
+    group = np.zeros(problem.reading.shape[1], dtype=int)
     if problem.T_base_eye_read is not None:
         group = np.array([0, 0, 0, 1, 1, 1])  # rotations, translations
-    else:
-        group = np.array([0, int(joint_std is None and len(problem.reading) >= own_levels_from)])
+    elif joint_std is None and len(problem.reading) >= own_levels_from:
+        kinds = np.array(reading_kinds(start.kinematics))[problem.block_columns[0]]
+        group = np.unique(kinds, return_inverse=True)[1]
     levels = None
     if joint_std is not None:
         levels = np.broadcast_to(np.maximum(joint_std, EXACT), (group.max() + 1,))
@@ -135,7 +136,8 @@ def bundle_adjust(
         problem, state, group, pixel_std_px=pixel_std_px, joint_std=levels, outlier=outlier
     )
     T_base_eye = np.full((len(observations.placement), 2, 4, 4), np.nan)
-    T_base_eye[problem.block_view, problem.block_eye] = eye_poses(problem, found.state)
+    views = problem.block_view[problem.block]
+    T_base_eye[views, detection_eyes(problem)] = eye_poses(problem, found.state)
     seen = np.any([np.isfinite(c).any(axis=(1, 2)) for c in observations.corners.values()], axis=0)
     lost = np.setdiff1d(np.flatnonzero(seen), problem.block_view)
     errors = np.where(problem.seen[..., None], corner_errors(problem, found.state), np.nan)
@@ -144,7 +146,7 @@ def bundle_adjust(
         mine = problem.camera == c
         if mine.any():
             residuals[name] = np.full((len(T_base_eye), *errors.shape[1:]), np.nan)
-            residuals[name][problem.block_view[problem.block[mine]]] = errors[mine]
+            residuals[name][views[mine]] = errors[mine]
         else:
             left_out.append(f"{name} sees no board, and keeps its start.")
     if len(lost):
@@ -174,13 +176,18 @@ def bundle_adjust(
 def fixed_by_default(start: HeadCalibration, *, timed: bool) -> set[str]:
     """Return the names of the parameters that bundle_adjust does not touch unless asked to.
 
-    - Offsets of the joints: an offset of tilt is a turn of T_eye_cam, one of pan a turn of the
-      base frame, and no image distinguishes them.
+    - Offsets of an eye's first and last joint: an offset of tilt is a turn of T_eye_cam, one of
+      pan a turn of the base frame, and no image distinguishes them.
     - Distortion coefficients that are zero at the start: they are not in the lens model.
     - The time offset, where the eyes stood still.
     - Where the other eye is, for a head of one eye.
     """
-    fixed = {f"{eye}.{joint}_offset_rad" for eye in EYES for joint in ("pan", "tilt")}
+    fixed = {
+        f"{eye}.{joints[k].name}_offset_rad"
+        for eye, joints in start.kinematics.eyes.items()
+        for k in (0, -1)
+        if joints
+    }
     for camera, mounted in start.cameras.items():
         lens = mounted.intrinsics
         values = zip(COEFFICIENTS[lens.model], lens.distortion, strict=True)

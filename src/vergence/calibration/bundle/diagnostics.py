@@ -6,7 +6,12 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.bundle.adjustment import Adjusted
-from vergence.calibration.bundle.problem import BundleProblem, eye_poses
+from vergence.calibration.bundle.problem import (
+    BundleProblem,
+    detection_eyes,
+    eye_poses,
+    latent_readings,
+)
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.se3 import rotvec
@@ -64,7 +69,7 @@ def warnings(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
 def void(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
     """Return a sentence for every reason not to use a result."""
     said = [] if found.converged else ["The estimate did not converge."]
-    for e in np.unique(problem.block_eye):
+    for e in np.unique(detection_eyes(problem)):
         said += _senses(problem, found, int(e))
     return tuple(said)
 
@@ -130,16 +135,11 @@ def _eyes_of(problem: BundleProblem, owner: str) -> list[int]:
 
 def _causes(problem: BundleProblem, found: Adjusted, eyes: list[int]) -> str:
     """Return what the motion of the eyes lacks."""
-    eye = problem.eye[problem.camera]
+    eye = detection_eyes(problem)
     shared = set(problem.placement[eye == 0]) & set(problem.placement[eye == 1])
     if len(eyes) == 2 and not shared:
         return "no board stands where both eyes see it; show the same board to both"
-    causes = [
-        cause
-        for e in eyes
-        if (problem.block_eye == e).any()
-        for cause in _motion(problem, found, e)
-    ]
+    causes = [cause for e in eyes if (eye == e).any() for cause in _motion(problem, found, e)]
     return ", ".join(causes) or (
         "the views do not distinguish it from other unknowns; record more of them, with pan and "
         "tilt moved by 0.25 rad and boards at several distances and slants"
@@ -149,11 +149,11 @@ def _causes(problem: BundleProblem, found: Adjusted, eyes: list[int]) -> str:
 def _motion(problem: BundleProblem, found: Adjusted, eye: int) -> list[str]:
     """Return what is wrong with the motion of one eye before boards at rest."""
     whose = _whose(problem, eye)
-    blocks, which = _views(problem, eye)
+    detections, which = _views(problem, eye)
     if np.bincount(which).max() < 2:
         return [f"{whose} sees each board in one view only; let it move before a board at rest"]
     if problem.T_base_eye_read is not None:
-        R = eye_poses(problem, found.state)[blocks, :3, :3]
+        R = eye_poses(problem, found.state)[detections, :3, :3]
         first = np.unique(which, return_index=True)[1]
         turns = rotvec(np.swapaxes(R[first][which], 1, 2) @ R)
         reach = np.linalg.svd(turns, compute_uv=False) / np.sqrt(len(turns))
@@ -165,9 +165,10 @@ def _motion(problem: BundleProblem, found: Adjusted, eye: int) -> list[str]:
                 f"turn it about another axis as well, {ADVISED}"
             ]
         return []
-    away = _away(found.state.latent[blocks], which)
+    joints, angles, levels = _angles(problem, found, eye)
+    away = _away(angles[problem.block[detections]], which)
     causes = []
-    for joint, own, level in zip(("pan", "tilt"), away.T, found.noise.joint, strict=True):
+    for joint, own, level in zip(joints, away.T, levels, strict=True):
         reach = np.abs(own).max()
         if np.sqrt((own**2).mean()) <= 1.5 * level:
             causes.append(
@@ -180,33 +181,47 @@ def _motion(problem: BundleProblem, found: Adjusted, eye: int) -> list[str]:
             )
     together = np.linalg.svd(away, compute_uv=False)[-1] / np.sqrt(len(away))
     if not causes and together < SMALL_RAD / 3:
-        causes.append(f"pan and tilt of {whose} move together; move one without the other")
+        causes.append(f"{_list(joints)} of {whose} move together; move one without the other")
     return causes
 
 
 def _senses(problem: BundleProblem, found: Adjusted, eye: int) -> list[str]:
     """Return a sentence for each joint whose motion is so small that its sense is uncertain."""
-    blocks, which = _views(problem, eye)
+    detections, which = _views(problem, eye)
     if problem.T_base_eye_read is not None or np.bincount(which).max() < 2:
         return []
-    length = np.linalg.norm(_away(found.state.latent[blocks], which), axis=0)
+    joints, angles, levels = _angles(problem, found, eye)
+    length = np.linalg.norm(_away(angles[problem.block[detections]], which), axis=0)
     return [
         f"Readings of {joint} of {_whose(problem, eye)} hardly follow its motion: the noise is "
         f"{level:.2g} rad, and even the sense of the motion is uncertain."
-        for joint, size, level in zip(("pan", "tilt"), length, found.noise.joint, strict=True)
+        for joint, size, level in zip(joints, length, levels, strict=True)
         if size < SENSE * level
     ]
 
 
 def _views(problem: BundleProblem, eye: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the blocks in which an eye sees boards, and before which placement it does."""
-    mine = problem.eye[problem.camera] == eye
-    pairs = np.unique(np.stack([problem.block[mine], problem.placement[mine]]), axis=1)
-    return pairs[0], np.unique(pairs[1], return_inverse=True)[1]
+    """Return a detection of each board by an eye in each view, and before which placement it is."""
+    mine = np.flatnonzero(detection_eyes(problem) == eye)
+    pairs = np.stack([problem.block[mine], problem.placement[mine]])
+    (_, placement), first = np.unique(pairs, axis=1, return_index=True)
+    return mine[first], np.unique(placement, return_inverse=True)[1]
+
+
+def _angles(problem: BundleProblem, found: Adjusted, eye: int) -> tuple[list[str], Array, Array]:
+    """Return the joints of an eye: their names, angles (B, n) and the noise of each (n,) [rad]."""
+    kinematics = found.state.head.kinematics
+    mixing = kinematics.chains[EYES[eye]].mixing
+    mine = problem.block[detection_eyes(problem) == eye][0]
+    std = np.zeros(len(kinematics.readings))
+    std[problem.block_columns[mine]] = found.noise.joint
+    names = [joint.name for joint in kinematics.eyes[EYES[eye]]]
+    angles = latent_readings(problem, found.state) @ mixing.T
+    return names, angles, np.sqrt(mixing**2 @ std**2)
 
 
 def _away(angles: Array, which: np.ndarray) -> Array:
-    """Return the angles (N, 2) less their mean before each placement."""
+    """Return the angles (N, n) less their mean before each placement."""
     counts = np.bincount(which)
     means = np.stack([np.bincount(which, column) / counts for column in angles.T], axis=-1)
     return angles - means[which]

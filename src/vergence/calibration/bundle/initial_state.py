@@ -14,8 +14,8 @@ from vergence.data.timing import TRAJECTORY_DEGREE, stencil
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import AXES, EYES
-from vergence.geometry.parameters import POSE, parameter_names
+from vergence.geometry.kinematics import EYES, Kinematics
+from vergence.geometry.parameters import POSE, axes_names, parameter_names
 from vergence.geometry.se3 import angle, inverse
 from vergence.vision.board_pose import LEAST_CORNERS, board_poses, determines_pose, seen_corners
 
@@ -57,22 +57,27 @@ def initial_state(
     useful = determines_pose(points, seen).any(axis=0)
     numbers = np.unique(observations.placement[useful])
     camera, view = np.nonzero(seen.any(axis=2) & np.isin(observations.placement, numbers))
-    pairs, block = np.unique(np.stack([view, eye[camera]], axis=1), axis=0, return_inverse=True)
-    block_view, block_eye = pairs.T
     measured = observations.T_base_eye
+    columns = _latent_columns(start.kinematics, sorted(set(eye[camera].tolist())))
+    alone = measured is not None or len(columns) == len(EYES)
+    whose = eye[camera] if alone else np.zeros(len(camera), dtype=np.intp)
+    pairs, block = np.unique(np.stack([view, whose], axis=1), axis=0, return_inverse=True)
+    block_view, block_eye = pairs.T
     T_base_eye_read, around = None, None
     if measured is None:
-        reading = observations.eye_angles.reshape(-1, 2, 2)[block_view, block_eye]
+        block_columns = np.array(columns, dtype=np.intp)[block_eye]
+        reading = observations.eye_angles[block_view[:, None], block_columns]
         finite = np.isfinite(reading).all(axis=1)
     else:
         T_base_eye_read = measured[block_view, block_eye]
         finite = np.isfinite(T_base_eye_read).all(axis=(1, 2))
         reading = np.zeros((len(pairs), len(POSE)))
+        block_columns = np.zeros(reading.shape, dtype=np.intp)
     if not finite.all():
         v, e = pairs[~finite][0]
+        who, its = (f"The {EYES[e]} eye sees", "its") if alone else ("An eye sees", "a")
         raise VergenceError(
-            f"The {EYES[e]} eye sees a board in view {v}, but its joint reading is not finite; "
-            "leave the view out."
+            f"{who} a board in view {v}, but {its} joint reading is not finite; leave the view out."
         )
     if observations.timing is not None and measured is None:
         run = observations.timing.run[block_view]  # a motion of one eye, not of both
@@ -82,12 +87,11 @@ def initial_state(
     # makes poses of angles where there are none.
     blind = [name for c, name in enumerate(cameras) if c not in camera]
     blind += [side for e, side in enumerate(EYES) if e not in eye[camera]]
-    without = () if measured is None else (*AXES, "time_offset_s")
     parameters = parameter_names(start)
+    without = ["time_offset_s", *axes_names(start, "left"), *axes_names(start, "right")]
+    without = without if measured is not None else []
     free = [
-        name not in fixed
-        and name.partition(".")[0] not in blind
-        and name.rpartition(".")[2] not in without
+        name not in fixed and name.partition(".")[0] not in blind and name not in without
         for name in parameters
     ]
     problem = BundleProblem(
@@ -102,7 +106,7 @@ def initial_state(
         points=points,
         noise_scale=np.ones(len(camera)),
         block_view=block_view,
-        block_eye=block_eye,
+        block_columns=block_columns,
         reading=reading,
         around=around,
         trajectory_coefficients=np.zeros((*reading.shape, TRAJECTORY_DEGREE)),
@@ -125,6 +129,19 @@ def initial_state(
     return *_place_boards(problem, state, found), numbers
 
 
+def _latent_columns(kinematics: Kinematics, eyes: list[int]) -> list[list[int]]:
+    """Return which readings are latent in the blocks of the left eye and in those of the right.
+
+    One list, for blocks of both eyes, where some reading moves both or their numbers differ.
+    """
+    own = [kinematics.used(eye) if e in eyes else [] for e, eye in enumerate(EYES)]
+    if len(eyes) == 1:
+        return [own[eyes[0]]] * 2
+    if len(own[0]) == len(own[1]) and not set(own[0]) & set(own[1]):
+        return own
+    return [sorted({*own[0], *own[1]})]
+
+
 def _measures_lengths(T_base_eye: Array | None) -> bool:
     """Return whether measured eye poses say how long a metre is, and with it how large the board.
 
@@ -144,7 +161,7 @@ def _place_boards(
     mounts = np.stack([mounted.T_eye_cam for mounted in state.head.cameras.values()])
     right = problem.eye[problem.camera] == 1
     T_base_lbase = np.where(right[:, None, None], state.head.T_rbase_lbase, np.eye(4))
-    T_base_cam = eye_poses(problem, state)[problem.block] @ mounts[problem.camera]
+    T_base_cam = eye_poses(problem, state) @ mounts[problem.camera]
     found = inverse(T_base_lbase) @ T_base_cam @ T_cam_target
     known = np.isfinite(found).all(axis=(1, 2))
     offers = [np.flatnonzero(known & (problem.placement == p)) for p in range(placements)]
@@ -166,5 +183,8 @@ def _place_boards(
     turn = np.swapaxes(best[problem.placement][:, :3, :3], 1, 2) @ found[:, :3, :3]
     seen = problem.seen.copy()
     seen[known] &= angle(turn[known])[:, None] < TURNED_RAD
+    state = replace(state, T_lbase_target=best)
+    # A few corners may be too little for a pose, and then lie behind the camera.
+    seen &= np.isfinite(corner_errors(problem, state)).all(axis=(1, 2), keepdims=True)[..., 0]
     pixels = np.where(seen[..., None], problem.pixels, 0.0)
-    return replace(problem, seen=seen, pixels=pixels), replace(state, T_lbase_target=best)
+    return replace(problem, seen=seen, pixels=pixels), state

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.bundle.bundle_adjustment import bundle_adjust, covariance_of
+from vergence.calibration.bundle.bundle_adjustment import (
+    BundleEstimate,
+    bundle_adjust,
+    covariance_of,
+)
 from vergence.calibration.bundle.solver import OUTLIER
 from vergence.calibration.observations import Observations
 from vergence.calibration.sequential.hand_eye import robust_park_martin
@@ -15,8 +21,9 @@ from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, MountedCamera
-from vergence.geometry.kinematics import EyeAxes, T_base_eye
-from vergence.geometry.parameters import parameter_names
+from vergence.geometry.kinematics import Joint, Kinematics, T_base_eye, pan_tilt
+from vergence.geometry.parameters import POSE, change_named, intrinsics_names, parameter_names
+from vergence.geometry.se3 import boxminus
 from vergence.vision.board_pose import board_poses
 
 _NAME = "camera"
@@ -52,7 +59,8 @@ def refine_eye_camera(
     camera: Camera,
     *,
     start: Array | None = None,
-    axes: EyeAxes | None = None,
+    joints: tuple[Joint, ...] | None = None,
+    intrinsics_covariance: Array | None = None,
     pixel_std_px: float | None = None,
     joint_std: float | tuple[float, float] | None = None,
     outlier: float = OUTLIER,
@@ -60,79 +68,130 @@ def refine_eye_camera(
     """Find where a camera of known intrinsics sits in its eye, from N views of a board at rest.
 
     Args:
-        eye: (N, 2) readings of pan and tilt [rad], or (N, 4, 4) eye poses T_base_eye. Poses that
-            are exactly those of a pan and a tilt are taken as such.
+        eye: (N, r) readings [rad], or (N, 4, 4) eye poses T_base_eye. Poses that are exactly those
+            of a pan and a tilt are taken as such.
         pixels: (N, K, 2) corners; NaN where one was not seen.
         points: (K, 3) corners in frame target [m].
         camera: intrinsics.
         start: (4, 4) T_eye_cam to start from; None: Park and Martin's.
-        axes: how readings become angles; None: perfectly. Of no use with poses.
+        joints: of the eye, whose readings are named in the order of their columns; None: pan and
+            tilt. Of no use with poses.
+        intrinsics_covariance: (n, n) of the intrinsics in the order of
+            `geometry.parameters.intrinsics_names`; None: they are taken as exact.
         pixel_std_px: noise; as joint_std and outlier, see `bundle_adjust`.
 
     Raises:
         VergenceError: shapes do not fit, or Park and Martin's method has no answer.
     """
-    axes = EyeAxes() if axes is None else axes
-    _check(eye, pixels, points)
+    joints = pan_tilt("left") if joints is None else joints
+    names = tuple(dict.fromkeys(name for joint in joints for name in joint.readings))
+    # The left eye of a head that has no other.
+    kinematics = Kinematics({"left": joints, "right": ()}, names)
+    _check(eye, pixels, points, len(names))
     N, K = pixels.shape[:2]
-    angles = eye if eye.ndim == 2 else _pan_and_tilt(eye)
-    T_read = eye if angles is None else T_base_eye(angles, axes)
+    angles = eye if eye.ndim == 2 else _readings_of(eye, kinematics)
+    T_read = eye if angles is None else T_base_eye(kinematics, "left", angles)
     T_cam_target = board_poses(camera, pixels, points)
     if start is None:
         known = np.isfinite(T_cam_target).all(axis=(1, 2))
         start = robust_park_martin(T_read[known], T_cam_target[known])
-    # The left eye of a head that has no other.
     observations = Observations(
         board=Chessboard(columns=K, rows=1, square_m=1.0),  # counts corners; `points` places them
         placement=np.zeros(N, dtype=int),
-        eye_angles=np.full((N, 4), np.nan) if angles is None else np.tile(angles, (1, 2)),
+        eye_angles=np.full((N, len(names)), np.nan) if angles is None else angles,
         corners={_NAME: pixels},
         sizes={_NAME: (camera.width, camera.height)},
+        kinematics=kinematics,
         T_base_eye=np.stack([eye, eye], axis=1) if angles is None else None,
     )
     head = HeadCalibration(
         cameras={_NAME: MountedCamera(eye="left", intrinsics=camera, T_eye_cam=start)},
         T_rbase_lbase=np.eye(4),
-        axes={"left": axes, "right": axes},
+        kinematics=kinematics,
     )
-    found = bundle_adjust(
-        head,
-        observations,
-        T_cam_target={_NAME: T_cam_target},
+    adjust = partial(
+        bundle_adjust,
+        observations=observations,
         points=points,
         fixed=[name for name in parameter_names(head) if ".T_eye_cam." not in name],
-        pixel_std_px=pixel_std_px,
-        joint_std=joint_std,
         own_levels_from=np.inf,
         outlier=outlier,
     )
+    found = adjust(
+        head,
+        T_cam_target={_NAME: T_cam_target},
+        pixel_std_px=pixel_std_px,
+        joint_std=joint_std,
+    )
+    covariance = covariance_of(found, f"{_NAME}.T_eye_cam")
+    warnings = found.warnings
+    if intrinsics_covariance is None:
+        warnings += ("The covariance leaves out that of the intrinsics, taken as exact.",)
+    else:
+        levels = {"pixel_std_px": found.pixel_std_px, "joint_std": _given_again(found)}
+        again = partial(adjust, **levels)
+        covariance = covariance + _of_intrinsics(found.head, intrinsics_covariance, again)
     T_found = found.T_base_eye[:, 0]
     return EyeCamera(
         T_eye_cam=found.head.cameras[_NAME].T_eye_cam,
-        covariance=covariance_of(found, f"{_NAME}.T_eye_cam"),
+        covariance=covariance,
         T_base_target=found.T_lbase_target[0],
         T_base_eye=np.where(np.isnan(T_found), T_read, T_found),
         residuals_px=found.residuals_px[_NAME],
         pixel_std_px=found.pixel_std_px,
         joint_std=found.joint_std,
-        warnings=found.warnings,
+        warnings=warnings,
     )
 
 
-def _pan_and_tilt(T: Array) -> Array | None:
-    """Return the angles (N, 2) of eye poses (N, 4, 4), or None where these are more than that."""
+def _given_again(found: BundleEstimate) -> float | tuple[float, float]:
+    rotation_std, *translation_std = found.joint_std
+    return (rotation_std, translation_std[0]) if translation_std else rotation_std
+
+
+def _of_intrinsics(
+    head: HeadCalibration, covariance: Array, adjust: Callable[[HeadCalibration], BundleEstimate]
+) -> Array:
+    """Return what errors of the intrinsics add (6, 6) to the covariance of T_eye_cam.
+
+    By differences along the principal axes of their covariance, one standard deviation each way.
+    """
+    names = [f"{_NAME}.{name}" for name in intrinsics_names(head.cameras[_NAME].intrinsics)]
+    if covariance.shape != (len(names), len(names)):
+        raise VergenceError(
+            f"The covariance of the intrinsics {', '.join(names)} is {len(names)} x {len(names)}, "
+            f"found {covariance.shape}."
+        )
+    scale = np.sqrt(np.diag(covariance))
+    variances, axes = np.linalg.eigh(covariance / np.where(scale > 0, scale * scale[:, None], 1))
+    moves = (axes * np.sqrt(np.maximum(variances, 0))).T * scale
+    found = np.zeros((len(POSE), len(POSE)))
+    for move in moves[np.abs(moves).max(axis=1) > 0]:
+        ends = [
+            adjust(change_named(head, names, sign * move)).head.cameras[_NAME].T_eye_cam
+            for sign in (1, -1)
+        ]
+        change = boxminus(ends[0], ends[1]) / 2
+        found += np.outer(change, change)
+    return found
+
+
+def _readings_of(T: Array, kinematics: Kinematics) -> Array | None:
+    """Return the pan and tilt (N, 2) of eye poses (N, 4, 4), or None where these are more."""
     pan = np.arctan2(T[:, 1, 0], T[:, 0, 0])
     tilt = np.arctan2(-T[:, 2, 0], T[:, 2, 2])
     angles = np.stack([pan, tilt], axis=-1)
-    return angles if np.abs(T_base_eye(angles) - T).max() < 1e-9 else None
+    if len(kinematics.readings) != 2:
+        return None
+    return angles if np.abs(T_base_eye(kinematics, "left", angles) - T).max() < 1e-9 else None
 
 
-def _check(eye: Array, pixels: Array, points: Array) -> None:
+def _check(eye: Array, pixels: Array, points: Array, r: int) -> None:
     N, K = len(eye), len(points)
-    if eye.shape not in ((N, 2), (N, 4, 4)) or not np.isfinite(eye).all():
+    if eye.shape not in ((N, r), (N, 4, 4)) or not np.isfinite(eye).all():
         raise VergenceError(
-            "refine_eye_camera needs finite readings of shape (N, 2) or poses of shape (N, 4, 4), "
-            f"found {eye.shape}."
+            f"refine_eye_camera needs finite readings of shape (N, {r}), or poses of shape "
+            f"(N, 4, 4), found {eye.shape}."
         )
     if pixels.shape != (N, K, 2) or points.shape != (K, 3):
         raise VergenceError(

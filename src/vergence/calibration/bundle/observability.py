@@ -14,14 +14,23 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.bundle.problem import BundleProblem, BundleState, head_size
 from vergence.calibration.bundle.solver import LinearProblem, NoiseLevels, factorise, project_onto
+from vergence.geometry.kinematics import EYES, joint_parameters
 from vergence.geometry.lens import CameraModel
 
 ROTATION_RAD = 0.05
 """How well a ruler knows a mounting: about 3 degrees ..."""
 TRANSLATION_M = 0.01
 """... and a centimetre."""
-AXES_STD = (0.1, 0.1, 0.05, 0.05, 0.05, 0.005)
-"""Gains, offsets and non-orthogonality [rad], distance of the axes [m]."""
+JOINT_STD = {
+    "gain": 0.1,
+    "offset_rad": 0.05,
+    "nonorthogonality_rad": 0.05,
+    "axis_distance_m": 0.005,
+    "slide_m": 0.005,
+}
+"""Of the errors of a joint."""
+FACTOR_STD = 0.1
+"""Of the factor of one of several readings of a joint."""
 TIME_S = 0.1
 BOARD_SCALE = 0.02
 UNKNOWN = 1e3
@@ -74,7 +83,10 @@ def whole_basis(problem: BundleProblem, state: BundleState) -> Array:
         scales += [0.2 * f, 0.2 * f, 0.1 * lens.width, 0.1 * lens.height]
         moved = _MOVED[lens.model]
         scales += (moved / reach ** np.array(_POWERS[lens.model])).tolist() + pose
-    scales += [*pose, *AXES_STD, *AXES_STD, TIME_S] + pose * len(state.T_lbase_target)
+    joints = state.head.kinematics.eyes
+    names = [name for eye in EYES for _, name in joint_parameters(joints[eye])]
+    errors = [JOINT_STD.get(name, FACTOR_STD) for name in names]
+    scales += [*pose, *errors, TIME_S] + pose * len(state.T_lbase_target)
     scales.append(BOARD_SCALE)
     return np.diag(scales)[:, problem.free]
 

@@ -7,9 +7,9 @@ unknowns fall into two kinds:
 - *shared* ones, in one vector: the parameters of the head in the order of
   `geometry.parameters.parameter_names`, then the 6 of each placement of the board, T_lbase_target,
   and last the size of the board, relative to the stated one;
-- *latent* ones, n for each eye in each view: the readings u [rad] of pan and tilt as they would be
-  without noise (n = 2) or, for measured eye poses, their errors (n = 6). An eye in a view is a
-  *block*: every residual meets one block only, so blocks are eliminated one by one.
+- *latent* ones, n for each block: the readings u [rad] as they would be without noise or, for
+  measured eye poses, their errors (n = 6). A *block* is an eye in a view, or both eyes where some
+  reading moves both: every residual meets one block only, so blocks are eliminated one by one.
 
 Poses change by the increment of `se3.boxplus`.
 """
@@ -26,8 +26,8 @@ from vergence.data import timing
 from vergence.data.timing import Stencil
 from vergence.geometry import parameters
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYES, T_base_eye, axes_row, eye_jacobians
-from vergence.geometry.parameters import camera_columns
+from vergence.geometry.kinematics import EYES, T_base_eye, eye_linearised
+from vergence.geometry.parameters import axes_names, camera_columns
 from vergence.geometry.projection import (
     by_parameters,
     by_pose_of_points,
@@ -66,8 +66,8 @@ class BundleProblem:
     """(M,) by what factor the corners of a detection are noisier than those of a typical one."""
     block_view: Index
     """(B,)."""
-    block_eye: Index
-    """(B,) 0 or 1."""
+    block_columns: Index
+    """(B, n) which reading of the head each latent unknown is; of no meaning for measured poses."""
     reading: Array
     """(B, n) angles [rad]; zeros for measured eye poses."""
     around: Stencil | None
@@ -146,28 +146,51 @@ def refit_trajectory(problem: BundleProblem, state: BundleState) -> BundleProble
     return replace(problem, trajectory_coefficients=chosen)
 
 
+def detection_eyes(problem: BundleProblem) -> Index:
+    """Return (M,) the eye that made each detection, 0 or 1."""
+    return problem.eye[problem.camera]
+
+
 def eye_poses(problem: BundleProblem, state: BundleState) -> Array:
-    """Return T_base_eye (B, 4, 4) at the latent joint angles (the paper's T_er)."""
+    """Return T_base_eye (M, 4, 4) of each detection at the latent angles (the paper's T_er)."""
     if problem.T_base_eye_read is not None:
-        return boxplus(problem.T_base_eye_read, state.latent)
-    return T_base_eye(state.latent, _axes_rows(problem, state))
+        return boxplus(problem.T_base_eye_read, state.latent)[problem.block]
+    readings = latent_readings(problem, state)
+    poses = np.stack([T_base_eye(state.head.kinematics, eye, readings) for eye in EYES])
+    return poses[detection_eyes(problem), problem.block]
 
 
-def _axes_rows(problem: BundleProblem, state: BundleState) -> Array:
-    return np.stack([axes_row(state.head.axes[eye]) for eye in EYES])[problem.block_eye]
+def latent_readings(problem: BundleProblem, state: BundleState) -> Array:
+    """Return (B, r) the noise-free readings of the head; 0 for those that move no eye of a block.
+
+    Not for measured poses.
+    """
+    full = np.zeros((len(state.latent), len(state.head.kinematics.readings)))
+    np.put_along_axis(full, problem.block_columns, state.latent, axis=1)
+    return full
 
 
-def _eye_jacobians(problem: BundleProblem, state: BundleState) -> tuple[Array, Array]:
-    """Return how eye_poses change with the axes (B, 6, 6) and with the latent ones (B, 6, n)."""
+def _eye_jacobians(problem: BundleProblem, state: BundleState) -> tuple[list[Array], Array]:
+    """Return how the poses of the detections change.
+
+    By the errors of the joints, for each eye (M, 6, a); and by the latent ones (M, 6, n).
+    """
+    block = problem.block
     if problem.T_base_eye_read is None:
-        return eye_jacobians(state.latent, _axes_rows(problem, state))
+        readings, eyes = latent_readings(problem, state), detection_eyes(problem)
+        found = [eye_linearised(state.head.kinematics, eye, readings) for eye in EYES]
+        by_readings = np.stack([found[0][2], found[1][2]])[eyes, block]
+        columns = problem.block_columns[block][:, None, :]
+        by_latent = np.take_along_axis(by_readings, columns, axis=2)
+        return [each[1][block] for each in found], by_latent
     by_latent = np.tile(np.eye(6), (len(state.latent), 1, 1))
     # exp(phi + d) = exp(J d) exp(phi); J (B, 3, 3) by its series, for turns well below 1 rad.
     term = by_latent[:, :3, :3].copy()
     for k in range(2, 12):
         term = term @ hat(state.latent[:, :3]) / k
         by_latent[:, :3, :3] += term
-    return np.zeros((len(state.latent), 6, 6)), by_latent
+    axes = [np.zeros((len(block), 6, len(axes_names(state.head, eye)))) for eye in EYES]
+    return axes, by_latent[block]
 
 
 def _on_boards(problem: BundleProblem, state: BundleState) -> tuple[Array, Array]:
@@ -179,7 +202,7 @@ def _on_boards(problem: BundleProblem, state: BundleState) -> tuple[Array, Array
 
 def corner_errors(problem: BundleProblem, state: BundleState) -> Array:
     """Return (M, K, 2) [px], projected minus seen: 0 if not seen, NaN if not before the camera."""
-    T = eye_poses(problem, state)[problem.block]
+    T = eye_poses(problem, state)
     _, points = _on_boards(problem, state)
     projected = np.empty_like(problem.pixels)
     for c, mounted in enumerate(state.head.cameras.values()):
@@ -198,8 +221,8 @@ def jacobians(problem: BundleProblem, state: BundleState) -> tuple[Array, Index,
     M, K = problem.seen.shape
     columns = [camera_columns(state.head, name) for name in problem.cameras]
     s = max(map(len, columns)) + 7
-    T, (turned, points) = eye_poses(problem, state)[problem.block], _on_boards(problem, state)
-    by_axes, by_latent = (each[problem.block] for each in _eye_jacobians(problem, state))
+    T, (turned, points) = eye_poses(problem, state), _on_boards(problem, state)
+    by_axes, by_latent = _eye_jacobians(problem, state)
     shared, latent = np.zeros((M, K, 2, s)), np.empty((M, K, 2, by_latent.shape[-1]))
     index = np.zeros((M, s), dtype=np.intp)
     for c, mounted in enumerate(state.head.cameras.values()):
@@ -209,7 +232,7 @@ def jacobians(problem: BundleProblem, state: BundleState) -> tuple[Array, Index,
         by_size = (J.by_point @ turned[own][..., None]) / state.board_scale
         width = len(columns[c]) + 7
         shared[own, ..., :width] = np.concatenate(
-            [by_parameters(J, by_axes[own]), by_board, by_size], axis=-1
+            [by_parameters(J, by_axes[problem.eye[c]][own]), by_board, by_size], axis=-1
         )
         latent[own] = rows_times(J.by_T_base_eye, by_latent[own])
         index[own, : width - 7] = columns[c]

@@ -111,9 +111,18 @@ def image_noise_scales(squares: Array, counts: Array) -> Array:
 
 def image_levels(linear: LinearProblem, noise: NoiseLevels) -> Array:
     """Return (groups,) how well one image determines the joints [rad]: the best of each group."""
-    seen = np.linalg.cond(linear.ll) < 1e12  # a block may have lost all its corners as outliers
-    alone = np.linalg.inv(linear.ll[seen])[:, *np.diag_indices(linear.ll.shape[1])]
-    variance = noise.pixel_px**2 * np.median(alone, axis=0)
+    # An eye of a block may see no board, or have lost all its corners as outliers.
+    n = linear.ll.shape[1]
+    unseen = linear.ll[:, np.arange(n), np.arange(n)] == 0
+    matrix = linear.ll + unseen[..., None] * np.eye(n)
+    known = np.linalg.cond(matrix) < 1e12
+    alone = np.full(unseen.shape, np.inf)
+    alone[known] = np.linalg.inv(matrix[known])[:, np.arange(n), np.arange(n)]
+    alone[unseen] = np.inf
+    typical = [
+        np.median(own[finite]) if (finite := np.isfinite(own)).any() else np.inf for own in alone.T
+    ]
+    variance = noise.pixel_px**2 * np.array(typical)
     return np.sqrt([variance[noise.group == k].min() for k in range(len(noise.levels) - 1)])
 
 

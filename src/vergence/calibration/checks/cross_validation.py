@@ -80,7 +80,7 @@ def predicted_squares(observations: Observations, parts: Sequence[PartCalibratio
     found = np.zeros((len(number), 2))
     for k, part in enumerate(parts):
         head, views = part.head, observations.timely(part.head)
-        eye_poses = views.eye_poses(head.axes)
+        eye_poses = views.eye_poses(head)
         known = np.isin(views.placement, list(part.T_lbase_target))
         rows = np.flatnonzero(known & (number == k))
         boards = np.array([part.T_lbase_target[int(p)] for p in views.placement[rows]])
@@ -164,7 +164,7 @@ def _transferred(
         return []
     points = corner_points(views.board)
     left, right = (head.cameras[name] for name in pair)
-    T_lbase_leye, T_rbase_reye = np.moveaxis(views.eye_poses(head.axes), 1, 0)
+    T_lbase_leye, T_rbase_reye = np.moveaxis(views.eye_poses(head), 1, 0)
     T_rcam_lcam = stereo_extrinsics(
         T_rbase_reye=T_rbase_reye,
         T_reye_rcam=right.T_eye_cam,

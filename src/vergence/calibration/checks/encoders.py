@@ -1,14 +1,16 @@
 """Whether the joint readings are what the description says: the images know how the eyes turned.
 
-Before a board at rest the turns of a camera are linear in the readings, turn = u pan + v tilt, as
-long as they are small; u and v are the joints' axes in frame cam, as long as the gains. That shows
-wrong units, wrong signs, and exchanged joints and eyes before any of them spoils a calibration.
+Before a board at rest the turns of a camera are linear in the readings, as long as they are small:
+turn = sum of w_r reading_r. By the description w_r is gain * R_cam_eye d_r, where d_r is the sum
+over the joints of factor * axis. That shows wrong units, wrong signs, and exchanged readings and
+eyes before any of them spoils a calibration.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import combinations_with_replacement
 
 import numpy as np
 
@@ -17,7 +19,8 @@ from vergence.calibration.checks import board_flips
 from vergence.calibration.observations import Observations, camera_eyes, most_seen_board
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYE_COLUMNS, EYES
+from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side
+from vergence.geometry.projection import eye_poses, stereo_cameras
 from vergence.geometry.se3 import angle, inverse, rotvec
 
 LEAST_VIEWS_AT_REST = 6
@@ -37,20 +40,31 @@ GAINS = (0.6, 1.6)
 DEGREES_PER_RAD = np.degrees(1.0)
 MOST_TURNED_DEG = 30.0
 """Between the bases of the eyes; their axes are the head's, as built."""
+AHEAD = 0.3
+"""Cosine of the angle between a camera's axis and the eye's x axis, at least: some look aside."""
 ASIDE = 0.7
 """Cosine of the angle between the line through the eyes and the head's y axis, at least."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """How the readings of an eye explain the turns of a camera before a board at rest."""
+    """How the u readings of an eye explain the turns of a camera before a board at rest."""
 
-    axes: Array
-    """(2, 3) u and v."""
+    names: list[str]
+    """Of the readings."""
+    gains: Array
+    """(u,) of each: by what factor w_r is R_cam_eye d_r."""
     explained: float
     """Part of the turns' variance that the readings explain."""
     moved: Array
-    """(2,) standard deviations of the readings [rad]."""
+    """(u,) standard deviations of the readings [rad]."""
+    R_cam_eye: Array
+    """(3, 3) how the eye stands in frame cam, for the axes to be where the images show them."""
+
+    @property
+    def possible(self) -> bool:
+        """Whether the camera looks out of its eye, and all readings count as described."""
+        return bool(self.R_cam_eye[2, 0] > AHEAD and (self.gains > 0).all())
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +77,10 @@ class _Turns:
     """By the readings of the camera's own eye."""
     other: _Fit
     """By those of the other eye."""
+    readings: Array
+    """(N, r) of the head."""
+    turn: Array
+    """(N, 3) of the camera [rad]."""
 
 
 def check_encoders(seen: Observations, T_cam_target: Mapping[str, Array]) -> None:
@@ -84,7 +102,7 @@ def check_encoders(seen: Observations, T_cam_target: Mapping[str, Array]) -> Non
         said = [
             sentence
             for e in sorted(found)
-            for sentence in _contradictions(found[e], EYES[e], to_left.get(e))
+            for sentence in _contradictions(seen.kinematics, found[e], EYES[e], to_left.get(e))
         ]
     if said:
         raise VergenceError(" ".join(said))
@@ -99,16 +117,22 @@ def doubts(head: HeadCalibration) -> list[str]:
     if across > MOST_TURNED_DEG:
         said.append(
             f"T_rbase_lbase: the bases of the eyes are turned by {across:.0f} degrees against each "
-            "other, though pan and tilt of both turn about the head's axes: check the signs of one "
-            "eye's readings, and which is pan and which tilt."
+            "other, though the joints of both turn about the head's axes: check the signs of one "
+            "eye's readings, and which is of which joint."
         )
-    t = head.T_rbase_lbase[:3, 3]  # of the left eye in the right one's base
+    left, right = stereo_cameras(head, None)
+    joints = np.zeros(len(head.kinematics.readings))
+    T_lbase_leye, T_rbase_reye = eye_poses(head, joints)
+    if set(head.kinematics.used("left")) == set(head.kinematics.used("right")):
+        # A pair that turns as one: its eyes are where its cameras are.
+        T_lbase_leye, T_rbase_reye = T_lbase_leye @ left.T_eye_cam, T_rbase_reye @ right.T_eye_cam
+    t = (head.T_rbase_lbase @ T_lbase_leye)[:3, 3] - T_rbase_reye[:3, 3]
     if t[1] < ASIDE * np.linalg.norm(t):
-        ahead, left, above = 1e3 * t
+        ahead, aside, above = 1e3 * t
         said.append(
-            f"T_rbase_lbase puts the left eye {left:.0f} mm to the left of the right one, "
+            f"T_rbase_lbase puts the left eye {aside:.0f} mm to the left of the right one, "
             f"{ahead:.0f} mm ahead of it and {above:.0f} mm above: check which images and readings "
-            "are left and right, and the signs of pan and tilt."
+            "are left and right, and the signs of the joints."
         )
     return said
 
@@ -124,14 +148,25 @@ def _turns(seen: Observations, name: str, e: int, T_cam_target: Array) -> _Turns
     turn = turn - turn.mean(axis=0)
     if np.linalg.svd(turn, compute_uv=False)[1] < LEAST_TURN_RAD * np.sqrt(len(turn)):
         return None
-    fits = []
-    for eye in (e, 1 - e):
-        read = seen.eye_angles[rows, EYE_COLUMNS[EYES[eye]]]
-        read = read - read.mean(axis=0)
-        axes = np.linalg.lstsq(read, turn, rcond=None)[0]
-        left = ((turn - read @ axes) ** 2).sum() / (turn**2).sum()
-        fits.append(_Fit(axes, 1 - float(left), read.std(axis=0)))
-    return _Turns(name, len(rows), *fits)
+    readings = seen.eye_angles[rows]
+    own, other = (_fit(seen.kinematics, EYES[eye], readings, turn) for eye in (e, 1 - e))
+    return _Turns(name, len(rows), own, other, readings, turn)
+
+
+def _fit(kinematics: Kinematics, eye: Side, readings: Array, turn: Array) -> _Fit:
+    """Return how readings (N, r) of an eye explain turns (N, 3)."""
+    chain, used = kinematics.chains[eye], kinematics.used(eye)
+    read = readings[:, used] - readings[:, used].mean(axis=0)
+    w = np.linalg.lstsq(read, turn, rcond=None)[0]
+    d = chain.mixing[:, used].T @ chain.axes
+    left = ((turn - read @ w) ** 2).sum() / (turn**2).sum()
+    # The rotation that takes the described axes best to where the images show them.
+    lengths = [np.linalg.norm(each, axis=1, keepdims=True) for each in (w, d)]
+    U, _, Vt = np.linalg.svd((w / np.maximum(lengths[0], 1e-12)).T @ (d / lengths[1]))
+    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    gains = (w * (d @ R.T)).sum(axis=1) / lengths[1][:, 0] ** 2
+    names = [kinematics.readings[r] for r in used]
+    return _Fit(names, gains, 1 - float(left), read.std(axis=0), R)
 
 
 def _direction_to_the_left(
@@ -162,13 +197,12 @@ def _exchanged(found: Mapping[int, _Turns], to_left: Mapping[int, Array]) -> lis
     if not follows_own and not follows_other:
         return []
     left, right = (found[e].camera for e in (0, 1))
-    axes = [(turns.own if follows_own else turns.other).axes for turns in found.values()]
-    if any(np.cross(tilt, pan)[2] <= 0 for pan, tilt in axes):
+    fits = [turns.own if follows_own else turns.other for turns in found.values()]
+    if not all(fit.possible for fit in fits):
         return []  # one joint alone counts the other way: of that speaks _contradictions
     aside = None  # how far the left eye's camera stands to the left of the right one's
     if to_left:
-        up = (found[1].own if follows_own else found[1].other).axes[0]
-        aside = float(np.cross(up / np.linalg.norm(up), [0.0, 0.0, 1.0]) @ to_left[1])
+        aside = float(fits[1].R_cam_eye[:, 1] @ to_left[1])
     if follows_own:
         if aside is None or aside > 0:
             return []
@@ -192,7 +226,9 @@ def _exchanged(found: Mapping[int, _Turns], to_left: Mapping[int, Array]) -> lis
     ]
 
 
-def _contradictions(turns: _Turns, eye: str, to_left: Array | None) -> list[str]:
+def _contradictions(
+    kinematics: Kinematics, turns: _Turns, eye: Side, to_left: Array | None
+) -> list[str]:
     """Return sentences on readings of an eye that contradict their description.
 
     `to_left` is the direction (3,) from the right to the left camera, in frame cam; None: not
@@ -200,48 +236,62 @@ def _contradictions(turns: _Turns, eye: str, to_left: Array | None) -> list[str]
     """
     fit = turns.own
     if fit.explained < EXPLAINED and fit.moved.min() < DEAD * fit.moved.max():
-        joint = ("pan", "tilt")[int(fit.moved.argmin())]
         return [
-            f"The readings of {eye}_{joint} hardly change ({fit.moved.min():.2g} rad), though "
-            f"{turns.camera} turns about that axis too before a board at rest: check their column "
-            "and the sensor."
+            f"The readings of {fit.names[int(fit.moved.argmin())]} hardly change "
+            f"({fit.moved.min():.2g} rad), though {turns.camera} turns about that axis too before "
+            "a board at rest: check their column and the sensor."
         ]
     if fit.explained < LOST:
         return [
-            f"The readings of {eye}_pan and {eye}_tilt explain {100 * max(fit.explained, 0):.0f} % "
-            f"of the turns that {turns.camera} makes before a board at rest: they are not of this "
-            "eye, not of these moments, or the board moved."
+            f"The readings of {' and '.join(fit.names)} explain {100 * max(fit.explained, 0):.0f} "
+            f"% of the turns that {turns.camera} makes before a board at rest: they are not of "
+            "this eye, not of these moments, or the board moved."
         ]
     if fit.explained < EXPLAINED:
         return []  # too noisy to say more; the noise is estimated, and warned of
-    gains = np.linalg.norm(fit.axes, axis=1)
+    if not fit.possible:
+        cause = _what_explains(kinematics, turns, eye, to_left)
+        look = f"By the readings, {turns.camera} would look backwards or aside out of its eye"
+        return [f"{look}: {cause or 'check the axes of its joints and the signs of readings'}."]
     said = []
-    for joint, gain in zip(("pan", "tilt"), gains, strict=True):
-        why = "check its unit, its gear and its column"
-        for factor, unit, key in (
+    table = "joints" if set(kinematics.readings) <= set(EYE_JOINTS) else "readings"
+    for name, gain in zip(fit.names, fit.gains, strict=True):
+        why = "check its unit, its gear or factor, and its column"
+        for factor, unit, value in (
             (DEGREES_PER_RAD, "degrees", "deg"),
             (1 / DEGREES_PER_RAD, "radians", "rad"),
         ):
             if GAINS[0] < gain * factor < GAINS[1]:
-                why = f"they are {unit}; set joints.{eye}_{joint}.unit to {key}"
+                why = f"they are {unit}; set {table}.{name}.unit to {value}"
         if not GAINS[0] < gain < GAINS[1]:
-            said.append(
-                f"{turns.camera} turns by {gain:.3g} times the readings of {eye}_{joint}: {why}."
-            )
-    if said:
-        return said
-    up, left = (axis / np.linalg.norm(axis) for axis in fit.axes)
-    if np.cross(left, up)[2] > 0:
-        return []
-    # By their description, the camera would look out of the back of the eye. The tilt axis of both
-    # eyes points to the left; of a camera that stands upright that is along -x, and up along -y.
+            said.append(f"{turns.camera} turns by {gain:.3g} times the readings of {name}: {why}.")
+    return said
+
+
+def _what_explains(
+    kinematics: Kinematics, turns: _Turns, eye: Side, to_left: Array | None
+) -> str | None:
+    """Return which one mistake in the readings would explain the turns; None: no single one.
+
+    A sign, or two readings that are exchanged. Of several the one is named with which the eye's y
+    axis points to the left.
+    """
+    # Of a camera that stands upright left is along -x.
     y = np.array([-1.0, 0.0, 0.0]) if to_left is None else to_left
-    z = np.cross([0.0, 0.0, 1.0], y)
-    pan_up, tilt_left, pan_left, tilt_up = up @ z, left @ y, up @ y, left @ z
-    if min(abs(pan_left), abs(tilt_up)) > max(abs(pan_up), abs(tilt_left)):
-        what = f"{eye}_pan and {eye}_tilt are exchanged"
-    else:
-        joint = f"{eye}_pan" if pan_up <= tilt_left else f"{eye}_tilt"
-        what = f"{joint} counts the other way; set joints.{joint}.sign to its opposite"
-    sure = ", if the camera stands upright" if to_left is None else ""
-    return [f"By the readings, {turns.camera} would look backwards out of its eye: {what}{sure}."]
+    found: list[tuple[float, str]] = []
+    for a, b in combinations_with_replacement(kinematics.used(eye), 2):
+        readings = turns.readings.copy()
+        names = [kinematics.readings[a], kinematics.readings[b]]
+        if a == b:
+            readings[:, a] *= -1
+            table = "joints" if set(kinematics.readings) <= set(EYE_JOINTS) else "readings"
+            what = f"{names[0]} counts the other way; set {table}.{names[0]}.sign to its opposite"
+        else:
+            readings[:, [a, b]] = readings[:, [b, a]]
+            what = f"{names[0]} and {names[1]} are exchanged"
+        fit = _fit(kinematics, eye, readings, turns.turn)
+        if fit.possible and GAINS[0] < fit.gains.min() <= fit.gains.max() < GAINS[1]:
+            found.append((float(fit.R_cam_eye[:, 1] @ y), what))
+    if not found:
+        return None
+    return max(found)[1] + (", if the camera stands upright" if to_left is None else "")

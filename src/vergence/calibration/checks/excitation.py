@@ -16,7 +16,7 @@ from vergence.calibration.bundle.diagnostics import ADVISED
 from vergence.calibration.observations import Observations, camera_eyes, most_seen_board
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYE_COLUMNS, EYES
+from vergence.geometry.kinematics import EYES
 from vergence.geometry.se3 import rotvec
 
 LEAST_MOTION_RAD = 0.01
@@ -64,30 +64,44 @@ def _lacking(seen: Observations, name: str, e: int, spread: Array, rows: np.ndar
     """Return a sentence if the motion of an eye is too poor to place its camera."""
     whose, everything = f"the {EYES[e]} eye", "rotation and translation"
     only = f"by {spread[1]:.2g} rad only before a board at rest"
-    motion = seen.eye_angles[rows, EYE_COLUMNS[EYES[e]]].std(axis=0) if len(rows) else np.ones(2)
+    joints, mixing = seen.kinematics.eyes[EYES[e]], seen.kinematics.chains[EYES[e]].mixing
+    all_joints = " and ".join(joint.name for joint in joints)
+    motion = (seen.eye_angles[rows] @ mixing.T).std(axis=0) if len(rows) else np.ones(len(joints))
     if len(rows) < 3:
         times = ("no view", "one view only", "two views only")[len(rows)]
         what, why = everything, f"{whose} sees a board at rest in {times}"
-        advice = f"let it look at one from 20 angles or more, and move pan and tilt {ADVISED}"
+        advice = f"let it look at one from 20 angles or more, and move {all_joints} {ADVISED}"
     elif spread[1] >= LEAST_MOTION_RAD:
         return []
     elif spread[0] < LEAST_MOTION_RAD:
-        what, advice = everything, f"move pan and tilt {ADVISED}"
+        what, advice = everything, f"move {all_joints} {ADVISED}"
         why = f"{whose} turns by {spread[0]:.2g} rad only before a board at rest"
     elif seen.T_base_eye is not None:
         axis = _spread(rotvec(seen.T_base_eye[rows, e, :3, :3]))[1][0]
-        along = ", ".join(f"{x:.2f}" for x in axis * np.sign(axis[np.abs(axis).argmax()]))
-        what = f"rotation about and translation along ({along})"
+        along = _axis_name(axis * np.sign(axis[np.abs(axis).argmax()]))
+        what = f"rotation about and translation along {along}"
         why, advice = f"{whose} turns about another axis {only}", f"turn it about that {ADVISED}"
+    elif len(joints) < 2:
+        what = f"{everything} along its only axis"
+        why, advice = f"{whose} has one joint", "a camera is placed by turns about two axes"
     elif motion.min() > motion.max() / 3:
         what = f"{everything} along one axis"
-        why = f"pan and tilt of {whose} move together, and apart {only}"
+        why = f"{all_joints} of {whose} move together, and apart {only}"
         advice = f"move one without the other {ADVISED}"
     else:
-        still, axis = (("pan", "y"), ("tilt", "z"))[int(motion.argmin())]
+        still = joints[int(motion.argmin())].name
+        axis = _axis_name(joints[int(motion.argmax())].axis)
         what = f"rotation about {axis} and translation along {axis}"
         why, advice = f"{still} of {whose} moves {only}", f"move {still} {ADVISED}"
     return [f"{name}.T_eye_cam {what}: not observable; {why}; {advice}."]
+
+
+def _axis_name(axis: Array) -> str:
+    """Return what to call an axis (3,): x, y, z, or its direction."""
+    k = int(np.abs(axis).argmax())
+    if abs(axis[k]) > 1 - 1e-9:
+        return "xyz"[k]
+    return f"({', '.join(f'{x:.2f}' for x in axis)})"
 
 
 def doubts(

@@ -95,7 +95,7 @@ def placed_boards(
     head: HeadCalibration, seen: Observations, T_cam_target: Mapping[str, Array]
 ) -> dict[int, Array]:
     """Return where the board of each placement stands, by the cameras that see it."""
-    eye_poses, found = seen.eye_poses(head.axes), {}
+    eye_poses, found = seen.eye_poses(head), {}
     T_lbase_base = {"left": np.eye(4), "right": inverse(head.T_rbase_lbase)}
     for number in np.unique(seen.placement):
         rows = seen.placement == number

@@ -1,15 +1,16 @@
 """Whether eyes move as they are described: the images know how they did.
 
-This is about eyes whose poses are measured, and about the order of the axes of eyes that pan and
-tilt. Between two views of a board at rest the eye moves by A, as it was measured, and its camera by
-B, as the images show; A X = X B with X = T_eye_cam. Poses that are inverted, in another unit or of
-other rows do not fit, and what they seem to be is found by trying.
+This is about eyes whose poses are measured, and about the order of the joints of others. Between
+two views of a board at rest the eye moves by A, as it was measured, and its camera by B, as the
+images show; A X = X B with X = T_eye_cam. Poses that are inverted, in another unit or of other rows
+do not fit, and what they seem to be is found by trying.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import permutations
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from vergence.calibration.checks import board_flips
 from vergence.calibration.observations import Observations, camera_eyes, most_seen_board
 from vergence.calibration.sequential.hand_eye import robust_park_martin
 from vergence.errors import VergenceError
-from vergence.geometry.kinematics import EYE_COLUMNS, EYES, Side
+from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.se3 import angle, inverse, pose, rotation
 
 LEAST_VIEWS = 6
@@ -40,7 +41,6 @@ UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254, "kilometres
 UNIT_WITHIN = 0.1
 LENGTH = (0.8, 1.25)
 """Lengths of the poses relative to those of the images; others are no error of a board's size."""
-PAN_TILT = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 LEAST_SHIFT_M = 0.01
 """Median motion, by the images, from which lengths can be compared."""
 
@@ -110,7 +110,7 @@ def check_pose_readings(seen: Observations, T_cam_target: Mapping[str, Array]) -
 
 
 def check_axis_order(seen: Observations, T_cam_target: Mapping[str, Array]) -> None:
-    """Refuse eyes whose pan axis moves with tilt: in this model the tilt axis moves with pan.
+    """Refuse eyes whose joints follow one another in another order than described.
 
     T_cam_target is that of `check_pose_readings`. VergenceError says which order the images show.
     Nothing is done where poses are measured, or the readings are too few or too noisy to tell.
@@ -119,24 +119,36 @@ def check_axis_order(seen: Observations, T_cam_target: Mapping[str, Array]) -> N
         return
     for name, eye in camera_eyes(seen).items():
         rows = most_seen_board(seen, T_cam_target[name])
-        angles = seen.eye_angles[rows, EYE_COLUMNS[eye]]
+        joints, chain = seen.kinematics.eyes[eye], seen.kinematics.chains[eye]
+        angles = seen.eye_angles[rows] @ chain.mixing.T
         if len(rows) < LEAST_VIEWS or not np.isfinite(angles).all():
             continue
         T_cam = T_cam_target[name][rows]
         T_cam[:, :3, :3] = board_flips.nearest(T_cam[:, :3, :3], seen.board)
-        pan, tilt = (
-            rotation(a[:, None] * axis) for a, axis in zip(angles.T, PAN_TILT, strict=True)
-        )
-        described, other = (
-            float(np.median(_misfits(pose(R), T_cam))) for R in (pan @ tilt, tilt @ pan)
-        )
-        if described > LEAST_MISFIT_RAD and other < BETTER * described:
+        turns = np.moveaxis(rotation(angles[:, :, None] * chain.axes), 1, 0)
+        described = _misfit_of_order(turns, T_cam)
+        if described < LEAST_MISFIT_RAD:
+            continue
+        orders = list(permutations(range(len(joints))))[1:] if len(joints) < 4 else []
+        misfits = [_misfit_of_order(turns[list(order)], T_cam) for order in orders]
+        if orders and min(misfits) < BETTER * described:
+            best = [joints[k].name for k in orders[int(np.argmin(misfits))]]
+            given = [joint.name for joint in joints]
             raise VergenceError(
-                f"The turns of {name} fit tilt before pan (to {np.degrees(other):.2f} degrees in "
-                f"the median), not pan before tilt ({np.degrees(described):.2f} degrees): the pan "
-                f"axis of the {eye} eye moves with its tilt, as where both eyes share a tilt. Give "
-                "the poses of the eyes instead, R = Ry(tilt) Rz(pan), with eye_motion poses."
+                f"The turns of {name} fit {' before '.join(best)} (to "
+                f"{np.degrees(min(misfits)):.2f} degrees in the median), not "
+                f"{' before '.join(given)} ({np.degrees(described):.2f} degrees): the {best[-1]} "
+                f"axis of the {eye} eye moves with its {best[0]}. Describe its joints in this "
+                "order by `kinematics` in dataset.json (docs/other_joints.md)."
             )
+
+
+def _misfit_of_order(turns: Array, T_cam: Array) -> float:
+    """Return the median misfit [rad] of turns (n, N, 3, 3) of joints, one behind the other."""
+    R = np.broadcast_to(np.eye(3), T_cam[:, :3, :3].shape)
+    for turn in turns:
+        R = R @ turn
+    return float(np.median(_misfits(pose(R), T_cam)))
 
 
 def _motions(T: Array) -> Array:

@@ -102,7 +102,12 @@ def calibrate_sequentially(
                     eye=eye, intrinsics=cameras[name], T_eye_cam=T_eye_main @ inverse(T_name_main)
                 )
     T_rbase_lbase, rms, count = _between_the_eyes(observations, mounted, T_cam_target, points)
-    head = HeadCalibration(cameras=mounted, T_rbase_lbase=T_rbase_lbase, neck=neck or Neck())
+    head = HeadCalibration(
+        cameras=mounted,
+        T_rbase_lbase=T_rbase_lbase,
+        kinematics=observations.kinematics,
+        neck=neck or Neck(),
+    )
     return SequentialCalibration(head, intrinsics, rms, count, eye_views)
 
 

@@ -9,8 +9,8 @@ from vergence.arrays import Array
 from vergence.calibration.sequential.intrinsics import CRITERIA, repeatable
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, normalise, undistort
-from vergence.geometry.se3 import pose
-from vergence.vision.board_pose import LEAST_CORNERS, seen_corners
+from vergence.geometry.se3 import inverse, mean_pose, pose
+from vergence.vision.board_pose import LEAST_CORNERS, board_poses, seen_corners
 
 WIDEST = 2.0
 """Tangent of the angle from the axis (63 degrees) beyond which undistorted corners are left out:
@@ -47,8 +47,16 @@ def calibrate_pair(
         corners_b, b = _undistorted(corners_b, b)
         both = seen_corners(corners_a) & seen_corners(corners_b)
         usable = np.flatnonzero(both.sum(axis=1) >= LEAST_CORNERS)
+    # OpenCV's own start is a median of rotation vectors, which fails for cameras that are rolled
+    # against each other by about half a turn.
+    T_a, T_b = (
+        board_poses(camera, np.where(both[..., None], corners, np.nan)[usable], points)
+        for camera, corners in ((a, corners_a), (b, corners_b))
+    )
+    between = T_b @ inverse(T_a)
+    start = mean_pose(between[np.isfinite(between).all(axis=(1, 2))])
     with repeatable():
-        rms, *_, R, t, _E, _F = cv2.stereoCalibrate(
+        rms, _K1, _D1, _K2, _D2, R, t, *_ = cv2.stereoCalibrateExtended(
             [points[both[v]].astype(np.float32) for v in usable],
             [corners_a[v, both[v]].astype(np.float32) for v in usable],
             [corners_b[v, both[v]].astype(np.float32) for v in usable],
@@ -57,7 +65,9 @@ def calibrate_pair(
             b.matrix.copy(),
             b.distortion.copy(),
             (a.width, a.height),
-            flags=cv2.CALIB_FIX_INTRINSIC,
+            start[:3, :3],
+            start[:3, 3:],
+            flags=cv2.CALIB_FIX_INTRINSIC | cv2.CALIB_USE_EXTRINSIC_GUESS,
             criteria=CRITERIA,
         )
     return pose(R, t.ravel()), float(rms)

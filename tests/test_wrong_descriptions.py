@@ -1,0 +1,156 @@
+"""Heads that are described wrongly are refused, or their result is VOID, with the cause."""
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from head_kinds import head_of
+from lens_monte_carlo import NOISE, recording
+from vergence.calibration.calibrate import calibrate
+from vergence.calibration.observations import Observations
+from vergence.errors import VergenceError
+from vergence.geometry.kinematics import EYES, Joint, Kinematics, Side
+
+pytestmark = pytest.mark.slow
+
+Change = Callable[[Observations], Observations]
+
+
+def as_read(change: Callable[[np.ndarray], None]) -> Change:
+    """Change the readings (V, r) in place."""
+
+    def changed(seen: Observations) -> Observations:
+        readings = seen.eye_angles.copy()
+        change(readings)
+        return replace(seen, eye_angles=readings)
+
+    return changed
+
+
+def sign(column: int) -> Change:
+    def flip(readings: np.ndarray) -> None:
+        readings[:, column] *= -1
+
+    return as_read(flip)
+
+
+def exchange(a: int, b: int) -> Change:
+    def swap(readings: np.ndarray) -> None:
+        readings[:, [a, b]] = readings[:, [b, a]]
+
+    return as_read(swap)
+
+
+def in_degrees(column: int) -> Change:
+    def scale(readings: np.ndarray) -> None:
+        readings[:, column] = np.degrees(readings[:, column])
+
+    return as_read(scale)
+
+
+def copied(source: int, to: int) -> Change:
+    def copy(readings: np.ndarray) -> None:
+        readings[:, to] = readings[:, source]
+
+    return as_read(copy)
+
+
+def described(change: Callable[[tuple[Joint, ...]], tuple[Joint, ...]]) -> Change:
+    """Change the description of both eyes."""
+
+    def changed(seen: Observations) -> Observations:
+        eyes: dict[Side, tuple[Joint, ...]] = {
+            eye: change(seen.kinematics.eyes[eye]) for eye in EYES
+        }
+        return replace(seen, kinematics=Kinematics(eyes, seen.kinematics.readings))
+
+    return changed
+
+
+def turned_about(k: int, axis: list[float]) -> Change:
+    def change(joints: tuple[Joint, ...]) -> tuple[Joint, ...]:
+        return (*joints[:k], replace(joints[k], axis=np.array(axis)), *joints[k + 1 :])
+
+    return described(change)
+
+
+def whole_vergence(joints: tuple[Joint, ...]) -> tuple[Joint, ...]:
+    pan, tilt = joints
+    readings = {"version": 1.0, "vergence": 2 * pan.readings["vergence"]}
+    return replace(pan, readings=readings), tilt
+
+
+def separate_tilts(seen: Observations) -> Observations:
+    """Describe a tilt that both eyes share as a tilt of each, behind its pan."""
+    tilt, left, right = seen.eye_angles.T
+    readings = np.stack([left, tilt, right, tilt], axis=1)
+    return replace(seen, eye_angles=readings, kinematics=Kinematics())
+
+
+def without_roll(seen: Observations) -> Observations:
+    """Describe eyes that pan, tilt and roll as eyes that pan and tilt."""
+    return replace(seen, eye_angles=seen.eye_angles[:, [0, 1, 3, 4]], kinematics=Kinematics())
+
+
+def other_eyes_images(seen: Observations) -> Observations:
+    left, right = seen.corners["left_wide"], seen.corners["right_wide"]
+    return replace(seen, corners={"left_wide": right, "right_wide": left})
+
+
+def left_images_twice(seen: Observations) -> Observations:
+    left = seen.corners["left_wide"]
+    return replace(seen, corners={"left_wide": left, "right_wide": left.copy()})
+
+
+def a_row_too_late(readings: np.ndarray) -> None:
+    readings[:] = np.roll(readings, 1, axis=0)
+
+
+def stuck(readings: np.ndarray) -> None:
+    readings[:, 1] = 0.01
+
+
+PLAIN, TILT, VERGENCE = "pan, tilt", "shared tilt, pan", "version and vergence"
+ROLL, NECK = "pan, tilt, roll", "pair on a neck"
+WRONG: list[tuple[str, Change, str]] = [
+    (PLAIN, described(lambda joints: joints[::-1]), "fit pan before tilt"),
+    (TILT, described(lambda joints: joints[::-1]), "fit tilt before pan"),
+    (TILT, separate_tilts, "fit tilt before pan"),
+    (ROLL, described(lambda joints: (joints[0], joints[2], joints[1])), "fit pan before tilt"),
+    (PLAIN, sign(0), "left_pan counts the other way"),
+    (TILT, sign(0), "tilt counts the other way; set readings.tilt.sign"),
+    (VERGENCE, sign(1), "vergence counts the other way"),
+    (NECK, sign(1), "neck_tilt counts the other way"),
+    (ROLL, sign(2), "left_roll counts the other way"),
+    (VERGENCE, exchange(0, 1), "version and vergence are exchanged"),
+    (PLAIN, exchange(0, 1), "left_pan and left_tilt are exchanged"),
+    (
+        VERGENCE,
+        described(whole_vergence),
+        r"turns by 0\.\d+ times the readings of vergence: check .* factor",
+    ),
+    (TILT, in_degrees(0), "tilt: they are degrees"),
+    (VERGENCE, in_degrees(1), "vergence: they are degrees"),
+    (ROLL, copied(0, 3), "right_pan"),
+    (PLAIN, other_eyes_images, "exchanged in the images"),
+    (PLAIN, left_images_twice, "right"),
+    (TILT, as_read(a_row_too_late), "not of these moments"),
+    (PLAIN, as_read(stuck), "left_tilt hardly change"),
+    (PLAIN, turned_about(1, [1.0, 0, 0]), "axes"),
+    (ROLL, without_roll, "joints"),
+]
+
+
+@pytest.mark.parametrize(("kind", "change", "cause"), WRONG)
+def test_a_wrong_description_is_refused_with_its_cause(kind: str, change: Change, cause: str):
+    rng = np.random.default_rng(5)
+    head = head_of(kind, rng)
+    wrong = change(recording(head, rng, NOISE))
+    try:
+        said = " ".join(calibrate(wrong).accuracy.void)
+    except VergenceError as error:
+        said = str(error)
+    assert re.search(cause, said), said or "it passes for right"
