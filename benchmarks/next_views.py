@@ -25,7 +25,7 @@ from rich.progress import track
 
 from simulated_head import random_head, rough_start
 from simulated_recording import BOARD, Noise, Recording, joined, observe, record
-from vergence.accuracy.plan import LIMITS_RAD, Plan, plan
+from vergence.accuracy.plan import Plan, plan
 from vergence.accuracy.plan_views import Views, admissible_views, checked_pair
 from vergence.accuracy.plan_workspace import largest_std, point_by_parameters
 from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
@@ -37,6 +37,7 @@ from vergence.geometry.se3 import boxplus
 from vergence.stereo.triangulation import triangulate_at
 
 NOISE = Noise(pixel_px=0.1, joint_rad=float(np.radians(0.1)))
+LIMITS_RAD = np.radians([25.0, 20.0, 25.0, 20.0])
 OFF_RAD, OFF_M = np.radians(1.0), 0.005
 BAR, AGREEMENT = 0.8, 0.1
 
@@ -78,12 +79,11 @@ def run(config: Config, number: int) -> Outcome:
     how = Recording(straight=config.straight, orientations=config.orientations, noise=NOISE)
     first = record(truth, rng, how)
     head = calibrated(rough_start(truth, rng), first)
-    found = plan(head, BOARD, views=config.views, seed=number)
+    found = plan(head, BOARD, views=config.views, limits_rad=LIMITS_RAD, seed=number)
     places = len(np.unique(found.views.place))
-    limits = np.array(LIMITS_RAD)
-    apart = admissible_views(head, BOARD, limits, rng, places=config.views, gazes=1)
+    apart = admissible_views(head, BOARD, LIMITS_RAD, rng, places=config.views, gazes=1)
     gazes = -(-config.views // places)
-    gathered = admissible_views(head, BOARD, limits, rng, places=places, gazes=gazes)
+    gathered = admissible_views(head, BOARD, LIMITS_RAD, rng, places=places, gazes=gazes)
     order = np.argsort(np.arange(places * gazes) % gazes, kind="stable")
     gathered = gathered.take(order[: config.views])
     both = [joined([first, recorded(truth, each, rng)]) for each in (found.views, apart, gathered)]

@@ -13,7 +13,7 @@ from documents import blocks
 from simulated_head import plain_head, random_head, rough_start
 from simulated_recording import BOARD, EXACT, Recording, joined, record
 from vergence import cli
-from vergence.accuracy.plan import LIMITS_RAD, Plan, choose, plan
+from vergence.accuracy.plan import Plan, choose, plan
 from vergence.accuracy.plan_information import gained, information, linearised_views, stated
 from vergence.accuracy.plan_views import (
     MARGIN_PX,
@@ -36,7 +36,7 @@ from vergence.stereo.uncertainty import calibration_covariance
 
 PIXEL_PX, JOINT_RAD = 0.1, 2e-3
 NOISE = {"pixel_std_px": PIXEL_PX, "joint_std": JOINT_RAD}
-LIMITS = np.array(LIMITS_RAD)
+LIMITS = np.radians([25.0, 20.0, 25.0, 20.0])
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +59,7 @@ def first_recording(truth: HeadCalibration) -> Observations:
 
 @pytest.fixture(scope="module")
 def planned(calibrated: HeadCalibration) -> Plan:
-    return plan(calibrated, BOARD)
+    return plan(calibrated, BOARD, limits_rad=LIMITS)
 
 
 def test_admissible_views_show_the_whole_board_before_both_main_cameras_within_the_limits(truth):
@@ -93,7 +93,7 @@ def test_the_information_of_views_is_that_of_bundle_adjustment(truth):
     names = estimate.accuracy.parameters
     scale = np.sqrt(np.diag(estimate.accuracy.covariance))
     linear = linearised_views(truth, BOARD, views, names, scale)
-    N = gained(information(linear, PIXEL_PX, np.array(JOINT_RAD)), views.place)
+    N = gained(information(linear, PIXEL_PX, np.full(4, JOINT_RAD)), views.place)
     correlation = estimate.accuracy.covariance / np.outer(scale, scale)
     # Bundle adjustment adds the least systematic errors that it can tell from none.
     np.testing.assert_allclose(np.linalg.inv(N), correlation, atol=2e-3)
@@ -164,7 +164,7 @@ def test_two_views_of_one_place_tell_more_than_the_place_costs(truth):
     estimate = bundle_adjust(truth, as_seen(truth, BOARD, views), **NOISE)
     names = estimate.accuracy.parameters
     linear = linearised_views(truth, BOARD, views, names, np.ones(len(names)))
-    N = information(linear, PIXEL_PX, np.array(JOINT_RAD))
+    N = information(linear, PIXEL_PX, np.full(4, JOINT_RAD))
     apart, together = gained(N, np.arange(4)), gained(N, views.place)
     assert np.linalg.eigvalsh(together - apart)[0] > -1e-6 * np.abs(together).max()
     assert np.trace(together) > np.trace(apart)
@@ -231,7 +231,7 @@ def test_the_guide_to_plans_runs(calibrated, quick, tmp_path, monkeypatch, capsy
         (["--board", "9", "6", "30"], "the side of a square below 1 m, found 9 6 30"),
         (["--board", "9", "6", "0.03", "--views", "0"], "1 to 100 views"),
         (["--board", "9", "6", "0.03", "--seed", "-1"], "--seed takes 0 or more"),
-        (["--board", "9", "6", "0.03", "--limits-deg", "25", "20"], "one for each joint reading"),
+        (["--board", "9", "6", "0.03", "--limits-deg", "25", "20"], "one for each of left_pan"),
         (["--board", "9", "6", "0.03", "--limits-deg", "-5"], "--limits-deg takes numbers above 0"),
         (["--board", "9", "6", "0.03", "--distances", "0"], "--distances takes numbers above 0"),
         (["--board", "9", "6", "0.03", "--distances", "0.02"], "name larger distances"),

@@ -177,7 +177,7 @@ def plan(
     *,
     views: int = 10,
     board: tuple[int, int, float] | None = None,
-    limits_deg: tuple[float, ...] = (25.0, 20.0, 25.0, 20.0),
+    limits_deg: tuple[float, ...] = (20.0,),
     distances: tuple[float, ...] = (0.3, 0.6, 1.0),
     seed: int = 0,
     figure: Path | None = None,
@@ -190,8 +190,8 @@ def plan(
         views: Number of views to plan.
         board: Inner corners in a row and in a column, and side of a square [m]; default: the
             dataset's.
-        limits_deg: Largest reading of each joint, to either side: left pan, left tilt, right pan,
-            right tilt.
+        limits_deg: Largest readings of the joints, to either side: one for all, or one for each
+            (usually left pan, left tilt, right pan, right tilt).
         distances: Distances of the points that are to be accurate, from the middle of the head [m].
         seed: Seed of the candidates, which are random.
         figure: PNG file of the board's places and of the accuracy after each view.

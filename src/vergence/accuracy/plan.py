@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from vergence.accuracy.plan_information import (
     gained,
@@ -24,12 +25,11 @@ from vergence.accuracy.plan_workspace import DISTANCES_M, Workspace, largest_std
 from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board
-from vergence.geometry.head import HeadCalibration
-from vergence.geometry.projection import eye_poses_with_jacobians
+from vergence.geometry.head import HeadCalibration, reading_stds
 from vergence.progress import Progress, silent
 
-LIMITS_RAD = (0.44, 0.35, 0.44, 0.35)
-"""Of pan and tilt: 25 and 20 degrees. Many heads can do more; boards are then hard to hold."""
+LIMIT_RAD = 0.35
+"""Of all readings: 20 degrees. Many heads can do more; boards are then hard to hold."""
 PLACES, GAZES = 40, 12
 """Candidates: places of the board, and directions of gaze at each."""
 LEAST_PX = 1e-3
@@ -66,7 +66,7 @@ def plan(
     board: Board,
     *,
     views: int = 10,
-    limits_rad: Array | tuple[float, ...] = LIMITS_RAD,
+    limits_rad: ArrayLike = LIMIT_RAD,
     distances_m: tuple[float, ...] = DISTANCES_M,
     candidates: tuple[int, int] = (PLACES, GAZES),
     seed: int = 0,
@@ -78,7 +78,7 @@ def plan(
         head: a calibration that states its covariance.
         board: that will be shown.
         views: how many to plan.
-        limits_rad: (r,) the largest reading of each joint of the eyes, to either side.
+        limits_rad: the largest readings, to either side: (r,), or one for all.
         distances_m: of the points from the middle of the head.
         candidates: how many places of the board are tried, and directions of gaze at each.
         seed: of the candidates, which are random.
@@ -96,7 +96,7 @@ def plan(
     places, gazes = candidates
     tried = admissible_views(head, board, limits, rng, places=places, gazes=gazes)
     linear = linearised_views(head, board, tried, known.names, known.scale)
-    N = information(linear, accuracy.pixel_std_px or LEAST_PX, np.array(accuracy.joint_std))
+    N = information(linear, accuracy.pixel_std_px or LEAST_PX, reading_stds(head))
     by_scaled = points.by_parameters * known.scale
     chosen = choose(known.information, N, tried.place, by_scaled, views, progress)
     chosen = chosen[np.argsort(tried.place[chosen], kind="stable")]
@@ -112,17 +112,14 @@ def plan(
     )
 
 
-def _checked(head: HeadCalibration, limits_rad: Array | tuple[float, ...]) -> Array:
-    """Return limits as an array; VergenceError if they are not one for each reading of the head."""
-    limits = np.asarray(limits_rad, dtype=float)
-    try:
-        eye_poses_with_jacobians(head, limits, 1)
-    except ValueError:
+def _checked(head: HeadCalibration, limits_rad: ArrayLike) -> Array:
+    """Return limits (r,); VergenceError if they are not one for each reading or for all."""
+    limits, names = np.asarray(limits_rad, dtype=float), head.kinematics.readings
+    if limits.size not in (1, len(names)):
         raise VergenceError(
-            f"Limits are one for each joint reading, found {limits.size}: left pan, left tilt, "
-            "right pan, right tilt."
-        ) from None
-    return limits
+            f"Limits are one for each of {', '.join(names)}, or one for all; found {limits.size}."
+        )
+    return np.broadcast_to(limits.ravel(), len(names))
 
 
 def choose(

@@ -64,10 +64,10 @@ def stated(head: HeadCalibration) -> tuple[Accuracy, Knowledge]:
 
 @dataclass(frozen=True, eq=False)
 class LinearViews:
-    """V views linearised: J^T J of their corners in pixels, with B eyes in views.
+    """V views linearised: J^T J of their corners in pixels, with the B blocks of BundleProblem.
 
     The unknowns of a view are p parameters of the head, in given units, and the 6 of the board's
-    place [rad, m]; and n latent readings of each eye.
+    place [rad, m]; and n latent readings of each block.
     """
 
     whole: Array
@@ -76,8 +76,10 @@ class LinearViews:
     """(B, p + 6, n)."""
     latent: Array
     """(B, n, n)."""
+    columns: np.ndarray
+    """(B, n) which reading of the head each latent one is."""
     view: np.ndarray
-    """(B,) to which view an eye belongs."""
+    """(B,) to which view a block belongs."""
 
 
 def linearised_views(
@@ -111,18 +113,18 @@ def linearised_views(
     kept = np.array([known[name] for name in names] + [*range(c, c + len(POSE))])
     unit = np.append(scale, np.ones(len(POSE)))
     whole = whole[:, kept[:, None], kept] * np.outer(unit, unit)
-    return LinearViews(whole, across[:, kept] * unit[:, None], latent, problem.block_view)
+    across = across[:, kept] * unit[:, None]
+    return LinearViews(whole, across, latent, problem.block_columns, problem.block_view)
 
 
 def information(linear: LinearViews, pixel_std_px: float, joint_std_rad: Array) -> Array:
     """Return (V, p + 6, p + 6) what each view tells of the head and of the board's place.
 
-    By the noise of one coordinate of a corner, and of the readings of an eye: (n,), or one for all.
+    By the noise of one coordinate of a corner, and of the readings (r,) of the head.
     """
-    n = linear.latent.shape[-1]
-    joint = np.maximum(np.broadcast_to(joint_std_rad, n), LEAST_JOINT_STD)
+    joint = np.maximum(joint_std_rad[linear.columns], LEAST_JOINT_STD)
     # In pixels: (J^T J - J^T L (L^T L + s^2 / j^2)^-1 L^T J) / s^2.
-    tied = linear.latent + np.diag((pixel_std_px / joint) ** 2)
+    tied = linear.latent + np.eye(joint.shape[1]) * ((pixel_std_px / joint) ** 2)[:, None]
     taken = linear.across @ np.linalg.solve(tied, np.swapaxes(linear.across, 1, 2))
     left = linear.whole.copy()
     np.subtract.at(left, linear.view, taken)

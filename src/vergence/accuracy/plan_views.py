@@ -162,6 +162,7 @@ def as_seen(head: HeadCalibration, board: Board, views: Views) -> Observations:
         corners=corners,
         sizes=sizes,
         eyes={name: mounted.eye for name, mounted in head.cameras.items()},
+        kinematics=head.kinematics,
     )
 
 

@@ -113,7 +113,7 @@ def point_by_parameters(
     for k, name in enumerate(pair):
         J = project_with_jacobians(head.cameras[name], head.T_rbase_lbase, T[:, k], points[:, None])
         rows = np.zeros((len(points), 2, len(parameter_names(head))))
-        rows[:, :, camera_columns(head, name)] = by_parameters(J, by_axes[:, k])[:, 0]
+        rows[:, :, camera_columns(head, name)] = by_parameters(J, by_axes[k])[:, 0]
         by_head.append(rows)
         by_point.append(J.by_point[:, 0])
     return -np.linalg.pinv(np.concatenate(by_point, axis=1)) @ np.concatenate(by_head, axis=1)
