@@ -110,8 +110,8 @@ def as_text(found: Plan) -> str:
     return "\n".join(
         [
             markdown_table(
-                "view | centre of the board x y z in the head [m] | its normal | eye angles [deg] "
-                "| largest std by then [mm]",
+                "view | centre of the board x y z in the head [m] | its normal "
+                f"| {', '.join(found.head.kinematics.readings)} [deg] | largest std by then [mm]",
                 rows,
             ),
             "",
@@ -132,6 +132,7 @@ def figures(found: Plan) -> dict[str, Any]:
     """Return a plan for programs."""
     centres, normals = board_places(found)
     return {
+        "readings": list(found.head.kinematics.readings),
         "views": [
             {
                 "place": int(place),
