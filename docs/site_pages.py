@@ -36,7 +36,7 @@ CONTENTS = {
     "Guides": (
         *("using_a_calibration", "dataset", "other_joints", "calibration", "gaze"),
         *("own_detector", "own_driver", "reproduction"),
-        *("accuracy", "error_study"),
+        *("accuracy", "error_study", "design_and_plan"),
     ),
     "Reference": (
         *(name.removesuffix(".md") for name in REFERENCE),

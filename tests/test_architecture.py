@@ -37,6 +37,8 @@ OUTER_LIBRARIES = {
     "mujoco": ("twin",),
     "rerun": ("viewer", "paper.recording", "demos.recording"),
     "matplotlib": ("viewer", "paper.plots", "demos.plots"),
+    "joblib": ("commands.design",),
+    "distributed": ("commands.design",),
     "tyro": ("cli",),
     "rich": ("cli",),
 }

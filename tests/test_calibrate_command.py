@@ -66,7 +66,9 @@ def test_a_recorded_head_is_calibrated_and_evaluated(recorded, tmp_path, monkeyp
     files = {path.name for path in report.iterdir()}
     assert files == {"report.md", "coverage.png", "residuals.png", "worst_views.png", "dataset.rrd"}
     _check_recording(report / "dataset.rrd", recorded, stated)
-    assert (report / "report.md").read_text().splitlines()[2].startswith(stated["verdict"])
+    text = (report / "report.md").read_text()
+    assert text.splitlines()[2].startswith(stated["verdict"])
+    assert "mm after these views (predicted)" in text
 
 
 def _check_recording(path: Path, folder: Path, stated: dict) -> None:

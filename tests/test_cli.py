@@ -101,7 +101,9 @@ def test_every_option_of_the_help_is_known(capsys, monkeypatch):
         monkeypatch.setattr(sys, "argv", ["vergence", name, "--help"])
         with pytest.raises(SystemExit, match="0"):
             cli.main()
-        shown = set(re.findall(r"(?<!\S)--[a-z]+", capsys.readouterr().out)) - {"--help"}
+        shown = set(re.findall(r"(?<!\S)--[a-z]+(?:-[a-z]+)*", capsys.readouterr().out)) - {
+            "--help"
+        }
         assert shown == set(cli._options(command))
 
 

@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 
+FILES_NAMED = 10
+"""Of those that a stopped command has finished."""
+
+
 def reproduce(
     *,
     out: Path = Path("runs/paper"),
@@ -166,6 +170,120 @@ def calibrate(
     print(f"{result.summary()}\nWrote {out}.")
     if report is not None:
         print(f"To view the images: {invocation('rerun', report / 'dataset.rrd')}")
+
+
+def plan(
+    source: Annotated[Path, tyro.conf.Positional],
+    /,
+    *,
+    views: int = 10,
+    board: tuple[int, int, float] | None = None,
+    limits_deg: tuple[float, ...] = (20.0,),
+    distances: tuple[float, ...] = (0.3, 0.6, 1.0),
+    seed: int = 0,
+    figure: Path | None = None,
+    json: Path | None = None,
+) -> None:
+    """Say which views of the board to record next, and what accuracy they will bring.
+
+    Args:
+        source: JSON file of a calibration, or folder of a dataset, which is calibrated first.
+        views: Number of views to plan.
+        board: Inner corners in a row and in a column, and side of a square [m]; default: the
+            dataset's.
+        limits_deg: Largest readings of the joints, to either side: one for all, or one for each
+            (usually left pan, left tilt, right pan, right tilt).
+        distances: Distances of the points that are to be accurate, from the middle of the head [m].
+        seed: Seed of the candidates, which are random.
+        figure: PNG file of the board's places and of the accuracy after each view.
+        json: JSON file of the plan.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices, as in calibrate
+    from vergence.commands.plan import as_text, figures, run
+    from vergence.viewer.plots_plan import draw_plan
+
+    check_outputs(figure, json, inputs=[source])
+    with _progress() as progress:
+        found = run(
+            source,
+            board=board,
+            views=views,
+            limits_deg=limits_deg,
+            distances_m=distances,
+            seed=seed,
+            progress=progress,
+        )
+    print(as_text(found))
+    if json is not None:
+        write_json(figures(found), json)
+    if figure is not None:
+        draw_plan(figure, found)
+
+
+def design(
+    settings: Annotated[Path | None, tyro.conf.Positional] = None,
+    /,
+    *,
+    out: Path = Path("runs/design"),
+    accuracy_mm: float = 5.0,
+    at_m: float = 0.5,
+    baseline_mm: tuple[float, ...] | None = None,
+    focal_px: tuple[float, ...] | None = None,
+    square_mm: tuple[float, ...] | None = None,
+    views: tuple[float, ...] | None = None,
+    counts_per_turn: tuple[float, ...] | None = None,
+    joint_noise_deg: tuple[float, ...] | None = None,
+    pixel_noise_px: tuple[float, ...] | None = None,
+    delay_ms: tuple[float, ...] | None = None,
+    jobs: int = -1,
+    cluster: str | None = None,
+) -> None:
+    """Compare designs of a head, and find the cheapest that is as accurate as wanted.
+
+    Args:
+        settings: TOML or JSON file of what is swept, of the workspace and of prices; default:
+            those of docs/design_and_plan.md. The options below take the place of its values.
+        out: Folder of the results; a run that was stopped goes on from what is there.
+        accuracy_mm: Accuracy that is wanted: rms error, in the worst direction and posture.
+        at_m: Distance of the points for which it is wanted.
+        baseline_mm: Distances of the eyes to try.
+        focal_px: Focal lengths to try.
+        square_mm: Sides of a square of the calibration board to try.
+        views: Numbers of calibration views to try.
+        counts_per_turn: Resolutions of the encoders to try; 0: no steps.
+        joint_noise_deg: Levels of noise of the joint readings to try.
+        pixel_noise_px: Levels of noise of a point in an image to try.
+        delay_ms: Unknown delays of joint readings to try.
+        jobs: Processes on this machine; -1: one for each core.
+        cluster: Address of a Dask scheduler, which then does the work: tcp://HOST:PORT.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # one process a core
+    from vergence.commands.design import chosen_settings, run, said
+
+    given = {
+        "baseline_mm": baseline_mm,
+        "focal_px": focal_px,
+        "square_mm": square_mm,
+        "views": views,
+        "counts_per_turn": counts_per_turn,
+        "joint_noise_deg": joint_noise_deg,
+        "pixel_noise_px": pixel_noise_px,
+        "delay_ms": delay_ms,
+    }
+    check_outputs(folder=out, inputs=[settings] if settings else [])
+    swept = chosen_settings(settings, given, accuracy_mm=accuracy_mm, at_m=at_m, jobs=jobs)
+    with _progress() as progress:
+        found = run(
+            swept,
+            out,
+            accuracy_m=1e-3 * accuracy_mm,
+            distance_m=at_m,
+            jobs=jobs,
+            cluster=cluster,
+            progress=progress,
+        )
+    print("\n".join(said(found)))
+    print(f"Wrote report.md, design.json, sweep.npz and two pictures to {out}.")
 
 
 def evaluate(
@@ -396,6 +514,8 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "reproduce": reproduce,
     "record": record,
     "calibrate": calibrate,
+    "plan": plan,
+    "design": design,
     "evaluate": evaluate,
     "budget": budget,
     "export": export,
@@ -432,7 +552,7 @@ def _options(command: Callable[..., None]) -> list[str]:
     names = [each.name for each in parameters if each.kind is Parameter.KEYWORD_ONLY]
     if names[-1] == "options":
         names[-1:] = [field.name for field in fields(Experiment)]
-    return [f"--{name}" for name in names]
+    return [f"--{name.replace('_', '-')}" for name in names]
 
 
 def main() -> None:
@@ -453,7 +573,9 @@ def main() -> None:
         print(f"vergence: {error}", file=sys.stderr)
         raise SystemExit(2) from None
     except KeyboardInterrupt as stop:
-        files = " ".join(map(str, finished_files()))
+        done = finished_files()
+        files = " ".join(map(str, done[-FILES_NAMED:]))
+        files += f" and {len(done) - FILES_NAMED} more" if len(done) > FILES_NAMED else ""
         kept = f"finished before: {files}" if files else "nothing was written"
         print(f"vergence: stopped; {kept}.", file=sys.stderr)
         raise SystemExit(128 + (stop.args[0] if stop.args else signal.SIGINT)) from None

@@ -60,8 +60,9 @@ def verdict(accuracy: Accuracy, head: HeadCalibration) -> tuple[str, str]:
     for distance, by_calibration, by_reading in table:
         if by_calibration > max(PART * by_reading, SMALL * 1e3 * distance):
             return "DOUBTFUL", (
-                f"Next: record more views, or larger eye motion; at {distance:g} m the calibration "
-                f"adds {by_calibration:.1f} mm to the {by_reading:.1f} mm of a reading's noise."
+                "Next: record more views (`vergence plan` says which), or larger eye motion; at "
+                f"{distance:g} m the calibration adds {by_calibration:.1f} mm to the "
+                f"{by_reading:.1f} mm of a reading's noise."
             )
     return "GOOD", "Next: nothing; more views would not make points much better."
 

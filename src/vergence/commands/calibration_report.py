@@ -7,11 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from vergence.accuracy.plan import plan
 from vergence.arrays import Array
 from vergence.calibration.calibrate import CalibrationResult
 from vergence.calibration.checks.lens_map import lens_maps
 from vergence.calibration.summary import point_accuracy, verdict
+from vergence.commands.plan import as_text
 from vergence.data.dataset import Dataset
+from vergence.errors import VergenceError
 from vergence.geometry.head import main_pair
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.parameters import parameter_values
@@ -27,6 +30,10 @@ SYSTEMATIC = 4.0
 """Standard errors of a mean residual from which it is marked; of a hundred cells one is beyond
 three by chance."""
 WORST_SHOWN, WORST_LISTED = 4, 10
+NEXT_VIEWS, NEXT_CANDIDATES = 4, (12, 6)
+"""Planned in a report: few, from few candidates, since the report should not take long."""
+LEAST_LIMIT_RAD = 0.17
+"""To which eyes may turn in a plan, though they have not in the recording."""
 
 
 def figures(result: CalibrationResult) -> dict[str, Any]:
@@ -143,6 +150,7 @@ def as_markdown(result: CalibrationResult, dataset: Dataset) -> str:
     for heading, section in (
         ("Warnings", [f"- {line}" for line in said] or ["None."]),
         ("Accuracy of points", _points(result)),
+        ("Views to record next", _next_views(result)),
         ("Lenses", _lenses(result)),
         ("Parameters", _parameters(result)),
         ("Images", images),
@@ -168,6 +176,22 @@ def _points(result: CalibrationResult) -> list[str]:
         stated = f"Calibrations from parts of the views differ {ratio} times as much as stated."
         lines += ["", stated]
     return lines
+
+
+def _next_views(result: CalibrationResult) -> list[str]:
+    """Return a short plan, for eyes that move as far as they have in this recording."""
+    reached = np.nan_to_num(np.abs(result.observations.eye_angles)).max(axis=0)
+    try:
+        found = plan(
+            result.head,
+            result.observations.board,
+            views=NEXT_VIEWS,
+            limits_rad=np.maximum(reached, LEAST_LIMIT_RAD),
+            candidates=NEXT_CANDIDATES,
+        )
+    except VergenceError as error:
+        return [f"No plan: {error}"]
+    return [as_text(found), "", "`vergence plan` plans more views, for other distances or limits."]
 
 
 def _lenses(result: CalibrationResult) -> list[str]:

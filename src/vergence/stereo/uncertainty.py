@@ -128,7 +128,7 @@ def locate(
 
 
 def _at_the_images(head: HeadCalibration, joints: Array, joint_time_s: Array) -> Array:
-    """Return readings (N, r), or poses, at the moments of the images; VergenceError: see `locate`."""
+    """Return readings, or poses, at the moments of the images; VergenceError: see `locate`."""
     shape = (2, 4, 4) if measured(joints) else (len(head.kinematics.readings),)
     if joints.shape != (len(joint_time_s), *shape):
         raise VergenceError(

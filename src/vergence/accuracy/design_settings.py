@@ -1,0 +1,193 @@
+"""What a sweep over designs of a head varies, where it looks, and what the parts cost.
+
+From the command line, or from a TOML or JSON file; docs/design_and_plan.md describes both.
+"""
+
+from __future__ import annotations
+
+import itertools
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+from vergence.arrays import Array
+from vergence.reading import parse_json, read_parsed
+
+MAX_BYTES = 2**16
+MAX_DESIGNS = 50_000_000
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class _Range(_Section):
+    first: float
+    last: float
+    steps: Annotated[int, Field(ge=1, le=1000)]
+
+
+def _values(value: Any) -> Any:
+    """Return the values that a number, a list or a range {first, last, steps} stands for."""
+    if isinstance(value, dict):
+        each = _Range.model_validate(value)
+        return tuple(np.linspace(each.first, each.last, each.steps).tolist())
+    if isinstance(value, int | float):
+        return (value,)
+    return value
+
+
+def _within(least: float, most: float) -> AfterValidator:
+    """Return a check of values; ValueError if one of them is not between two bounds."""
+
+    def check(values: tuple[float, ...]) -> tuple[float, ...]:
+        if len(set(values)) < len(values):
+            raise ValueError("a value is there twice")
+        for value in values:
+            if not least <= value <= most:
+                raise ValueError(f"values are from {least:g} to {most:g}, found {value:g}")
+        return values
+
+    return AfterValidator(check)
+
+
+Values = Annotated[
+    tuple[float, ...], BeforeValidator(_values), Field(min_length=1, max_length=1000)
+]
+
+
+class Designs(_Section):
+    """The values of each property of a head that are tried, in all combinations."""
+
+    baseline_mm: Annotated[Values, _within(10, 1000)] = (60.0, 70.0, 80.0, 90.0, 100.0)
+    """Distance of the eyes."""
+    focal_px: Annotated[Values, _within(50, 10_000)] = (250.0, 350.0, 450.0, 550.0, 650.0)
+    """Focal length of the cameras that locate points."""
+    square_mm: Annotated[Values, _within(1, 500)] = (20.0, 30.0)
+    """Side of a square of the calibration board."""
+    views: Annotated[Values, _within(5, 10_000)] = (20.0, 40.0, 80.0)
+    """Views of the board by both eyes that are calibrated with."""
+    counts_per_turn: Annotated[Values, _within(0, 2**32)] = (4096.0, 16384.0, 65536.0)
+    """Resolution of the encoders; 0: no steps."""
+    joint_noise_deg: Annotated[Values, _within(0, 5)] = (0.01, 0.03, 0.1)
+    """Noise of a joint reading, besides its steps."""
+    pixel_noise_px: Annotated[Values, _within(0.001, 20)] = (0.1, 0.25, 0.5)
+    """Noise of one coordinate of a point in an image."""
+    delay_ms: Annotated[Values, _within(0, 1000)] = (0.0, 1.0, 5.0)
+    """What is not known of the time between an image and its joint reading."""
+
+
+AXES = tuple(Designs.model_fields)
+"""Names of what is varied, in the order of arrays of designs."""
+CHUNK_AXES = AXES[:3]
+"""Those whose combinations are computed one by one; all others at once."""
+
+
+class Workspace(_Section):
+    """Where points are located, and how the eyes look at them."""
+
+    distances_m: Annotated[Values, _within(0.05, 100)] = (0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0)
+    """From the middle between the eyes."""
+    pan_deg: Annotated[Values, _within(-60, 60)] = (-20.0, -10.0, 0.0, 10.0, 20.0)
+    """Directions of points to the side."""
+    tilt_deg: Annotated[Values, _within(-60, 60)] = (-15.0, 0.0, 15.0)
+    """Directions of points downwards."""
+    off_deg: Annotated[tuple[tuple[float, float], ...], Field(min_length=1, max_length=1000)] = (
+        (0.0, 0.0),
+        (8.0, 0.0),
+        (-8.0, 0.0),
+        (0.0, 6.0),
+        (0.0, -6.0),
+    )
+    """Postures: by how much both eyes look past a point, in pan and tilt; none: they fixate it."""
+    eye_speed_deg_s: Annotated[float, Field(ge=0, le=5000)] = 30.0
+    """How fast each joint turns, root mean square, which makes a delay matter."""
+    eye_correlation: Annotated[float, Field(ge=-1, le=1)] = 0.0
+    """Of the two eyes' speeds: 1 when they turn together, -1 when opposite."""
+    camera_ahead_mm: Annotated[float, Field(ge=-200, le=200)] = 20.0
+    """By how much a camera sits ahead of its eye's rotation centre."""
+    image_px: Annotated[tuple[int, int], Field()] = (640, 480)
+    """Width and height of the images."""
+    board: tuple[Annotated[int, Field(ge=3, le=100)], Annotated[int, Field(ge=3, le=100)]] = (9, 6)
+    """Inner corners of the board in a row and in a column."""
+    corner_noise_px: Annotated[float, Field(gt=0, le=10)] = 0.1
+    """Noise of one coordinate of a corner of the board: corners are found better than objects."""
+
+
+Price = Annotated[tuple[tuple[float, float], ...], Field(min_length=1)]
+"""Pairs of a value and its price; between values the price is interpolated, beyond the ends it
+stays."""
+
+
+class Prices(_Section):
+    """What a value of each property costs, in units of the user's choice; a head costs the sum.
+
+    The defaults are rough, and in units of a hundredth of a plain machine-vision camera.
+    """
+
+    baseline_mm: Price = ((60, 0), (120, 60))
+    focal_px: Price = ((250, 0), (650, 60))
+    square_mm: Price = ((20, 5), (30, 10))
+    views: Price = ((0, 0), (100, 100))
+    counts_per_turn: Price = ((4096, 40), (16384, 120), (65536, 300))
+    joint_noise_deg: Price = ((0.01, 200), (0.03, 80), (0.1, 0))
+    pixel_noise_px: Price = ((0.1, 80), (0.25, 20), (0.5, 0))
+    delay_ms: Price = ((0, 120), (1, 60), (5, 0))
+
+    @model_validator(mode="after")
+    def _rising(self) -> Prices:
+        for name in AXES:
+            values = [value for value, _ in getattr(self, name)]
+            if any(b <= a for a, b in itertools.pairwise(values)):
+                raise ValueError(f"the values of {name} rise from pair to pair")
+        return self
+
+
+class DesignSettings(_Section):
+    """All that a sweep depends on."""
+
+    designs: Designs = Designs()
+    workspace: Workspace = Workspace()
+    prices: Prices = Prices()
+
+    @model_validator(mode="after")
+    def _not_too_many(self) -> DesignSettings:
+        if count(self) > MAX_DESIGNS:
+            raise ValueError(
+                f"these are {count(self):,} designs; at most {MAX_DESIGNS:,} are tried"
+            )
+        return self
+
+
+def count(settings: DesignSettings) -> int:
+    """Return how many designs a sweep tries."""
+    return int(np.prod([len(getattr(settings.designs, name)) for name in AXES]))
+
+
+def costs(settings: DesignSettings) -> Array:
+    """Return the cost of each design, one dimension for each of AXES."""
+    total = np.zeros(())
+    for k, name in enumerate(AXES):
+        values, prices = np.array(getattr(settings.prices, name), float).T
+        own = np.interp(getattr(settings.designs, name), values, prices)
+        total = total + own.reshape([-1 if k == j else 1 for j in range(len(AXES))])
+    return np.broadcast_to(total, [len(getattr(settings.designs, name)) for name in AXES])
+
+
+def chunks(settings: DesignSettings) -> Iterator[DesignSettings]:
+    """Yield the settings of each chunk of a sweep, in the order of CHUNK_AXES; prices left out."""
+    designs = settings.designs
+    for values in itertools.product(*(getattr(designs, name) for name in CHUNK_AXES)):
+        own = {name: (value,) for name, value in zip(CHUNK_AXES, values, strict=True)}
+        yield DesignSettings(designs=designs.model_copy(update=own), workspace=settings.workspace)
+
+
+def load_settings(path: Path) -> DesignSettings:
+    """Read settings from a TOML or JSON file; VergenceError if it is not valid."""
+    parse = parse_json if path.suffix == ".json" else tomllib.loads
+    what = "a description of designs (see docs/design_and_plan.md)"
+    return read_parsed(path, what, DesignSettings.model_validate, parse, most_bytes=MAX_BYTES)

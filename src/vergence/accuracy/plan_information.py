@@ -1,0 +1,145 @@
+"""What views of a board tell about a head: the information of bundle adjustment, view by view.
+
+Bundle adjustment's own derivatives, at the calibrated head and at corners as such views would show
+them. The latent readings of each eye are eliminated at once, since they belong to one view; the
+place of the board only after it is known which views share it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vergence.accuracy.plan_views import T_cam_target, Views, as_seen
+from vergence.arrays import Array
+from vergence.calibration.bundle.initial_state import initial_state
+from vergence.calibration.bundle.problem import head_size, jacobians
+from vergence.errors import VergenceError
+from vergence.geometry.board import Board
+from vergence.geometry.head import Accuracy, HeadCalibration
+from vergence.geometry.parameters import POSE, parameter_names
+
+LEAST_JOINT_STD = 1e-6
+"""Of a reading [rad]: joints that a calibration calls exact."""
+
+
+@dataclass(frozen=True, eq=False)
+class Knowledge:
+    """What is known of the p parameters of a head that its calibration estimates.
+
+    In units of `scale`, their standard deviations before the planned views.
+    """
+
+    names: tuple[str, ...]
+    scale: Array
+    """(p,)."""
+    information: Array
+    """(p, p)."""
+
+    @property
+    def covariance(self) -> Array:
+        """(p, p) in px, rad, m, s."""
+        return np.linalg.inv(self.information) * np.outer(self.scale, self.scale)
+
+
+def stated(head: HeadCalibration) -> tuple[Accuracy, Knowledge]:
+    """Return what a calibration states; VergenceError if it states no covariance or no noise."""
+    accuracy = head.accuracy
+    if accuracy is None or not accuracy.parameters or not accuracy.joint_std:
+        raise VergenceError(
+            "This calibration states no covariance; `vergence calibrate --method bundle` makes "
+            "one that does."
+        )
+    if accuracy.eye_motion == "poses":
+        raise VergenceError(
+            "A plan says which joint readings to take; this head was calibrated with measured "
+            "eye poses."
+        )
+    scale = np.sqrt(np.diag(accuracy.covariance))
+    correlation = accuracy.covariance / np.outer(scale, scale)
+    information: Array = np.linalg.inv(correlation).astype(float)
+    return accuracy, Knowledge(accuracy.parameters, scale, information)
+
+
+@dataclass(frozen=True, eq=False)
+class LinearViews:
+    """V views linearised: J^T J of their corners in pixels, with the B blocks of BundleProblem.
+
+    The unknowns of a view are p parameters of the head, in given units, and the 6 of the board's
+    place [rad, m]; and n latent readings of each block.
+    """
+
+    whole: Array
+    """(V, p + 6, p + 6)."""
+    across: Array
+    """(B, p + 6, n)."""
+    latent: Array
+    """(B, n, n)."""
+    columns: np.ndarray
+    """(B, n) which reading of the head each latent one is."""
+    view: np.ndarray
+    """(B,) to which view a block belongs."""
+
+
+def linearised_views(
+    head: HeadCalibration, board: Board, views: Views, names: tuple[str, ...], scale: Array
+) -> LinearViews:
+    """Return views of a board, linearised at the head and at corners without noise.
+
+    The p parameters that are estimated have names, and units `scale` (p,).
+    """
+    apart = Views(views.T_lbase_target, views.joints, np.arange(len(views.place)))
+    fixed = set(parameter_names(head)) - set(names)
+    problem, state, _ = initial_state(
+        head, as_seen(head, board, apart), fixed=fixed, T_cam_target=T_cam_target(head, apart)
+    )
+    shared, index, by_latent = jacobians(problem, state)
+    c, (B, n), V = head_size(problem), problem.reading.shape, len(views.place)
+    # Each view's place has the same six columns after those of the head; the board's size is known.
+    size = index == len(problem.free) - 1
+    index = np.where(size, 0, np.where(index < c, index, c + (index - c) % len(POSE)))
+    shared = np.where(size[:, None, None], 0.0, shared)
+    J = shared.reshape(len(index), -1, index.shape[1])
+    L = by_latent.reshape(len(index), -1, n)
+    J_T = np.swapaxes(J, 1, 2)
+    whole = np.zeros((V, c + len(POSE), c + len(POSE)))
+    across, latent = np.zeros((B, c + len(POSE), n)), np.zeros((B, n, n))
+    view = problem.block_view[problem.block]
+    np.add.at(whole, (view[:, None, None], index[:, :, None], index[:, None, :]), J_T @ J)
+    np.add.at(across, (problem.block[:, None], index), J_T @ L)
+    np.add.at(latent, problem.block, np.swapaxes(L, 1, 2) @ L)
+    known = {name: k for k, name in enumerate(problem.parameters)}
+    kept = np.array([known[name] for name in names] + [*range(c, c + len(POSE))])
+    unit = np.append(scale, np.ones(len(POSE)))
+    whole = whole[:, kept[:, None], kept] * np.outer(unit, unit)
+    across = across[:, kept] * unit[:, None]
+    return LinearViews(whole, across, latent, problem.block_columns, problem.block_view)
+
+
+def information(linear: LinearViews, pixel_std_px: float, joint_std_rad: Array) -> Array:
+    """Return (V, p + 6, p + 6) what each view tells of the head and of the board's place.
+
+    By the noise of one coordinate of a corner, and of the readings (r,) of the head.
+    """
+    joint = np.maximum(joint_std_rad[linear.columns], LEAST_JOINT_STD)
+    # In pixels: (J^T J - J^T L (L^T L + s^2 / j^2)^-1 L^T J) / s^2.
+    tied = linear.latent + np.eye(joint.shape[1]) * ((pixel_std_px / joint) ** 2)[:, None]
+    taken = linear.across @ np.linalg.solve(tied, np.swapaxes(linear.across, 1, 2))
+    left = linear.whole.copy()
+    np.subtract.at(left, linear.view, taken)
+    return left / pixel_std_px**2
+
+
+def without_place(information: Array) -> Array:
+    """Return (..., p, p) what is left on the head of (..., p + 6, p + 6), the place eliminated."""
+    head, place = slice(None, -len(POSE)), slice(-len(POSE), None)
+    across = information[..., place, head]
+    rest = np.linalg.solve(information[..., place, place], across)
+    return information[..., head, head] - np.swapaxes(across, -1, -2) @ rest
+
+
+def gained(of_views: Array, place: np.ndarray) -> Array:
+    """Return (p, p) what views (V, p + 6, p + 6) at places (V,) together tell of the head."""
+    of_places = [of_views[place == each].sum(axis=0) for each in np.unique(place)]
+    return without_place(np.array(of_places)).sum(axis=0)

@@ -1,0 +1,128 @@
+"""The points for which a recording is planned, and how an error of the head moves them.
+
+Points stand before the head, near to far, ahead and to the sides; both eyes fixate each, as nearly
+as the limits of their joints allow.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.errors import VergenceError
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.parameters import camera_columns, parameter_names
+from vergence.geometry.projection import (
+    by_parameters,
+    eye_poses_with_jacobians,
+    project_with_jacobians,
+)
+from vergence.geometry.se3 import inverse
+
+DISTANCES_M = (0.3, 0.6, 1.0)
+ASIDE_RAD, ABOVE_RAD = 0.25, 0.2
+"""To the side and upwards, from the middle of the head."""
+ROUNDS = 30
+"""Gauss-Newton steps in which eyes fixate a point; five suffice but at their limits."""
+
+
+@dataclass(frozen=True, eq=False)
+class Workspace:
+    """W points that both eyes fixate."""
+
+    points: Array
+    """(W, 3) [m] in the left eye's base frame."""
+    joints: Array
+    """(W, r) readings [rad]."""
+    by_parameters: Array
+    """(W, 3, p) how the located points change with the parameters of the head."""
+
+
+def workspace(
+    head: HeadCalibration,
+    pair: tuple[str, str],
+    limits_rad: Array,
+    *,
+    names: tuple[str, ...],
+    distances_m: tuple[float, ...] = DISTANCES_M,
+) -> Workspace:
+    """Return points before the head, with their derivatives by named parameters.
+
+    VergenceError if the eyes cannot both see one of them.
+    """
+    a, b = np.meshgrid(ASIDE_RAD * np.arange(-1, 2), ABOVE_RAD * np.arange(-1, 2))
+    ray = np.stack([np.cos(a) * np.cos(b), np.sin(a) * np.cos(b), np.sin(b)], axis=-1)
+    between = inverse(head.T_rbase_lbase)[:3, 3] / 2
+    points = between + np.multiply.outer(np.array(distances_m), ray).reshape(-1, 3)
+    joints = fixating(head, pair, points, limits_rad)
+    columns = [parameter_names(head).index(name) for name in names]
+    return Workspace(points, joints, point_by_parameters(head, pair, points, joints)[..., columns])
+
+
+def fixating(
+    head: HeadCalibration, pair: tuple[str, str], points: Array, limits_rad: Array
+) -> Array:
+    """Return readings (N, r) [rad] at which both cameras have points (N, 3) at their centres.
+
+    Or as near as limits (r,), the largest readings of the joints, allow. VergenceError if a point
+    is not in both images then.
+    """
+    joints = np.zeros((len(points), len(limits_rad)))
+    for _ in range(ROUNDS):
+        J, error = _eyes_on(head, pair, points, joints)
+        move = np.linalg.pinv(np.nan_to_num(J)) @ np.nan_to_num(error)[..., None]
+        joints = np.clip(joints - move[..., 0], -limits_rad, limits_rad)
+    _, error = _eyes_on(head, pair, points, joints)
+    lens = [head.cameras[name].intrinsics for name in pair]
+    size = np.array([extent for each in lens for extent in (each.width, each.height)])
+    seen = (np.abs(error) < size / 2).all(axis=1)
+    if not seen.all():
+        x, y, z = points[seen.argmin()]
+        raise VergenceError(
+            f"The eyes cannot both see the point ({x:.2f}, {y:.2f}, {z:.2f}) m from the left eye "
+            "within the limits of their joints; allow them more, or name larger distances."
+        )
+    return joints
+
+
+def _eyes_on(
+    head: HeadCalibration, pair: tuple[str, str], points: Array, joints: Array
+) -> tuple[Array, Array]:
+    """Return by how much points miss the centres (N, 4) [px], and the derivatives (N, 4, r)."""
+    T, _, by_reading = eye_poses_with_jacobians(head, joints, len(points))
+    rows, errors = [], []
+    for k, name in enumerate(pair):
+        mounted = head.cameras[name]
+        J = project_with_jacobians(mounted, head.T_rbase_lbase, T[:, k], points[:, None])
+        rows.append(J.by_T_base_eye[:, 0] @ by_reading[:, k])
+        errors.append(J.pixels[:, 0] - mounted.intrinsics.matrix[:2, 2])
+    return np.concatenate(rows, axis=1), np.concatenate(errors, axis=1)
+
+
+def point_by_parameters(
+    head: HeadCalibration, pair: tuple[str, str], points: Array, joints: Array
+) -> Array:
+    """Return (N, 3, c) how points, located by least squares of their pixels, move with the head.
+
+    In the order of parameter_names; the pixels and the readings (N, r) stay what they are.
+    """
+    T, by_axes, _ = eye_poses_with_jacobians(head, joints, len(points))
+    by_point, by_head = [], []
+    for k, name in enumerate(pair):
+        J = project_with_jacobians(head.cameras[name], head.T_rbase_lbase, T[:, k], points[:, None])
+        rows = np.zeros((len(points), 2, len(parameter_names(head))))
+        rows[:, :, camera_columns(head, name)] = by_parameters(J, by_axes[k])[:, 0]
+        by_head.append(rows)
+        by_point.append(J.by_point[:, 0])
+    return -np.linalg.pinv(np.concatenate(by_point, axis=1)) @ np.concatenate(by_head, axis=1)
+
+
+def largest_std(by_parameters: Array, covariance: Array) -> Array:
+    """Return (..., W) [m] the standard deviation of each point in its worst direction.
+
+    By derivatives (W, 3, p) and covariances (..., p, p) of the parameters.
+    """
+    C = by_parameters @ covariance[..., None, :, :] @ np.swapaxes(by_parameters, 1, 2)
+    return np.sqrt(np.linalg.eigvalsh(C)[..., -1])

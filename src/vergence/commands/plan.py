@@ -1,0 +1,158 @@
+"""What `vergence plan` runs: from a calibration or a dataset to the views to record next."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vergence.accuracy.plan import Plan, plan
+from vergence.arrays import Array
+from vergence.calibration.calibrate import calibrate
+from vergence.data.reader import load_dataset
+from vergence.errors import VergenceError
+from vergence.geometry.board import Board, Chessboard, corner_points
+from vergence.geometry.head import HeadCalibration, T_head_base, load_head
+from vergence.geometry.se3 import transform
+from vergence.progress import Progress, silent
+from vergence.viewer.opening import markdown_table
+
+MOST_VIEWS = 100
+
+
+def run(
+    source: Path,
+    *,
+    board: tuple[int, int, float] | None,
+    views: int,
+    limits_deg: tuple[float, ...],
+    distances_m: tuple[float, ...],
+    seed: int,
+    progress: Progress = silent,
+) -> Plan:
+    """Return the plan for a calibration file, or for a dataset, which is calibrated first.
+
+    Arguments are those of the command. VergenceError if the source is neither file nor folder of
+    that kind, or an option is not possible.
+    """
+    _check(views, limits_deg, distances_m, seed)
+    head, shown = _head_and_board(source, board, progress)
+    return plan(
+        head,
+        shown,
+        views=views,
+        limits_rad=np.radians(limits_deg),
+        distances_m=distances_m,
+        seed=seed,
+        progress=progress,
+    )
+
+
+def _check(
+    views: int, limits_deg: tuple[float, ...], distances_m: tuple[float, ...], seed: int
+) -> None:
+    if seed < 0:
+        raise VergenceError(f"--seed takes 0 or more, found {seed}.")
+    if not 1 <= views <= MOST_VIEWS:
+        raise VergenceError(f"A plan has 1 to {MOST_VIEWS} views, found --views {views}.")
+    for name, values, most, unit in (
+        ("--limits-deg", limits_deg, 90, "degrees"),
+        ("--distances", distances_m, 100, "m"),
+    ):
+        if not values or not all(0 < value <= most for value in values):
+            found = " ".join(f"{value:g}" for value in values) or "none"
+            raise VergenceError(f"{name} takes numbers above 0 and up to {most} {unit}: {found}.")
+
+
+def _head_and_board(
+    source: Path, stated: tuple[int, int, float] | None, progress: Progress
+) -> tuple[HeadCalibration, Board]:
+    if source.is_dir():
+        data = load_dataset(source)
+        board = data.description.board if stated is None else _chessboard(stated)
+        return calibrate(data, progress=progress).head, board
+    head = load_head(source)
+    if stated is None:
+        raise VergenceError(
+            f"{source} does not say which board will be shown; say it with --board COLUMNS ROWS "
+            "SQUARE_M, such as --board 9 6 0.03, or name the folder of the dataset."
+        )
+    return head, _chessboard(stated)
+
+
+def _chessboard(stated: tuple[int, int, float]) -> Chessboard:
+    columns, rows, square_m = stated
+    if min(columns, rows) < 3 or max(columns, rows) > 100 or not 0 < square_m < 1:
+        raise VergenceError(
+            "--board takes 3 to 100 inner corners each way and the side of a square below 1 m, "
+            f"found {columns} {rows} {square_m:g}."
+        )
+    return Chessboard(columns, rows, square_m)
+
+
+def as_text(found: Plan) -> str:
+    """Return a plan as tables: the views, and what they bring."""
+    centres, normals = board_places(found)
+    rows = []
+    for k, joints in enumerate(found.views.joints):
+        same = k > 0 and found.views.place[k] == found.views.place[k - 1]
+        rows.append(
+            (
+                str(k + 1),
+                "as before" if same else " ".join(f"{x:.3f}" for x in centres[k]),
+                "" if same else " ".join(f"{x:.2f}" for x in normals[k]),
+                " ".join(f"{angle:.1f}" for angle in np.degrees(joints)),
+                f"{1e3 * found.steps_m[k]:.2f}",
+            )
+        )
+    before, after = 1e3 * found.before_m.max(), 1e3 * found.after_m.max()
+    return "\n".join(
+        [
+            markdown_table(
+                "view | centre of the board x y z in the head [m] | its normal "
+                f"| {', '.join(found.head.kinematics.readings)} [deg] | largest std by then [mm]",
+                rows,
+            ),
+            "",
+            f"Largest standard deviation of a point by the calibration: {before:.2f} mm now, "
+            f"{after:.2f} mm after these views (predicted).",
+            "A place of the board need not be met exactly: calibrate with what was recorded.",
+        ]
+    )
+
+
+def board_places(found: Plan) -> tuple[Array, Array]:
+    """Return the board's centre (N, 3) [m] and its normal (N, 3), towards the head, in the head."""
+    T = T_head_base(found.head, "left") @ found.views.T_lbase_target
+    return transform(T, corner_points(found.board).mean(axis=0)), -T[:, :3, 2]
+
+
+def figures(found: Plan) -> dict[str, Any]:
+    """Return a plan for programs."""
+    centres, normals = board_places(found)
+    return {
+        "readings": list(found.head.kinematics.readings),
+        "views": [
+            {
+                "place": int(place),
+                "board_centre_head_m": centre.tolist(),
+                "board_normal_head": normal.tolist(),
+                "T_lbase_target": T.tolist(),
+                "joints_rad": joints.tolist(),
+                "largest_std_m": float(std),
+            }
+            for place, centre, normal, T, joints, std in zip(
+                np.unique(found.views.place, return_inverse=True)[1],
+                centres,
+                normals,
+                found.views.T_lbase_target,
+                found.views.joints,
+                found.steps_m,
+                strict=True,
+            )
+        ],
+        "points_lbase_m": found.workspace.points.tolist(),
+        "std_before_m": found.before_m.tolist(),
+        "std_after_m": found.after_m.tolist(),
+    }

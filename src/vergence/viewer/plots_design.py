@@ -1,0 +1,82 @@
+"""Pictures of a sweep over designs: a map of the workspace, curves, and cost against accuracy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from vergence.accuracy.design_settings import AXES
+from vergence.accuracy.design_sweep import Sweep, at_distance, by_source, values_of
+from vergence.viewer.canvas import BLUE, GREEN, RED, panels, save
+
+MAP_STEPS = 41
+LEVELS = (0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500)
+"""Of the map's contours [mm]."""
+CURVES = 7
+"""Baselines that are drawn at most."""
+
+
+def draw_design(
+    path: Path, sweep: Sweep, place: tuple[int, ...], accuracy_m: float, distance_m: float
+) -> None:
+    """Draw the map of a design from above, its curves by baseline, and the front of costs."""
+    canvas, (above, curves, front) = panels(3, "Accuracy of points by design", columns=3)
+    settings = sweep.settings
+    reach = max(settings.workspace.distances_m)
+    near = min(settings.workspace.distances_m)
+    x, y = np.linspace(near, reach, MAP_STEPS), np.linspace(-reach / 2, reach / 2, MAP_STEPS)
+    grid = np.stack(np.broadcast_arrays(x[:, None], y, 0.0), axis=-1).reshape(-1, 3)
+    squares = by_source(settings, values_of(settings, place), grid).sum(axis=0)
+    error_mm = 1e3 * np.sqrt(squares).reshape(MAP_STEPS, MAP_STEPS)
+    lines = above.contour(y, x, error_mm, levels=LEVELS, cmap="viridis")
+    above.clabel(lines, fmt="%g mm", fontsize=8)
+    above.invert_xaxis()  # y, to the left
+    above.set(xlabel="y [m]", ylabel="x [m]", aspect="equal")
+    above.set_title("of fixated points, from above", fontsize=11, loc="left")
+    baselines = settings.designs.baseline_mm
+    for k in np.unique(np.linspace(0, len(baselines) - 1, CURVES).astype(int)):
+        own = (int(k), *place[1:])
+        label = f"{baselines[k]:g} mm" + (" (chosen)" if own == place else "")
+        width = 2.5 if own == place else 1.0
+        distances = settings.workspace.distances_m
+        order = np.argsort(distances)
+        curves.plot(
+            np.array(distances)[order],
+            1e3 * sweep.worst_m[own][order],
+            linewidth=width,
+            label=label,
+        )
+    curves.plot(distance_m, 1e3 * accuracy_m, "x", color=RED, label="wanted")
+    curves.set(xscale="log", yscale="log", xlabel="distance [m]", ylabel="[mm]")
+    curves.set_title("worst direction and posture, by baseline", fontsize=11, loc="left")
+    curves.legend(fontsize=8, frameon=False)
+    worst, cost = 1e3 * at_distance(sweep, distance_m).ravel(), sweep.cost.ravel()
+    order = np.lexsort((worst, cost))
+    best = np.minimum.accumulate(worst[order])
+    front.step(cost[order], best, where="post", color=BLUE, label="the best for a cost")
+    front.axhline(1e3 * accuracy_m, color=RED, linewidth=1, label="wanted")
+    front.plot(sweep.cost[place], worst.reshape(sweep.cost.shape)[place], "o", color=GREEN)
+    front.set(yscale="log", xlabel="cost", ylabel=f"worst error at {distance_m:g} m [mm]")
+    front.set_title("accuracy by cost", fontsize=11, loc="left")
+    front.legend(fontsize=8, frameon=False)
+    for axes in (above, curves, front):
+        axes.grid(color="0.9", linewidth=0.6)
+    save(canvas, path)
+
+
+def draw_axes(path: Path, sweep: Sweep, place: tuple[int, ...], distance_m: float) -> None:
+    """Draw how accuracy follows from one property at a time, the others being the design's."""
+    canvas, all_axes = panels(
+        len(AXES), f"Worst error at {distance_m:g} m by one property at a time", columns=4
+    )
+    worst = 1e3 * at_distance(sweep, distance_m)
+    for k, (name, axes) in enumerate(zip(AXES, all_axes, strict=True)):
+        values = np.array(getattr(sweep.settings.designs, name))
+        line = worst[(*place[:k], slice(None), *place[k + 1 :])]
+        order = np.argsort(values)
+        axes.plot(values[order], line[order], ".-", color=BLUE)
+        axes.plot(values[place[k]], line[place[k]], "o", color=GREEN)
+        axes.set(xlabel=name.replace("_", " "), ylabel="[mm]", ylim=(0, None))
+        axes.grid(color="0.9", linewidth=0.6)
+    save(canvas, path)

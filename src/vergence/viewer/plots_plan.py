@@ -1,0 +1,40 @@
+"""A picture of a plan: the places of the board from above and from the side, and the accuracy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from vergence.accuracy.plan import Plan
+from vergence.geometry.board import corner_points
+from vergence.geometry.head import T_head_base
+from vergence.geometry.se3 import transform
+from vergence.viewer.canvas import BLUE, GREEN, RED, panels, save
+
+AXES = "xyz"
+
+
+def draw_plan(path: Path, plan: Plan) -> None:
+    """Draw a plan into a PNG file."""
+    canvas, (above, side, curve) = panels(3, "Views to record next", columns=3)
+    T = T_head_base(plan.head, "left")
+    grid = corner_points(plan.board).reshape(plan.board.rows, plan.board.columns, 3)
+    outline = np.array([grid[0, 0], grid[0, -1], grid[-1, -1], grid[-1, 0], grid[0, 0]])
+    boards = transform((T @ plan.views.T_lbase_target)[:, None], outline)
+    points = transform(T, plan.workspace.points)
+    for axes, (a, b), title in ((above, (1, 0), "from above"), (side, (0, 2), "from the side")):
+        axes.plot(boards[..., a].T, boards[..., b].T, color=BLUE, linewidth=1)
+        axes.plot(points[:, a], points[:, b], ".", color=GREEN, label="points of the workspace")
+        axes.plot(0, 0, "o", color=RED, label="head")
+        axes.set_title(title, fontsize=11, loc="left")
+        axes.set(xlabel=f"{AXES[a]} [m]", ylabel=f"{AXES[b]} [m]", aspect="equal")
+        axes.grid(color="0.9", linewidth=0.6)
+    above.invert_xaxis()  # y, to the left
+    above.legend(fontsize=9, frameon=False)
+    largest = 1e3 * np.array([plan.before_m.max(), *plan.steps_m])
+    curve.plot(np.arange(len(largest)), largest, ".-", color=BLUE)
+    curve.set_title("largest standard deviation of a point, by the calibration", fontsize=11)
+    curve.set(xlabel="views recorded", ylabel="[mm]", ylim=(0, None))
+    curve.grid(color="0.9", linewidth=0.6)
+    save(canvas, path)

@@ -1,0 +1,259 @@
+"""Next best views: their information is bundle adjustment's own, and their accuracy is reached."""
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from documents import blocks
+from simulated_head import plain_head, random_head, rough_start
+from simulated_recording import BOARD, EXACT, Recording, joined, record
+from test_kinematics import shared_tilt
+from vergence import cli
+from vergence.accuracy.plan import Plan, choose, plan
+from vergence.accuracy.plan_information import gained, information, linearised_views, stated
+from vergence.accuracy.plan_views import (
+    MARGIN_PX,
+    admissible_views,
+    as_seen,
+    checked_pair,
+    held_whole,
+    seen_by,
+)
+from vergence.accuracy.plan_workspace import fixating, largest_std, workspace
+from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
+from vergence.calibration.observations import Observations
+from vergence.commands import plan as command
+from vergence.errors import VergenceError
+from vergence.geometry.head import HeadCalibration, save_head
+from vergence.geometry.parameters import without_offsets
+from vergence.geometry.projection import eye_poses, project_point
+from vergence.geometry.se3 import inverse, transform
+from vergence.stereo.uncertainty import calibration_covariance
+
+PIXEL_PX, JOINT_RAD = 0.1, 2e-3
+NOISE = {"pixel_std_px": PIXEL_PX, "joint_std": JOINT_RAD}
+LIMITS = np.radians([25.0, 20.0, 25.0, 20.0])
+
+
+@pytest.fixture(scope="module")
+def truth() -> HeadCalibration:
+    return without_offsets(random_head(np.random.default_rng(3), lenses=("wide",)))
+
+
+@pytest.fixture(scope="module")
+def calibrated(truth: HeadCalibration, slow_setup: None) -> HeadCalibration:
+    """The head itself, with the covariance that a short recording without noise gives."""
+    first = first_recording(truth)
+    estimate = bundle_adjust(rough_start(truth, np.random.default_rng(5)), first, **NOISE)
+    return replace(truth, accuracy=estimate.accuracy)
+
+
+def first_recording(truth: HeadCalibration) -> Observations:
+    short = Recording(straight=8, orientations=10, noise=EXACT)
+    return record(truth, np.random.default_rng(4), short)
+
+
+@pytest.fixture(scope="module")
+def planned(calibrated: HeadCalibration) -> Plan:
+    return plan(calibrated, BOARD, limits_rad=LIMITS)
+
+
+def test_admissible_views_show_the_whole_board_before_both_main_cameras_within_the_limits(truth):
+    views = admissible_views(truth, BOARD, LIMITS, np.random.default_rng(0), places=6, gazes=4)
+    assert len(views.place) == 24
+    assert (np.abs(views.joints) <= LIMITS).all()
+    assert held_whole(truth, BOARD, views).all()
+    for name, uv in seen_by(truth, BOARD, views).items():
+        lens = truth.cameras[name].intrinsics
+        assert (uv > MARGIN_PX).all()
+        assert (uv < np.array([lens.width, lens.height]) - 1 - MARGIN_PX).all()
+    # The board is looked at from its front: z of the target points away from the head.
+    T = inverse(eye_poses(truth, views.joints)[:, 0] @ truth.cameras["left_wide"].T_eye_cam)
+    T_cam_target = T @ views.T_lbase_target
+    assert (T_cam_target[:, 2, 2] > 0.2).all()
+    places = views.T_lbase_target.reshape(6, 4, 4, 4)
+    np.testing.assert_array_equal(places, places[:, :1].repeat(4, axis=1))
+
+
+def test_a_board_behind_or_beside_the_head_is_not_held(truth):
+    views = admissible_views(truth, BOARD, LIMITS, np.random.default_rng(0), places=2, gazes=1)
+    behind = views.T_lbase_target.copy()
+    behind[:, 0, 3] *= -1
+    assert not held_whole(truth, BOARD, replace(views, T_lbase_target=behind)).any()
+
+
+@pytest.mark.parametrize("kinematics", [None, shared_tilt()], ids=["pan-tilt", "shared tilt"])
+def test_the_information_of_views_is_that_of_bundle_adjustment(truth, kinematics):
+    """Recorded without noise at the true head, the covariance of both must be the same."""
+    head = truth if kinematics is None else replace(truth, kinematics=kinematics)
+    limits = np.full(len(head.kinematics.readings), 0.4)
+    views = admissible_views(head, BOARD, limits, np.random.default_rng(1), places=5, gazes=5)
+    estimate = bundle_adjust(head, as_seen(head, BOARD, views), **NOISE)
+    names = estimate.accuracy.parameters
+    scale = np.sqrt(np.diag(estimate.accuracy.covariance))
+    linear = linearised_views(head, BOARD, views, names, scale)
+    N = gained(information(linear, PIXEL_PX, np.full(len(limits), JOINT_RAD)), views.place)
+    correlation = estimate.accuracy.covariance / np.outer(scale, scale)
+    # Bundle adjustment adds the least systematic errors that it can tell from none.
+    np.testing.assert_allclose(np.linalg.inv(N), correlation, atol=5e-3)
+
+
+def test_the_eyes_fixate_the_workspace_and_its_covariance_is_that_of_located_points(calibrated):
+    _, known = stated(calibrated)
+    points = workspace(calibrated, checked_pair(calibrated), LIMITS, names=known.names)
+    pair = checked_pair(calibrated)
+    left, right = (project_point(calibrated, k, points.joints, points.points) for k in pair)
+    inside = (np.abs(points.joints) < LIMITS - 1e-9).all(axis=1)
+    assert inside.sum() > 20
+    for uv, name in ((left, pair[0]), (right, pair[1])):
+        centre = calibrated.cameras[name].intrinsics.matrix[:2, 2]
+        np.testing.assert_allclose(uv[inside], np.broadcast_to(centre, uv[inside].shape), atol=1e-6)
+    covariance = calibration_covariance(calibrated, left=left, right=right, joints=points.joints)
+    assert calibrated.accuracy is not None
+    found = largest_std(points.by_parameters, calibrated.accuracy.covariance)
+    # Only weights between the four equations differ.
+    wanted = np.sqrt(np.linalg.eigvalsh(covariance)[:, -1])
+    np.testing.assert_allclose(found[inside], wanted[inside], rtol=1e-3)
+
+
+def test_points_out_of_the_eyes_reach_are_refused(truth):
+    behind = np.array([[-0.5, 0.0, 0.0]])
+    with pytest.raises(VergenceError, match="cannot both see"):
+        fixating(truth, checked_pair(truth), behind, LIMITS)
+
+
+def test_a_plan_beats_random_views_and_its_prediction_is_what_recalibration_states(
+    calibrated, planned
+):
+    rng = np.random.default_rng(6)
+    truth = replace(calibrated, accuracy=None)
+    first = first_recording(truth)
+    assert planned.after_m.max() < 0.6 * planned.before_m.max()
+    assert (np.diff(planned.steps_m) <= 1e-12).all()  # no view does harm
+    ratios = []
+    for views in (
+        planned.views,
+        admissible_views(truth, BOARD, LIMITS, rng, places=10, gazes=1),
+        admissible_views(truth, BOARD, LIMITS, rng, places=5, gazes=2),
+    ):
+        both = joined([first, as_seen(truth, BOARD, views)])
+        accuracy = bundle_adjust(truth, both, **NOISE).accuracy
+        std = largest_std(planned.workspace.by_parameters, accuracy.covariance)
+        ratios.append(std.max() / planned.after_m.max())
+    assert ratios[0] == pytest.approx(1, rel=0.005)
+    assert np.mean(ratios[1:]) > 1.2
+
+
+def test_the_view_that_tells_what_points_need_is_chosen_first_and_others_are_exchanged():
+    """Two parameters move the only point; view 0 tells a little of both, 1 and 2 of one each."""
+    V, p = 4, 2
+    of_views = np.zeros((V, p + 6, p + 6))
+    of_views[:, p:, p:] = np.eye(6)
+    of_views[0, :p, :p] = 3 * np.eye(2)
+    of_views[1, 0, 0] = of_views[2, 1, 1] = 40.0
+    by_parameters = np.array([[[1.0, 0], [0, 1], [0, 0]]])
+    before, place = np.eye(p), np.arange(V)
+    assert choose(before, of_views, place, by_parameters, 1).tolist() == [0]
+    assert sorted(choose(before, of_views, place, by_parameters, 2).tolist()) == [1, 2]
+
+
+def test_two_views_of_one_place_tell_more_than_the_place_costs(truth):
+    """A second direction of gaze at a board tells of the eyes what two boards cannot."""
+    views = admissible_views(truth, BOARD, LIMITS, np.random.default_rng(2), places=2, gazes=2)
+    estimate = bundle_adjust(truth, as_seen(truth, BOARD, views), **NOISE)
+    names = estimate.accuracy.parameters
+    linear = linearised_views(truth, BOARD, views, names, np.ones(len(names)))
+    N = information(linear, PIXEL_PX, np.full(4, JOINT_RAD))
+    apart, together = gained(N, np.arange(4)), gained(N, views.place)
+    assert np.linalg.eigvalsh(together - apart)[0] > -1e-6 * np.abs(together).max()
+    assert np.trace(together) > np.trace(apart)
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(plan.__kwdefaults__, "candidates", (6, 3))
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
+    monkeypatch.setattr(sys, "argv", ["vergence", *map(str, arguments)])
+    cli.main()
+
+
+def test_the_command_prints_a_plan_and_writes_figure_and_json(
+    calibrated, quick, tmp_path, monkeypatch, capsys
+):
+    save_head(calibrated, tmp_path / "head.json")
+    words = ["plan", tmp_path / "head.json", "--board", 9, 6, 0.03, "--views", 4]
+    run(monkeypatch, *words, "--figure", tmp_path / "p.png", "--json", tmp_path / "p.json")
+    printed = capsys.readouterr().out
+    assert printed.count("\n| ") == 5 - 1
+    assert "mm after these views (predicted)" in printed
+    assert (tmp_path / "p.png").stat().st_size > 10_000
+    found = json.loads((tmp_path / "p.json").read_text())
+    assert len(found["views"]) == 4
+    assert max(found["std_after_m"]) == pytest.approx(found["views"][-1]["largest_std_m"])
+    # The printed centre of the board is where its corners are.
+    first = found["views"][0]
+    T = np.array(first["T_lbase_target"])
+    middle = transform(T, np.array([4, 2.5, 0]) * BOARD.square_m)
+    left_eye = inverse(calibrated.T_rbase_lbase)[:3, 3] / 2  # the head is midway
+    np.testing.assert_allclose(first["board_centre_head_m"], middle - left_eye, atol=1e-12)
+
+
+def test_a_dataset_is_calibrated_first_and_states_its_board(
+    calibrated, quick, tmp_path, monkeypatch, capsys
+):
+    data = SimpleNamespace(description=SimpleNamespace(board=BOARD))
+    monkeypatch.setattr(command, "load_dataset", lambda folder: data)
+    result = SimpleNamespace(head=calibrated)
+    monkeypatch.setattr(command, "calibrate", lambda given, **_: result if given is data else None)
+    run(monkeypatch, "plan", tmp_path, "--views", 2)
+    of_dataset = capsys.readouterr().out
+    save_head(calibrated, tmp_path / "head.json")
+    run(monkeypatch, "plan", tmp_path / "head.json", "--views", 2, "--board", 9, 6, 0.03)
+    assert capsys.readouterr().out == of_dataset
+
+
+def test_the_guide_to_plans_runs(calibrated, quick, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    save_head(calibrated, tmp_path / "head.json")
+    (code,) = (b.text for b in blocks("docs/design_and_plan.md") if b.language == "python")
+    names = {}
+    exec(compile(code, "design_and_plan.md", "exec"), names)
+    assert names["found"].views.joints.shape == (6, 4)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ([], "say it with --board COLUMNS ROWS SQUARE_M"),
+        (["--board", "9", "6", "30"], "the side of a square below 1 m, found 9 6 30"),
+        (["--board", "9", "6", "0.03", "--views", "0"], "1 to 100 views"),
+        (["--board", "9", "6", "0.03", "--seed", "-1"], "--seed takes 0 or more"),
+        (["--board", "9", "6", "0.03", "--limits-deg", "25", "20"], "one for each of left_pan"),
+        (["--board", "9", "6", "0.03", "--limits-deg", "-5"], "--limits-deg takes numbers above 0"),
+        (["--board", "9", "6", "0.03", "--distances", "0"], "--distances takes numbers above 0"),
+        (["--board", "9", "6", "0.03", "--distances", "0.02"], "name larger distances"),
+    ],
+)
+def test_wrong_options_end_in_a_sentence(
+    options, said, calibrated, quick, tmp_path: Path, monkeypatch, capsys
+):
+    save_head(calibrated, tmp_path / "head.json")
+    with pytest.raises(SystemExit, match="2"):
+        run(monkeypatch, "plan", tmp_path / "head.json", *options)
+    assert said in capsys.readouterr().err
+
+
+def test_a_head_that_states_no_covariance_or_has_one_eye_is_refused():
+    head = plain_head(0.08, 400)
+    with pytest.raises(VergenceError, match="states no covariance"):
+        plan(head, BOARD)
+    one = replace(head, cameras={"left_wide": head.cameras["left_wide"]})
+    with pytest.raises(VergenceError, match="two eyes see"):
+        checked_pair(one)
