@@ -29,6 +29,7 @@ from vergence.twin.model import (
 )
 from vergence.twin.profile import ErrorProfile, Lens
 from vergence.twin.renderer import Negative, Renderer, overscan_sizes
+from vergence.twin.scene import PASSER, Scene, passer_position
 from vergence.twin.sensors import play, read
 
 _TICK_STEPS = 5
@@ -62,19 +63,22 @@ class Twin:
         lens: Lens = "2.8mm",
         board: Charuco | None = None,
         card: Card | None = None,
+        scene: Scene = "room",
     ):
         """Build a head with wide cameras of a lens, and with the imperfections of a profile.
 
         The same seed gives the same head, whatever the lens. A board replaces the scene's
         chessboard, a card the red sphere that is its object. VergenceError if there is no OpenGL,
-        the model cannot be loaded, or the seed is negative.
+        the model or the scene cannot be loaded, or the seed is negative.
         """
         if seed < 0:
             raise VergenceError(f"The seed must be a whole number from 0, found {seed}.")
         self.profile = profile
         self.nominal: HeadCalibration = nominal_head(lens)
         self.truth: HeadCalibration = as_built_head(self.nominal, profile, seed)
-        self.model = compile_head(self.truth, overscan_sizes(self.truth), board=board, card=card)
+        sizes = overscan_sizes(self.truth)
+        self.model = compile_head(self.truth, sizes, board=board, card=card, scene=scene)
+        self._passes = scene == "moving"
         self._data = mujoco.MjData(self.model)
         self._seen = mujoco.MjData(self.model)  # the pose at which pictures are taken
         self._seed = seed
@@ -158,6 +162,9 @@ class Twin:
         self._seen.qpos[self._addresses] = self._at(self._true, image_s)
         self._seen.mocap_pos[:] = self._data.mocap_pos
         self._seen.mocap_quat[:] = self._data.mocap_quat
+        if self._passes:
+            passer = self.model.body(PASSER).mocapid[0]
+            self._seen.mocap_pos[passer] = self._passer(image_s)
         mujoco.mj_kinematics(self.model, self._seen)
         mujoco.mj_camlight(self.model, self._seen)
         negatives = tuple(self._renderer.expose(self._seen, name) for name in cameras)
@@ -165,6 +172,11 @@ class Twin:
         eye_angles = read(sensed[None, _EYES], self.profile.joints, self._rng)[0]
         neck_angles, now = sensed[: len(NECK_JOINTS)], self.time_s
         return Exposure(Frame(now, now, eye_angles, neck_angles, {}), negatives)
+
+    def _passer(self, time_s: float) -> Array:
+        """Return where the passing object is: not before a board that is being shown."""
+        board = self._data.mocap_pos[self.model.body("board").mocapid[0]]
+        return passer_position(time_s) if (board == _AWAY).all() else _AWAY
 
     def develop(self, exposure: Exposure) -> Frame:
         """Finish the pictures of an exposure; may run in another thread than expose."""
