@@ -22,7 +22,7 @@ from vergence.geometry.head import HeadCalibration
 from vergence.twin import no_opengl
 from vergence.twin.profile import Image
 
-OVERSAMPLING = 2
+OVERSAMPLING = 1.5
 """Oversampling along each axis of an image that is distorted afterwards: interpolation between
 pixels of the camera's own size would shift corners by 0.01 px, in every image alike."""
 _NOISE_MARGIN = 256  # the noise of an image is a window of a larger one, at one of 256 x 256 places
@@ -104,7 +104,7 @@ class Renderer:
         try:
             for name, (width, height) in sizes.items():
                 finer = OVERSAMPLING if name in self._maps else 1
-                self._sizes[name] = size = finer * width, finer * height
+                self._sizes[name] = size = round(finer * width), round(finer * height)
                 if size in self._renderers:
                     continue
                 buffer.offwidth, buffer.offheight = size
