@@ -52,7 +52,7 @@ class Exposure:
 class Twin:
     """A simulated head in its room. Use it in a `with` block: it holds OpenGL's resources.
 
-    `truth` and `true_angles` are for evaluation only: nothing that estimates may ask for them.
+    `truth` and all that begins with `true_` are for evaluation only: nothing that estimates may ask for them.
     """
 
     def __init__(
@@ -186,6 +186,10 @@ class Twin:
     def capture(self, cameras: Sequence[str] = CAMERAS) -> Frame:
         """Take a frame and finish its pictures."""
         return self.develop(self.expose(cameras))
+
+    def true_depth(self, camera: str) -> Array:
+        """Return the depth (H, W) [m] along the optical axis of a camera, at the last exposure."""
+        return self._renderer.true_depth(self._seen, camera)
 
     def T_world_lbase(self) -> Array:
         """Return the pose (4, 4) of the left eye's base frame in the world."""

@@ -146,6 +146,19 @@ class Renderer:
             image = cv2.add(image, window, dtype=cv2.CV_8U)
         return image
 
+    def true_depth(self, data: mujoco.MjData, camera: str) -> Array:
+        """Return the depth (H, W) [m] along a camera's optical axis, of each of its pixels."""
+        renderer = self._renderers[self._sizes[camera]]
+        renderer.update_scene(data, camera=camera)
+        renderer.enable_depth_rendering()
+        try:
+            depth = renderer.render()
+        finally:
+            renderer.disable_depth_rendering()
+        if camera in self._maps:  # no mean of what is before and behind an edge
+            depth = cv2.remap(depth, *self._maps[camera], cv2.INTER_NEAREST)
+        return depth.astype(float)
+
     def close(self) -> None:
         """Release OpenGL's resources."""
         for renderer in self._renderers.values():
