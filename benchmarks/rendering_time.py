@@ -72,7 +72,8 @@ def start(source: Path, scene: str) -> subprocess.Popen[str]:
 
 def ask(worker: subprocess.Popen[str], number: int) -> float:
     """Return the processor time [s] of a round."""
-    assert worker.stdin and worker.stdout
+    assert worker.stdin
+    assert worker.stdout
     worker.stdin.write(f"{number}\n")
     worker.stdin.flush()
     return float(worker.stdout.readline())
@@ -86,7 +87,8 @@ def main() -> None:
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         archive = subprocess.check_output(["git", "-C", str(ROOT), "archive", asked.before])
-        tarfile.open(fileobj=io.BytesIO(archive)).extractall(folder, filter="data")
+        with tarfile.open(fileobj=io.BytesIO(archive)) as sources:
+            sources.extractall(folder, filter="data")
         before, now = start(Path(folder), ""), start(ROOT, asked.scene)
         try:
             times = [(ask(before, k), ask(now, k)) for k in range(asked.rounds + 1)][1:]

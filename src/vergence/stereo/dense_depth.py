@@ -45,7 +45,7 @@ class DenseDepth:
     """(H, W), along the z axis of the left rectified camera; NaN: no match."""
     std_m: Array
     """(H, W) standard deviation of the depth; of the matching alone where neither calibration nor
-    readings state any noise. Wrong matches, which no standard deviation describes, are not in it."""
+    readings state any noise. It does not describe wrong matches."""
     textured: np.ndarray
     """(H, W) of bool: matched, where texture determines the disparity to TEXTURED_PX."""
     image: np.ndarray
@@ -93,7 +93,8 @@ def dense_depth(
     disparity = _match(grey[0], grey[1], scale / nearest_m)
     u, v = np.meshgrid(*map(np.arange, disparity.shape[::-1]))
     opposite = np.round(u - np.nan_to_num(disparity)).astype(int)
-    disparity[~(pair.left.seen & (opposite >= 0) & pair.right.seen[v, opposite])] = np.nan
+    whole = [_whole(view.seen) for view in (pair.left, pair.right)]
+    disparity[~(whole[0] & (opposite >= 0) & whole[1][v, opposite])] = np.nan
     pixels = np.stack([u, v], axis=-1).astype(float)
     depth = rectified_points(pair, pixels, disparity)[..., 2]
     by_texture = _std_by_texture(grey[0])
@@ -127,6 +128,11 @@ def _match(left: np.ndarray, right: np.ndarray, largest_px: float) -> Array:
     padded = [cv2.copyMakeBorder(i, 0, 0, span, 0, cv2.BORDER_REPLICATE) for i in (left, right)]
     found = matcher.compute(*padded)[:, span:].astype(float) / 16
     return np.where(found > 0, found, np.nan)
+
+
+def _whole(seen: np.ndarray) -> np.ndarray:
+    """Return (H, W) whether the whole block around a pixel is seen."""
+    return cv2.erode(seen.astype(np.uint8), np.ones((BLOCK_PX, BLOCK_PX), np.uint8)) > 0
 
 
 def _std_by_texture(grey: np.ndarray) -> Array:

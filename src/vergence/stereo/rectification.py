@@ -68,7 +68,9 @@ class RectifiedPair:
     def Q(self) -> Array:
         """(4, 4) from (u, v, disparity, 1) to a point, homogeneous: as of cv2.stereoRectify."""
         (f, _, cx), (_, _, cy), _ = self.matrix
-        return np.array([[1, 0, 0, -cx], [0, 1, 0, -cy], [0, 0, 0, f], [0, 0, 1 / self.baseline_m, 0]])
+        return np.array(
+            [[1, 0, 0, -cx], [0, 1, 0, -cy], [0, 0, 0, f], [0, 0, 1 / self.baseline_m, 0]]
+        )
 
 
 def rectify(
