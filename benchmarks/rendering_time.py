@@ -80,7 +80,7 @@ def ask(worker: subprocess.Popen[str], number: int) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser()
     parser.add_argument("--before", default=BEFORE)
     parser.add_argument("--rounds", type=int, default=8)
     parser.add_argument("--scene", default="room")

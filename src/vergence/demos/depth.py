@@ -193,11 +193,10 @@ def _of_dataset(
 
     def read() -> Iterator[StereoImages]:
         for row in chosen:
-            images = data.image(left, row), data.image(right, row)
-            assert images[0] is not None
-            assert images[1] is not None
+            images = data.frame(row).images
             joints = data.eye_angles[row] if data.T_base_eye is None else data.T_base_eye[row]
-            yield StereoImages(float(data.time_s[row] - data.time_s[0]), joints, *images)
+            time_s = float(data.time_s[row] - data.time_s[0])
+            yield StereoImages(time_s, joints, images[left], images[right])
 
     return read(), len(chosen)
 
@@ -253,7 +252,7 @@ def _measure(
     return done
 
 
-def _with_true_geometry(seen: StereoImages, truth: Truth) -> Array:
+def _with_true_geometry(seen: StereoImages, truth: Truth) -> tuple[Array, Array, float]:
     pair = rectify(truth.head, truth.eye_angles)
     found = dense_depth(truth.head, truth.eye_angles, pair, seen.left, seen.right)
     return _errors(truth.head, truth.eye_angles, pair, found, truth)
@@ -295,8 +294,8 @@ def _row_rms(pair: RectifiedPair, truth: Truth) -> float:
     opposite = project(right, transform(T_rcam_lcam, points))
     inside = ((opposite >= 0) & (opposite <= [right.width - 1, right.height - 1])).all(axis=-1)
     rows = [
-        rectified_pixels(pair, side, at[inside])[:, 1]
-        for side, at in (("left", pixels), ("right", opposite))
+        rectified_pixels(pair, view, at[inside])[:, 1]
+        for view, at in ((pair.left, pixels), (pair.right, opposite))
     ]
     return float(np.sqrt(np.nanmean((rows[0] - rows[1]) ** 2)))
 

@@ -8,7 +8,6 @@ of stereo pairs" (2000); the lens is undone by the map, so any lens model will d
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -164,12 +163,11 @@ def rectified_image(view: RectifiedView, image: np.ndarray) -> np.ndarray:
     return cv2.remap(image, view.map_x, view.map_y, cv2.INTER_LINEAR)
 
 
-def rectified_pixels(pair: RectifiedPair, side: Literal["left", "right"], pixels: Array) -> Array:
-    """Return where pixels (..., 2) of a real image are in its rectified one, exactly; NaN: nowhere.
+def rectified_pixels(pair: RectifiedPair, view: RectifiedView, pixels: Array) -> Array:
+    """Return where pixels (..., 2) of a view's real image are in its rectified one; NaN: nowhere.
 
     The difference of a point's columns, left minus right, is its disparity; its rows are the same.
     """
-    view = pair.left if side == "left" else pair.right
     xy = normalise(view.camera, pixels)
     rays = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1) @ view.R_rect_cam.T
     z = np.where(rays[..., 2:] > 0, rays[..., 2:], np.nan)

@@ -52,7 +52,8 @@ class Exposure:
 class Twin:
     """A simulated head in its room. Use it in a `with` block: it holds OpenGL's resources.
 
-    `truth` and all that begins with `true_` are for evaluation only: nothing that estimates may ask for them.
+    `truth` and all that begins with `true_` are for evaluation only: nothing that estimates may ask
+    for them.
     """
 
     def __init__(

@@ -156,7 +156,8 @@ class Renderer:
         finally:
             renderer.disable_depth_rendering()
         if camera in self._maps:  # no mean of what is before and behind an edge
-            depth = cv2.remap(depth, *self._maps[camera], cv2.INTER_NEAREST)
+            x, y = self._maps[camera]
+            depth = cv2.remap(depth, x, y, cv2.INTER_NEAREST)
         return depth.astype(float)
 
     def close(self) -> None:

@@ -46,4 +46,5 @@ def load_scene(folder: Path, scene: Scene) -> mujoco.MjSpec:
 def passer_position(time_s: float) -> Array:
     """Return where in the world (3,) [m] the passing object is at a time."""
     phase = 2 * np.pi * time_s / _PASSER_PERIOD_S
-    return _PASSER_M + [0.0, _PASSER_SWING_M * np.sin(phase), 0.03 * np.sin(2 * phase)]
+    swing = np.array([0.0, _PASSER_SWING_M * np.sin(phase), 0.03 * np.sin(2 * phase)])
+    return _PASSER_M + swing

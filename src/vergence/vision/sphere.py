@@ -178,7 +178,7 @@ def _shading(contrast: Array, mask: np.ndarray, inside: np.ndarray, typical: flo
     Light that comes from one side, or from everywhere, makes a matt surface's brightness a linear
     function of its normal, which is fitted to the inner pixels.
     """
-    v, u = np.nonzero(inside)
+    v, u = (where.astype(float) for where in np.nonzero(inside))
     if len(v) < _SHADED_PIXELS:
         return np.full(contrast.shape, typical)
     moments = cv2.moments(mask, binaryImage=True)
@@ -192,8 +192,8 @@ def _shading(contrast: Array, mask: np.ndarray, inside: np.ndarray, typical: flo
 
     some = slice(None, None, 1 + len(v) // _FITTED_PIXELS)
     v, u = v[some], u[some]
-    light = np.linalg.lstsq(normals(v, u), contrast[v, u], rcond=None)[0]
-    rows, columns = np.indices(contrast.shape)
+    light = np.linalg.lstsq(normals(v, u), contrast[inside][some], rcond=None)[0]
+    rows, columns = np.indices(contrast.shape).astype(float)
     return normals(rows, columns) @ light
 
 
