@@ -306,7 +306,7 @@ def depth(
     /,
     *,
     out: Path,
-    twin: bool = False,
+    twin: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     calibration: Path | None = None,
     profile: str = "paper",
     scene: Scene = "room",
