@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from vergence.geometry.kinematics import EyeAxes
     from vergence.geometry.projection import T_rcam_lcam, project_point
     from vergence.interchange.formats import export_head, import_head
+    from vergence.stereo.dense_depth import DenseDepth, dense_depth, point_cloud
+    from vergence.stereo.rectification import RectifiedPair, rectified_image, rectify
     from vergence.stereo.triangulation import Status, in_body, in_head
     from vergence.stereo.uncertainty import LocatedPoints, locate
 
@@ -37,17 +39,20 @@ __all__ = [
     "Charuco",
     "Chessboard",
     "Dataset",
+    "DenseDepth",
     "EyeAxes",
     "Frame",
     "HeadCalibration",
     "LocatedPoints",
     "MountedCamera",
     "Observations",
+    "RectifiedPair",
     "Status",
     "T_rcam_lcam",
     "VergenceError",
     "__version__",
     "calibrate",
+    "dense_depth",
     "detect_target",
     "export_head",
     "gaze_angles",
@@ -57,7 +62,10 @@ __all__ = [
     "load_dataset",
     "load_head",
     "locate",
+    "point_cloud",
     "project_point",
+    "rectified_image",
+    "rectify",
     "refine_eye_camera",
     "save_head",
     "write_dataset",
@@ -79,6 +87,8 @@ _HOMES = {
     "geometry.kinematics": ("EyeAxes",),
     "geometry.projection": ("T_rcam_lcam", "project_point"),
     "interchange.formats": ("export_head", "import_head"),
+    "stereo.dense_depth": ("DenseDepth", "dense_depth", "point_cloud"),
+    "stereo.rectification": ("RectifiedPair", "rectified_image", "rectify"),
     "stereo.triangulation": ("Status", "in_body", "in_head"),
     "stereo.uncertainty": ("LocatedPoints", "locate"),
 }
