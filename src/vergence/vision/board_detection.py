@@ -106,17 +106,19 @@ def _markers_of_one_plane(grey: np.ndarray, board: Charuco) -> tuple[list[np.nda
     The tolerance, half a marker, is for distortion.
     """
     drawn = opencv_board(board)
-    corners, ids, _ = cv2.aruco.ArucoDetector(drawn.getDictionary()).detectMarkers(grey)
-    known = [] if ids is None else np.flatnonzero(np.isin(ids.ravel(), drawn.getIds()))
-    if ids is None or len(known) < 6:
-        return [], np.empty(0, int)
+    corners, found, _ = cv2.aruco.ArucoDetector(drawn.getDictionary()).detectMarkers(grey)
+    ids = np.empty(0, int) if found is None else np.asarray(found, int).ravel()
+    numbers = np.asarray(drawn.getIds(), int).ravel()
+    known = np.flatnonzero(np.isin(ids, numbers))
+    if len(known) < 6:
+        return [], ids[:0]
     centres = np.array([np.mean(quad, axis=0)[:2] for quad in drawn.getObjPoints()])
-    on_board = centres[[drawn.getIds().ravel().tolist().index(n) for n in ids.ravel()[known]]]
-    quads = np.array([corners[k].reshape(4, 2) for k in known])
+    on_board = centres[np.argmax(ids[known, None] == numbers, axis=1)]
+    quads = np.array([corners[int(k)].reshape(4, 2) for k in known])
     side = float(np.median(np.linalg.norm(np.diff(quads, axis=1), axis=-1)))
     _, inside = cv2.findHomography(on_board, quads.mean(axis=1), cv2.RANSAC, 0.5 * side)
     good = known[:0] if inside is None else known[np.asarray(inside, bool).ravel()]
-    return [corners[k] for k in good], ids[good]
+    return [corners[int(k)] for k in good], ids[good].astype(np.int32)
 
 
 def _shortest_diagonals(grid: Array) -> Array:
