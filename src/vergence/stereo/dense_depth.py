@@ -187,6 +187,8 @@ def _std_by_geometry(
     depth = (found.xyz - pair.T_lbase_rect[:3, 3]) @ axis
     variance = np.einsum("i,nij,j->n", axis, found.covariance, axis)
     std_px = np.sqrt(variance) * pair.matrix[0, 0] * pair.baseline_m / depth**2
+    if not np.isfinite(std_px).any():
+        return np.zeros((height, width))
     grid = np.where(np.isfinite(std_px), std_px, np.nanmedian(std_px)).reshape(
         len(rows), len(columns)
     )
