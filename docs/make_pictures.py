@@ -2,7 +2,7 @@
 
     vergence reproduce --out runs/paper
     vergence foveate --trials 10 --profile paper --out runs/foveate
-    python docs/make_pictures.py --paper runs/paper --gaze runs/foveate
+    python docs/make_pictures.py --paper runs/paper --gaze runs/foveate --scenes
 
 Screenshots are taken by rerun's viewer without a display, which needs a Vulkan driver (Debian:
 apt-get install mesa-vulkan-drivers).
@@ -80,6 +80,38 @@ def of_gaze(run: Path) -> None:
     write_small(IMAGES / "gaze.png", shrink(screenshot(run / "foveate.rrd", GAZE_S), 1440))
 
 
+def of_scenes() -> None:
+    """Make the pictures of the scenes, and of a rectified pair with its disparities."""
+    from vergence.paper.figures import eye_angles
+    from vergence.stereo.dense_depth import dense_depth
+    from vergence.stereo.rectification import rectified_image, rectify
+    from vergence.twin.calibration_sequence import straight_neck
+    from vergence.twin.head import Twin
+    from vergence.twin.profile import load_profile
+
+    posture = straight_neck(eye_angles("divergent", np.array(18.0)))
+    cameras = ("left_wide", "right_wide")
+    seen = []
+    for scene in ("room", "sparse", "moving"):
+        with Twin(load_profile("paper"), scene=scene) as twin:
+            twin.place_object(np.array([0.43, -0.02, -0.08]))
+            twin.advance(0.5, straight_neck(np.zeros(4)))
+            seen.append(twin.capture(("left_wide",)).images["left_wide"])
+            if scene != "room":
+                continue
+            twin.advance(1.0, posture)
+            images, angles = twin.capture(cameras).images, twin.true_angles()[3:]
+            pair = rectify(twin.truth, angles)
+            left, right = (images[name] for name in cameras)
+            found = dense_depth(twin.truth, angles, pair, left, right)
+            grey = np.nan_to_num(5 * found.disparity_px).clip(0, 255).astype(np.uint8)
+            shown = cv2.applyColorMap(grey, cv2.COLORMAP_TURBO)[..., ::-1]
+            shown[grey == 0] = 0
+            views = [found.image, rectified_image(pair.right, right), shown]
+            write_small(IMAGES / "dense_depth.png", shrink(np.hstack(views)[..., ::-1], 1200))
+    write_small(IMAGES / "scenes.png", shrink(np.hstack(seen)[..., ::-1], 1200))
+
+
 def picture(path: Path) -> np.ndarray:
     """Return an image (H, W, 3), BGR, from a file."""
     image = cv2.imread(str(path))
@@ -92,12 +124,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Make the pictures of the documents.")
     parser.add_argument("--paper", type=Path, help="folder that `vergence reproduce` wrote")
     parser.add_argument("--gaze", type=Path, help="folder that `vergence foveate` wrote")
+    parser.add_argument("--scenes", action="store_true", help="render the scenes, too")
     args = parser.parse_args()
     IMAGES.mkdir(exist_ok=True)
     if args.paper is not None:
         of_paper(args.paper)
     if args.gaze is not None:
         of_gaze(args.gaze)
+    if args.scenes:
+        of_scenes()
 
 
 if __name__ == "__main__":

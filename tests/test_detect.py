@@ -189,3 +189,17 @@ def test_detection_does_not_depend_on_the_number_of_threads(folder, monkeypatch)
     one = detect_target(dataset)
     for camera, corners in many.corners.items():
         np.testing.assert_array_equal(corners, one.corners[camera])
+
+
+def test_a_marker_of_the_family_beside_a_charuco_board_does_not_hide_it():
+    """OpenCV alone finds no board then."""
+    image, truth = picture(CHARUCO, held(0, shift=20), (280, 240))
+    family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    wide = np.full((240, 400), 200, np.uint8)
+    wide[:, :280] = image
+    wide[100:136, 330:366] = cv2.aruco.generateImageMarker(family, 7, 36)
+    found = detect_board(wide, CHARUCO)
+    assert found is not None
+    seen = np.isfinite(found[:, 0])
+    assert seen.sum() >= 12
+    np.testing.assert_allclose(found[seen], truth[seen], atol=0.1)

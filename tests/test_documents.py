@@ -355,6 +355,17 @@ def test_the_program_on_the_first_screen_finds_where_points_are(tmp_path, monkey
     assert capsys.readouterr().out.strip()
 
 
+def test_the_guide_to_dense_depth_runs(tmp_path, monkeypatch):
+    vergence.save_head(four_cameras(), tmp_path / "head.json")
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    for block in blocks("docs/depth.md"):
+        if block.language == "python":
+            exec(compile(block.text, "depth.md", "exec"), names)
+    assert names["found"].depth_m.shape == names["left"].shape[:2] == (480, 640)
+    assert not names["found"].textured.any()  # the images of the guide are black
+
+
 def test_the_guide_to_using_a_calibration_runs(tmp_path, monkeypatch, capsys):
     text = first("docs/calibration_file.md", "json")
     head = json.loads(text)

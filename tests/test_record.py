@@ -14,9 +14,10 @@ from vergence.commands.truth import Truth
 from vergence.data.dataset import Dataset
 from vergence.data.reader import load_dataset
 from vergence.data.timing import moved_readings
+from vergence.demos.depth import depth
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
-from vergence.geometry.head import T_base_cam
+from vergence.geometry.head import T_base_cam, save_head
 from vergence.geometry.kinematics import EYES, Kinematics
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import transform
@@ -61,6 +62,22 @@ def test_the_kinds_of_views_are_all_there(recorded):
     for name, corners in found.corners.items():
         views = np.isfinite(corners).all(axis=2).sum(axis=1) >= 6
         assert views.sum() >= 3, name
+
+
+def test_a_recorded_dataset_has_dense_depth_and_no_stated_error(recorded, tmp_path):
+    dataset, _, truth = recorded
+    save_head(truth.head, tmp_path / "head.json")
+    done = depth(
+        tmp_path / "depth",
+        dataset=dataset.folder,
+        calibration=tmp_path / "head.json",
+        profile=PROFILE,
+        pairs=2,
+    )
+    assert done.pairs == 2
+    assert done.joints is None
+    assert 0.05 < done.textured < done.matched < 1
+    assert (tmp_path / "depth" / "depth.rrd").stat().st_size > 100_000
 
 
 def test_nearly_every_image_shows_the_board(recorded):

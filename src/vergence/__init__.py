@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from vergence.geometry.kinematics import Joint, Kinematics
     from vergence.geometry.projection import T_rcam_lcam, project_point
     from vergence.interchange.formats import export_head, import_head
+    from vergence.stereo.dense_depth import DenseDepth, dense_depth, point_cloud
+    from vergence.stereo.rectification import RectifiedPair, rectified_image, rectify
     from vergence.stereo.triangulation import Status, in_body, in_head
     from vergence.stereo.uncertainty import LocatedPoints, combination, locate
 
@@ -37,6 +39,7 @@ __all__ = [
     "Charuco",
     "Chessboard",
     "Dataset",
+    "DenseDepth",
     "Frame",
     "HeadCalibration",
     "Joint",
@@ -44,12 +47,14 @@ __all__ = [
     "LocatedPoints",
     "MountedCamera",
     "Observations",
+    "RectifiedPair",
     "Status",
     "T_rcam_lcam",
     "VergenceError",
     "__version__",
     "calibrate",
     "combination",
+    "dense_depth",
     "detect_target",
     "export_head",
     "gaze_angles",
@@ -59,7 +64,10 @@ __all__ = [
     "load_dataset",
     "load_head",
     "locate",
+    "point_cloud",
     "project_point",
+    "rectified_image",
+    "rectify",
     "refine_eye_camera",
     "save_head",
     "write_dataset",
@@ -81,6 +89,8 @@ _HOMES = {
     "geometry.kinematics": ("Joint", "Kinematics"),
     "geometry.projection": ("T_rcam_lcam", "project_point"),
     "interchange.formats": ("export_head", "import_head"),
+    "stereo.dense_depth": ("DenseDepth", "dense_depth", "point_cloud"),
+    "stereo.rectification": ("RectifiedPair", "rectified_image", "rectify"),
     "stereo.triangulation": ("Status", "in_body", "in_head"),
     "stereo.uncertainty": ("LocatedPoints", "combination", "locate"),
 }

@@ -24,6 +24,9 @@ from vergence.errors import VergenceError
 from vergence.progress import Progress
 from vergence.writing import as_json, check_outputs, finished_files, unfinished, write_json
 
+Scene = Literal["room", "sparse", "moving"]
+"""As `twin.scene` has it, which cannot be imported before it is known that OpenGL is needed."""
+
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
@@ -37,6 +40,7 @@ def reproduce(
     out: Path = Path("runs/paper"),
     figures: tuple[int, ...] = (6, 7, 8, 9, 10, 11),
     profile: str = "paper",
+    scene: Scene = "room",
     seed: int = 0,
     duration: float | None = None,
     rate: float | None = None,
@@ -47,6 +51,7 @@ def reproduce(
         out: Folder for recordings, plots, report and statistics.
         figures: Numbers of the figures.
         profile: Error profile: ideal, paper, noise-only, or a TOML file.
+        scene: What the head looks at.
         seed: Seed of everything random.
         duration: Length of each figure [s]; default: its full combined period, at least 60 s.
         rate: Samples per second [Hz]; default: 640 samples per figure.
@@ -66,6 +71,7 @@ def reproduce(
             out,
             figures=figures,
             profile=chosen,
+            scene=scene,
             seed=seed,
             duration_s=duration,
             rate_hz=rate,
@@ -84,6 +90,7 @@ def record(
     *,
     out: Path,
     profile: str = "ideal",
+    scene: Scene = "room",
     seed: int = 0,
     frames: int = 60,
     lens: Literal["2.8mm", "4.0mm"] = "2.8mm",
@@ -95,6 +102,7 @@ def record(
     Args:
         out: Folder, new or empty.
         profile: Error profile: ideal, paper, noise-only, or a TOML file.
+        scene: What the head looks at.
         seed: Seed of everything random.
         frames: Number of frames with the eyes at rest.
         lens: Focal length of the wide cameras.
@@ -108,6 +116,7 @@ def record(
         images = run(
             out,
             profile=load_profile(profile),
+            scene=scene,
             seed=seed,
             frames=frames,
             lens=lens,
@@ -419,6 +428,8 @@ class Experiment:
     """Seed of everything random."""
     profile: str = "ideal"
     """Error profile: ideal, paper, noise-only, or a TOML file."""
+    scene: Scene = "room"
+    """What the head looks at."""
     out: Path | None = None
     """Folder for the results of each trial, and for a recording of the run."""
     json: Path | None = None
@@ -465,6 +476,53 @@ def track(*, seconds: float = 60.0, options: Options = DEFAULT) -> None:
     _experiment("track", lambda **common: run(seconds=seconds, **common), options)
 
 
+def depth(
+    dataset: Annotated[Path | None, tyro.conf.Positional] = None,
+    /,
+    *,
+    out: Path,
+    twin: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    calibration: Path | None = None,
+    profile: str = "paper",
+    scene: Scene = "room",
+    seed: int = 0,
+    pairs: int = 20,
+) -> None:
+    """Compute the depth of every pixel from rectified pairs, of the twin or of a dataset.
+
+    Args:
+        dataset: Folder with dataset.json, frames.csv and images; none with --twin.
+        out: Folder for depth.rrd, depth.json and report.md.
+        twin: Use the twin, with its eyes in divergent motion, and state the error of the depth.
+        calibration: JSON file that `vergence calibrate` wrote; the twin can do without.
+        profile: Error profile of the twin: ideal, paper, noise-only, or a TOML file.
+        scene: Scene that the twin looks at.
+        seed: Seed of everything random on the twin.
+        pairs: Number of pairs; of a dataset at most so many.
+    """
+    if twin == (dataset is not None):
+        found = "both" if twin else "neither"
+        raise VergenceError(f"Depth is of a dataset or, with --twin, of the twin; found {found}.")
+    from vergence.demos.depth import as_markdown
+    from vergence.demos.depth import depth as run
+    from vergence.twin.profile import load_profile
+
+    _say_if_unfinished(out)
+    with _progress() as progress:
+        done = run(
+            out,
+            dataset=dataset,
+            calibration=calibration,
+            profile=load_profile(profile),
+            scene=scene,
+            seed=seed,
+            pairs=pairs,
+            progress=progress,
+        )
+    print(as_markdown(done), end="")
+    print(f"To view the recording: {invocation('rerun', out / 'depth.rrd')}")
+
+
 def _experiment(name: str, run: Callable[..., DataclassInstance], options: Experiment) -> None:
     """Run an experiment, print and write its summary, and say how to view its recording."""
     from vergence.twin.profile import load_profile
@@ -473,7 +531,13 @@ def _experiment(name: str, run: Callable[..., DataclassInstance], options: Exper
     check_outputs(options.json, folder=options.out)
     _say_if_unfinished(options.out)
     with _progress() as progress:
-        found = run(seed=options.seed, profile=profile, out=options.out, progress=progress)
+        found = run(
+            seed=options.seed,
+            profile=profile,
+            scene=options.scene,
+            out=options.out,
+            progress=progress,
+        )
     if options.json is not None:
         write_json(found, options.json)
     print(as_json(found), end="")
@@ -523,6 +587,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "foveate": foveate,
     "track": track,
     "grasp": grasp,
+    "depth": depth,
 }
 
 

@@ -31,6 +31,7 @@ from vergence.twin.calibration_sequence import (
 )
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile, Lens
+from vergence.twin.scene import Scene
 from vergence.writing import as_json, check_new
 
 Target = Literal["chessboard", "charuco"]
@@ -60,6 +61,7 @@ def record(
     out: Path,
     *,
     profile: ErrorProfile,
+    scene: Scene = "room",
     seed: int = 0,
     frames: int = FRAMES,
     lens: Lens = "2.8mm",
@@ -72,6 +74,7 @@ def record(
     Args:
         out: folder that is new or empty.
         profile: the error profile of the twin.
+        scene: what the head looks at.
         seed: of everything random.
         frames: number of frames with the eyes at rest.
         lens: of the wide cameras.
@@ -98,7 +101,7 @@ def record(
     board: Board = charuco or BOARD
     true_angles: list[Array] = []
     images = 0
-    with Twin(profile, seed=seed, lens=lens, board=charuco) as twin:
+    with Twin(profile, seed=seed, lens=lens, board=charuco, scene=scene) as twin:
         shots = _shots(twin, board, seed, frames)
         total = len(shots) + moving
         task = f"recording {total} frames"

@@ -14,6 +14,7 @@ from vergence.errors import VergenceError
 from vergence.gaze.state import GazeSettings
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
+from vergence.twin.scene import Scene
 from vergence.twin.simulated_robot import calibrate_twin
 from vergence.writing import write_json
 
@@ -33,9 +34,11 @@ def p95(values: Sequence[float] | Array) -> float:
 
 
 @contextmanager
-def calibrated_twin(profile: ErrorProfile, seed: int) -> Iterator[tuple[Twin, GazeSettings]]:
+def calibrated_twin(
+    profile: ErrorProfile, seed: int, scene: Scene
+) -> Iterator[tuple[Twin, GazeSettings]]:
     """Give a `with` block a calibrated twin, and the settings of its gaze controller."""
-    with Twin(profile, seed=seed) as twin:
+    with Twin(profile, seed=seed, scene=scene) as twin:
         yield twin, calibrate_twin(twin, seed)
 
 

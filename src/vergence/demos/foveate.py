@@ -23,6 +23,7 @@ from vergence.gaze.state import GazePhase, GazeSettings, GazeState, initial_gaze
 from vergence.progress import Progress, silent
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
+from vergence.twin.scene import Scene
 from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors, unoccluded
 from vergence.viewer.opening import markdown_table
 from vergence.viewer.plots_depth import depth
@@ -156,6 +157,7 @@ def foveate(
     trials: int = 100,
     seed: int = 0,
     profile: ErrorProfile,
+    scene: Scene = "room",
     out: Path | None = None,
     progress: Progress = silent,
 ) -> tuple[Summary, list[Trial]]:
@@ -165,6 +167,7 @@ def foveate(
         trials: number of objects.
         seed: of everything random.
         profile: imperfections of the head.
+        scene: what the head looks at.
         out: folder for foveate.json, the recording foveate.rrd of the first RECORDED trials, and
             depth.png; None: nothing is written.
         progress: is called after each trial.
@@ -176,7 +179,7 @@ def foveate(
     made: list[Trial] = []
     progress("foveate, trials", 0, trials)
     with (
-        calibrated_twin(profile, seed) as (twin, settings),
+        calibrated_twin(profile, seed, scene) as (twin, settings),
         recorded(out, "foveate", twin, settings, seed=seed, reach_m=DEPTH_M[1], speed=PLAYBACK) as (
             watch,
             report,

@@ -24,6 +24,7 @@ from vergence.reach.state import ReachPhase, ReachSettings, ReachState, initial_
 from vergence.twin.hand import SimulatedHand, arm_mounting_error
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
+from vergence.twin.scene import Scene
 from vergence.twin.simulated_robot import SimulatedHead
 from vergence.viewer.opening import markdown_table
 
@@ -162,6 +163,7 @@ def grasp(
     trials: int = 10,
     seed: int = 0,
     profile: ErrorProfile,
+    scene: Scene = "room",
     out: Path | None = None,
     progress: Progress = silent,
 ) -> tuple[Summary, list[Trial]]:
@@ -171,6 +173,7 @@ def grasp(
         trials: number of objects; each has its own path, and its own mounting error of the arm.
         seed: of everything random.
         profile: imperfections of the head.
+        scene: what the head looks at.
         out: folder for grasp.json, and the recording grasp.rrd of the first RECORDED trials; None:
             nothing is written.
         progress: is called after each trial.
@@ -182,7 +185,7 @@ def grasp(
     made: list[Trial] = []
     progress("grasp, trials", 0, trials)
     with (
-        calibrated_twin(profile, seed) as (twin, gaze),
+        calibrated_twin(profile, seed, scene) as (twin, gaze),
         recorded(out, "grasp", twin, gaze, seed=seed, reach_m=FAR_M[0], speed=0.5, hand=True) as (
             watch,
             report,

@@ -23,6 +23,7 @@ from vergence.progress import Progress, silent
 from vergence.stereo.triangulation import in_body, triangulate_at
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
+from vergence.twin.scene import Scene
 from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors, in_all_foveas
 from vergence.vision.sphere import find_sphere
 
@@ -174,6 +175,7 @@ def track(
     seconds: float = 60.0,
     seed: int = 0,
     profile: ErrorProfile,
+    scene: Scene = "room",
     out: Path | None = None,
     progress: Progress = silent,
 ) -> Summary:
@@ -183,6 +185,7 @@ def track(
         seconds: length of the run.
         seed: of everything random.
         profile: imperfections of the head.
+        scene: what the head looks at.
         out: folder for track.json and track.rrd; None: nothing is written.
         progress: is called with the seconds so far after every state.
 
@@ -192,7 +195,7 @@ def track(
     if not SHORTEST_S <= seconds <= LONGEST_S:
         raise VergenceError(f"A run takes {SHORTEST_S:.0f} to {LONGEST_S:.0f} s, found {seconds}.")
     with (
-        calibrated_twin(profile, seed) as (twin, settings),
+        calibrated_twin(profile, seed, scene) as (twin, settings),
         recorded(out, "track", twin, settings, seed=seed, reach_m=DEPTH_M[1]) as (record, report),
     ):
         hidden_s = float(np.random.default_rng([seed, 7]).uniform(0.3, 0.6)) * seconds

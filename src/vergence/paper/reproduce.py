@@ -25,6 +25,7 @@ from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import capture_views, plan
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
+from vergence.twin.scene import Scene
 from vergence.viewer.frame import log_frame
 from vergence.viewer.opening import log_report
 from vergence.writing import check_outputs, results_folder, write_json, write_whole
@@ -39,6 +40,7 @@ def reproduce(
     figures: Sequence[int],
     profile: ErrorProfile,
     seed: int,
+    scene: Scene = "room",
     duration_s: float | None = None,
     rate_hz: float | None = None,
     progress: Progress = silent,
@@ -52,6 +54,7 @@ def reproduce(
         figures: numbers of the paper's figures.
         profile: the error profile of the twin.
         seed: of everything random.
+        scene: what the head looks at.
         duration_s: length of each replay; None: its full combined period, at least 60 s.
         rate_hz: samples per second; None: 640 samples per figure.
         progress: is called after each view of a calibration and each sample of a figure.
@@ -62,7 +65,7 @@ def reproduce(
     chosen = check(out, figures=figures, seed=seed, duration_s=duration_s, rate_hz=rate_hz)
     done = Reproduction(profile, seed, {}, {}, {})
     with results_folder(out):
-        _replay_all(out, chosen, done, duration_s, rate_hz, progress)
+        _replay_all(out, chosen, done, scene, duration_s, rate_hz, progress)
     return done
 
 
@@ -70,6 +73,7 @@ def _replay_all(
     out: Path,
     chosen: Sequence[Figure],
     done: Reproduction,
+    scene: Scene,
     duration_s: float | None,
     rate_hz: float | None,
     progress: Progress,
@@ -78,7 +82,7 @@ def _replay_all(
     profile, seed = done.profile, done.seed
     try:
         for lens, through_it in groupby(chosen, attrgetter("lens")):
-            with Twin(profile, seed=seed, lens=lens) as twin:
+            with Twin(profile, seed=seed, lens=lens, scene=scene) as twin:
                 found = _calibrate(twin, lens, seed, progress)
                 save_head(found.head, out / f"calibration-{lens}.json")
                 done.calibrations[lens] = found

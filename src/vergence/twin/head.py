@@ -30,6 +30,7 @@ from vergence.twin.model import (
 )
 from vergence.twin.profile import ErrorProfile, Lens
 from vergence.twin.renderer import Negative, Renderer, overscan_sizes
+from vergence.twin.scene import PASSER, Scene, passer_position
 from vergence.twin.sensors import play, read, sensor_columns
 
 _TICK_STEPS = 5
@@ -52,7 +53,8 @@ class Exposure:
 class Twin:
     """A simulated head in its room. Use it in a `with` block: it holds OpenGL's resources.
 
-    `truth` and `true_angles` are for evaluation only: nothing that estimates may ask for them.
+    `truth` and all that begins with `true_` are for evaluation only: nothing that estimates may ask
+    for them.
     """
 
     def __init__(
@@ -64,20 +66,23 @@ class Twin:
         board: Charuco | None = None,
         card: Card | None = None,
         kinematics: Kinematics | None = None,
+        scene: Scene = "room",
     ):
         """Build a head with wide cameras of a lens, and with the imperfections of a profile.
 
         The same seed gives the same head, whatever the lens. A board replaces the scene's
         chessboard, a card the red sphere that is its object. The eyes have two joints each; by
-        default pan, then tilt. VergenceError if there is no OpenGL, the model cannot be loaded, the
-        eyes have another number of joints, or the seed is negative.
+        default pan, then tilt. VergenceError if there is no OpenGL, the model or the scene cannot
+        be loaded, the eyes have another number of joints, or the seed is negative.
         """
         if seed < 0:
             raise VergenceError(f"The seed must be a whole number from 0, found {seed}.")
         self.profile = profile
         self.nominal: HeadCalibration = nominal_head(lens, kinematics)
         self.truth: HeadCalibration = as_built_head(self.nominal, profile, seed)
-        self.model = compile_head(self.truth, overscan_sizes(self.truth), board=board, card=card)
+        sizes = overscan_sizes(self.truth)
+        self.model = compile_head(self.truth, sizes, board=board, card=card, scene=scene)
+        self._passes = scene == "moving"
         self._data = mujoco.MjData(self.model)
         self._seen = mujoco.MjData(self.model)  # the pose at which pictures are taken
         self._seed = seed
@@ -172,6 +177,9 @@ class Twin:
         self._seen.qpos[self._addresses] = self._mixing @ self._at(self._true, image_s)
         self._seen.mocap_pos[:] = self._data.mocap_pos
         self._seen.mocap_quat[:] = self._data.mocap_quat
+        if self._passes:
+            passer = self.model.body(PASSER).mocapid[0]
+            self._seen.mocap_pos[passer] = self._passer(image_s)
         mujoco.mj_kinematics(self.model, self._seen)
         mujoco.mj_camlight(self.model, self._seen)
         negatives = tuple(self._renderer.expose(self._seen, name) for name in cameras)
@@ -181,6 +189,11 @@ class Twin:
         neck_angles, now = sensed[: len(NECK_JOINTS)], self.time_s
         return Exposure(Frame(now, now, eye_angles, neck_angles, {}), negatives)
 
+    def _passer(self, time_s: float) -> Array:
+        """Return where the passing object is: not before a board that is being shown."""
+        board = self._data.mocap_pos[self.model.body("board").mocapid[0]]
+        return passer_position(time_s) if (board == _AWAY).all() else _AWAY
+
     def develop(self, exposure: Exposure) -> Frame:
         """Finish the pictures of an exposure; may run in another thread than expose."""
         images = {n.camera: self._renderer.develop(n) for n in exposure.negatives}
@@ -189,6 +202,10 @@ class Twin:
     def capture(self, cameras: Sequence[str] = CAMERAS) -> Frame:
         """Take a frame and finish its pictures."""
         return self.develop(self.expose(cameras))
+
+    def true_depth(self, camera: str) -> Array:
+        """Return the depth (H, W) [m] along the optical axis of a camera, at the last exposure."""
+        return self._renderer.true_depth(self._seen, camera)
 
     def T_world_lbase(self) -> Array:
         """Return the pose (4, 4) of the left eye's base frame in the world."""

@@ -23,6 +23,7 @@ from vergence.geometry.se3 import pose, rotation
 from vergence.twin.board import put_charuco
 from vergence.twin.card import Card, put_card
 from vergence.twin.profile import ErrorProfile, Lens
+from vergence.twin.scene import Scene, load_scene
 
 CAMERAS = ("left_wide", "right_wide", "left_narrow", "right_narrow")
 
@@ -42,13 +43,9 @@ def model_folder() -> Path:
     return packaged if packaged.is_dir() else Path(__file__).parents[3] / "models" / "cbi_head"
 
 
-def load_spec() -> mujoco.MjSpec:
-    """Read the scene: the head, a room, the calibration board and the object."""
-    path = model_folder() / "scene.xml"
-    try:
-        return mujoco.MjSpec.from_file(str(path))
-    except ValueError as error:
-        raise VergenceError(f"Cannot load the model {path}: {error}.") from error
+def load_spec(scene: Scene = "room") -> mujoco.MjSpec:
+    """Read a scene by its name: the head, a room, the calibration board, the object, the hand."""
+    return load_scene(model_folder(), scene)
 
 
 HINGES: dict[Side, tuple[str, str]] = {
@@ -158,6 +155,7 @@ def compile_head(
     *,
     board: Charuco | None = None,
     card: Card | None = None,
+    scene: Scene = "room",
 ) -> mujoco.MjModel:
     """Compile the scene with the head as given.
 
@@ -167,8 +165,9 @@ def compile_head(
             length; the image lies in the middle of it.
         board: replaces the scene's chessboard.
         card: replaces the sphere that is the scene's object.
+        scene: the name of the scene.
     """
-    spec = load_spec()
+    spec = load_spec(scene)
     if board is not None:
         put_charuco(spec, board)
     if card is not None:

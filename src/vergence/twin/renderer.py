@@ -22,7 +22,7 @@ from vergence.geometry.head import HeadCalibration
 from vergence.twin import no_opengl
 from vergence.twin.profile import Image
 
-OVERSAMPLING = 2
+OVERSAMPLING = 1.5
 """Oversampling along each axis of an image that is distorted afterwards: interpolation between
 pixels of the camera's own size would shift corners by 0.01 px, in every image alike."""
 _NOISE_MARGIN = 256  # the noise of an image is a window of a larger one, at one of 256 x 256 places
@@ -104,7 +104,7 @@ class Renderer:
         try:
             for name, (width, height) in sizes.items():
                 finer = OVERSAMPLING if name in self._maps else 1
-                self._sizes[name] = size = finer * width, finer * height
+                self._sizes[name] = size = round(finer * width), round(finer * height)
                 if size in self._renderers:
                     continue
                 buffer.offwidth, buffer.offheight = size
@@ -145,6 +145,20 @@ class Renderer:
             window = self._noise[v : v + image.shape[0], u : u + image.shape[1]]
             image = cv2.add(image, window, dtype=cv2.CV_8U)
         return image
+
+    def true_depth(self, data: mujoco.MjData, camera: str) -> Array:
+        """Return the depth (H, W) [m] along a camera's optical axis, of each of its pixels."""
+        renderer = self._renderers[self._sizes[camera]]
+        renderer.update_scene(data, camera=camera)
+        renderer.enable_depth_rendering()
+        try:
+            depth = renderer.render()
+        finally:
+            renderer.disable_depth_rendering()
+        if camera in self._maps:  # no mean of what is before and behind an edge
+            x, y = self._maps[camera]
+            depth = cv2.remap(depth, x, y, cv2.INTER_NEAREST)
+        return depth.astype(float)
 
     def close(self) -> None:
         """Release OpenGL's resources."""

@@ -75,6 +75,12 @@ def _detect_charuco(grey: np.ndarray, board: Charuco) -> Array | None:
     scale = 2 if grey.size < MAX_UPSAMPLED_PX else 1
     large = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
     found, numbers, _, _ = detector.detectBoard(large)
+    if found is None:  # OpenCV gives up on a board if a marker of its family is read elsewhere
+        corners_px, ids = _markers_of_one_plane(large, board)
+        if len(ids):
+            found, numbers, _, _ = detector.detectBoard(
+                large, markerCorners=corners_px, markerIds=ids
+            )
     if found is None or numbers is None or not len(numbers):
         return None
     corners = np.full((board.rows * board.columns, 2), np.nan)
@@ -92,6 +98,27 @@ def _detect_charuco(grey: np.ndarray, board: Charuco) -> Array | None:
     corners = refine_corners(grey, grid, CLEARANCE_FRACTION * distances, half_widths).reshape(-1, 2)
     _reject_misread(corners, corner_points(board)[:, :2], 0.3 * float(np.nanmedian(shortest)))
     return corners if np.isfinite(corners).any() else None
+
+
+def _markers_of_one_plane(grey: np.ndarray, board: Charuco) -> tuple[list[np.ndarray], np.ndarray]:
+    """Return corners and numbers of the markers that lie as on the board: others were misread.
+
+    The tolerance, half a marker, is for distortion.
+    """
+    drawn = opencv_board(board)
+    corners, found, _ = cv2.aruco.ArucoDetector(drawn.getDictionary()).detectMarkers(grey)
+    ids = np.empty(0, int) if found is None else np.asarray(found, int).ravel()
+    numbers = np.asarray(drawn.getIds(), int).ravel()
+    known = np.flatnonzero(np.isin(ids, numbers))
+    if len(known) < 6:
+        return [], ids[:0]
+    centres = np.array([np.mean(quad, axis=0)[:2] for quad in drawn.getObjPoints()])
+    on_board = centres[np.argmax(ids[known, None] == numbers, axis=1)]
+    quads = np.array([corners[int(k)].reshape(4, 2) for k in known])
+    side = float(np.median(np.linalg.norm(np.diff(quads, axis=1), axis=-1)))
+    _, inside = cv2.findHomography(on_board, quads.mean(axis=1), cv2.RANSAC, 0.5 * side)
+    good = known[:0] if inside is None else known[np.asarray(inside, bool).ravel()]
+    return [corners[int(k)] for k in good], ids[good].astype(np.int32)
 
 
 def _shortest_diagonals(grid: Array) -> Array:

@@ -6,6 +6,10 @@ of the ellipse in the undistorted plane z = 1, with each pixel weighted by the p
 sphere covers. They determine the cone of rays that touch the sphere, whose axis passes through the
 sphere's centre.
 
+A lit sphere is brighter on one side, and what is behind it may have some of its colour. The part of
+a pixel that it covers is therefore taken from the shading that its inner pixels show, continued to
+its rim, and from the background that is seen beside it.
+
 Undistorting every pixel would be slow. The undistorted position is a smooth function of the pixel,
 so it is interpolated between Chebyshev points of the sphere's window: each point gets the coverage
 of the pixels around it as a weight, and only these points are undistorted.
@@ -32,6 +36,12 @@ _THRESHOLD = 100  # grey levels of colour contrast above which a pixel belongs t
 _BAND_ROWS = 96  # processed at a time: allocating memory for a whole image is slow
 _MARGIN_PX = 3  # for soft edges: blur and anti-aliasing extend over two pixels, plus a reserve
 _MIN_PIXELS = 4
+_EDGE_PX = 1.9
+"""Distance from the outline beyond which a pixel is wholly covered, or not at all."""
+_NEARBY = (9, 9)  # pixels across: as far as the edge's outer side is seen from its inner one
+_SHADED_PIXELS = 12
+"""Least number of inner pixels for which shading is fitted: a smaller sphere is taken as even."""
+_FITTED_PIXELS = 1000  # about how many inner pixels of a large sphere are enough
 _POINTS = np.asarray(chebpts2(16), dtype=float)
 """Chebyshev points along each side of a window. Near the corner of a wide lens's image they
 interpolate windows of 120 px to 1e-10 px, and the whole image to 3e-4 px."""
@@ -71,8 +81,8 @@ def find_sphere(
 ) -> Array:
     """Return the pixel (2,) of the centre of a coloured sphere, distortion included.
 
-    For a sphere of uniform colour before a grey background the centroid is exact, however the
-    camera averages over a pixel, since colour contrast is then proportional to coverage.
+    For a matt sphere of one colour the centroid is exact, however the camera averages over a pixel,
+    since colour contrast is proportional to coverage.
 
     Args:
         image: (H, W, 3) uint8, RGB.
@@ -129,8 +139,7 @@ def _centre(
 ) -> Array:
     """Return the centre (2,) [px] of the sphere in these rows and columns; NaN: beyond the lens."""
     own, *others = np.moveaxis(image[rows, columns, planes].astype(float), -1, 0)
-    contrast = own - 0.5 * (others[0] + others[1])
-    cover = contrast / np.median(contrast[contrast > _THRESHOLD])
+    cover = _coverage(own - 0.5 * (others[0] + others[1]))
     u, by_u = _interpolation(columns.start, columns.stop)
     v, by_v = _interpolation(rows.start, rows.stop)
     xy = normalise(camera, np.stack(np.broadcast_arrays(u, v[:, None]), axis=-1))
@@ -142,6 +151,50 @@ def _centre(
         return np.full(2, np.nan)
     centroid = weights.ravel() @ xy.reshape(-1, 2) / area
     return project(camera, _cone_axis(centroid, area))
+
+
+def _coverage(contrast: Array) -> Array:
+    """Return the part (H, W) of each pixel that the sphere covers, from its colour contrast."""
+    typical = float(np.median(contrast[contrast > _THRESHOLD]))
+    mask = (contrast > 0.5 * typical).astype(np.uint8)
+    inside = cv2.distanceTransform(mask, cv2.DIST_L2, 5) > _EDGE_PX
+    outside = cv2.distanceTransform(1 - mask, cv2.DIST_L2, 5) > _EDGE_PX
+    light = _shading(contrast, mask, inside, typical)
+    light = np.maximum(light + _nearby(contrast - light, inside), 0.5 * typical)
+    background = _nearby(contrast, outside)
+    edge = (contrast - background) / (light - background)
+    return np.where(inside, 1.0, np.where(outside, 0.0, edge))
+
+
+def _nearby(values: Array, where: np.ndarray) -> Array:
+    """Return the mean (H, W) of the values around each pixel that are somewhere; 0: none is."""
+    weight = cv2.blur(where.astype(float), _NEARBY)
+    return cv2.blur(values * where, _NEARBY) / np.maximum(weight, 1e-9)
+
+
+def _shading(contrast: Array, mask: np.ndarray, inside: np.ndarray, typical: float) -> Array:
+    """Return the contrast (H, W) that the sphere has where it covers a pixel, continued outwards.
+
+    Light that comes from one side, or from everywhere, makes a matt surface's brightness a linear
+    function of its normal, which is fitted to the inner pixels.
+    """
+    v, u = (where.astype(float) for where in np.nonzero(inside))
+    if len(v) < _SHADED_PIXELS:
+        return np.full(contrast.shape, typical)
+    moments = cv2.moments(mask, binaryImage=True)
+    centre_u, centre_v = moments["m10"] / moments["m00"], moments["m01"] / moments["m00"]
+    radius = sqrt(moments["m00"] / pi)
+
+    def normals(v: Array, u: Array) -> Array:
+        x, y = (u - centre_u) / radius, (v - centre_v) / radius
+        z = np.sqrt(np.maximum(1 - x * x - y * y, 0))
+        return np.stack([np.ones_like(x), x, y, z], axis=-1)
+
+    some = slice(None, None, 1 + len(v) // _FITTED_PIXELS)
+    v, u = v[some], u[some]
+    light = np.linalg.lstsq(normals(v, u), contrast[inside][some], rcond=None)[0]
+    rows, columns = np.indices(contrast.shape).astype(float)
+    return normals(rows, columns) @ light
 
 
 def _interpolation(begin: int, end: int) -> tuple[Array, Array]:

@@ -1,0 +1,203 @@
+"""Depth of every pixel of a rectified pair, by OpenCV's semi-global matcher, and how well known.
+
+Matching: Hirschmueller, "Stereo processing by semiglobal matching and mutual information" (2008),
+as cv2.StereoSGBM has it. The standard deviation has two parts: what texture leaves open, and what
+the calibration and the joint readings do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vergence.arrays import Array
+from vergence.errors import VergenceError
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.se3 import transform
+from vergence.stereo.rectification import RectifiedPair, rectified_image, rectified_points
+from vergence.stereo.uncertainty import locate
+
+NEAREST_M = 0.3
+"""Default least depth that is sought."""
+BLOCK_PX = 5
+"""Side of the blocks that are compared."""
+NOISE_GREY = 3.0
+"""Noise of a rectified image, with what interpolation adds [grey levels]."""
+LEAST_STD_PX = 0.15
+"""Standard deviation of a disparity where texture is strong: the matcher's own interpolation."""
+TEXTURED_PX = 0.4
+"""Standard deviation by texture up to which a pixel counts as textured."""
+_SMOOTH = 8, 32  # of the squared block: OpenCV's advice for P1 and P2
+_GRID_PX = 32  # the calibration's part changes slowly over the image
+_LARGEST_DISPARITY_SHARE = 0.5  # of the image's width
+
+
+@dataclass(frozen=True, eq=False)
+class DenseDepth:
+    """Depth of the pixels of a left rectified image."""
+
+    disparity_px: Array
+    """(H, W), left column minus right column; NaN: no match."""
+    depth_m: Array
+    """(H, W), along the z axis of the left rectified camera; NaN: no match."""
+    std_m: Array
+    """(H, W) standard deviation of the depth; of the matching alone where neither calibration nor
+    readings state any noise. It does not describe wrong matches."""
+    textured: np.ndarray
+    """(H, W) of bool: matched, where texture determines the disparity to TEXTURED_PX."""
+    image: np.ndarray
+    """(H, W, 3) uint8: the left rectified image."""
+
+
+def dense_depth(
+    head: HeadCalibration,
+    joints: Array,
+    pair: RectifiedPair,
+    left: np.ndarray,
+    right: np.ndarray,
+    *,
+    cameras: tuple[str, str] | None = None,
+    nearest_m: float = NEAREST_M,
+    joint_std_rad: ArrayLike | None = None,
+) -> DenseDepth:
+    """Return the depth of the pixels of a left image.
+
+    Args:
+        head: of which the pair was made; its accuracy, where it has one, enters into the std.
+        joints: the readings that the pair was made of.
+        pair: how to rectify the images.
+        left: (H, W, 3) uint8 RGB image of the pair's left camera.
+        right: of its right one.
+        cameras: the names of the two; None: the main ones.
+        nearest_m: least depth that is sought.
+        joint_std_rad: noise of the readings, as in `uncertainty.locate`.
+
+    Raises:
+        VergenceError: the nearest depth is not positive, or its disparity exceeds the image.
+    """
+    width = pair.left.map_x.shape[1]
+    scale = pair.matrix[0, 0] * pair.baseline_m
+    if not nearest_m > 0 or scale / nearest_m > _LARGEST_DISPARITY_SHARE * width:
+        least = scale / (_LARGEST_DISPARITY_SHARE * width)
+        raise VergenceError(
+            f"The nearest depth is from {least:.2g} m for these cameras, found {nearest_m:g} m."
+        )
+    colour = rectified_image(pair.left, left)
+    grey = [
+        cv2.cvtColor(each, cv2.COLOR_RGB2GRAY)
+        for each in (colour, rectified_image(pair.right, right))
+    ]
+    disparity = _match(grey[0], grey[1], scale / nearest_m)
+    u, v = np.meshgrid(*map(np.arange, disparity.shape[::-1]))
+    opposite = np.round(u - np.nan_to_num(disparity)).astype(int)
+    whole = [_whole(view.seen) for view in (pair.left, pair.right)]
+    disparity[~(whole[0] & (opposite >= 0) & whole[1][v, opposite])] = np.nan
+    pixels = np.stack([u, v], axis=-1).astype(float)
+    depth = rectified_points(pair, pixels, disparity)[..., 2]
+    by_texture = _std_by_texture(grey[0])
+    by_geometry = _std_by_geometry(head, joints, pair, disparity, cameras, joint_std_rad)
+    std_px = np.hypot(by_texture, by_geometry)
+    return DenseDepth(
+        disparity_px=disparity,
+        depth_m=depth,
+        std_m=depth**2 / scale * std_px,
+        textured=np.isfinite(depth) & (by_texture <= TEXTURED_PX),
+        image=colour,
+    )
+
+
+def _match(left: np.ndarray, right: np.ndarray, largest_px: float) -> Array:
+    """Return disparities (H, W) [px]; NaN: none, or one that the right image does not confirm."""
+    span = 16 * int(np.ceil((largest_px + 1) / 16))
+    matcher = cv2.StereoSGBM.create(
+        minDisparity=0,
+        numDisparities=span,
+        blockSize=BLOCK_PX,
+        P1=_SMOOTH[0] * BLOCK_PX**2,
+        P2=_SMOOTH[1] * BLOCK_PX**2,
+        disp12MaxDiff=1,
+        uniquenessRatio=10,
+        speckleWindowSize=100,
+        speckleRange=2,
+        mode=cv2.StereoSGBM_MODE_SGBM_3WAY,
+    )
+    # Columns without a counterpart are searched too, in a margin.
+    padded = [cv2.copyMakeBorder(i, 0, 0, span, 0, cv2.BORDER_REPLICATE) for i in (left, right)]
+    found = matcher.compute(*padded)[:, span:].astype(float) / 16
+    return np.where(found > 0, found, np.nan)
+
+
+def _whole(seen: np.ndarray) -> np.ndarray:
+    """Return (H, W) whether the whole block around a pixel is seen."""
+    return cv2.erode(seen.astype(np.uint8), np.ones((BLOCK_PX, BLOCK_PX), np.uint8)) > 0
+
+
+def _std_by_texture(grey: np.ndarray) -> Array:
+    """Return the standard deviation (H, W) [px] of a block's match: its Cramer-Rao bound.
+
+    With both images as noisy as each other the variance is 2 noise^2 / sum of dI/du^2; the
+    matcher's own error is added.
+    """
+    slope = cv2.Scharr(grey, cv2.CV_32F, 1, 0) / 32
+    energy = cv2.boxFilter(slope * slope, -1, (BLOCK_PX, BLOCK_PX), normalize=False)
+    return np.sqrt(LEAST_STD_PX**2 + 2 * NOISE_GREY**2 / np.maximum(energy.astype(float), 1e-6))
+
+
+def _std_by_geometry(
+    head: HeadCalibration,
+    joints: Array,
+    pair: RectifiedPair,
+    disparity: Array,
+    cameras: tuple[str, str] | None,
+    joint_std_rad: ArrayLike | None,
+) -> Array:
+    """Return what calibration and readings leave open (H, W), as an error of disparity [px].
+
+    That hardly depends on the depth and changes slowly over the image: it is computed at some
+    pixels and interpolated. Zero where the head states no accuracy.
+    """
+    height, width = disparity.shape
+    stated = head.accuracy is not None or joint_std_rad is not None
+    if not stated or not np.isfinite(disparity).any():
+        return np.zeros((height, width))
+    rows, columns = (np.arange(_GRID_PX // 2, n, _GRID_PX) for n in (height, width))
+    typical = np.nanmedian(disparity)
+    v, u = (each.ravel() for each in np.meshgrid(rows, columns, indexing="ij"))
+    d = np.where(np.isfinite(disparity[v, u]), disparity[v, u], typical)
+    d = np.minimum(d, u)
+    opposite = np.round(u - d).astype(int)
+    seen = pair.left.seen[v, u] & pair.right.seen[v, opposite]
+    left, right = (
+        np.where(seen[:, None], np.stack([view.map_x[v, at], view.map_y[v, at]], axis=-1), np.nan)
+        for view, at in ((pair.left, u), (pair.right, opposite))
+    )
+    found = locate(
+        head,
+        left=left,
+        right=right,
+        joints=joints,
+        cameras=cameras,
+        pixel_std_px=0.0,
+        joint_std_rad=joint_std_rad,
+    )
+    axis = pair.T_lbase_rect[:3, 2]
+    depth = (found.xyz - pair.T_lbase_rect[:3, 3]) @ axis
+    variance = np.einsum("i,nij,j->n", axis, found.covariance, axis)
+    std_px = np.sqrt(variance) * pair.matrix[0, 0] * pair.baseline_m / depth**2
+    if not np.isfinite(std_px).any():
+        return np.zeros((height, width))
+    grid = np.where(np.isfinite(std_px), std_px, np.nanmedian(std_px)).reshape(
+        len(rows), len(columns)
+    )
+    return cv2.resize(grid, (width, height), interpolation=cv2.INTER_LINEAR)
+
+
+def point_cloud(pair: RectifiedPair, found: DenseDepth) -> tuple[Array, np.ndarray]:
+    """Return the matched points (N, 3) [m] in the left eye's base frame, and colours (N, 3)."""
+    v, u = np.nonzero(np.isfinite(found.disparity_px))
+    pixels = np.stack([u, v], axis=-1).astype(float)
+    points = rectified_points(pair, pixels, found.disparity_px[v, u])
+    return transform(pair.T_lbase_rect, points), found.image[v, u]

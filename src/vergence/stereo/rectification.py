@@ -1,0 +1,184 @@
+"""Rectified image pairs at any posture of the eyes, for stereo programs that know nothing of them.
+
+Two pinhole cameras share one orientation, with the x axis along the baseline, so that a point lies
+in the same row of both. Source: Fusiello, Trucco and Verri, "A compact algorithm for rectification
+of stereo pairs" (2000); the lens is undone by the map, so any lens model will do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.errors import VergenceError
+from vergence.geometry.camera import Camera, normalise, project
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.lens import reach
+from vergence.geometry.projection import stereo_cameras, stereo_poses
+from vergence.geometry.se3 import inverse, pose
+
+FOCAL_SHARE = 0.85
+"""Focal length of the rectified cameras, of the real ones': eyes that diverge need a wider view."""
+LEAST_OVERLAP = 0.05
+"""Share of the rows in which the views must overlap."""
+_OUTSIDE = np.float32(-1e4)
+"""In a map: no pixel of the camera shows this direction."""
+
+
+@dataclass(frozen=True, eq=False)
+class RectifiedView:
+    """How the image of one camera becomes its half of a rectified pair."""
+
+    camera: Camera
+    """The real camera."""
+    R_rect_cam: Array
+    """(3, 3) from the axes of the real camera to those of the rectified one."""
+    map_x: np.ndarray
+    """(H, W) float32: the column in the real image of each rectified pixel, for cv2.remap; far
+    outside where the camera does not look."""
+    map_y: np.ndarray
+    """(H, W) float32: the row."""
+
+    @property
+    def seen(self) -> np.ndarray:
+        """(H, W) of bool: whether the real image shows a rectified pixel."""
+        right, bottom = self.camera.width - 1, self.camera.height - 1
+        inside_x = (self.map_x >= 0) & (self.map_x <= right)
+        return inside_x & (self.map_y >= 0) & (self.map_y <= bottom)
+
+
+@dataclass(frozen=True, eq=False)
+class RectifiedPair:
+    """Two views by pinhole cameras that differ by a shift along their x axis alone."""
+
+    left: RectifiedView
+    right: RectifiedView
+    matrix: Array
+    """(3, 3) of both rectified cameras."""
+    baseline_m: float
+    """The right camera's shift along x."""
+    T_lbase_rect: Array
+    """(4, 4) pose of the left rectified camera in the left eye's base frame."""
+
+    @property
+    def Q(self) -> Array:
+        """(4, 4) from (u, v, disparity, 1) to a point, homogeneous: as of cv2.stereoRectify."""
+        (f, _, cx), (_, _, cy), _ = self.matrix
+        return np.array(
+            [[1, 0, 0, -cx], [0, 1, 0, -cy], [0, 0, 0, f], [0, 0, 1 / self.baseline_m, 0]]
+        )
+
+
+def rectify(
+    head: HeadCalibration,
+    joints: Array,
+    *,
+    cameras: tuple[str, str] | None = None,
+    size: tuple[int, int] | None = None,
+    focal_px: float | None = None,
+) -> RectifiedPair:
+    """Return how to rectify the images of two cameras at one posture of the eyes.
+
+    Args:
+        head: with a camera in each eye.
+        joints: readings of one posture [rad], or measured poses (2, 4, 4) of both eyes.
+        cameras: names of a camera of the left eye and one of the right; None: the main ones.
+        size: width and height [px] of the rectified images; None: those of the left camera.
+        focal_px: of the rectified cameras; None: FOCAL_SHARE of the real ones' mean.
+
+    Raises:
+        VergenceError: the head has no such pair, or its two views do not overlap.
+    """
+    left, right = stereo_cameras(head, cameras)
+    T_lbase_lcam, T_rcam_lcam = stereo_poses(head, np.asarray(joints, float), cameras=cameras)
+    R_lcam_rcam, baseline = T_rcam_lcam[:3, :3].T, inverse(T_rcam_lcam)[:3, 3]
+    axes = np.array([[0, 0, 1], R_lcam_rcam[:, 2]])  # of both cameras, in the left one
+    R_rect_lcam = _orientation(baseline, axes.mean(axis=0))
+    lenses = left.intrinsics, right.intrinsics
+    if focal_px is None:
+        focal_px = FOCAL_SHARE * float(np.mean([lens.matrix[[0, 1], [0, 1]] for lens in lenses]))
+    width, height = size or (lenses[0].width, lenses[0].height)
+    looks = axes @ R_rect_lcam.T
+    if (looks[:, 2] <= 0).any():
+        raise _apart(cameras)
+    shift = focal_px * (looks[:, :2] / looks[:, 2:]).mean(axis=0)  # both views in the middle
+    cx, cy = (np.array([width, height]) - 1) / 2 - shift
+    matrix = np.array([[focal_px, 0, cx], [0, focal_px, cy], [0, 0, 1]])
+    views = [
+        _view(lens, R, matrix, (width, height))
+        for lens, R in zip(lenses, (R_rect_lcam, R_rect_lcam @ R_lcam_rcam), strict=True)
+    ]
+    if _overlap(*views) < LEAST_OVERLAP:
+        raise _apart(cameras)
+    return RectifiedPair(
+        left=views[0],
+        right=views[1],
+        matrix=matrix,
+        baseline_m=float(np.linalg.norm(baseline)),
+        T_lbase_rect=T_lbase_lcam @ pose(R_rect_lcam.T),
+    )
+
+
+def _orientation(baseline: Array, forward: Array) -> Array:
+    """Return R_rect_lcam (3, 3), whose rows are the rectified axes: x along the baseline."""
+    x = baseline / np.linalg.norm(baseline)
+    y = np.cross(forward, x)
+    y /= max(float(np.linalg.norm(y)), 1e-12)
+    return np.stack([x, y, np.cross(x, y)])
+
+
+def _view(camera: Camera, R_rect_cam: Array, matrix: Array, size: tuple[int, int]) -> RectifiedView:
+    u, v = np.meshgrid(*(np.arange(n, dtype=float) for n in size))
+    rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(matrix).T @ R_rect_cam
+    x, y, z = np.moveaxis(rays, -1, 0)
+    # Beyond its reach a lens model folds over.
+    good = (z > 0) & (x * x + y * y < reach(camera.model, tuple(camera.distortion)) * z * z)
+    pixels = project(camera, np.where(good[..., None], rays, [0.0, 0.0, 1.0]))
+    maps = np.where(good[..., None], pixels, _OUTSIDE).clip(_OUTSIDE, -_OUTSIDE).astype(np.float32)
+    map_x, map_y = (np.ascontiguousarray(maps[..., k]) for k in (0, 1))
+    return RectifiedView(camera, R_rect_cam, map_x, map_y)
+
+
+def _overlap(left: RectifiedView, right: RectifiedView) -> float:
+    """Return the share of the rows in which a point at some distance is seen by both."""
+    columns = np.arange(left.map_x.shape[1])
+    last = np.where(left.seen, columns, -1).max(axis=1)
+    first = np.where(right.seen, columns, len(columns)).min(axis=1)
+    return float((last > first).mean())
+
+
+def _apart(cameras: tuple[str, str] | None) -> VergenceError:
+    names = "the two cameras" if cameras is None else " and ".join(cameras)
+    return VergenceError(
+        f"The views of {names} do not overlap at this posture; rectify where both eyes look the "
+        "same way."
+    )
+
+
+def rectified_image(view: RectifiedView, image: np.ndarray) -> np.ndarray:
+    """Return the rectified image (H, W, ...) uint8 of a real one; 0 where it shows nothing."""
+    return cv2.remap(image, view.map_x, view.map_y, cv2.INTER_LINEAR)
+
+
+def rectified_pixels(pair: RectifiedPair, view: RectifiedView, pixels: Array) -> Array:
+    """Return where pixels (..., 2) of a view's real image are in its rectified one; NaN: nowhere.
+
+    The difference of a point's columns, left minus right, is its disparity; its rows are the same.
+    """
+    xy = normalise(view.camera, pixels)
+    rays = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1) @ view.R_rect_cam.T
+    z = np.where(rays[..., 2:] > 0, rays[..., 2:], np.nan)
+    return (rays / z @ pair.matrix.T)[..., :2]
+
+
+def rectified_points(pair: RectifiedPair, pixels: Array, disparity: Array) -> Array:
+    """Return points (..., 3) [m] in the left rectified camera, by its pixels and disparities [px].
+
+    NaN where a disparity is not positive.
+    """
+    depth = pair.matrix[0, 0] * pair.baseline_m / np.where(disparity > 0, disparity, np.nan)
+    xy = (pixels - pair.matrix[:2, 2]) / pair.matrix[0, 0]
+    return np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1) * depth[..., None]

@@ -1,0 +1,148 @@
+"""Dense depth of drawn planes with and without texture, and of the rendered room."""
+
+import json
+import sys
+
+import cv2
+import numpy as np
+import pytest
+
+from drawn_head import four_cameras
+from vergence import cli
+from vergence.errors import VergenceError
+from vergence.geometry.camera import normalise
+from vergence.geometry.head import save_head
+from vergence.geometry.projection import eye_poses
+from vergence.geometry.se3 import inverse, transform
+from vergence.stereo.dense_depth import LEAST_STD_PX, dense_depth, point_cloud
+from vergence.stereo.rectification import RectifiedPair, rectify
+from vergence.twin.model import as_built_head, nominal_head
+from vergence.twin.profile import load_profile
+
+HEAD = four_cameras()
+JOINTS = np.array([0.06, 0.03, -0.05, 0.02])
+NORMAL, DISTANCE_M = np.array([0.9, 0.3, 0.3]) / np.linalg.norm([0.9, 0.3, 0.3]), 0.8
+"""A plane in the left eye's base frame: NORMAL . p = DISTANCE_M."""
+
+
+@pytest.fixture(scope="module")
+def drawn() -> tuple[np.ndarray, np.ndarray]:
+    """The wide images of the plane, textured on one half (left of y = 0), with noise."""
+    rng = np.random.default_rng(0)
+    frequencies = rng.normal(size=(24, 3))
+    frequencies *= (rng.uniform(60, 220, 24) / np.linalg.norm(frequencies, axis=1))[:, None]
+    phases = rng.uniform(0, 2 * np.pi, 24)
+    images = []
+    poses = eye_poses(HEAD, JOINTS)
+    poses[1] = inverse(HEAD.T_rbase_lbase) @ poses[1]
+    for name, T in zip(("left_wide", "right_wide"), poses, strict=True):
+        mounted = HEAD.camera(name)
+        u, v = np.meshgrid(np.arange(640.0), np.arange(480.0))
+        xy = normalise(mounted.intrinsics, np.stack([u, v], axis=-1))
+        rays = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
+        T_lbase_cam = T @ mounted.T_eye_cam
+        along = rays @ (NORMAL @ T_lbase_cam[:3, :3])
+        points = transform(
+            T_lbase_cam, rays * ((DISTANCE_M - NORMAL @ T_lbase_cam[:3, 3]) / along)[..., None]
+        )
+        grey = 120 + 30 * np.cos(points @ frequencies.T + phases).sum(axis=-1) / np.sqrt(12)
+        grey = np.where(points[..., 1] > 0, grey, 120)
+        grey = np.clip(grey + rng.normal(0, 2, grey.shape), 0, 255)
+        images.append(cv2.cvtColor(np.round(grey).astype(np.uint8), cv2.COLOR_GRAY2RGB))
+    return images[0], images[1]
+
+
+def true_depth(pair: RectifiedPair) -> np.ndarray:
+    """Return the plane's depth (H, W) in the left rectified camera."""
+    u, v = np.meshgrid(np.arange(640.0), np.arange(480.0))
+    rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(pair.matrix).T
+    n = NORMAL @ pair.T_lbase_rect[:3, :3]
+    return (DISTANCE_M - NORMAL @ pair.T_lbase_rect[:3, 3]) / (rays @ n)
+
+
+@pytest.fixture(scope="module")
+def pair() -> RectifiedPair:
+    return rectify(HEAD, JOINTS)
+
+
+def test_depth_of_a_slanted_plane_is_right_and_its_deviation_true(pair: RectifiedPair, drawn):
+    found = dense_depth(HEAD, JOINTS, pair, *drawn)
+    error = (found.depth_m - true_depth(pair))[found.textured]
+    truth = true_depth(pair)[found.textured]
+    assert len(error) > 20_000
+    assert np.median(np.abs(error) / truth) < 0.01
+    disparity = pair.matrix[0, 0] * pair.baseline_m / truth
+    assert np.abs(np.median(error / truth * disparity)) < LEAST_STD_PX
+    within = np.abs(error) < 2 * found.std_m[found.textured]
+    assert within.mean() > 0.9
+    points, colours = point_cloud(pair, found)
+    assert len(points) == len(colours) == np.isfinite(found.depth_m).sum()
+    assert np.median(np.abs(points @ NORMAL - DISTANCE_M)) < 0.01
+
+
+def test_a_blank_half_is_not_called_textured_and_its_deviation_is_large(pair: RectifiedPair, drawn):
+    found = dense_depth(HEAD, JOINTS, pair, *drawn)
+    points, _ = point_cloud(pair, found)
+    v, u = np.nonzero(np.isfinite(found.depth_m))
+    blank = points[:, 1] < -0.05
+    assert blank.sum() > 1000
+    assert found.textured[v[blank], u[blank]].mean() < 0.02
+    relative = (found.std_m / found.depth_m)[v[blank], u[blank]]
+    assert np.median(relative) > 5 * np.nanmedian((found.std_m / found.depth_m)[found.textured])
+
+
+def test_noise_of_the_joints_widens_the_deviation(pair: RectifiedPair, drawn):
+    exact, noisy = (
+        dense_depth(HEAD, JOINTS, pair, *drawn, joint_std_rad=std) for std in (None, 5e-3)
+    )
+    np.testing.assert_array_equal(exact.depth_m, noisy.depth_m)
+    assert np.nanmedian(noisy.std_m[noisy.textured] / exact.std_m[noisy.textured]) > 2
+
+
+def test_a_depth_too_near_for_the_cameras_is_refused(pair: RectifiedPair):
+    image = np.zeros((480, 640, 3), np.uint8)
+    with pytest.raises(VergenceError, match=r"nearest depth is from 0\.07 m"):
+        dense_depth(HEAD, JOINTS, pair, image, image, nearest_m=0.01)
+
+
+def depth(monkeypatch: pytest.MonkeyPatch, *words: str) -> None:
+    monkeypatch.setattr(sys, "argv", ["vergence", "depth", *words])
+    cli.main()
+
+
+@pytest.mark.render
+def test_depth_of_the_room_by_the_true_head_is_right(tmp_path, monkeypatch):
+    """And the same geometry whether it comes from a file and readings or from the twin."""
+    calibration = tmp_path / "true.json"
+    save_head(as_built_head(nominal_head("2.8mm"), load_profile("ideal"), 0), calibration)
+    out = tmp_path / "depth"
+    depth(
+        monkeypatch, "--twin", "--profile", "ideal", "--calibration", str(calibration),
+        "--pairs", "2", "--out", str(out),
+    )  # fmt: skip
+    found = json.loads((out / "depth.json").read_text())
+    for geometry in ("joints", "true_geometry"):
+        assert found[geometry]["median_relative"] < 0.02
+        assert found[geometry]["wrong"] < 0.05
+        assert found[geometry]["within_two_std"] > 0.9
+        assert found[geometry]["vertical_rms_px"] < 0.01
+        assert found[geometry]["pixels"] > 10_000
+    assert (out / "depth.rrd").stat().st_size > 100_000
+    assert "true geometry" in (out / "report.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--out", "x"], "found neither"),
+        (["folder", "--twin", "--out", "x"], "found both"),
+        (["folder", "--out", "x"], "needs --calibration FILE"),
+        (["--twin", "--pairs", "0", "--out", "x"], "Asked for 0 pairs"),
+    ],
+)
+def test_what_cannot_be_done_is_said_in_one_sentence(words, said, monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as stop:
+        depth(monkeypatch, *words)
+    assert stop.value.code == 2
+    assert said in capsys.readouterr().err

@@ -1,0 +1,112 @@
+"""Rectified pairs from exact projections, at random postures and through every lens model."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drawn_head import four_cameras
+from vergence.errors import VergenceError
+from vergence.geometry.camera import pinhole
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.projection import eye_poses, project_point
+from vergence.geometry.se3 import inverse, pose, rotation, transform
+from vergence.stereo.rectification import (
+    rectified_image,
+    rectified_pixels,
+    rectified_points,
+    rectify,
+)
+
+LENSES = {
+    "radial-tangential": pinhole(640, 480, 280.0, (-0.12, 0.02, 0.001, -0.0005, 0.0)),
+    "rational": pinhole(
+        640, 480, 280.0, (0.2, 0.02, 0.001, 0.0, 0.0, 0.35, 0.06, 0.0), model="rational"
+    ),
+    "fisheye": pinhole(640, 480, 280.0, (-0.02, 0.003, 0.0, 0.0), model="fisheye"),
+}
+WIDE = ("left_wide", "right_wide")
+
+
+def head(model: str) -> HeadCalibration:
+    """Return a head with wide lenses of a model, the right one of another focal length."""
+    made = four_cameras()
+    cameras = dict(made.cameras)
+    for name, scale in zip(WIDE, (1.0, 1.03), strict=True):
+        camera = LENSES[model]
+        matrix = camera.matrix.copy()
+        matrix[[0, 1], [0, 1]] *= scale
+        matrix[0, 1] = 0.7
+        cameras[name] = replace(cameras[name], intrinsics=replace(camera, matrix=matrix))
+    tilted = pose(rotation([0.01, -0.02, 0.015]), [0.003, 0.092, -0.002])
+    return replace(made, cameras=cameras, T_rbase_lbase=tilted)
+
+
+@pytest.mark.parametrize("model", list(LENSES))
+@given(seed=st.integers(0, 10_000))
+def test_a_point_lies_in_one_row_and_its_disparity_gives_it_back(model: str, seed: int):
+    rng = np.random.default_rng(seed)
+    made, joints = head(model), rng.uniform(-0.25, 0.25, 4)
+    pair = rectify(made, joints, size=(16, 12))
+    points = rng.uniform([0.3, -0.3, -0.3], [3.0, 0.3, 0.3], (30, 3))
+    at = [
+        rectified_pixels(pair, view, project_point(made, name, joints, points))
+        for view, name in zip((pair.left, pair.right), WIDE, strict=True)
+    ]
+    seen = np.isfinite(at).all(axis=(0, 2))
+    assert seen.sum() > 5
+    left, right = (each[seen] for each in at)
+    np.testing.assert_allclose(left[:, 1], right[:, 1], atol=1e-9)
+    disparity = left[:, 0] - right[:, 0]
+    found = transform(pair.T_lbase_rect, rectified_points(pair, left, disparity))
+    np.testing.assert_allclose(found, points[seen], atol=1e-9)
+    homogeneous = np.column_stack([left, disparity, np.ones(len(left))]) @ pair.Q.T
+    by_Q = transform(pair.T_lbase_rect, homogeneous[:, :3] / homogeneous[:, 3:])
+    np.testing.assert_allclose(by_Q, points[seen], atol=1e-9)
+
+
+@pytest.mark.parametrize("model", list(LENSES))
+def test_the_map_leads_to_the_pixel_that_shows_the_same_direction(model: str):
+    made, joints = head(model), np.array([0.1, -0.05, -0.1, 0.1])
+    pair = rectify(made, joints)
+    for view in (pair.left, pair.right):
+        v, u = np.nonzero(view.seen)
+        raw = np.stack([view.map_x[v, u], view.map_y[v, u]], axis=-1).astype(float)
+        some = slice(None, None, 97)
+        back = rectified_pixels(pair, view, raw[some])
+        np.testing.assert_allclose(back, np.stack([u, v], axis=-1)[some], atol=1e-3)
+        assert view.seen.mean() > 0.5
+        assert not view.seen.all()
+
+
+def test_a_rectified_image_is_dark_where_the_camera_does_not_look():
+    pair = rectify(head("fisheye"), np.array([0.25, 0.2, -0.1, 0.0]))
+    image = rectified_image(pair.left, np.full((480, 640, 3), 200, np.uint8))
+    inner = cv2.erode(pair.left.seen.astype(np.uint8), np.ones((3, 3))) > 0
+    outer = cv2.dilate(pair.left.seen.astype(np.uint8), np.ones((7, 7))) == 0
+    assert (image[inner] == 200).all()
+    assert (image[outer] == 0).all()
+
+
+def test_measured_poses_rectify_as_the_angles_that_they_come_from():
+    made, joints = head("rational"), np.array([0.1, 0.05, -0.1, 0.0])
+    by_angles, by_poses = (
+        rectify(made, j, size=(16, 12)) for j in (joints, eye_poses(made, joints))
+    )
+    np.testing.assert_allclose(by_poses.T_lbase_rect, by_angles.T_lbase_rect, atol=1e-12)
+    assert by_angles.baseline_m == pytest.approx(0.092, abs=0.03)
+
+
+@pytest.mark.parametrize("joints", [(1.2, 0.0, -1.2, 0.0), (0.0, 1.1, 0.0, -1.1)])
+def test_views_that_do_not_overlap_are_refused(joints):
+    with pytest.raises(VergenceError, match="do not overlap"):
+        rectify(head("radial-tangential"), np.array(joints))
+
+
+def test_narrow_cameras_can_be_asked_for():
+    pair = rectify(four_cameras(), np.zeros(4), cameras=("left_narrow", "right_narrow"))
+    assert pair.matrix[0, 0] == pytest.approx(0.85 * 1200)
+    assert np.linalg.norm(inverse(pair.T_lbase_rect)[:3, 3]) < 0.05
