@@ -83,9 +83,9 @@ def _points(
         xy = normalise(mounted.intrinsics, seen)
         rays.append(np.concatenate([xy, np.ones((len(xy), 1))], axis=1) @ T[:3, :3].T)
         centres.append(T[:3, 3])
-    (l, r), between = rays, centres[1] - centres[0]
-    ll, lr, rr = (np.einsum("ni,ni->n", a, b) for a, b in ((l, l), (l, r), (r, r)))
-    lb, rb = l @ between, r @ between
+    between = centres[1] - centres[0]
+    ll, lr, rr = (np.einsum("ni,ni->n", rays[i], rays[j]) for i, j in ((0, 0), (0, 1), (1, 1)))
+    lb, rb = (ray @ between for ray in rays)
     sine2 = np.maximum(ll * rr - lr**2, 1e-12)
     depths = (rr * lb - lr * rb) / sine2, (lr * lb - ll * rb) / sine2
     near = [np.where(z > 0, np.clip(z, _NEAREST_M, _FARTHEST_M), _FARTHEST_M) for z in depths]

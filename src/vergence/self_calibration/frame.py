@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
 from vergence.arrays import Array
@@ -25,6 +26,7 @@ from vergence.self_calibration.prior import (
     main_cameras,
     prior_covariance,
 )
+from vergence.stereo.uncertainty import LocatedPoints, locate_jointly
 from vergence.vision.scene_features import Matches, match_scene
 
 Status = Literal["seen", "little seen", "contradiction"]
@@ -33,7 +35,10 @@ _CUT = 4.685
 """Tukey's biweight: residuals beyond so many standard deviations do not count."""
 _PRIOR_MATCHES = 30.0
 """How many matches the expected noise counts for, beside the frame's own."""
-_GATE = float(1e-4)
+_GATE = 1e-7
+"""Probability by chance of a change that is not believed from one frame alone."""
+_GATE_OF_FEW = 1e-3
+"""The same where most matches contradict each other."""
 _LITTLE = 1.5
 """Degrees of freedom of the pair, of five, below which the scene showed too little."""
 
@@ -76,6 +81,7 @@ class SelfCalibrated:
     """A head and its joint angles at the moment of a pair of images."""
 
     head: HeadCalibration
+    cameras: tuple[str, str]
     joints: Array
     """(r,) the readings, corrected [rad]."""
     names: tuple[str, ...]
@@ -153,13 +159,14 @@ def from_matches(state: SelfCalibration, matches: Matches, joints: Array) -> Sel
         float((weights > 0.3).sum()),
         len(y),
     )
-    surprise = float(z @ np.linalg.solve(C, z))
-    if surprise > chi2.isf(_GATE, max(observed, 1.0)):
+    gate = _GATE if evidence.inliers > len(y) / 2 else _GATE_OF_FEW
+    if float(z @ np.linalg.solve(C, z)) > chi2.isf(gate, max(observed, 1.0)):
         seen = _unseen(state, matches, joints, C, "contradiction")
         return replace(seen, weights=weights, evidence=evidence, observed=observed)
     head, now = _changed(state, joints, z)
     return SelfCalibrated(
         head,
+        state.cameras,
         now,
         state.names,
         covariance,
@@ -188,7 +195,7 @@ def _unseen(
     none = np.zeros(len(matches.left))
     change = np.zeros(len(C))
     return SelfCalibrated(
-        state.head, joints, state.names, C, matches, none, status, change, 0.0,
+        state.head, state.cameras, joints, state.names, C, matches, none, status, change, 0.0,
         state.match_scale, None,
     )  # fmt: skip
 
@@ -249,3 +256,23 @@ def _scale2(residuals: Array) -> float:
     # Of a normal distribution that is cut at 3 standard deviations, the variance is 0.973.
     own = float((residuals[inside] ** 2).sum()) / 0.973
     return (own + _PRIOR_MATCHES) / (max(float(inside.sum()) - 5, 0.0) + _PRIOR_MATCHES)
+
+
+def locate_seen(
+    seen: SelfCalibrated, *, left: Array, right: Array, pixel_std_px: ArrayLike
+) -> LocatedPoints:
+    """Return where points are that both eyes see at the moment of a self-calibrated frame.
+
+    Pixels are (N, 2) in the left and the right camera; the covariance has what the frame leaves
+    open of the head and the joints. Other arguments and errors are those of `uncertainty.locate`.
+    """
+    return locate_jointly(
+        seen.head,
+        left=left,
+        right=right,
+        joints=seen.joints,
+        parameters=seen.names,
+        covariance=seen.covariance,
+        pixel_std_px=pixel_std_px,
+        cameras=seen.cameras,
+    )

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
+from vergence.geometry.head import Accuracy, HeadCalibration
 from vergence.self_calibration.frame import SelfCalibrated, SelfCalibration
 from vergence.self_calibration.prior import DRIFT, tolerance_covariance
 
@@ -25,3 +24,17 @@ def learn(state: SelfCalibration, seen: SelfCalibrated, elapsed_s: float) -> Sel
         match_scale=scale,
         frames=state.frames + 1,
     )
+
+
+def learned_head(state: SelfCalibration) -> HeadCalibration:
+    """Return the learned head with its accuracy, to be saved and used as any calibration."""
+    before = state.head.accuracy
+    accuracy = Accuracy(
+        method=before.method if before else "bundle",
+        parameters=state.names,
+        covariance=state.covariance,
+        pixel_std_px=before.pixel_std_px if before else None,
+        joint_std=(state.joint_std_rad,),
+        eye_motion=before.eye_motion if before else "pan-tilt",
+    )
+    return replace(state.head, accuracy=accuracy)

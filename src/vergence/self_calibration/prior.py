@@ -149,9 +149,7 @@ def _std(head: HeadCalibration, name: str, tolerance: Tolerance) -> float:
     return tolerance.axes_m if last.endswith("_m") else tolerance.axes_rad
 
 
-def _of_procedure(
-    head: HeadCalibration, names: tuple[str, ...], cameras: tuple[str, str]
-) -> Array:
+def _of_procedure(head: HeadCalibration, names: tuple[str, ...], cameras: tuple[str, str]) -> Array:
     """Return the covariance of a head whose T_rbase_lbase follows from static stereo (Eq. 10).
 
     Its error is that of the static stereo, and what the mountings' errors do to it.

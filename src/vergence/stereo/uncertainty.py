@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -126,6 +127,32 @@ def locate_with_covariance(
     """
     seen = _linearised(head, left, right, joints, cameras, parameters=False)
     return seen.points, _of_noise(seen, pixel_std_px, joint_std_rad)
+
+
+def locate_jointly(
+    head: HeadCalibration,
+    *,
+    left: Array,
+    right: Array,
+    joints: Array,
+    parameters: Sequence[str],
+    covariance: Array,
+    pixel_std_px: ArrayLike,
+    cameras: tuple[str, str] | None = None,
+) -> LocatedPoints:
+    """Return where points are, if head and readings were estimated together.
+
+    The covariance (P + r, P + r) is of the named parameters of the head, then of the r readings
+    (r,) [rad] of the one posture that serves all points. Other arguments and errors are those of
+    `locate`.
+    """
+    seen = _linearised(head, left, right, joints, cameras, parameters=True)
+    names = parameter_names(head)
+    columns = [names.index(name) for name in parameters]
+    own = np.concatenate([seen.by_parameters[..., columns], seen.by_readings], axis=-1)
+    pixels = np.broadcast_to(np.asarray(pixel_std_px, dtype=float), (len(seen.points), 4))
+    both = _covariance(seen.by_pixels, pixels) + own @ covariance @ np.swapaxes(own, 1, 2)
+    return LocatedPoints(seen.points, both, seen.status)
 
 
 def locate_both(

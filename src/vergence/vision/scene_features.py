@@ -73,7 +73,7 @@ def match_scene(
     ):
         where = _map(camera, R_cam_common, focal, middle, size)
         grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-        views.append(cv2.remap(grey, where, None, cv2.INTER_LINEAR))
+        views.append(cv2.remap(grey, where[..., 0], where[..., 1], cv2.INTER_LINEAR))
         limits = camera.width - 1.0, camera.height - 1.0
         inside.append(cv2.inRange(where, (0.0, 0.0), limits))
         maps.append(where)
