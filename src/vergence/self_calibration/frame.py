@@ -21,16 +21,20 @@ from vergence.geometry.parameters import change_named, parameter_names
 from vergence.geometry.projection import T_rcam_lcam
 from vergence.self_calibration.epipolar import epipolar_residuals
 from vergence.self_calibration.prior import (
+    BUMP,
     JOINT_STD_RAD,
     learned_names,
     main_cameras,
     prior_covariance,
+    tolerance_covariance,
 )
 from vergence.stereo.uncertainty import LocatedPoints, locate_jointly
 from vergence.vision.scene_features import Matches, match_scene
 
 Status = Literal["seen", "little seen", "contradiction"]
-HYPOTHESES = 300
+_HYPOTHESES = 300
+_JUDGES = 250
+"""Matches that choose among them; more take longer, and choose no better."""
 _CUT = 4.685
 """Tukey's biweight: residuals beyond so many standard deviations do not count."""
 _PRIOR_MATCHES = 30.0
@@ -39,6 +43,8 @@ _GATE = 1e-7
 """Probability by chance of a change that is not believed from one frame alone."""
 _GATE_OF_FEW = 1e-3
 """The same where most matches contradict each other."""
+_MOST = 0.5
+"""Share of the matches that is most of them."""
 _LITTLE = 1.5
 """Degrees of freedom of the pair, of five, below which the scene showed too little."""
 
@@ -59,8 +65,14 @@ class SelfCalibration:
     """Noise of a reading."""
     match_scale: float
     """Noise of the matches, relative to what their contrast tells."""
+    joint_weight: float = 20.0
+    """Readings from which their noise is known."""
     frames: int = 0
     """From which it was learned."""
+    bumped: bool = False
+    """Whether the last frame showed that a camera had been turned."""
+    past: tuple[Past, ...] = ()
+    """The last frames, by which a bump is told from noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,9 +83,23 @@ class Evidence:
     """(K, K) of P parameters and r readings."""
     vector: Array
     """(K,): the information times the change that fits the matches best."""
-    residual_chi2: float
     inliers: float
-    matches: int
+    """How many matches fit."""
+    match_scale: float
+    """Noise of the matches, relative to what their contrast tells."""
+
+
+@dataclass(frozen=True, eq=False)
+class Past:
+    """A frame that may have to be estimated again."""
+
+    head: HeadCalibration
+    """Before the frame."""
+    covariance: Array
+    """(P, P) before the frame."""
+    change: Array
+    """(P,) of the head by the frame."""
+    evidence: Evidence
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,29 +166,22 @@ def from_matches(state: SelfCalibration, matches: Matches, joints: Array) -> Sel
     C = _prior(state, len(joints))
     if len(matches.left) < 3:
         return _unseen(state, matches, joints, C, "little seen")
-    y, A = _whitened(state, state.head, joints, matches)
-    first = _robust(y, A, C, _best_hypothesis(y, A, C))
-    head, now = _changed(state, joints, first)
-    y, A = _whitened(state, head, now, matches)
-    y = y + A @ first  # of the linear model about the state's head
-    z = _robust(y, A, C, first)
-    weights = _tukey(y - A @ z)
-    scale2 = _scale2(y - A @ z)
-    information = (A * (weights / scale2)[:, None]).T @ A
-    covariance = np.linalg.inv(information + np.linalg.inv(C))
-    z = covariance @ (A.T @ (weights / scale2 * y))
-    observed = float(np.trace(covariance @ information))
-    evidence = Evidence(
-        information,
-        A.T @ (weights / scale2 * y),
-        float((weights / scale2 * y) @ y),
-        float((weights > 0.3).sum()),
-        len(y),
-    )
-    gate = _GATE if evidence.inliers > len(y) / 2 else _GATE_OF_FEW
+    z, weights, evidence = _fit(state, matches, joints, C)
+    if evidence.inliers < _MOST * len(weights):
+        # Either much is matched wrongly, or a camera has been turned.
+        P = len(state.names)
+        turned = C.copy()
+        turned[:P, :P] += tolerance_covariance(state.head, state.names, BUMP)
+        _, other_weights, other = _fit(state, matches, joints, turned)
+        if other.inliers > max(_MOST * len(weights), 1.3 * evidence.inliers):
+            seen = _unseen(state, matches, joints, C, "contradiction")
+            return replace(seen, weights=other_weights, evidence=other)
+    covariance = np.linalg.inv(evidence.information + np.linalg.inv(C))
+    observed = float(np.trace(covariance @ evidence.information))
+    gate = _GATE if evidence.inliers > _MOST * len(weights) else _GATE_OF_FEW
     if float(z @ np.linalg.solve(C, z)) > chi2.isf(gate, max(observed, 1.0)):
         seen = _unseen(state, matches, joints, C, "contradiction")
-        return replace(seen, weights=weights, evidence=evidence, observed=observed)
+        return replace(seen, weights=weights, evidence=evidence)
     head, now = _changed(state, joints, z)
     return SelfCalibrated(
         head,
@@ -175,9 +194,26 @@ def from_matches(state: SelfCalibration, matches: Matches, joints: Array) -> Sel
         "seen" if observed > _LITTLE else "little seen",
         z,
         observed,
-        float(np.sqrt(scale2)) * state.match_scale,
+        evidence.match_scale,
         evidence,
     )
+
+
+def _fit(
+    state: SelfCalibration, matches: Matches, joints: Array, C: Array
+) -> tuple[Array, Array, Evidence]:
+    """Return the change (K,) that matches and prior give, weights (N,), and what matches say."""
+    y, A = _whitened(state, state.head, joints, matches)
+    first = _robust(y, A, C, _best_hypothesis(y, A, C))
+    y, A = _whitened(state, *_changed(state, joints, first), matches)
+    y = y + A @ first  # of the linear model about the state's head
+    z = _robust(y, A, C, first)
+    weights, scale2 = _tukey(y - A @ z), _scale2(y - A @ z)
+    weighted = A * (weights / scale2)[:, None]
+    information, vector = weighted.T @ A, weighted.T @ y
+    z = np.linalg.solve(information + np.linalg.inv(C), vector)
+    scale = float(np.sqrt(scale2)) * state.match_scale
+    return z, weights, Evidence(information, vector, float((weights > 0.3).sum()), scale)
 
 
 def _prior(state: SelfCalibration, readings: int) -> Array:
@@ -226,15 +262,18 @@ def _tukey(y: Array) -> Array:
 
 def _best_hypothesis(y: Array, A: Array, C: Array) -> Array:
     """Return the change (K,) that three matches and the prior give, and most others agree with."""
+    rng = np.random.default_rng(0)
+    if len(y) > _JUDGES:
+        some = rng.choice(len(y), _JUDGES, replace=False)
+        y, A = y[some], A[some]
     AC = A @ C
     G = AC @ A.T
-    rng = np.random.default_rng(0)
-    triples = rng.integers(0, len(y), (HYPOTHESES, 3))
+    triples = rng.integers(0, len(y), (_HYPOTHESES, 3))
     G3 = G[triples[:, :, None], triples[:, None, :]]
     pull = np.linalg.solve(G3 + np.eye(3), y[triples][..., None])[..., 0]
     pull = np.concatenate([np.zeros((1, 3)), pull])  # and that nothing is wrong
     G3, triples = np.concatenate([G3[:1], G3]), np.concatenate([triples[:1], triples])
-    predicted = np.einsum("hk,hkn->hn", pull, G[triples])
+    predicted = (pull[:, None] @ G[triples])[:, 0]
     prior = np.einsum("hi,hij,hj->h", pull, G3, pull)
     cost = np.minimum((y - predicted) ** 2, _CUT**2).sum(axis=1) + prior
     best = int(cost.argmin())

@@ -82,6 +82,20 @@ DRIFT = Tolerance(
     axes_m=0.0,
 )
 """A random walk, in one minute of running."""
+BUMP = Tolerance(
+    focal=0.0,
+    aspect=0.0,
+    centre_px=0.0,
+    distortion=0.0,
+    turn_rad=np.radians(1.5),
+    shift_m=1e-3,
+    stereo_turn_rad=0.0,
+    stereo_shift_m=0.0,
+    gain=0.0,
+    axes_rad=0.0,
+    axes_m=0.0,
+)
+"""Of a camera that something has hit."""
 JOINT_STD_RAD = np.radians(0.2)
 """Of readings whose noise nobody states, until it is estimated."""
 

@@ -18,11 +18,10 @@ from vergence.arrays import Array
 from vergence.geometry.camera import Camera, project
 from vergence.geometry.se3 import rotation, rotvec
 
-_FOCAL_SHARE = 1.0
-"""Focal length of the common image, as a share of the cameras': it covers a little more."""
-_SIZE_SHARE = 1.0
 _MAP_STEP_PX = 8
-_CELL_PX = 18
+_FEATURES = 450
+"""About how many are sought, however large the part is that both eyes see."""
+_SMALLEST_CELL_PX, _LARGEST_CELL_PX = 10, 24
 _WINDOW_PX = 11
 _LEVELS = 3
 _EXPECTED_DEPTH_M = 1.5
@@ -63,8 +62,8 @@ def match_scene(
     degrees.
     """
     R_rcam_common = rotation(rotvec(T_rcam_lcam[:3, :3]) / 2)  # each eye turns half of the way
-    focal = _FOCAL_SHARE * (left_camera.matrix[0, 0] + right_camera.matrix[0, 0]) / 2
-    size = round(_SIZE_SHARE * left_camera.width), round(_SIZE_SHARE * left_camera.height)
+    focal = (left_camera.matrix[0, 0] + right_camera.matrix[0, 0]) / 2
+    size = left_camera.width, left_camera.height
     middle = (np.array(size) - 1) / 2
     views, maps, inside = [], [], []
     for image, camera, R_cam_common in (
@@ -133,14 +132,16 @@ def _best_of_cells(tensor: np.ndarray, inside: np.ndarray) -> Array:
     margin = np.ones((_WINDOW_PX, _WINDOW_PX), np.uint8)
     whole = cv2.erode(inside, margin, borderType=cv2.BORDER_CONSTANT, borderValue=0)
     smaller[whole == 0] = 0
-    rows, columns = (n // _CELL_PX for n in smaller.shape)
-    cells = smaller[: rows * _CELL_PX, : columns * _CELL_PX]
-    cells = cells.reshape(rows, _CELL_PX, columns, _CELL_PX).swapaxes(1, 2)
+    side = round(float(np.sqrt(cv2.countNonZero(whole) / _FEATURES)))
+    side = min(max(side, _SMALLEST_CELL_PX), _LARGEST_CELL_PX)
+    rows, columns = (n // side for n in smaller.shape)
+    cells = smaller[: rows * side, : columns * side]
+    cells = cells.reshape(rows, side, columns, side).swapaxes(1, 2)
     cells = cells.reshape(rows, columns, -1)
     best = cells.argmax(axis=-1)
     row, column = np.nonzero(cells.max(axis=-1) > 0)
-    down, across = np.divmod(best[row, column], _CELL_PX)
-    return np.stack([column * _CELL_PX + across, row * _CELL_PX + down], axis=-1).astype(float)
+    down, across = np.divmod(best[row, column], side)
+    return np.stack([column * side + across, row * side + down], axis=-1).astype(float)
 
 
 def _track(
