@@ -15,6 +15,7 @@ from vergence.paper.figures import Figure
 from vergence.self_calibration.frame import (
     SelfCalibrated,
     SelfCalibration,
+    from_matches,
     locate_seen,
     self_calibrate_frame,
     start,
@@ -52,9 +53,10 @@ class Comparison:
         self, images: Mapping[str, np.ndarray], joints: Array, pixels: Mapping[str, Array], t: float
     ) -> None:
         """Locate the object in a sample, by its pixels (2,) in both images, at a time [s]."""
+        left, right = self.states[SINGLE].cameras
+        first = self_calibrate_frame(self.states[SINGLE], images[left], images[right], joints)
         for method, state in self.states.items():
-            left, right = state.cameras
-            seen = self_calibrate_frame(state, images[left], images[right], joints)
+            seen = first if method == SINGLE else from_matches(state, first.matches, joints)
             found = locate_seen(
                 seen, left=pixels[left][None], right=pixels[right][None], pixel_std_px=STD_PX
             )

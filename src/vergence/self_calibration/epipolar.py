@@ -51,23 +51,22 @@ def epipolar_residuals(
     """Return the residuals of matches: (N, 2) pixels in two cameras, at readings (r,) [rad]."""
     T, by_axes, by_reading = eye_poses_with_jacobians(head, joints, 1)
     points = _points(head, T[0], left, right, cameras)
-    rows, shapes, of_head, of_readings = [], [], [], []
+    parts = []
     for k, (mounted, seen) in enumerate(
         zip(stereo_cameras(head, cameras), (left, right), strict=True)
     ):
         J = project_with_jacobians(mounted, head.T_rbase_lbase, T[:, k], points[None])
-        full = np.zeros((len(left), 2, len(parameter_names(head))))
-        full[..., camera_columns(head, cameras[k])] = by_parameters(J, by_axes[:, k])[0]
-        of_head.append(full)
-        of_readings.append(rows_times(J.by_T_base_eye, by_reading[:, k])[0])
-        rows.append(seen - J.pixels[0])
-        shapes.append(J.by_point[0])
-    normals = _normals(*shapes)
-
-    def along(parts: list[Array]) -> Array:
-        return np.einsum("ni,ni...->n...", normals, np.concatenate(parts, axis=1))
-
-    return EpipolarResiduals(along(rows), normals, along(of_head), along(of_readings))
+        of_head = by_parameters(J, by_axes[:, k])[0]
+        of_readings = rows_times(J.by_T_base_eye, by_reading[:, k])[0]
+        parts.append((J.by_point[0], seen - J.pixels[0], of_head, of_readings))
+    normals = _normals(parts[0][0], parts[1][0])
+    residuals, by_head, by_readings = 0.0, np.zeros((len(left), len(parameter_names(head)))), 0.0
+    for k, (_, apart, of_head, of_readings) in enumerate(parts):
+        row = normals[:, None, 2 * k : 2 * k + 2]
+        residuals = residuals + (row @ apart[..., None])[:, 0, 0]
+        by_head[:, camera_columns(head, cameras[k])] += (row @ of_head)[:, 0]
+        by_readings = by_readings + (row @ of_readings)[:, 0]
+    return EpipolarResiduals(residuals, normals, by_head, by_readings)
 
 
 def _points(

@@ -43,6 +43,8 @@ _GATE = 1e-7
 """Probability by chance of a change that is not believed from one frame alone."""
 _GATE_OF_FEW = 1e-3
 """The same where most matches contradict each other."""
+_FEWEST = 12.0
+"""Matches that must fit; a few always do, whatever they show."""
 _MOST = 0.5
 """Share of the matches that is most of them."""
 _LITTLE = 1.5
@@ -164,9 +166,11 @@ def self_calibrate_frame(
 def from_matches(state: SelfCalibration, matches: Matches, joints: Array) -> SelfCalibrated:
     """Return the head and its joint angles as matches of a pair of images show them."""
     C = _prior(state, len(joints))
-    if len(matches.left) < 3:
+    if len(matches.left) < _FEWEST:
         return _unseen(state, matches, joints, C, "little seen")
     z, weights, evidence = _fit(state, matches, joints, C)
+    if evidence.inliers < _FEWEST:
+        return replace(_unseen(state, matches, joints, C, "little seen"), weights=weights)
     if evidence.inliers < _MOST * len(weights):
         # Either much is matched wrongly, or a camera has been turned.
         P = len(state.names)

@@ -20,7 +20,7 @@ from vergence.self_calibration.prior import BUMP, DRIFT, tolerance_covariance
 
 _WINDOW = 3
 """Frames that are examined together for a bump; two at least."""
-_BUMP_EVIDENCE = 2 * np.log(1e6)
+_BUMP_EVIDENCE = 2 * np.log(1e5)
 """Twice the logarithm of how much likelier a bump must make the window: it is rare."""
 _LONGEST_MEMORY = 4000.0
 """Readings from which their noise is estimated."""
@@ -73,7 +73,8 @@ def _of_head(state: SelfCalibration, evidence: Evidence) -> tuple[Array, Array]:
 def _after_bump(state: SelfCalibration, past: tuple[Past, ...]) -> SelfCalibration | None:
     """Return the state after a bump in the last frames; None: there was none."""
     free = tolerance_covariance(state.head, state.names, BUMP)
-    for first in range(len(past) - 2, -1, -1):
+    best, found = 0.0, None
+    for first in range(len(past)):
         frames = past[first:]
         total, vector = np.zeros_like(free), np.zeros(len(free))
         moved = np.zeros(len(free))  # of the head, from the first of these frames
@@ -83,11 +84,15 @@ def _after_bump(state: SelfCalibration, past: tuple[Past, ...]) -> SelfCalibrati
             moved = moved + each.change
         before = frames[0].covariance
         gain = _log_evidence(before + free, total, vector) - _log_evidence(before, total, vector)
-        if 2 * gain > _BUMP_EVIDENCE:
-            C = np.linalg.inv(np.linalg.inv(before + free) + total)
-            head = change_named(frames[0].head, state.names, C @ vector)
-            return replace(state, head=head, covariance=C, bumped=True, past=())
-    return None
+        if gain > best:
+            best, found = gain, (frames, total, vector)
+    # One frame alone may be a wrong one: the next will tell.
+    if found is None or len(found[0]) < 2 or 2 * best < _BUMP_EVIDENCE:
+        return None
+    frames, total, vector = found
+    C = np.linalg.inv(np.linalg.inv(frames[0].covariance + free) + total)
+    head = change_named(frames[0].head, state.names, C @ vector)
+    return replace(state, head=head, covariance=C, bumped=True, past=())
 
 
 def _log_evidence(C: Array, information: Array, vector: Array) -> float:

@@ -43,7 +43,7 @@ class Tolerance:
 USUAL = Tolerance(
     focal=0.02,
     aspect=0.001,
-    centre_px=0.3,
+    centre_px=0.2,
     distortion=0.003,
     turn_rad=np.radians(1.0),
     shift_m=4e-3,

@@ -27,10 +27,13 @@ _LEVELS = 3
 _EXPECTED_DEPTH_M = 1.5
 """Where tracking starts to search; its pyramid reaches about 50 px from there."""
 _ROUND_TRIP_PX = 0.3
-_FLOOR_PX = 0.03
+_FLOOR_PX = 0.04
 """Standard deviation that interpolation and perspective leave of a match without any noise."""
 _LEAST_GREY = 0.5
 """Mean difference of two windows [grey levels], of rounding alone."""
+_SOBEL_GAIN = 12 / 64
+"""Variance of a slope by Sobel's operator, per variance of white noise."""
+_LEAST_STRUCTURE = 1e-3
 _LARGEST_STD_PX = 0.7
 """Of a match that is worth its time."""
 
@@ -72,9 +75,9 @@ def match_scene(
     ):
         where = _map(camera, R_cam_common, focal, middle, size)
         grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-        views.append(cv2.remap(grey, where[..., 0], where[..., 1], cv2.INTER_LINEAR))
+        views.append(cv2.remap(grey, where, None, cv2.INTER_LINEAR))  # pyright: ignore
         limits = camera.width - 1.0, camera.height - 1.0
-        inside.append(cv2.inRange(where, (0.0, 0.0), limits))
+        inside.append(cv2.inRange(where, (0.0, 0.0), limits))  # pyright: ignore
         maps.append(where)
     tensor = _structure(views[0])
     at = _best_of_cells(tensor, cv2.bitwise_and(*inside))
@@ -82,7 +85,8 @@ def match_scene(
     start = at + (focal * shift[:2] - (at - middle) * shift[2]) / _EXPECTED_DEPTH_M
     found, grey, good = _track(*views, at, start)
     at, found = at[good], found[good]
-    noise = _noise(tensor[at[:, 1].astype(int), at[:, 0].astype(int)], grey[good])
+    xx, xy, yy = tensor[:, at[:, 1].astype(int), at[:, 0].astype(int)]
+    noise = _noise(np.stack([xx, xy, xy, yy], axis=-1).reshape(-1, 2, 2), grey[good])
     # In the right image itself, whose scale is another.
     right_px, by_view = _on_map(maps[1], found)
     covariance = by_view @ noise @ np.swapaxes(by_view, 1, 2)
@@ -118,17 +122,17 @@ def _on_map(where: np.ndarray, pixels: Array) -> tuple[Array, Array]:
 
 
 def _structure(view: np.ndarray) -> np.ndarray:
-    """Return (H, W, 2, 2) the sum over a window of the products of the grey levels' slopes."""
+    """Return (3, H, W) the sums over a window of products of slopes: xx, xy, yy."""
     x, y = (each.astype(np.float32) / 8 for each in cv2.spatialGradient(view))  # Sobel counts 8
     window = (_WINDOW_PX, _WINDOW_PX)
-    xx, xy, yy = (cv2.boxFilter(p, -1, window, normalize=False) for p in (x * x, x * y, y * y))
-    return np.stack([xx, xy, xy, yy], axis=-1).reshape(*view.shape, 2, 2)
+    products = x * x, x * y, y * y
+    return np.array([cv2.boxFilter(p, -1, window, normalize=False) for p in products])
 
 
 def _best_of_cells(tensor: np.ndarray, inside: np.ndarray) -> Array:
     """Return pixels (N, 2), one of each cell: where the smaller eigenvalue is largest."""
-    xx, xy, yy = tensor[..., 0, 0], tensor[..., 0, 1], tensor[..., 1, 1]
-    smaller = (xx + yy) / 2 - np.sqrt((xx - yy) ** 2 / 4 + xy**2)
+    xx, xy, yy = tensor
+    smaller = (xx + yy) / 2 - cv2.magnitude((xx - yy) / 2, xy)
     margin = np.ones((_WINDOW_PX, _WINDOW_PX), np.uint8)
     whole = cv2.erode(inside, margin, borderType=cv2.BORDER_CONSTANT, borderValue=0)
     smaller[whole == 0] = 0
@@ -166,10 +170,18 @@ def _track(
     back, again, _ = cv2.calcOpticalFlowPyrLK(other, view, found, points.copy(), **options)
     near = np.linalg.norm(back - points, axis=1) < _ROUND_TRIP_PX
     sure = (good[:, 0] == 1) & (again[:, 0] == 1) & near
-    return found.astype(float), grey[:, 0].astype(float), sure
+    return found.astype(float), np.where(sure, grey[:, 0], 0.0).astype(float), sure
 
 
 def _noise(tensor: Array, grey: Array) -> Array:
-    """Return covariances (N, 2, 2) [px^2] by structure (N, 2, 2) and mean difference (N,)."""
+    """Return covariances (N, 2, 2) [px^2] by structure (N, 2, 2) and mean difference (N,).
+
+    The slopes of noise, which determine nothing, are taken off the structure.
+    """
     std = np.maximum(grey, _LEAST_GREY) / 0.8  # the mean of |x| is 0.8 standard deviations
-    return std[:, None, None] ** 2 * np.linalg.inv(tensor) + _FLOOR_PX**2 * np.eye(2)
+    variance = std[:, None, None] ** 2
+    of_noise = _WINDOW_PX**2 * _SOBEL_GAIN * variance / 2  # half: it is in both windows
+    values, directions = np.linalg.eigh(tensor - of_noise * np.eye(2))
+    inverse = 1 / np.maximum(values, _LEAST_STRUCTURE)
+    covariance = (directions * inverse[:, None]) @ np.swapaxes(directions, 1, 2)
+    return variance * covariance + _FLOOR_PX**2 * np.eye(2)
