@@ -6,8 +6,10 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
+from vergence.geometry.lens import reach
 from vergence.geometry.parameters import change_named
-from vergence.geometry.projection import project_point
+from vergence.geometry.projection import eye_poses, project_point
+from vergence.geometry.se3 import inverse, transform
 from vergence.self_calibration.frame import SelfCalibration
 from vergence.vision.scene_features import Matches
 
@@ -35,13 +37,17 @@ def matches(
     The stated covariance is that of the noise.
     """
     both = []
-    for name in cameras:
+    for k, name in enumerate(cameras):
         pixels = project_point(truth, name, angles, points)
-        camera = truth.camera(name).intrinsics
-        size = np.array([camera.width, camera.height])
-        both.append(
-            (pixels, np.isfinite(pixels).all(1) & (pixels > 0).all(1) & (pixels < size).all(1))
-        )
+        mounted = truth.camera(name)
+        camera = mounted.intrinsics
+        inside = ((pixels > 0) & (pixels < [camera.width, camera.height])).all(axis=1)
+        # Beyond its reach a lens folds back into the image.
+        T = eye_poses(truth, angles)[k] @ mounted.T_eye_cam
+        T_base_lbase = truth.T_rbase_lbase if mounted.eye == "right" else np.eye(4)
+        x, y, z = transform(inverse(T) @ T_base_lbase, points).T
+        limit = reach(camera.model, tuple(camera.distortion.tolist()))
+        both.append((pixels, inside & (x**2 + y**2 < 0.9 * limit * z**2)))
     seen = both[0][1] & both[1][1]
     left, right = (pixels[seen] for pixels, _ in both)
     right = right + rng.normal(0, noise_px, right.shape)

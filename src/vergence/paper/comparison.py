@@ -11,7 +11,7 @@ from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYE_JOINTS
 from vergence.geometry.parameters import change_named
-from vergence.paper.figures import Figure
+from vergence.paper.figures import eye_angles
 from vergence.self_calibration.frame import (
     SelfCalibrated,
     SelfCalibration,
@@ -21,10 +21,13 @@ from vergence.self_calibration.frame import (
     start,
 )
 from vergence.self_calibration.learning import learn
+from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Twin
 from vergence.vision.sphere import STD_PX
 
 PAPER, SINGLE, LEARNED, FLOOR = "paper", "single-frame", "learned", "floor"
+LOOK_S = 5.0
+_LOOK_STEP_S, _SETTLE_S = 0.1, 1.0
 _KNOWN = 1e-8
 """Share of the prior's covariance that is left where the true head is given."""
 
@@ -88,6 +91,22 @@ def true_head(twin: Twin) -> HeadCalibration:
     return change_named(twin.truth, changed, np.concatenate([gain - 1, offset]))
 
 
-def learning_order(figures: list[Figure]) -> list[Figure]:
-    """Return the figures of a lens, those first whose changing vergence shows what persists."""
-    return sorted(figures, key=lambda figure: figure.motion != "divergent")
+def look_around(twin: Twin, compared: Comparison, run: int) -> None:
+    """Let the learned head see 5 s of divergent motion, at ten pairs of images a second.
+
+    The number of the run determines the noise. Vergence changes, and the room alone is in view.
+    """
+    twin.restart(run)
+    times = np.arange(0.0, LOOK_S, _LOOK_STEP_S)
+
+    def command(time_s: float) -> Array:
+        return straight_neck(eye_angles("divergent", np.array(time_s - _SETTLE_S)))
+
+    twin.advance(_SETTLE_S / 2, command(_SETTLE_S))
+    for time_s in times:
+        twin.advance(round(_SETTLE_S + time_s, 3), command)
+        state = compared.states[LEARNED]
+        frame = twin.capture(state.cameras)
+        left, right = (frame.images[name] for name in state.cameras)
+        seen = self_calibrate_frame(state, left, right, frame.eye_angles)
+        compared.states[LEARNED] = learn(state, seen, _LOOK_STEP_S if time_s else 0.0)

@@ -15,7 +15,7 @@ from vergence.arrays import Array
 from vergence.calibration.sequential.sequential import SequentialCalibration, calibrate_sequentially
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, save_head
-from vergence.paper.comparison import LEARNED, PAPER, Comparison, comparison, learning_order
+from vergence.paper.comparison import LEARNED, PAPER, Comparison, comparison, look_around
 from vergence.paper.figures import FIGURES, Figure
 from vergence.paper.plots import paper_figures
 from vergence.paper.recording import figure_recording, log_results
@@ -33,6 +33,8 @@ from vergence.viewer.opening import log_report
 from vergence.writing import check_outputs, results_folder, write_json, write_whole
 
 Method = Literal["paper", "self-calibrated"]
+_LOOKING = 100
+"""Number of the run in which the learned head first looks around; those of figures are theirs."""
 SAMPLES_WITH_IMAGES = 160
 """About how many samples of a figure have their images in the recording, which keeps it small."""
 
@@ -96,8 +98,11 @@ def _replay_all(
                 save_head(found.head, out / f"calibration-{lens}.json")
                 done.calibrations[lens] = found
                 done.heads[lens] = inject_calibration_error(found.head, profile.by_hand, lens)
-                compared = comparison(done.heads[lens], twin, floor=floor) if learns else None
-                for figure in learning_order(list(through_it)) if learns else through_it:
+                compared = None
+                if learns:
+                    compared = comparison(done.heads[lens], twin, floor=floor)
+                    look_around(twin, compared, _LOOKING)
+                for figure in through_it:
                     done.replays[figure.number] = record_replay(
                         twin,
                         done.heads[lens],
