@@ -34,7 +34,15 @@ REFERENCE = {
 """Pages of the site, and the packages whose public names they list."""
 CONTENTS = {
     "Guides": (
-        *("using_a_calibration", "dataset", "calibration", "gaze", "own_detector", "own_driver"),
+        *(
+            "using_a_calibration",
+            "dataset",
+            "calibration",
+            "self_calibration",
+            "gaze",
+            "own_detector",
+            "own_driver",
+        ),
         "reproduction",
     ),
     "Reference": (

@@ -129,11 +129,13 @@ def test_stated_covariances_are_true_for_heads_drawn_at_random():
         names, before = state.names, state.covariance
         truth = drawn_head(state, rng)
         points = room(500, rng)
+        angles, found = np.zeros(4), None
         for angles in postures(frames, rng):
             readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
             seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
             found = from_matches(state, seen, readings)
             state = learn(state, found, 0.0)
+        assert found is not None
         target = np.array([0.8, 0.05, -0.05])
         pixels = [project_point(truth, name, angles, target)[None] for name in CAMERAS]
         where = locate_seen(found, left=pixels[0], right=pixels[1], pixel_std_px=1e-3)
@@ -157,7 +159,7 @@ def test_stated_covariances_are_true_for_heads_drawn_at_random():
 def test_a_bumped_camera_is_reported_and_corrected(axis):
     head, rng = head_of(2), np.random.default_rng(3)
     truth, state, points = head, begin(head), room(500, rng)
-    reported = []
+    reported, angles, found = [], np.zeros(4), None
     for k, angles in enumerate(postures(50, rng)):
         if k == 40:
             name = f"left_wide.T_eye_cam.{axis}"
@@ -168,6 +170,7 @@ def test_a_bumped_camera_is_reported_and_corrected(axis):
         state = learn(state, found, 0.3)
         if state.bumped:
             reported.append(k)
+    assert found is not None
     assert len(reported) == 1
     assert 40 <= reported[0] < 43
     assert turn_error_deg(found.head, found.joints, truth, angles) < 0.1

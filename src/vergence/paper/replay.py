@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -211,7 +212,7 @@ def summary(result: Replay) -> dict[str, list[float] | int]:
     return _plain(result.figure, result.statistics)
 
 
-def _plain(figure: Figure, ours: Statistics) -> dict[str, list[float] | int]:
+def _plain(figure: Figure, ours: Statistics) -> dict[str, Any]:
     return {
         "paper_mean_m": list(figure.mean_m),
         "paper_std_m": list(figure.std_m),
@@ -233,7 +234,7 @@ def chosen(result: Replay, method: str) -> Replay:
     return replace(result, points=taken.points, statistics=taken.statistics, others=others)
 
 
-def summaries(result: Replay) -> dict[str, dict[str, list[float] | int]]:
+def summaries(result: Replay) -> dict[str, dict[str, Any]]:
     """Return what `summary` does for each method that was compared; empty: none was."""
     others = {name: each.statistics for name, each in result.others.items()}
     if others and PAPER not in others:

@@ -60,12 +60,14 @@ def epipolar_residuals(
         of_readings = rows_times(J.by_T_base_eye, by_reading[:, k])[0]
         parts.append((J.by_point[0], seen - J.pixels[0], of_head, of_readings))
     normals = _normals(parts[0][0], parts[1][0])
-    residuals, by_head, by_readings = 0.0, np.zeros((len(left), len(parameter_names(head)))), 0.0
+    n = len(left)
+    residuals, by_readings = np.zeros(n), np.zeros((n, by_reading.shape[-1]))
+    by_head = np.zeros((n, len(parameter_names(head))))
     for k, (_, apart, of_head, of_readings) in enumerate(parts):
         row = normals[:, None, 2 * k : 2 * k + 2]
-        residuals = residuals + (row @ apart[..., None])[:, 0, 0]
+        residuals += (row @ apart[..., None])[:, 0, 0]
         by_head[:, camera_columns(head, cameras[k])] += (row @ of_head)[:, 0]
-        by_readings = by_readings + (row @ of_readings)[:, 0]
+        by_readings += (row @ of_readings)[:, 0]
     return EpipolarResiduals(residuals, normals, by_head, by_readings)
 
 

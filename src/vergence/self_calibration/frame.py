@@ -180,7 +180,7 @@ def from_matches(state: SelfCalibration, matches: Matches, joints: Array) -> Sel
         if other.inliers > max(_MOST * len(weights), 1.3 * evidence.inliers):
             seen = _unseen(state, matches, joints, C, "contradiction")
             return replace(seen, weights=other_weights, evidence=other)
-    covariance = np.linalg.inv(evidence.information + np.linalg.inv(C))
+    covariance = np.asarray(np.linalg.inv(evidence.information + np.linalg.inv(C)), float)
     observed = float(np.trace(covariance @ evidence.information))
     gate = _GATE if evidence.inliers > _MOST * len(weights) else _GATE_OF_FEW
     if float(z @ np.linalg.solve(C, z)) > chi2.isf(gate, max(observed, 1.0)):
@@ -215,7 +215,7 @@ def _fit(
     weights, scale2 = _tukey(y - A @ z), _scale2(y - A @ z)
     weighted = A * (weights / scale2)[:, None]
     information, vector = weighted.T @ A, weighted.T @ y
-    z = np.linalg.solve(information + np.linalg.inv(C), vector)
+    z = np.asarray(np.linalg.solve(information + np.linalg.inv(C), vector), float)
     scale = float(np.sqrt(scale2)) * state.match_scale
     return z, weights, Evidence(information, vector, float((weights > 0.3).sum()), scale)
 
@@ -289,7 +289,7 @@ def _robust(y: Array, A: Array, C: Array, z: Array, steps: int = 4) -> Array:
     inverse = np.linalg.inv(C)
     for _ in range(steps):
         weighted = A * _tukey(y - A @ z)[:, None]
-        z = np.linalg.solve(weighted.T @ A + inverse, weighted.T @ y)
+        z = np.asarray(np.linalg.solve(weighted.T @ A + inverse, weighted.T @ y), float)
     return z
 
 

@@ -96,6 +96,8 @@ BUMP = Tolerance(
     axes_m=0.0,
 )
 """Of a camera that something has hit."""
+_READINGS = 4
+"""Of the heads that the paper's method calibrates."""
 JOINT_STD_RAD = np.radians(0.2)
 """Of readings whose noise nobody states, until it is estimated."""
 
@@ -170,13 +172,13 @@ def _of_procedure(head: HeadCalibration, names: tuple[str, ...], cameras: tuple[
     """
     C = tolerance_covariance(head, names, USUAL)
     base = [k for k, name in enumerate(names) if name.startswith("T_rbase_lbase")]
-    count = np.size(_readings_at_zero(head))
-    straight = T_rcam_lcam(head, np.zeros(count), cameras=cameras)
+    zero = np.zeros(_READINGS)
+    straight = T_rcam_lcam(head, zero, cameras=cameras)
     step = 1e-6
     by = np.zeros((6, len(names)))
     for k, name in enumerate(names):
         ends = [
-            T_rcam_lcam(change_named(head, [name], np.array([h])), np.zeros(count), cameras=cameras)
+            T_rcam_lcam(change_named(head, [name], np.array([h])), zero, cameras=cameras)
             for h in (-step, step)
         ]
         by[:, k] = (se3.boxminus(ends[1], straight) - se3.boxminus(ends[0], straight)) / (2 * step)
@@ -186,10 +188,6 @@ def _of_procedure(head: HeadCalibration, names: tuple[str, ...], cameras: tuple[
     mixing[base] = -back @ by
     mixing[np.ix_(base, base)] = back
     return mixing @ C @ mixing.T
-
-
-def _readings_at_zero(head: HeadCalibration) -> Array:
-    return np.zeros(4)
 
 
 def main_cameras(head: HeadCalibration) -> tuple[str, str]:

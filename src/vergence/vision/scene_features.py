@@ -75,12 +75,13 @@ def match_scene(
     ):
         where = _map(camera, R_cam_common, focal, middle, size)
         grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-        views.append(cv2.remap(grey, where, None, cv2.INTER_LINEAR))  # pyright: ignore
-        limits = camera.width - 1.0, camera.height - 1.0
-        inside.append(cv2.inRange(where, (0.0, 0.0), limits))  # pyright: ignore
+        u, v = (np.ascontiguousarray(where[..., k]) for k in (0, 1))
+        views.append(cv2.remap(grey, u, v, cv2.INTER_LINEAR))
+        limits = np.array([camera.width, camera.height], np.float32) - 1
+        inside.append(((where > 0) & (where < limits)).all(axis=-1))
         maps.append(where)
     tensor = _structure(views[0])
-    at = _best_of_cells(tensor, cv2.bitwise_and(*inside))
+    at = _best_of_cells(tensor, inside[0] & inside[1])
     shift = R_rcam_common.T @ T_rcam_lcam[:3, 3]  # of a point, from the left view to the right
     start = at + (focal * shift[:2] - (at - middle) * shift[2]) / _EXPECTED_DEPTH_M
     found, grey, good = _track(*views, at, start)
@@ -134,7 +135,9 @@ def _best_of_cells(tensor: np.ndarray, inside: np.ndarray) -> Array:
     xx, xy, yy = tensor
     smaller = (xx + yy) / 2 - cv2.magnitude((xx - yy) / 2, xy)
     margin = np.ones((_WINDOW_PX, _WINDOW_PX), np.uint8)
-    whole = cv2.erode(inside, margin, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    whole = cv2.erode(
+        inside.astype(np.uint8), margin, borderType=cv2.BORDER_CONSTANT, borderValue=0
+    )
     smaller[whole == 0] = 0
     side = round(float(np.sqrt(cv2.countNonZero(whole) / _FEATURES)))
     side = min(max(side, _SMALLEST_CELL_PX), _LARGEST_CELL_PX)
