@@ -34,7 +34,7 @@ def matches(
 ) -> Matches:
     """Return what two cameras see of points at true angles (r,); a share are wrong by up to 20 px.
 
-    The stated covariance is that of the noise.
+    The stated covariance is that of the noise, of 0.02 px at least.
     """
     both = []
     for k, name in enumerate(cameras):
@@ -53,7 +53,7 @@ def matches(
     right = right + rng.normal(0, noise_px, right.shape)
     wrong = rng.random(len(right)) < outliers
     right[wrong] += rng.uniform(-20, 20, (int(wrong.sum()), 2))
-    covariance = np.tile(max(noise_px, 1e-3) ** 2 * np.eye(2), (len(left), 1, 1))
+    covariance = np.tile(max(noise_px, 0.02) ** 2 * np.eye(2), (len(left), 1, 1))
     return Matches(left, right, covariance)
 
 

@@ -67,7 +67,7 @@ class SelfCalibration:
     """Noise of a reading."""
     match_scale: float
     """Noise of the matches, relative to what their contrast tells."""
-    joint_weight: float = 20.0
+    joint_weight: float = 5.0
     """Readings from which their noise is known."""
     frames: int = 0
     """From which it was learned."""

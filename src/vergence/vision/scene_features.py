@@ -84,7 +84,7 @@ def match_scene(
     at = _best_of_cells(tensor, inside[0] & inside[1])
     shift = R_rcam_common.T @ T_rcam_lcam[:3, 3]  # of a point, from the left view to the right
     start = at + (focal * shift[:2] - (at - middle) * shift[2]) / _EXPECTED_DEPTH_M
-    found, grey, good = _track(*views, at, start)
+    found, grey, good = _track(views[0], views[1], at, start)
     at, found = at[good], found[good]
     xx, xy, yy = tensor[:, at[:, 1].astype(int), at[:, 0].astype(int)]
     noise = _noise(np.stack([xx, xy, xy, yy], axis=-1).reshape(-1, 2, 2), grey[good])
