@@ -119,7 +119,8 @@ def test_a_scene_that_shows_nothing_leaves_head_and_readings_as_they_were():
 def test_stated_covariances_are_true_for_heads_drawn_at_random():
     """Of the learned parameters and of a point, by squared Mahalanobis distances in sum.
 
-    Noise of the readings is not told: it is assumed 0.2 degrees, and 0.15.
+    Noise of the readings is not told: it is 0.15 degrees, and assumed 0.2, which still counts
+    for five of about thirty readings here.
     """
     nominal, frames = head_of(1), 12
     of_head, of_point, stds, degrees = 0.0, [], [], 0
@@ -151,7 +152,7 @@ def test_stated_covariances_are_true_for_heads_drawn_at_random():
     assert low < of_head < 1.05 * high  # the derivatives are of the first order
     low, high = chi2.interval(0.999, 3 * len(of_point))
     assert low < sum(of_point) < high
-    assert np.degrees(np.mean(stds)) == pytest.approx(0.15, abs=0.01)
+    assert np.degrees(np.mean(stds)) == pytest.approx(0.15, abs=0.02)
 
 
 @pytest.mark.slow
