@@ -75,10 +75,9 @@ def match_scene(
     ):
         where = _map(camera, R_cam_common, focal, middle, size)
         grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-        u, v = (np.ascontiguousarray(where[..., k]) for k in (0, 1))
+        u, v = where
         views.append(cv2.remap(grey, u, v, cv2.INTER_LINEAR))
-        limits = np.array([camera.width, camera.height], np.float32) - 1
-        inside.append(((where > 0) & (where < limits)).all(axis=-1))
+        inside.append((u > 0) & (v > 0) & (u < camera.width - 1) & (v < camera.height - 1))
         maps.append(where)
     tensor = _structure(views[0])
     at = _best_of_cells(tensor, inside[0] & inside[1])
@@ -98,7 +97,7 @@ def match_scene(
 def _map(
     camera: Camera, R_cam_common: Array, focal: float, middle: Array, size: tuple[int, int]
 ) -> np.ndarray:
-    """Return (H, W, 2) where in a camera's image the pixels of the common image lie.
+    """Return (2, H, W) where in a camera's image the pixels of the common image lie.
 
     Lines between every eighth pixel. Matches are taken back by the same lines, so that these need
     not be exact.
@@ -108,16 +107,18 @@ def _map(
     rays[..., :2] = (np.stack(np.meshgrid(*grid), axis=-1) - middle) / focal
     coarse = np.nan_to_num(project(camera, rays @ R_cam_common.T), nan=-1e4).astype(np.float32)
     scale = np.array([[1 / _MAP_STEP_PX, 0, 0], [0, 1 / _MAP_STEP_PX, 0]])
-    return cv2.warpAffine(coarse, scale, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    planes = np.ascontiguousarray(np.moveaxis(coarse, -1, 0))
+    return np.array([cv2.warpAffine(plane, scale, size, flags=flags) for plane in planes])
 
 
 def _on_map(where: np.ndarray, pixels: Array) -> tuple[Array, Array]:
     """Return where pixels (N, 2) of the common image lie (N, 2), and derivatives (N, 2, 2)."""
-    limits = np.array(where.shape[1::-1]) - 2
+    limits = np.array(where.shape[:0:-1]) - 2
     corner = np.clip(np.floor(pixels), 0, limits).astype(int)
     u, v = (pixels - corner).T[..., None]
     column, row = corner.T
-    a, b, c, d = (where[row + i, column + j].astype(float) for i, j in np.ndindex(2, 2))
+    a, b, c, d = (where[:, row + i, column + j].T.astype(float) for i, j in np.ndindex(2, 2))
     by_u, by_v = (1 - v) * (b - a) + v * (d - c), (1 - u) * (c - a) + u * (d - b)
     return a + u * (b - a) + v * by_v, np.stack([by_u, by_v], axis=-1)
 
