@@ -34,8 +34,8 @@ REFERENCE = {
 """Pages of the site, and the packages whose public names they list."""
 CONTENTS = {
     "Guides": (
-        *("using_a_calibration", "depth", "dataset", "other_joints", "calibration", "gaze"),
-        *("own_detector", "own_driver", "reproduction"),
+        *("using_a_calibration", "depth", "dataset", "other_joints", "calibration"),
+        *("self_calibration", "gaze", "own_detector", "own_driver", "reproduction"),
         *("accuracy", "error_study", "design_and_plan"),
     ),
     "Reference": (

@@ -18,7 +18,8 @@ SRC = Path(__file__).parents[1] / "src"
 
 ROOMS = (
     "errors", "arrays", "reading", "writing", "progress", "geometry", "data", "vision", "stereo",
-    "calibration", "accuracy", "gaze", "reach", "interchange", "vergence", "twin", "viewer",
+    "calibration", "self_calibration", "accuracy", "gaze", "reach", "interchange", "vergence",
+    "twin", "viewer",
     "commands", "paper", "demos", "cli", "__main__",
 )  # fmt: skip
 """Folders and single modules, from the ground up: each may import itself and those before it.

@@ -11,6 +11,8 @@ from rrd import assert_valid, read_series
 from simulated_twin import observe_points, simulate_views
 from vergence import cli
 from vergence.calibration.sequential.sequential import calibrate_sequentially
+from vergence.geometry.head import load_head
+from vergence.paper import comparison
 from vergence.paper import reproduce as main_job
 from vergence.paper.figures import FIGURES
 from vergence.paper.replay import describe, estimate, sample_times
@@ -160,6 +162,26 @@ def test_the_report_of_two_lenses_has_one_whole_table_of_calibrations():
     assert [row[0] for row in table[1:]] == [lens for lens in FOCAL_MM for _ in range(4)]
     for lens, found in calibrations.items():
         assert f"\nStatic stereo with the {lens} lens: {found.stereo_views} views" in text
+
+
+@pytest.mark.usefixtures("few_views")
+@pytest.mark.render
+def test_methods_are_compared_on_the_same_images(tmp_path, monkeypatch):
+    monkeypatch.setattr(comparison, "LOOK_S", 1.0)
+    profile = load_profile("paper")
+    short = {"figures": (7,), "profile": profile, "seed": 0, "duration_s": 12, "rate_hz": 1}
+    reproduce(tmp_path / "paper", **short)
+    reproduce(tmp_path / "all", method="self-calibrated", compare=True, floor=True, **short)
+    paper, found = (statistics(tmp_path / name) for name in ("paper", "all"))
+    assert "methods" not in paper
+    methods = {name: each["figures"]["7"] for name, each in found["methods"].items()}
+    assert list(methods) == ["paper", "single-frame", "learned", "floor"]
+    assert methods["paper"] == paper["figures"]["7"]
+    assert found["figures"]["7"] == methods["learned"]
+    depth = {name: each["std_m"][0] for name, each in methods.items()}
+    assert depth["floor"] < depth["learned"] < depth["paper"] / 3
+    assert "## Methods compared" in (tmp_path / "all" / "report.md").read_text()
+    assert load_head(tmp_path / "all" / "learned-2.8mm.json").accuracy is not None
 
 
 @pytest.mark.usefixtures("few_views")

@@ -44,6 +44,9 @@ def reproduce(
     seed: int = 0,
     duration: float | None = None,
     rate: float | None = None,
+    method: Literal["paper", "self-calibrated"] = "paper",
+    compare: bool = False,
+    floor: bool = False,
 ) -> None:
     """Replay the paper's Figs. 6-11 on rendered images.
 
@@ -55,6 +58,10 @@ def reproduce(
         seed: Seed of everything random.
         duration: Length of each figure [s]; default: its full combined period, at least 60 s.
         rate: Samples per second [Hz]; default: 640 samples per figure.
+        method: Whose positions are plotted: by the joint readings as in the paper, or by the
+            geometry that is learned from the same images.
+        compare: State the results of all methods side by side.
+        floor: Also those of self-calibration that is given the true head, to compare with.
     """
     # Imported here, so that help and wrong arguments do not wait for OpenGL.
     from vergence.paper.reproduce import check
@@ -75,6 +82,9 @@ def reproduce(
             seed=seed,
             duration_s=duration,
             rate_hz=rate,
+            method=method,
+            compare=compare,
+            floor=floor,
             progress=progress,
         )
     recordings = [f"fig{number:02d}.rrd" for number in sorted(done.replays)]

@@ -18,6 +18,8 @@ from vergence.paper.replay import Replay, Statistics
 from vergence.viewer.canvas import BLUE, DPI, GREEN, RED, save
 
 _COLOURS = (BLUE, GREEN, RED)  # x, y, z
+_OTHERS = ("orange", "black", "0.5")
+"""Of the depth by other methods, one after the other."""
 _PANEL_INCHES, _HEADING_INCHES = (8.0, 5.8), 0.6
 _FIRST = 6  # from here in pairs: parallel motion on the left, divergent on the right
 _STYLE: dict[str, Any] = {"fontsize": 12}
@@ -69,6 +71,11 @@ def _panel(axes: Axes, result: Replay) -> None:
         axes.axhspan(mean - std, mean + std, color=colour, alpha=0.18, linewidth=0)
         axes.axhline(mean, color=colour, linewidth=0.9, linestyle=(0, (6, 4)), alpha=0.8)
         axes.plot(time_s, result.points[:, k], color=colour, linewidth=0.8)
+    for (method, other), colour in zip(result.others.items(), _OTHERS, strict=False):
+        label = f"depth, {method}: σ {1e3 * other.statistics.std_m[0]:.1f} mm"
+        axes.plot(time_s, other.points[:, 0], color=colour, linewidth=0.8, label=label)
+    if result.others:
+        axes.legend(loc="upper right", fontsize=10, framealpha=0.85)
     axes.set_xlabel("time [s]", **_STYLE)
     axes.set_ylabel("position [m]", **_STYLE)
     axes.tick_params(labelleft=True, labelsize=11)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import NECK_JOINTS
 from vergence.geometry.projection import project_point
+from vergence.paper.comparison import PAPER, Comparison
 from vergence.paper.figures import Figure, default_duration_s
 from vergence.progress import Progress, silent
 from vergence.stereo.triangulation import triangulate_at
@@ -63,6 +65,19 @@ class Replay:
     points: Array
     """(N, 3) estimated positions [m] in the left eye's base frame; NaN: not located."""
     statistics: Statistics
+    others: dict[str, Estimates] = field(default_factory=dict)
+    """By method, what others made of the same images and readings."""
+
+
+@dataclass(frozen=True, eq=False)
+class Estimates:
+    """What one method made of a figure's images and readings."""
+
+    points: Array
+    """(N, 3) [m] in the left eye's base frame; NaN: not located."""
+    depth_std_m: Array
+    """(N,) the standard deviation of depth that the method states."""
+    statistics: Statistics
 
 
 def sample_times(figure: Figure, duration_s: float | None, rate_hz: float | None) -> Array:
@@ -85,6 +100,7 @@ def replay(
     *,
     observer: Callable[..., None] | None = None,
     image_every: int = 1,
+    compared: Comparison | None = None,
     progress: Progress = silent,
 ) -> Replay:
     """Replay a figure on rendered images.
@@ -98,8 +114,11 @@ def replay(
             of `viewer.frame.log_frame` by name.
         image_every: every Nth sample is rendered by all cameras, and the observer gets its images;
             the others only by the wide cameras, which the estimation uses.
+        compared: other methods, which get every sample in its order.
     """
     start = _LEAD_S
+    if compared is not None:
+        compared.begin()
     twin.restart(figure.number)
     twin.place_object(np.array(figure.mean_m))
 
@@ -120,6 +139,8 @@ def replay(
             name: find_sphere(image, calibration.camera(name).intrinsics)
             for name, image in frame.images.items()
         }
+        if compared is not None:
+            compared.add(frame.images, frame.eye_angles, detected, times_s[index])
         if observer is not None:
             shown = {n: project_point(twin.truth, n, eyes, where) for n in frame.images}
             observer(
@@ -155,7 +176,15 @@ def replay(
         results = [future.result() for future in pending]
     angles = np.array([angles for angles, _ in results])
     pixels_l, pixels_r = (np.array([pixels[name] for _, pixels in results]) for name in WIDE)
-    return estimate(calibration, figure, Measurements(times_s, angles, pixels_l, pixels_r))
+    result = estimate(calibration, figure, Measurements(times_s, angles, pixels_l, pixels_r))
+    if compared is None:
+        return result
+    others = {
+        method: Estimates(np.array(points), np.array(compared.stds[method]), describe(points))
+        for method, each in compared.points.items()
+        for points in [np.array(each)]
+    }
+    return replace(result, others=others)
 
 
 def estimate(calibration: HeadCalibration, figure: Figure, measurements: Measurements) -> Replay:
@@ -181,7 +210,10 @@ def describe(points: Array) -> Statistics:
 
 def summary(result: Replay) -> dict[str, list[float] | int]:
     """Return a figure's results and the paper's beside them, as plain values for JSON."""
-    figure, ours = result.figure, result.statistics
+    return _plain(result.figure, result.statistics)
+
+
+def _plain(figure: Figure, ours: Statistics) -> dict[str, Any]:
     return {
         "paper_mean_m": list(figure.mean_m),
         "paper_std_m": list(figure.std_m),
@@ -191,3 +223,21 @@ def summary(result: Replay) -> dict[str, list[float] | int]:
         "samples": ours.samples,
         "dropped": ours.dropped,
     }
+
+
+def chosen(result: Replay, method: str) -> Replay:
+    """Return a replay whose points are those of another method; its own become `paper`."""
+    if method == PAPER:
+        return result
+    taken = result.others[method]
+    own = Estimates(result.points, np.full(len(result.points), np.nan), result.statistics)
+    others = {PAPER: own, **result.others}
+    return replace(result, points=taken.points, statistics=taken.statistics, others=others)
+
+
+def summaries(result: Replay) -> dict[str, dict[str, Any]]:
+    """Return what `summary` does for each method that was compared; empty: none was."""
+    others = {name: each.statistics for name, each in result.others.items()}
+    if others and PAPER not in others:
+        others = {PAPER: result.statistics, **others}
+    return {method: _plain(result.figure, each) for method, each in others.items()}

@@ -12,7 +12,8 @@ from vergence.arrays import Array
 from vergence.calibration.sequential.sequential import SequentialCalibration
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.projection import stereo_poses
-from vergence.paper.replay import WIDE, Replay
+from vergence.paper.comparison import LOOK_S, PAPER
+from vergence.paper.replay import WIDE, Replay, summaries
 from vergence.stereo.depth_error import depth_error, disparity_error
 from vergence.twin.profile import ErrorProfile, Joints
 from vergence.twin.sensors import read
@@ -98,6 +99,7 @@ def report(done: Reproduction) -> str:
         _verdict(replays),
         "## Means",
         _mean_table(replays),
+        *_comparison(replays),
         "## Calibrations",
         *_calibration_table(done.calibrations),
     ]
@@ -159,6 +161,30 @@ def _mean_table(replays: Sequence[Replay]) -> str:
         rows.append((result.figure.number, _three(paper, 3), _three(ours.mean_m, 4), ratio, across))
     heading = "Fig. | object (the paper's mean) | our mean | depth error / our std | error across"
     return markdown_table(heading, rows)
+
+
+def _comparison(replays: Sequence[Replay]) -> list[str]:
+    """Return the depth of all methods side by side; nothing if there is but one."""
+    compared = {result.figure.number: summaries(result) for result in replays}
+    methods = list(dict.fromkeys(method for each in compared.values() for method in each))
+    if not methods:
+        return []
+    rows = []
+    for number, each in compared.items():
+        paper = each[PAPER]
+        for method in methods:
+            found = each[method]
+            std, mean = (1e3 * found[key][0] for key in ("std_m", "mean_m"))
+            off = mean - 1e3 * found["object_m"][0]
+            times = paper["std_m"][0] / found["std_m"][0]
+            rows.append((number, method, f"{std:.2f} mm", f"{times:.1f}", f"{off:+.2f} mm"))
+    return [
+        "## Methods compared",
+        "All methods have the same images, readings and object pixels. `single-frame` corrects "
+        "each pair of images by itself; `learned` also keeps what persists, and had seen "
+        f"{LOOK_S:g} s of divergent motion before; `floor` is given the true head.",
+        markdown_table("Fig. | method | depth std | times steadier | depth error", rows),
+    ]
 
 
 def _calibration_table(calibrations: Mapping[str, SequentialCalibration]) -> list[str]:

@@ -7,6 +7,7 @@ from functools import partial
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
@@ -14,12 +15,14 @@ from vergence.arrays import Array
 from vergence.calibration.sequential.sequential import SequentialCalibration, calibrate_sequentially
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, save_head
+from vergence.paper.comparison import LEARNED, PAPER, Comparison, comparison, look_around
 from vergence.paper.figures import FIGURES, Figure
 from vergence.paper.plots import paper_figures
 from vergence.paper.recording import figure_recording, log_results
-from vergence.paper.replay import Replay, replay, sample_times, summary
+from vergence.paper.replay import Replay, chosen, replay, sample_times, summaries, summary
 from vergence.paper.report import Reproduction, figure_report, report
 from vergence.progress import Progress, silent
+from vergence.self_calibration.learning import learned_head
 from vergence.twin.appearance import visual_geoms
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import capture_views, plan
@@ -30,6 +33,9 @@ from vergence.viewer.frame import log_frame
 from vergence.viewer.opening import log_report
 from vergence.writing import check_outputs, results_folder, write_json, write_whole
 
+Method = Literal["paper", "self-calibrated"]
+_LOOKING = 100
+"""Number of the run in which the learned head first looks around; those of figures are theirs."""
 SAMPLES_WITH_IMAGES = 160
 """About how many samples of a figure have their images in the recording, which keeps it small."""
 
@@ -43,6 +49,9 @@ def reproduce(
     scene: Scene = "room",
     duration_s: float | None = None,
     rate_hz: float | None = None,
+    method: Method = "paper",
+    compare: bool = False,
+    floor: bool = False,
     progress: Progress = silent,
 ) -> Reproduction:
     """Replay figures and write recordings, plots, report and statistics into a folder.
@@ -57,46 +66,61 @@ def reproduce(
         scene: what the head looks at.
         duration_s: length of each replay; None: its full combined period, at least 60 s.
         rate_hz: samples per second; None: 640 samples per figure.
+        method: whose results are plotted and stand under `figures`: the paper's, or those of
+            the geometry that is learned from the same images.
+        compare: also state the results of the other methods.
+        floor: also those of self-calibration that is given the true head, for evaluation.
         progress: is called after each view of a calibration and each sample of a figure.
 
     Raises:
         VergenceError: an argument cannot be met, or the folder cannot be written.
     """
-    chosen = check(out, figures=figures, seed=seed, duration_s=duration_s, rate_hz=rate_hz)
+    wanted = check(out, figures=figures, seed=seed, duration_s=duration_s, rate_hz=rate_hz)
     done = Reproduction(profile, seed, {}, {}, {})
     with results_folder(out):
-        _replay_all(out, chosen, done, scene, duration_s, rate_hz, progress)
+        sampling = duration_s, rate_hz
+        _replay_all(out, wanted, done, scene, sampling, (method, compare, floor), progress)
     return done
 
 
 def _replay_all(
     out: Path,
-    chosen: Sequence[Figure],
+    figures: Sequence[Figure],
     done: Reproduction,
     scene: Scene,
-    duration_s: float | None,
-    rate_hz: float | None,
+    sampling: tuple[float | None, float | None],
+    methods: tuple[Method, bool, bool],
     progress: Progress,
 ) -> None:
     """Replay figures, and add each to what is done when its files are written."""
     profile, seed = done.profile, done.seed
+    method, compare, floor = methods
+    learns = compare or floor or method != "paper"
     try:
-        for lens, through_it in groupby(chosen, attrgetter("lens")):
+        for lens, through_it in groupby(figures, attrgetter("lens")):
             with Twin(profile, seed=seed, lens=lens, scene=scene) as twin:
                 found = _calibrate(twin, lens, seed, progress)
                 save_head(found.head, out / f"calibration-{lens}.json")
                 done.calibrations[lens] = found
                 done.heads[lens] = inject_calibration_error(found.head, profile.by_hand, lens)
+                compared = None
+                if learns:
+                    compared = comparison(done.heads[lens], twin, floor=floor)
+                    look_around(twin, compared, _LOOKING)
                 for figure in through_it:
                     done.replays[figure.number] = record_replay(
                         twin,
                         done.heads[lens],
                         figure,
-                        sample_times(figure, duration_s, rate_hz),
+                        sample_times(figure, *sampling),
                         out / f"fig{figure.number:02d}.rrd",
+                        method=PAPER if method == "paper" else LEARNED,
+                        compared=compared,
                         progress=progress,
                     )
                     _write(out, done)
+                if compared is not None:
+                    save_head(learned_head(compared.states[LEARNED]), out / f"learned-{lens}.json")
     finally:
         if done.replays:
             paper_figures(out / "figures.png", list(done.replays.values()))
@@ -158,6 +182,8 @@ def record_replay(
     times_s: Array,
     path: Path,
     *,
+    method: str = PAPER,
+    compared: Comparison | None = None,
     progress: Progress = silent,
 ) -> Replay:
     """Replay one figure on rendered images, as `replay` does, and record it."""
@@ -169,8 +195,10 @@ def record_replay(
             times_s,
             observer=partial(log_frame, rec),
             image_every=max(1, len(times_s) // SAMPLES_WITH_IMAGES),
+            compared=compared,
             progress=progress,
         )
+        result = chosen(result, method)
         log_results(rec, result, calibration, twin.T_world_lbase())
         log_report(rec, figure_report(result, twin.profile, calibration))
     return result
@@ -178,11 +206,18 @@ def record_replay(
 
 def _write(out: Path, done: Reproduction) -> None:
     """Write statistics.json and report.md of the figures so far."""
-    results = {
+    results: dict[str, Any] = {
         "profile": done.profile.name,
         "fitted_parameters": len(done.profile.fitted),
         "seed": done.seed,
         "figures": {str(number): summary(done.replays[number]) for number in sorted(done.replays)},
     }
+    by_figure = {str(n): summaries(done.replays[n]) for n in sorted(done.replays)}
+    methods = dict.fromkeys(method for each in by_figure.values() for method in each)
+    if methods:
+        results["methods"] = {
+            method: {"figures": {n: each[method] for n, each in by_figure.items()}}
+            for method in methods
+        }
     write_json(results, out / "statistics.json")
     write_whole(out / "report.md", report(done))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
@@ -238,6 +239,35 @@ def combination(
     for shared in (by_readings, by_head @ factor):
         covariance += shared @ shared.T
     return total, covariance
+
+
+def locate_jointly(
+    head: HeadCalibration,
+    *,
+    left: Array,
+    right: Array,
+    joints: Array,
+    parameters: Sequence[str],
+    covariance: Array,
+    pixel_std_px: ArrayLike,
+    cameras: tuple[str, str] | None = None,
+) -> LocatedPoints:
+    """Return where points are, if head and readings were estimated together.
+
+    The covariance (P + r, P + r) is of the named parameters of the head, then of the r readings
+    (r,) [rad] of the one posture that serves all points. Other arguments and errors are those of
+    `locate`.
+    """
+    seen = linearised(head, left=left, right=right, joints=joints, cameras=cameras)
+    names, n = pair_parameters(head, cameras), seen.points.shape[1]
+    by_head = by_head_parameters(head, cameras, seen)
+    nothing = np.zeros((3, n))
+    rows = [by_head[:, names.index(k)] if k in names else nothing for k in parameters]
+    own = np.concatenate([np.stack(rows, axis=1), seen.by_readings], axis=1).transpose(2, 0, 1)
+    both = _squares(seen.by_pixels * _rows(pixel_std_px, n)) + own @ covariance @ own.swapaxes(1, 2)
+    of_head, P = own[..., : len(rows)], len(rows)
+    shared = of_head @ covariance[:P, :P] @ of_head.swapaxes(1, 2)
+    return LocatedPoints(seen.points.T, both, seen.status, shared)
 
 
 def locate_both(

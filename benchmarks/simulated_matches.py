@@ -1,0 +1,63 @@
+"""Matches of a simulated room in two moving eyes, without images, for self-calibration."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.lens import reach
+from vergence.geometry.parameters import change_named
+from vergence.geometry.projection import eye_poses, project_point
+from vergence.geometry.se3 import inverse, transform
+from vergence.self_calibration.frame import SelfCalibration
+from vergence.vision.scene_features import Matches
+
+ROOM_M = ((0.5, 4.0), (-2.5, 2.5), (-1.2, 1.2))
+"""Where its points are: x ahead, y to the left, z up from the left eye."""
+
+
+def room(count: int, rng: np.random.Generator) -> Array:
+    """Return points (count, 3) [m] that fill the room."""
+    return np.stack([rng.uniform(*limits, count) for limits in ROOM_M], axis=1)
+
+
+def matches(
+    truth: HeadCalibration,
+    angles: Array,
+    points: Array,
+    *,
+    noise_px: float,
+    rng: np.random.Generator,
+    outliers: float = 0.0,
+    cameras: tuple[str, str] = ("left_wide", "right_wide"),
+) -> Matches:
+    """Return what two cameras see of points at true angles (r,); a share are wrong by up to 20 px.
+
+    The stated covariance is that of the noise, of 0.02 px at least.
+    """
+    both = []
+    for k, name in enumerate(cameras):
+        pixels = project_point(truth, name, angles, points)
+        mounted = truth.camera(name)
+        camera = mounted.intrinsics
+        inside = ((pixels > 0) & (pixels < [camera.width, camera.height])).all(axis=1)
+        # Beyond its reach a lens folds back into the image.
+        T = eye_poses(truth, angles)[k] @ mounted.T_eye_cam
+        T_base_lbase = truth.T_rbase_lbase if mounted.eye == "right" else np.eye(4)
+        x, y, z = transform(inverse(T) @ T_base_lbase, points).T
+        limit = reach(camera.model, tuple(camera.distortion.tolist()))
+        both.append((pixels, inside & (x**2 + y**2 < 0.9 * limit * z**2)))
+    seen = both[0][1] & both[1][1]
+    left, right = (pixels[seen] for pixels, _ in both)
+    right = right + rng.normal(0, noise_px, right.shape)
+    wrong = rng.random(len(right)) < outliers
+    right[wrong] += rng.uniform(-20, 20, (int(wrong.sum()), 2))
+    covariance = np.tile(max(noise_px, 0.02) ** 2 * np.eye(2), (len(left), 1, 1))
+    return Matches(left, right, covariance)
+
+
+def drawn_head(state: SelfCalibration, rng: np.random.Generator) -> HeadCalibration:
+    """Return a true head, drawn from what a state believes."""
+    change = rng.multivariate_normal(np.zeros(len(state.names)), state.covariance)
+    return change_named(state.head, state.names, change)

@@ -1,0 +1,112 @@
+"""Self-calibration beside the paper's method, on the same images and readings of a replay."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from vergence.accuracy.motions import eye_angles
+from vergence.arrays import Array
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import EYE_JOINTS
+from vergence.geometry.parameters import change_named
+from vergence.self_calibration.frame import (
+    SelfCalibrated,
+    SelfCalibration,
+    from_matches,
+    locate_seen,
+    self_calibrate_frame,
+    start,
+)
+from vergence.self_calibration.learning import learn
+from vergence.twin.calibration_sequence import straight_neck
+from vergence.twin.head import Twin
+from vergence.vision.sphere import STD_PX
+
+PAPER, SINGLE, LEARNED, FLOOR = "paper", "single-frame", "learned", "floor"
+LOOK_S = 5.0
+_LOOK_STEP_S, _SETTLE_S = 0.1, 1.0
+_KNOWN = 1e-8
+"""Share of the prior's covariance that is left where the true head is given."""
+
+
+@dataclass(eq=False)
+class Comparison:
+    """Self-calibration of one lens, fed frame by frame."""
+
+    states: dict[str, SelfCalibration]
+    """By method; that of `learned` changes with every frame."""
+    points: dict[str, list[Array]] = field(default_factory=dict)
+    """By method, (3,) [m] in the left eye's base frame for each sample; NaN: not located."""
+    stds: dict[str, list[float]] = field(default_factory=dict)
+    """By method, the stated standard deviation of depth [m]."""
+    last: dict[str, SelfCalibrated] = field(default_factory=dict)
+    """By method, of the last frame."""
+    _time_s: float | None = None
+
+    def begin(self) -> None:
+        """Begin a figure: what was learned stays."""
+        self.points = {method: [] for method in self.states}
+        self.stds = {method: [] for method in self.states}
+        self._time_s = None
+
+    def add(
+        self, images: Mapping[str, np.ndarray], joints: Array, pixels: Mapping[str, Array], t: float
+    ) -> None:
+        """Locate the object in a sample, by its pixels (2,) in both images, at a time [s]."""
+        left, right = self.states[SINGLE].cameras
+        first = self_calibrate_frame(self.states[SINGLE], images[left], images[right], joints)
+        for method, state in self.states.items():
+            seen = first if method == SINGLE else from_matches(state, first.matches, joints)
+            found = locate_seen(
+                seen, left=pixels[left][None], right=pixels[right][None], pixel_std_px=STD_PX
+            )
+            self.points[method].append(found.xyz[0])
+            self.stds[method].append(float(np.sqrt(found.covariance[0, 0, 0])))
+            self.last[method] = seen
+        if LEARNED in self.states:
+            elapsed_s = 0.0 if self._time_s is None else t - self._time_s
+            self.states[LEARNED] = learn(self.states[LEARNED], self.last[LEARNED], elapsed_s)
+        self._time_s = t
+
+
+def comparison(head: HeadCalibration, twin: Twin, *, floor: bool) -> Comparison:
+    """Return a comparison for a calibration; floor: also with the true head, for evaluation."""
+    states = {SINGLE: start(head), LEARNED: start(head)}
+    if floor:
+        known = start(true_head(twin))
+        states[FLOOR] = replace(known, covariance=known.covariance * _KNOWN)
+    return Comparison(states)
+
+
+def true_head(twin: Twin) -> HeadCalibration:
+    """Return the twin's head with the gains and offsets that undo those of its joint sensors."""
+    joints = twin.profile.joints
+    gain = 1 / (1 + np.array(joints.gain_percent) / 100)
+    offset = -gain * np.radians(joints.offset_deg)
+    names = [name.replace("_", ".", 1) for name in EYE_JOINTS]  # left.pan, left.tilt, ...
+    changed = [f"{name}_gain" for name in names] + [f"{name}_offset_rad" for name in names]
+    return change_named(twin.truth, changed, np.concatenate([gain - 1, offset]))
+
+
+def look_around(twin: Twin, compared: Comparison, run: int) -> None:
+    """Let the learned head see 5 s of divergent motion, at ten pairs of images a second.
+
+    The number of the run determines the noise. Vergence changes, and the room alone is in view.
+    """
+    twin.restart(run)
+    times = np.arange(0.0, LOOK_S, _LOOK_STEP_S)
+
+    def command(time_s: float) -> Array:
+        return straight_neck(eye_angles("divergent", np.array(time_s - _SETTLE_S)))
+
+    twin.advance(_SETTLE_S / 2, command(_SETTLE_S))
+    for time_s in times:
+        twin.advance(round(_SETTLE_S + time_s, 3), command)
+        state = compared.states[LEARNED]
+        frame = twin.capture(state.cameras)
+        left, right = (frame.images[name] for name in state.cameras)
+        seen = self_calibrate_frame(state, left, right, frame.eye_angles)
+        compared.states[LEARNED] = learn(state, seen, _LOOK_STEP_S if time_s else 0.0)

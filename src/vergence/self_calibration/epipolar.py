@@ -1,0 +1,106 @@
+"""Epipolar residuals of matched pixels, and their derivatives by the head and its readings.
+
+A match is four numbers (left u, v, right u, v) that depend on a point (3) and on the geometry. The
+one combination of them that no displacement of the point changes is the residual: to first order
+the distance in the space of the four pixel coordinates to the nearest match that fits (Sampson's
+distance). It is taken at the point that the match shows, not at the pixels as measured: then its
+derivatives do not share the noise of the residual, which would pull at the focal lengths.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.geometry.camera import normalise
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.parameters import camera_columns, parameter_names
+from vergence.geometry.projection import (
+    by_parameters,
+    eye_poses_with_jacobians,
+    project_with_jacobians,
+    rows_times,
+    stereo_cameras,
+)
+from vergence.geometry.se3 import cross, inverse
+
+_FARTHEST_M = 50.0
+"""Noise makes far points infinitely far, or puts them behind the head; they are taken as here."""
+_NEAREST_M = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class EpipolarResiduals:
+    """Residuals of N matches, linearised."""
+
+    residuals: Array
+    """(N,) [px], measured minus predicted; NaN where a pixel has no direction."""
+    normals: Array
+    """(N, 4) unit vectors: residuals change so with left u, v, right u, v."""
+    by_parameters: Array
+    """(N, P) of the predicted ones by the parameters of the head, as in `parameter_names`."""
+    by_readings: Array
+    """(N, r) of the predicted ones by the readings."""
+
+
+def epipolar_residuals(
+    head: HeadCalibration, joints: Array, left: Array, right: Array, cameras: tuple[str, str]
+) -> EpipolarResiduals:
+    """Return the residuals of matches: (N, 2) pixels in two cameras, at readings (r,) [rad]."""
+    T, by_axes, by_reading = eye_poses_with_jacobians(head, joints, 1)
+    points = _points(head, T[0], left, right, cameras)
+    parts = []
+    for k, (mounted, seen) in enumerate(
+        zip(stereo_cameras(head, cameras), (left, right), strict=True)
+    ):
+        J = project_with_jacobians(mounted, head.T_rbase_lbase, T[:, k], points[None])
+        of_head = by_parameters(J, by_axes[k])[0]
+        of_readings = rows_times(J.by_T_base_eye, by_reading[:, k])[0]
+        parts.append((J.by_point[0], seen - J.pixels[0], of_head, of_readings))
+    normals = _normals(parts[0][0], parts[1][0])
+    n = len(left)
+    residuals, by_readings = np.zeros(n), np.zeros((n, by_reading.shape[-1]))
+    by_head = np.zeros((n, len(parameter_names(head))))
+    for k, (_, apart, of_head, of_readings) in enumerate(parts):
+        row = normals[:, None, 2 * k : 2 * k + 2]
+        residuals += (row @ apart[..., None])[:, 0, 0]
+        by_head[:, camera_columns(head, cameras[k])] += (row @ of_head)[:, 0]
+        by_readings += (row @ of_readings)[:, 0]
+    return EpipolarResiduals(residuals, normals, by_head, by_readings)
+
+
+def _points(
+    head: HeadCalibration, T_base_eye: Array, left: Array, right: Array, cameras: tuple[str, str]
+) -> Array:
+    """Return (N, 3) midway between the two rays where they are nearest, in the left eye's base."""
+    centres, rays = [], []
+    for k, (mounted, seen) in enumerate(
+        zip(stereo_cameras(head, cameras), (left, right), strict=True)
+    ):
+        T = T_base_eye[k] @ mounted.T_eye_cam
+        T = inverse(head.T_rbase_lbase) @ T if mounted.eye == "right" else T
+        xy = normalise(mounted.intrinsics, seen)
+        rays.append(np.concatenate([xy, np.ones((len(xy), 1))], axis=1) @ T[:3, :3].T)
+        centres.append(T[:3, 3])
+    between = centres[1] - centres[0]
+    ll, lr, rr = (np.einsum("ni,ni->n", rays[i], rays[j]) for i, j in ((0, 0), (0, 1), (1, 1)))
+    lb, rb = (ray @ between for ray in rays)
+    sine2 = np.maximum(ll * rr - lr**2, 1e-12)
+    depths = (rr * lb - lr * rb) / sine2, (lr * lb - ll * rb) / sine2
+    near = [np.where(z > 0, np.clip(z, _NEAREST_M, _FARTHEST_M), _FARTHEST_M) for z in depths]
+    ends = [c + z[:, None] * ray for c, z, ray in zip(centres, near, rays, strict=True)]
+    return (ends[0] + ends[1]) / 2
+
+
+def _normals(left: Array, right: Array) -> Array:
+    """Return unit vectors (N, 4) normal to the three columns of (N, 2, 3) over (N, 2, 3).
+
+    The cofactors of the four rows.
+    """
+    ray_l, ray_r = cross(left[:, 0], left[:, 1]), cross(right[:, 0], right[:, 1])
+    of_left = np.einsum("nij,nj->ni", left, ray_r)
+    of_right = np.einsum("nij,nj->ni", right, ray_l)
+    normals = np.stack([of_left[:, 1], -of_left[:, 0], of_right[:, 1], -of_right[:, 0]], axis=1)
+    return normals / np.linalg.norm(normals, axis=1, keepdims=True)

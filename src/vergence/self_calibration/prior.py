@@ -1,0 +1,197 @@
+"""What may be wrong with a head before its eyes have looked: the prior of self-calibration.
+
+A calibration that states its covariance brings it along. One that does not, such as that of the
+paper's method, is given the errors that such procedures usually have, in the quantities that they
+measure: lenses, mountings, gains, and the pose of the cameras to each other at straight gaze,
+which is known far better than the mountings. What has moved since is added to both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.geometry import se3
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.parameters import change_named, intrinsics_names, parameter_names
+from vergence.geometry.projection import T_rcam_lcam, stereo_cameras
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """Standard deviations of each kind of parameter; lengths in m, angles in rad."""
+
+    focal: float
+    """Relative; of both focal lengths of a camera together."""
+    aspect: float
+    """Relative; of one focal length to the other."""
+    centre_px: float
+    distortion: float
+    turn_rad: float
+    """Of a mounting, about each axis."""
+    shift_m: float
+    stereo_turn_rad: float
+    """Of the cameras to each other at straight gaze, or of the bases."""
+    stereo_shift_m: float
+    gain: float
+    axes_rad: float
+    axes_m: float
+
+
+USUAL = Tolerance(
+    focal=0.02,
+    aspect=0.001,
+    centre_px=0.2,
+    distortion=0.003,
+    turn_rad=np.radians(0.5),
+    shift_m=3e-3,
+    stereo_turn_rad=np.radians(0.3),
+    stereo_shift_m=2e-4,
+    gain=0.03,
+    axes_rad=np.radians(0.2),
+    axes_m=2e-4,
+)
+"""Of a calibration that does not state its covariance."""
+MOVED = Tolerance(
+    focal=0.002,
+    aspect=0.0,
+    centre_px=0.3,
+    distortion=0.0,
+    turn_rad=np.radians(0.1),
+    shift_m=1e-4,
+    stereo_turn_rad=np.radians(0.03),
+    stereo_shift_m=5e-5,
+    gain=0.002,
+    axes_rad=0.0,
+    axes_m=0.0,
+)
+"""Since the calibration: transport, temperature, screws."""
+DRIFT = Tolerance(
+    focal=1e-4,
+    aspect=0.0,
+    centre_px=0.01,
+    distortion=0.0,
+    turn_rad=np.radians(0.03),
+    shift_m=1e-5,
+    stereo_turn_rad=np.radians(0.003),
+    stereo_shift_m=5e-6,
+    gain=1e-4,
+    axes_rad=0.0,
+    axes_m=0.0,
+)
+"""A random walk, in one minute of running."""
+BUMP = Tolerance(
+    focal=0.0,
+    aspect=0.0,
+    centre_px=0.0,
+    distortion=0.0,
+    turn_rad=np.radians(1.5),
+    shift_m=1e-3,
+    stereo_turn_rad=0.0,
+    stereo_shift_m=0.0,
+    gain=0.0,
+    axes_rad=0.0,
+    axes_m=0.0,
+)
+"""Of a camera that something has hit."""
+_READINGS = 4
+"""Of the heads that the paper's method calibrates."""
+JOINT_STD_RAD = np.radians(0.2)
+"""Of readings whose noise nobody states, until it is estimated."""
+
+
+def learned_names(head: HeadCalibration, cameras: tuple[str, str]) -> tuple[str, ...]:
+    """Return which parameters of a head can be wrong, and show in its main cameras."""
+    stated = head.accuracy.parameters if head.accuracy else ()
+    first = {name: intrinsics_names(head.camera(name).intrinsics)[:5] for name in cameras}
+    usual = {f"{camera}.{each}" for camera, names in first.items() for each in names}
+
+    def wanted(name: str) -> bool:
+        owner, _, rest = name.partition(".")
+        if owner in head.cameras:
+            own = owner in cameras and (rest.startswith("T_eye_cam") or name in usual)
+            return own or (owner in cameras and name in stated)
+        return name.startswith("T_rbase_lbase") or rest.endswith("gain") or name in stated
+
+    return tuple(n for n in parameter_names(head) if wanted(n) and n != "time_offset_s")
+
+
+def prior_covariance(
+    head: HeadCalibration, names: tuple[str, ...], cameras: tuple[str, str]
+) -> Array:
+    """Return the covariance (P, P) of the parameters before anything is seen."""
+    moved = tolerance_covariance(head, names, MOVED)
+    accuracy = head.accuracy
+    if accuracy is None or not accuracy.parameters:
+        return moved + _of_procedure(head, names, cameras)
+    stated = np.zeros_like(moved)
+    known = [name for name in names if name in accuracy.parameters]
+    own = [names.index(name) for name in known]
+    theirs = [accuracy.parameters.index(name) for name in known]
+    stated[np.ix_(own, own)] = accuracy.covariance[np.ix_(theirs, theirs)]
+    return moved + stated
+
+
+def tolerance_covariance(
+    head: HeadCalibration, names: tuple[str, ...], tolerance: Tolerance
+) -> Array:
+    """Return the covariance (P, P) of parameters that are wrong by independent tolerances."""
+    C = np.diag([_std(head, name, tolerance) ** 2 for name in names])
+    for k, name in enumerate(names):
+        if name.endswith(".fx") and f"{name[:-1]}y" in names:
+            other = names.index(f"{name[:-1]}y")
+            focal = head.camera(name[:-3]).intrinsics.matrix[[0, 1], [0, 1]]
+            C[k, other] = C[other, k] = tolerance.focal**2 * focal[0] * focal[1]
+    return C
+
+
+def _std(head: HeadCalibration, name: str, tolerance: Tolerance) -> float:
+    owner, _, rest = name.partition(".")
+    last = rest.rpartition(".")[2]
+    if owner in head.cameras and not rest.startswith("T_eye_cam"):
+        matrix = head.camera(owner).intrinsics.matrix
+        both = float(np.hypot(tolerance.focal, tolerance.aspect))
+        of_lens = {"fx": both * matrix[0, 0], "fy": both * matrix[1, 1]}
+        of_lens |= dict.fromkeys(("cx", "cy"), tolerance.centre_px)
+        return of_lens.get(rest, tolerance.distortion)
+    if owner in head.cameras:
+        return tolerance.turn_rad if last[0] == "r" else tolerance.shift_m
+    if owner == "T_rbase_lbase":
+        return tolerance.stereo_turn_rad if last[0] == "r" else tolerance.stereo_shift_m
+    if last.endswith("gain"):
+        return tolerance.gain
+    return tolerance.axes_m if last.endswith("_m") else tolerance.axes_rad
+
+
+def _of_procedure(head: HeadCalibration, names: tuple[str, ...], cameras: tuple[str, str]) -> Array:
+    """Return the covariance of a head whose T_rbase_lbase follows from static stereo (Eq. 10).
+
+    Its error is that of the static stereo, and what the mountings' errors do to it.
+    """
+    C = tolerance_covariance(head, names, USUAL)
+    base = [k for k, name in enumerate(names) if name.startswith("T_rbase_lbase")]
+    zero = np.zeros(_READINGS)
+    straight = T_rcam_lcam(head, zero, cameras=cameras)
+    step = 1e-6
+    by = np.zeros((6, len(names)))
+    for k, name in enumerate(names):
+        ends = [
+            T_rcam_lcam(change_named(head, [name], np.array([h])), zero, cameras=cameras)
+            for h in (-step, step)
+        ]
+        by[:, k] = (se3.boxminus(ends[1], straight) - se3.boxminus(ends[0], straight)) / (2 * step)
+    # stereo = by_base base + by_rest rest, with a stereo that does not depend on the rest.
+    back = np.linalg.inv(by[:, base])
+    mixing = np.eye(len(names))
+    mixing[base] = -back @ by
+    mixing[np.ix_(base, base)] = back
+    return mixing @ C @ mixing.T
+
+
+def main_cameras(head: HeadCalibration) -> tuple[str, str]:
+    """Return the names of the pair that looks around; VergenceError for a head of one eye."""
+    left, right = stereo_cameras(head, None)
+    names = {id(mounted): name for name, mounted in head.cameras.items()}
+    return names[id(left)], names[id(right)]

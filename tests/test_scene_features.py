@@ -1,0 +1,81 @@
+"""Matches between two drawn pictures of a textured wall, whose true geometry is known."""
+
+import cv2
+import numpy as np
+import pytest
+
+from vergence.arrays import Array
+from vergence.geometry.camera import normalise, pinhole, project
+from vergence.geometry.se3 import pose, rotation
+from vergence.vision.scene_features import Matches, match_scene
+
+CAMERA = pinhole(640, 480, 280.0, (-0.12, 0.01, 0.0, 0.0, 0.0))
+T_RCAM_LCAM = pose(rotation([0.01, -0.15, 0.02]), [-0.075, 0.002, 0.01])
+WALL_M = 1.5
+
+
+def picture(T_cam_lcam: Array, contrast: float, rng: np.random.Generator) -> np.ndarray:
+    """Return (H, W) what a camera sees of the wall, which stands at WALL_M before the left one."""
+    texture = cv2.GaussianBlur(np.random.default_rng(7).normal(0, 1, (1200, 1600)), (0, 0), 2.0)
+    texture = (contrast * 60 / texture.std() * texture).astype(np.float32)
+    u, v = np.meshgrid(np.arange(640.0), np.arange(480.0))
+    xy = normalise(CAMERA, np.stack([u, v], axis=-1))
+    R, t = T_cam_lcam[:3, :3], T_cam_lcam[:3, 3]
+    rays = np.concatenate([xy, np.ones((480, 640, 1))], axis=-1) @ R
+    start = -R.T @ t
+    on_wall = start + (WALL_M - start[2]) / rays[..., 2:] * rays
+    at = (on_wall[..., :2] * 250 + [800, 600]).astype(np.float32)
+    u, v = (np.ascontiguousarray(at[..., k]) for k in (0, 1))
+    seen = cv2.remap(texture, u, v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+    return np.clip(np.round(128 + seen + rng.normal(0, 1.5, seen.shape)), 0, 255).astype(np.uint8)
+
+
+def found(contrast: float, guess: Array = T_RCAM_LCAM) -> tuple[Matches, Array]:
+    """Return matches, and how far each right pixel is from where it belongs, in deviations."""
+    rng = np.random.default_rng(0)
+    left, right = (picture(T, contrast, rng) for T in (np.eye(4), T_RCAM_LCAM))
+    matches = match_scene(left, right, left_camera=CAMERA, right_camera=CAMERA, T_rcam_lcam=guess)
+    xy = normalise(CAMERA, matches.left)
+    points = WALL_M * np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
+    in_right = points @ T_RCAM_LCAM[:3, :3].T + T_RCAM_LCAM[:3, 3]
+    errors = matches.right - project(CAMERA, in_right)
+    root = np.linalg.cholesky(matches.covariance)
+    return matches, np.linalg.solve(root, errors[..., None])[..., 0]
+
+
+@pytest.mark.slow
+def test_matches_are_right_to_their_stated_deviation():
+    matches, errors = found(1.0)
+    assert len(matches.left) > 200
+    good = (np.abs(errors) < 5).all(axis=1)
+    assert good.mean() > 0.9
+    assert 0.5 < errors[good].std() < 2
+
+
+@pytest.mark.slow
+def test_the_deviation_follows_the_contrast():
+    """At full contrast it is at its floor, so that it rises by less than the contrast falls."""
+    sharp, _ = found(1.0)
+    faint, errors = found(1 / 16)
+    assert np.median(np.trace(faint.covariance, axis1=1, axis2=2)) > 2 * np.median(
+        np.trace(sharp.covariance, axis1=1, axis2=2)
+    )
+    good = (np.abs(errors) < 5).all(axis=1)
+    assert 0.5 < errors[good].std() < 2
+
+
+@pytest.mark.slow
+def test_a_prediction_that_is_wrong_by_a_degree_is_good_enough():
+    turned = pose(rotation([0, 0, np.radians(1)]) @ rotation([0, np.radians(1), 0]))
+    _, errors = found(1.0, turned @ T_RCAM_LCAM)
+    assert (np.abs(errors) < 5).all(axis=1).sum() > 150
+
+
+def test_a_covered_eye_gives_no_matches():
+    rng = np.random.default_rng(0)
+    left = picture(np.eye(4), 1.0, rng)
+    dark = np.full_like(left, 10)
+    matches = match_scene(
+        left, dark, left_camera=CAMERA, right_camera=CAMERA, T_rcam_lcam=T_RCAM_LCAM
+    )
+    assert len(matches.left) < 5

@@ -1,0 +1,191 @@
+"""Self-calibration from matches: exact on exact data, true to its covariance, never fooled."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import chi2
+
+from simulated_head import random_head
+from simulated_matches import drawn_head, matches, room
+from vergence.geometry import se3
+from vergence.geometry.head import HeadCalibration, load_head, save_head
+from vergence.geometry.parameters import boxminus, boxplus, change_named, parameter_names
+from vergence.geometry.projection import T_rcam_lcam, project_point
+from vergence.self_calibration.epipolar import epipolar_residuals
+from vergence.self_calibration.frame import (
+    SelfCalibration,
+    from_matches,
+    locate_seen,
+    start,
+)
+from vergence.self_calibration.learning import learn, learned_head
+from vergence.vision.scene_features import Matches
+
+CAMERAS = ("left_wide", "right_wide")
+NOISE_PX = 0.08
+JOINT_STD_RAD = np.radians(0.15)
+
+
+def head_of(seed: int) -> HeadCalibration:
+    return random_head(np.random.default_rng(seed), lenses=("wide",))
+
+
+def begin(head: HeadCalibration) -> SelfCalibration:
+    """Return a state that is told the noise of simulated matches, but not that of the readings."""
+    return replace(start(head), match_scale=1.0)
+
+
+def postures(frames: int, rng: np.random.Generator) -> np.ndarray:
+    return rng.uniform(-0.25, 0.25, (frames, 4))
+
+
+@given(st.integers(0, 1000))
+def test_matches_of_the_true_geometry_have_no_residual(seed):
+    head, rng = head_of(seed), np.random.default_rng(seed)
+    angles = postures(1, rng)[0]
+    seen = matches(head, angles, room(200, rng), noise_px=0.0, rng=rng)
+    found = epipolar_residuals(head, angles, seen.left, seen.right, CAMERAS)
+    np.testing.assert_allclose(found.residuals, 0, atol=1e-8)
+    np.testing.assert_allclose(np.linalg.norm(found.normals, axis=1), 1)
+
+
+@given(st.integers(0, 1000))
+def test_residuals_change_as_their_derivatives_say(seed):
+    head, rng = head_of(seed), np.random.default_rng(seed)
+    angles = postures(1, rng)[0]
+    seen = matches(head, angles, room(40, rng), noise_px=0.0, rng=rng)
+
+    def residuals(change: np.ndarray, turned: np.ndarray) -> np.ndarray:
+        changed = boxplus(head, change)
+        found = epipolar_residuals(changed, angles + turned, seen.left, seen.right, CAMERAS)
+        return found.residuals
+
+    found = epipolar_residuals(head, angles, seen.left, seen.right, CAMERAS)
+    names, step = parameter_names(head), 1e-6
+    change, turn = rng.normal(0, 1, len(names)), rng.normal(0, 1, 4)
+    ends = [residuals(h * change, h * turn) for h in (-step, step)]
+    slope = -(ends[1] - ends[0]) / (2 * step)  # the derivatives are of what is predicted
+    expected = found.by_parameters @ change + found.by_readings @ turn
+    np.testing.assert_allclose(slope, expected, rtol=1e-4, atol=1e-3)
+
+
+def turn_error_deg(head, joints, truth, angles) -> float:
+    T, T_true = T_rcam_lcam(head, joints), T_rcam_lcam(truth, angles)
+    return float(np.degrees(np.linalg.norm(se3.boxminus(T, T_true)[:3])))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_exact_matches_give_the_exact_pose_of_the_cameras(seed):
+    """The readings are wrong by half a degree, the head is not."""
+    head, rng = head_of(seed), np.random.default_rng(seed)
+    state = begin(head)
+    state = replace(state, covariance=1e-12 * state.covariance, joint_std_rad=np.radians(0.5))
+    angles = postures(1, rng)[0]
+    readings = angles + np.radians(0.5) * np.array([1, -1, -1, 1])
+    exact = matches(head, angles, room(600, rng), noise_px=0.0, rng=rng)
+    found = from_matches(state, exact, readings)
+    assert found.status == "seen"
+    assert turn_error_deg(head, readings, head, angles) > 0.5
+    assert turn_error_deg(found.head, found.joints, head, angles) < 1e-3
+
+
+def test_seven_of_ten_wrong_matches_change_little():
+    head, rng = head_of(0), np.random.default_rng(0)
+    state = begin(head)
+    for angles in postures(5, rng):
+        readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
+        seen = matches(head, angles, room(900, rng), noise_px=NOISE_PX, rng=rng, outliers=0.7)
+        found = from_matches(state, seen, readings)
+        assert found.status == "seen"
+        assert turn_error_deg(found.head, found.joints, head, angles) < 0.05
+
+
+def test_a_scene_that_shows_nothing_leaves_head_and_readings_as_they_were():
+    head, rng = head_of(0), np.random.default_rng(0)
+    state, readings = begin(head), np.zeros(4)
+    none = Matches(np.empty((0, 2)), np.empty((0, 2)), np.empty((0, 2, 2)))
+    wrong = matches(head, readings, room(40, rng), noise_px=NOISE_PX, rng=rng, outliers=1.0)
+    for seen in (none, wrong):
+        found = from_matches(state, seen, readings)
+        assert found.status != "seen"
+        assert found.head is head
+        np.testing.assert_array_equal(found.joints, readings)
+
+
+@pytest.mark.slow
+def test_stated_covariances_are_true_for_heads_drawn_at_random():
+    """Of the learned parameters and of a point, by squared Mahalanobis distances in sum.
+
+    Noise of the readings is not told: it is 0.15 degrees, and assumed 0.2, which still counts
+    for five of about thirty readings here.
+    """
+    nominal, frames = head_of(1), 12
+    of_head, of_point, stds, degrees = 0.0, [], [], 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        state = begin(nominal)
+        names, before = state.names, state.covariance
+        truth = drawn_head(state, rng)
+        points = room(500, rng)
+        angles, found = np.zeros(4), None
+        for angles in postures(frames, rng):
+            readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
+            seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
+            found = from_matches(state, seen, readings)
+            state = learn(state, found, 0.0)
+        assert found is not None
+        target = np.array([0.8, 0.05, -0.05])
+        pixels = [project_point(truth, name, angles, target)[None] for name in CAMERAS]
+        where = locate_seen(found, left=pixels[0], right=pixels[1], pixel_std_px=1e-3)
+        error = where.xyz[0] - target
+        of_point.append(error @ np.linalg.solve(where.covariance[0], error))
+        difference = boxminus(truth, state.head)
+        wrong = np.array([difference[name] for name in names])
+        of_head += float(wrong @ np.linalg.solve(state.covariance, wrong))
+        degrees += len(names)
+        stds.append(state.joint_std_rad)
+        assert (np.diag(state.covariance) <= np.diag(before) * (1 + 1e-9)).all()
+    # Linearised where the head is still wrong, the covariance of what is learned is optimistic by
+    # up to a quarter.
+    assert 0.85 < of_head / degrees < 1.25
+    low, high = chi2.interval(0.999, 3 * len(of_point))
+    assert low < sum(of_point) < high
+    assert np.degrees(np.mean(stds)) == pytest.approx(0.15, abs=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("axis", ["rx", "ry", "rz"])
+def test_a_bumped_camera_is_reported_and_corrected(axis):
+    head, rng = head_of(2), np.random.default_rng(3)
+    truth, state, points = head, begin(head), room(500, rng)
+    reported, angles, found = [], np.zeros(4), None
+    for k, angles in enumerate(postures(50, rng)):
+        if k == 40:
+            name = f"left_wide.T_eye_cam.{axis}"
+            truth = change_named(truth, [name], np.radians([1.0]))
+        readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
+        seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
+        found = from_matches(state, seen, readings)
+        state = learn(state, found, 0.3)
+        if state.bumped:
+            reported.append(k)
+    assert found is not None
+    assert len(reported) == 1
+    assert 40 <= reported[0] < 43
+    assert turn_error_deg(found.head, found.joints, truth, angles) < 0.1
+
+
+def test_a_learned_head_is_a_calibration_with_its_accuracy(tmp_path):
+    head, rng = head_of(0), np.random.default_rng(0)
+    state = begin(head)
+    for angles in postures(3, rng):
+        seen = matches(head, angles, room(300, rng), noise_px=NOISE_PX, rng=rng)
+        state = learn(state, from_matches(state, seen, angles), 0.3)
+    save_head(learned_head(state), tmp_path / "learned.json")
+    again = load_head(tmp_path / "learned.json")
+    assert again.accuracy is not None
+    np.testing.assert_allclose(again.accuracy.covariance, state.covariance, rtol=1e-9)
+    assert start(again).names == state.names
