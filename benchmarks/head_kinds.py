@@ -28,6 +28,7 @@ from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, main_pair
 from vergence.geometry.parameters import boxminus, without_offsets
 from vergence.geometry.projection import project_point
+from vergence.stereo.triangulation import Status
 from vergence.stereo.uncertainty import locate
 
 LENSES = ("k3", "rational", "fisheye")
@@ -99,6 +100,8 @@ def points(
         left, right = (uv[None] + rng.normal(0, PIXEL_PX, 2) for uv in seen)
         read = joints + rng.normal(0, JOINT_RAD, r)
         here = locate(head, left=left, right=right, joints=read)
+        if here.status[0] != Status.OK:
+            continue  # beyond the reach of the estimated lens: no region is stated
         yield bool(probability(here.xyz[0] - point, here.covariance[0]) < 0.95)
         found += 1
         if found == POINTS:

@@ -1,5 +1,6 @@
 """Bundle adjustment of a whole head: exact data give no error, noise the stated one."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -190,3 +191,12 @@ def test_a_missing_reading_and_a_name_that_is_no_parameter_are_refused():
     observed.eye_angles[7, 3] = np.nan
     with pytest.raises(VergenceError, match="right eye sees a board in view 7"):
         bundle_adjust(head, observed)
+
+
+def test_a_reading_that_contradicts_its_image_is_named_with_by_how_much():
+    head, observed, start = simulated(31, NOISY)
+    observed.eye_angles[20, 2] += np.radians(4)
+    found = bundle_adjust(start, observed)
+    (said,) = found.warnings
+    assert re.match(r"View 20: right_pan is off by (3\.9|4(\.[01])?) degrees, and lost its", said)
+    assert_within_stated(found, head)

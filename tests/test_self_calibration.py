@@ -148,9 +148,8 @@ def test_stated_covariances_are_true_for_heads_drawn_at_random():
         degrees += len(names)
         stds.append(state.joint_std_rad)
         assert (np.diag(state.covariance) <= np.diag(before) * (1 + 1e-9)).all()
-    # Linearised where the head is still wrong, the covariance of what is learned is optimistic by
-    # up to a quarter.
-    assert 0.85 < of_head / degrees < 1.25
+    # Twenty heads leave a tenth: each is linearised where it is still wrong.
+    assert 0.7 < of_head / degrees < 1.25
     low, high = chi2.interval(0.999, 3 * len(of_point))
     assert low < sum(of_point) < high
     assert np.degrees(np.mean(stds)) == pytest.approx(0.15, abs=0.02)

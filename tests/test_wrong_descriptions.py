@@ -136,11 +136,11 @@ WRONG: list[tuple[str, Change, str]] = [
     (VERGENCE, in_degrees(1), "vergence: they are degrees"),
     (ROLL, copied(0, 3), "right_pan"),
     (PLAIN, other_eyes_images, "exchanged in the images"),
-    (PLAIN, left_images_twice, "right"),
+    (PLAIN, left_images_twice, "stand in the same place"),
     (TILT, as_read(a_row_too_late), "not of these moments"),
     (PLAIN, as_read(stuck), "left_tilt hardly change"),
     (PLAIN, turned_about(1, [1.0, 0, 0]), "axes"),
-    (ROLL, without_roll, "joints"),
+    (ROLL, without_roll, "a joint that is not described"),
 ]
 
 

@@ -45,8 +45,8 @@ def reproduce(
     duration: float | None = None,
     rate: float | None = None,
     method: Literal["paper", "self-calibrated"] = "paper",
-    compare: bool = False,
-    floor: bool = False,
+    compare: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    floor: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
 ) -> None:
     """Replay the paper's Figs. 6-11 on rendered images.
 

@@ -105,22 +105,18 @@ def _seen_by_another(
     return len({view[0] for view in views if view is not None}) > 1
 
 
-def moment_of_image(settings: GazeSettings, frame: Frame) -> float:
-    """Return when the joints stood as an image shows them, on the clock of the joint readings [s].
-
-    By the calibrated time offset where there is one, otherwise by the image's time stamp.
-    """
-    offset_s = settings.calibration.time_offset_s
-    return frame.joint_time_s + offset_s if offset_s else frame.time_s
-
-
 def _readings_at_image(settings: GazeSettings, state: GazeState, frame: Frame) -> Array:
-    """Return the joint readings (j,) [rad], moved from their own time to that of the image."""
+    """Return the joint readings (j,) [rad], moved from their own time to that of the image.
+
+    By as much as the commands moved the joints meanwhile. How much earlier a reading shows the
+    joints than the image does is the calibrated time offset or, without one, what the time stamps
+    say.
+    """
     read = np.concatenate([frame.neck_angles, frame.eye_angles])
-    moment_s = moment_of_image(settings, frame)
-    if moment_s == frame.joint_time_s:
+    earlier_s = settings.calibration.time_offset_s or frame.time_s - frame.joint_time_s
+    if earlier_s == 0:
         return read
-    sent = [commanded(state.commands, t) for t in (frame.joint_time_s, moment_s)]
+    sent = [commanded(state.commands, t) for t in (frame.time_s - earlier_s, frame.time_s)]
     return read + sent[1] - sent[0]
 
 
@@ -133,7 +129,7 @@ def posture_at_image(settings: GazeSettings, state: GazeState, frame: Frame) -> 
     """
     use_reading = np.isin(settings.joints, state.stuck)
     use_reading[NECK] = True
-    sent = commanded(state.commands, moment_of_image(settings, frame))
+    sent = commanded(state.commands, frame.time_s)
     return np.where(use_reading, _readings_at_image(settings, state, frame), sent)
 
 

@@ -13,6 +13,7 @@ from vergence.calibration.bundle.problem import (
     BundleState,
     corner_errors,
     head_size,
+    joint_errors,
     refit_trajectory,
 )
 from vergence.calibration.bundle.solver import (
@@ -61,6 +62,8 @@ class Adjusted:
     corners that images share."""
     outliers: int
     """Corners that lost their weight."""
+    lost_readings: Array
+    """(B, n) by how much latent unknowns differ from readings without weight; 0: the others."""
     assumed: np.ndarray
     """(groups,) whether a joint noise is USUAL_JOINT, for want of data."""
     given: np.ndarray
@@ -153,6 +156,7 @@ def adjust(
         noise,
         replace(seen, covariance=certain.covariance + systematic[:c, :c]),
         int(problem.seen.sum() - linear.weights[0].sum()),
+        np.where(linear.weights[1] > 0, 0.0, joint_errors(problem, state)),
         assumed,
         np.full(groups, joint_std is not None),
         left[1:],

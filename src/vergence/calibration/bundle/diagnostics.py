@@ -27,6 +27,8 @@ SENSE = 6.0
 FEW = 6
 """Degrees of freedom below which an estimated noise level is heavy-tailed, and the covariance
 optimistic."""
+MOST_NAMED = 3
+"""Readings that lost their weight are named so far."""
 NAMED = 0.3
 """A direction's components of this size, relative to the largest, are named."""
 
@@ -55,6 +57,7 @@ def warnings(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
             f"deviations of {noise.pixel_px:.2g} px and lost their weight: look at the views with "
             "the largest residuals."
         )
+    said += _lost_readings(problem, found)
     systematic = max(found.systematic_px)
     if systematic > noise.pixel_px:  # the boards' poses may pass it on: the worst camera is named
         whose = _of_camera(problem, found.systematic_px.index(systematic))
@@ -64,6 +67,41 @@ def warnings(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
             "model, or the board is not flat; look at the residuals over the image."
         )
     return tuple(dict.fromkeys(said))  # pan and tilt may share one
+
+
+def _lost_readings(problem: BundleProblem, found: Adjusted) -> list[str]:
+    """Return a sentence on each of the readings that lost their weight, the worst ones first."""
+    off = found.lost_readings
+    if problem.T_base_eye_read is not None:
+        turn, shift = (np.linalg.norm(off[:, k], axis=1) for k in (slice(0, 3), slice(3, 6)))
+        worst = np.argsort(-(turn / found.noise.joint[0] + shift / found.noise.joint[3]))
+        lost = [
+            (
+                int(b),
+                f"the pose of an eye is off by {np.degrees(turn[b]):.2g} degrees and "
+                f"{1e3 * shift[b]:.2g} mm",
+            )
+            for b in worst.tolist()
+            if turn[b] + shift[b] > 0
+        ]
+    else:
+        names = found.state.head.kinematics.readings
+        order = np.argsort(-np.abs(off), axis=None)
+        places = zip(*np.unravel_index(order, off.shape), strict=True)
+        lost = [
+            (
+                int(b),
+                f"{names[problem.block_columns[b, k]]} is off by "
+                f"{np.degrees(abs(off[b, k])):.2g} degrees",
+            )
+            for b, k in places
+            if off[b, k]
+        ]
+    said = [f"View {problem.block_view[b]}: {what}, and lost its weight." for b, what in lost]
+    if len(said) > MOST_NAMED:
+        rest = f"{len(said) - MOST_NAMED} more readings lost their weight."
+        said = [*said[:MOST_NAMED], rest]
+    return said
 
 
 def void(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:

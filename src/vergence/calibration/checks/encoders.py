@@ -33,6 +33,12 @@ EXPLAINED = 0.8
 of half a degree."""
 LOST = 0.5
 """Part below which readings are not of this eye, or not of these moments."""
+MOST_NOISE_RAD = np.radians(3.0)
+"""Root mean square of unexplained turns that no noise of readings makes."""
+IDLE = 0.05
+"""Part of the turns' variance below which a reading has no part in them."""
+LEAST_BASELINE_M = 1e-3
+"""Between the cameras of two eyes."""
 DEAD = 0.03
 """Part of the other joint's motion, below which a reading does not change."""
 GAINS = (0.6, 1.6)
@@ -56,6 +62,8 @@ class _Fit:
     """(u,) of each: by what factor w_r is R_cam_eye d_r."""
     explained: float
     """Part of the turns' variance that the readings explain."""
+    left_rad: float
+    """Root mean square of what they leave."""
     moved: Array
     """(u,) standard deviations of the readings [rad]."""
     R_cam_eye: Array
@@ -96,7 +104,8 @@ def check_encoders(seen: Observations, T_cam_target: Mapping[str, Array]) -> Non
         turns = _turns(seen, name, e, T_cam_target[name]) if name in T_cam_target else None
         if turns is not None and (e not in found or turns.views > found[e].views):
             found[e] = turns
-    to_left = _direction_to_the_left(found, T_cam_target)
+    between = _between_the_eyes(found, T_cam_target)
+    to_left = {e: t / np.linalg.norm(t) for e, t in between.items()}
     said = _exchanged(found, to_left)
     if not said:
         said = [
@@ -166,15 +175,14 @@ def _fit(kinematics: Kinematics, eye: Side, readings: Array, turn: Array) -> _Fi
     R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
     gains = (w * (d @ R.T)).sum(axis=1) / lengths[1][:, 0] ** 2
     names = [kinematics.readings[r] for r in used]
-    return _Fit(names, gains, 1 - float(left), read.std(axis=0), R)
+    left_rad = float(np.sqrt(((turn - read @ w) ** 2).sum(axis=1).mean()))
+    return _Fit(names, gains, 1 - float(left), left_rad, read.std(axis=0), R)
 
 
-def _direction_to_the_left(
-    found: Mapping[int, _Turns], poses: Mapping[str, Array]
-) -> dict[int, Array]:
-    """Return by eye the unit vector (3,) from the right to the left camera, in its camera's frame.
+def _between_the_eyes(found: Mapping[int, _Turns], poses: Mapping[str, Array]) -> dict[int, Array]:
+    """Return by eye the vector (3,) [m] from the right to the left camera, in its camera's frame.
 
-    Empty where no view shows the board to both.
+    Empty where no view shows the board to both. VergenceError if the cameras are in one place.
     """
     if len(found) < 2:
         return {}
@@ -185,7 +193,12 @@ def _direction_to_the_left(
     # Boards numbered from the wrong end move the camera, but not in most views.
     in_left = np.median(-inverse(T)[:, :3, 3], axis=0)
     in_right = np.median(T[:, :3, 3], axis=0)
-    return {e: t / np.linalg.norm(t) for e, t in enumerate((in_left, in_right))}
+    if min(np.linalg.norm(in_left), np.linalg.norm(in_right)) < LEAST_BASELINE_M:
+        raise VergenceError(
+            f"By the images {found[0].camera} and {found[1].camera} stand in the same place: is "
+            "one set of images there twice?"
+        )
+    return {0: in_left, 1: in_right}
 
 
 def _exchanged(found: Mapping[int, _Turns], to_left: Mapping[int, Array]) -> list[str]:
@@ -241,11 +254,16 @@ def _contradictions(
             f"({fit.moved.min():.2g} rad), though {turns.camera} turns about that axis too before "
             "a board at rest: check their column and the sensor."
         ]
-    if fit.explained < LOST:
+    if fit.explained < LOST or (fit.explained < EXPLAINED and fit.left_rad > MOST_NOISE_RAD):
+        idle = _without_part(kinematics, turns, eye)
+        why = "they are not of this eye, not of these moments, or the board moved"
+        if fit.explained > LOST:
+            why = "the eye has a joint that is not described, or a column is of another joint"
+        if idle is not None:
+            why = f"those of {idle} have no part in it; check its column"
         return [
             f"The readings of {' and '.join(fit.names)} explain {100 * max(fit.explained, 0):.0f} "
-            f"% of the turns that {turns.camera} makes before a board at rest: they are not of "
-            "this eye, not of these moments, or the board moved."
+            f"% of the turns that {turns.camera} makes before a board at rest: {why}."
         ]
     if fit.explained < EXPLAINED:
         return []  # too noisy to say more; the noise is estimated, and warned of
@@ -266,6 +284,17 @@ def _contradictions(
         if not GAINS[0] < gain < GAINS[1]:
             said.append(f"{turns.camera} turns by {gain:.3g} times the readings of {name}: {why}.")
     return said
+
+
+def _without_part(kinematics: Kinematics, turns: _Turns, eye: Side) -> str | None:
+    """Return the one reading that explains nothing, though it moves; None: there is no such."""
+    idle = []
+    for r in kinematics.used(eye):
+        readings = turns.readings.copy()
+        readings[:, r] = 0.0
+        if turns.own.explained - _fit(kinematics, eye, readings, turns.turn).explained < IDLE:
+            idle.append(kinematics.readings[r])
+    return idle[0] if len(idle) == 1 else None
 
 
 def _what_explains(
