@@ -18,13 +18,8 @@ from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, main_pair
 from vergence.geometry.parameters import parameter_names
 from vergence.geometry.projection import project_point, stereo_cameras
-from vergence.stereo.uncertainty import (
-    Linearised,
-    by_head_parameters,
-    linearised,
-    noise_of_readings,
-    pair_parameters,
-)
+from vergence.stereo.linearised import Linearised, by_head_parameters, linearised, pair_parameters
+from vergence.stereo.uncertainty import noise_of_readings
 
 TIME_OFFSET = "time_offset_s"
 CALIBRATION = "the calibration"
