@@ -9,8 +9,16 @@ import pytest
 from drawn_head import DrawnHead, four_cameras, point_at, straight_to
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.gaze.commands import EYE_READINGS, HEAD_JOINTS, NECK, JointLimits, setpoint
+from vergence.gaze.commands import (
+    EYE_READINGS,
+    HEAD_JOINTS,
+    NECK,
+    HeadCommand,
+    JointLimits,
+    setpoint,
+)
 from vergence.gaze.controller import run_gaze, step_gaze
+from vergence.gaze.observation import posture_at_image
 from vergence.gaze.state import GazePhase, GazeSettings, GazeState, initial_gaze_state
 
 SETTINGS = GazeSettings(calibration=four_cameras())
@@ -238,3 +246,19 @@ def test_a_head_without_a_calibrated_neck_works_in_frame_head():
     assert done.states[-1].track is not None
     in_body = done.states[-1].track.position + four_cameras().neck.head_m
     assert np.linalg.norm(in_body - target) < 3e-3
+
+
+@pytest.mark.parametrize("offset_s", [0.04, -0.03])
+def test_a_calibrated_time_offset_moves_readings_and_not_set_points(offset_s: float):
+    """The neck's angles are read, those of the eyes are taken from the commands."""
+    settings = replace(SETTINGS, calibration=replace(four_cameras(), time_offset_s=offset_s))
+    state = initial_gaze_state(settings, np.zeros(7), 0.0)
+    away = HeadCommand(0.0, np.zeros(7), np.full(7, 0.3), np.zeros(7), settings.limits)
+    state = replace(state, commands=(away,))
+    image_s = 0.06
+    read = setpoint(away, image_s - offset_s)
+    frame = Frame(image_s, image_s, read[EYE_READINGS], read[NECK], {})
+    posture = posture_at_image(settings, state, frame)
+    np.testing.assert_allclose(posture, setpoint(away, image_s), atol=1e-12)
+    plain = posture_at_image(SETTINGS, state, frame)
+    np.testing.assert_allclose(plain[NECK], read[NECK], atol=1e-12)
