@@ -51,15 +51,17 @@ def distort(model: CameraModel, k: Coefficients, x: Array, y: Array) -> tuple[Ar
         k4, k5, k6 = k[5:]
         below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
         slope_below = 2 * (k4 + r2 * (2 * k5 + 3 * k6 * r2))
-        radial = radial / below
-        slope = (slope - radial * slope_below) / below
-    return (
-        x * radial + 2 * p1 * xy + p2 * (r2 + 2 * x2),
-        y * radial + p1 * (r2 + 2 * y2) + 2 * p2 * xy,
-        radial + slope * x2 + 2 * p1 * y + 6 * p2 * x,
-        slope * xy + 2 * p1 * x + 2 * p2 * y,
-        radial + slope * y2 + 6 * p1 * y + 2 * p2 * x,
-    )
+        with np.errstate(divide="ignore", invalid="ignore"):  # at a pole the result is NaN
+            radial = radial / below
+            slope = (slope - radial * slope_below) / below
+    with np.errstate(invalid="ignore"):
+        return (
+            x * radial + 2 * p1 * xy + p2 * (r2 + 2 * x2),
+            y * radial + p1 * (r2 + 2 * y2) + 2 * p2 * xy,
+            radial + slope * x2 + 2 * p1 * y + 6 * p2 * x,
+            slope * xy + 2 * p1 * x + 2 * p2 * y,
+            radial + slope * y2 + 6 * p1 * y + 2 * p2 * x,
+        )
 
 
 def _distort_fisheye(k: Coefficients, x: Array, y: Array) -> tuple[Array, ...]:

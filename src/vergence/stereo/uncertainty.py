@@ -103,9 +103,7 @@ def locate(
     if pixel_std_px is None:
         pixel_std_px = accuracy.pixel_std_px or 0.0
     if joint_std_rad is None:
-        joint_std_rad = reading_stds(head)
-        if measured(joints):
-            joint_std_rad = np.resize(accuracy.joint_std or (0.0,), 2)
+        joint_std_rad = stated_reading_stds(head, joints)
     points, status = np.empty((n, 3)), np.empty(n, dtype=int)
     covariance, shared = np.empty((n, 3, 3)), np.zeros((n, 3, 3))
     weights, pixel_stds = pixel_variances(pixel_std_px, n), _rows(pixel_std_px, n)
@@ -127,6 +125,14 @@ def locate(
             shared[part] = _of_calibration(seen, known)
             covariance[part] += shared[part]
     return LocatedPoints(points, covariance, status, shared)
+
+
+def stated_reading_stds(head: HeadCalibration, joints: Array) -> Array:
+    """Return the stated noise of readings (r,) [rad], or of measured poses (2,) [rad], [m]."""
+    if measured(joints):
+        levels = head.accuracy.joint_std if head.accuracy else ()
+        return np.resize(levels or (0.0,), 2)
+    return reading_stds(head)
 
 
 def _at_the_images(head: HeadCalibration, joints: Array, joint_time_s: Array) -> Array:

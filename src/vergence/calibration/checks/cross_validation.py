@@ -22,7 +22,7 @@ from vergence.geometry.parameters import boxminus
 from vergence.geometry.projection import project_at, stereo_extrinsics
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.triangulation import triangulate_at
-from vergence.stereo.uncertainty import locate
+from vergence.stereo.uncertainty import combination, stated_reading_stds
 from vergence.vision.board_pose import LEAST_CORNERS, board_poses, seen_corners
 
 FOLDS = 5
@@ -206,10 +206,25 @@ def _located(
     errors, distances = np.linalg.norm(located - place, axis=2), np.linalg.norm(located, axis=2)
     expected = []
     if len(rows) and head.accuracy and head.accuracy.parameters:
-        # One corner of each view stands for it: a view's corners are equally far away.
-        corner = [np.flatnonzero(usable[row])[usable[row].sum() // 2] for row in rows]
-        left, right = (views.corners[name][rows, corner] for name in pair)
-        here = locate(head, left=left, right=right, joints=readings[rows], cameras=pair)
-        expected.append(np.sqrt(np.trace(here.covariance, axis1=1, axis2=2)))
+        for row in rows:
+            # One corner of each view stands for it: a view's corners are equally far away.
+            corner = int(np.flatnonzero(usable[row])[usable[row].sum() // 2])
+            others = np.flatnonzero(
+                seen[:, corner] & ~mine & (views.placement == views.placement[row])
+            )
+            each = np.append(row, others)
+            left, right = (views.corners[name][each, corner] for name in pair)
+            # The calibration's errors are in all views, and cancel as far as these are alike.
+            _, covariance = combination(
+                head,
+                weights=np.append(1.0, np.full(len(others), -1 / len(others))),
+                left=left,
+                right=right,
+                joints=readings[each],
+                cameras=pair,
+                pixel_std_px=head.accuracy.pixel_std_px or 0.0,
+                joint_std_rad=stated_reading_stds(head, readings),
+            )
+            expected.append(np.sqrt([np.trace(covariance)]))
     off, away = ([each[row, usable[row]] for row in rows] for each in (errors, distances))
     return off, expected, away
