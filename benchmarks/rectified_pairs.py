@@ -21,7 +21,7 @@ import tyro
 from vergence.arrays import Array
 from vergence.demos.depth import STEP_S, depth
 from vergence.geometry.head import HeadCalibration
-from vergence.paper.figures import eye_angles
+from vergence.accuracy.motions import eye_angles
 from vergence.stereo.rectification import rectified_image, rectify
 from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Twin

@@ -82,7 +82,7 @@ def of_gaze(run: Path) -> None:
 
 def of_scenes() -> None:
     """Make the pictures of the scenes, and of a rectified pair with its disparities."""
-    from vergence.paper.figures import eye_angles
+    from vergence.accuracy.motions import eye_angles
     from vergence.stereo.dense_depth import dense_depth
     from vergence.stereo.rectification import rectified_image, rectify
     from vergence.twin.calibration_sequence import straight_neck
