@@ -30,7 +30,7 @@ WORKER = """
 import sys, time
 import numpy as np
 from contextlib import ExitStack
-from vergence.paper.figures import FIGURES, eye_angles
+from vergence.paper.figures import FIGURES
 from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Twin
 from vergence.twin.profile import load_profile
@@ -48,7 +48,9 @@ with ExitStack() as stack:
             twin.restart(0)
             twin.place_object(np.array(figure.mean_m))
             for k in range(4):
-                posture = straight_neck(eye_angles(figure.motion, np.array(11.0 * number + 3 * k)))
+                slower = [1.0, 1.5, 1.0, 1.5] if figure.motion == "parallel" else [1.0, 1.5, 2.0, 2.5]
+                gaze = 0.25 * np.cos((11.0 * number + 3 * k) / np.array(slower))  # Eqs. 22 and 23
+                posture = straight_neck(gaze)
                 twin.advance(twin.time_s + 0.3, posture)
                 cameras = tuple(twin.truth.cameras) if k == 0 else ("left_wide", "right_wide")
                 begin = time.process_time()
