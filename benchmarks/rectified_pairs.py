@@ -18,10 +18,10 @@ import cv2
 import numpy as np
 import tyro
 
+from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.demos.depth import STEP_S, depth
 from vergence.geometry.head import HeadCalibration
-from vergence.accuracy.motions import eye_angles
 from vergence.stereo.rectification import rectified_image, rectify
 from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Twin

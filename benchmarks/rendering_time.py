@@ -48,8 +48,9 @@ with ExitStack() as stack:
             twin.restart(0)
             twin.place_object(np.array(figure.mean_m))
             for k in range(4):
-                slower = [1.0, 1.5, 1.0, 1.5] if figure.motion == "parallel" else [1.0, 1.5, 2.0, 2.5]
-                gaze = 0.25 * np.cos((11.0 * number + 3 * k) / np.array(slower))  # Eqs. 22 and 23
+                right = (1.0, 1.5) if figure.motion == "parallel" else (2.0, 2.5)
+                time_s = 11.0 * number + 3 * k
+                gaze = 0.25 * np.cos(time_s / np.array([1.0, 1.5, *right]))  # Eqs. 22 and 23
                 posture = straight_neck(gaze)
                 twin.advance(twin.time_s + 0.3, posture)
                 cameras = tuple(twin.truth.cameras) if k == 0 else ("left_wide", "right_wide")
