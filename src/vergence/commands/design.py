@@ -193,7 +193,7 @@ def _backend(cluster: str | None) -> Iterator[None]:
         yield
         return
     try:
-        from distributed import Client
+        from distributed import Client  # pyright: ignore[reportMissingImports]  # optional
     except ImportError:
         raise VergenceError(
             "A cluster needs Dask, which is not installed; `pip install 'vergence[cluster]'` "
