@@ -13,13 +13,14 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.parameters import camera_columns, parameter_names
+from vergence.geometry.parameters import parameter_names
 from vergence.geometry.projection import (
-    by_parameters,
     eye_poses_with_jacobians,
+    project_point,
     project_with_jacobians,
 )
 from vergence.geometry.se3 import inverse
+from vergence.stereo.linearised import by_head_parameters, linearised, pair_parameters
 
 DISTANCES_M = (0.3, 0.6, 1.0)
 ASIDE_RAD, ABOVE_RAD = 0.25, 0.2
@@ -104,19 +105,17 @@ def _eyes_on(
 def point_by_parameters(
     head: HeadCalibration, pair: tuple[str, str], points: Array, joints: Array
 ) -> Array:
-    """Return (N, 3, c) how points, located by least squares of their pixels, move with the head.
+    """Return (N, 3, c) how points that are located in two images move with the head.
 
     In the order of parameter_names; the pixels and the readings (N, r) stay what they are.
     """
-    T, by_axes, _ = eye_poses_with_jacobians(head, joints, len(points))
-    by_point, by_head = [], []
-    for k, name in enumerate(pair):
-        J = project_with_jacobians(head.cameras[name], head.T_rbase_lbase, T[:, k], points[:, None])
-        rows = np.zeros((len(points), 2, len(parameter_names(head))))
-        rows[:, :, camera_columns(head, name)] = by_parameters(J, by_axes[k])[:, 0]
-        by_head.append(rows)
-        by_point.append(J.by_point[:, 0])
-    return -np.linalg.pinv(np.concatenate(by_point, axis=1)) @ np.concatenate(by_head, axis=1)
+    left, right = (project_point(head, name, joints, points) for name in pair)
+    seen = linearised(head, left=left, right=right, joints=joints, cameras=pair)
+    everything = parameter_names(head)
+    rows = np.zeros((len(points), 3, len(everything)))
+    columns = [everything.index(name) for name in pair_parameters(head, pair)]
+    rows[..., columns] = by_head_parameters(head, pair, seen).transpose(2, 0, 1)
+    return rows
 
 
 def largest_std(by_parameters: Array, covariance: Array) -> Array:

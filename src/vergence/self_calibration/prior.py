@@ -96,8 +96,6 @@ BUMP = Tolerance(
     axes_m=0.0,
 )
 """Of a camera that something has hit."""
-_READINGS = 4
-"""Of the heads that the paper's method calibrates."""
 JOINT_STD_RAD = np.radians(0.2)
 """Of readings whose noise nobody states, until it is estimated."""
 
@@ -172,7 +170,7 @@ def _of_procedure(head: HeadCalibration, names: tuple[str, ...], cameras: tuple[
     """
     C = tolerance_covariance(head, names, USUAL)
     base = [k for k, name in enumerate(names) if name.startswith("T_rbase_lbase")]
-    zero = np.zeros(_READINGS)
+    zero = np.zeros(len(head.kinematics.readings))
     straight = T_rcam_lcam(head, zero, cameras=cameras)
     step = 1e-6
     by = np.zeros((6, len(names)))
