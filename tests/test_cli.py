@@ -62,7 +62,7 @@ def test_a_bad_profile_ends_in_a_sentence_that_names_the_value(capsys, monkeypat
 
 def test_missing_opengl_says_what_to_install():
     done = subprocess.run(
-        [sys.executable, "-m", "vergence.cli", "reproduce", "--figures", "6"],
+        [sys.executable, "-m", "vergence", "reproduce", "--figures", "6"],
         env={**os.environ, "MUJOCO_GL": "osmesa", "PYOPENGL_PLATFORM": "osmesa"},
         capture_output=True,
         text=True,

@@ -323,7 +323,7 @@ def test_the_site_contains_every_document():
 
 
 def test_links_of_a_page_of_the_site_lead_to_pages_and_no_source_files():
-    text = "[a](docs/gaze.md#x) [b](src/vergence/cli.py) ![c](docs/images/gaze.png)"
+    text = "[a](docs/gaze.md#x) [b](src/vergence/cli/__init__.py) ![c](docs/images/gaze.png)"
     assert site_pages.relink(text, "README.md") == "[a](gaze.md#x) b ![c](images/gaze.png)"
 
 

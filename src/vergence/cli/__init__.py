@@ -1,0 +1,99 @@
+"""The command line: parses, calls, prints."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Callable
+from dataclasses import fields
+from inspect import Parameter, signature
+
+import tyro
+
+from vergence import __version__
+from vergence.cli.accuracy import budget, design, plan
+from vergence.cli.calibration import calibrate, evaluate, export, import_
+from vergence.cli.experiments import Experiment, depth, foveate, grasp, record, reproduce, track
+from vergence.commands.invocation import invocation
+from vergence.errors import VergenceError
+from vergence.writing import finished_files
+
+FILES_NAMED = 10
+"""Of those that a stopped command has finished."""
+
+
+COMMANDS: dict[str, Callable[..., None]] = {
+    "reproduce": reproduce,
+    "record": record,
+    "calibrate": calibrate,
+    "plan": plan,
+    "design": design,
+    "evaluate": evaluate,
+    "budget": budget,
+    "export": export,
+    "import": import_,
+    "foveate": foveate,
+    "track": track,
+    "grasp": grasp,
+    "depth": depth,
+}
+
+
+def _check(arguments: list[str]) -> None:
+    """Refuse an unknown command or option in one sentence."""
+    if not arguments or arguments[0] in ("-h", "--help"):
+        return
+    name = arguments[0]
+    if name not in COMMANDS:
+        raise VergenceError(
+            f"There is no command {name!r}; there are {', '.join(COMMANDS)}. "
+            f"See {invocation('vergence', '--help')}."
+        )
+    known = _options(COMMANDS[name])
+    for argument in arguments[1:]:
+        option = argument.partition("=")[0].replace("_", "-")
+        if option.startswith("--") and option not in (*known, "--help"):
+            raise VergenceError(
+                f"{name} has no option {argument!r}; it has {', '.join(known)}. "
+                f"See {invocation('vergence', name, '--help')}."
+            )
+
+
+def _options(command: Callable[..., None]) -> list[str]:
+    """Return the options of a command, with those that experiments have in common."""
+    parameters = signature(command).parameters.values()
+    names = [each.name for each in parameters if each.kind is Parameter.KEYWORD_ONLY]
+    if names[-1] == "options":
+        names[-1:] = [field.name for field in fields(Experiment)]
+    return [f"--{name.replace('_', '-')}" for name in names]
+
+
+def main() -> None:
+    """Run the command line; a mistake of the user ends in one sentence and exit code 2."""
+    if sys.argv[1:] == ["--version"]:
+        print(f"vergence {__version__}")
+        return
+    try:
+        signal.signal(signal.SIGINT, _stop)
+        signal.signal(signal.SIGTERM, _stop)
+        _check(sys.argv[1:])
+        tyro.extras.subcommand_cli_from_dict(
+            COMMANDS,
+            prog=invocation("vergence"),
+            description="Active 3-D vision: calibration, stereo and gaze control, and a twin.",
+        )
+    except VergenceError as error:
+        print(f"vergence: {error}", file=sys.stderr)
+        raise SystemExit(2) from None
+    except KeyboardInterrupt as stop:
+        done = finished_files()
+        files = " ".join(map(str, done[-FILES_NAMED:]))
+        files += f" and {len(done) - FILES_NAMED} more" if len(done) > FILES_NAMED else ""
+        kept = f"finished before: {files}" if files else "nothing was written"
+        print(f"vergence: stopped; {kept}.", file=sys.stderr)
+        raise SystemExit(128 + (stop.args[0] if stop.args else signal.SIGINT)) from None
+
+
+def _stop(number: int, frame: object) -> None:
+    """End as Ctrl-C does."""
+    raise KeyboardInterrupt(number)

@@ -1,0 +1,135 @@
+"""Commands that calibrate, and that read and write calibrations."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from vergence.cli.progress import progress_bars, say_if_unfinished
+from vergence.commands.invocation import invocation
+from vergence.writing import check_outputs, write_json
+
+
+def calibrate(
+    dataset: Annotated[Path, tyro.conf.Positional],
+    /,
+    *,
+    out: Path,
+    report: Path | None = None,
+    method: Literal["bundle", "paper"] = "bundle",
+    lens: Literal[
+        "auto",
+        "none",
+        "k1",
+        "k1k2",
+        "radial-tangential",
+        "radial-tangential-k3",
+        "rational",
+        "fisheye",
+    ] = "auto",
+    json: Path | None = None,
+) -> None:
+    """Calibrate a head from a dataset, and state the accuracy.
+
+    Args:
+        dataset: Folder with dataset.json, frames.csv and images.
+        out: JSON file of the calibration.
+        report: Folder for report.md, its pictures and a recording of the dataset.
+        method: Bundle adjustment, which starts from the paper's steps, or these steps alone.
+        lens: Lens model of all cameras; auto: for each the one that predicts held-out images best
+            (for the paper's method radial-tangential, and none for narrow cameras).
+        json: JSON file of the accuracy alone.
+    """
+    # The matrices are small: threads of linear algebra would wait for each other. Before numpy.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from vergence.calibration.calibrate import calibrate as run
+    from vergence.commands.calibration_report import figures, write_report
+    from vergence.data.dataset import DESCRIPTION, FRAMES
+    from vergence.data.reader import load_dataset
+    from vergence.geometry.head import save_head
+
+    check_outputs(out, json, folder=report, inputs=[dataset / DESCRIPTION, dataset / FRAMES])
+    data = load_dataset(dataset)
+    say_if_unfinished(report)
+    with progress_bars() as progress:
+        result = run(data, method=method, lens=lens, progress=progress)
+        save_head(result.head, out)
+        if json is not None:
+            write_json(figures(result), json)
+        if report is not None:
+            write_report(result, data, report, progress=progress)
+    print(f"{result.summary()}\nWrote {out}.")
+    if report is not None:
+        print(f"To view the images: {invocation('rerun', report / 'dataset.rrd')}")
+
+
+def evaluate(
+    calibration: Annotated[Path, tyro.conf.Positional], /, *, truth: Path, json: Path | None = None
+) -> None:
+    """Compare a calibration with the ground truth of a dataset from the twin.
+
+    Args:
+        calibration: JSON file that `vergence calibrate` wrote.
+        truth: truth.json of the dataset.
+        json: JSON file of all errors.
+    """
+    from vergence.commands.evaluate import as_text
+    from vergence.commands.evaluate import evaluate as run
+    from vergence.commands.truth import load
+    from vergence.geometry.head import load_head
+
+    check_outputs(json, inputs=[calibration, truth])
+    found = run(load_head(calibration), load(truth))
+    if json is not None:
+        write_json(found, json)
+    print(as_text(found))
+
+
+def export(
+    calibration: Annotated[Path, tyro.conf.Positional],
+    /,
+    *,
+    format: Literal["kalibr", "ros", "opencv", "urdf"],
+    out: Path,
+) -> None:
+    """Write a calibration in another program's format.
+
+    Args:
+        calibration: JSON file that `vergence calibrate` wrote.
+        format: Format; ros writes a folder, the others a file.
+        out: File or folder to write.
+    """
+    from vergence.geometry.head import load_head
+    from vergence.interchange.formats import export_head
+
+    check_outputs(None if format == "ros" else out, inputs=[calibration])
+    export_head(load_head(calibration), out, format)
+    print(f"Wrote {out}.")
+
+
+def import_(
+    path: Annotated[Path, tyro.conf.Positional],
+    /,
+    *,
+    format: Literal["kalibr", "ros", "opencv"],
+    out: Path,
+    start: Path | None = None,
+) -> None:
+    """Make a calibration from another program's files.
+
+    Args:
+        path: File; for ros a folder of files.
+        format: opencv has the whole head, kalibr the cameras and their poses, ros the cameras only.
+        out: JSON file of the calibration.
+        start: Calibration that supplies what kalibr and ros files do not contain.
+    """
+    from vergence.geometry.head import load_head, save_head
+    from vergence.interchange.formats import import_head
+
+    check_outputs(out, inputs=[path])
+    template = None if start is None else load_head(start)
+    save_head(import_head(path, format, template=template), out)
+    print(f"Wrote {out}.")

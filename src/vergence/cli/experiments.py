@@ -1,0 +1,253 @@
+"""Commands that run the twin, or depth images of the twin or of a dataset."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from vergence.cli.progress import progress_bars, say_if_unfinished
+from vergence.commands.invocation import invocation
+from vergence.errors import VergenceError
+from vergence.writing import as_json, check_outputs, write_json
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+Scene = Literal["room", "sparse", "moving"]
+"""As `twin.scene` has it, which cannot be imported before it is known that OpenGL is needed."""
+
+
+def reproduce(
+    *,
+    out: Path = Path("runs/paper"),
+    figures: tuple[int, ...] = (6, 7, 8, 9, 10, 11),
+    profile: str = "paper",
+    scene: Scene = "room",
+    seed: int = 0,
+    duration: float | None = None,
+    rate: float | None = None,
+    method: Literal["paper", "self-calibrated"] = "paper",
+    compare: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    floor: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+) -> None:
+    """Replay the paper's Figs. 6-11 on rendered images.
+
+    Args:
+        out: Folder for recordings, plots, report and statistics.
+        figures: Numbers of the figures.
+        profile: Error profile: ideal, paper, noise-only, or a TOML file.
+        scene: What the head looks at.
+        seed: Seed of everything random.
+        duration: Length of each figure [s]; default: its full combined period, at least 60 s.
+        rate: Samples per second [Hz]; default: 640 samples per figure.
+        method: Whose positions are plotted: by the joint readings as in the paper, or by the
+            geometry that is learned from the same images.
+        compare: State the results of all methods side by side.
+        floor: Also those of self-calibration that is given the true head, to compare with.
+    """
+    # Imported here, so that help and wrong arguments do not wait for OpenGL.
+    from vergence.paper.reproduce import check
+    from vergence.paper.reproduce import reproduce as run
+    from vergence.twin.profile import load_profile
+
+    chosen = load_profile(profile)
+    check(out, figures=figures, seed=seed, duration_s=duration, rate_hz=rate)
+    if (out / "statistics.json").exists():
+        print(f"Replacing the results of an earlier run in {out}.")
+    say_if_unfinished(out)
+    with progress_bars() as progress:
+        done = run(
+            out,
+            figures=figures,
+            profile=chosen,
+            scene=scene,
+            seed=seed,
+            duration_s=duration,
+            rate_hz=rate,
+            method=method,
+            compare=compare,
+            floor=floor,
+            progress=progress,
+        )
+    recordings = [f"fig{number:02d}.rrd" for number in sorted(done.replays)]
+    if older := {path.name for path in out.glob("fig??.rrd")} - set(recordings):
+        print(f"Of an earlier run: {' '.join(sorted(older))}.")
+    print(f"Wrote {' '.join(recordings)}, figures.png, report.md and statistics.json to {out}.")
+    typed = invocation("rerun", out / recordings[0])
+    made = out == Path("runs/paper") and 6 in done.replays and Path("Makefile").is_file()
+    print(f"To view a recording: {typed}" + (", or make view" if made else ""))
+
+
+def record(
+    *,
+    out: Path,
+    profile: str = "ideal",
+    scene: Scene = "room",
+    seed: int = 0,
+    frames: int = 60,
+    lens: Literal["2.8mm", "4.0mm"] = "2.8mm",
+    target: Literal["chessboard", "charuco"] = "chessboard",
+    moving: int = 0,
+) -> None:
+    """Record a dataset on the twin, with the ground truth beside it in truth.json.
+
+    Args:
+        out: Folder, new or empty.
+        profile: Error profile: ideal, paper, noise-only, or a TOML file.
+        scene: What the head looks at.
+        seed: Seed of everything random.
+        frames: Number of frames with the eyes at rest.
+        lens: Focal length of the wide cameras.
+        target: Kind of calibration board.
+        moving: Number of frames that follow, at 30 Hz, with moving eyes and the board at rest.
+    """
+    from vergence.commands.record import record as run
+    from vergence.twin.profile import load_profile
+
+    with progress_bars() as progress:
+        images = run(
+            out,
+            profile=load_profile(profile),
+            scene=scene,
+            seed=seed,
+            frames=frames,
+            lens=lens,
+            target=target,
+            moving=moving,
+            progress=progress,
+        )
+    print(f"Wrote {images} images, dataset.json, frames.csv and truth.json to {out}.")
+    print(f"To calibrate: {invocation('vergence', 'calibrate', out, '--out', 'calibration.json')}")
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Options that foveate, track and grasp have in common."""
+
+    seed: int = 0
+    """Seed of everything random."""
+    profile: str = "ideal"
+    """Error profile: ideal, paper, noise-only, or a TOML file."""
+    scene: Scene = "room"
+    """What the head looks at."""
+    out: Path | None = None
+    """Folder for the results of each trial, and for a recording of the run."""
+    json: Path | None = None
+    """JSON file of the summary."""
+
+
+Options = Annotated[Experiment, tyro.conf.arg(name="")]
+
+
+DEFAULT = Experiment()
+
+
+def foveate(*, trials: int = 100, options: Options = DEFAULT) -> None:
+    """Show objects, and turn both eyes until the narrow images are centred on them.
+
+    Args:
+        trials: Number of objects; the first ten are recorded.
+        options: Common options.
+    """
+    from vergence.demos.foveate import foveate as run
+
+    _experiment("foveate", lambda **common: run(trials=trials, **common)[0], options)
+
+
+def track(*, seconds: float = 60.0, options: Options = DEFAULT) -> None:
+    """Track a moving object, which is hidden once, with both narrow cameras.
+
+    Args:
+        seconds: Length of the run [s].
+        options: Common options.
+    """
+    from vergence.demos.track import track as run
+
+    _experiment("track", lambda **common: run(seconds=seconds, **common), options)
+
+
+def grasp(*, trials: int = 10, options: Options = DEFAULT) -> None:
+    """Grasp objects that are held out to the robot, guided by what the eyes see of the hand.
+
+    Args:
+        trials: Number of objects.
+        options: Common options.
+    """
+    from vergence.demos.grasp import grasp as run
+
+    _experiment("grasp", lambda **common: run(trials=trials, **common)[0], options)
+
+
+def depth(
+    dataset: Annotated[Path | None, tyro.conf.Positional] = None,
+    /,
+    *,
+    out: Path,
+    twin: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    calibration: Path | None = None,
+    profile: str = "paper",
+    scene: Scene = "room",
+    seed: int = 0,
+    pairs: int = 20,
+) -> None:
+    """Compute the depth of every pixel from rectified pairs, of the twin or of a dataset.
+
+    Args:
+        dataset: Folder with dataset.json, frames.csv and images; none with --twin.
+        out: Folder for depth.rrd, depth.json and report.md.
+        twin: Use the twin, with its eyes in divergent motion, and state the error of the depth.
+        calibration: JSON file that `vergence calibrate` wrote; the twin can do without.
+        profile: Error profile of the twin: ideal, paper, noise-only, or a TOML file.
+        scene: Scene that the twin looks at.
+        seed: Seed of everything random on the twin.
+        pairs: Number of pairs; of a dataset at most so many.
+    """
+    if twin == (dataset is not None):
+        found = "both" if twin else "neither"
+        raise VergenceError(f"Depth is of a dataset or, with --twin, of the twin; found {found}.")
+    from vergence.demos.depth import as_markdown
+    from vergence.demos.depth import depth as run
+    from vergence.twin.profile import load_profile
+
+    say_if_unfinished(out)
+    with progress_bars() as progress:
+        done = run(
+            out,
+            dataset=dataset,
+            calibration=calibration,
+            profile=load_profile(profile),
+            scene=scene,
+            seed=seed,
+            pairs=pairs,
+            progress=progress,
+        )
+    print(as_markdown(done), end="")
+    print(f"To view the recording: {invocation('rerun', out / 'depth.rrd')}")
+
+
+def _experiment(name: str, run: Callable[..., DataclassInstance], options: Experiment) -> None:
+    """Run an experiment, print and write its summary, and say how to view its recording."""
+    from vergence.twin.profile import load_profile
+
+    profile = load_profile(options.profile)
+    check_outputs(options.json, folder=options.out)
+    say_if_unfinished(options.out)
+    with progress_bars() as progress:
+        found = run(
+            seed=options.seed,
+            profile=profile,
+            scene=options.scene,
+            out=options.out,
+            progress=progress,
+        )
+    if options.json is not None:
+        write_json(found, options.json)
+    print(as_json(found), end="")
+    if options.out is not None:
+        typed = invocation("rerun", options.out / f"{name}.rrd")
+        print(f"To view the recording: {typed}", file=sys.stderr)
