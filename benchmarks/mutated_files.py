@@ -33,7 +33,8 @@ import tyro
 from simulated_head import random_head
 from vergence.commands.evaluate import evaluate
 from vergence.commands.truth import Truth, load
-from vergence.data.dataset import DatasetCamera, DatasetJoint, Description, Frame
+from vergence.data.dataset import Frame
+from vergence.data.description import DatasetCamera, DatasetJoint, Description
 from vergence.data.reader import load_dataset
 from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError

@@ -18,7 +18,8 @@ from test_sequential import some_cameras
 from vergence import cli
 from vergence.calibration import calibrate as calibrate_module
 from vergence.calibration.observations import Observations
-from vergence.data.dataset import Dataset, pose_columns
+from vergence.data.dataset import Dataset
+from vergence.data.description import pose_columns
 from vergence.data.reader import load_dataset
 from vergence.geometry.head import load_head, main_pair, save_head
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Side

@@ -7,7 +7,8 @@ import pytest
 
 from recordings import CHARUCO, refusal, small_dataset
 from simulated_head import random_pose
-from vergence.data.dataset import DatasetCamera, DatasetJoint, Description, Frame, runs
+from vergence.data.dataset import Frame, runs
+from vergence.data.description import DatasetCamera, DatasetJoint, Description
 from vergence.data.reader import load_dataset
 from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError

@@ -37,7 +37,8 @@ from documents import (
 from drawn_card import smooth_picture
 from drawn_head import DrawnHead, four_cameras, point_at
 from vergence import cli
-from vergence.data.dataset import Description, Frame
+from vergence.data.dataset import Frame
+from vergence.data.description import Description
 from vergence.data.reader import load_dataset
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import (

@@ -12,7 +12,8 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.observations import DetectionFailure, Observations
-from vergence.data.dataset import UNREADABLE, Dataset, runs
+from vergence.data.dataset import Dataset, runs
+from vergence.data.images import UNREADABLE
 from vergence.data.timing import Timing
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board, Chessboard

@@ -47,7 +47,7 @@ def calibrate(
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from vergence.calibration.calibrate import calibrate as run
     from vergence.commands.calibration_report import figures, write_report
-    from vergence.data.dataset import DESCRIPTION, FRAMES
+    from vergence.data.description import DESCRIPTION, FRAMES
     from vergence.data.reader import load_dataset
     from vergence.geometry.head import save_head
 

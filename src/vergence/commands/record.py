@@ -11,7 +11,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.commands.truth import TRUTH, Truth, with_sensors
-from vergence.data.dataset import DatasetCamera, DatasetJoint, Description
+from vergence.data.description import DatasetCamera, DatasetJoint, Description
 from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board, Charuco

@@ -18,14 +18,14 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from vergence.arrays import Array, Transform
-from vergence.data.dataset import (
+from vergence.data.dataset import Dataset
+from vergence.data.description import (
     DESCRIPTION,
     FRAMES,
     JOINT_TIME,
     MOVING,
     PLACEMENT,
     TIME,
-    Dataset,
     Description,
     pose_columns,
 )

@@ -15,7 +15,8 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from vergence.arrays import Array
-from vergence.data.dataset import (
+from vergence.data.dataset import Frame
+from vergence.data.description import (
     DESCRIPTION,
     FRAMES,
     JOINT_TIME,
@@ -23,7 +24,6 @@ from vergence.data.dataset import (
     PLACEMENT,
     TIME,
     Description,
-    Frame,
 )
 from vergence.geometry.kinematics import EYES, NECK_JOINTS
 from vergence.writing import check_new, whole_folder
