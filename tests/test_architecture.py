@@ -5,6 +5,7 @@ that keeps all of them is broken in one place at a time.
 """
 
 import ast
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -207,6 +208,13 @@ def test_every_folder_states_its_subject_in_one_sentence(folder: Path):
     first = docstring.split("\n\n")[0]
     assert first.endswith(".")
     assert ". " not in first
+
+
+def test_the_page_on_architecture_has_a_row_for_every_room_in_their_order():
+    page = (SRC.parent / "docs/architecture.md").read_text("utf-8")
+    rows = re.findall(r"^\| (`.*?) \|", page, flags=re.MULTILINE)
+    named = [name for row in rows for name in re.findall("`(.*?)`", row)]
+    assert named == [name for name in ROOMS if name not in ("vergence", "__main__")]
 
 
 def test_importing_the_package_loads_no_simulator_viewer_or_command_line():
