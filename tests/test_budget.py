@@ -151,11 +151,22 @@ def test_what_cannot_be_budgeted_is_refused():
         run(HEAD, points=POINT[None], **nothing)
     with pytest.raises(VergenceError, match="both cameras see"):
         run(stated(HEAD), points=-POINT[None], **nothing)
+    with pytest.raises(VergenceError, match="from 0 to 100 px; found nan"):
+        run(HEAD, points=POINT[None], motion="parallel", profile=None, pixel_std_px=np.nan)
+    with pytest.raises(VergenceError, match="coordinates up to"):
+        run(stated(HEAD), points=1e7 * POINT[None], **nothing)
     with pytest.raises(VergenceError, match="There is no motion 'round'"):
         motion_of("round")
     source = Source("wrong", errors={"nose.fx": 1.0})
     with pytest.raises(VergenceError, match=r"no parameter 'nose\.fx'"):
         budget(HEAD, POINT[None], **motion("parallel"), sources=[source])
+
+
+def test_a_budget_beyond_first_order_says_so():
+    noise = {"motion": "parallel", "profile": None, "pixel_std_px": 0.5}
+    near, far = (run(HEAD, points=scale * POINT[None], **noise) for scale in (1, 30))
+    assert "lower bound" not in advice(near, 0)
+    assert "lower bound" in advice(far, 0)
 
 
 def test_a_profile_gives_sources_that_the_papers_method_does_not_find():

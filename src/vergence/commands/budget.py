@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from vergence.accuracy.budget import TIME_OFFSET, Budget, Part, Source, budget
 from vergence.accuracy.motions import PERIOD_S, eye_angles
-from vergence.arrays import Array
+from vergence.arrays import MAX_M, Array
 from vergence.commands.truth import with_sensors
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
@@ -26,6 +26,9 @@ OBJECT_NOISE_PX = 0.03
 """Of the centre of the twin's sphere in its images."""
 LONG_LENS_PX = 340.0
 """Focal length between those of the twin's lenses of 2.8 mm and 4.0 mm."""
+MAX_NOISE_PX = 100.0
+FIRST_ORDER = 0.08
+"""Share of the distance up to which the spread of sampled points is as predicted, within 2 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +58,16 @@ def run(
         pixel_std_px: noise of a pixel coordinate; None: the calibration's, or of the twin's object.
 
     Raises:
-        VergenceError: there is nothing that could be wrong, a point is not seen, or the motion is
-            none.
+        VergenceError: there is nothing that could be wrong, a point is not seen or too far away,
+            the noise is negative, or the motion is none.
     """
+    if pixel_std_px is not None and not 0 <= pixel_std_px <= MAX_NOISE_PX:
+        raise VergenceError(
+            f"--noise is a standard deviation from 0 to {MAX_NOISE_PX:g} px; found "
+            f"{pixel_std_px:g}."
+        )
+    if not np.abs(np.array(points)).max(initial=0.0) <= MAX_M:
+        raise VergenceError(f"--at takes coordinates up to {MAX_M:g} m; found {points}.")
     sources = sources_of(head, profile, pixel_std_px)
     if not sources and (head.accuracy is None or not head.accuracy.parameters):
         raise VergenceError(
@@ -184,7 +194,13 @@ def advice(found: Budgets, k: int) -> str:
     total = 1e3 * float(np.linalg.norm(own.total.std_m))
     best = sorted(own.halved_m.items(), key=lambda item: item[1])[:2]
     parts = [f"half of {name!r} would give {1e3 * value:.2f} mm" for name, value in best]
-    return f"A point is off by {total:.2f} mm (1 std in space); {', '.join(parts)}."
+    said = f"A point is off by {total:.2f} mm (1 std in space); {', '.join(parts)}."
+    if total > 1e3 * FIRST_ORDER * np.linalg.norm(own.point_m):
+        said += (
+            f" That is more than {100 * FIRST_ORDER:.0f} % of its distance, too much for a budget, "
+            "which is of first order: take it for a lower bound."
+        )
+    return said
 
 
 def as_plain(found: Budgets) -> dict[str, object]:
