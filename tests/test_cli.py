@@ -73,6 +73,16 @@ def test_missing_opengl_says_what_to_install():
     assert "Traceback" not in done.stderr
 
 
+def test_a_reader_that_stops_reading_ends_the_command_without_a_word():
+    typed = [sys.executable, "-m", "vergence", "evaluate", "--help"]
+    with subprocess.Popen(typed, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout
+        assert process.stderr
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == 141
+
+
 def test_an_unknown_command_is_answered_with_the_known_ones(capsys, monkeypatch):
     text = refused(["reproduced"], capsys, monkeypatch)
     assert text.count("\n") == 1

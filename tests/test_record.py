@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,10 +19,11 @@ from vergence.demos.depth import depth
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
 from vergence.geometry.head import T_base_cam, save_head
-from vergence.geometry.kinematics import EYES, Kinematics
+from vergence.geometry.kinematics import EYES, Kinematics, T_base_eye
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import transform
 from vergence.twin.calibration_sequence import BOARD
+from vergence.twin.model import nominal_head
 from vergence.twin.profile import (
     CalibrationMade,
     ErrorProfile,
@@ -62,6 +64,50 @@ def test_the_kinds_of_views_are_all_there(recorded):
     for name, corners in found.corners.items():
         views = np.isfinite(corners).all(axis=2).sum(axis=1) >= 6
         assert views.sum() >= 3, name
+
+
+def eyes_with(joints: dict[str, dict[str, float]]) -> dict[str, Any]:
+    """Return the joints of both eyes, by name their readings, as a file states them."""
+    eye = [{"name": n, "axis": n, "readings": readings} for n, readings in joints.items()]
+    names = {name for readings in joints.values() for name in readings}
+    readings = {name: {"unit": "deg", "sign": -1} for name in sorted(names)}
+    return {"kinematics": {"left": eye, "right": eye}, "readings": readings}
+
+
+@pytest.mark.render
+def test_a_head_with_other_joints_is_recorded(tmp_path):
+    joints = {"pan": {"yaw": 1.0}, "tilt": {"nod": 0.5, "lean": 0.5}, "roll": {"roll": 1.0}}
+    (tmp_path / "joints.json").write_text(json.dumps(eyes_with(joints)))
+    record(
+        tmp_path / "out", profile=PROFILE, frames=12, moving=3, kinematics=tmp_path / "joints.json"
+    )
+    dataset = load_dataset(tmp_path / "out")
+    truth = truth_file.load(tmp_path / "out" / "truth.json")
+    assert truth.head.kinematics.readings == ("lean", "nod", "roll", "yaw")
+    assert np.ptp(dataset.eye_angles[~dataset.moving], axis=0).min() > 0.01  # all were moved
+    kinematics = truth.head.kinematics
+    still = ~dataset.moving
+    for eye in EYES:  # through the gains and offsets of the sensors, readings are true angles
+        read = T_base_eye(kinematics, eye, dataset.eye_angles[still])
+        perfect = nominal_head("2.8mm", dataset.description.head_kinematics).kinematics
+        true = T_base_eye(perfect, eye, truth.eye_angles[still])
+        np.testing.assert_allclose(read, true, atol=0.004)
+
+
+@pytest.mark.parametrize(
+    ("joints", "missing", "said"),
+    [
+        ({"pan": {"yaw": 1.0}, "tilt": {"nod": 1.0}}, "yaw", r"readings\.yaw is missing"),
+        ({"pan": {"yaw": 1.0}}, "", "2 joints or more, the left one was given 1"),
+    ],
+)
+def test_joints_that_the_twin_cannot_have_are_refused(tmp_path, joints, missing, said):
+    stated = eyes_with(joints)
+    stated["readings"].pop(missing, None)
+    (tmp_path / "joints.json").write_text(json.dumps(stated))
+    with pytest.raises(VergenceError, match=said):
+        record(tmp_path / "no", profile=PROFILE, kinematics=tmp_path / "joints.json")
+    assert not (tmp_path / "no").exists()
 
 
 def test_a_recorded_dataset_has_dense_depth_and_no_stated_error(recorded, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from collections.abc import Callable
@@ -77,14 +78,20 @@ def main() -> None:
         signal.signal(signal.SIGINT, _stop)
         signal.signal(signal.SIGTERM, _stop)
         _check(sys.argv[1:])
-        tyro.extras.subcommand_cli_from_dict(
-            COMMANDS,
-            prog=invocation("vergence"),
-            description="Active 3-D vision: calibration, stereo and gaze control, and a twin.",
-        )
+        try:
+            tyro.extras.subcommand_cli_from_dict(
+                COMMANDS,
+                prog=invocation("vergence"),
+                description="Active 3-D vision: calibration, stereo and gaze control, and a twin.",
+            )
+        finally:
+            sys.stdout.flush()
     except VergenceError as error:
         print(f"vergence: {error}", file=sys.stderr)
         raise SystemExit(2) from None
+    except BrokenPipeError:  # whoever read the output has seen enough, such as `head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise SystemExit(128 + signal.SIGPIPE) from None
     except KeyboardInterrupt as stop:
         done = finished_files()
         files = " ".join(map(str, done[-FILES_NAMED:]))

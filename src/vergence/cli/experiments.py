@@ -93,6 +93,7 @@ def record(
     lens: Literal["2.8mm", "4.0mm"] = "2.8mm",
     target: Literal["chessboard", "charuco"] = "chessboard",
     moving: int = 0,
+    kinematics: Path | None = None,
 ) -> None:
     """Record a dataset on the twin, with the ground truth beside it in truth.json.
 
@@ -105,6 +106,8 @@ def record(
         lens: Focal length of the wide cameras.
         target: Kind of calibration board.
         moving: Number of frames that follow, at 30 Hz, with moving eyes and the board at rest.
+        kinematics: JSON file with the eyes' joints, `kinematics` and `readings` as in dataset.json;
+            default: pan, then tilt.
     """
     from vergence.commands.record import record as run
     from vergence.twin.profile import load_profile
@@ -119,6 +122,7 @@ def record(
             lens=lens,
             target=target,
             moving=moving,
+            kinematics=kinematics,
             progress=progress,
         )
     print(f"Wrote {images} images, dataset.json, frames.csv and truth.json to {out}.")

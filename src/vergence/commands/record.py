@@ -8,15 +8,24 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from pydantic import ConfigDict, TypeAdapter
+from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Array
 from vergence.commands.truth import TRUTH, Truth, with_sensors
-from vergence.data.description import DatasetCamera, DatasetJoint, Description
+from vergence.data.description import (
+    DatasetCamera,
+    DatasetJoint,
+    DatasetReading,
+    Description,
+    EyeJoint,
+)
 from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board, Charuco
-from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS
+from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS, Side
 from vergence.progress import Progress, silent
+from vergence.reading import parse_json, read_parsed
 from vergence.twin.calibration_sequence import (
     BOARD,
     NARROW_VIEWS,
@@ -30,6 +39,7 @@ from vergence.twin.calibration_sequence import (
     visible,
 )
 from vergence.twin.head import Twin
+from vergence.twin.model import nominal_head
 from vergence.twin.profile import ErrorProfile, Lens
 from vergence.twin.scene import Scene
 from vergence.writing import as_json, check_new
@@ -57,6 +67,14 @@ _SPEED_RAD_S = 2.5  # of the phase of pan: with 0.2 rad as fast as eyes that pur
 _AMPLITUDE_RAD = 0.2
 
 
+@dataclass(frozen=True, eq=False, config=ConfigDict(extra="ignore"))
+class StatedJoints:
+    """What a dataset.json states of the joints of the eyes; its other fields are not read."""
+
+    kinematics: dict[Side, tuple[EyeJoint, ...]]
+    readings: dict[str, DatasetReading]
+
+
 def record(
     out: Path,
     *,
@@ -67,6 +85,7 @@ def record(
     lens: Lens = "2.8mm",
     target: Target = "chessboard",
     moving: int = 0,
+    kinematics: Path | None = None,
     progress: Progress = silent,
 ) -> int:
     """Record a dataset on the twin, and the truth beside it in truth.json.
@@ -80,6 +99,8 @@ def record(
         lens: of the wide cameras.
         target: the kind of calibration board.
         moving: number of frames that follow, at RATE_HZ, with moving eyes and the board at rest.
+        kinematics: JSON file with `kinematics` and `readings` as in dataset.json: the joints of
+            the twin's eyes; None: pan, then tilt.
         progress: is called after each frame.
 
     Returns:
@@ -99,9 +120,12 @@ def record(
     check_new(out)
     charuco = CHARUCO if target == "charuco" else None
     board: Board = charuco or BOARD
+    note = f"Recorded on the twin: profile {profile.name}, {lens} lens, seed {seed}."
+    description = _description(lens, board_as_given(profile, board), note, kinematics)
+    joints = description.head_kinematics
     true_angles: list[Array] = []
     images = 0
-    with Twin(profile, seed=seed, lens=lens, board=charuco, scene=scene) as twin:
+    with Twin(profile, seed=seed, lens=lens, board=charuco, kinematics=joints, scene=scene) as twin:
         shots = _shots(twin, board, seed, frames)
         total = len(shots) + moving
         task = f"recording {total} frames"
@@ -128,7 +152,6 @@ def record(
             )
             (folder / TRUTH).write_text(as_json(truth), encoding="utf-8")
 
-        description = _description(twin, board_as_given(profile, board), lens, seed)
         write_dataset(out, description, rows(), beside=write_truth)
     return images
 
@@ -153,16 +176,16 @@ def _seeing(twin: Twin, board: Board, shot: Shot) -> tuple[str, ...]:
 def _capture(
     twin: Twin, shots: list[Shot], board: Board, moving: int
 ) -> Iterator[tuple[Array, DatasetRow]]:
-    """Yield the true eye angles (4,) and the dataset's row of each frame."""
+    """Yield the true eye angles (r,) and the dataset's row of each frame."""
     for shot in carry_out(twin, shots, interval_s=0.1):  # each row has its own time stamp
         yield _frame(twin, shot, moving=False)
     if moving:
-        fixed, begin = shots[-1], twin.time_s + 0.6
-        twin.settle(straight_neck(_sweep(0.0)))
+        fixed, begin, n = shots[-1], twin.time_s + 0.6, len(shots[-1].eye_angles)
+        twin.settle(straight_neck(_sweep(0.0, n)))
         for k in range(moving):
             time_s = k / RATE_HZ
-            twin.advance(begin + time_s, lambda now: straight_neck(_sweep(now - begin)))
-            shot = replace(fixed, eye_angles=_sweep(time_s))
+            twin.advance(begin + time_s, lambda now: straight_neck(_sweep(now - begin, n)))
+            shot = replace(fixed, eye_angles=_sweep(time_s, n))
             yield _frame(twin, replace(shot, cameras=_seeing(twin, board, shot)), moving=True)
 
 
@@ -172,22 +195,34 @@ def _frame(twin: Twin, shot: Shot, *, moving: bool) -> tuple[Array, DatasetRow]:
     return true_angles, DatasetRow(frame=frame, placement=shot.placement, moving=moving)
 
 
-def _sweep(time_s: float) -> Array:
-    """Return (4,) angles [rad] of a smooth motion: as Eqs. 22-23, but faster."""
-    phase = _SPEED_RAD_S * time_s / np.array([1.0, 1.5, 1.2, 1.8])
-    return _AMPLITUDE_RAD * np.cos(phase)
+def _sweep(time_s: float, n: int) -> Array:
+    """Return (n,) readings [rad] of a smooth motion: as Eqs. 22-23, but faster."""
+    periods = np.concatenate([[1.0, 1.5, 1.2, 1.8], 2.0 + 0.2 * np.arange(max(0, n - 4))])
+    return _AMPLITUDE_RAD * np.cos(_SPEED_RAD_S * time_s / periods[:n])
 
 
-def _description(twin: Twin, board: Board, lens: str, seed: int) -> Description:
+def _description(lens: Lens, board: Board, note: str, kinematics: Path | None) -> Description:
+    """Return what dataset.json states; VergenceError if the file of the joints is not valid."""
     cameras = {
         name: DatasetCamera(
             eye=mounted.eye, width=mounted.intrinsics.width, height=mounted.intrinsics.height
         )
-        for name, mounted in twin.nominal.cameras.items()
+        for name, mounted in nominal_head(lens).cameras.items()
     }
-    return Description(
-        cameras=cameras,
-        board=board,
-        joints={n: DatasetJoint(column=n, unit="rad") for n in (*EYE_JOINTS, *NECK_JOINTS)},
-        note=f"Recorded on the twin: profile {twin.profile.name}, {lens} lens, seed {seed}.",
-    )
+    neck = {name: DatasetJoint(column=name, unit="rad") for name in NECK_JOINTS}
+    if kinematics is None:
+        eyes = {name: DatasetJoint(column=name, unit="rad") for name in EYE_JOINTS}
+        return Description(cameras=cameras, board=board, joints=eyes | neck, note=note)
+
+    def build(content: object) -> Description:
+        stated = TypeAdapter(StatedJoints).validate_python(content)
+        return Description(
+            cameras=cameras,
+            board=board,
+            joints=neck,
+            kinematics=stated.kinematics,
+            readings=stated.readings,
+            note=note,
+        )
+
+    return read_parsed(kinematics, "a description of joints", build, parse_json)

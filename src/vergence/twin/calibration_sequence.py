@@ -86,7 +86,11 @@ def plan(
     k = np.arange(3, orientations + 3) + 0.5
     radius, turn = np.sqrt(k / (orientations + 3)), k * np.pi * (3 - np.sqrt(5))
     pan, tilt = 0.30 * radius * np.cos(turn), 0.26 * radius * np.sin(turn)
-    gaze = readings_to_turn(head.kinematics, np.stack([0 * pan, tilt, pan], axis=-1))
+    # Eyes that can roll do, by the product, which resembles neither of the others; so does a
+    # reading that stays the same when both eyes turn alike, such as vergence.
+    product = pan * tilt / 0.26
+    gaze = readings_to_turn(head.kinematics, np.stack([product, tilt, pan], axis=-1))
+    gaze[:, np.ptp(gaze, axis=0) < 1e-6] = product[:, None]
     shots += [Shot(fixed, T_fixed, readings, wide) for readings in gaze]
     return shots
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import mujoco
 import numpy as np
@@ -20,11 +21,11 @@ from vergence.geometry.se3 import inverse, pose, transform
 from vergence.twin.card import Card
 from vergence.twin.model import (
     CAMERAS,
-    HINGES,
     R_of_quat,
     T_world_body,
     as_built_head,
     compile_head,
+    hinges,
     nominal_head,
     quat_of_R,
 )
@@ -71,9 +72,9 @@ class Twin:
         """Build a head with wide cameras of a lens, and with the imperfections of a profile.
 
         The same seed gives the same head, whatever the lens. A board replaces the scene's
-        chessboard, a card the red sphere that is its object. The eyes have two joints each; by
-        default pan, then tilt. VergenceError if there is no OpenGL, the model or the scene cannot
-        be loaded, the eyes have another number of joints, or the seed is negative.
+        chessboard, a card the red sphere that is its object. The eyes have two joints each or
+        more; by default pan, then tilt. VergenceError if there is no OpenGL, the model or the
+        scene cannot be loaded, the eyes have fewer joints, or the seed is negative.
         """
         if seed < 0:
             raise VergenceError(f"The seed must be a whole number from 0, found {seed}.")
@@ -86,9 +87,9 @@ class Twin:
         self._data = mujoco.MjData(self.model)
         self._seen = mujoco.MjData(self.model)  # the pose at which pictures are taken
         self._seed = seed
-        hinges = [*NECK_JOINTS, *(name for eye in EYES for name in HINGES[eye])]
-        self._addresses = [self.model.joint(name).qposadr[0] for name in hinges]
-        self._actuators = [self.model.actuator(name).id for name in hinges]
+        names = [*NECK_JOINTS, *chain.from_iterable(hinges(self.truth.kinematics).values())]
+        self._addresses = [self.model.joint(name).qposadr[0] for name in names]
+        self._actuators = [self.model.actuator(name).id for name in names]
         chains = self.truth.kinematics.chains
         # Angles of the model's joints by neck joints and readings, and back.
         eyes = np.concatenate([chains[eye].mixing for eye in EYES])

@@ -48,23 +48,35 @@ def load_spec(scene: Scene = "room") -> mujoco.MjSpec:
     return load_scene(model_folder(), scene)
 
 
-HINGES: dict[Side, tuple[str, str]] = {
-    "left": ("left_pan", "left_tilt"),
-    "right": ("right_pan", "right_tilt"),
-}
-"""By eye the two joints of the model, from the head outwards; their axes are the head's own."""
+LEAST_JOINTS = 2
+"""Of an eye: those of the MJCF file."""
+
+
+def hinges(kinematics: Kinematics) -> dict[Side, list[str]]:
+    """Return by eye the names of the model's joints, from the head outwards.
+
+    The model has two, of which only the names say pan and tilt; more are added to it.
+    """
+    return {
+        eye: [
+            f"{eye}_pan",
+            f"{eye}_tilt",
+            *(f"{eye}_joint_{k + 1}" for k in range(LEAST_JOINTS, len(kinematics.eyes[eye]))),
+        ]
+        for eye in EYES
+    }
 
 
 def nominal_head(lens: Lens, kinematics: Kinematics | None = None) -> HeadCalibration:
     """Return the head as designed, with a lens in the wide cameras.
 
-    Its eyes have two joints each; None: pan, then tilt. VergenceError if they have not.
+    Its eyes have two joints each or more; None: pan, then tilt. VergenceError if they have not.
     """
     kinematics = kinematics or Kinematics()
     for eye, joints in kinematics.eyes.items():
-        if len(joints) != len(HINGES[eye]):
+        if len(joints) < LEAST_JOINTS:
             raise VergenceError(
-                f"An eye of the twin has {len(HINGES[eye])} joints, the {eye} one was given "
+                f"An eye of the twin has {LEAST_JOINTS} joints or more, the {eye} one was given "
                 f"{len(joints)}."
             )
     spec = load_spec()
@@ -91,7 +103,9 @@ def nominal_head(lens: Lens, kinematics: Kinematics | None = None) -> HeadCalibr
                 matrix=matrix,
                 distortion=np.array(DISTORTION[lens]) if wide else np.zeros(5),
             ),
-            T_eye_cam=pose(R_of_quat(camera.quat) @ R_MJCAM_CAM, camera.pos),
+            T_eye_cam=pose(
+                R_of_quat(camera.quat) @ R_MJCAM_CAM, camera.pos - kinematics.chains[eye].end_m
+            ),
         )
     return HeadCalibration(
         cameras=cameras,
@@ -140,11 +154,11 @@ def as_built_head(nominal: HeadCalibration, profile: ErrorProfile, seed: int) ->
     for eye, turn, distance in zip(
         EYES, profile.axes.nonorthogonality_deg, profile.axes.distance_mm, strict=True
     ):
-        first, second = nominal.kinematics.eyes[eye]
+        first, second, *more = nominal.kinematics.eyes[eye]
         second = replace(
             second, nonorthogonality_rad=np.radians(turn), axis_distance_m=distance * 1e-3
         )
-        eyes[eye] = first, second
+        eyes[eye] = first, second, *more
     kinematics = replace(nominal.kinematics, eyes=eyes)
     return replace(nominal, cameras=cameras, T_rbase_lbase=T_rbase_lbase, kinematics=kinematics)
 
@@ -172,20 +186,26 @@ def compile_head(
         put_charuco(spec, board)
     if card is not None:
         put_card(spec, card)
-    for eye in EYES:
+    for eye, names in hinges(head.kinematics).items():
         T = T_head_base(head, eye)
-        chain, base = head.kinematics.chains[eye], spec.body(f"{eye}_pan")
+        chain = head.kinematics.chains[eye]
+        # The first joint turns the one body, all others the other.
+        base, outer = spec.body(f"{eye}_pan"), spec.body(f"{eye}_eye")
         base.pos, base.quat = T[:3, 3], quat_of_R(T[:3, :3])
-        spec.body(f"{eye}_eye").pos = chain.end_m
-        for name, axis, point in zip(HINGES[eye], chain.axes, chain.points_m, strict=True):
+        for name in names[LEAST_JOINTS:]:
+            like = spec.find_default("tilt")
+            outer.add_joint(like, name=name)
+            joint = mujoco.mjtTrn.mjTRN_JOINT
+            spec.add_actuator(like, name=name, target=name, trntype=joint)
+        for name, axis, point in zip(names, chain.axes, chain.points_m, strict=True):
             hinge = spec.joint(name)
             hinge.axis = axis
-            # In the frame of its body: that of the second stands at its own axis.
-            hinge.pos = point if name == HINGES[eye][0] else point - chain.end_m
+            hinge.pos = point
     for name, mounted in head.cameras.items():
         camera, T = spec.camera(name), mounted.T_eye_cam
         nominal_width = camera.resolution[0]
-        camera.pos = T[:3, 3]
+        # Its body stands at the origin of the eye's base, not at the end of the chain.
+        camera.pos = head.kinematics.chains[mounted.eye].end_m + T[:3, 3]
         camera.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
         camera.quat = quat_of_R(T[:3, :3] @ R_MJCAM_CAM)
         intrinsics, size = mounted.intrinsics, np.array(overscan[name])
