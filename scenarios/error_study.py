@@ -29,8 +29,8 @@ from vergence.paper.error_model import (
 )
 from vergence.paper.figures import FIGURES
 from vergence.progress import Progress, silent
-from vergence.viewer.canvas import BLUE, GREEN, RED, panels, save
 from vergence.viewer.opening import markdown_table
+from vergence.viewer.plots.canvas import BLUE, GREEN, RED, panels, save
 from vergence.writing import results_folder, write_whole
 
 SOURCES = {

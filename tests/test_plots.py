@@ -15,7 +15,7 @@ from vergence.paper.replay import Replay, estimate
 from vergence.stereo.depth_error import depth_error
 from vergence.twin.model import nominal_head
 from vergence.twin.profile import ErrorProfile, Joints
-from vergence.viewer.plots_depth import WRONG_M, by_disparity, draw_depth, miss_px
+from vergence.viewer.plots.foveation import WRONG_M, by_disparity, draw_depth, miss_px
 
 SAMPLES = 200
 NOISY = ErrorProfile(joints=Joints(noise_deg=0.1))

@@ -42,7 +42,7 @@ def plan(
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices, as in calibrate
     from vergence.commands.plan import as_text, figures, run
-    from vergence.viewer.plots_plan import draw_plan
+    from vergence.viewer.plots.plan import draw_plan
 
     check_outputs(figure, json, inputs=[source])
     with progress_bars() as progress:
@@ -169,7 +169,7 @@ def budget(
     if json is not None:
         write_json(as_plain(found), json)
     if figure is not None:
-        from vergence.viewer.plots_budget import budget_figure
+        from vergence.viewer.plots.budget import budget_figure
 
         budget_figure(figure, found.budgets, f"{motion} motion")
     console = Console()

@@ -39,7 +39,7 @@ from vergence.arrays import Array
 from vergence.errors import VergenceError, explain
 from vergence.progress import Progress, silent
 from vergence.viewer.opening import markdown_table
-from vergence.viewer.plots_design import draw_axes, draw_design
+from vergence.viewer.plots.design import draw_axes, draw_design
 from vergence.writing import results_folder, whole_file, write_json, write_whole
 
 CHUNKS = "chunks"

@@ -26,7 +26,7 @@ from vergence.twin.profile import ErrorProfile
 from vergence.twin.scene import Scene
 from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors, unoccluded
 from vergence.viewer.opening import markdown_table
-from vergence.viewer.plots_depth import depth
+from vergence.viewer.plots.foveation import depth
 
 WITHIN_S = 0.5
 """Length of a trial."""

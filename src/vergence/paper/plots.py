@@ -15,7 +15,7 @@ from matplotlib.offsetbox import AnchoredOffsetbox, HPacker, TextArea, VPacker
 
 from vergence.paper.figures import Figure
 from vergence.paper.replay import Replay, Statistics
-from vergence.viewer.canvas import BLUE, DPI, GREEN, RED, save
+from vergence.viewer.plots.canvas import BLUE, DPI, GREEN, RED, save
 
 _COLOURS = (BLUE, GREEN, RED)  # x, y, z
 _OTHERS = ("orange", "black", "0.5")

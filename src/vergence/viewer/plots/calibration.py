@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from vergence.arrays import Array
-from vergence.viewer.canvas import BLUE, GREEN, RED, image_frame, panels, save
+from vergence.viewer.plots.canvas import BLUE, GREEN, RED, image_frame, panels, save
 
 
 def coverage(

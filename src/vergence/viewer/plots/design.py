@@ -8,7 +8,7 @@ import numpy as np
 
 from vergence.accuracy.design_settings import AXES
 from vergence.accuracy.design_sweep import Sweep, at_distance, by_source, values_of
-from vergence.viewer.canvas import BLUE, GREEN, RED, panels, save
+from vergence.viewer.plots.canvas import BLUE, GREEN, RED, panels, save
 
 MAP_STEPS = 41
 LEVELS = (0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500)

@@ -10,7 +10,7 @@ from vergence.accuracy.plan import Plan
 from vergence.geometry.board import corner_points
 from vergence.geometry.head import T_head_base
 from vergence.geometry.se3 import transform
-from vergence.viewer.canvas import BLUE, GREEN, RED, panels, save
+from vergence.viewer.plots.canvas import BLUE, GREEN, RED, panels, save
 
 AXES = "xyz"
 

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure as Canvas
 
 from vergence.accuracy.budget import Budget
-from vergence.viewer.canvas import BLUE, GREEN, RED, panels, save
+from vergence.viewer.plots.canvas import BLUE, GREEN, RED, panels, save
 
 
 def budget_figure(path: Path, budgets: Sequence[Budget], title: str) -> None:

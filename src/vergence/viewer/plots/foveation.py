@@ -13,7 +13,7 @@ from vergence.gaze.foveation import foveal_miss, ideal_wide_pixel
 from vergence.geometry.head import HeadCalibration, T_narrow_wide
 from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.se3 import inverse
-from vergence.viewer.canvas import panels, save
+from vergence.viewer.plots.canvas import panels, save
 from vergence.viewer.style import EYE_COLOURS, html
 
 NEAREST_M, FARTHEST_M = 0.25, 5.0

@@ -1,0 +1,1 @@
+"""Plots by matplotlib: calibrations, foveation, error budgets, designs and plans."""
