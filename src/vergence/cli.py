@@ -27,6 +27,9 @@ from vergence.writing import as_json, check_outputs, finished_files, unfinished,
 Scene = Literal["room", "sparse", "moving"]
 """As `twin.scene` has it, which cannot be imported before it is known that OpenGL is needed."""
 
+Geometry = Literal["joints", "seen"]
+"""As `self_calibration.sequence` has it, which imports numpy."""
+
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
@@ -440,6 +443,9 @@ class Experiment:
     """Error profile: ideal, paper, noise-only, or a TOML file."""
     scene: Scene = "room"
     """What the head looks at."""
+    geometry: Geometry = "joints"
+    """What tells how the eyes stand when an object is located: joints, or these as corrected by
+    what both eyes see."""
     out: Path | None = None
     """Folder for the results of each trial, and for a recording of the run."""
     json: Path | None = None
@@ -545,6 +551,7 @@ def _experiment(name: str, run: Callable[..., DataclassInstance], options: Exper
             seed=options.seed,
             profile=profile,
             scene=options.scene,
+            geometry=options.geometry,
             out=options.out,
             progress=progress,
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.gaze.state import GazeSettings
+from vergence.self_calibration.sequence import Geometry
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.scene import Scene
@@ -35,11 +37,11 @@ def p95(values: Sequence[float] | Array) -> float:
 
 @contextmanager
 def calibrated_twin(
-    profile: ErrorProfile, seed: int, scene: Scene
+    profile: ErrorProfile, seed: int, scene: Scene, geometry: Geometry = "joints"
 ) -> Iterator[tuple[Twin, GazeSettings]]:
     """Give a `with` block a calibrated twin, and the settings of its gaze controller."""
     with Twin(profile, seed=seed, scene=scene) as twin:
-        yield twin, calibrate_twin(twin, seed)
+        yield twin, replace(calibrate_twin(twin, seed), geometry=geometry)
 
 
 def write_summary(out: Path | None, name: str, summary: DataclassInstance) -> None:

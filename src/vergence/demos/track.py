@@ -20,6 +20,7 @@ from vergence.errors import VergenceError
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.state import GazeSettings, GazeState, initial_gaze_state
 from vergence.progress import Progress, silent
+from vergence.self_calibration.sequence import Geometry
 from vergence.stereo.triangulation import in_body, triangulate_at
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
@@ -176,6 +177,7 @@ def track(
     seed: int = 0,
     profile: ErrorProfile,
     scene: Scene = "room",
+    geometry: Geometry = "joints",
     out: Path | None = None,
     progress: Progress = silent,
 ) -> Summary:
@@ -186,6 +188,7 @@ def track(
         seed: of everything random.
         profile: imperfections of the head.
         scene: what the head looks at.
+        geometry: by what the object is located.
         out: folder for track.json and track.rrd; None: nothing is written.
         progress: is called with the seconds so far after every state.
 
@@ -195,7 +198,7 @@ def track(
     if not SHORTEST_S <= seconds <= LONGEST_S:
         raise VergenceError(f"A run takes {SHORTEST_S:.0f} to {LONGEST_S:.0f} s, found {seconds}.")
     with (
-        calibrated_twin(profile, seed, scene) as (twin, settings),
+        calibrated_twin(profile, seed, scene, geometry) as (twin, settings),
         recorded(out, "track", twin, settings, seed=seed, reach_m=DEPTH_M[1]) as (record, report),
     ):
         hidden_s = float(np.random.default_rng([seed, 7]).uniform(0.3, 0.6)) * seconds
