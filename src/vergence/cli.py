@@ -194,6 +194,49 @@ def calibrate(
         print(f"To view the images: {invocation('rerun', report / 'dataset.rrd')}")
 
 
+def self_calibrate(
+    dataset: Annotated[Path, tyro.conf.Positional],
+    /,
+    *,
+    calibration: Path,
+    out: Path,
+    json: Path | None = None,
+) -> None:
+    """Correct a calibration by what both eyes see of the scene, without a board.
+
+    Args:
+        dataset: Folder with dataset.json, frames.csv and images; its moving part is used.
+        calibration: JSON file that `vergence calibrate` wrote, of the same head.
+        out: JSON file of the learned calibration.
+        json: JSON file of what was observed of each parameter.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices, as in calibrate
+    from vergence.commands.self_calibration import HEADING, as_plain, said, table
+    from vergence.data.dataset import DESCRIPTION, FRAMES
+    from vergence.data.reader import load_dataset
+    from vergence.geometry.head import load_head, save_head
+    from vergence.self_calibration.recorded import self_calibrate_dataset
+
+    read = [dataset / DESCRIPTION, dataset / FRAMES, calibration]
+    check_outputs(out, json, inputs=read)
+    head, data = load_head(calibration), load_dataset(dataset)
+    with _progress() as progress:
+        found = self_calibrate_dataset(data, head, progress=progress)
+    save_head(found.head, out)
+    if json is not None:
+        write_json(as_plain(found), json)
+    rows = table(found)
+    if rows:
+        shown = Table(title="What was observed since the calibration")
+        for name in HEADING:
+            shown.add_column(name, justify="left" if name == HEADING[0] else "right")
+        for row in rows:
+            shown.add_row(*row)
+        Console().print(shown)
+    print("\n".join(said(found)))
+    print(f"Wrote {out}.")
+
+
 def plan(
     source: Annotated[Path, tyro.conf.Positional],
     /,
@@ -503,6 +546,7 @@ def depth(
     scene: Scene = "room",
     seed: int = 0,
     pairs: int = 20,
+    geometry: Geometry = "joints",
 ) -> None:
     """Compute the depth of every pixel from rectified pairs, of the twin or of a dataset.
 
@@ -515,6 +559,8 @@ def depth(
         scene: Scene that the twin looks at.
         seed: Seed of everything random on the twin.
         pairs: Number of pairs; of a dataset at most so many.
+        geometry: What tells how the eyes stand: joints, or these as corrected by what both eyes see
+            of the scene.
     """
     if twin == (dataset is not None):
         found = "both" if twin else "neither"
@@ -533,6 +579,7 @@ def depth(
             scene=scene,
             seed=seed,
             pairs=pairs,
+            geometry=geometry,
             progress=progress,
         )
     print(as_markdown(done), end="")
@@ -595,6 +642,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "reproduce": reproduce,
     "record": record,
     "calibrate": calibrate,
+    "self-calibrate": self_calibrate,
     "plan": plan,
     "design": design,
     "evaluate": evaluate,

@@ -174,9 +174,7 @@ def measure(settings: GazeSettings, state: GazeState, frame: Frame, posture: Arr
     """
     motion, time_s = settings.motion, frame.time_s
     by_sight = settings.geometry == "seen" and set(settings.wide) <= set(frame.images)
-    found = _locate(
-        settings, state, np.stack([readings_at_image(settings, state, frame), posture])
-    )
+    found = _locate(settings, state, np.stack([readings_at_image(settings, state, frame), posture]))
     if found is None:
         aim = state.aim
         aim = None if aim is None else predict(aim, time_s, jerk_density=motion.jerk_density)

@@ -6,8 +6,10 @@ take it. A frame is estimated with what the frames before it have taught, and th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
+
+import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
@@ -24,6 +26,12 @@ from vergence.self_calibration.learning import learn
 Geometry = Literal["joints", "seen"]
 """What tells how the eyes stand to each other: the calibration and the joint readings, or these
 corrected by what both eyes see."""
+LEARNING_S = 0.1
+"""Least time between frames from which is learned. Frames that follow each other more closely show
+the same features with the same errors: they are no independent measurements."""
+MOVED_RAD = float(np.radians(1.0))
+"""Least change of a reading between them, for the same reason: eyes at rest see the same again."""
+_SLACK_S = 1e-6  # so that rounding of time stamps drops no frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,11 +44,13 @@ class SeenGeometry:
     """Head and joint angles at the latest frame, with what was known before it; None: no frame."""
     time_s: float | None = None
     """Of the latest frame."""
+    learned_s: float | None = None
+    """Of the latest frame from which was learned."""
+    learned_at: Array | None = None
+    """(r,) its readings [rad]."""
 
 
-def seen_geometry(
-    head: HeadCalibration, *, cameras: tuple[str, str] | None = None
-) -> SeenGeometry:
+def seen_geometry(head: HeadCalibration, *, cameras: tuple[str, str] | None = None) -> SeenGeometry:
     """Return what is known of a head before its first frame.
 
     Args:
@@ -56,7 +66,9 @@ def seen_geometry(
 def see(before: SeenGeometry, frame: Frame, joints: Array | None = None) -> SeenGeometry:
     """Return the geometry after a frame: `latest` is the frame's own, `known` has learned from it.
 
-    Time that goes back, as where another run begins, counts as none.
+    From frames less than LEARNING_S apart, or at the same posture to MOVED_RAD, `known` does not
+    learn, unless the frame contradicts it. Time that goes back, as where another run begins, counts
+    as none.
 
     Args:
         before: after the frame before.
@@ -89,5 +101,12 @@ def see(before: SeenGeometry, frame: Frame, joints: Array | None = None) -> Seen
             )
     left, right = (frame.images[name] for name in known.cameras)
     latest = self_calibrate_frame(known, left, right, joints)
-    elapsed_s = 0.0 if before.time_s is None else max(frame.time_s - before.time_s, 0.0)
-    return SeenGeometry(learn(known, latest, elapsed_s), latest, frame.time_s)
+    elapsed_s = 0.0
+    if before.learned_s is not None and before.learned_at is not None:
+        elapsed_s = frame.time_s - before.learned_s
+        at_rest = np.abs(joints - before.learned_at).max() < MOVED_RAD
+        again = at_rest and latest.status != "contradiction"
+        if again or 0 < elapsed_s < LEARNING_S - _SLACK_S:
+            return replace(before, latest=latest, time_s=frame.time_s)
+    known = learn(known, latest, max(elapsed_s, 0.0))
+    return SeenGeometry(known, latest, frame.time_s, frame.time_s, joints)
