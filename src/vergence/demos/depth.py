@@ -19,12 +19,13 @@ from vergence.arrays import Array
 from vergence.data.reader import load_dataset
 from vergence.data.stereo_rows import stereo_rows
 from vergence.demos.depth_errors import RANGE_M, Errors, Truth, depth_errors, summed
+from vergence.demos.experiment import look_around
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, load_head, main_pair
 from vergence.geometry.kinematics import NECK_JOINTS
 from vergence.progress import Progress, silent
 from vergence.self_calibration.frame import SelfCalibrated, locate_seen
-from vergence.self_calibration.sequence import Geometry, SeenGeometry, see, seen_geometry
+from vergence.self_calibration.sequence import Geometry, see, seen_geometry
 from vergence.stereo.dense_depth import DenseDepth, dense_depth
 from vergence.stereo.rectification import RectifiedPair, rectify
 from vergence.stereo.uncertainty import LocatedPoints
@@ -40,10 +41,6 @@ from vergence.writing import check_outputs, results_folder, write_json, write_wh
 STEP_S = 9.0
 """Time between two pairs of the divergent motion: no divisor of its periods."""
 MOST_PAIRS = 1000
-LOOK_S, LOOK_STEP_S = 5.0, 0.1
-"""How long the twin looks around before the first pair where the geometry is seen, and how often:
-with moving eyes, as in the divergent motion."""
-_LOOKING = 2  # number of the run
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,20 +154,6 @@ def _of_twin(twin: Twin, pairs: int, looks: HeadCalibration | None) -> Iterator[
             truth=Truth(twin.truth, angles, twin.true_depth(left)),
             seen=None if geometry is None else geometry.latest,
         )
-
-
-def look_around(twin: Twin, geometry: SeenGeometry) -> SeenGeometry:
-    """Return what is known after the eyes have moved for LOOK_S, as in the divergent motion."""
-    twin.restart(_LOOKING)
-    twin.advance(0.5, straight_neck(eye_angles("divergent", np.array(0.0))))
-    begin = twin.time_s
-    for after in np.arange(0.0, LOOK_S, LOOK_STEP_S):
-        twin.advance(
-            round(begin + after, 3),
-            lambda time_s: straight_neck(eye_angles("divergent", np.array(time_s - begin))),
-        )
-        geometry = see(geometry, twin.capture(geometry.known.cameras))
-    return geometry
 
 
 def _of_dataset(

@@ -16,7 +16,13 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.demos.experiment import calibrated_twin, check_trials, p95, write_summary
+from vergence.demos.experiment import (
+    calibrated_twin,
+    check_trials,
+    looked_around,
+    p95,
+    write_summary,
+)
 from vergence.demos.recording import recorded
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.state import GazePhase, GazeSettings, GazeState, initial_gaze_state
@@ -174,7 +180,8 @@ def foveate(
         seed: of everything random.
         profile: imperfections of the head.
         scene: what the head looks at.
-        geometry: by what the objects are located; what is learned is kept from trial to trial.
+        geometry: by what the objects are located; where it is seen, the head looks around first,
+            and what is learned is kept from trial to trial.
         out: folder for foveate.json, the recording foveate.rrd of the first RECORDED trials, and
             depth.png; None: nothing is written.
         progress: is called after each trial.
@@ -201,8 +208,8 @@ def foveate(
                 watch(state, frame, {"object": f"{len(made) + 1}"}, None)
 
         for run, target in enumerate(targets(trials, seed, free=free), start=1):
-            learned = made[-1].geometry if made else None
-            trial = run_trial(twin, settings, run, target, geometry=learned, watch=record)
+            known = made[-1].geometry if made else looked_around(twin, settings)
+            trial = run_trial(twin, settings, run, target, geometry=known, watch=record)
             made.append(trial)
             progress("foveate, trials", len(made), trials)
         report += as_markdown(made[:RECORDED])

@@ -16,7 +16,13 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.demos.depth_error_by_range import DepthSample, RangeBin, bin_by_range, depth_sample
-from vergence.demos.experiment import calibrated_twin, check_trials, p95, write_summary
+from vergence.demos.experiment import (
+    calibrated_twin,
+    check_trials,
+    looked_around,
+    p95,
+    write_summary,
+)
 from vergence.demos.recording import recorded
 from vergence.progress import Progress, silent
 from vergence.reach.controller import run_reach
@@ -179,7 +185,8 @@ def grasp(
         seed: of everything random.
         profile: imperfections of the head.
         scene: what the head looks at.
-        geometry: by what the objects are located; what is learned is kept from trial to trial.
+        geometry: by what the objects are located; where it is seen, the head looks around first,
+            and what is learned is kept from trial to trial.
         out: folder for grasp.json, and the recording grasp.rrd of the first RECORDED trials; None:
             nothing is written.
         progress: is called after each trial.
@@ -205,8 +212,8 @@ def grasp(
 
         for run in range(1, trials + 1):
             arguments = twin, settings, run, hand_held(seed, run), arm_mounting_error(seed, run)
-            learned = made[-1].geometry if made else None
-            made.append(run_trial(*arguments, geometry=learned, watch=record))
+            known = made[-1].geometry if made else looked_around(twin, gaze)
+            made.append(run_trial(*arguments, geometry=known, watch=record))
             progress("grasp, trials", len(made), trials)
         found = summary(made)
         report += as_markdown(found)

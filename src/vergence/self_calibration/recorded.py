@@ -108,8 +108,8 @@ def self_calibrate_dataset(
         if geometry.learned_s == frame.time_s and geometry.known.bumped:
             bumps.append(frame.time_s - dataset.time_s[0])
         progress(task, k + 1, len(chosen))
-    moved = float(np.ptp(both.joints[chosen], axis=0).max()) > MOVED_RAD
-    known = geometry.known if moved else before
+    moved = float(np.ptp(both.joints[chosen], axis=0).max()) >= MOVED_RAD
+    known = geometry.known
     warnings = list(_warnings(head, len(chosen), seen, bumps))
     if not moved:
         warnings.append(

@@ -29,8 +29,9 @@ corrected by what both eyes see."""
 LEARNING_S = 0.1
 """Least time between frames from which is learned. Frames that follow each other more closely show
 the same features with the same errors: they are no independent measurements."""
-MOVED_RAD = float(np.radians(1.0))
-"""Least change of a reading between them, for the same reason: eyes at rest see the same again."""
+MOVED_RAD = float(np.radians(2.0))
+"""Least change of a reading between them, for the same reason: about the width of the windows that
+are matched. Eyes at rest see the same again."""
 _SLACK_S = 1e-6  # so that rounding of time stamps drops no frame
 
 
@@ -45,7 +46,7 @@ class SeenGeometry:
     time_s: float | None = None
     """Of the latest frame."""
     learned_s: float | None = None
-    """Of the latest frame from which was learned."""
+    """Of the latest frame from which was learned, at the beginning of the first."""
     learned_at: Array | None = None
     """(r,) its readings [rad]."""
 
@@ -67,8 +68,7 @@ def see(before: SeenGeometry, frame: Frame, joints: Array | None = None) -> Seen
     """Return the geometry after a frame: `latest` is the frame's own, `known` has learned from it.
 
     From frames less than LEARNING_S apart, or at the same posture to MOVED_RAD, `known` does not
-    learn, unless the frame contradicts it. Time that goes back, as where another run begins, counts
-    as none.
+    learn, and so not before the eyes have moved. Time that goes back, as where another run begins, counts as none.
 
     Args:
         before: after the frame before.
@@ -101,12 +101,11 @@ def see(before: SeenGeometry, frame: Frame, joints: Array | None = None) -> Seen
             )
     left, right = (frame.images[name] for name in known.cameras)
     latest = self_calibrate_frame(known, left, right, joints)
-    elapsed_s = 0.0
-    if before.learned_s is not None and before.learned_at is not None:
-        elapsed_s = frame.time_s - before.learned_s
-        at_rest = np.abs(joints - before.learned_at).max() < MOVED_RAD
-        again = at_rest and latest.status != "contradiction"
-        if again or 0 < elapsed_s < LEARNING_S - _SLACK_S:
-            return replace(before, latest=latest, time_s=frame.time_s)
+    if before.learned_s is None or before.learned_at is None:
+        return SeenGeometry(known, latest, frame.time_s, frame.time_s, joints)
+    elapsed_s = frame.time_s - before.learned_s
+    at_rest = np.abs(joints - before.learned_at).max() < MOVED_RAD
+    if at_rest or 0 < elapsed_s < LEARNING_S - _SLACK_S:
+        return replace(before, latest=latest, time_s=frame.time_s)
     known = learn(known, latest, max(elapsed_s, 0.0))
     return SeenGeometry(known, latest, frame.time_s, frame.time_s, joints)
