@@ -66,6 +66,7 @@ def detect_object(settings: GazeSettings, state: GazeState, frame: Frame) -> Gaz
             name for name, is_stuck in zip(settings.joints, stuck, strict=True) if is_stuck
         ),
         measured=None,
+        by_joints=None,
     )
 
 
@@ -183,7 +184,9 @@ def measure(settings: GazeSettings, state: GazeState, frame: Frame, posture: Arr
     by_readings, by_commands = found
     aim, aim_ratio = _fused(settings, state.aim, state.aim_innovation_ratio, time_s, *by_commands)
     state = replace(state, aim=aim, aim_innovation_ratio=aim_ratio)
-    return state if by_sight else fuse_measurement(settings, state, frame, *by_readings)
+    if by_sight:
+        return replace(state, by_joints=by_readings[0])
+    return fuse_measurement(settings, state, frame, *by_readings)
 
 
 def fuse_measurement(

@@ -172,8 +172,11 @@ class GazeState:
     """The object by camera searched in the latest frame; None: not found."""
     measured: Array | None = None
     """(3,) [m] stereo estimate of the latest frame alone, in frame body."""
+    by_joints: Array | None = None
+    """(3,) [m] the same by the joint readings, where the geometry is seen; None: no estimate."""
     track: Track | None = None
-    """Estimate over time from joint readings, in frame body (frame head without a neck)."""
+    """Estimate over time from joint readings, corrected where the geometry is seen; in frame body
+    (frame head without a neck)."""
     aim: Track | None = None
     """Estimate over time from commands instead of readings, for control: without the readings'
     noise, which would make the eyes tremble, but subject to the errors of the joints' gains."""

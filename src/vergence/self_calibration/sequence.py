@@ -68,7 +68,8 @@ def see(before: SeenGeometry, frame: Frame, joints: Array | None = None) -> Seen
     """Return the geometry after a frame: `latest` is the frame's own, `known` has learned from it.
 
     From frames less than LEARNING_S apart, or at the same posture to MOVED_RAD, `known` does not
-    learn, and so not before the eyes have moved. Time that goes back, as where another run begins, counts as none.
+    learn, and so not before the eyes have moved. Time that goes back, as where another run begins,
+    counts as none.
 
     Args:
         before: after the frame before.
