@@ -6,9 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rerun.chunk import RrdReader
 
 from drawn_head import four_cameras, point_at
 from drawn_room import RoomHead, view
+from rrd import assert_valid, read_series
 from vergence import cli
 from vergence.arrays import Array
 from vergence.data.dataset import DatasetCamera, DatasetJoint, Description, Frame
@@ -23,8 +25,11 @@ from vergence.geometry.head import HeadCalibration, load_head, save_head
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Side
 from vergence.geometry.projection import T_rcam_lcam
 from vergence.geometry.se3 import boxminus
+from vergence.paper.figures import FIGURES
+from vergence.paper.recording import figure_recording
 from vergence.self_calibration.recorded import self_calibrate_dataset
 from vergence.self_calibration.sequence import LEARNING_S, see, seen_geometry
+from vergence.viewer.seen import log_learned, log_matches
 
 HEAD = four_cameras()
 WIDE = ("left_wide", "right_wide")
@@ -144,6 +149,38 @@ def test_the_gaze_locates_better_by_what_it_sees_and_steers_as_before():
 def test_one_eye_cannot_see_the_geometry():
     with pytest.raises(VergenceError, match="needs both; the gaze uses the left eye only"):
         GazeSettings(calibration=one_eyed(), geometry="seen")
+
+
+def test_recordings_show_the_matches_and_what_was_learned(moving, tmp_path):
+    path, geometry = tmp_path / "seen.rrd", seen_geometry(HEAD)
+    before = geometry.known
+    with figure_recording(path, FIGURES[7], HEAD, [], beside="learned", known=before) as rec:
+        for k, (_, each) in enumerate(moving[:3]):
+            geometry = see(geometry, each)
+            assert geometry.latest is not None
+            rec.set_time("sim_time", duration=each.time_s)
+            rec.set_time("frame", sequence=k)
+            log_matches(rec, HEAD, geometry.latest)
+            log_learned(rec, HEAD, geometry.known)
+    assert_valid(path)
+    entity = "/world/right_eye/right_wide/matches"
+    stream = RrdReader(path).stream().filter(content=entity, components="Points2D:positions")
+    rows = [
+        row
+        for chunk in stream
+        for row in chunk.to_record_batch().column("Points2D:positions").to_pylist()
+    ]
+    assert geometry.latest is not None
+    assert len(rows) == 3
+    np.testing.assert_allclose(rows[-1], geometry.latest.matches.right + 0.5, atol=1e-3)
+    times, levels = read_series(path, "/learned/gain/left_pan")
+    assert len(times) == 3
+    std = 100 * np.sqrt(before.covariance.diagonal()[before.names.index("left.pan_gain")])
+    np.testing.assert_allclose(levels[0], [0, std, -std], atol=1e-9)
+    assert levels[-1][1] - levels[-1][0] < std
+    _, focal = read_series(path, "/learned/focal/right_wide")
+    true, learned = (h.camera("right_wide").intrinsics.matrix for h in (HEAD, geometry.known.head))
+    assert focal[-1][0] == pytest.approx(100 * (learned[0, 0] / true[0, 0] - 1))
 
 
 DESCRIPTION = Description(
