@@ -2,6 +2,7 @@
 
 import json
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +23,7 @@ from vergence.gaze.roles import EyeCameras
 from vergence.gaze.state import GazeSettings, GazeState, initial_gaze_state
 from vergence.geometry.board import Chessboard
 from vergence.geometry.head import HeadCalibration, load_head, save_head
-from vergence.geometry.kinematics import EYE_JOINTS, EYES, Side
+from vergence.geometry.kinematics import EYE_JOINTS, EYES, Joint, Kinematics, Side, pan_tilt
 from vergence.geometry.projection import T_rcam_lcam
 from vergence.geometry.se3 import boxminus
 from vergence.paper.figures import FIGURES
@@ -274,3 +275,19 @@ def test_a_calibration_that_does_not_fit_is_refused(
     assert stop.value.code == 2
     assert said in capsys.readouterr().err
     assert not (tmp_path / "x.json").exists()
+
+
+def test_poses_and_other_readings_are_refused(recorded):
+    data = load_dataset(recorded / "data")
+    poses = replace(data, T_base_eye=np.tile(np.eye(4), (len(data), 2, 1, 1)))
+    with pytest.raises(VergenceError, match="has poses of the eyes"):
+        self_calibrate_dataset(poses, HEAD)
+    joints: dict[Side, tuple[Joint, ...]] = {eye: tuple(shared_tilt(eye)) for eye in EYES}
+    other = replace(HEAD, kinematics=Kinematics(joints, ("left_pan", "right_pan", "tilt")))
+    with pytest.raises(VergenceError, match="is for the joint readings left_pan, right_pan, tilt;"):
+        self_calibrate_dataset(data, other)
+
+
+def shared_tilt(eye: Side) -> Iterator[Joint]:
+    for joint in pan_tilt(eye):
+        yield replace(joint, readings={"tilt": 1.0}) if joint.name == "tilt" else joint
