@@ -2,8 +2,9 @@
 
 Rendering is not counted. First the gaze alone: the object moves, so that the eyes are in pursuit,
 and every eighth step has all four images, as after a saccade. Then a whole reach for an object that
-is held out, in which the hand's marker is searched for as well. The time is that of the thread that
-does the step: other programs, and threads of the renderer, affect it little.
+is held out, in which the hand's marker is searched for as well. Last the gaze with the geometry
+that both eyes see: its step, and what follows once the command was sent. The time is that of the
+thread that does the step: other programs, and threads of the renderer, affect it little.
 
     python benchmarks/control_step.py [--frames 120]
 """
@@ -23,6 +24,7 @@ from vergence.arrays import Array
 from vergence.demos.grasp import LONGEST_S, hand_held
 from vergence.gaze.commands import HEAD_JOINTS
 from vergence.gaze.controller import step_gaze
+from vergence.gaze.seen_position import see_position
 from vergence.gaze.state import GazeSettings, initial_gaze_state
 from vergence.reach.controller import step_reach
 from vergence.reach.state import ReachPhase, ReachSettings, initial_reach_state
@@ -78,6 +80,24 @@ def reach_steps(twin: Twin, trials: int) -> dict[str, list[float]]:
     return seconds
 
 
+def seen_steps(twin: Twin, frames: int) -> dict[str, list[float]]:
+    """Return the times [s] of gaze steps with all images, and of what follows the command."""
+    seconds: dict[str, list[float]] = defaultdict(list)
+    head, settings = SimulatedHead(twin, 0, path), GazeSettings(twin.truth, geometry="seen")
+    state = initial_gaze_state(settings, np.zeros(len(HEAD_JOINTS)), head.now_s())
+    for k in range(frames + WARM_UP):
+        frame = head.read(state.cameras)
+        began = time.thread_time()
+        state = step_gaze(settings, state, frame, head.now_s())
+        sent = time.thread_time()
+        head.command(state.command)
+        state = see_position(settings, state, frame)
+        if k >= WARM_UP:
+            seconds["gaze by what both eyes see, until the command"].append(sent - began)
+            seconds["gaze by what both eyes see, after it"].append(time.thread_time() - sent)
+    return seconds
+
+
 def main(frames: int = 120, trials: int = 3) -> None:
     """Print the times of a step.
 
@@ -87,7 +107,7 @@ def main(frames: int = 120, trials: int = 3) -> None:
     """
     cv2.setNumThreads(1)
     with Twin(load_profile("ideal")) as twin:
-        seconds = gaze_steps(twin, frames) | reach_steps(twin, trials)
+        seconds = gaze_steps(twin, frames) | reach_steps(twin, trials) | seen_steps(twin, frames)
     for kind, times in seconds.items():
         if len(times) < FEWEST:
             continue

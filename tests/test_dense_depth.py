@@ -9,6 +9,7 @@ import pytest
 
 from drawn_head import four_cameras
 from vergence import cli
+from vergence.demos import experiment
 from vergence.errors import VergenceError
 from vergence.geometry.camera import normalise
 from vergence.geometry.head import save_head
@@ -129,6 +130,25 @@ def test_depth_of_the_room_by_the_true_head_is_right(tmp_path, monkeypatch):
         assert found[geometry]["pixels"] > 10_000
     assert (out / "depth.rrd").stat().st_size > 100_000
     assert "true geometry" in (out / "report.md").read_text()
+
+
+@pytest.mark.render
+def test_depth_by_what_both_eyes_see_is_better_than_by_wrong_joints(tmp_path, monkeypatch):
+    """The head is known, but the readings have gains and noise."""
+    calibration, profile = tmp_path / "true.json", load_profile("paper")
+    save_head(as_built_head(nominal_head("2.8mm"), profile, 0), calibration)
+    monkeypatch.setattr(experiment, "LOOK_S", 1.5)
+    monkeypatch.setattr(experiment, "LOOK_STEP_S", 0.15)
+    out = tmp_path / "depth"
+    depth(
+        monkeypatch, "--twin", "--calibration", str(calibration), "--geometry", "seen",
+        "--pairs", "2", "--out", str(out),
+    )  # fmt: skip
+    found = json.loads((out / "depth.json").read_text())
+    for figure in ("median_relative", "vertical_rms_px"):
+        assert found["seen"][figure] < found["joints"][figure] / 3
+    assert found["seen"]["within_two_std"] > 0.85
+    assert "seen by both eyes" in (out / "report.md").read_text()
 
 
 @pytest.mark.parametrize(

@@ -10,11 +10,13 @@ from hypothesis import strategies as st
 
 from drawn_head import four_cameras
 from vergence.errors import VergenceError
-from vergence.geometry.camera import pinhole
+from vergence.geometry.camera import pinhole, project
 from vergence.geometry.head import HeadCalibration
+from vergence.geometry.lens import reach
 from vergence.geometry.projection import eye_poses, project_point
 from vergence.geometry.se3 import inverse, pose, rotation, transform
 from vergence.stereo.rectification import (
+    MAP_ERROR_PX,
     rectified_image,
     rectified_pixels,
     rectified_points,
@@ -77,9 +79,38 @@ def test_the_map_leads_to_the_pixel_that_shows_the_same_direction(model: str):
         raw = np.stack([view.map_x[v, u], view.map_y[v, u]], axis=-1).astype(float)
         some = slice(None, None, 97)
         back = rectified_pixels(pair, view, raw[some])
-        np.testing.assert_allclose(back, np.stack([u, v], axis=-1)[some], atol=1e-3)
+        np.testing.assert_allclose(back, np.stack([u, v], axis=-1)[some], atol=MAP_ERROR_PX)
         assert view.seen.mean() > 0.5
         assert not view.seen.all()
+
+
+@pytest.mark.parametrize("model", [*LENSES, "folding"])
+@pytest.mark.parametrize("joints", [(0.0, 0.0, 0.0, 0.0), (0.2, 0.1, -0.2, 0.1)])
+def test_the_map_is_exact_to_its_stated_error_everywhere(model: str, joints):
+    """Also where the view ends, and where a lens folds over within it."""
+    made = head("radial-tangential" if model == "folding" else model)
+    if model == "folding":
+        strong = np.array([-0.4, 0.15, 1e-3, 2e-3, -0.03])
+        cameras = {
+            name: replace(each, intrinsics=replace(each.intrinsics, distortion=strong))
+            for name, each in made.cameras.items()
+        }
+        made = replace(made, cameras=cameras)
+    size = (333, 250)
+    pair = rectify(made, np.array(joints), size=size, focal_px=120.0)
+    v, u = np.mgrid[: size[1], : size[0]]
+    rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(pair.matrix).T
+    for view in (pair.left, pair.right):
+        in_camera = rays @ view.R_rect_cam
+        exact = project(view.camera, in_camera)
+        x, y, z = np.moveaxis(in_camera, -1, 0)
+        within = reach(view.camera.model, tuple(view.camera.distortion))
+        seen = (z > 0) & (x**2 + y**2 < within * z**2)
+        maps = np.stack([view.map_x, view.map_y], axis=-1)
+        near = seen & (np.abs(exact) < 2000).all(axis=-1)
+        assert near.mean() > 0.3
+        assert np.abs(maps - exact)[near].max() < MAP_ERROR_PX
+        assert (maps[~seen] < -9e3).all()
 
 
 def test_a_rectified_image_is_dark_where_the_camera_does_not_look():

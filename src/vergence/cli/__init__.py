@@ -13,7 +13,7 @@ import tyro
 
 from vergence import __version__
 from vergence.cli.accuracy import budget, design, plan
-from vergence.cli.calibration import calibrate, evaluate, export, import_
+from vergence.cli.calibration import calibrate, evaluate, export, import_, self_calibrate
 from vergence.cli.experiments import Experiment, depth, foveate, grasp, record, reproduce, track
 from vergence.commands.invocation import invocation
 from vergence.errors import VergenceError
@@ -27,6 +27,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "reproduce": reproduce,
     "record": record,
     "calibrate": calibrate,
+    "self-calibrate": self_calibrate,
     "plan": plan,
     "design": design,
     "evaluate": evaluate,

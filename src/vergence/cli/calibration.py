@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
+from rich.console import Console
+from rich.table import Table
 
 from vergence.cli.progress import progress_bars, say_if_unfinished
 from vergence.commands.invocation import invocation
@@ -64,6 +66,49 @@ def calibrate(
     print(f"{result.summary()}\nWrote {out}.")
     if report is not None:
         print(f"To view the images: {invocation('rerun', report / 'dataset.rrd')}")
+
+
+def self_calibrate(
+    dataset: Annotated[Path, tyro.conf.Positional],
+    /,
+    *,
+    calibration: Path,
+    out: Path,
+    json: Path | None = None,
+) -> None:
+    """Correct a calibration by what both eyes see of the scene, without a board.
+
+    Args:
+        dataset: Folder with dataset.json, frames.csv and images; its moving part is used.
+        calibration: JSON file that `vergence calibrate` wrote, of the same head.
+        out: JSON file of the learned calibration.
+        json: JSON file of what was observed of each parameter.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices, as in calibrate
+    from vergence.commands.self_calibration import HEADING, as_plain, said, table
+    from vergence.data.description import DESCRIPTION, FRAMES
+    from vergence.data.reader import load_dataset
+    from vergence.geometry.head import load_head, save_head
+    from vergence.self_calibration.recorded import self_calibrate_dataset
+
+    read = [dataset / DESCRIPTION, dataset / FRAMES, calibration]
+    check_outputs(out, json, inputs=read)
+    head, data = load_head(calibration), load_dataset(dataset)
+    with progress_bars() as progress:
+        found = self_calibrate_dataset(data, head, progress=progress)
+    save_head(found.head, out)
+    if json is not None:
+        write_json(as_plain(found), json)
+    rows = table(found)
+    if rows:
+        shown = Table(title="What was observed since the calibration")
+        for name in HEADING:
+            shown.add_column(name, justify="left" if name == HEADING[0] else "right")
+        for row in rows:
+            shown.add_row(*row)
+        Console().print(shown)
+    print("\n".join(said(found)))
+    print(f"Wrote {out}.")
 
 
 def evaluate(

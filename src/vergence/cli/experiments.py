@@ -22,6 +22,10 @@ Scene = Literal["room", "sparse", "moving"]
 """As `twin.scene` has it, which cannot be imported before it is known that OpenGL is needed."""
 
 
+Geometry = Literal["joints", "seen"]
+"""As `self_calibration.sequence` has it, which imports numpy."""
+
+
 def reproduce(
     *,
     out: Path = Path("runs/paper"),
@@ -139,6 +143,9 @@ class Experiment:
     """Error profile: ideal, paper, noise-only, or a TOML file."""
     scene: Scene = "room"
     """What the head looks at."""
+    geometry: Geometry = "joints"
+    """What tells how the eyes stand when an object is located: joints, or these as corrected by
+    what both eyes see."""
     out: Path | None = None
     """Folder for the results of each trial, and for a recording of the run."""
     json: Path | None = None
@@ -198,6 +205,7 @@ def depth(
     scene: Scene = "room",
     seed: int = 0,
     pairs: int = 20,
+    geometry: Geometry = "joints",
 ) -> None:
     """Compute the depth of every pixel from rectified pairs, of the twin or of a dataset.
 
@@ -210,6 +218,8 @@ def depth(
         scene: Scene that the twin looks at.
         seed: Seed of everything random on the twin.
         pairs: Number of pairs; of a dataset at most so many.
+        geometry: What tells how the eyes stand: joints, or these as corrected by what both eyes see
+            of the scene.
     """
     if twin == (dataset is not None):
         found = "both" if twin else "neither"
@@ -228,6 +238,7 @@ def depth(
             scene=scene,
             seed=seed,
             pairs=pairs,
+            geometry=geometry,
             progress=progress,
         )
     print(as_markdown(done), end="")
@@ -246,6 +257,7 @@ def _experiment(name: str, run: Callable[..., DataclassInstance], options: Exper
             seed=options.seed,
             profile=profile,
             scene=options.scene,
+            geometry=options.geometry,
             out=options.out,
             progress=progress,
         )

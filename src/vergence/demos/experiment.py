@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.gaze.state import GazeSettings
+from vergence.self_calibration.sequence import Geometry, SeenGeometry, see, seen_geometry
+from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.scene import Scene
@@ -20,6 +24,11 @@ from vergence.writing import write_json
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
+
+LOOK_S, LOOK_STEP_S = 5.0, 0.1
+"""How long the twin looks around first where the geometry is seen, and how often."""
+_LOOKING = 100_000
+"""Number of that run, beyond those of trials."""
 
 
 def check_trials(trials: int) -> None:
@@ -35,11 +44,33 @@ def p95(values: Sequence[float] | Array) -> float:
 
 @contextmanager
 def calibrated_twin(
-    profile: ErrorProfile, seed: int, scene: Scene
+    profile: ErrorProfile, seed: int, scene: Scene, geometry: Geometry = "joints"
 ) -> Iterator[tuple[Twin, GazeSettings]]:
     """Give a `with` block a calibrated twin, and the settings of its gaze controller."""
     with Twin(profile, seed=seed, scene=scene) as twin:
-        yield twin, calibrate_twin(twin, seed)
+        yield twin, replace(calibrate_twin(twin, seed), geometry=geometry)
+
+
+def look_around(twin: Twin, geometry: SeenGeometry) -> SeenGeometry:
+    """Return what is known after the eyes have moved for LOOK_S, as in the divergent motion."""
+    twin.restart(_LOOKING)
+    twin.advance(0.5, straight_neck(eye_angles("divergent", np.array(0.0))))
+    begin = twin.time_s
+    for after in np.arange(0.0, LOOK_S, LOOK_STEP_S):
+        twin.advance(
+            round(begin + after, 3),
+            lambda time_s: straight_neck(eye_angles("divergent", np.array(time_s - begin))),
+        )
+        geometry = see(geometry, twin.capture(geometry.known.cameras))
+    return geometry
+
+
+def looked_around(twin: Twin, settings: GazeSettings) -> SeenGeometry | None:
+    """Return what the gaze knows of the geometry before a demo; None: it goes by the joints."""
+    if settings.geometry == "joints":
+        return None
+    left, right = settings.wide
+    return look_around(twin, seen_geometry(settings.calibration, cameras=(left, right)))
 
 
 def write_summary(out: Path | None, name: str, summary: DataclassInstance) -> None:

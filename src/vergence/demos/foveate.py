@@ -16,11 +16,18 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.demos.experiment import calibrated_twin, check_trials, p95, write_summary
+from vergence.demos.experiment import (
+    calibrated_twin,
+    check_trials,
+    looked_around,
+    p95,
+    write_summary,
+)
 from vergence.demos.recording import recorded
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.state import GazePhase, GazeSettings, GazeState, initial_gaze_state
 from vergence.progress import Progress, silent
+from vergence.self_calibration.sequence import Geometry, SeenGeometry
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.scene import Scene
@@ -71,6 +78,8 @@ class Trial:
     """(N, 2) true distance of the object from the centres of the left and right narrow image."""
     lost: bool
     """Whether the object was not found in both narrow images at the end."""
+    geometry: SeenGeometry | None = None
+    """What was learned until then."""
 
     @property
     def final_px(self) -> float:
@@ -115,15 +124,17 @@ def run_trial(
     run: int,
     target_head: Array,
     *,
+    geometry: SeenGeometry | None = None,
     watch: Callable[[GazeState, Frame | None], None] = lambda state, frame: None,
 ) -> Trial:
     """Run the gaze controller for half a second on an object that appears.
 
     The number of the run determines the noise. The object's position (3,) [m] is in frame head.
-    `watch` is called with every state and its frame.
+    The geometry is that of an earlier trial. `watch` is called with every state and its frame.
     """
     head = SimulatedHead(twin, run, lambda _: target_head, all_cameras_every=1)
-    state = initial_gaze_state(settings, np.zeros(len(settings.joints)), head.now_s())
+    at_rest = np.zeros(len(settings.joints))
+    state = initial_gaze_state(settings, at_rest, head.now_s(), geometry=geometry)
     times: list[float] = []
     errors: list[Array] = []
 
@@ -136,7 +147,7 @@ def run_trial(
     state = run_gaze(head, settings, state, WITHIN_S - FRAME_S, watch=keep)
     in_view = [state.detections.get(name) is not None for name in settings.narrow]
     lost = state.phase is GazePhase.LOST or not all(in_view)
-    return Trial(target_head, np.array(times), np.array(errors), lost)
+    return Trial(target_head, np.array(times), np.array(errors), lost, state.geometry)
 
 
 def summary(trials: list[Trial]) -> Summary:
@@ -158,6 +169,7 @@ def foveate(
     seed: int = 0,
     profile: ErrorProfile,
     scene: Scene = "room",
+    geometry: Geometry = "joints",
     out: Path | None = None,
     progress: Progress = silent,
 ) -> tuple[Summary, list[Trial]]:
@@ -168,6 +180,8 @@ def foveate(
         seed: of everything random.
         profile: imperfections of the head.
         scene: what the head looks at.
+        geometry: by what the objects are located; where it is seen, the head looks around first,
+            and what is learned is kept from trial to trial.
         out: folder for foveate.json, the recording foveate.rrd of the first RECORDED trials, and
             depth.png; None: nothing is written.
         progress: is called after each trial.
@@ -179,7 +193,7 @@ def foveate(
     made: list[Trial] = []
     progress("foveate, trials", 0, trials)
     with (
-        calibrated_twin(profile, seed, scene) as (twin, settings),
+        calibrated_twin(profile, seed, scene, geometry) as (twin, settings),
         recorded(out, "foveate", twin, settings, seed=seed, reach_m=DEPTH_M[1], speed=PLAYBACK) as (
             watch,
             report,
@@ -194,7 +208,9 @@ def foveate(
                 watch(state, frame, {"object": f"{len(made) + 1}"}, None)
 
         for run, target in enumerate(targets(trials, seed, free=free), start=1):
-            made.append(run_trial(twin, settings, run, target, watch=record))
+            known = made[-1].geometry if made else looked_around(twin, settings)
+            trial = run_trial(twin, settings, run, target, geometry=known, watch=record)
+            made.append(trial)
             progress("foveate, trials", len(made), trials)
         report += as_markdown(made[:RECORDED])
         found = summary(made)

@@ -16,11 +16,18 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.demos.depth_error_by_range import DepthSample, RangeBin, bin_by_range, depth_sample
-from vergence.demos.experiment import calibrated_twin, check_trials, p95, write_summary
+from vergence.demos.experiment import (
+    calibrated_twin,
+    check_trials,
+    looked_around,
+    p95,
+    write_summary,
+)
 from vergence.demos.recording import recorded
 from vergence.progress import Progress, silent
 from vergence.reach.controller import run_reach
 from vergence.reach.state import ReachPhase, ReachSettings, ReachState, initial_reach_state
+from vergence.self_calibration.sequence import Geometry, SeenGeometry
 from vergence.twin.hand import SimulatedHand, arm_mounting_error
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
@@ -58,6 +65,8 @@ class Trial:
     """The same for a hand that moves by its encoders to where the eyes see the object."""
     samples: tuple[DepthSample, ...]
     """Depth errors of the eyes, frame by frame until the fingers began to close."""
+    geometry: SeenGeometry | None = None
+    """What was learned until the end."""
 
 
 @dataclass(frozen=True)
@@ -107,13 +116,14 @@ def run_trial(
     path_head: Callable[[float], Array],
     T_body_arm: Array,
     *,
+    geometry: SeenGeometry | None = None,
     watch: Callable[[ReachState, Frame | None], None] = lambda state, frame: None,
 ) -> Trial:
     """Hold out one object until the hand has closed or the time is over.
 
     The number of the run determines the noise. The object's path is its position (3,) [m] in frame
     head by time [s]; T_body_arm is the true pose (4, 4) of the arm relative to its assumed one.
-    `watch` is called with every state and its frame.
+    The geometry is that of an earlier trial. `watch` is called with every state and its frame.
     """
     head = SimulatedHead(twin, run, path_head)
     head.hand = hand = SimulatedHand(twin, settings.home, T_body_arm)
@@ -126,9 +136,8 @@ def run_trial(
             samples.append(sample)
         watch(state, frame)
 
-    state = initial_reach_state(
-        settings, np.zeros(len(settings.gaze.joints)), hand.read(), head.now_s()
-    )
+    at_rest = np.zeros(len(settings.gaze.joints))
+    state = initial_reach_state(settings, at_rest, hand.read(), head.now_s(), geometry=geometry)
     state = run_reach(head, hand, settings, state, LONGEST_S, watch=keep)
     miss = unaided = np.inf
     if state.phase is ReachPhase.HELD:
@@ -136,7 +145,8 @@ def run_trial(
         miss = float(np.linalg.norm(twin.true_hand()[:3, 3] - where))
         if state.object is not None:
             unaided = float(np.linalg.norm(hand.true_point(state.object) - where))
-    return Trial(state.phase, head.now_s(), miss, unaided, tuple(samples))
+    learned = state.gaze.geometry
+    return Trial(state.phase, head.now_s(), miss, unaided, tuple(samples), learned)
 
 
 def summary(trials: list[Trial]) -> Summary:
@@ -164,6 +174,7 @@ def grasp(
     seed: int = 0,
     profile: ErrorProfile,
     scene: Scene = "room",
+    geometry: Geometry = "joints",
     out: Path | None = None,
     progress: Progress = silent,
 ) -> tuple[Summary, list[Trial]]:
@@ -174,6 +185,8 @@ def grasp(
         seed: of everything random.
         profile: imperfections of the head.
         scene: what the head looks at.
+        geometry: by what the objects are located; where it is seen, the head looks around first,
+            and what is learned is kept from trial to trial.
         out: folder for grasp.json, and the recording grasp.rrd of the first RECORDED trials; None:
             nothing is written.
         progress: is called after each trial.
@@ -185,7 +198,7 @@ def grasp(
     made: list[Trial] = []
     progress("grasp, trials", 0, trials)
     with (
-        calibrated_twin(profile, seed, scene) as (twin, gaze),
+        calibrated_twin(profile, seed, scene, geometry) as (twin, gaze),
         recorded(out, "grasp", twin, gaze, seed=seed, reach_m=FAR_M[0], speed=0.5, hand=True) as (
             watch,
             report,
@@ -198,8 +211,9 @@ def grasp(
                 watch(state.gaze, frame, {"hand": state.phase.value}, state.hand)
 
         for run in range(1, trials + 1):
-            path, T_body_arm = hand_held(seed, run), arm_mounting_error(seed, run)
-            made.append(run_trial(twin, settings, run, path, T_body_arm, watch=record))
+            arguments = twin, settings, run, hand_held(seed, run), arm_mounting_error(seed, run)
+            known = made[-1].geometry if made else looked_around(twin, gaze)
+            made.append(run_trial(*arguments, geometry=known, watch=record))
             progress("grasp, trials", len(made), trials)
         found = summary(made)
         report += as_markdown(found)

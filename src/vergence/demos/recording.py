@@ -21,6 +21,7 @@ from vergence.twin.simulated_robot import FRAME_S, foveal_errors
 from vergence.viewer.gaze import Moment, log_gaze_frame, log_gaze_series, log_gaze_styles, moment
 from vergence.viewer.gaze_layout import gaze_blueprint
 from vergence.viewer.opening import log_report, recording_file
+from vergence.viewer.seen import log_seen_styles
 from vergence.writing import results_folder
 
 SERIES = 1000
@@ -72,7 +73,8 @@ def recorded(
         yield lambda *_: None, report
         return
     head = settings.calibration
-    layout = gaze_blueprint(title, head, reach_m=reach_m, speed=speed, hand=hand)
+    seen = settings.geometry == "seen"
+    layout = gaze_blueprint(title, head, reach_m=reach_m, speed=speed, hand=hand, seen=seen)
     moments: list[Moment] = []
     lanes_before: Mapping[str, str] = {}
     count = 0
@@ -103,6 +105,8 @@ def recorded(
             T_body_lbase = T_body_base(head, "left", frame.neck_angles)
             if not count:
                 log_gaze_styles(rec, head, twin.T_world_lbase() @ inverse(T_body_lbase))
+                if state.geometry is not None:
+                    log_seen_styles(rec, head, state.geometry.known)
             poses = twin.body_poses()
             hidden = poses["object"][2, 3] < 0  # below the floor
             where = np.full(3, np.nan) if hidden else twin.true_object()

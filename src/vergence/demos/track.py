@@ -14,12 +14,13 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.demos.experiment import calibrated_twin, write_summary
+from vergence.demos.experiment import calibrated_twin, looked_around, write_summary
 from vergence.demos.recording import recorded
 from vergence.errors import VergenceError
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.state import GazeSettings, GazeState, initial_gaze_state
 from vergence.progress import Progress, silent
+from vergence.self_calibration.sequence import Geometry, SeenGeometry
 from vergence.stereo.triangulation import in_body, triangulate_at
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
@@ -104,13 +105,14 @@ def follow(
     seconds: float,
     *,
     hidden_s: float | None = None,
+    geometry: SeenGeometry | None = None,
     watch: Callable[[GazeState, Frame | None], None] = lambda state, frame: None,
 ) -> Summary:
     """Run the gaze controller on a moving object and return the statistics.
 
     The number of the run determines the noise. The object's path is its position (3,) [m] in frame
-    head by time [s]. From `hidden_s` on it is hidden for HIDDEN_S; None: it is not hidden. `watch`
-    is called with every state and its frame.
+    head by time [s]. From `hidden_s` on it is hidden for HIDDEN_S; None: it is not hidden. The
+    geometry is what is known of it before. `watch` is called with every state and its frame.
     """
     ends = -np.inf if hidden_s is None else hidden_s + HIDDEN_S
 
@@ -137,7 +139,8 @@ def follow(
         distances = foveal_errors(twin, settings)
         rows.append((frame.time_s, in_all_foveas(twin, settings), *distances, fused, single, wide))
 
-    state = initial_gaze_state(settings, np.zeros(len(settings.joints)), head.now_s())
+    at_rest = np.zeros(len(settings.joints))
+    state = initial_gaze_state(settings, at_rest, head.now_s(), geometry=geometry)
     run_gaze(head, settings, state, seconds - FRAME_S, watch=keep)
     table = np.array(rows, float).reshape(-1, 7)
     time, seen = table[:, 0], table[:, 1] == 1
@@ -176,6 +179,7 @@ def track(
     seed: int = 0,
     profile: ErrorProfile,
     scene: Scene = "room",
+    geometry: Geometry = "joints",
     out: Path | None = None,
     progress: Progress = silent,
 ) -> Summary:
@@ -186,6 +190,7 @@ def track(
         seed: of everything random.
         profile: imperfections of the head.
         scene: what the head looks at.
+        geometry: by what the object is located; where it is seen, the head looks around first.
         out: folder for track.json and track.rrd; None: nothing is written.
         progress: is called with the seconds so far after every state.
 
@@ -195,7 +200,7 @@ def track(
     if not SHORTEST_S <= seconds <= LONGEST_S:
         raise VergenceError(f"A run takes {SHORTEST_S:.0f} to {LONGEST_S:.0f} s, found {seconds}.")
     with (
-        calibrated_twin(profile, seed, scene) as (twin, settings),
+        calibrated_twin(profile, seed, scene, geometry) as (twin, settings),
         recorded(out, "track", twin, settings, seed=seed, reach_m=DEPTH_M[1]) as (record, report),
     ):
         hidden_s = float(np.random.default_rng([seed, 7]).uniform(0.3, 0.6)) * seconds
@@ -205,7 +210,9 @@ def track(
             progress("track, seconds", max(0, int(state.frame_s)), int(seconds))
             record(state, frame, {}, None)
 
-        found = follow(twin, settings, 1, path, seconds, hidden_s=hidden_s, watch=both)
+        known = looked_around(twin, settings)
+        arguments = twin, settings, 1, path, seconds
+        found = follow(*arguments, hidden_s=hidden_s, geometry=known, watch=both)
         report += as_markdown(found, hidden_s)
         write_summary(out, "track", found)
     return found

@@ -42,6 +42,7 @@ from vergence.gaze.observation import (
     posture_at_image,
     rays_to,
 )
+from vergence.gaze.seen_position import see_position
 from vergence.gaze.state import GazePhase, GazeSettings, GazeState
 from vergence.geometry.head import T_body_base
 from vergence.geometry.kinematics import eye_turn, readings_to_turn
@@ -69,6 +70,7 @@ def run_gaze(
         frame = head.read(state.cameras)
         state = step_gaze(settings, state, frame, head.now_s())
         head.command(state.command)
+        state = see_position(settings, state, frame)  # steering does not wait for it
         watch(state, frame)
     return state
 
@@ -214,7 +216,7 @@ def _move_eyes(
         phase=phase,
         since_s=state.since_s if phase is state.phase else now_s,
         landing_s=landing,
-        cameras=settings.narrow if central else settings.cameras,
+        cameras=settings.narrow if central and state.geometry is None else settings.cameras,
     )
 
 

@@ -29,7 +29,7 @@ def detect_object(settings: GazeSettings, state: GazeState, frame: Frame) -> Gaz
     """Return the state with the object's pixels in a new frame, and the joints that are stuck.
 
     Only requested images are searched, and an eye's wide image only where its narrow one does not
-    show the object; none, while a point is looked at.
+    show the object, or where the geometry is seen by it; none, while a point is looked at.
 
     Raises:
         VergenceError: the frame's images are those of other cameras, or of another size than the
@@ -46,7 +46,8 @@ def detect_object(settings: GazeSettings, state: GazeState, frame: Frame) -> Gaz
             break
         if name not in frame.images or name not in state.cameras:
             continue
-        if best_view(settings, detections, settings.calibration.camera(name).eye) is None:
+        eye = settings.calibration.camera(name).eye
+        if best_view(settings, detections, eye) is None or settings.geometry == "seen":
             before = state.detections.get(name)
             near = None if before is None else before.pixel
             detections[name] = _detect(settings, state.target, frame, name, near)
@@ -65,6 +66,7 @@ def detect_object(settings: GazeSettings, state: GazeState, frame: Frame) -> Gaz
             name for name, is_stuck in zip(settings.joints, stuck, strict=True) if is_stuck
         ),
         measured=None,
+        by_joints=None,
     )
 
 
@@ -105,7 +107,7 @@ def _seen_by_another(
     return len({view[0] for view in views if view is not None}) > 1
 
 
-def _readings_at_image(settings: GazeSettings, state: GazeState, frame: Frame) -> Array:
+def readings_at_image(settings: GazeSettings, state: GazeState, frame: Frame) -> Array:
     """Return the joint readings (j,) [rad], moved from their own time to that of the image.
 
     By as much as the commands moved the joints meanwhile. How much earlier a reading shows the
@@ -130,7 +132,7 @@ def posture_at_image(settings: GazeSettings, state: GazeState, frame: Frame) -> 
     use_reading = np.isin(settings.joints, state.stuck)
     use_reading[NECK] = True
     sent = commanded(state.commands, frame.time_s)
-    return np.where(use_reading, _readings_at_image(settings, state, frame), sent)
+    return np.where(use_reading, readings_at_image(settings, state, frame), sent)
 
 
 def best_view(
@@ -168,37 +170,54 @@ def rays_to(settings: GazeSettings, state: GazeState, posture: Array) -> Rays:
 def measure(settings: GazeSettings, state: GazeState, frame: Frame, posture: Array) -> GazeState:
     """Return the state with both tracks at a frame: `track` by readings, `aim` by commands.
 
-    The posture (j,) [rad] by commands is from `posture_at_image`.
+    The posture (j,) [rad] by commands is from `posture_at_image`. Where the frame shows the
+    geometry, `track` is left to `seen_position.see_position`.
     """
     motion, time_s = settings.motion, frame.time_s
-    found = _locate(
-        settings, state, np.stack([_readings_at_image(settings, state, frame), posture])
-    )
+    by_sight = settings.geometry == "seen" and set(settings.wide) <= set(frame.images)
+    found = _locate(settings, state, np.stack([readings_at_image(settings, state, frame), posture]))
     if found is None:
-        track, aim = (
-            None if before is None else predict(before, time_s, jerk_density=motion.jerk_density)
-            for before in (state.track, state.aim)
-        )
-        return replace(state, track=track, aim=aim)
-
-    def fused(
-        before: Track | None, ratio: InnovationRatio, point: Array, covariance: Array
-    ) -> tuple[Track, InnovationRatio]:
-        ratio = update_ratio(ratio, time_s, point, covariance)
-        track = fuse(before, time_s, point, covariance, motion=motion, innovation_ratio=ratio.value)
-        return track, ratio
-
+        aim = state.aim
+        aim = None if aim is None else predict(aim, time_s, jerk_density=motion.jerk_density)
+        state = replace(state, aim=aim)
+        return state if by_sight else without_one(settings, state, frame)
     by_readings, by_commands = found
-    track, ratio = fused(state.track, state.innovation_ratio, *by_readings)
-    aim, aim_ratio = fused(state.aim, state.aim_innovation_ratio, *by_commands)
-    return replace(
-        state,
-        measured=by_readings[0],
-        innovation_ratio=ratio,
-        aim_innovation_ratio=aim_ratio,
-        track=track,
-        aim=aim,
+    aim, aim_ratio = _fused(settings, state.aim, state.aim_innovation_ratio, time_s, *by_commands)
+    state = replace(state, aim=aim, aim_innovation_ratio=aim_ratio)
+    if by_sight:
+        return replace(state, by_joints=by_readings[0])
+    return fuse_measurement(settings, state, frame, *by_readings)
+
+
+def fuse_measurement(
+    settings: GazeSettings, state: GazeState, frame: Frame, point: Array, covariance: Array
+) -> GazeState:
+    """Return the state whose `track` has a frame's measurement, (3,) and (3, 3) in frame body."""
+    track, ratio = _fused(
+        settings, state.track, state.innovation_ratio, frame.time_s, point, covariance
     )
+    return replace(state, measured=point, track=track, innovation_ratio=ratio)
+
+
+def without_one(settings: GazeSettings, state: GazeState, frame: Frame) -> GazeState:
+    """Return the state whose `track` is predicted to the time of a frame without a measurement."""
+    if state.track is None:
+        return state
+    track = predict(state.track, frame.time_s, jerk_density=settings.motion.jerk_density)
+    return replace(state, track=track)
+
+
+def _fused(
+    settings: GazeSettings,
+    before: Track | None,
+    ratio: InnovationRatio,
+    time_s: float,
+    point: Array,
+    covariance: Array,
+) -> tuple[Track, InnovationRatio]:
+    motion, ratio = settings.motion, update_ratio(ratio, time_s, point, covariance)
+    track = fuse(before, time_s, point, covariance, motion=motion, innovation_ratio=ratio.value)
+    return track, ratio
 
 
 def aim_by_one_eye(

@@ -17,6 +17,7 @@ from vergence.gaze.kalman import InnovationRatio, MotionModel, Track
 from vergence.gaze.roles import EyeCameras, check_roles, default_roles
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES, NECK_JOINTS, Side
+from vergence.self_calibration.sequence import Geometry, SeenGeometry, seen_geometry
 from vergence.vision.detector import Detection, Detector, pixel_or_nan
 from vergence.vision.sphere import sphere_detector
 
@@ -48,6 +49,9 @@ class GazeSettings:
     roles: Mapping[Side, EyeCameras] | None = None
     """By eye, the cameras to use; None: `default_roles` of the calibration. An eye without an entry
     is not moved, and not used."""
+    geometry: Geometry = "joints"
+    """What tells how the eyes stand when the object is located: the joint readings, or these and
+    the calibration as corrected by what both wide images show. Steering is the same."""
     limits: JointLimits = field(default_factory=JointLimits)
     use_neck: bool = False
     """Whether the neck shares in a gaze shift."""
@@ -106,6 +110,11 @@ class GazeSettings:
                 f"The limits are those of {', '.join(self.limits.joints)}, but the joints of this "
                 f"head are {', '.join(self.joints)}: give `joint_limits(..., joints=...)`."
             )
+        if self.geometry == "seen" and len(self.eyes) < len(EYES):
+            raise VergenceError(
+                f"A geometry that both eyes see needs both; the gaze uses the "
+                f"{', '.join(self.eyes)} eye only."
+            )
         joints = len(self.calibration.neck.axes)
         if self.use_neck and joints != len(NECK_JOINTS):
             raise VergenceError(
@@ -163,8 +172,11 @@ class GazeState:
     """The object by camera searched in the latest frame; None: not found."""
     measured: Array | None = None
     """(3,) [m] stereo estimate of the latest frame alone, in frame body."""
+    by_joints: Array | None = None
+    """(3,) [m] the same by the joint readings, where the geometry is seen; None: no estimate."""
     track: Track | None = None
-    """Estimate over time from joint readings, in frame body (frame head without a neck)."""
+    """Estimate over time from joint readings, corrected where the geometry is seen; in frame body
+    (frame head without a neck)."""
     aim: Track | None = None
     """Estimate over time from commands instead of readings, for control: without the readings'
     noise, which would make the eyes tremble, but subject to the errors of the joints' gains."""
@@ -172,6 +184,8 @@ class GazeState:
     """Of the measurements of `track`."""
     aim_innovation_ratio: InnovationRatio = field(default_factory=InnovationRatio)
     """Of the measurements of `aim`."""
+    geometry: SeenGeometry | None = None
+    """By what both eyes see, after the latest frame; None: `geometry` of the settings is joints."""
     stuck: tuple[str, ...] = ()
     """Names of the joints that do not follow their commands."""
     searched: int = 0
@@ -192,14 +206,31 @@ class GazeState:
         return {name: pixel_or_nan(found) for name, found in self.detections.items()}
 
 
-def initial_gaze_state(settings: GazeSettings, posture: Array, time_s: float) -> GazeState:
+def initial_gaze_state(
+    settings: GazeSettings,
+    posture: Array,
+    time_s: float,
+    *,
+    geometry: SeenGeometry | None = None,
+) -> GazeState:
     """Return the state of a head that rests at set points (j,) [rad] and has not seen anything.
 
-    It will look at the first object of the settings; see `look_at`.
+    It will look at the first object of the settings; see `look_at`. A geometry is what an earlier
+    run has learned, where the settings ask for the geometry that is seen; None: nothing.
     """
     command = hold(posture, settings.limits, time_s)
     target = next(iter(settings.objects))
-    return GazeState(GazePhase.LOST, time_s, (command,), settings.cameras, target)
+    if settings.geometry == "seen" and geometry is None:
+        left, right = settings.wide
+        geometry = seen_geometry(settings.calibration, cameras=(left, right))
+    return GazeState(
+        GazePhase.LOST,
+        time_s,
+        (command,),
+        settings.cameras,
+        target,
+        geometry=geometry if settings.geometry == "seen" else None,
+    )
 
 
 def look_at(settings: GazeSettings, state: GazeState, target: str | ArrayLike) -> GazeState:

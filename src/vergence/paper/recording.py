@@ -16,11 +16,13 @@ from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYE_JOINTS
 from vergence.paper.figures import Figure
 from vergence.paper.replay import Replay, summary
+from vergence.self_calibration.frame import SelfCalibration
 from vergence.twin.appearance import VisualGeom
 from vergence.viewer import style
 from vergence.viewer.frame import time_columns
 from vergence.viewer.layout import camera_views, curves_view, hidden, playing, view_3d
 from vergence.viewer.opening import recording_file
+from vergence.viewer.seen import learned_views, log_seen_styles
 from vergence.viewer.shapes import lines_of_sight, log_points_style, placed, spread_ellipsoid
 
 _TRAILS = {"world/left_base/trail": None, "world/left_base/recent": style.TRAIL_S}
@@ -28,12 +30,24 @@ _TRAILS = {"world/left_base/trail": None, "world/left_base/recent": style.TRAIL_
 
 @contextmanager
 def figure_recording(
-    path: Path, figure: Figure, head: HeadCalibration, geoms: Sequence[VisualGeom]
+    path: Path,
+    figure: Figure,
+    head: HeadCalibration,
+    geoms: Sequence[VisualGeom],
+    *,
+    beside: str | None = None,
+    known: SelfCalibration | None = None,
 ) -> Iterator[rr.RecordingStream]:
-    """Record a figure in a `with` block, as `recording_file` does."""
-    layout = blueprint(figure, head)
+    """Record a figure in a `with` block, as `recording_file` does.
+
+    `beside` is a method whose estimates run beside those of the result; `known` is a head that
+    learns from the images, whose matches and parameters are shown.
+    """
+    layout = blueprint(figure, head, beside=beside, learns=known is not None)
     with recording_file(path, figure.title, layout, head, geoms) as rec:
         _log_styles(rec)
+        if known is not None:
+            log_seen_styles(rec, head, known)
         yield rec
 
 
@@ -49,6 +63,8 @@ def _log_styles(rec: rr.RecordingStream) -> None:
             names = [name, f"{name} + std", f"{name} - std"]
             levels = rr.SeriesLines(names=names, colors=[color3] * 3, widths=[2.5, 1.5, 1.5])
             rec.log(entity, levels, static=True)
+        dark = rr.SeriesLines(colors=style.OBJECT, widths=1.0, aggregation_policy="MinMax")
+        rec.log(f"beside/{axis}", dark, static=True)
     for joint, color in style.JOINT_COLOURS.items():
         curve = rr.SeriesLines(names=joint.replace("_", " "), colors=color)
         rec.log(f"joints/{joint}", curve, static=True)
@@ -60,12 +76,18 @@ def _log_styles(rec: rr.RecordingStream) -> None:
 
 
 def log_results(
-    rec: rr.RecordingStream, result: Replay, head: HeadCalibration, T_world_lbase: Array
+    rec: rr.RecordingStream,
+    result: Replay,
+    head: HeadCalibration,
+    T_world_lbase: Array,
+    *,
+    beside: str | None = None,
 ) -> None:
     """Record a figure's estimates as curves and as a trail in space, and its statistics.
 
     Samples that were not located are left out. The head serves for the lines of sight;
-    `T_world_lbase` (4, 4) is the pose of the left eye's base frame in the world.
+    `T_world_lbase` (4, 4) is the pose of the left eye's base frame in the world. Of the method
+    `beside` the estimates are recorded as curves too.
     """
     figure, statistics = result.figure, result.statistics
     time_s, eye_angles = result.measurements.time_s, result.measurements.eye_angles
@@ -85,6 +107,11 @@ def log_results(
             if len(time_s) and np.isfinite(levels).all():
                 ends = time_columns(time_s[[0, -1]], index[[0, -1]])
                 rec.send_columns(f"{kind}/{axis}", ends, rr.Scalars.columns(scalars=levels))
+    others = np.full((0, 3), np.nan) if beside is None else result.others[beside].points
+    there = np.isfinite(others).all(axis=1)
+    for k, axis in enumerate(style.AXIS_COLOURS if there.any() else ()):
+        run = rr.Scalars.columns(scalars=others[there, k])
+        rec.send_columns(f"beside/{axis}", time_columns(time_s[there], index[there]), run)
     rec.log("world/left_base", placed(T_world_lbase), static=True)
     marker = rr.Points3D([figure.mean_m], radii=-4.0, colors=style.OBJECT)
     rec.log("world/left_base/object", marker, static=True)
@@ -99,25 +126,31 @@ def log_results(
     rec.send_property("statistics", rr.AnyValues(**values))
 
 
-def blueprint(figure: Figure, head: HeadCalibration) -> rrb.Blueprint:
+def blueprint(
+    figure: Figure, head: HeadCalibration, *, beside: str | None = None, learns: bool = False
+) -> rrb.Blueprint:
     """Return the layout with which the viewer opens a figure's recording."""
+    dark = "" if beside is None else f", dark {beside}"
+    kinds = ("paper", "estimate_mean", "estimate", "beside")
     axes = [
         curves_view(
-            f"{label} [m]: bright estimate, pale mean and ± std, grey the paper's",
+            f"{label} [m]: bright estimate{dark}, pale mean and ± std, grey the paper's",
             "/",
             legend=False,
-            contents=[f"+ /{kind}/{axis}" for kind in ("paper", "estimate_mean", "estimate")],
+            contents=[f"+ /{kind}/{axis}" for kind in kinds],
         )
         for axis, label in zip(style.AXIS_COLOURS, ("x = depth", "y", "z"), strict=True)
     ]
+    marks = "+ found, ○ truth" + (", dots matched" if learns else "")
+    learned = (learned_views(),) if learns else ()
     return playing(
         rrb.Horizontal(
             rrb.Vertical(
                 _head_view(figure, head),
-                camera_views(head, marks="+ found, ○ truth"),
+                camera_views(head, marks=marks),
                 row_shares=[6, 7],
             ),
-            rrb.Vertical(*axes, curves_view("joint readings [rad]", "joints")),
+            rrb.Vertical(*axes, *learned, curves_view("joint readings [rad]", "joints")),
             rrb.Vertical(
                 rrb.TextDocumentView(name="report", origin="report"),
                 _close_up(figure),
@@ -136,10 +169,11 @@ def _head_view(figure: Figure, head: HeadCalibration) -> rrb.Spatial3DView:
     # robot's post, which stands at the side of the view, leaning.
     height = style.EYE_HEIGHT_M - 0.03 + 0.20 * scale
     middle = np.array([(back + front) / 2, 0.3 * figure.mean_m[1], height])
+    marks = hidden(head, "detected", "truth", "matches")
     return view_3d(
         f"{figure.title}: head, lines of sight, estimates",
         origin="world",
-        contents=["+ $origin/**", "- world/left_base/spread", *hidden(head, "detected", "truth")],
+        contents=["+ $origin/**", "- world/left_base/spread", *marks],
         middle=middle,
         eye=middle + np.array([0.33, 0.94, 0.0]) * scale,
         trails=_TRAILS,

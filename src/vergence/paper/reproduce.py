@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.sequential.sequential import SequentialCalibration, calibrate_sequentially
+from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, save_head
 from vergence.paper.comparison import LEARNED, PAPER, Comparison, comparison, look_around
@@ -31,6 +31,7 @@ from vergence.twin.profile import ErrorProfile
 from vergence.twin.scene import Scene
 from vergence.viewer.frame import log_frame
 from vergence.viewer.opening import log_report
+from vergence.viewer.seen import log_learned, log_matches
 from vergence.writing import check_outputs, results_folder, write_json, write_whole
 
 Method = Literal["paper", "self-calibrated"]
@@ -187,19 +188,31 @@ def record_replay(
     progress: Progress = silent,
 ) -> Replay:
     """Replay one figure on rendered images, as `replay` does, and record it."""
-    with figure_recording(path, figure, calibration, visual_geoms(twin.model)) as rec:
+    beside = known = None
+    if compared is not None:
+        beside, known = LEARNED if method == PAPER else PAPER, compared.states[LEARNED]
+    geoms = visual_geoms(twin.model)
+    with figure_recording(path, figure, calibration, geoms, beside=beside, known=known) as rec:
+
+        def observe(*, frame: Frame | None, **sample: Any) -> None:
+            log_frame(rec, frame=frame, **sample)
+            if compared is not None:
+                log_learned(rec, calibration, compared.states[LEARNED])
+                if frame is not None:
+                    log_matches(rec, calibration, compared.last[LEARNED])
+
         result = replay(
             twin,
             calibration,
             figure,
             times_s,
-            observer=partial(log_frame, rec),
+            observer=observe,
             image_every=max(1, len(times_s) // SAMPLES_WITH_IMAGES),
             compared=compared,
             progress=progress,
         )
         result = chosen(result, method)
-        log_results(rec, result, calibration, twin.T_world_lbase())
+        log_results(rec, result, calibration, twin.T_world_lbase(), beside=beside)
         log_report(rec, figure_report(result, twin.profile, calibration))
     return result
 

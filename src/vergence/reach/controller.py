@@ -24,6 +24,7 @@ from vergence.gaze.commands import EYE_READINGS, HeadDriver
 from vergence.gaze.controller import step_gaze
 from vergence.gaze.kalman import Track, fuse, predict
 from vergence.gaze.observation import posture_at_image
+from vergence.gaze.seen_position import see_position
 from vergence.gaze.state import GazePhase
 from vergence.geometry.head import T_body_base
 from vergence.geometry.se3 import transform
@@ -64,6 +65,8 @@ def run_reach(
         state = step_reach(settings, state, frame, hand.read(), head.now_s())
         head.command(state.gaze.command)
         hand.command(state.command)
+        gaze = see_position(settings.gaze, state.gaze, frame)  # commands do not wait for it
+        state = replace(state, gaze=gaze)
         watch(state, frame)
     return state
 
@@ -220,10 +223,10 @@ def _decide(settings: ReachSettings, state: ReachState, now_s: float) -> tuple[R
     escaped = state.target is not None and np.linalg.norm(gap) >= settings.escaped_m
     if state.phase is ReachPhase.CLOSE or (state.phase is ReachPhase.HELD and not escaped):
         return ReachPhase.HELD, True
-    aim = state.gaze.aim
-    if aim is None or state.gaze.phase is GazePhase.LOST:
+    approached = state.approached
+    if approached is None or state.gaze.phase is GazePhase.LOST:
         return ReachPhase.SEEK, False
-    distance = np.linalg.norm(aim.position - settings.shoulder)
+    distance = np.linalg.norm(approached.position - settings.shoulder)
     margin = settings.reach_margin_m if state.phase in _ENGAGED else 0.0
     if distance > settings.reach_m + margin:
         return ReachPhase.TRACK, False
@@ -256,7 +259,7 @@ def _command(settings: ReachSettings, state: ReachState, now_s: float) -> HandCo
         velocity = target.velocity
     elif state.phase in _CLOSING:
         goal = state.command.goal
-    elif state.gaze.aim is not None and state.phase in (ReachPhase.REACH, ReachPhase.UNSEEN):
-        aim = predict(state.gaze.aim, now_s, jerk_density=0.0)
-        goal, velocity = aim.position - below, aim.velocity
+    elif state.approached is not None and state.phase in (ReachPhase.REACH, ReachPhase.UNSEEN):
+        approached = predict(state.approached, now_s, jerk_density=0.0)
+        goal, velocity = approached.position - below, approached.velocity
     return HandCommand(now_s, goal, velocity, close=state.phase in _CLOSING)

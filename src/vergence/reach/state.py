@@ -19,6 +19,7 @@ from vergence.errors import VergenceError
 from vergence.gaze.commands import HOLD_S
 from vergence.gaze.kalman import MotionModel, Track
 from vergence.gaze.state import GazeSettings, GazeState, initial_gaze_state
+from vergence.self_calibration.sequence import SeenGeometry
 from vergence.vision.detector import Detection, Detector
 from vergence.vision.sphere import sphere_detector
 
@@ -174,6 +175,16 @@ class ReachState:
         return None if self.gaze.track is None else self.gaze.track.position
 
     @property
+    def approached(self) -> Track | None:
+        """The track by which the hand approaches while its marker is not seen.
+
+        By readings, whose noise would shake the hand, only where both eyes see the geometry; by
+        commands otherwise.
+        """
+        seen = self.gaze.geometry is not None and self.gaze.track is not None
+        return self.gaze.track if seen else self.gaze.aim
+
+    @property
     def hand(self) -> Array:
         """(3,) [m] hand in frame body by its encoders."""
         return self.readings[-1].T_body_hand[:3, 3]
@@ -187,9 +198,17 @@ def target_covariance(settings: ReachSettings, state: ReachState) -> Array:
 
 
 def initial_reach_state(
-    settings: ReachSettings, posture: Array, reading: HandReading, time_s: float
+    settings: ReachSettings,
+    posture: Array,
+    reading: HandReading,
+    time_s: float,
+    *,
+    geometry: SeenGeometry | None = None,
 ) -> ReachState:
-    """Return the state of head (set points (7,) [rad]) and hand at rest, with nothing seen."""
-    gaze = initial_gaze_state(settings.gaze, posture, time_s)
+    """Return the state of head (set points (7,) [rad]) and hand at rest, with nothing seen.
+
+    A geometry is what an earlier run has learned, as of `initial_gaze_state`.
+    """
+    gaze = initial_gaze_state(settings.gaze, posture, time_s, geometry=geometry)
     rest = HandCommand(time_s, reading.T_body_hand[:3, 3], np.zeros(3))
     return ReachState(ReachPhase.SEEK, time_s, gaze, rest, (reading,), gaze.cameras)

@@ -7,7 +7,9 @@ the calibration and the joint readings do.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -18,7 +20,7 @@ from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.se3 import transform
 from vergence.stereo.rectification import RectifiedPair, rectified_image, rectified_points
-from vergence.stereo.uncertainty import locate
+from vergence.stereo.uncertainty import LocatedPoints, locate
 
 NEAREST_M = 0.3
 """Default least depth that is sought."""
@@ -62,6 +64,7 @@ def dense_depth(
     cameras: tuple[str, str] | None = None,
     nearest_m: float = NEAREST_M,
     joint_std_rad: ArrayLike | None = None,
+    located: Callable[..., LocatedPoints] | None = None,
 ) -> DenseDepth:
     """Return the depth of the pixels of a left image.
 
@@ -74,6 +77,8 @@ def dense_depth(
         cameras: the names of the two; None: the main ones.
         nearest_m: least depth that is sought.
         joint_std_rad: noise of the readings, as in `uncertainty.locate`.
+        located: in place of these two says how well the geometry is known: a function that locates
+            exact pixels, `left` and `right` (N, 2), such as `locate_seen` of a seen geometry.
 
     Raises:
         VergenceError: the nearest depth is not positive, or its disparity exceeds the image.
@@ -98,7 +103,16 @@ def dense_depth(
     pixels = np.stack([u, v], axis=-1).astype(float)
     depth = rectified_points(pair, pixels, disparity)[..., 2]
     by_texture = _std_by_texture(grey[0])
-    by_geometry = _std_by_geometry(head, joints, pair, disparity, cameras, joint_std_rad)
+    if located is None and (head.accuracy is not None or joint_std_rad is not None):
+        located = partial(
+            locate,
+            head,
+            joints=joints,
+            cameras=cameras,
+            pixel_std_px=0.0,
+            joint_std_rad=joint_std_rad,
+        )
+    by_geometry = _std_by_geometry(pair, disparity, located)
     std_px = np.hypot(by_texture, by_geometry)
     return DenseDepth(
         disparity_px=disparity,
@@ -147,21 +161,15 @@ def _std_by_texture(grey: np.ndarray) -> Array:
 
 
 def _std_by_geometry(
-    head: HeadCalibration,
-    joints: Array,
-    pair: RectifiedPair,
-    disparity: Array,
-    cameras: tuple[str, str] | None,
-    joint_std_rad: ArrayLike | None,
+    pair: RectifiedPair, disparity: Array, located: Callable[..., LocatedPoints] | None
 ) -> Array:
     """Return what calibration and readings leave open (H, W), as an error of disparity [px].
 
     That hardly depends on the depth and changes slowly over the image: it is computed at some
-    pixels and interpolated. Zero where the head states no accuracy.
+    pixels and interpolated. Zero where nothing is stated.
     """
     height, width = disparity.shape
-    stated = head.accuracy is not None or joint_std_rad is not None
-    if not stated or not np.isfinite(disparity).any():
+    if located is None or not np.isfinite(disparity).any():
         return np.zeros((height, width))
     rows, columns = (np.arange(_GRID_PX // 2, n, _GRID_PX) for n in (height, width))
     typical = np.nanmedian(disparity)
@@ -174,15 +182,7 @@ def _std_by_geometry(
         np.where(seen[:, None], np.stack([view.map_x[v, at], view.map_y[v, at]], axis=-1), np.nan)
         for view, at in ((pair.left, u), (pair.right, opposite))
     )
-    found = locate(
-        head,
-        left=left,
-        right=right,
-        joints=joints,
-        cameras=cameras,
-        pixel_std_px=0.0,
-        joint_std_rad=joint_std_rad,
-    )
+    found = located(left=left, right=right)
     axis = pair.T_lbase_rect[:3, 2]
     depth = (found.xyz - pair.T_lbase_rect[:3, 3]) @ axis
     variance = np.einsum("i,nij,j->n", axis, found.covariance, axis)

@@ -9,6 +9,8 @@ frames at once (`log_gaze_series`). In addition to the entities of every recordi
     /gaze_error/left, right         true distance of the object from the narrow image's centre [px]
     /position/x, y, z, true_x, ...  estimate and truth [m], in frame body
     /error/fused, by_one_frame      distance of the estimates from the truth [mm]
+    /error/by_joints                the same of one frame by the joints alone, where the geometry is
+                                    seen; see `viewer.seen` for what is recorded of it
     /hand/distance                  distance of the hand, by its encoders, from the object [mm]
     /eyes/<joint>, command_<joint>  readings and commands of the eyes [rad]
     /neck/<joint>, command_<joint>  readings and commands of the neck [rad]
@@ -34,6 +36,7 @@ from vergence.geometry.se3 import inverse, transform
 from vergence.viewer import style
 from vergence.viewer.frame import log_frame, time_columns
 from vergence.viewer.layout import camera_entities
+from vergence.viewer.seen import log_learned, log_matches
 from vergence.viewer.shapes import log_points_style, placed
 
 
@@ -56,6 +59,8 @@ class Moment:
     """(3,) filtered position of the object, in frame body; NaN: no estimate."""
     one_frame: Array
     """(3,) position by stereo from this frame alone, in frame body; NaN: no estimate."""
+    by_joints: Array
+    """(3,) the same by the joint readings, where the geometry is seen; NaN: no estimate."""
     truth: Array
     """(3,) true position of the object, in frame body; NaN: unknown, or the object is hidden."""
     errors_px: Array
@@ -89,6 +94,7 @@ def moment(
         axes=_axes(settings, readings, state),
         fused=nowhere if state.track is None else state.track.position,
         one_frame=nowhere if state.measured is None else state.measured,
+        by_joints=nowhere if state.by_joints is None else state.by_joints,
         truth=truth,
         errors_px=errors_px,
         hand=nowhere if hand is None else hand,
@@ -174,8 +180,13 @@ def log_gaze_frame(
         detected=state.pixels,
         truth=truth,
     )
+    geometry = state.geometry
+    if geometry is not None and geometry.learned_s == frame.time_s:
+        log_learned(rec, settings.calibration, geometry.known)
     if not pictures:
         return
+    if geometry is not None and geometry.latest is not None and geometry.time_s == frame.time_s:
+        log_matches(rec, settings.calibration, geometry.latest)
     for name, pixel in aims(settings, state, frame).items():
         if name in frame.images:
             height, width = frame.images[name].shape[:2]
@@ -193,6 +204,7 @@ def log_gaze_styles(rec: rr.RecordingStream, head: HeadCalibration, T_world_body
         curves[f"position/{axis}"] = label, colour
     for eye, colours in style.EYE_COLOURS.items():
         curves[f"gaze_error/{eye}"] = f"{eye} eye", colours[0]
+    curves["error/by_joints"] = "one frame by the joints", style.OLD
     curves["error/by_one_frame"] = "one frame", style.PAPER
     curves["error/fused"] = "fused", style.ESTIMATE
     curves["hand/distance"] = "hand from the object", style.HAND
@@ -237,13 +249,14 @@ def log_gaze_series(
     if not moments:
         return
     time_s, index = np.array([m.time_s for m in moments]), first + np.arange(len(moments))
-    fused, one_frame, truth, hand, errors = (
+    fused, one_frame, by_joints, truth, hand, errors = (
         np.array([getattr(m, name) for m in moments])
-        for name in ("fused", "one_frame", "truth", "hand", "errors_px")
+        for name in ("fused", "one_frame", "by_joints", "truth", "hand", "errors_px")
     )
     series: dict[str, Array] = {
         "error/fused": 1e3 * np.linalg.norm(fused - truth, axis=1),
         "error/by_one_frame": 1e3 * np.linalg.norm(one_frame - truth, axis=1),
+        "error/by_joints": 1e3 * np.linalg.norm(by_joints - truth, axis=1),
         "hand/distance": 1e3 * np.linalg.norm(hand - truth, axis=1),
     }
     for k, axis in enumerate(style.AXIS_COLOURS):

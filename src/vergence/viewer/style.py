@@ -22,6 +22,8 @@ EYE_HEIGHT_M = 1.2
 """Height of the model's eyes above the floor; the neck stays straight in the experiments."""
 ALPHA = {"object": 0.35}
 """Opacity of bodies that would hide something: most estimates lie inside the object."""
+FITTING, MISFIT = (60, 220, 90), (240, 60, 60)
+"""Matches between the images of both eyes."""
 DETECTED, TRUTH = (255, 230, 0), (0, 240, 255)
 ESTIMATE, OLD, RAY, OBJECT = (20, 60, 220), (120, 150, 235), (250, 150, 30), (60, 60, 60)
 CROSS_PX = np.array([[[-9.0, 0.0], [9.0, 0.0]], [[0.0, -9.0], [0.0, 9.0]]])

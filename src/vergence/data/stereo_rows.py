@@ -1,0 +1,93 @@
+"""The rows of a dataset in which both eyes see, with the readings at the moments of the images."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.data.dataset import Dataset, Frame, runs
+from vergence.data.timing import Timing, moved_readings
+from vergence.errors import VergenceError
+from vergence.geometry.head import HeadCalibration, main_pair
+from vergence.geometry.projection import stereo_cameras
+
+
+@dataclass(frozen=True, eq=False)
+class StereoRows:
+    """N rows of a dataset that have an image of each of two cameras, in order of time."""
+
+    dataset: Dataset
+    cameras: tuple[str, str]
+    """Of the left and of the right eye."""
+    rows: np.ndarray
+    """(N,) of int: which rows."""
+    joints: Array
+    """(N, r) readings at the moments of the images [rad], or eye poses (N, 2, 4, 4)."""
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def frame(self, k: int) -> Frame:
+        """Return the k-th row with the images of both cameras; errors: see `Dataset.image`."""
+        row = int(self.rows[k])
+        images = {name: self.dataset.image(name, row) for name in self.cameras}
+        time_s = float(self.dataset.time_s[row])
+        angles = np.full(0, np.nan) if self.joints.ndim > 2 else self.joints[k]
+        neck = self.dataset.neck_angles[row]
+        shown = {name: image for name, image in images.items() if image is not None}
+        return Frame(time_s, time_s, angles, neck, shown)
+
+
+def stereo_rows(dataset: Dataset, head: HeadCalibration) -> StereoRows:
+    """Return the rows that show the views of a head's main cameras.
+
+    While the eyes move, readings are moved to the moments of the images by the calibrated time
+    offset or, without one, by the time stamps.
+
+    Raises:
+        VergenceError: the head has one eye, or the dataset does not have its main cameras, its
+            readings or images of its size, or no row has images of both cameras.
+    """
+    stereo_cameras(head, None)  # refuses a head of one eye
+    cameras = main_pair(head) or ("", "")
+    folder, stated = dataset.folder, dataset.description.cameras
+    for name in cameras:
+        if name not in dataset.files:
+            raise VergenceError(
+                f"The calibration's main cameras are {' and '.join(cameras)}; {folder} has "
+                f"{', '.join(dataset.files)}."
+            )
+        lens, found = head.camera(name).intrinsics, stated[name]
+        if (found.width, found.height) != (lens.width, lens.height):
+            raise VergenceError(
+                f"The calibration of {name} is for images of {lens.width} x {lens.height} px, but "
+                f"those of {folder} have {found.width} x {found.height} px."
+            )
+    read, known = dataset.description.head_kinematics.readings, head.kinematics.readings
+    if dataset.T_base_eye is None and read != known:
+        raise VergenceError(
+            f"The calibration is for the joint readings {', '.join(known)}; {folder} has "
+            f"{', '.join(read) or 'none'}."
+        )
+    both = [
+        k
+        for k in range(len(dataset))
+        if all(dataset.files[name][k] is not None for name in cameras)
+    ]
+    if not both:
+        raise VergenceError(f"No row of {folder} has images of both {' and '.join(cameras)}.")
+    rows = np.array(both)
+    joints = _at_the_images(dataset, head) if dataset.T_base_eye is None else dataset.T_base_eye
+    return StereoRows(dataset, cameras, rows, joints[rows])
+
+
+def _at_the_images(dataset: Dataset, head: HeadCalibration) -> Array:
+    """Return the readings (M, r) [rad] of all rows at the moments of their images."""
+    if not dataset.moving.any():
+        return dataset.eye_angles
+    apart = (dataset.time_s - dataset.joint_time_s)[dataset.moving]
+    offset_s = head.time_offset_s or float(np.median(apart))
+    timing = Timing(dataset.joint_time_s, runs(dataset))
+    return moved_readings(dataset.eye_angles, timing, offset_s)

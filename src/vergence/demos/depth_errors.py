@@ -1,0 +1,103 @@
+"""Errors of dense depth and of a rectified pair's rows, by the truth that only the twin knows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.geometry.camera import normalise, project
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.projection import stereo_cameras, stereo_poses
+from vergence.geometry.se3 import transform
+from vergence.stereo.dense_depth import DenseDepth
+from vergence.stereo.rectification import RectifiedPair, rectified_pixels, rectified_points
+
+RANGE_M = (0.5, 1.5)
+"""Distances at which errors are stated."""
+_GRID_PX = 16  # between the points whose rows are compared
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What the twin knows."""
+
+    head: HeadCalibration
+    eye_angles: Array
+    """(4,) [rad]."""
+    depth_m: Array
+    """(H, W) along the optical axis of the left camera."""
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of depth at RANGE_M where there is texture, over all pairs."""
+
+    median_relative: float
+    wrong: float
+    """Share of the pixels that are wrong by more than a fifth."""
+    within_two_std: float
+    """Share of the others whose error is within two standard deviations."""
+    pixels: int
+    vertical_rms_px: float
+    """Of the rows of a point in the two rectified images."""
+
+
+def depth_errors(
+    pair: RectifiedPair, found: DenseDepth, truth: Truth
+) -> tuple[Array, Array, float]:
+    """Return relative errors (N,), the same over the stated std (N,), and the rows' error [px].
+
+    Compared is the depth along the left camera's axis, at the pixel of its own image.
+    """
+    view = pair.left
+    size = found.depth_m.shape[::-1]
+    pixels = np.stack(np.meshgrid(*map(np.arange, size)), axis=-1).astype(float)
+    points = rectified_points(pair, pixels, found.disparity_px) @ view.R_rect_cam
+    true_m = cv2.remap(
+        truth.depth_m.astype(np.float32),
+        view.map_x,
+        view.map_y,
+        cv2.INTER_NEAREST,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=np.nan,
+    )
+    near = found.textured & (true_m > RANGE_M[0]) & (true_m < RANGE_M[1])
+    error_m = points[near][:, 2] - true_m[near]
+    return error_m / true_m[near], error_m / found.std_m[near], _row_rms(pair, truth)
+
+
+def _row_rms(pair: RectifiedPair, truth: Truth) -> float:
+    """Return the root mean square [px] of the difference of a true point's rows in the pair."""
+    left, right = (mounted.intrinsics for mounted in stereo_cameras(truth.head, None))
+    v, u = np.mgrid[: left.height : _GRID_PX, : left.width : _GRID_PX]
+    pixels = np.stack([u, v], axis=-1).reshape(-1, 2).astype(float)
+    xy = normalise(left, pixels)
+    points = np.concatenate([xy, np.ones((len(xy), 1))], axis=-1)
+    points *= truth.depth_m[v, u].reshape(-1, 1)
+    _, T_rcam_lcam = stereo_poses(truth.head, truth.eye_angles)
+    opposite = project(right, transform(T_rcam_lcam, points))
+    inside = ((opposite >= 0) & (opposite <= [right.width - 1, right.height - 1])).all(axis=-1)
+    rows = [
+        rectified_pixels(pair, view, at[inside])[:, 1]
+        for view, at in ((pair.left, pixels), (pair.right, opposite))
+    ]
+    return float(np.sqrt(np.nanmean((rows[0] - rows[1]) ** 2)))
+
+
+def summed(found: list[tuple[Array, Array, float]]) -> Errors | None:
+    """Return the statistics of what `depth_errors` found of several pairs; None: of none."""
+    if not found:
+        return None
+    relative, standardised = (np.concatenate([each[k] for each in found]) for k in (0, 1))
+    wrong = np.abs(relative) > 0.2
+    within = np.abs(standardised[~wrong]) < 2
+    return Errors(
+        median_relative=float(np.median(np.abs(relative))) if relative.size else np.nan,
+        wrong=float(wrong.mean()) if relative.size else np.nan,
+        within_two_std=float(within.mean()) if within.size else np.nan,
+        pixels=len(relative),
+        vertical_rms_px=float(np.sqrt(np.mean([each[2] ** 2 for each in found]))),
+    )

@@ -1,0 +1,174 @@
+"""Self-calibration of a recording: what it shows of a head, how well, and what it cannot show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from vergence.data.dataset import Dataset
+from vergence.data.stereo_rows import stereo_rows
+from vergence.errors import VergenceError
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.parameters import boxminus
+from vergence.geometry.projection import T_rcam_lcam, project_point
+from vergence.geometry.se3 import rotvec
+from vergence.progress import Progress, silent
+from vergence.self_calibration.frame import SelfCalibration
+from vergence.self_calibration.learning import learned_head
+from vergence.self_calibration.sequence import MOVED_RAD, see, seen_geometry
+from vergence.stereo.uncertainty import calibration_covariance
+
+OBSERVED, PARTLY = 0.5, 0.9
+"""Learned standard deviation over the prior one, up to which a parameter was observed or partly."""
+LEAST_VERGENCE_RAD = float(np.radians(3))
+"""Change of vergence below which focal lengths and gains hardly show."""
+_MOST_UNSEEN = 0.3
+"""Share of the frames that showed little, from which it is said."""
+_POINT_M = np.array([1.0, 0.0, 0.0])
+"""Straight ahead of the left eye's base: where the accuracy is stated."""
+
+
+@dataclass(frozen=True)
+class LearnedParameter:
+    """What a recording showed of one parameter."""
+
+    name: str
+    change: float
+    """Since the calibration: px, rad, m, or a plain number."""
+    prior_std: float
+    """Before: by the calibration's covariance, and what may have moved since."""
+    std: float
+    """After."""
+
+    @property
+    def verdict(self) -> Literal["observed", "partly", "not observed"]:
+        """By how much the recording has narrowed it."""
+        share = self.std / self.prior_std
+        return "observed" if share <= OBSERVED else "partly" if share <= PARTLY else "not observed"
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedSelfCalibration:
+    """A head as a recording shows it."""
+
+    head: HeadCalibration
+    """The learned calibration with its covariance; the given one where nothing could be learned."""
+    parameters: tuple[LearnedParameter, ...]
+    frames: int
+    """Rows that were used."""
+    seen: int
+    """Of these the ones that showed how the cameras stand to each other."""
+    learned: int
+    """Of these the ones from which was learned."""
+    depth_std_m: tuple[float, float] | None
+    """Of a point 1 m straight ahead, by the calibration alone: before and after; None: it is in
+    neither image."""
+    joint_std_rad: float
+    """Noise of a reading, as estimated."""
+    warnings: tuple[str, ...]
+
+
+def self_calibrate_dataset(
+    dataset: Dataset, head: HeadCalibration, *, progress: Progress = silent
+) -> RecordedSelfCalibration:
+    """Return what the images of both eyes show of a head that was calibrated before.
+
+    Rows with moving eyes are used or, where there are none, all rows that both eyes see.
+
+    Args:
+        dataset: images and joint readings.
+        head: its calibration.
+        progress: is called after each frame.
+
+    Raises:
+        VergenceError: the dataset does not fit the calibration (see `stereo_rows`), or it has eye
+            poses in place of joint readings.
+    """
+    if dataset.T_base_eye is not None:
+        raise VergenceError(
+            f"Self-calibration corrects joint readings; {dataset.folder} has poses of the eyes."
+        )
+    both = stereo_rows(dataset, head)
+    moving = dataset.moving[both.rows]
+    chosen = np.flatnonzero(moving) if moving.any() else np.arange(len(both))
+    geometry = seen_geometry(head, cameras=both.cameras)
+    before, seen, bumps = geometry.known, 0, []
+    task, vergence = "self-calibration, frames", []
+    progress(task, 0, len(chosen))
+    for k, row in enumerate(chosen):
+        frame = both.frame(int(row))
+        geometry = see(geometry, frame)
+        latest = geometry.latest
+        if latest is not None:
+            seen += latest.status == "seen"
+            T = T_rcam_lcam(latest.head, latest.joints, cameras=both.cameras)
+            vergence.append(rotvec(T[:3, :3])[1])
+        if geometry.learned_s == frame.time_s and geometry.known.bumped:
+            bumps.append(frame.time_s - dataset.time_s[0])
+        progress(task, k + 1, len(chosen))
+    moved = float(np.ptp(both.joints[chosen], axis=0).max()) >= MOVED_RAD
+    known = geometry.known
+    warnings = list(_warnings(head, len(chosen), seen, bumps))
+    if not moved:
+        warnings.append(
+            "The eyes did not move, so that nothing that persists can be told from errors of the "
+            "readings: the calibration is returned as it was."
+        )
+    elif np.ptp(vergence) < LEAST_VERGENCE_RAD:
+        warnings.append(
+            f"Vergence changed by {np.degrees(np.ptp(vergence)):.1f} degrees only: focal lengths "
+            "and gains hardly show while the eyes move in parallel."
+        )
+    return RecordedSelfCalibration(
+        head=learned_head(known) if moved else head,
+        parameters=_parameters(before, known),
+        frames=len(chosen),
+        seen=seen,
+        learned=known.frames,
+        depth_std_m=_depth_stds(before, known),
+        joint_std_rad=known.joint_std_rad,
+        warnings=tuple(warnings),
+    )
+
+
+def _parameters(before: SelfCalibration, after: SelfCalibration) -> tuple[LearnedParameter, ...]:
+    change = boxminus(after.head, before.head)
+    stds = (np.sqrt(np.diag(state.covariance)) for state in (before, after))
+    return tuple(
+        LearnedParameter(name, change[name], float(prior), float(std))
+        for name, prior, std in zip(before.names, *stds, strict=True)
+    )
+
+
+def _depth_stds(before: SelfCalibration, after: SelfCalibration) -> tuple[float, float] | None:
+    found = []
+    for state in (before, after):
+        head, straight = learned_head(state), np.zeros(len(state.head.kinematics.readings))
+        left, right = (project_point(head, c, straight, _POINT_M)[None] for c in state.cameras)
+        C = calibration_covariance(
+            head, left=left, right=right, joints=straight, cameras=state.cameras
+        )
+        found.append(float(np.sqrt(C[0, 0, 0])))
+    return (found[0], found[1]) if np.isfinite(found).all() else None
+
+
+def _warnings(head: HeadCalibration, frames: int, seen: int, bumps: list[float]) -> list[str]:
+    found = []
+    if head.accuracy is None or not head.accuracy.parameters:
+        found.append(
+            "The calibration states no covariance: the usual errors of such a procedure are "
+            "assumed in its place."
+        )
+    if seen < (1 - _MOST_UNSEEN) * frames:
+        found.append(
+            f"Only {seen} of {frames} frames showed how the cameras stand to each other; in the "
+            "others the prior stands, in part or wholly."
+        )
+    for time_s in bumps:
+        found.append(
+            f"A camera turned {time_s:.1f} s after the first row; which of the two, the images do "
+            "not tell."
+        )
+    return found

@@ -1,0 +1,112 @@
+"""The geometry of a head frame after frame, by what both its eyes see, with what was learned.
+
+This is the one way from a frame to a corrected geometry: the gaze, dense depth and recordings all
+take it. A frame is estimated with what the frames before it have taught, and then taught from.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.data.dataset import Frame
+from vergence.errors import VergenceError
+from vergence.geometry.head import HeadCalibration
+from vergence.self_calibration.frame import (
+    SelfCalibrated,
+    SelfCalibration,
+    self_calibrate_frame,
+    start,
+)
+from vergence.self_calibration.learning import learn
+
+Geometry = Literal["joints", "seen"]
+"""What tells how the eyes stand to each other: the calibration and the joint readings, or these
+corrected by what both eyes see."""
+LEARNING_S = 0.1
+"""Least time between frames from which is learned. Frames that follow each other more closely show
+the same features with the same errors: they are no independent measurements."""
+MOVED_RAD = float(np.radians(2.0))
+"""Least change of a reading between them, for the same reason: about the width of the windows that
+are matched. Eyes at rest see the same again."""
+_SLACK_S = 1e-6  # so that rounding of time stamps drops no frame
+
+
+@dataclass(frozen=True, eq=False)
+class SeenGeometry:
+    """What is known of a head after some frames."""
+
+    known: SelfCalibration
+    """What persists, learned from all frames so far."""
+    latest: SelfCalibrated | None = None
+    """Head and joint angles at the latest frame, with what was known before it; None: no frame."""
+    time_s: float | None = None
+    """Of the latest frame."""
+    learned_s: float | None = None
+    """Of the latest frame from which was learned, at the beginning of the first."""
+    learned_at: Array | None = None
+    """(r,) its readings [rad]."""
+
+
+def seen_geometry(head: HeadCalibration, *, cameras: tuple[str, str] | None = None) -> SeenGeometry:
+    """Return what is known of a head before its first frame.
+
+    Args:
+        head: with a camera in each eye.
+        cameras: names of the left and the right camera that see the scene; None: the main ones.
+
+    Raises:
+        VergenceError: the head has one eye.
+    """
+    return SeenGeometry(start(head, cameras=cameras))
+
+
+def see(before: SeenGeometry, frame: Frame, joints: Array | None = None) -> SeenGeometry:
+    """Return the geometry after a frame: `latest` is the frame's own, `known` has learned from it.
+
+    From frames less than LEARNING_S apart, or at the same posture to MOVED_RAD, `known` does not
+    learn, and so not before the eyes have moved. Time that goes back, as where another run begins,
+    counts as none.
+
+    Args:
+        before: after the frame before.
+        frame: with an image of each camera of the pair.
+        joints: (r,) readings at the moment of the images [rad]; None: the frame's.
+
+    Raises:
+        VergenceError: an image is missing, or of another size than the calibration's, or the
+            readings are not as many as the head has.
+    """
+    known = before.known
+    joints = frame.eye_angles if joints is None else joints
+    readings = known.head.kinematics.readings
+    if joints.shape != (len(readings),):
+        raise VergenceError(
+            f"This head has the joint readings {', '.join(readings)}; found an array of shape "
+            f"{joints.shape} in their place."
+        )
+    for name in known.cameras:
+        if name not in frame.images:
+            raise VergenceError(
+                f"The geometry is seen by {' and '.join(known.cameras)}; the frame has images of "
+                f"{', '.join(frame.images) or 'no camera'}."
+            )
+        lens, found = known.head.camera(name).intrinsics, frame.images[name].shape[:2]
+        if found != (lens.height, lens.width):
+            raise VergenceError(
+                f"The calibration of {name} is for images of {lens.width} x {lens.height} px, but "
+                f"the frame's have {found[1]} x {found[0]} px."
+            )
+    left, right = (frame.images[name] for name in known.cameras)
+    latest = self_calibrate_frame(known, left, right, joints)
+    if before.learned_s is None or before.learned_at is None:
+        return SeenGeometry(known, latest, frame.time_s, frame.time_s, joints)
+    elapsed_s = frame.time_s - before.learned_s
+    at_rest = np.abs(joints - before.learned_at).max() < MOVED_RAD
+    if at_rest or 0 < elapsed_s < LEARNING_S - _SLACK_S:
+        return replace(before, latest=latest, time_s=frame.time_s)
+    known = learn(known, latest, max(elapsed_s, 0.0))
+    return SeenGeometry(known, latest, frame.time_s, frame.time_s, joints)
