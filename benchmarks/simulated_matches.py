@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.lens import reach
 from vergence.geometry.parameters import change_named
-from vergence.geometry.projection import eye_poses, project_point
+from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.self_calibration.frame import SelfCalibration
 from vergence.vision.scene_features import Matches

@@ -12,8 +12,8 @@ from vergence import cli
 from vergence.demos import experiment
 from vergence.errors import VergenceError
 from vergence.geometry.camera import normalise
+from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import save_head
-from vergence.geometry.projection import eye_poses
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.dense_depth import LEAST_STD_PX, dense_depth, point_cloud
 from vergence.stereo.rectification import RectifiedPair, rectify

@@ -9,6 +9,7 @@ import pytest
 
 from simulated_head import plain_head, skewed_head
 from vergence.errors import VergenceError
+from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import (
     HeadCalibration,
     T_base_cam,
@@ -20,7 +21,6 @@ from vergence.geometry.head import (
 )
 from vergence.geometry.kinematics import Neck
 from vergence.geometry.parameters import parameter_names
-from vergence.geometry.projection import eye_poses
 from vergence.geometry.se3 import inverse, transform
 from vergence.writing import write_whole
 

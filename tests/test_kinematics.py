@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from simulated_head import random_pan_tilt
+from vergence.geometry.eye_motion import eye_linearised
 from vergence.geometry.kinematics import (
     EYES,
     Chain,
@@ -17,7 +18,6 @@ from vergence.geometry.kinematics import (
     T_body_head,
     chain_pose,
     change_joints,
-    eye_linearised,
     eye_turn,
     joint_parameters,
     pan_tilt,

@@ -9,10 +9,11 @@ from simulated_head import plain_head, skewed_head
 from test_triangulation import random_samples
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
+from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import Accuracy, HeadCalibration
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.parameters import parameter_names
-from vergence.geometry.projection import eye_poses, project_point
+from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import boxplus as moved
 from vergence.geometry.se3 import inverse
 from vergence.paper.figures import FIGURES, Figure

@@ -29,9 +29,10 @@ from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
 from vergence.calibration.observations import Observations
 from vergence.commands import plan as command
 from vergence.errors import VergenceError
+from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration, save_head
 from vergence.geometry.parameters import without_offsets
-from vergence.geometry.projection import eye_poses, project_point
+from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.uncertainty import calibration_covariance
 

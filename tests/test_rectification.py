@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from drawn_head import four_cameras
 from vergence.errors import VergenceError
 from vergence.geometry.camera import pinhole, project
+from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.lens import reach
-from vergence.geometry.projection import eye_poses, project_point
+from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, pose, rotation, transform
 from vergence.stereo.rectification import (
     MAP_ERROR_PX,

@@ -12,9 +12,10 @@ from simulated_head import plain_head, skewed_head
 from test_triangulation import random_samples
 from vergence.errors import VergenceError
 from vergence.geometry.camera import project
+from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES
-from vergence.geometry.projection import eye_poses, project_point
+from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import boxplus, rotation
 from vergence.stereo.depth_error import depth_error, disparity_error, predicted_depth_std
 from vergence.stereo.triangulation import triangulate_at

@@ -19,6 +19,7 @@ from vergence.geometry.head import HeadCalibration, main_pair
 from vergence.geometry.parameters import parameter_names
 from vergence.geometry.projection import project_point, stereo_cameras
 from vergence.stereo.linearised import Linearised, by_head_parameters, linearised, pair_parameters
+from vergence.stereo.triangulation import pixel_noise
 from vergence.stereo.uncertainty import noise_of_readings
 
 TIME_OFFSET = "time_offset_s"
@@ -40,7 +41,8 @@ class Source:
     """One source of errors: white noise of pixels or joints, or a known error of the head."""
 
     name: str
-    pixel_std_px: float = 0.0
+    pixel_std_px: float | Array = 0.0
+    """Of each coordinate, or of left u, left v, right u, right v (4,)."""
     joint_std_rad: float | Array = 0.0
     """Of each reading, or (r,)."""
     errors: Mapping[str, float] = field(default_factory=dict)
@@ -186,9 +188,8 @@ def _check_names(head: HeadCalibration, source: Source) -> None:
 
 def _white(seen: Linearised, source: Source) -> Array:
     """Return the variance (3,) [m^2] that white noise makes, in the mean over the motion."""
-    T = seen.points.shape[1]
-    stds = noise_of_readings(source.joint_std_rad, seen.by_readings.shape[1], T)
-    pixels = (seen.by_pixels * source.pixel_std_px) ** 2
+    stds = noise_of_readings(source.joint_std_rad, seen.by_readings.shape[1])
+    pixels = (seen.by_pixels * pixel_noise(source.pixel_std_px)) ** 2
     readings = (seen.by_readings * stds) ** 2
     return pixels.sum(axis=1).mean(axis=1) + readings.sum(axis=1).mean(axis=1)
 

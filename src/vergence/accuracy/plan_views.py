@@ -14,10 +14,11 @@ from vergence.arrays import Array
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board, corner_points
+from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration, main_pair
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.lens import reach
-from vergence.geometry.projection import eye_poses, project_at
+from vergence.geometry.projection import project_at
 from vergence.geometry.se3 import inverse, pose, rotation, transform
 
 MARGIN_PX = 10.0

@@ -12,13 +12,10 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
+from vergence.geometry.eye_motion import eye_poses_with_jacobians
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import parameter_names
-from vergence.geometry.projection import (
-    eye_poses_with_jacobians,
-    project_point,
-    project_with_jacobians,
-)
+from vergence.geometry.projection import project_point, project_with_jacobians
 from vergence.geometry.se3 import inverse
 from vergence.stereo.linearised import by_head_parameters, linearised, pair_parameters
 

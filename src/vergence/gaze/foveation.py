@@ -19,8 +19,9 @@ from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.gaze.roles import EyeCameras, default_roles
 from vergence.geometry.camera import normalise, project
+from vergence.geometry.eye_motion import eye_linearised
 from vergence.geometry.head import HeadCalibration, T_narrow_wide
-from vergence.geometry.kinematics import Side, eye_linearised
+from vergence.geometry.kinematics import Side
 from vergence.geometry.se3 import cross, inverse, transform
 
 _NEWTON_STEPS = 20

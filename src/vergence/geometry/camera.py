@@ -8,7 +8,9 @@ and beyond are not supported, whatever the lens. See docs/conventions.md.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import field
+from functools import cached_property
 from typing import Annotated
 
 import numpy as np
@@ -17,6 +19,17 @@ from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Array, Matrix3, Vector
 from vergence.geometry import lens
+from vergence.geometry.components import (
+    Component,
+    Rows,
+    anywhere,
+    components,
+    positive,
+    quotient,
+    silent,
+    stacked,
+    where,
+)
 from vergence.geometry.lens import COEFFICIENTS, CameraModel
 
 MAX_IMAGE_PX = 20_000
@@ -72,14 +85,15 @@ class Camera:
                 f"the matrix has rows (fx, s, cx), (0, fy, cy), (0, 0, 1), found {rows}"
             )
 
-
-def _coefficients(camera: Camera) -> tuple[float, ...]:
-    return tuple(camera.distortion.tolist())
+    @cached_property
+    def coefficients(self) -> tuple[float, ...]:
+        """The distortion, in plain numbers."""
+        return tuple(self.distortion.tolist())
 
 
 def _distortion(camera: Camera, x: Array, y: Array) -> tuple[Array, ...]:
     """Return distorted x', y', and dx'/dx, dx'/dy (which is dy'/dx), dy'/dy, each shaped as x."""
-    return lens.distort(camera.model, _coefficients(camera), x, y)
+    return lens.distort(camera.model, camera.coefficients, x, y)
 
 
 def project(camera: Camera, points_cam: Array) -> Array:
@@ -87,10 +101,16 @@ def project(camera: Camera, points_cam: Array) -> Array:
 
     Points that are not in front of the camera, and NaN, give NaN.
     """
-    z = points_cam[..., 2:]
-    xy = points_cam[..., :2] / np.where(z > 0, z, np.nan)
-    distorted = np.stack(_distortion(camera, xy[..., 0], xy[..., 1])[:2], axis=-1)
-    return distorted @ camera.matrix[:2, :2].T + camera.matrix[:2, 2]
+    pixel = pixel_rows(camera, components(np.moveaxis(points_cam, -1, 0)))
+    return np.moveaxis(stacked(pixel, points_cam.shape[:-1]), 0, -1)
+
+
+def pixel_rows(camera: Camera, point: Sequence[Component]) -> Sequence[Component]:
+    """Return the pixel of a point in frame cam, by components."""
+    (fx, skew, cx), (_, fy, cy), _ = camera.matrix.tolist()
+    inv_z = 1 / positive(point[2])
+    x, y, *_ = _distortion(camera, point[0] * inv_z, point[1] * inv_z)
+    return fx * x + skew * y + cx, fy * y + cy
 
 
 def project_jacobians(camera: Camera, points_cam: Array) -> tuple[Array, Array, Array]:
@@ -98,40 +118,39 @@ def project_jacobians(camera: Camera, points_cam: Array) -> tuple[Array, Array, 
 
     The intrinsics are fx, fy, cx, cy and the coefficients of the lens model.
     """
-    pixels, by_point, by_lens = projection_rows(camera, np.moveaxis(points_cam, -1, 0))
-    by_point, by_lens = (np.moveaxis(each, (0, 1), (-2, -1)) for each in (by_point, by_lens))
-    return np.moveaxis(pixels, 0, -1), by_point, by_lens
+    shape = points_cam.shape[:-1]
+    pixels, *rows = projection_rows(camera, components(np.moveaxis(points_cam, -1, 0)))
+    by_point, by_lens = (np.moveaxis(stacked(each, shape, 2), (0, 1), (-2, -1)) for each in rows)
+    return np.moveaxis(stacked(pixels, shape), 0, -1), by_point, by_lens
 
 
 def projection_rows(
-    camera: Camera, points_cam: Array, *, intrinsics: bool = True
-) -> tuple[Array, Array, Array]:
-    """Return what project_jacobians does, components first: (2, ...), (2, 3, ...), (2, n, ...).
+    camera: Camera, point: Sequence[Component], *, intrinsics: bool = True
+) -> tuple[Sequence[Component], Rows, Rows]:
+    """Return what project_jacobians does, by components: (2), (2, 3) and (2, n).
 
-    Points are (3, ...) too; numpy is several times as fast on long rows as on small matrices. Where
-    the derivatives by the intrinsics are not wanted, n is 0.
+    Where the derivatives by the intrinsics are not wanted, n is 0.
     """
     (fx, skew, cx), (_, fy, cy), _ = camera.matrix.tolist()
-    z = points_cam[2]
-    inv_z = 1 / np.where(z > 0, z, np.nan)
-    x, y = points_cam[0] * inv_z, points_cam[1] * inv_z
+    inv_z = 1 / positive(point[2])
+    x, y = point[0] * inv_z, point[1] * inv_z
     distorted_x, distorted_y, xx, cross, yy = _distortion(camera, x, y)
-    pixels, by_point = np.empty((2, *z.shape)), np.empty((2, 3, *z.shape))
-    pixels[0], pixels[1] = fx * distorted_x + skew * distorted_y + cx, fy * distorted_y + cy
-    by_point[0, 0], by_point[0, 1] = fx * xx + skew * cross, fx * cross + skew * yy
-    by_point[1, 0], by_point[1, 1] = fy * cross, fy * yy
-    by_point[:, :2] *= inv_z
-    by_point[:, 2] = -x * by_point[:, 0] - y * by_point[:, 1]
+    by_point = []
+    for along_x, along_y in (
+        (fx * xx + skew * cross, fx * cross + skew * yy),
+        (fy * cross, fy * yy),
+    ):
+        along_x, along_y = along_x * inv_z, along_y * inv_z
+        by_point.append((along_x, along_y, -x * along_x - y * along_y))
+    pixel = fx * distorted_x + skew * distorted_y + cx, fy * distorted_y + cy
     if not intrinsics:
-        return pixels, by_point, np.empty((2, 0, *z.shape))
-    k = _coefficients(camera)
-    by_intrinsics = np.zeros((2, 4 + len(k), *z.shape))
-    by_intrinsics[0, 0], by_intrinsics[1, 1] = distorted_x, distorted_y
-    by_intrinsics[0, 2] = by_intrinsics[1, 3] = 1.0
-    of_x, of_y = lens.by_coefficients(camera.model, k, x, y)
-    by_intrinsics[0, 4:] = fx * of_x + skew * of_y
-    by_intrinsics[1, 4:] = fy * of_y
-    return pixels, by_point, by_intrinsics
+        return pixel, by_point, ((), ())
+    of_x, of_y = lens.by_coefficients(camera.model, camera.coefficients, x, y)
+    by_intrinsics = (
+        [distorted_x, 0.0, 1.0, 0.0, *(fx * a + skew * b for a, b in zip(of_x, of_y, strict=True))],
+        [0.0, distorted_y, 0.0, 1.0, *(fy * b for b in of_y)],
+    )
+    return pixel, by_point, by_intrinsics
 
 
 def normalise(camera: Camera, pixels: Array) -> Array:
@@ -140,46 +159,37 @@ def normalise(camera: Camera, pixels: Array) -> Array:
     Newton's method to machine precision. Pixels beyond the reach of the lens model (where it folds
     over, or 90 degrees from the axis) give NaN.
     """
-    xy, _ = normalised_rows(camera, np.moveaxis(pixels, -1, 0))
-    return np.ascontiguousarray(np.moveaxis(xy, 0, -1))
+    xy, _ = normalised_rows(camera, *components(np.moveaxis(pixels, -1, 0)))
+    return np.ascontiguousarray(np.moveaxis(stacked(xy, pixels.shape[:-1]), 0, -1))
 
 
-def normalised_rows(camera: Camera, pixels: Array) -> tuple[Array, Array]:
-    """Return normalised coordinates (2, ...) of pixels (2, ...), and their slopes (2, 2, ...).
+def normalised_rows(camera: Camera, u: Component, v: Component) -> tuple[Sequence[Component], Rows]:
+    """Return normalised coordinates (x/z, y/z) of pixels, and their slopes (2, 2), by components.
 
     The slopes are the derivatives of the pixels by the normalised coordinates, to the precision to
     which these were known before the last step, 1e-9.
     """
     (fx, skew, cx), (_, fy, cy), _ = camera.matrix.tolist()
-    wanted_y = (pixels[1] - cy) / fy
-    wanted_x = (pixels[0] - cx - skew * wanted_y) / fx
-    xy, slopes = np.empty(pixels.shape), np.empty((2, *pixels.shape))
+    wanted_y = (v - cy) / fy
+    wanted_x = (u - cx - skew * wanted_y) / fx
     if camera.model != "fisheye" and not camera.distortion.any():
-        xy[0], xy[1] = wanted_x, wanted_y
-        slopes[0, 0], slopes[0, 1], slopes[1, 0], slopes[1, 1] = fx, skew, 0.0, fy
-        return xy, slopes
-    k = _coefficients(camera)
-    if wanted_x.size == 1:  # numpy is six times as fast on a number as on an array of one
-        wanted_x, wanted_y = wanted_x.reshape(-1)[0], wanted_y.reshape(-1)[0]
+        return (wanted_x, wanted_y), ((fx, skew), (0.0, fy))
+    k = camera.coefficients
     x, y = lens.first_guess(camera.model, k, wanted_x, wanted_y)
     xx = cross = yy = det = squared = x
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+    with silent(x):
         for _ in range(20):
             distorted_x, distorted_y, xx, cross, yy = _distortion(camera, x, y)
             error_x, error_y = distorted_x - wanted_x, distorted_y - wanted_y
             squared, det = error_x * error_x + error_y * error_y, xx * yy - cross * cross
-            x = x - (yy * error_x - cross * error_y) / det
-            y = y - (xx * error_y - cross * error_x) / det
-            if not (squared > 1e-18).any():  # NaN is none; this step has squared the error
+            x = x - quotient(yy * error_x - cross * error_y, det)
+            y = y - quotient(xx * error_y - cross * error_x, det)
+            if not anywhere(squared > 1e-18):  # NaN is none; this step has squared the error
                 break
         good = (squared < 1e-18) & (det > 0)
-        good &= x * x + y * y < lens.reach(camera.model, k)  # another sheet may reach back
-    xy[0], xy[1] = x, y
-    if not good.all():
-        xy[:, ~good] = np.nan
-    slopes[0, 0], slopes[0, 1] = fx * xx + skew * cross, fx * cross + skew * yy
-    slopes[1, 0], slopes[1, 1] = fy * cross, fy * yy
-    return xy, slopes
+        good = good & (x * x + y * y < lens.reach(camera.model, k))  # another sheet may reach back
+    x, y = where(good, x), where(good, y)
+    return (x, y), ((fx * xx + skew * cross, fx * cross + skew * yy), (fy * cross, fy * yy))
 
 
 def normalise_area(camera: Camera, xy: Array) -> Array:

@@ -8,18 +8,22 @@ linear combination of readings. The default of an eye is the paper's: pan, a rig
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass as plain_dataclass
 from dataclasses import field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import MAX_M, Array, Vector3, Vectors3
-from vergence.geometry.se3 import cross, hat, rotation
+from vergence.geometry import se3
+from vergence.geometry.chain import (
+    Chain,
+    chain_pose,
+)
+from vergence.geometry.se3 import rotation
 
 Side = Literal["left", "right"]
 EYES: tuple[Side, Side] = ("left", "right")
@@ -28,87 +32,6 @@ EYE_JOINTS = ("left_pan", "left_tilt", "right_pan", "right_tilt")
 NECK_JOINTS = ("neck_pitch", "neck_roll", "neck_yaw")
 AXIS_NAMES = {"pan": (0.0, 0.0, 1.0), "tilt": (0.0, 1.0, 0.0), "roll": (1.0, 0.0, 0.0)}
 """The axes of a head that stands upright: up, to the left, ahead."""
-
-
-@plain_dataclass(frozen=True, eq=False)
-class Chain:
-    """n revolute joints from a base outwards, moved by r readings.
-
-    Axes and points are given in the base with every joint at zero, where all frames are parallel.
-    """
-
-    axes: Array
-    """(n, 3) unit vectors."""
-    points_m: Array
-    """(n, 3) a point on each axis."""
-    end_m: Array
-    """(3,) origin of the frame at the end of the chain."""
-    mixing: Array
-    """(n, r): angles = mixing @ readings + offset."""
-    offset_rad: Array
-    """(n,)."""
-
-    @cached_property
-    def constants(self) -> tuple[Array, Array, Array]:
-        """Generators (n, 3, 3) of the turns, their squares, and steps (n, 3) between joints."""
-        generators = hat(self.axes)
-        steps = np.diff(np.concatenate([self.points_m, self.end_m[None]]), axis=0)
-        return generators, generators @ generators, steps
-
-
-def chain_pose(chain: Chain, readings: Array) -> Array:
-    """Return the pose (..., 4, 4) of the chain's end in its base at readings (..., r) [rad]."""
-    R, t = _joint_frames(chain, readings)
-    return _pose(R[-1], t[-1])
-
-
-def _pose(R: Array, t: Array) -> Array:
-    """Return poses (..., 4, 4) of R (3, 3, ...) and t (3, ...)."""
-    T = np.zeros((4, 4, *t.shape[1:]))
-    T[:3, :3], T[:3, 3], T[3, 3] = R, t, 1.0
-    return _last(T)
-
-
-def _last(array: Array) -> Array:
-    """Return an array (a, b, ...) as (..., a, b)."""
-    return array.transpose(*range(2, array.ndim), 0, 1) if array.ndim > 2 else array
-
-
-def _spread(array: Array, batch: int) -> Array:
-    """Return an array that broadcasts with others of `batch` more dimensions behind."""
-    return array.reshape(array.shape + (1,) * batch)
-
-
-def _angle_jacobian(chain: Chain, R: Array, t: Array) -> Array:
-    """Return the Jacobian (6, n, ...): a joint turns the end about its axis, and moves it so."""
-    axes = np.add.reduce(R[:-1] * _spread(chain.axes[:, None], t.ndim - 2), axis=2).swapaxes(0, 1)
-    return np.concatenate([axes, cross(axes, (t[-1] - t[:-1]).swapaxes(0, 1), axis=0)])
-
-
-def _joint_frames(chain: Chain, readings: Array) -> tuple[Array, Array]:
-    """Return R (n+1, 3, 3, ...), t (n+1, 3, ...): each joint before its turn, and the end.
-
-    The components come first: numpy is several times as fast on long rows as on small matrices.
-    """
-    n, shape = len(chain.axes), readings.shape[:-1]
-    R, t = np.empty((n + 1, 3, 3, *shape)), np.empty((n + 1, 3, *shape))
-    R[0] = _spread(np.eye(3), len(shape))
-    if not n:
-        t[0] = _spread(chain.end_m, len(shape))
-        return R, t
-    generators, squares, steps = chain.constants
-    angles = readings @ chain.mixing.T + chain.offset_rad
-    angles = angles.transpose(-1, *range(len(shape)))[:, None, None]
-    # Rodrigues' formula.
-    turns = np.sin(angles) * _spread(generators, len(shape))
-    turns += (1 - np.cos(angles)) * _spread(squares, len(shape))
-    turns += R[0]
-    R[1], t[0] = turns[0], _spread(chain.points_m[0], len(shape))
-    for k in range(1, n):
-        R[k + 1] = np.add.reduce(R[k][:, :, None] * turns[k], axis=1)
-    moves = np.add.reduce(R[1:] * _spread(steps[:, None], len(shape)), axis=2)
-    np.add.accumulate(np.concatenate([t[:1], moves]), axis=0, out=t)
-    return R, t
 
 
 _Number = Annotated[float, Field(ge=-1e3, le=1e3)]
@@ -213,6 +136,11 @@ class Kinematics:
         """By eye its chain, with the errors of its joints."""
         return {eye: _eye_chain(self.eyes[eye], self.readings) for eye in EYES}
 
+    @cached_property
+    def errors(self) -> Mapping[Side, tuple[_Error, ...]]:
+        """By eye what may differ of its joints, in the order of joint_parameters."""
+        return {eye: _errors(self.eyes[eye], self.readings) for eye in EYES}
+
     def used(self, eye: Side) -> list[int]:
         """Return which of the readings move an eye, in the order of the joints that they move."""
         mixing = self.chains[eye].mixing != 0
@@ -234,7 +162,7 @@ def _check_joints(whose: str, joints: tuple[Joint, ...], readings: tuple[str, ..
                 f"of the readings {', '.join(readings)}"
             )
     for before, joint in pairwise(joints):
-        if np.linalg.norm(cross(before.axis, joint.axis)) < PARALLEL:
+        if np.linalg.norm(se3.cross(before.axis, joint.axis)) < PARALLEL:
             raise ValueError(
                 f"joints {before.name} and {joint.name} of the {whose} have parallel axes; where "
                 "they coincide give one joint with the readings of both, otherwise the eyes' poses"
@@ -243,7 +171,7 @@ def _check_joints(whose: str, joints: tuple[Joint, ...], readings: tuple[str, ..
 
 def _normal(before: Joint, joint: Joint) -> Array:
     """Return the unit vector (3,) of the common normal of two successive axes."""
-    normal = cross(joint.axis, before.axis)
+    normal = se3.cross(joint.axis, before.axis)
     return normal / np.linalg.norm(normal)
 
 
@@ -339,46 +267,35 @@ def T_base_eye(kinematics: Kinematics, eye: Side, readings: Array) -> Array:
     return chain_pose(kinematics.chains[eye], readings)
 
 
-def eye_linearised(
-    kinematics: Kinematics, eye: Side, readings: Array
-) -> tuple[Array, Array, Array]:
-    """Return T_base_eye (..., 4, 4) and its derivatives, in the increment of `se3.boxplus`.
+class _Error(NamedTuple):
+    """One of the errors of an eye's joints: of an angle, or of an axis."""
 
-    By the errors of the joints (..., 6, a), in the order of joint_parameters, and by the readings
-    (..., 6, r). Readings are (..., r) [rad].
-    """
-    chain, joints = kinematics.chains[eye], kinematics.eyes[eye]
-    R, t = _joint_frames(chain, readings)
-    by_angle = _angle_jacobian(chain, R, t)
-    fields = joint_parameters(joints)
-    by_errors = np.zeros((6, len(fields), *by_angle.shape[2:]))
-    for column, (k, name) in enumerate(fields):
+    joint: int
+    mixing: list[tuple[int, float]]
+    """Of an angle, which changes by constant + mixing @ readings."""
+    constant: float
+    direction: list[float] | None
+    """Of an axis, that it is turned about or shifted along."""
+    tilts: bool
+
+
+def _errors(joints: tuple[Joint, ...], names: tuple[str, ...]) -> tuple[_Error, ...]:
+    """Return the errors of joints in the order of joint_parameters."""
+    found = []
+    for k, name in joint_parameters(joints):
+        joint, mixing, direction = joints[k], {}, None
         if name == "gain":
-            factors = np.array([joints[k].readings.get(one, 0.0) for one in kinematics.readings])
-            by_errors[:, column] = by_angle[:, k] * (readings @ factors)
+            mixing = joint.readings
         elif name.startswith("factor_"):
-            reading = kinematics.readings.index(name.removeprefix("factor_"))
-            by_errors[:, column] = by_angle[:, k] * joints[k].gain * readings[..., reading]
-        elif name == "offset_rad":
-            by_errors[:, column] = by_angle[:, k]
-        elif name == "nonorthogonality_rad":
-            # The axis is turned about the normal n: its turn R becomes exp(e n) R exp(-e n).
-            normal = _normal(joints[k - 1], joints[k])
-            turn = _times(R[k] - R[k + 1], normal)
-            by_errors[:3, column] = turn
-            by_errors[3:, column] = cross(turn, t[-1] - t[k], axis=0)
-        else:
-            slides = name == "slide_m"
-            along = joints[k].axis if slides else _normal(joints[k - 1], joints[k])
-            by_errors[3:, column] = _times(R[k], along)
-    mixing = _spread(chain.mixing, by_angle.ndim - 2)
-    by_readings = np.add.reduce(by_angle[:, :, None] * mixing, axis=1)
-    return _pose(R[-1], t[-1]), _last(by_errors), _last(by_readings)
-
-
-def _times(R: Array, vector: Array) -> Array:
-    """Return the products (3, ...) of R (3, 3, ...) and one vector (3,)."""
-    return np.add.reduce(R * _spread(vector, R.ndim - 2), axis=1)
+            mixing = {name.removeprefix("factor_"): joint.gain}
+        elif name == "slide_m":
+            direction = joint.axis.tolist()
+        elif name != "offset_rad":
+            direction = _normal(joints[k - 1], joint).tolist()
+        terms = [(names.index(one), float(factor)) for one, factor in mixing.items()]
+        constant = float(name == "offset_rad")
+        found.append(_Error(k, terms, constant, direction, name == "nonorthogonality_rad"))
+    return tuple(found)
 
 
 @dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))

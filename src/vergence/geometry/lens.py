@@ -13,12 +13,14 @@ Directions are given by x/z and y/z, so all models end at 90 degrees from the ax
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.geometry.components import Component, quotient
 
 CameraModel = Literal["radial-tangential", "rational", "fisheye"]
 COEFFICIENTS: dict[CameraModel, tuple[str, ...]] = {
@@ -35,7 +37,9 @@ _LARGEST_TANGENT = 100.0
 """Of the angle from the axis up to which a rational lens is inverted: 89.4 degrees."""
 
 
-def distort(model: CameraModel, k: Coefficients, x: Array, y: Array) -> tuple[Array, ...]:
+def distort(
+    model: CameraModel, k: Coefficients, x: Component, y: Component
+) -> tuple[Component, ...]:
     """Return distorted x', y', and dx'/dx, dx'/dy (which is dy'/dx), dy'/dy, each shaped as x.
 
     x and y are x/z and y/z; k are the coefficients of the model.
@@ -52,9 +56,9 @@ def distort(model: CameraModel, k: Coefficients, x: Array, y: Array) -> tuple[Ar
         below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
         slope_below = 2 * (k4 + r2 * (2 * k5 + 3 * k6 * r2))
         with np.errstate(divide="ignore", invalid="ignore"):  # at a pole the result is NaN
-            radial = radial / below
-            slope = (slope - radial * slope_below) / below
-    with np.errstate(invalid="ignore"):
+            radial = quotient(radial, below)
+            slope = quotient(slope - radial * slope_below, below)
+    with nullcontext() if type(x) is float else np.errstate(invalid="ignore"):
         return (
             x * radial + 2 * p1 * xy + p2 * (r2 + 2 * x2),
             y * radial + p1 * (r2 + 2 * y2) + 2 * p2 * xy,
@@ -84,28 +88,28 @@ def _radius_slope(k: Coefficients, theta: Array) -> Array:
     return 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * 9 * k4)))
 
 
-def by_coefficients(model: CameraModel, k: Coefficients, x: Array, y: Array) -> Array:
-    """Return the derivatives (2, n, ...) of distorted x', y' by the n coefficients of the model."""
+def by_coefficients(
+    model: CameraModel, k: Coefficients, x: Component, y: Component
+) -> tuple[list[Component], list[Component]]:
+    """Return the derivatives of distorted x' and of y' by the n coefficients of the model."""
     r2 = x * x + y * y
     if model == "fisheye":
         r = np.maximum(np.sqrt(r2), _SMALLEST_RADIUS)
         theta = np.arctan(r)
-        powers = np.stack([theta**n / r for n in (3, 5, 7, 9)])
-        return np.stack([x * powers, y * powers])
-    r4 = r2 * r2
-    xy, r6 = 2 * x * y, r4 * r2
-    rows = np.empty((2, len(k), *r2.shape))
-    for row, (own, terms) in zip(
-        rows, ((x, (xy, r2 + 2 * x * x)), (y, (r2 + 2 * y * y, xy))), strict=True
-    ):
-        row[0], row[1], row[4], row[2:4] = own * r2, own * r4, own * r6, terms
+        powers = [theta**n / r for n in (3, 5, 7, 9)]
+        return [x * power for power in powers], [y * power for power in powers]
+    radial, twice_xy = [r2, r2 * r2, r2 * r2 * r2], 2 * x * y
     if model == "rational":
         k1, k2, _, _, k3, k4, k5, k6 = k
         below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
-        radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / below
-        rows[:, [0, 1, 4]] /= below
-        rows[:, 5:] = -radial * rows[:, [0, 1, 4]]
-    return rows
+        factor = quotient(1 + r2 * (k1 + r2 * (k2 + r2 * k3)), below)
+        radial = [quotient(power, below) for power in radial]
+        radial += [-factor * power for power in radial]
+    rows = []
+    for own, tangential in ((x, (twice_xy, r2 + 2 * x * x)), (y, (r2 + 2 * y * y, twice_xy))):
+        first, second, *others = (own * power for power in radial)
+        rows.append([first, second, *tangential, *others])
+    return rows[0], rows[1]
 
 
 @lru_cache(maxsize=1024)

@@ -7,17 +7,35 @@ other at any posture of the eyes (Eqs. 10 and 11). Points are in the left eye's 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.geometry.camera import project, projection_rows
+from vergence.geometry import se3
+from vergence.geometry.camera import pixel_rows, projection_rows
+from vergence.geometry.components import (
+    Component,
+    Rows,
+    Vector,
+    components,
+    cross,
+    minus,
+    plus,
+    pose_components,
+    product,
+    stacked,
+    times,
+    transposed,
+)
+from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration, MountedCamera, main_pair
-from vergence.geometry.kinematics import EYES, T_base_eye, eye_linearised
-from vergence.geometry.parameters import axes_names
-from vergence.geometry.se3 import cross, inverse
+from vergence.geometry.kinematics import T_base_eye
+from vergence.geometry.se3 import inverse
 
 
 def project_point(head: HeadCalibration, camera: str, joints: Array, points: Array) -> Array:
@@ -45,37 +63,29 @@ def project_at(
     mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array, points: Array
 ) -> Array:
     """Return pixels (..., K, 2) of points (..., K, 3) [m] in the left eye's base, by eye poses."""
-    in_camera = _through(mounted, T_rbase_lbase, T_base_eye, points)[-1]
-    return project(mounted.intrinsics, np.moveaxis(in_camera, 0, -1))
+    T, p = T_base_eye[..., None, :, :], np.moveaxis(points, -1, 0)
+    shape = np.broadcast_shapes(T.shape[:-2], p.shape[1:])
+    R, t = pose_components(T)
+    in_camera = _through(mounted, T_rbase_lbase, R, t, components(p))[-1]
+    return np.moveaxis(stacked(pixel_rows(mounted.intrinsics, in_camera), shape), 0, -1)
 
 
 def _through(
-    mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array, points: Array
-) -> tuple[Array, Array, Array, Array]:
-    """Return points (3, ..., K) in four steps from the left eye's base to the camera.
+    mounted: MountedCamera, T_rbase_lbase: Array, R: Rows, t: Vector, point: Vector
+) -> tuple[Vector, Vector, Vector, Vector]:
+    """Return a point in four steps from the left eye's base to the camera.
 
     In the axes of the camera's eye base; from the eye's origin, in that base; from the camera,
-    along the axes of the eye; and in frame cam. Points (..., K, 3) are given as elsewhere; inside,
-    the components come first, since numpy is fast on long rows.
+    along the axes of the eye; and in frame cam. The pose of the eye in its base is R, t.
     """
-    missing = T_base_eye.ndim - points.ndim
-    points = points.reshape((1,) * missing + points.shape)
-    T = T_base_eye.reshape((1,) * -missing + T_base_eye.shape)
-    T = T.transpose(-2, -1, *range(T.ndim - 2))[..., None]
-    points = points.transpose(-1, *range(points.ndim - 1))
-    right = mounted.eye == "right"
-    turned = rotated(T_rbase_lbase, points) if right else points
-    arm = turned - T[:3, 3]
-    if right:
-        arm += T_rbase_lbase[:3, 3].reshape(3, *(1,) * (arm.ndim - 1))
-    from_camera = np.add.reduce(T[:3, :3] * arm[:, None], axis=0)
-    from_camera -= mounted.T_eye_cam[:3, 3].reshape(3, *(1,) * (arm.ndim - 1))
-    return turned, arm, from_camera, rotated(mounted.T_eye_cam.T, from_camera)
-
-
-def rotated(T: Array, vectors: Array) -> Array:
-    """Return vectors (3, ...), components first, turned by the rotation of one pose (4, 4)."""
-    return (T[:3, :3] @ vectors.reshape(3, -1)).reshape(vectors.shape)
+    turned = point
+    if mounted.eye == "right":
+        turned = times(T_rbase_lbase[:3, :3].tolist(), point)
+        t = minus(t, T_rbase_lbase[:3, 3].tolist())
+    arm = minus(turned, t)
+    R_eye_cam, t_eye_cam = pose_components(mounted.T_eye_cam)
+    from_camera = minus(times(transposed(R), arm), t_eye_cam)
+    return turned, arm, from_camera, times(transposed(R_eye_cam), from_camera)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,60 +110,79 @@ class ProjectionJacobians:
     """(M, K, 2, 3) by the point in frame cam."""
 
 
+class ProjectionRows(NamedTuple):
+    """A pixel and its derivatives by components: what ProjectionJacobians has, for u and for v."""
+
+    pixel: Vector
+    by_lens: Rows
+    by_T_eye_cam: Rows
+    by_T_base_eye: Rows
+    by_T_rbase_lbase: Rows
+    by_point: Rows
+    in_camera: Vector
+    by_in_camera: Rows
+
+
 def project_with_jacobians(
-    mounted: MountedCamera,
-    T_rbase_lbase: Array,
-    T_base_eye: Array,
-    points: Array,
-    *,
-    parameters: bool = True,
+    mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array, points: Array
 ) -> ProjectionJacobians:
     """Return pixels and their derivatives by everything that lies between point and pixel.
 
-    The arguments are those of project_at: M poses (M, 4, 4), points (M, K, 3). Where the
-    derivatives by lens, T_eye_cam and T_rbase_lbase are not wanted, these have no columns. All are
-    views of arrays whose components come first.
+    The arguments are those of project_at: M poses (M, 4, 4), points (M, K, 3). All are views of
+    arrays whose components come first.
     """
-    turned, arm, from_camera, in_camera = _through(mounted, T_rbase_lbase, T_base_eye, points)
-    pixels, by_cam, by_lens = projection_rows(mounted.intrinsics, in_camera, intrinsics=parameters)
-    R = T_base_eye[:, :3, :3].transpose(1, 2, 0)[..., None]
-    by_eye = np.stack([rotated(mounted.T_eye_cam, row) for row in by_cam])
-    by_base = np.add.reduce(R * by_eye[:, None], axis=2)
-    right = mounted.eye == "right"
-    by_point = by_base
-    if right:
-        by_point = np.stack([rotated(T_rbase_lbase.T, row) for row in by_base])
-    between, mounting = np.empty((2, 2, 0, *in_camera.shape[1:]))
+    shape = points.shape[:-1]
+    pose, p = pose_components(T_base_eye[:, None]), components(np.moveaxis(points, -1, 0))
+    found = projected(mounted, T_rbase_lbase, *pose, p)
+    return ProjectionJacobians(
+        *(
+            stacked(each, shape, ndim).transpose(*range(ndim, ndim + 2), *range(ndim))
+            for each, ndim in zip(found, (1, 2, 2, 2, 2, 2, 1, 2), strict=True)
+        )
+    )
+
+
+def projected(
+    mounted: MountedCamera,
+    T_rbase_lbase: Array,
+    R: Rows,
+    t: Vector,
+    point: Vector,
+    *,
+    parameters: bool = True,
+) -> ProjectionRows:
+    """Return the pixel of a point in the left eye's base, and its derivatives, by components.
+
+    The pose of the camera's eye in its base is R, t. Where the derivatives by lens, T_eye_cam and
+    T_rbase_lbase are not wanted, these have no columns.
+    """
+    turned, arm, from_camera, in_camera = _through(mounted, T_rbase_lbase, R, t, point)
+    pixel, by_cam, by_lens = projection_rows(mounted.intrinsics, in_camera, intrinsics=parameters)
+    R_eye_cam = mounted.T_eye_cam[:3, :3].tolist()
+    by_eye = [times(R_eye_cam, row) for row in by_cam]
+    by_base = [times(R, row) for row in by_eye]
+    by_point, between, mounting = by_base, ((), ()), ((), ())
+    if mounted.eye == "right":
+        back = transposed(T_rbase_lbase[:3, :3].tolist())
+        by_point = [times(back, row) for row in by_base]
     if parameters:
         mounting = _by_increment(by_eye, from_camera)
-        between = -_by_increment(by_base, turned) if right else np.zeros_like(mounting)
+        between = ([0.0] * 6, [0.0] * 6)
+        if mounted.eye == "right":
+            between = [[*cross(turned, row), *row] for row in by_base]
     by_eye_pose = _by_increment(by_base, arm)
-    rows = by_lens, mounting, by_eye_pose, between, by_point, by_cam
-    by_lens, mounting, by_eye_pose, between, by_point, by_cam = (
-        each.transpose(2, 3, 0, 1) for each in rows
-    )
-    return ProjectionJacobians(
-        pixels.transpose(1, 2, 0),
-        by_lens,
-        mounting,
-        by_eye_pose,
-        between,
-        by_point,
-        in_camera.transpose(1, 2, 0),
-        by_cam,
+    return ProjectionRows(
+        pixel, by_lens, mounting, by_eye_pose, between, by_point, in_camera, by_cam
     )
 
 
-def _by_increment(by_point: Array, arm: Array) -> Array:
-    """Return derivatives (2, 6, ...) by the pose of a frame in which a fixed point is looked at.
+def _by_increment(by_point: Rows, arm: Vector) -> Rows:
+    """Return derivatives (2, 6) by the pose of a frame in which a fixed point is looked at.
 
-    Given are those by the point (2, 3, ...) and the point from the frame's origin (3, ...), along
-    the axes of the increment.
+    Given are those by the point (2, 3) and the point from the frame's origin, along the axes of the
+    increment.
     """
-    rows = np.empty((2, 6, *arm.shape[1:]))
-    for row, own in zip(rows, by_point, strict=True):
-        row[:3], row[3:] = cross(own, arm, axis=0), -own
-    return rows
+    return [[*cross(row, arm), -row[0], -row[1], -row[2]] for row in by_point]
 
 
 def by_pose_of_points(by_point: Array, turned: Array) -> Array:
@@ -162,7 +191,7 @@ def by_pose_of_points(by_point: Array, turned: Array) -> Array:
     Given are those by the points (M, K, 2, 3), and the points from the body's origin (M, K, 3),
     along the axes of the frame that its pose maps into.
     """
-    return np.concatenate([cross(turned[:, :, None], by_point), by_point], axis=-1)
+    return np.concatenate([se3.cross(turned[:, :, None], by_point), by_point], axis=-1)
 
 
 def by_parameters(J: ProjectionJacobians, by_axes: Array) -> Array:
@@ -175,6 +204,18 @@ def by_parameters(J: ProjectionJacobians, by_axes: Array) -> Array:
     parts = (J.by_lens, J.by_T_eye_cam, J.by_T_rbase_lbase, by_eye)
     whole = np.concatenate([part.transpose(2, 3, 0, 1) for part in parts], axis=1)
     return whole.transpose(2, 3, 0, 1)
+
+
+def by_increments(rows: Rows, increments: Sequence[Vector]) -> list[tuple[Component, Component]]:
+    """Return derivatives of u and v by increments of a pose, given those by the pose (2, 6)."""
+    u, v = rows
+    return [(_inner(u, xi), _inner(v, xi)) for xi in increments]
+
+
+def _inner(row: Vector, xi: Vector) -> Component:
+    a, b, c, d, e, f = row
+    wx, wy, wz, x, y, z = xi
+    return a * wx + b * wy + c * wz + d * x + e * y + f * z
 
 
 def rows_times(rows: Array, matrix: Array) -> Array:
@@ -211,6 +252,7 @@ def stereo_extrinsics(
     return inverse(T_rbase_reye @ T_reye_rcam) @ T_rbase_lbase @ T_lbase_leye @ T_leye_lcam
 
 
+@lru_cache(maxsize=64)
 def stereo_cameras(
     head: HeadCalibration, cameras: tuple[str, str] | None
 ) -> tuple[MountedCamera, MountedCamera]:
@@ -230,48 +272,6 @@ def stereo_cameras(
             f"{pair[0]} sits in the {left.eye} eye and {pair[1]} in the {right.eye} one."
         )
     return left, right
-
-
-def measured(joints: Array) -> bool:
-    """Return whether readings are measured eye poses (..., 2, 4, 4) instead of angles (..., r)."""
-    return np.ndim(joints) > 2
-
-
-def eye_poses(head: HeadCalibration, joints: Array) -> Array:
-    """Return T_base_eye (..., 2, 4, 4) of the left and the right eye at readings (..., r) [rad].
-
-    Measured poses (..., 2, 4, 4) are returned as they are.
-    """
-    if measured(joints):
-        return joints
-    first = [
-        np.moveaxis(T_base_eye(head.kinematics, eye, joints), (-2, -1), (0, 1)) for eye in EYES
-    ]
-    return np.moveaxis(np.stack(first), (0, 1, 2), (-3, -2, -1))
-
-
-def eye_poses_with_jacobians(
-    head: HeadCalibration, joints: Array, n: int
-) -> tuple[Array, tuple[Array, Array], Array]:
-    """Return T_base_eye (n, 2, 4, 4), and its derivatives by axes and by readings.
-
-    The derivatives by the a errors of the joints (n, 6, a) are a pair, for the left and the right
-    eye, in the order of `parameters.axes_names`. Those by the r readings of the head, or by the
-    increments of both eyes' measured poses (r = 12), are (n, 2, 6, r). All are in the increment of
-    `se3.boxplus`. Readings are (n, r) or (r,) angles [rad], or (n, 2, 4, 4) or (2, 4, 4) poses.
-    """
-    if measured(joints):
-        by_pose = np.broadcast_to(np.eye(12).reshape(2, 6, 12), (n, 2, 6, 12))
-        left, right = (np.zeros((n, 6, len(axes_names(head, eye)))) for eye in EYES)
-        return np.broadcast_to(joints, (n, 2, 4, 4)), (left, right), by_pose
-    angles = np.broadcast_to(joints, (n, joints.shape[-1]))
-    left, right = (eye_linearised(head.kinematics, eye, angles) for eye in EYES)
-    # Components first in memory, where eye_linearised has them.
-    T, by_readings = (
-        np.stack([each[k].transpose(1, 2, 0) for each in (left, right)]).transpose(3, 0, 1, 2)
-        for k in (0, 2)
-    )
-    return T, (left[1], right[1]), by_readings
 
 
 def T_rcam_lcam(
@@ -310,23 +310,20 @@ def stereo_poses(
     return T_lbase_leye @ left.T_eye_cam, T
 
 
-def camera_poses(
-    pair: tuple[MountedCamera, MountedCamera], T_rbase_lbase: Array, T: Array
-) -> Array:
-    """Return the poses (3, 4, 2, N) of a left and a right camera in the left eye's base frame.
+def camera_pose(
+    mounted: MountedCamera, T_rbase_lbase: Array, R: Rows, t: Vector
+) -> tuple[Rows, Vector]:
+    """Return rotation and centre of a camera in the left eye's base frame, by components.
 
-    Without their last row, components first; at eye poses T (N, 2, 4, 4).
+    The pose of its eye in its base is R, t.
     """
-    first = T.transpose(1, 2, 3, 0)
-    poses = np.empty((3, 4, 2, len(T)))
-    for k, mounted in enumerate(pair):
-        poses[:, :, k] = mounted.T_eye_cam[:3].T @ first[k, :3, :3]
-        poses[:, 3, k] += first[k, :3, 3]
-    T_lbase_rbase = inverse(T_rbase_lbase)
-    right = poses[:, :, 1]
-    poses[:, :, 1] = rotated(T_lbase_rbase, right)
-    poses[:, 3, 1] += T_lbase_rbase[:3, 3, None]
-    return poses
+    R_eye_cam, t_eye_cam = pose_components(mounted.T_eye_cam)
+    centre, R = plus(t, times(R, t_eye_cam)), product(R, R_eye_cam)
+    if mounted.eye == "left":
+        return R, centre
+    R_rbase_lbase, shift = pose_components(T_rbase_lbase)
+    back = transposed(R_rbase_lbase)
+    return product(back, R), times(back, minus(centre, shift))
 
 
 def rebase(

@@ -15,11 +15,11 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry.camera import normalise
+from vergence.geometry.eye_motion import eye_poses_with_jacobians
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import camera_columns, parameter_names
 from vergence.geometry.projection import (
     by_parameters,
-    eye_poses_with_jacobians,
     project_with_jacobians,
     rows_times,
     stereo_cameras,

@@ -5,22 +5,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.geometry.components import (
+    Component,
+    Rows,
+    components,
+    cross,
+    dot,
+    quotient,
+    silent,
+    stacked,
+)
+from vergence.geometry.eye_motion import eye_motions, measured
 from vergence.geometry.head import HeadCalibration, main_pair
 from vergence.geometry.parameters import camera_columns, parameter_names
-from vergence.geometry.projection import (
-    by_parameters,
-    eye_poses_with_jacobians,
-    project_with_jacobians,
-    stereo_cameras,
+from vergence.geometry.projection import by_increments, projected, stereo_cameras
+from vergence.stereo.triangulation import (
+    checked,
+    of_part,
+    pixel_variances,
+    postures,
+    rays_meet,
 )
-from vergence.geometry.se3 import cross
-from vergence.stereo.triangulation import checked, pixel_variances, rays_meet, readable
 
 
 @lru_cache(maxsize=64)
@@ -63,9 +75,9 @@ class Linearised:
     """(3, 4, n) with left u, left v, right u, right v."""
     by_readings: Array
     """(3, r, n) with the readings, or the increments of both measured poses (r = 12)."""
-    pixels_by_head: tuple[Array, ...]
-    """(2, p, n) by camera, of its pixels by its `parameters.camera_columns`; empty where they are
-    not wanted."""
+    pixels_by_head: tuple[Rows, ...]
+    """(2, p) by camera, by components: its pixels by its `parameters.camera_columns`; empty where
+    they are not wanted."""
 
 
 def by_head_parameters(
@@ -76,8 +88,9 @@ def by_head_parameters(
     for k, (rows, columns) in enumerate(
         zip(seen.pixels_by_head, pair_columns(head, cameras), strict=True)
     ):
-        # The point makes up for what changes, so that its projection stays where it was seen.
-        total[:, columns] -= matrix_products(seen.by_pixels[:, 2 * k : 2 * k + 2], rows)
+        for column, u, v in zip(columns, *rows, strict=True):
+            # The point makes up for what changes, so that its projection stays where it was seen.
+            total[:, column] -= seen.by_pixels[:, 2 * k] * u + seen.by_pixels[:, 2 * k + 1] * v
     return total
 
 
@@ -94,81 +107,91 @@ def linearised(
     Pixels count equally. Arguments and errors are those of `locate`.
     """
     left, right, joints = checked(left, right, joints, len(head.kinematics.readings))
-    joints = joints[None] if joints.ndim in (1, 3) else joints
-    weights = pixel_variances(1.0, len(left))
-    return weighted_linearised(head, (left, right), joints, cameras, weights, parameters=True)
+    return linearised_part(head, (left, right), joints, cameras, pixel_variances(1.0))
 
 
-def weighted_linearised(
+def linearised_part(
     head: HeadCalibration,
     pixels: tuple[Array, Array],
     joints: Array,
     cameras: tuple[str, str] | None,
     variances: Array,
     *,
-    parameters: bool,
+    part: slice = slice(None),
+    parameters: bool = True,
 ) -> Linearised:
-    """Locate points; `parameters`: whether the derivatives by the head's are wanted too.
+    """Locate some of N points; `parameters`: whether derivatives by the head's are wanted too.
 
-    Joints are (n, ...) or (1, ...), variances those of `triangulation.rays_meet`.
+    Variances are those of `triangulation.pixel_variances`.
     """
-    pair = stereo_cameras(head, cameras)
-    joints = readable(joints)
-    T, by_axes, by_reading = eye_poses_with_jacobians(head, joints, len(joints))
-    points, status = rays_meet(pair, head.T_rbase_lbase, T, pixels, variances)
-    one = len(joints) == 1
-    arranged = points.T[None] if one else points.T[:, None]  # postures, points in each
-    J = [
-        project_with_jacobians(each, head.T_rbase_lbase, T[:, k], arranged, parameters=parameters)
-        for k, each in enumerate(pair)
+    pixels, joints = (pixels[0][part], pixels[1][part]), postures(joints, part)
+    variances = of_part(variances, part)
+    pair, eyes = stereo_cameras(head, cameras), eye_motions(head, joints)
+    points, status = rays_meet(pair, head.T_rbase_lbase, eyes, pixels, variances)
+    shape, point = status.shape, components(points)
+    rows = [
+        projected(mounted, head.T_rbase_lbase, eye.R, eye.t, point, parameters=parameters)
+        for mounted, eye in zip(pair, eyes, strict=True)
     ]
-
-    def flat(rows: Array) -> Array:
-        """Return rows (M, K, a, b) of derivatives with their components first: (a, b, n)."""
-        return rows.transpose(2, 3, 0, 1).reshape(*rows.shape[2:], -1)
-
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        by_pixels = _by_pixels(flat(J[0].by_point), flat(J[1].by_point), variances)
-    by_readings, rows = 0.0, []
-    for k in (0, 1):
-        # The point makes up for what changes, so that its projection stays where it was seen.
-        by_pose = matrix_products(by_pixels[:, 2 * k : 2 * k + 2], flat(J[k].by_T_base_eye))
-        by_readings = by_readings - matrix_products(by_pose, by_reading[:, k].transpose(1, 2, 0))
+    with silent(point[0]):
+        by_pixels = _by_pixels(rows[0].by_point, rows[1].by_point, components(variances))
+    count = 12 if measured(joints) else joints.shape[1]
+    by_readings = [[0.0] * count for _ in range(3)]
+    pixels_by_head = []
+    for k, (eye, own) in enumerate(zip(eyes, rows, strict=True)):
+        by_angles = by_increments(own.by_T_base_eye, eye.by_angles)
+        for total, by_pixel in zip(by_readings, by_pixels, strict=True):
+            # The point makes up for what changes, so that its projection stays where it was seen.
+            moves = [by_pixel[2 * k] * u + by_pixel[2 * k + 1] * v for u, v in by_angles]
+            for joint, reading, factor in eye.angle_by_readings:
+                total[reading] = total[reading] - factor * moves[joint]
         if parameters:
-            rows.append(flat(by_parameters(J[k], by_axes[k])))
-    return Linearised(points, status, by_pixels, by_readings, tuple(rows))
+            by_errors = [
+                (by_angles[joint][0] * change, by_angles[joint][1] * change)
+                if joint is not None
+                else by_increments(own.by_T_base_eye, [change])[0]
+                for joint, change in eye.by_errors
+            ]
+            pixels_by_head.append(
+                tuple(
+                    [*own.by_lens[i], *own.by_T_eye_cam[i], *own.by_T_rbase_lbase[i]]
+                    + [each[i] for each in by_errors]
+                    for i in (0, 1)
+                )
+            )
+    return Linearised(
+        points,
+        status,
+        stacked(by_pixels, shape, 2),
+        stacked(by_readings, shape, 2),
+        tuple(pixels_by_head),
+    )
 
 
-def matrix_products(rows: Array, matrix: Array) -> Array:
-    """Return the products (a, c, n) of matrices (a, b, n) and (b, c, n)."""
-    total = rows[:, 0, None] * matrix[0]
-    for k in range(1, len(matrix)):
-        total += rows[:, k, None] * matrix[k]
-    return total
+def _by_pixels(left: Rows, right: Rows, variances: Sequence[Component]) -> Rows:
+    """Return the derivatives (3, 4) of a located point by its pixels.
 
-
-def _by_pixels(left: Array, right: Array, variances: Array) -> Array:
-    """Return the derivatives (3, 4, n) of located points by their pixels.
-
-    Given are those of the pixels by the point (2, 3, n), and the variances of
-    `triangulation.rays_meet`. Three pixel coordinates make a point: both of the left image, and in
-    the right one that along the epipolar line. The fourth says by how much the rays miss each
-    other, and the pixels share this in proportion to their variances.
+    Given are those of the pixels by the point (2, 3), and the four variances. Three pixel
+    coordinates make a point: both of the left image, and in the right one that along the epipolar
+    line. The fourth says by how much the rays miss each other, and the pixels share this in
+    proportion to their variances.
     """
     a, b = left
-    along = cross(a, b, axis=0)  # the left ray
-    m1, m2 = np.add.reduce(right * along, axis=1)
-    c, d = m1 * right[0] + m2 * right[1], m1 * right[1] - m2 * right[0]
-    by_a, by_b = cross(b, c, axis=0), cross(c, a, axis=0)
-    scale = 1 / (m1 * m1 + m2 * m2)
-    by_pixels = np.empty((3, 4, len(m1)))
-    by_pixels[:, 0], by_pixels[:, 1] = by_a * scale, by_b * scale
-    along = along * scale
-    by_pixels[:, 2], by_pixels[:, 3] = along * m1, along * m2
-    miss = np.empty((4, len(m1)))
-    miss[0] = -np.add.reduce(d * by_pixels[:, 0])
-    miss[1] = -np.add.reduce(d * by_pixels[:, 1])
-    miss[2], miss[3] = -m2, m1
-    shares = miss * variances.swapaxes(0, 1).reshape(4, -1)
-    shares /= np.add.reduce(shares * miss)
-    return by_pixels - np.add.reduce(by_pixels * shares, axis=1)[:, None] * miss
+    along = cross(a, b)  # the left ray
+    m1, m2 = dot(right[0], along), dot(right[1], along)
+    c = [m1 * one + m2 * other for one, other in zip(*right, strict=True)]
+    d = [m1 * other - m2 * one for one, other in zip(*right, strict=True)]
+    scale = quotient(1.0, m1 * m1 + m2 * m2)
+    by_a, by_b = ([scale * each for each in of] for of in (cross(b, c), cross(c, a)))
+    along = [scale * each for each in along]
+    rows = [
+        (to_a, to_b, m1 * ray, m2 * ray) for to_a, to_b, ray in zip(by_a, by_b, along, strict=True)
+    ]
+    miss = -dot(d, by_a), -dot(d, by_b), -m2, m1
+    shares = [each * variance for each, variance in zip(miss, variances, strict=True)]
+    total = sum(share * each for share, each in zip(shares, miss, strict=True))
+    found = []
+    for row in rows:
+        along_miss = quotient(sum(p * q for p, q in zip(row, shares, strict=True)), total)
+        found.append([p - along_miss * q for p, q in zip(row, miss, strict=True)])
+    return found

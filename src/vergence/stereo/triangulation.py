@@ -5,7 +5,7 @@ Equation numbers are the paper's; docs/equations.md says where its printed forms
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from enum import IntEnum
 
 import numpy as np
@@ -14,9 +14,25 @@ from numpy.typing import ArrayLike
 from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, normalised_rows
+from vergence.geometry.components import (
+    Rows,
+    Vector,
+    anywhere,
+    components,
+    cross,
+    dot,
+    minus,
+    pose_components,
+    quotient,
+    silent,
+    stacked,
+    times,
+    transposed,
+)
+from vergence.geometry.eye_motion import EyeMotion, eye_motions
 from vergence.geometry.head import HeadCalibration, MountedCamera, T_body_base, T_head_base
-from vergence.geometry.projection import camera_poses, eye_poses, stereo_cameras
-from vergence.geometry.se3 import cross, inverse, transform
+from vergence.geometry.projection import camera_pose, stereo_cameras
+from vergence.geometry.se3 import inverse, transform
 
 CHUNK = 4096
 """Points at a time: their arrays stay in the processor's cache, and memory does not grow."""
@@ -57,18 +73,18 @@ def triangulate(
     Returns:
         Points (N, 3) [m], NaN where the status is not OK, and the status (N,).
     """
-    n = len(left)
-    poses = np.zeros((3, 4, 2, n))
-    poses[:, :3, 0] = np.eye(3)[..., None]
-    T_lcam_rcam = np.broadcast_to(inverse(T_rcam_lcam), (n, 4, 4))
-    poses[:, :, 1] = T_lcam_rcam[:, :3].transpose(1, 2, 0)
-    cameras = left_camera, right_camera
-    variances = pixel_variances(pixel_std_px, n)
-    points, status = np.empty((n, 3)), np.empty(n, dtype=int)
-    for part in chunks(n):
-        pixels = left[part], right[part]
-        found = intersect(cameras, pixels, poses[..., part], of_part(variances, part))
-        points[part], status[part] = found[0].T, found[1]
+    n, variances = len(left), pixel_variances(pixel_std_px)
+    T_lcam_rcam, cameras = inverse(T_rcam_lcam), (left_camera, right_camera)
+
+    def find(part: slice) -> tuple[Array, np.ndarray]:
+        own = T_lcam_rcam[part] if T_lcam_rcam.ndim == 3 else T_lcam_rcam
+        poses = pose_components(np.eye(4)), pose_components(own)
+        points, status = intersect(
+            cameras, (left[part], right[part]), poses, of_part(variances, part)
+        )
+        return points.T, status
+
+    points, status = in_chunks(n, find)
     return points, status
 
 
@@ -88,20 +104,21 @@ def triangulate_at(
     """
     left, right, joints = checked(left, right, joints, len(head.kinematics.readings))
     pair, n = stereo_cameras(head, cameras), len(left)
-    variances = pixel_variances(pixel_std_px, n)
-    points, status = np.empty((n, 3)), np.empty(n, dtype=int)
-    for part in chunks(n):
-        T = eye_poses(head, readable(postures(joints, part)))
-        pixels = left[part], right[part]
-        found = rays_meet(pair, head.T_rbase_lbase, T, pixels, of_part(variances, part))
-        points[part], status[part] = found[0].T, found[1]
+    variances = pixel_variances(pixel_std_px)
+
+    def find(part: slice) -> tuple[Array, np.ndarray]:
+        eyes, pixels = eye_motions(head, postures(joints, part)), (left[part], right[part])
+        points, status = rays_meet(pair, head.T_rbase_lbase, eyes, pixels, of_part(variances, part))
+        return points.T, status
+
+    points, status = in_chunks(n, find)
     return points, status
 
 
 def rays_meet(
     pair: tuple[MountedCamera, MountedCamera],
     T_rbase_lbase: Array,
-    T: Array,
+    eyes: tuple[EyeMotion, EyeMotion],
     pixels: tuple[Array, Array],
     variances: Array,
 ) -> tuple[Array, np.ndarray]:
@@ -109,16 +126,23 @@ def rays_meet(
 
     Args:
         pair: a left and a right camera.
-        T: (N, 2, 4, 4) poses of the eyes, or (1, 2, 4, 4) for all.
+        eyes: their poses.
         pixels: (N, 2) left and right.
-        variances: (2, 2, N or 1) of the pixels: u or v, camera.
+        variances: (4, N or 1) of the pixels: left u, left v, right u, right v.
     """
     lenses = pair[0].intrinsics, pair[1].intrinsics
-    return intersect(lenses, pixels, camera_poses(pair, T_rbase_lbase, T), variances)
+    left, right = (
+        camera_pose(mounted, T_rbase_lbase, eye.R, eye.t)
+        for mounted, eye in zip(pair, eyes, strict=True)
+    )
+    return intersect(lenses, pixels, (left, right), variances)
 
 
 def intersect(
-    lenses: tuple[Camera, Camera], pixels: tuple[Array, Array], poses: Array, variances: Array
+    lenses: tuple[Camera, Camera],
+    pixels: tuple[Array, Array],
+    poses: tuple[tuple[Rows, Vector], tuple[Rows, Vector]],
+    variances: Array,
 ) -> tuple[Array, np.ndarray]:
     """Return where the rays of pixels meet (3, N), and the status (N,).
 
@@ -128,45 +152,54 @@ def intersect(
 
     Args:
         pixels: (N, 2) left and right, distortion included.
-        poses: (3, 4, 2, N or 1) of the cameras, in the frame of the points.
-        variances: (2, 2, N or 1) of the pixels: u or v, camera.
+        poses: rotations and centres of the cameras in the frame of the points, by components.
+        variances: (4, N or 1) of the pixels: left u, left v, right u, right v.
     """
-    n = len(pixels[0])
-    xy, slopes = np.empty((2, 2, n)), np.empty((2, 2, 2, n))
-    for k in (0, 1):
-        xy[:, k], slopes[:, :, k] = normalised_rows(lenses[k], pixels[k].T)
-    across, centres = poses[:, :2], poses[:, 3]
-    rays = np.add.reduce(across * xy, axis=1) + poses[:, 2]
-    base = centres[:, 1:] - centres[:, :1]
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+    n, ((R_left, centre), (R_right, other)) = len(pixels[0]), poses
+    base, columns = minus(other, centre), (transposed(R_left), transposed(R_right))
+    found = [
+        normalised_rows(lens, *components(uv.T)) for lens, uv in zip(lenses, pixels, strict=True)
+    ]
+    left, right = (times(poses[k][0], (*found[k][0], 1.0)) for k in (0, 1))
+    with silent(left[0]):
         # gap = left ray . (right ray x base), and its derivatives by the pixels.
-        normals = cross(rays[:, ::-1], base, axis=0) * _SIGNS
-        gap = np.add.reduce(rays[:, 0] * normals[:, 0])
-        by_x, by_y = np.add.reduce(across * normals[:, None], axis=0)
-        (a, b), (c, d) = slopes
-        det = a * d - b * c
-        by_u, by_v = (d * by_x - c * by_y) / det, (a * by_y - b * by_x) / det
-        u, v = by_u * variances[0], by_v * variances[1]
-        factor = gap / np.add.reduce(u * by_u + v * by_v) / det
-        rays -= across[:, 0] * (factor * (d * u - b * v)) + across[:, 1] * (
-            factor * (a * v - c * u)
+        normals = cross(right, base), cross(base, left)
+        gap, power, steps = dot(left, normals[0]), 0.0, []
+        var = components(variances)
+        for k in (0, 1):
+            by_x, by_y = dot(columns[k][0], normals[k]), dot(columns[k][1], normals[k])
+            (a, b), (c, d) = found[k][1]
+            det = a * d - b * c
+            by_u, by_v = quotient(d * by_x - c * by_y, det), quotient(a * by_y - b * by_x, det)
+            u, v = by_u * var[2 * k], by_v * var[2 * k + 1]
+            power = power + u * by_u + v * by_v
+            steps.append((quotient(d * u - b * v, det), quotient(a * v - c * u, det)))
+        factor = quotient(gap, power)
+        left, right = (
+            [
+                each - factor * (x * along_x + y * along_y)
+                for each, along_x, along_y in zip(ray, *columns[k][:2], strict=True)
+            ]
+            for k, (ray, (x, y)) in enumerate(zip((left, right), steps, strict=True))
         )
-        left, right = rays[:, 0], rays[:, 1]
-        normal = cross(left, right, axis=0)
-        size = np.add.reduce(normal * normal)
+        normal = cross(left, right)
+        size = dot(normal, normal)
         # base = s left - r right, the one of (s, r) by its cross product with the other's ray.
-        depths = np.add.reduce(cross(base, rays[:, ::-1], axis=0) * normal[:, None]) / size
-        points = centres[:, 0] + depths[0] * left
-        parallel = size <= PARALLEL_RAD**2 * np.multiply(*np.add.reduce(rays * rays))
-    status = np.where(
-        parallel, Status.PARALLEL, np.where((depths <= 0).any(axis=0), Status.BEHIND, 0)
-    )
-    status[~np.isfinite(rays[0, 0] + rays[0, 1])] = Status.NOT_SEEN
-    points[:, status != Status.OK] = np.nan
+        depths = [quotient(dot(cross(base, ray), normal), size) for ray in (right, left)]
+        points = stacked([c + depths[0] * ray for c, ray in zip(centre, left, strict=True)], (n,))
+        parallel = size <= PARALLEL_RAD**2 * (dot(left, left) * dot(right, right))
+        together = left[0] + right[0]
+        unseen = together - together != 0  # NaN or infinite
+    status = np.zeros(n, dtype=int)
+    for where, what in (
+        ((depths[0] <= 0) | (depths[1] <= 0), Status.BEHIND),
+        (parallel, Status.PARALLEL),
+        (unseen, Status.NOT_SEEN),
+    ):
+        if anywhere(where):
+            status[where] = what
+            points[:, where] = np.nan
     return points, status
-
-
-_SIGNS = np.array([[1.0], [-1.0]])
 
 
 def chunks(n: int) -> Iterator[slice]:
@@ -175,37 +208,44 @@ def chunks(n: int) -> Iterator[slice]:
         yield slice(start, min(start + CHUNK, n))
 
 
+def in_chunks(n: int, find: Callable[[slice], tuple[Array, ...]]) -> tuple[Array, ...]:
+    """Return what is found of n points, a chunk at a time: arrays whose rows are points."""
+    if n <= CHUNK:
+        return find(slice(n))
+    found = None
+    for part in chunks(n):
+        own = find(part)
+        found = found or tuple(np.empty((n, *each.shape[1:]), each.dtype) for each in own)
+        for into, each in zip(found, own, strict=True):
+            into[part] = each
+    assert found
+    return found
+
+
 def postures(joints: Array, part: slice) -> Array:
     """Return the readings, or measured poses, of a chunk: (n, r) or (n, 2, 4, 4); n may be 1."""
-    if joints.ndim in (1, 3):
-        return joints[None]
-    return joints[part]
+    return joints[None] if joints.ndim in (1, 3) else joints[part]
 
 
-def readable(joints: Array) -> Array:
-    """Return readings (n, r), or poses (n, 2, 4, 4); all of a posture is NaN if one number is."""
-    finite = np.isfinite(joints)
-    if finite.all():
-        return joints
-    usable = finite.reshape(len(joints), -1).all(axis=1)
-    return np.where(usable.reshape(-1, *(1,) * (joints.ndim - 1)), joints, np.nan)
+def pixel_noise(pixel_std_px: ArrayLike) -> Array:
+    """Return standard deviations (4, N or 1) of pixels from a number, (4,) or (N, 4)."""
+    std = np.asarray(pixel_std_px, dtype=float)
+    return std.reshape(-1, 4).T if std.ndim else std.repeat(4)[:, None]
 
 
-def pixel_variances(pixel_std_px: ArrayLike, n: int) -> Array:
-    """Return variances (2, 2, N or 1) of pixels, u or v and camera, as weights of a triangulation.
+def pixel_variances(pixel_std_px: ArrayLike) -> Array:
+    """Return variances (4, N or 1) of pixels, as weights of a triangulation.
 
-    Noise is a number, (4,) or (N, 4) in the order (left u, left v, right u, right v). All ones
-    where some of it is zero: with an exact pixel there are no ratios.
+    In the order left u, left v, right u, right v. All ones where some of the noise is zero: with an
+    exact pixel there are no ratios.
     """
-    variances = np.square(np.atleast_2d(np.asarray(pixel_std_px, dtype=float)))
-    if not (variances > 0).all():
-        variances = np.ones((1, 1))
-    return np.broadcast_to(variances, (len(variances), 4)).T.reshape(2, 2, -1).swapaxes(0, 1)
+    std = pixel_noise(pixel_std_px)
+    return std * std if (std > 0).all() else np.ones((4, 1))
 
 
-def of_part(variances: Array, part: slice) -> Array:
-    """Return the variances of a chunk; (..., 1) are those of all points."""
-    return variances if variances.shape[-1] == 1 else variances[..., part]
+def of_part(noise: Array, part: slice) -> Array:
+    """Return the noise (..., n) of a chunk; (..., 1) is that of all points."""
+    return noise if noise.shape[-1] == 1 else noise[..., part]
 
 
 def checked(left: Array, right: Array, joints: Array, r: int) -> tuple[Array, Array, Array]:

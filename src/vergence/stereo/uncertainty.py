@@ -13,25 +13,27 @@ from vergence.arrays import Array
 from vergence.data.dataset import MAX_GAP_S
 from vergence.data.timing import Timing, moved_readings
 from vergence.errors import VergenceError
-from vergence.geometry.head import Accuracy, HeadCalibration, reading_stds
-from vergence.geometry.projection import (
-    measured,
+from vergence.geometry.eye_motion import measured
+from vergence.geometry.head import HeadCalibration, reading_stds
+from vergence.stereo.calibration_covariance import (
+    covariance_of_calibration,
+    pair_covariance,
+    pair_factor,
 )
 from vergence.stereo.linearised import (
     Linearised,
     by_head_parameters,
     linearised,
-    matrix_products,
-    pair_columns,
+    linearised_part,
     pair_parameters,
-    weighted_linearised,
 )
 from vergence.stereo.triangulation import (
     checked,
     chunks,
+    in_chunks,
     of_part,
+    pixel_noise,
     pixel_variances,
-    postures,
     triangulate_at,
 )
 
@@ -93,38 +95,29 @@ def locate(
     if joint_time_s is not None:
         joints = _at_the_images(head, joints, joint_time_s)
     left, right, joints = checked(left, right, joints, len(head.kinematics.readings))
-    known, n = _calibration(head, cameras), len(left)
+    known, n = pair_covariance(head, cameras), len(left)
     if known is None and pixel_std_px is None and joint_std_rad is None:
         points, status = triangulate_at(
             head, left=left, right=right, joints=joints, cameras=cameras
         )
         return LocatedPoints(points, np.full((n, 3, 3), np.nan), status, np.zeros((n, 3, 3)))
-    accuracy = head.accuracy or Accuracy(method="paper")
     if pixel_std_px is None:
-        pixel_std_px = accuracy.pixel_std_px or 0.0
+        pixel_std_px = (head.accuracy and head.accuracy.pixel_std_px) or 0.0
     if joint_std_rad is None:
         joint_std_rad = stated_reading_stds(head, joints)
-    points, status = np.empty((n, 3)), np.empty(n, dtype=int)
-    covariance, shared = np.empty((n, 3, 3)), np.zeros((n, 3, 3))
-    weights, pixel_stds = pixel_variances(pixel_std_px, n), _rows(pixel_std_px, n)
-    for part in chunks(n):
-        pixels = left[part], right[part]
-        seen = weighted_linearised(
-            head,
-            pixels,
-            postures(joints, part),
-            cameras,
-            of_part(weights, part),
-            parameters=known is not None,
-        )
-        points[part], status[part] = seen.points.T, seen.status
-        noise = [seen.by_pixels * pixel_stds[:, part], seen.by_readings]
-        noise[1] = noise[1] * noise_of_readings(joint_std_rad, noise[1].shape[1], n)[:, part]
-        covariance[part] = _squares(np.concatenate(noise, axis=1))
-        if known is not None:
-            shared[part] = _of_calibration(seen, known)
-            covariance[part] += shared[part]
-    return LocatedPoints(points, covariance, status, shared)
+    noise = _noise(head, joints, pixel_std_px, joint_std_rad)
+    given = head, (left, right), joints, cameras, pixel_variances(pixel_std_px)
+
+    def find(part: slice) -> tuple[Array, ...]:
+        seen = linearised_part(*given, part=part, parameters=known is not None)
+        by_pixels, by_readings = _by_noise(seen, noise, part)
+        covariance = _squares(by_pixels) + _squares(by_readings)
+        if known is None:
+            return seen.points.T, covariance, seen.status, np.zeros_like(covariance)
+        shared = covariance_of_calibration(seen, known)
+        return seen.points.T, covariance + shared, seen.status, shared
+
+    return LocatedPoints(*in_chunks(n, find))
 
 
 def stated_reading_stds(head: HeadCalibration, joints: Array) -> Array:
@@ -132,7 +125,10 @@ def stated_reading_stds(head: HeadCalibration, joints: Array) -> Array:
     if measured(joints):
         levels = head.accuracy.joint_std if head.accuracy else ()
         return np.resize(levels or (0.0,), 2)
-    return reading_stds(head)
+    return _reading_stds(head)
+
+
+_reading_stds = lru_cache(maxsize=64)(reading_stds)
 
 
 def _at_the_images(head: HeadCalibration, joints: Array, joint_time_s: Array) -> Array:
@@ -210,39 +206,28 @@ def combination(
     the result is NaN. Other arguments and errors are those of `locate`.
     """
     left, right, joints = checked(left, right, joints, len(head.kinematics.readings))
-    factor, n = _factor(head, cameras), len(left)
-    pixel_stds = _rows(pixel_std_px, n)
-    weights_px, one = pixel_variances(pixel_std_px, n), joints.ndim in (1, 3)
+    factor, n = pair_factor(head, cameras), len(left)
+    noise, one = _noise(head, joints, pixel_std_px, joint_std_rad), joints.ndim in (1, 3)
+    given = head, (left, right), joints, cameras, pixel_variances(pixel_std_px)
     total, covariance = np.zeros(3), np.zeros((3, 3))
-    by_readings, by_head = np.zeros((3, 1)), np.zeros((3, len(factor)))
+    by_readings, by_head = np.zeros((3, len(noise[1]))), np.zeros((3, len(factor)))
     for part in chunks(n):
-        pixels = left[part], right[part]
-        seen = weighted_linearised(
-            head,
-            pixels,
-            postures(joints, part),
-            cameras,
-            of_part(weights_px, part),
-            parameters=True,
-        )
-        own = np.where(weights[part] == 0, 0.0, weights[part])
-        points, *changes = (
+        seen = linearised_part(*given, part=part)
+        own = weights[part]
+        points, by_pixels, by_reading, by_parameter = (
             np.where(own == 0, 0.0, each) * own
             for each in (
                 seen.points,
-                seen.by_pixels,
-                seen.by_readings,
+                *_by_noise(seen, noise, part),
                 by_head_parameters(head, cameras, seen),
             )
         )
         total += points.sum(axis=-1)
-        covariance += _squares(changes[0] * pixel_stds[:, part]).sum(axis=0)
-        noisy = changes[1] * noise_of_readings(joint_std_rad, changes[1].shape[1], n)[:, part]
-        if one:
-            by_readings = by_readings + noisy.sum(axis=-1)
-        else:
-            covariance += _squares(noisy).sum(axis=0)
-        by_head = by_head + changes[2].sum(axis=-1)
+        covariance += _squares(by_pixels).sum(axis=0)
+        if not one:
+            covariance += _squares(by_reading).sum(axis=0)
+        by_readings = by_readings + one * by_reading.sum(axis=-1)
+        by_head = by_head + by_parameter.sum(axis=-1)
     for shared in (by_readings, by_head @ factor):
         covariance += shared @ shared.T
     return total, covariance
@@ -271,7 +256,8 @@ def locate_jointly(
     nothing = np.zeros((3, n))
     rows = [by_head[:, names.index(k)] if k in names else nothing for k in parameters]
     own = np.concatenate([np.stack(rows, axis=1), seen.by_readings], axis=1).transpose(2, 0, 1)
-    both = _squares(seen.by_pixels * _rows(pixel_std_px, n)) + own @ covariance @ own.swapaxes(1, 2)
+    both = _squares(seen.by_pixels * pixel_noise(pixel_std_px))
+    both += own @ covariance @ own.swapaxes(1, 2)
     of_head, P = own[..., : len(rows)], len(rows)
     shared = of_head @ covariance[:P, :P] @ of_head.swapaxes(1, 2)
     return LocatedPoints(seen.points.T, both, seen.status, shared)
@@ -296,17 +282,16 @@ def locate_both(
     errors are those of `locate`. Returns points a and b (N, 3) [m], and covariances (N, 3, 3) [m^2]
     of a - b, in the left eye's base frame; NaN where a point cannot be located.
     """
-    n, weights = len(left[0]), pixel_variances(pixel_std_px, len(left[0]))
-    pixel_stds, points, changes = _rows(pixel_std_px, n), [], []
+    joints = np.asarray(joints, dtype=float)
+    noise, points, changes = _noise(head, joints, pixel_std_px, joint_std_rad), [], []
     for own in zip(left, right, strict=True):
         u_l, u_r, readings = checked(*own, joints, len(head.kinematics.readings))
-        readings = readings[None] if readings.ndim in (1, 3) else readings
-        seen = weighted_linearised(head, (u_l, u_r), readings, cameras, weights, parameters=False)
+        given = head, (u_l, u_r), readings, cameras, pixel_variances(pixel_std_px)
+        seen = linearised_part(*given, parameters=False)
         points.append(seen.points.T)
-        changes += [seen.by_pixels * pixel_stds, seen.by_readings]
-    shared = changes.pop(1) - changes.pop()
-    shared = shared * noise_of_readings(joint_std_rad, shared.shape[1], n)
-    return *points, _squares(np.concatenate([*changes, shared], axis=1))
+        changes.append(_by_noise(seen, noise))
+    (a_px, a_rad), (b_px, b_rad) = changes
+    return *points, _squares(a_px) + _squares(b_px) + _squares(a_rad - b_rad)
 
 
 def calibration_covariance(
@@ -330,90 +315,32 @@ def calibration_covariance(
     return np.where(np.isnan(found.covariance), np.nan, found.calibration_covariance)
 
 
-@dataclass(frozen=True, eq=False)
-class _Calibration:
-    """Of a covariance of a head what the pixels of two cameras depend on."""
-
-    own: tuple[np.ndarray, np.ndarray]
-    """By camera which of its columns are known to be uncertain, (p_l,) and (p_r,)."""
-    by_left: Array
-    """(p_l + p_r, p_l) covariance of both cameras' with the left one's."""
-    by_right: Array
-    """(p_r, p_r)."""
-
-
-@lru_cache(maxsize=64)
-def _calibration(head: HeadCalibration, cameras: tuple[str, str] | None) -> _Calibration | None:
-    """Return the covariance that the pixels of a pair depend on; None where none is stated."""
-    if head.accuracy is None or not head.accuracy.parameters:
-        return None
-    rows = {name: k for k, name in enumerate(head.accuracy.parameters)}
-    names, (left, right) = pair_parameters(head, cameras), pair_columns(head, cameras)
-    of_base = np.array([name.startswith("T_rbase_lbase.") for name in names])
-    stated = np.array([name in rows for name in names])
-    own = np.flatnonzero((stated & ~of_base)[left]), np.flatnonzero(stated[right])
-    order = [rows[names[k]] for k in (*left[own[0]], *right[own[1]])]
-    C, n = head.accuracy.covariance[np.ix_(order, order)], len(own[0])
-    return _Calibration(own, np.ascontiguousarray(C[:, :n]), np.ascontiguousarray(C[n:, n:]))
-
-
-def _of_calibration(seen: Linearised, known: _Calibration) -> Array:
-    """Return the covariances (n, 3, 3) that the calibration's covariance makes.
-
-    First that of the four pixel coordinates, of which a point is made: it takes half the time.
-    """
-    left, right = (rows[:, own] for rows, own in zip(seen.pixels_by_head, known.own, strict=True))
-    by_left, by_right = known.by_left @ left, known.by_right @ right
-    split = left.shape[1]
-    pixels = np.empty((4, 4, left.shape[2]))
-    for i in (0, 1):
-        for j in (0, 1):
-            pixels[i, j] = np.add.reduce(left[i] * by_left[j, :split])
-            pixels[2 + i, 2 + j] = np.add.reduce(right[i] * by_right[j])
-            pixels[i, 2 + j] = pixels[2 + j, i] = np.add.reduce(right[j] * by_left[i, split:])
-    half = matrix_products(seen.by_pixels, pixels)
-    return _products(half, seen.by_pixels)
-
-
-@lru_cache(maxsize=64)
-def _factor(head: HeadCalibration, cameras: tuple[str, str] | None) -> Array:
-    """Return F (P, q) with F F^T the calibration's covariance of `pair_parameters`."""
-    accuracy, names = head.accuracy, pair_parameters(head, cameras)
-    if accuracy is None or not accuracy.parameters:
-        return np.zeros((len(names), 0))
-    rows = {name: k for k, name in enumerate(accuracy.parameters)}
-    stated = np.array([name in rows for name in names])
-    order = [rows[name] for name in names if name in rows]
-    C = accuracy.covariance[np.ix_(order, order)]
-    std = np.sqrt(np.diag(C))
-    values, vectors = np.linalg.eigh(C / std / std[:, None])
-    factor = np.zeros((len(names), len(order)))
-    factor[stated] = std[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-    return factor
-
-
 def _squares(changes: Array) -> Array:
     """Return covariances (n, 3, 3) of changes (3, K, n) by K independent standard deviations."""
-    return _products(changes, changes)
+    return np.einsum("ikn,jkn->nij", changes, changes)
 
 
-def _products(left: Array, right: Array) -> Array:
-    """Return the symmetric products (n, 3, 3) of (3, K, n) and (3, K, n) over K."""
-    found = np.empty((left.shape[-1], 3, 3))
-    for i in range(3):
-        for j in range(i, 3):
-            found[:, i, j] = found[:, j, i] = np.add.reduce(left[i] * right[j])
-    return found
+def _noise(
+    head: HeadCalibration, joints: Array, pixel_std_px: ArrayLike, joint_std_rad: ArrayLike
+) -> tuple[Array, Array]:
+    """Return standard deviations (4, N or 1) of pixels and (r, N or 1) of readings or poses."""
+    count = 12 if measured(joints) else len(head.kinematics.readings)
+    return pixel_noise(pixel_std_px), noise_of_readings(joint_std_rad, count)
 
 
-def _rows(std: ArrayLike, n: int) -> Array:
-    """Return standard deviations (4, n) of pixels, from a number, (4,) or (n, 4)."""
-    return np.broadcast_to(np.asarray(std, dtype=float), (n, 4)).T
+def _by_noise(
+    seen: Linearised, noise: tuple[Array, Array], part: slice = slice(None)
+) -> tuple[Array, Array]:
+    """Return changes (3, 4, n) and (3, r, n) of points by one standard deviation of each."""
+    return seen.by_pixels * of_part(noise[0], part), seen.by_readings * of_part(noise[1], part)
 
 
-def noise_of_readings(joint_std: ArrayLike, count: int, n: int) -> Array:
-    """Return the standard deviations (r, n) of readings; of poses from rotation, translation."""
+def noise_of_readings(joint_std: ArrayLike, count: int) -> Array:
+    """Return standard deviations (r, N or 1) of readings; of poses from rotation, translation.
+
+    From a number, (r,) or (N, r), or for measured poses (count 12) the two numbers of `locate`.
+    """
     std = np.asarray(joint_std, dtype=float)
-    if std.shape == (2,) and count == 12:
-        std = np.tile(np.repeat(np.broadcast_to(std, (2,)), 3), 2)
-    return np.broadcast_to(std, (n, count)).T
+    if count == 12 and std.shape == (2,):
+        return np.tile(np.repeat(std, 3), 2)[:, None]
+    return std.reshape(-1, count).T if std.ndim else std.repeat(count)[:, None]

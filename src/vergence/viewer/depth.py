@@ -23,9 +23,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from vergence.arrays import Array
+from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES
-from vergence.geometry.projection import eye_poses
 from vergence.geometry.se3 import inverse
 from vergence.stereo.dense_depth import DenseDepth, point_cloud
 from vergence.stereo.rectification import RectifiedPair, rectified_image

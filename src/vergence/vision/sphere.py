@@ -8,7 +8,9 @@ sphere's centre.
 
 A lit sphere is brighter on one side, and what is behind it may have some of its colour. The part of
 a pixel that it covers is therefore taken from the shading that its inner pixels show, continued to
-its rim, and from the background that is seen beside it.
+its rim, and from the background that is seen beside it. What lies behind the rim itself is not
+seen; colours are therefore mixed so that the background around is as even as possible beside the
+sphere (Fisher's linear discriminant).
 
 Undistorting every pixel would be slow. The undistorted position is a smooth function of the pixel,
 so it is interpolated between Chebyshev points of the sphere's window: each point gets the coverage
@@ -34,11 +36,15 @@ STD_PX = 0.1
 """Standard deviation of a sphere's centre: more than noise makes, for blur and soft shadows."""
 _THRESHOLD = 100  # grey levels of colour contrast above which a pixel belongs to the sphere
 _BAND_ROWS = 96  # processed at a time: allocating memory for a whole image is slow
+_CONTRAST = np.array([1.0, -0.5, -0.5])  # of the sphere's own colour to the mean of the others
 _MARGIN_PX = 3  # for soft edges: blur and anti-aliasing extend over two pixels, plus a reserve
 _MIN_PIXELS = 4
 _EDGE_PX = 1.9
 """Distance from the outline beyond which a pixel is wholly covered, or not at all."""
 _NEARBY = (9, 9)  # pixels across: as far as the edge's outer side is seen from its inner one
+_NEARBY_STD_PX = 1.0  # of their weights: the nearest count, since backgrounds are not even
+_GREY_NOISE = 3.0
+"""Of a pixel in each plane [grey levels], with rounding and textures too fine to be seen."""
 _SHADED_PIXELS = 12
 """Least number of inner pixels for which shading is fitted: a smaller sphere is taken as even."""
 _FITTED_PIXELS = 1000  # about how many inner pixels of a large sphere are enough
@@ -138,8 +144,7 @@ def _centre(
     image: np.ndarray, planes: tuple[int, int, int], rows: slice, columns: slice, camera: Camera
 ) -> Array:
     """Return the centre (2,) [px] of the sphere in these rows and columns; NaN: beyond the lens."""
-    own, *others = np.moveaxis(image[rows, columns, planes].astype(float), -1, 0)
-    cover = _coverage(own - 0.5 * (others[0] + others[1]))
+    cover = _coverage(image[rows, columns, planes].astype(float))
     u, by_u = _interpolation(columns.start, columns.stop)
     v, by_v = _interpolation(rows.start, rows.stop)
     xy = normalise(camera, np.stack(np.broadcast_arrays(u, v[:, None]), axis=-1))
@@ -153,12 +158,15 @@ def _centre(
     return project(camera, _cone_axis(centroid, area))
 
 
-def _coverage(contrast: Array) -> Array:
-    """Return the part (H, W) of each pixel that the sphere covers, from its colour contrast."""
+def _coverage(window: Array) -> Array:
+    """Return the part (H, W) of each pixel that the sphere covers, from its colours (H, W, 3)."""
+    contrast = window @ _CONTRAST
     typical = float(np.median(contrast[contrast > _THRESHOLD]))
     mask = (contrast > 0.5 * typical).astype(np.uint8)
     inside = cv2.distanceTransform(mask, cv2.DIST_L2, 5) > _EDGE_PX
     outside = cv2.distanceTransform(1 - mask, cv2.DIST_L2, 5) > _EDGE_PX
+    if inside.any() and outside.any():
+        contrast = typical * _discriminant(window, inside, outside)
     light = _shading(contrast, mask, inside, typical)
     light = np.maximum(light + _nearby(contrast - light, inside), 0.5 * typical)
     background = _nearby(contrast, outside)
@@ -166,10 +174,25 @@ def _coverage(contrast: Array) -> Array:
     return np.where(inside, 1.0, np.where(outside, 0.0, edge))
 
 
+def _discriminant(window: Array, inside: np.ndarray, outside: np.ndarray) -> Array:
+    """Return the mixture (H, W) of the colours (H, W, 3) that tells sphere from background best.
+
+    About 1 on the sphere and 0 in the mean of what surrounds it; linear in the colours, so that it
+    is proportional to the coverage as they are.
+    """
+    around = window[outside][:: 1 + np.count_nonzero(outside) // _FITTED_PIXELS]
+    mean = around.mean(axis=0)
+    spread = around - mean
+    covariance = spread.T @ spread / len(around) + _GREY_NOISE**2 * np.eye(3)
+    apart = np.median(window[inside], axis=0) - mean
+    weights = np.linalg.solve(covariance, apart)
+    return (window - mean) @ (weights / (weights @ apart))
+
+
 def _nearby(values: Array, where: np.ndarray) -> Array:
-    """Return the mean (H, W) of the values around each pixel that are somewhere; 0: none is."""
-    weight = cv2.blur(where.astype(float), _NEARBY)
-    return cv2.blur(values * where, _NEARBY) / np.maximum(weight, 1e-9)
+    """Return the mean (H, W) of the values near each pixel that are somewhere; 0: none is."""
+    weight = cv2.GaussianBlur(where.astype(float), _NEARBY, _NEARBY_STD_PX)
+    return cv2.GaussianBlur(values * where, _NEARBY, _NEARBY_STD_PX) / np.maximum(weight, 1e-9)
 
 
 def _shading(contrast: Array, mask: np.ndarray, inside: np.ndarray, typical: float) -> Array:

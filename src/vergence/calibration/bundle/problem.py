@@ -25,8 +25,9 @@ from vergence.arrays import Array
 from vergence.data import timing
 from vergence.data.timing import Stencil
 from vergence.geometry import parameters
+from vergence.geometry.eye_motion import eye_linearised
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYES, T_base_eye, eye_linearised
+from vergence.geometry.kinematics import EYES, T_base_eye
 from vergence.geometry.parameters import axes_names, camera_columns
 from vergence.geometry.projection import (
     by_parameters,

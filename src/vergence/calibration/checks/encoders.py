@@ -18,9 +18,10 @@ from vergence.arrays import Array
 from vergence.calibration.checks import board_flips
 from vergence.calibration.observations import Observations, camera_eyes, most_seen_board
 from vergence.errors import VergenceError
+from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side
-from vergence.geometry.projection import eye_poses, stereo_cameras
+from vergence.geometry.projection import stereo_cameras
 from vergence.geometry.se3 import angle, inverse, rotvec
 
 LEAST_VIEWS_AT_REST = 6

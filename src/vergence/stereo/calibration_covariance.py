@@ -1,0 +1,83 @@
+"""What a calibration's covariance makes of located points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.geometry.components import stacked
+from vergence.geometry.head import HeadCalibration
+from vergence.stereo.linearised import Linearised, pair_columns, pair_parameters
+
+
+@dataclass(frozen=True, eq=False)
+class PairCovariance:
+    """Of a covariance of a head what the pixels of two cameras depend on."""
+
+    own: tuple[list[int], list[int]]
+    """By camera which p_l and p_r of its columns are known to be uncertain."""
+    by_left: Array
+    """(p_l + p_r, p_l) covariance of both cameras' with the left one's."""
+    by_right: Array
+    """(p_r, p_r)."""
+
+
+@lru_cache(maxsize=64)
+def pair_covariance(
+    head: HeadCalibration, cameras: tuple[str, str] | None
+) -> PairCovariance | None:
+    """Return the covariance that the pixels of a pair depend on; None where none is stated."""
+    if head.accuracy is None or not head.accuracy.parameters:
+        return None
+    rows = {name: k for k, name in enumerate(head.accuracy.parameters)}
+    names, (left, right) = pair_parameters(head, cameras), pair_columns(head, cameras)
+    of_base = np.array([name.startswith("T_rbase_lbase.") for name in names])
+    stated = np.array([name in rows for name in names])
+    own = np.flatnonzero((stated & ~of_base)[left]), np.flatnonzero(stated[right])
+    order = [rows[names[k]] for k in (*left[own[0]], *right[own[1]])]
+    C, n = head.accuracy.covariance[np.ix_(order, order)], len(own[0])
+    return PairCovariance(
+        (own[0].tolist(), own[1].tolist()),
+        np.ascontiguousarray(C[:, :n]),
+        np.ascontiguousarray(C[n:, n:]),
+    )
+
+
+def covariance_of_calibration(seen: Linearised, known: PairCovariance) -> Array:
+    """Return the covariances (n, 3, 3) that the calibration's covariance makes.
+
+    First that of the four pixel coordinates, of which a point is made: it takes half the time.
+    """
+    left, right = (
+        stacked([[row[k] for k in own] for row in rows], seen.status.shape, 2)
+        for rows, own in zip(seen.pixels_by_head, known.own, strict=True)
+    )
+    by_left, by_right = known.by_left @ left, known.by_right @ right
+    split = left.shape[1]
+    pixels = np.empty((4, 4, left.shape[2]))
+    pixels[:2, :2] = np.einsum("ipn,jpn->ijn", left, by_left[:, :split])
+    pixels[2:, 2:] = np.einsum("ipn,jpn->ijn", right, by_right)
+    pixels[:2, 2:] = np.einsum("ipn,jpn->ijn", by_left[:, split:], right)
+    pixels[2:, :2] = pixels[:2, 2:].swapaxes(0, 1)
+    half = np.einsum("ikn,kln->iln", seen.by_pixels, pixels)
+    return np.einsum("iln,jln->nij", half, seen.by_pixels)
+
+
+@lru_cache(maxsize=64)
+def pair_factor(head: HeadCalibration, cameras: tuple[str, str] | None) -> Array:
+    """Return F (P, q) with F F^T the calibration's covariance of `pair_parameters`."""
+    accuracy, names = head.accuracy, pair_parameters(head, cameras)
+    if accuracy is None or not accuracy.parameters:
+        return np.zeros((len(names), 0))
+    rows = {name: k for k, name in enumerate(accuracy.parameters)}
+    stated = np.array([name in rows for name in names])
+    order = [rows[name] for name in names if name in rows]
+    C = accuracy.covariance[np.ix_(order, order)]
+    std = np.sqrt(np.diag(C))
+    values, vectors = np.linalg.eigh(C / std / std[:, None])
+    factor = np.zeros((len(names), len(order)))
+    factor[stated] = std[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    return factor
