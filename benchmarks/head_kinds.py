@@ -126,11 +126,11 @@ def recorded(
     observed = observe(head, rng, NOISE, **vars(arranged))
     if not images:
         return observed
+    noise = np.random.default_rng(rng.integers(2**32))
     if kept is not None and kept.exists():
         with np.load(kept) as file:
             corners = dict(file)
     else:
-        noise = np.random.default_rng(rng.integers(2**32))
         corners = dict(
             found_corners(
                 head, noise, T_lbase_target=arranged.T_lbase_target, joints=arranged.joints
