@@ -187,7 +187,7 @@ def main() -> None:
         shares = (100 * np.mean(each) for each in (own, inside, corners, own + inside))
         a, b, c, d = (f"{share:.1f} %" for share in shares)
         print(
-            f"{kind:22} {dict(words)}: poses, gains and points {a}, projections {b}, at the corners "
+            f"{kind:22} {dict(words)}: poses, gains and points {a}, projections {b}, at corners "
             f"{c}, all {d} of {len(own + inside)}; held-out error {ratio:.2f} of the stated one",
             flush=True,
         )

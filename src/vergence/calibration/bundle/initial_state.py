@@ -17,7 +17,7 @@ from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES, Kinematics
-from vergence.geometry.parameters import POSE, axes_names, camera_columns, parameter_names
+from vergence.geometry.parameters import POSE, axes_names, parameter_names
 from vergence.geometry.se3 import angle, inverse
 from vergence.vision.board_pose import LEAST_CORNERS, board_poses, determines_pose, seen_corners
 
@@ -130,8 +130,13 @@ def initial_state(
         trust_encoder=np.zeros(reading.shape[1], dtype=bool),
         T_base_eye_read=T_base_eye_read,
         systematic_px=observations.systematic_px,
-        prior=_prior(start, len(free) + len(POSE) * len(numbers) + 1),
         free=np.array(free + [True] * (len(POSE) * len(numbers)) + [sized]),
+        assumed=np.array(
+            [
+                f"{name}.k6" not in fixed and bool(np.isfinite(lens_prior(mounted.intrinsics)[0]))
+                for name, mounted in start.cameras.items()
+            ]
+        ),
         measured=measured_poses,
     )
     state = BundleState(
@@ -146,16 +151,6 @@ def initial_state(
     ]
     found = np.stack(poses)[camera, view]
     return *_place_boards(problem, state, found), numbers
-
-
-def _prior(start: HeadCalibration, unknowns: int) -> tuple[Array, Array]:
-    """Return what is assumed of the shared unknowns (G,) beforehand: of the lenses."""
-    mean, information = np.zeros((2, unknowns))
-    for name, mounted in start.cameras.items():
-        own = lens_prior(mounted.intrinsics)
-        columns = camera_columns(start, name)[: len(own[0])]
-        mean[columns], information[columns] = own
-    return mean, information
 
 
 def _latent_columns(kinematics: Kinematics, eyes: list[int]) -> list[list[int]]:

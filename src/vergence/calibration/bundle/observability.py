@@ -14,7 +14,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.bundle.problem import BundleProblem, BundleState, head_size
 from vergence.calibration.bundle.solver import LinearProblem, NoiseLevels, factorise, project_onto
-from vergence.calibration.sequential.lens_prior import lens_prior
+from vergence.calibration.sequential.lens_prior import EQUIDISTANT
 from vergence.geometry.kinematics import EYES, joint_parameters
 from vergence.geometry.lens import CameraModel
 
@@ -79,7 +79,7 @@ def whole_basis(problem: BundleProblem, state: BundleState) -> Array:
         scales += [0.2 * f, 0.2 * f, 0.1 * lens.width, 0.1 * lens.height]
         own = _MOVED / reach ** np.array(_POWERS[lens.model])
         if lens.model == "rational":  # the numerator moves with what is assumed of the denominator
-            own[-3:] = lens_prior(lens)[1][-3:] ** -0.5
+            own[-3:] = EQUIDISTANT
             own[[0, 1, 4]] = np.hypot(own[[0, 1, 4]], own[-3:])
         scales += own.tolist() + pose
     joints = state.head.kinematics.eyes

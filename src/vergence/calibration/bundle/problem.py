@@ -29,6 +29,7 @@ from vergence.calibration.bundle.measured_poses import (
     pose_jacobians,
     whitened,
 )
+from vergence.calibration.sequential.lens_prior import lens_prior
 from vergence.data import timing
 from vergence.data.timing import Stencil
 from vergence.geometry import parameters
@@ -87,11 +88,10 @@ class BundleProblem:
     """(B, 4, 4) measured poses of the eyes; None: pan and tilt."""
     systematic_px: float
     """The errors that all images of a camera share are at least so large."""
-    prior: tuple[Array, Array]
-    """(G,) what is assumed of the shared unknowns beforehand, and (G,) with what information; zeros
-    where nothing is."""
     free: NDArray[np.bool_]
     """(G,) which shared unknowns may change."""
+    assumed: NDArray[np.bool_]
+    """(C,) of which lenses `lens_prior` is assumed: those that may change and start within it."""
     measured: MeasuredPoses | None = None
     """Poses of a target, in place of the corners of boards: pixels are then zeros, and K is 3."""
 
@@ -136,14 +136,16 @@ def joint_errors(problem: BundleProblem, state: BundleState) -> Array:
     return state.latent + moved - problem.reading
 
 
-def prior_errors(problem: BundleProblem, state: BundleState) -> Array:
-    """Return (G,): by how much unknowns differ from what is assumed of them; 0: nothing is."""
-    mean, information = problem.prior
-    found = np.zeros_like(mean)
-    for name, mounted in state.head.cameras.items():
-        values = parameters.lens_vector(mounted.intrinsics)
-        found[camera_columns(state.head, name)[: len(values)]] = values
-    return np.where(information > 0, found - mean, 0.0)
+def prior(problem: BundleProblem, state: BundleState) -> tuple[float, Array, Array]:
+    """Return what `lens_prior` does, for all shared unknowns: a number, (G,) and (G,)."""
+    total, (half_gradient, information) = 0.0, np.zeros((2, len(problem.free)))
+    for c, (name, mounted) in enumerate(state.head.cameras.items()):
+        if problem.assumed[c]:
+            own = lens_prior(mounted.intrinsics)
+            columns = camera_columns(state.head, name)[: len(own[1])]
+            total += own[0]
+            half_gradient[columns], information[columns] = own[1:]
+    return total, half_gradient, information
 
 
 def joint_rates(problem: BundleProblem, state: BundleState) -> Array:

@@ -25,11 +25,10 @@ from vergence.calibration.bundle.problem import (
     jacobians,
     joint_errors,
     joint_rates,
-    prior_errors,
+    prior,
     refit_trajectory,
     retract,
 )
-from vergence.calibration.sequential.lens_prior import reaches
 from vergence.errors import VergenceError
 
 OUTLIER = 4.0
@@ -112,6 +111,7 @@ def linearise(problem: BundleProblem, state: BundleState, weights: Weights) -> L
     G, (B, n) = len(problem.free), problem.reading.shape
     shared, index, latent = jacobians(problem, state)
     error = corner_errors(problem, state)
+    _, half_gradient, information = prior(problem, state)
     root = np.sqrt(weights[0])[..., None] / problem.noise_scale[:, None, None]
     M = len(index)
     J = (shared * root[..., None]).reshape(M, -1, index.shape[1])
@@ -133,7 +133,7 @@ def linearise(problem: BundleProblem, state: BundleState, weights: Weights) -> L
         weights=weights,
         rate=joint_rates(problem, state),
         time=np.eye(1, G, head_size(problem) - 1)[0],
-        prior=(np.diag(problem.prior[1]), -problem.prior[1] * prior_errors(problem, state)),
+        prior=(np.diag(information), -half_gradient),
     )  # fmt: skip
 
 
@@ -229,13 +229,9 @@ def _in_noise(
 def cost(problem: BundleProblem, state: BundleState, noise: NoiseLevels) -> float:
     """Return the robust sum of squares in units of the noise, and of what is assumed beforehand.
 
-    Infinite behind a camera, and for a lens that ends within the corners it saw.
+    Infinite behind a camera.
     """
-    total = float((problem.prior[1] * prior_errors(problem, state) ** 2).sum())
-    for c, mounted in enumerate(state.head.cameras.values()):
-        mine = problem.camera == c
-        if not reaches(mounted.intrinsics, problem.pixels[mine][problem.seen[mine]]):
-            return np.inf
+    total = prior(problem, state)[0]
     for s in _in_noise(problem, state, noise):
         total += (np.minimum(s, noise.outlier) ** 2).sum()
         if np.isfinite(noise.outlier):

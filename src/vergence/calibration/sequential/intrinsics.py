@@ -324,13 +324,14 @@ def _rational(fisheye: Camera, T_cam_target: Array, points: Array) -> Camera:
     With the denominator of an equidistant lens; the numerator by linear least squares.
     """
     seen = transform(T_cam_target[:, None], points)
-    largest = np.hypot(seen[..., 0], seen[..., 1]) / seen[..., 2]
-    r = np.linspace(0.01, 1, 200) * largest.max()
-    factor = distort("fisheye", tuple(fisheye.distortion.tolist()), r, np.zeros_like(r))[0] / r
+    largest = (np.hypot(seen[..., 0], seen[..., 1]) / seen[..., 2]).max()
+    r = np.tan(np.linspace(0.01, 1, 200) * np.arctan(largest))
+    radius, _ = distort("fisheye", tuple(fisheye.distortion.tolist()), r, np.zeros_like(r))[:2]
     powers = r[:, None] ** [2, 4, 6]
-    scale = r[-1] ** np.array([2, 4, 6])
-    wanted = factor * (1 + powers @ EQUIDISTANT) - 1
-    k1, k2, k3 = np.linalg.lstsq(powers / scale, wanted)[0] / scale
+    of_one = r / (1 + powers @ EQUIDISTANT)  # in the image, by each part of the numerator
+    rows = of_one[:, None] * powers
+    scale = rows.max(axis=0)
+    k1, k2, k3 = np.linalg.lstsq(rows / scale, radius - of_one)[0] / scale
     k = np.array([k1, k2, 0, 0, k3, *EQUIDISTANT])
     return replace(fisheye, distortion=k, model="rational")
 

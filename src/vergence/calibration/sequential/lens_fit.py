@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.sequential.lens_prior import lens_prior, reaches
+from vergence.calibration.sequential.lens_prior import lens_prior
 from vergence.geometry.camera import Camera, project_jacobians
 from vergence.geometry.parameters import lens_of_vector, lens_vector
 from vergence.geometry.projection import by_pose_of_points
@@ -77,7 +77,6 @@ def fit_lens(
     """
     seen = np.isfinite(corners)
     count = np.count_nonzero(seen)
-    mean, information = (each[free] for each in lens_prior(camera))
     damping, lens = 1e-4, camera
     state = _linearised(lens, free, T_cam_target, corners, points, seen)
     if state is None:
@@ -85,14 +84,14 @@ def fit_lens(
 
     def cost(state: _Linear, lens: Camera) -> float:
         """Return the sum of squares, raised as the prior says: its logarithm is a likelihood's."""
-        off = lens_vector(lens)[free] - mean
-        return float((state[0] ** 2).sum() * np.exp((information * off**2).sum() / count))
+        return float((state[0] ** 2).sum() * np.exp(lens_prior(lens)[0] / count))
 
     T = T_cam_target
     for _ in range(iterations):
         lowest = cost(state, lens)
-        weight = information * (state[0] ** 2).sum() / count
-        prior = weight, weight * (mean - lens_vector(lens)[free])
+        variance = (state[0] ** 2).sum() / count
+        _, half_gradient, information = lens_prior(lens)
+        prior = variance * information[free], -variance * half_gradient[free]
         accepted = False
         while not accepted:
             step_lens, step_view, gain = _step(state, prior, damping)
@@ -107,7 +106,7 @@ def fit_lens(
                 continue
             moved = boxplus(T, step_view)
             found = None
-            if reaches(trial, corners):
+            if np.isfinite(lens_prior(trial)[0]):
                 found = _linearised(trial, free, moved, corners, points, seen)
             accepted = found is not None and cost(found, trial) <= lowest
             if found is not None and accepted:
