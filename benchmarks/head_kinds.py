@@ -3,26 +3,34 @@
 Simulated heads with cameras rolled by any angle see boards all over their images. The stated 95 %
 regions are those of each camera's place in its eye and of its projection at 25 pixels out to the
 image's corners, of the pose between the eyes, of each gain, and of located points. The held-out
-error of points is compared with the stated one.
+error of points is compared with the stated one. With --images the heads' images are drawn and the
+corners sought in them; else the corners are simulated.
 
     python benchmarks/head_kinds.py --heads 20 --kinds "shared tilt, pan" fisheye
+    python benchmarks/head_kinds.py --heads 8 --images --found /tmp/corners
 """
 
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
-from lens_monte_carlo import CORNERS, random_lens, recording, tried
+from drawn_boards import CHARUCO, found_corners
+from lens_monte_carlo import CORNERS, NOISE, arrangement, random_lens, tried
 from other_heads import KINDS as JOINTS
 from other_heads import other_head
 from simulated_head import probability
-from simulated_recording import inside_image
+from simulated_recording import inside_image, observe
 from vergence.calibration.calibrate import CalibrationResult, calibrate
+from vergence.calibration.detection import SYSTEMATIC_PX
+from vergence.calibration.observations import Observations
 from vergence.calibration.sequential.lens_choice import Lens
+from vergence.calibration.summary import verdict
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, main_pair
@@ -35,7 +43,6 @@ LENSES = ("k3", "rational", "fisheye")
 KINDS = (*JOINTS, "one eye", "two resolutions", *LENSES)
 POINTS = 10
 """Located points of each head."""
-PIXEL_PX, JOINT_RAD = 0.1, np.radians(0.05)
 
 
 def head_of(kind: str, rng: np.random.Generator) -> HeadCalibration:
@@ -60,7 +67,7 @@ def resized(lens: Camera, factor: int) -> Camera:
 
 
 def regions(
-    result: CalibrationResult, truth: HeadCalibration, rng: np.random.Generator
+    result: CalibrationResult, truth: HeadCalibration, rng: np.random.Generator, pixel_px: float
 ) -> Iterator[bool]:
     """Yield for each stated region, but those of projections, whether it holds the truth."""
     # With the true lenses: coefficients of a model that is not the true one cannot be compared.
@@ -80,11 +87,11 @@ def regions(
         error = np.array([off[accuracy.parameters[i]] for i in rows])
         yield bool(probability(error, accuracy.covariance[np.ix_(rows, rows)]) < 0.95)
     if main_pair(truth) is not None:
-        yield from points(result.head, truth, rng)
+        yield from points(result.head, truth, rng, pixel_px)
 
 
 def points(
-    head: HeadCalibration, truth: HeadCalibration, rng: np.random.Generator
+    head: HeadCalibration, truth: HeadCalibration, rng: np.random.Generator, pixel_px: float
 ) -> Iterator[bool]:
     """Yield for each located point whether its region holds the truth."""
     pair, r, found = main_pair(truth), len(truth.kinematics.readings), 0
@@ -97,8 +104,8 @@ def points(
             inside_image(uv, truth.cameras[n].intrinsics) for n, uv in zip(pair, seen, strict=True)
         ):
             continue
-        left, right = (uv[None] + rng.normal(0, PIXEL_PX, 2) for uv in seen)
-        read = joints + rng.normal(0, JOINT_RAD, r)
+        left, right = (uv[None] + rng.normal(0, pixel_px, 2) for uv in seen)
+        read = joints + rng.normal(0, NOISE.joint_rad, r)
         here = locate(head, left=left, right=right, joints=read)
         if here.status[0] != Status.OK:
             continue  # beyond the reach of the estimated lens: no region is stated
@@ -108,39 +115,80 @@ def points(
             return
 
 
+def recorded(
+    head: HeadCalibration, rng: np.random.Generator, *, images: bool, kept: Path | None
+) -> Observations:
+    """Return simulated corners and readings or, of images, what is found in them.
+
+    Corners that were found before are read from a file, and new ones kept in it.
+    """
+    arranged = arrangement(head, rng)
+    observed = observe(head, rng, NOISE, **vars(arranged))
+    if not images:
+        return observed
+    noise = np.random.default_rng(rng.integers(2**32))
+    if kept is not None and kept.exists():
+        with np.load(kept) as file:
+            corners = dict(file)
+    else:
+        corners = dict(
+            found_corners(
+                head, noise, T_lbase_target=arranged.T_lbase_target, joints=arranged.joints
+            )
+        )
+        if kept is not None:
+            kept.parent.mkdir(parents=True, exist_ok=True)
+            np.savez_compressed(kept, **corners)
+    return replace(observed, board=CHARUCO, corners=corners, systematic_px=SYSTEMATIC_PX)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
     parser.add_argument("--heads", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--images", action="store_true", help="draw images and seek the corners")
+    parser.add_argument("--found", type=Path, help="folder that keeps the corners found in images")
     given = parser.parse_args()
     everything: list[bool] = []
     for kind in given.kinds:
-        inside, corners, own, ratios, failed = [], [], [], [], 0
+        inside, corners, own, ratios = [], [], [], []
+        words: Counter[str] = Counter()
         for seed in range(given.seed, given.seed + given.heads):
             rng = np.random.default_rng([seed, KINDS.index(kind)])
             head = head_of(kind, rng)
             lens: Lens = "rational" if kind == "rational" else "auto"
+            kept = None if given.found is None else given.found / f"{kind}, {seed}.npz"
+            observed = recorded(head, rng, images=given.images, kept=kept)
             try:
-                result = calibrate(recording(head, rng), lens=lens)
+                result = calibrate(observed, lens=lens)
             except VergenceError as error:
-                failed += 1
+                words["refused"] += 1
                 print(f"   {kind}, seed {seed}: {error}", flush=True)
                 continue
             one = tried(result, head)
             inside += one.inside.ravel().tolist()
             corners += one.inside[:, CORNERS].ravel().tolist()
-            own += list(regions(result, head, rng))
+            # The noise of a point that is located is that of the corners.
+            pixel_px = (result.accuracy.pixel_std_px or 0.0) if given.images else NOISE.pixel_px
+            of_head = list(regions(result, head, rng, pixel_px))
+            own += of_head
             ratios += [one.ratio] if one.ratio else []
-            if result.accuracy.void:
-                print(f"   {kind}, seed {seed}: VOID {result.accuracy.void}", flush=True)
+            word, why = verdict(result.accuracy, result.head)
+            words[word] += 1
+            print(
+                f"   {kind}, seed {seed}: {np.mean(of_head):.2f}, {one.inside.mean():.2f}, "
+                f"{one.inside[:, CORNERS].mean():.2f}, off {one.error_px.max():.2f} px, held out "
+                f"{one.ratio or np.nan:.2f}, {' '.join(one.models)}, {word} {why}",
+                flush=True,
+            )
         everything += inside + own
         ratio = np.sqrt(np.mean(np.square(ratios))) if ratios else np.nan
-        shares = (100 * np.mean(each) for each in (own, inside, corners))
-        a, b, c = (f"{share:.1f} %" for share in shares)
+        shares = (100 * np.mean(each) for each in (own, inside, corners, own + inside))
+        a, b, c, d = (f"{share:.1f} %" for share in shares)
         print(
-            f"{kind:22} {given.heads - failed:3} heads: poses, gains and points {a}, projections "
-            f"{b}, at the corners {c}, held-out error {ratio:.2f} of the stated one",
+            f"{kind:22} {dict(words)}: poses, gains and points {a}, projections {b}, at corners "
+            f"{c}, all {d} of {len(own + inside)}; held-out error {ratio:.2f} of the stated one",
             flush=True,
         )
     print(f"all together: {100 * np.mean(everything):.1f} % of {len(everything)} regions")

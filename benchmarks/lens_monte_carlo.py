@@ -94,9 +94,26 @@ def lens_head(kind: str, rng: np.random.Generator) -> HeadCalibration:
     return replace(head, cameras=cameras)
 
 
+@dataclass(frozen=True, eq=False)
+class Arrangement:
+    """Where V boards stand, and what the joints truly read before them."""
+
+    placement: np.ndarray
+    """(V,)."""
+    T_lbase_target: Array
+    """(V, 4, 4)."""
+    joints: Array
+    """(V, r) [rad]."""
+
+
 def recording(
     head: HeadCalibration, rng: np.random.Generator, noise: Noise = NOISE
 ) -> Observations:
+    """Return corners and readings of boards arranged at random."""
+    return observe(head, rng, noise, **vars(arrangement(head, rng)))
+
+
+def arrangement(head: HeadCalibration, rng: np.random.Generator) -> Arrangement:
     """Return boards in all parts of the images, cut off at the edges, and one for moving eyes.
 
     Each stands where one of the cameras has a pixel drawn evenly from its image.
@@ -120,10 +137,7 @@ def recording(
     readings = np.tile(gaze, 2)
     if head.kinematics.readings != EYE_JOINTS:  # each for itself
         readings = rng.uniform(-0.25, 0.25, (ORIENTATIONS, len(straight)))
-    return observe(
-        head,
-        rng,
-        noise,
+    return Arrangement(
         placement=np.concatenate([np.arange(STRAIGHT), np.full(ORIENTATIONS, STRAIGHT)]),
         T_lbase_target=np.array(places + [fixed] * ORIENTATIONS),
         joints=np.concatenate([np.tile(straight, (STRAIGHT, 1)), readings]),

@@ -1,5 +1,7 @@
 """One camera from views of a flat board."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from vergence.calibration.sequential.intrinsics import (
 )
 from vergence.calibration.sequential.lens_choice import best_lens, choose_lenses
 from vergence.calibration.sequential.lens_fit import FOLDS, fit_lens, held_out_squares
+from vergence.calibration.sequential.lens_prior import EQUIDISTANT, lens_prior
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.camera import Camera, normalise, pinhole, project
@@ -150,6 +153,39 @@ def test_richer_lenses_are_found_to_double_precision(model):
     np.testing.assert_allclose(found.camera.matrix, camera.matrix, atol=atol)
     np.testing.assert_allclose(found.camera.distortion, camera.distortion, atol=atol)
     assert found.rms_px < 1e-6
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_rational_lens_from_noisy_corners_has_a_direction_in_every_corner_of_the_image(seed: int):
+    """A pole and a zero that cancel up to the noise are no lens."""
+    rng = np.random.default_rng(seed)
+    corners = scattered(LENSES["rational"], 25, rng)
+    corners += rng.normal(0, 0.1, corners.shape)
+    found = calibrate_camera(corners, POINTS, size=SIZE, lens_model="rational").camera
+    edges = np.array([[0.0, 0], [639, 0], [0, 479], [639, 479]])
+    assert np.isfinite(normalise(found, edges)).all()
+    assert np.abs(found.distortion).max() < 10
+
+
+def test_the_prior_of_a_rational_lens_is_largest_at_the_equidistant_one_and_forbids_poles():
+    lens = pinhole(640, 480, 300.0, (0, 0, 0, 0, 0, *EQUIDISTANT), model="rational")
+    cost, half_gradient, _ = lens_prior(lens)
+    assert cost == 0
+    np.testing.assert_array_equal(half_gradient, 0)
+    pole = pinhole(640, 480, 300.0, (0, 0, 0, 0, 0, -0.5, 0.1, 0.1), model="rational")
+    assert lens_prior(pole)[0] == np.inf
+    step, there = 1e-6 * np.eye(8)[5], LENSES["rational"]
+    ends = [lens_prior(replace(there, distortion=there.distortion + s * step)) for s in (1, -1)]
+    _, half_gradient, information = lens_prior(there)
+    assert half_gradient[9] == pytest.approx((ends[0][0] - ends[1][0]) / 4e-6, rel=1e-6)
+    assert information[9] == pytest.approx((ends[0][1][9] - ends[1][1][9]) / 2e-6, rel=1e-6)
+
+
+def test_the_denominator_that_is_assumed_is_an_equidistant_lens():
+    r = np.tan(np.radians(np.linspace(1, 65, 20)))
+    powers = r[:, None] ** [2, 4, 6]
+    numerator = 1 + powers @ (50 / 39, 283 / 715, 256 / 15015)
+    np.testing.assert_allclose(r * numerator / (1 + powers @ EQUIDISTANT), np.arctan(r), atol=0.006)
 
 
 @pytest.mark.parametrize("model", ["none", "radial-tangential", "radial-tangential-k3", "fisheye"])

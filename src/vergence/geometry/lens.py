@@ -148,7 +148,8 @@ def _table(model: CameraModel, k: Coefficients) -> tuple[Array, Array]:
     if model == "fisheye":
         theta = np.linspace(0, min(np.arctan(np.sqrt(end)), np.pi / 2), 500)
         return _radius(k, theta), theta
-    largest = min(np.sqrt(end), _LARGEST_TANGENT)
+    # Short of a pole: on it the radius would be infinite, of either sign.
+    largest = min((1 - 1e-9) * np.sqrt(end), _LARGEST_TANGENT)
     # Even in the angle: a lens is smooth in it.
     r = np.tan(np.linspace(0, np.arctan(largest), 500))
     rational = (*k[:2], 0.0, 0.0, *k[4:])

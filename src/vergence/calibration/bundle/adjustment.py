@@ -32,6 +32,7 @@ from vergence.calibration.bundle.variance_components import (
     image_levels,
     image_noise_scales,
     redundancy,
+    restricted_cost,
 )
 from vergence.errors import VergenceError
 
@@ -73,6 +74,8 @@ class Adjusted:
     converged: bool
     systematic_px: tuple[float, ...]
     """By camera: systematic errors of corners, rms of one coordinate [px]."""
+    cost: float
+    """-2 log of the restricted likelihood, but for a constant."""
 
 
 def adjust(
@@ -162,6 +165,7 @@ def adjust(
         left[1:],
         converged and agreed,
         systematic_px,
+        restricted_cost(project_onto(linear, seen.basis), noise),
     )
 
 

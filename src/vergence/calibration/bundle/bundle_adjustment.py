@@ -64,6 +64,8 @@ class BundleEstimate:
     """Why the result must not be used; empty: it may be."""
     warnings: tuple[str, ...]
     """What the data cannot determine, and why."""
+    cost: float
+    """-2 log of the restricted likelihood at these noise levels, but for a constant."""
 
     @property
     def accuracy(self) -> Accuracy:
@@ -86,6 +88,7 @@ def bundle_adjust(
     observations: Observations,
     *,
     T_cam_target: Mapping[str, Array] | None = None,
+    whitening: Mapping[str, Array] | None = None,
     points: Array | None = None,
     fixed: Collection[str] | None = None,
     pixel_std_px: float | None = None,
@@ -100,6 +103,8 @@ def bundle_adjust(
         observations: corners and readings. Without timing the time offset is not estimated.
         T_cam_target: by camera (V, 4, 4) poses of the board in each image, where they were solved
             for before.
+        whitening: by camera (V, 6, 6) where these poses are what was measured, instead of corners;
+            see `target_poses.adjust_target_poses`.
         points: (K, 3) corners in frame target [m]; None: those of the board.
         fixed: names of parameters that keep their start; None: fixed_by_default.
         pixel_std_px: noise of one coordinate of a corner; None: estimated.
@@ -121,7 +126,12 @@ def bundle_adjust(
             "left_wide.fx, left_wide.T_eye_cam.rx, left.pan_gain and time_offset_s."
         )
     problem, state, numbers = initial_state(
-        start, observations, fixed=fixed, points=points, T_cam_target=T_cam_target
+        start,
+        observations,
+        fixed=fixed,
+        points=points,
+        T_cam_target=T_cam_target,
+        whitening=whitening,
     )
     group = np.zeros(problem.reading.shape[1], dtype=int)
     if problem.T_base_eye_read is not None:
@@ -170,6 +180,7 @@ def bundle_adjust(
             *diagnostics.contradicting_views(problem),
             *diagnostics.warnings(problem, found),
         ),
+        cost=found.cost,
     )
 
 

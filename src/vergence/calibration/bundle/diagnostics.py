@@ -52,10 +52,13 @@ def warnings(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
     ]
     corners = int(np.count_nonzero(problem.seen))
     if found.outliers > 0.01 * corners:
+        what, unit = "corners", f"{noise.pixel_px:.2g} px"
+        if problem.measured is not None:
+            what, unit = "pairs of numbers of measured poses", f"{noise.pixel_px:.2g} stated ones"
         said.append(
-            f"{found.outliers} of {corners} corners lie beyond {noise.outlier:g} standard "
-            f"deviations of {noise.pixel_px:.2g} px and lost their weight: look at the views with "
-            "the largest residuals."
+            f"{found.outliers} of {corners} {what} lie beyond {noise.outlier:g} standard "
+            f"deviations of {unit} and lost their weight: look at the views with the largest "
+            "residuals."
         )
     said += _lost_readings(problem, found)
     systematic = max(found.systematic_px)

@@ -8,8 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.calibration.bundle.measured_poses import MeasuredPoses
 from vergence.calibration.bundle.problem import BundleProblem, BundleState, corner_errors, eye_poses
 from vergence.calibration.observations import Observations
+from vergence.calibration.sequential.lens_prior import lens_prior
 from vergence.data.timing import TRAJECTORY_DEGREE, stencil
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
@@ -38,8 +40,12 @@ def initial_state(
     fixed: Collection[str],
     points: Array | None = None,
     T_cam_target: Mapping[str, Array] | None = None,
+    whitening: Mapping[str, Array] | None = None,
 ) -> tuple[BundleProblem, BundleState, np.ndarray]:
     """Return the problem of a head, its start, and the (P,) numbers of its placements.
+
+    With whitening (V, 6, 6) by camera, the poses T_cam_target are what was measured; corners (V, 3,
+    2) then only say, by what is not NaN, where there are any.
 
     The best board pose of each placement is its start; parameters of cameras that see no board keep
     theirs. Arguments and errors are those of `bundle_adjust`.
@@ -54,7 +60,8 @@ def initial_state(
     points = corner_points(board) if points is None else points
     eye = np.array([EYES.index(each.eye) for each in start.cameras.values()], dtype=np.intp)
     # Without one view that says where it is, a placement is of no use.
-    useful = determines_pose(points, seen).any(axis=0)
+    placed = seen.all(axis=2) if whitening is not None else determines_pose(points, seen)
+    useful = placed.any(axis=0)
     numbers = np.unique(observations.placement[useful])
     camera, view = np.nonzero(seen.any(axis=2) & np.isin(observations.placement, numbers))
     measured = observations.T_base_eye
@@ -94,6 +101,16 @@ def initial_state(
         name not in fixed and name.partition(".")[0] not in blind and name not in without
         for name in parameters
     ]
+    measured_poses = None
+    if whitening is not None and T_cam_target is not None:
+        measured_poses = MeasuredPoses(
+            *(
+                np.stack([each[name] for name in cameras])[camera, view]
+                for each in (T_cam_target, whitening)
+            )
+        )
+    # Measured poses of a target are in metres, as measured poses of an eye are.
+    sized = whitening is None and _measures_lengths(measured)
     problem = BundleProblem(
         cameras=cameras,
         parameters=parameters,
@@ -113,7 +130,14 @@ def initial_state(
         trust_encoder=np.zeros(reading.shape[1], dtype=bool),
         T_base_eye_read=T_base_eye_read,
         systematic_px=observations.systematic_px,
-        free=np.array(free + [True] * (len(POSE) * len(numbers)) + [_measures_lengths(measured)]),
+        free=np.array(free + [True] * (len(POSE) * len(numbers)) + [sized]),
+        assumed=np.array(
+            [
+                f"{name}.k6" not in fixed and bool(np.isfinite(lens_prior(mounted.intrinsics)[0]))
+                for name, mounted in start.cameras.items()
+            ]
+        ),
+        measured=measured_poses,
     )
     state = BundleState(
         head=replace(start, time_offset_s=0.0, accuracy=None),

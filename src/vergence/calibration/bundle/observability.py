@@ -14,6 +14,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.bundle.problem import BundleProblem, BundleState, head_size
 from vergence.calibration.bundle.solver import LinearProblem, NoiseLevels, factorise, project_onto
+from vergence.calibration.sequential.lens_prior import EQUIDISTANT
 from vergence.geometry.kinematics import EYES, joint_parameters
 from vergence.geometry.lens import CameraModel
 
@@ -47,14 +48,9 @@ _POWERS: dict[CameraModel, tuple[int, ...]] = {
     "fisheye": (2, 4, 6, 8),
 }
 """Of the radius, with which each coefficient moves a point relative to its distance."""
-_MOVED: dict[CameraModel, float] = {
-    "radial-tangential": 0.2,
-    "rational": 0.02,
-    "fisheye": 0.2,
-}
+_MOVED = 0.2
 """By how much a coefficient may move the image's corner, relative to its distance from the centre.
-Those of a rational lens nearly cancel one another: combinations that the images hardly determine
-would lead far away along a curved valley, and keep their start."""
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +77,11 @@ def whole_basis(problem: BundleProblem, state: BundleState) -> Array:
         # Of the image's corner: normalised radius or, for a fisheye lens, angle.
         reach = np.hypot(lens.width, lens.height) / 2 / f
         scales += [0.2 * f, 0.2 * f, 0.1 * lens.width, 0.1 * lens.height]
-        moved = _MOVED[lens.model]
-        scales += (moved / reach ** np.array(_POWERS[lens.model])).tolist() + pose
+        own = _MOVED / reach ** np.array(_POWERS[lens.model])
+        if lens.model == "rational":  # the numerator moves with what is assumed of the denominator
+            own[-3:] = EQUIDISTANT
+            own[[0, 1, 4]] = np.hypot(own[[0, 1, 4]], own[-3:])
+        scales += own.tolist() + pose
     joints = state.head.kinematics.eyes
     names = [name for eye in EYES for _, name in joint_parameters(joints[eye])]
     errors = [JOINT_STD.get(name, FACTOR_STD) for name in names]

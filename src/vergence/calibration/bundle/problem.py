@@ -22,6 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.arrays import Array
+from vergence.calibration.bundle.measured_poses import (
+    MeasuredPoses,
+    expected_poses,
+    pose_errors,
+    pose_jacobians,
+    whitened,
+)
+from vergence.calibration.sequential.lens_prior import lens_prior
 from vergence.data import timing
 from vergence.data.timing import Stencil
 from vergence.geometry import parameters
@@ -83,6 +91,10 @@ class BundleProblem:
     """The errors that all images of a camera share are at least so large."""
     free: NDArray[np.bool_]
     """(G,) which shared unknowns may change."""
+    assumed: NDArray[np.bool_]
+    """(C,) of which lenses `lens_prior` is assumed: those that may change and start within it."""
+    measured: MeasuredPoses | None = None
+    """Poses of a target, in place of the corners of boards: pixels are then zeros, and K is 3."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +135,18 @@ def joint_errors(problem: BundleProblem, state: BundleState) -> Array:
     """
     moved = timing.change(problem.trajectory_coefficients, -state.head.time_offset_s)
     return state.latent + moved - problem.reading
+
+
+def prior(problem: BundleProblem, state: BundleState) -> tuple[float, Array, Array]:
+    """Return what `lens_prior` does, for all shared unknowns: a number, (G,) and (G,)."""
+    total, (half_gradient, information) = 0.0, np.zeros((2, len(problem.free)))
+    for c, (name, mounted) in enumerate(state.head.cameras.items()):
+        if problem.assumed[c]:
+            own = lens_prior(mounted.intrinsics)
+            columns = camera_columns(state.head, name)[: len(own[1])]
+            total += own[0]
+            half_gradient[columns], information[columns] = own[1:]
+    return total, half_gradient, information
 
 
 def joint_rates(problem: BundleProblem, state: BundleState) -> Array:
@@ -206,15 +230,52 @@ def _on_boards(problem: BundleProblem, state: BundleState) -> tuple[Array, Array
     return turned, turned + T[:, None, :3, 3]
 
 
+def _target_poses(problem: BundleProblem, state: BundleState, T_base_eye: Array) -> Array:
+    """Return T_cam_target (M, 4, 4) as expected at eye poses (M, 4, 4)."""
+    found, boards = np.empty_like(T_base_eye), state.T_lbase_target[problem.placement]
+    for c, mounted in enumerate(state.head.cameras.values()):
+        own = problem.camera == c
+        found[own] = expected_poses(mounted, state.head.T_rbase_lbase, T_base_eye[own], boards[own])
+    return found
+
+
 def corner_errors(problem: BundleProblem, state: BundleState) -> Array:
-    """Return (M, K, 2) [px], projected minus seen: 0 if not seen, NaN if not before the camera."""
+    """Return (M, K, 2) [px], projected minus seen: 0 if not seen, NaN if not before the camera.
+
+    Of measured poses (M, 3, 2), expected minus measured, in standard deviations.
+    """
     T = eye_poses(problem, state)
+    if problem.measured is not None:
+        errors = pose_errors(problem.measured, _target_poses(problem, state, T))
+        return np.where(problem.seen[..., None], errors, 0.0)
     _, points = _on_boards(problem, state)
     projected = np.empty_like(problem.pixels)
     for c, mounted in enumerate(state.head.cameras.values()):
         own = problem.camera == c
         projected[own] = project_at(mounted, state.head.T_rbase_lbase, T[own], points[own])
     return np.where(problem.seen[..., None], projected - problem.pixels, 0.0)
+
+
+def _pose_rows(
+    problem: BundleProblem, state: BundleState, own: np.ndarray, by_axes: Array, by_latent: Array
+) -> tuple[Array, Array]:
+    """Return the derivatives of the errors of one camera's measured poses, which are `own` (M,).
+
+    By what jacobians has of them, in its order: (m, 3, 2, s), and (m, 3, 2, n). Those of
+    T_base_eye (M, 6, ...) are by the errors of the joints and by the latent unknowns.
+    """
+    assert problem.measured is not None
+    mounted = state.head.cameras[problem.cameras[problem.camera[own][0]]]
+    T, boards = eye_poses(problem, state)[own], state.T_lbase_target[problem.placement[own]]
+    placed = mounted, state.head.T_rbase_lbase, T, boards
+    by_camera, by_eye, between, by_board = pose_jacobians(*placed)
+    by_lens = np.zeros((len(T), 6, len(parameters.lens_vector(mounted.intrinsics))))
+    by_size = np.zeros((len(T), 6, 1))
+    rows = [by_lens, by_camera, between, by_eye @ by_axes[own], by_board, by_size]
+    measured = MeasuredPoses(*(each[own] for each in vars(problem.measured).values()))
+    expected = expected_poses(*placed)
+    shared = whitened(measured, expected, np.concatenate(rows, axis=-1))
+    return shared, whitened(measured, expected, by_eye @ by_latent[own])
 
 
 def jacobians(problem: BundleProblem, state: BundleState) -> tuple[Array, Index, Array]:
@@ -233,14 +294,18 @@ def jacobians(problem: BundleProblem, state: BundleState) -> tuple[Array, Index,
     index = np.zeros((M, s), dtype=np.intp)
     for c, mounted in enumerate(state.head.cameras.values()):
         own = problem.camera == c
-        J = project_with_jacobians(mounted, state.head.T_rbase_lbase, T[own], points[own])
-        by_board = by_pose_of_points(J.by_point, turned[own])
-        by_size = (J.by_point @ turned[own][..., None]) / state.board_scale
         width = len(columns[c]) + 7
-        shared[own, ..., :width] = np.concatenate(
-            [by_parameters(J, by_axes[problem.eye[c]][own]), by_board, by_size], axis=-1
-        )
-        latent[own] = rows_times(J.by_T_base_eye, by_latent[own])
+        if problem.measured is not None and own.any():
+            rows, moved = _pose_rows(problem, state, own, by_axes[problem.eye[c]], by_latent)
+            shared[own, ..., :width], latent[own] = rows, moved
+        else:
+            J = project_with_jacobians(mounted, state.head.T_rbase_lbase, T[own], points[own])
+            by_board = by_pose_of_points(J.by_point, turned[own])
+            by_size = (J.by_point @ turned[own][..., None]) / state.board_scale
+            shared[own, ..., :width] = np.concatenate(
+                [by_parameters(J, by_axes[problem.eye[c]][own]), by_board, by_size], axis=-1
+            )
+            latent[own] = rows_times(J.by_T_base_eye, by_latent[own])
         index[own, : width - 7] = columns[c]
         board = head_size(problem) + 6 * problem.placement[own, None] + np.arange(6)
         index[own, width - 7 : width - 1] = board

@@ -25,6 +25,7 @@ from vergence.calibration.bundle.problem import (
     jacobians,
     joint_errors,
     joint_rates,
+    prior,
     refit_trajectory,
     retract,
 )
@@ -87,6 +88,8 @@ class LinearProblem:
     """(B, n): the joint errors change by minus this with the time offset."""
     time: Array
     """(G,) how the time offset changes with each shared unknown."""
+    prior: tuple[Array, Array]
+    """(G, G) the information of what is assumed of the shared unknowns, and (G,) its gradient."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +111,7 @@ def linearise(problem: BundleProblem, state: BundleState, weights: Weights) -> L
     G, (B, n) = len(problem.free), problem.reading.shape
     shared, index, latent = jacobians(problem, state)
     error = corner_errors(problem, state)
+    _, half_gradient, information = prior(problem, state)
     root = np.sqrt(weights[0])[..., None] / problem.noise_scale[:, None, None]
     M = len(index)
     J = (shared * root[..., None]).reshape(M, -1, index.shape[1])
@@ -129,6 +133,7 @@ def linearise(problem: BundleProblem, state: BundleState, weights: Weights) -> L
         weights=weights,
         rate=joint_rates(problem, state),
         time=np.eye(1, G, head_size(problem) - 1)[0],
+        prior=(np.diag(information), -half_gradient),
     )  # fmt: skip
 
 
@@ -143,6 +148,7 @@ def project_onto(linear: LinearProblem, basis: Array) -> LinearProblem:
         gl=np.ascontiguousarray(gl.reshape(-1, B, n).transpose(1, 0, 2)),
         g=rows @ linear.g,
         time=rows @ linear.time,
+        prior=(rows @ (rows @ linear.prior[0]).T, rows @ linear.prior[1]),
     )
 
 
@@ -157,9 +163,9 @@ def factorise(linear: LinearProblem, noise: NoiseLevels, damping: float = 0.0) -
     ll = ll + damping * np.where(eye, ll, 0.0)
     timing, row = linear.rate * joint, linear.time
     gl = pixel * linear.gl - row[:, None] * timing[:, None, :]
-    gg = pixel * linear.gg + np.outer(row, row) * (linear.rate * timing).sum()
+    gg = pixel * linear.gg + np.outer(row, row) * (linear.rate * timing).sum() + linear.prior[0]
     gg[np.diag_indices_from(gg)] *= 1 + damping
-    right_g = pixel * linear.g + row * (timing * linear.joint_errors).sum()
+    right_g = pixel * linear.g + row * (timing * linear.joint_errors).sum() + linear.prior[1]
     right_l = pixel * linear.latent - joint * linear.joint_errors
     ll_inverse: Array = np.linalg.inv(ll).astype(float, copy=False)
     coupling = ll_inverse @ np.swapaxes(gl, 1, 2)
@@ -221,8 +227,11 @@ def _in_noise(
 
 
 def cost(problem: BundleProblem, state: BundleState, noise: NoiseLevels) -> float:
-    """Return the robust sum of squares in units of the noise; infinite behind a camera."""
-    total = 0.0
+    """Return the robust sum of squares in units of the noise, and of what is assumed beforehand.
+
+    Infinite behind a camera.
+    """
+    total = prior(problem, state)[0]
     for s in _in_noise(problem, state, noise):
         total += (np.minimum(s, noise.outlier) ** 2).sum()
         if np.isfinite(noise.outlier):

@@ -50,8 +50,11 @@ def systematic_errors(
 
     Returns:
         By camera the rms of one coordinate of the field over the image [px], and (G, G) what the
-        fields add to the covariance of the shared unknowns.
+        fields add to the covariance of the shared unknowns. Zeros where poses of a target were
+        measured instead of corners: they have no place in the image.
     """
+    if problem.measured is not None:
+        return (0.0,) * len(problem.cameras), np.zeros((len(problem.free), len(problem.free)))
     weights = linear.weights[0]
     factors = factorise(project_onto(linear, basis), noise)
     schur = cholesky(factors.schur)

@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import cho_solve, solve_triangular
 from scipy.special import digamma, polygamma
 
 from vergence.arrays import Array
@@ -80,6 +80,11 @@ def estimate_noise(
     return replace(noise, levels=np.exp(s / 2)), variance, left
 
 
+def restricted_cost(linear: LinearProblem, noise: NoiseLevels) -> float:
+    """Return -2 log of the restricted likelihood, but for a constant."""
+    return _evaluate(linear, noise, 2 * np.log(noise.levels))[0]
+
+
 def redundancy(linear: LinearProblem, noise: NoiseLevels) -> Array:
     """Return (1 + groups,) how many residuals of each group such noise would leave over.
 
@@ -141,7 +146,9 @@ def _evaluate(
     squares = np.append(_corner_squares(linear, free, latent) / noise.pixel_px**2, squares)
     counts = np.append(linear.count, np.bincount(group.ravel(), used.ravel()))
     trace, norms = _absorbed(linear, factors, inverse_variance, noise)
-    unknowns = len(free) + latent.size
+    # What is assumed beforehand determines a part of the unknowns, which the corners need not.
+    assumed = np.trace(cho_solve(cholesky(factors.schur), linear.prior[0]))
+    unknowns = len(free) + latent.size - assumed
     redundancy = counts - np.concatenate([[unknowns - trace.sum()], trace])
     # With M the residual projector, F_gh = |M_gh|^2 / 2, and M M = M gives the corners' row.
     joint = norms + np.diag(counts[1:] - 2 * trace)

@@ -13,6 +13,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.observations import Observations
 from vergence.calibration.sequential.lens_fit import NEGLIGIBLE_GAIN, ROUGH, LensFit, fit_lens
+from vergence.calibration.sequential.lens_prior import EQUIDISTANT
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
 from vergence.geometry.camera import Camera, pinhole, project_jacobians
@@ -320,19 +321,18 @@ def _fit_from(
 def _rational(fisheye: Camera, T_cam_target: Array, points: Array) -> Camera:
     """Return the rational lens that is nearest to a fisheye one where it saw boards.
 
-    Linear least squares of numerator less radial factor times denominator. The little weight on
-    the coefficients chooses small ones of the many that do.
+    With the denominator of an equidistant lens; the numerator by linear least squares.
     """
     seen = transform(T_cam_target[:, None], points)
-    largest = np.hypot(seen[..., 0], seen[..., 1]) / seen[..., 2]
-    r = np.linspace(0.01, 1, 200) * largest.max()
-    zero = np.zeros_like(r)
-    factor = distort("fisheye", tuple(fisheye.distortion.tolist()), r, zero)[0] / r
-    powers = (r / r[-1])[:, None] ** [2, 4, 6]
-    A = np.concatenate([powers, -factor[:, None] * powers], axis=1)
-    A, b = np.concatenate([A, 1e-4 * np.eye(6)]), np.concatenate([factor - 1, np.zeros(6)])
-    k1, k2, k3, k4, k5, k6 = np.linalg.lstsq(A, b)[0] / np.tile(r[-1] ** np.array([2, 4, 6]), 2)
-    k = np.array([k1, k2, 0, 0, k3, k4, k5, k6])
+    largest = (np.hypot(seen[..., 0], seen[..., 1]) / seen[..., 2]).max()
+    r = np.tan(np.linspace(0.01, 1, 200) * np.arctan(largest))
+    radius, _ = distort("fisheye", tuple(fisheye.distortion.tolist()), r, np.zeros_like(r))[:2]
+    powers = r[:, None] ** [2, 4, 6]
+    of_one = r / (1 + powers @ EQUIDISTANT)  # in the image, by each part of the numerator
+    rows = of_one[:, None] * powers
+    scale = rows.max(axis=0)
+    k1, k2, k3 = np.linalg.lstsq(rows / scale, radius - of_one)[0] / scale
+    k = np.array([k1, k2, 0, 0, k3, *EQUIDISTANT])
     return replace(fisheye, distortion=k, model="rational")
 
 

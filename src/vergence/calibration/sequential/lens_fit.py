@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.calibration.sequential.lens_prior import lens_prior
 from vergence.geometry.camera import Camera, project_jacobians
 from vergence.geometry.parameters import lens_of_vector, lens_vector
 from vergence.geometry.projection import by_pose_of_points
@@ -59,6 +60,9 @@ def fit_lens(
 ) -> LensFit:
     """Return the fit of a lens to views of a board, by Levenberg and Marquardt's method.
 
+    What is assumed of the lens beforehand (`lens_prior`) counts beside the noise that the errors
+    show: the likelihood is that of the noise level which makes it largest.
+
     Args:
         camera: to start from.
         free: (n,) indices of the intrinsics that may change, in the order of intrinsics_names.
@@ -72,18 +76,26 @@ def fit_lens(
         ValueError: a corner has no place in the image at the start.
     """
     seen = np.isfinite(corners)
+    count = np.count_nonzero(seen)
     damping, lens = 1e-4, camera
     state = _linearised(lens, free, T_cam_target, corners, points, seen)
     if state is None:
         raise ValueError("the start of a lens shows a corner behind the camera")
+
+    def cost(state: _Linear, lens: Camera) -> float:
+        """Return the sum of squares, raised as the prior says: its logarithm is a likelihood's."""
+        return float((state[0] ** 2).sum() * np.exp(lens_prior(lens)[0] / count))
+
     T = T_cam_target
     for _ in range(iterations):
-        errors, of_view, of_lens = state
-        lowest = (errors**2).sum()
+        lowest = cost(state, lens)
+        variance = (state[0] ** 2).sum() / count
+        _, half_gradient, information = lens_prior(lens)
+        prior = variance * information[free], -variance * half_gradient[free]
         accepted = False
         while not accepted:
-            step_lens, step_view, gain = _step(errors, of_view, of_lens, damping)
-            if gain <= tolerance * lowest + EXACT_PX2 * errors.size or damping > 1e10:
+            step_lens, step_view, gain = _step(state, prior, damping)
+            if gain <= tolerance * lowest + EXACT_PX2 * state[0].size or damping > 1e10:
                 return _fit(lens, T, state)
             values = lens_vector(lens)
             values[free] += step_lens
@@ -93,8 +105,10 @@ def fit_lens(
                 damping *= 10
                 continue
             moved = boxplus(T, step_view)
-            found = _linearised(trial, free, moved, corners, points, seen)
-            accepted = found is not None and (found[0] ** 2).sum() <= lowest
+            found = None
+            if np.isfinite(lens_prior(trial)[0]):
+                found = _linearised(trial, free, moved, corners, points, seen)
+            accepted = found is not None and cost(found, trial) <= lowest
             if found is not None and accepted:
                 lens, T, state, damping = trial, moved, found, max(damping / 10, 1e-14)
             else:
@@ -121,10 +135,12 @@ def _linearised(
     return errors, of_view.reshape(V, -1, 6), of_lens.reshape(V, -1, len(free))
 
 
-def _step(
-    errors: Array, of_view: Array, of_lens: Array, damping: float
-) -> tuple[Array, Array, float]:
-    """Return the steps of the lens (n,) and of the poses (V, 6), and the decrease they promise."""
+def _step(state: _Linear, prior: tuple[Array, Array], damping: float) -> tuple[Array, Array, float]:
+    """Return the steps of the lens (n,) and of the poses (V, 6), and the decrease they promise.
+
+    The prior's information on the lens (n,), and its gradient, are in units of the errors.
+    """
+    errors, of_view, of_lens = state
     of_view_T = np.swapaxes(of_view, 1, 2)
     N = of_view_T @ of_view
     N[:, range(6), range(6)] *= 1 + damping
@@ -132,10 +148,11 @@ def _step(
     both = np.linalg.solve(N, np.concatenate([of_view_T @ of_lens, g_view], axis=2))
     coupling, alone = both[..., :-1], both[..., -1]
     gg = np.einsum("vin,vim->nm", of_lens, of_lens, optimize=True)
+    gg[np.diag_indices_from(gg)] += prior[0]
     gg[np.diag_indices_from(gg)] *= 1 + damping
     cross = of_view_T @ of_lens
     S = gg - np.einsum("vin,vim->nm", cross, coupling, optimize=True)
-    g_lens = -np.einsum("vin,vi->n", of_lens, errors, optimize=True)
+    g_lens = prior[1] - np.einsum("vin,vi->n", of_lens, errors, optimize=True)
     g = g_lens - np.einsum("vin,vi->n", cross, alone, optimize=True)
     step_lens = _solve(S, g) if len(g) else g
     step_view = alone - coupling @ step_lens

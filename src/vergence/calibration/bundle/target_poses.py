@@ -1,0 +1,249 @@
+"""Where cameras sit in their eyes, from measured poses of a target instead of corners.
+
+For devices that measure poses of a body directly. As with corners, the true joint readings of every
+view are unknowns tied to what was read, and all else is estimated at once: T_eye_cam of each
+camera, T_rbase_lbase, the errors of the joints, the target's places, and the levels of noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from vergence.arrays import Array
+from vergence.calibration.bundle.bundle_adjustment import (
+    BundleEstimate,
+    bundle_adjust,
+    fixed_by_default,
+)
+from vergence.calibration.bundle.measured_poses import PAIRS, whitening
+from vergence.calibration.bundle.solver import OUTLIER
+from vergence.calibration.observations import Observations
+from vergence.calibration.sequential.hand_eye import robust_park_martin
+from vergence.errors import VergenceError
+from vergence.geometry.board import Chessboard
+from vergence.geometry.camera import pinhole
+from vergence.geometry.head import HeadCalibration, MountedCamera, main_camera
+from vergence.geometry.kinematics import EYES, Kinematics, Side
+from vergence.geometry.parameters import intrinsics_names
+from vergence.geometry.se3 import inverse, mean_pose
+
+LEAST_VIEWS = 3
+"""Of a target at rest, from which a camera's place in its eye follows."""
+_UNIT_RAD = 1e-3
+"""Unit of rotation in which errors of poses are counted where no covariance is given."""
+_LEVERS_M = 1e-2, 1e1
+"""Between these the ratio of the noise of translation to that of rotation [m/rad] is sought."""
+
+
+@dataclass(frozen=True, eq=False)
+class TargetPoseEstimate:
+    """The result of adjust_target_poses."""
+
+    head: HeadCalibration
+    """Its lenses are those of the start, or none."""
+    parameters: tuple[str, ...]
+    """Names of the c parameters of the head; see BundleEstimate.parameters."""
+    covariance: Array
+    """(c, c); zero for what was fixed by choice."""
+    pose_std: tuple[float, float] | None
+    """Estimated noise of measured poses, rotation [rad] and translation [m] along each axis; None:
+    their covariance was given."""
+    noise_factor: float
+    """By which the given standard deviations have to be multiplied to explain the errors; 1 where
+    none were given."""
+    joint_std: tuple[float, ...]
+    """Noise of the readings, see Accuracy.joint_std."""
+    T_lbase_target: Mapping[int, Array]
+    """By number of the placement: where the target stood."""
+    T_base_eye: Array
+    """(V, 2, 4, 4) the true poses of the left and the right eye; NaN where it saw no target."""
+    errors: Mapping[str, Array]
+    """By camera (V, 6): expected minus measured poses, in stated or estimated standard deviations,
+    whitened; NaN where none was measured."""
+    void: tuple[str, ...]
+    """Why the result must not be used; empty: it may be."""
+    warnings: tuple[str, ...]
+    """What the data cannot determine, and why."""
+
+
+def adjust_target_poses(
+    T_cam_target: Mapping[str, Array],
+    eye: Array,
+    *,
+    eyes: Mapping[str, Side],
+    kinematics: Kinematics | None = None,
+    placement: np.ndarray | None = None,
+    covariance: Mapping[str, Array] | None = None,
+    noise_factor: float | None = None,
+    start: HeadCalibration | None = None,
+    fixed: Collection[str] = (),
+    joint_std: float | tuple[float, float] | None = None,
+    outlier: float = OUTLIER,
+) -> TargetPoseEstimate:
+    """Estimate a head from poses of a target that its cameras measured in V views.
+
+    Args:
+        T_cam_target: by camera (V, 4, 4); NaN where none was measured.
+        eye: (V, r) joint readings [rad], or (V, 2, 4, 4) measured poses of both eyes.
+        eyes: by camera, in which eye it sits.
+        kinematics: how readings turn the eyes; None: pan and tilt.
+        placement: (V,) numbers of the target's places in the head; None: it stayed at one.
+        covariance: by camera (6, 6) or (V, 6, 6) of the poses, in the increment of `se3.boxplus`;
+            None: noise of one level for rotations and of one for translations, both estimated.
+        noise_factor: of the standard deviations in `covariance`; None: estimated.
+        start: a head that is about right, with these cameras; None: by Park and Martin's method.
+        fixed: names of more parameters that keep their start, such as left.pan_gain.
+        joint_std: as outlier, see bundle_adjust.
+
+    Raises:
+        VergenceError: shapes do not fit, or the motion does not determine a start.
+    """
+    kinematics = Kinematics() if kinematics is None else kinematics
+    views = len(eye)
+    placement = np.zeros(views, dtype=int) if placement is None else placement
+    _check(T_cam_target, eyes, views)
+    observations = Observations(
+        board=Chessboard(columns=PAIRS, rows=1, square_m=1.0),  # numbers of a pose, as corners
+        placement=placement,
+        eye_angles=np.full((views, len(kinematics.readings)), np.nan) if eye.ndim == 4 else eye,
+        corners={
+            name: np.where(np.isfinite(T).all(axis=(1, 2))[:, None, None], 0.0, np.nan)
+            * np.zeros((PAIRS, 2))
+            for name, T in T_cam_target.items()
+        },
+        sizes=dict.fromkeys(T_cam_target, (1, 1)),
+        eyes=eyes,
+        kinematics=kinematics,
+        T_base_eye=eye if eye.ndim == 4 else None,
+    )
+    head = _start(T_cam_target, observations) if start is None else start
+    kept = {
+        f"{name}.{each}"
+        for name, mounted in head.cameras.items()
+        for each in intrinsics_names(mounted.intrinsics)
+    }
+    adjust = partial(
+        bundle_adjust,
+        head,
+        observations,
+        T_cam_target=T_cam_target,
+        fixed={*kept, *fixed_by_default(head, timed=False), *fixed},
+        joint_std=joint_std,
+        outlier=outlier,
+    )
+    if covariance is not None:
+        stated = {
+            name: np.broadcast_to(_whitening(covariance, name, T), (views, 6, 6))
+            for name, T in T_cam_target.items()
+        }
+        found = adjust(whitening=stated, pixel_std_px=noise_factor)
+        return _result(found, None, found.pixel_std_px)
+    rotations = sum(3 * int(np.isfinite(T[:, 0, 0]).sum()) for T in T_cam_target.values())
+
+    tried: dict[float, BundleEstimate] = {}
+
+    def cost(log_lever: float) -> float:
+        """Return -2 log likelihood; a translation's density is per metre, whatever its unit."""
+        std = _UNIT_RAD * np.exp(log_lever * np.array([0, 0, 0, 1, 1, 1]))
+        each = np.broadcast_to(np.diag(1 / std), (views, 6, 6))
+        tried[log_lever] = adjust(whitening=dict.fromkeys(T_cam_target, each))
+        return tried[log_lever].cost + 2 * rotations * log_lever
+
+    best = minimize_scalar(
+        cost, bounds=np.log(_LEVERS_M), method="bounded", options={"xatol": 0.05}
+    )
+    found = tried[best.x]
+    rotation_std = _UNIT_RAD * found.pixel_std_px
+    return _result(found, (rotation_std, rotation_std * float(np.exp(best.x))), 1.0)
+
+
+def _whitening(covariance: Mapping[str, Array], name: str, T_cam_target: Array) -> Array:
+    if name not in covariance:
+        raise VergenceError(f"covariance has none for the poses of {name}.")
+    given = np.asarray(covariance[name], dtype=float)
+    if given.shape not in ((6, 6), (len(T_cam_target), 6, 6)):
+        raise VergenceError(
+            f"The covariance of poses of {name} is (6, 6) or ({len(T_cam_target)}, 6, 6), found "
+            f"{given.shape}."
+        )
+    used = np.isfinite(T_cam_target).all(axis=(1, 2))
+    if given.ndim == 3:
+        given = np.where(used[:, None, None], given, np.eye(6))
+    return whitening(given)
+
+
+def _result(
+    found: BundleEstimate, pose_std: tuple[float, float] | None, factor: float
+) -> TargetPoseEstimate:
+    return TargetPoseEstimate(
+        head=found.head,
+        parameters=found.parameters,
+        covariance=found.covariance,
+        pose_std=pose_std,
+        noise_factor=factor,
+        joint_std=found.joint_std,
+        T_lbase_target=found.T_lbase_target,
+        T_base_eye=found.T_base_eye,
+        errors={
+            name: each.reshape(-1, 6) / (found.pixel_std_px if pose_std else 1.0)
+            for name, each in found.residuals_px.items()
+        },
+        void=found.void,
+        warnings=found.warnings,
+    )
+
+
+def _check(T_cam_target: Mapping[str, Array], eyes: Mapping[str, Side], views: int) -> None:
+    if not T_cam_target:
+        raise VergenceError("There are no poses of a target: T_cam_target names no camera.")
+    for name, T in T_cam_target.items():
+        if T.shape != (views, 4, 4):
+            raise VergenceError(
+                f"Poses of a target in {views} views are ({views}, 4, 4) for each camera, found "
+                f"{T.shape} for {name}."
+            )
+        if name not in eyes:
+            raise VergenceError(f"eyes does not say in which eye {name} sits.")
+        R = T[np.isfinite(T).all(axis=(1, 2)), :3, :3]
+        off = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(initial=0)
+        if off > 1e-6 or (np.linalg.det(R) < 0).any():
+            raise VergenceError(f"T_cam_target of {name} has a rotation part that is no rotation.")
+
+
+def _start(T_cam_target: Mapping[str, Array], observations: Observations) -> HeadCalibration:
+    """Return a head by Park and Martin's method; T_rbase_lbase from what both eyes see."""
+    T_base_eye, mounted, seen = observations.eye_poses(), {}, {}
+    for name, T in T_cam_target.items():
+        eye = observations.eyes[name]
+        own = T_base_eye[:, EYES.index(eye)]
+        known = np.isfinite(T).all(axis=(1, 2)) & np.isfinite(own).all(axis=(1, 2))
+        numbers, counts = np.unique(observations.placement[known], return_counts=True)
+        if not len(numbers) or counts.max() < LEAST_VIEWS:
+            raise VergenceError(
+                f"{name} needs at least {LEAST_VIEWS} poses of a target at rest, at different "
+                "readings."
+            )
+        rows = known & (observations.placement == numbers[counts.argmax()])
+        T_eye_cam = robust_park_martin(own[rows], T[rows])
+        # Poses have no pixels: a lens of one stands where a head needs one.
+        mounted[name] = MountedCamera(eye=eye, intrinsics=pinhole(1, 1, 1.0), T_eye_cam=T_eye_cam)
+        seen[name] = own @ T_eye_cam @ T
+    pair = [[name for name in mounted if mounted[name].eye == eye] for eye in EYES]
+    between = np.eye(4)
+    if all(pair):
+        left, right = (main_camera(names, eye) for names, eye in zip(pair, EYES, strict=True))
+        both = seen[right] @ inverse(seen[left])
+        known = np.isfinite(both).all(axis=(1, 2))
+        if not known.any():
+            raise VergenceError(
+                f"T_rbase_lbase is not observable: no view has poses by both {left} and {right}."
+            )
+        between = mean_pose(both[known])
+    return HeadCalibration(
+        cameras=mounted, T_rbase_lbase=between, kinematics=observations.kinematics
+    )

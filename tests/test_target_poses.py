@@ -1,0 +1,174 @@
+"""Poses of a target in place of corners: exact data give no error, noise the stated one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from other_heads import other_head
+from simulated_head import as_designed, probability
+from simulated_recording import facing
+from vergence.arrays import Array
+from vergence.calibration.bundle.measured_poses import (
+    MeasuredPoses,
+    expected_poses,
+    pose_errors,
+    pose_jacobians,
+    whitened,
+)
+from vergence.calibration.bundle.target_poses import TargetPoseEstimate, adjust_target_poses
+from vergence.errors import VergenceError
+from vergence.geometry.head import HeadCalibration, T_base_cam
+from vergence.geometry.kinematics import Side, T_base_eye
+from vergence.geometry.parameters import boxminus, without_offsets
+from vergence.geometry.se3 import boxplus, inverse
+
+NOISE = np.diag(np.repeat([0.003, 0.0006], 3) ** 2)
+EYES_OF: dict[str, Side] = {"left_wide": "left", "right_wide": "right"}
+
+
+def head_of(kind: str, rng: np.random.Generator) -> HeadCalibration:
+    return without_offsets(other_head(kind, rng, rolled=True))
+
+
+def measured(
+    head: HeadCalibration,
+    rng: np.random.Generator,
+    *,
+    pose_std: tuple[float, float] = (0.0, 0.0),
+    joint_std: float = 0.0,
+    views: int = 40,
+) -> tuple[dict[str, Array], Array]:
+    """Return poses of a target at rest by camera, and readings."""
+    r = len(head.kinematics.readings)
+    joints = rng.uniform(-0.3, 0.3, (views, r))
+    T_lbase_target = facing(np.array([0.5, -0.04, 0.0]), rng.normal(0, 0.3, 3))
+    noise = np.repeat(pose_std, 3)
+    poses = {}
+    for name, mounted in head.cameras.items():
+        there = T_lbase_target if mounted.eye == "left" else head.T_rbase_lbase @ T_lbase_target
+        T = inverse(T_base_cam(head, name, joints)) @ there
+        poses[name] = boxplus(T, rng.normal(0, 1, (views, 6)) * noise)
+    return poses, joints + rng.normal(0, joint_std, joints.shape)
+
+
+def off(found: TargetPoseEstimate, truth: HeadCalibration) -> Array:
+    """Return (c,) the errors of the parameters; lenses have none."""
+    cameras = {
+        name: replace(mounted, intrinsics=truth.cameras[name].intrinsics)
+        for name, mounted in found.head.cameras.items()
+    }
+    errors = boxminus(replace(found.head, cameras=cameras), truth)
+    return np.array([errors.get(name, 0.0) for name in found.parameters])
+
+
+@pytest.mark.parametrize("kind", ["tilt, pan", "shared tilt, pan"])
+def test_exact_poses_give_the_head_without_error(kind: str):
+    rng = np.random.default_rng(1)
+    head = head_of(kind, rng)
+    poses, readings = measured(head, rng)
+    poses["left_wide"][3] = np.nan  # not measured
+    found = adjust_target_poses(
+        poses,
+        readings,
+        eyes=EYES_OF,
+        kinematics=as_designed(head.kinematics),
+        covariance=dict.fromkeys(poses, NOISE),
+    )
+    assert found.void == ()
+    assert np.abs(off(found, head)).max() < 1e-5
+    assert np.isnan(found.errors["left_wide"][3]).all()
+
+
+def test_noisy_poses_give_the_stated_error():
+    inside = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        head = head_of("pan, tilt", rng)
+        poses, readings = measured(head, rng, pose_std=(0.003, 0.0006), joint_std=0.002)
+        found = adjust_target_poses(
+            poses,
+            readings,
+            eyes=EYES_OF,
+            kinematics=as_designed(head.kinematics),
+            covariance=dict.fromkeys(poses, NOISE),
+        )
+        error = off(found, head)
+        for owner in ("left_wide.T_eye_cam", "right_wide.T_eye_cam", "T_rbase_lbase"):
+            rows = [k for k, n in enumerate(found.parameters) if n.rpartition(".")[0] == owner]
+            inside.append(probability(error[rows], found.covariance[np.ix_(rows, rows)]) < 0.95)
+    assert np.mean(inside) > 0.8
+
+
+@pytest.mark.slow
+def test_unknown_noise_of_poses_and_of_readings_is_found():
+    rng = np.random.default_rng(0)
+    head = head_of("pan, tilt", rng)
+    poses, readings = measured(head, rng, pose_std=(0.003, 0.0006), joint_std=0.002)
+    found = adjust_target_poses(
+        poses, readings, eyes=EYES_OF, kinematics=as_designed(head.kinematics)
+    )
+    assert found.pose_std is not None
+    levels = [*found.pose_std, found.joint_std[0]]
+    np.testing.assert_allclose(levels, [0.003, 0.0006, 0.002], rtol=0.2)
+
+
+def test_a_stated_covariance_is_used_and_its_factor_found():
+    rng = np.random.default_rng(3)
+    head = head_of("pan, tilt", rng)
+    poses, readings = measured(head, rng, pose_std=(0.002, 0.0004), joint_std=0.001, views=60)
+    stated = np.diag(np.repeat([0.001, 0.0002], 3) ** 2)
+    found = adjust_target_poses(
+        poses,
+        readings,
+        eyes=EYES_OF,
+        kinematics=as_designed(head.kinematics),
+        covariance=dict.fromkeys(poses, stated),
+    )
+    assert found.noise_factor == pytest.approx(2, rel=0.15)
+    assert found.pose_std is None
+
+
+def test_derivatives_of_poses_are_those_of_differences():
+    rng = np.random.default_rng(0)
+    head = head_of("tilt, pan", rng)
+    mounted = head.cameras["right_wide"]
+    E = T_base_eye(head.kinematics, "right", rng.uniform(-0.3, 0.3, (2, 4)))
+    target = facing(np.array([0.5, 0, 0]) + rng.normal(0, 0.05, (2, 3)), rng.normal(0, 0.3, (2, 3)))
+    at = (mounted.T_eye_cam, E, head.T_rbase_lbase, target)
+    seen = boxplus(expected_poses(mounted, at[2], E, target), rng.normal(0, 0.05, (2, 6)))
+    given = MeasuredPoses(seen, rng.normal(size=(2, 6, 6)))
+
+    def errors(T: tuple[Array, ...]) -> Array:
+        moved = replace(mounted, T_eye_cam=T[0])
+        return pose_errors(given, expected_poses(moved, T[2], T[1], T[3]))
+
+    analytic = pose_jacobians(mounted, at[2], E, target)
+    expected = expected_poses(mounted, at[2], E, target)
+    for k in range(4):
+        rows = whitened(given, expected, analytic[k])
+        for j in range(6):
+            d = 1e-6 * np.eye(6)[j]
+            ends = [
+                errors(tuple(boxplus(T, s * d) if i == k else T for i, T in enumerate(at)))
+                for s in (1, -1)
+            ]
+            numeric = (ends[0] - ends[1]) / 2e-6
+            np.testing.assert_allclose(rows[..., j], numeric, atol=2e-6)
+
+
+def test_wrong_arguments_are_refused():
+    rng = np.random.default_rng(0)
+    head = head_of("pan, tilt", rng)
+    poses, readings = measured(head, rng, views=10)
+    with pytest.raises(VergenceError, match=r"are \(10, 4, 4\) for each camera"):
+        adjust_target_poses({"left_wide": poses["left_wide"][:5]}, readings, eyes=EYES_OF)
+    with pytest.raises(VergenceError, match="in which eye right_wide"):
+        adjust_target_poses(poses, readings, eyes={"left_wide": "left"})
+    covariance = dict.fromkeys(poses, -np.eye(6))
+    with pytest.raises(VergenceError, match="positive definite"):
+        adjust_target_poses(poses, readings, eyes=EYES_OF, covariance=covariance)
+    for T in poses.values():
+        T[:8] = np.nan
+    with pytest.raises(VergenceError, match="at least 3 poses"):
+        adjust_target_poses(poses, readings, eyes=EYES_OF)
