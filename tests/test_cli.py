@@ -84,7 +84,10 @@ def test_an_unknown_command_is_answered_with_the_known_ones(capsys, monkeypatch)
 @pytest.mark.parametrize(
     ("arguments", "known"),
     [
-        (["grasp", "--trails", "3"], "--trials, --seed, --profile, --scene, --geometry, --out, --json"),
+        (
+            ["grasp", "--trails", "3"],
+            "--trials, --seed, --profile, --scene, --geometry, --out, --json",
+        ),
         (["record", "--frame=12"], "--out, --profile, --scene, --seed, --frames"),
         (["calibrate", "folder", "--our", "x.json"], "--out, --report, --method, --lens, --json"),
     ],
