@@ -31,7 +31,7 @@ from vergence.accuracy.design_settings import DesignSettings, chunks
 from vergence.accuracy.design_sweep import combinations, compute_chunk, located_points
 from vergence.accuracy.plan_workspace import point_by_parameters
 from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
-from vergence.commands.design import sweep
+from vergence.commands.design_chunks import sweep
 from vergence.geometry.parameters import parameter_names
 
 BAR = 1e6

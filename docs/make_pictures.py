@@ -1,8 +1,10 @@
-"""Make the pictures of the documents from the results of two runs.
+"""Make the pictures of the documents from the results of runs.
 
     vergence reproduce --out runs/paper
     vergence foveate --trials 10 --profile paper --out runs/foveate
-    python docs/make_pictures.py --paper runs/paper --gaze runs/foveate --scenes
+    vergence design --out runs/design
+    python docs/make_pictures.py --paper runs/paper --gaze runs/foveate --design runs/design
+    python docs/make_pictures.py --scenes
 
 Screenshots are taken by rerun's viewer without a display, which needs a Vulkan driver (Debian:
 apt-get install mesa-vulkan-drivers).
@@ -80,6 +82,11 @@ def of_gaze(run: Path) -> None:
     write_small(IMAGES / "gaze.png", shrink(screenshot(run / "foveate.rrd", GAZE_S), 1440))
 
 
+def of_design(run: Path) -> None:
+    """Make the picture of a run of `vergence design`."""
+    write_small(IMAGES / "design.png", shrink(picture(run / "design.png"), 1560))
+
+
 def of_scenes() -> None:
     """Make the pictures of the scenes, and of a rectified pair with its disparities."""
     from vergence.accuracy.motions import eye_angles
@@ -124,6 +131,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Make the pictures of the documents.")
     parser.add_argument("--paper", type=Path, help="folder that `vergence reproduce` wrote")
     parser.add_argument("--gaze", type=Path, help="folder that `vergence foveate` wrote")
+    parser.add_argument("--design", type=Path, help="folder that `vergence design` wrote")
     parser.add_argument("--scenes", action="store_true", help="render the scenes, too")
     args = parser.parse_args()
     IMAGES.mkdir(exist_ok=True)
@@ -131,6 +139,8 @@ def main() -> None:
         of_paper(args.paper)
     if args.gaze is not None:
         of_gaze(args.gaze)
+    if args.design is not None:
+        of_design(args.design)
     if args.scenes:
         of_scenes()
 

@@ -5,9 +5,10 @@ each spreads the points, which kinds of errors cannot explain the paper, and how
 predict figures that they were not fitted to. Prints its tables in Markdown, those of
 docs/error_study.md, and writes them and a figure into a folder.
 
-    python scenarios/error_study.py [--out runs/error_study] [--seed 0]
+    python scenarios/error_study.py [--out runs/error_study] [--seed 0] [--check FILE]
 """
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -340,13 +341,20 @@ def study(seed: int, progress: Progress = silent) -> tuple[dict[str, str], dict[
     return tables, fitted
 
 
-def main(out: Path = Path("runs/error_study"), seed: int = 0) -> None:
+def absent(tables: dict[str, str], document: str) -> list[str]:
+    """Return the names of the tables that a document does not have as they are here."""
+    return [name for name, table in tables.items() if table not in document]
+
+
+def main(out: Path = Path("runs/error_study"), seed: int = 0, check: Path | None = None) -> None:
     """Run the study.
 
     Args:
         out: Folder for tables.md and spreads.png.
         seed: Seed of the sampled noise.
+        check: A document that must have all of the tables; exit code 1 if it has not.
     """
+    document = check.read_text(encoding="utf-8") if check else None
 
     def show(task: str, done: int, total: int) -> None:
         print(f"{task}: {done} of {total}", flush=True)
@@ -357,6 +365,8 @@ def main(out: Path = Path("runs/error_study"), seed: int = 0) -> None:
         write_whole(out / "tables.md", text + "\n")
         draw(out / "spreads.png", fitted)
     print(text)
+    if document is not None and (missing := absent(tables, document)):
+        sys.exit(f"{check} does not have these tables as they are here: {'; '.join(missing)}.")
 
 
 if __name__ == "__main__":

@@ -39,8 +39,8 @@ OUTER_LIBRARIES = {
     "mujoco": ("twin",),
     "rerun": ("viewer", "paper.recording", "demos.recording"),
     "matplotlib": ("viewer", "paper.plots", "demos.plots"),
-    "joblib": ("commands.design",),
-    "distributed": ("commands.design",),
+    "joblib": ("commands.design_chunks",),
+    "distributed": ("commands.design_chunks",),
     "tyro": ("cli",),
     "rich": ("cli",),
 }

@@ -1,6 +1,7 @@
 """Designs of a head: the closed form is that of located points, and sweeps can be stopped."""
 
 import json
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -43,8 +44,8 @@ from vergence.accuracy.design_sweep import (
 from vergence.accuracy.plan_views import as_seen, held_whole
 from vergence.arrays import Array
 from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
-from vergence.commands import design as command
-from vergence.commands.design import sweep
+from vergence.commands import design_chunks as command
+from vergence.commands.design_chunks import sweep
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard
 from vergence.geometry.head import HeadCalibration
@@ -295,6 +296,14 @@ def test_a_sweep_that_was_stopped_goes_on_without_doing_finished_work_again(
     wider = SMALL.designs.model_copy(update={"baseline_mm": (60.0, 90.0, 120.0)})
     sweep(SMALL.model_copy(update={"designs": wider}), tmp_path)
     assert len(computed) == 5 + 2  # those of the new baseline
+
+
+def test_processes_that_compute_do_not_wait_for_what_draws():
+    code = "import sys, vergence.commands.design_chunks; print(*sys.modules)"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = run.stdout.split()
+    assert "joblib" in loaded
+    assert not {"matplotlib", "rerun"} & set(loaded)
 
 
 @pytest.mark.slow

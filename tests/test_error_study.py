@@ -21,6 +21,12 @@ def test_the_quick_tables_of_the_document_are_those_of_the_scenario():
         assert STUDY[name]() in text
 
 
+def test_a_document_that_lacks_a_table_is_told_by_its_name():
+    tables = {"one": "| a |", "two": "| b |"}
+    assert STUDY["absent"](tables, "text\n| a |\n| b |") == []
+    assert STUDY["absent"](tables, "text\n| a |\n| c |") == ["two"]
+
+
 def test_the_table_of_sensitivities_is_met_within_ten_percent():
     """Entries of 1 mm and more, under the conditions of the table."""
     for found, expected in zip(STUDY["sensitivities"]().values(), TABLE_MM.values(), strict=True):

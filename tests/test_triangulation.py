@@ -13,6 +13,7 @@ from vergence.errors import VergenceError
 from vergence.geometry.camera import pinhole, project
 from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base
 from vergence.geometry.kinematics import T_base_eye
+from vergence.geometry.lens import CameraModel
 from vergence.geometry.projection import (
     T_rcam_lcam,
     base_extrinsics,
@@ -69,6 +70,35 @@ def test_one_posture_serves_all_points():
     np.testing.assert_allclose(one.covariance, tiled.covariance, rtol=1e-12)
     nowhere = locate(head, left=left, right=right, joints=posture * [1, 1, np.nan, 1])
     assert (nowhere.status == Status.NOT_SEEN).all()
+
+
+@pytest.mark.parametrize(
+    ("model", "k"),
+    [
+        ("radial-tangential", (-0.12, 0.02, 0.0005, -0.0005, 0.0)),
+        ("rational", (0.1, 0.02, 1e-3, -1e-3, 0.01, 0.05, 0.01, 0.002)),
+        ("fisheye", (0.02, -0.01, 0.003, 0.0)),
+    ],
+)
+def test_a_point_alone_is_located_as_it_is_among_others(model: CameraModel, k: tuple[float, ...]):
+    """Single points are computed in numbers, many on arrays; wrong ones give no exceptions."""
+    rng = np.random.default_rng(4)
+    lens = pinhole(640, 480, 300.0, k, model=model)
+    head = skewed_head(rng)
+    cameras = {name: replace(own, intrinsics=lens) for name, own in head.cameras.items()}
+    head = replace(head, cameras=cameras)
+    _, eyes, left, right = random_samples(head, rng, 8)
+    left, right = left + rng.normal(0, 0.2, left.shape), right + rng.normal(0, 0.2, right.shape)
+    left[0], left[1], right[2], eyes[3, 1] = np.nan, 1e6, left[2] + [300, 0], np.inf
+    stds = {"pixel_std_px": 0.1, "joint_std_rad": 1e-3}
+    together = locate(head, left=left, right=right, joints=eyes, **stds)
+    expected = [Status.NOT_SEEN, Status.NOT_SEEN, Status.BEHIND, Status.NOT_SEEN, *[Status.OK] * 4]
+    assert together.status.tolist() == expected
+    for i in range(8):
+        alone = locate(head, left=left[i : i + 1], right=right[i : i + 1], joints=eyes[i], **stds)
+        assert alone.status[0] == together.status[i]
+        np.testing.assert_allclose(alone.xyz[0], together.xyz[i], atol=1e-12)
+        np.testing.assert_allclose(alone.covariance[0], together.covariance[i], rtol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -12,18 +12,16 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.geometry.eye_motion import eye_poses_with_jacobians
+from vergence.geometry.fixation import readings_to
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import parameter_names
-from vergence.geometry.projection import project_point, project_with_jacobians
-from vergence.geometry.se3 import inverse
+from vergence.geometry.projection import project_point
+from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.linearised import by_head_parameters, linearised, pair_parameters
 
 DISTANCES_M = (0.3, 0.6, 1.0)
 ASIDE_RAD, ABOVE_RAD = 0.25, 0.2
 """To the side and upwards, from the middle of the head."""
-ROUNDS = 30
-"""Gauss-Newton steps in which eyes fixate a point; five suffice but at their limits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,12 +65,16 @@ def fixating(
     Or as near as limits (r,), the largest readings of the joints, allow. VergenceError if a point
     is not in both images then.
     """
-    joints = np.zeros((len(points), len(limits_rad)))
-    for _ in range(ROUNDS):
-        J, error = _eyes_on(head, pair, points, joints)
-        move = np.linalg.pinv(np.nan_to_num(J)) @ np.nan_to_num(error)[..., None]
-        joints = np.clip(joints - move[..., 0], -limits_rad, limits_rad)
-    _, error = _eyes_on(head, pair, points, joints)
+    in_bases = points, transform(head.T_rbase_lbase, points)
+    joints = readings_to(head, dict(zip(pair, in_bases, strict=True)), limits_rad=limits_rad)
+    joints = np.nan_to_num(joints)  # of points that cannot be fixated, and other readings
+    error = np.concatenate(
+        [
+            project_point(head, name, joints, points) - head.cameras[name].intrinsics.matrix[:2, 2]
+            for name in pair
+        ],
+        axis=1,
+    )
     lens = [head.cameras[name].intrinsics for name in pair]
     size = np.array([extent for each in lens for extent in (each.width, each.height)])
     seen = (np.abs(error) < size / 2).all(axis=1)
@@ -83,20 +85,6 @@ def fixating(
             "within the limits of their joints; allow them more, or name larger distances."
         )
     return joints
-
-
-def _eyes_on(
-    head: HeadCalibration, pair: tuple[str, str], points: Array, joints: Array
-) -> tuple[Array, Array]:
-    """Return by how much points miss the centres (N, 4) [px], and the derivatives (N, 4, r)."""
-    T, _, by_reading = eye_poses_with_jacobians(head, joints, len(points))
-    rows, errors = [], []
-    for k, name in enumerate(pair):
-        mounted = head.cameras[name]
-        J = project_with_jacobians(mounted, head.T_rbase_lbase, T[:, k], points[:, None])
-        rows.append(J.by_T_base_eye[:, 0] @ by_reading[:, k])
-        errors.append(J.pixels[:, 0] - mounted.intrinsics.matrix[:2, 2])
-    return np.concatenate(rows, axis=1), np.concatenate(errors, axis=1)
 
 
 def point_by_parameters(

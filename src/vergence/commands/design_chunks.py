@@ -1,0 +1,125 @@
+"""Chunks of a sweep over designs: computed on all cores or a cluster, and kept in files.
+
+Finished chunks are files of their own in the folder of results, named by what they depend on: a run
+that was stopped, and a sweep that shares designs with an earlier one, compute only what is missing.
+Processes that compute import this module, so that it imports nothing that draws.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import threading
+import time
+import zipfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import cast
+
+import joblib
+import numpy as np
+
+from vergence import __version__
+from vergence.accuracy.design_settings import DesignSettings, chunks
+from vergence.accuracy.design_sweep import Sweep, assemble, chunk_shape, compute_chunk
+from vergence.arrays import Array
+from vergence.errors import VergenceError
+from vergence.progress import Progress, silent
+from vergence.writing import whole_file
+
+TIMEOUT_S = 10
+
+
+def sweep(
+    settings: DesignSettings,
+    folder: Path,
+    *,
+    jobs: int = 1,
+    cluster: str | None = None,
+    progress: Progress = silent,
+) -> Sweep:
+    """Return a sweep, whose chunks are read from a folder or else computed and written there."""
+    each = list(chunks(settings))
+    files = [folder / f"{digest(chunk)}.npy" for chunk in each]
+    kept = [_read(file, chunk_shape(chunk)) for file, chunk in zip(files, each, strict=True)]
+    found = {k: known for k, known in enumerate(kept) if known is not None}
+    missing = [(k, each[k]) for k in range(len(each)) if k not in found]
+    progress("sweeping designs", len(found), len(each))
+    if missing:
+        for k, values in _computed(missing, jobs, cluster):
+            with whole_file(files[k]) as part, part.open("wb") as file:
+                np.save(file, values)
+            found[k] = values
+            progress("sweeping designs", len(found), len(each))
+    return assemble(settings, [found[k] for k in range(len(each))])
+
+
+def digest(chunk: DesignSettings) -> str:
+    """Return a name for all that a chunk depends on; prices do not matter."""
+    text = f"{__version__} {chunk.designs.model_dump_json()} {chunk.workspace.model_dump_json()}"
+    return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
+
+
+def _read(file: Path, shape: tuple[int, ...]) -> Array | None:
+    """Return what an earlier run has written; None if there is nothing of this shape to be read."""
+    try:
+        values = np.load(file, allow_pickle=False)
+    except (OSError, ValueError, EOFError, MemoryError, zipfile.BadZipFile):
+        return None
+    return values if isinstance(values, np.ndarray) and values.shape == shape else None
+
+
+def _computed(
+    missing: list[tuple[int, DesignSettings]], jobs: int, cluster: str | None
+) -> Iterable[tuple[int, Array]]:
+    """Yield the numbers and values of chunks as they are finished."""
+    parent = os.getpid() if cluster is None else None
+    tasks = [joblib.delayed(_numbered)(k, chunk, parent) for k, chunk in missing]
+    with _backend(cluster):
+        parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
+        yield from cast(Iterable[tuple[int, Array]], parallel(tasks))
+
+
+def _numbered(k: int, chunk: DesignSettings, parent: int | None) -> tuple[int, Array]:
+    """Compute a chunk, in a process that ends with its parent; None: it belongs to a cluster."""
+    if parent not in (None, os.getpid()):
+        _end_with(parent)
+    return k, compute_chunk(chunk)
+
+
+@cache
+def _end_with(parent: int | None) -> None:
+    """Let this process end when its parent was killed; joblib's would wait for work for ever."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def _backend(cluster: str | None) -> Iterator[None]:
+    """Let joblib use a Dask cluster in a `with` block; None: processes of this machine."""
+    if cluster is None:
+        yield
+        return
+    try:
+        from distributed import Client  # pyright: ignore[reportMissingImports]  # optional
+    except ImportError:
+        raise VergenceError(
+            "A cluster needs Dask, which is not installed; `pip install 'vergence[cluster]'` "
+            "installs it."
+        ) from None
+    try:
+        client = Client(cluster, timeout=TIMEOUT_S)
+    except (OSError, ValueError, TypeError) as error:
+        raise VergenceError(
+            f"No Dask scheduler answers at {cluster!r}, which should be like "
+            f"tcp://192.168.1.10:8786 ({type(error).__name__})."
+        ) from None
+    with client, joblib.parallel_config(backend="dask"):
+        yield
