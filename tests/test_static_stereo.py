@@ -7,11 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from lens_monte_carlo import STRAIGHT, lens_head, recording
 from simulated_head import random_camera, random_pose
+from simulated_recording import EXACT
 from test_intrinsics import POINTS, SINGLE_PRECISION_POSE, SINGLE_PRECISION_PX, boards, views
 from vergence.calibration.sequential.static_stereo import calibrate_pair
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera
+from vergence.geometry.projection import T_rcam_lcam
 from vergence.geometry.se3 import boxminus, pose
 
 
@@ -33,6 +36,18 @@ def test_exact_corners_give_the_exact_pose(seed: int, views: int):
     found, rms = calibrate_pair(*corners, POINTS, *cameras)
     np.testing.assert_allclose(found, T_b_a, atol=SINGLE_PRECISION_POSE)
     assert rms < SINGLE_PRECISION_PX
+
+
+@pytest.mark.parametrize("seed", [0, 18])
+def test_exact_corners_of_wide_rational_lenses_give_the_pose(seed: int):
+    """Whose boards are seen in all parts of the images, cut off at the edges."""
+    rng = np.random.default_rng(seed)
+    head = lens_head("rational", rng)
+    observed = recording(head, rng, EXACT)
+    a, b = (head.cameras[name].intrinsics for name in ("left_wide", "right_wide"))
+    still = (observed.corners[name][:STRAIGHT] for name in ("left_wide", "right_wide"))
+    found, _ = calibrate_pair(*still, POINTS, a, b)
+    np.testing.assert_allclose(found, T_rcam_lcam(head, np.zeros(4)), atol=1e-5)
 
 
 def test_only_corners_that_both_cameras_saw_count():

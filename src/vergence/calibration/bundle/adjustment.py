@@ -45,6 +45,9 @@ TRUST_ENCODER = 2.0
 """Joint noise, as a multiple of how well one image determines the joints, up to which the readings
 give the eyes' trajectory in time. At it they hold the latent angles to a fifth, and offsets of
 0.1 s still settle."""
+FEW_LEFT = 6
+"""Readings left over at the start, below which it is asked whether better corners leave more."""
+ROUGH_STEPS = 5
 ROUNDS = 40
 RELEASES = 2
 """How often fixed directions may be released again."""
@@ -108,6 +111,12 @@ def adjust(
     noise = NoiseLevels(np.array([pixel, *joint]), group, outlier)
     basis, linear = whole_basis(problem, start), _linear(problem, start, noise)
     left = redundancy(project_onto(linear, basis), noise)
+    if pixel_std_px is None and joint_std is None and (left[1:] < FEW_LEFT).any():
+        # The corners are better than the start, and then say more of the readings.
+        rough, _, linear = minimise(problem, start, noise, basis, iterations=ROUGH_STEPS)
+        pixel = min(pixel, max(_median_level(problem, rough), 0.1))
+        noise = replace(noise, levels=np.array([pixel, *joint]))
+        left = redundancy(project_onto(linear, basis), noise)
     if left[0] < 1:
         raise VergenceError(
             f"There are {linear.count:.0f} corner coordinates for more unknowns than that; "

@@ -35,7 +35,7 @@ class MeasuredPoses:
 def whitening(covariance: Array) -> Array:
     """Return (..., 6, 6) of covariances (..., 6, 6); VergenceError if one is not positive."""
     try:
-        return np.linalg.inv(np.linalg.cholesky(covariance))
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=float)
     except np.linalg.LinAlgError:
         raise VergenceError(
             "The covariance of a measured pose is symmetric and positive definite, rotation [rad] "

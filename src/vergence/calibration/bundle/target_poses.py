@@ -112,8 +112,7 @@ def adjust_target_poses(
         placement=placement,
         eye_angles=np.full((views, len(kinematics.readings)), np.nan) if eye.ndim == 4 else eye,
         corners={
-            name: np.where(np.isfinite(T).all(axis=(1, 2))[:, None, None], 0.0, np.nan)
-            * np.zeros((PAIRS, 2))
+            name: np.where(_measured(T)[:, None, None], np.zeros((PAIRS, 2)), np.nan)
             for name, T in T_cam_target.items()
         },
         sizes=dict.fromkeys(T_cam_target, (1, 1)),
@@ -162,6 +161,11 @@ def adjust_target_poses(
     return _result(found, (rotation_std, rotation_std * float(np.exp(best.x))), 1.0)
 
 
+def _measured(T: Array) -> np.ndarray:
+    """Return (V,) which of poses (V, 4, 4) are finite."""
+    return np.asarray(np.isfinite(T).all(axis=(1, 2)))
+
+
 def _whitening(covariance: Mapping[str, Array], name: str, T_cam_target: Array) -> Array:
     if name not in covariance:
         raise VergenceError(f"covariance has none for the poses of {name}.")
@@ -171,9 +175,8 @@ def _whitening(covariance: Mapping[str, Array], name: str, T_cam_target: Array) 
             f"The covariance of poses of {name} is (6, 6) or ({len(T_cam_target)}, 6, 6), found "
             f"{given.shape}."
         )
-    used = np.isfinite(T_cam_target).all(axis=(1, 2))
     if given.ndim == 3:
-        given = np.where(used[:, None, None], given, np.eye(6))
+        given = np.where(_measured(T_cam_target)[:, None, None], given, np.eye(6))
     return whitening(given)
 
 
@@ -209,7 +212,7 @@ def _check(T_cam_target: Mapping[str, Array], eyes: Mapping[str, Side], views: i
             )
         if name not in eyes:
             raise VergenceError(f"eyes does not say in which eye {name} sits.")
-        R = T[np.isfinite(T).all(axis=(1, 2)), :3, :3]
+        R = T[_measured(T), :3, :3]
         off = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(initial=0)
         if off > 1e-6 or (np.linalg.det(R) < 0).any():
             raise VergenceError(f"T_cam_target of {name} has a rotation part that is no rotation.")
@@ -221,7 +224,7 @@ def _start(T_cam_target: Mapping[str, Array], observations: Observations) -> Hea
     for name, T in T_cam_target.items():
         eye = observations.eyes[name]
         own = T_base_eye[:, EYES.index(eye)]
-        known = np.isfinite(T).all(axis=(1, 2)) & np.isfinite(own).all(axis=(1, 2))
+        known = _measured(T) & _measured(own)
         numbers, counts = np.unique(observations.placement[known], return_counts=True)
         if not len(numbers) or counts.max() < LEAST_VIEWS:
             raise VergenceError(
@@ -238,7 +241,7 @@ def _start(T_cam_target: Mapping[str, Array], observations: Observations) -> Hea
     if all(pair):
         left, right = (main_camera(names, eye) for names, eye in zip(pair, EYES, strict=True))
         both = seen[right] @ inverse(seen[left])
-        known = np.isfinite(both).all(axis=(1, 2))
+        known = _measured(both)
         if not known.any():
             raise VergenceError(
                 f"T_rbase_lbase is not observable: no view has poses by both {left} and {right}."

@@ -100,7 +100,11 @@ def robust_park_martin(T_base_eye: Array, T_cam_target: Array) -> Array:
 
 def _agreeing(T_eye_cam: Array, T_base_eye: Array, T_cam_target: Array) -> np.ndarray:
     """Return (N,) which views belong to the largest set that agrees on the board's rotation."""
-    R = (T_base_eye @ T_eye_cam @ T_cam_target)[:, :3, :3]
+    return agreeing_rotations((T_base_eye @ T_eye_cam @ T_cam_target)[:, :3, :3])
+
+
+def agreeing_rotations(R: Array) -> np.ndarray:
+    """Return (N,) which of rotations (N, 3, 3) are within AGREE_RAD of the one with most others."""
     traces = np.einsum("iab,jab->ij", R, R)
     close = traces > 1 + 2 * np.cos(AGREE_RAD)
     return close[close.sum(axis=1).argmax()]

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.calibration.sequential.hand_eye import agreeing_rotations
 from vergence.calibration.sequential.intrinsics import CRITERIA, repeatable
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, normalise, undistort
@@ -23,8 +24,8 @@ def calibrate_pair(
     """Return T_b_a (4, 4) of two rigidly connected cameras, and the RMS residual [px].
 
     OpenCV's bundle adjustment of the relative pose, with the intrinsics fixed; exact to what its
-    single precision allows. Fisheye images are undistorted before, up to WIDEST from the axis; the
-    residual is then that of undistorted pixels.
+    single precision allows. Corners of fisheye and rational lenses are undistorted before, up to
+    WIDEST from the axis; the residual is then that of undistorted pixels.
 
     Args:
         corners_a: (V, K, 2) pixels in camera a; NaN where a corner was not seen.
@@ -42,7 +43,9 @@ def calibrate_pair(
         raise VergenceError(
             "The pose between two cameras needs views in which both see the board, found none."
         )
-    if "fisheye" in (a.model, b.model):  # which OpenCV's function does not know
+    # OpenCV's function does not know the one, and fails far from the axis of the other.
+    wide = bool({"fisheye", "rational"} & {a.model, b.model})
+    if wide:
         corners_a, a = _undistorted(corners_a, a)
         corners_b, b = _undistorted(corners_b, b)
         both = seen_corners(corners_a) & seen_corners(corners_b)
@@ -54,7 +57,11 @@ def calibrate_pair(
         for camera, corners in ((a, corners_a), (b, corners_b))
     )
     between = T_b @ inverse(T_a)
-    start = mean_pose(between[np.isfinite(between).all(axis=(1, 2))])
+    known = np.flatnonzero(np.isfinite(between).all(axis=(1, 2)))
+    if wide:  # a few corners near the axis may put a board where it is not
+        known = known[agreeing_rotations(between[known, :3, :3])]
+        usable = usable[known]
+    start = mean_pose(between[known])
     with repeatable():
         rms, _K1, _D1, _K2, _D2, R, t, *_ = cv2.stereoCalibrateExtended(
             [points[both[v]].astype(np.float32) for v in usable],
