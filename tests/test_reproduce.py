@@ -182,6 +182,11 @@ def test_methods_are_compared_on_the_same_images(tmp_path, monkeypatch):
     assert depth["floor"] < depth["learned"] < depth["paper"] / 3
     assert "## Methods compared" in (tmp_path / "all" / "report.md").read_text()
     assert load_head(tmp_path / "all" / "learned-2.8mm.json").accuracy is not None
+    recording = tmp_path / "all" / "fig07.rrd"
+    assert_valid(recording)
+    beside = read_series(recording, "/beside/x")[1]
+    assert np.std(beside, ddof=1) == pytest.approx(depth["paper"])
+    assert len(read_series(recording, "/learned/gain/right_pan")[1]) == 12
 
 
 @pytest.mark.usefixtures("few_views")

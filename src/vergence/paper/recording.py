@@ -63,8 +63,8 @@ def _log_styles(rec: rr.RecordingStream) -> None:
             names = [name, f"{name} + std", f"{name} - std"]
             levels = rr.SeriesLines(names=names, colors=[color3] * 3, widths=[2.5, 1.5, 1.5])
             rec.log(entity, levels, static=True)
-        dark = rr.SeriesLines(colors=style.OBJECT, widths=1.0, aggregation_policy="MinMax")
-        rec.log(f"beside/{axis}", dark, static=True)
+        other = rr.SeriesLines(colors=style.RAY, widths=1.0, aggregation_policy="MinMax")
+        rec.log(f"beside/{axis}", other, static=True)
     for joint, color in style.JOINT_COLOURS.items():
         curve = rr.SeriesLines(names=joint.replace("_", " "), colors=color)
         rec.log(f"joints/{joint}", curve, static=True)
@@ -130,11 +130,11 @@ def blueprint(
     figure: Figure, head: HeadCalibration, *, beside: str | None = None, learns: bool = False
 ) -> rrb.Blueprint:
     """Return the layout with which the viewer opens a figure's recording."""
-    dark = "" if beside is None else f", dark {beside}"
+    other = "" if beside is None else f", orange {beside}"
     kinds = ("paper", "estimate_mean", "estimate", "beside")
     axes = [
         curves_view(
-            f"{label} [m]: bright estimate{dark}, pale mean and ± std, grey the paper's",
+            f"{label} [m]: bright estimate{other}, pale mean and ± std, grey the paper's",
             "/",
             legend=False,
             contents=[f"+ /{kind}/{axis}" for kind in kinds],
