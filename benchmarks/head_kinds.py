@@ -91,7 +91,10 @@ def regions(
 
 
 def points(
-    head: HeadCalibration, truth: HeadCalibration, rng: np.random.Generator, pixel_px: float
+    head: HeadCalibration,
+    truth: HeadCalibration,
+    rng: np.random.Generator,
+    pixel_px: float = NOISE.pixel_px,
 ) -> Iterator[bool]:
     """Yield for each located point whether its region holds the truth."""
     pair, r, found = main_pair(truth), len(truth.kinematics.readings), 0

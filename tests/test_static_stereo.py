@@ -45,8 +45,8 @@ def test_exact_corners_of_wide_rational_lenses_give_the_pose(seed: int):
     head = lens_head("rational", rng)
     observed = recording(head, rng, EXACT)
     a, b = (head.cameras[name].intrinsics for name in ("left_wide", "right_wide"))
-    still = (observed.corners[name][:STRAIGHT] for name in ("left_wide", "right_wide"))
-    found, _ = calibrate_pair(*still, POINTS, a, b)
+    left, right = (observed.corners[name][:STRAIGHT] for name in ("left_wide", "right_wide"))
+    found, _ = calibrate_pair(left, right, POINTS, a, b)
     np.testing.assert_allclose(found, T_rcam_lcam(head, np.zeros(4)), atol=1e-5)
 
 
