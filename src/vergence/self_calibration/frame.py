@@ -39,6 +39,10 @@ _CUT = 4.685
 """Tukey's biweight: residuals beyond so many standard deviations do not count."""
 _PRIOR_MATCHES = 30.0
 """How many matches the expected noise counts for, beside the frame's own."""
+_BLOCK_PX = 64
+"""Errors of matches farther apart than this are independent."""
+_PRIOR_BLOCKS = 10.0
+"""How many blocks of the image the expected likeness counts for, beside the frame's own."""
 _GATE = 1e-7
 """Probability by chance of a change that is not believed from one frame alone."""
 _GATE_OF_FEW = 1e-3
@@ -67,6 +71,10 @@ class SelfCalibration:
     """Noise of a reading."""
     match_scale: float
     """Noise of the matches, relative to what their contrast tells."""
+    alike: float = 2.0
+    """Variance of means of neighbouring matches, relative to that of independent ones."""
+    recurring: Recurring | None = None
+    """What the errors of matches have in common with those of the frames before."""
     joint_weight: float = 5.0
     """Readings from which their noise is known."""
     frames: int = 0
@@ -89,6 +97,20 @@ class Evidence:
     """How many matches fit."""
     match_scale: float
     """Noise of the matches, relative to what their contrast tells."""
+    alike: float
+    """Variance of means of neighbouring matches, relative to that of independent ones."""
+    blocks: Array
+    """(B,) sums of residuals in blocks of the left image, in standard deviations."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recurring:
+    """How the errors of matches recur from frame to frame."""
+
+    blocks: Array
+    """(B,) sum of those of past frames, which fades in a second."""
+    variance: float
+    """Of errors that are averaged over frames, relative to that of independent ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,11 +235,13 @@ def _fit(
     y = y + A @ first  # of the linear model about the state's head
     z = _robust(y, A, C, first)
     weights, scale2 = _tukey(y - A @ z), _scale2(y - A @ z)
-    weighted = A * (weights / scale2)[:, None]
+    alike, blocks = _alike(y - A @ z, scale2, state, matches)
+    weighted = A * (weights / (scale2 * alike))[:, None]
     information, vector = weighted.T @ A, weighted.T @ y
     z = np.asarray(np.linalg.solve(information + np.linalg.inv(C), vector), float)
     scale = float(np.sqrt(scale2)) * state.match_scale
-    return z, weights, Evidence(information, vector, float((weights > 0.3).sum()), scale)
+    inliers = float((weights > 0.3).sum())
+    return z, weights, Evidence(information, vector, inliers, scale, alike, blocks)
 
 
 def _prior(state: SelfCalibration, readings: int) -> Array:
@@ -299,6 +323,31 @@ def _scale2(residuals: Array) -> float:
     # Of a normal distribution that is cut at 3 standard deviations, the variance is 0.973.
     own = float((residuals[inside] ** 2).sum()) / 0.973
     return (own + _PRIOR_MATCHES) / (max(float(inside.sum()) - 5, 0.0) + _PRIOR_MATCHES)
+
+
+def _alike(
+    y: Array, scale2: float, state: SelfCalibration, matches: Matches
+) -> tuple[float, Array]:
+    """Return how far the errors of neighbouring matches are alike, and sums (B,) over blocks.
+
+    Windows overlap, or lie along one edge, and heavy tails count too: the variance is that of an
+    M-estimate whose errors are independent from block to block only (the sandwich formula, for
+    clusters).
+    """
+    camera = state.head.camera(state.cameras[0]).intrinsics
+    columns, rows = camera.width // _BLOCK_PX + 1, camera.height // _BLOCK_PX + 1
+    place = np.clip(matches.left // _BLOCK_PX, 0, [columns - 1, rows - 1]).astype(int)
+    u2 = np.minimum((y / _CUT) ** 2, 1.0)
+    weights, slopes = (1 - u2) ** 2, (1 - u2) * (1 - 5 * u2)
+    block = place[:, 1] * columns + place[:, 0]
+    sums = np.bincount(block, weights * y, columns * rows)
+    used = float((np.bincount(block, weights, columns * rows) > 0.5).sum())
+    total, slope = float(weights.sum()), float(slopes.sum())
+    if slope < 0.2 * total or used < 6:
+        return state.alike, sums / np.sqrt(scale2)
+    own = float(sums @ sums) * total / slope**2 / scale2 * used / (used - 5)
+    alike = (used * own + _PRIOR_BLOCKS * state.alike) / (used + _PRIOR_BLOCKS)
+    return max(alike, 0.5), sums / np.sqrt(scale2)
 
 
 def locate_seen(

@@ -15,13 +15,23 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.geometry.head import Accuracy, HeadCalibration
 from vergence.geometry.parameters import change_named
-from vergence.self_calibration.frame import Evidence, Past, SelfCalibrated, SelfCalibration
+from vergence.self_calibration.frame import (
+    Evidence,
+    Past,
+    Recurring,
+    SelfCalibrated,
+    SelfCalibration,
+)
 from vergence.self_calibration.prior import BUMP, DRIFT, tolerance_covariance
 
 _WINDOW = 3
 """Frames that are examined together for a bump; two at least."""
 _BUMP_EVIDENCE = 2 * np.log(1e5)
 """Twice the logarithm of how much likelier a bump must make the window: it is rare."""
+_PACE = 0.1
+"""Share of a frame in the running means of how matches err."""
+_RECURRING_S = 1.0
+_FIRST_RECURRING = 2.0
 _LONGEST_MEMORY = 4000.0
 """Readings from which their noise is estimated."""
 
@@ -39,26 +49,61 @@ def learn(state: SelfCalibration, seen: SelfCalibrated, elapsed_s: float) -> Sel
     state = replace(state, bumped=False)
     if seen.evidence is None:
         return replace(state, covariance=state.covariance + drift, past=())
-    past = (*state.past, Past(state.head, state.covariance, seen.change[:P], seen.evidence))
+    recurring = _recurring(state, seen.evidence, elapsed_s)
+    evidence = _weakened(seen.evidence, recurring.variance)
+    C = _posterior(state, evidence)
+    change = C @ evidence.vector
+    past = (*state.past, Past(state.head, state.covariance, change[:P], evidence))
     past = past[-_WINDOW:]
+    state = replace(state, recurring=recurring)
     bumped = _after_bump(state, past)
     if bumped is not None:
         return bumped
     if seen.status == "contradiction":
-        return replace(state, covariance=state.covariance + drift, past=past)
-    C = seen.covariance[:P, :P]
-    scale = state.match_scale + 0.1 * (seen.match_scale - state.match_scale)
-    variance, weight = _joint_variance(state, seen.evidence)
+        stays = replace(past[-1], change=np.zeros(P))
+        return replace(state, covariance=state.covariance + drift, past=(*past[:-1], stays))
+    variance, weight = _joint_variance(state, evidence)
     return replace(
         state,
-        head=seen.head,
-        covariance=(C + C.T) / 2 + drift,
-        match_scale=scale,
+        head=change_named(state.head, state.names, change[:P]),
+        covariance=(C[:P, :P] + C[:P, :P].T) / 2 + drift,
+        match_scale=state.match_scale + _PACE * (evidence.match_scale - state.match_scale),
+        alike=state.alike + _PACE * (evidence.alike - state.alike),
         joint_std_rad=float(np.sqrt(variance)),
         joint_weight=weight,
         frames=state.frames + 1,
         past=past,
     )
+
+
+def _recurring(state: SelfCalibration, evidence: Evidence, elapsed_s: float) -> Recurring:
+    """Return how far the errors of matches are those of the frames before.
+
+    The same edges are seen again: the variance of a mean over frames is that of one, plus twice the
+    covariances with all before (long-run variance), here with a weight that fades in a second.
+    """
+    if state.recurring is None:
+        return Recurring(evidence.blocks, _FIRST_RECURRING)
+    before = state.recurring.blocks * np.exp(-elapsed_s / _RECURRING_S)
+    square = float(evidence.blocks @ evidence.blocks)
+    own = 1 + 2 * float(evidence.blocks @ before) / max(square, 1e-9)
+    variance = state.recurring.variance + _PACE / 2 * (own - state.recurring.variance)
+    return Recurring(before + evidence.blocks, max(variance, 1.0))
+
+
+def _weakened(evidence: Evidence, variance: float) -> Evidence:
+    return replace(
+        evidence, information=evidence.information / variance, vector=evidence.vector / variance
+    )
+
+
+def _posterior(state: SelfCalibration, evidence: Evidence) -> Array:
+    """Return the covariance (K, K) of head and readings."""
+    P, K = len(state.names), len(evidence.vector)
+    prior = np.zeros((K, K))
+    prior[:P, :P] = np.linalg.inv(state.covariance)
+    prior[P:, P:] = np.eye(K - P) / state.joint_std_rad**2
+    return np.linalg.inv(prior + evidence.information)
 
 
 def _of_head(state: SelfCalibration, evidence: Evidence) -> tuple[Array, Array]:
