@@ -20,6 +20,13 @@ from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named, parameter_names
 from vergence.geometry.projection import T_rcam_lcam
 from vergence.self_calibration.epipolar import epipolar_residuals
+from vergence.self_calibration.match_noise import (
+    CUT,
+    Recurring,
+    likeness,
+    noise_variance,
+    robust_weights,
+)
 from vergence.self_calibration.prior import (
     BUMP,
     JOINT_STD_RAD,
@@ -35,14 +42,6 @@ Status = Literal["seen", "little seen", "contradiction"]
 _HYPOTHESES = 300
 _JUDGES = 250
 """Matches that choose among them; more take longer, and choose no better."""
-_CUT = 4.685
-"""Tukey's biweight: residuals beyond so many standard deviations do not count."""
-_PRIOR_MATCHES = 30.0
-"""How many matches the expected noise counts for, beside the frame's own."""
-_BLOCK_PX = 64
-"""Errors of matches farther apart than this are independent."""
-_PRIOR_BLOCKS = 10.0
-"""How many blocks of the image the expected likeness counts for, beside the frame's own."""
 _GATE = 1e-7
 """Probability by chance of a change that is not believed from one frame alone."""
 _GATE_OF_FEW = 1e-3
@@ -100,17 +99,7 @@ class Evidence:
     alike: float
     """Variance of means of neighbouring matches, relative to that of independent ones."""
     blocks: Array
-    """(B,) sums of residuals in blocks of the left image, in standard deviations."""
-
-
-@dataclass(frozen=True, eq=False)
-class Recurring:
-    """How the errors of matches recur from frame to frame."""
-
-    blocks: Array
-    """(B,) sum of those of past frames, which fades in a second."""
-    variance: float
-    """Of errors that are averaged over frames, relative to that of independent ones."""
+    """(B,) sums of residuals in blocks of the left image, of `match_noise.likeness`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,8 +223,8 @@ def _fit(
     y, A = _whitened(state, *_changed(state, joints, first), matches)
     y = y + A @ first  # of the linear model about the state's head
     z = _robust(y, A, C, first)
-    weights, scale2 = _tukey(y - A @ z), _scale2(y - A @ z)
-    alike, blocks = _alike(y - A @ z, scale2, state, matches)
+    weights, scale2 = robust_weights(y - A @ z), noise_variance(y - A @ z)
+    alike, blocks = likeness((y - A @ z) / np.sqrt(scale2), matches.left, state.alike)
     weighted = A * (weights / (scale2 * alike))[:, None]
     information, vector = weighted.T @ A, weighted.T @ y
     z = np.asarray(np.linalg.solve(information + np.linalg.inv(C), vector), float)
@@ -284,10 +273,6 @@ def _whitened(
     return y, np.where(good[:, None], A / std[:, None], 0.0)
 
 
-def _tukey(y: Array) -> Array:
-    return np.maximum(1 - (y / _CUT) ** 2, 0) ** 2
-
-
 def _best_hypothesis(y: Array, A: Array, C: Array) -> Array:
     """Return the change (K,) that three matches and the prior give, and most others agree with."""
     rng = np.random.default_rng(0)
@@ -303,7 +288,7 @@ def _best_hypothesis(y: Array, A: Array, C: Array) -> Array:
     G3, triples = np.concatenate([G3[:1], G3]), np.concatenate([triples[:1], triples])
     predicted = (pull[:, None] @ G[triples])[:, 0]
     prior = np.einsum("hi,hij,hj->h", pull, G3, pull)
-    cost = np.minimum((y - predicted) ** 2, _CUT**2).sum(axis=1) + prior
+    cost = np.minimum((y - predicted) ** 2, CUT**2).sum(axis=1) + prior
     best = int(cost.argmin())
     return pull[best] @ AC[triples[best]]
 
@@ -312,42 +297,9 @@ def _robust(y: Array, A: Array, C: Array, z: Array, steps: int = 4) -> Array:
     """Return the change (K,) by iteratively reweighted least squares with the prior."""
     inverse = np.linalg.inv(C)
     for _ in range(steps):
-        weighted = A * _tukey(y - A @ z)[:, None]
+        weighted = A * robust_weights(y - A @ z)[:, None]
         z = np.asarray(np.linalg.solve(weighted.T @ A + inverse, weighted.T @ y), float)
     return z
-
-
-def _scale2(residuals: Array) -> float:
-    """Return the variance of residuals relative to what was expected, with the prior's matches."""
-    inside = np.abs(residuals) < 3
-    # Of a normal distribution that is cut at 3 standard deviations, the variance is 0.973.
-    own = float((residuals[inside] ** 2).sum()) / 0.973
-    return (own + _PRIOR_MATCHES) / (max(float(inside.sum()) - 5, 0.0) + _PRIOR_MATCHES)
-
-
-def _alike(
-    y: Array, scale2: float, state: SelfCalibration, matches: Matches
-) -> tuple[float, Array]:
-    """Return how far the errors of neighbouring matches are alike, and sums (B,) over blocks.
-
-    Windows overlap, or lie along one edge, and heavy tails count too: the variance is that of an
-    M-estimate whose errors are independent from block to block only (the sandwich formula, for
-    clusters).
-    """
-    camera = state.head.camera(state.cameras[0]).intrinsics
-    columns, rows = camera.width // _BLOCK_PX + 1, camera.height // _BLOCK_PX + 1
-    place = np.clip(matches.left // _BLOCK_PX, 0, [columns - 1, rows - 1]).astype(int)
-    u2 = np.minimum((y / _CUT) ** 2, 1.0)
-    weights, slopes = (1 - u2) ** 2, (1 - u2) * (1 - 5 * u2)
-    block = place[:, 1] * columns + place[:, 0]
-    sums = np.bincount(block, weights * y, columns * rows)
-    used = float((np.bincount(block, weights, columns * rows) > 0.5).sum())
-    total, slope = float(weights.sum()), float(slopes.sum())
-    if slope < 0.2 * total or used < 6:
-        return state.alike, sums / np.sqrt(scale2)
-    own = float(sums @ sums) * total / slope**2 / scale2 * used / (used - 5)
-    alike = (used * own + _PRIOR_BLOCKS * state.alike) / (used + _PRIOR_BLOCKS)
-    return max(alike, 0.5), sums / np.sqrt(scale2)
 
 
 def locate_seen(

@@ -1,9 +1,10 @@
 """What persists, learned from frame to frame: a recursive estimate with its covariance.
 
 Each frame's joint angles are marginalised, and what it says of the head is kept, with a slow random
-walk for drift. The noise of the readings is estimated from what the images say of them. A camera
-that was bumped shows in a few frames together: when turned mountings explain them far better than
-noise does, the head is estimated again from where these frames began, with the mountings free.
+walk for drift. What is seen again errs again: a frame counts by how far its errors are new. The
+noise of the readings is estimated from what the images say of them. A camera that was bumped shows
+in a few frames together: when turned mountings explain them far better than noise does, the head is
+estimated again from where these frames began, with the mountings free.
 """
 
 from __future__ import annotations
@@ -18,10 +19,10 @@ from vergence.geometry.parameters import change_named
 from vergence.self_calibration.frame import (
     Evidence,
     Past,
-    Recurring,
     SelfCalibrated,
     SelfCalibration,
 )
+from vergence.self_calibration.match_noise import recurring
 from vergence.self_calibration.prior import BUMP, DRIFT, tolerance_covariance
 
 _WINDOW = 3
@@ -29,9 +30,7 @@ _WINDOW = 3
 _BUMP_EVIDENCE = 2 * np.log(1e5)
 """Twice the logarithm of how much likelier a bump must make the window: it is rare."""
 _PACE = 0.1
-"""Share of a frame in the running means of how matches err."""
-_RECURRING_S = 1.0
-_FIRST_RECURRING = 2.0
+"""Share of a frame in the running means of how much matches err."""
 _LONGEST_MEMORY = 4000.0
 """Readings from which their noise is estimated."""
 
@@ -49,13 +48,13 @@ def learn(state: SelfCalibration, seen: SelfCalibrated, elapsed_s: float) -> Sel
     state = replace(state, bumped=False)
     if seen.evidence is None:
         return replace(state, covariance=state.covariance + drift, past=())
-    recurring = _recurring(state, seen.evidence, elapsed_s)
-    evidence = _weakened(seen.evidence, recurring.variance)
+    errors = recurring(state.recurring, seen.evidence.blocks, elapsed_s)
+    evidence = _weakened(seen.evidence, errors.variance)
     C = _posterior(state, evidence)
     change = C @ evidence.vector
     past = (*state.past, Past(state.head, state.covariance, change[:P], evidence))
     past = past[-_WINDOW:]
-    state = replace(state, recurring=recurring)
+    state = replace(state, recurring=errors)
     bumped = _after_bump(state, past)
     if bumped is not None:
         return bumped
@@ -76,22 +75,8 @@ def learn(state: SelfCalibration, seen: SelfCalibrated, elapsed_s: float) -> Sel
     )
 
 
-def _recurring(state: SelfCalibration, evidence: Evidence, elapsed_s: float) -> Recurring:
-    """Return how far the errors of matches are those of the frames before.
-
-    The same edges are seen again: the variance of a mean over frames is that of one, plus twice the
-    covariances with all before (long-run variance), here with a weight that fades in a second.
-    """
-    if state.recurring is None:
-        return Recurring(evidence.blocks, _FIRST_RECURRING)
-    before = state.recurring.blocks * np.exp(-elapsed_s / _RECURRING_S)
-    square = float(evidence.blocks @ evidence.blocks)
-    own = 1 + 2 * float(evidence.blocks @ before) / max(square, 1e-9)
-    variance = state.recurring.variance + _PACE / 2 * (own - state.recurring.variance)
-    return Recurring(before + evidence.blocks, max(variance, 1.0))
-
-
 def _weakened(evidence: Evidence, variance: float) -> Evidence:
+    """Return what a frame says beyond the frames before, whose errors it shares."""
     return replace(
         evidence, information=evidence.information / variance, vector=evidence.vector / variance
     )
@@ -103,7 +88,7 @@ def _posterior(state: SelfCalibration, evidence: Evidence) -> Array:
     prior = np.zeros((K, K))
     prior[:P, :P] = np.linalg.inv(state.covariance)
     prior[P:, P:] = np.eye(K - P) / state.joint_std_rad**2
-    return np.linalg.inv(prior + evidence.information)
+    return np.asarray(np.linalg.inv(prior + evidence.information), float)
 
 
 def _of_head(state: SelfCalibration, evidence: Evidence) -> tuple[Array, Array]:
