@@ -1,4 +1,4 @@
-"""Processor time of self-calibrating a pair of images, by step, beside one tracking of its features.
+"""Processor time of self-calibrating a pair of images, step by step, beside one call of a tracker.
 
     python benchmarks/self_calibration_time.py [--pairs 40] [--scene room] [--seed 0]
 
