@@ -103,6 +103,55 @@ def test_seven_of_ten_wrong_matches_change_little():
         assert turn_error_deg(found.head, found.joints, head, angles) < 0.05
 
 
+def block_errors(seen: Matches, rng: np.random.Generator) -> Matches:
+    """Return matches whose errors are half their own, half those of all in a block of 64 px."""
+    column, row = (seen.left // 64).astype(int).T
+    shared = rng.normal(0, NOISE_PX, (100, 2))[10 * row + column]
+    return replace(seen, right=seen.right + shared)
+
+
+def test_a_covariance_counts_errors_that_neighbouring_matches_share():
+    head, points = head_of(0), room(900, np.random.default_rng(0))
+    state = replace(begin(head), joint_std_rad=np.radians(0.5))
+    state = replace(state, covariance=1e-12 * state.covariance)
+    names, stds, squares = state.names, [], []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        angles = postures(1, rng)[0]
+        seen = matches(head, angles, points, noise_px=NOISE_PX, rng=rng)
+        readings = angles + rng.normal(0, state.joint_std_rad, 4)
+        found = from_matches(state, block_errors(seen, rng), readings)
+        error = (found.joints - angles)[[0, 2]] @ [1, -1]
+        own = found.covariance[len(names) :, len(names) :][np.ix_([0, 2], [0, 2])]
+        stds.append(np.sqrt([1, -1] @ own @ [1, -1]))
+        squares.append((error / stds[-1]) ** 2)
+        assert found.evidence is not None
+        assert found.evidence.alike > 1.5
+    low, high = chi2.interval(0.999, len(squares))
+    assert low < sum(squares) < high
+
+
+def test_what_is_seen_again_teaches_little_but_what_is_new_does():
+    """A still head matches the same windows, with the same errors, thirty times in a second."""
+    head, rng = head_of(0), np.random.default_rng(0)
+    points, angles = room(300, rng), np.zeros(4)
+    same = matches(head, angles, points, noise_px=NOISE_PX, rng=rng)
+    focal = begin(head).names.index("left_wide.fx")
+    stds = {}
+    for kind in ("same", "new"):
+        state = begin(head)
+        for _ in range(30):
+            new = matches(head, angles, points, noise_px=NOISE_PX, rng=rng)
+            readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
+            found = from_matches(state, same if kind == "same" else new, readings)
+            state = learn(state, found, 1 / 30)
+        assert state.recurring is not None
+        stds[kind] = np.sqrt(state.covariance[focal, focal]), state.recurring.variance
+    assert stds["new"][1] < 4
+    assert stds["same"][1] > 3 * stds["new"][1]
+    assert stds["same"][0] > 1.1 * stds["new"][0]
+
+
 def test_a_scene_that_shows_nothing_leaves_head_and_readings_as_they_were():
     head, rng = head_of(0), np.random.default_rng(0)
     state, readings = begin(head), np.zeros(4)

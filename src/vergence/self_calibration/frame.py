@@ -20,6 +20,13 @@ from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named, parameter_names
 from vergence.geometry.projection import T_rcam_lcam
 from vergence.self_calibration.epipolar import epipolar_residuals
+from vergence.self_calibration.match_noise import (
+    CUT,
+    Recurring,
+    likeness,
+    noise_variance,
+    robust_weights,
+)
 from vergence.self_calibration.prior import (
     BUMP,
     JOINT_STD_RAD,
@@ -35,10 +42,6 @@ Status = Literal["seen", "little seen", "contradiction"]
 _HYPOTHESES = 300
 _JUDGES = 250
 """Matches that choose among them; more take longer, and choose no better."""
-_CUT = 4.685
-"""Tukey's biweight: residuals beyond so many standard deviations do not count."""
-_PRIOR_MATCHES = 30.0
-"""How many matches the expected noise counts for, beside the frame's own."""
 _GATE = 1e-7
 """Probability by chance of a change that is not believed from one frame alone."""
 _GATE_OF_FEW = 1e-3
@@ -67,6 +70,10 @@ class SelfCalibration:
     """Noise of a reading."""
     match_scale: float
     """Noise of the matches, relative to what their contrast tells."""
+    alike: float = 2.0
+    """Variance of means of neighbouring matches, relative to that of independent ones."""
+    recurring: Recurring | None = None
+    """What the errors of matches have in common with those of the frames before."""
     joint_weight: float = 5.0
     """Readings from which their noise is known."""
     frames: int = 0
@@ -89,6 +96,10 @@ class Evidence:
     """How many matches fit."""
     match_scale: float
     """Noise of the matches, relative to what their contrast tells."""
+    alike: float
+    """Variance of means of neighbouring matches, relative to that of independent ones."""
+    blocks: Array
+    """(B,) sums of residuals in blocks of the left image, of `match_noise.likeness`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,12 +223,14 @@ def _fit(
     y, A = _whitened(state, *_changed(state, joints, first), matches)
     y = y + A @ first  # of the linear model about the state's head
     z = _robust(y, A, C, first)
-    weights, scale2 = _tukey(y - A @ z), _scale2(y - A @ z)
-    weighted = A * (weights / scale2)[:, None]
+    weights, scale2 = robust_weights(y - A @ z), noise_variance(y - A @ z)
+    alike, blocks = likeness((y - A @ z) / np.sqrt(scale2), matches.left, state.alike)
+    weighted = A * (weights / (scale2 * alike))[:, None]
     information, vector = weighted.T @ A, weighted.T @ y
     z = np.asarray(np.linalg.solve(information + np.linalg.inv(C), vector), float)
     scale = float(np.sqrt(scale2)) * state.match_scale
-    return z, weights, Evidence(information, vector, float((weights > 0.3).sum()), scale)
+    inliers = float((weights > 0.3).sum())
+    return z, weights, Evidence(information, vector, inliers, scale, alike, blocks)
 
 
 def _prior(state: SelfCalibration, readings: int) -> Array:
@@ -260,10 +273,6 @@ def _whitened(
     return y, np.where(good[:, None], A / std[:, None], 0.0)
 
 
-def _tukey(y: Array) -> Array:
-    return np.maximum(1 - (y / _CUT) ** 2, 0) ** 2
-
-
 def _best_hypothesis(y: Array, A: Array, C: Array) -> Array:
     """Return the change (K,) that three matches and the prior give, and most others agree with."""
     rng = np.random.default_rng(0)
@@ -279,7 +288,7 @@ def _best_hypothesis(y: Array, A: Array, C: Array) -> Array:
     G3, triples = np.concatenate([G3[:1], G3]), np.concatenate([triples[:1], triples])
     predicted = (pull[:, None] @ G[triples])[:, 0]
     prior = np.einsum("hi,hij,hj->h", pull, G3, pull)
-    cost = np.minimum((y - predicted) ** 2, _CUT**2).sum(axis=1) + prior
+    cost = np.minimum((y - predicted) ** 2, CUT**2).sum(axis=1) + prior
     best = int(cost.argmin())
     return pull[best] @ AC[triples[best]]
 
@@ -288,17 +297,9 @@ def _robust(y: Array, A: Array, C: Array, z: Array, steps: int = 4) -> Array:
     """Return the change (K,) by iteratively reweighted least squares with the prior."""
     inverse = np.linalg.inv(C)
     for _ in range(steps):
-        weighted = A * _tukey(y - A @ z)[:, None]
+        weighted = A * robust_weights(y - A @ z)[:, None]
         z = np.asarray(np.linalg.solve(weighted.T @ A + inverse, weighted.T @ y), float)
     return z
-
-
-def _scale2(residuals: Array) -> float:
-    """Return the variance of residuals relative to what was expected, with the prior's matches."""
-    inside = np.abs(residuals) < 3
-    # Of a normal distribution that is cut at 3 standard deviations, the variance is 0.973.
-    own = float((residuals[inside] ** 2).sum()) / 0.973
-    return (own + _PRIOR_MATCHES) / (max(float(inside.sum()) - 5, 0.0) + _PRIOR_MATCHES)
 
 
 def locate_seen(

@@ -1,9 +1,10 @@
 """What persists, learned from frame to frame: a recursive estimate with its covariance.
 
 Each frame's joint angles are marginalised, and what it says of the head is kept, with a slow random
-walk for drift. The noise of the readings is estimated from what the images say of them. A camera
-that was bumped shows in a few frames together: when turned mountings explain them far better than
-noise does, the head is estimated again from where these frames began, with the mountings free.
+walk for drift. What is seen again errs again: a frame counts by how far its errors are new. The
+noise of the readings is estimated from what the images say of them. A camera that was bumped shows
+in a few frames together: when turned mountings explain them far better than noise does, the head is
+estimated again from where these frames began, with the mountings free.
 """
 
 from __future__ import annotations
@@ -15,13 +16,21 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.geometry.head import Accuracy, HeadCalibration
 from vergence.geometry.parameters import change_named
-from vergence.self_calibration.frame import Evidence, Past, SelfCalibrated, SelfCalibration
+from vergence.self_calibration.frame import (
+    Evidence,
+    Past,
+    SelfCalibrated,
+    SelfCalibration,
+)
+from vergence.self_calibration.match_noise import recurring
 from vergence.self_calibration.prior import BUMP, DRIFT, tolerance_covariance
 
 _WINDOW = 3
 """Frames that are examined together for a bump; two at least."""
 _BUMP_EVIDENCE = 2 * np.log(1e5)
 """Twice the logarithm of how much likelier a bump must make the window: it is rare."""
+_PACE = 0.1
+"""Share of a frame in the running means of how much matches err."""
 _LONGEST_MEMORY = 4000.0
 """Readings from which their noise is estimated."""
 
@@ -39,26 +48,47 @@ def learn(state: SelfCalibration, seen: SelfCalibrated, elapsed_s: float) -> Sel
     state = replace(state, bumped=False)
     if seen.evidence is None:
         return replace(state, covariance=state.covariance + drift, past=())
-    past = (*state.past, Past(state.head, state.covariance, seen.change[:P], seen.evidence))
+    errors = recurring(state.recurring, seen.evidence.blocks, elapsed_s)
+    evidence = _weakened(seen.evidence, errors.variance)
+    C = _posterior(state, evidence)
+    change = C @ evidence.vector
+    past = (*state.past, Past(state.head, state.covariance, change[:P], evidence))
     past = past[-_WINDOW:]
+    state = replace(state, recurring=errors)
     bumped = _after_bump(state, past)
     if bumped is not None:
         return bumped
     if seen.status == "contradiction":
-        return replace(state, covariance=state.covariance + drift, past=past)
-    C = seen.covariance[:P, :P]
-    scale = state.match_scale + 0.1 * (seen.match_scale - state.match_scale)
-    variance, weight = _joint_variance(state, seen.evidence)
+        stays = replace(past[-1], change=np.zeros(P))
+        return replace(state, covariance=state.covariance + drift, past=(*past[:-1], stays))
+    variance, weight = _joint_variance(state, evidence)
     return replace(
         state,
-        head=seen.head,
-        covariance=(C + C.T) / 2 + drift,
-        match_scale=scale,
+        head=change_named(state.head, state.names, change[:P]),
+        covariance=(C[:P, :P] + C[:P, :P].T) / 2 + drift,
+        match_scale=state.match_scale + _PACE * (evidence.match_scale - state.match_scale),
+        alike=state.alike + _PACE * (evidence.alike - state.alike),
         joint_std_rad=float(np.sqrt(variance)),
         joint_weight=weight,
         frames=state.frames + 1,
         past=past,
     )
+
+
+def _weakened(evidence: Evidence, variance: float) -> Evidence:
+    """Return what a frame says beyond the frames before, whose errors it shares."""
+    return replace(
+        evidence, information=evidence.information / variance, vector=evidence.vector / variance
+    )
+
+
+def _posterior(state: SelfCalibration, evidence: Evidence) -> Array:
+    """Return the covariance (K, K) of head and readings."""
+    P, K = len(state.names), len(evidence.vector)
+    prior = np.zeros((K, K))
+    prior[:P, :P] = np.linalg.inv(state.covariance)
+    prior[P:, P:] = np.eye(K - P) / state.joint_std_rad**2
+    return np.asarray(np.linalg.inv(prior + evidence.information), float)
 
 
 def _of_head(state: SelfCalibration, evidence: Evidence) -> tuple[Array, Array]:

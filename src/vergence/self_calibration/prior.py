@@ -42,7 +42,7 @@ class Tolerance:
 
 USUAL = Tolerance(
     focal=0.02,
-    aspect=0.001,
+    aspect=1e-4,
     centre_px=0.2,
     distortion=0.003,
     turn_rad=np.radians(0.5),

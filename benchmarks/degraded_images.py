@@ -1,0 +1,273 @@
+"""How steady self-calibrated depth stays on bad images, beside that of the joint readings.
+
+    python benchmarks/degraded_images.py [--figures 6 8 9 10 11] [--samples 40] [--seed 0]
+
+Rendered images of the paper's figures, made worse before anything is matched: contrast and blur,
+parts that are covered, a repeated pattern at a near depth, wrong matches, eyes that expose one
+after the other. The object's pixels are those of the good images, so that the geometry alone makes
+the difference. `learned` has seen 5 s of good images before, and goes on learning from bad ones.
+
+Printed is the standard deviation of depth over that of the joints (below 1: steadier; bar 1.05),
+and of single frames the mean squared error of the cameras' turn to each other over its stated
+variance (3 degrees of freedom, each counts one third).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import tyro
+
+from vergence.accuracy.motions import eye_angles
+from vergence.arrays import Array
+from vergence.calibration.sequential.sequential import calibrate_sequentially
+from vergence.geometry import se3
+from vergence.geometry.camera import normalise, project
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.parameters import change_named
+from vergence.geometry.projection import T_rcam_lcam
+from vergence.paper.comparison import LEARNED, LOOK_S, comparison, look_around, true_head
+from vergence.paper.figures import FIGURES, default_duration_s
+from vergence.self_calibration.frame import (
+    SelfCalibrated,
+    SelfCalibration,
+    from_matches,
+    locate_seen,
+    self_calibrate_frame,
+    start,
+)
+from vergence.self_calibration.learning import learn
+from vergence.stereo.triangulation import triangulate_at
+from vergence.twin.calibration_errors import inject_calibration_error
+from vergence.twin.calibration_sequence import capture_views, plan, straight_neck
+from vergence.twin.head import Twin
+from vergence.twin.profile import load_profile
+from vergence.vision.sphere import STD_PX, find_sphere
+
+CAMERAS = ("left_wide", "right_wide")
+APART_S = 0.005
+NEAR_M, SQUARE_M = 0.6, 0.02
+Images = tuple[np.ndarray, np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """A pair of images of a figure."""
+
+    images: Images
+    """(H, W) grey."""
+    later: np.ndarray
+    """(H, W) the right image, 5 ms later."""
+    joints: Array
+    """(4,) readings."""
+    pixels: tuple[Array, Array]
+    """(2,) the object in both."""
+    T_rcam_lcam: Array
+    """The truth."""
+
+
+def contrast(share: float) -> Callable[[Sample], Images]:
+    """Return what takes contrast away; the noise of the sensor (one grey level) comes after."""
+
+    def change(sample: Sample) -> Images:
+        rng = np.random.default_rng(int(sample.joints[0] * 1e9) % 2**32)
+        both = []
+        for image in sample.images:
+            smooth = cv2.GaussianBlur(image, (0, 0), 0.6).astype(float)
+            faint = 128 + share * (smooth - 128) + rng.normal(0, 1.0, image.shape)
+            both.append(np.clip(np.round(faint), 0, 255).astype(np.uint8))
+        return both[0], both[1]
+
+    return change
+
+
+def quarter(sample: Sample) -> Images:
+    """Show the upper left quarter of the left image, and grey elsewhere."""
+    left = np.full_like(sample.images[0], 128)
+    h, w = left.shape
+    left[: h // 2, : w // 2] = sample.images[0][: h // 2, : w // 2]
+    return left, sample.images[1]
+
+
+def covered(sample: Sample) -> Images:
+    """Show nothing to the right eye."""
+    return sample.images[0], np.full_like(sample.images[1], 20)
+
+
+def blurred(sample: Sample) -> Images:
+    """Blur along rows, 5 px."""
+    row = np.full((1, 5), 0.2)
+    left, right = (cv2.filter2D(image, -1, row) for image in sample.images)
+    return left, right
+
+
+def apart(sample: Sample) -> Images:
+    """Expose the right eye 5 ms later."""
+    return sample.images[0], sample.later
+
+
+def chessboard(head: HeadCalibration) -> Callable[[Sample], Images]:
+    """Return what covers a quarter of the left view by a near chessboard, where it truly would be.
+
+    It is fixed to the left eye, 0.6 m ahead.
+    """
+
+    def change(sample: Sample) -> Images:
+        both = []
+        for k, name in enumerate(CAMERAS):
+            camera, image = head.camera(name).intrinsics, sample.images[k].copy()
+            v, u = np.mgrid[: image.shape[0], : image.shape[1]].astype(float)
+            rays = np.ones((u.size, 3))
+            rays[:, :2] = normalise(camera, np.stack([u.ravel(), v.ravel()], axis=-1))
+            T = np.eye(4) if k == 0 else se3.inverse(sample.T_rcam_lcam)
+            turned, centre = rays @ T[:3, :3].T, T[:3, 3]
+            hit = centre + turned * ((NEAR_M - centre[2]) / turned[:, 2])[:, None]
+            left = project(head.camera(CAMERAS[0]).intrinsics, hit)
+            inside = ((left > [0, 0]) & (left < [image.shape[1] / 2, image.shape[0] / 2])).all(1)
+            dark = (np.floor(hit[:, :2] / SQUARE_M).astype(int).sum(axis=1) % 2) == 0
+            inside = inside.reshape(image.shape)
+            image[inside] = np.where(dark, 40, 210).reshape(image.shape)[inside]
+            both.append(cv2.GaussianBlur(image, (0, 0), 0.5))
+        return both[0], both[1]
+
+    return change
+
+
+def mismatched(state: SelfCalibration, sample: Sample) -> SelfCalibrated:
+    """Estimate from matches of which seven in ten are wrong."""
+    good = self_calibrate_frame(state, *sample.images, sample.joints).matches
+    rng = np.random.default_rng(len(good.left))
+    wrong = rng.random(len(good.left)) < 0.7
+    right = good.right.copy()
+    right[wrong] += rng.uniform(-20, 20, (int(wrong.sum()), 2))
+    return from_matches(state, replace(good, right=right), sample.joints)
+
+
+def taken(twin: Twin, head: HeadCalibration, truth: HeadCalibration, figure: int, samples: int):
+    """Return the samples of a figure."""
+    shown = FIGURES[figure]
+    twin.restart(figure)
+    twin.place_object(np.array(shown.mean_m))
+
+    def command(time_s: float) -> Array:
+        return straight_neck(eye_angles(shown.motion, np.array(time_s - 1)))
+
+    twin.advance(0.5, command(1.0))
+    gains = np.array([j.gain for eye in ("left", "right") for j in truth.kinematics.eyes[eye]])
+    found = []
+    for time_s in np.round(np.linspace(0, default_duration_s(shown.motion), samples), 3):
+        twin.advance(round(1 + time_s, 3), command)
+        frame, angles = twin.capture(CAMERAS), twin.true_angles()[3:]
+        pixels = [find_sphere(frame.images[n], head.camera(n).intrinsics) for n in CAMERAS]
+        twin.advance(round(1 + time_s + APART_S, 3), command)
+        later = twin.capture(CAMERAS[1:]).images[CAMERAS[1]]
+        grey = [
+            cv2.cvtColor(i, cv2.COLOR_RGB2GRAY)
+            for i in (*(frame.images[n] for n in CAMERAS), later)
+        ]
+        T = T_rcam_lcam(truth, angles / gains, cameras=CAMERAS)
+        found.append(
+            Sample((grey[0], grey[1]), grey[2], frame.eye_angles, (pixels[0], pixels[1]), T)
+        )
+    return found
+
+
+def turn_distance(seen: SelfCalibrated, T_true: Array) -> float:
+    """Return the squared Mahalanobis distance of the cameras' turn to each other, per degree."""
+    T, P, step = T_rcam_lcam(seen.head, seen.joints), len(seen.names), 1e-6
+    by = np.zeros((3, len(seen.covariance)))
+    for k in range(by.shape[1]):
+        head, joints = seen.head, seen.joints.copy()
+        if k < P:
+            head = change_named(head, [seen.names[k]], np.array([step]))
+        else:
+            joints[k - P] += step
+        by[:, k] = se3.boxminus(T_rcam_lcam(head, joints), T)[:3] / step
+    error = se3.boxminus(T_true, T)[:3]
+    return float(error @ np.linalg.solve(by @ seen.covariance @ by.T, error)) / 3
+
+
+def compare(
+    samples: list[Sample], state: SelfCalibration, learned: SelfCalibration, change, step_s: float
+) -> tuple[float, float, float, float]:
+    """Return depth spreads over the joints' (single, learned), share seen, and the distance."""
+    depths, distances, seen_share = {"joints": [], "single": [], "learned": []}, [], []
+    for sample in samples:
+        left, right = (pixels[None] for pixels in sample.pixels)
+        by_joints, _ = triangulate_at(
+            state.head, left=left, right=right, joints=sample.joints, cameras=CAMERAS
+        )
+        depths["joints"].append(by_joints[0, 0])
+        for name, now in (("single", state), ("learned", learned)):
+            if change is mismatched:
+                seen = mismatched(now, sample)
+            else:
+                seen = self_calibrate_frame(now, *change(sample), sample.joints)
+            at = locate_seen(seen, left=left, right=right, pixel_std_px=STD_PX)
+            depths[name].append(at.xyz[0, 0])
+            if name == "single":
+                distances.append(turn_distance(seen, sample.T_rcam_lcam))
+                seen_share.append(seen.status == "seen")
+            else:
+                learned = learn(now, seen, step_s)
+    joints, single, after = (float(np.nanstd(each, ddof=1)) for each in depths.values())
+    return single / joints, after / joints, float(np.mean(seen_share)), float(np.mean(distances))
+
+
+def report(head: HeadCalibration, figure: int, samples, learned: SelfCalibration) -> None:
+    """Print a line for each way in which images are bad."""
+    ways = {
+        "good": lambda s: s.images,
+        "quarter of the view": quarter,
+        "contrast 1/8": contrast(1 / 8),
+        "contrast 1/16": contrast(1 / 16),
+        "70 % wrong matches": mismatched,
+        "near chessboard": chessboard(head),
+        "one eye covered": covered,
+        "motion blur 5 px": blurred,
+        "5 ms apart": apart,
+    }
+    step_s = default_duration_s(FIGURES[figure].motion) / len(samples)
+    for name, change in ways.items():
+        single, after, share, distance = compare(samples, start(head), learned, change, step_s)
+        worse = " WORSE" if max(single, after) > 1.05 else ""
+        print(
+            f"Fig. {figure:2d} {name:20s} single {single:.3f} learned {after:.3f} "
+            f"seen {share:.2f} distance {distance:.2f}{worse}",
+            flush=True,
+        )
+
+
+def main(figures: tuple[int, ...] = (6, 8, 9, 10, 11), samples: int = 40, seed: int = 0) -> None:
+    """Print how steady depth stays.
+
+    Args:
+        figures: of the paper.
+        samples: of each.
+        seed: of the twin.
+    """
+    profile = load_profile("paper")
+    for lens in ("2.8mm", "4.0mm"):
+        numbers = [n for n in figures if FIGURES[n].lens == lens]
+        if not numbers:
+            continue
+        with Twin(profile, seed=seed, lens=lens) as twin:
+            found = calibrate_sequentially(
+                capture_views(twin, plan(twin.nominal, seed)),
+                wide_lens=profile.calibration.wide_lens,
+                neck=twin.nominal.neck,
+            )
+            head = inject_calibration_error(found.head, profile.by_hand, lens)
+            compared = comparison(head, twin, floor=False)
+            look_around(twin, compared, 100)
+            print(f"{lens}: {LOOK_S:.0f} s of good images seen")
+            for figure in numbers:
+                taken_now = taken(twin, head, true_head(twin), figure, samples)
+                report(head, figure, taken_now, compared.states[LEARNED])
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
