@@ -69,7 +69,7 @@ def draw_card(
 
 def sample_slopes(
     camera: Camera, u0: int = 0, v0: int = 0, u1: int | None = None, v1: int | None = None
-) -> Array:
+) -> np.ndarray:
     """Return (2, 4 H, 4 W) float32 x/z and y/z of the rays of all samples of some pixels.
 
     NaN where the lens has no direction. Pixels are u0 to u1 and v0 to v1, the last ones left out.
@@ -78,7 +78,8 @@ def sample_slopes(
     u, v = ((np.arange(*each)[:, None] + [-0.25, 0.25]).ravel() for each in ends)
     half = np.empty((len(v), len(u), 2), np.float32)
     for k in range(0, len(v), 64):  # the lens takes much memory
-        half[k : k + 64] = normalise(camera, np.stack(np.meshgrid(u, v[k : k + 64]), axis=-1))
+        pixels = np.stack(np.meshgrid(u, v[k : k + 64]), axis=-1, dtype=float)
+        half[k : k + 64] = normalise(camera, pixels)
     # Rays are straight between samples half a pixel apart, to a thousandth of a pixel.
     fine = cv2.resize(half, None, fx=_FINE / 2, fy=_FINE / 2, interpolation=cv2.INTER_LINEAR)
     return np.moveaxis(fine, -1, 0)

@@ -141,7 +141,7 @@ def recorded(
         )
         if kept is not None:
             kept.parent.mkdir(parents=True, exist_ok=True)
-            np.savez_compressed(kept, **corners)
+            np.savez_compressed(kept, **corners)  # pyright: ignore[reportArgumentType]
     return replace(observed, board=CHARUCO, corners=corners, systematic_px=SYSTEMATIC_PX)
 
 
