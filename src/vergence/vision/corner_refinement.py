@@ -84,12 +84,12 @@ def adjacent_sides(grid: Array) -> list[tuple[Array, Array]]:
 
 
 def curvatures(grid: Array) -> Array:
-    """Return the second-order terms (rows, columns, 2, 3) of the map from a board to the image.
+    """Return the second-order terms (rows, columns, 2, 3) by which a board's lines are bent.
 
-    Coefficients of u^2, u v and v^2 in the deviation of x and y [px] from a linear map, at an
-    offset (u, v) [px] from a corner. They are finite differences of a smooth map of the whole
-    board, so that corners on its border and corners that were not found (NaN) have them like all
-    others; zero where too few were found.
+    Coefficients of u^2, u v and v^2 in the deviation of x and y [px] from straight lines, at an
+    offset (u, v) [px] from a corner; how squares grow or shrink along a line is not in it. They are
+    finite differences of a smooth map of the whole board, so that corners on its border and corners
+    that were not found (NaN) have them like all others; zero where too few were found.
     """
     offsets = np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), axis=-1) * _STEP
     j, i = np.indices(grid.shape[:2])
@@ -104,6 +104,11 @@ def curvatures(grid: Array) -> Array:
     J = np.stack([right - left, below - above], axis=-1) / 2
     H = np.stack([left + right - 2 * here, cross / 4, cross / 4, above + below - 2 * here], axis=-1)
     M = np.linalg.pinv(J)
+    # In the board's directions, of each line only what leads off it: the blur of an edge is the
+    # same to both of its sides, also where the squares there differ in size.
+    bent = M @ H
+    bent[..., 0, :3], bent[..., 1, 1:] = 0.0, 0.0
+    H = J @ bent
     K = np.swapaxes(M, -1, -2)[:, :, None] @ H.reshape(*J.shape, 2) @ M[:, :, None] / 2
     return np.stack([K[..., 0, 0], K[..., 0, 1] + K[..., 1, 0], K[..., 1, 1]], axis=-1)
 
