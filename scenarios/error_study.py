@@ -31,9 +31,8 @@ from vergence.paper.error_model import (
 )
 from vergence.paper.figures import FIGURES
 from vergence.progress import Progress, silent
-from vergence.viewer.opening import markdown_table
 from vergence.viewer.plots.canvas import BLUE, GREEN, RED, panels, save
-from vergence.writing import results_folder, write_whole
+from vergence.writing import markdown_table, results_folder, write_whole
 
 SOURCES = {
     "white noise 0.1° on all joints": Errors(joint_noise_deg=0.1),

@@ -14,7 +14,7 @@ import stat
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -277,3 +277,9 @@ def write_json(value: Any, path: Path) -> None:
 def as_json(value: Any) -> str:
     """Return a dataclass or a dictionary as JSON; NaN and infinity are null."""
     return TypeAdapter(type(value)).dump_json(value, indent=1).decode() + "\n"
+
+
+def markdown_table(heading: str, rows: Iterable[Sequence[object]]) -> str:
+    """Return a table in markdown, whose heading has its cells divided by vertical bars."""
+    lines = [f"| {heading} |", "|" + "---|" * (heading.count("|") + 1)]
+    return "\n".join(lines + ["| " + " | ".join(map(str, row)) + " |" for row in rows])

@@ -21,9 +21,8 @@ from vergence.geometry.parameters import parameter_values
 from vergence.geometry.se3 import rotvec
 from vergence.progress import Progress, silent
 from vergence.viewer.dataset import record_dataset, rms_by_view
-from vergence.viewer.opening import markdown_table
 from vergence.viewer.plots import calibration as plots
-from vergence.writing import results_folder, write_whole
+from vergence.writing import markdown_table, results_folder, write_whole
 
 FAILURES_NAMED = 20
 SYSTEMATIC = 4.0

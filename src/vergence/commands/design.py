@@ -24,9 +24,8 @@ from vergence.accuracy.design_sweep import (
 from vergence.commands.design_chunks import sweep
 from vergence.errors import VergenceError, explain
 from vergence.progress import Progress, silent
-from vergence.viewer.opening import markdown_table
 from vergence.viewer.plots.design import draw_axes, draw_design
-from vergence.writing import results_folder, whole_file, write_json, write_whole
+from vergence.writing import markdown_table, results_folder, whole_file, write_json, write_whole
 
 CHUNKS = "chunks"
 

@@ -16,7 +16,7 @@ from vergence.geometry.board import Board, Chessboard, corner_points
 from vergence.geometry.head import HeadCalibration, T_head_base, load_head
 from vergence.geometry.se3 import transform
 from vergence.progress import Progress, silent
-from vergence.viewer.opening import markdown_table
+from vergence.writing import markdown_table
 
 MOST_VIEWS = 100
 

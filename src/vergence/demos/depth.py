@@ -35,8 +35,8 @@ from vergence.twin.profile import ErrorProfile
 from vergence.twin.scene import Scene
 from vergence.twin.simulated_robot import calibrate_twin
 from vergence.viewer.depth import depth_recording, log_depth
-from vergence.viewer.opening import log_report, markdown_table
-from vergence.writing import check_outputs, results_folder, write_json, write_whole
+from vergence.viewer.opening import log_report
+from vergence.writing import check_outputs, markdown_table, results_folder, write_json, write_whole
 
 STEP_S = 9.0
 """Time between two pairs of the divergent motion: no divisor of its periods."""

@@ -32,8 +32,8 @@ from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.scene import Scene
 from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors, unoccluded
-from vergence.viewer.opening import markdown_table
 from vergence.viewer.plots.foveation import depth
+from vergence.writing import markdown_table
 
 WITHIN_S = 0.5
 """Length of a trial."""

@@ -33,7 +33,7 @@ from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.scene import Scene
 from vergence.twin.simulated_robot import SimulatedHead
-from vergence.viewer.opening import markdown_table
+from vergence.writing import markdown_table
 
 WITHIN_M = 0.010
 """Distance from the object's centre within which the hand should close."""

@@ -17,7 +17,7 @@ from vergence.paper.replay import WIDE, Replay, summaries
 from vergence.stereo.depth_error import depth_error, disparity_error
 from vergence.twin.profile import ErrorProfile, Joints
 from vergence.twin.sensors import read
-from vergence.viewer.opening import markdown_table
+from vergence.writing import markdown_table
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import threading
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -92,12 +92,6 @@ def _noticing_errors(path: Path) -> Iterator[str]:
         copier.join()
     if errors:
         raise errors[0]
-
-
-def markdown_table(heading: str, rows: Iterable[Sequence[object]]) -> str:
-    """Return a table in markdown, whose heading has its cells divided by vertical bars."""
-    lines = [f"| {heading} |", "|" + "---|" * (heading.count("|") + 1)]
-    return "\n".join(lines + ["| " + " | ".join(map(str, row)) + " |" for row in rows])
 
 
 def log_report(rec: rr.RecordingStream, markdown: str) -> None:
