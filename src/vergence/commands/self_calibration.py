@@ -56,8 +56,8 @@ def said(found: RecordedSelfCalibration) -> list[str]:
     if found.depth_std_m is not None:
         before, after = (1e3 * std for std in found.depth_std_m)
         lines.append(
-            f"Depth of a point 1 m straight ahead, by the calibration alone: std {before:.3g} mm "
-            f"before, {after:.3g} mm after."
+            f"Depth of a point 1 m straight ahead: std {before:.3g} mm by the calibration and what "
+            f"may have moved since, {after:.3g} mm by what was learned."
         )
     return [*lines, *(f"Warning: {each}" for each in found.warnings)]
 
