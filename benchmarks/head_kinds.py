@@ -7,7 +7,7 @@ error of points is compared with the stated one. With --images the heads' images
 corners sought in them; else the corners are simulated.
 
     python benchmarks/head_kinds.py --heads 20 --kinds "shared tilt, pan" fisheye
-    python benchmarks/head_kinds.py --heads 8 --images --found /tmp/corners
+    python benchmarks/head_kinds.py --heads 8 --images --found runs/corners
 """
 
 from __future__ import annotations
