@@ -209,3 +209,12 @@ def test_the_covariance_of_a_difference_leaves_out_what_is_shared():
     found = np.cov((a - b).T)
     np.testing.assert_allclose(found, stated, atol=0.03 * np.trace(stated))
     assert np.trace(found) < 0.1 * np.trace(np.cov(a.T))
+
+
+def test_names_of_cameras_may_come_as_a_list():
+    head, pair = plain_head(0.09, 300.0), ["left_wide", "right_wide"]
+    point, joints = np.array([[0.6, -0.04, 0.1]]), np.zeros(4)
+    left, right = (project_point(head, name, joints, point) for name in pair)
+    seen = {"left": left, "right": right, "joints": joints, "pixel_std_px": 0.1}
+    found = locate(head, **seen, cameras=pair)  # pyright: ignore[reportArgumentType]
+    np.testing.assert_allclose(found.xyz, point, atol=1e-9)

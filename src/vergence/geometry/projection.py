@@ -7,10 +7,10 @@ other at any posture of the eyes (Eqs. 10 and 11). Points are in the left eye's 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import NamedTuple
+from functools import lru_cache, wraps
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -36,6 +36,10 @@ from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration, MountedCamera, main_pair
 from vergence.geometry.kinematics import T_base_eye
 from vergence.geometry.se3 import inverse
+
+Pair = tuple[str, str] | None
+"""Names of a camera of the left eye and one of the right; None: the main ones."""
+Found = TypeVar("Found")
 
 
 def project_point(head: HeadCalibration, camera: str, joints: Array, points: Array) -> Array:
@@ -252,7 +256,23 @@ def stereo_extrinsics(
     return inverse(T_rbase_reye @ T_reye_rcam) @ T_rbase_lbase @ T_lbase_leye @ T_leye_lcam
 
 
-@lru_cache(maxsize=64)
+def per_pair(
+    find: Callable[[HeadCalibration, Pair], Found],
+) -> Callable[[HeadCalibration, Pair], Found]:
+    """Return a function that remembers what it found of a head and two cameras, or the main ones.
+
+    Their names may come as a list, which could not be remembered.
+    """
+    remembered = lru_cache(maxsize=64)(find)
+
+    @wraps(find)
+    def found(head: HeadCalibration, cameras: Pair) -> Found:
+        return remembered(head, cameras if cameras is None else tuple(cameras))
+
+    return found
+
+
+@per_pair
 def stereo_cameras(
     head: HeadCalibration, cameras: tuple[str, str] | None
 ) -> tuple[MountedCamera, MountedCamera]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry.components import stacked
 from vergence.geometry.head import HeadCalibration
+from vergence.geometry.projection import per_pair
 from vergence.stereo.linearised import Linearised, pair_columns, pair_parameters
 
 
@@ -25,7 +25,7 @@ class PairCovariance:
     """(p_r, p_r)."""
 
 
-@lru_cache(maxsize=64)
+@per_pair
 def pair_covariance(
     head: HeadCalibration, cameras: tuple[str, str] | None
 ) -> PairCovariance | None:
@@ -66,7 +66,7 @@ def covariance_of_calibration(seen: Linearised, known: PairCovariance) -> Array:
     return np.einsum("iln,jln->nij", half, seen.by_pixels)
 
 
-@lru_cache(maxsize=64)
+@per_pair
 def pair_factor(head: HeadCalibration, cameras: tuple[str, str] | None) -> Array:
     """Return F (P, q) with F F^T the calibration's covariance of `pair_parameters`."""
     accuracy, names = head.accuracy, pair_parameters(head, cameras)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -25,7 +24,7 @@ from vergence.geometry.components import (
 from vergence.geometry.eye_motion import eye_motions, measured
 from vergence.geometry.head import HeadCalibration, main_pair
 from vergence.geometry.parameters import camera_columns, parameter_names
-from vergence.geometry.projection import by_increments, projected, stereo_cameras
+from vergence.geometry.projection import by_increments, per_pair, projected, stereo_cameras
 from vergence.stereo.triangulation import (
     checked,
     of_part,
@@ -35,7 +34,7 @@ from vergence.stereo.triangulation import (
 )
 
 
-@lru_cache(maxsize=64)
+@per_pair
 def pair_parameters(head: HeadCalibration, cameras: tuple[str, str] | None) -> tuple[str, ...]:
     """Return the names of the P parameters that the points of a pair of cameras depend on."""
     stereo_cameras(head, cameras)
@@ -44,7 +43,7 @@ def pair_parameters(head: HeadCalibration, cameras: tuple[str, str] | None) -> t
     return tuple(names[k] for k in both)
 
 
-@lru_cache(maxsize=64)
+@per_pair
 def pair_columns(
     head: HeadCalibration, cameras: tuple[str, str] | None
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -48,6 +48,7 @@ give the eyes' trajectory in time. At it they hold the latent angles to a fifth,
 FEW_LEFT = 6
 """Readings left over at the start, below which it is asked whether better corners leave more."""
 ROUGH_STEPS = 5
+"""Steps of the minimiser before that is judged again: they lead away from a poor start."""
 ROUNDS = 40
 RELEASES = 2
 """How often fixed directions may be released again."""

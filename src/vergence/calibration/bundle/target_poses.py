@@ -98,7 +98,8 @@ def adjust_target_poses(
         noise_factor: of the standard deviations in `covariance`; None: estimated.
         start: a head that is about right, with these cameras; None: by Park and Martin's method.
         fixed: names of more parameters that keep their start, such as left.pan_gain.
-        joint_std: as outlier, see bundle_adjust.
+        joint_std: see bundle_adjust.
+        outlier: see bundle_adjust.
 
     Raises:
         VergenceError: shapes do not fit, or the motion does not determine a start.
