@@ -24,12 +24,13 @@ import tyro
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.calibration.sequential.sequential import calibrate_sequentially
+from vergence.commands.truth import with_sensors
 from vergence.geometry import se3
 from vergence.geometry.camera import normalise, project
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named
 from vergence.geometry.projection import T_rcam_lcam
-from vergence.paper.comparison import LEARNED, LOOK_S, comparison, look_around, true_head
+from vergence.paper.comparison import LEARNED, comparison, learn_around
 from vergence.paper.figures import FIGURES, default_duration_s
 from vergence.self_calibration.frame import (
     SelfCalibrated,
@@ -44,6 +45,7 @@ from vergence.stereo.triangulation import triangulate_at
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import capture_views, plan, straight_neck
 from vergence.twin.head import Twin
+from vergence.twin.looking_around import LOOK_S
 from vergence.twin.profile import load_profile
 from vergence.vision.sphere import STD_PX, find_sphere
 
@@ -262,10 +264,12 @@ def main(figures: tuple[int, ...] = (6, 8, 9, 10, 11), samples: int = 40, seed: 
             )
             head = inject_calibration_error(found.head, profile.by_hand, lens)
             compared = comparison(head, twin, floor=False)
-            look_around(twin, compared, 100)
+            learn_around(twin, compared, 100)
             print(f"{lens}: {LOOK_S:.0f} s of good images seen")
             for figure in numbers:
-                taken_now = taken(twin, head, true_head(twin), figure, samples)
+                taken_now = taken(
+                    twin, head, with_sensors(twin.truth, twin.profile.joints), figure, samples
+                )
                 report(head, figure, taken_now, compared.states[LEARNED])
 
 

@@ -9,7 +9,6 @@ import pytest
 
 from drawn_head import four_cameras
 from vergence import cli
-from vergence.demos import experiment
 from vergence.errors import VergenceError
 from vergence.geometry.camera import normalise
 from vergence.geometry.eye_motion import eye_poses
@@ -17,6 +16,7 @@ from vergence.geometry.head import save_head
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.dense_depth import LEAST_STD_PX, dense_depth, point_cloud
 from vergence.stereo.rectification import RectifiedPair, rectify
+from vergence.twin import looking_around
 from vergence.twin.model import as_built_head, nominal_head
 from vergence.twin.profile import load_profile
 
@@ -137,8 +137,8 @@ def test_depth_by_what_both_eyes_see_is_better_than_by_wrong_joints(tmp_path, mo
     """The head is known, but the readings have gains and noise."""
     calibration, profile = tmp_path / "true.json", load_profile("paper")
     save_head(as_built_head(nominal_head("2.8mm"), profile, 0), calibration)
-    monkeypatch.setattr(experiment, "LOOK_S", 1.5)
-    monkeypatch.setattr(experiment, "LOOK_STEP_S", 0.15)
+    monkeypatch.setattr(looking_around, "LOOK_S", 1.5)
+    monkeypatch.setattr(looking_around, "LOOK_STEP_S", 0.15)
     out = tmp_path / "depth"
     depth(
         monkeypatch, "--twin", "--calibration", str(calibration), "--geometry", "seen",

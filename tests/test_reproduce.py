@@ -12,12 +12,12 @@ from simulated_twin import observe_points, simulate_views
 from vergence import cli
 from vergence.calibration.sequential.sequential import calibrate_sequentially
 from vergence.geometry.head import load_head
-from vergence.paper import comparison
 from vergence.paper import reproduce as main_job
 from vergence.paper.figures import FIGURES
 from vergence.paper.replay import describe, estimate, sample_times
 from vergence.paper.report import Reproduction, report
 from vergence.paper.reproduce import reproduce
+from vergence.twin import looking_around
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import plan
 from vergence.twin.model import FOCAL_MM, as_built_head, nominal_head
@@ -167,7 +167,7 @@ def test_the_report_of_two_lenses_has_one_whole_table_of_calibrations():
 @pytest.mark.usefixtures("few_views")
 @pytest.mark.render
 def test_methods_are_compared_on_the_same_images(tmp_path, monkeypatch):
-    monkeypatch.setattr(comparison, "LOOK_S", 1.0)
+    monkeypatch.setattr(looking_around, "LOOK_S", 1.0)
     profile = load_profile("paper")
     short = {"figures": (7,), "profile": profile, "seed": 0, "duration_s": 12, "rate_hz": 1}
     reproduce(tmp_path / "paper", **short)

@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.gaze.state import GazeSettings
 from vergence.self_calibration.sequence import Geometry, SeenGeometry, see, seen_geometry
-from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Twin
+from vergence.twin.looking_around import look_around
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.scene import Scene
 from vergence.twin.simulated_robot import calibrate_twin
@@ -25,10 +24,8 @@ from vergence.writing import write_json
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-LOOK_S, LOOK_STEP_S = 5.0, 0.1
-"""How long the twin looks around first where the geometry is seen, and how often."""
 _LOOKING = 100_000
-"""Number of that run, beyond those of trials."""
+"""Number of the run in which the twin looks around first, beyond those of trials."""
 
 
 def check_trials(trials: int) -> None:
@@ -51,17 +48,10 @@ def calibrated_twin(
         yield twin, replace(calibrate_twin(twin, seed), geometry=geometry)
 
 
-def look_around(twin: Twin, geometry: SeenGeometry) -> SeenGeometry:
-    """Return what is known after the eyes have moved for LOOK_S, as in the divergent motion."""
-    twin.restart(_LOOKING)
-    twin.advance(0.5, straight_neck(eye_angles("divergent", np.array(0.0))))
-    begin = twin.time_s
-    for after in np.arange(0.0, LOOK_S, LOOK_STEP_S):
-        twin.advance(
-            round(begin + after, 3),
-            lambda time_s: straight_neck(eye_angles("divergent", np.array(time_s - begin))),
-        )
-        geometry = see(geometry, twin.capture(geometry.known.cameras))
+def learned_around(twin: Twin, geometry: SeenGeometry) -> SeenGeometry:
+    """Return what is known after the twin has looked around."""
+    for frame in look_around(twin, geometry.known.cameras, run=_LOOKING):
+        geometry = see(geometry, frame)
     return geometry
 
 
@@ -70,7 +60,7 @@ def looked_around(twin: Twin, settings: GazeSettings) -> SeenGeometry | None:
     if settings.geometry == "joints":
         return None
     left, right = settings.wide
-    return look_around(twin, seen_geometry(settings.calibration, cameras=(left, right)))
+    return learned_around(twin, seen_geometry(settings.calibration, cameras=(left, right)))
 
 
 def write_summary(out: Path | None, name: str, summary: DataclassInstance) -> None:

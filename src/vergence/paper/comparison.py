@@ -7,11 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
+from vergence.commands.truth import with_sensors
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYE_JOINTS
-from vergence.geometry.parameters import change_named
 from vergence.self_calibration.frame import (
     SelfCalibrated,
     SelfCalibration,
@@ -21,13 +19,11 @@ from vergence.self_calibration.frame import (
     start,
 )
 from vergence.self_calibration.learning import learn
-from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Twin
+from vergence.twin.looking_around import look_around
 from vergence.vision.sphere import STD_PX
 
 PAPER, SINGLE, LEARNED, FLOOR = "paper", "single-frame", "learned", "floor"
-LOOK_S = 5.0
-_LOOK_STEP_S, _SETTLE_S = 0.1, 1.0
 _KNOWN = 1e-8
 """Share of the prior's covariance that is left where the true head is given."""
 
@@ -76,37 +72,17 @@ def comparison(head: HeadCalibration, twin: Twin, *, floor: bool) -> Comparison:
     """Return a comparison for a calibration; floor: also with the true head, for evaluation."""
     states = {SINGLE: start(head), LEARNED: start(head)}
     if floor:
-        known = start(true_head(twin))
+        known = start(with_sensors(twin.truth, twin.profile.joints))
         states[FLOOR] = replace(known, covariance=known.covariance * _KNOWN)
     return Comparison(states)
 
 
-def true_head(twin: Twin) -> HeadCalibration:
-    """Return the twin's head with the gains and offsets that undo those of its joint sensors."""
-    joints = twin.profile.joints
-    gain = 1 / (1 + np.array(joints.gain_percent) / 100)
-    offset = -gain * np.radians(joints.offset_deg)
-    names = [name.replace("_", ".", 1) for name in EYE_JOINTS]  # left.pan, left.tilt, ...
-    changed = [f"{name}_gain" for name in names] + [f"{name}_offset_rad" for name in names]
-    return change_named(twin.truth, changed, np.concatenate([gain - 1, offset]))
-
-
-def look_around(twin: Twin, compared: Comparison, run: int) -> None:
-    """Let the learned head see 5 s of divergent motion, at ten pairs of images a second.
-
-    The number of the run determines the noise. Vergence changes, and the room alone is in view.
-    """
-    twin.restart(run)
-    times = np.arange(0.0, LOOK_S, _LOOK_STEP_S)
-
-    def command(time_s: float) -> Array:
-        return straight_neck(eye_angles("divergent", np.array(time_s - _SETTLE_S)))
-
-    twin.advance(_SETTLE_S / 2, command(_SETTLE_S))
-    for time_s in times:
-        twin.advance(round(_SETTLE_S + time_s, 3), command)
+def learn_around(twin: Twin, compared: Comparison, run: int) -> None:
+    """Let the learned head see the room alone; see `looking_around.look_around`."""
+    before: float | None = None
+    for frame in look_around(twin, compared.states[LEARNED].cameras, run=run):
         state = compared.states[LEARNED]
-        frame = twin.capture(state.cameras)
         left, right = (frame.images[name] for name in state.cameras)
         seen = self_calibrate_frame(state, left, right, frame.eye_angles)
-        compared.states[LEARNED] = learn(state, seen, _LOOK_STEP_S if time_s else 0.0)
+        elapsed_s = 0.0 if before is None else frame.time_s - before
+        compared.states[LEARNED], before = learn(state, seen, elapsed_s), frame.time_s

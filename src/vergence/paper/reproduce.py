@@ -15,7 +15,7 @@ from vergence.calibration.sequential.sequential import SequentialCalibration, ca
 from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, save_head
-from vergence.paper.comparison import LEARNED, PAPER, Comparison, comparison, look_around
+from vergence.paper.comparison import LEARNED, PAPER, Comparison, comparison, learn_around
 from vergence.paper.figures import FIGURES, Figure
 from vergence.paper.plots import paper_figures
 from vergence.paper.recording import figure_recording, log_results
@@ -107,7 +107,7 @@ def _replay_all(
                 compared = None
                 if learns:
                     compared = comparison(done.heads[lens], twin, floor=floor)
-                    look_around(twin, compared, _LOOKING)
+                    learn_around(twin, compared, _LOOKING)
                 for figure in through_it:
                     done.replays[figure.number] = record_replay(
                         twin,

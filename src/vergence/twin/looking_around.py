@@ -1,0 +1,33 @@
+"""Images of the room alone while the eyes move, before an experiment: self-calibration learns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from vergence.accuracy.motions import eye_angles
+from vergence.arrays import Array
+from vergence.data.dataset import Frame
+from vergence.twin.calibration_sequence import straight_neck
+from vergence.twin.head import Twin
+
+LOOK_S, LOOK_STEP_S = 5.0, 0.1
+"""How long the twin looks around, and how often it takes images."""
+_SETTLE_S = 1.0
+
+
+def look_around(twin: Twin, cameras: Sequence[str], *, run: int) -> Iterator[Frame]:
+    """Yield frames of LOOK_S of divergent motion, in which vergence changes.
+
+    The number of the run determines the noise.
+    """
+    twin.restart(run)
+
+    def command(time_s: float) -> Array:
+        return straight_neck(eye_angles("divergent", np.array(time_s - _SETTLE_S)))
+
+    twin.advance(_SETTLE_S / 2, command(_SETTLE_S))
+    for time_s in np.arange(0.0, LOOK_S, LOOK_STEP_S):
+        twin.advance(round(_SETTLE_S + time_s, 3), command)
+        yield twin.capture(cameras)
