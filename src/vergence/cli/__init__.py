@@ -14,7 +14,15 @@ import tyro
 from vergence import __version__
 from vergence.cli.accuracy import budget, design, plan
 from vergence.cli.calibration import calibrate, evaluate, export, import_, self_calibrate
-from vergence.cli.experiments import Experiment, depth, foveate, grasp, record, reproduce, track
+from vergence.cli.experiments import (
+    ExperimentOptions,
+    depth,
+    foveate,
+    grasp,
+    record,
+    reproduce,
+    track,
+)
 from vergence.commands.invocation import invocation
 from vergence.errors import VergenceError
 from vergence.writing import finished_files
@@ -66,7 +74,7 @@ def _options(command: Callable[..., None]) -> list[str]:
     parameters = signature(command).parameters.values()
     names = [each.name for each in parameters if each.kind is Parameter.KEYWORD_ONLY]
     if names[-1] == "options":
-        names[-1:] = [field.name for field in fields(Experiment)]
+        names[-1:] = [field.name for field in fields(ExperimentOptions)]
     return [f"--{name.replace('_', '-')}" for name in names]
 
 

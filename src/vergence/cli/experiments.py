@@ -18,6 +18,9 @@ from vergence.writing import as_json, check_outputs, write_json
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
+    from vergence.demos.experiment import Experiment
+    from vergence.progress import Progress
+
 Scene = Literal["room", "sparse", "moving"]
 """As `twin.scene` has it, which cannot be imported before it is known that OpenGL is needed."""
 
@@ -134,7 +137,7 @@ def record(
 
 
 @dataclass(frozen=True)
-class Experiment:
+class ExperimentOptions:
     """Options that foveate, track and grasp have in common."""
 
     seed: int = 0
@@ -152,10 +155,8 @@ class Experiment:
     """JSON file of the summary."""
 
 
-Options = Annotated[Experiment, tyro.conf.arg(name="")]
-
-
-DEFAULT = Experiment()
+Options = Annotated[ExperimentOptions, tyro.conf.arg(name="")]
+DEFAULT = ExperimentOptions()
 
 
 def foveate(*, trials: int = 100, options: Options = DEFAULT) -> None:
@@ -167,7 +168,7 @@ def foveate(*, trials: int = 100, options: Options = DEFAULT) -> None:
     """
     from vergence.demos.foveate import foveate as run
 
-    _experiment("foveate", lambda **common: run(trials=trials, **common)[0], options)
+    _experiment("foveate", lambda *given: run(*given, trials=trials)[0], options)
 
 
 def track(*, seconds: float = 60.0, options: Options = DEFAULT) -> None:
@@ -179,7 +180,7 @@ def track(*, seconds: float = 60.0, options: Options = DEFAULT) -> None:
     """
     from vergence.demos.track import track as run
 
-    _experiment("track", lambda **common: run(seconds=seconds, **common), options)
+    _experiment("track", lambda *given: run(*given, seconds=seconds), options)
 
 
 def grasp(*, trials: int = 10, options: Options = DEFAULT) -> None:
@@ -191,7 +192,7 @@ def grasp(*, trials: int = 10, options: Options = DEFAULT) -> None:
     """
     from vergence.demos.grasp import grasp as run
 
-    _experiment("grasp", lambda **common: run(trials=trials, **common)[0], options)
+    _experiment("grasp", lambda *given: run(*given, trials=trials)[0], options)
 
 
 def depth(
@@ -245,22 +246,19 @@ def depth(
     print(f"To view the recording: {invocation('rerun', out / 'depth.rrd')}")
 
 
-def _experiment(name: str, run: Callable[..., DataclassInstance], options: Experiment) -> None:
+def _experiment(
+    name: str, run: Callable[[Experiment, Progress], DataclassInstance], options: ExperimentOptions
+) -> None:
     """Run an experiment, print and write its summary, and say how to view its recording."""
+    from vergence.demos.experiment import Experiment
     from vergence.twin.profile import load_profile
 
     profile = load_profile(options.profile)
     check_outputs(options.json, folder=options.out)
     say_if_unfinished(options.out)
     with progress_bars() as progress:
-        found = run(
-            seed=options.seed,
-            profile=profile,
-            scene=options.scene,
-            geometry=options.geometry,
-            out=options.out,
-            progress=progress,
-        )
+        settings = Experiment(profile, options.seed, options.scene, options.geometry, options.out)
+        found = run(settings, progress)
     if options.json is not None:
         write_json(found, options.json)
     print(as_json(found), end="")
