@@ -46,7 +46,7 @@ def test_ranges_lists_and_numbers_are_values(tmp_path: Path):
     [
         ("[designs]\nbaseline_mm = [5]", "designs.baseline_mm: values are from 10 to 1000"),
         ("[designs]\nbaseline_mm = []", "designs.baseline_mm"),
-        ("[designs]\nbaseline = [60]", "designs.baseline: Extra inputs"),
+        ("[designs]\nbaseline = [60]", "designs.baseline: there is no such field"),
         ("[designs]\nviews = [20, 20.0]", "a value is there twice"),
         ("[prices]\nviews = [[10, 1], [10, 2]]", "values of views rise"),
         ("[workspace]\neye_correlation = 2", "workspace.eye_correlation"),
