@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable
 from dataclasses import fields
-from inspect import Parameter, signature
+from inspect import Parameter, getdoc, signature
 
 import tyro
 
@@ -47,6 +48,8 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "grasp": grasp,
     "depth": depth,
 }
+for _command in COMMANDS.values():  # tyro would keep the line breaks in what is said of an option
+    _command.__doc__ = re.sub(r"\n {8}", " ", getdoc(_command) or "")
 
 
 def _check(arguments: list[str]) -> None:
@@ -92,6 +95,7 @@ def main() -> None:
                 COMMANDS,
                 prog=invocation("vergence"),
                 description="Active 3-D vision: calibration, stereo and gaze control, and a twin.",
+                config=(tyro.conf.DisallowNone,),
             )
         finally:
             sys.stdout.flush()

@@ -52,10 +52,10 @@ def reproduce(
         seed: Seed of everything random.
         duration: Length of each figure [s]; default: its full combined period, at least 60 s.
         rate: Samples per second [Hz]; default: 640 samples per figure.
-        method: Whose positions are plotted: by the joint readings as in the paper, or by the
+        method: Method whose positions are plotted: by the joint readings as in the paper, or by the
             geometry that is learned from the same images.
         compare: State the results of all methods side by side.
-        floor: Also those of self-calibration that is given the true head, to compare with.
+        floor: Compare also with self-calibration that is given the true head.
     """
     # Imported here, so that help and wrong arguments do not wait for OpenGL.
     from vergence.paper.reproduce import check
@@ -147,8 +147,7 @@ class ExperimentOptions:
     scene: Scene = "room"
     """What the head looks at."""
     geometry: Geometry = "joints"
-    """What tells how the eyes stand when an object is located: joints, or these as corrected by
-    what both eyes see."""
+    """Locate objects by the joint readings, or by these as corrected by what both eyes see."""
     out: Path | None = None
     """Folder for the results of each trial, and for a recording of the run."""
     json: Path | None = None
@@ -219,8 +218,7 @@ def depth(
         scene: Scene that the twin looks at.
         seed: Seed of everything random on the twin.
         pairs: Number of pairs; of a dataset at most so many.
-        geometry: What tells how the eyes stand: joints, or these as corrected by what both eyes see
-            of the scene.
+        geometry: Rectify by the joint readings, or by these as corrected by what both eyes see.
     """
     if twin == (dataset is not None):
         found = "both" if twin else "neither"
