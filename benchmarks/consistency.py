@@ -25,7 +25,6 @@ import tyro
 from vergence.accuracy.budget import Source, budget
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
-from vergence.calibration.sequential.sequential import calibrate_sequentially
 from vergence.commands.budget import sources_of
 from vergence.commands.truth import with_sensors
 from vergence.geometry.head import HeadCalibration, load_head, save_head
@@ -35,7 +34,7 @@ from vergence.paper.replay import WIDE, describe, replay, sample_times
 from vergence.stereo.triangulation import triangulate_at
 from vergence.stereo.uncertainty import locate
 from vergence.twin.calibration_errors import inject_calibration_error
-from vergence.twin.calibration_sequence import capture_views, plan
+from vergence.twin.calibration_sequence import paper_calibration
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile, load_profile
 
@@ -52,9 +51,7 @@ def measure(folder: Path, profile: ErrorProfile, seed: int, samples: int) -> Non
         with Twin(profile, seed=seed, lens=lens) as twin:
             used = folder / f"calibration-{lens}.json"
             if not used.exists():
-                views = capture_views(twin, plan(twin.nominal, seed))
-                wide_lens = profile.calibration.wide_lens
-                found = calibrate_sequentially(views, wide_lens=wide_lens, neck=twin.nominal.neck)
+                found = paper_calibration(twin, seed)
                 save_head(twin.truth, folder / f"truth-{lens}.json")
                 save_head(inject_calibration_error(found.head, profile.by_hand, lens), used)
             for figure in missing:

@@ -23,7 +23,6 @@ import tyro
 
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
-from vergence.calibration.sequential.sequential import calibrate_sequentially
 from vergence.commands.truth import with_sensors
 from vergence.geometry import se3
 from vergence.geometry.camera import normalise, project
@@ -43,7 +42,7 @@ from vergence.self_calibration.frame import (
 from vergence.self_calibration.learning import learn
 from vergence.stereo.triangulation import triangulate_at
 from vergence.twin.calibration_errors import inject_calibration_error
-from vergence.twin.calibration_sequence import capture_views, plan, straight_neck
+from vergence.twin.calibration_sequence import paper_calibration, straight_neck
 from vergence.twin.head import Twin
 from vergence.twin.looking_around import LOOK_S
 from vergence.twin.profile import load_profile
@@ -257,11 +256,7 @@ def main(figures: tuple[int, ...] = (6, 8, 9, 10, 11), samples: int = 40, seed: 
         if not numbers:
             continue
         with Twin(profile, seed=seed, lens=lens) as twin:
-            found = calibrate_sequentially(
-                capture_views(twin, plan(twin.nominal, seed)),
-                wide_lens=profile.calibration.wide_lens,
-                neck=twin.nominal.neck,
-            )
+            found = paper_calibration(twin, seed)
             head = inject_calibration_error(found.head, profile.by_hand, lens)
             compared = comparison(head, twin, floor=False)
             learn_around(twin, compared, 100)

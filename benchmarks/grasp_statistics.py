@@ -14,6 +14,7 @@ from pathlib import Path
 
 import tyro
 
+from vergence.demos.experiment import Experiment
 from vergence.demos.grasp import Trial, as_markdown, grasp, summary
 from vergence.twin.profile import load_profile
 
@@ -24,7 +25,7 @@ def trials_of(out: Path, profile: str, seed: int, trials: int) -> list[Trial]:
     """Return the trials of one head, and make them if they are missing."""
     path = out / f"{profile}-{seed}-{trials}.pickle"
     if not path.is_file():
-        _, made = grasp(trials=trials, seed=seed, profile=load_profile(profile))
+        _, made = grasp(Experiment(load_profile(profile), seed), trials=trials)
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(pickle.dumps(made))
     return pickle.loads(path.read_bytes())  # written by this script

@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 import tyro
 
+from vergence.demos.experiment import Experiment
 from vergence.demos.track import track
 from vergence.gaze import controller
 from vergence.gaze.state import GazeState
@@ -60,7 +61,7 @@ def main(seconds: float = 600.0, out: Path = Path("runs/long_track")) -> None:
 
     print("| frames | memory [MB] | step, median [ms] | 99 % [ms] |\n|---|---|---|---|")
     with patch.object(controller, "step_gaze", timed):
-        track(seconds=seconds, profile=load_profile("ideal"), out=out)
+        track(Experiment(load_profile("ideal"), out=out), seconds=seconds)
     size_mb = (out / "track.rrd").stat().st_size / 1e6
     print(f"{len(took)} frames; a recording of {size_mb:.0f} MB")
     print(f"memory, last part minus second: {memory[-1] - memory[1]:+.0f} MB")

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import tyro
 
+from vergence.demos.experiment import Experiment
 from vergence.demos.track import track
 from vergence.twin.profile import load_profile
 from vergence.writing import write_json
@@ -27,7 +28,7 @@ def summaries(out: Path, profile: str, runs: int, seconds: float) -> list[dict[s
     for seed in range(runs):
         file = out / f"{profile}-{seconds:g}s-{seed}.json"
         if not file.is_file():
-            made = track(seconds=seconds, seed=seed, profile=load_profile(profile))
+            made = track(Experiment(load_profile(profile), seed), seconds=seconds)
             write_json(made, file)
         kept = json.loads(file.read_text())
         found.append({key: np.inf if value is None else value for key, value in kept.items()})

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import tyro
 
+from vergence.demos.experiment import Experiment
 from vergence.demos.foveate import SETTLED_PX
 from vergence.demos.foveate import foveate as run_foveate
 from vergence.demos.grasp import WITHIN_M
@@ -23,7 +24,7 @@ def foveate(
     out: Path = OUT / "foveate", profile: str = "ideal", seed: int = 0, trials: int = 20
 ) -> None:
     """Turn the eyes to objects that appear, until both narrow images are centred on them."""
-    found, _ = run_foveate(trials=trials, seed=seed, profile=load_profile(profile), out=out)
+    found, _ = run_foveate(Experiment(load_profile(profile), seed, out=out), trials=trials)
     print(f"distance from the centre: median {found.median_px:.2f} px, 95 % {found.p95_px:.2f} px")
     print(f"95 % within {SETTLED_PX:.0f} px after {found.settle_s_p95} s; lost: {found.lost}")
 
@@ -32,7 +33,7 @@ def track(
     out: Path = OUT / "track", profile: str = "paper", seed: int = 0, seconds: float = 20.0
 ) -> None:
     """Follow an object that moves and is hidden once, and estimate its position."""
-    found = run_track(seconds=seconds, seed=seed, profile=load_profile(profile), out=out)
+    found = run_track(Experiment(load_profile(profile), seed, out=out), seconds=seconds)
     print(f"in both narrow images in {found.in_both:.1%} of {found.frames} frames")
     print(f"distance from their centres: {found.rms_px:.1f} px rms")
     print(
@@ -46,7 +47,7 @@ def grasp(
     out: Path = OUT / "grasp", profile: str = "paper", seed: int = 0, trials: int = 3
 ) -> None:
     """Grasp an object that a person holds out (Fig. 12)."""
-    found, _ = run_grasp(trials=trials, seed=seed, profile=load_profile(profile), out=out)
+    found, _ = run_grasp(Experiment(load_profile(profile), seed, out=out), trials=trials)
     print(f"closed within {1e3 * WITHIN_M:.0f} mm of the centre: {found.within:.0%} of {trials}")
     for d in found.by_distance:
         print(

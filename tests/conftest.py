@@ -7,6 +7,7 @@ twin's OpenGL, and `slow` when it, or its file as a whole, takes seconds of proc
 import os
 import sys
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices; workers have one core each
 if sys.platform.startswith("linux"):
@@ -15,6 +16,9 @@ if sys.platform.startswith("linux"):
 import numpy as np
 import pytest
 from hypothesis import settings
+
+if TYPE_CHECKING:
+    from mutated_files import Kind
 
 # Derandomised, so that a run can be repeated. No deadline: machines are shared.
 settings.register_profile("vergence", deadline=None, derandomize=True, max_examples=50)
@@ -37,6 +41,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         for fixture, marker in (("opengl", "render"), ("slow_setup", "slow")):
             if fixture in getattr(item, "fixturenames", ()):
                 item.add_marker(marker)
+
+
+@pytest.fixture(scope="session")
+def sound_files(tmp_path_factory: pytest.TempPathFactory) -> "dict[str, Kind]":
+    """A sound file of every kind that is read, for tests that put another in its place."""
+    from mutated_files import kinds
+
+    return kinds(tmp_path_factory.mktemp("files"))
 
 
 @pytest.fixture

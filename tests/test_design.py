@@ -1,20 +1,14 @@
-"""Designs of a head: the closed form is that of located points, and sweeps can be stopped."""
+"""How well a designed head locates points: the closed form is that of located points."""
 
-import json
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
-from documents import blocks
 from simulated_head import plain_head
-from vergence import cli
+from test_design_sweep import SMALL
 from vergence.accuracy.design import gaze_at, joint_std_rad, mean_square, sensitivity
 from vergence.accuracy.design_effort import (
     VIEWS,
@@ -22,31 +16,12 @@ from vergence.accuracy.design_effort import (
     designed_head,
     standard_recording,
 )
-from vergence.accuracy.design_settings import (
-    AXES,
-    Designs,
-    DesignSettings,
-    chunks,
-    costs,
-    load_settings,
-)
 from vergence.accuracy.design_sweep import (
-    SOURCES,
-    at_distance,
-    by_source,
-    cheapest,
-    combinations,
-    compute_chunk,
     located_points,
-    most_accurate,
-    values_of,
 )
 from vergence.accuracy.plan_views import as_seen, held_whole
 from vergence.arrays import Array
 from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
-from vergence.commands import design_chunks as command
-from vergence.commands.design_chunks import sweep
-from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.projection import project_point
@@ -55,21 +30,6 @@ from vergence.stereo.triangulation import triangulate_at
 from vergence.stereo.uncertainty import locate
 
 AHEAD_M = 0.02
-SMALL = DesignSettings.model_validate(
-    {
-        "designs": {
-            "baseline_mm": [60, 90],
-            "focal_px": [300, 450],
-            "square_mm": 30,
-            "views": [20, 40],
-            "counts_per_turn": [4096, 0],
-            "joint_noise_deg": [0.02, 0.1],
-            "pixel_noise_px": [0.1, 0.5],
-            "delay_ms": [0, 5],
-        },
-        "workspace": {"distances_m": [0.5, 1.0], "pan_deg": [-15, 0, 15], "tilt_deg": 0},
-    }
-)
 
 
 def of_design(baseline_m: float, focal_px: float) -> HeadCalibration:
@@ -189,232 +149,3 @@ def test_what_the_calibration_adds_is_what_bundle_adjustment_of_the_recording_st
     whole = np.trace(located.covariance, axis1=1, axis2=2)
     np.testing.assert_allclose(by_views / VIEWS, whole - noise, rtol=0.02)
     np.testing.assert_allclose(noise + by_views / VIEWS, whole, rtol=0.01)
-
-
-@pytest.fixture(scope="module")
-def swept(tmp_path_factory: pytest.TempPathFactory):
-    return sweep(SMALL, tmp_path_factory.mktemp("chunks"))
-
-
-def test_a_sweep_is_the_sum_of_its_sources(swept):
-    """In the worst direction, where all postures but fixation are left out."""
-    fixating = {"distances_m": [0.5], "pan_deg": 15, "tilt_deg": 0, "off_deg": [[0, 0]]}
-    settings = SMALL.model_copy(update={"workspace": SMALL.workspace.model_validate(fixating)})
-    first = next(chunks(settings))
-    found = compute_chunk(first)
-    points, _ = located_points(settings)
-    for place in ((0, 0, 0, 0, 0), (1, 1, 0, 1, 1), (1, 0, 1, 0, 1)):
-        values = values_of(settings, (0, 0, 0, *place))
-        squares = by_source(settings, values, points[0])
-        assert squares.shape == (len(SOURCES), 1)
-        np.testing.assert_allclose(found[:, *place, 0] ** 2, squares.sum(), rtol=1e-9)
-    assert combinations(settings) == np.prod(costs(settings).shape)
-    assert swept.worst_m.shape == (2, 2, 1, 2, 2, 2, 2, 2, 2)
-    assert (swept.worst_m >= swept.mean_m).all()
-
-
-def test_better_parts_never_make_a_point_worse(swept):
-    worst = swept.worst_m
-    for name, better in (("baseline_mm", 1), ("views", 1), ("counts_per_turn", 1)):
-        own = np.moveaxis(worst, AXES.index(name), 0)
-        assert (own[better] < own[1 - better]).all(), name
-    for name in ("joint_noise_deg", "pixel_noise_px", "delay_ms"):
-        own = np.moveaxis(worst, AXES.index(name), 0)
-        assert (own[0] < own[1]).all(), name
-
-
-def test_the_cheapest_design_is_that_of_all_that_are_accurate_enough(swept):
-    worst = at_distance(swept, 0.5)
-    wanted = float(np.median(worst))
-    found = cheapest(swept, wanted, 0.5, most=1000)
-    assert len(found) == (worst <= wanted).sum()
-    assert swept.cost[found[0]] == swept.cost[worst <= wanted].min()
-    order = [(swept.cost[place], worst[place]) for place in found]
-    assert order == sorted(order)
-    assert cheapest(swept, 1e-6, 0.5) == []
-    assert worst[most_accurate(swept, 0.5)] == worst.min()
-
-
-def test_prices_are_interpolated_and_stay_beyond_their_ends():
-    free = {name: [[0, 0]] for name in AXES}
-    settings = DesignSettings.model_validate(
-        {
-            "designs": {"baseline_mm": [50, 60, 90, 200]},
-            "prices": {**free, "baseline_mm": [[60, 10], [120, 70]]},
-        }
-    )
-    np.testing.assert_allclose(costs(settings)[:, 0, 0, 0, 0, 0, 0, 0], [10, 10, 40, 70])
-
-
-def test_points_that_no_image_holds_are_left_out():
-    narrow = {"distances_m": [0.5], "pan_deg": 0, "tilt_deg": 0, "off_deg": [[0, 0], [30, 0]]}
-    small = SMALL.model_copy(update={"workspace": SMALL.workspace.model_validate(narrow)})
-    first = next(chunks(small))
-    both = compute_chunk(first)
-    longer = first.model_copy(update={"designs": Designs(**{**first.designs.model_dump(),
-                                                            "focal_px": (800.0,)})})  # fmt: skip
-    np.testing.assert_array_equal(*compute_chunk(longer))  # the worst posture is the only one
-    assert (both[0] > both[1]).all()
-    out = SMALL.workspace.model_validate({**narrow, "off_deg": [[60, 0]]})
-    assert np.isnan(compute_chunk(first.model_copy(update={"workspace": out}))).all()
-
-
-def test_a_sweep_that_was_stopped_goes_on_without_doing_finished_work_again(
-    swept, tmp_path, monkeypatch
-):
-    computed: list[DesignSettings] = []
-
-    def stopped_after_two(chunk: DesignSettings) -> Array:
-        if len(computed) == 2:
-            raise KeyboardInterrupt
-        computed.append(chunk)
-        return compute_chunk(chunk)
-
-    monkeypatch.setattr(command, "compute_chunk", stopped_after_two)
-    with pytest.raises(KeyboardInterrupt):
-        sweep(SMALL, tmp_path)
-    kept = sorted(tmp_path.glob("*.npy"))
-    assert len(kept) == 2
-    kept[0].write_bytes(kept[0].read_bytes()[:100])  # as no write of ours leaves a file
-    other = tmp_path / "other"
-    other.mkdir()
-    for file in kept:
-        np.save(other / file.name, np.zeros(3))
-
-    def counted(chunk: DesignSettings) -> Array:
-        computed.append(chunk)
-        return compute_chunk(chunk)
-
-    monkeypatch.setattr(command, "compute_chunk", counted)
-    steps: list[tuple[int, int]] = []
-    found = sweep(SMALL, tmp_path, progress=lambda _, done, total: steps.append((done, total)))
-    assert len(computed) == 2 + 3  # of four chunks one was whole
-    assert steps == [(1, 4), (2, 4), (3, 4), (4, 4)]
-    np.testing.assert_array_equal(found.worst_m, swept.worst_m)
-    np.testing.assert_array_equal(sweep(SMALL, other).worst_m, swept.worst_m)
-    del computed[5:]
-    wider = SMALL.designs.model_copy(update={"baseline_mm": (60.0, 90.0, 120.0)})
-    sweep(SMALL.model_copy(update={"designs": wider}), tmp_path)
-    assert len(computed) == 5 + 2  # those of the new baseline
-
-
-def test_processes_that_compute_do_not_wait_for_what_draws():
-    code = "import sys, vergence.commands.design_chunks; print(*sys.modules)"
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    loaded = run.stdout.split()
-    assert "joblib" in loaded
-    assert not {"matplotlib", "rerun"} & set(loaded)
-
-
-@pytest.mark.slow
-def test_two_processes_give_the_same_numbers(swept, tmp_path):
-    found = sweep(SMALL, tmp_path, jobs=2)
-    np.testing.assert_array_equal(found.worst_m, swept.worst_m)
-    np.testing.assert_array_equal(found.mean_m, swept.mean_m)
-
-
-@pytest.mark.slow
-def test_a_local_dask_cluster_gives_the_same_numbers(swept, tmp_path):
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None
-    ) as cluster:
-        found = sweep(SMALL, tmp_path, cluster=cluster.scheduler_address)
-    np.testing.assert_array_equal(found.worst_m, swept.worst_m)
-    np.testing.assert_array_equal(found.mean_m, swept.mean_m)
-
-
-def test_a_cluster_that_does_not_answer_is_named(tmp_path, monkeypatch):
-    pytest.importorskip("distributed")
-    monkeypatch.setattr(command, "TIMEOUT_S", 0.2)
-    with pytest.raises(VergenceError, match="No Dask scheduler answers at"):
-        sweep(SMALL, tmp_path, cluster="tcp://127.0.0.1:9")
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(VergenceError, match="pip install"):
-        sweep(SMALL, tmp_path, cluster="tcp://127.0.0.1:9")
-
-
-def test_ranges_lists_and_numbers_are_values(tmp_path: Path):
-    text = "[designs]\nbaseline_mm = {first = 60, last = 120, steps = 4}\nfocal_px = 400\n"
-    (tmp_path / "d.toml").write_text(text + "delay_ms = [0, 2]\n")
-    found = load_settings(tmp_path / "d.toml").designs
-    assert found.baseline_mm == (60, 80, 100, 120)
-    assert (found.focal_px, found.delay_ms) == ((400,), (0, 2))
-    (tmp_path / "d.json").write_text(json.dumps(SMALL.model_dump()))
-    assert load_settings(tmp_path / "d.json") == SMALL
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("[designs]\nbaseline_mm = [5]", "designs.baseline_mm: values are from 10 to 1000"),
-        ("[designs]\nbaseline_mm = []", "designs.baseline_mm"),
-        ("[designs]\nbaseline = [60]", "designs.baseline: Extra inputs"),
-        ("[designs]\nviews = [20, 20.0]", "a value is there twice"),
-        ("[prices]\nviews = [[10, 1], [10, 2]]", "values of views rise"),
-        ("[workspace]\neye_correlation = 2", "workspace.eye_correlation"),
-        ("[designs", "is not a description of designs"),
-    ],
-)
-def test_settings_that_are_not_possible_end_in_a_sentence(text, said, tmp_path: Path):
-    (tmp_path / "d.toml").write_text(text)
-    with pytest.raises(VergenceError, match=said):
-        load_settings(tmp_path / "d.toml")
-
-
-def test_the_settings_that_are_printed_can_be_used_and_are_the_default_ones(tmp_path: Path):
-    (text,) = (b.text for b in blocks("docs/design_and_plan.md") if b.language == "toml")
-    (tmp_path / "mine.toml").write_text(text)
-    found, usual = load_settings(tmp_path / "mine.toml"), DesignSettings()
-    assert found.prices == usual.prices
-    assert found.designs.baseline_mm == (60, 70, 80, 90, 100, 110, 120)
-    for name in ("eye_speed_deg_s", "camera_ahead_mm", "image_px", "board", "corner_noise_px"):
-        assert getattr(found.workspace, name) == getattr(usual.workspace, name)
-
-
-def test_too_many_designs_are_refused():
-    many = {"first": 100, "last": 1000, "steps": 1000}
-    with pytest.raises(ValidationError, match="at most 50,000,000"):
-        DesignSettings.model_validate({"designs": {"baseline_mm": many, "focal_px": many}})
-
-
-def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
-    monkeypatch.setattr(sys, "argv", ["vergence", *map(str, arguments)])
-    cli.main()
-
-
-def test_the_command_writes_a_report_with_the_cheapest_head(tmp_path, monkeypatch, capsys):
-    (tmp_path / "d.json").write_text(json.dumps(SMALL.model_dump()))
-    words = ["design", tmp_path / "d.json", "--out", tmp_path / "out", "--jobs", 1]
-    run(monkeypatch, *words, "--accuracy-mm", 8, "--at-m", 0.6, "--baseline-mm", 60, 120)
-    printed = capsys.readouterr().out
-    assert "reach 8 mm at 0.6 m" in printed
-    written = {path.name for path in (tmp_path / "out").iterdir()}
-    assert written == {
-        "chunks", "design.json", "design.png", "properties.png", "report.md", "sweep.npz"
-    }  # fmt: skip
-    found = json.loads((tmp_path / "out" / "design.json").read_text())
-    assert found["settings"]["designs"]["baseline_mm"] == [60, 120]
-    assert found["cheapest"][0]["worst_mm"] <= 8
-    arrays = np.load(tmp_path / "out" / "sweep.npz")
-    assert arrays["worst_m"].shape == (2, 2, 1, 2, 2, 2, 2, 2, 3)
-    run(monkeypatch, *words, "--accuracy-mm", 0.01, "--at-m", 0.5)
-    assert "None of 128 designs reaches 0.01 mm at 0.5 m" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (["--accuracy-mm", "0"], "--accuracy-mm takes a number above 0"),
-        (["--at-m", "-1"], "--at-m takes a number above 0"),
-        (["--jobs", "0"], "--jobs takes a number of processes"),
-        (["--focal-px", "5"], "designs.focal_px: values are from 50 to 10000, found 5"),
-        (["missing.toml"], "missing.toml"),
-    ],
-)
-def test_wrong_options_end_in_a_sentence(options, said, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit, match="2"):
-        run(monkeypatch, "design", *options)
-    assert said in capsys.readouterr().err
-    assert not (tmp_path / "runs").exists()

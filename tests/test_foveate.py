@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from rrd import read_series
+from vergence.demos.experiment import Experiment
 from vergence.demos.foveate import Trial, foveate, run_trial, summary, targets
 from vergence.errors import VergenceError
 from vergence.gaze.state import GazeSettings
@@ -101,4 +102,4 @@ def test_the_scenario_prints_writes_and_records_what_it_found(tmp_path: Path, ca
 @pytest.mark.parametrize(("trials", "seed"), [(0, 0), (-3, 0), (20_000, 0), (1, -1)])
 def test_arguments_out_of_range_are_refused(trials: int, seed: int):
     with pytest.raises(VergenceError, match=r"Asked for|The seed"):
-        foveate(trials=trials, seed=seed, profile=ErrorProfile())
+        foveate(Experiment(ErrorProfile(), seed), trials=trials)

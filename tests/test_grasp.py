@@ -17,11 +17,13 @@ from vergence import cli
 from vergence.arrays import Array
 from vergence.demos import grasp as module
 from vergence.demos.depth_error_by_range import EDGES_M, DepthSample, bin_by_range
+from vergence.demos.experiment import Experiment
 from vergence.demos.grasp import FAR_M, NEAR_M, WITHIN_M, grasp, hand_held, summary
 from vergence.errors import VergenceError
 from vergence.gaze.foveation import gaze_angles
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, pose, rotvec, transform
+from vergence.progress import Progress
 from vergence.reach.state import HandCommand, ReachPhase
 from vergence.stereo.triangulation import triangulate_at
 from vergence.twin.hand import (
@@ -33,7 +35,7 @@ from vergence.twin.hand import (
     arm_mounting_error,
 )  # fmt: skip
 from vergence.twin.head import Twin
-from vergence.twin.profile import ErrorProfile
+from vergence.twin.profile import ErrorProfile, load_profile
 from vergence.vision.sphere import find_sphere
 
 ROOT = Path(__file__).parents[1]
@@ -64,10 +66,10 @@ def test_the_hand_closes_on_the_object_though_joints_and_arm_are_wrong(
 
 def test_the_command_line_prints_and_writes_the_summary(tmp_path, monkeypatch, capsys):
     made = [module.Trial(ReachPhase.HELD, 4.0, 0.002, 0.03, tuple(depth_samples(1.0)))]
-    asked: list[dict[str, object]] = []
+    asked: list[tuple[Experiment, object]] = []
 
-    def given(**arguments: object) -> tuple[module.Summary, list[module.Trial]]:
-        asked.append(arguments)
+    def given(settings: Experiment, _: Progress, *, trials: int) -> tuple[module.Summary, list]:
+        asked.append((settings, trials))
         return summary(made), made
 
     monkeypatch.setattr(module, "grasp", given)
@@ -76,7 +78,7 @@ def test_the_command_line_prints_and_writes_the_summary(tmp_path, monkeypatch, c
     cli.main()
     printed = json.loads(capsys.readouterr().out)
     assert printed == json.loads((tmp_path / "summary.json").read_text())
-    assert (asked[0]["trials"], asked[0]["seed"], asked[0]["out"]) == (7, 3, tmp_path)
+    assert asked == [(Experiment(load_profile("ideal"), seed=3, out=tmp_path), 7)]
     assert printed["median_mm"] == pytest.approx(2.0)
     assert set(printed["by_distance"][0]) >= {"from_m", "to_m", "depth_std_mm", "eq20_mm"}
 
@@ -218,4 +220,4 @@ def test_a_summary_of_trials_that_all_failed_has_no_distances():
 @pytest.mark.parametrize(("trials", "seed"), [(0, 0), (10**6, 0), (1, -1)])
 def test_arguments_out_of_range_are_refused(trials: int, seed: int):
     with pytest.raises(VergenceError, match=r"trials|The seed"):
-        grasp(trials=trials, seed=seed, profile=ErrorProfile())
+        grasp(Experiment(ErrorProfile(), seed), trials=trials)

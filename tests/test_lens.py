@@ -1,4 +1,4 @@
-"""The rational and the fisheye lens, beside the five coefficients of test_camera."""
+"""Every lens model: projection, its inverse and derivatives; OpenCV as the yardstick."""
 
 import cv2
 import numpy as np
@@ -23,8 +23,8 @@ seeds = st.integers(0, 2**32 - 1)
 models = st.sampled_from(["radial-tangential", "rational", "fisheye"])
 
 
-def random_lens(model: CameraModel, rng: np.random.Generator) -> Camera:
-    """Return a wide camera without skew, which OpenCV's functions do not know."""
+def random_lens(model: CameraModel, rng: np.random.Generator, *, skew: bool = True) -> Camera:
+    """Return a wide camera."""
     k = {
         "radial-tangential": [-0.1, 0.01, 0, 0, 0.01],
         "rational": [0.3, 0.02, 0, 0, 0.001, 0.45, 0.06, 0.002],
@@ -33,6 +33,7 @@ def random_lens(model: CameraModel, rng: np.random.Generator) -> Camera:
     std = {"fisheye": [0.02, 0.01, 0.003, 0.001]}.get(model, 5e-4)
     f = rng.uniform(280, 350)
     matrix = np.array([[f, 0, rng.normal(320, 5)], [0, 1.01 * f, rng.normal(240, 5)], [0, 0, 1]])
+    matrix[0, 1] = rng.normal() * skew
     return Camera(640, 480, matrix, np.array(k) + rng.normal(0, std, len(k)), model)
 
 
@@ -63,7 +64,7 @@ def test_normalise_undoes_project_out_to_the_corners(seed: int, model: CameraMod
 @given(seeds, models)
 def test_every_lens_agrees_with_opencv(seed: int, model: CameraModel):
     rng = np.random.default_rng(seed)
-    camera = random_lens(model, rng)
+    camera = random_lens(model, rng, skew=False)  # OpenCV knows none
     points = in_view(camera, rng)
     if model == "fisheye":
         expected, _ = cv2.fisheye.projectPoints(
@@ -87,13 +88,13 @@ def test_the_jacobians_of_every_lens_agree_with_differences(seed: int, model: Ca
     h = 1e-6
     for axis, step in enumerate(np.eye(3) * h):
         slope = (project(camera, points + step) - project(camera, points - step)) / (2 * h)
-        np.testing.assert_allclose(by_point[..., axis], slope, rtol=1e-4, atol=1e-3)
+        np.testing.assert_allclose(by_point[..., axis], slope, rtol=1e-5, atol=1e-4)
     n = len(intrinsics_names(camera))
     assert by_lens.shape[-1] == n
     for k, step in enumerate(np.eye(n) * h):
         ahead, behind = (lens_of_vector(camera, lens_vector(camera) + s * step) for s in (1, -1))
         slope = (project(ahead, points) - project(behind, points)) / (2 * h)
-        np.testing.assert_allclose(by_lens[..., k], slope, rtol=1e-4, atol=1e-3)
+        np.testing.assert_allclose(by_lens[..., k], slope, rtol=1e-5, atol=1e-4)
 
 
 @given(seeds, models)

@@ -9,6 +9,7 @@ from simulated_head import random_head
 from simulated_recording import BOARD, EXACT, Noise, Recording, as_poses, record, still_recording
 from test_intrinsics import SINGLE_PRECISION_LENS, SINGLE_PRECISION_POSE, SINGLE_PRECISION_PX
 from vergence.calibration.observations import Observations
+from vergence.calibration.sequential.intrinsics import lenses_of_the_paper
 from vergence.calibration.sequential.sequential import calibrate_sequentially
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard
@@ -96,7 +97,7 @@ def test_a_board_that_is_larger_than_stated_makes_a_smaller_world(exact):
 
 
 def test_a_lens_model_without_distortion_leaves_what_it_cannot_say(exact):
-    found = calibrate_sequentially(exact[1], wide_lens="none")
+    found = calibrate_sequentially(exact[1], lenses=lenses_of_the_paper(exact[1], "none"))
     assert not found.head.cameras["left_wide"].intrinsics.distortion.any()
     assert found.intrinsics["left_wide"].rms_px > 0.3
     assert found.intrinsics["left_narrow"].rms_px < SINGLE_PRECISION_PX

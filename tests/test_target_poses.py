@@ -52,6 +52,19 @@ def measured(
     return poses, joints + rng.normal(0, joint_std, joints.shape)
 
 
+def estimate(
+    head: HeadCalibration, poses: dict[str, Array], readings: Array, covariance: Array | None = None
+) -> TargetPoseEstimate:
+    """Return the estimate of a head whose design is known; one covariance holds for all poses."""
+    return adjust_target_poses(
+        poses,
+        readings,
+        eyes=EYES_OF,
+        kinematics=as_designed(head.kinematics),
+        covariance=None if covariance is None else dict.fromkeys(poses, covariance),
+    )
+
+
 def off(found: TargetPoseEstimate, truth: HeadCalibration) -> Array:
     """Return (c,) the errors of the parameters; lenses have none."""
     cameras = {
@@ -68,16 +81,25 @@ def test_exact_poses_give_the_head_without_error(kind: str):
     head = head_of(kind, rng)
     poses, readings = measured(head, rng)
     poses["left_wide"][3] = np.nan  # not measured
-    found = adjust_target_poses(
-        poses,
-        readings,
-        eyes=EYES_OF,
-        kinematics=as_designed(head.kinematics),
-        covariance=dict.fromkeys(poses, NOISE),
-    )
+    found = estimate(head, poses, readings, NOISE)
     assert found.void == ()
     assert np.abs(off(found, head)).max() < 1e-5
     assert np.isnan(found.errors["left_wide"][3]).all()
+
+
+def test_a_camera_of_the_start_that_measured_nothing_keeps_its_place():
+    rng = np.random.default_rng(2)
+    head = head_of("pan, tilt", rng)
+    poses, readings = measured(head, rng)
+    found = adjust_target_poses(
+        {"left_wide": poses["left_wide"]},
+        readings,
+        eyes=EYES_OF,
+        covariance={"left_wide": NOISE},
+        start=head,
+    )
+    assert np.abs(off(found, head)).max() < 1e-5
+    assert any("right_wide" in warning for warning in found.warnings)
 
 
 def test_noisy_poses_give_the_stated_error():
@@ -86,13 +108,7 @@ def test_noisy_poses_give_the_stated_error():
         rng = np.random.default_rng(seed)
         head = head_of("pan, tilt", rng)
         poses, readings = measured(head, rng, pose_std=(0.003, 0.0006), joint_std=0.002)
-        found = adjust_target_poses(
-            poses,
-            readings,
-            eyes=EYES_OF,
-            kinematics=as_designed(head.kinematics),
-            covariance=dict.fromkeys(poses, NOISE),
-        )
+        found = estimate(head, poses, readings, NOISE)
         error = off(found, head)
         for owner in ("left_wide.T_eye_cam", "right_wide.T_eye_cam", "T_rbase_lbase"):
             rows = [k for k, n in enumerate(found.parameters) if n.rpartition(".")[0] == owner]
@@ -105,9 +121,7 @@ def test_unknown_noise_of_poses_and_of_readings_is_found():
     rng = np.random.default_rng(0)
     head = head_of("pan, tilt", rng)
     poses, readings = measured(head, rng, pose_std=(0.003, 0.0006), joint_std=0.002)
-    found = adjust_target_poses(
-        poses, readings, eyes=EYES_OF, kinematics=as_designed(head.kinematics)
-    )
+    found = estimate(head, poses, readings)
     assert found.pose_std is not None
     levels = [*found.pose_std, found.joint_std[0]]
     np.testing.assert_allclose(levels, [0.003, 0.0006, 0.002], rtol=0.2)
@@ -118,13 +132,7 @@ def test_a_stated_covariance_is_used_and_its_factor_found():
     head = head_of("pan, tilt", rng)
     poses, readings = measured(head, rng, pose_std=(0.002, 0.0004), joint_std=0.001, views=60)
     stated = np.diag(np.repeat([0.001, 0.0002], 3) ** 2)
-    found = adjust_target_poses(
-        poses,
-        readings,
-        eyes=EYES_OF,
-        kinematics=as_designed(head.kinematics),
-        covariance=dict.fromkeys(poses, stated),
-    )
+    found = estimate(head, poses, readings, stated)
     assert found.noise_factor == pytest.approx(2, rel=0.15)
     assert found.pose_std is None
 
@@ -165,6 +173,8 @@ def test_wrong_arguments_are_refused():
         adjust_target_poses({"left_wide": poses["left_wide"][:5]}, readings, eyes=EYES_OF)
     with pytest.raises(VergenceError, match="in which eye right_wide"):
         adjust_target_poses(poses, readings, eyes={"left_wide": "left"})
+    with pytest.raises(VergenceError, match=r"eye is \(10, 4\) readings"):
+        adjust_target_poses(poses, readings[:, :3], eyes=EYES_OF)
     covariance = dict.fromkeys(poses, -np.eye(6))
     with pytest.raises(VergenceError, match="positive definite"):
         adjust_target_poses(poses, readings, eyes=EYES_OF, covariance=covariance)

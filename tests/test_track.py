@@ -11,6 +11,7 @@ import pytest
 from rrd import read_series
 from vergence.arrays import Array
 from vergence.demos import track as module
+from vergence.demos.experiment import Experiment
 from vergence.demos.track import SPEED_M_S, follow, smooth_path, track
 from vergence.errors import VergenceError
 from vergence.gaze.commands import JointLimits
@@ -109,4 +110,4 @@ def test_the_scenario_shows_that_the_narrow_images_beat_the_wide_ones(
 @pytest.mark.parametrize(("seconds", "seed"), [(0.0, 0), (1e9, 0), (10.0, -1)])
 def test_arguments_out_of_range_are_refused(seconds: float, seed: int):
     with pytest.raises(VergenceError, match=r"A run takes|The seed"):
-        track(seconds=seconds, seed=seed, profile=ErrorProfile())
+        track(Experiment(ErrorProfile(), seed), seconds=seconds)

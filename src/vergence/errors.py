@@ -1,9 +1,13 @@
 """The one exception for whatever a user can mend, and the text of errors found in files."""
 
+from collections.abc import Mapping
+
 from pydantic import ValidationError
 
 MOST_CHARACTERS = 1000
 """Of what is said of a file: a parser may cite the whole line."""
+MOST_NAMES = 10
+"""Of fields that were found where one is missing."""
 
 
 class VergenceError(Exception):
@@ -22,5 +26,13 @@ def explain(error: Exception) -> str:
     if isinstance(error, ValidationError):
         first = error.errors()[0]
         where = ".".join(str(step)[:60] for step in first["loc"])
-        text = (f"{where}: " if where else "") + first["msg"].removeprefix("Value error, ")
+        said = first["msg"].removeprefix("Value error, ")
+        if first["type"] == "missing" and isinstance(first["input"], Mapping):
+            found = ", ".join(str(name)[:60] for name in list(first["input"])[:MOST_NAMES])
+            said = f"this field is missing; found {found or 'none'}"
+        elif first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+            said = "there is no such field"
+        elif first["type"] != "value_error" and isinstance(first["input"], str | int | float):
+            said += f"; found {first['input']!r:.80}"
+        text = (f"{where}: " if where else "") + said
     return " ".join(text[:MOST_CHARACTERS].split()).rstrip(".")

@@ -91,7 +91,6 @@ def calibrate(
     *,
     method: Method = "bundle",
     lens: Lens | Mapping[str, Lens] = "auto",
-    wide_lens: LensModel | None = None,
     progress: Progress = silent,
 ) -> CalibrationResult:
     """Calibrate a head, and predict each fold of its views from the others.
@@ -103,8 +102,6 @@ def calibrate(
         lens: lens model of all cameras, or by camera; "auto": the one that predicts held-out images
             best or, for the paper's method, the paper's: radial-tangential, and none for the narrow
             cameras.
-        wide_lens: lens model of all cameras but the narrow ones, which then have none; takes the
-            place of `lens`.
         progress: see vergence.progress.
 
     Raises:
@@ -128,7 +125,7 @@ def calibrate(
                 f"are not observable; record at least {LEAST_VIEWS}, better 10, at different "
                 "distances and slants."
             )
-    lenses = _lenses(seen, method, lens, wide_lens)
+    lenses = _lenses(seen, method, lens)
     models: dict[str, LensModel] = {name: choice.model for name, choice in lenses.items()}
     intrinsics = calibrate_intrinsics(seen, lenses=models)
     points = corner_points(data.board)
@@ -201,11 +198,8 @@ def _lenses(
     seen: Observations,
     method: Method,
     lens: Lens | Mapping[str, Lens],
-    wide_lens: LensModel | None,
 ) -> dict[str, LensChoice]:
     """Return the lens model of every camera."""
-    if wide_lens is not None:
-        return choose_lenses(seen, lenses_of_the_paper(seen, wide_lens))
     if method == "paper":
         stated: dict[str, Lens] = {**lenses_of_the_paper(seen)}
         for name, each in by_camera(seen, lens).items():

@@ -88,13 +88,7 @@ class Observations:
                     f"{np.shape(array)}."
                 )
         if self.T_base_eye is not None:
-            T = self.T_base_eye[np.isfinite(self.T_base_eye).all(axis=(2, 3))]
-            off = np.abs(T[:, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2) - np.eye(3)).max(initial=0)
-            if off > 1e-6 or (np.linalg.det(T[:, :3, :3]) < 0).any():
-                raise VergenceError(
-                    "T_base_eye has a rotation part that is no rotation: of a quaternion that is "
-                    "not of length 1, or of left-handed axes."
-                )
+            check_rotations("T_base_eye", self.T_base_eye)
 
     @property
     def at_rest(self) -> np.ndarray:
@@ -133,6 +127,17 @@ class Observations:
             return replace(self, eye_angles=move(self.eye_angles))
         poses = [move(T) for T in np.moveaxis(self.T_base_eye, 1, 0)]
         return replace(self, T_base_eye=np.stack(poses, axis=1))
+
+
+def check_rotations(name: str, T: Array) -> None:
+    """Raise a VergenceError if a finite one of poses (..., 4, 4) has no rotation in it."""
+    R = T[np.isfinite(T).all(axis=(-2, -1))][:, :3, :3]
+    off = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(initial=0)
+    if off > 1e-6 or (np.linalg.det(R) < 0).any():
+        raise VergenceError(
+            f"{name} has a rotation part that is no rotation: of a quaternion that is not of "
+            "length 1, or of left-handed axes."
+        )
 
 
 def camera_eyes(observations: Observations) -> dict[str, Side]:

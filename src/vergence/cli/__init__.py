@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable
 from dataclasses import fields
-from inspect import Parameter, signature
+from inspect import Parameter, getdoc, signature
 
 import tyro
 
 from vergence import __version__
 from vergence.cli.accuracy import budget, design, plan
 from vergence.cli.calibration import calibrate, evaluate, export, import_, self_calibrate
-from vergence.cli.experiments import Experiment, depth, foveate, grasp, record, reproduce, track
+from vergence.cli.experiments import (
+    ExperimentOptions,
+    depth,
+    foveate,
+    grasp,
+    record,
+    reproduce,
+    track,
+)
 from vergence.commands.invocation import invocation
 from vergence.errors import VergenceError
 from vergence.writing import finished_files
@@ -39,6 +48,8 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "grasp": grasp,
     "depth": depth,
 }
+for _command in COMMANDS.values():  # tyro would keep the line breaks in what is said of an option
+    _command.__doc__ = re.sub(r"\n {8}", " ", getdoc(_command) or "")
 
 
 def _check(arguments: list[str]) -> None:
@@ -66,7 +77,7 @@ def _options(command: Callable[..., None]) -> list[str]:
     parameters = signature(command).parameters.values()
     names = [each.name for each in parameters if each.kind is Parameter.KEYWORD_ONLY]
     if names[-1] == "options":
-        names[-1:] = [field.name for field in fields(Experiment)]
+        names[-1:] = [field.name for field in fields(ExperimentOptions)]
     return [f"--{name.replace('_', '-')}" for name in names]
 
 
@@ -84,6 +95,7 @@ def main() -> None:
                 COMMANDS,
                 prog=invocation("vergence"),
                 description="Active 3-D vision: calibration, stereo and gaze control, and a twin.",
+                config=(tyro.conf.DisallowNone,),
             )
         finally:
             sys.stdout.flush()

@@ -42,7 +42,7 @@ def calibrate(
         report: Folder for report.md, its pictures and a recording of the dataset.
         method: Bundle adjustment, which starts from the paper's steps, or these steps alone.
         lens: Lens model of all cameras; auto: for each the one that predicts held-out images best
-            (for the paper's method radial-tangential, and none for narrow cameras).
+            or, with the paper's method, radial-tangential, and none for narrow cameras.
         json: JSON file of the accuracy alone.
     """
     # The matrices are small: threads of linear algebra would wait for each other. Before numpy.

@@ -18,6 +18,9 @@ from vergence.writing import as_json, check_outputs, write_json
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
+    from vergence.demos.experiment import Experiment
+    from vergence.progress import Progress
+
 Scene = Literal["room", "sparse", "moving"]
 """As `twin.scene` has it, which cannot be imported before it is known that OpenGL is needed."""
 
@@ -49,10 +52,10 @@ def reproduce(
         seed: Seed of everything random.
         duration: Length of each figure [s]; default: its full combined period, at least 60 s.
         rate: Samples per second [Hz]; default: 640 samples per figure.
-        method: Whose positions are plotted: by the joint readings as in the paper, or by the
+        method: Method whose positions are plotted: by the joint readings as in the paper, or by the
             geometry that is learned from the same images.
         compare: State the results of all methods side by side.
-        floor: Also those of self-calibration that is given the true head, to compare with.
+        floor: Compare also with self-calibration that is given the true head.
     """
     # Imported here, so that help and wrong arguments do not wait for OpenGL.
     from vergence.paper.reproduce import check
@@ -134,7 +137,7 @@ def record(
 
 
 @dataclass(frozen=True)
-class Experiment:
+class ExperimentOptions:
     """Options that foveate, track and grasp have in common."""
 
     seed: int = 0
@@ -144,18 +147,15 @@ class Experiment:
     scene: Scene = "room"
     """What the head looks at."""
     geometry: Geometry = "joints"
-    """What tells how the eyes stand when an object is located: joints, or these as corrected by
-    what both eyes see."""
+    """Locate objects by the joint readings, or by these as corrected by what both eyes see."""
     out: Path | None = None
     """Folder for the results of each trial, and for a recording of the run."""
     json: Path | None = None
     """JSON file of the summary."""
 
 
-Options = Annotated[Experiment, tyro.conf.arg(name="")]
-
-
-DEFAULT = Experiment()
+Options = Annotated[ExperimentOptions, tyro.conf.arg(name="")]
+DEFAULT = ExperimentOptions()
 
 
 def foveate(*, trials: int = 100, options: Options = DEFAULT) -> None:
@@ -167,7 +167,7 @@ def foveate(*, trials: int = 100, options: Options = DEFAULT) -> None:
     """
     from vergence.demos.foveate import foveate as run
 
-    _experiment("foveate", lambda **common: run(trials=trials, **common)[0], options)
+    _experiment("foveate", lambda *given: run(*given, trials=trials)[0], options)
 
 
 def track(*, seconds: float = 60.0, options: Options = DEFAULT) -> None:
@@ -179,7 +179,7 @@ def track(*, seconds: float = 60.0, options: Options = DEFAULT) -> None:
     """
     from vergence.demos.track import track as run
 
-    _experiment("track", lambda **common: run(seconds=seconds, **common), options)
+    _experiment("track", lambda *given: run(*given, seconds=seconds), options)
 
 
 def grasp(*, trials: int = 10, options: Options = DEFAULT) -> None:
@@ -191,7 +191,7 @@ def grasp(*, trials: int = 10, options: Options = DEFAULT) -> None:
     """
     from vergence.demos.grasp import grasp as run
 
-    _experiment("grasp", lambda **common: run(trials=trials, **common)[0], options)
+    _experiment("grasp", lambda *given: run(*given, trials=trials)[0], options)
 
 
 def depth(
@@ -218,8 +218,7 @@ def depth(
         scene: Scene that the twin looks at.
         seed: Seed of everything random on the twin.
         pairs: Number of pairs; of a dataset at most so many.
-        geometry: What tells how the eyes stand: joints, or these as corrected by what both eyes see
-            of the scene.
+        geometry: Rectify by the joint readings, or by these as corrected by what both eyes see.
     """
     if twin == (dataset is not None):
         found = "both" if twin else "neither"
@@ -245,22 +244,19 @@ def depth(
     print(f"To view the recording: {invocation('rerun', out / 'depth.rrd')}")
 
 
-def _experiment(name: str, run: Callable[..., DataclassInstance], options: Experiment) -> None:
+def _experiment(
+    name: str, run: Callable[[Experiment, Progress], DataclassInstance], options: ExperimentOptions
+) -> None:
     """Run an experiment, print and write its summary, and say how to view its recording."""
+    from vergence.demos.experiment import Experiment
     from vergence.twin.profile import load_profile
 
     profile = load_profile(options.profile)
     check_outputs(options.json, folder=options.out)
     say_if_unfinished(options.out)
     with progress_bars() as progress:
-        found = run(
-            seed=options.seed,
-            profile=profile,
-            scene=options.scene,
-            geometry=options.geometry,
-            out=options.out,
-            progress=progress,
-        )
+        settings = Experiment(profile, options.seed, options.scene, options.geometry, options.out)
+        found = run(settings, progress)
     if options.json is not None:
         write_json(found, options.json)
     print(as_json(found), end="")

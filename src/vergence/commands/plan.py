@@ -62,7 +62,9 @@ def _check(
     ):
         if not values or not all(0 < value <= most for value in values):
             found = " ".join(f"{value:g}" for value in values) or "none"
-            raise VergenceError(f"{name} takes numbers above 0 and up to {most} {unit}: {found}.")
+            raise VergenceError(
+                f"{name} takes numbers above 0 and up to {most} {unit}, found {found}."
+            )
 
 
 def _head_and_board(

@@ -1,10 +1,10 @@
-"""What the demos share: checked arguments, a calibrated twin, and the file of the summary."""
+"""What the demos share: their settings, a calibrated twin, and the file of the summary."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,6 +28,23 @@ _LOOKING = 100_000
 """Number of the run in which the twin looks around first, beyond those of trials."""
 
 
+@dataclass(frozen=True)
+class Experiment:
+    """The settings that foveate, track and grasp have in common."""
+
+    profile: ErrorProfile
+    """Imperfections of the head."""
+    seed: int = 0
+    """Of everything random."""
+    scene: Scene = "room"
+    """What the head looks at."""
+    geometry: Geometry = "joints"
+    """By what objects are located. If it is "seen", the head looks around first, and keeps what it
+    learns from trial to trial."""
+    out: Path | None = None
+    """Folder for the summary as JSON, and for a recording; None: nothing is written."""
+
+
 def check_trials(trials: int) -> None:
     """Raise a VergenceError unless a number of trials can be made."""
     if not 1 <= trials <= 10_000:
@@ -40,12 +57,11 @@ def p95(values: Sequence[float] | Array) -> float:
 
 
 @contextmanager
-def calibrated_twin(
-    profile: ErrorProfile, seed: int, scene: Scene, geometry: Geometry = "joints"
-) -> Iterator[tuple[Twin, GazeSettings]]:
+def calibrated_twin(experiment: Experiment) -> Iterator[tuple[Twin, GazeSettings]]:
     """Give a `with` block a calibrated twin, and the settings of its gaze controller."""
-    with Twin(profile, seed=seed, scene=scene) as twin:
-        yield twin, replace(calibrate_twin(twin, seed), geometry=geometry)
+    with Twin(experiment.profile, seed=experiment.seed, scene=experiment.scene) as twin:
+        settings = calibrate_twin(twin, experiment.seed)
+        yield twin, replace(settings, geometry=experiment.geometry)
 
 
 def learned_around(twin: Twin, geometry: SeenGeometry) -> SeenGeometry:

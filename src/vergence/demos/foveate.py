@@ -10,13 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.demos.experiment import (
+    Experiment,
     calibrated_twin,
     check_trials,
     looked_around,
@@ -27,10 +27,8 @@ from vergence.demos.recording import recorded
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.state import GazePhase, GazeSettings, GazeState, initial_gaze_state
 from vergence.progress import Progress, silent
-from vergence.self_calibration.sequence import Geometry, SeenGeometry
+from vergence.self_calibration.sequence import SeenGeometry
 from vergence.twin.head import Twin
-from vergence.twin.profile import ErrorProfile
-from vergence.twin.scene import Scene
 from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors, unoccluded
 from vergence.viewer.plots.foveation import depth
 from vergence.writing import markdown_table
@@ -164,36 +162,27 @@ def summary(trials: list[Trial]) -> Summary:
 
 
 def foveate(
-    *,
-    trials: int = 100,
-    seed: int = 0,
-    profile: ErrorProfile,
-    scene: Scene = "room",
-    geometry: Geometry = "joints",
-    out: Path | None = None,
-    progress: Progress = silent,
+    experiment: Experiment, progress: Progress = silent, *, trials: int = 100
 ) -> tuple[Summary, list[Trial]]:
     """Calibrate the twin and run a trial for each of a number of objects.
 
+    The folder gets foveate.json, the recording foveate.rrd of the first RECORDED trials, and
+    depth.png.
+
     Args:
-        trials: number of objects.
-        seed: of everything random.
-        profile: imperfections of the head.
-        scene: what the head looks at.
-        geometry: by what the objects are located; where it is seen, the head looks around first,
-            and what is learned is kept from trial to trial.
-        out: folder for foveate.json, the recording foveate.rrd of the first RECORDED trials, and
-            depth.png; None: nothing is written.
+        experiment: its settings.
         progress: is called after each trial.
+        trials: number of objects.
 
     Raises:
         VergenceError: an argument is out of range, or the folder cannot be written.
     """
     check_trials(trials)
     made: list[Trial] = []
+    seed, out = experiment.seed, experiment.out
     progress("foveate, trials", 0, trials)
     with (
-        calibrated_twin(profile, seed, scene, geometry) as (twin, settings),
+        calibrated_twin(experiment) as (twin, settings),
         recorded(out, "foveate", twin, settings, seed=seed, reach_m=DEPTH_M[1], speed=PLAYBACK) as (
             watch,
             report,

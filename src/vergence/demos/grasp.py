@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.demos.depth_error_by_range import DepthSample, RangeBin, bin_by_range, depth_sample
 from vergence.demos.experiment import (
+    Experiment,
     calibrated_twin,
     check_trials,
     looked_around,
@@ -27,11 +27,9 @@ from vergence.demos.recording import recorded
 from vergence.progress import Progress, silent
 from vergence.reach.controller import run_reach
 from vergence.reach.state import ReachPhase, ReachSettings, ReachState, initial_reach_state
-from vergence.self_calibration.sequence import Geometry, SeenGeometry
+from vergence.self_calibration.sequence import SeenGeometry
 from vergence.twin.hand import SimulatedHand, arm_mounting_error
 from vergence.twin.head import Twin
-from vergence.twin.profile import ErrorProfile
-from vergence.twin.scene import Scene
 from vergence.twin.simulated_robot import SimulatedHead
 from vergence.writing import markdown_table
 
@@ -169,36 +167,26 @@ def summary(trials: list[Trial]) -> Summary:
 
 
 def grasp(
-    *,
-    trials: int = 10,
-    seed: int = 0,
-    profile: ErrorProfile,
-    scene: Scene = "room",
-    geometry: Geometry = "joints",
-    out: Path | None = None,
-    progress: Progress = silent,
+    experiment: Experiment, progress: Progress = silent, *, trials: int = 10
 ) -> tuple[Summary, list[Trial]]:
     """Calibrate the twin, and hold out objects to it.
 
+    The folder gets grasp.json, and the recording grasp.rrd of the first RECORDED trials.
+
     Args:
-        trials: number of objects; each has its own path, and its own mounting error of the arm.
-        seed: of everything random.
-        profile: imperfections of the head.
-        scene: what the head looks at.
-        geometry: by what the objects are located; where it is seen, the head looks around first,
-            and what is learned is kept from trial to trial.
-        out: folder for grasp.json, and the recording grasp.rrd of the first RECORDED trials; None:
-            nothing is written.
+        experiment: its settings.
         progress: is called after each trial.
+        trials: number of objects; each has its own path, and its own mounting error of the arm.
 
     Raises:
         VergenceError: an argument is out of range, or the folder cannot be written.
     """
     check_trials(trials)
     made: list[Trial] = []
+    seed, out = experiment.seed, experiment.out
     progress("grasp, trials", 0, trials)
     with (
-        calibrated_twin(profile, seed, scene, geometry) as (twin, gaze),
+        calibrated_twin(experiment) as (twin, gaze),
         recorded(out, "grasp", twin, gaze, seed=seed, reach_m=FAR_M[0], speed=0.5, hand=True) as (
             watch,
             report,

@@ -8,23 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.demos.experiment import calibrated_twin, looked_around, write_summary
+from vergence.demos.experiment import Experiment, calibrated_twin, looked_around, write_summary
 from vergence.demos.recording import recorded
 from vergence.errors import VergenceError
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.state import GazeSettings, GazeState, initial_gaze_state
 from vergence.progress import Progress, silent
-from vergence.self_calibration.sequence import Geometry, SeenGeometry
+from vergence.self_calibration.sequence import SeenGeometry
 from vergence.stereo.triangulation import in_body, triangulate_at
 from vergence.twin.head import Twin
-from vergence.twin.profile import ErrorProfile
-from vergence.twin.scene import Scene
 from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors, in_all_foveas
 from vergence.vision.sphere import find_sphere
 
@@ -173,34 +170,24 @@ def by_wide_images(settings: GazeSettings, frame: Frame) -> Array:
     return points[0]
 
 
-def track(
-    *,
-    seconds: float = 60.0,
-    seed: int = 0,
-    profile: ErrorProfile,
-    scene: Scene = "room",
-    geometry: Geometry = "joints",
-    out: Path | None = None,
-    progress: Progress = silent,
-) -> Summary:
+def track(experiment: Experiment, progress: Progress = silent, *, seconds: float = 60.0) -> Summary:
     """Calibrate the twin, and track an object that is hidden once on its way.
 
+    The folder gets track.json and the recording track.rrd.
+
     Args:
-        seconds: length of the run.
-        seed: of everything random.
-        profile: imperfections of the head.
-        scene: what the head looks at.
-        geometry: by what the object is located; where it is seen, the head looks around first.
-        out: folder for track.json and track.rrd; None: nothing is written.
+        experiment: its settings.
         progress: is called with the seconds so far after every state.
+        seconds: length of the run.
 
     Raises:
         VergenceError: an argument is out of range, or the folder cannot be written.
     """
     if not SHORTEST_S <= seconds <= LONGEST_S:
         raise VergenceError(f"A run takes {SHORTEST_S:.0f} to {LONGEST_S:.0f} s, found {seconds}.")
+    seed, out = experiment.seed, experiment.out
     with (
-        calibrated_twin(profile, seed, scene, geometry) as (twin, settings),
+        calibrated_twin(experiment) as (twin, settings),
         recorded(out, "track", twin, settings, seed=seed, reach_m=DEPTH_M[1]) as (record, report),
     ):
         hidden_s = float(np.random.default_rng([seed, 7]).uniform(0.3, 0.6)) * seconds

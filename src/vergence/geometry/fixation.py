@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.geometry.camera import pinhole
+from vergence.geometry.components import components, pose_components, stacked
 from vergence.geometry.eye_motion import eye_linearised
-from vergence.geometry.head import HeadCalibration
-from vergence.geometry.se3 import cross
+from vergence.geometry.head import HeadCalibration, MountedCamera
+from vergence.geometry.kinematics import Kinematics
+from vergence.geometry.projection import projected
 
+_UNIT_LENS = pinhole(1, 1, 1.0)  # its pixels are x/z and y/z
 _NEWTON_STEPS = 20
 _CONVERGED = 1e-8  # of x/z and y/z, and of a reading: the next step of Newton's method squares it
 _COMPROMISE = 0.1  # of x/z and y/z, where eyes that share a joint cannot both be centred
@@ -63,7 +68,7 @@ def _centre(
     limits: Array,
 ) -> Array:
     """Return the readings (..., u) that centre the points in the cameras of one or both eyes."""
-    kinematics, points = calibration.kinematics, {}
+    kinematics, points, cameras = calibration.kinematics, {}, {}
     usable, turns, maps = np.asarray(True), [], []
     for name, p in targets.items():
         here = np.isfinite(p).all(axis=-1) & (p[..., :2] != 0).any(axis=-1)
@@ -71,7 +76,8 @@ def _centre(
         points[name] = np.where(here[..., None], p, [1.0, 0, 0])
         x, y, z = np.moveaxis(points[name], -1, 0)
         turn = np.stack([0 * x, -np.arctan2(z, np.hypot(x, y)), np.arctan2(y, x)], axis=-1)
-        chain = kinematics.chains[calibration.camera(name).eye]
+        cameras[name] = replace(calibration.camera(name), intrinsics=_UNIT_LENS)
+        chain = kinematics.chains[cameras[name].eye]
         turns.append(turn - chain.offset_rad @ chain.axes)
         maps.append((chain.axes.T @ chain.mixing)[:, used])
     readings = np.zeros((*usable.shape, len(kinematics.readings)))
@@ -81,7 +87,7 @@ def _centre(
     step = error = np.full(usable.shape, np.inf)[..., None]
     front = usable
     for _ in range(_NEWTON_STEPS):
-        found = [_off_centre(calibration, name, readings, p) for name, p in points.items()]
+        found = [_off_centre(kinematics, cameras[name], readings, p) for name, p in points.items()]
         errors, jacobians, fronts = zip(*found, strict=True)
         error, J = np.concatenate(errors, axis=-1), np.concatenate(jacobians, axis=-2)
         step = _gauss_newton(J[..., used], error)
@@ -104,23 +110,20 @@ def _gauss_newton(J: Array, error: Array) -> Array:
 
 
 def _off_centre(
-    calibration: HeadCalibration, name: str, readings: Array, p: Array
+    kinematics: Kinematics, mounted: MountedCamera, readings: Array, p: Array
 ) -> tuple[Array, Array, np.ndarray]:
     """Return x/z and y/z (..., 2) of points in a camera, and derivatives (..., 2, r) by readings.
 
-    Both are zero for points that are not in front of it, which the last result (..., 1) says.
+    Both are zero for points that are not in front of it, which the last result (..., 1) says. The
+    camera has _UNIT_LENS, and the points are in the base of its eye.
     """
-    mounted = calibration.camera(name)
-    R_eye_cam, t_eye_cam = mounted.T_eye_cam[:3, :3], mounted.T_eye_cam[:3, 3]
-    T, _, by_reading = eye_linearised(calibration.kinematics, mounted.eye, readings)
-    arm = p - T[..., :3, 3]
-    R_base_cam = T[..., :3, :3] @ R_eye_cam
-    in_cam = (arm[..., None, :] @ R_base_cam)[..., 0, :] - t_eye_cam @ R_eye_cam
-    front = in_cam[..., 2:] > 0
-    depth = np.where(front, in_cam[..., 2:], 1.0)
-    error = np.where(front, in_cam[..., :2] / depth, 0.0)
-    # An increment of the eye's pose moves the point the other way.
-    turns, shifts = np.split(np.swapaxes(by_reading, -1, -2), 2, axis=-1)
-    moves = -(cross(turns, arm[..., None, :]) + shifts) @ R_base_cam
-    J = np.swapaxes(moves[..., :2] - moves[..., 2:] * error[..., None, :], -1, -2)
-    return error, np.where(front[..., None], J / depth[..., None], 0.0), front
+    T, _, by_reading = eye_linearised(kinematics, mounted.eye, readings)
+    shape = np.broadcast_shapes(p.shape[:-1], T.shape[:-2])
+    pose, point = pose_components(T), components(np.moveaxis(p, -1, 0))
+    # The identity in place of T_rbase_lbase: the points are in this base already.
+    found = projected(mounted, np.eye(4), *pose, point, parameters=False)
+    error = np.moveaxis(stacked(found.pixel, shape), 0, -1)
+    by_pose = np.moveaxis(stacked(found.by_T_base_eye, shape, 2), (0, 1), (-2, -1))
+    front = np.asarray(np.isfinite(error).all(axis=-1, keepdims=True))
+    J = np.where(front[..., None], by_pose @ by_reading, 0.0)
+    return np.where(front, error, 0.0), J, front

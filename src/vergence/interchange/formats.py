@@ -44,7 +44,8 @@ def import_head(
     if template is None:
         raise VergenceError(
             f"{format_name} files do not say where cameras sit in the eyes; name a head "
-            "calibration that does, whose cameras take the numbers from the file."
+            "calibration that does (`vergence import --start FILE`), whose cameras "
+            "take the numbers from the file."
         )
     if format_name == "kalibr":
         return kalibr.update_head(kalibr.load(path), template)

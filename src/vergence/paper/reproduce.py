@@ -11,7 +11,6 @@ from typing import Any, Literal
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.sequential.sequential import SequentialCalibration, calibrate_sequentially
 from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, save_head
@@ -25,7 +24,7 @@ from vergence.progress import Progress, silent
 from vergence.self_calibration.learning import learned_head
 from vergence.twin.appearance import visual_geoms
 from vergence.twin.calibration_errors import inject_calibration_error
-from vergence.twin.calibration_sequence import capture_views, plan
+from vergence.twin.calibration_sequence import paper_calibration
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.scene import Scene
@@ -100,7 +99,13 @@ def _replay_all(
     try:
         for lens, through_it in groupby(figures, attrgetter("lens")):
             with Twin(profile, seed=seed, lens=lens, scene=scene) as twin:
-                found = _calibrate(twin, lens, seed, progress)
+                found = paper_calibration(
+                    twin,
+                    seed,
+                    progress=lambda _, done, total, lens=lens: progress(
+                        f"calibrating, {lens} lens", done, total
+                    ),
+                )
                 save_head(found.head, out / f"calibration-{lens}.json")
                 done.calibrations[lens] = found
                 done.heads[lens] = inject_calibration_error(found.head, profile.by_hand, lens)
@@ -163,17 +168,6 @@ def check(
             )
     check_outputs(folder=out)
     return chosen
-
-
-def _calibrate(twin: Twin, lens: str, seed: int, progress: Progress) -> SequentialCalibration:
-    views = capture_views(
-        twin,
-        plan(twin.nominal, seed),
-        progress=lambda _, done, total: progress(f"calibrating, {lens} lens", done, total),
-    )
-    return calibrate_sequentially(
-        views, wide_lens=twin.profile.calibration.wide_lens, neck=twin.nominal.neck
-    )
 
 
 def record_replay(

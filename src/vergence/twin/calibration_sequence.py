@@ -1,7 +1,7 @@
 """The calibration sequence: poses of the board and directions of the eyes (Sec. II, Fig. 4).
 
 `plan` uses only the nominal head, as an engineer would; `capture_views` carries the plan out on the
-as-built twin.
+as-built twin, and `paper_calibration` calibrates from these views.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.observations import Observations
+from vergence.calibration.sequential.intrinsics import lenses_of_the_paper
+from vergence.calibration.sequential.sequential import SequentialCalibration, calibrate_sequentially
 from vergence.geometry.board import Board, Chessboard, corner_points
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES, NECK_JOINTS, readings_to_turn
@@ -189,6 +191,18 @@ def capture_views(
     twin.place_board(None)
     angles = np.array([eye_angles for eye_angles, _ in seen])
     return observations(twin.nominal, twin.profile, shots, angles, [corners for _, corners in seen])
+
+
+def paper_calibration(
+    twin: Twin, seed: int, *, progress: Progress = silent
+) -> SequentialCalibration:
+    """Plan a sequence, carry it out on the twin, and calibrate by the paper's method.
+
+    The wide lenses are modelled as the twin's profile says. The seed is that of the board's poses.
+    """
+    views = capture_views(twin, plan(twin.nominal, seed), progress=progress)
+    lenses = lenses_of_the_paper(views, twin.profile.calibration.wide_lens)
+    return calibrate_sequentially(views, lenses=lenses, neck=twin.nominal.neck)
 
 
 def _detect(twin: Twin, exposure: Exposure) -> tuple[Array, dict[str, Array | None]]:

@@ -13,7 +13,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from vergence.calibration.sequential.intrinsics import LensModel
 from vergence.errors import VergenceError
@@ -167,8 +167,13 @@ def load_profile(name_or_file: str) -> ErrorProfile:
             f"No error profile is called {name_or_file!r}; there are {', '.join(shipped())}, "
             "and files that end in .toml."
         )
-    path = Path(name_or_file)
-    return read_parsed(path, "an error profile", _profile, _toml, most_bytes=MAX_BYTES)
+    return read_parsed(
+        Path(name_or_file),
+        "an error profile",
+        ErrorProfile.model_validate,
+        _toml,
+        most_bytes=MAX_BYTES,
+    )
 
 
 def _toml(text: str) -> dict[str, Any]:
@@ -176,12 +181,3 @@ def _toml(text: str) -> dict[str, Any]:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ValueError(f"it is not valid TOML: {error}") from None
-
-
-def _profile(content: dict[str, Any]) -> ErrorProfile:
-    try:
-        return ErrorProfile.model_validate(content)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"]))
-        raise ValueError(f"{where} = {first['input']!r:.80}: {first['msg']}") from None

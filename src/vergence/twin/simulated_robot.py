@@ -12,7 +12,6 @@ import mujoco
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.sequential.sequential import calibrate_sequentially
 from vergence.data.dataset import Frame
 from vergence.gaze.commands import (
     EYE_READINGS,
@@ -29,7 +28,7 @@ from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS, Kinematics
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.twin.calibration_errors import inject_calibration_error
-from vergence.twin.calibration_sequence import capture_views, plan
+from vergence.twin.calibration_sequence import paper_calibration
 from vergence.twin.hand import SimulatedHand
 from vergence.twin.head import Twin
 from vergence.twin.sensors import sensor_columns
@@ -44,10 +43,7 @@ def calibrate_twin(twin: Twin, seed: int) -> GazeSettings:
 
     The twin must have 2.8 mm lenses. The seed is that of the board's poses.
     """
-    views = capture_views(twin, plan(twin.nominal, seed))
-    found = calibrate_sequentially(
-        views, wide_lens=twin.profile.calibration.wide_lens, neck=twin.nominal.neck
-    )
+    found = paper_calibration(twin, seed)
     head = inject_calibration_error(found.head, twin.profile.by_hand, "2.8mm")
     twin.restart(0)
     # A real driver can measure this too: the standard deviation of the readings at rest.

@@ -20,6 +20,7 @@ from vergence.arrays import Array
 from vergence.calibration.bundle import diagnostics
 from vergence.calibration.bundle.adjustment import adjust
 from vergence.calibration.bundle.initial_state import initial_state
+from vergence.calibration.bundle.measured_poses import PoseObservations
 from vergence.calibration.bundle.problem import corner_errors, detection_eyes, eye_poses
 from vergence.calibration.bundle.solver import OUTLIER
 from vergence.calibration.observations import Observations
@@ -85,10 +86,9 @@ class BundleEstimate:
 
 def bundle_adjust(
     start: HeadCalibration,
-    observations: Observations,
+    observations: Observations | PoseObservations,
     *,
     T_cam_target: Mapping[str, Array] | None = None,
-    whitening: Mapping[str, Array] | None = None,
     points: Array | None = None,
     fixed: Collection[str] | None = None,
     pixel_std_px: float | None = None,
@@ -100,11 +100,10 @@ def bundle_adjust(
 
     Args:
         start: the paper's calibration, or another that is about right.
-        observations: corners and readings. Without timing the time offset is not estimated.
+        observations: readings, and corners or measured poses of a target. Without timing the time
+            offset is not estimated.
         T_cam_target: by camera (V, 4, 4) poses of the board in each image, where they were solved
-            for before.
-        whitening: by camera (V, 6, 6) where these poses are what was measured, instead of corners;
-            see `target_poses.adjust_target_poses`.
+            for before from corners.
         points: (K, 3) corners in frame target [m]; None: those of the board.
         fixed: names of parameters that keep their start; None: fixed_by_default.
         pixel_std_px: noise of one coordinate of a corner; None: estimated.
@@ -131,7 +130,6 @@ def bundle_adjust(
         fixed=fixed,
         points=points,
         T_cam_target=T_cam_target,
-        whitening=whitening,
     )
     group = np.zeros(problem.reading.shape[1], dtype=int)
     if problem.T_base_eye_read is not None:
@@ -148,7 +146,11 @@ def bundle_adjust(
     T_base_eye = np.full((len(observations.placement), 2, 4, 4), np.nan)
     views = problem.block_view[problem.block]
     T_base_eye[views, detection_eyes(problem)] = eye_poses(problem, found.state)
-    seen = np.any([np.isfinite(c).any(axis=(1, 2)) for c in observations.corners.values()], axis=0)
+    if isinstance(observations, PoseObservations):
+        detections = observations.T_cam_target
+    else:
+        detections = observations.corners
+    seen = np.any([np.isfinite(d).any(axis=(1, 2)) for d in detections.values()], axis=0)
     lost = np.setdiff1d(np.flatnonzero(seen), problem.block_view)
     errors = np.where(problem.seen[..., None], corner_errors(problem, found.state), np.nan)
     residuals, left_out = {}, []

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.bundle.measured_poses import MeasuredPoses
+from vergence.calibration.bundle.measured_poses import PAIRS, MeasuredPoses, PoseObservations
 from vergence.calibration.bundle.problem import BundleProblem, BundleState, corner_errors, eye_poses
 from vergence.calibration.observations import Observations
 from vergence.calibration.sequential.lens_prior import lens_prior
@@ -35,33 +36,28 @@ start is better than that, and a board numbered from the wrong end is turned by 
 
 def initial_state(
     start: HeadCalibration,
-    observations: Observations,
+    observations: Observations | PoseObservations,
     *,
     fixed: Collection[str],
     points: Array | None = None,
     T_cam_target: Mapping[str, Array] | None = None,
-    whitening: Mapping[str, Array] | None = None,
 ) -> tuple[BundleProblem, BundleState, np.ndarray]:
     """Return the problem of a head, its start, and the (P,) numbers of its placements.
-
-    With whitening (V, 6, 6) by camera, the poses T_cam_target are what was measured; corners (V, 3,
-    2) then only say, by what is not NaN, where there are any.
 
     The best board pose of each placement is its start; parameters of cameras that see no board keep
     theirs. Arguments and errors are those of `bundle_adjust`.
     """
     cameras = tuple(start.cameras)
-    board = observations.board
-    nothing = np.full((len(observations.placement), board.columns * board.rows, 2), np.nan)
-    corners = np.stack([observations.corners.get(name, nothing) for name in cameras])
-    seen = seen_corners(corners)
+    if isinstance(observations, PoseObservations):
+        detected = _measured_poses(start, observations)
+    else:
+        detected = _corners(start, observations, points, T_cam_target)
+    seen = detected.seen
     if not seen.any():
         raise VergenceError(f"None of {', '.join(cameras)} sees a board.")
-    points = corner_points(board) if points is None else points
     eye = np.array([EYES.index(each.eye) for each in start.cameras.values()], dtype=np.intp)
     # Without one view that says where it is, a placement is of no use.
-    placed = seen.all(axis=2) if whitening is not None else determines_pose(points, seen)
-    useful = placed.any(axis=0)
+    useful = detected.placed.any(axis=0)
     numbers = np.unique(observations.placement[useful])
     camera, view = np.nonzero(seen.any(axis=2) & np.isin(observations.placement, numbers))
     measured = observations.T_base_eye
@@ -101,16 +97,12 @@ def initial_state(
         name not in fixed and name.partition(".")[0] not in blind and name not in without
         for name in parameters
     ]
+    found, whitening = detected.T_cam_target[camera, view], detected.whitening
     measured_poses = None
-    if whitening is not None and T_cam_target is not None:
-        measured_poses = MeasuredPoses(
-            *(
-                np.stack([each[name] for name in cameras])[camera, view]
-                for each in (T_cam_target, whitening)
-            )
-        )
+    if whitening is not None:
+        measured_poses = MeasuredPoses(found, whitening[camera, view])
     # Measured poses of a target are in metres, as measured poses of an eye are.
-    sized = whitening is None and _measures_lengths(measured)
+    sized = measured_poses is None and _measures_lengths(measured)
     problem = BundleProblem(
         cameras=cameras,
         parameters=parameters,
@@ -118,9 +110,9 @@ def initial_state(
         camera=camera,
         block=block.ravel(),
         placement=np.searchsorted(numbers, observations.placement[view]),
-        pixels=np.where(seen[..., None], corners, 0.0)[camera, view],
+        pixels=np.where(seen[..., None], detected.pixels, 0.0)[camera, view],
         seen=seen[camera, view],
-        points=points,
+        points=detected.points,
         noise_scale=np.ones(len(camera)),
         block_view=block_view,
         block_columns=block_columns,
@@ -144,13 +136,58 @@ def initial_state(
         T_lbase_target=np.tile(np.eye(4), (len(numbers), 1, 1)),
         latent=reading,
     )
-    given = {} if T_cam_target is None else T_cam_target
+    return *_place_boards(problem, state, found), numbers
+
+
+class _Detected(NamedTuple):
+    """What C cameras found in V views: K corners of a board, or the PAIRS of numbers of a pose."""
+
+    pixels: Array
+    """(C, V, K, 2)."""
+    seen: np.ndarray
+    """(C, V, K)."""
+    placed: np.ndarray
+    """(C, V) where that is enough to know T_cam_target."""
+    T_cam_target: Array
+    """(C, V, 4, 4); NaN where it is not."""
+    points: Array
+    """(K, 3) corners in frame target [m]."""
+    whitening: Array | None = None
+    """(C, V, 6, 6) of measured poses; None: corners."""
+
+
+def _corners(
+    start: HeadCalibration,
+    observations: Observations,
+    points: Array | None,
+    T_cam_target: Mapping[str, Array] | None,
+) -> _Detected:
+    board, given = observations.board, T_cam_target or {}
+    nothing = np.full((len(observations.placement), board.columns * board.rows, 2), np.nan)
+    corners = np.stack([observations.corners.get(name, nothing) for name in start.cameras])
+    seen = seen_corners(corners)
+    points = corner_points(board) if points is None else points
     poses = [
         given[name] if name in given else board_poses(mounted.intrinsics, corners[c], points)
         for c, (name, mounted) in enumerate(start.cameras.items())
     ]
-    found = np.stack(poses)[camera, view]
-    return *_place_boards(problem, state, found), numbers
+    return _Detected(corners, seen, determines_pose(points, seen), np.stack(poses), points)
+
+
+def _measured_poses(start: HeadCalibration, observations: PoseObservations) -> _Detected:
+    """Pixels and points are zeros: the errors of poses are `measured_poses.pose_errors`."""
+    V = len(observations.placement)
+    nothing = np.full((V, 4, 4), np.nan), np.full((V, 6, 6), np.nan)
+    poses, whitening = (
+        np.stack([each.get(name, none) for name in start.cameras])
+        for each, none in zip(
+            (observations.T_cam_target, observations.whitening), nothing, strict=True
+        )
+    )
+    placed = np.asarray(np.isfinite(poses).all(axis=(2, 3)))
+    seen = np.repeat(placed[..., None], PAIRS, axis=2)
+    pixels = np.zeros((*seen.shape, 2))
+    return _Detected(pixels, seen, placed, poses, np.zeros((PAIRS, 3)), whitening)
 
 
 def _latent_columns(kinematics: Kinematics, eyes: list[int]) -> list[list[int]]:

@@ -8,7 +8,9 @@ adjustment stays, and the noise level of a corner [px] becomes a factor on the s
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -19,6 +21,22 @@ from vergence.geometry.se3 import boxminus, cross, hat, inverse
 
 PAIRS = 3
 """Of numbers of a pose; they stand where the corners of a board would."""
+
+
+@dataclass(frozen=True, eq=False)
+class PoseObservations:
+    """Poses of a target that cameras measured in V views: `Observations` for devices that do so."""
+
+    T_cam_target: Mapping[str, Array]
+    """By camera: (V, 4, 4); NaN where none was measured."""
+    whitening: Mapping[str, Array]
+    """By camera: (V, 6, 6), see MeasuredPoses."""
+    placement: np.ndarray
+    """As the three that follow, see Observations."""
+    eye_angles: Array
+    T_base_eye: Array | None
+    timing: ClassVar[None] = None
+    systematic_px: ClassVar[float] = 0.0
 
 
 @dataclass(frozen=True, eq=False)

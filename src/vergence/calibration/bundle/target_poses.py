@@ -7,9 +7,8 @@ camera, T_rbase_lbase, the errors of the joints, the target's places, and the le
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -20,15 +19,14 @@ from vergence.calibration.bundle.bundle_adjustment import (
     bundle_adjust,
     fixed_by_default,
 )
-from vergence.calibration.bundle.measured_poses import PAIRS, whitening
+from vergence.calibration.bundle.measured_poses import PoseObservations, whitening
 from vergence.calibration.bundle.solver import OUTLIER
-from vergence.calibration.observations import Observations
+from vergence.calibration.observations import check_rotations
 from vergence.calibration.sequential.hand_eye import robust_park_martin
 from vergence.errors import VergenceError
-from vergence.geometry.board import Chessboard
 from vergence.geometry.camera import pinhole
 from vergence.geometry.head import HeadCalibration, MountedCamera, main_camera
-from vergence.geometry.kinematics import EYES, Kinematics, Side
+from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye
 from vergence.geometry.parameters import intrinsics_names
 from vergence.geometry.se3 import inverse, mean_pose
 
@@ -107,51 +105,62 @@ def adjust_target_poses(
     kinematics = Kinematics() if kinematics is None else kinematics
     views = len(eye)
     placement = np.zeros(views, dtype=int) if placement is None else placement
-    _check(T_cam_target, eyes, views)
-    observations = Observations(
-        board=Chessboard(columns=PAIRS, rows=1, square_m=1.0),  # numbers of a pose, as corners
-        placement=placement,
-        eye_angles=np.full((views, len(kinematics.readings)), np.nan) if eye.ndim == 4 else eye,
-        corners={
-            name: np.where(_measured(T)[:, None, None], np.zeros((PAIRS, 2)), np.nan)
-            for name, T in T_cam_target.items()
-        },
-        sizes=dict.fromkeys(T_cam_target, (1, 1)),
-        eyes=eyes,
-        kinematics=kinematics,
-        T_base_eye=eye if eye.ndim == 4 else None,
-    )
-    head = _start(T_cam_target, observations) if start is None else start
+    _check(T_cam_target, eye, eyes, kinematics)
+    measured_eyes = eye.ndim == 4
+    if start is None:
+        read = eye
+        if not measured_eyes:
+            read = np.stack([T_base_eye(kinematics, side, eye) for side in EYES], axis=1)
+        start = _start(T_cam_target, read, placement, eyes, kinematics)
     kept = {
         f"{name}.{each}"
-        for name, mounted in head.cameras.items()
+        for name, mounted in start.cameras.items()
         for each in intrinsics_names(mounted.intrinsics)
     }
-    adjust = partial(
-        bundle_adjust,
-        head,
-        observations,
-        T_cam_target=T_cam_target,
-        fixed={*kept, *fixed_by_default(head, timed=False), *fixed},
-        joint_std=joint_std,
-        outlier=outlier,
-    )
-    if covariance is not None:
-        stated = {
-            name: np.broadcast_to(_whitening(covariance, name, T), (views, 6, 6))
-            for name, T in T_cam_target.items()
-        }
-        found = adjust(whitening=stated, pixel_std_px=noise_factor)
-        return _result(found, None, found.pixel_std_px)
-    rotations = sum(3 * int(np.isfinite(T[:, 0, 0]).sum()) for T in T_cam_target.values())
 
+    def adjust(whitening: Mapping[str, Array], factor: float | None = None) -> BundleEstimate:
+        return bundle_adjust(
+            start,
+            PoseObservations(
+                T_cam_target=T_cam_target,
+                whitening=whitening,
+                placement=placement,
+                eye_angles=eye,
+                T_base_eye=eye if measured_eyes else None,
+            ),
+            fixed={*kept, *fixed_by_default(start, timed=False), *fixed},
+            pixel_std_px=factor,
+            joint_std=joint_std,
+            outlier=outlier,
+        )
+
+    if covariance is None:
+        return _with_noise(adjust, T_cam_target)
+    stated = {
+        name: np.broadcast_to(_whitening(covariance, name, T), (views, 6, 6))
+        for name, T in T_cam_target.items()
+    }
+    found = adjust(stated, noise_factor)
+    return _result(found, None, found.pixel_std_px)
+
+
+def _with_noise(
+    adjust: Callable[[Mapping[str, Array]], BundleEstimate], T_cam_target: Mapping[str, Array]
+) -> TargetPoseEstimate:
+    """Return the estimate with the noise of poses that is likeliest, by a function of whitenings.
+
+    Its level is estimated by each adjustment; sought here is its ratio of translation to rotation.
+    """
+    rotations = sum(3 * int(np.isfinite(T[:, 0, 0]).sum()) for T in T_cam_target.values())
     tried: dict[float, BundleEstimate] = {}
 
     def cost(log_lever: float) -> float:
         """Return -2 log likelihood; a translation's density is per metre, whatever its unit."""
         std = _UNIT_RAD * np.exp(log_lever * np.array([0, 0, 0, 1, 1, 1]))
-        each = np.broadcast_to(np.diag(1 / std), (views, 6, 6))
-        tried[log_lever] = adjust(whitening=dict.fromkeys(T_cam_target, each))
+        each = np.diag(1 / std)
+        tried[log_lever] = adjust(
+            {name: np.broadcast_to(each, (len(T), 6, 6)) for name, T in T_cam_target.items()}
+        )
         return tried[log_lever].cost + 2 * rotations * log_lever
 
     best = minimize_scalar(
@@ -202,9 +211,22 @@ def _result(
     )
 
 
-def _check(T_cam_target: Mapping[str, Array], eyes: Mapping[str, Side], views: int) -> None:
+def _check(
+    T_cam_target: Mapping[str, Array],
+    eye: Array,
+    eyes: Mapping[str, Side],
+    kinematics: Kinematics,
+) -> None:
+    views, r = len(eye), len(kinematics.readings)
     if not T_cam_target:
         raise VergenceError("There are no poses of a target: T_cam_target names no camera.")
+    if eye.shape not in ((views, r), (views, 2, 4, 4)):
+        raise VergenceError(
+            f"eye is ({views}, {r}) readings, or ({views}, 2, 4, 4) poses of both eyes, found "
+            f"{eye.shape}."
+        )
+    if eye.ndim == 4:
+        check_rotations("eye", eye)
     for name, T in T_cam_target.items():
         if T.shape != (views, 4, 4):
             raise VergenceError(
@@ -213,26 +235,29 @@ def _check(T_cam_target: Mapping[str, Array], eyes: Mapping[str, Side], views: i
             )
         if name not in eyes:
             raise VergenceError(f"eyes does not say in which eye {name} sits.")
-        R = T[_measured(T), :3, :3]
-        off = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(initial=0)
-        if off > 1e-6 or (np.linalg.det(R) < 0).any():
-            raise VergenceError(f"T_cam_target of {name} has a rotation part that is no rotation.")
+        check_rotations(f"T_cam_target of {name}", T)
 
 
-def _start(T_cam_target: Mapping[str, Array], observations: Observations) -> HeadCalibration:
+def _start(
+    T_cam_target: Mapping[str, Array],
+    eye_poses: Array,
+    placement: np.ndarray,
+    eyes: Mapping[str, Side],
+    kinematics: Kinematics,
+) -> HeadCalibration:
     """Return a head by Park and Martin's method; T_rbase_lbase from what both eyes see."""
-    T_base_eye, mounted, seen = observations.eye_poses(), {}, {}
+    mounted, seen = {}, {}
     for name, T in T_cam_target.items():
-        eye = observations.eyes[name]
-        own = T_base_eye[:, EYES.index(eye)]
+        eye = eyes[name]
+        own = eye_poses[:, EYES.index(eye)]
         known = _measured(T) & _measured(own)
-        numbers, counts = np.unique(observations.placement[known], return_counts=True)
+        numbers, counts = np.unique(placement[known], return_counts=True)
         if not len(numbers) or counts.max() < LEAST_VIEWS:
             raise VergenceError(
                 f"{name} needs at least {LEAST_VIEWS} poses of a target at rest, at different "
                 "readings."
             )
-        rows = known & (observations.placement == numbers[counts.argmax()])
+        rows = known & (placement == numbers[counts.argmax()])
         T_eye_cam = robust_park_martin(own[rows], T[rows])
         # Poses have no pixels: a lens of one stands where a head needs one.
         mounted[name] = MountedCamera(eye=eye, intrinsics=pinhole(1, 1, 1.0), T_eye_cam=T_eye_cam)
@@ -248,6 +273,4 @@ def _start(T_cam_target: Mapping[str, Array], observations: Observations) -> Hea
                 f"T_rbase_lbase is not observable: no view has poses by both {left} and {right}."
             )
         between = mean_pose(both[known])
-    return HeadCalibration(
-        cameras=mounted, T_rbase_lbase=between, kinematics=observations.kinematics
-    )
+    return HeadCalibration(cameras=mounted, T_rbase_lbase=between, kinematics=kinematics)

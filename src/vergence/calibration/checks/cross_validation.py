@@ -19,7 +19,7 @@ from vergence.geometry.camera import project
 from vergence.geometry.head import HeadCalibration, HeldOut, main_pair
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.parameters import boxminus
-from vergence.geometry.projection import project_at, stereo_extrinsics
+from vergence.geometry.projection import T_rcam_lcam, project_at
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.triangulation import triangulate_at
 from vergence.stereo.uncertainty import combination, stated_reading_stds
@@ -163,17 +163,9 @@ def _transferred(
     if not len(views.placement):
         return []
     points = corner_points(views.board)
-    left, right = (head.cameras[name] for name in pair)
-    T_lbase_leye, T_rbase_reye = np.moveaxis(views.eye_poses(head), 1, 0)
-    T_rcam_lcam = stereo_extrinsics(
-        T_rbase_reye=T_rbase_reye,
-        T_reye_rcam=right.T_eye_cam,
-        T_rbase_lbase=head.T_rbase_lbase,
-        T_leye_lcam=left.T_eye_cam,
-        T_lbase_leye=T_lbase_leye,
-    )
+    T_right_left = T_rcam_lcam(head, views.eye_poses(head), cameras=pair)
     errors = []
-    for source, target, T in ((0, 1, T_rcam_lcam), (1, 0, inverse(T_rcam_lcam))):
+    for source, target, T in ((0, 1, T_right_left), (1, 0, inverse(T_right_left))):
         lenses = [head.cameras[pair[k]].intrinsics for k in (source, target)]
         T_target = T @ board_poses(lenses[0], views.corners[pair[source]], points)
         expected = project(lenses[1], transform(T_target[:, None], points))

@@ -105,19 +105,16 @@ class Intrinsics:
 def calibrate_intrinsics(
     observations: Observations,
     *,
-    wide_lens: LensModel = "radial-tangential",
     lenses: Mapping[str, LensModel] | None = None,
 ) -> dict[str, Intrinsics]:
     """Return the intrinsics of every camera by Zhang's method: the first step.
 
-    From which end a view is numbered does not matter here. Unless `lenses` states it by camera, the
-    lens model is `wide_lens` for all cameras but the narrow ones, which have no distortion (Sec.
-    II-A) and names that end in "narrow". VergenceError if a camera has fewer than three views, or
-    they do not determine its focal length.
+    From which end a view is numbered does not matter here. Lens models are stated by camera;
+    where none is, it is the paper's. VergenceError if a camera has fewer than three views, or they
+    do not determine its focal length.
     """
     points = corner_points(observations.board)
-    models: dict[str, LensModel] = lenses_of_the_paper(observations, wide_lens)
-    models.update(lenses or {})
+    models: dict[str, LensModel] = {**lenses_of_the_paper(observations), **(lenses or {})}
     found = {}
     for name, corners in observations.corners.items():
         size = observations.sizes[name]
@@ -131,7 +128,10 @@ def calibrate_intrinsics(
 def lenses_of_the_paper(
     observations: Observations, wide_lens: LensModel = "radial-tangential"
 ) -> dict[str, LensModel]:
-    """Return by camera a lens model: none for the narrow ones, the given one for all others."""
+    """Return by camera the lens model of Sec. II-A: narrow cameras have no distortion.
+
+    Narrow are those whose names end in "narrow"; all others have the given model.
+    """
     return {name: "none" if name.endswith("narrow") else wide_lens for name in observations.corners}
 
 

@@ -48,7 +48,6 @@ class SequentialCalibration:
 def calibrate_sequentially(
     observations: Observations,
     *,
-    wide_lens: LensModel = "radial-tangential",
     lenses: Mapping[str, LensModel] | None = None,
     neck: Neck | None = None,
     intrinsics: Mapping[str, Intrinsics] | None = None,
@@ -61,8 +60,7 @@ def calibrate_sequentially(
     Args:
         observations: views in which the eyes stood still. Those with the gaze straight give the
             static stereo, those that share a placement while the eyes turn give T_eye_cam.
-        wide_lens: see calibrate_intrinsics.
-        lenses: likewise.
+        lenses: lens models by camera; where none is stated, it is the paper's.
         neck: from the design.
         intrinsics: by camera, where calibrate_intrinsics was called before.
         T_cam_target: by camera (V, 4, 4) poses of the board, where they were solved for before with
@@ -73,7 +71,7 @@ def calibrate_sequentially(
     """
     points = corner_points(observations.board)
     if intrinsics is None:
-        intrinsics = calibrate_intrinsics(observations, wide_lens=wide_lens, lenses=lenses)
+        intrinsics = calibrate_intrinsics(observations, lenses=lenses)
     cameras = {name: found.camera for name, found in intrinsics.items()}
     if T_cam_target is None:
         T_cam_target = {
