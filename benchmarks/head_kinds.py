@@ -13,10 +13,13 @@ corners sought in them; else the corners are simulated.
 from __future__ import annotations
 
 import argparse
+import os
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices; before numpy
 
 import numpy as np
 
@@ -40,7 +43,9 @@ from vergence.stereo.triangulation import Status
 from vergence.stereo.uncertainty import locate
 
 LENSES = ("k3", "rational", "fisheye")
-KINDS = (*JOINTS, "one eye", "two resolutions", *LENSES)
+*_FIRST, _LAST = JOINTS
+KINDS = (*_FIRST, "one eye", "two resolutions", *LENSES, _LAST)
+"""A kind's place seeds its heads: new ones come last."""
 POINTS = 10
 """Located points of each head."""
 

@@ -25,6 +25,7 @@ _STD = {
     "gain": 0.02,
     "offset_rad": 0.007,
     "nonorthogonality_rad": 0.005,
+    "inclination_rad": 0.005,
     "axis_distance_m": 0.001,
     "slide_m": 0.001,
 }
@@ -83,6 +84,19 @@ def pair_on_a_neck() -> Kinematics:
     return Kinematics({eye: joints for eye in EYES}, ("neck_pan", "neck_tilt"))
 
 
+def two_tilts() -> Kinematics:
+    """Return eyes on a neck that tilts, which tilt together about a parallel axis, and pan."""
+    eyes: dict[Side, tuple[Joint, ...]] = {
+        eye: (
+            replace(_joint("tilt", {"neck_tilt": 1.0}, -0.05, 0.0, -0.1), name="neck_tilt"),
+            _joint("tilt", {"tilt": 1.0}),
+            _joint("pan", {f"{eye}_pan": 1.0}),
+        )
+        for eye in EYES
+    }
+    return Kinematics(eyes, ("neck_tilt", "tilt", "left_pan", "right_pan"))
+
+
 KINDS: dict[str, Callable[[], Kinematics]] = {
     "pan, tilt": Kinematics,
     "tilt, pan": tilt_before_pan,
@@ -90,6 +104,7 @@ KINDS: dict[str, Callable[[], Kinematics]] = {
     "version and vergence": version_and_vergence,
     "pan, tilt, roll": three_axes,
     "pair on a neck": pair_on_a_neck,
+    "neck tilt, tilt, pan": two_tilts,
 }
 
 

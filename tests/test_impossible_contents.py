@@ -30,7 +30,7 @@ CALIBRATIONS = {
     "right.1.gain": put("kinematics", "eyes", "right", 1, "gain", value=1e300),
     "joints of the right eye are missing": lambda head: head["kinematics"]["eyes"].pop("right"),
     "kinematics.eyes.left": put("kinematics", "eyes", "left", value=None),
-    "parallel axes": put("kinematics", "eyes", "left", 1, "axis", value=[0, 0, 1]),
+    "have the same axis": put("kinematics", "eyes", "left", 1, "axis", value=[0, 0, 1]),
     "none of the readings": put("kinematics", "readings", value=["left_pan"]),
     "at most 20 readings": put("kinematics", "readings", value=[f"r{k}" for k in range(21)]),
     "axes has for each eye": lambda head: head.update(axes={"left": {}}, kinematics=None),

@@ -40,7 +40,9 @@ MAX_JOINTS = 20
 MAX_POINT_M = 5.0
 """Of a point on an eye's joint; one that is farther away was probably given in millimetres."""
 PARALLEL = 0.1
-"""Sine of the angle between successive axes below which they count as one joint's."""
+"""Sine of the angle between successive axes below which they count as parallel."""
+LEAST_APART_M = 1e-3
+"""Distance of parallel axes below which they count as one."""
 
 
 @dataclass(frozen=True, eq=False, config=_FINITE)
@@ -48,7 +50,10 @@ class Joint:
     """A revolute joint of an eye: as designed, and how the real one differs.
 
     angle = gain * (sum of factor * reading) + offset. The common normal of two successive axes is
-    (own axis) x (axis before); along it, and about it, one axis may be off against the other.
+    (own axis) x (axis before); along it, and about it, one axis may be off against the other
+    (Denavit and Hartenberg, 1955). That of parallel axes leads from the axis before to the own one;
+    such an axis may also be inclined in the plane of both, and slides with the one before (Hayati,
+    1983).
     """
 
     name: _Name
@@ -68,6 +73,9 @@ class Joint:
     far it lies ahead (+x) of the pan axis, which it should intersect."""
     slide_m: _Number = 0.0
     """Shift along the axis, of this joint and all behind it."""
+    inclination_rad: _Number = 0.0
+    """Of an axis parallel to the one before: turn about (own axis) x (common normal), in their
+    plane."""
 
     def __post_init__(self) -> None:
         if abs(np.linalg.norm(self.axis) - 1) > 1e-6:
@@ -159,17 +167,35 @@ def _check_joints(whose: str, joints: tuple[Joint, ...], readings: tuple[str, ..
                 f"of the readings {', '.join(readings)}"
             )
     for before, joint in pairwise(joints):
-        if np.linalg.norm(se3.cross(before.axis, joint.axis)) < PARALLEL:
+        if _parallel(before, joint) and np.linalg.norm(_between(before, joint)) < LEAST_APART_M:
             raise ValueError(
-                f"joints {before.name} and {joint.name} of the {whose} have parallel axes; where "
-                "they coincide give one joint with the readings of both, otherwise the eyes' poses"
+                f"joints {before.name} and {joint.name} of the {whose} have the same axis; give "
+                "one joint with the readings of both, or by `point_m` where each axis is"
             )
+
+
+def _parallel(before: Joint, joint: Joint) -> bool:
+    """Return whether two successive axes are parallel."""
+    return bool(np.linalg.norm(se3.cross(before.axis, joint.axis)) < PARALLEL)
+
+
+def _between(before: Joint, joint: Joint) -> Array:
+    """Return the vector (3,) [m] from a parallel axis before to that of a joint."""
+    apart = joint.point_m - before.point_m
+    return apart - apart @ joint.axis * joint.axis
 
 
 def _normal(before: Joint, joint: Joint) -> Array:
     """Return the unit vector (3,) of the common normal of two successive axes."""
-    normal = se3.cross(joint.axis, before.axis)
+    parallel = _parallel(before, joint)
+    normal = _between(before, joint) if parallel else se3.cross(joint.axis, before.axis)
     return normal / np.linalg.norm(normal)
+
+
+def _inclines_about(before: Joint, joint: Joint) -> Array:
+    """Return the unit vector (3,) about which a joint's inclination turns its axis."""
+    normal = _normal(before, joint)
+    return rotation(joint.nonorthogonality_rad * normal) @ se3.cross(joint.axis, normal)
 
 
 def _eye_chain(joints: tuple[Joint, ...], readings: tuple[str, ...]) -> Chain:
@@ -181,6 +207,9 @@ def _eye_chain(joints: tuple[Joint, ...], readings: tuple[str, ...]) -> Chain:
         if k:
             normal = _normal(joints[k - 1], joint)
             axes[k] = rotation(joint.nonorthogonality_rad * normal) @ joint.axis
+            if joint.inclination_rad:
+                about = _inclines_about(joints[k - 1], joint)
+                axes[k] = rotation(joint.inclination_rad * about) @ axes[k]
             shift = shift + joint.axis_distance_m * normal + joint.slide_m * joint.axis
         points[k] = joint.point_m + shift
         for name, factor in joint.readings.items():
@@ -226,16 +255,20 @@ def joint_parameters(joints: tuple[Joint, ...]) -> list[tuple[int, str]]:
 
     Of a joint with several readings the factor of each takes the place of a gain of all. Slides of
     the first and the last joint are left out: they shift the eye's base, and the cameras in the
-    eye. The first axis has no errors, since it defines the base.
+    eye; successive parallel axes have one slide. The first axis is where it is by definition of the
+    base.
     """
-    found = []
-    for k in range(len(joints)):
+    found, n = [], len(joints)
+    parallel = [0 < k < n and _parallel(joints[k - 1], joints[k]) for k in range(n + 1)]
+    for k in range(n):
         several = list(joints[k].readings) if len(joints[k].readings) > 1 else []
         found += [(k, f"factor_{name}") for name in several] or [(k, "gain")]
         found.append((k, "offset_rad"))
         if k:
             found += [(k, "nonorthogonality_rad"), (k, "axis_distance_m")]
-        if 0 < k < len(joints) - 1:
+        if parallel[k]:
+            found.append((k, "inclination_rad"))
+        elif k > 0 and parallel.index(False, k + 1) < n:
             found.append((k, "slide_m"))
     return found
 
@@ -287,11 +320,14 @@ def _errors(joints: tuple[Joint, ...], names: tuple[str, ...]) -> tuple[_Error, 
             mixing = {name.removeprefix("factor_"): joint.gain}
         elif name == "slide_m":
             direction = joint.axis.tolist()
+        elif name == "inclination_rad":
+            direction = _inclines_about(joints[k - 1], joint).tolist()
         elif name != "offset_rad":
             direction = _normal(joints[k - 1], joint).tolist()
         terms = [(names.index(one), float(factor)) for one, factor in mixing.items()]
         constant = float(name == "offset_rad")
-        found.append(_Error(k, terms, constant, direction, name == "nonorthogonality_rad"))
+        tilts = name in ("nonorthogonality_rad", "inclination_rad")
+        found.append(_Error(k, terms, constant, direction, tilts))
     return tuple(found)
 
 

@@ -120,6 +120,7 @@ class _Joint(BaseModel):
     nonorthogonality_rad: FiniteFloat
     axis_distance_m: FiniteFloat
     slide_m: FiniteFloat
+    inclination_rad: FiniteFloat = 0.0
 
 
 # An eye without joints is written as an element without content.

@@ -116,13 +116,16 @@ def curvatures(grid: Array) -> Array:
 def _smooth_map(grid: Array, places: Array) -> Array:
     """Map places (N, 2) on the board, in squares from its first corner, to pixels (N, 2).
 
-    A homography plus a polynomial for lens distortion, of the largest degree for which there are
-    twice as many corners as coefficients. NaN if there are too few corners.
+    A homography plus a polynomial for lens distortion, of the largest degree, up to five, for which
+    there are half as many corners again as coefficients. The second derivatives on the board's rim
+    need the odd degrees of a distortion: with four, they are biased, and corners on the rim of
+    drawn boards lay 0.001 px too far out, which moved focal lengths of fisheye lenses by four
+    standard deviations. Six is as right as five, and noisier. NaN if there are too few corners.
     """
     valid = np.isfinite(grid[..., 0])
     j, i = np.nonzero(valid)
     known, corners = np.column_stack([i, j]).astype(float), grid[valid]
-    degree = max((d for d in range(5) if (d + 1) * (d + 2) <= len(known)), default=0)
+    degree = max((d for d in range(6) if 3 * (d + 1) * (d + 2) <= 4 * len(known)), default=0)
     H = None if degree < 2 else cv2.findHomography(known, corners, 0)[0]
     if H is None:
         return np.full(places.shape, np.nan)

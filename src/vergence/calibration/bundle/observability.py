@@ -26,6 +26,7 @@ JOINT_STD = {
     "gain": 0.1,
     "offset_rad": 0.05,
     "nonorthogonality_rad": 0.05,
+    "inclination_rad": 0.05,
     "axis_distance_m": 0.005,
     "slide_m": 0.005,
 }
