@@ -255,8 +255,7 @@ def joint_parameters(joints: tuple[Joint, ...]) -> list[tuple[int, str]]:
 
     Of a joint with several readings the factor of each takes the place of a gain of all. Slides of
     the first and the last joint are left out: they shift the eye's base, and the cameras in the
-    eye; successive parallel axes have one slide. The first axis is where it is by definition of the
-    base.
+    eye; successive parallel axes have one slide. The first axis has no errors: it defines the base.
     """
     found, n = [], len(joints)
     parallel = [0 < k < n and _parallel(joints[k - 1], joints[k]) for k in range(n + 1)]
