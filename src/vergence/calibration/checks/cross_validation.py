@@ -26,6 +26,7 @@ from vergence.stereo.uncertainty import combination, stated_reading_stds
 from vergence.vision.board_pose import LEAST_CORNERS, board_poses, seen_corners
 
 FOLDS = 5
+"""Parts of the views, each predicted from the others."""
 EACH_BELOW = 20
 """With fewer views each is left out by itself: a fifth of them would be missed too much."""
 
