@@ -23,9 +23,9 @@ from vergence.demos.experiment import p95
 from vergence.demos.foveate import run_trial, targets
 from vergence.gaze.state import GazeSettings
 from vergence.geometry.kinematics import Kinematics
-from vergence.twin.card import Card, marker_card
 from vergence.twin.head import Twin
 from vergence.twin.profile import load_profile
+from vergence.twin.scene.card import Card, marker_card
 from vergence.twin.simulated_robot import calibrate_twin, unoccluded
 from vergence.vision.detector import Detector
 from vergence.vision.marker import marker_detector

@@ -24,7 +24,7 @@ from vergence.self_calibration.learning import learn
 from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Twin
 from vergence.twin.profile import load_profile
-from vergence.twin.scene import Scene
+from vergence.twin.scene.room import Scene
 from vergence.vision.scene_features import match_scene
 
 STEP_S = 0.1

@@ -13,14 +13,13 @@ from scipy.stats import chi2
 
 from vergence.arrays import Array
 from vergence.geometry.camera import Camera, pinhole
-from vergence.geometry.head import HeadCalibration, MountedCamera, T_base_cam
+from vergence.geometry.head import R_EYE_CAM, HeadCalibration, MountedCamera, T_base_cam
 from vergence.geometry.kinematics import EYES, Joint, Kinematics, Neck, Side, pan_tilt
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.parameters import POSE, boxplus, parameter_values
 from vergence.geometry.se3 import inverse, pose, rotation, transform
 
 WIDTH, HEIGHT = 640, 480
-R_EYE_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """A camera, and a board, that look along x and against it: z is the head's x, x its -y."""
 FOCAL_PX = {"wide": (250.0, 420.0), "middle": (500.0, 600.0), "narrow": (900.0, 1300.0)}
 """2.5 to 4.2, 5 to 6, and 9 to 13 mm on the sensors of this project's head."""

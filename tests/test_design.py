@@ -78,8 +78,9 @@ def test_far_ahead_it_is_equations_20_and_21():
         seen = sensitivity(0.07, point, camera_ahead_m=AHEAD_M)
         found = np.sqrt(mean_square(seen, focal_px=400, pixel_std_px=0.2, joint_std_rad=3e-4))
         closer = 2 * AHEAD_M * np.sin(np.arctan(0.035 / depth_m))
+        baseline = 0.07 - closer
         wanted = predicted_depth_std(
-            depth_m - AHEAD_M, 0.07 - closer, 400, pixel_std_px=0.2, joint_std_rad=3e-4,
+            [depth_m, -baseline / 2, 0.0], baseline, 400, pixel_std_px=0.2, joint_std_rad=3e-4,
             camera_ahead_m=AHEAD_M,
         )  # fmt: skip
         assert found == pytest.approx(wanted, rel=0.005)

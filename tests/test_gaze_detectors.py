@@ -11,10 +11,10 @@ from vergence.errors import VergenceError
 from vergence.gaze.state import GazeSettings
 from vergence.geometry.kinematics import Kinematics
 from vergence.geometry.projection import project_point
-from vergence.twin.card import Card, marker_card
 from vergence.twin.head import Twin
 from vergence.twin.model import as_built_head, nominal_head
 from vergence.twin.profile import load_profile
+from vergence.twin.scene.card import Card, marker_card
 from vergence.twin.simulated_robot import twin_limits
 from vergence.vision.marker import marker_detector
 

@@ -17,7 +17,7 @@ from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import boxplus as moved
 from vergence.geometry.se3 import inverse
 from vergence.paper.figures import FIGURES, Figure
-from vergence.stereo.depth_error import off_axis_depth_std, predicted_depth_std
+from vergence.stereo.depth_error import depth_error, disparity_error, predicted_depth_std
 from vergence.stereo.triangulation import triangulate_at
 from vergence.stereo.uncertainty import combination, locate
 
@@ -46,7 +46,7 @@ def test_the_formula_off_the_axis_agrees_with_samples_at_the_places_of_the_figur
     head = plain_head(baseline, focal, camera_m=((ahead, 0, 0),) * 2)
     noise = {"joint_std_rad": np.radians(joint_deg), "pixel_std_px": pixel}
     found = sampled(head, np.array(figure.mean_m), np.zeros(4), pixel, np.radians(joint_deg))
-    predicted = off_axis_depth_std(figure.mean_m, baseline, focal, camera_ahead_m=ahead, **noise)
+    predicted = predicted_depth_std(figure.mean_m, baseline, focal, camera_ahead_m=ahead, **noise)
     assert found[:, 0].std() == pytest.approx(predicted, rel=0.03)
 
 
@@ -57,11 +57,14 @@ def test_the_formula_on_the_axis_agrees_with_samples(depth: float):
     head = plain_head(baseline, 280.0)
     point = np.array([depth, -baseline / 2, 0.0])
     found = sampled(head, point, np.zeros(4), noise["pixel_std_px"], noise["joint_std_rad"])
-    predicted = predicted_depth_std(depth, baseline, 280.0, **noise)
+    predicted = predicted_depth_std(point, baseline, 280.0, **noise)
     assert predicted < 0.08 * depth
     assert found[:, 0].std() == pytest.approx(predicted, rel=0.02)
-    off_axis = off_axis_depth_std(point, baseline, 280.0, **noise)
-    assert off_axis == pytest.approx(predicted, rel=0.012)
+    turned = disparity_error(280.0, np.sqrt(2) * noise["joint_std_rad"])
+    plain = depth_error(
+        depth, baseline, 280.0, np.hypot(turned, np.sqrt(2) * noise["pixel_std_px"])
+    )
+    assert predicted == pytest.approx(plain, rel=0.012)
 
 
 STD = {"f": 0.5, "c": 0.5, "r": 4e-4, "t": 3e-4, "pan_gain": 2e-3, "tilt_gain": 2e-3}

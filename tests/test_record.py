@@ -25,7 +25,7 @@ from vergence.geometry.se3 import transform
 from vergence.twin.calibration_sequence import BOARD
 from vergence.twin.model import nominal_head
 from vergence.twin.profile import (
-    CalibrationMade,
+    CalibrationProcedure,
     ErrorProfile,
     Image,
     Joints,
@@ -40,7 +40,7 @@ PROFILE = ErrorProfile(
     joints=Joints(
         noise_deg=0.02, delay_ms=20, gain_percent=(1.0, 0, -0.5, 0), offset_deg=(0.3, 0, 0, -0.2)
     ),
-    calibration=CalibrationMade(square_percent=2.0),
+    calibration=CalibrationProcedure(square_percent=2.0),
 )
 
 

@@ -21,7 +21,7 @@ from vergence.geometry.projection import (
     stereo_extrinsics,
 )
 from vergence.geometry.se3 import inverse, transform
-from vergence.stereo.triangulation import Status, in_body, in_head, triangulate, triangulate_at
+from vergence.stereo.triangulation import Status, in_body, in_head, triangulate_at
 from vergence.stereo.uncertainty import (
     calibration_covariance,
     locate,
@@ -105,7 +105,7 @@ def test_a_point_alone_is_located_as_it_is_among_others(model: CameraModel, k: t
     "function",
     [
         *(locate, locate_with_covariance, locate_both, calibration_covariance),
-        *(triangulate_at, triangulate, base_extrinsics, stereo_extrinsics),
+        *(triangulate_at, base_extrinsics, stereo_extrinsics),
     ],
 )
 def test_arguments_that_could_be_exchanged_must_be_named(function):
@@ -167,24 +167,6 @@ def test_equation_4_maps_from_the_left_camera_to_the_right_one(head, rng):
     np.testing.assert_allclose(project(camera, transform(T_rcam_lcam, y_l)), right, atol=1e-9)
     printed = project(camera, transform(inverse(T_rcam_lcam), y_l))
     assert (np.abs(printed - right).max(axis=1) > 10).all()
-
-
-@given(seeds)
-def test_triangulation_solves_equations_3_and_4_exactly(seed: int):
-    """Eqs. 3-4: the least-squares solution of exact data is the point itself."""
-    rng = np.random.default_rng(seed)
-    head = skewed_head(rng)
-    points, eyes, left, right = random_samples(head, rng, 10)
-    found, status = triangulate(
-        left=left,
-        right=right,
-        left_camera=head.cameras["left_wide"].intrinsics,
-        right_camera=head.cameras["right_wide"].intrinsics,
-        T_rcam_lcam=stereo_pose(head, eyes),
-    )
-    assert (status == Status.OK).all()
-    y_l = point_in_camera(head, "left_wide", eyes, points)
-    np.testing.assert_allclose(found, y_l, atol=1e-9)
 
 
 def equation_10_terms(head: HeadCalibration, eyes: np.ndarray) -> dict[str, np.ndarray]:

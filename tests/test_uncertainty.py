@@ -129,17 +129,21 @@ def test_the_closed_form_agrees_with_simulation_on_the_axis(depth, focal, joint_
     pixels = np.array([project(camera, in_left), project(camera, in_left - [baseline, 0, 0])])
     observed = simulate(head, pixels, np.zeros(4), pixel, np.radians(joint_deg))
     stds = {"joint_std_rad": np.radians(joint_deg), "pixel_std_px": pixel}
-    predicted = predicted_depth_std(depth, baseline, focal, **stds, camera_ahead_m=ahead)
+    middle = [ahead + depth, -baseline / 2, 0.0]
+    predicted = predicted_depth_std(middle, baseline, focal, **stds, camera_ahead_m=ahead)
     assert predicted / depth < 0.08
     assert predicted == pytest.approx(np.sqrt(observed[0, 0]), rel=0.013)
 
 
 def test_the_closed_form_without_the_cameras_lever_is_too_small():
     """Eq. 21 turns the camera about its own centre, while an eye turns about another one."""
-    plain = predicted_depth_std(0.426, 0.092, 280.0, joint_std_rad=2e-3)
-    assert predicted_depth_std(
-        0.426, 0.092, 280.0, joint_std_rad=2e-3, camera_ahead_m=0.02
-    ) == pytest.approx(plain * 1.047, rel=1e-3)
+    plain, levered = (
+        predicted_depth_std(
+            [ahead + 0.426, -0.046, 0.0], 0.092, 280.0, joint_std_rad=2e-3, camera_ahead_m=ahead
+        )
+        for ahead in (0.0, 0.02)
+    )
+    assert levered == pytest.approx(plain * 1.047, rel=1e-3)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -163,7 +167,7 @@ def test_the_covariance_agrees_with_the_closed_form_on_the_axis():
     left, right = (project_point(head, f"{eye}_wide", straight, point) for eye in EYES)
     noise = {"joint_std_rad": 1e-3, "pixel_std_px": 0.3}
     (covariance,) = locate(head, left=left, right=right, joints=straight, **noise).covariance
-    closed = predicted_depth_std(1.0, 0.092, 280.0, camera_ahead_m=0.02, **noise)
+    closed = predicted_depth_std(point[0], 0.092, 280.0, camera_ahead_m=0.02, **noise)
     assert np.sqrt(covariance[0, 0]) == pytest.approx(closed, rel=0.003)
 
 

@@ -14,6 +14,7 @@ __version__ = "0.2.0"
 
 if TYPE_CHECKING:
     from vergence.calibration.bundle.latent_hand_eye import refine_eye_camera
+    from vergence.calibration.bundle.target_poses import adjust_target_poses
     from vergence.calibration.calibrate import CalibrationResult, calibrate
     from vergence.calibration.detection import detect_target
     from vergence.calibration.observations import Observations
@@ -52,6 +53,7 @@ __all__ = [
     "T_rcam_lcam",
     "VergenceError",
     "__version__",
+    "adjust_target_poses",
     "calibrate",
     "combination",
     "dense_depth",
@@ -75,6 +77,7 @@ __all__ = [
 
 _HOMES = {
     "calibration.bundle.latent_hand_eye": ("refine_eye_camera",),
+    "calibration.bundle.target_poses": ("adjust_target_poses",),
     "calibration.calibrate": ("CalibrationResult", "calibrate"),
     "calibration.detection": ("detect_target",),
     "calibration.observations": ("Observations",),

@@ -20,14 +20,13 @@ from vergence.arrays import Array
 from vergence.calibration.bundle.bundle_adjustment import fixed_by_default
 from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.camera import pinhole
-from vergence.geometry.head import HeadCalibration, MountedCamera
+from vergence.geometry.head import R_EYE_CAM, HeadCalibration, MountedCamera
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.parameters import parameter_names
 from vergence.geometry.se3 import pose, rotation
 
-R_EYE_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""A camera, and a board, that look along x and against it."""
 STRAIGHT, GAZES = 8, 16
+"""Boards at straight gaze, and directions of gaze to a board at rest."""
 VIEWS = STRAIGHT + GAZES
 FILLS = (0.5, 0.75)
 """Of an image's height, by the circle about a board, as large as its slant may make it."""

@@ -119,7 +119,10 @@ class Observations:
         return np.stack([T_base_eye(own, eye, self.eye_angles) for eye in EYES], axis=1)
 
     def timely(self, head: HeadCalibration) -> Observations:
-        """Return the same with the readings at the moments of the images, by a time offset."""
+        """Return the observations with readings at the moments of the images.
+
+        They are moved by the head's time offset, where the eyes moved.
+        """
         if self.timing is None:
             return self
         move = partial(moved_readings, timing=self.timing, seconds=head.time_offset_s)

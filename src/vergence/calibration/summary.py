@@ -23,7 +23,9 @@ PART = 1 / 3
 SMALL = 0.002
 """Error of a point, relative to its distance, that is small whatever the noise of a reading."""
 DISTANCES_M = (0.3, 0.6, 1.0)
+"""Of the points whose accuracy is stated: the range of a hand, and beyond."""
 _TURNS_RAD = 0.2
+"""Gaze directions of the motion over which it is stated, from straight ahead."""
 
 
 def verdict(accuracy: Accuracy, head: HeadCalibration) -> tuple[str, str]:

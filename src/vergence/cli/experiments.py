@@ -22,9 +22,7 @@ if TYPE_CHECKING:
     from vergence.progress import Progress
 
 Scene = Literal["room", "sparse", "moving"]
-"""As `twin.scene` has it, which cannot be imported before it is known that OpenGL is needed."""
-
-
+"""As `twin.scene.room` has it, which is imported only where OpenGL is needed."""
 Geometry = Literal["joints", "seen"]
 """As `self_calibration.sequence` has it, which imports numpy."""
 

@@ -1,1 +1,1 @@
-"""What the command line runs: record a dataset, report and evaluate a calibration."""
+"""What the commands of the command line run, and what they print and write."""

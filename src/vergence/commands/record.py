@@ -41,7 +41,7 @@ from vergence.twin.calibration_sequence import (
 from vergence.twin.head import Twin
 from vergence.twin.model import nominal_head
 from vergence.twin.profile import ErrorProfile, Lens
-from vergence.twin.scene import Scene
+from vergence.twin.scene.room import Scene
 from vergence.writing import as_json, check_new
 
 Target = Literal["chessboard", "charuco"]

@@ -81,9 +81,10 @@ class Dataset:
         return image
 
     def readable_image(self, camera: str, row: int) -> np.ndarray | None:
-        """Return the same, but None where the file is not a readable image.
+        """Return the image of a row that has one; None where the file is not a readable image.
 
-        VergenceError if its size differs from dataset.json, which is found in the file's header.
+        VergenceError if the file cannot be opened, or if by its header its size differs from
+        dataset.json.
         """
         path = self.folder / str(self.files[camera][row])
         content = read_bytes(path, MAX_IMAGE_BYTES)

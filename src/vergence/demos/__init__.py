@@ -1,1 +1,1 @@
-"""Demonstrations on the twin: foveate an object, track it, grasp it."""
+"""Demonstrations on the twin: foveate an object, track it, grasp it, see in depth."""

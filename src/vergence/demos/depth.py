@@ -32,7 +32,7 @@ from vergence.stereo.uncertainty import LocatedPoints
 from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
-from vergence.twin.scene import Scene
+from vergence.twin.scene.room import Scene
 from vergence.twin.simulated_robot import calibrate_twin
 from vergence.viewer.depth import depth_recording, log_depth
 from vergence.viewer.opening import log_report

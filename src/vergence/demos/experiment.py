@@ -17,7 +17,7 @@ from vergence.self_calibration.sequence import Geometry, SeenGeometry, see, seen
 from vergence.twin.head import Twin
 from vergence.twin.looking_around import look_around
 from vergence.twin.profile import ErrorProfile
-from vergence.twin.scene import Scene
+from vergence.twin.scene.room import Scene
 from vergence.twin.simulated_robot import calibrate_twin
 from vergence.writing import write_json
 

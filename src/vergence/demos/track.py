@@ -38,6 +38,7 @@ frames count."""
 ALL_CAMERAS_EVERY = 6
 """Every Nth frame has the images of all cameras, for the comparison of lenses and the recording."""
 _GRID = 6000
+"""Fewest times at which the speed of a path is compared."""
 SHORTEST_S, LONGEST_S = 3.0, 3600.0
 
 

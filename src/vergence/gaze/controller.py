@@ -50,6 +50,7 @@ from vergence.geometry.kinematics import eye_turn, readings_to_turn
 from vergence.geometry.se3 import inverse, transform
 
 _RATE_STEP_S = 1e-3
+"""Time over which the rate of the angles to the object is taken as a difference."""
 _KEPT = 15
 """Commands that are kept beside the latest one: half a second of them."""
 _SEARCH_RAD = np.array(

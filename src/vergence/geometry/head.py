@@ -36,6 +36,9 @@ from vergence.geometry.se3 import inverse, pose
 from vergence.reading import read_json
 from vergence.writing import write_json
 
+R_EYE_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""Of a camera that looks straight ahead, and of a board that faces it: z along the eye's x."""
+
 _FINITE = ConfigDict(extra="forbid", allow_inf_nan=False)
 MAX_CAMERAS = 64
 SMALLEST_VARIANCE = 1e-60

@@ -19,10 +19,7 @@ from pydantic.dataclasses import dataclass
 
 from vergence.arrays import MAX_M, Array, Vector3, Vectors3
 from vergence.geometry import se3
-from vergence.geometry.chain import (
-    Chain,
-    chain_pose,
-)
+from vergence.geometry.chain import Chain, chain_pose
 from vergence.geometry.se3 import rotation
 
 Side = Literal["left", "right"]
@@ -256,10 +253,9 @@ def eye_turn(kinematics: Kinematics, eye: Side, readings: Array) -> Array:
 def joint_parameters(joints: tuple[Joint, ...]) -> list[tuple[int, str]]:
     """Return what may differ of joints from their design: the number of each joint, and a name.
 
-    Of a joint with several readings the factor of each takes the place of a gain of all. Not the
-    slide of the first and the last joint, which is one of the eye's base and of the
-    cameras in the eye; nor how the first axis stands, which defines the base. Successive parallel
-    axes have one slide.
+    Of a joint with several readings the factor of each takes the place of a gain of all. Slides of
+    the first and the last joint are left out: they shift the eye's base, and the cameras in the
+    eye; successive parallel axes have one slide. The first axis has no errors: it defines the base.
     """
     found, n = [], len(joints)
     parallel = [0 < k < n and _parallel(joints[k - 1], joints[k]) for k in range(n + 1)]

@@ -6,8 +6,6 @@ Leading dimensions are batches, and `@` broadcasts over them. See docs/conventio
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
@@ -71,17 +69,13 @@ def hat(v: Array) -> Array:
     return np.stack(rows, axis=-1).reshape(*v.shape[:-1], 3, 3)
 
 
-def cross(a: Array, b: Array, *, axis: Literal[0, -1] = -1) -> Array:
-    """Return a x b (..., 3), or (3, ...); numpy's own takes four times as long for few vectors."""
-    if axis == 0:
-        (a1, a2, a3), (b1, b2, b3) = a, b
-    else:
-        a1, a2, a3 = a[..., 0], a[..., 1], a[..., 2]
-        b1, b2, b3 = b[..., 0], b[..., 1], b[..., 2]
+def cross(a: Array, b: Array) -> Array:
+    """Return a x b (..., 3); numpy's own takes four times as long for few vectors."""
+    a1, a2, a3 = a[..., 0], a[..., 1], a[..., 2]
+    b1, b2, b3 = b[..., 0], b[..., 1], b[..., 2]
     first = a2 * b3 - a3 * b2
-    product = np.empty((3, *first.shape) if axis == 0 else (*first.shape, 3))
-    last = product if axis == 0 else np.moveaxis(product, -1, 0)
-    last[0], last[1], last[2] = first, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1
+    product = np.empty((*first.shape, 3))
+    product[..., 0], product[..., 1], product[..., 2] = first, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1
     return product
 
 

@@ -17,17 +17,18 @@ from xml.etree import ElementTree
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.geometry.head import HeadCalibration, T_head_base
+from vergence.geometry.head import R_EYE_CAM, HeadCalibration, T_head_base
 from vergence.geometry.kinematics import EYES, NECK_JOINTS, Kinematics, Side
 from vergence.geometry.se3 import inverse, pose
 from vergence.interchange.serialization import check_names
 from vergence.writing import write_whole
 
 LIMIT_RAD = (-1.5708, 1.5708)
+"""A quarter turn each way. URDF requires limits, and a calibration holds none."""
 EFFORT, VELOCITY = 100.0, 100.0
-"""Limits that URDF requires and a calibration does not hold: large enough to have no effect."""
+"""The same of torque and speed: large enough to have no effect."""
 
-T_LINK_OPTICAL = pose(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]))
+T_LINK_OPTICAL = pose(R_EYE_CAM)
 """From frame cam to a camera's link, which looks along x with z up (REP 103)."""
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from vergence.accuracy.motions import PERIOD_S, eye_angles
 from vergence.arrays import Array
 from vergence.geometry.camera import pinhole
-from vergence.geometry.head import HeadCalibration, MountedCamera
+from vergence.geometry.head import R_EYE_CAM, HeadCalibration, MountedCamera
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.projection import T_rcam_lcam, project_point, rebase
 from vergence.geometry.se3 import pose, rotation
@@ -27,11 +27,11 @@ from vergence.twin.profile import Lens
 FOCAL_PX: dict[Lens, float] = {"2.8mm": 280.0, "4.0mm": 400.0}
 PIXEL_UM = 10.0
 """Of a sensor 6.4 mm wide with 640 columns."""
-_R_EYE_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 _UP = np.array([1.0, -1.0, 1.0, -1.0])
 """In this study's version of Eqs. 22-23 positive tilt looks up."""
 TABLE_CAMERA_MM = ((4.0, 1.0, 10.0), (3.0, -1.5, 10.5))
 TABLE_MOUNTING_DEG = ((0.8, -0.5, 0.7), (-0.6, 0.9, -0.5))
+"""Mountings of the left and the right camera in the table of sensitivities."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def true_head(
             eye=eye,
             intrinsics=pinhole(640, 480, FOCAL_PX[lens]),
             T_eye_cam=pose(
-                rotation(np.radians(mounting_deg[k])) @ _R_EYE_CAM, 1e-3 * np.array(camera_mm[k])
+                rotation(np.radians(mounting_deg[k])) @ R_EYE_CAM, 1e-3 * np.array(camera_mm[k])
             ),
         )
         for k, eye in enumerate(EYES)

@@ -27,7 +27,7 @@ from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
-from vergence.twin.scene import Scene
+from vergence.twin.scene.room import Scene
 from vergence.viewer.frame import log_frame
 from vergence.viewer.opening import log_report
 from vergence.viewer.seen import log_learned, log_matches

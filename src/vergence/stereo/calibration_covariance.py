@@ -1,4 +1,4 @@
-"""What a calibration's covariance makes of located points."""
+"""What the covariance of a calibration adds to that of located points."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from vergence.stereo.linearised import Linearised, pair_columns, pair_parameters
 
 @dataclass(frozen=True, eq=False)
 class PairCovariance:
-    """Of a covariance of a head what the pixels of two cameras depend on."""
+    """The part of a head's covariance on which the pixels of two cameras depend."""
 
     own: tuple[list[int], list[int]]
     """By camera which p_l and p_r of its columns are known to be uncertain."""
@@ -47,9 +47,9 @@ def pair_covariance(
 
 
 def covariance_of_calibration(seen: Linearised, known: PairCovariance) -> Array:
-    """Return the covariances (n, 3, 3) that the calibration's covariance makes.
+    """Return what a calibration adds to the covariances (n, 3, 3) of points.
 
-    First that of the four pixel coordinates, of which a point is made: it takes half the time.
+    By way of the covariance of the four pixel coordinates, which takes half the time.
     """
     left, right = (
         stacked([[row[k] for k in own] for row in rows], seen.status.shape, 2)

@@ -77,8 +77,9 @@ def dense_depth(
         cameras: the names of the two; None: the main ones.
         nearest_m: least depth that is sought.
         joint_std_rad: noise of the readings, as in `uncertainty.locate`.
-        located: in place of these two says how well the geometry is known: a function that locates
-            exact pixels, `left` and `right` (N, 2), such as `locate_seen` of a seen geometry.
+        located: a function that locates exact pixels, `left` and `right` (N, 2), such as
+            `locate_seen` of a seen geometry: it says how well the geometry is known, in place of
+            the head's accuracy and joint_std_rad.
 
     Raises:
         VergenceError: the nearest depth is not positive, or its disparity exceeds the image.

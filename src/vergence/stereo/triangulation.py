@@ -22,7 +22,6 @@ from vergence.geometry.components import (
     cross,
     dot,
     minus,
-    pose_components,
     quotient,
     silent,
     stacked,
@@ -32,7 +31,7 @@ from vergence.geometry.components import (
 from vergence.geometry.eye_motion import EyeMotion, eye_motions
 from vergence.geometry.head import HeadCalibration, MountedCamera, T_body_base, T_head_base
 from vergence.geometry.projection import camera_pose, stereo_cameras
-from vergence.geometry.se3 import inverse, transform
+from vergence.geometry.se3 import transform
 
 CHUNK = 4096
 """Points at a time: their arrays stay in the processor's cache, and memory does not grow."""
@@ -52,42 +51,6 @@ class Status(IntEnum):
     """The rays meet behind a camera."""
 
 
-def triangulate(
-    *,
-    left: Array,
-    right: Array,
-    left_camera: Camera,
-    right_camera: Camera,
-    T_rcam_lcam: Array,
-    pixel_std_px: ArrayLike = 1.0,
-) -> tuple[Array, np.ndarray]:
-    """Solve Eqs. 3-4 for the points in the left camera's frame.
-
-    Args:
-        left: (N, 2) pixels in the left camera, distortion included; NaN: not seen.
-        right: (N, 2) pixels in the right camera.
-        T_rcam_lcam: (N, 4, 4) or (4, 4) pose of the left camera in the right one.
-        pixel_std_px: noise of (left u, left v, right u, right v), of which only the ratios count: a
-            number, (4,) or (N, 4).
-
-    Returns:
-        Points (N, 3) [m], NaN where the status is not OK, and the status (N,).
-    """
-    n, variances = len(left), pixel_variances(pixel_std_px)
-    T_lcam_rcam, cameras = inverse(T_rcam_lcam), (left_camera, right_camera)
-
-    def find(part: slice) -> tuple[Array, np.ndarray]:
-        own = T_lcam_rcam[part] if T_lcam_rcam.ndim == 3 else T_lcam_rcam
-        poses = pose_components(np.eye(4)), pose_components(own)
-        points, status = intersect(
-            cameras, (left[part], right[part]), poses, of_part(variances, part)
-        )
-        return points.T, status
-
-    points, status = in_chunks(n, find)
-    return points, status
-
-
 def triangulate_at(
     head: HeadCalibration,
     *,
@@ -99,8 +62,21 @@ def triangulate_at(
 ) -> tuple[Array, np.ndarray]:
     """Return points in the left eye's base frame, and their status (Eqs. 3, 4 and 11).
 
-    Points are (N, 3) [m], NaN where the status (N,) is not OK. Arguments and errors are those of
-    `uncertainty.locate`, and the noise that of `triangulate`.
+    Args:
+        head: a calibration with a camera in each eye.
+        left: (N, 2) pixels in the left camera, distortion included; NaN: not seen.
+        right: (N, 2) pixels in the right camera.
+        joints: readings [rad], (r,) for all points or (N, r), or eye poses (2, 4, 4) or (N, 2, 4,
+            4).
+        cameras: names of the left and the right camera; None: the main ones.
+        pixel_std_px: noise of (left u, left v, right u, right v), of which only the ratios count: a
+            number, (4,) or (N, 4).
+
+    Returns:
+        Points (N, 3) [m], NaN where the status is not OK, and the status (N,).
+
+    Raises:
+        VergenceError: shapes do not fit, or the head has no such pair of cameras.
     """
     left, right, joints = checked(left, right, joints, len(head.kinematics.readings))
     pair, n = stereo_cameras(head, cameras), len(left)
@@ -135,10 +111,10 @@ def rays_meet(
         camera_pose(mounted, T_rbase_lbase, eye.R, eye.t)
         for mounted, eye in zip(pair, eyes, strict=True)
     )
-    return intersect(lenses, pixels, (left, right), variances)
+    return _intersect(lenses, pixels, (left, right), variances)
 
 
-def intersect(
+def _intersect(
     lenses: tuple[Camera, Camera],
     pixels: tuple[Array, Array],
     poses: tuple[tuple[Rows, Vector], tuple[Rows, Vector]],

@@ -82,8 +82,8 @@ def locate(
         pixel_std_px: noise of (left u, left v, right u, right v), by which they are weighted; a
             number stands for all, and (4,) or (N, 4) are taken as they are. None: that of the
             corners of the calibration.
-        joint_std_rad: noise of each reading, likewise; of measured poses the two numbers of
-            rotation [rad] and translation [m]. None: as the calibration found it.
+        joint_std_rad: noise of each reading: a number, (r,) or (N, r); of measured poses the two
+            numbers of rotation [rad] and translation [m]. None: as the calibration found it.
         joint_time_s: (N,) time stamps of the readings of one motion, at most 0.2 s apart; each is
             then moved to the moment that its image shows, by the head's time offset, along a
             polynomial through its neighbours. None: the eyes stood still.

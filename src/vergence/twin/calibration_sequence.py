@@ -17,7 +17,7 @@ from vergence.calibration.observations import Observations
 from vergence.calibration.sequential.intrinsics import lenses_of_the_paper
 from vergence.calibration.sequential.sequential import SequentialCalibration, calibrate_sequentially
 from vergence.geometry.board import Board, Chessboard, corner_points
-from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head import R_EYE_CAM, HeadCalibration
 from vergence.geometry.kinematics import EYES, NECK_JOINTS, readings_to_turn
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, pose, rotation, transform
@@ -38,7 +38,6 @@ ORIENTATIONS = 60
 T_LBASE_FIXED = (0.60, 0.0, 0.0), (0.25, -0.2, 0.05)
 """Position of the centre of the board at rest [m], and its rotation from facing the head [rad]."""
 _MARGIN_RAD = 0.055  # room for the board's white margin, and for cameras that sit a few degrees off
-_R_LBASE_FACING = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # the board's x right, y down
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +103,7 @@ def _straight(head: HeadCalibration) -> Array:
 def _facing(board: Board, centre: Sequence[float] | Array, turn: Array) -> Array:
     """Return T_lbase_target of a board with its middle at a centre, turned from facing the head."""
     middle = corner_points(board).mean(axis=0)
-    return pose(_R_LBASE_FACING @ rotation(turn), centre) @ pose(t=-middle)
+    return pose(R_EYE_CAM @ rotation(turn), centre) @ pose(t=-middle)
 
 
 def visible(head: HeadCalibration, board: Board, name: str, shot: Shot) -> np.ndarray:

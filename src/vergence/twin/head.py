@@ -18,7 +18,6 @@ from vergence.geometry.board import Charuco
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES, NECK_JOINTS, Kinematics
 from vergence.geometry.se3 import inverse, pose, transform
-from vergence.twin.card import Card
 from vergence.twin.model import (
     CAMERAS,
     R_of_quat,
@@ -31,7 +30,8 @@ from vergence.twin.model import (
 )
 from vergence.twin.profile import ErrorProfile, Lens
 from vergence.twin.renderer import Negative, Renderer, overscan_sizes
-from vergence.twin.scene import PASSER, Scene, passer_position
+from vergence.twin.scene.card import Card
+from vergence.twin.scene.room import PASSER, Scene, passer_position
 from vergence.twin.sensors import play, read, sensor_columns
 
 _TICK_STEPS = 5

@@ -20,10 +20,10 @@ from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, MountedCamera, T_head_base
 from vergence.geometry.kinematics import EYES, NECK_JOINTS, Joint, Kinematics, Neck, Side
 from vergence.geometry.se3 import pose, rotation
-from vergence.twin.board import put_charuco
-from vergence.twin.card import Card, put_card
 from vergence.twin.profile import ErrorProfile, Lens
-from vergence.twin.scene import Scene, load_scene
+from vergence.twin.scene.board import put_charuco
+from vergence.twin.scene.card import Card, put_card
+from vergence.twin.scene.room import Scene, load_scene
 
 CAMERAS = ("left_wide", "right_wide", "left_narrow", "right_narrow")
 

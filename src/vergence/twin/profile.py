@@ -101,7 +101,7 @@ class Joints(_Section):
     """Age of the reading when the image is taken; negative: the image is the older one."""
 
 
-class CalibrationMade(_Section):
+class CalibrationProcedure(_Section):
     """Errors in the calibration procedure."""
 
     wide_lens: LensModel = "radial-tangential"
@@ -146,7 +146,7 @@ class ErrorProfile(_Section):
     optics: Optics = Optics()
     image: Image = Image()
     joints: Joints = Joints()
-    calibration: CalibrationMade = CalibrationMade()
+    calibration: CalibrationProcedure = CalibrationProcedure()
     by_hand: ByHand = ByHand()
     fitted: tuple[Fitted, ...] = ()
 

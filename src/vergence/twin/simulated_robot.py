@@ -36,6 +36,7 @@ from vergence.twin.sensors import sensor_columns
 FRAME_S = 0.033
 """Frame period: 30 Hz, in whole milliseconds, because the physics steps in them."""
 _REST_READINGS = 30
+"""Readings at rest of each joint, from which the noise of all four is known to 7 %."""
 
 
 def calibrate_twin(twin: Twin, seed: int) -> GazeSettings:

@@ -78,7 +78,10 @@ def refine_eye_camera(
             tilt. Of no use with poses.
         intrinsics_covariance: (n, n) of the intrinsics in the order of
             `geometry.parameters.intrinsics_names`; None: they are taken as exact.
-        pixel_std_px: noise; as joint_std and outlier, see `bundle_adjust`.
+        pixel_std_px: noise of one coordinate of a corner; None: estimated.
+        joint_std: noise of the readings, [rad] or, for poses, ([rad], [m]); None: estimated; 0:
+            the readings are exact.
+        outlier: standard deviations beyond which a corner or a reading loses weight.
 
     Raises:
         VergenceError: shapes do not fit, or Park and Martin's method has no answer.

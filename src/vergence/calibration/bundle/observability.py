@@ -34,7 +34,9 @@ JOINT_STD = {
 FACTOR_STD = 0.1
 """Of the factor of one of several readings of a joint."""
 TIME_S = 0.1
+"""Of the time offset."""
 BOARD_SCALE = 0.02
+"""Of the size of a board, relative to the stated one."""
 UNKNOWN = 1e3
 """Standard deviation, in prior ones, that stands for "not determined at all"."""
 FIXED = 5.0

@@ -138,7 +138,7 @@ def joint_errors(problem: BundleProblem, state: BundleState) -> Array:
 
 
 def prior(problem: BundleProblem, state: BundleState) -> tuple[float, Array, Array]:
-    """Return what `lens_prior` does, for all shared unknowns: a number, (G,) and (G,)."""
+    """Return the prior of all lenses: -2 log density, half its gradient (G,), information (G,)."""
     total, (half_gradient, information) = 0.0, np.zeros((2, len(problem.free)))
     for c, (name, mounted) in enumerate(state.head.cameras.items()):
         if problem.assumed[c]:

@@ -20,7 +20,6 @@ from vergence.calibration.bundle.bundle_adjustment import (
     fixed_by_default,
 )
 from vergence.calibration.bundle.measured_poses import PoseObservations, whitening
-from vergence.calibration.bundle.solver import OUTLIER
 from vergence.calibration.observations import check_rotations
 from vergence.calibration.sequential.hand_eye import robust_park_martin
 from vergence.errors import VergenceError
@@ -81,7 +80,6 @@ def adjust_target_poses(
     start: HeadCalibration | None = None,
     fixed: Collection[str] = (),
     joint_std: float | tuple[float, float] | None = None,
-    outlier: float = OUTLIER,
 ) -> TargetPoseEstimate:
     """Estimate a head from poses of a target that its cameras measured in V views.
 
@@ -96,8 +94,8 @@ def adjust_target_poses(
         noise_factor: of the standard deviations in `covariance`; None: estimated.
         start: a head that is about right, with these cameras; None: by Park and Martin's method.
         fixed: names of more parameters that keep their start, such as left.pan_gain.
-        joint_std: see bundle_adjust.
-        outlier: see bundle_adjust.
+        joint_std: noise of the readings, [rad] or, for poses, ([rad], [m]); None: estimated; 0:
+            the readings are exact.
 
     Raises:
         VergenceError: shapes do not fit, or the motion does not determine a start.
@@ -131,7 +129,6 @@ def adjust_target_poses(
             fixed={*kept, *fixed_by_default(start, timed=False), *fixed},
             pixel_std_px=factor,
             joint_std=joint_std,
-            outlier=outlier,
         )
 
     if covariance is None:

@@ -30,13 +30,15 @@ FLOOR_PX = 1e-3
 """No corner is found better than that; keeps exact data from dividing by zero."""
 LEAST_LEFT = 6
 """An image with fewer residuals left does not determine the noise of its corners."""
+SCORING_STEPS = 40
+"""At most; the scoring ends when no log variance changes by 1e-4."""
 FLOOR_JOINT = 0.05
 """Least joint noise, in units of how well one image determines the joint; below, results no longer
 change."""
 
 
 def estimate_noise(
-    linear: LinearProblem, noise: NoiseLevels, fixed: np.ndarray, *, iterations: int = 40
+    linear: LinearProblem, noise: NoiseLevels, fixed: np.ndarray
 ) -> tuple[NoiseLevels, Array, Array]:
     """Return the noise levels of greatest restricted likelihood.
 
@@ -55,7 +57,7 @@ def estimate_noise(
     floor = 2 * np.log([FLOOR_PX, *FLOOR_JOINT * image_levels(linear, noise)])
     s = np.where(fixed, s, np.maximum(s, floor))
     value, score, information, left = _evaluate(linear, noise, s)
-    for _ in range(iterations):
+    for _ in range(SCORING_STEPS):
         # A level at its floor is left out of the scoring step.
         stuck = fixed | ((s <= floor + 1e-9) & (score <= 0))
         fisher = information + 1e-9 * np.eye(len(s))

@@ -26,6 +26,7 @@ from vergence.stereo.uncertainty import combination, stated_reading_stds
 from vergence.vision.board_pose import LEAST_CORNERS, board_poses, seen_corners
 
 FOLDS = 5
+"""Parts of the views, each predicted from the others."""
 EACH_BELOW = 20
 """With fewer views each is left out by itself: a fifth of them would be missed too much."""
 
@@ -163,9 +164,9 @@ def _transferred(
     if not len(views.placement):
         return []
     points = corner_points(views.board)
-    T_right_left = T_rcam_lcam(head, views.eye_poses(head), cameras=pair)
+    between = T_rcam_lcam(head, views.eye_poses(head), cameras=pair)
     errors = []
-    for source, target, T in ((0, 1, T_right_left), (1, 0, inverse(T_right_left))):
+    for source, target, T in ((0, 1, between), (1, 0, inverse(between))):
         lenses = [head.cameras[pair[k]].intrinsics for k in (source, target)]
         T_target = T @ board_poses(lenses[0], views.corners[pair[source]], points)
         expected = project(lenses[1], transform(T_target[:, None], points))

@@ -1,4 +1,4 @@
-"""How much it speaks for and against boards being turned: rotations compared, costs in nats.
+"""The evidence that boards are numbered from the wrong end, from rotations, in nats.
 
 A cost is minus the logarithm of a likelihood: half the square of an angle, in units of the spread
 that good views have, up to a cap.

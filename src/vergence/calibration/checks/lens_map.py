@@ -19,6 +19,7 @@ from vergence.geometry.parameters import intrinsics_names
 from vergence.geometry.se3 import cross
 
 COLUMNS, ROWS = 12, 9
+"""Cells of the map: squares in an image of 4 : 3."""
 MIDDLE, EDGE = 0.5, 0.75
 """Distances from the image's middle, relative to that of its corners: inside the first is the
 middle, outside the second the edge."""

@@ -32,13 +32,13 @@ LEAST_MISFIT_RAD = np.radians(0.3)
 """Misfit, in the median, below which no other explanation is looked for."""
 BETTER = 1 / 3
 """Of that, at most, by what the poses really are."""
-OUTLIER = 6.0
-"""A view contradicts the others that differs by this many times the median, and by OUTLIER_RAD."""
-OUTLIER_RAD = np.radians(1.0)
+OUTLIER, OUTLIER_RAD = 6.0, np.radians(1.0)
+"""A view contradicts the others that differs by this many times the median, and by this angle."""
 OUTLIERS = 0.25
 """Part of the views that may do so; more say that the poses as a whole are in doubt."""
 UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254, "kilometres": 1e3}
 UNIT_WITHIN = 0.1
+"""Relative difference up to which a ratio of lengths is taken for one of these units."""
 LENGTH = (0.8, 1.25)
 """Lengths of the poses relative to those of the images; others are no error of a board's size."""
 LEAST_SHIFT_M = 0.01

@@ -15,9 +15,9 @@ from vergence.geometry.se3 import inverse, pose, rotvec
 AGREE_RAD = 0.1
 """Views agree that put the board within this of each other: far beyond any joint noise, far below
 what one wrong view does to the closed form."""
-DRAWS = 100
-SAMPLE = 4
-"""Views to a draw; with a third of the views wrong, one draw in five has good ones only."""
+DRAWS, SAMPLE = 100, 4
+"""Random draws, and the views of each; with a third of the views wrong, one draw in five has good
+ones only."""
 
 
 def motion_pairs(T_base_eye: Array, T_cam_target: Array) -> tuple[Array, Array]:

@@ -19,11 +19,13 @@ from vergence.geometry.projection import by_pose_of_points
 from vergence.geometry.se3 import boxplus
 
 ITERATIONS = 60
+"""At most, of Levenberg and Marquardt's method."""
 NEGLIGIBLE_GAIN = 1e-10
 """Predicted decrease of the sum of squares, relative to it, from which a fit has converged."""
 ROUGH = 1e-6
 """The same where a fit is compared with others."""
 FOLDS = 5
+"""Parts of the views, each predicted by a lens from the others."""
 EXACT_PX2 = 1e-20
 """Mean square of errors at which a fit is exact."""
 SMALLEST_EIGENVALUE = 1e-13

@@ -11,7 +11,7 @@ import numpy as np
 
 from vergence.errors import VergenceError
 from vergence.geometry.board import DICTIONARIES
-from vergence.twin.board import BLACK, WHITE
+from vergence.twin.scene.board import BLACK, WHITE
 
 MODULE_TEXELS = 64
 """Width of a marker's module in its picture: finer than the cameras resolve at any distance."""
