@@ -116,15 +116,7 @@ def calibrate(
         data = detect_target(data, progress=progress)
     progress("calibrating", 0, 3)
     seen = data.take(data.at_rest)
-    camera_eyes(seen)  # each camera's eye is known
-    for name, corners in seen.corners.items():
-        enough = int((seen_corners(corners).sum(axis=1) >= LEAST_CORNERS).sum())
-        if enough < LEAST_VIEWS:
-            raise VergenceError(
-                f"{name} shows the board in {enough} images at rest: fx, fy and T_eye_cam "
-                f"are not observable; record at least {LEAST_VIEWS}, better 10, at different "
-                "distances and slants."
-            )
+    _check_views(seen)
     lenses = _lenses(seen, method, lens)
     models: dict[str, LensModel] = {name: choice.model for name, choice in lenses.items()}
     intrinsics = calibrate_intrinsics(seen, lenses=models)
@@ -192,6 +184,19 @@ def calibrate(
         estimate,
         lenses,
     )
+
+
+def _check_views(seen: Observations) -> None:
+    """Raise a VergenceError for a camera of no known eye, or that shows the board too seldom."""
+    camera_eyes(seen)
+    for name, corners in seen.corners.items():
+        enough = int((seen_corners(corners).sum(axis=1) >= LEAST_CORNERS).sum())
+        if enough < LEAST_VIEWS:
+            raise VergenceError(
+                f"{name} shows the board in {enough} images at rest: fx, fy and T_eye_cam "
+                f"are not observable; record at least {LEAST_VIEWS}, better 10, at different "
+                "distances and slants."
+            )
 
 
 def _lenses(
