@@ -26,6 +26,7 @@ from vergence.calibration.checks.pose_readings import check_axis_order, check_po
 from vergence.calibration.detection import detect_target
 from vergence.calibration.observations import Observations, camera_eyes
 from vergence.calibration.sequential.intrinsics import (
+    LEAST_VIEWS,
     LensModel,
     calibrate_intrinsics,
     lenses_of_the_paper,
@@ -46,8 +47,6 @@ from vergence.progress import Progress, silent
 from vergence.vision.board_pose import LEAST_CORNERS, board_poses, seen_corners
 
 Method = Literal["bundle", "paper"]
-LEAST_VIEWS = 3
-"""Of a camera, for its intrinsics."""
 LARGEST_JACKKNIFE_RATIO = 2.0
 """Ratio of standard deviations from which the stated ones are called too small. The folds determine
 it to about a tenth."""
