@@ -24,7 +24,7 @@ import tyro
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.demos.depth import STEP_S, depth
-from vergence.demos.experiment import learned_around
+from vergence.demos.experiment import learned_from_room
 from vergence.geometry.head import HeadCalibration
 from vergence.self_calibration.sequence import see, seen_geometry
 from vergence.stereo.rectification import rectified_image, rectify
@@ -69,7 +69,7 @@ def main(
     times: list[float] = []
     with Twin(load_profile(profile), seed=seed, scene=scene) as twin:
         head = calibrate_twin(twin, seed).calibration
-        geometry = learned_around(twin, seen_geometry(head))
+        geometry = learned_from_room(twin, seen_geometry(head))
         twin.restart(1)
         for k in range(pairs):
             posture = straight_neck(eye_angles("divergent", np.array(STEP_S * k)))

@@ -1,6 +1,7 @@
 """The recordings: whole or not there, and with the numbers that were passed."""
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -15,6 +16,7 @@ from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import EYES
 from vergence.geometry.se3 import pose, transform
 from vergence.paper.figures import FIGURES
 from vergence.paper.recording import figure_recording, log_results
@@ -80,6 +82,7 @@ def log_all(rec: rr.RecordingStream, head: HeadCalibration) -> None:
     for index in range(0, SAMPLES, EVERY):
         log_frame(
             rec,
+            head,
             time_s=TIMES[index],
             index=index,
             frame=frame(head, index),
@@ -197,6 +200,20 @@ def test_images_are_small_and_still_the_images(recorded: Path, head: HeadCalibra
     decoded = np.array(cv2.imdecode(blob, cv2.IMREAD_COLOR_RGB), float)
     error = decoded - frame(head, EVERY).images["left_wide"]
     assert np.sqrt((error**2).mean()) < 4.5  # little more than the noise
+
+
+def test_images_of_cameras_with_other_names_are_in_their_eyes(tmp_path, head: HeadCalibration):
+    cameras = {f"wide_of_{mounted.eye}": mounted for mounted in head.cameras.values()}
+    renamed = replace(head, cameras=cameras)
+    path = tmp_path / "fig06.rrd"
+    with figure_recording(path, FIGURE, renamed, []) as rec:
+        seen = frame(renamed, 0)
+        log_frame(
+            rec, renamed, time_s=0.0, index=0, frame=seen, body_poses={}, detected={}, truth={}
+        )
+    for eye in EYES:
+        entity = f"/world/{eye}_eye/wide_of_{eye}/image"
+        assert len(components(path, entity, "EncodedImage:blob")) == 1
 
 
 def test_marks_lie_half_a_pixel_on_and_only_within_the_image(recorded: Path):

@@ -18,6 +18,7 @@ from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, main_pair
 from vergence.geometry.parameters import parameter_names
 from vergence.geometry.projection import project_point, stereo_cameras
+from vergence.stereo.calibration_covariance import covariance_factor
 from vergence.stereo.linearised import Linearised, by_head_parameters, linearised, pair_parameters
 from vergence.stereo.triangulation import pixel_noise
 from vergence.stereo.uncertainty import noise_of_readings
@@ -207,16 +208,9 @@ def _of_calibration(
     found = {}
     for group in (*dict.fromkeys(groups), CALIBRATION):
         own = np.flatnonzero([group in (each, CALIBRATION) for each in groups])
-        factor = _root(C[np.ix_(own, own)])
+        factor = covariance_factor(C[np.ix_(own, own)])
         found[group] = factor.T @ by_head[:, np.array(rows)[own]]
     return found
-
-
-def _root(C: Array) -> Array:
-    """Return F with F F^T = C, for units of any size."""
-    std = np.sqrt(np.diag(C))
-    values, vectors = np.linalg.eigh(C / std / std[:, None])
-    return std[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
 
 
 def group_of(parameter: str) -> str:

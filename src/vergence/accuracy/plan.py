@@ -21,8 +21,9 @@ from vergence.accuracy.plan_information import (
     without_place,
 )
 from vergence.accuracy.plan_views import Views, admissible_views, checked_pair
-from vergence.accuracy.plan_workspace import DISTANCES_M, Workspace, largest_std, workspace
+from vergence.accuracy.plan_workspace import Workspace, largest_std, workspace
 from vergence.arrays import Array
+from vergence.calibration.summary import DISTANCES_M
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board
 from vergence.geometry.head import HeadCalibration, reading_stds

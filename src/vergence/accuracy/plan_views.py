@@ -18,7 +18,7 @@ from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration, main_pair
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.lens import reach
-from vergence.geometry.projection import project_at
+from vergence.geometry.projection import T_lbase_cam, project_at
 from vergence.geometry.se3 import inverse, pose, rotation, transform
 
 MARGIN_PX = 10.0
@@ -136,7 +136,7 @@ def _boards(
     mounted = head.cameras[checked_pair(head)[0]]
     corners = corner_points(board)
     gaze = rng.uniform(-limits_rad, limits_rad, (count, len(limits_rad)))
-    T_lbase_cam = eye_poses(head, gaze)[:, 0] @ mounted.T_eye_cam
+    T_lbase_left = T_lbase_cam(mounted, head.T_rbase_lbase, eye_poses(head, gaze)[:, 0])
     lens = mounted.intrinsics
     size = np.ptp(corners, axis=0).max()
     fills = rng.uniform(*FILLS, count)
@@ -146,7 +146,7 @@ def _boards(
     aside *= np.array([lens.width, lens.height]) / lens.matrix[0, 0] * depth[:, None]
     R = rotation(rng.uniform(-LEAN_RAD, LEAN_RAD, (count, 3)))
     centre = np.concatenate([aside, depth[:, None]], axis=1)
-    return T_lbase_cam @ pose(R, centre - (R @ corners.mean(axis=0)))
+    return T_lbase_left @ pose(R, centre - (R @ corners.mean(axis=0)))
 
 
 def as_seen(head: HeadCalibration, board: Board, views: Views) -> Observations:
@@ -172,6 +172,6 @@ def T_cam_target(head: HeadCalibration, views: Views) -> dict[str, Array]:
     T, found = eye_poses(head, views.joints), {}
     for name, mounted in head.cameras.items():
         own = T[:, EYES.index(mounted.eye)]
-        between = head.T_rbase_lbase if mounted.eye == "right" else np.eye(4)
-        found[name] = inverse(own @ mounted.T_eye_cam) @ between @ views.T_lbase_target
+        T_lbase_own = T_lbase_cam(mounted, head.T_rbase_lbase, own)
+        found[name] = inverse(T_lbase_own) @ views.T_lbase_target
     return found

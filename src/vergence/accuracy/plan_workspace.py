@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.calibration.summary import DISTANCES_M
 from vergence.errors import VergenceError
 from vergence.geometry.fixation import readings_to
 from vergence.geometry.head import HeadCalibration
@@ -19,8 +20,6 @@ from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.linearised import by_head_parameters, linearised, pair_parameters
 
-DISTANCES_M = (0.3, 0.6, 1.0)
-"""Of the workspace's points, if none are stated: those of a calibration's summary."""
 ASIDE_RAD, ABOVE_RAD = 0.25, 0.2
 """To the side and upwards, from the middle of the head."""
 

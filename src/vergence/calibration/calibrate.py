@@ -26,6 +26,7 @@ from vergence.calibration.checks.pose_readings import check_axis_order, check_po
 from vergence.calibration.detection import detect_target
 from vergence.calibration.observations import Observations, camera_eyes
 from vergence.calibration.sequential.intrinsics import (
+    LEAST_VIEWS,
     LensModel,
     calibrate_intrinsics,
     lenses_of_the_paper,
@@ -46,8 +47,6 @@ from vergence.progress import Progress, silent
 from vergence.vision.board_pose import LEAST_CORNERS, board_poses, seen_corners
 
 Method = Literal["bundle", "paper"]
-LEAST_VIEWS = 3
-"""Of a camera, for its intrinsics."""
 LARGEST_JACKKNIFE_RATIO = 2.0
 """Ratio of standard deviations from which the stated ones are called too small. The folds determine
 it to about a tenth."""
@@ -116,15 +115,7 @@ def calibrate(
         data = detect_target(data, progress=progress)
     progress("calibrating", 0, 3)
     seen = data.take(data.at_rest)
-    camera_eyes(seen)  # each camera's eye is known
-    for name, corners in seen.corners.items():
-        enough = int((seen_corners(corners).sum(axis=1) >= LEAST_CORNERS).sum())
-        if enough < LEAST_VIEWS:
-            raise VergenceError(
-                f"{name} shows the board in {enough} images at rest: fx, fy and T_eye_cam "
-                f"are not observable; record at least {LEAST_VIEWS}, better 10, at different "
-                "distances and slants."
-            )
+    _check_views(seen)
     lenses = _lenses(seen, method, lens)
     models: dict[str, LensModel] = {name: choice.model for name, choice in lenses.items()}
     intrinsics = calibrate_intrinsics(seen, lenses=models)
@@ -192,6 +183,19 @@ def calibrate(
         estimate,
         lenses,
     )
+
+
+def _check_views(seen: Observations) -> None:
+    """Raise a VergenceError for a camera of no known eye, or that shows the board too seldom."""
+    camera_eyes(seen)
+    for name, corners in seen.corners.items():
+        enough = int((seen_corners(corners).sum(axis=1) >= LEAST_CORNERS).sum())
+        if enough < LEAST_VIEWS:
+            raise VergenceError(
+                f"{name} shows the board in {enough} images at rest: fx, fy and T_eye_cam "
+                f"are not observable; record at least {LEAST_VIEWS}, better 10, at different "
+                "distances and slants."
+            )
 
 
 def _lenses(

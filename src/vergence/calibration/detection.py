@@ -132,7 +132,7 @@ def _why_not(grey: np.ndarray) -> str:
 
 
 def _without_repeats(dataset: Dataset, seen: list[_Detection]) -> list[_Detection]:
-    """Return the observations, in which pictures that a camera gave twice are failures."""
+    """Return the detections; those in pictures that a camera gave before count as failures."""
     first: dict[bytes, _Detection] = {}
     kept = []
     for each in seen:

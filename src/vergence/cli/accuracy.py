@@ -100,7 +100,7 @@ def design(
         cluster: Address of a Dask scheduler, which then does the work: tcp://HOST:PORT.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # one process a core
-    from vergence.commands.design import chosen_settings, run, said
+    from vergence.commands.design import chosen_settings, run, sentences
 
     given = {
         "baseline_mm": baseline_mm,
@@ -124,7 +124,7 @@ def design(
             cluster=cluster,
             progress=progress,
         )
-    print("\n".join(said(found)))
+    print("\n".join(sentences(found)))
     print(f"Wrote report.md, design.json, sweep.npz and two pictures to {out}.")
 
 

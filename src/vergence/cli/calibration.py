@@ -85,7 +85,7 @@ def self_calibrate(
         json: JSON file of what was observed of each parameter.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices, as in calibrate
-    from vergence.commands.self_calibration import HEADING, as_plain, said, table
+    from vergence.commands.self_calibration import HEADING, as_plain, sentences, table
     from vergence.data.description import DESCRIPTION, FRAMES
     from vergence.data.reader import load_dataset
     from vergence.geometry.head import load_head, save_head
@@ -107,7 +107,7 @@ def self_calibrate(
         for row in rows:
             shown.add_row(*row)
         Console().print(shown)
-    print("\n".join(said(found)))
+    print("\n".join(sentences(found)))
     print(f"Wrote {out}.")
 
 

@@ -133,7 +133,7 @@ def summary(
 
 def as_markdown(found: dict[str, Any]) -> str:
     """Return the report."""
-    lines = ["# Design of a head", "", *said(found), ""]
+    lines = ["# Design of a head", "", *sentences(found), ""]
     heading = " | ".join(name.replace("_", " ") for name in (*AXES, "cost", "worst_mm"))
     designs = found["cheapest"] or [found["shown"]]
     rows = [[f"{each[name]:g}" for name in (*AXES, "cost")] for each in designs]
@@ -152,7 +152,7 @@ def as_markdown(found: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def said(found: dict[str, Any]) -> list[str]:
+def sentences(found: dict[str, Any]) -> list[str]:
     """Return the result in sentences."""
     wanted, count = found["wanted"], found["accurate_enough"]
     aim = f"{wanted['accuracy_mm']:g} mm at {wanted['at_m']:g} m"

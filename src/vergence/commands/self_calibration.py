@@ -41,7 +41,7 @@ def table(found: RecordedSelfCalibration) -> list[tuple[str, ...]]:
     return rows
 
 
-def said(found: RecordedSelfCalibration) -> list[str]:
+def sentences(found: RecordedSelfCalibration) -> list[str]:
     """Return sentences about the recording as a whole, its warnings last."""
     lines = [
         f"{found.frames} frames, of which {found.seen} showed how the cameras stand to each other "

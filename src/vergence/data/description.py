@@ -50,7 +50,7 @@ class DatasetCamera:
     height: _Pixels
     """Image height [px]."""
     intrinsics: Camera | None = None
-    """Initial values for the calibration of this camera; None: none are known."""
+    """What is known of the camera, for other programs: calibration does not use it."""
 
 
 @dataclass(frozen=True, eq=False, config=_STRICT)

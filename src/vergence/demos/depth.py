@@ -19,7 +19,7 @@ from vergence.arrays import Array
 from vergence.data.reader import load_dataset
 from vergence.data.stereo_rows import stereo_rows
 from vergence.demos.depth_errors import RANGE_M, Errors, Truth, depth_errors, summed
-from vergence.demos.experiment import learned_around
+from vergence.demos.experiment import learned_from_room
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, load_head, main_pair
 from vergence.geometry.kinematics import NECK_JOINTS
@@ -138,7 +138,7 @@ def _twin(
 def _of_twin(twin: Twin, pairs: int, looks: HeadCalibration | None) -> Iterator[StereoImages]:
     """Yield pairs; where a head is given, with the geometry that it sees."""
     left, right = main_pair(twin.truth) or ("", "")
-    geometry = None if looks is None else learned_around(twin, seen_geometry(looks))
+    geometry = None if looks is None else learned_from_room(twin, seen_geometry(looks))
     twin.restart(1)
     for k in range(pairs):
         posture = straight_neck(eye_angles("divergent", np.array(STEP_S * k)))

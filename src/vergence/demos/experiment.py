@@ -64,19 +64,19 @@ def calibrated_twin(experiment: Experiment) -> Iterator[tuple[Twin, GazeSettings
         yield twin, replace(settings, geometry=experiment.geometry)
 
 
-def learned_around(twin: Twin, geometry: SeenGeometry) -> SeenGeometry:
-    """Return what is known after the twin has looked around."""
+def learned_from_room(twin: Twin, geometry: SeenGeometry) -> SeenGeometry:
+    """Return the geometry after the twin has looked around its room."""
     for frame in look_around(twin, geometry.known.cameras, run=_LOOKING):
         geometry = see(geometry, frame)
     return geometry
 
 
-def looked_around(twin: Twin, settings: GazeSettings) -> SeenGeometry | None:
-    """Return what the gaze knows of the geometry before a demo; None: it goes by the joints."""
+def initial_geometry(twin: Twin, settings: GazeSettings) -> SeenGeometry | None:
+    """Return the geometry with which a demo begins; None: the gaze goes by the joints."""
     if settings.geometry == "joints":
         return None
     left, right = settings.wide
-    return learned_around(twin, seen_geometry(settings.calibration, cameras=(left, right)))
+    return learned_from_room(twin, seen_geometry(settings.calibration, cameras=(left, right)))
 
 
 def write_summary(out: Path | None, name: str, summary: DataclassInstance) -> None:

@@ -19,7 +19,7 @@ from vergence.demos.experiment import (
     Experiment,
     calibrated_twin,
     check_trials,
-    looked_around,
+    initial_geometry,
     p95,
     write_summary,
 )
@@ -197,7 +197,7 @@ def foveate(
                 watch(state, frame, {"object": f"{len(made) + 1}"}, None)
 
         for run, target in enumerate(targets(trials, seed, free=free), start=1):
-            known = made[-1].geometry if made else looked_around(twin, settings)
+            known = made[-1].geometry if made else initial_geometry(twin, settings)
             trial = run_trial(twin, settings, run, target, geometry=known, watch=record)
             made.append(trial)
             progress("foveate, trials", len(made), trials)

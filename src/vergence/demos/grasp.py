@@ -19,7 +19,7 @@ from vergence.demos.experiment import (
     Experiment,
     calibrated_twin,
     check_trials,
-    looked_around,
+    initial_geometry,
     p95,
     write_summary,
 )
@@ -200,7 +200,7 @@ def grasp(
 
         for run in range(1, trials + 1):
             arguments = twin, settings, run, hand_held(seed, run), arm_mounting_error(seed, run)
-            known = made[-1].geometry if made else looked_around(twin, gaze)
+            known = made[-1].geometry if made else initial_geometry(twin, gaze)
             made.append(run_trial(*arguments, geometry=known, watch=record))
             progress("grasp, trials", len(made), trials)
         found = summary(made)

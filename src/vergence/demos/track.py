@@ -13,7 +13,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.demos.experiment import Experiment, calibrated_twin, looked_around, write_summary
+from vergence.demos.experiment import Experiment, calibrated_twin, initial_geometry, write_summary
 from vergence.demos.recording import recorded
 from vergence.errors import VergenceError
 from vergence.gaze.controller import run_gaze
@@ -198,7 +198,7 @@ def track(experiment: Experiment, progress: Progress = silent, *, seconds: float
             progress("track, seconds", max(0, int(state.frame_s)), int(seconds))
             record(state, frame, {}, None)
 
-        known = looked_around(twin, settings)
+        known = initial_geometry(twin, settings)
         arguments = twin, settings, 1, path, seconds
         found = follow(*arguments, hidden_s=hidden_s, geometry=known, watch=both)
         report += as_markdown(found, hidden_s)

@@ -330,10 +330,16 @@ def stereo_poses(
     return T_lbase_leye @ left.T_eye_cam, T
 
 
+def T_lbase_cam(mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array) -> Array:
+    """Return poses (..., 4, 4) of a camera in the left eye's base, at those of its eye."""
+    T_base_cam = T_base_eye @ mounted.T_eye_cam
+    return T_base_cam if mounted.eye == "left" else inverse(T_rbase_lbase) @ T_base_cam
+
+
 def camera_pose(
     mounted: MountedCamera, T_rbase_lbase: Array, R: Rows, t: Vector
 ) -> tuple[Rows, Vector]:
-    """Return rotation and centre of a camera in the left eye's base frame, by components.
+    """Return T_lbase_cam by components: rotation and centre of a camera.
 
     The pose of its eye in its base is R, t.
     """

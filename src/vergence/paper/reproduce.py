@@ -189,7 +189,7 @@ def record_replay(
     with figure_recording(path, figure, calibration, geoms, beside=beside, known=known) as rec:
 
         def observe(*, frame: Frame | None, **sample: Any) -> None:
-            log_frame(rec, frame=frame, **sample)
+            log_frame(rec, calibration, frame=frame, **sample)
             if compared is not None:
                 log_learned(rec, calibration, compared.states[LEARNED])
                 if frame is not None:

@@ -75,9 +75,14 @@ def pair_factor(head: HeadCalibration, cameras: tuple[str, str] | None) -> Array
     rows = {name: k for k, name in enumerate(accuracy.parameters)}
     stated = np.array([name in rows for name in names])
     order = [rows[name] for name in names if name in rows]
-    C = accuracy.covariance[np.ix_(order, order)]
-    std = np.sqrt(np.diag(C))
-    values, vectors = np.linalg.eigh(C / std / std[:, None])
     factor = np.zeros((len(names), len(order)))
-    factor[stated] = std[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    factor[stated] = covariance_factor(accuracy.covariance[np.ix_(order, order)])
     return factor
+
+
+def covariance_factor(C: Array) -> Array:
+    """Return F (n, n) with F F^T = C (n, n), whatever the units of the n numbers."""
+    std = np.sqrt(np.diag(C))
+    unit = np.where(std > 0, std, 1.0)
+    values, vectors = np.linalg.eigh(C / unit / unit[:, None])
+    return std[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))

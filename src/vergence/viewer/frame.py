@@ -10,12 +10,15 @@ import rerun as rr
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
+from vergence.geometry.head import HeadCalibration
 from vergence.viewer import style
+from vergence.viewer.layout import camera_entities
 from vergence.viewer.shapes import placed
 
 
 def log_frame(
     rec: rr.RecordingStream,
+    head: HeadCalibration,
     *,
     time_s: float,
     index: int,
@@ -28,6 +31,7 @@ def log_frame(
 
     Args:
         rec: the recording.
+        head: whose cameras are drawn.
         time_s: since the first sample.
         index: number of the sample.
         frame: the images; None: only the posture is recorded.
@@ -40,8 +44,9 @@ def log_frame(
     for body, T in body_poses.items():
         if body != "world":
             rec.log(f"world/{body}", placed(T))
+    entities = camera_entities(head)
     for name, image in ({} if frame is None else frame.images).items():
-        entity = f"world/{name.split('_')[0]}_eye/{name}"
+        entity = entities[name]
         log_image(rec, entity, image)
         size = (image.shape[1], image.shape[0])
         crosses = [pixel + style.CROSS_PX for pixel in _within(detected.get(name), size)]

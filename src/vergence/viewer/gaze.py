@@ -173,6 +173,7 @@ def log_gaze_frame(
     """
     log_frame(
         rec,
+        settings.calibration,
         time_s=time_s,
         index=index,
         frame=frame if pictures else None,

@@ -21,12 +21,17 @@ from vergence.calibration.bundle import diagnostics
 from vergence.calibration.bundle.adjustment import adjust
 from vergence.calibration.bundle.initial_state import initial_state
 from vergence.calibration.bundle.measured_poses import PoseObservations
-from vergence.calibration.bundle.problem import corner_errors, detection_eyes, eye_poses
+from vergence.calibration.bundle.problem import (
+    BundleProblem,
+    corner_errors,
+    detection_eyes,
+    eye_poses,
+)
 from vergence.calibration.bundle.solver import OUTLIER
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.head import Accuracy, HeadCalibration, main_pair
-from vergence.geometry.kinematics import reading_kinds
+from vergence.geometry.kinematics import Kinematics, reading_kinds
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.parameters import POSE, parameter_names
 
@@ -131,12 +136,8 @@ def bundle_adjust(
         points=points,
         T_cam_target=T_cam_target,
     )
-    group = np.zeros(problem.reading.shape[1], dtype=int)
-    if problem.T_base_eye_read is not None:
-        group = np.array([0, 0, 0, 1, 1, 1])  # rotations, translations
-    elif joint_std is None and len(problem.reading) >= own_levels_from:
-        kinds = np.array(reading_kinds(start.kinematics))[problem.block_columns[0]]
-        group = np.unique(kinds, return_inverse=True)[1]
+    least_blocks = own_levels_from if joint_std is None else np.inf
+    group = _noise_groups(problem, start.kinematics, least_blocks)
     levels = None
     if joint_std is not None:
         levels = np.broadcast_to(np.maximum(joint_std, EXACT), (group.max() + 1,))
@@ -146,26 +147,14 @@ def bundle_adjust(
     T_base_eye = np.full((len(observations.placement), 2, 4, 4), np.nan)
     views = problem.block_view[problem.block]
     T_base_eye[views, detection_eyes(problem)] = eye_poses(problem, found.state)
-    if isinstance(observations, PoseObservations):
-        detections = observations.T_cam_target
-    else:
-        detections = observations.corners
-    seen = np.any([np.isfinite(d).any(axis=(1, 2)) for d in detections.values()], axis=0)
-    lost = np.setdiff1d(np.flatnonzero(seen), problem.block_view)
+    left_out = _left_out(problem, observations)
     errors = np.where(problem.seen[..., None], corner_errors(problem, found.state), np.nan)
-    residuals, left_out = {}, []
+    residuals = {}
     for c, name in enumerate(problem.cameras):
         mine = problem.camera == c
         if mine.any():
             residuals[name] = np.full((len(T_base_eye), *errors.shape[1:]), np.nan)
             residuals[name][views[mine]] = errors[mine]
-        else:
-            left_out.append(f"{name} sees no board, and keeps its start.")
-    if len(lost):
-        left_out.append(
-            f"Views {', '.join(map(str, lost))} were left out: no image of these boards shows "
-            "enough corners."
-        )
     return BundleEstimate(
         head=replace(found.state.head, neck=start.neck),
         parameters=problem.parameters,
@@ -184,6 +173,43 @@ def bundle_adjust(
         ),
         cost=found.cost,
     )
+
+
+def _noise_groups(
+    problem: BundleProblem, kinematics: Kinematics, least_blocks: float
+) -> np.ndarray:
+    """Return (n,) the group of each latent unknown, whose readings have noise of one level.
+
+    From some number of blocks on each kind of reading is a group, below it all are one. Of measured
+    poses rotations are one, and translations another.
+    """
+    if problem.T_base_eye_read is not None:
+        return np.array([0, 0, 0, 1, 1, 1])
+    if len(problem.reading) < least_blocks:
+        return np.zeros(problem.reading.shape[1], dtype=int)
+    kinds = np.array(reading_kinds(kinematics))[problem.block_columns[0]]
+    return np.unique(kinds, return_inverse=True)[1]
+
+
+def _left_out(problem: BundleProblem, observations: Observations | PoseObservations) -> list[str]:
+    """Return sentences on cameras without boards, and on views that are of no use."""
+    if isinstance(observations, PoseObservations):
+        detections = observations.T_cam_target
+    else:
+        detections = observations.corners
+    said = [
+        f"{name} sees no board, and keeps its start."
+        for c, name in enumerate(problem.cameras)
+        if c not in problem.camera
+    ]
+    seen = np.any([np.isfinite(d).any(axis=(1, 2)) for d in detections.values()], axis=0)
+    lost = np.setdiff1d(np.flatnonzero(seen), problem.block_view)
+    if len(lost):
+        said.append(
+            f"Views {', '.join(map(str, lost))} were left out: no image of these boards shows "
+            "enough corners."
+        )
+    return said
 
 
 def fixed_by_default(start: HeadCalibration, *, timed: bool) -> set[str]:

@@ -66,37 +66,21 @@ def initial_state(
     whose = eye[camera] if alone else np.zeros(len(camera), dtype=np.intp)
     pairs, block = np.unique(np.stack([view, whose], axis=1), axis=0, return_inverse=True)
     block_view, block_eye = pairs.T
-    T_base_eye_read, around = None, None
-    if measured is None:
-        block_columns = np.array(columns, dtype=np.intp)[block_eye]
-        reading = observations.eye_angles[block_view[:, None], block_columns]
-        finite = np.isfinite(reading).all(axis=1)
-    else:
-        T_base_eye_read = measured[block_view, block_eye]
-        finite = np.isfinite(T_base_eye_read).all(axis=(1, 2))
-        reading = np.zeros((len(pairs), len(POSE)))
-        block_columns = np.zeros(reading.shape, dtype=np.intp)
+    reading, block_columns, finite = _readings(observations, pairs, columns)
     if not finite.all():
         v, e = pairs[~finite][0]
         who, its = (f"The {EYES[e]} eye sees", "its") if alone else ("An eye sees", "a")
         raise VergenceError(
             f"{who} a board in view {v}, but {its} joint reading is not finite; leave the view out."
         )
+    around = None
     if observations.timing is not None:
         run = observations.timing.run[block_view]  # a motion of one eye, not of both
         time_s = observations.timing.time_s[block_view]
         around = stencil(time_s, np.where(run > 0, 2 * run - block_eye, 0))
-    # Not what is fixed by choice, nor what belongs to a camera or an eye without boards, nor what
-    # makes poses of angles where there are none.
     blind = [name for c, name in enumerate(cameras) if c not in camera]
     blind += [side for e, side in enumerate(EYES) if e not in eye[camera]]
-    parameters = parameter_names(start)
-    without = [*axes_names(start, "left"), *axes_names(start, "right")]
-    without = without if measured is not None else []
-    free = [
-        name not in fixed and name.partition(".")[0] not in blind and name not in without
-        for name in parameters
-    ]
+    free = _free(start, fixed, blind, angles=measured is None)
     found, whitening = detected.T_cam_target[camera, view], detected.whitening
     measured_poses = None
     if whitening is not None:
@@ -105,7 +89,7 @@ def initial_state(
     sized = measured_poses is None and _measures_lengths(measured)
     problem = BundleProblem(
         cameras=cameras,
-        parameters=parameters,
+        parameters=parameter_names(start),
         eye=eye,
         camera=camera,
         block=block.ravel(),
@@ -120,7 +104,7 @@ def initial_state(
         around=around,
         trajectory_coefficients=np.zeros((*reading.shape, TRAJECTORY_DEGREE)),
         trust_encoder=np.zeros(reading.shape[1], dtype=bool),
-        T_base_eye_read=T_base_eye_read,
+        T_base_eye_read=None if measured is None else measured[block_view, block_eye],
         systematic_px=observations.systematic_px,
         free=np.array(free + [True] * (len(POSE) * len(numbers)) + [sized]),
         assumed=np.array(
@@ -137,6 +121,39 @@ def initial_state(
         latent=reading,
     )
     return *_place_boards(problem, state, found), numbers
+
+
+def _readings(
+    observations: Observations | PoseObservations, pairs: np.ndarray, columns: list[list[int]]
+) -> tuple[Array, np.ndarray, np.ndarray]:
+    """Return readings (B, n) of blocks, which of the head's they are, and whether all are finite.
+
+    The pairs (B, 2) are the view and the eye of each block. Of measured poses the readings are
+    zeros, and the numbers are of no meaning.
+    """
+    view, eye = pairs.T
+    if observations.T_base_eye is not None:
+        finite = np.isfinite(observations.T_base_eye[view, eye]).all(axis=(1, 2))
+        zeros = np.zeros((len(pairs), len(POSE)))
+        return zeros, zeros.astype(np.intp), np.asarray(finite)
+    block_columns = np.array(columns, dtype=np.intp)[eye]
+    reading = observations.eye_angles[view[:, None], block_columns]
+    return reading, block_columns, np.asarray(np.isfinite(reading).all(axis=1))
+
+
+def _free(
+    start: HeadCalibration, fixed: Collection[str], blind: list[str], *, angles: bool
+) -> list[bool]:
+    """Return which parameters of a head may change.
+
+    Not what is fixed by choice, nor what belongs to a blind camera or eye, which saw no board, nor
+    the joints where poses were measured in place of their angles.
+    """
+    joints = () if angles else (*axes_names(start, "left"), *axes_names(start, "right"))
+    return [
+        name not in fixed and name.partition(".")[0] not in blind and name not in joints
+        for name in parameter_names(start)
+    ]
 
 
 class _Detected(NamedTuple):

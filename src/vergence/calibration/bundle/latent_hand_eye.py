@@ -24,6 +24,7 @@ from vergence.geometry.head import HeadCalibration, MountedCamera
 from vergence.geometry.kinematics import Joint, Kinematics, T_base_eye, pan_tilt
 from vergence.geometry.parameters import POSE, change_named, intrinsics_names, parameter_names
 from vergence.geometry.se3 import boxminus
+from vergence.stereo.calibration_covariance import covariance_factor
 from vergence.vision.board_pose import board_poses
 
 _NAME = "camera"
@@ -165,9 +166,7 @@ def _of_intrinsics(
             f"The covariance of the intrinsics {', '.join(names)} is {len(names)} x {len(names)}, "
             f"found {covariance.shape}."
         )
-    scale = np.sqrt(np.diag(covariance))
-    variances, axes = np.linalg.eigh(covariance / np.where(scale > 0, scale * scale[:, None], 1))
-    moves = (axes * np.sqrt(np.maximum(variances, 0))).T * scale
+    moves = covariance_factor(covariance).T
     found = np.zeros((len(POSE), len(POSE)))
     for move in moves[np.abs(moves).max(axis=1) > 0]:
         ends = [

@@ -17,6 +17,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.head import MountedCamera
+from vergence.geometry.projection import T_lbase_cam
 from vergence.geometry.se3 import boxminus, cross, hat, inverse
 
 PAIRS = 3
@@ -71,8 +72,7 @@ def expected_poses(
     mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array, T_lbase_target: Array
 ) -> Array:
     """Return T_cam_target (M, 4, 4) of one camera at eye poses and targets (M, 4, 4)."""
-    T_base_target = T_rbase_lbase @ T_lbase_target if mounted.eye == "right" else T_lbase_target
-    return inverse(T_base_eye @ mounted.T_eye_cam) @ T_base_target
+    return inverse(T_lbase_cam(mounted, T_rbase_lbase, T_base_eye)) @ T_lbase_target
 
 
 def pose_jacobians(

@@ -29,7 +29,7 @@ from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye
 from vergence.geometry.parameters import intrinsics_names
 from vergence.geometry.se3 import inverse, mean_pose
 
-LEAST_VIEWS = 3
+LEAST_POSES = 3
 """Of a target at rest, from which a camera's place in its eye follows."""
 _UNIT_RAD = 1e-3
 """Unit of rotation in which errors of poses are counted where no covariance is given."""
@@ -249,9 +249,9 @@ def _start(
         own = eye_poses[:, EYES.index(eye)]
         known = _measured(T) & _measured(own)
         numbers, counts = np.unique(placement[known], return_counts=True)
-        if not len(numbers) or counts.max() < LEAST_VIEWS:
+        if not len(numbers) or counts.max() < LEAST_POSES:
             raise VergenceError(
-                f"{name} needs at least {LEAST_VIEWS} poses of a target at rest, at different "
+                f"{name} needs at least {LEAST_POSES} poses of a target at rest, at different "
                 "readings."
             )
         rows = known & (placement == numbers[counts.argmax()])

@@ -31,7 +31,7 @@ from vergence.geometry.projection import stereo_cameras
 from vergence.geometry.se3 import angle, inverse, rotvec
 
 LEAST_VIEWS_AT_REST = 6
-"""Of a board at rest, to say something about readings."""
+"""Of a board at rest, to say something about readings or measured poses."""
 LEAST_TURN_RAD = 0.02
 """Root mean square, about the second axis; less is too near to the noise of readings, and says
 nothing of one of the joints. `excitation` and the bundle adjustment speak of such motion."""

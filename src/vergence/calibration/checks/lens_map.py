@@ -23,8 +23,8 @@ COLUMNS, ROWS = 12, 9
 MIDDLE, EDGE = 0.5, 0.75
 """Distances from the image's middle, relative to that of its corners: inside the first is the
 middle, outside the second the edge."""
-LEAST_VIEWS = 5
-"""With corners at the edge, and in the middle, from which the two are compared."""
+COMPARED_VIEWS = 5
+"""Fewest views with corners at the edge, and in the middle, for the two to be compared."""
 LARGER = 1.25
 """Ratio of residuals at the edge and in the middle that is called larger ..."""
 CERTAIN = 4.0
@@ -177,7 +177,7 @@ def edge_warnings(
         squares = (residuals**2).sum(axis=-1) / 2
         with np.errstate(invalid="ignore"):
             rings = [_by_view(squares, away < MIDDLE), _by_view(squares, away > EDGE)]
-        if any((count > 0).sum() < LEAST_VIEWS for _, count in rings):
+        if any((count > 0).sum() < COMPARED_VIEWS for _, count in rings):
             continue
         (inner, inner_error), (outer, outer_error) = (_mean_square(*ring) for ring in rings)
         error = np.hypot(outer_error, LARGER**2 * inner_error)

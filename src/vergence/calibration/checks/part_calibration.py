@@ -19,7 +19,8 @@ from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES
-from vergence.geometry.se3 import inverse, mean_pose
+from vergence.geometry.projection import T_lbase_cam
+from vergence.geometry.se3 import mean_pose
 
 BOARD_SIZE_REMARK = 0.001
 """Relative error of the board's size from which it is spoken of."""
@@ -96,13 +97,10 @@ def placed_boards(
 ) -> dict[int, Array]:
     """Return where the board of each placement stands, by the cameras that see it."""
     eye_poses, found = seen.eye_poses(head), {}
-    T_lbase_base = {"left": np.eye(4), "right": inverse(head.T_rbase_lbase)}
     for number in np.unique(seen.placement):
         rows = seen.placement == number
         views = [
-            T_lbase_base[m.eye]
-            @ eye_poses[rows, EYES.index(m.eye)]
-            @ m.T_eye_cam
+            T_lbase_cam(m, head.T_rbase_lbase, eye_poses[rows, EYES.index(m.eye)])
             @ T_cam_target[name][rows]
             for name, m in head.cameras.items()
             if name in T_cam_target

@@ -16,14 +16,13 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.checks import board_flips
+from vergence.calibration.checks.encoders import LEAST_VIEWS_AT_REST
 from vergence.calibration.observations import Observations, camera_eyes, most_seen_board
 from vergence.calibration.sequential.hand_eye import robust_park_martin
 from vergence.errors import VergenceError
 from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.se3 import angle, inverse, pose, rotation
 
-LEAST_VIEWS = 6
-"""Of a board at rest, to say something about poses."""
 LEAST_TURN_RAD = 0.03
 """Median turn between views, below which noise says as much as the poses."""
 MISFIT = 0.15
@@ -71,7 +70,7 @@ def check_pose_readings(seen: Observations, T_cam_target: Mapping[str, Array]) -
         T_eye, T_cam = seen.T_base_eye[rows, EYES.index(eye)], T_cam_target[name][rows]
         known = np.isfinite(T_eye).all(axis=(1, 2))
         rows, T_eye, T_cam = rows[known], T_eye[known], T_cam[known]
-        if len(rows) < LEAST_VIEWS:
+        if len(rows) < LEAST_VIEWS_AT_REST:
             continue
         T_cam = T_cam.copy()
         T_cam[:, :3, :3] = board_flips.nearest(T_cam[:, :3, :3], seen.board)
@@ -121,7 +120,7 @@ def check_axis_order(seen: Observations, T_cam_target: Mapping[str, Array]) -> N
         rows = most_seen_board(seen, T_cam_target[name])
         joints, chain = seen.kinematics.eyes[eye], seen.kinematics.chains[eye]
         angles = seen.eye_angles[rows] @ chain.mixing.T
-        if len(rows) < LEAST_VIEWS or not np.isfinite(angles).all():
+        if len(rows) < LEAST_VIEWS_AT_REST or not np.isfinite(angles).all():
             continue
         T_cam = T_cam_target[name][rows]
         T_cam[:, :3, :3] = board_flips.nearest(T_cam[:, :3, :3], seen.board)

@@ -31,6 +31,7 @@ from vergence.geometry.board import corner_points
 from vergence.vision.board_pose import determines_pose, seen_corners
 
 Lens = LensModel | Literal["auto"]
+"""What may be stated of a camera; auto: the model that predicts held-out images best."""
 CANDIDATES: tuple[LensModel, ...] = (
     "none",
     "radial-tangential",
@@ -38,8 +39,8 @@ CANDIDATES: tuple[LensModel, ...] = (
     "fisheye",
 )
 """The simplest first: between models that predict alike, the earlier one is taken."""
-LEAST_VIEWS = 10
-"""Of a camera, for a choice; with fewer the paper's model is taken."""
+CHOICE_VIEWS = 10
+"""Fewest views of a camera for a choice; with fewer the paper's model is taken."""
 MOST_VIEWS = 60
 """More views, spread over the recording, would not change the choice, and take time."""
 MARGIN: dict[LensModel, float] = {"fisheye": 2.0}
@@ -128,7 +129,7 @@ def best_lens(
     usable = np.flatnonzero(determines_pose(points, seen_corners(corners)))
     if len(usable) > MOST_VIEWS:
         usable = usable[np.arange(MOST_VIEWS) * len(usable) // MOST_VIEWS]
-    if len(usable) < LEAST_VIEWS:
+    if len(usable) < CHOICE_VIEWS:
         return LensChoice(otherwise)
     corners = corners[usable]
     fits = _fits(corners, points, size)
