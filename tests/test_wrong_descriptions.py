@@ -114,7 +114,7 @@ def stuck(readings: np.ndarray) -> None:
 
 
 PLAIN, TILT, VERGENCE = "pan, tilt", "shared tilt, pan", "version and vergence"
-ROLL, NECK = "pan, tilt, roll", "pair on a neck"
+ROLL, NECK, TWO_TILTS = "pan, tilt, roll", "pair on a neck", "neck tilt, tilt, pan"
 WRONG: list[tuple[str, Change, str]] = [
     (PLAIN, described(lambda joints: joints[::-1]), "fit pan before tilt"),
     (TILT, described(lambda joints: joints[::-1]), "fit tilt before pan"),
@@ -141,6 +141,8 @@ WRONG: list[tuple[str, Change, str]] = [
     (PLAIN, as_read(stuck), "left_tilt hardly change"),
     (PLAIN, turned_about(1, [1.0, 0, 0]), "axes"),
     (ROLL, without_roll, "a joint that is not described"),
+    (TWO_TILTS, exchange(0, 1), "other side of its neck_tilt axis .* readings are exchanged"),
+    (TWO_TILTS, sign(1), "tilt counts the other way"),
 ]
 
 

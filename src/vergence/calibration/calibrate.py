@@ -135,7 +135,7 @@ def calibrate(
     start = calibrate_sequentially(seen, intrinsics=intrinsics, T_cam_target=T_rest)
     progress("calibrating", 1, 3)
     if method == "paper":
-        estimate, choice = None, ()
+        estimate, choice, std = None, (), {}
         head, accuracy = start.head, Accuracy(method="paper")
         focal_std = {name: each.focal_std_px for name, each in intrinsics.items()}
     else:
@@ -159,7 +159,7 @@ def calibrate(
         at_the_edge = edge_warnings(head, observations.corners, estimate.residuals_px)
     checked, doubts, contradictions = _cross_validated(observations, of_part)
     progress("calibrating", 3, 3)
-    void = (*accuracy.void, *contradictions, *encoders.doubts(head))
+    void = (*accuracy.void, *contradictions, *encoders.doubts(head, std))
     warnings = (
         *posed.warnings,
         *board_flips.warnings(renumbered),

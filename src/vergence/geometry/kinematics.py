@@ -167,7 +167,8 @@ def _check_joints(whose: str, joints: tuple[Joint, ...], readings: tuple[str, ..
                 f"of the readings {', '.join(readings)}"
             )
     for before, joint in pairwise(joints):
-        if _parallel(before, joint) and np.linalg.norm(_between(before, joint)) < LEAST_APART_M:
+        apart = parallel_distance_m(before, joint)
+        if apart is not None and apart < LEAST_APART_M:
             raise ValueError(
                 f"joints {before.name} and {joint.name} of the {whose} have the same axis; give "
                 "one joint with the readings of both, or by `point_m` where each axis is"
@@ -177,6 +178,11 @@ def _check_joints(whose: str, joints: tuple[Joint, ...], readings: tuple[str, ..
 def _parallel(before: Joint, joint: Joint) -> bool:
     """Return whether two successive axes are parallel."""
     return bool(np.linalg.norm(se3.cross(before.axis, joint.axis)) < PARALLEL)
+
+
+def parallel_distance_m(before: Joint, joint: Joint) -> float | None:
+    """Return how far a joint's axis is designed to be from the one before; None: not parallel."""
+    return float(np.linalg.norm(_between(before, joint))) if _parallel(before, joint) else None
 
 
 def _between(before: Joint, joint: Joint) -> Array:
