@@ -9,10 +9,9 @@ import cv2
 import numpy as np
 import tyro
 
-from vergence.calibration.sequential.sequential import calibrate_sequentially
 from vergence.geometry.head import save_head
 from vergence.geometry.se3 import angle, inverse
-from vergence.twin.calibration_sequence import capture_views, carry_out, plan
+from vergence.twin.calibration_sequence import carry_out, paper_calibration, plan
 from vergence.twin.head import Twin
 from vergence.twin.profile import Lens, load_profile
 
@@ -23,11 +22,10 @@ SHOWN = 6  # views of the fixed board in the picture, as many as in the paper's 
 def main(out: Path = OUT, profile: str = "ideal", lens: Lens = "2.8mm", seed: int = 0) -> None:
     out.mkdir(parents=True, exist_ok=True)
     with Twin(load_profile(profile), seed=seed, lens=lens) as twin:
-        shots = plan(twin.nominal, seed)
-        found = calibrate_sequentially(capture_views(twin, shots), neck=twin.nominal.neck)
+        found = paper_calibration(twin, seed)
         columns = [
             np.vstack(list(twin.capture(shot.cameras).images.values()))
-            for shot in carry_out(twin, shots[-SHOWN:])  # the last ones have the board at rest
+            for shot in carry_out(twin, plan(twin.nominal, seed)[-SHOWN:])  # of the board at rest
         ]
     save_head(found.head, out / "calibration.json")
     cv2.imwrite(

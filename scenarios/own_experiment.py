@@ -6,8 +6,7 @@ python scenarios/own_experiment.py
 import numpy as np
 
 import vergence as vg
-from vergence.calibration.sequential.sequential import calibrate_sequentially
-from vergence.twin.calibration_sequence import capture_views, plan
+from vergence.twin.calibration_sequence import paper_calibration
 from vergence.twin.head import Twin
 from vergence.twin.profile import load_profile
 from vergence.vision.sphere import find_sphere
@@ -18,7 +17,7 @@ VERGENCE_RAD = np.linspace(-0.05, 0.20, 12)  # by which each eye turns inwards
 
 def main() -> None:
     with Twin(load_profile("ideal"), seed=0) as twin:
-        head = calibrate_sequentially(capture_views(twin, plan(twin.nominal, seed=0))).head
+        head = paper_calibration(twin, seed=0).head
         twin.place_object(OBJECT_M)
         for turn in VERGENCE_RAD:
             twin.settle(np.array([0, 0, 0, -turn, 0, turn, 0]))  # neck, left eye, right eye

@@ -26,12 +26,16 @@ def replaced(kind: Kind, change: Callable[[Path], object]) -> Iterator[None]:
 
 
 def sentence(kind: Kind, content: bytes | Callable[[Path], object]) -> str:
-    """Return the one sentence with which other content is refused, in less than 5 s."""
+    """Return the one sentence with which other content is refused, in 5 s of processor time.
+
+    And in a minute by the clock, which a reader that waits for a pipe would exceed.
+    """
     change = content if callable(content) else lambda path: path.write_bytes(content)
-    began = time.perf_counter()
+    began = time.perf_counter(), time.process_time()
     with replaced(kind, change), pytest.raises(VergenceError) as refused:
         kind.read()
-    assert time.perf_counter() - began < 5
+    assert time.process_time() - began[1] < 5
+    assert time.perf_counter() - began[0] < 60
     said = str(refused.value)
     assert "\n" not in said
     assert len(said) < 1500
