@@ -151,7 +151,10 @@ def _locate_target(settings: ReachSettings, state: ReachState, frame: Frame) -> 
 def _object(
     settings: ReachSettings, state: ReachState, frame: Frame, camera: str
 ) -> Detection | None:
-    """Return the object in an image, searched for if the gaze has not done so; None: not found."""
+    """Return the object in an image; None: not found.
+
+    Where the gaze has not searched for it, it is searched for around the marker, which is near it.
+    """
     if camera in state.gaze.detections or not isinstance(state.gaze.target, str):
         return state.gaze.detections.get(camera)
     intrinsics = settings.gaze.calibration.camera(camera).intrinsics
