@@ -81,23 +81,20 @@ def match_windows(
         return Matched(np.empty((0, 2)), np.empty((0, 2, 2)), np.zeros(0, bool))
     x, y = _offsets(WINDOW_PX // 2 + 1)  # one more, for the slopes
     first, last, along = (each.astype(np.float32) for each in (at, found, direction))
-    larger = enlargement.astype(np.float32)[:, None]
+    larger = enlargement.astype(np.float32)[:, None, None]
     left, right = left.astype(np.float32), right.astype(np.float32)
     template = _sampled(left, first[:, :1] + x, first[:, 1:] + y)
     # Changes of less than a pixel are taken on by the map's own slopes.
     u, v = (_sampled(each, last[:, :1] + x, last[:, 1:] + y) for each in right_map)
-    by_view = [_middle_slopes(each) for each in (u, v)]
+    by_view = np.stack([_middle_slopes(each) for each in (u, v)], axis=1)
+    offsets = np.stack([np.ones_like(x), x, y])
     state = np.zeros((len(at), 4), np.float32)  # a shift (2), and its change per pixel in x and y
 
     def difference(state: np.ndarray) -> np.ndarray:
         """Return the difference of the right windows to the left (N, n)."""
-        change = state[:, 2:3] * x + state[:, 3:] * y
-        du, dv = (
-            state[:, k : k + 1] + along[:, k : k + 1] * change + larger * offset
-            for k, offset in ((0, x), (1, y))
-        )
-        where = (at + a * du + b * dv for at, (a, b) in zip((u, v), by_view, strict=True))
-        return _sampled(right, *where) - template
+        by_offset = along[:, :, None] * state[:, None, 2:] + larger * np.eye(2, dtype=np.float32)
+        moved = by_view @ np.concatenate([state[:, :2, None], by_offset], axis=2) @ offsets
+        return _sampled(right, u + moved[:, 0], v + moved[:, 1]) - template
 
     apart = difference(state)
     by_state = _slopes(template + apart / 2, along)
@@ -125,13 +122,12 @@ def _offsets(half: int) -> tuple[np.ndarray, np.ndarray]:
     return x.ravel(), y.ravel()
 
 
-def _middle_slopes(windows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return derivatives (N, 1) of values (N, n) in windows by x and y, in their middles."""
-    grid, half = _square(windows), WINDOW_PX // 2
-    low, high = half - 3, half + 5
-    across = (grid[:, half + 1, high] - grid[:, half + 1, low]) / 8
-    down = (grid[:, high, half + 1] - grid[:, low, half + 1]) / 8
-    return across[:, None], down[:, None]
+def _middle_slopes(windows: np.ndarray) -> np.ndarray:
+    """Return derivatives (N, 2) of values (N, n) in windows by x and y, in their middles."""
+    grid, middle = _square(windows), WINDOW_PX // 2 + 1
+    across = grid[:, middle, middle + 4] - grid[:, middle, middle - 4]
+    down = grid[:, middle + 4, middle] - grid[:, middle - 4, middle]
+    return np.stack([across, down], axis=1) / 8
 
 
 def _sampled(image: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
