@@ -72,6 +72,7 @@ def match_scene(
         u, v = where
         greys.append(grey)
         views.append(cv2.remap(grey, u, v, cv2.INTER_LINEAR))
+        u, v = u[::2, ::2], v[::2, ::2]
         inside.append((u > 0) & (v > 0) & (u < camera.width - 1) & (v < camera.height - 1))
         maps.append(where)
     at = _best_of_cells(views[0], inside[0] & inside[1])
@@ -136,13 +137,14 @@ def _on_map(where: tuple[np.ndarray, np.ndarray], pixels: Array) -> tuple[Array,
 def _best_of_cells(view: np.ndarray, inside: np.ndarray) -> Array:
     """Return pixels (N, 2), one of each cell: where a window determines both directions best.
 
-    By the smaller eigenvalue of its structure tensor (Shi and Tomasi).
+    By the smaller eigenvalue of its structure tensor (Shi and Tomasi). Of every second pixel,
+    `inside` says whether both eyes see it.
     """
     half = cv2.pyrDown(view)  # near enough, and much faster
     smaller = cv2.cornerMinEigenVal(half, WINDOW_PX // 2, ksize=3)
     margin = np.ones((WINDOW_PX // 2 + 2, WINDOW_PX // 2 + 2), np.uint8)
     whole = cv2.erode(
-        inside[::2, ::2].astype(np.uint8), margin, borderType=cv2.BORDER_CONSTANT, borderValue=0
+        inside.astype(np.uint8), margin, borderType=cv2.BORDER_CONSTANT, borderValue=0
     )
     smaller[whole == 0] = 0
     side = round(float(np.sqrt(cv2.countNonZero(whole) / _FEATURES)))
