@@ -22,38 +22,43 @@ def texture(u: Array, v: Array) -> Array:
     return grey
 
 
-def displaced(places: Array, slopes: Array) -> Array:
+def displaced(places: Array, slopes: Array, larger: float = 0.0) -> Array:
     """Return where places (..., 2) of the left view are in the right one."""
-    change = (places - np.array(SIZE[::-1]) / 2) @ slopes
-    return places + SHIFT + change[..., None] * ALONG
+    offset = places - np.array(SIZE[::-1]) / 2
+    return places + SHIFT + (offset @ slopes)[..., None] * ALONG + larger * offset
 
 
-def views(slopes: Array, noise: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def views(
+    slopes: Array, noise: float, rng: np.random.Generator, larger: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
     """Return a left and a right view of a surface; the displacement is linear."""
     pixels = np.stack(np.meshgrid(*(np.arange(float(n)) for n in SIZE[::-1])), -1)
     middle = np.array(SIZE[::-1]) / 2
-    back = np.linalg.inv(np.eye(2) + np.outer(ALONG, slopes))
+    back = np.linalg.inv((1 + larger) * np.eye(2) + np.outer(ALONG, slopes))
     in_left = (pixels - SHIFT - middle) @ back.T + middle
     drawn = (texture(p[..., 0], p[..., 1]) for p in (pixels, in_left))
     left, right = (np.round(each + rng.normal(0, noise, SIZE)) for each in drawn)
     return left, right
 
 
-def match(left: np.ndarray, right: np.ndarray, found: Array) -> Matched:
+def match(left: np.ndarray, right: np.ndarray, found: Array, larger: float = 0.0) -> Matched:
     v, u = (each.astype(np.float32) for each in np.indices(SIZE))
     direction = np.tile(ALONG, (len(AT), 1))
-    same = np.zeros(len(AT))
+    enlargement = np.full(len(AT), larger)
     return match_windows(
-        left, right, (u, v), at=AT, found=found, direction=direction, enlargement=same
+        left, right, (u, v), at=AT, found=found, direction=direction, enlargement=enlargement
     )
 
 
-@pytest.mark.parametrize("slopes", [(0.0, 0.0), (0.1, 0.0), (0.0, 0.1), (-0.08, 0.06)])
-def test_windows_on_an_inclined_surface_are_found(slopes):
-    rng = np.random.default_rng(0)
-    left, right = views(np.array(slopes), 0.0, rng)
-    truth = displaced(AT, np.array(slopes))
-    matched = match(left, right, truth + rng.uniform(-0.3, 0.3, truth.shape))
+@pytest.mark.parametrize(
+    ("slopes", "larger"),
+    [((0.0, 0.0), 0.0), ((0.1, 0.0), 0.0), ((0.0, 0.1), 0.0), ((-0.08, 0.06), 0.03)],
+)
+def test_windows_on_an_inclined_surface_are_found(slopes, larger):
+    rng, slopes = np.random.default_rng(0), np.array(slopes)
+    left, right = views(slopes, 0.0, rng, larger)
+    truth = displaced(AT, slopes, larger)
+    matched = match(left, right, truth + rng.uniform(-0.3, 0.3, truth.shape), larger)
     assert matched.good.mean() > 0.9
     errors = (matched.pixels - truth)[matched.good]
     # Interpolation between pixels leaves this much, at random.
