@@ -126,7 +126,7 @@ def test_a_covariance_counts_errors_that_neighbouring_matches_share():
         stds.append(np.sqrt([1, -1] @ own @ [1, -1]))
         squares.append((error / stds[-1]) ** 2)
         assert found.evidence is not None
-        assert found.evidence.alike > 1.5
+        assert found.evidence.design_effect > 1.5
     low, high = chi2.interval(0.999, len(squares))
     assert low < sum(squares) < high
 
@@ -145,8 +145,8 @@ def test_what_is_seen_again_teaches_little_but_what_is_new_does():
             readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
             found = from_matches(state, same if kind == "same" else new, readings)
             state = learn(state, found, 1 / 30)
-        assert state.recurring is not None
-        stds[kind] = np.sqrt(state.covariance[focal, focal]), state.recurring.variance
+        assert state.long_run is not None
+        stds[kind] = np.sqrt(state.covariance[focal, focal]), state.long_run.ratio
     assert stds["new"][1] < 4
     assert stds["same"][1] > 3 * stds["new"][1]
     assert stds["same"][0] > 1.1 * stds["new"][0]

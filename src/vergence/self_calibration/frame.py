@@ -22,8 +22,9 @@ from vergence.geometry.projection import T_rcam_lcam
 from vergence.self_calibration.epipolar import epipolar_residuals
 from vergence.self_calibration.match_noise import (
     CUT,
-    Recurring,
-    likeness,
+    EXPECTED_DESIGN_EFFECT,
+    LongRunVariance,
+    design_effect,
     noise_variance,
     robust_weights,
 )
@@ -70,10 +71,10 @@ class SelfCalibration:
     """Noise of a reading."""
     match_scale: float
     """Noise of the matches, relative to what their contrast tells."""
-    alike: float = 2.0
-    """Variance of means of neighbouring matches, relative to that of independent ones."""
-    recurring: Recurring | None = None
-    """What the errors of matches have in common with those of the frames before."""
+    design_effect: float = EXPECTED_DESIGN_EFFECT
+    """Variance inflation by errors that neighbouring matches share."""
+    long_run: LongRunVariance | None = None
+    """Variance inflation by errors that successive frames share; None: no frame was learned."""
     joint_weight: float = 5.0
     """Readings from which their noise is known."""
     frames: int = 0
@@ -96,10 +97,10 @@ class Evidence:
     """How many matches fit."""
     match_scale: float
     """Noise of the matches, relative to what their contrast tells."""
-    alike: float
-    """Variance of means of neighbouring matches, relative to that of independent ones."""
+    design_effect: float
+    """Variance inflation by errors that neighbouring matches share."""
     blocks: Array
-    """(B,) sums of residuals in blocks of the left image, of `match_noise.likeness`."""
+    """(B,) sums of residuals in blocks of the left image, of `match_noise.design_effect`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,13 +225,14 @@ def _fit(
     y = y + A @ first  # of the linear model about the state's head
     z = _robust(y, A, C, first)
     weights, scale2 = robust_weights(y - A @ z), noise_variance(y - A @ z)
-    alike, blocks = likeness((y - A @ z) / np.sqrt(scale2), matches.left, state.alike)
-    weighted = A * (weights / (scale2 * alike))[:, None]
+    normal = (y - A @ z) / np.sqrt(scale2)
+    inflation, blocks = design_effect(normal, matches.left, state.design_effect)
+    weighted = A * (weights / (scale2 * inflation))[:, None]
     information, vector = weighted.T @ A, weighted.T @ y
     z = np.asarray(np.linalg.solve(information + np.linalg.inv(C), vector), float)
     scale = float(np.sqrt(scale2)) * state.match_scale
     inliers = float((weights > 0.3).sum())
-    return z, weights, Evidence(information, vector, inliers, scale, alike, blocks)
+    return z, weights, Evidence(information, vector, inliers, scale, inflation, blocks)
 
 
 def _prior(state: SelfCalibration, readings: int) -> Array:

@@ -22,7 +22,7 @@ from vergence.self_calibration.frame import (
     SelfCalibrated,
     SelfCalibration,
 )
-from vergence.self_calibration.match_noise import recurring
+from vergence.self_calibration.match_noise import long_run_variance
 from vergence.self_calibration.prior import BUMP, DRIFT, tolerance_covariance
 
 _WINDOW = 3
@@ -48,13 +48,13 @@ def learn(state: SelfCalibration, seen: SelfCalibrated, elapsed_s: float) -> Sel
     state = replace(state, bumped=False)
     if seen.evidence is None:
         return replace(state, covariance=state.covariance + drift, past=())
-    errors = recurring(state.recurring, seen.evidence.blocks, elapsed_s)
-    evidence = _weakened(seen.evidence, errors.variance)
+    errors = long_run_variance(state.long_run, seen.evidence.blocks, elapsed_s)
+    evidence = _weakened(seen.evidence, errors.ratio)
     C = _posterior(state, evidence)
     change = C @ evidence.vector
     past = (*state.past, Past(state.head, state.covariance, change[:P], evidence))
     past = past[-_WINDOW:]
-    state = replace(state, recurring=errors)
+    state = replace(state, long_run=errors)
     bumped = _after_bump(state, past)
     if bumped is not None:
         return bumped
@@ -67,7 +67,7 @@ def learn(state: SelfCalibration, seen: SelfCalibrated, elapsed_s: float) -> Sel
         head=change_named(state.head, state.names, change[:P]),
         covariance=(C[:P, :P] + C[:P, :P].T) / 2 + drift,
         match_scale=state.match_scale + _PACE * (evidence.match_scale - state.match_scale),
-        alike=state.alike + _PACE * (evidence.alike - state.alike),
+        design_effect=state.design_effect + _PACE * (evidence.design_effect - state.design_effect),
         joint_std_rad=float(np.sqrt(variance)),
         joint_weight=weight,
         frames=state.frames + 1,
@@ -75,10 +75,10 @@ def learn(state: SelfCalibration, seen: SelfCalibrated, elapsed_s: float) -> Sel
     )
 
 
-def _weakened(evidence: Evidence, variance: float) -> Evidence:
+def _weakened(evidence: Evidence, ratio: float) -> Evidence:
     """Return what a frame says beyond the frames before, whose errors it shares."""
     return replace(
-        evidence, information=evidence.information / variance, vector=evidence.vector / variance
+        evidence, information=evidence.information / ratio, vector=evidence.vector / ratio
     )
 
 

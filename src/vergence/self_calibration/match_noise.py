@@ -1,8 +1,10 @@
-"""How the matches of a pair of images err: how much, how alike nearby, how alike frame by frame.
+"""How the matches of a pair of images err: how much, and how correlated in space and in time.
 
 The contrast of a window tells how well it can be matched, but not edges that are drawn or occluded
 alike in several windows. So errors are taken as independent from one block of the image to the
-next only, and from one second to the next only. Both are measured from the residuals.
+next only, and from one second to the next only. How much the correlation within inflates variances
+is measured from the residuals: the design effect of clusters, and the long-run variance of a
+sequence.
 """
 
 from __future__ import annotations
@@ -21,26 +23,32 @@ _BLOCK_PX = 64
 """Errors of matches farther apart than this are taken as independent."""
 _BLOCKS = 64
 """Blocks along each axis of the largest image; those of smaller ones stay empty."""
+EXPECTED_DESIGN_EFFECT = 2.0
+"""Before anything is seen; more than the 1.1 to 1.8 of a furnished room, for scenes with fewer and
+longer edges."""
 _PRIOR_BLOCKS = 10.0
-"""How many blocks the expected likeness counts for, beside the frame's own."""
-_LEAST_LIKENESS = 0.5
+"""How many blocks the expected design effect counts for: a third of the 20 to 40 that a pair fills,
+of which the sum of squares alone is uncertain by a quarter."""
+_LEAST_DESIGN_EFFECT = 0.5
+"""Below one by chance only: errors of neighbours do not cancel."""
 _UNKNOWNS = 5
 """Degrees of freedom of a pair, which the residuals lack."""
 _FADING_S = 1.0
 """Errors of frames this far apart share little: the eyes have turned by more than a window."""
 _PACE = 0.05
-"""Share of a frame in the running mean of how errors recur."""
-_EXPECTED_RECURRENCE = 2.0
+"""Share of a frame in the running mean of the long-run variance."""
+_EXPECTED_RATIO = 2.0
+"""Of the long-run variance at the first frame: as in a room at ten pairs a second (1.6 to 2.2)."""
 
 
 @dataclass(frozen=True, eq=False)
-class Recurring:
-    """How the errors of matches recur from frame to frame."""
+class LongRunVariance:
+    """How the correlation of errors from frame to frame inflates the variance of their mean."""
 
     blocks: Array
     """(B,) sums of residuals in blocks, summed over past frames, which fade."""
-    variance: float = _EXPECTED_RECURRENCE
-    """Of errors that are averaged over frames, relative to that of independent ones."""
+    ratio: float = _EXPECTED_RATIO
+    """Of the variance of a mean over frames to that of independent errors."""
 
 
 def robust_weights(y: Array) -> Array:
@@ -57,8 +65,8 @@ def noise_variance(y: Array) -> float:
     return (own + _PRIOR_MATCHES) / (degrees + _PRIOR_MATCHES)
 
 
-def likeness(y: Array, pixels: Array, expected: float) -> tuple[float, Array]:
-    """Return how far errors of neighbouring matches are alike, and sums (B,) over blocks.
+def design_effect(y: Array, pixels: Array, expected: float) -> tuple[float, Array]:
+    """Return the variance inflation by errors that neighbours share, and sums (B,) over blocks.
 
     The variance of a mean of matches, relative to what independent errors of unit variance would
     give: that of an M-estimate with errors that are independent from block to block (the sandwich
@@ -67,7 +75,7 @@ def likeness(y: Array, pixels: Array, expected: float) -> tuple[float, Array]:
     Args:
         y: (N,) residuals [standard deviations].
         pixels: (N, 2) where they are, in one of the images.
-        expected: the likeness that is expected; it counts for ten blocks.
+        expected: the design effect that is expected; it counts for ten blocks.
     """
     column, row = np.clip(pixels // _BLOCK_PX, 0, _BLOCKS - 1).astype(int).T
     block = row * _BLOCKS + column
@@ -80,23 +88,25 @@ def likeness(y: Array, pixels: Array, expected: float) -> tuple[float, Array]:
         return expected, sums
     own = float(sums @ sums) * total / slope**2 * used / (used - _UNKNOWNS)
     mean = (used * own + _PRIOR_BLOCKS * expected) / (used + _PRIOR_BLOCKS)
-    return max(mean, _LEAST_LIKENESS), sums
+    return max(mean, _LEAST_DESIGN_EFFECT), sums
 
 
-def recurring(before: Recurring | None, blocks: Array, elapsed_s: float) -> Recurring:
+def long_run_variance(
+    before: LongRunVariance | None, blocks: Array, elapsed_s: float
+) -> LongRunVariance:
     """Return how far the errors of matches are those of the frames before.
 
     The variance of a mean over frames is that of one, plus twice the covariances with all before
-    it (long-run variance), here with weights that fade.
+    it, here with weights that fade.
 
     Args:
         before: until the last frame; None: there was none.
-        blocks: (B,) of `likeness`, of the frame.
+        blocks: (B,) of `design_effect`, of the frame.
         elapsed_s: since the last frame.
     """
     if before is None:
-        return Recurring(blocks)
+        return LongRunVariance(blocks)
     faded = before.blocks * np.exp(-elapsed_s / _FADING_S)
     own = 1 + 2 * float(blocks @ faded) / max(float(blocks @ blocks), 1e-9)
-    variance = before.variance + _PACE * (own - before.variance)
-    return Recurring(faded + blocks, max(variance, 1.0))
+    ratio = before.ratio + _PACE * (own - before.ratio)
+    return LongRunVariance(faded + blocks, max(ratio, 1.0))

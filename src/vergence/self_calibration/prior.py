@@ -21,23 +21,23 @@ from vergence.geometry.projection import T_rcam_lcam, stereo_cameras
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Standard deviations of each kind of parameter; lengths in m, angles in rad."""
+    """Standard deviations of each kind of parameter; lengths in m, angles in rad. 0: exact."""
 
-    focal: float
+    focal: float = 0.0
     """Relative; of both focal lengths of a camera together."""
-    aspect: float
+    aspect: float = 0.0
     """Relative; of one focal length to the other."""
-    centre_px: float
-    distortion: float
-    turn_rad: float
+    centre_px: float = 0.0
+    distortion: float = 0.0
+    turn_rad: float = 0.0
     """Of a mounting, about each axis."""
-    shift_m: float
-    stereo_turn_rad: float
+    shift_m: float = 0.0
+    stereo_turn_rad: float = 0.0
     """Of the cameras to each other at straight gaze, or of the bases."""
-    stereo_shift_m: float
-    gain: float
-    axes_rad: float
-    axes_m: float
+    stereo_shift_m: float = 0.0
+    gain: float = 0.0
+    axes_rad: float = 0.0
+    axes_m: float = 0.0
 
 
 USUAL = Tolerance(
@@ -56,44 +56,27 @@ USUAL = Tolerance(
 """Of a calibration that does not state its covariance."""
 MOVED = Tolerance(
     focal=0.002,
-    aspect=0.0,
     centre_px=0.3,
-    distortion=0.0,
     turn_rad=np.radians(0.1),
     shift_m=1e-4,
     stereo_turn_rad=np.radians(0.03),
     stereo_shift_m=5e-5,
     gain=0.002,
-    axes_rad=0.0,
-    axes_m=0.0,
 )
 """Since the calibration: transport, temperature, screws."""
 DRIFT = Tolerance(
     focal=1e-4,
-    aspect=0.0,
     centre_px=0.01,
-    distortion=0.0,
     turn_rad=np.radians(0.03),
     shift_m=1e-5,
     stereo_turn_rad=np.radians(0.003),
     stereo_shift_m=5e-6,
     gain=1e-4,
-    axes_rad=0.0,
-    axes_m=0.0,
 )
 """A random walk, in one minute of running."""
 BUMP = Tolerance(
-    focal=0.0,
-    aspect=0.0,
-    centre_px=0.0,
-    distortion=0.0,
     turn_rad=np.radians(1.5),
     shift_m=1e-3,
-    stereo_turn_rad=0.0,
-    stereo_shift_m=0.0,
-    gain=0.0,
-    axes_rad=0.0,
-    axes_m=0.0,
 )
 """Of a camera that something has hit."""
 JOINT_STD_RAD = np.radians(0.2)

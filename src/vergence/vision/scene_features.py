@@ -3,8 +3,8 @@
 The predicted geometry brings both images into one orientation, in which a point of the scene
 differs by little more than its disparity. In each cell of the part that both eyes see, the place
 that a window determines best is tracked from the left to the right image and back (Lucas and
-Kanade), and returned as pixels of the images as they are. The search covers predictions that are
-wrong by a few degrees.
+Kanade), then matched by least squares, and returned as pixels of the images as they are. The search
+covers predictions that are wrong by a few degrees.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.geometry.camera import Camera, project
 from vergence.geometry.se3 import rotation, rotvec
+from vergence.vision.least_squares_matching import WINDOW_PX, match_windows
 
 _MAP_STEP_PX = 8
 _FEATURES = 450
@@ -27,13 +28,6 @@ _LEVELS = 3
 _EXPECTED_DEPTH_M = 1.5
 """Where tracking starts to search; its pyramid reaches about 50 px from there."""
 _ROUND_TRIP_PX = 0.3
-_FLOOR_PX = 0.04
-"""Standard deviation that interpolation and perspective leave of a match without any noise."""
-_LEAST_GREY = 0.5
-"""Mean difference of two windows [grey levels], of rounding alone."""
-_SOBEL_GAIN = 12 / 64
-"""Variance of a slope by Sobel's operator, per variance of white noise."""
-_LEAST_STRUCTURE = 1e-3
 _LARGEST_STD_PX = 0.7
 """Of a match that is worth its time."""
 
@@ -68,7 +62,7 @@ def match_scene(
     focal = (left_camera.matrix[0, 0] + right_camera.matrix[0, 0]) / 2
     size = left_camera.width, left_camera.height
     middle = (np.array(size) - 1) / 2
-    views, maps, inside = [], [], []
+    greys, views, maps, inside = [], [], [], []
     for image, camera, R_cam_common in (
         (left, left_camera, R_rcam_common.T),
         (right, right_camera, R_rcam_common),
@@ -76,72 +70,85 @@ def match_scene(
         where = _map(camera, R_cam_common, focal, middle, size)
         grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         u, v = where
+        greys.append(grey)
         views.append(cv2.remap(grey, u, v, cv2.INTER_LINEAR))
+        u, v = u[::2, ::2], v[::2, ::2]
         inside.append((u > 0) & (v > 0) & (u < camera.width - 1) & (v < camera.height - 1))
         maps.append(where)
-    tensor = _structure(views[0])
-    at = _best_of_cells(tensor, inside[0] & inside[1])
+    at = _best_of_cells(views[0], inside[0] & inside[1])
     shift = R_rcam_common.T @ T_rcam_lcam[:3, 3]  # of a point, from the left view to the right
-    start = at + (focal * shift[:2] - (at - middle) * shift[2]) / _EXPECTED_DEPTH_M
-    found, grey, good = _track(views[0], views[1], at, start)
-    at, found = at[good], found[good]
-    xx, xy, yy = tensor[:, at[:, 1].astype(int), at[:, 0].astype(int)]
-    noise = _noise(np.stack([xx, xy, xy, yy], axis=-1).reshape(-1, 2, 2), grey[good])
+    by_depth = focal * shift[:2] - (at - middle) * shift[2]
+    found, sure = _track(views[0], views[1], at, at + by_depth / _EXPECTED_DEPTH_M)
+    at, found, by_depth = at[sure], found[sure], by_depth[sure]
+    # Displaced by by_depth / (depth + shift[2]), of which the last is due to the change of scale.
+    square = np.maximum((by_depth**2).sum(axis=1), 1e-12)
+    matched = match_windows(
+        views[0],
+        greys[1],
+        maps[1],
+        at=at,
+        found=found,
+        direction=by_depth / np.sqrt(square)[:, None],
+        enlargement=-shift[2] * ((found - at) * by_depth).sum(axis=1) / square,
+    )
     # In the right image itself, whose scale is another.
-    right_px, by_view = _on_map(maps[1], found)
-    covariance = by_view @ noise @ np.swapaxes(by_view, 1, 2)
-    clear = np.linalg.eigvalsh(covariance)[:, 1] < _LARGEST_STD_PX**2
-    return Matches(_on_map(maps[0], at)[0][clear], right_px[clear], covariance[clear])
+    right_px, by_view = _on_map(maps[1], matched.pixels)
+    covariance = by_view @ matched.covariance @ np.swapaxes(by_view, 1, 2)
+    good = matched.good & (np.linalg.eigvalsh(covariance)[:, 1] < _LARGEST_STD_PX**2)
+    return Matches(_on_map(maps[0], at)[0][good], right_px[good], covariance[good])
 
 
 def _map(
     camera: Camera, R_cam_common: Array, focal: float, middle: Array, size: tuple[int, int]
-) -> np.ndarray:
-    """Return (2, H, W) where in a camera's image the pixels of the common image lie.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return u and v (H, W) where in a camera's image the pixels of the common image lie.
 
     Lines between every eighth pixel. Matches are taken back by the same lines, so that these need
     not be exact.
     """
-    grid = [np.arange(0, n + _MAP_STEP_PX, _MAP_STEP_PX, dtype=float) for n in size]
+    # The middles of squares, where enlarging leaves them; one row of squares around the image.
+    squares = [np.arange(-1, -(-n // _MAP_STEP_PX) + 1) for n in size]
+    grid = [(each + 0.5) * _MAP_STEP_PX - 0.5 for each in squares]
     rays = np.ones((len(grid[1]), len(grid[0]), 3))
     rays[..., :2] = (np.stack(np.meshgrid(*grid), axis=-1) - middle) / focal
     coarse = np.nan_to_num(project(camera, rays @ R_cam_common.T), nan=-1e4).astype(np.float32)
-    scale = np.array([[1 / _MAP_STEP_PX, 0, 0], [0, 1 / _MAP_STEP_PX, 0]])
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    planes = np.ascontiguousarray(np.moveaxis(coarse, -1, 0))
-    return np.array([cv2.warpAffine(plane, scale, size, flags=flags) for plane in planes])
+    columns, rows = (slice(_MAP_STEP_PX, _MAP_STEP_PX + n) for n in size)
+    u, v = (
+        cv2.resize(np.ascontiguousarray(coarse[..., k]), None, fx=_MAP_STEP_PX, fy=_MAP_STEP_PX)
+        for k in (0, 1)
+    )
+    return u[rows, columns], v[rows, columns]
 
 
-def _on_map(where: np.ndarray, pixels: Array) -> tuple[Array, Array]:
+def _on_map(where: tuple[np.ndarray, np.ndarray], pixels: Array) -> tuple[Array, Array]:
     """Return where pixels (N, 2) of the common image lie (N, 2), and derivatives (N, 2, 2)."""
-    limits = np.array(where.shape[:0:-1]) - 2
+    limits = np.array(where[0].shape[::-1]) - 2
     corner = np.clip(np.floor(pixels), 0, limits).astype(int)
     u, v = (pixels - corner).T[..., None]
     column, row = corner.T
-    a, b, c, d = (where[:, row + i, column + j].T.astype(float) for i, j in np.ndindex(2, 2))
+    a, b, c, d = (
+        np.stack([plane[row + i, column + j] for plane in where], axis=-1).astype(float)
+        for i, j in np.ndindex(2, 2)
+    )
     by_u, by_v = (1 - v) * (b - a) + v * (d - c), (1 - u) * (c - a) + u * (d - b)
     return a + u * (b - a) + v * by_v, np.stack([by_u, by_v], axis=-1)
 
 
-def _structure(view: np.ndarray) -> np.ndarray:
-    """Return (3, H, W) the sums over a window of products of slopes: xx, xy, yy."""
-    x, y = (each.astype(np.float32) / 8 for each in cv2.spatialGradient(view))  # Sobel counts 8
-    window = (_WINDOW_PX, _WINDOW_PX)
-    products = x * x, x * y, y * y
-    return np.array([cv2.boxFilter(p, -1, window, normalize=False) for p in products])
+def _best_of_cells(view: np.ndarray, inside: np.ndarray) -> Array:
+    """Return pixels (N, 2), one of each cell: where a window determines both directions best.
 
-
-def _best_of_cells(tensor: np.ndarray, inside: np.ndarray) -> Array:
-    """Return pixels (N, 2), one of each cell: where the smaller eigenvalue is largest."""
-    xx, xy, yy = tensor
-    smaller = (xx + yy) / 2 - cv2.magnitude((xx - yy) / 2, xy)
-    margin = np.ones((_WINDOW_PX, _WINDOW_PX), np.uint8)
+    By the smaller eigenvalue of its structure tensor (Shi and Tomasi). Of every second pixel,
+    `inside` says whether both eyes see it.
+    """
+    half = cv2.pyrDown(view)  # near enough, and much faster
+    smaller = cv2.cornerMinEigenVal(half, WINDOW_PX // 2, ksize=3)
+    margin = np.ones((WINDOW_PX // 2 + 2, WINDOW_PX // 2 + 2), np.uint8)
     whole = cv2.erode(
         inside.astype(np.uint8), margin, borderType=cv2.BORDER_CONSTANT, borderValue=0
     )
     smaller[whole == 0] = 0
     side = round(float(np.sqrt(cv2.countNonZero(whole) / _FEATURES)))
-    side = min(max(side, _SMALLEST_CELL_PX), _LARGEST_CELL_PX)
+    side = min(max(side, _SMALLEST_CELL_PX // 2), _LARGEST_CELL_PX // 2)
     rows, columns = (n // side for n in smaller.shape)
     cells = smaller[: rows * side, : columns * side]
     cells = cells.reshape(rows, side, columns, side).swapaxes(1, 2)
@@ -149,43 +156,30 @@ def _best_of_cells(tensor: np.ndarray, inside: np.ndarray) -> Array:
     best = cells.argmax(axis=-1)
     row, column = np.nonzero(cells.max(axis=-1) > 0)
     down, across = np.divmod(best[row, column], side)
-    return np.stack([column * side + across, row * side + down], axis=-1).astype(float)
+    return 2.0 * np.stack([column * side + across, row * side + down], axis=-1)
 
 
 def _track(
     view: np.ndarray, other: np.ndarray, at: Array, start: Array
-) -> tuple[Array, Array, np.ndarray]:
-    """Return where pixels (N, 2) are found in another view, mean differences, and which are sure.
+) -> tuple[Array, np.ndarray]:
+    """Return where pixels (N, 2) are found in another view, and which are sure.
 
     Sure are those that are found again where they came from.
     """
     if not len(at):
-        return at, np.zeros(0), np.zeros(0, bool)
+        return at, np.zeros(0, bool)
     options = {
         "winSize": (_WINDOW_PX, _WINDOW_PX),
         "maxLevel": _LEVELS,
         "flags": cv2.OPTFLOW_USE_INITIAL_FLOW,
-        "criteria": (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01),
+        # Near enough for least squares.
+        "criteria": (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03),
     }
     points = at.astype(np.float32)
-    found, good, grey = cv2.calcOpticalFlowPyrLK(
+    found, good, _ = cv2.calcOpticalFlowPyrLK(
         view, other, points, start.astype(np.float32), **options
     )
     back, again, _ = cv2.calcOpticalFlowPyrLK(other, view, found, points.copy(), **options)
     near = np.linalg.norm(back - points, axis=1) < _ROUND_TRIP_PX
     sure = (good[:, 0] == 1) & (again[:, 0] == 1) & near
-    return found.astype(float), np.where(sure, grey[:, 0], 0.0).astype(float), sure
-
-
-def _noise(tensor: Array, grey: Array) -> Array:
-    """Return covariances (N, 2, 2) [px^2] by structure (N, 2, 2) and mean difference (N,).
-
-    The slopes of noise, which determine nothing, are taken off the structure.
-    """
-    std = np.maximum(grey, _LEAST_GREY) / 0.8  # the mean of |x| is 0.8 standard deviations
-    variance = std[:, None, None] ** 2
-    of_noise = _WINDOW_PX**2 * _SOBEL_GAIN * variance / 2  # half: it is in both windows
-    values, directions = np.linalg.eigh(tensor - of_noise * np.eye(2))
-    inverse = 1 / np.maximum(values, _LEAST_STRUCTURE)
-    covariance = (directions * inverse[:, None]) @ np.swapaxes(directions, 1, 2)
-    return variance * covariance + _FLOOR_PX**2 * np.eye(2)
+    return found.astype(float), sure

@@ -1,0 +1,190 @@
+"""Least-squares matching of windows in two images, to a few hundredths of a pixel, with covariance.
+
+What a window shows is seldom at one depth: on an inclined surface the displacement changes across
+the window, and a tracker that only shifts it takes part of that change for a shift across the
+epipolar line. So the displacement is a linear function of the place in the window, along the
+direction in which depth displaces (Gruen, "Adaptive least squares correlation", 1985). Slopes are
+those of the mean of both images: neither is preferred, and the noise of the slopes does not share
+that of the difference.
+
+Pixels that differ by something other than noise, as behind the edge of a nearer thing, differ in
+groups. The covariance is therefore the mean of two: that of independent pixels times the usual
+variance inflation, and the window's own by the sums over its nine parts (the sandwich formula for
+clusters), which alone would be too uncertain.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from vergence.arrays import Array
+
+WINDOW_PX = 15
+"""Large, since noise falls with the size, and the linear change allows for most of the relief."""
+_PARTS = 3
+"""Clusters of pixels along each side of a window."""
+_INFLATION = 4.0
+"""Variance inflation of a window's displacement by correlated differences (design effect): the
+images' errors are smooth over about two pixels, by interpolation and by blur."""
+_STEPS = 2
+"""From the tracker's places; more change nothing."""
+_LARGEST_STEP_PX = 1.0
+_LARGEST_CHANGE_PX = 1.5
+"""From where tracking ended: beyond, something else was found."""
+_SLOPE_STD = 0.1
+"""Change of the displacement per pixel: of a surface inclined by 45 degrees, ten baselines away."""
+_LEAST_GREY = 0.5
+"""Standard deviation of the difference of two pixels [grey levels], of rounding alone."""
+_FLOOR_PX = 0.01
+"""Standard deviation that interpolation and perspective leave of a match without any noise."""
+_SLOPE_NOISE = 1 / 8
+"""Variance of a slope of the mean image, per variance of the difference of two pixels."""
+
+
+@dataclass(frozen=True, eq=False)
+class Matched:
+    """Where N windows of the left view were found."""
+
+    pixels: Array
+    """(N, 2) in the right view; of no meaning where not `good`."""
+    covariance: Array
+    """(N, 2, 2) [px^2] of them."""
+    good: np.ndarray
+    """(N,) bool: lie in the image, converged, and show more than noise."""
+
+
+def match_windows(
+    left: np.ndarray,
+    right: np.ndarray,
+    right_map: tuple[np.ndarray, np.ndarray],
+    *,
+    at: Array,
+    found: Array,
+    direction: Array,
+    enlargement: Array,
+) -> Matched:
+    """Return where windows of the left view are in the right one.
+
+    Args:
+        left: (H, W) the left view, grey.
+        right: (H, W) the right image as it was taken, grey: interpolated once only.
+        right_map: u and v (H, W) float32 in it, where the pixels of the right view lie.
+        at: (N, 2) middles of the windows in the left view [px].
+        found: (N, 2) about where they are in the right view, to half a pixel.
+        direction: (N, 2) unit vectors along which depth displaces in the view.
+        enlargement: (N,) by what share the windows are larger in the right view, for being nearer.
+    """
+    if not len(at):
+        return Matched(np.empty((0, 2)), np.empty((0, 2, 2)), np.zeros(0, bool))
+    x, y = _offsets(WINDOW_PX // 2 + 1)  # one more, for the slopes
+    first, last, along = (each.astype(np.float32) for each in (at, found, direction))
+    larger = enlargement.astype(np.float32)[:, None, None]
+    left, right = left.astype(np.float32), right.astype(np.float32)
+    template = _sampled(left, first[:, :1] + x, first[:, 1:] + y)
+    # Changes of less than a pixel are taken on by the map's own slopes.
+    u, v = (_sampled(each, last[:, :1] + x, last[:, 1:] + y) for each in right_map)
+    by_view = np.stack([_middle_slopes(each) for each in (u, v)], axis=1)
+    offsets = np.stack([np.ones_like(x), x, y])
+    state = np.zeros((len(at), 4), np.float32)  # a shift (2), and its change per pixel in x and y
+
+    def difference(state: np.ndarray) -> np.ndarray:
+        """Return the difference of the right windows to the left (N, n)."""
+        by_offset = along[:, :, None] * state[:, None, 2:] + larger * np.eye(2, dtype=np.float32)
+        moved = by_view @ np.concatenate([state[:, :2, None], by_offset], axis=2) @ offsets
+        return _sampled(right, u + moved[:, 0], v + moved[:, 1]) - template
+
+    apart = difference(state)
+    by_state = _slopes(template + apart / 2, along)
+    H = by_state @ np.swapaxes(by_state, 1, 2)
+    prior = np.diag(np.array([0, 0, 1, 1], np.float32)) / _SLOPE_STD**2
+    apart = _inner(apart)
+    for _ in range(_STEPS):
+        variance = _variance(apart)
+        pull = (by_state @ apart[..., None])[..., 0] + variance * (state @ prior)
+        whole = H + variance[..., None] * prior + 1e-3 * np.eye(4, dtype=np.float32)
+        step = np.linalg.solve(whole, pull[..., None])[..., 0]
+        state = state - np.clip(step, -_LARGEST_STEP_PX, _LARGEST_STEP_PX)
+        apart = _inner(difference(state))
+    covariance, clear = _covariance(by_state, H, apart, _variance(apart), prior)
+    inside = (u.min(1) >= 0) & (v.min(1) >= 0)
+    inside &= (u.max(1) <= right.shape[1] - 1) & (v.max(1) <= right.shape[0] - 1)
+    good = inside & clear & (np.linalg.norm(state[:, :2], axis=1) < _LARGEST_CHANGE_PX)
+    return Matched((last + state[:, :2]).astype(float), covariance, good)
+
+
+def _offsets(half: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return x and y (n,) of the pixels of a square window from its middle, float32."""
+    reach = np.arange(-half, half + 1, dtype=np.float32)
+    x, y = np.meshgrid(reach, reach)
+    return x.ravel(), y.ravel()
+
+
+def _middle_slopes(windows: np.ndarray) -> np.ndarray:
+    """Return derivatives (N, 2) of values (N, n) in windows by x and y, in their middles."""
+    grid, middle = _square(windows), WINDOW_PX // 2 + 1
+    across = grid[:, middle, middle + 4] - grid[:, middle, middle - 4]
+    down = grid[:, middle + 4, middle] - grid[:, middle - 4, middle]
+    return np.stack([across, down], axis=1) / 8
+
+
+def _sampled(image: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Return the values (N, n) of an image at u and v (N, n), between its pixels."""
+    return cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
+def _square(windows: np.ndarray) -> np.ndarray:
+    side = WINDOW_PX + 2
+    return windows.reshape(-1, side, side)
+
+
+def _inner(windows: np.ndarray) -> np.ndarray:
+    """Return windows (N, n) without their outermost pixels, less their means."""
+    inner = _square(windows)[:, 1:-1, 1:-1].reshape(len(windows), -1)
+    return inner - inner.mean(axis=1, keepdims=True)
+
+
+def _variance(apart: np.ndarray) -> np.ndarray:
+    """Return the variance (N, 1) of the differences of the pixels of windows (N, n)."""
+    return np.maximum((apart**2).sum(axis=1, keepdims=True) / (WINDOW_PX**2 - 5), _LEAST_GREY**2)
+
+
+def _slopes(windows: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Return derivatives (N, 4, n) of windows (N, n) by their displacement and its change.
+
+    Less their means, since the windows' brightness is free.
+    """
+    grey = _square(windows)
+    across = ((grey[:, 1:-1, 2:] - grey[:, 1:-1, :-2]) / 2).reshape(len(windows), -1)
+    down = ((grey[:, 2:, 1:-1] - grey[:, :-2, 1:-1]) / 2).reshape(len(windows), -1)
+    x, y = _offsets(WINDOW_PX // 2)
+    by_depth = along[:, :1] * across + along[:, 1:] * down
+    slopes = np.stack([across, down, by_depth * x, by_depth * y], axis=1)
+    return slopes - slopes.mean(axis=2, keepdims=True)
+
+
+def _covariance(
+    by_state: np.ndarray,
+    H: np.ndarray,
+    apart: np.ndarray,
+    variance: np.ndarray,
+    prior: np.ndarray,
+) -> tuple[Array, np.ndarray]:
+    """Return covariances (N, 2, 2) [px^2] of the displacements, and which are determined."""
+    far = float((np.arange(-(WINDOW_PX // 2), WINDOW_PX // 2 + 1) ** 2).mean())
+    of_noise = WINDOW_PX**2 * _SLOPE_NOISE * np.diag([1, 1, far, far])
+    # The slopes of noise determine nothing.
+    information = H + variance[..., None] * (prior - of_noise)
+    clear = np.linalg.eigvalsh(information)[:, 0] > 0
+    information[~clear] = np.eye(4)
+    inverse = np.linalg.inv(information)[:, :2]
+    independent = inverse[:, :, :2] * variance[..., None]
+    part = WINDOW_PX // _PARTS
+    pulls = (by_state * apart[:, None]).reshape(-1, 4, _PARTS, part, _PARTS, part).sum(axis=(3, 5))
+    moved = inverse @ pulls.reshape(-1, 4, _PARTS**2)
+    # Nine sums, of which the estimate and the mean have taken five.
+    of_parts = moved @ np.swapaxes(moved, 1, 2) * (_PARTS**2 / (_PARTS**2 - 5))
+    covariance = (_INFLATION * independent + of_parts) / 2
+    return covariance.astype(float) + _FLOOR_PX**2 * np.eye(2), clear
