@@ -14,8 +14,9 @@ from scipy.stats import chi2
 from vergence.arrays import Array
 from vergence.geometry.camera import Camera, pinhole
 from vergence.geometry.head import R_EYE_CAM, HeadCalibration, MountedCamera, T_base_cam
-from vergence.geometry.kinematics import EYES, Joint, Kinematics, Neck, Side, pan_tilt
+from vergence.geometry.kinematics import EYES, Joint, Kinematics, Side, pan_tilt
 from vergence.geometry.lens import COEFFICIENTS
+from vergence.geometry.neck import Neck
 from vergence.geometry.parameters import POSE, boxplus, parameter_values
 from vergence.geometry.se3 import inverse, pose, rotation, transform
 

@@ -11,7 +11,8 @@ from vergence.gaze.commands import EYE_READINGS, NECK, HeadCommand, JointLimits,
 from vergence.gaze.foveation import gaze_angles
 from vergence.geometry.camera import pinhole, project
 from vergence.geometry.head import HeadCalibration, MountedCamera, T_base_cam, T_body_base
-from vergence.geometry.kinematics import EYES, Neck
+from vergence.geometry.kinematics import EYES
+from vergence.geometry.neck import Neck
 from vergence.geometry.se3 import inverse, pose, rotation, transform
 
 PERIOD_S = 1 / 30

@@ -12,7 +12,8 @@ from vergence.data.description import DatasetCamera, DatasetJoint, Description
 from vergence.data.reader import load_dataset
 from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError
-from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS
+from vergence.geometry.kinematics import EYE_JOINTS
+from vergence.geometry.neck import NECK_JOINTS
 
 
 def entries(count: int, rng: np.random.Generator) -> list[DatasetRow]:

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from simulated_recording import POINTS, Noise, Recording, record
 from test_other_heads import recorded as recorded_of
 from vergence.calibration.calibrate import calibrate
+from vergence.calibration.checks.axes_and_eyes import doubts
 from vergence.calibration.checks.board_flips import turn_boards
-from vergence.calibration.checks.encoders import check_encoders, doubts
+from vergence.calibration.checks.encoders import check_encoders
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration

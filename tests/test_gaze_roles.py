@@ -22,7 +22,8 @@ from vergence.gaze.state import (
 )  # fmt: skip
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYES, Neck
+from vergence.geometry.kinematics import EYES
+from vergence.geometry.neck import Neck
 from vergence.reach.state import ReachSettings
 from vergence.vision.detector import Detection
 from vergence.vision.sphere import sphere_detector

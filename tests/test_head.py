@@ -19,7 +19,7 @@ from vergence.geometry.head import (
     load_head,
     save_head,
 )
-from vergence.geometry.kinematics import Neck
+from vergence.geometry.neck import Neck
 from vergence.geometry.parameters import parameter_names
 from vergence.geometry.se3 import inverse, transform
 from vergence.writing import write_whole

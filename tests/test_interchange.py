@@ -16,8 +16,9 @@ from simulated_head import random_pose, skewed_head
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, project
 from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base, T_head_base
-from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS, Kinematics, Neck, T_body_head
+from vergence.geometry.kinematics import EYE_JOINTS, Kinematics
 from vergence.geometry.lens import CameraModel
+from vergence.geometry.neck import NECK_JOINTS, Neck, T_body_head
 from vergence.geometry.se3 import inverse, pose, rotation, rotvec
 from vergence.interchange import kalibr, opencv, ros, urdf
 from vergence.interchange.formats import export_head, import_head

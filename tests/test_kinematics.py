@@ -13,9 +13,7 @@ from vergence.geometry.kinematics import (
     Chain,
     Joint,
     Kinematics,
-    Neck,
     T_base_eye,
-    T_body_head,
     chain_pose,
     change_joints,
     eye_turn,
@@ -24,6 +22,7 @@ from vergence.geometry.kinematics import (
     reading_kinds,
     readings_to_turn,
 )
+from vergence.geometry.neck import Neck, T_body_head
 from vergence.geometry.se3 import boxminus, hat, pose, rotation, transform
 
 FORWARD, LEFT, UP = np.eye(3)

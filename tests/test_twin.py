@@ -13,7 +13,8 @@ from other_heads import KINDS
 from simulated_head import pan_tilt_pose
 from vergence.data.dataset import Frame
 from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base
-from vergence.geometry.kinematics import NECK_JOINTS, Kinematics
+from vergence.geometry.kinematics import Kinematics
+from vergence.geometry.neck import NECK_JOINTS
 from vergence.geometry.se3 import pose
 from vergence.twin.head import Twin
 from vergence.twin.model import (

@@ -10,7 +10,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.bundle.bundle_adjustment import BundleEstimate, bundle_adjust
-from vergence.calibration.checks import board_flips, encoders, excitation
+from vergence.calibration.checks import axes_and_eyes, board_flips, encoders, excitation
 from vergence.calibration.checks.cross_validation import (
     PartCalibration,
     calibrate_folds,
@@ -159,7 +159,7 @@ def calibrate(
         at_the_edge = edge_warnings(head, observations.corners, estimate.residuals_px)
     checked, doubts, contradictions = _cross_validated(observations, of_part)
     progress("calibrating", 3, 3)
-    void = (*accuracy.void, *contradictions, *encoders.doubts(head, std))
+    void = (*accuracy.void, *contradictions, *axes_and_eyes.doubts(head, std))
     warnings = (
         *posed.warnings,
         *board_flips.warnings(renumbered),

@@ -23,7 +23,8 @@ from vergence.data.description import (
 from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board, Charuco
-from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS, Side
+from vergence.geometry.kinematics import EYE_JOINTS, Side
+from vergence.geometry.neck import NECK_JOINTS
 from vergence.progress import Progress, silent
 from vergence.reading import parse_json, read_parsed
 from vergence.twin.calibration_sequence import (

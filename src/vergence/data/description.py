@@ -19,12 +19,12 @@ from vergence.geometry.kinematics import (
     AXIS_NAMES,
     EYE_JOINTS,
     EYES,
-    NECK_JOINTS,
     Joint,
     Kinematics,
     Side,
     pan_tilt,
 )
+from vergence.geometry.neck import NECK_JOINTS
 
 DESCRIPTION, FRAMES = "dataset.json", "frames.csv"
 TIME, JOINT_TIME, PLACEMENT, MOVING = "time_s", "joint_time_s", "placement", "moving"

@@ -30,7 +30,8 @@ from vergence.data.description import (
     pose_columns,
 )
 from vergence.errors import VergenceError, explain
-from vergence.geometry.kinematics import EYES, NECK_JOINTS
+from vergence.geometry.kinematics import EYES
+from vergence.geometry.neck import NECK_JOINTS
 from vergence.reading import MAX_DIGITS, parse_json, read_bytes, read_parsed
 
 MAX_DELAY_S = 1.0

@@ -25,7 +25,8 @@ from vergence.data.description import (
     TIME,
     Description,
 )
-from vergence.geometry.kinematics import EYES, NECK_JOINTS
+from vergence.geometry.kinematics import EYES
+from vergence.geometry.neck import NECK_JOINTS
 from vergence.writing import check_new, whole_folder
 
 

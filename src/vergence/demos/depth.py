@@ -22,7 +22,7 @@ from vergence.demos.depth_errors import RANGE_M, Errors, Truth, depth_errors, su
 from vergence.demos.experiment import learned_from_room
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, load_head, main_pair
-from vergence.geometry.kinematics import NECK_JOINTS
+from vergence.geometry.neck import NECK_JOINTS
 from vergence.progress import Progress, silent
 from vergence.self_calibration.frame import SelfCalibrated, locate_seen
 from vergence.self_calibration.sequence import Geometry, see, seen_geometry

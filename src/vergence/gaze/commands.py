@@ -20,7 +20,8 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.data.dataset import Dataset, Frame
 from vergence.errors import VergenceError
-from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS
+from vergence.geometry.kinematics import EYE_JOINTS
+from vergence.geometry.neck import NECK_JOINTS
 
 HEAD_JOINTS = (*NECK_JOINTS, *EYE_JOINTS)
 NECK, EYE_READINGS = slice(0, len(NECK_JOINTS)), slice(len(NECK_JOINTS), None)

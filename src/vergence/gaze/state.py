@@ -16,7 +16,8 @@ from vergence.gaze.commands import HeadCommand, JointLimits, hold
 from vergence.gaze.kalman import InnovationRatio, MotionModel, Track
 from vergence.gaze.roles import EyeCameras, check_roles, default_roles
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYES, NECK_JOINTS, Side
+from vergence.geometry.kinematics import EYES, Side
+from vergence.geometry.neck import NECK_JOINTS
 from vergence.self_calibration.sequence import Geometry, SeenGeometry, seen_geometry
 from vergence.vision.detector import Detection, Detector, pixel_or_nan
 from vergence.vision.sphere import sphere_detector

@@ -25,13 +25,12 @@ from vergence.geometry.kinematics import (
     EYES,
     Joint,
     Kinematics,
-    Neck,
     Side,
     T_base_eye,
-    T_body_head,
     pan_tilt,
     reading_kinds,
 )
+from vergence.geometry.neck import Neck, T_body_head
 from vergence.geometry.se3 import inverse, pose
 from vergence.reading import read_json
 from vergence.writing import write_json

@@ -1,4 +1,4 @@
-"""Joint readings to poses: chains of revolute joints, the eyes' and the neck's.
+"""Joint readings to poses: the chains of revolute joints of the eyes.
 
 A chain is what carries a camera: each joint turns about an axis through a point, and its angle is a
 linear combination of readings. The default of an eye is the paper's: pan, a right-handed turn about
@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
-from vergence.arrays import MAX_M, Array, Vector3, Vectors3
+from vergence.arrays import Array, Vector3
 from vergence.geometry import se3
 from vergence.geometry.chain import Chain, chain_pose
 from vergence.geometry.se3 import rotation
@@ -26,7 +26,6 @@ Side = Literal["left", "right"]
 EYES: tuple[Side, Side] = ("left", "right")
 EYE_JOINTS = ("left_pan", "left_tilt", "right_pan", "right_tilt")
 """The readings of eyes that pan and tilt, each on its own."""
-NECK_JOINTS = ("neck_pitch", "neck_roll", "neck_yaw")
 AXIS_NAMES = {"pan": (0.0, 0.0, 1.0), "tilt": (0.0, 1.0, 0.0), "roll": (1.0, 0.0, 0.0)}
 """The axes of a head that stands upright: up, to the left, ahead."""
 
@@ -334,40 +333,3 @@ def _errors(joints: tuple[Joint, ...], names: tuple[str, ...]) -> tuple[_Error, 
         tilts = name in ("nonorthogonality_rad", "inclination_rad")
         found.append(_Error(k, terms, constant, direction, tilts))
     return tuple(found)
-
-
-@dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
-class Neck:
-    """The chain from body to head: each joint turns about an axis through a point.
-
-    Axes and points are given in the frame body with every joint at zero, where the axes of body
-    and head are parallel.
-    """
-
-    axes: Vectors3 = field(default_factory=lambda: np.empty((0, 3)))
-    """(n, 3) unit vectors, from the body outwards."""
-    points_m: Vectors3 = field(default_factory=lambda: np.empty((0, 3)))
-    """(n, 3) a point on each axis."""
-    head_m: Vector3 = field(default_factory=lambda: np.zeros(3))
-    """Origin of frame head."""
-
-    def __post_init__(self) -> None:
-        if len(self.axes) != len(self.points_m):
-            raise ValueError(
-                f"a neck has a point on each axis, found {len(self.axes)} axes and "
-                f"{len(self.points_m)} points"
-            )
-        if len(self.axes) > MAX_JOINTS:
-            raise ValueError(f"a neck has at most {MAX_JOINTS} joints, found {len(self.axes)}")
-        largest = max(np.abs(self.points_m).max(initial=0.0), np.abs(self.head_m).max())
-        if largest > MAX_M:
-            raise ValueError(f"points are in metres, found {largest:g}")
-        lengths = np.linalg.norm(self.axes, axis=1)
-        if (np.abs(lengths - 1) > 1e-6).any():
-            raise ValueError(f"axes are unit vectors, found one of length {lengths.max():.6g}")
-
-
-def T_body_head(neck: Neck, angles: Array) -> Array:
-    """Return the pose (..., 4, 4) of the head in frame body at neck angles (..., n) [rad]."""
-    n = len(neck.axes)
-    return chain_pose(Chain(neck.axes, neck.points_m, neck.head_m, np.eye(n), np.zeros(n)), angles)

@@ -26,8 +26,9 @@ from pydantic import BaseModel, BeforeValidator, Field, FiniteFloat
 
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, MountedCamera
-from vergence.geometry.kinematics import EYES, Joint, Kinematics, Neck, Side, pan_tilt
+from vergence.geometry.kinematics import EYES, Joint, Kinematics, Side, pan_tilt
 from vergence.geometry.lens import CameraModel
+from vergence.geometry.neck import Neck
 from vergence.interchange.serialization import (
     Intrinsics,
     Matrix,

@@ -18,7 +18,8 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry.head import R_EYE_CAM, HeadCalibration, T_head_base
-from vergence.geometry.kinematics import EYES, NECK_JOINTS, Kinematics, Side
+from vergence.geometry.kinematics import EYES, Kinematics, Side
+from vergence.geometry.neck import NECK_JOINTS
 from vergence.geometry.se3 import inverse, pose
 from vergence.interchange.serialization import check_names
 from vergence.writing import write_whole

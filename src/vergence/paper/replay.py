@@ -12,7 +12,7 @@ import numpy as np
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import NECK_JOINTS
+from vergence.geometry.neck import NECK_JOINTS
 from vergence.geometry.projection import project_point
 from vergence.paper.comparison import PAPER, Comparison
 from vergence.paper.figures import Figure, default_duration_s

@@ -18,7 +18,8 @@ from vergence.calibration.sequential.intrinsics import lenses_of_the_paper
 from vergence.calibration.sequential.sequential import SequentialCalibration, calibrate_sequentially
 from vergence.geometry.board import Board, Chessboard, corner_points
 from vergence.geometry.head import R_EYE_CAM, HeadCalibration
-from vergence.geometry.kinematics import EYES, NECK_JOINTS, readings_to_turn
+from vergence.geometry.kinematics import EYES, readings_to_turn
+from vergence.geometry.neck import NECK_JOINTS
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, pose, rotation, transform
 from vergence.progress import Progress, silent

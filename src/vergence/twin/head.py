@@ -16,7 +16,8 @@ from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
 from vergence.geometry.board import Charuco
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYES, NECK_JOINTS, Kinematics
+from vergence.geometry.kinematics import EYES, Kinematics
+from vergence.geometry.neck import NECK_JOINTS
 from vergence.geometry.se3 import inverse, pose, transform
 from vergence.twin.model import (
     CAMERAS,

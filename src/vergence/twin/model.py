@@ -18,7 +18,8 @@ from vergence.errors import VergenceError
 from vergence.geometry.board import Charuco
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, MountedCamera, T_head_base
-from vergence.geometry.kinematics import EYES, NECK_JOINTS, Joint, Kinematics, Neck, Side
+from vergence.geometry.kinematics import EYES, Joint, Kinematics, Side
+from vergence.geometry.neck import NECK_JOINTS, Neck
 from vergence.geometry.se3 import pose, rotation
 from vergence.twin.profile import ErrorProfile, Lens
 from vergence.twin.scene.board import put_charuco

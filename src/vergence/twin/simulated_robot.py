@@ -24,7 +24,8 @@ from vergence.gaze.commands import (
 from vergence.gaze.observation import is_central
 from vergence.gaze.state import GazeSettings
 from vergence.geometry.head import T_head_base
-from vergence.geometry.kinematics import EYE_JOINTS, NECK_JOINTS, Kinematics
+from vergence.geometry.kinematics import EYE_JOINTS, Kinematics
+from vergence.geometry.neck import NECK_JOINTS
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.twin.calibration_errors import inject_calibration_error

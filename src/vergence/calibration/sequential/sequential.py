@@ -23,7 +23,8 @@ from vergence.calibration.sequential.static_stereo import calibrate_pair
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
 from vergence.geometry.head import HeadCalibration, MountedCamera, main_camera
-from vergence.geometry.kinematics import EYES, Neck
+from vergence.geometry.kinematics import EYES
+from vergence.geometry.neck import Neck
 from vergence.geometry.projection import base_extrinsics
 from vergence.geometry.se3 import angle, inverse, mean_pose
 from vergence.vision.board_pose import LEAST_CORNERS, board_poses, seen_corners

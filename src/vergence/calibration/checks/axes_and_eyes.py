@@ -1,0 +1,72 @@
+"""Whether a calibration puts axes and eyes where a head can have them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import pairwise
+
+import numpy as np
+
+from vergence.geometry.eye_motion import eye_poses
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import EYES, parallel_distance_m
+from vergence.geometry.projection import stereo_cameras
+from vergence.geometry.se3 import angle
+
+MOST_TURNED_DEG = 30.0
+"""Between the bases of the eyes; their axes are the head's, as built."""
+SURE = 4.0
+"""Standard deviations from which an axis stands on the wrong side beyond doubt."""
+ASIDE = 0.7
+"""Cosine of the angle between the line through the eyes and the head's y axis, at least."""
+
+
+def doubts(head: HeadCalibration, std: Mapping[str, float] | None = None) -> list[str]:
+    """Return sentences on axes and eyes that a calibration puts where none can be.
+
+    std: stated standard deviations of the head's parameters, by name.
+    """
+    said = _exchanged_axes(head, std or {})
+    if len({mounted.eye for mounted in head.cameras.values()}) < 2:
+        return said
+    across = np.degrees(angle(head.T_rbase_lbase[:3, :3]))
+    if across > MOST_TURNED_DEG:
+        said.append(
+            f"T_rbase_lbase: the bases of the eyes are turned by {across:.0f} degrees against each "
+            "other, though the joints of both turn about the head's axes: check the signs of one "
+            "eye's readings, and which is of which joint."
+        )
+    left, right = stereo_cameras(head, None)
+    joints = np.zeros(len(head.kinematics.readings))
+    T_lbase_leye, T_rbase_reye = eye_poses(head, joints)
+    if set(head.kinematics.used("left")) == set(head.kinematics.used("right")):
+        # A pair that turns as one: its eyes are where its cameras are.
+        T_lbase_leye, T_rbase_reye = T_lbase_leye @ left.T_eye_cam, T_rbase_reye @ right.T_eye_cam
+    t = (head.T_rbase_lbase @ T_lbase_leye)[:3, 3] - T_rbase_reye[:3, 3]
+    if t[1] < ASIDE * np.linalg.norm(t):
+        ahead, aside, above = 1e3 * t
+        said.append(
+            f"T_rbase_lbase puts the left eye {aside:.0f} mm to the left of the right one, "
+            f"{ahead:.0f} mm ahead of it and {above:.0f} mm above: check which images and readings "
+            "are left and right, and the signs of the joints."
+        )
+    return said
+
+
+def _exchanged_axes(head: HeadCalibration, std: Mapping[str, float]) -> list[str]:
+    """Return sentences on parallel axes that stand on the other side of the axis before."""
+    said, used = [], {mounted.eye for mounted in head.cameras.values()}
+    for eye in EYES:
+        for before, joint in pairwise(head.kinematics.eyes[eye] if eye in used else ()):
+            apart = parallel_distance_m(before, joint)
+            if apart is None:
+                continue
+            beyond = -(apart + joint.axis_distance_m)
+            if beyond > max(apart / 2, SURE * std.get(f"{eye}.{joint.name}_axis_distance_m", 0.0)):
+                said.append(
+                    f"The {joint.name} axis of the {eye} eye stands {1e3 * beyond:.0f} mm on the "
+                    f"other side of its {before.name} axis than `kinematics` says "
+                    f"({1e3 * apart:.0f} mm): check whether their readings are exchanged, and "
+                    "`point_m`."
+                )
+    return said
