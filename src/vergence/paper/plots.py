@@ -22,6 +22,8 @@ _OTHERS = ("orange", "black", "0.5")
 """Of the depth by other methods, one after the other."""
 _PANEL_INCHES, _HEADING_INCHES = (8.0, 5.8), 0.6
 _FIRST = 6  # from here in pairs: parallel motion on the left, divergent on the right
+_LEGEND = 0.25
+"""Of a panel's height, added above the curves where methods are compared."""
 _STYLE: dict[str, Any] = {"fontsize": 12}
 
 
@@ -57,6 +59,10 @@ def draw(results: Sequence[Replay]) -> Canvas:
     for result in results:
         row, column = place[result.figure.number]
         _panel(grid[rows.index(row), columns.index(column)], result)
+    if any(result.others for result in results):
+        for axes in grid[:, 0]:  # of a row that shares one scale: room for the legends
+            low, high = axes.get_ylim()
+            axes.set_ylim(low, high + _LEGEND * (high - low))
     return canvas
 
 
@@ -75,7 +81,7 @@ def _panel(axes: Axes, result: Replay) -> None:
         label = f"depth, {method}: σ {1e3 * other.statistics.std_m[0]:.1f} mm"
         axes.plot(time_s, other.points[:, 0], color=colour, linewidth=0.8, label=label)
     if result.others:
-        axes.legend(loc="upper right", fontsize=10, framealpha=0.85)
+        axes.legend(loc="upper right", fontsize=10)
     axes.set_xlabel("time [s]", **_STYLE)
     axes.set_ylabel("position [m]", **_STYLE)
     axes.tick_params(labelleft=True, labelsize=11)
