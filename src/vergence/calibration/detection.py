@@ -26,9 +26,9 @@ DARK, BRIGHT = 25, 230
 BLURRED = 0.35
 """Part of an image's contrast that is left in steps of two pixels, below which it is blurred."""
 SYSTEMATIC_PX = 0.002
-"""Systematic error of the detector, smooth over the image: assumed. It was at most 0.001 px in each
-of 28 cameras, on boards that were rendered, or drawn before lenses of several kinds; cameras that
-nobody drew may do worse, and the intrinsics absorb most of this error."""
+"""Systematic error of the detector, smooth over the image: assumed. It was at most 0.0011 px in
+each of 28 cameras, on boards that were rendered, or drawn before lenses of several kinds; cameras
+that nobody drew may do worse, and the intrinsics absorb most of this error."""
 _PROBES = 4  # images on which other boards are tried when none was found
 
 
