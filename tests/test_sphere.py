@@ -120,6 +120,26 @@ def test_the_rendered_sphere_is_where_the_twin_knows_it_in_the_room():
     assert np.sqrt(np.mean(np.square(errors))) < 0.07
 
 
+@pytest.mark.render
+def test_edges_of_a_far_sphere_are_not_stepped():
+    """With one sample a rendered pixel its position would scatter by 0.04 px as the eye turns."""
+    from vergence.geometry.projection import project_point
+    from vergence.twin.head import Twin
+    from vergence.twin.profile import ErrorProfile
+
+    errors = []
+    with Twin(ErrorProfile()) as twin:
+        twin.place_object(np.array([1.1, 0.02, 0.0]))
+        for pan in np.linspace(-0.2, 0.2, 16):
+            twin.settle(np.append(np.zeros(3), [pan, 0.5 * pan, 0.0, 0.0]), 0.2)
+            image = twin.capture(("left_wide",)).images["left_wide"]
+            true = project_point(
+                twin.truth, "left_wide", twin.true_angles()[3:], twin.true_object()
+            )
+            errors.append(find_sphere(image, twin.truth.camera("left_wide").intrinsics) - true)
+    assert np.std(errors, axis=0).max() < 0.027
+
+
 def test_where_it_is_sought_first_does_not_change_what_is_found():
     """Around it, cut by the edge of what is searched, elsewhere, and nowhere."""
     image = picture(WIDE, at(WIDE, (200.4, 300.3), 0.25))

@@ -24,7 +24,12 @@ from vergence.twin.profile import Image
 
 OVERSAMPLING = 1.5
 """Oversampling along each axis of an image that is distorted afterwards: interpolation between
-pixels of the camera's own size would shift corners by 0.01 px, in every image alike."""
+pixels of the camera's own size would shift corners by 0.01 px, in every image alike. Edges are
+multisampled besides: by 2.25 samples a pixel alone they are stepped, which displaces a sphere of
+5 px in radius by 0.04 px and spreads self-calibrated depth up to twice as far."""
+_PIXEL_STD_PX = 0.36
+"""Standard deviation of the filter by which a pixel gathers light before the image is sampled.
+With multisampling (0.2 px) and interpolation (0.3 px) a pixel sees somewhat more than itself."""
 _NOISE_MARGIN = 256  # the noise of an image is a window of a larger one, at one of 256 x 256 places
 
 
@@ -99,8 +104,8 @@ class Renderer:
         self._noise = np.round(noise).astype(np.int16) if image.noise_grey else None
         self._renderers: dict[tuple[int, int], mujoco.Renderer] = {}
         self._sizes: dict[str, tuple[int, int]] = {}
-        buffer, quality = model.vis.global_, model.vis.quality
-        before = buffer.offwidth, buffer.offheight, quality.offsamples
+        buffer = model.vis.global_
+        before = buffer.offwidth, buffer.offheight
         try:
             for name, (width, height) in sizes.items():
                 finer = OVERSAMPLING if name in self._maps else 1
@@ -108,14 +113,12 @@ class Renderer:
                 if size in self._renderers:
                     continue
                 buffer.offwidth, buffer.offheight = size
-                # Oversampled images need no multisampling.
-                quality.offsamples = before[-1] if finer == 1 else 0
                 self._renderers[size] = mujoco.Renderer(model, height=size[1], width=size[0])
         except Exception as error:  # each backend raises its own kind
             self.close()
             raise no_opengl(error) from error
         finally:
-            buffer.offwidth, buffer.offheight, quality.offsamples = before
+            buffer.offwidth, buffer.offheight = before
         for renderer in self._renderers.values():  # the room is closed: none of these is visible
             for flag in ("SKYBOX", "HAZE", "SHADOW", "REFLECTION"):
                 renderer.scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{flag}")] = 0
@@ -133,13 +136,13 @@ class Renderer:
 
     def develop(self, negative: Negative) -> np.ndarray:
         """Return the image (H, W, 3) uint8 of the camera."""
-        image = negative.rendered
+        image, blur_px = negative.rendered, self._image.blur_px
         if negative.camera in self._maps:
             x, y = self._maps[negative.camera]
-            # 1, 2, 1: the light of about one pixel of the camera, wherever that is.
-            image = cv2.remap(cv2.GaussianBlur(image, (3, 3), 0), x, y, cv2.INTER_LINEAR)
-        if self._image.blur_px:
-            image = cv2.GaussianBlur(image, (0, 0), self._image.blur_px)
+            std = OVERSAMPLING * float(np.hypot(_PIXEL_STD_PX, blur_px))
+            image = cv2.remap(cv2.GaussianBlur(image, (0, 0), std), x, y, cv2.INTER_LINEAR)
+        elif blur_px:
+            image = cv2.GaussianBlur(image, (0, 0), blur_px)
         if self._noise is not None:
             v, u = negative.noise_at
             window = self._noise[v : v + image.shape[0], u : u + image.shape[1]]
