@@ -108,10 +108,6 @@ class ProjectionJacobians:
     """(M, K, 2, 6); zero for a camera of the left eye."""
     by_point: Array
     """(M, K, 2, 3) by the point in the left eye's base frame."""
-    in_camera: Array
-    """(M, K, 3) the points in frame cam."""
-    by_in_camera: Array
-    """(M, K, 2, 3) by the point in frame cam."""
 
 
 class ProjectionRows(NamedTuple):
@@ -123,8 +119,6 @@ class ProjectionRows(NamedTuple):
     by_T_base_eye: Rows
     by_T_rbase_lbase: Rows
     by_point: Rows
-    in_camera: Vector
-    by_in_camera: Rows
 
 
 def project_with_jacobians(
@@ -141,7 +135,7 @@ def project_with_jacobians(
     return ProjectionJacobians(
         *(
             stacked(each, shape, ndim).transpose(*range(ndim, ndim + 2), *range(ndim))
-            for each, ndim in zip(found, (1, 2, 2, 2, 2, 2, 1, 2), strict=True)
+            for each, ndim in zip(found, (1, 2, 2, 2, 2, 2), strict=True)
         )
     )
 
@@ -175,9 +169,7 @@ def projected(
         if mounted.eye == "right":
             between = [[*cross(turned, row), *row] for row in by_base]
     by_eye_pose = _by_increment(by_base, arm)
-    return ProjectionRows(
-        pixel, by_lens, mounting, by_eye_pose, between, by_point, in_camera, by_cam
-    )
+    return ProjectionRows(pixel, by_lens, mounting, by_eye_pose, between, by_point)
 
 
 def _by_increment(by_point: Rows, arm: Vector) -> Rows:

@@ -23,6 +23,7 @@ from vergence.self_calibration.epipolar import epipolar_residuals
 from vergence.self_calibration.match_noise import (
     CUT,
     EXPECTED_DESIGN_EFFECT,
+    EXPECTED_MATCH_SCALE,
     LongRunVariance,
     design_effect,
     noise_variance,
@@ -41,6 +42,8 @@ from vergence.vision.scene_features import Matches, match_scene
 
 Status = Literal["seen", "little seen", "contradiction"]
 _HYPOTHESES = 300
+_STEPS = 4
+"""Of reweighted least squares in a fit; a frame is fitted twice."""
 _JUDGES = 250
 """Matches that choose among them; more take longer, and choose no better."""
 _GATE = 1e-7
@@ -131,13 +134,8 @@ class SelfCalibrated:
     weights: Array
     """(N,) from 0, a match that does not fit, to 1."""
     status: Status
-    change: Array
-    """(P + r,) from the state's head and the readings."""
-    observed: float
-    """How many of the five degrees of freedom of the pair the matches determine beyond the
-    prior; 0: none."""
-    match_scale: float
     evidence: Evidence | None
+    """None: the matches were too few."""
 
 
 def start(head: HeadCalibration, *, cameras: tuple[str, str] | None = None) -> SelfCalibration:
@@ -150,7 +148,7 @@ def start(head: HeadCalibration, *, cameras: tuple[str, str] | None = None) -> S
     stated = head.accuracy.joint_std if head.accuracy else ()
     std = float(np.sqrt(np.mean(np.square(stated)))) if stated else float(JOINT_STD_RAD)
     C = prior_covariance(head, names, pair)
-    return SelfCalibration(head, pair, names, C, std, 1.3)
+    return SelfCalibration(head, pair, names, C, std, EXPECTED_MATCH_SCALE)
 
 
 def self_calibrate_frame(
@@ -200,18 +198,15 @@ def from_matches(state: SelfCalibration, matches: Matches, joints: Array) -> Sel
         return replace(seen, weights=weights, evidence=evidence)
     head, now = _changed(state, joints, z)
     return SelfCalibrated(
-        head,
-        state.cameras,
-        now,
-        state.names,
-        covariance,
-        matches,
-        weights,
-        "seen" if observed > _LITTLE else "little seen",
-        z,
-        observed,
-        evidence.match_scale,
-        evidence,
+        head=head,
+        cameras=state.cameras,
+        joints=now,
+        names=state.names,
+        covariance=covariance,
+        matches=matches,
+        weights=weights,
+        status="seen" if observed > _LITTLE else "little seen",
+        evidence=evidence,
     )
 
 
@@ -247,12 +242,17 @@ def _unseen(
     state: SelfCalibration, matches: Matches, joints: Array, C: Array, status: Status
 ) -> SelfCalibrated:
     """Return the prior."""
-    none = np.zeros(len(matches.left))
-    change = np.zeros(len(C))
     return SelfCalibrated(
-        state.head, state.cameras, joints, state.names, C, matches, none, status, change, 0.0,
-        state.match_scale, None,
-    )  # fmt: skip
+        head=state.head,
+        cameras=state.cameras,
+        joints=joints,
+        names=state.names,
+        covariance=C,
+        matches=matches,
+        weights=np.zeros(len(matches.left)),
+        status=status,
+        evidence=None,
+    )
 
 
 def _changed(state: SelfCalibration, joints: Array, z: Array) -> tuple[HeadCalibration, Array]:
@@ -295,10 +295,10 @@ def _best_hypothesis(y: Array, A: Array, C: Array) -> Array:
     return pull[best] @ AC[triples[best]]
 
 
-def _robust(y: Array, A: Array, C: Array, z: Array, steps: int = 4) -> Array:
+def _robust(y: Array, A: Array, C: Array, z: Array) -> Array:
     """Return the change (K,) by iteratively reweighted least squares with the prior."""
     inverse = np.linalg.inv(C)
-    for _ in range(steps):
+    for _ in range(_STEPS):
         weighted = A * robust_weights(y - A @ z)[:, None]
         z = np.asarray(np.linalg.solve(weighted.T @ A + inverse, weighted.T @ y), float)
     return z

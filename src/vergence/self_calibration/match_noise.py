@@ -23,6 +23,9 @@ _BLOCK_PX = 64
 """Errors of matches farther apart than this are taken as independent."""
 _BLOCKS = 64
 """Blocks along each axis of the largest image; those of smaller ones stay empty."""
+EXPECTED_MATCH_SCALE = 1.3
+"""Noise of matches, relative to what their windows tell, before anything is seen: that of windows
+with relief, the worst kind of surface that was measured."""
 EXPECTED_DESIGN_EFFECT = 2.0
 """Before anything is seen; more than the 1.1 to 1.8 of a furnished room, for scenes with fewer and
 longer edges."""
