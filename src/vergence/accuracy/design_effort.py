@@ -1,11 +1,11 @@
 """What the calibration of a designed head adds to the error of a point, by the effort it takes.
 
-A standard recording, as docs/calibration.md advises one: boards at eight places near the head, seen
-by both eyes at straight gaze, and one board at rest that they see from 16 directions of gaze. They
-fill half to three quarters of the images' height whatever the lens. Its information is bundle
-adjustment's own, with joint readings as noisy as the head's and corners as noisy as stated; V views
-carry V / 24 of it. Focal lengths, image centres, mountings, gains and axes
-are estimated, distortion is taken as known.
+A standard recording, in the proportions that docs/calibration.md advises for wide cameras: boards
+at eight places near the head, seen by both eyes at straight gaze, and one board at rest that they
+see from 16 directions of gaze. They fill half to three quarters of the images' height whatever the
+lens. Its information is bundle adjustment's own, with joint readings as noisy as the head's and
+corners as noisy as stated; V views carry V / 24 of it. Focal lengths, image centres, mountings,
+gains and axes are estimated, distortion is taken as known.
 """
 
 from __future__ import annotations

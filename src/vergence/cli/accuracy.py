@@ -84,7 +84,8 @@ def design(
 
     Args:
         settings: TOML or JSON file of what is swept, of the workspace and of prices; default:
-            those of docs/design_and_plan.md. The options below take the place of its values.
+            those that docs/design_and_plan.md lists. The options below take the place of its
+            values.
         out: Folder of the results; a run that was stopped goes on from what is there.
         accuracy_mm: Accuracy that is wanted: rms error, in the worst direction and posture.
         at_m: Distance of the points for which it is wanted.

@@ -79,7 +79,8 @@ def self_calibrate(
     """Correct a calibration by what both eyes see of the scene, without a board.
 
     Args:
-        dataset: Folder with dataset.json, frames.csv and images; its moving part is used.
+        dataset: Folder with dataset.json, frames.csv and images. Rows with moving eyes are used or,
+            where there are none, all rows that both main cameras see.
         calibration: JSON file that `vergence calibrate` wrote, of the same head.
         out: JSON file of the learned calibration.
         json: JSON file of what was observed of each parameter.
