@@ -15,7 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 from simulated_head import random_pose, skewed_head
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, project
-from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base, T_head_base
+from vergence.geometry.head import Accuracy, HeadCalibration, T_base_cam, T_body_base, T_head_base
 from vergence.geometry.kinematics import EYE_JOINTS, Kinematics
 from vergence.geometry.lens import CameraModel
 from vergence.geometry.neck import NECK_JOINTS, Neck, T_body_head
@@ -268,6 +268,14 @@ def test_k3_is_refused_by_kalibr_and_kept_by_ros(tmp_path):
         kalibr.save(head, tmp_path / "camchain.yaml")
     ros.save(head, tmp_path)
     assert ros.load(tmp_path / "left_wide.yaml")["left_wide"].distortion[4] == 0.004
+
+
+@pytest.mark.parametrize("format_name", ["kalibr", "ros"])
+def test_the_accuracy_of_the_head_to_start_from_is_not_that_of_other_lenses(tmp_path, format_name):
+    head, path = plain(3), tmp_path / ("chain.yaml" if format_name == "kalibr" else "cameras")
+    export_head(head, path, format_name)
+    stated = replace(head, accuracy=Accuracy("bundle", ("time_offset_s",), np.array([[1e-6]])))
+    assert import_head(path, format_name, template=stated).accuracy is None
 
 
 def test_kalibr_and_ros_need_a_head_to_start_from(tmp_path):

@@ -109,9 +109,12 @@ def read(
 
 
 def with_intrinsics(head: HeadCalibration, cameras: Mapping[str, Camera]) -> HeadCalibration:
-    """Return a head with intrinsics of some cameras replaced; VergenceError: it lacks one."""
+    """Return a head with intrinsics of some cameras replaced; VergenceError: it lacks one.
+
+    What was stated of its accuracy is not true of other intrinsics, and is left out.
+    """
     mounted = {name: replace(head.camera(name), intrinsics=c) for name, c in cameras.items()}
-    return replace(head, cameras={**head.cameras, **mounted})
+    return replace(head, cameras={**head.cameras, **mounted}, accuracy=None)
 
 
 def write_yaml(path: Path, content: dict[str, Any]) -> None:
