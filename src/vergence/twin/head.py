@@ -96,7 +96,7 @@ class Twin:
         eyes = np.concatenate([chains[eye].mixing for eye in EYES])
         self._mixing: Array = np.asarray(block_diag(np.eye(len(NECK_JOINTS)), eyes))
         self._unmixing = np.linalg.pinv(self._mixing)
-        self._renderer = Renderer(self.model, self.truth, profile.image, seed)
+        self._renderer = Renderer(self.model, self.truth, sizes, profile.image, seed)
         self.restart(0)
 
     def restart(self, run: int) -> None:

@@ -87,12 +87,18 @@ def _in_pinhole(camera: Camera, pixels: Array, size: tuple[int, int]) -> Array:
 class Renderer:
     """The cameras of a compiled head. Use it in the thread that created it, and close it."""
 
-    def __init__(self, model: mujoco.MjModel, head: HeadCalibration, image: Image, seed: int):
-        """Open OpenGL for a model that has the head's overscan sizes; VergenceError: none."""
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        head: HeadCalibration,
+        sizes: dict[str, tuple[int, int]],
+        image: Image,
+        seed: int,
+    ):
+        """Open OpenGL for a model of a head with its `overscan_sizes`; VergenceError: none."""
         self._image = image
         self._seed = seed
         self.restart(0)
-        sizes = overscan_sizes(head)
         self._maps = {
             name: _map(mounted.intrinsics, sizes[name])
             for name, mounted in head.cameras.items()
