@@ -272,11 +272,8 @@ def per_pair(
     return found
 
 
-@per_pair
-def stereo_cameras(
-    head: HeadCalibration, cameras: tuple[str, str] | None
-) -> tuple[MountedCamera, MountedCamera]:
-    """Return the left and the right camera of a pair of names; None: the main ones.
+def pair_names(head: HeadCalibration, cameras: tuple[str, str] | None = None) -> tuple[str, str]:
+    """Return the names of a camera of the left eye and one of the right; None: the main ones.
 
     VergenceError if one of them is missing, or left and right are exchanged.
     """
@@ -285,13 +282,23 @@ def stereo_cameras(
         raise VergenceError(
             f"Stereo needs a camera in each eye; this head has {', '.join(head.cameras)}."
         )
-    left, right = (head.camera(name) for name in pair)
-    if (left.eye, right.eye) != ("left", "right"):
+    left, right = pair
+    eyes = head.camera(left).eye, head.camera(right).eye
+    if eyes != ("left", "right"):
         raise VergenceError(
             f"A stereo pair is a camera of the left eye and one of the right, in this order; "
-            f"{pair[0]} sits in the {left.eye} eye and {pair[1]} in the {right.eye} one."
+            f"{left} sits in the {eyes[0]} eye and {right} in the {eyes[1]} one."
         )
     return left, right
+
+
+@per_pair
+def stereo_cameras(
+    head: HeadCalibration, cameras: tuple[str, str] | None
+) -> tuple[MountedCamera, MountedCamera]:
+    """Return the left and the right camera of a pair; arguments and errors: see `pair_names`."""
+    left, right = pair_names(head, cameras)
+    return head.camera(left), head.camera(right)
 
 
 def T_rcam_lcam(
