@@ -34,7 +34,7 @@ from vergence.geometry.components import (
 )
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration, MountedCamera, main_pair
-from vergence.geometry.kinematics import T_base_eye
+from vergence.geometry.kinematics import Side, T_base_eye
 from vergence.geometry.se3 import inverse
 
 Pair = tuple[str, str] | None
@@ -339,8 +339,12 @@ def stereo_poses(
 
 def T_lbase_cam(mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array) -> Array:
     """Return poses (..., 4, 4) of a camera in the left eye's base, at those of its eye."""
-    T_base_cam = T_base_eye @ mounted.T_eye_cam
-    return T_base_cam if mounted.eye == "left" else inverse(T_rbase_lbase) @ T_base_cam
+    return T_lbase_eye(mounted.eye, T_rbase_lbase, T_base_eye) @ mounted.T_eye_cam
+
+
+def T_lbase_eye(eye: Side, T_rbase_lbase: Array, T_base_eye: Array) -> Array:
+    """Return poses (..., 4, 4) of an eye in the left eye's base, at those in its own base."""
+    return T_base_eye if eye == "left" else inverse(T_rbase_lbase) @ T_base_eye
 
 
 def camera_pose(
