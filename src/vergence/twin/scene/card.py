@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from vergence.errors import VergenceError
-from vergence.geometry.board import DICTIONARIES
+from vergence.geometry.board import marker_family
 from vergence.twin.scene.board import BLACK, WHITE
 
 MODULE_TEXELS = 64
@@ -47,16 +47,7 @@ def marker_card(dictionary: str, marker_id: int, side_m: float) -> Card:
     Raises:
         VergenceError: there is no such dictionary or marker, or the card is too large.
     """
-    if dictionary not in DICTIONARIES:
-        raise VergenceError(
-            f"No marker dictionary is called {dictionary!r}; there are {', '.join(DICTIONARIES)}."
-        )
-    family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
-    if not 0 <= marker_id < len(family.bytesList):
-        raise VergenceError(
-            f"Asked for marker {marker_id} of {dictionary}, whose markers are 0 to "
-            f"{len(family.bytesList) - 1}."
-        )
+    family = marker_family(dictionary, marker_id)
     modules = family.markerSize + 2  # with the black frame
     drawn = cv2.aruco.generateImageMarker(family, marker_id, modules * MODULE_TEXELS)
     grey = np.pad(np.where(drawn > 0, WHITE, BLACK), MODULE_TEXELS, constant_values=WHITE)
