@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import cv2
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from vergence.errors import VergenceError
 from vergence.geometry.board import marker_family
@@ -68,13 +69,11 @@ def put_card(spec: mujoco.MjSpec, card: Card) -> None:
     height_m = card.width_m * card.picture.shape[0] / card.picture.shape[1]
     spec.delete(spec.geom("object"))
     R = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # shown along +z, up is +y
-    quat_wxyz = np.empty(4)
-    mujoco.mju_mat2Quat(quat_wxyz, R.ravel())
     spec.body("object").add_geom(
         name="object",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[card.width_m / 2, height_m / 2, 1],
-        quat=quat_wxyz,
+        quat=Rotation.from_matrix(R).as_quat(scalar_first=True),
         material="card",
         contype=0,
         conaffinity=0,
