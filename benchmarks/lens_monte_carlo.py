@@ -30,10 +30,11 @@ from vergence.calibration.checks.lens_map import (
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, project
-from vergence.geometry.head import HeadCalibration, T_base_cam
-from vergence.geometry.kinematics import EYE_JOINTS
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import EYE_JOINTS, T_base_eye
 from vergence.geometry.parameters import without_offsets
-from vergence.geometry.se3 import inverse, transform
+from vergence.geometry.projection import T_lbase_cam
+from vergence.geometry.se3 import transform
 
 KINDS = ("plain", "k3", "rational", "fisheye")
 NOISE = Noise(pixel_px=0.1, joint_rad=np.radians(0.05))
@@ -125,9 +126,8 @@ def arrangement(head: HeadCalibration, rng: np.random.Generator) -> Arrangement:
         lens = mounted.intrinsics
         pixel = rng.uniform([0, 0], [lens.width - 1, lens.height - 1])
         ray = unit_rays(mounted.intrinsics, pixel[None])[0]
-        T = T_base_cam(head, name, straight)
-        if mounted.eye == "right":
-            T = inverse(head.T_rbase_lbase) @ T
+        T_base_straight = T_base_eye(head.kinematics, mounted.eye, straight)
+        T = T_lbase_cam(mounted, head.T_rbase_lbase, T_base_straight)
         centre = transform(T, rng.uniform(0.25, 0.5) * ray)
         places.append(_facing(centre, rng))
     fixed = facing(np.array([[0.5, -0.04, 0.0]]), rng.uniform(-0.4, 0.4, (1, 3)))[0]

@@ -26,13 +26,13 @@ from rich.progress import track
 from simulated_head import random_head, rough_start
 from simulated_recording import BOARD, Noise, Recording, joined, observe, record
 from vergence.accuracy.plan import Plan, plan
-from vergence.accuracy.plan_views import Views, admissible_views, checked_pair
+from vergence.accuracy.plan_views import Views, admissible_views
 from vergence.accuracy.plan_workspace import largest_std, point_by_parameters
 from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
 from vergence.calibration.observations import Observations
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import parameter_names, without_offsets
-from vergence.geometry.projection import project_point
+from vergence.geometry.projection import pair_names, project_point
 from vergence.geometry.se3 import boxplus
 from vergence.stereo.triangulation import triangulate_at
 
@@ -133,7 +133,7 @@ def recorded(truth: HeadCalibration, views: Views, rng: np.random.Generator) -> 
 def judged(head: HeadCalibration, truth: HeadCalibration, found: Plan) -> tuple[float, float]:
     """Return the largest stated standard deviation [mm], and the rms of standardised errors."""
     assert head.accuracy is not None
-    pair, points, joints = checked_pair(head), found.workspace.points, found.workspace.joints
+    pair, points, joints = pair_names(head), found.workspace.points, found.workspace.joints
     columns = [parameter_names(head).index(name) for name in head.accuracy.parameters]
     J = point_by_parameters(head, pair, points, joints)[..., columns]
     left, right = (project_point(truth, name, joints, points) for name in pair)

@@ -18,9 +18,9 @@ from vergence.calibration.observations import Observations
 from vergence.data.timing import Timing
 from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.camera import Camera
-from vergence.geometry.head import HeadCalibration, T_base_cam
-from vergence.geometry.kinematics import EYES
-from vergence.geometry.projection import project_point
+from vergence.geometry.head import HeadCalibration, T_head_base
+from vergence.geometry.kinematics import EYES, T_base_eye
+from vergence.geometry.projection import T_lbase_cam, project_point
 from vergence.geometry.se3 import inverse, pose, rotation, transform
 
 BOARD = Chessboard(columns=9, rows=6, square_m=0.03)
@@ -286,22 +286,21 @@ def _held_board(
 ) -> Array:
     """Return a random T_lbase_target at which all the cameras see the whole board."""
     mounted = head.camera(cameras[-1])
-    T_base_camera = T_base_cam(head, cameras[-1], np.zeros(4))
+    T_base_straight = T_base_eye(head.kinematics, mounted.eye, np.zeros(4))
+    T = T_lbase_cam(mounted, head.T_rbase_lbase, T_base_straight)
     slope = WIDTH / 2 / mounted.intrinsics.matrix[0, 0]
     for _ in range(10_000):
         depth = rng.uniform(*depth_m)
-        at = transform(T_base_camera, np.array([*rng.uniform(-slope, slope, 2) * depth, depth]))
-        if mounted.eye == "right":
-            at = transform(inverse(head.T_rbase_lbase), at)
-        T = facing(at, rng.uniform(-1, 1, 3) * [lean_rad, lean_rad, 0.3])
-        points = transform(T, POINTS)
+        at = transform(T, np.array([*rng.uniform(-slope, slope, 2) * depth, depth]))
+        T_lbase_target = facing(at, rng.uniform(-1, 1, 3) * [lean_rad, lean_rad, 0.3])
+        points = transform(T_lbase_target, POINTS)
         seen = (project_point(head, name, np.zeros(4), points) for name in cameras)
         if all(inside_image(uv).all() for uv in seen):
-            return T
+            return T_lbase_target
     raise AssertionError("the board fits into no image at these depths")
 
 
 def _fixed_board(head: HeadCalibration, rng: np.random.Generator) -> Array:
-    between = inverse(head.T_rbase_lbase)[:3, 3] / 2
+    between = inverse(T_head_base(head, "left"))[:3, 3]
     ahead = np.array([rng.uniform(0.5, 0.7), *rng.normal(0, 0.02, 2)])
     return facing(between + ahead, rng.normal(0, 0.25, 3))

@@ -37,8 +37,8 @@ CALIBRATION = (
 CORE_LIBRARIES = ("numpy", "scipy", "cv2", "PIL", "pydantic", "yaml")
 OUTER_LIBRARIES = {
     "mujoco": ("twin",),
-    "rerun": ("viewer", "paper.recording", "demos.recording"),
-    "matplotlib": ("viewer", "paper.plots", "demos.plots"),
+    "rerun": ("viewer", "paper.recording"),
+    "matplotlib": ("viewer", "paper.plots"),
     "joblib": ("commands.design_chunks",),
     "distributed": ("commands.design_chunks",),
     "tyro": ("cli",),

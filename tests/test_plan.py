@@ -20,7 +20,6 @@ from vergence.accuracy.plan_views import (
     MARGIN_PX,
     admissible_views,
     as_seen,
-    checked_pair,
     held_whole,
     seen_by,
 )
@@ -32,7 +31,7 @@ from vergence.errors import VergenceError
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration, save_head
 from vergence.geometry.parameters import without_offsets
-from vergence.geometry.projection import project_point
+from vergence.geometry.projection import pair_names, project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.uncertainty import calibration_covariance
 
@@ -106,8 +105,8 @@ def test_the_information_of_views_is_that_of_bundle_adjustment(truth, kinematics
 
 def test_the_eyes_fixate_the_workspace_and_its_covariance_is_that_of_located_points(calibrated):
     _, known = stated(calibrated)
-    points = workspace(calibrated, checked_pair(calibrated), LIMITS, names=known.names)
-    pair = checked_pair(calibrated)
+    points = workspace(calibrated, pair_names(calibrated), LIMITS, names=known.names)
+    pair = pair_names(calibrated)
     left, right = (project_point(calibrated, k, points.joints, points.points) for k in pair)
     inside = (np.abs(points.joints) < LIMITS - 1e-9).all(axis=1)
     assert inside.sum() > 20
@@ -125,7 +124,7 @@ def test_the_eyes_fixate_the_workspace_and_its_covariance_is_that_of_located_poi
 def test_points_out_of_the_eyes_reach_are_refused(truth):
     behind = np.array([[-0.5, 0.0, 0.0]])
     with pytest.raises(VergenceError, match="cannot both see"):
-        fixating(truth, checked_pair(truth), behind, LIMITS)
+        fixating(truth, pair_names(truth), behind, LIMITS)
 
 
 def test_a_plan_beats_random_views_and_its_prediction_is_what_recalibration_states(
@@ -256,5 +255,5 @@ def test_a_head_that_states_no_covariance_or_has_one_eye_is_refused():
     with pytest.raises(VergenceError, match="states no covariance"):
         plan(head, BOARD)
     one = replace(head, cameras={"left_wide": head.cameras["left_wide"]})
-    with pytest.raises(VergenceError, match="two eyes see"):
-        checked_pair(one)
+    with pytest.raises(VergenceError, match="a camera in each eye"):
+        pair_names(one)

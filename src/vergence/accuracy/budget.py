@@ -15,9 +15,9 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.geometry.head import HeadCalibration, main_pair
+from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import parameter_names
-from vergence.geometry.projection import project_point, stereo_cameras
+from vergence.geometry.projection import pair_names, project_point
 from vergence.stereo.calibration_covariance import covariance_factor
 from vergence.stereo.linearised import Linearised, by_head_parameters, linearised, pair_parameters
 from vergence.stereo.triangulation import pixel_noise
@@ -163,11 +163,9 @@ def _samples(
 ) -> tuple[Linearised, np.ndarray]:
     """Return the point as it is located, and which samples (t,) of the motion see it."""
     pixels, kept = [], np.ones(len(joints), dtype=bool)
-    for name, mounted in zip(
-        cameras or main_pair(head) or (), stereo_cameras(head, cameras), strict=True
-    ):
-        uv = project_point(head, name, joints, point)
-        size = mounted.intrinsics.width, mounted.intrinsics.height
+    for name in pair_names(head, cameras):
+        lens, uv = head.camera(name).intrinsics, project_point(head, name, joints, point)
+        size = lens.width, lens.height
         kept &= ((uv > -0.5) & (uv < np.array(size) - 0.5)).all(axis=1)
         pixels.append(uv)
     if kept.sum() < 2:

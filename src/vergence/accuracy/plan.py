@@ -20,13 +20,14 @@ from vergence.accuracy.plan_information import (
     stated,
     without_place,
 )
-from vergence.accuracy.plan_views import Views, admissible_views, checked_pair
+from vergence.accuracy.plan_views import Views, admissible_views
 from vergence.accuracy.plan_workspace import Workspace, largest_std, workspace
 from vergence.arrays import Array
 from vergence.calibration.summary import DISTANCES_M
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board
 from vergence.geometry.head import HeadCalibration, reading_stds
+from vergence.geometry.projection import pair_names
 from vergence.progress import Progress, silent
 
 LIMIT_RAD = 0.35
@@ -90,7 +91,7 @@ def plan(
             workspace is out of the eyes' reach.
     """
     accuracy, known = stated(head)
-    pair = checked_pair(head)
+    pair = pair_names(head)
     limits = _checked(head, limits_rad)
     points = workspace(head, pair, limits, names=known.names, distances_m=distances_m)
     rng = np.random.default_rng(seed)

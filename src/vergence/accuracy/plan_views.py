@@ -15,10 +15,10 @@ from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board, corner_points
 from vergence.geometry.eye_motion import eye_poses
-from vergence.geometry.head import HeadCalibration, main_pair
+from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.lens import reach
-from vergence.geometry.projection import T_lbase_cam, project_at
+from vergence.geometry.projection import T_lbase_cam, pair_names, project_at
 from vergence.geometry.se3 import inverse, pose, rotation, transform
 
 MARGIN_PX = 10.0
@@ -94,7 +94,7 @@ def admissible_views(
     Raises:
         VergenceError: the head has one eye, or the board fits into no pair of images.
     """
-    pair = [list(head.cameras).index(name) for name in checked_pair(head)]
+    pair = [list(head.cameras).index(name) for name in pair_names(head)]
     boards = _boards(head, board, limits_rad, rng, 20 * places)
     found = []
     for T in boards:
@@ -118,22 +118,11 @@ def admissible_views(
     )
 
 
-def checked_pair(head: HeadCalibration) -> tuple[str, str]:
-    """Return the main cameras of both eyes; VergenceError for a head of one eye."""
-    pair = main_pair(head)
-    if pair is None:
-        raise VergenceError(
-            "A plan is for points that two eyes see; this head has "
-            f"{', '.join(head.cameras)} alone."
-        )
-    return pair
-
-
 def _boards(
     head: HeadCalibration, board: Board, limits_rad: Array, rng: np.random.Generator, count: int
 ) -> Array:
     """Return random T_lbase_target (count, 4, 4) about the axes of the left eye's main camera."""
-    mounted = head.cameras[checked_pair(head)[0]]
+    mounted = head.cameras[pair_names(head)[0]]
     corners = corner_points(board)
     gaze = rng.uniform(-limits_rad, limits_rad, (count, len(limits_rad)))
     T_lbase_left = T_lbase_cam(mounted, head.T_rbase_lbase, eye_poses(head, gaze)[:, 0])

@@ -5,11 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from vergence.calibration.observations import Observations
-from vergence.geometry.head import Accuracy, HeadCalibration, main_pair, reading_stds
+from vergence.geometry.head import (
+    Accuracy,
+    HeadCalibration,
+    T_head_base,
+    main_pair,
+    reading_stds,
+)
 from vergence.geometry.kinematics import readings_to_turn
 from vergence.geometry.parameters import without_offsets
 from vergence.geometry.projection import project_point
-from vergence.geometry.se3 import inverse
+from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.uncertainty import calibration_covariance, locate_with_covariance
 from vergence.vision.board_pose import seen_corners
 
@@ -83,10 +89,10 @@ def point_accuracy(head: HeadCalibration) -> list[tuple[float, float, float]]:
     plain, phase = without_offsets(head), np.arange(8) * np.pi / 4
     turns = np.stack([np.zeros(8), np.sin(phase), np.cos(phase)], axis=1)
     joints = readings_to_turn(head.kinematics, _TURNS_RAD * turns)
-    rows = []
+    T_lbase_head, rows = inverse(T_head_base(plain, "left")), []
     for distance in DISTANCES_M:
         # Both eyes turn in the same sense; the point stays in the middle of the head.
-        point = np.array([distance, 0.0, 0.0]) + inverse(plain.T_rbase_lbase)[:3, 3] / 2
+        point = transform(T_lbase_head, np.array([distance, 0.0, 0.0]))
         left, right = (project_point(plain, name, joints, point) for name in pair)
         of_head = calibration_covariance(head, left=left, right=right, joints=joints)
         _, of_reading = locate_with_covariance(

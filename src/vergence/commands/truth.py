@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
 from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass
 
@@ -18,7 +17,7 @@ from vergence.geometry.board import Charuco, Chessboard
 from vergence.geometry.head import HeadCalibration
 from vergence.reading import read_json
 from vergence.twin.profile import ErrorProfile, Joints
-from vergence.twin.sensors import sensor_columns, with_sensor_errors
+from vergence.twin.sensors import gains_and_offsets, sensor_columns, with_sensor_errors
 
 TRUTH = "truth.json"
 
@@ -48,10 +47,9 @@ def with_sensors(head: HeadCalibration, joints: Joints) -> HeadCalibration:
 
     A sensor reads gain * angle + offset; a calibration states angle = gain * reading + offset.
     """
-    columns = sensor_columns(head.kinematics)
-    gain = 1 / (1 + np.array(joints.gain_percent)[columns] / 100)
-    offset = -gain * np.radians(joints.offset_deg)[columns]
-    return replace(head, kinematics=with_sensor_errors(head.kinematics, gain, offset))
+    gain, offset = gains_and_offsets(joints, sensor_columns(head.kinematics))
+    undone = with_sensor_errors(head.kinematics, 1 / gain, -offset / gain)
+    return replace(head, kinematics=undone)
 
 
 def load(path: Path) -> Truth:

@@ -10,8 +10,8 @@ from vergence.arrays import Array
 from vergence.data.dataset import Dataset, Frame, runs
 from vergence.data.timing import Timing, moved_readings
 from vergence.errors import VergenceError
-from vergence.geometry.head import HeadCalibration, main_pair
-from vergence.geometry.projection import stereo_cameras
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.projection import pair_names
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +50,7 @@ def stereo_rows(dataset: Dataset, head: HeadCalibration) -> StereoRows:
         VergenceError: the head has one eye, or the dataset does not have its main cameras, its
             readings or images of its size, or no row has images of both cameras.
     """
-    stereo_cameras(head, None)  # refuses a head of one eye
-    cameras = main_pair(head) or ("", "")
+    cameras = pair_names(head)
     folder, stated = dataset.folder, dataset.description.cameras
     for name in cameras:
         if name not in dataset.files:

@@ -16,7 +16,7 @@ from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.gaze.commands import EYE_READINGS
 from vergence.gaze.state import GazeSettings, GazeState
-from vergence.geometry.head import T_body_base
+from vergence.geometry.head import T_body_base, T_head_base
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.depth_error import depth_error, disparity_error
 from vergence.twin.head import Twin
@@ -77,7 +77,7 @@ def depth_sample(
         return None
     calibration, truth = settings.calibration, twin.true_object()
     T_lbase_body = inverse(T_body_base(calibration, "left", frame.neck_angles))
-    middle = inverse(twin.truth.T_rbase_lbase)[:3, 3] / 2
+    middle = inverse(T_head_base(twin.truth, "left"))[:3, 3]
     away = truth - middle
     distance = float(np.linalg.norm(away))
     error = transform(T_lbase_body, state.measured) - truth

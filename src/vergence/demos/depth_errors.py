@@ -18,6 +18,7 @@ from vergence.stereo.rectification import RectifiedPair, rectified_pixels, recti
 RANGE_M = (0.5, 1.5)
 """Distances at which errors are stated."""
 _GRID_PX = 16  # between the points whose rows are compared
+_WRONG = 0.2  # relative error of depth beyond which a pixel counts as wrong, not as inexact
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +93,7 @@ def summed(found: list[tuple[Array, Array, float]]) -> Errors | None:
     if not found:
         return None
     relative, standardised = (np.concatenate([each[k] for each in found]) for k in (0, 1))
-    wrong = np.abs(relative) > 0.2
+    wrong = np.abs(relative) > _WRONG
     within = np.abs(standardised[~wrong]) < 2
     return Errors(
         median_relative=float(np.median(np.abs(relative))) if relative.size else np.nan,

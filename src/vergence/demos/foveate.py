@@ -210,7 +210,8 @@ def foveate(
 def as_markdown(trials: list[Trial]) -> list[str]:
     """Return the lines of a report on trials."""
     columns = (
-        "object | distance [m] | initial error [px] | final error [px] | within 8 px after [s]"
+        "object | distance [m] | initial error [px] | final error [px] | "
+        f"within {SETTLED_PX:g} px after [s]"
     )
     rows = [
         (

@@ -14,6 +14,7 @@ from pydantic import ConfigDict, FiniteFloat, PositiveFloat, PositiveInt
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Array
+from vergence.errors import VergenceError
 
 DICTIONARIES = tuple(
     sorted(name for name in dir(cv2.aruco) if name.startswith("DICT_") and name.isupper())
@@ -66,7 +67,8 @@ class Charuco:
         if self.dictionary not in DICTIONARIES:
             known = ", ".join(DICTIONARIES)
             raise ValueError(f"dictionary is one of {known}; found {self.dictionary!r}")
-        needed, there = self.squares_x * self.squares_y // 2, len(_markers(self).bytesList)
+        there = len(marker_family(self.dictionary).bytesList)
+        needed = self.squares_x * self.squares_y // 2
         if needed > there:
             raise ValueError(f"the board has {needed} markers, but {self.dictionary} only {there}")
 
@@ -84,14 +86,33 @@ class Charuco:
 Board = Chessboard | Charuco
 
 
-def _markers(board: Charuco) -> cv2.aruco.Dictionary:
-    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
+def marker_family(dictionary: str, marker_id: int = 0) -> cv2.aruco.Dictionary:
+    """Return OpenCV's object of a family of markers.
+
+    Args:
+        dictionary: OpenCV's name of the family, such as DICT_4X4_50.
+        marker_id: number of a marker that the family must have.
+
+    Raises:
+        VergenceError: there is no such dictionary, or no such marker in it.
+    """
+    if dictionary not in DICTIONARIES:
+        raise VergenceError(
+            f"No marker dictionary is called {dictionary!r}; there are {', '.join(DICTIONARIES)}."
+        )
+    family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
+    count = len(family.bytesList)
+    if not 0 <= marker_id < count:
+        raise VergenceError(
+            f"Asked for marker {marker_id} of {dictionary}, whose markers are 0 to {count - 1}."
+        )
+    return family
 
 
 def opencv_board(board: Charuco) -> cv2.aruco.CharucoBoard:
     """Return OpenCV's object of a board, which detects it and draws it for printing."""
-    size = (board.squares_x, board.squares_y)
-    made = cv2.aruco.CharucoBoard(size, board.square_m, board.marker_m, _markers(board))
+    size, family = (board.squares_x, board.squares_y), marker_family(board.dictionary)
+    made = cv2.aruco.CharucoBoard(size, board.square_m, board.marker_m, family)
     made.setLegacyPattern(board.legacy)
     return made
 

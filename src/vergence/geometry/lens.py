@@ -13,14 +13,13 @@ Directions are given by x/z and y/z, so all models end at 90 degrees from the ax
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.geometry.components import Component, quotient
+from vergence.geometry.components import Component, quotient, silent
 
 CameraModel = Literal["radial-tangential", "rational", "fisheye"]
 COEFFICIENTS: dict[CameraModel, tuple[str, ...]] = {
@@ -51,14 +50,13 @@ def distort(
     r2 = x2 + y2
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
     slope = 2 * (k1 + r2 * (2 * k2 + 3 * k3 * r2))  # d radial / d x = slope * x
-    if model == "rational":
-        k4, k5, k6 = k[5:]
-        below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
-        slope_below = 2 * (k4 + r2 * (2 * k5 + 3 * k6 * r2))
-        with np.errstate(divide="ignore", invalid="ignore"):  # at a pole the result is NaN
+    with silent(x):
+        if model == "rational":  # at a pole the result is NaN
+            k4, k5, k6 = k[5:]
+            below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+            slope_below = 2 * (k4 + r2 * (2 * k5 + 3 * k6 * r2))
             radial = quotient(radial, below)
             slope = quotient(slope - radial * slope_below, below)
-    with nullcontext() if type(x) is float else np.errstate(invalid="ignore"):
         return (
             x * radial + 2 * p1 * xy + p2 * (r2 + 2 * x2),
             y * radial + p1 * (r2 + 2 * y2) + 2 * p2 * xy,

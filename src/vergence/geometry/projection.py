@@ -34,7 +34,7 @@ from vergence.geometry.components import (
 )
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration, MountedCamera, main_pair
-from vergence.geometry.kinematics import T_base_eye
+from vergence.geometry.kinematics import Side, T_base_eye
 from vergence.geometry.se3 import inverse
 
 Pair = tuple[str, str] | None
@@ -264,11 +264,8 @@ def per_pair(
     return found
 
 
-@per_pair
-def stereo_cameras(
-    head: HeadCalibration, cameras: tuple[str, str] | None
-) -> tuple[MountedCamera, MountedCamera]:
-    """Return the left and the right camera of a pair of names; None: the main ones.
+def pair_names(head: HeadCalibration, cameras: tuple[str, str] | None = None) -> tuple[str, str]:
+    """Return the names of a camera of the left eye and one of the right; None: the main ones.
 
     VergenceError if one of them is missing, or left and right are exchanged.
     """
@@ -277,13 +274,23 @@ def stereo_cameras(
         raise VergenceError(
             f"Stereo needs a camera in each eye; this head has {', '.join(head.cameras)}."
         )
-    left, right = (head.camera(name) for name in pair)
-    if (left.eye, right.eye) != ("left", "right"):
+    left, right = pair
+    eyes = head.camera(left).eye, head.camera(right).eye
+    if eyes != ("left", "right"):
         raise VergenceError(
             f"A stereo pair is a camera of the left eye and one of the right, in this order; "
-            f"{pair[0]} sits in the {left.eye} eye and {pair[1]} in the {right.eye} one."
+            f"{left} sits in the {eyes[0]} eye and {right} in the {eyes[1]} one."
         )
     return left, right
+
+
+@per_pair
+def stereo_cameras(
+    head: HeadCalibration, cameras: tuple[str, str] | None
+) -> tuple[MountedCamera, MountedCamera]:
+    """Return the left and the right camera of a pair; arguments and errors: see `pair_names`."""
+    left, right = pair_names(head, cameras)
+    return head.camera(left), head.camera(right)
 
 
 def T_rcam_lcam(
@@ -324,8 +331,12 @@ def stereo_poses(
 
 def T_lbase_cam(mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array) -> Array:
     """Return poses (..., 4, 4) of a camera in the left eye's base, at those of its eye."""
-    T_base_cam = T_base_eye @ mounted.T_eye_cam
-    return T_base_cam if mounted.eye == "left" else inverse(T_rbase_lbase) @ T_base_cam
+    return T_lbase_eye(mounted.eye, T_rbase_lbase, T_base_eye) @ mounted.T_eye_cam
+
+
+def T_lbase_eye(eye: Side, T_rbase_lbase: Array, T_base_eye: Array) -> Array:
+    """Return poses (..., 4, 4) of an eye in the left eye's base, at those in its own base."""
+    return T_base_eye if eye == "left" else inverse(T_rbase_lbase) @ T_base_eye
 
 
 def camera_pose(

@@ -19,12 +19,13 @@ from vergence.geometry.eye_motion import eye_poses_with_jacobians
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import camera_columns, parameter_names
 from vergence.geometry.projection import (
+    T_lbase_cam,
     by_parameters,
     project_with_jacobians,
     rows_times,
     stereo_cameras,
 )
-from vergence.geometry.se3 import cross, inverse
+from vergence.geometry.se3 import cross
 
 _FARTHEST_M = 50.0
 """Noise makes far points infinitely far, or puts them behind the head; they are taken as here."""
@@ -79,8 +80,7 @@ def _points(
     for k, (mounted, seen) in enumerate(
         zip(stereo_cameras(head, cameras), (left, right), strict=True)
     ):
-        T = T_base_eye[k] @ mounted.T_eye_cam
-        T = inverse(head.T_rbase_lbase) @ T if mounted.eye == "right" else T
+        T = T_lbase_cam(mounted, head.T_rbase_lbase, T_base_eye[k])
         xy = normalise(mounted.intrinsics, seen)
         rays.append(np.concatenate([xy, np.ones((len(xy), 1))], axis=1) @ T[:3, :3].T)
         centres.append(T[:3, 3])

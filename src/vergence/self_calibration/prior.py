@@ -16,7 +16,7 @@ from vergence.arrays import Array
 from vergence.geometry import se3
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named, intrinsics_names, parameter_names
-from vergence.geometry.projection import T_rcam_lcam, stereo_cameras
+from vergence.geometry.projection import T_rcam_lcam, pair_names
 
 
 @dataclass(frozen=True)
@@ -173,6 +173,4 @@ def _of_procedure(head: HeadCalibration, names: tuple[str, ...], cameras: tuple[
 
 def main_cameras(head: HeadCalibration) -> tuple[str, str]:
     """Return the names of the pair that looks around; VergenceError for a head of one eye."""
-    left, right = stereo_cameras(head, None)
-    names = {id(mounted): name for name, mounted in head.cameras.items()}
-    return names[id(left)], names[id(right)]
+    return pair_names(head)

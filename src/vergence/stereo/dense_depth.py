@@ -19,6 +19,7 @@ from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.se3 import transform
+from vergence.stereo.depth_error import depth_error
 from vergence.stereo.rectification import RectifiedPair, rectified_image, rectified_points
 from vergence.stereo.uncertainty import LocatedPoints, locate
 
@@ -118,7 +119,7 @@ def dense_depth(
     return DenseDepth(
         disparity_px=disparity,
         depth_m=depth,
-        std_m=depth**2 / scale * std_px,
+        std_m=depth_error(depth, pair.baseline_m, pair.matrix[0, 0], std_px),
         textured=np.isfinite(depth) & (by_texture <= TEXTURED_PX),
         image=colour,
     )
@@ -187,6 +188,7 @@ def _std_by_geometry(
     axis = pair.T_lbase_rect[:3, 2]
     depth = (found.xyz - pair.T_lbase_rect[:3, 3]) @ axis
     variance = np.einsum("i,nij,j->n", axis, found.covariance, axis)
+    # Eq. 20, solved for the error of disparity.
     std_px = np.sqrt(variance) * pair.matrix[0, 0] * pair.baseline_m / depth**2
     if not np.isfinite(std_px).any():
         return np.zeros((height, width))

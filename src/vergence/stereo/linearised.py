@@ -22,9 +22,15 @@ from vergence.geometry.components import (
     stacked,
 )
 from vergence.geometry.eye_motion import eye_motions, measured
-from vergence.geometry.head import HeadCalibration, main_pair
+from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import camera_columns, parameter_names
-from vergence.geometry.projection import by_increments, per_pair, projected, stereo_cameras
+from vergence.geometry.projection import (
+    by_increments,
+    pair_names,
+    per_pair,
+    projected,
+    stereo_cameras,
+)
 from vergence.stereo.triangulation import (
     checked,
     of_part,
@@ -37,8 +43,7 @@ from vergence.stereo.triangulation import (
 @per_pair
 def pair_parameters(head: HeadCalibration, cameras: tuple[str, str] | None) -> tuple[str, ...]:
     """Return the names of the P parameters that the points of a pair of cameras depend on."""
-    stereo_cameras(head, cameras)
-    names, pair = parameter_names(head), cameras or main_pair(head) or ()
+    names, pair = parameter_names(head), pair_names(head, cameras)
     both = np.unique(np.concatenate([camera_columns(head, name) for name in pair]))
     return tuple(names[k] for k in both)
 
@@ -53,7 +58,7 @@ def pair_columns(
     place = {everything.index(name): k for k, name in enumerate(names)}
     left, right = (
         np.array([place[k] for k in camera_columns(head, name)])
-        for name in cameras or main_pair(head) or ()
+        for name in pair_names(head, cameras)
     )
     return left, right
 

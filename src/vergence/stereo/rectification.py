@@ -184,7 +184,7 @@ def _where(camera: Camera, R_rect_cam: Array, matrix: Array, u: np.ndarray, v: n
     rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(matrix).T @ R_rect_cam
     x, y, z = np.moveaxis(rays, -1, 0)
     # Beyond its reach a lens model folds over.
-    good = (z > 0) & (x * x + y * y < reach(camera.model, tuple(camera.distortion)) * z * z)
+    good = (z > 0) & (x * x + y * y < reach(camera.model, camera.coefficients) * z * z)
     pixels = project(camera, np.where(good[..., None], rays, [0.0, 0.0, 1.0]))
     return np.where(good[..., None], pixels, _OUTSIDE).clip(_OUTSIDE, -_OUTSIDE)
 

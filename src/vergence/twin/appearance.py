@@ -10,10 +10,10 @@ from typing import Literal
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from vergence.arrays import Array
 from vergence.geometry.se3 import pose
-from vergence.twin.model import R_of_quat
 
 Shape = Literal["box", "sphere", "ellipsoid", "cylinder", "capsule", "plane", "mesh"]
 
@@ -64,13 +64,14 @@ def visual_geoms(model: mujoco.MjModel) -> list[VisualGeom]:
         rgba = model.geom_rgba[k] if material < 0 else model.mat_rgba[material]
         if shape is None or rgba[3] == 0:
             continue
+        R = Rotation.from_quat(model.geom_quat[k], scalar_first=True)
         triangles, normals = _mesh(model, k) if shape == "mesh" else (None, None)
         geoms.append(
             VisualGeom(
                 body=model.body(model.geom_bodyid[k]).name,
                 shape=shape,
                 size=model.geom_size[k].copy(),
-                T_body_geom=pose(R_of_quat(model.geom_quat[k]), model.geom_pos[k]),
+                T_body_geom=pose(R.as_matrix(), model.geom_pos[k]),
                 rgba=rgba.astype(float),
                 texture=_texture(model, material) if shape == "plane" and material >= 0 else None,
                 triangles=triangles,

@@ -10,6 +10,7 @@ from itertools import chain
 import mujoco
 import numpy as np
 from scipy.linalg import block_diag
+from scipy.spatial.transform import Rotation
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
@@ -21,13 +22,11 @@ from vergence.geometry.neck import NECK_JOINTS
 from vergence.geometry.se3 import inverse, pose, transform
 from vergence.twin.model import (
     CAMERAS,
-    R_of_quat,
     T_world_body,
     as_built_head,
     compile_head,
     hinges,
     nominal_head,
-    quat_of_R,
 )
 from vergence.twin.profile import ErrorProfile, Lens
 from vergence.twin.renderer import Negative, Renderer, overscan_sizes
@@ -213,7 +212,8 @@ class Twin:
         """Return the pose (4, 4) of the left eye's base frame in the world."""
         T_world_head = T_world_body(self._data, "head")
         pan = self.model.body("left_pan")
-        return T_world_head @ pose(R_of_quat(pan.quat), pan.pos)
+        R = Rotation.from_quat(pan.quat, scalar_first=True).as_matrix()
+        return T_world_head @ pose(R, pan.pos)
 
     def _place(self, body: str, T_lbase_body: Array | None) -> None:
         mocap = self.model.body(body).mocapid[0]
@@ -222,7 +222,8 @@ class Twin:
         else:
             T = self.T_world_lbase() @ T_lbase_body
             self._data.mocap_pos[mocap] = T[:3, 3]
-            self._data.mocap_quat[mocap] = quat_of_R(T[:3, :3])
+            R = Rotation.from_matrix(T[:3, :3])
+            self._data.mocap_quat[mocap] = R.as_quat(scalar_first=True)
         mujoco.mj_kinematics(self.model, self._data)
 
     def place_board(self, T_lbase_target: Array | None) -> None:

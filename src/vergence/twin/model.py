@@ -12,6 +12,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
@@ -105,7 +106,8 @@ def nominal_head(lens: Lens, kinematics: Kinematics | None = None) -> HeadCalibr
                 distortion=np.array(DISTORTION[lens]) if wide else np.zeros(5),
             ),
             T_eye_cam=pose(
-                R_of_quat(camera.quat) @ R_MJCAM_CAM, camera.pos - kinematics.chains[eye].end_m
+                Rotation.from_quat(camera.quat, scalar_first=True).as_matrix() @ R_MJCAM_CAM,
+                camera.pos - kinematics.chains[eye].end_m,
             ),
         )
     return HeadCalibration(
@@ -192,7 +194,8 @@ def compile_head(
         chain = head.kinematics.chains[eye]
         # The first joint turns the one body, all others the other.
         base, outer = spec.body(f"{eye}_pan"), spec.body(f"{eye}_eye")
-        base.pos, base.quat = T[:3, 3], quat_of_R(T[:3, :3])
+        base.pos = T[:3, 3]
+        base.quat = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
         for name in names[LEAST_JOINTS:]:
             like = spec.find_default("tilt")
             outer.add_joint(like, name=name)
@@ -208,7 +211,8 @@ def compile_head(
         # Its body stands at the origin of the eye's base, not at the end of the chain.
         camera.pos = head.kinematics.chains[mounted.eye].end_m + T[:3, 3]
         camera.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-        camera.quat = quat_of_R(T[:3, :3] @ R_MJCAM_CAM)
+        R_eye_mjcam = T[:3, :3] @ R_MJCAM_CAM
+        camera.quat = Rotation.from_matrix(R_eye_mjcam).as_quat(scalar_first=True)
         intrinsics, size = mounted.intrinsics, np.array(overscan[name])
         centre = (np.array([intrinsics.width, intrinsics.height]) - 1) / 2
         camera.sensor_size = camera.sensor_size[0] / nominal_width * size
@@ -217,20 +221,6 @@ def compile_head(
         camera.focal_length = [0, 0]
         camera.principal_pixel = centre - intrinsics.matrix[:2, 2]
     return spec.compile()
-
-
-def R_of_quat(quat_wxyz: Array) -> Array:
-    """Return the rotation (3, 3) of MuJoCo's quaternion (4,), scalar first."""
-    R = np.empty(9)
-    mujoco.mju_quat2Mat(R, quat_wxyz)
-    return R.reshape(3, 3)
-
-
-def quat_of_R(R: Array) -> Array:
-    """Return MuJoCo's quaternion (4,), scalar first, of a rotation (3, 3)."""
-    quat_wxyz = np.empty(4)
-    mujoco.mju_mat2Quat(quat_wxyz, np.ascontiguousarray(R).ravel())
-    return quat_wxyz
 
 
 def T_world_body(data: mujoco.MjData, name: str) -> Array:

@@ -65,6 +65,14 @@ def with_sensor_errors(kinematics: Kinematics, gain: Array, offset: Array) -> Ki
     return replace(kinematics, eyes=eyes)
 
 
+def gains_and_offsets(joints: Joints, columns: Sequence[int]) -> tuple[Array, Array]:
+    """Return gains (r,) and offsets (r,) [rad] of sensors, which read gain * angle + offset.
+
+    `columns` are those of `sensor_columns`.
+    """
+    return 1 + np.array(joints.gain_percent)[columns] / 100, np.radians(joints.offset_deg)[columns]
+
+
 def read(
     sensed: Array, joints: Joints, rng: np.random.Generator, columns: Sequence[int] = range(4)
 ) -> Array:
@@ -73,8 +81,8 @@ def read(
     `columns` are those of `sensor_columns`.
     """
     noise = rng.normal(0.0, np.radians(joints.noise_deg), sensed.shape)
-    gain = 1 + np.array(joints.gain_percent)[columns] / 100
-    reading = gain * sensed + np.radians(joints.offset_deg)[columns] + noise
+    gain, offset = gains_and_offsets(joints, columns)
+    reading = gain * sensed + offset + noise
     if joints.counts_per_turn:
         step = 2 * np.pi / joints.counts_per_turn
         reading = np.round(reading / step) * step

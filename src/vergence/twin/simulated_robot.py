@@ -32,7 +32,7 @@ from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration
 from vergence.twin.hand import SimulatedHand
 from vergence.twin.head import Twin
-from vergence.twin.sensors import sensor_columns
+from vergence.twin.sensors import gains_and_offsets, sensor_columns
 
 FRAME_S = 0.033
 """Frame period: 30 Hz, in whole milliseconds, because the physics steps in them."""
@@ -113,10 +113,8 @@ class SimulatedHead:
         self._limits = twin_limits(kinematics)
         self._command = hold(np.zeros(len(self._limits.joints)), self._limits, twin.time_s)
         self._next_s, self._number = twin.time_s, 0
-        joints = twin.profile.joints
         columns = sensor_columns(kinematics)
-        self._gain = 1 + np.array(joints.gain_percent)[columns] / 100
-        self._offset = np.radians(joints.offset_deg)[columns]
+        self._gain, self._offset = gains_and_offsets(twin.profile.joints, columns)
 
     def now_s(self) -> float:
         """Return the simulated time [s]."""

@@ -28,7 +28,7 @@ from vergence.data.dataset import Dataset
 from vergence.geometry.board import Board, corner_points
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES
-from vergence.geometry.se3 import inverse
+from vergence.geometry.projection import T_lbase_eye
 from vergence.progress import Progress, silent
 from vergence.viewer import style
 from vergence.viewer.frame import log_image, time_columns
@@ -76,7 +76,8 @@ def record_dataset(
             rec.set_time("frame", sequence=row)
             for k, eye in enumerate(EYES):
                 if np.isfinite(eyes[row, k]).all():
-                    rec.log(f"world/{eye}_eye", placed(eyes[row, k]))
+                    T = T_lbase_eye(eye, head.T_rbase_lbase, eyes[row, k])
+                    rec.log(f"world/{eye}_eye", placed(T))
             if estimate is not None:
                 T = estimate.T_lbase_target.get(int(dataset.placement[row]))
                 rec.log("world/board", rr.Clear(recursive=False) if T is None else placed(T))
@@ -91,13 +92,12 @@ def record_dataset(
 
 
 def _eye_poses(result: CalibrationResult) -> Array:
-    """Return poses (V, 2, 4, 4) of the eyes in the left eye's base, as read where not estimated."""
-    poses = result.observations.eye_poses(result.head).copy()
-    if result.estimate is not None:
-        estimated = result.estimate.T_base_eye
-        poses = np.where(np.isfinite(estimated), estimated, poses)
-    poses[:, 1] = inverse(result.head.T_rbase_lbase) @ poses[:, 1]
-    return poses
+    """Return poses (V, 2, 4, 4) of the eyes in their bases, as read where not estimated."""
+    poses = result.observations.eye_poses(result.head)
+    if result.estimate is None:
+        return poses
+    estimated = result.estimate.T_base_eye
+    return np.where(np.isfinite(estimated), estimated, poses)
 
 
 def _outline(board: Board) -> rr.LineStrips3D:

@@ -26,7 +26,7 @@ from vergence.arrays import Array
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES
-from vergence.geometry.se3 import inverse
+from vergence.geometry.projection import T_lbase_eye
 from vergence.stereo.dense_depth import DenseDepth, point_cloud
 from vergence.stereo.rectification import RectifiedPair, rectified_image
 from vergence.viewer.frame import log_image
@@ -61,10 +61,8 @@ def log_depth(
     """Record one pair: `right` is the right camera's own image (H, W, 3) uint8."""
     rec.set_time("sim_time", duration=time_s)
     rec.set_time("frame", sequence=index)
-    poses = eye_poses(head, joints).copy()
-    poses[1] = inverse(head.T_rbase_lbase) @ poses[1]
-    for eye, T in zip(EYES, poses, strict=True):
-        rec.log(f"world/{eye}_eye", placed(T))
+    for eye, T in zip(EYES, eye_poses(head, joints), strict=True):
+        rec.log(f"world/{eye}_eye", placed(T_lbase_eye(eye, head.T_rbase_lbase, T)))
     log_image(rec, "rectified/left", found.image)
     log_image(rec, "rectified/right", rectified_image(pair.right, right))
     for name, values, unit in (

@@ -10,8 +10,9 @@ import rerun as rr
 from scipy.spatial.transform import Rotation
 
 from vergence.arrays import Array
-from vergence.geometry.head import HeadCalibration, T_base_cam
-from vergence.geometry.se3 import inverse, transform
+from vergence.geometry.eye_motion import eye_poses
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.projection import T_lbase_cam, stereo_cameras
 from vergence.viewer import style
 from vergence.viewer.layout import camera_entities
 
@@ -130,11 +131,13 @@ def spread_ellipsoid(points: Array) -> rr.Ellipsoids3D:
 
 
 def lines_of_sight(head: HeadCalibration, points: Array, eye_angles: Array) -> Array:
-    """Return polylines (N, 3, 3) from the left wide camera to a point to the right wide camera.
+    """Return polylines (N, 3, 3) from the left main camera to a point to the right main camera.
 
     Points (N, 3) [m] are in the left eye's base frame, as the result; `eye_angles` (N, r) [rad].
     """
-    left = T_base_cam(head, "left_wide", eye_angles)[:, :3, 3]
-    right = T_base_cam(head, "right_wide", eye_angles)[:, :3, 3]
-    right = transform(inverse(head.T_rbase_lbase), right)
+    pair, poses = stereo_cameras(head, None), eye_poses(head, eye_angles)
+    left, right = (
+        T_lbase_cam(mounted, head.T_rbase_lbase, poses[:, k])[:, :3, 3]
+        for k, mounted in enumerate(pair)
+    )
     return np.stack([left, points, right], axis=1)

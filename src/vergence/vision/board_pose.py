@@ -7,7 +7,8 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry.camera import Camera, normalise, project_jacobians
-from vergence.geometry.se3 import boxplus, cross, pose, rotation
+from vergence.geometry.projection import by_pose_of_points
+from vergence.geometry.se3 import boxplus, pose, rotation
 
 LEAST_CORNERS = 6
 """Fewer do not say where a board is."""
@@ -95,7 +96,7 @@ def refined_poses(camera: Camera, corners: Array, points: Array, T: Array) -> tu
         turned = points @ np.swapaxes(trial[:, :3, :3], 1, 2)
         pixels, by_point, _ = project_jacobians(camera, turned + trial[:, None, :3, 3])
         errors = np.where(seen, pixels - target, 0.0).reshape(len(T), -1)
-        J = np.concatenate([cross(turned[:, :, None], by_point), by_point], axis=-1)
+        J = by_pose_of_points(by_point, turned)
         J = np.where(seen[..., None], J, 0.0).reshape(len(T), -1, 6)
         cost = np.nan_to_num((errors**2).sum(axis=1), nan=np.inf)
         better = (cost <= lowest) & np.isfinite(cost)

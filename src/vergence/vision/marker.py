@@ -11,8 +11,7 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.errors import VergenceError
-from vergence.geometry.board import DICTIONARIES
+from vergence.geometry.board import marker_family
 from vergence.geometry.camera import Camera, normalise, project
 from vergence.vision.detector import Detection, Detector, windows
 
@@ -39,16 +38,7 @@ def marker_detector(dictionary: str, marker_id: int) -> Detector:
     Raises:
         VergenceError: there is no such dictionary, or no such marker in it.
     """
-    if dictionary not in DICTIONARIES:
-        raise VergenceError(
-            f"No marker dictionary is called {dictionary!r}; there are {', '.join(DICTIONARIES)}."
-        )
-    family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
-    count = len(family.bytesList)
-    if not 0 <= marker_id < count:
-        raise VergenceError(
-            f"Asked for marker {marker_id} of {dictionary}, whose markers are 0 to {count - 1}."
-        )
+    family = marker_family(dictionary, marker_id)
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     parameters.relativeCornerRefinmentWinSize = _REFINED_WINDOW

@@ -8,7 +8,7 @@ camera, T_rbase_lbase, the errors of the joints, the target's places, and the le
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -24,7 +24,7 @@ from vergence.calibration.observations import check_rotations
 from vergence.calibration.sequential.hand_eye import robust_park_martin
 from vergence.errors import VergenceError
 from vergence.geometry.camera import pinhole
-from vergence.geometry.head import HeadCalibration, MountedCamera, main_camera
+from vergence.geometry.head import HeadCalibration, MountedCamera, main_pair
 from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye
 from vergence.geometry.parameters import intrinsics_names
 from vergence.geometry.se3 import inverse, mean_pose
@@ -259,15 +259,15 @@ def _start(
         # Poses have no pixels: a lens of one stands where a head needs one.
         mounted[name] = MountedCamera(eye=eye, intrinsics=pinhole(1, 1, 1.0), T_eye_cam=T_eye_cam)
         seen[name] = own @ T_eye_cam @ T
-    pair = [[name for name in mounted if mounted[name].eye == eye] for eye in EYES]
-    between = np.eye(4)
-    if all(pair):
-        left, right = (main_camera(names, eye) for names, eye in zip(pair, EYES, strict=True))
-        both = seen[right] @ inverse(seen[left])
-        known = _measured(both)
-        if not known.any():
-            raise VergenceError(
-                f"T_rbase_lbase is not observable: no view has poses by both {left} and {right}."
-            )
-        between = mean_pose(both[known])
-    return HeadCalibration(cameras=mounted, T_rbase_lbase=between, kinematics=kinematics)
+    head = HeadCalibration(cameras=mounted, T_rbase_lbase=np.eye(4), kinematics=kinematics)
+    pair = main_pair(head)
+    if pair is None:
+        return head
+    left, right = pair
+    both = seen[right] @ inverse(seen[left])
+    known = _measured(both)
+    if not known.any():
+        raise VergenceError(
+            f"T_rbase_lbase is not observable: no view has poses by both {left} and {right}."
+        )
+    return replace(head, T_rbase_lbase=mean_pose(both[known]))

@@ -11,7 +11,7 @@ comes from the cameras of both eyes before the same board; a head may have one e
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from vergence.calibration.sequential.intrinsics import Intrinsics, LensModel, ca
 from vergence.calibration.sequential.static_stereo import calibrate_pair
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
-from vergence.geometry.head import HeadCalibration, MountedCamera, main_camera
+from vergence.geometry.head import HeadCalibration, MountedCamera, main_camera, main_pair
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.neck import Neck
 from vergence.geometry.projection import base_extrinsics
@@ -100,27 +100,31 @@ def calibrate_sequentially(
                 mounted[name] = MountedCamera(
                     eye=eye, intrinsics=cameras[name], T_eye_cam=T_eye_main @ inverse(T_name_main)
                 )
-    T_rbase_lbase, rms, count = _between_the_eyes(observations, mounted, T_cam_target, points)
     head = HeadCalibration(
         cameras=mounted,
-        T_rbase_lbase=T_rbase_lbase,
+        T_rbase_lbase=np.eye(4),
         kinematics=observations.kinematics,
         neck=neck or Neck(),
     )
+    T_rbase_lbase, rms, count = _between_the_eyes(observations, head, T_cam_target, points)
+    head = replace(head, T_rbase_lbase=T_rbase_lbase)
     return SequentialCalibration(head, intrinsics, rms, count, eye_views)
 
 
 def _between_the_eyes(
     observations: Observations,
-    mounted: Mapping[str, MountedCamera],
+    head: HeadCalibration,
     T_cam_target: Mapping[str, Array],
     points: Array,
 ) -> tuple[Array, float | None, int]:
-    """Return T_rbase_lbase (the identity for one eye), static stereo's RMS [px] and view count."""
-    own = [[name for name in mounted if mounted[name].eye == eye] for eye in EYES]
-    if not all(own):
-        return np.eye(4), None, 0
-    left, right = (main_camera(names, eye) for names, eye in zip(own, EYES, strict=True))
+    """Return T_rbase_lbase, static stereo's RMS [px] and view count.
+
+    T_rbase_lbase of the given head does not matter; it stays for one eye.
+    """
+    pair, mounted = main_pair(head), head.cameras
+    if pair is None:
+        return head.T_rbase_lbase, None, 0
+    left, right = pair
     corners_l, corners_r = observations.corners[left], observations.corners[right]
     both = (seen_corners(corners_l) & seen_corners(corners_r)).sum(axis=1) >= LEAST_CORNERS
     if not both.any():

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import cv2
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from vergence.errors import VergenceError
-from vergence.geometry.board import DICTIONARIES
+from vergence.geometry.board import marker_family
 from vergence.twin.scene.board import BLACK, WHITE
 
 MODULE_TEXELS = 64
@@ -47,16 +48,7 @@ def marker_card(dictionary: str, marker_id: int, side_m: float) -> Card:
     Raises:
         VergenceError: there is no such dictionary or marker, or the card is too large.
     """
-    if dictionary not in DICTIONARIES:
-        raise VergenceError(
-            f"No marker dictionary is called {dictionary!r}; there are {', '.join(DICTIONARIES)}."
-        )
-    family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
-    if not 0 <= marker_id < len(family.bytesList):
-        raise VergenceError(
-            f"Asked for marker {marker_id} of {dictionary}, whose markers are 0 to "
-            f"{len(family.bytesList) - 1}."
-        )
+    family = marker_family(dictionary, marker_id)
     modules = family.markerSize + 2  # with the black frame
     drawn = cv2.aruco.generateImageMarker(family, marker_id, modules * MODULE_TEXELS)
     grey = np.pad(np.where(drawn > 0, WHITE, BLACK), MODULE_TEXELS, constant_values=WHITE)
@@ -77,13 +69,11 @@ def put_card(spec: mujoco.MjSpec, card: Card) -> None:
     height_m = card.width_m * card.picture.shape[0] / card.picture.shape[1]
     spec.delete(spec.geom("object"))
     R = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # shown along +z, up is +y
-    quat_wxyz = np.empty(4)
-    mujoco.mju_mat2Quat(quat_wxyz, R.ravel())
     spec.body("object").add_geom(
         name="object",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[card.width_m / 2, height_m / 2, 1],
-        quat=quat_wxyz,
+        quat=Rotation.from_matrix(R).as_quat(scalar_first=True),
         material="card",
         contype=0,
         conaffinity=0,
