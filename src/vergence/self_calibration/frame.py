@@ -18,7 +18,7 @@ from scipy.stats import chi2
 from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named, parameter_names
-from vergence.geometry.projection import T_rcam_lcam
+from vergence.geometry.projection import T_rcam_lcam, pair_names
 from vergence.self_calibration.epipolar import epipolar_residuals
 from vergence.self_calibration.match_noise import (
     CUT,
@@ -33,7 +33,6 @@ from vergence.self_calibration.prior import (
     BUMP,
     JOINT_STD_RAD,
     learned_names,
-    main_cameras,
     prior_covariance,
     tolerance_covariance,
 )
@@ -143,7 +142,7 @@ def start(head: HeadCalibration, *, cameras: tuple[str, str] | None = None) -> S
 
     VergenceError for a head of one eye.
     """
-    pair = cameras or main_cameras(head)
+    pair = pair_names(head, cameras)
     names = learned_names(head, pair)
     stated = head.accuracy.joint_std if head.accuracy else ()
     std = float(np.sqrt(np.mean(np.square(stated)))) if stated else float(JOINT_STD_RAD)

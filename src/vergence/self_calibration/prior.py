@@ -16,7 +16,7 @@ from vergence.arrays import Array
 from vergence.geometry import se3
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named, intrinsics_names, parameter_names
-from vergence.geometry.projection import T_rcam_lcam, pair_names
+from vergence.geometry.projection import T_rcam_lcam
 
 
 @dataclass(frozen=True)
@@ -169,8 +169,3 @@ def _of_procedure(head: HeadCalibration, names: tuple[str, ...], cameras: tuple[
     mixing[base] = -back @ by
     mixing[np.ix_(base, base)] = back
     return mixing @ C @ mixing.T
-
-
-def main_cameras(head: HeadCalibration) -> tuple[str, str]:
-    """Return the names of the pair that looks around; VergenceError for a head of one eye."""
-    return pair_names(head)
