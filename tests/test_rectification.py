@@ -138,6 +138,12 @@ def test_views_that_do_not_overlap_are_refused(joints):
         rectify(head("radial-tangential"), np.array(joints))
 
 
+@pytest.mark.parametrize("shape", [(3, 4), (7,), (), (5, 2, 4, 4), (4, 4)])
+def test_a_pair_is_rectified_at_one_posture(shape):
+    with pytest.raises(VergenceError, match=r"readings left_pan.*found .* one posture"):
+        rectify(four_cameras(), np.zeros(shape))
+
+
 def test_narrow_cameras_can_be_asked_for():
     pair = rectify(four_cameras(), np.zeros(4), cameras=("left_narrow", "right_narrow"))
     assert pair.matrix[0, 0] == pytest.approx(0.85 * 1200)

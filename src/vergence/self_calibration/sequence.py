@@ -15,6 +15,7 @@ from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import one_posture
 from vergence.self_calibration.frame import (
     SelfCalibrated,
     SelfCalibration,
@@ -81,13 +82,7 @@ def see(before: SeenGeometry, frame: Frame, joints: Array | None = None) -> Seen
             readings are not as many as the head has.
     """
     known = before.known
-    joints = frame.eye_angles if joints is None else joints
-    readings = known.head.kinematics.readings
-    if joints.shape != (len(readings),):
-        raise VergenceError(
-            f"This head has the joint readings {', '.join(readings)}; found an array of shape "
-            f"{joints.shape} in their place."
-        )
+    joints = one_posture(known.head.kinematics, frame.eye_angles if joints is None else joints)
     for name in known.cameras:
         if name not in frame.images:
             raise VergenceError(
