@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from other_heads import KINDS, other_head
 from simulated_head import plain_head
 from test_location_accuracy import stated
 from vergence import cli
 from vergence.accuracy.budget import CALIBRATION, Source, budget, group_of
 from vergence.accuracy.motions import PERIOD_S, eye_angles
 from vergence.arrays import Array
-from vergence.commands.budget import advice, as_plain, motion_of, run, table
+from vergence.commands.budget import advice, as_plain, motion_of, run, sources_of, table
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, save_head
 from vergence.geometry.parameters import boxplus, change_named, parameter_names
@@ -160,6 +161,21 @@ def test_what_cannot_be_budgeted_is_refused():
     source = Source("wrong", errors={"nose.fx": 1.0})
     with pytest.raises(VergenceError, match=r"no parameter 'nose\.fx'"):
         budget(HEAD, POINT[None], **motion("parallel"), sources=[source])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_profiles_errors_are_sources_for_heads_with_any_joints(kind: str):
+    head = other_head(kind, np.random.default_rng(0))
+    names = [source.name for source in sources_of(head, load_profile("paper"), None)]
+    assert names[-1] == "shift of the mountings, by hand"
+
+
+def test_motions_of_pan_and_tilt_are_refused_for_heads_with_other_readings():
+    head = stated(other_head("shared tilt, pan", np.random.default_rng(0)))
+    with pytest.raises(
+        VergenceError, match=r"divergent.* 4 readings.* has tilt, left_pan, right_pan.*dataset"
+    ):
+        run(head, points=POINT[None], motion="divergent", profile=None, pixel_std_px=0.1)
 
 
 def test_a_budget_beyond_first_order_says_so():

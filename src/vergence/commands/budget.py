@@ -16,6 +16,7 @@ from vergence.commands.truth import with_sensors
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, main_pair, reading_stds
+from vergence.geometry.kinematics import EYE_JOINTS
 from vergence.geometry.parameters import boxminus
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.profile import ErrorProfile, Lens
@@ -38,7 +39,7 @@ class Budgets:
     motion: str
     budgets: list[Budget]
     parallel: list[Budget] | None
-    """None: the motion is parallel itself, or the head does not pan and tilt."""
+    """None: the motion is parallel itself, or the head has other readings than pan and tilt."""
 
 
 def run(
@@ -59,7 +60,7 @@ def run(
 
     Raises:
         VergenceError: there is nothing that could be wrong, a point is not seen or too far away,
-            the noise is negative, or the motion is none.
+            the noise is negative, or the motion is none of this head.
     """
     if pixel_std_px is not None and not 0 <= pixel_std_px <= MAX_NOISE_PX:
         raise VergenceError(
@@ -74,9 +75,18 @@ def run(
             "A budget needs sources of errors: give a calibration that states its accuracy, an "
             "error profile (--profile paper), or --noise in pixels."
         )
+    motions = dict.fromkeys((motion, "parallel"))
+    if len(readings := head.kinematics.readings) != len(EYE_JOINTS):
+        if motion in PERIOD_S:
+            raise VergenceError(
+                f"The motion {motion!r} is of the {len(EYE_JOINTS)} readings "
+                f"{', '.join(EYE_JOINTS)}; this head has {', '.join(readings)}. Give the folder of "
+                "a dataset of this head as --motion."
+            )
+        motions = [motion]
     found = [
         budget(head, np.array(points), joints=joints, rates=rates, sources=sources)
-        for joints, rates in map(motion_of, dict.fromkeys((motion, "parallel")))
+        for joints, rates in map(motion_of, motions)
     ]
     return Budgets(motion, found[0], found[1] if len(found) > 1 else None)
 

@@ -11,6 +11,7 @@ from vergence.data.dataset import Dataset
 from vergence.data.stereo_rows import stereo_rows
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import straight_gaze
 from vergence.geometry.parameters import boxminus
 from vergence.geometry.projection import T_rcam_lcam, project_point
 from vergence.geometry.se3 import rotvec
@@ -145,7 +146,7 @@ def _parameters(before: SelfCalibration, after: SelfCalibration) -> tuple[Learne
 def _depth_stds(before: SelfCalibration, after: SelfCalibration) -> tuple[float, float] | None:
     found = []
     for state in (before, after):
-        head, straight = learned_head(state), np.zeros(len(state.head.kinematics.readings))
+        head, straight = learned_head(state), straight_gaze(state.head.kinematics)
         left, right = (project_point(head, c, straight, _POINT_M)[None] for c in state.cameras)
         C = calibration_covariance(
             head, left=left, right=right, joints=straight, cameras=state.cameras
