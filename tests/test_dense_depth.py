@@ -106,6 +106,26 @@ def test_a_depth_too_near_for_the_cameras_is_refused(pair: RectifiedPair):
         dense_depth(HEAD, JOINTS, pair, image, image, nearest_m=0.01)
 
 
+def test_grey_images_have_the_depth_of_the_same_ones_in_colour(pair: RectifiedPair, drawn):
+    grey = [cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in drawn]
+    by_grey, by_colour = (dense_depth(HEAD, JOINTS, pair, *images) for images in (grey, drawn))
+    np.testing.assert_array_equal(by_grey.disparity_px, by_colour.disparity_px)
+    np.testing.assert_array_equal(by_grey.image, by_colour.image)
+
+
+@pytest.mark.parametrize(
+    ("shape", "dtype", "said"),
+    [
+        ((240, 320, 3), np.uint8, r"640 x 480 px.*found .*\(240, 320, 3\)"),
+        ((480, 640, 4), np.uint8, r"RGB.*found .*\(480, 640, 4\)"),
+        ((480, 640, 3), np.uint16, r"uint8; found .* of uint16"),
+    ],
+)
+def test_images_that_do_not_fit_the_calibration_are_refused(pair, drawn, shape, dtype, said):
+    with pytest.raises(VergenceError, match=said):
+        dense_depth(HEAD, JOINTS, pair, drawn[0], np.zeros(shape, dtype))
+
+
 def depth(monkeypatch: pytest.MonkeyPatch, *words: str) -> None:
     monkeypatch.setattr(sys, "argv", ["vergence", "depth", *words])
     cli.main()

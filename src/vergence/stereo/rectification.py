@@ -212,7 +212,17 @@ def _apart(cameras: tuple[str, str] | None) -> VergenceError:
 
 
 def rectified_image(view: RectifiedView, image: np.ndarray) -> np.ndarray:
-    """Return the rectified image (H, W, ...) uint8 of a real one; 0 where it shows nothing."""
+    """Return the rectified image (H, W, ...) uint8 of a real one; 0 where it shows nothing.
+
+    VergenceError if the image is not (height, width) or (height, width, channels) of the view's
+    camera.
+    """
+    size = view.camera.height, view.camera.width
+    if image.ndim not in (2, 3) or image.shape[:2] != size:
+        raise VergenceError(
+            f"This view rectifies images of {size[1]} x {size[0]} px, whose arrays are {size} or "
+            f"{(*size, 3)}; found an array of shape {image.shape}."
+        )
     return cv2.remap(image, view.map_x, view.map_y, cv2.INTER_LINEAR)
 
 
