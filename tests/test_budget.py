@@ -21,6 +21,7 @@ from vergence.geometry.parameters import boxplus, change_named, parameter_names
 from vergence.geometry.projection import project_point
 from vergence.stereo.triangulation import triangulate_at
 from vergence.twin.profile import ErrorProfile, Joints, load_profile
+from without_mujoco import without_mujoco
 
 HEAD = plain_head(0.092, 280.0, camera_m=((0.02, 0.001, 0.01), (0.02, -0.001, 0.01)))
 POINT = np.array([0.6, -0.03, 0.02])
@@ -221,3 +222,17 @@ def test_the_command_writes_a_table_json_and_a_figure(tmp_path, monkeypatch, cap
     )
     assert written == json.loads(json.dumps(as_plain(found)))
     assert (tmp_path / "b.png").stat().st_size > 1000
+
+
+def test_a_real_heads_budget_needs_no_twin(tmp_path):
+    save_head(stated(HEAD), tmp_path / "head.json")
+    words = "budget", "--calibration", "head.json"
+    done = without_mujoco(*words, "--json", "budget.json", folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "half of" in done.stdout
+    assert (tmp_path / "budget.json").exists()
+    refused = without_mujoco(
+        "budget", "--calibration", "head.json", "--profile", "paper", folder=tmp_path
+    )
+    assert refused.returncode == 2
+    assert "Rendering needs OpenGL" in refused.stderr

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,14 +13,14 @@ from numpy.typing import ArrayLike
 from vergence.accuracy.budget import TIME_OFFSET, Budget, Part, Source, budget
 from vergence.accuracy.motions import PERIOD_S, eye_angles
 from vergence.arrays import MAX_M, Array
-from vergence.commands.truth import with_sensors
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, main_pair, reading_stds
 from vergence.geometry.kinematics import EYE_JOINTS
 from vergence.geometry.parameters import boxminus
-from vergence.twin.calibration_errors import inject_calibration_error
-from vergence.twin.profile import ErrorProfile, Lens
+
+if TYPE_CHECKING:
+    from vergence.twin.profile import ErrorProfile, Lens
 
 SAMPLES = 400
 """Of a motion: as many as the budget needs to be smooth."""
@@ -135,6 +136,9 @@ def sources_of(
     ):
         if std:
             sources.append(Source(name, joint_std_rad=float(std)))
+    # The twin needs OpenGL, which a real head's budget can do without.
+    from vergence.twin.calibration_errors import inject_calibration_error
+
     known = {} if estimated else _known_of_sensors(head, profile)
     focal = head.camera((main_pair(head) or ("",))[0]).intrinsics.matrix[0, 0]
     lens: Lens = "4.0mm" if focal > LONG_LENS_PX else "2.8mm"
@@ -159,6 +163,8 @@ def _known_of_sensors(head: HeadCalibration, profile: ErrorProfile) -> dict[str,
 
     Offsets of joints are none: calibration takes them for turns of the mountings.
     """
+    from vergence.commands.truth import with_sensors
+
     without = profile.joints.model_copy(update={"offset_deg": (0.0,) * 4})
     gains = boxminus(replace(head, accuracy=None), with_sensors(head, without))
     known = {"gains of the joints": {n: e for n, e in gains.items() if n.endswith("_gain")}}
