@@ -28,7 +28,11 @@ from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named
 from vergence.geometry.projection import T_rcam_lcam
 from vergence.paper.comparison import LEARNED, comparison
-from vergence.self_calibration.frame import from_matches, self_calibrate_frame, start
+from vergence.self_calibration.frame import (
+    from_matches,
+    initial_self_calibration,
+    self_calibrate_frame,
+)
 from vergence.self_calibration.learning import learn
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration
@@ -46,7 +50,7 @@ MOMENT = 28
 def run(seed: int, rate_hz: float, *, bump: bool, drift_deg_min: float = 0.0):
     """Return errors of the cameras' relative turn (N,) [deg], reported frames, and the bump's."""
     rng = np.random.default_rng(seed)
-    state = replace(start(nominal_head("2.8mm")), match_scale=1.0)
+    state = replace(initial_self_calibration(nominal_head("2.8mm")), match_scale=1.0)
     truth, points = drawn_head(state, rng), room(POINTS, rng)
     frames = round(DURATION_S * rate_hz)
     axis = rng.normal(size=3)

@@ -35,9 +35,9 @@ from vergence.self_calibration.frame import (
     SelfCalibrated,
     SelfCalibration,
     from_matches,
+    initial_self_calibration,
     locate_seen,
     self_calibrate_frame,
-    start,
 )
 from vergence.self_calibration.learning import learn
 from vergence.stereo.triangulation import triangulate_at
@@ -233,7 +233,9 @@ def report(head: HeadCalibration, figure: int, samples, learned: SelfCalibration
     }
     step_s = default_duration_s(FIGURES[figure].motion) / len(samples)
     for name, change in ways.items():
-        single, after, share, distance = compare(samples, start(head), learned, change, step_s)
+        single, after, share, distance = compare(
+            samples, initial_self_calibration(head), learned, change, step_s
+        )
         worse = " WORSE" if max(single, after) > 1.05 else ""
         print(
             f"Fig. {figure:2d} {name:20s} single {single:.3f} learned {after:.3f} "

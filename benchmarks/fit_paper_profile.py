@@ -28,7 +28,7 @@ from vergence.paper.replay import SAMPLES, estimate, sample_times
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import Shot, plan
 from vergence.twin.model import FOCAL_MM, as_built_head, nominal_head
-from vergence.twin.profile import ByHand, ErrorProfile, Joints, load_profile
+from vergence.twin.profile import ByHand, ErrorProfile, Joints, Lens, load_profile
 
 NAMES = (
     "mounting.baseline_mm",
@@ -48,7 +48,7 @@ CORNER_NOISE_PX = 0.035
 OBJECT_NOISE_PX = 0.03
 PAPER_STD = np.array([figure.std_m for figure in FIGURES.values()])
 
-Plans = dict[str, tuple[HeadCalibration, list[Shot]]]
+Plans = dict[Lens, tuple[HeadCalibration, list[Shot]]]
 
 
 def profile_of(values: Array) -> ErrorProfile:
@@ -101,7 +101,7 @@ def main(steps: int = 6) -> None:
     Args:
         steps: of Gauss-Newton at most.
     """
-    plans = {lens: (head := nominal_head(lens), plan(head, 0)) for lens in FOCAL_MM}
+    plans: Plans = {lens: (head := nominal_head(lens), plan(head, 0)) for lens in FOCAL_MM}
     found = least_squares(
         residuals, START, x_scale=SCALE, diff_step=0.03, max_nfev=steps, args=(plans, SEEDS)
     )

@@ -31,7 +31,7 @@ from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, project
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYE_JOINTS, T_base_eye
+from vergence.geometry.kinematics import EYE_JOINTS, T_base_eye, straight_gaze
 from vergence.geometry.parameters import without_offsets
 from vergence.geometry.projection import T_lbase_cam
 from vergence.geometry.se3 import transform
@@ -119,7 +119,7 @@ def arrangement(head: HeadCalibration, rng: np.random.Generator) -> Arrangement:
 
     Each stands where one of the cameras has a pixel drawn evenly from its image.
     """
-    places, straight = [], np.zeros(len(head.kinematics.readings))
+    places, straight = [], straight_gaze(head.kinematics)
     for k in range(STRAIGHT):
         name = list(head.cameras)[k % len(head.cameras)]
         mounted = head.cameras[name]

@@ -26,7 +26,7 @@ from vergence.arrays import Array
 from vergence.demos.depth import STEP_S, depth
 from vergence.demos.experiment import learned_from_room
 from vergence.geometry.head import HeadCalibration
-from vergence.self_calibration.sequence import see, seen_geometry
+from vergence.self_calibration.sequence import initial_seen_geometry, update_geometry
 from vergence.stereo.rectification import rectified_image, rectify
 from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Twin
@@ -69,7 +69,7 @@ def main(
     times: list[float] = []
     with Twin(load_profile(profile), seed=seed, scene=scene) as twin:
         head = calibrate_twin(twin, seed).calibration
-        geometry = learned_from_room(twin, seen_geometry(head))
+        geometry = learned_from_room(twin, initial_seen_geometry(head))
         twin.restart(1)
         for k in range(pairs):
             posture = straight_neck(eye_angles("divergent", np.array(STEP_S * k)))
@@ -79,7 +79,7 @@ def main(
             images = frame.images["left_wide"], frame.images["right_wide"]
             errors["joints"].append(row_errors(head, frame.eye_angles, *images))
             errors["truth"].append(row_errors(twin.truth, true, *images))
-            geometry = see(geometry, frame)
+            geometry = update_geometry(geometry, frame)
             assert geometry.latest is not None
             now = geometry.latest.head, geometry.latest.joints
             errors["seen"].append(row_errors(*now, *images))

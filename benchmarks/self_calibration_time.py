@@ -19,7 +19,7 @@ import tyro
 
 from vergence.accuracy.motions import eye_angles
 from vergence.geometry.projection import T_rcam_lcam
-from vergence.self_calibration.frame import from_matches, start
+from vergence.self_calibration.frame import from_matches, initial_self_calibration
 from vergence.self_calibration.learning import learn
 from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Twin
@@ -48,7 +48,7 @@ def main(pairs: int = 40, scene: Scene = "room", seed: int = 0) -> None:
         return result
 
     with Twin(load_profile("paper"), seed=seed, scene=scene) as twin:
-        state = start(twin.nominal)
+        state = initial_self_calibration(twin.nominal)
         cameras = [state.head.camera(name).intrinsics for name in state.cameras]
         for k in range(pairs):
             angles = straight_neck(eye_angles("divergent", np.array(k * STEP_S)))

@@ -7,19 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from other_heads import KINDS, other_head
 from simulated_head import plain_head
 from test_location_accuracy import stated
 from vergence import cli
 from vergence.accuracy.budget import CALIBRATION, Source, budget, group_of
 from vergence.accuracy.motions import PERIOD_S, eye_angles
 from vergence.arrays import Array
-from vergence.commands.budget import advice, as_plain, motion_of, run, table
+from vergence.commands.budget import advice, as_plain, motion_of, run, sources_of, table
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, save_head
 from vergence.geometry.parameters import boxplus, change_named, parameter_names
 from vergence.geometry.projection import project_point
 from vergence.stereo.triangulation import triangulate_at
 from vergence.twin.profile import ErrorProfile, Joints, load_profile
+from without_mujoco import without_mujoco
 
 HEAD = plain_head(0.092, 280.0, camera_m=((0.02, 0.001, 0.01), (0.02, -0.001, 0.01)))
 POINT = np.array([0.6, -0.03, 0.02])
@@ -162,6 +164,20 @@ def test_what_cannot_be_budgeted_is_refused():
         budget(HEAD, POINT[None], **motion("parallel"), sources=[source])
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_profiles_errors_are_sources_for_heads_with_any_joints(kind: str):
+    head = other_head(kind, np.random.default_rng(0))
+    names = [source.name for source in sources_of(head, load_profile("paper"), None)]
+    assert names[-1] == "shift of the mountings, by hand"
+
+
+def test_motions_of_pan_and_tilt_are_refused_for_heads_with_other_readings():
+    head = stated(other_head("shared tilt, pan", np.random.default_rng(0)))
+    said = r"'divergent' is of the 4 readings .* has tilt, left_pan, right_pan\. .* dataset"
+    with pytest.raises(VergenceError, match=said):
+        run(head, points=POINT[None], motion="divergent", profile=None, pixel_std_px=0.1)
+
+
 def test_a_budget_beyond_first_order_says_so():
     noise = {"motion": "parallel", "profile": None, "pixel_std_px": 0.5}
     near, far = (run(HEAD, points=scale * POINT[None], **noise) for scale in (1, 30))
@@ -206,3 +222,17 @@ def test_the_command_writes_a_table_json_and_a_figure(tmp_path, monkeypatch, cap
     )
     assert written == json.loads(json.dumps(as_plain(found)))
     assert (tmp_path / "b.png").stat().st_size > 1000
+
+
+def test_a_real_heads_budget_needs_no_twin(tmp_path):
+    save_head(stated(HEAD), tmp_path / "head.json")
+    words = "budget", "--calibration", "head.json"
+    done = without_mujoco(*words, "--json", "budget.json", folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "half of" in done.stdout
+    assert (tmp_path / "budget.json").exists()
+    refused = without_mujoco(
+        "budget", "--calibration", "head.json", "--profile", "paper", folder=tmp_path
+    )
+    assert refused.returncode == 2
+    assert "Rendering needs OpenGL" in refused.stderr

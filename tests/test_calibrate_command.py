@@ -23,6 +23,7 @@ from vergence.data.description import pose_columns
 from vergence.data.reader import load_dataset
 from vergence.geometry.head import load_head, main_pair, save_head
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Side
+from vergence.interchange import kalibr
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
@@ -106,6 +107,20 @@ def test_an_exported_head_comes_back(tmp_path, monkeypatch):
     np.testing.assert_array_equal(
         load_head(back).T_rbase_lbase, load_head(tmp_path / "head.json").T_rbase_lbase
     )
+
+
+@pytest.mark.parametrize("out", ["start.json", "camchain.yaml"])
+def test_an_import_does_not_replace_what_it_reads(out, tmp_path, monkeypatch, capsys):
+    save_head(plain_head(0.07, 300.0), tmp_path / "start.json")
+    kalibr.save(plain_head(0.08, 310.0), tmp_path / "camchain.yaml")
+    before, words = (tmp_path / out).read_bytes(), ("--start", tmp_path / "start.json")
+    with pytest.raises(SystemExit, match="2"):
+        run(
+            monkeypatch, "import", tmp_path / "camchain.yaml", "--format", "kalibr", *words,
+            "--out", tmp_path / out,
+        )  # fmt: skip
+    assert "it is also the file that is read" in capsys.readouterr().err
+    assert (tmp_path / out).read_bytes() == before
 
 
 @pytest.mark.parametrize(

@@ -9,16 +9,22 @@ import pytest
 
 from drawn_head import four_cameras
 from vergence import cli
+from vergence.data.dataset import Frame
+from vergence.data.description import DatasetCamera, DatasetJoint, Description
+from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError
+from vergence.geometry.board import Chessboard
 from vergence.geometry.camera import normalise
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import save_head
+from vergence.geometry.kinematics import EYE_JOINTS, EYES
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.dense_depth import LEAST_STD_PX, dense_depth, point_cloud
 from vergence.stereo.rectification import RectifiedPair, rectify
 from vergence.twin import looking_around
 from vergence.twin.model import as_built_head, nominal_head
 from vergence.twin.profile import load_profile
+from without_mujoco import without_mujoco
 
 HEAD = four_cameras()
 JOINTS = np.array([0.06, 0.03, -0.05, 0.02])
@@ -106,9 +112,49 @@ def test_a_depth_too_near_for_the_cameras_is_refused(pair: RectifiedPair):
         dense_depth(HEAD, JOINTS, pair, image, image, nearest_m=0.01)
 
 
+def test_grey_images_have_the_depth_of_the_same_ones_in_colour(pair: RectifiedPair, drawn):
+    grey = [cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in drawn]
+    by_grey, by_colour = (dense_depth(HEAD, JOINTS, pair, *images) for images in (grey, drawn))
+    np.testing.assert_array_equal(by_grey.disparity_px, by_colour.disparity_px)
+    np.testing.assert_array_equal(by_grey.image, by_colour.image)
+
+
+@pytest.mark.parametrize(
+    ("shape", "dtype", "said"),
+    [
+        ((240, 320, 3), np.uint8, r"640 x 480 px.*found .*\(240, 320, 3\)"),
+        ((480, 640, 4), np.uint8, r"RGB.*found .*\(480, 640, 4\)"),
+        ((480, 640, 3), np.uint16, r"uint8; found .* of uint16"),
+    ],
+)
+def test_images_that_do_not_fit_the_calibration_are_refused(pair, drawn, shape, dtype, said):
+    with pytest.raises(VergenceError, match=said):
+        dense_depth(HEAD, JOINTS, pair, drawn[0], np.zeros(shape, dtype))
+
+
 def depth(monkeypatch: pytest.MonkeyPatch, *words: str) -> None:
     monkeypatch.setattr(sys, "argv", ["vergence", "depth", *words])
     cli.main()
+
+
+def test_depth_of_a_real_heads_dataset_needs_no_twin(drawn, tmp_path):
+    images = dict(zip(("left_wide", "right_wide"), drawn, strict=True))
+    frame = Frame(0.0, 0.0, JOINTS, np.zeros(3), images)
+    described = Description(
+        cameras={f"{eye}_wide": DatasetCamera(eye=eye, width=640, height=480) for eye in EYES},
+        board=Chessboard(columns=9, rows=6, square_m=0.03),
+        joints={name: DatasetJoint(column=name, unit="rad") for name in EYE_JOINTS},
+    )
+    write_dataset(tmp_path / "data", described, [DatasetRow(frame, 0, False)])
+    save_head(HEAD, tmp_path / "head.json")
+    done = without_mujoco(
+        "depth", "data", "--calibration", "head.json", "--out", "depth", folder=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    found = json.loads((tmp_path / "depth" / "depth.json").read_text())
+    assert found["pairs"] == 1
+    assert found["textured"] > 0.1
+    assert found["joints"] is None
 
 
 @pytest.mark.render

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
+from other_heads import KINDS, other_head
 from simulated_head import random_pose, skewed_head
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, project
@@ -142,6 +143,16 @@ def test_a_camchain_brings_a_head_all_but_its_wide_mountings(tmp_path):
     np.testing.assert_allclose(back.T_rbase_lbase, head.T_rbase_lbase, atol=1e-12)
     for name, mounted in head.cameras.items():
         np.testing.assert_allclose(back.cameras[name].T_eye_cam, mounted.T_eye_cam, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_camchain_holds_at_straight_gaze_of_any_joints(kind, tmp_path):
+    rng = np.random.default_rng(9)
+    head = other_head(kind, rng)
+    kalibr.save(head, tmp_path / "camchain.yaml")
+    start = replace(head, T_rbase_lbase=random_pose(rng))
+    back = import_head(tmp_path / "camchain.yaml", "kalibr", template=start)
+    np.testing.assert_allclose(back.T_rbase_lbase, head.T_rbase_lbase, atol=1e-12)
 
 
 def test_a_camchain_of_other_programs_is_read(tmp_path):

@@ -6,8 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from drawn_head import four_cameras
 from simulated_head import random_pan_tilt
-from vergence.geometry.eye_motion import eye_linearised
+from vergence.errors import VergenceError
+from vergence.geometry.eye_motion import eye_linearised, eye_poses, eye_poses_with_jacobians
 from vergence.geometry.kinematics import (
     EYES,
     Chain,
@@ -21,8 +23,10 @@ from vergence.geometry.kinematics import (
     pan_tilt,
     reading_kinds,
     readings_to_turn,
+    straight_gaze,
 )
 from vergence.geometry.neck import Neck, T_body_head
+from vergence.geometry.projection import T_rcam_lcam, project_point, rebase
 from vergence.geometry.se3 import boxminus, hat, pose, rotation, transform
 
 FORWARD, LEFT, UP = np.eye(3)
@@ -163,6 +167,49 @@ def test_a_chain_serves_many_postures():
     np.testing.assert_array_equal(chain_pose(fixed, np.empty((7, 0)))[6], pose(t=np.ones(3)))
 
 
+HEAD = four_cameras()
+POSTURE = np.array([0.0, 0.0, 0.0, 0.1, 0.02, -0.1, 0.02])
+"""The neck's three joints, then the eyes' four."""
+POINT = np.array([0.6, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("wrong", [POSTURE, np.zeros((5, 3)), np.zeros((4, 5)), 0.1, []])
+@pytest.mark.parametrize(
+    "find",
+    [
+        lambda joints: T_base_eye(HEAD.kinematics, "left", joints),
+        lambda joints: eye_linearised(HEAD.kinematics, "right", joints),
+        lambda joints: project_point(HEAD, "left_wide", joints, POINT),
+        lambda joints: T_rcam_lcam(HEAD, joints),
+        lambda joints: rebase(HEAD, np.eye(4), joints=joints),
+        lambda joints: eye_poses(HEAD, joints),
+        lambda joints: eye_poses_with_jacobians(HEAD, joints, 1),
+    ],
+)
+def test_readings_that_are_not_as_many_as_the_heads_are_refused(find, wrong):
+    shape = str(np.shape(wrong)).replace("(", r"\(").replace(")", r"\)")
+    with pytest.raises(VergenceError, match=f"readings left_pan, left_tilt.* found .*{shape}"):
+        find(wrong)
+
+
+def test_a_list_of_readings_serves_as_an_array_does():
+    readings = POSTURE[3:]
+    for find in (
+        lambda joints: project_point(HEAD, "right_wide", joints, POINT),
+        lambda joints: T_rcam_lcam(HEAD, joints),
+        lambda joints: eye_poses_with_jacobians(HEAD, joints, 1)[0],
+    ):
+        np.testing.assert_array_equal(find(readings.tolist()), find(readings))
+
+
+def test_readings_of_any_leading_dimensions_are_no_measured_poses():
+    readings = np.random.default_rng(0).uniform(-0.2, 0.2, (3, 5, 4))
+    T = eye_poses(HEAD, readings)
+    assert T.shape == (3, 5, 2, 4, 4)
+    np.testing.assert_allclose(T[2, 4], eye_poses(HEAD, readings[2, 4]), atol=1e-15)
+    np.testing.assert_array_equal(eye_poses(HEAD, T), T)
+
+
 def shared_tilt() -> Kinematics:
     """Return eyes that tilt together and pan each by itself, in this order."""
     eyes = {}
@@ -185,6 +232,11 @@ def test_readings_that_eyes_share_have_kinds_of_their_own():
     assert reading_kinds(Kinematics()) == [0, 1, 0, 1]
     assert reading_kinds(shared_tilt()) == [1, 0, 0]
     assert reading_kinds(version_and_vergence()) == [0, 1, 2]
+
+
+def test_straight_gaze_is_every_reading_at_zero():
+    assert straight_gaze(shared_tilt()).shape == (3,)
+    np.testing.assert_array_equal(straight_gaze(Kinematics()), np.zeros(4))
 
 
 def test_both_eyes_turn_by_the_readings_that_are_asked_for():

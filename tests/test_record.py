@@ -10,12 +10,12 @@ import pytest
 from vergence.calibration.detection import detect_target
 from vergence.calibration.observations import Observations
 from vergence.commands import truth as truth_file
+from vergence.commands.depth import depth
 from vergence.commands.record import CHARUCO, record
 from vergence.commands.truth import Truth
 from vergence.data.dataset import Dataset
 from vergence.data.reader import load_dataset
 from vergence.data.timing import moved_readings
-from vergence.demos.depth import depth
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
 from vergence.geometry.head import T_base_cam, save_head
@@ -117,7 +117,6 @@ def test_a_recorded_dataset_has_dense_depth_and_no_stated_error(recorded, tmp_pa
         tmp_path / "depth",
         dataset=dataset.folder,
         calibration=tmp_path / "head.json",
-        profile=PROFILE,
         pairs=2,
     )
     assert done.pairs == 2

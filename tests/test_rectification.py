@@ -138,6 +138,19 @@ def test_views_that_do_not_overlap_are_refused(joints):
         rectify(head("radial-tangential"), np.array(joints))
 
 
+@pytest.mark.parametrize("shape", [(3, 4), (7,), (), (5, 2, 4, 4), (4, 4)])
+def test_a_pair_is_rectified_at_one_posture(shape):
+    with pytest.raises(VergenceError, match=r"readings left_pan.*found .* one posture"):
+        rectify(four_cameras(), np.zeros(shape))
+
+
+@pytest.mark.parametrize("shape", [(240, 320, 3), (480, 640, 3, 1), (640,)])
+def test_an_image_of_another_size_is_refused_with_both_sizes(shape):
+    pair = rectify(four_cameras(), [0.0, 0.0, 0.0, 0.0], size=(16, 12))
+    with pytest.raises(VergenceError, match=rf"of 640 x 480 px.*found .*{shape[0]}"):
+        rectified_image(pair.left, np.zeros(shape, np.uint8))
+
+
 def test_narrow_cameras_can_be_asked_for():
     pair = rectify(four_cameras(), np.zeros(4), cameras=("left_narrow", "right_narrow"))
     assert pair.matrix[0, 0] == pytest.approx(0.85 * 1200)

@@ -30,7 +30,7 @@ from vergence.geometry.se3 import boxminus
 from vergence.paper.figures import FIGURES
 from vergence.paper.recording import figure_recording
 from vergence.self_calibration.recorded import self_calibrate_dataset
-from vergence.self_calibration.sequence import LEARNING_S, see, seen_geometry
+from vergence.self_calibration.sequence import LEARNING_S, initial_seen_geometry, update_geometry
 from vergence.viewer.seen import log_learned, log_matches
 
 HEAD = four_cameras()
@@ -71,10 +71,10 @@ def turn_error(head: HeadCalibration, joints: Array, angles: Array) -> float:
 
 
 def test_every_frame_is_better_than_the_readings_and_teaches_the_next(moving):
-    geometry = seen_geometry(HEAD)
+    geometry = initial_seen_geometry(HEAD)
     by_readings, by_sight = [], []
     for angles, each in moving:
-        geometry = see(geometry, each)
+        geometry = update_geometry(geometry, each)
         assert geometry.latest is not None
         by_readings.append(turn_error(HEAD, each.eye_angles, angles))
         by_sight.append(turn_error(geometry.latest.head, geometry.latest.joints, angles))
@@ -86,15 +86,15 @@ def test_every_frame_is_better_than_the_readings_and_teaches_the_next(moving):
 def test_frames_that_show_the_same_again_teach_nothing(moving):
     """Those that follow too closely, and those of eyes at rest."""
     (_, first), (_, second), *_ = moving
-    once = see(seen_geometry(HEAD), first)
+    once = update_geometry(initial_seen_geometry(HEAD), first)
     assert once.known.frames == 0
-    close = see(once, replace(second, time_s=first.time_s + LEARNING_S / 3))
-    at_rest = see(once, replace(first, time_s=first.time_s + 5.0))
+    close = update_geometry(once, replace(second, time_s=first.time_s + LEARNING_S / 3))
+    at_rest = update_geometry(once, replace(first, time_s=first.time_s + 5.0))
     for again in (close, at_rest):
         assert again.known is once.known
         assert again.latest is not once.latest
-    assert see(once, second).known.frames == 1
-    earlier = see(once, replace(second, time_s=-100.0))  # of another run
+    assert update_geometry(once, second).known.frames == 1
+    earlier = update_geometry(once, replace(second, time_s=-100.0))  # of another run
     assert (np.diag(earlier.known.covariance) < np.diag(once.known.covariance) * 1.001).all()
 
 
@@ -108,7 +108,7 @@ def test_frames_that_show_the_same_again_teach_nothing(moving):
 )
 def test_a_frame_that_cannot_be_used_is_refused(change, said, moving):
     with pytest.raises(VergenceError, match=said):
-        see(seen_geometry(HEAD), change(moving[0][1]))
+        update_geometry(initial_seen_geometry(HEAD), change(moving[0][1]))
 
 
 def follow(geometry, seconds: float) -> tuple[float, list[GazeState]]:
@@ -154,11 +154,11 @@ def test_one_eye_cannot_see_the_geometry():
 
 
 def test_recordings_show_the_matches_and_what_was_learned(moving, tmp_path):
-    path, geometry = tmp_path / "seen.rrd", seen_geometry(HEAD)
+    path, geometry = tmp_path / "seen.rrd", initial_seen_geometry(HEAD)
     before = geometry.known
     with figure_recording(path, FIGURES[7], HEAD, [], beside="learned", known=before) as rec:
         for k, (_, each) in enumerate(moving[:3]):
-            geometry = see(geometry, each)
+            geometry = update_geometry(geometry, each)
             assert geometry.latest is not None
             rec.set_time("sim_time", duration=each.time_s)
             rec.set_time("frame", sequence=k)

@@ -18,8 +18,8 @@ from vergence.self_calibration.epipolar import epipolar_residuals
 from vergence.self_calibration.frame import (
     SelfCalibration,
     from_matches,
+    initial_self_calibration,
     locate_seen,
-    start,
 )
 from vergence.self_calibration.learning import learn, learned_head
 from vergence.vision.scene_features import Matches
@@ -35,7 +35,7 @@ def head_of(seed: int) -> HeadCalibration:
 
 def begin(head: HeadCalibration) -> SelfCalibration:
     """Return a state that is told the noise of simulated matches, but not that of the readings."""
-    return replace(start(head), match_scale=1.0)
+    return replace(initial_self_calibration(head), match_scale=1.0)
 
 
 def postures(frames: int, rng: np.random.Generator) -> np.ndarray:
@@ -236,4 +236,4 @@ def test_a_learned_head_is_a_calibration_with_its_accuracy(tmp_path):
     again = load_head(tmp_path / "learned.json")
     assert again.accuracy is not None
     np.testing.assert_allclose(again.accuracy.covariance, state.covariance, rtol=1e-9)
-    assert start(again).names == state.names
+    assert initial_self_calibration(again).names == state.names

@@ -76,6 +76,20 @@ def test_an_offset_in_time_costs_moving_eyes_nothing_once_it_is_calibrated(noise
     with pytest.raises(VergenceError, match="one for each"):
         rms(eyes(t), joint_time_s=t[:5])
 
+    with pytest.raises(VergenceError, match="1 of 90"):
+        rms(eyes(t), joint_time_s=np.where(np.arange(90) == 7, np.nan, t))
+    as_list = rms(eyes(t).tolist(), joint_time_s=t.tolist())
+    assert as_list == rms(eyes(t), joint_time_s=t)
+
+
+@pytest.mark.parametrize("times", [0.0, [[0.0]], [np.nan], [], [0.0, 0.1]])
+def test_one_reading_has_one_finite_time_stamp(times: ArrayLike):
+    head, joints = plain_head(0.075, 280.0), [0.0, 0.0, 0.0, 0.0]
+    seen = {"left": [[350.0, 240.0]], "right": [[290.0, 240.0]]}
+    assert locate(head, **seen, joints=[joints], joint_time_s=[0.0]).status == 0
+    with pytest.raises(VergenceError, match=r"one for each|finite"):
+        locate(head, **seen, joints=[joints], joint_time_s=times)
+
 
 def test_measured_eye_poses_locate_as_the_angles_do_and_have_their_own_noise():
     """Against samples, with noise of rotation and of translation."""

@@ -160,12 +160,20 @@ def budget(
     from vergence.commands.budget import HEADING, advice, as_plain, table
     from vergence.commands.budget import run as run_budget
     from vergence.geometry.head import load_head
-    from vergence.twin.model import nominal_head
-    from vergence.twin.profile import load_profile
 
     check_outputs(json, figure, inputs=[] if calibration is None else [calibration])
-    chosen = None if profile is None else load_profile(profile)
-    head = nominal_head("2.8mm") if calibration is None else load_head(calibration)
+    # The twin, and with it OpenGL, only where it is asked for.
+    chosen = None
+    if profile is not None:
+        from vergence.twin.profile import load_profile
+
+        chosen = load_profile(profile)
+    if calibration is None:
+        from vergence.twin.model import nominal_head
+
+        head = nominal_head("2.8mm")
+    else:
+        head = load_head(calibration)
     found = run_budget(head, points=at or AHEAD, motion=motion, profile=chosen, pixel_std_px=noise)
     if json is not None:
         write_json(as_plain(found), json)

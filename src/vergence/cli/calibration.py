@@ -175,7 +175,7 @@ def import_(
     from vergence.geometry.head import load_head, save_head
     from vergence.interchange.formats import import_head
 
-    check_outputs(out, inputs=[path])
+    check_outputs(out, inputs=[path] if start is None else [path, start])
     template = None if start is None else load_head(start)
     save_head(import_head(path, format, template=template), out)
     print(f"Wrote {out}.")

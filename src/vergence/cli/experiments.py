@@ -221,23 +221,40 @@ def depth(
     if twin == (dataset is not None):
         found = "both" if twin else "neither"
         raise VergenceError(f"Depth is of a dataset or, with --twin, of the twin; found {found}.")
-    from vergence.demos.depth import as_markdown
-    from vergence.demos.depth import depth as run
-    from vergence.twin.profile import load_profile
+    # The twin, and with it OpenGL, only where it is asked for.
+    from vergence.commands.depth import as_markdown
+    from vergence.commands.depth import depth as of_dataset
 
     say_if_unfinished(out)
     with progress_bars() as progress:
-        done = run(
-            out,
-            dataset=dataset,
-            calibration=calibration,
-            profile=load_profile(profile),
-            scene=scene,
-            seed=seed,
-            pairs=pairs,
-            geometry=geometry,
-            progress=progress,
-        )
+        if dataset is None:
+            from vergence.demos.depth import depth as of_twin
+            from vergence.twin.profile import load_profile
+
+            done = of_twin(
+                out,
+                calibration=calibration,
+                profile=load_profile(profile),
+                scene=scene,
+                seed=seed,
+                pairs=pairs,
+                geometry=geometry,
+                progress=progress,
+            )
+        elif calibration is None:
+            raise VergenceError(
+                "Depth of a dataset needs --calibration FILE, which `vergence calibrate` makes of "
+                "it."
+            )
+        else:
+            done = of_dataset(
+                out,
+                dataset=dataset,
+                calibration=calibration,
+                pairs=pairs,
+                geometry=geometry,
+                progress=progress,
+            )
     print(as_markdown(done), end="")
     print(f"To view the recording: {invocation('rerun', out / 'depth.rrd')}")
 

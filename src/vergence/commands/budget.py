@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,13 +13,15 @@ from numpy.typing import ArrayLike
 from vergence.accuracy.budget import TIME_OFFSET, Budget, Part, Source, budget
 from vergence.accuracy.motions import PERIOD_S, eye_angles
 from vergence.arrays import MAX_M, Array
-from vergence.commands.truth import with_sensors
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
-from vergence.geometry.head import HeadCalibration, main_pair, reading_stds
+from vergence.geometry.head import HeadCalibration, reading_stds
+from vergence.geometry.kinematics import EYE_JOINTS
 from vergence.geometry.parameters import boxminus
-from vergence.twin.calibration_errors import inject_calibration_error
-from vergence.twin.profile import ErrorProfile, Lens
+from vergence.geometry.projection import pair_names
+
+if TYPE_CHECKING:
+    from vergence.twin.profile import ErrorProfile, Lens
 
 SAMPLES = 400
 """Of a motion: as many as the budget needs to be smooth."""
@@ -38,7 +41,7 @@ class Budgets:
     motion: str
     budgets: list[Budget]
     parallel: list[Budget] | None
-    """None: the motion is parallel itself, or the head does not pan and tilt."""
+    """None: the motion is parallel itself, or the head has other readings than pan and tilt."""
 
 
 def run(
@@ -59,7 +62,7 @@ def run(
 
     Raises:
         VergenceError: there is nothing that could be wrong, a point is not seen or too far away,
-            the noise is negative, or the motion is none.
+            the noise is negative, or the motion is none of this head.
     """
     if pixel_std_px is not None and not 0 <= pixel_std_px <= MAX_NOISE_PX:
         raise VergenceError(
@@ -74,9 +77,18 @@ def run(
             "A budget needs sources of errors: give a calibration that states its accuracy, an "
             "error profile (--profile paper), or --noise in pixels."
         )
+    motions = dict.fromkeys((motion, "parallel"))
+    if len(readings := head.kinematics.readings) != len(EYE_JOINTS):
+        if motion in PERIOD_S:
+            raise VergenceError(
+                f"The motion {motion!r} is of the {len(EYE_JOINTS)} readings "
+                f"{', '.join(EYE_JOINTS)}; this head has {', '.join(readings)}. Give the folder of "
+                "a dataset of this head as --motion."
+            )
+        motions = [motion]
     found = [
         budget(head, np.array(points), joints=joints, rates=rates, sources=sources)
-        for joints, rates in map(motion_of, dict.fromkeys((motion, "parallel")))
+        for joints, rates in map(motion_of, motions)
     ]
     return Budgets(motion, found[0], found[1] if len(found) > 1 else None)
 
@@ -125,8 +137,11 @@ def sources_of(
     ):
         if std:
             sources.append(Source(name, joint_std_rad=float(std)))
+    # The twin needs OpenGL, which a real head's budget can do without.
+    from vergence.twin.calibration_errors import inject_calibration_error
+
     known = {} if estimated else _known_of_sensors(head, profile)
-    focal = head.camera((main_pair(head) or ("",))[0]).intrinsics.matrix[0, 0]
+    focal = head.camera(pair_names(head)[0]).intrinsics.matrix[0, 0]
     lens: Lens = "4.0mm" if focal > LONG_LENS_PX else "2.8mm"
     for name in ("focal_percent_28", "focal_percent_40", "roll_deg", "axial_mm"):
         if value := getattr(profile.by_hand, name):
@@ -149,6 +164,8 @@ def _known_of_sensors(head: HeadCalibration, profile: ErrorProfile) -> dict[str,
 
     Offsets of joints are none: calibration takes them for turns of the mountings.
     """
+    from vergence.commands.truth import with_sensors
+
     without = profile.joints.model_copy(update={"offset_deg": (0.0,) * 4})
     gains = boxminus(replace(head, accuracy=None), with_sensors(head, without))
     known = {"gains of the joints": {n: e for n, e in gains.items() if n.endswith("_gain")}}

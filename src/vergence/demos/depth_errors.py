@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.commands.depth import RANGE_M, Errors
 from vergence.geometry.camera import normalise, project
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.projection import stereo_cameras, stereo_poses
@@ -15,8 +16,6 @@ from vergence.geometry.se3 import transform
 from vergence.stereo.dense_depth import DenseDepth
 from vergence.stereo.rectification import RectifiedPair, rectified_pixels, rectified_points
 
-RANGE_M = (0.5, 1.5)
-"""Distances at which errors are stated."""
 _GRID_PX = 16  # between the points whose rows are compared
 _WRONG = 0.2  # relative error of depth beyond which a pixel counts as wrong, not as inexact
 
@@ -30,20 +29,6 @@ class Truth:
     """(4,) [rad]."""
     depth_m: Array
     """(H, W) along the optical axis of the left camera."""
-
-
-@dataclass(frozen=True)
-class Errors:
-    """Errors of depth at RANGE_M where there is texture, over all pairs."""
-
-    median_relative: float
-    wrong: float
-    """Share of the pixels that are wrong by more than a fifth."""
-    within_two_std: float
-    """Share of the others whose error is within two standard deviations."""
-    pixels: int
-    vertical_rms_px: float
-    """Of the rows of a point in the two rectified images."""
 
 
 def depth_errors(
@@ -88,10 +73,8 @@ def _row_rms(pair: RectifiedPair, truth: Truth) -> float:
     return float(np.sqrt(np.nanmean((rows[0] - rows[1]) ** 2)))
 
 
-def summed(found: list[tuple[Array, Array, float]]) -> Errors | None:
-    """Return the statistics of what `depth_errors` found of several pairs; None: of none."""
-    if not found:
-        return None
+def summed(found: list[tuple[Array, Array, float]]) -> Errors:
+    """Return the statistics of what `depth_errors` found of one pair or more."""
     relative, standardised = (np.concatenate([each[k] for each in found]) for k in (0, 1))
     wrong = np.abs(relative) > _WRONG
     within = np.abs(standardised[~wrong]) < 2

@@ -13,7 +13,12 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.gaze.state import GazeSettings
-from vergence.self_calibration.sequence import Geometry, SeenGeometry, see, seen_geometry
+from vergence.self_calibration.sequence import (
+    Geometry,
+    SeenGeometry,
+    initial_seen_geometry,
+    update_geometry,
+)
 from vergence.twin.head import Twin
 from vergence.twin.looking_around import look_around
 from vergence.twin.profile import ErrorProfile
@@ -67,7 +72,7 @@ def calibrated_twin(experiment: Experiment) -> Iterator[tuple[Twin, GazeSettings
 def learned_from_room(twin: Twin, geometry: SeenGeometry) -> SeenGeometry:
     """Return the geometry after the twin has looked around its room."""
     for frame in look_around(twin, geometry.known.cameras, run=_LOOKING):
-        geometry = see(geometry, frame)
+        geometry = update_geometry(geometry, frame)
     return geometry
 
 
@@ -76,7 +81,9 @@ def initial_geometry(twin: Twin, settings: GazeSettings) -> SeenGeometry | None:
     if settings.geometry == "joints":
         return None
     left, right = settings.wide
-    return learned_from_room(twin, seen_geometry(settings.calibration, cameras=(left, right)))
+    return learned_from_room(
+        twin, initial_seen_geometry(settings.calibration, cameras=(left, right))
+    )
 
 
 def write_summary(out: Path | None, name: str, summary: DataclassInstance) -> None:

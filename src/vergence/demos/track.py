@@ -13,7 +13,12 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.demos.experiment import Experiment, calibrated_twin, initial_geometry, write_summary
+from vergence.demos.experiment import (
+    Experiment,
+    calibrated_twin,
+    initial_geometry,
+    write_summary,
+)
 from vergence.demos.recording import recorded
 from vergence.errors import VergenceError
 from vergence.gaze.controller import run_gaze

@@ -17,7 +17,7 @@ from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.head import T_body_base
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.se3 import transform
-from vergence.self_calibration.sequence import see
+from vergence.self_calibration.sequence import update_geometry
 from vergence.stereo.uncertainty import locate_jointly
 from vergence.vision.detector import Detection
 
@@ -37,7 +37,7 @@ def see_position(settings: GazeSettings, state: GazeState, frame: Frame | None) 
     if state.geometry.time_s == frame.time_s or not set(settings.wide) <= set(frame.images):
         return state
     readings = readings_at_image(settings, state, frame)
-    geometry = see(state.geometry, frame, readings[EYE_READINGS])
+    geometry = update_geometry(state.geometry, frame, readings[EYE_READINGS])
     state, seen = replace(state, geometry=geometry), geometry.latest
     if seen is None or not isinstance(state.target, str):
         return state

@@ -18,7 +18,7 @@ from vergence.gaze.roles import EyeCameras, check_roles, default_roles
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.neck import NECK_JOINTS
-from vergence.self_calibration.sequence import Geometry, SeenGeometry, seen_geometry
+from vergence.self_calibration.sequence import Geometry, SeenGeometry, initial_seen_geometry
 from vergence.vision.detector import Detection, Detector, pixel_or_nan
 from vergence.vision.sphere import sphere_detector
 
@@ -223,7 +223,7 @@ def initial_gaze_state(
     target = next(iter(settings.objects))
     if settings.geometry == "seen" and geometry is None:
         left, right = settings.wide
-        geometry = seen_geometry(settings.calibration, cameras=(left, right))
+        geometry = initial_seen_geometry(settings.calibration, cameras=(left, right))
     return GazeState(
         GazePhase.LOST,
         time_s,

@@ -24,9 +24,9 @@ from vergence.geometry.components import (
     Rows,
     anywhere,
     components,
+    ignoring_invalid,
     positive,
     quotient,
-    silent,
     stacked,
     where,
 )
@@ -177,7 +177,7 @@ def normalised_rows(camera: Camera, u: Component, v: Component) -> tuple[Sequenc
     k = camera.coefficients
     x, y = lens.first_guess(camera.model, k, wanted_x, wanted_y)
     xx = cross = yy = det = squared = x
-    with silent(x):
+    with ignoring_invalid(x):
         for _ in range(20):
             distorted_x, distorted_y, xx, cross, yy = _distortion(camera, x, y)
             error_x, error_y = distorted_x - wanted_x, distorted_y - wanted_y

@@ -55,7 +55,7 @@ def stacked(rows: Sequence[Any], shape: tuple[int, ...], ndim: int = 1) -> Array
     return array
 
 
-def silent(value: Component) -> AbstractContextManager[object]:
+def ignoring_invalid(value: Component) -> AbstractContextManager[object]:
     """Return a context in which arrays give no warnings; numbers give none anyway."""
     if type(value) is float:  # entering numpy's takes longer than ten operations
         return nullcontext()

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
 from vergence.geometry.chain import batch_first, by_reading, joint_frames, pose_of
@@ -24,18 +25,25 @@ from vergence.geometry.components import (
     times,
 )
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye
+from vergence.geometry.kinematics import (
+    EYES,
+    Kinematics,
+    Side,
+    T_base_eye,
+    checked_readings,
+)
 from vergence.geometry.parameters import axes_names
 
 
 def eye_linearised(
-    kinematics: Kinematics, eye: Side, readings: Array
+    kinematics: Kinematics, eye: Side, readings: ArrayLike
 ) -> tuple[Array, Array, Array]:
     """Return T_base_eye (..., 4, 4) and its derivatives, in the increment of `se3.boxplus`.
 
     By the errors of the joints (..., 6, a), in the order of joint_parameters, and by the readings
-    (..., 6, r). Readings are (..., r) [rad].
+    (..., 6, r). Readings are (..., r) [rad]; VergenceError if they are not the head's r.
     """
+    readings = checked_readings(kinematics, readings)
     motion, shape = eye_motion(kinematics, eye, by_reading(readings)), readings.shape[:-1]
     by_angles = [stacked(twist, shape) for twist in motion.by_angles]
     by_errors = np.empty((6, len(motion.by_errors), *shape))
@@ -86,18 +94,18 @@ def eye_motion(kinematics: Kinematics, eye: Side, readings: Sequence[Component])
     return EyeMotion(R[-1], t[-1], by_angles, kinematics.chains[eye].nonzero, by_errors)
 
 
-def measured(joints: Array) -> bool:
+def measured(joints: ArrayLike) -> bool:
     """Return whether readings are measured eye poses (..., 2, 4, 4) instead of angles (..., r)."""
-    return np.ndim(joints) > 2
+    return np.shape(joints)[-3:] == (2, 4, 4)
 
 
-def eye_poses(head: HeadCalibration, joints: Array) -> Array:
+def eye_poses(head: HeadCalibration, joints: ArrayLike) -> Array:
     """Return T_base_eye (..., 2, 4, 4) of the left and the right eye at readings (..., r) [rad].
 
-    Measured poses (..., 2, 4, 4) are returned as they are.
+    Measured poses (..., 2, 4, 4) are returned as they are. VergenceError if it is neither.
     """
     if measured(joints):
-        return joints
+        return np.asarray(joints, dtype=float)
     first = [
         np.moveaxis(T_base_eye(head.kinematics, eye, joints), (-2, -1), (0, 1)) for eye in EYES
     ]
@@ -105,7 +113,7 @@ def eye_poses(head: HeadCalibration, joints: Array) -> Array:
 
 
 def eye_poses_with_jacobians(
-    head: HeadCalibration, joints: Array, n: int
+    head: HeadCalibration, joints: ArrayLike, n: int
 ) -> tuple[Array, tuple[Array, Array], Array]:
     """Return T_base_eye (n, 2, 4, 4), and its derivatives by axes and by readings.
 
@@ -113,12 +121,14 @@ def eye_poses_with_jacobians(
     eye, in the order of `parameters.axes_names`. Those by the r readings of the head, or by the
     increments of both eyes' measured poses (r = 12), are (n, 2, 6, r). All are in the increment of
     `se3.boxplus`. Readings are (n, r) or (r,) angles [rad], or (n, 2, 4, 4) or (2, 4, 4) poses.
+    VergenceError if they are neither.
     """
     if measured(joints):
         by_pose = np.broadcast_to(np.eye(12).reshape(2, 6, 12), (n, 2, 6, 12))
         left, right = (np.zeros((n, 6, len(axes_names(head, eye)))) for eye in EYES)
         return np.broadcast_to(joints, (n, 2, 4, 4)), (left, right), by_pose
-    angles = np.broadcast_to(joints, (n, joints.shape[-1]))
+    readings = checked_readings(head.kinematics, joints)
+    angles = np.broadcast_to(readings, (n, readings.shape[-1]))
     left, right = (eye_linearised(head.kinematics, eye, angles) for eye in EYES)
     # Components first in memory, where eye_linearised has them.
     T, by_readings = (

@@ -14,10 +14,12 @@ from itertools import pairwise
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Array, Vector3
+from vergence.errors import VergenceError
 from vergence.geometry import se3
 from vergence.geometry.chain import Chain, chain_pose
 from vergence.geometry.se3 import rotation
@@ -293,12 +295,39 @@ def change_joints(joints: tuple[Joint, ...], change: Array) -> tuple[Joint, ...]
     return tuple(replace(joint, **new) for joint, new in zip(joints, own, strict=True))
 
 
-def T_base_eye(kinematics: Kinematics, eye: Side, readings: Array) -> Array:
+def straight_gaze(kinematics: Kinematics) -> Array:
+    """Return the readings (r,) [rad] of straight gaze, which are zero."""
+    return np.zeros(len(kinematics.readings))
+
+
+def checked_readings(kinematics: Kinematics, readings: ArrayLike) -> Array:
+    """Return readings (..., r) [rad] as an array; VergenceError if they are not the head's r."""
+    found, names = np.asarray(readings, dtype=float), kinematics.readings
+    if found.shape[-1:] != (len(names),):
+        raise VergenceError(
+            f"This head has the {len(names)} joint readings {', '.join(names)}; found an array of "
+            f"shape {found.shape} in their place."
+        )
+    return found
+
+
+def one_posture(kinematics: Kinematics, readings: ArrayLike) -> Array:
+    """Return the readings (r,) [rad] of one posture as an array; VergenceError if they are not."""
+    found, names = np.asarray(readings, dtype=float), kinematics.readings
+    if found.shape != (len(names),):
+        raise VergenceError(
+            f"This head has the {len(names)} joint readings {', '.join(names)}; found an array of "
+            f"shape {found.shape} where those of one posture are needed."
+        )
+    return found
+
+
+def T_base_eye(kinematics: Kinematics, eye: Side, readings: ArrayLike) -> Array:
     """Return the pose (..., 4, 4) of an eye in its fixed base: T_er(theta) of the paper.
 
-    Readings are (..., r) [rad], all those of the head.
+    Readings are (..., r) [rad], all those of the head; VergenceError if they are not as many.
     """
-    return chain_pose(kinematics.chains[eye], readings)
+    return chain_pose(kinematics.chains[eye], checked_readings(kinematics, readings))
 
 
 class _Error(NamedTuple):

@@ -19,7 +19,7 @@ from typing import Literal
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.geometry.components import Component, quotient, silent
+from vergence.geometry.components import Component, ignoring_invalid, quotient
 
 CameraModel = Literal["radial-tangential", "rational", "fisheye"]
 COEFFICIENTS: dict[CameraModel, tuple[str, ...]] = {
@@ -50,7 +50,7 @@ def distort(
     r2 = x2 + y2
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
     slope = 2 * (k1 + r2 * (2 * k2 + 3 * k3 * r2))  # d radial / d x = slope * x
-    with silent(x):
+    with ignoring_invalid(x):
         if model == "rational":  # at a pole the result is NaN
             k4, k5, k6 = k[5:]
             below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))

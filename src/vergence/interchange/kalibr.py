@@ -18,6 +18,7 @@ from vergence.arrays import Array, Transform
 from vergence.errors import explain
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, T_base_cam, T_head_base
+from vergence.geometry.kinematics import straight_gaze
 from vergence.geometry.lens import CameraModel
 from vergence.geometry.projection import rebase
 from vergence.geometry.se3 import inverse
@@ -70,7 +71,7 @@ def save(head: HeadCalibration, path: Path) -> None:
     content: dict[str, Any] = {}
     T_head_previous = np.eye(4)
     for k, (name, mounted) in enumerate(head.cameras.items()):
-        straight = np.zeros(len(head.kinematics.readings))
+        straight = straight_gaze(head.kinematics)
         T_head_cam = T_head_base(head, mounted.eye) @ T_base_cam(head, name, straight)
         camera = mounted.intrinsics
         step = {"T_cn_cnm1": (inverse(T_head_cam) @ T_head_previous).tolist()} if k else {}
@@ -138,4 +139,5 @@ def update_head(chain: Camchain, template: HeadCalibration) -> HeadCalibration:
     if not {"left_wide", "right_wide"} <= set(chain):
         return head
     T_rcam_lcam = T_cam_first["right_wide"] @ inverse(T_cam_first["left_wide"])
-    return rebase(head, T_rcam_lcam, joints=np.zeros(4), cameras=("left_wide", "right_wide"))
+    straight, wide = straight_gaze(head.kinematics), ("left_wide", "right_wide")
+    return rebase(head, T_rcam_lcam, joints=straight, cameras=wide)

@@ -14,9 +14,9 @@ from vergence.self_calibration.frame import (
     SelfCalibrated,
     SelfCalibration,
     from_matches,
+    initial_self_calibration,
     locate_seen,
     self_calibrate_frame,
-    start,
 )
 from vergence.self_calibration.learning import learn
 from vergence.twin.head import Twin
@@ -70,9 +70,9 @@ class Comparison:
 
 def comparison(head: HeadCalibration, twin: Twin, *, floor: bool) -> Comparison:
     """Return a comparison for a calibration; floor: also with the true head, for evaluation."""
-    states = {SINGLE: start(head), LEARNED: start(head)}
+    states = {SINGLE: initial_self_calibration(head), LEARNED: initial_self_calibration(head)}
     if floor:
-        known = start(with_sensors(twin.truth, twin.profile.joints))
+        known = initial_self_calibration(with_sensors(twin.truth, twin.profile.joints))
         states[FLOOR] = replace(known, covariance=known.covariance * _KNOWN)
     return Comparison(states)
 

@@ -16,7 +16,7 @@ from vergence.accuracy.motions import PERIOD_S, eye_angles
 from vergence.arrays import Array
 from vergence.geometry.camera import pinhole
 from vergence.geometry.head import R_EYE_CAM, HeadCalibration, MountedCamera
-from vergence.geometry.kinematics import EYES
+from vergence.geometry.kinematics import EYES, straight_gaze
 from vergence.geometry.projection import T_rcam_lcam, project_point, rebase
 from vergence.geometry.se3 import pose, rotation
 from vergence.paper.figures import FIGURES, Figure
@@ -95,7 +95,7 @@ def believed_head(truth: HeadCalibration, lens: Lens, errors: Errors) -> HeadCal
             intrinsics=replace(mounted.intrinsics, matrix=matrix),
             T_eye_cam=mounted.T_eye_cam @ pose(turn, shift),
         )
-    straight = np.zeros(4)
+    straight = straight_gaze(truth.kinematics)
     return rebase(replace(truth, cameras=cameras), T_rcam_lcam(truth, straight), joints=straight)
 
 

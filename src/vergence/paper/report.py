@@ -11,6 +11,7 @@ from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.calibration.sequential.sequential import SequentialCalibration
 from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import straight_gaze
 from vergence.geometry.projection import stereo_poses
 from vergence.paper.comparison import PAPER
 from vergence.paper.replay import WIDE, Replay, summaries
@@ -54,7 +55,7 @@ def _depth_std_from_joints(result: Replay, profile: ErrorProfile, head: HeadCali
     Depth and baseline are those of the camera centres at straight gaze. Eqs. 20-21, as the paper
     uses them, leave out errors of the calibration and of image matching.
     """
-    T_lbase_lcam, T_rcam_lcam = stereo_poses(head, np.zeros(4), cameras=WIDE)
+    T_lbase_lcam, T_rcam_lcam = stereo_poses(head, straight_gaze(head.kinematics), cameras=WIDE)
     baseline = float(np.linalg.norm(T_rcam_lcam[:3, 3]))
     depth = result.figure.mean_m[0] - T_lbase_lcam[0, 3]
     focal = head.camera("left_wide").intrinsics.matrix[0, 0]

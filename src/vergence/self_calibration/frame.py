@@ -27,7 +27,7 @@ from vergence.self_calibration.match_noise import (
     LongRunVariance,
     design_effect,
     noise_variance,
-    robust_weights,
+    tukey_weights,
 )
 from vergence.self_calibration.prior import (
     BUMP,
@@ -137,7 +137,9 @@ class SelfCalibrated:
     """None: the matches were too few."""
 
 
-def start(head: HeadCalibration, *, cameras: tuple[str, str] | None = None) -> SelfCalibration:
+def initial_self_calibration(
+    head: HeadCalibration, *, cameras: tuple[str, str] | None = None
+) -> SelfCalibration:
     """Return what is known of a head before its eyes have seen anything.
 
     VergenceError for a head of one eye.
@@ -218,7 +220,7 @@ def _fit(
     y, A = _whitened(state, *_changed(state, joints, first), matches)
     y = y + A @ first  # of the linear model about the state's head
     z = _robust(y, A, C, first)
-    weights, scale2 = robust_weights(y - A @ z), noise_variance(y - A @ z)
+    weights, scale2 = tukey_weights(y - A @ z), noise_variance(y - A @ z)
     normal = (y - A @ z) / np.sqrt(scale2)
     inflation, blocks = design_effect(normal, matches.left, state.design_effect)
     weighted = A * (weights / (scale2 * inflation))[:, None]
@@ -298,7 +300,7 @@ def _robust(y: Array, A: Array, C: Array, z: Array) -> Array:
     """Return the change (K,) by iteratively reweighted least squares with the prior."""
     inverse = np.linalg.inv(C)
     for _ in range(_STEPS):
-        weighted = A * robust_weights(y - A @ z)[:, None]
+        weighted = A * tukey_weights(y - A @ z)[:, None]
         z = np.asarray(np.linalg.solve(weighted.T @ A + inverse, weighted.T @ y), float)
     return z
 

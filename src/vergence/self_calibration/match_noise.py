@@ -54,7 +54,7 @@ class LongRunVariance:
     """Of the variance of a mean over frames to that of independent errors."""
 
 
-def robust_weights(y: Array) -> Array:
+def tukey_weights(y: Array) -> Array:
     """Return the weights (N,) of residuals (N,) [standard deviations]: Tukey's biweight."""
     return np.maximum(1 - (y / CUT) ** 2, 0) ** 2
 

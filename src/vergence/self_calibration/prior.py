@@ -15,6 +15,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.geometry import se3
 from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import straight_gaze
 from vergence.geometry.parameters import change_named, intrinsics_names, parameter_names
 from vergence.geometry.projection import T_rcam_lcam
 
@@ -153,7 +154,7 @@ def _of_procedure(head: HeadCalibration, names: tuple[str, ...], cameras: tuple[
     """
     C = tolerance_covariance(head, names, USUAL)
     base = [k for k, name in enumerate(names) if name.startswith("T_rbase_lbase")]
-    zero = np.zeros(len(head.kinematics.readings))
+    zero = straight_gaze(head.kinematics)
     straight = T_rcam_lcam(head, zero, cameras=cameras)
     step = 1e-6
     by = np.zeros((6, len(names)))

@@ -11,13 +11,14 @@ from vergence.data.dataset import Dataset
 from vergence.data.stereo_rows import stereo_rows
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import straight_gaze
 from vergence.geometry.parameters import boxminus
 from vergence.geometry.projection import T_rcam_lcam, project_point
 from vergence.geometry.se3 import rotvec
 from vergence.progress import Progress, silent
 from vergence.self_calibration.frame import SelfCalibration
 from vergence.self_calibration.learning import learned_head
-from vergence.self_calibration.sequence import MOVED_RAD, see, seen_geometry
+from vergence.self_calibration.sequence import MOVED_RAD, initial_seen_geometry, update_geometry
 from vergence.stereo.uncertainty import calibration_covariance
 
 OBSERVED, PARTLY = 0.5, 0.9
@@ -93,13 +94,13 @@ def self_calibrate_dataset(
     both = stereo_rows(dataset, head)
     moving = dataset.moving[both.rows]
     chosen = np.flatnonzero(moving) if moving.any() else np.arange(len(both))
-    geometry = seen_geometry(head, cameras=both.cameras)
+    geometry = initial_seen_geometry(head, cameras=both.cameras)
     before, seen, bumps = geometry.known, 0, []
     task, vergence = "self-calibration, frames", []
     progress(task, 0, len(chosen))
     for k, row in enumerate(chosen):
         frame = both.frame(int(row))
-        geometry = see(geometry, frame)
+        geometry = update_geometry(geometry, frame)
         latest = geometry.latest
         if latest is not None:
             seen += latest.status == "seen"
@@ -145,7 +146,7 @@ def _parameters(before: SelfCalibration, after: SelfCalibration) -> tuple[Learne
 def _depth_stds(before: SelfCalibration, after: SelfCalibration) -> tuple[float, float] | None:
     found = []
     for state in (before, after):
-        head, straight = learned_head(state), np.zeros(len(state.head.kinematics.readings))
+        head, straight = learned_head(state), straight_gaze(state.head.kinematics)
         left, right = (project_point(head, c, straight, _POINT_M)[None] for c in state.cameras)
         C = calibration_covariance(
             head, left=left, right=right, joints=straight, cameras=state.cameras

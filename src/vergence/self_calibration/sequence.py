@@ -1,7 +1,9 @@
 """The geometry of a head frame after frame, by what both its eyes see, with what was learned.
 
-This is the one way from a frame to a corrected geometry: the gaze, dense depth and recordings all
-take it. A frame is estimated with what the frames before it have taught, and then taught from.
+A head that runs takes this way from a frame to a corrected geometry: the gaze, dense depth and
+recordings do. A frame is estimated with what the frames before it have taught, and then taught
+from. Experiments that compare estimates of the same matches take the steps one by one
+(`frame`, `learning`).
 """
 
 from __future__ import annotations
@@ -15,11 +17,12 @@ from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import one_posture
 from vergence.self_calibration.frame import (
     SelfCalibrated,
     SelfCalibration,
+    initial_self_calibration,
     self_calibrate_frame,
-    start,
 )
 from vergence.self_calibration.learning import learn
 
@@ -51,7 +54,9 @@ class SeenGeometry:
     """(r,) its readings [rad]."""
 
 
-def seen_geometry(head: HeadCalibration, *, cameras: tuple[str, str] | None = None) -> SeenGeometry:
+def initial_seen_geometry(
+    head: HeadCalibration, *, cameras: tuple[str, str] | None = None
+) -> SeenGeometry:
     """Return what is known of a head before its first frame.
 
     Args:
@@ -61,10 +66,12 @@ def seen_geometry(head: HeadCalibration, *, cameras: tuple[str, str] | None = No
     Raises:
         VergenceError: the head has one eye.
     """
-    return SeenGeometry(start(head, cameras=cameras))
+    return SeenGeometry(initial_self_calibration(head, cameras=cameras))
 
 
-def see(before: SeenGeometry, frame: Frame, joints: Array | None = None) -> SeenGeometry:
+def update_geometry(
+    before: SeenGeometry, frame: Frame, joints: Array | None = None
+) -> SeenGeometry:
     """Return the geometry after a frame: `latest` is the frame's own, `known` has learned from it.
 
     From frames less than LEARNING_S apart, or at the same posture to MOVED_RAD, `known` does not
@@ -81,13 +88,7 @@ def see(before: SeenGeometry, frame: Frame, joints: Array | None = None) -> Seen
             readings are not as many as the head has.
     """
     known = before.known
-    joints = frame.eye_angles if joints is None else joints
-    readings = known.head.kinematics.readings
-    if joints.shape != (len(readings),):
-        raise VergenceError(
-            f"This head has the joint readings {', '.join(readings)}; found an array of shape "
-            f"{joints.shape} in their place."
-        )
+    joints = one_posture(known.head.kinematics, frame.eye_angles if joints is None else joints)
     for name in known.cameras:
         if name not in frame.images:
             raise VergenceError(

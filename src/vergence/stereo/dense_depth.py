@@ -73,7 +73,7 @@ def dense_depth(
         head: of which the pair was made; its accuracy, where it has one, enters into the std.
         joints: the readings that the pair was made of.
         pair: how to rectify the images.
-        left: (H, W, 3) uint8 RGB image of the pair's left camera.
+        left: (H, W, 3) RGB or (H, W) grey image of the pair's left camera, uint8.
         right: of its right one.
         cameras: the names of the two; None: the main ones.
         nearest_m: least depth that is sought.
@@ -83,7 +83,8 @@ def dense_depth(
             the head's accuracy and joint_std_rad.
 
     Raises:
-        VergenceError: the nearest depth is not positive, or its disparity exceeds the image.
+        VergenceError: the nearest depth is not positive, or its disparity exceeds the image; or an
+            image is not uint8, or of another size than the calibration's.
     """
     width = pair.left.map_x.shape[1]
     scale = pair.matrix[0, 0] * pair.baseline_m
@@ -92,11 +93,12 @@ def dense_depth(
         raise VergenceError(
             f"The nearest depth is from {least:.2g} m for these cameras, found {nearest_m:g} m."
         )
-    colour = rectified_image(pair.left, left)
-    grey = [
-        cv2.cvtColor(each, cv2.COLOR_RGB2GRAY)
-        for each in (colour, rectified_image(pair.right, right))
+    found = [
+        rectified_image(view, _checked(image))
+        for view, image in ((pair.left, left), (pair.right, right))
     ]
+    grey = [each if each.ndim == 2 else cv2.cvtColor(each, cv2.COLOR_RGB2GRAY) for each in found]
+    colour = found[0] if found[0].ndim == 3 else cv2.cvtColor(found[0], cv2.COLOR_GRAY2RGB)
     disparity = _match(grey[0], grey[1], scale / nearest_m)
     u, v = np.meshgrid(*map(np.arange, disparity.shape[::-1]))
     opposite = np.round(u - np.nan_to_num(disparity)).astype(int)
@@ -123,6 +125,15 @@ def dense_depth(
         textured=np.isfinite(depth) & (by_texture <= TEXTURED_PX),
         image=colour,
     )
+
+
+def _checked(image: np.ndarray) -> np.ndarray:
+    if image.dtype != np.uint8 or (image.ndim == 3 and image.shape[2] not in (1, 3)):
+        raise VergenceError(
+            "Dense depth is of RGB (H, W, 3) or grey (H, W) images of uint8; found an array of "
+            f"shape {image.shape} of {image.dtype}."
+        )
+    return image
 
 
 def _match(left: np.ndarray, right: np.ndarray, largest_px: float) -> Array:

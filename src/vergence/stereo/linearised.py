@@ -17,8 +17,8 @@ from vergence.geometry.components import (
     components,
     cross,
     dot,
+    ignoring_invalid,
     quotient,
-    silent,
     stacked,
 )
 from vergence.geometry.eye_motion import eye_motions, measured
@@ -137,7 +137,7 @@ def linearised_part(
         projected(mounted, head.T_rbase_lbase, eye.R, eye.t, point, parameters=parameters)
         for mounted, eye in zip(pair, eyes, strict=True)
     ]
-    with silent(point[0]):
+    with ignoring_invalid(point[0]):
         by_pixels = _by_pixels(rows[0].by_point, rows[1].by_point, components(variances))
     count = 12 if measured(joints) else joints.shape[1]
     by_readings = [[0.0] * count for _ in range(3)]

@@ -13,11 +13,13 @@ from functools import lru_cache
 import cv2
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, normalise, project
 from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import one_posture
 from vergence.geometry.lens import reach
 from vergence.geometry.projection import stereo_cameras, stereo_poses
 from vergence.geometry.se3 import inverse, pose
@@ -80,7 +82,7 @@ class RectifiedPair:
 
 def rectify(
     head: HeadCalibration,
-    joints: Array,
+    joints: ArrayLike,
     *,
     cameras: tuple[str, str] | None = None,
     size: tuple[int, int] | None = None,
@@ -96,10 +98,14 @@ def rectify(
         focal_px: of the rectified cameras; None: FOCAL_SHARE of the real ones' mean.
 
     Raises:
-        VergenceError: the head has no such pair, or its two views do not overlap.
+        VergenceError: the head has no such pair, the joints are not those of one posture, or the
+            two views do not overlap.
     """
     left, right = stereo_cameras(head, cameras)
-    T_lbase_lcam, T_rcam_lcam = stereo_poses(head, np.asarray(joints, float), cameras=cameras)
+    at = np.asarray(joints, dtype=float)
+    if at.shape != (2, 4, 4):
+        at = one_posture(head.kinematics, at)
+    T_lbase_lcam, T_rcam_lcam = stereo_poses(head, at, cameras=cameras)
     R_lcam_rcam, baseline = T_rcam_lcam[:3, :3].T, inverse(T_rcam_lcam)[:3, 3]
     axes = np.array([[0, 0, 1], R_lcam_rcam[:, 2]])  # of both cameras, in the left one
     R_rect_lcam = _orientation(baseline, axes.mean(axis=0))
@@ -206,7 +212,17 @@ def _apart(cameras: tuple[str, str] | None) -> VergenceError:
 
 
 def rectified_image(view: RectifiedView, image: np.ndarray) -> np.ndarray:
-    """Return the rectified image (H, W, ...) uint8 of a real one; 0 where it shows nothing."""
+    """Return the rectified image (H, W, ...) uint8 of a real one; 0 where it shows nothing.
+
+    VergenceError if the image is not (height, width) or (height, width, channels) of the view's
+    camera.
+    """
+    size = view.camera.height, view.camera.width
+    if image.ndim not in (2, 3) or image.shape[:2] != size:
+        raise VergenceError(
+            f"This view rectifies images of {size[1]} x {size[0]} px, whose arrays are {size} or "
+            f"{(*size, 3)}; found an array of shape {image.shape}."
+        )
     return cv2.remap(image, view.map_x, view.map_y, cv2.INTER_LINEAR)
 
 

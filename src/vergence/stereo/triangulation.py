@@ -21,9 +21,9 @@ from vergence.geometry.components import (
     components,
     cross,
     dot,
+    ignoring_invalid,
     minus,
     quotient,
-    silent,
     stacked,
     times,
     transposed,
@@ -137,7 +137,7 @@ def _intersect(
         normalised_rows(lens, *components(uv.T)) for lens, uv in zip(lenses, pixels, strict=True)
     ]
     left, right = (times(poses[k][0], (*found[k][0], 1.0)) for k in (0, 1))
-    with silent(left[0]):
+    with ignoring_invalid(left[0]):
         # gap = left ray . (right ray x base), and its derivatives by the pixels.
         normals = cross(right, base), cross(base, left)
         gap, power, steps = dot(left, normals[0]), 0.0, []

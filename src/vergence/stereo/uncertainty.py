@@ -65,7 +65,7 @@ def locate(
     cameras: tuple[str, str] | None = None,
     pixel_std_px: ArrayLike | None = None,
     joint_std_rad: ArrayLike | None = None,
-    joint_time_s: Array | None = None,
+    joint_time_s: ArrayLike | None = None,
 ) -> LocatedPoints:
     """Return where points are that both eyes see, and how well that is known.
 
@@ -89,8 +89,8 @@ def locate(
             polynomial through its neighbours. None: the eyes stood still.
 
     Raises:
-        VergenceError: shapes do not fit, the head has no such camera, or left and right are
-            exchanged.
+        VergenceError: shapes do not fit, time stamps are not those of one motion, the head has no
+            such camera, or left and right are exchanged.
     """
     if joint_time_s is not None:
         joints = _at_the_images(head, joints, joint_time_s)
@@ -131,16 +131,22 @@ def stated_reading_stds(head: HeadCalibration, joints: Array) -> Array:
 _reading_stds = lru_cache(maxsize=64)(reading_stds)
 
 
-def _at_the_images(head: HeadCalibration, joints: Array, joint_time_s: Array) -> Array:
+def _at_the_images(head: HeadCalibration, joints: ArrayLike, joint_time_s: ArrayLike) -> Array:
     """Return readings, or poses, at the moments of the images; VergenceError: see `locate`."""
+    joints, joint_time_s = (np.asarray(each, dtype=float) for each in (joints, joint_time_s))
     shape = (2, 4, 4) if measured(joints) else (len(head.kinematics.readings),)
-    if joints.shape != (len(joint_time_s), *shape):
+    if joint_time_s.ndim != 1 or joints.shape != (len(joint_time_s), *shape):
         raise VergenceError(
-            f"Readings that have time stamps are one for each: found {joints.shape} readings and "
-            f"{len(joint_time_s)} time stamps."
+            f"Readings that have time stamps are one for each: found readings of shape "
+            f"{joints.shape} and time stamps of shape {joint_time_s.shape}."
+        )
+    if unknown := int((~np.isfinite(joint_time_s)).sum()):
+        raise VergenceError(
+            f"Time stamps of readings are finite; found {unknown} of {len(joint_time_s)} NaN or "
+            "infinite; leave their points out."
         )
     steps = np.diff(joint_time_s)
-    if not np.isfinite(joint_time_s).all() or (steps < 0).any() or (steps > MAX_GAP_S).any():
+    if (steps < 0).any() or (steps > MAX_GAP_S).any():
         raise VergenceError(
             f"Time stamps of a motion increase by at most {MAX_GAP_S} s from reading to reading, "
             f"found {steps.min():.3g} to {steps.max():.3g} s; locate each motion by itself."

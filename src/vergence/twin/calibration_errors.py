@@ -7,22 +7,23 @@ from dataclasses import replace
 import numpy as np
 
 from vergence.geometry.head import HeadCalibration, MountedCamera
+from vergence.geometry.kinematics import straight_gaze
 from vergence.geometry.projection import T_rcam_lcam, rebase
 from vergence.geometry.se3 import pose, rotation
-from vergence.twin.profile import ByHand
+from vergence.twin.profile import ByHand, Lens
 
 
 def inject_calibration_error(
-    calibration: HeadCalibration, by_hand: ByHand, figure_lens: str
+    calibration: HeadCalibration, by_hand: ByHand, lens: Lens
 ) -> HeadCalibration:
     """Return a calibration with errors in its wide cameras; straight gaze stays exact (Eq. 10).
 
     T_rbase_lbase is recomputed by Eq. 10, so that T_rcam_lcam at zero joint angles stays the same.
-    The figure's lens, 2.8mm or 4.0mm, selects the error of the focal length.
+    The lens selects the error of the focal length.
     """
     if by_hand == ByHand():
         return calibration
-    focal = by_hand.focal_percent_28 if figure_lens == "2.8mm" else by_hand.focal_percent_40
+    focal = by_hand.focal_percent_28 if lens == "2.8mm" else by_hand.focal_percent_40
     cameras = dict(calibration.cameras)
     for name, sign in (("left_wide", 1), ("right_wide", -1)):
         mounted = calibration.camera(name)
@@ -34,6 +35,6 @@ def inject_calibration_error(
             intrinsics=replace(mounted.intrinsics, matrix=matrix),
             T_eye_cam=mounted.T_eye_cam @ pose(roll, [0, 0, by_hand.axial_mm * 1e-3]),
         )
-    straight, wide = np.zeros(4), ("left_wide", "right_wide")
+    straight, wide = straight_gaze(calibration.kinematics), ("left_wide", "right_wide")
     T = T_rcam_lcam(calibration, straight, cameras=wide)
     return rebase(replace(calibration, cameras=cameras), T, joints=straight, cameras=wide)

@@ -18,7 +18,7 @@ from vergence.calibration.sequential.intrinsics import lenses_of_the_paper
 from vergence.calibration.sequential.sequential import SequentialCalibration, calibrate_sequentially
 from vergence.geometry.board import Board, Chessboard, corner_points
 from vergence.geometry.head import R_EYE_CAM, HeadCalibration
-from vergence.geometry.kinematics import EYES, readings_to_turn
+from vergence.geometry.kinematics import EYES, readings_to_turn, straight_gaze
 from vergence.geometry.neck import NECK_JOINTS
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, pose, rotation, transform
@@ -80,7 +80,7 @@ def plan(
     for cameras, count, depth_m, lean_rad in held:
         for _ in range(count):
             T = _held_board(head, board, cameras, depth_m, lean_rad, rng)
-            shots.append(Shot(len(shots), T, _straight(head), cameras))
+            shots.append(Shot(len(shots), T, straight_gaze(head.kinematics), cameras))
     fixed = len(shots)
     T_fixed = _facing(board, *map(np.array, T_LBASE_FIXED))
     # Directions spread evenly over an ellipse (sunflower): pan and tilt vary independently. The
@@ -95,10 +95,6 @@ def plan(
     gaze[:, np.ptp(gaze, axis=0) < 1e-6] = product[:, None]
     shots += [Shot(fixed, T_fixed, readings, wide) for readings in gaze]
     return shots
-
-
-def _straight(head: HeadCalibration) -> Array:
-    return np.zeros(len(head.kinematics.readings))
 
 
 def _facing(board: Board, centre: Sequence[float] | Array, turn: Array) -> Array:
@@ -139,7 +135,7 @@ def _held_board(
         y, z = rng.uniform(-slope, slope, 2) * depth
         turn = rng.uniform(-1, 1, 3) * [lean_rad, lean_rad, 0.3]
         T = _facing(board, (depth, y + eye_y, z), turn)
-        shot = Shot(0, T, _straight(head), ())
+        shot = Shot(0, T, straight_gaze(head.kinematics), ())
         if all(visible(head, board, camera, shot).all() for camera in cameras):
             return T
     raise AssertionError("the board fits into no image at these depths")

@@ -9,7 +9,7 @@ import numpy as np
 
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYES, parallel_distance_m
+from vergence.geometry.kinematics import EYES, parallel_distance_m, straight_gaze
 from vergence.geometry.projection import stereo_cameras
 from vergence.geometry.se3 import angle
 
@@ -37,7 +37,7 @@ def doubts(head: HeadCalibration, std: Mapping[str, float] | None = None) -> lis
             "eye's readings, and which is of which joint."
         )
     left, right = stereo_cameras(head, None)
-    joints = np.zeros(len(head.kinematics.readings))
+    joints = straight_gaze(head.kinematics)
     T_lbase_leye, T_rbase_reye = eye_poses(head, joints)
     if set(head.kinematics.used("left")) == set(head.kinematics.used("right")):
         # A pair that turns as one: its eyes are where its cameras are.

@@ -1,0 +1,261 @@
+"""`vergence depth`: the depth of every pixel of rectified pairs, and its report.
+
+The geometry is a head and its joint readings, or these as corrected by what both eyes see. Pairs
+are of a dataset here; `demos.depth` takes them from the twin, and compares them with the truth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.data.reader import load_dataset
+from vergence.data.stereo_rows import stereo_rows
+from vergence.errors import VergenceError
+from vergence.geometry.eye_motion import measured
+from vergence.geometry.head import HeadCalibration, load_head
+from vergence.progress import Progress, silent
+from vergence.self_calibration.frame import SelfCalibrated, locate_seen
+from vergence.self_calibration.sequence import Geometry, initial_seen_geometry, update_geometry
+from vergence.stereo.dense_depth import DenseDepth, dense_depth
+from vergence.stereo.rectification import RectifiedPair, rectify
+from vergence.stereo.uncertainty import LocatedPoints
+from vergence.viewer.depth import depth_recording, log_depth
+from vergence.viewer.opening import log_report
+from vergence.writing import check_outputs, markdown_table, results_folder, write_json, write_whole
+
+RANGE_M = (0.5, 1.5)
+"""Distances at which accuracy is stated."""
+MOST_PAIRS = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class StereoImages:
+    """The images of a pair, and what is known of the moment."""
+
+    time_s: float
+    joints: Array
+    """Readings [rad], or measured poses (2, 4, 4)."""
+    left: np.ndarray
+    right: np.ndarray
+    seen: SelfCalibrated | None = None
+    """The geometry that both eyes see; None: it is not asked for."""
+
+
+PairDepth = tuple[RectifiedPair, DenseDepth]
+"""How the images of a pair were rectified, and the depth of its pixels."""
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of depth at RANGE_M where there is texture, over all pairs."""
+
+    median_relative: float
+    wrong: float
+    """Share of the pixels that are wrong by more than a fifth."""
+    within_two_std: float
+    """Share of the others whose error is within two standard deviations."""
+    pixels: int
+    vertical_rms_px: float
+    """Of the rows of a point in the two rectified images."""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What dense depth came to; written as JSON."""
+
+    pairs: int
+    matched: float
+    """Share of the rectified pixels that have a depth."""
+    textured: float
+    """Share that has one which texture determines well."""
+    median_relative_std: float
+    """Stated standard deviation over depth, of textured pixels at RANGE_M."""
+    joints: Errors | None = None
+    """By the calibration and the joint readings; None: the truth is not known."""
+    seen: Errors | None = None
+    """By the geometry that both eyes see; None: it was not asked for, or the truth is not known."""
+    true_geometry: Errors | None = None
+    """By the true head and the true angles: what the matching itself leaves."""
+
+
+def depth(
+    out: Path,
+    *,
+    dataset: Path,
+    calibration: Path,
+    pairs: int = 20,
+    geometry: Geometry = "joints",
+    progress: Progress = silent,
+) -> Summary:
+    """Compute dense depth of a dataset; write depth.rrd, depth.json and report.md into a folder.
+
+    Args:
+        out: the folder.
+        dataset: of which the depth is wanted.
+        calibration: file of the head.
+        pairs: number of pairs at most; they are evenly spaced.
+        geometry: of which the pairs are rectified. That which is seen is learned from all images of
+            the dataset until then.
+        progress: is called after each pair.
+
+    Raises:
+        VergenceError: an argument is out of range, the dataset or the calibration cannot be read or
+            has no stereo pair, or the folder cannot be written.
+    """
+    check_pairs(pairs)
+    check_outputs(folder=out, inputs=[calibration])
+    head = load_head(calibration)
+    moments, count = _moments(dataset, head, pairs, geometry)
+    found = ((moment, depth_of(moment, head)) for moment in moments)
+    return write_depth(out, head, found, count, progress=progress)
+
+
+def check_pairs(pairs: int) -> None:
+    """Raise VergenceError for a number of pairs that cannot be made."""
+    if not 1 <= pairs <= MOST_PAIRS:
+        raise VergenceError(f"Asked for {pairs} pairs; from 1 to {MOST_PAIRS} can be made.")
+
+
+def _moments(
+    folder: Path, head: HeadCalibration, pairs: int, geometry: Geometry
+) -> tuple[Iterator[StereoImages], int]:
+    both = stereo_rows(load_dataset(folder), head)
+    if geometry == "seen" and measured(both.joints):
+        raise VergenceError(f"--geometry seen corrects joint readings; {folder} has poses.")
+    left, right = both.cameras
+    chosen = np.unique(np.linspace(0, len(both) - 1, pairs).round().astype(int))
+
+    def read() -> Iterator[StereoImages]:
+        known = initial_seen_geometry(head) if geometry == "seen" else None
+        for k in chosen if known is None else range(chosen[-1] + 1):
+            frame = both.frame(int(k))
+            known = None if known is None else update_geometry(known, frame)
+            if k in chosen:
+                time_s = frame.time_s - float(both.dataset.time_s[0])
+                images = frame.images[left], frame.images[right]
+                seen = None if known is None else known.latest
+                yield StereoImages(time_s, both.joints[k], *images, seen=seen)
+
+    return read(), len(chosen)
+
+
+def depth_of(moment: StereoImages, head: HeadCalibration) -> PairDepth:
+    """Return the depth of a pair by the geometry that is seen or, where none is, by the joints."""
+    seen = moment.seen
+    if seen is None:
+        return depth_by(moment, head, moment.joints)
+    located = partial(locate_seen, seen, pixel_std_px=0.0)
+    return depth_by(moment, seen.head, seen.joints, located=located)
+
+
+def depth_by(
+    moment: StereoImages,
+    head: HeadCalibration,
+    joints: Array,
+    *,
+    joint_std_rad: float | None = None,
+    located: Callable[..., LocatedPoints] | None = None,
+) -> PairDepth:
+    """Return the depth of a pair by a head and joints; options are those of `dense_depth`."""
+    pair, images = rectify(head, joints), (moment.left, moment.right)
+    found = dense_depth(head, joints, pair, *images, joint_std_rad=joint_std_rad, located=located)
+    return pair, found
+
+
+def write_depth(
+    out: Path,
+    head: HeadCalibration,
+    found: Iterable[tuple[StereoImages, PairDepth]],
+    count: int,
+    *,
+    errors: Callable[[], dict[str, Errors | None]] = dict,
+    progress: Progress = silent,
+) -> Summary:
+    """Write a recording, a summary and a report of the depth of pairs, one after the other.
+
+    Args:
+        out: folder of depth.rrd, depth.json and report.md.
+        head: the calibration.
+        found: pairs with their depths.
+        count: how many they are.
+        errors: is called after the last pair; by geometry, as in Summary, the errors of the depth.
+        progress: is called after each pair.
+
+    Raises:
+        VergenceError: the folder cannot be written.
+    """
+    shares, stds = [], []
+    progress("dense depth, pairs", 0, count)
+    with results_folder(out):
+        with depth_recording(out / "depth.rrd", head) as rec:
+            for k, (moment, (pair, dense)) in enumerate(found):
+                near = dense.textured & (dense.depth_m > RANGE_M[0]) & (dense.depth_m < RANGE_M[1])
+                stds.append(dense.std_m[near] / dense.depth_m[near])
+                shares.append((np.isfinite(dense.depth_m).mean(), dense.textured.mean()))
+                log_depth(
+                    rec,
+                    head if moment.seen is None else moment.seen.head,
+                    time_s=moment.time_s,
+                    index=k,
+                    joints=moment.joints if moment.seen is None else moment.seen.joints,
+                    pair=pair,
+                    right=moment.right,
+                    found=dense,
+                )
+                progress("dense depth, pairs", k + 1, count)
+            matched, textured = np.mean(shares, axis=0)
+            relative = np.concatenate(stds)
+            done = Summary(
+                pairs=count,
+                matched=float(matched),
+                textured=float(textured),
+                median_relative_std=float(np.median(relative)) if relative.size else np.nan,
+                **errors(),
+            )
+            report = as_markdown(done)
+            log_report(rec, report)
+        write_json(done, out / "depth.json")
+        write_whole(out / "report.md", report)
+    return done
+
+
+def as_markdown(done: Summary) -> str:
+    """Return the report."""
+    lines = [
+        "# Dense depth",
+        "",
+        f"{done.pairs} pairs. {100 * done.matched:.0f} % of the rectified pixels have a depth, "
+        f"{100 * done.textured:.0f} % one that texture determines well. At {RANGE_M[0]} to "
+        f"{RANGE_M[1]} m the stated standard deviation of these is "
+        f"{100 * done.median_relative_std:.1f} % in the median.",
+        "",
+    ]
+    rows = [
+        (
+            name,
+            f"{100 * e.median_relative:.2f}",
+            f"{100 * e.wrong:.1f}",
+            f"{100 * e.within_two_std:.0f}",
+            f"{e.vertical_rms_px:.2f}",
+        )
+        for name, e in (
+            ("calibration and joints", done.joints),
+            ("seen by both eyes", done.seen),
+            ("true geometry", done.true_geometry),
+        )
+        if e is not None
+    ]
+    if rows:
+        heading = (
+            "geometry | median error [%] | wrong by a fifth [%] | others within two std [%] | "
+            "rows, rms [px]"
+        )
+        lines += [f"Errors at {RANGE_M[0]} to {RANGE_M[1]} m where there is texture:", ""]
+        lines += [markdown_table(heading, rows), ""]
+    return "\n".join(lines)
