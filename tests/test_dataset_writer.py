@@ -1,5 +1,6 @@
 """Datasets that are written: what stands there is what was meant, or nothing is."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -66,6 +67,17 @@ def test_what_is_written_is_read_back(tmp_path, joint):
         for name, image in frame.images.items():
             grey = entry.frame.images[name] @ [0.299, 0.587, 0.114]
             assert np.abs(image[..., 0] - grey).max() <= 1
+
+
+@pytest.mark.parametrize(
+    "angles", [{"eye_angles": np.zeros(7)}, {"neck_angles": np.zeros(2)}, {"eye_angles": 0.0}]
+)
+def test_other_readings_than_described_are_refused_and_nothing_is_left(tmp_path, angles):
+    row = entries(1, np.random.default_rng(1))[0]
+    wrong = replace(row, frame=replace(row.frame, **angles))
+    with pytest.raises(VergenceError, match=r"needs the readings .*; found an array of shape"):
+        write_dataset(tmp_path / "set", about(), [wrong])
+    assert not (tmp_path / "set").exists()
 
 
 def test_poses_take_the_place_of_angles_and_are_read_back_exactly(tmp_path):

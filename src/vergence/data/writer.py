@@ -25,6 +25,7 @@ from vergence.data.description import (
     TIME,
     Description,
 )
+from vergence.errors import VergenceError
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.neck import NECK_JOINTS
 from vergence.writing import check_new, whole_folder
@@ -63,7 +64,8 @@ def write_dataset(
         beside: is called with the temporary folder after the last row, to write other files there.
 
     Raises:
-        VergenceError: the folder is not empty, or cannot be written.
+        VergenceError: the folder is not empty, or cannot be written; or a row has other readings
+            than the description.
     """
     check_new(folder)
     with whole_folder(folder) as part:
@@ -104,8 +106,17 @@ def _cells(description: Description, row: DatasetRow) -> dict[str, object]:
         PLACEMENT: row.placement,
         MOVING: int(row.moving),
     }
-    names = (*description.head_kinematics.readings, *NECK_JOINTS)
-    angles = dict(zip(names, (*frame.eye_angles, *frame.neck_angles), strict=True))
+    angles: dict[str, float] = {}
+    for names, found in (
+        (description.head_kinematics.readings, frame.eye_angles),
+        (NECK_JOINTS, frame.neck_angles),
+    ):
+        if np.shape(found) != (len(names),):
+            raise VergenceError(
+                f"The row at {frame.time_s:g} s needs the readings {', '.join(names)}; found an "
+                f"array of shape {np.shape(found)}."
+            )
+        angles |= dict(zip(names, found, strict=True))
     for name, joint in description.sources.items():
         if name not in angles:
             continue  # it shares its column with another
