@@ -86,6 +86,8 @@ def main() -> None:
     if sys.argv[1:] == ["--version"]:
         print(f"vergence {__version__}")
         return
+    # The matrices are small: threads of linear algebra would wait for each other. Before numpy.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         signal.signal(signal.SIGINT, _stop)
         signal.signal(signal.SIGTERM, _stop)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Annotated
 
@@ -40,7 +39,6 @@ def plan(
         figure: PNG file of the board's places and of the accuracy after each view.
         json: JSON file of the plan.
     """
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices, as in calibrate
     from vergence.commands.plan import as_text, figures, run
     from vergence.viewer.plots.plan import draw_plan
 
@@ -100,7 +98,6 @@ def design(
         jobs: Processes on this machine; -1: one for each core.
         cluster: Address of a Dask scheduler, which then does the work: tcp://HOST:PORT.
     """
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # one process a core
     from vergence.commands.design import chosen_settings, run, sentences
 
     given = {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -45,8 +44,6 @@ def calibrate(
             or, with the paper's method, radial-tangential, and none for narrow cameras.
         json: JSON file of the accuracy alone.
     """
-    # The matrices are small: threads of linear algebra would wait for each other. Before numpy.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from vergence.calibration.calibrate import calibrate as run
     from vergence.commands.calibration_report import figures, write_report
     from vergence.data.description import DESCRIPTION, FRAMES
@@ -85,7 +82,6 @@ def self_calibrate(
         out: JSON file of the learned calibration.
         json: JSON file of what was observed of each parameter.
     """
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices, as in calibrate
     from vergence.commands.self_calibration import HEADING, as_plain, sentences, table
     from vergence.data.description import DESCRIPTION, FRAMES
     from vergence.data.reader import load_dataset
