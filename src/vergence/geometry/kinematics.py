@@ -300,24 +300,19 @@ def straight_gaze(kinematics: Kinematics) -> Array:
     return np.zeros(len(kinematics.readings))
 
 
-def checked_readings(kinematics: Kinematics, readings: ArrayLike) -> Array:
-    """Return readings (..., r) [rad] as an array; VergenceError if they are not the head's r."""
+def checked_readings(
+    kinematics: Kinematics, readings: ArrayLike, *, one_posture: bool = False
+) -> Array:
+    """Return readings (..., r) [rad] as an array; of one posture they are (r,).
+
+    VergenceError if they are not the head's r, or of more than one posture where one is needed.
+    """
     found, names = np.asarray(readings, dtype=float), kinematics.readings
-    if found.shape[-1:] != (len(names),):
+    if found.shape[-1:] != (len(names),) or (one_posture and found.ndim > 1):
+        where = "where those of one posture are needed" if one_posture else "in their place"
         raise VergenceError(
             f"This head has the {len(names)} joint readings {', '.join(names)}; found an array of "
-            f"shape {found.shape} in their place."
-        )
-    return found
-
-
-def one_posture(kinematics: Kinematics, readings: ArrayLike) -> Array:
-    """Return the readings (r,) [rad] of one posture as an array; VergenceError if they are not."""
-    found, names = np.asarray(readings, dtype=float), kinematics.readings
-    if found.shape != (len(names),):
-        raise VergenceError(
-            f"This head has the {len(names)} joint readings {', '.join(names)}; found an array of "
-            f"shape {found.shape} where those of one posture are needed."
+            f"shape {found.shape} {where}."
         )
     return found
 

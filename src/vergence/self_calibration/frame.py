@@ -134,7 +134,7 @@ class SelfCalibrated:
     """(N,) from 0, a match that does not fit, to 1."""
     status: Status
     evidence: Evidence | None
-    """None: the matches were too few."""
+    """None: too few matches fit."""
 
 
 def initial_self_calibration(

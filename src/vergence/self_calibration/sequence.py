@@ -17,7 +17,7 @@ from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import one_posture
+from vergence.geometry.kinematics import checked_readings
 from vergence.self_calibration.frame import (
     SelfCalibrated,
     SelfCalibration,
@@ -88,7 +88,9 @@ def update_geometry(
             readings are not as many as the head has.
     """
     known = before.known
-    joints = one_posture(known.head.kinematics, frame.eye_angles if joints is None else joints)
+    joints = checked_readings(
+        known.head.kinematics, frame.eye_angles if joints is None else joints, one_posture=True
+    )
     for name in known.cameras:
         if name not in frame.images:
             raise VergenceError(

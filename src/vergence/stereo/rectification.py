@@ -19,7 +19,7 @@ from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, normalise, project
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import one_posture
+from vergence.geometry.kinematics import checked_readings
 from vergence.geometry.lens import reach
 from vergence.geometry.projection import stereo_cameras, stereo_poses
 from vergence.geometry.se3 import inverse, pose
@@ -104,7 +104,7 @@ def rectify(
     left, right = stereo_cameras(head, cameras)
     at = np.asarray(joints, dtype=float)
     if at.shape != (2, 4, 4):
-        at = one_posture(head.kinematics, at)
+        at = checked_readings(head.kinematics, at, one_posture=True)
     T_lbase_lcam, T_rcam_lcam = stereo_poses(head, at, cameras=cameras)
     R_lcam_rcam, baseline = T_rcam_lcam[:3, :3].T, inverse(T_rcam_lcam)[:3, 3]
     axes = np.array([[0, 0, 1], R_lcam_rcam[:, 2]])  # of both cameras, in the left one
