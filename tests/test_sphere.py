@@ -1,5 +1,6 @@
 """The image of a sphere's centre, from antialiased pictures made here."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -100,6 +101,31 @@ def test_shading_and_a_background_of_some_of_its_colour_do_not_move_the_centre(d
     assert np.abs(find_sphere(image, WIDE) - pixel).max() < 0.03
 
 
+BRICK, PAINT = np.array([120.0, 82.0, 72.0]), np.array([182.0, 178.0, 165.0])
+
+
+@pytest.mark.parametrize("depth", [0.4, 0.8])
+@pytest.mark.parametrize("across", [-5.0, 0.0, 3.0])
+def test_an_edge_behind_it_does_not_move_the_centre(depth: float, across: float):
+    """Of brick and paint, through the sphere; within 0.02 px."""
+    pixel = (200.4, 300.3)
+    background = np.where(np.arange(640)[None, :, None] < pixel[0] + across, BRICK, PAINT)
+    light = np.array([0.6, 0.0, -0.6])
+    image = picture(WIDE, at(WIDE, pixel, depth), light=light, background=background)
+    blurred = cv2.GaussianBlur(image, (0, 0), 0.45)
+    assert np.abs(find_sphere(blurred, WIDE) - pixel).max() < 0.02
+
+
+@pytest.mark.parametrize("blur_px", [0.5, 1.0])
+@pytest.mark.parametrize("depth", [0.4, 0.8, 1.6])
+def test_a_blurred_image_does_not_move_the_centre(depth: float, blur_px: float):
+    """Lit from the side, before wood; within 0.05 px."""
+    pixel = (200.4, 300.3)
+    image = picture(WIDE, at(WIDE, pixel, depth), light=np.array([0.8, -0.6, 0.0]), background=WOOD)
+    blurred = cv2.GaussianBlur(image, (0, 0), blur_px)
+    assert np.abs(find_sphere(blurred, WIDE) - pixel).max() < 0.05
+
+
 @pytest.mark.render
 def test_the_rendered_sphere_is_where_the_twin_knows_it_in_the_room():
     from vergence.geometry.projection import project_point
@@ -175,6 +201,17 @@ def test_what_is_no_sphere_is_not_found():
         assert np.isnan(find_sphere(image, WIDE)).all()
     folding = pinhole(640, 480, 280.0, (-0.3, 0, 0, 0, 0))
     assert np.isnan(find_sphere(corner, folding)).all()
+
+
+def test_whatever_is_red_gives_a_pixel_or_none_without_a_warning():
+    rng = np.random.default_rng(0)
+    camera = pinhole(160, 120, 70.0, (-0.12, 0.02, 0.0005, -0.0005, 0.0))
+    for _ in range(300):
+        image = np.full((120, 160, 3), rng.integers(0, 256, 3), np.uint8)
+        u, v, width, height = rng.integers([10, 10, 1, 1], [110, 90, 20, 20])
+        shape = image[v : v + height, u : u + width]
+        shape[:] = rng.integers([100, 0, 0], [256, 120, 120], shape.shape)
+        assert not np.isinf(find_sphere(image, camera)).any()
 
 
 def test_a_blue_sphere_is_found_beside_a_red_one_and_neither_for_the_other():

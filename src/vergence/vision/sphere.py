@@ -9,12 +9,15 @@ sphere's centre.
 A lit sphere is brighter on one side, and what is behind it may have some of its colour. The part of
 a pixel that it covers is therefore taken from the shading that its inner pixels show, continued to
 its rim, and from the background that is seen beside it. What lies behind the rim itself is not
-seen; colours are therefore mixed so that the background around is as even as possible beside the
-sphere (Fisher's linear discriminant).
+seen; the three colours of a pixel of the rim are therefore weighted so that the background beside
+it is as even as possible (generalised least squares, with the covariance of its colours).
+
+Which pixels are inner ones is told by the outline itself: a first one from the colour alone, and
+one better one suffice.
 
 Undistorting every pixel would be slow. The undistorted position is a smooth function of the pixel,
-so it is interpolated between Chebyshev points of the sphere's window: each point gets the coverage
-of the pixels around it as a weight, and only these points are undistorted.
+so it is interpolated between Chebyshev points of the sphere's window, which alone are undistorted;
+for sums over pixels, each point gets the coverage of the pixels around it as a weight.
 """
 
 from __future__ import annotations
@@ -37,16 +40,26 @@ STD_PX = 0.1
 _THRESHOLD = 100  # grey levels of colour contrast above which a pixel belongs to the sphere
 _BAND_ROWS = 96  # processed at a time: allocating memory for a whole image is slow
 _CONTRAST = np.array([1.0, -0.5, -0.5])  # of the sphere's own colour to the mean of the others
-_MARGIN_PX = 3  # for soft edges: blur and anti-aliasing extend over two pixels, plus a reserve
+_MARGIN_PX = 5  # soft edges take two pixels; beyond them the background must be seen
 _MIN_PIXELS = 4
-_EDGE_PX = 1.9
-"""Distance from the outline beyond which a pixel is wholly covered, or not at all."""
+_EDGE_PX = 1.6
+"""Distance from the outline beyond which a pixel is wholly covered, or not at all, until the blur
+of the image is known from its coverage."""
+_NARROWEST_PX, _WIDEST_PX = 1.0, 3.5
+_ROUNDS = 2
+"""Of coverage and outline; more change a few thousandths of a pixel."""
+_COVER_STD = 0.5
+"""Of the coverage that the outline before lets expect, for pixels whose colours tell nothing."""
 _NEARBY = (9, 9)  # pixels across: as far as the edge's outer side is seen from its inner one
 _NEARBY_STD_PX = 1.0  # of their weights: the nearest count, since backgrounds are not even
 _GREY_NOISE = 3.0
 """Of a pixel in each plane [grey levels], with rounding and textures too fine to be seen."""
-_SHADED_PIXELS = 12
-"""Least number of inner pixels for which shading is fitted: a smaller sphere is taken as even."""
+_SHARE = 0.15
+"""Of the spread of all that surrounds the sphere, in what may be behind a pixel of its rim."""
+_PAIRS = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+"""Where the products of two of three colours stand in the upper triangle, row by row."""
+_SHADING_PIXELS = 2.0
+"""Brightness is expected to be even with the weight of so many pixels of normals that differ."""
 _FITTED_PIXELS = 1000  # about how many inner pixels of a large sphere are enough
 _POINTS = np.asarray(chebpts2(16), dtype=float)
 """Chebyshev points along each side of a window. Near the corner of a wide lens's image they
@@ -144,80 +157,119 @@ def _centre(
     image: np.ndarray, planes: tuple[int, int, int], rows: slice, columns: slice, camera: Camera
 ) -> Array:
     """Return the centre (2,) [px] of the sphere in these rows and columns; NaN: beyond the lens."""
-    cover = _coverage(image[rows, columns, planes].astype(float))
     u, by_u = _interpolation(columns.start, columns.stop)
     v, by_v = _interpolation(rows.start, rows.stop)
     xy = normalise(camera, np.stack(np.broadcast_arrays(u, v[:, None]), axis=-1))
     if not np.isfinite(xy).all():
         return np.full(2, np.nan)
-    weights = (by_v.T @ cover @ by_u) * normalise_area(camera, xy)
-    area = float(weights.sum())
-    if not area > 0:
-        return np.full(2, np.nan)
-    centroid = weights.ravel() @ xy.reshape(-1, 2) / area
-    return project(camera, _cone_axis(centroid, area))
+    areas = normalise_area(camera, xy)
 
+    def cone(cover: Array) -> tuple[Array, float]:
+        weights = (by_v.T @ cover @ by_u) * areas
+        area = float(weights.sum())
+        return _cone(weights.ravel() @ xy.reshape(-1, 2) / area, area)
 
-def _coverage(window: Array) -> Array:
-    """Return the part (H, W) of each pixel that the sphere covers, from its colours (H, W, 3)."""
+    rays = np.stack([by_v @ each @ by_u.T for each in (xy[..., 0], xy[..., 1])], axis=-1)
+    rays = np.concatenate([rays, np.ones((*rays.shape[:2], 1))], axis=-1)
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    window = image[rows, columns, planes].astype(np.float32)
     contrast = window @ _CONTRAST
-    typical = float(np.median(contrast[contrast > _THRESHOLD]))
-    mask = (contrast > 0.5 * typical).astype(np.uint8)
-    inside = cv2.distanceTransform(mask, cv2.DIST_L2, 5) > _EDGE_PX
-    outside = cv2.distanceTransform(1 - mask, cv2.DIST_L2, 5) > _EDGE_PX
-    if inside.any() and outside.any():
-        contrast = typical * _discriminant(window, inside, outside)
-    light = _shading(contrast, mask, inside, typical)
-    light = np.maximum(light + _nearby(contrast - light, inside), 0.5 * typical)
-    background = _nearby(contrast, outside)
-    edge = (contrast - background) / (light - background)
-    return np.where(inside, 1.0, np.where(outside, 0.0, edge))
+    cover = (contrast > 0.5 * np.median(contrast[contrast > _THRESHOLD])).astype(float)
+    edge_px = _EDGE_PX
+    for _ in range(_ROUNDS):
+        axis, sine = cone(cover)
+        cover = _coverage(window, *_surface(rays, axis, sine), edge_px)
+        if cover.sum() < 1:  # of a pixel: this is no sphere
+            return np.full(2, np.nan)
+        edge_px = _edge_px(cover)
+    return project(camera, cone(cover)[0])
 
 
-def _discriminant(window: Array, inside: np.ndarray, outside: np.ndarray) -> Array:
-    """Return the mixture (H, W) of the colours (H, W, 3) that tells sphere from background best.
+def _surface(rays: Array, axis: Array, sine: float) -> tuple[Array, Array]:
+    """Return how far pixels are outside of a sphere's outline (H, W) [px], and normals (H, W, 3).
 
-    About 1 on the sphere and 0 in the mean of what surrounds it; linear in the colours, so that it
-    is proportional to the coverage as they are.
+    Of the cone of rays that touch the sphere, `axis` (3,) is the axis and `sine` that of half the
+    opening angle. The unit normals are those of the surface where rays (H, W, 3) meet it, and of
+    its rim where they pass it.
     """
+    along = rays @ axis
+    across = rays - along[..., None] * axis
+    distance = np.linalg.norm(across, axis=-1)
+    angle = np.arctan2(distance, along)
+    outward = (angle - np.arcsin(sine)) / np.maximum(np.hypot(*np.gradient(angle)), 1e-9)
+    towards = np.sqrt(np.maximum(1 - (distance / sine) ** 2, 0))
+    normals = across / np.maximum(distance, sine)[..., None] - towards[..., None] * axis
+    return outward, normals
+
+
+def _coverage(window: np.ndarray, outward: Array, normals: Array, edge_px: float) -> Array:
+    """Return the part (H, W) of each pixel that the sphere covers, from its colours (H, W, 3)."""
+    # A small sphere has at least its innermost pixel, and what is no sphere has outer ones too.
+    inside = outward <= max(-edge_px, float(outward.min()))
+    outside = outward >= min(edge_px, float(outward.max()))
+    rim = np.abs(outward) < edge_px
+    light = _shading(window, normals, inside)
+    light = (light + _nearby(window - light, inside))[rim].astype(float)
+    background, spread = _background(window, outside, rim)
+    expected = np.clip(0.5 - outward[rim] / (2 * edge_px), 0, 1)
+    covariance = (1 - expected)[:, None, None] ** 2 * spread + _GREY_NOISE**2 * np.eye(3)
+    apart = light - background
+    pull = np.linalg.solve(covariance, apart[..., None])[..., 0]
+    seen = ((window[rim] - background) * pull).sum(axis=1)
+    cover = (outward < 0).astype(float)
+    cover[rim] = (seen + expected / _COVER_STD**2) / ((apart * pull).sum(axis=1) + _COVER_STD**-2)
+    return cover
+
+
+def _background(window: np.ndarray, outside: np.ndarray, rim: np.ndarray) -> tuple[Array, Array]:
+    """Return mean (N, 3) and covariance (N, 3, 3) of what is behind the N pixels of the rim.
+
+    Of what is seen beside it; a share of the spread of all that surrounds the sphere is added,
+    since the few pixels that are near tell their own spread badly.
+    """
+    first, second = np.triu_indices(3)
+    products = window[..., first] * window[..., second]
+    near = _nearby(np.concatenate([window, products], axis=-1), outside)[rim].astype(float)
+    mean, moments = near[:, :3], near[:, 3 + _PAIRS]
+    spread = moments - mean[:, :, None] * mean[:, None]
     around = window[outside][:: 1 + np.count_nonzero(outside) // _FITTED_PIXELS]
-    mean = around.mean(axis=0)
-    spread = around - mean
-    covariance = spread.T @ spread / len(around) + _GREY_NOISE**2 * np.eye(3)
-    apart = np.median(window[inside], axis=0) - mean
-    weights = np.linalg.solve(covariance, apart)
-    return (window - mean) @ (weights / (weights @ apart))
+    around = around - around.mean(axis=0)
+    return mean, spread + _SHARE * around.T @ around / len(around)
 
 
-def _nearby(values: Array, where: np.ndarray) -> Array:
-    """Return the mean (H, W) of the values near each pixel that are somewhere; 0: none is."""
-    weight = cv2.GaussianBlur(where.astype(float), _NEARBY, _NEARBY_STD_PX)
-    return cv2.GaussianBlur(values * where, _NEARBY, _NEARBY_STD_PX) / np.maximum(weight, 1e-9)
+def _nearby(values: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """Return the mean (H, W, K) of the values near each pixel that are somewhere; 0: none is."""
+    weight = where.astype(np.float32)[..., None]
+    total = cv2.GaussianBlur(weight, _NEARBY, _NEARBY_STD_PX)[..., None]
+    return cv2.GaussianBlur(values * weight, _NEARBY, _NEARBY_STD_PX) / np.maximum(total, 1e-12)
 
 
-def _shading(contrast: Array, mask: np.ndarray, inside: np.ndarray, typical: float) -> Array:
-    """Return the contrast (H, W) that the sphere has where it covers a pixel, continued outwards.
+def _shading(window: np.ndarray, normals: Array, inside: np.ndarray) -> np.ndarray:
+    """Return the colours (H, W, 3) of the sphere where it covers a pixel, continued outwards.
 
     Light that comes from one side, or from everywhere, makes a matt surface's brightness a linear
-    function of its normal, which is fitted to the inner pixels.
+    function of its normal, which is fitted to the inner pixels. The fewer they are, the more it
+    is held back: those of a small sphere show little of what the rim is like.
     """
-    v, u = (where.astype(float) for where in np.nonzero(inside))
-    if len(v) < _SHADED_PIXELS:
-        return np.full(contrast.shape, typical)
-    moments = cv2.moments(mask, binaryImage=True)
-    centre_u, centre_v = moments["m10"] / moments["m00"], moments["m01"] / moments["m00"]
-    radius = sqrt(moments["m00"] / pi)
+    some = np.flatnonzero(inside)
+    some = some[:: 1 + len(some) // _FITTED_PIXELS]
+    seen, terms = window.reshape(-1, 3)[some], normals.astype(np.float32).reshape(-1, 3)
+    mean, middle = seen.mean(axis=0), terms[some].mean(axis=0)
+    terms -= middle
+    held = _SHADING_PIXELS * np.eye(3, dtype=np.float32)
+    slopes = np.linalg.solve(terms[some].T @ terms[some] + held, terms[some].T @ (seen - mean))
+    return (mean + terms @ slopes).reshape(window.shape)
 
-    def normals(v: Array, u: Array) -> Array:
-        x, y = (u - centre_u) / radius, (v - centre_v) / radius
-        z = np.sqrt(np.maximum(1 - x * x - y * y, 0))
-        return np.stack([np.ones_like(x), x, y, z], axis=-1)
 
-    some = slice(None, None, 1 + len(v) // _FITTED_PIXELS)
-    v, u = v[some], u[some]
-    light = np.linalg.lstsq(normals(v, u), contrast[inside][some], rcond=None)[0]
-    rows, columns = np.indices(contrast.shape).astype(float)
-    return normals(rows, columns) @ light
+def _edge_px(cover: Array) -> float:
+    """Return how far the outline is blurred to either side [px], from the coverage (H, W).
+
+    With a Gaussian blur, c (1 - c) sums up to its standard deviation times the outline's length
+    over 2 pi^(1/2).
+    """
+    cover = np.clip(cover, 0, 1)
+    std = float((cover * (1 - cover)).sum()) / (2 * sqrt(max(float(cover.sum()), 1.0)))
+    return min(max(2 * std, _NARROWEST_PX), _WIDEST_PX)
 
 
 def _interpolation(begin: int, end: int) -> tuple[Array, Array]:
@@ -230,11 +282,11 @@ def _interpolation(begin: int, end: int) -> tuple[Array, Array]:
     return middle + half * _POINTS, chebvander(pixels, len(_POINTS) - 1) @ _COEFFICIENTS
 
 
-def _cone_axis(centroid: Array, area: float) -> Array:
-    """Return the unit axis (3,) of the cone whose section with z = 1 has this centroid and area.
+def _cone(centroid: Array, area: float) -> tuple[Array, float]:
+    """Return axis (3,) and sine of half the opening angle of a cone, by its section with z = 1.
 
-    With c the axis and s the sine of half the opening angle, the ellipse has the centre
-    c_xy c_z / (c_z^2 - s^2) and the area pi s^2 sqrt(1 - s^2) / (c_z^2 - s^2)^(3/2).
+    With c the unit axis and s the sine, the section with this centroid and area is an ellipse of
+    centre c_xy c_z / (c_z^2 - s^2) and area pi s^2 sqrt(1 - s^2) / (c_z^2 - s^2)^(3/2).
     """
     s2, c_z2, m2 = 0.0, 1.0, float(centroid @ centroid)
     for _ in range(50):  # a contraction by about s^2, which is far below one
@@ -245,4 +297,4 @@ def _cone_axis(centroid: Array, area: float) -> Array:
         if abs(s2 - before) < 1e-15:
             break
     c_z = sqrt(c_z2)
-    return np.array([*(centroid * (c_z2 - s2) / c_z), c_z])
+    return np.array([*(centroid * (c_z2 - s2) / c_z), c_z]), sqrt(s2)
