@@ -93,6 +93,9 @@ def boxplus(head: HeadCalibration, change: Array) -> HeadCalibration:
     cameras, rest = {}, change
     for name, mounted in head.cameras.items():
         own, rest = np.split(rest, [_size(mounted)])
+        if not own.any():
+            cameras[name] = mounted
+            continue
         lens = lens_vector(mounted.intrinsics)
         cameras[name] = replace(
             mounted,

@@ -26,6 +26,8 @@ WINDOW_PX = 15
 """Large, since noise falls with the size, and the linear change allows for most of the relief."""
 _PARTS = 3
 """Clusters of pixels along each side of a window."""
+_IN_PARTS = np.kron(*2 * [np.eye(_PARTS, dtype=np.float32).repeat(WINDOW_PX // _PARTS, axis=0)])
+"""(n, 9): which part of a window each of its pixels is in."""
 _INFLATION = 4.0
 """Variance inflation of a window's displacement by correlated differences (design effect): the
 images' errors are smooth over about two pixels, by interpolation and by blur."""
@@ -162,7 +164,8 @@ def _slopes(windows: np.ndarray, along: np.ndarray) -> np.ndarray:
     x, y = _offsets(WINDOW_PX // 2)
     by_depth = along[:, :1] * across + along[:, 1:] * down
     slopes = np.stack([across, down, by_depth * x, by_depth * y], axis=1)
-    return slopes - slopes.mean(axis=2, keepdims=True)
+    slopes -= slopes.mean(axis=2, keepdims=True)
+    return slopes
 
 
 def _covariance(
@@ -181,9 +184,7 @@ def _covariance(
     information[~clear] = np.eye(4)
     inverse = np.linalg.inv(information)[:, :2]
     independent = inverse[:, :, :2] * variance[..., None]
-    part = WINDOW_PX // _PARTS
-    pulls = (by_state * apart[:, None]).reshape(-1, 4, _PARTS, part, _PARTS, part).sum(axis=(3, 5))
-    moved = inverse @ pulls.reshape(-1, 4, _PARTS**2)
+    moved = inverse @ ((by_state * apart[:, None]) @ _IN_PARTS)
     # Nine sums, of which the estimate and the mean have taken five.
     of_parts = moved @ np.swapaxes(moved, 1, 2) * (_PARTS**2 / (_PARTS**2 - 5))
     covariance = (_INFLATION * independent + of_parts) / 2

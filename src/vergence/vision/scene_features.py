@@ -170,16 +170,18 @@ def _track(
         return at, np.zeros(0, bool)
     options = {
         "winSize": (_WINDOW_PX, _WINDOW_PX),
-        "maxLevel": _LEVELS,
         "flags": cv2.OPTFLOW_USE_INITIAL_FLOW,
         # Near enough for least squares.
         "criteria": (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03),
     }
     points = at.astype(np.float32)
     found, good, _ = cv2.calcOpticalFlowPyrLK(
-        view, other, points, start.astype(np.float32), **options
+        view, other, points, start.astype(np.float32), maxLevel=_LEVELS, **options
     )
-    back, again, _ = cv2.calcOpticalFlowPyrLK(other, view, found, points.copy(), **options)
+    # The way back begins at its end: no pyramid is needed.
+    back, again, _ = cv2.calcOpticalFlowPyrLK(
+        other, view, found, points.copy(), maxLevel=0, **options
+    )
     near = np.linalg.norm(back - points, axis=1) < _ROUND_TRIP_PX
     sure = (good[:, 0] == 1) & (again[:, 0] == 1) & near
     return found.astype(float), sure
