@@ -56,8 +56,6 @@ _GREY_NOISE = 3.0
 """Of a pixel in each plane [grey levels], with rounding and textures too fine to be seen."""
 _SHARE = 0.15
 """Of the spread of all that surrounds the sphere, in what may be behind a pixel of its rim."""
-_PAIRS = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
-"""Where the products of two of three colours stand in the upper triangle, row by row."""
 _SHADING_PIXELS = 2.0
 """Brightness is expected to be even with the weight of so many pixels of normals that differ."""
 _FITTED_PIXELS = 1000  # about how many inner pixels of a large sphere are enough
@@ -227,11 +225,10 @@ def _background(window: np.ndarray, outside: np.ndarray, rim: np.ndarray) -> tup
     Of what is seen beside it; a share of the spread of all that surrounds the sphere is added,
     since the few pixels that are near tell their own spread badly.
     """
-    first, second = np.triu_indices(3)
-    products = window[..., first] * window[..., second]
+    products = (window[..., :, None] * window[..., None, :]).reshape(*window.shape[:2], 9)
     near = _nearby(np.concatenate([window, products], axis=-1), outside)[rim].astype(float)
-    mean, moments = near[:, :3], near[:, 3 + _PAIRS]
-    spread = moments - mean[:, :, None] * mean[:, None]
+    mean = near[:, :3]
+    spread = near[:, 3:].reshape(-1, 3, 3) - mean[:, :, None] * mean[:, None]
     around = window[outside][:: 1 + np.count_nonzero(outside) // _FITTED_PIXELS]
     around = around - around.mean(axis=0)
     return mean, spread + _SHARE * around.T @ around / len(around)
@@ -264,8 +261,8 @@ def _shading(window: np.ndarray, normals: Array, inside: np.ndarray) -> np.ndarr
 def _edge_px(cover: Array) -> float:
     """Return how far the outline is blurred to either side [px], from the coverage (H, W).
 
-    With a Gaussian blur, c (1 - c) sums up to its standard deviation times the outline's length
-    over 2 pi^(1/2).
+    With a Gaussian blur, c (1 - c) sums up to its standard deviation times the outline's length,
+    2 (pi area)^(1/2), over pi^(1/2). Two standard deviations hold all that matters.
     """
     cover = np.clip(cover, 0, 1)
     std = float((cover * (1 - cover)).sum()) / (2 * sqrt(max(float(cover.sum()), 1.0)))
