@@ -93,7 +93,7 @@ def boxplus(head: HeadCalibration, change: Array) -> HeadCalibration:
     cameras, rest = {}, change
     for name, mounted in head.cameras.items():
         own, rest = np.split(rest, [_size(mounted)])
-        if not own.any():
+        if not own.any():  # what is made anew is checked anew, which takes time
             cameras[name] = mounted
             continue
         lens = lens_vector(mounted.intrinsics)
