@@ -183,7 +183,7 @@ def _centre(
     return project(camera, cone(cover)[0])
 
 
-def _surface(rays: Array, axis: Array, sine: float) -> tuple[Array, Array]:
+def _surface(rays: Array, axis: Array, sine: float) -> tuple[Array, np.ndarray]:
     """Return how far pixels are outside of a sphere's outline (H, W) [px], and normals (H, W, 3).
 
     Of the cone of rays that touch the sphere, `axis` (3,) is the axis and `sine` that of half the
@@ -191,16 +191,15 @@ def _surface(rays: Array, axis: Array, sine: float) -> tuple[Array, Array]:
     its rim where they pass it.
     """
     along = rays @ axis
-    across = rays - along[..., None] * axis
-    distance = np.linalg.norm(across, axis=-1)
-    angle = np.arctan2(distance, along)
-    outward = (angle - np.arcsin(sine)) / np.maximum(np.hypot(*np.gradient(angle)), 1e-9)
-    towards = np.sqrt(np.maximum(1 - (distance / sine) ** 2, 0))
-    normals = across / np.maximum(distance, sine)[..., None] - towards[..., None] * axis
-    return outward, normals
+    distance = np.sqrt(np.maximum(1 - along**2, 0))  # the sine of the angle to the axis
+    outward = (distance - sine) / np.maximum(np.hypot(*np.gradient(distance)), 1e-9)
+    across = 1 / np.maximum(distance, sine)
+    towards = np.sqrt(np.maximum(1 - (distance / sine) ** 2, 0)) + along * across
+    across, towards = (each.astype(np.float32)[..., None] for each in (across, towards))
+    return outward, rays.astype(np.float32) * across - axis.astype(np.float32) * towards
 
 
-def _coverage(window: np.ndarray, outward: Array, normals: Array, edge_px: float) -> Array:
+def _coverage(window: np.ndarray, outward: Array, normals: np.ndarray, edge_px: float) -> Array:
     """Return the part (H, W) of each pixel that the sphere covers, from its colours (H, W, 3)."""
     # A small sphere has at least its innermost pixel, and what is no sphere has outer ones too.
     inside = outward <= max(-edge_px, float(outward.min()))
@@ -241,7 +240,7 @@ def _nearby(values: np.ndarray, where: np.ndarray) -> np.ndarray:
     return cv2.GaussianBlur(values * weight, _NEARBY, _NEARBY_STD_PX) / np.maximum(total, 1e-12)
 
 
-def _shading(window: np.ndarray, normals: Array, inside: np.ndarray) -> np.ndarray:
+def _shading(window: np.ndarray, normals: np.ndarray, inside: np.ndarray) -> np.ndarray:
     """Return the colours (H, W, 3) of the sphere where it covers a pixel, continued outwards.
 
     Light that comes from one side, or from everywhere, makes a matt surface's brightness a linear
@@ -250,12 +249,12 @@ def _shading(window: np.ndarray, normals: Array, inside: np.ndarray) -> np.ndarr
     """
     some = np.flatnonzero(inside)
     some = some[:: 1 + len(some) // _FITTED_PIXELS]
-    seen, terms = window.reshape(-1, 3)[some], normals.astype(np.float32).reshape(-1, 3)
-    mean, middle = seen.mean(axis=0), terms[some].mean(axis=0)
-    terms -= middle
+    seen, terms = window.reshape(-1, 3)[some], normals.reshape(-1, 3)[some]
+    mean, middle = seen.mean(axis=0), terms.mean(axis=0)
+    terms = terms - middle
     held = _SHADING_PIXELS * np.eye(3, dtype=np.float32)
-    slopes = np.linalg.solve(terms[some].T @ terms[some] + held, terms[some].T @ (seen - mean))
-    return (mean + terms @ slopes).reshape(window.shape)
+    slopes = np.linalg.solve(terms.T @ terms + held, terms.T @ (seen - mean))
+    return normals @ slopes + (mean - middle @ slopes)
 
 
 def _edge_px(cover: Array) -> float:
