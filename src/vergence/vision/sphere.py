@@ -46,7 +46,7 @@ _LARGEST_WINDOW = 64  # pixels across; a larger one is seen in blocks of 2 x 2 p
 _EDGE_PX = 1.6
 """Distance from the outline beyond which a pixel is wholly covered, or not at all, until the blur
 of the image is known from its coverage."""
-_NARROWEST_PX, _WIDEST_PX = 1.0, 3.5
+_NARROWEST_PX, _WIDEST_PX = 1.0, 3.5  # limits of it: sharp images, and what the margin leaves
 _ROUNDS = 2
 """Of coverage and outline; more change a few thousandths of a pixel."""
 _COVER_STD = 0.5
@@ -156,7 +156,7 @@ def _centre(
     image: np.ndarray, planes: tuple[int, int, int], rows: slice, columns: slice, camera: Camera
 ) -> Array:
     """Return the centre (2,) [px] of the sphere in these rows and columns; NaN: beyond the lens."""
-    # Blocks of pixels show a large sphere exactly enough, in less time.
+    # Blocks of pixels show a large sphere exactly enough, in less time; they are its pixels below.
     size = max(columns.stop - columns.start, rows.stop - rows.start)
     block = 1 if size <= _LARGEST_WINDOW else 2
     u, by_u = _interpolation(columns.start, columns.stop, block)
@@ -282,9 +282,8 @@ def _interpolation(begin: int, end: int, block: int) -> tuple[Array, Array]:
     """
     middle, half = (begin + end - 1) / 2, (end - 1 - begin) / 2
     pixels = begin + block * np.arange((end - begin) // block) + (block - 1) / 2
-    return middle + half * _POINTS, chebvander(
-        (pixels - middle) / half, len(_POINTS) - 1
-    ) @ _COEFFICIENTS
+    powers = chebvander((pixels - middle) / half, len(_POINTS) - 1)
+    return middle + half * _POINTS, powers @ _COEFFICIENTS
 
 
 def _cone(centroid: Array, area: float) -> tuple[Array, float]:
