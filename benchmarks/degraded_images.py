@@ -31,15 +31,13 @@ from vergence.geometry.parameters import change_named
 from vergence.geometry.projection import T_rcam_lcam
 from vergence.paper.comparison import LEARNED, comparison, learn_around
 from vergence.paper.figures import FIGURES, default_duration_s
-from vergence.self_calibration.frame import (
+from vergence.self_calibration.frame import from_matches, locate_seen, self_calibrate_frame
+from vergence.self_calibration.learning import learn
+from vergence.self_calibration.state import (
     SelfCalibrated,
     SelfCalibration,
-    from_matches,
     initial_self_calibration,
-    locate_seen,
-    self_calibrate_frame,
 )
-from vergence.self_calibration.learning import learn
 from vergence.stereo.triangulation import triangulate_at
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration, straight_neck

@@ -19,8 +19,9 @@ import tyro
 
 from vergence.accuracy.motions import eye_angles
 from vergence.geometry.projection import T_rcam_lcam
-from vergence.self_calibration.frame import from_matches, initial_self_calibration
+from vergence.self_calibration.frame import from_matches
 from vergence.self_calibration.learning import learn
+from vergence.self_calibration.state import initial_self_calibration
 from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Twin
 from vergence.twin.profile import load_profile

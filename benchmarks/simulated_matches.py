@@ -11,7 +11,7 @@ from vergence.geometry.lens import reach
 from vergence.geometry.parameters import change_named
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
-from vergence.self_calibration.frame import SelfCalibration
+from vergence.self_calibration.state import SelfCalibration
 from vergence.vision.scene_features import Matches
 
 ROOM_M = ((0.5, 4.0), (-2.5, 2.5), (-1.2, 1.2))

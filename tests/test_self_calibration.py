@@ -14,14 +14,10 @@ from vergence.geometry import se3
 from vergence.geometry.head import HeadCalibration, load_head, save_head
 from vergence.geometry.parameters import boxminus, boxplus, change_named, parameter_names
 from vergence.geometry.projection import T_rcam_lcam, project_point
-from vergence.self_calibration.epipolar import epipolar_residuals
-from vergence.self_calibration.frame import (
-    SelfCalibration,
-    from_matches,
-    initial_self_calibration,
-    locate_seen,
-)
+from vergence.self_calibration.frame import from_matches, locate_seen
 from vergence.self_calibration.learning import learn, learned_head
+from vergence.self_calibration.residuals import epipolar_residuals
+from vergence.self_calibration.state import SelfCalibration, initial_self_calibration
 from vergence.vision.scene_features import Matches
 
 CAMERAS = ("left_wide", "right_wide")

@@ -20,8 +20,9 @@ from vergence.errors import VergenceError
 from vergence.geometry.eye_motion import measured
 from vergence.geometry.head import HeadCalibration, load_head
 from vergence.progress import Progress, silent
-from vergence.self_calibration.frame import SelfCalibrated, locate_seen
+from vergence.self_calibration.frame import locate_seen
 from vergence.self_calibration.sequence import Geometry, initial_seen_geometry, update_geometry
+from vergence.self_calibration.state import SelfCalibrated
 from vergence.stereo.dense_depth import DenseDepth, dense_depth
 from vergence.stereo.rectification import RectifiedPair, rectify
 from vergence.stereo.uncertainty import LocatedPoints

@@ -329,6 +329,21 @@ def stereo_poses(
     return T_lbase_leye @ left.T_eye_cam, T
 
 
+def camera_poses(
+    head: HeadCalibration, joints: Array, *, cameras: tuple[str, str] | None = None
+) -> Array:
+    """Return T_lbase_cam (..., 2, 4, 4) of a camera of the left eye and one of the right.
+
+    Arguments and errors are those of `T_rcam_lcam`.
+    """
+    pair, eyes = stereo_cameras(head, cameras), eye_poses(head, joints)
+    both = [
+        T_lbase_cam(mounted, head.T_rbase_lbase, eyes[..., k, :, :])
+        for k, mounted in enumerate(pair)
+    ]
+    return np.stack(both, axis=-3)
+
+
 def T_lbase_cam(mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array) -> Array:
     """Return poses (..., 4, 4) of a camera in the left eye's base, at those of its eye."""
     return T_lbase_eye(mounted.eye, T_rbase_lbase, T_base_eye) @ mounted.T_eye_cam

@@ -10,15 +10,13 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.commands.truth import with_sensors
 from vergence.geometry.head import HeadCalibration
-from vergence.self_calibration.frame import (
+from vergence.self_calibration.frame import from_matches, locate_seen, self_calibrate_frame
+from vergence.self_calibration.learning import learn
+from vergence.self_calibration.state import (
     SelfCalibrated,
     SelfCalibration,
-    from_matches,
     initial_self_calibration,
-    locate_seen,
-    self_calibrate_frame,
 )
-from vergence.self_calibration.learning import learn
 from vergence.twin.head import Twin
 from vergence.twin.looking_around import look_around
 from vergence.vision.sphere import STD_PX
@@ -55,7 +53,9 @@ class Comparison:
         left, right = self.states[SINGLE].cameras
         first = self_calibrate_frame(self.states[SINGLE], images[left], images[right], joints)
         for method, state in self.states.items():
-            seen = first if method == SINGLE else from_matches(state, first.matches, joints)
+            seen = first
+            if method != SINGLE:
+                seen = from_matches(state, first.matches, joints, images=first.images)
             found = locate_seen(
                 seen, left=pixels[left][None], right=pixels[right][None], pixel_std_px=STD_PX
             )

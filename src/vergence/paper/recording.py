@@ -16,7 +16,7 @@ from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYE_JOINTS
 from vergence.paper.figures import Figure
 from vergence.paper.replay import Replay, summary
-from vergence.self_calibration.frame import SelfCalibration
+from vergence.self_calibration.state import SelfCalibration
 from vergence.twin.appearance import VisualGeom
 from vergence.viewer import style
 from vergence.viewer.frame import time_columns

@@ -1,10 +1,11 @@
 """What persists, learned from frame to frame: a recursive estimate with its covariance.
 
-Each frame's joint angles are marginalised, and what it says of the head is kept, with a slow random
-walk for drift. What is seen again errs again: a frame counts by how far its errors are new. The
-noise of the readings is estimated from what the images say of them. A camera that was bumped shows
-in a few frames together: when turned mountings explain them far better than noise does, the head is
-estimated again from where these frames began, with the mountings free.
+Each frame's joint angles are marginalised, but for those of one keyframe, from which features are
+followed; what the frame says of the head is kept, with a slow random walk for drift. What is seen
+again errs again: a frame counts by how far its errors are new. The noise of the readings is
+estimated from what the images say of them. A camera that was bumped shows in a few frames together:
+when turned mountings explain them far better than noise does, the head is estimated again from
+where these frames began, with the mountings free.
 """
 
 from __future__ import annotations
@@ -16,14 +17,15 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.geometry.head import Accuracy, HeadCalibration
 from vergence.geometry.parameters import change_named
-from vergence.self_calibration.frame import (
-    Evidence,
-    Past,
-    SelfCalibrated,
-    SelfCalibration,
+from vergence.self_calibration.keyframe import (
+    Followed,
+    follow_keyframe,
+    next_keyframe,
+    with_motion,
 )
 from vergence.self_calibration.match_noise import long_run_variance
 from vergence.self_calibration.prior import BUMP, DRIFT, tolerance_covariance
+from vergence.self_calibration.state import Evidence, Past, SelfCalibrated, SelfCalibration
 
 _WINDOW = 3
 """Frames that are examined together for a bump; two at least."""
@@ -43,15 +45,25 @@ def learn(state: SelfCalibration, seen: SelfCalibrated, elapsed_s: float) -> Sel
         seen: the frame, of `frame.self_calibrate_frame`.
         elapsed_s: since the frame before.
     """
+    return learn_followed(state, seen, follow_keyframe(state, seen), elapsed_s)
+
+
+def learn_followed(
+    state: SelfCalibration, seen: SelfCalibrated, followed: Followed | None, elapsed_s: float
+) -> SelfCalibration:
+    """Return the state after a frame in which features of the keyframe were found; None: not."""
     P = len(state.names)
     drift = tolerance_covariance(state.head, state.names, DRIFT) * elapsed_s / 60
     state = replace(state, bumped=False)
     if seen.evidence is None:
-        return replace(state, covariance=state.covariance + drift, past=())
+        return replace(state, covariance=state.covariance + drift, past=(), keyframe=None)
     errors = long_run_variance(state.long_run, seen.evidence.blocks, elapsed_s)
     evidence = _weakened(seen.evidence, errors.ratio)
-    C = _posterior(state, evidence)
-    change = C @ evidence.vector
+    N, b = _normal_equations(state, evidence)
+    if followed is not None:
+        N, b = with_motion(state, seen, followed, N, b)
+    C = np.asarray(np.linalg.inv(N), float)
+    change = C @ b
     past = (*state.past, Past(state.head, state.covariance, change[:P], evidence))
     past = past[-_WINDOW:]
     state = replace(state, long_run=errors)
@@ -60,11 +72,13 @@ def learn(state: SelfCalibration, seen: SelfCalibrated, elapsed_s: float) -> Sel
         return bumped
     if seen.status == "contradiction":
         stays = replace(past[-1], change=np.zeros(P))
-        return replace(state, covariance=state.covariance + drift, past=(*past[:-1], stays))
+        past = (*past[:-1], stays)
+        return replace(state, covariance=state.covariance + drift, past=past, keyframe=None)
     variance, weight = _joint_variance(state, evidence)
+    head = change_named(state.head, state.names, change[:P])
     return replace(
         state,
-        head=change_named(state.head, state.names, change[:P]),
+        head=head,
         covariance=(C[:P, :P] + C[:P, :P].T) / 2 + drift,
         match_scale=state.match_scale + _PACE * (evidence.match_scale - state.match_scale),
         design_effect=state.design_effect + _PACE * (evidence.design_effect - state.design_effect),
@@ -72,6 +86,7 @@ def learn(state: SelfCalibration, seen: SelfCalibrated, elapsed_s: float) -> Sel
         joint_weight=weight,
         frames=state.frames + 1,
         past=past,
+        keyframe=next_keyframe(state, seen, head, C, change),
     )
 
 
@@ -82,13 +97,25 @@ def _weakened(evidence: Evidence, ratio: float) -> Evidence:
     )
 
 
-def _posterior(state: SelfCalibration, evidence: Evidence) -> Array:
-    """Return the covariance (K, K) of head and readings."""
-    P, K = len(state.names), len(evidence.vector)
-    prior = np.zeros((K, K))
-    prior[:P, :P] = np.linalg.inv(state.covariance)
-    prior[P:, P:] = np.eye(K - P) / state.joint_std_rad**2
-    return np.asarray(np.linalg.inv(prior + evidence.information), float)
+def _normal_equations(state: SelfCalibration, evidence: Evidence) -> tuple[Array, Array]:
+    """Return what is known of head, present readings and joints of the keyframe, if there is one.
+
+    Information (K, K) and vector (K,), about the state's head and the joints as they are.
+    """
+    P, known = len(state.names), len(evidence.vector)
+    key = state.keyframe
+    if key is None:
+        before, K = np.linalg.inv(state.covariance), known
+    else:
+        C = np.block([[state.covariance, key.with_head], [key.with_head.T, key.covariance]])
+        before, K = np.linalg.inv(C), known + len(key.joints)
+    N, b = np.zeros((K, K)), np.zeros(K)
+    lasting = np.r_[:P, known:K]
+    N[np.ix_(lasting, lasting)] = (before + before.T) / 2
+    N[P:known, P:known] = np.eye(known - P) / state.joint_std_rad**2
+    N[:known, :known] += evidence.information
+    b[:known] = evidence.vector
+    return N, b
 
 
 def _of_head(state: SelfCalibration, evidence: Evidence) -> tuple[Array, Array]:
@@ -122,7 +149,7 @@ def _after_bump(state: SelfCalibration, past: tuple[Past, ...]) -> SelfCalibrati
     frames, total, vector = found
     C = np.linalg.inv(np.linalg.inv(frames[0].covariance + free) + total)
     head = change_named(frames[0].head, state.names, C @ vector)
-    return replace(state, head=head, covariance=C, bumped=True, past=())
+    return replace(state, head=head, covariance=C, bumped=True, past=(), keyframe=None)
 
 
 def _log_evidence(C: Array, information: Array, vector: Array) -> float:

@@ -18,13 +18,13 @@ from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import checked_readings
-from vergence.self_calibration.frame import (
+from vergence.self_calibration.frame import self_calibrate_frame
+from vergence.self_calibration.learning import learn
+from vergence.self_calibration.state import (
     SelfCalibrated,
     SelfCalibration,
     initial_self_calibration,
-    self_calibrate_frame,
 )
-from vergence.self_calibration.learning import learn
 
 Geometry = Literal["joints", "seen"]
 """What tells how the eyes stand to each other: the calibration and the joint readings, or these

@@ -14,12 +14,10 @@ import rerun.blueprint as rrb
 
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import parameter_values
-from vergence.self_calibration.frame import SelfCalibrated, SelfCalibration
+from vergence.self_calibration.robust_fit import INLIER
+from vergence.self_calibration.state import SelfCalibrated, SelfCalibration
 from vergence.viewer import style
 from vergence.viewer.layout import camera_entities, curves_view
-
-FITS = 0.3
-"""Weight from which a match is drawn as one that fits."""
 
 
 def learned_entities(known: SelfCalibration) -> dict[str, str]:
@@ -50,7 +48,7 @@ def log_seen_styles(rec: rr.RecordingStream, head: HeadCalibration, known: SelfC
 
 def log_matches(rec: rr.RecordingStream, head: HeadCalibration, seen: SelfCalibrated) -> None:
     """Record the matches of a frame in both images, at the time that was set."""
-    colours = np.where(seen.weights[:, None] > FITS, style.FITTING, style.MISFIT)
+    colours = np.where(seen.weights[:, None] > INLIER, style.FITTING, style.MISFIT)
     entities = camera_entities(head)
     both = seen.matches.left, seen.matches.right
     for camera, pixels in zip(seen.cameras, both, strict=True):

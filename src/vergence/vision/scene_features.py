@@ -1,10 +1,11 @@
-"""What two eyes see of the same scene: features matched between a pair of images.
+"""What two images show of the same scene: features matched between two eyes, or over time in one.
 
 The predicted geometry brings both images into one orientation, in which a point of the scene
-differs by little more than its disparity. In each cell of the part that both eyes see, the place
-that a window determines best is tracked from the left to the right image and back (Lucas and
-Kanade), then matched by least squares, and returned as pixels of the images as they are. The search
-covers predictions that are wrong by a few degrees.
+differs by little more than its disparity. Features are tracked from the first to the second image
+and back (Lucas and Kanade), then matched by least squares, and returned as pixels of the images as
+they are. Between two eyes they are the places of the part that both see, one in each cell, that a
+window determines best; over time they are given. The search covers predictions that are wrong by a
+few degrees.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.geometry.camera import Camera, project
+from vergence.geometry.camera import Camera, normalise, project
 from vergence.geometry.se3 import rotation, rotvec
 from vergence.vision.least_squares_matching import WINDOW_PX, match_windows
 
@@ -28,6 +29,8 @@ _LEVELS = 3
 _EXPECTED_DEPTH_M = 1.5
 """Where tracking starts to search; its pyramid reaches about 50 px from there."""
 _ROUND_TRIP_PX = 0.3
+_LEAST_FORWARD = 0.1
+"""Of a ray's component along the optical axis: others are beside any view."""
 _LARGEST_STD_PX = 0.7
 """Of a match that is worth its time."""
 
@@ -37,12 +40,35 @@ class Matches:
     """The same N points of the scene in two images."""
 
     left: Array
-    """(N, 2) pixels."""
+    """(N, 2) pixels in the left image, or in the earlier one."""
     right: Array
-    """(N, 2) pixels."""
+    """(N, 2) pixels in the right image, or in the later one."""
     covariance: Array
     """(N, 2, 2) [px^2] of the right pixels, the left ones taken as exact: by the contrast of the
     window, and by how far the two windows differ."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Views:
+    """Two images of the scene, each turned half of the way to the other."""
+
+    first: np.ndarray
+    """(H, W) grey."""
+    second: np.ndarray
+    """(H, W) grey."""
+    second_image: np.ndarray
+    """(H, W) grey, as it was taken."""
+    maps: tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+    """Of both: u and v (H, W) in the image, where the pixels of the view lie."""
+    inside: np.ndarray
+    """(H / 2, W / 2) bool: of every second pixel, whether both images show it."""
+    focal: float
+    middle: Array
+    """(2,) the principal point of the views."""
+    R_view_first: Array
+    """(3, 3)"""
+    shift: Array
+    """(3,) [m] of a point, from the first view to the second."""
 
 
 def match_scene(
@@ -58,44 +84,104 @@ def match_scene(
     Images are (H, W) grey or (H, W, 3) RGB, uint8; T_rcam_lcam (4, 4) may be wrong by a few
     degrees.
     """
-    R_rcam_common = rotation(rotvec(T_rcam_lcam[:3, :3]) / 2)  # each eye turns half of the way
-    focal = (left_camera.matrix[0, 0] + right_camera.matrix[0, 0]) / 2
-    size = left_camera.width, left_camera.height
+    views = _views((left, right), (left_camera, right_camera), T_rcam_lcam)
+    return _matched(views, _best_of_cells(views.first, views.inside), None)[0]
+
+
+def follow_features(
+    before: np.ndarray,
+    now: np.ndarray,
+    *,
+    camera: Camera,
+    T_now_before: Array,
+    pixels: Array,
+    depths_m: Array,
+) -> tuple[Matches, np.ndarray]:
+    """Return where features of an earlier image are in a later one of the same camera.
+
+    Args:
+        before: (H, W) grey or (H, W, 3) RGB, uint8.
+        now: the later one.
+        camera: that took both.
+        T_now_before: (4, 4) about how it moved; its turn may be wrong by a few degrees.
+        pixels: (M, 2) of the features in the earlier image.
+        depths_m: (M,) about how far they were along its optical axis.
+
+    Returns:
+        N matches, and which (N,) of the features they are.
+    """
+    views = _views((before, now), (camera, camera), T_now_before)
+    rays = np.column_stack([normalise(camera, pixels), np.ones(len(pixels))])
+    rays = np.nan_to_num(rays @ views.R_view_first.T)
+    ahead = rays[:, 2] > _LEAST_FORWARD
+    at = views.focal * rays[:, :2] / np.where(ahead, rays[:, 2], 1.0)[:, None] + views.middle
+    whole = _whole_windows(views.inside)
+    column, row = np.clip(np.round(at / 2), 0, np.array(whole.shape[::-1]) - 1).astype(int).T
+    usable = np.flatnonzero(ahead & whole[row, column])
+    matches, kept = _matched(views, at[usable], depths_m[usable])
+    return matches, usable[kept]
+
+
+def _views(
+    images: tuple[np.ndarray, np.ndarray], cameras: tuple[Camera, Camera], T: Array
+) -> _Views:
+    """Return both images as pinhole images of one orientation; T (4, 4) is T_second_first."""
+    R_second_view = rotation(rotvec(T[:3, :3]) / 2)  # each camera turns half of the way
+    focal = (cameras[0].matrix[0, 0] + cameras[1].matrix[0, 0]) / 2
+    size = cameras[0].width, cameras[0].height
     middle = (np.array(size) - 1) / 2
     greys, views, maps, inside = [], [], [], []
-    for image, camera, R_cam_common in (
-        (left, left_camera, R_rcam_common.T),
-        (right, right_camera, R_rcam_common),
+    for image, camera, R_cam_view in zip(
+        images, cameras, (R_second_view.T, R_second_view), strict=True
     ):
-        where = _map(camera, R_cam_common, focal, middle, size)
+        u, v = _map(camera, R_cam_view, focal, middle, size)
         grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-        u, v = where
         greys.append(grey)
         views.append(cv2.remap(grey, u, v, cv2.INTER_LINEAR))
+        maps.append((u, v))
         u, v = u[::2, ::2], v[::2, ::2]
         inside.append((u > 0) & (v > 0) & (u < camera.width - 1) & (v < camera.height - 1))
-        maps.append(where)
-    at = _best_of_cells(views[0], inside[0] & inside[1])
-    shift = R_rcam_common.T @ T_rcam_lcam[:3, 3]  # of a point, from the left view to the right
-    by_depth = focal * shift[:2] - (at - middle) * shift[2]
-    found, sure = _track(views[0], views[1], at, at + by_depth / _EXPECTED_DEPTH_M)
-    at, found, by_depth = at[sure], found[sure], by_depth[sure]
+    return _Views(
+        first=views[0],
+        second=views[1],
+        second_image=greys[1],
+        maps=(maps[0], maps[1]),
+        inside=inside[0] & inside[1],
+        focal=focal,
+        middle=middle,
+        R_view_first=R_second_view,
+        shift=R_second_view.T @ T[:3, 3],
+    )
+
+
+def _matched(views: _Views, at: Array, depths_m: Array | None) -> tuple[Matches, np.ndarray]:
+    """Return matches of pixels (M, 2) of the first view, and which of these they are (N,).
+
+    Depths (M,) tell where to search, and how much larger a window became; None: unknown.
+    """
+    by_depth = views.focal * views.shift[:2] - (at - views.middle) * views.shift[2]
+    nearness = 1 / (np.full(len(at), _EXPECTED_DEPTH_M) if depths_m is None else depths_m)
+    found, sure = _track(views.first, views.second, at, at + by_depth * nearness[:, None])
+    at, found, by_depth, nearness = at[sure], found[sure], by_depth[sure], nearness[sure]
     # Displaced by by_depth / (depth + shift[2]), of which the last is due to the change of scale.
     square = np.maximum((by_depth**2).sum(axis=1), 1e-12)
+    if depths_m is None:
+        nearness = ((found - at) * by_depth).sum(axis=1) / square
     matched = match_windows(
-        views[0],
-        greys[1],
-        maps[1],
+        views.first,
+        views.second_image,
+        views.maps[1],
         at=at,
         found=found,
         direction=by_depth / np.sqrt(square)[:, None],
-        enlargement=-shift[2] * ((found - at) * by_depth).sum(axis=1) / square,
+        enlargement=-views.shift[2] * nearness,
     )
-    # In the right image itself, whose scale is another.
-    right_px, by_view = _on_map(maps[1], matched.pixels)
+    # In the second image itself, whose scale is another.
+    pixels, by_view = _on_map(views.maps[1], matched.pixels)
     covariance = by_view @ matched.covariance @ np.swapaxes(by_view, 1, 2)
     good = matched.good & (np.linalg.eigvalsh(covariance)[:, 1] < _LARGEST_STD_PX**2)
-    return Matches(_on_map(maps[0], at)[0][good], right_px[good], covariance[good])
+    matches = Matches(_on_map(views.maps[0], at)[0][good], pixels[good], covariance[good])
+    return matches, np.flatnonzero(sure)[good]
 
 
 def _map(
@@ -142,12 +228,9 @@ def _best_of_cells(view: np.ndarray, inside: np.ndarray) -> Array:
     """
     half = cv2.pyrDown(view)  # near enough, and much faster
     smaller = cv2.cornerMinEigenVal(half, WINDOW_PX // 2, ksize=3)
-    margin = np.ones((WINDOW_PX // 2 + 2, WINDOW_PX // 2 + 2), np.uint8)
-    whole = cv2.erode(
-        inside.astype(np.uint8), margin, borderType=cv2.BORDER_CONSTANT, borderValue=0
-    )
-    smaller[whole == 0] = 0
-    side = round(float(np.sqrt(cv2.countNonZero(whole) / _FEATURES)))
+    whole = _whole_windows(inside)
+    smaller[~whole] = 0
+    side = round(float(np.sqrt(np.count_nonzero(whole) / _FEATURES)))
     side = min(max(side, _SMALLEST_CELL_PX // 2), _LARGEST_CELL_PX // 2)
     rows, columns = (n // side for n in smaller.shape)
     cells = smaller[: rows * side, : columns * side]
@@ -157,6 +240,16 @@ def _best_of_cells(view: np.ndarray, inside: np.ndarray) -> Array:
     row, column = np.nonzero(cells.max(axis=-1) > 0)
     down, across = np.divmod(best[row, column], side)
     return 2.0 * np.stack([column * side + across, row * side + down], axis=-1)
+
+
+def _whole_windows(inside: np.ndarray) -> np.ndarray:
+    """Return of every second pixel whether both images show the whole window around it."""
+    reach = WINDOW_PX // 4 + 1
+    margin = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    whole = cv2.erode(
+        inside.astype(np.uint8), margin, borderType=cv2.BORDER_CONSTANT, borderValue=0
+    )
+    return whole.astype(bool)
 
 
 def _track(

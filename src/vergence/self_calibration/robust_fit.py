@@ -1,0 +1,92 @@
+"""Robust linearised fits with a Gaussian prior: the estimator of self-calibration.
+
+Residuals are in standard deviations. Many of them may be wrong: the best of many hypotheses from
+three residuals each starts a reweighted fit with a fixed scale, which is linearised again where it
+ended. What the residuals say is kept apart from the prior, as normal equations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.self_calibration.match_noise import (
+    CUT,
+    design_effect,
+    noise_variance,
+    tukey_weights,
+)
+from vergence.self_calibration.state import Evidence
+
+_HYPOTHESES = 300
+_STEPS = 4
+"""Of reweighted least squares; there are two in a fit."""
+_JUDGES = 250
+"""Residuals that choose among them; more take longer, and choose no better."""
+INLIER = 0.3
+"""Weight from which a residual fits."""
+
+
+def robust_fit(
+    linearised: Callable[[Array], tuple[Array, Array]],
+    C: Array,
+    *,
+    pixels: Array,
+    match_scale: float,
+    expected_design_effect: float,
+) -> tuple[Array, Array, Evidence]:
+    """Return the change (K,) that residuals and prior give, weights (N,), and what residuals say.
+
+    Args:
+        linearised: returns the residuals (N,) [standard deviations] after a change (K,), and their
+            derivatives (N, K) there, with the sign of what is predicted.
+        C: (K, K) prior covariance of the change.
+        pixels: (N, 2) where the residuals are in the image.
+        match_scale: noise that the standard deviations assume, relative to what windows tell.
+        expected_design_effect: before the residuals are seen.
+    """
+    y, A = linearised(np.zeros(len(C)))
+    first = _reweighted(y, A, C, _best_hypothesis(y, A, C))
+    y, A = linearised(first)
+    y = y + A @ first  # of the linear model about no change
+    z = _reweighted(y, A, C, first)
+    weights, scale2 = tukey_weights(y - A @ z), noise_variance(y - A @ z)
+    normal = (y - A @ z) / np.sqrt(scale2)
+    inflation, blocks = design_effect(normal, pixels, expected_design_effect)
+    weighted = A * (weights / (scale2 * inflation))[:, None]
+    information, vector = weighted.T @ A, weighted.T @ y
+    z = np.asarray(np.linalg.solve(information + np.linalg.inv(C), vector), float)
+    scale = float(np.sqrt(scale2)) * match_scale
+    inliers = float((weights > INLIER).sum())
+    return z, weights, Evidence(information, vector, inliers, scale, inflation, blocks)
+
+
+def _best_hypothesis(y: Array, A: Array, C: Array) -> Array:
+    """Return the change (K,) by three residuals and the prior that most others agree with."""
+    rng = np.random.default_rng(0)
+    if len(y) > _JUDGES:
+        some = rng.choice(len(y), _JUDGES, replace=False)
+        y, A = y[some], A[some]
+    AC = A @ C
+    G = AC @ A.T
+    triples = rng.integers(0, len(y), (_HYPOTHESES, 3))
+    G3 = G[triples[:, :, None], triples[:, None, :]]
+    pull = np.linalg.solve(G3 + np.eye(3), y[triples][..., None])[..., 0]
+    pull = np.concatenate([np.zeros((1, 3)), pull])  # and that nothing is wrong
+    G3, triples = np.concatenate([G3[:1], G3]), np.concatenate([triples[:1], triples])
+    predicted = (pull[:, None] @ G[triples])[:, 0]
+    prior = np.einsum("hi,hij,hj->h", pull, G3, pull)
+    cost = np.minimum((y - predicted) ** 2, CUT**2).sum(axis=1) + prior
+    best = int(cost.argmin())
+    return pull[best] @ AC[triples[best]]
+
+
+def _reweighted(y: Array, A: Array, C: Array, z: Array) -> Array:
+    """Return the change (K,) by iteratively reweighted least squares with the prior."""
+    inverse = np.linalg.inv(C)
+    for _ in range(_STEPS):
+        weighted = A * tukey_weights(y - A @ z)[:, None]
+        z = np.asarray(np.linalg.solve(weighted.T @ A + inverse, weighted.T @ y), float)
+    return z

@@ -1,0 +1,140 @@
+"""What is known of a head and what a pair of images says of it: the data of self-calibration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.projection import pair_names
+from vergence.self_calibration.match_noise import (
+    EXPECTED_DESIGN_EFFECT,
+    EXPECTED_MATCH_SCALE,
+    LongRunVariance,
+)
+from vergence.self_calibration.prior import JOINT_STD_RAD, learned_names, prior_covariance
+from vergence.vision.scene_features import Matches
+
+Status = Literal["seen", "little seen", "contradiction"]
+
+
+@dataclass(frozen=True, eq=False)
+class SelfCalibration:
+    """What is known of a head so far, from its calibration and from what its eyes have seen."""
+
+    head: HeadCalibration
+    """As it is believed to be now."""
+    cameras: tuple[str, str]
+    """The pair that is used."""
+    names: tuple[str, ...]
+    """The P parameters that may be wrong, as in `parameters.parameter_names`."""
+    covariance: Array
+    """(P, P) of them."""
+    joint_std_rad: float
+    """Noise of a reading."""
+    match_scale: float
+    """Noise of the matches, relative to what their contrast tells."""
+    design_effect: float = EXPECTED_DESIGN_EFFECT
+    """Variance inflation by errors that neighbouring matches share."""
+    long_run: LongRunVariance | None = None
+    """Variance inflation by errors that successive frames share; None: no frame was learned."""
+    joint_weight: float = 5.0
+    """Readings from which their noise is known."""
+    frames: int = 0
+    """From which it was learned."""
+    bumped: bool = False
+    """Whether the last frame showed that a camera had been turned."""
+    past: tuple[Past, ...] = ()
+    """The last frames, by which a bump is told from noise."""
+    keyframe: Keyframe | None = None
+    """From which features are followed; None: there is none yet, or none that can be believed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What the matches of one frame say, as normal equations about the state's head."""
+
+    information: Array
+    """(K, K) of P parameters and r readings."""
+    vector: Array
+    """(K,): the information times the change that fits the matches best."""
+    inliers: float
+    """How many matches fit."""
+    match_scale: float
+    """Noise of the matches, relative to what their contrast tells."""
+    design_effect: float
+    """Variance inflation by errors that neighbouring matches share."""
+    blocks: Array
+    """(B,) sums of residuals in blocks of the left image, of `match_noise.design_effect`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Past:
+    """A frame that may have to be estimated again."""
+
+    head: HeadCalibration
+    """Before the frame."""
+    covariance: Array
+    """(P, P) before the frame."""
+    change: Array
+    """(P,) of the head by the frame."""
+    evidence: Evidence
+
+
+@dataclass(frozen=True, eq=False)
+class Keyframe:
+    """An earlier frame whose features are found again, with its joint angles."""
+
+    images: tuple[np.ndarray, np.ndarray] | None
+    """(H, W) grey or (H, W, 3) RGB of both cameras; None: nothing can be found in them."""
+    joints: Array
+    """(r,) the readings then, corrected by all that was seen since [rad]."""
+    covariance: Array
+    """(r, r) of these."""
+    with_head: Array
+    """(P, r) covariance of the parameters of the head with these."""
+    pixels: tuple[Array, Array]
+    """(N, 2) of its features in each image."""
+    depths_m: tuple[Array, Array]
+    """(N,) of these along the optical axes."""
+
+
+@dataclass(frozen=True, eq=False)
+class SelfCalibrated:
+    """A head and its joint angles at the moment of a pair of images."""
+
+    head: HeadCalibration
+    cameras: tuple[str, str]
+    joints: Array
+    """(r,) the readings, corrected [rad]."""
+    readings: Array
+    """(r,) as they were [rad]."""
+    names: tuple[str, ...]
+    covariance: Array
+    """(P + r, P + r) of the head's parameters and the corrected readings."""
+    matches: Matches
+    weights: Array
+    """(N,) from 0, a match that does not fit, to 1."""
+    status: Status
+    evidence: Evidence | None
+    """None: too few matches fit."""
+    images: tuple[np.ndarray, np.ndarray] | None = None
+    """In which they were found; None: they were given."""
+
+
+def initial_self_calibration(
+    head: HeadCalibration, *, cameras: tuple[str, str] | None = None
+) -> SelfCalibration:
+    """Return what is known of a head before its eyes have seen anything.
+
+    VergenceError for a head of one eye.
+    """
+    pair = pair_names(head, cameras)
+    names = learned_names(head, pair)
+    stated = head.accuracy.joint_std if head.accuracy else ()
+    std = float(np.sqrt(np.mean(np.square(stated)))) if stated else float(JOINT_STD_RAD)
+    C = prior_covariance(head, names, pair)
+    return SelfCalibration(head, pair, names, C, std, EXPECTED_MATCH_SCALE)
