@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.geometry.camera import normalise, project
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.lens import reach
 from vergence.geometry.parameters import change_named
-from vergence.geometry.projection import project_point
+from vergence.geometry.projection import camera_poses, project_point
 from vergence.geometry.se3 import inverse, transform
-from vergence.self_calibration.state import SelfCalibration
+from vergence.self_calibration.keyframe import Followed
+from vergence.self_calibration.state import Keyframe, SelfCalibration
 from vergence.vision.scene_features import Matches
 
 ROOM_M = ((0.5, 4.0), (-2.5, 2.5), (-1.2, 1.2))
@@ -62,3 +64,34 @@ def drawn_head(state: SelfCalibration, rng: np.random.Generator) -> HeadCalibrat
     """Return a true head, drawn from what a state believes."""
     change = rng.multivariate_normal(np.zeros(len(state.names)), state.covariance)
     return change_named(state.head, state.names, change)
+
+
+def followed(
+    truth: HeadCalibration,
+    key: Keyframe,
+    *,
+    then: Array,
+    now: Array,
+    points: Array,
+    noise_px: float,
+    rng: np.random.Generator,
+    cameras: tuple[str, str] = ("left_wide", "right_wide"),
+) -> Followed:
+    """Return where the features of a keyframe are, of the same points, at true angles (r,)."""
+    found, depths = [], []
+    eyes = zip(
+        cameras, *(camera_poses(truth, j, cameras=cameras) for j in (then, now)), strict=True
+    )
+    for k, (name, T_then, T_now) in enumerate(eyes):
+        camera, pixels = truth.camera(name).intrinsics, key.pixels[k]
+        apart = project_point(truth, name, then, points)[None] - pixels[:, None]
+        nearest = np.nan_to_num(np.linalg.norm(apart, axis=2), nan=np.inf).argmin(axis=1)
+        depth = transform(inverse(T_then), points[nearest])[:, 2:]
+        rays = np.concatenate([normalise(camera, pixels), np.ones((len(pixels), 1))], axis=1)
+        later = project(camera, transform(inverse(T_now) @ T_then, rays * depth))
+        seen = np.flatnonzero(((later > 0) & (later < [camera.width, camera.height])).all(axis=1))
+        noise = rng.normal(0, noise_px, (len(seen), 2))
+        C = np.tile(max(noise_px, 0.02) ** 2 * np.eye(2), (len(seen), 1, 1))
+        found.append(Matches(pixels[seen], later[seen] + noise, C))
+        depths.append(key.depths_m[k][seen])
+    return Followed((found[0], found[1]), (depths[0], depths[1]))

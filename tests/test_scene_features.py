@@ -7,7 +7,7 @@ import pytest
 from vergence.arrays import Array
 from vergence.geometry.camera import normalise, pinhole, project
 from vergence.geometry.se3 import pose, rotation
-from vergence.vision.scene_features import Matches, match_scene
+from vergence.vision.scene_features import Matches, follow_features, match_scene
 
 CAMERA = pinhole(640, 480, 280.0, (-0.12, 0.01, 0.0, 0.0, 0.0))
 T_RCAM_LCAM = pose(rotation([0.01, -0.15, 0.02]), [-0.075, 0.002, 0.01])
@@ -79,3 +79,46 @@ def test_a_covered_eye_gives_no_matches():
         left, dark, left_camera=CAMERA, right_camera=CAMERA, T_rcam_lcam=T_RCAM_LCAM
     )
     assert len(matches.left) < 5
+
+
+T_NOW_BEFORE = pose(rotation([0.06, 0.2, 0.02]), [0.004, 0.001, 0.002])
+
+
+def test_features_are_followed_in_a_turning_camera():
+    rng = np.random.default_rng(0)
+    before, now = (picture(T, 1.0, rng) for T in (np.eye(4), T_NOW_BEFORE))
+    u, v = np.meshgrid(np.arange(10.5, 640, 25), np.arange(10.25, 480, 25))
+    pixels = np.stack([u.ravel(), v.ravel()], axis=1)
+    xy = normalise(CAMERA, pixels)
+    points = WALL_M * np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
+    predicted = pose(rotation([0, np.radians(0.7), 0])) @ T_NOW_BEFORE
+    matches, which = follow_features(
+        before,
+        now,
+        camera=CAMERA,
+        T_now_before=predicted,
+        pixels=pixels,
+        depths_m=np.full(len(pixels), 1.1 * WALL_M),
+    )
+    np.testing.assert_allclose(matches.left, pixels[which], atol=0.05)
+    there = project(CAMERA, points[which] @ T_NOW_BEFORE[:3, :3].T + T_NOW_BEFORE[:3, 3])
+    # The windows' middles are not quite at the pixels; there the picture hardly differs.
+    errors = matches.right - matches.left - (there - pixels[which])
+    root = np.linalg.cholesky(matches.covariance)
+    errors = np.linalg.solve(root, errors[..., None])[..., 0]
+    good = (np.abs(errors) < 5).all(axis=1)
+    assert len(which) > 150
+    assert good.mean() > 0.9
+    assert 0.3 < errors[good].std() < 2
+
+
+def test_features_that_left_the_image_are_not_followed():
+    rng = np.random.default_rng(0)
+    image = picture(np.eye(4), 1.0, rng)
+    pixels = np.array([[320.0, 240.0], [100.0, 240.0], [np.nan, 3.0]])
+    away = pose(rotation([0, np.radians(120), 0]))
+    for T, expected in ((np.eye(4), [0, 1]), (away, [])):
+        _, which = follow_features(
+            image, image, camera=CAMERA, T_now_before=T, pixels=pixels, depths_m=np.ones(3)
+        )
+        np.testing.assert_array_equal(which, expected)

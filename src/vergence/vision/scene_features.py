@@ -167,13 +167,15 @@ def _matched(views: _Views, at: Array, depths_m: Array | None) -> tuple[Matches,
     square = np.maximum((by_depth**2).sum(axis=1), 1e-12)
     if depths_m is None:
         nearness = ((found - at) * by_depth).sum(axis=1) / square
+    # A camera that only turns displaces nothing by depth: any direction will do.
+    along = np.where(square[:, None] > 1e-12, by_depth / np.sqrt(square)[:, None], [1.0, 0.0])
     matched = match_windows(
         views.first,
         views.second_image,
         views.maps[1],
         at=at,
         found=found,
-        direction=by_depth / np.sqrt(square)[:, None],
+        direction=along,
         enlargement=-views.shift[2] * nearness,
     )
     # In the second image itself, whose scale is another.
