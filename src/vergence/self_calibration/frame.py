@@ -83,7 +83,7 @@ def from_matches(
 
 
 def _from_matches(state: SelfCalibration, matches: Matches, joints: Array) -> SelfCalibrated:
-    C = _prior(state, len(joints))
+    C = prior_of(state, len(joints))
     if len(matches.left) < FEWEST:
         return _unseen(state, matches, joints, C, "little seen")
     z, weights, evidence = _fit(state, matches, joints, C)
@@ -132,7 +132,8 @@ def _fit(
     )
 
 
-def _prior(state: SelfCalibration, readings: int) -> Array:
+def prior_of(state: SelfCalibration, readings: int) -> Array:
+    """Return the covariance (K, K) of the parameters and of the errors of readings."""
     P = len(state.names)
     C = np.zeros((P + readings, P + readings))
     C[:P, :P] = state.covariance

@@ -17,13 +17,14 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.geometry.head import Accuracy, HeadCalibration
 from vergence.geometry.parameters import change_named
+from vergence.self_calibration.frame import from_matches, prior_of
 from vergence.self_calibration.keyframe import (
     Followed,
     follow_keyframe,
     next_keyframe,
     with_motion,
 )
-from vergence.self_calibration.match_noise import long_run_variance
+from vergence.self_calibration.match_noise import EXPECTED_RATIO, long_run_variance
 from vergence.self_calibration.prior import BUMP, DRIFT, tolerance_covariance
 from vergence.self_calibration.state import Evidence, Past, SelfCalibrated, SelfCalibration
 
@@ -52,42 +53,55 @@ def learn_followed(
     state: SelfCalibration, seen: SelfCalibrated, followed: Followed | None, elapsed_s: float
 ) -> SelfCalibration:
     """Return the state after a frame in which features of the keyframe were found; None: not."""
-    P = len(state.names)
-    drift = tolerance_covariance(state.head, state.names, DRIFT) * elapsed_s / 60
     state = replace(state, bumped=False)
     if seen.evidence is None:
-        return replace(state, covariance=state.covariance + drift, past=(), keyframe=None)
-    errors = long_run_variance(state.long_run, seen.evidence.blocks, elapsed_s)
-    evidence = _weakened(seen.evidence, errors.ratio)
+        return replace(_drifted(state, elapsed_s), past=(), keyframe=None)
+    before = replace(state, past=(), keyframe=None)
+    past = (*state.past, Past(before, seen, elapsed_s))[-_WINDOW:]
+    bumped = _after_bump(past)
+    if bumped is not None:
+        return bumped
+    if seen.status == "contradiction":
+        return replace(_drifted(state, elapsed_s), past=past, keyframe=None)
+    return replace(_updated(state, seen, seen.evidence, followed, elapsed_s), past=past)
+
+
+def _drifted(state: SelfCalibration, elapsed_s: float) -> SelfCalibration:
+    drift = tolerance_covariance(state.head, state.names, DRIFT) * elapsed_s / 60
+    return replace(state, covariance=state.covariance + drift)
+
+
+def _updated(
+    state: SelfCalibration,
+    seen: SelfCalibrated,
+    says: Evidence,
+    followed: Followed | None,
+    elapsed_s: float,
+) -> SelfCalibration:
+    """Return the state after a frame that is believed."""
+    P = len(state.names)
+    errors = long_run_variance(state.long_run, says.blocks, elapsed_s)
+    evidence = _weakened(says, errors.ratio)
     N, b = _normal_equations(state, evidence)
     if followed is not None:
         N, b = with_motion(state, seen, followed, N, b)
     C = np.asarray(np.linalg.inv(N), float)
     change = C @ b
-    past = (*state.past, Past(state.head, state.covariance, change[:P], evidence))
-    past = past[-_WINDOW:]
-    state = replace(state, long_run=errors)
-    bumped = _after_bump(state, past)
-    if bumped is not None:
-        return bumped
-    if seen.status == "contradiction":
-        stays = replace(past[-1], change=np.zeros(P))
-        past = (*past[:-1], stays)
-        return replace(state, covariance=state.covariance + drift, past=past, keyframe=None)
-    variance, weight = _joint_variance(state, evidence)
     head = change_named(state.head, state.names, change[:P])
-    return replace(
+    variance, weight = _joint_variance(state, evidence)
+    learned = replace(
         state,
         head=head,
-        covariance=(C[:P, :P] + C[:P, :P].T) / 2 + drift,
+        covariance=(C[:P, :P] + C[:P, :P].T) / 2,
+        long_run=errors,
         match_scale=state.match_scale + _PACE * (evidence.match_scale - state.match_scale),
         design_effect=state.design_effect + _PACE * (evidence.design_effect - state.design_effect),
         joint_std_rad=float(np.sqrt(variance)),
         joint_weight=weight,
         frames=state.frames + 1,
-        past=past,
         keyframe=next_keyframe(state, seen, head, C, change),
     )
+    return _drifted(learned, elapsed_s)
 
 
 def _weakened(evidence: Evidence, ratio: float) -> Evidence:
@@ -118,45 +132,57 @@ def _normal_equations(state: SelfCalibration, evidence: Evidence) -> tuple[Array
     return N, b
 
 
-def _of_head(state: SelfCalibration, evidence: Evidence) -> tuple[Array, Array]:
-    """Return information (P, P) and vector (P,) of the head alone; the joints are marginalised."""
-    P = len(state.names)
-    N, b = evidence.information, evidence.vector
-    joints = N[P:, P:] + np.eye(len(b) - P) / state.joint_std_rad**2
-    follows = np.linalg.solve(joints, N[P:, :P]).T
-    return N[:P, :P] - follows @ N[P:, :P], b[:P] - follows @ b[P:]
-
-
-def _after_bump(state: SelfCalibration, past: tuple[Past, ...]) -> SelfCalibration | None:
+def _after_bump(past: tuple[Past, ...]) -> SelfCalibration | None:
     """Return the state after a bump in the last frames; None: there was none."""
+    state = past[-1].state
     free = tolerance_covariance(state.head, state.names, BUMP)
+    known = [(each.state, each.seen.evidence) for each in past]
+    fixed = [_log_likelihood(before, says) for before, says in known if says is not None]
+    suspected = [
+        _log_likelihood(replace(before, covariance=before.covariance + free), says) > likelihood
+        for (before, says), likelihood in zip(known, fixed, strict=True)
+        if says is not None
+    ]
+    if not any(suspected):
+        return None
     best, found = 0.0, None
     for first in range(len(past)):
-        frames = past[first:]
-        total, vector = np.zeros_like(free), np.zeros(len(free))
-        moved = np.zeros(len(free))  # of the head, from the first of these frames
-        for each in frames:
-            N, b = _of_head(state, each.evidence)
-            total, vector = total + N, vector + b + N @ moved
-            moved = moved + each.change
-        before = frames[0].covariance
-        gain = _log_evidence(before + free, total, vector) - _log_evidence(before, total, vector)
+        after, likelihood = _estimated_again(past[first:], free)
+        gain = likelihood - sum(fixed[first:])
         if gain > best:
-            best, found = gain, (frames, total, vector)
+            best, found = gain, (first, after)
     # One frame alone may be a wrong one: the next will tell.
-    if found is None or len(found[0]) < 2 or 2 * best < _BUMP_EVIDENCE:
+    if found is None or len(past) - found[0] < 2 or 2 * best < _BUMP_EVIDENCE:
         return None
-    frames, total, vector = found
-    C = np.linalg.inv(np.linalg.inv(frames[0].covariance + free) + total)
-    head = change_named(frames[0].head, state.names, C @ vector)
-    return replace(state, head=head, covariance=C, bumped=True, past=(), keyframe=None)
+    return replace(found[1], bumped=True)
 
 
-def _log_evidence(C: Array, information: Array, vector: Array) -> float:
-    """Return the log likelihood of normal equations under a Gaussian prior, up to a constant."""
-    posterior = np.linalg.inv(np.linalg.inv(C) + information)
-    _, log_det = np.linalg.slogdet(np.eye(len(C)) + C @ information)
-    return float(vector @ posterior @ vector - log_det) / 2
+def _estimated_again(past: tuple[Past, ...], free: Array) -> tuple[SelfCalibration, float]:
+    """Return the state after frames before which the mountings turned, and their log likelihood.
+
+    Frames are linearised anew: a bump is far, and frames that are known to a hundredth of a degree
+    leave no room for what the linear model neglects.
+    """
+    first = past[0].state
+    state, likelihood = replace(first, covariance=first.covariance + free), 0.0
+    for each in past:
+        seen = from_matches(state, each.seen.matches, each.seen.readings, images=each.seen.images)
+        if seen.evidence is None or seen.status == "contradiction":
+            return state, -np.inf
+        likelihood += _log_likelihood(state, seen.evidence)
+        state = _updated(state, seen, seen.evidence, None, each.elapsed_s)
+    return state, likelihood
+
+
+def _log_likelihood(state: SelfCalibration, evidence: Evidence) -> float:
+    """Return the log likelihood of a frame given what is known before, up to a constant."""
+    ratio = EXPECTED_RATIO if state.long_run is None else state.long_run.ratio
+    says = _weakened(evidence, ratio)
+    C = prior_of(state, len(says.vector) - len(state.names))
+    posterior = np.linalg.inv(np.linalg.inv(C) + says.information)
+    _, log_det = np.linalg.slogdet(np.eye(len(C)) + C @ says.information)
+    pull = float(says.vector @ posterior @ says.vector)
+    return (pull - float(log_det) - evidence.misfit / ratio) / 2
 
 
 def _joint_variance(state: SelfCalibration, evidence: Evidence) -> tuple[float, float]:

@@ -40,7 +40,7 @@ _FADING_S = 1.0
 """Errors of frames this far apart share little: the eyes have turned by more than a window."""
 _PACE = 0.05
 """Share of a frame in the running mean of the long-run variance."""
-_EXPECTED_RATIO = 2.0
+EXPECTED_RATIO = 2.0
 """Of the long-run variance at the first frame: as in a room at ten pairs a second (1.6 to 2.2)."""
 
 
@@ -50,13 +50,18 @@ class LongRunVariance:
 
     blocks: Array
     """(B,) sums of residuals in blocks, summed over past frames, which fade."""
-    ratio: float = _EXPECTED_RATIO
+    ratio: float = EXPECTED_RATIO
     """Of the variance of a mean over frames to that of independent errors."""
 
 
 def tukey_weights(y: Array) -> Array:
     """Return the weights (N,) of residuals (N,) [standard deviations]: Tukey's biweight."""
     return np.maximum(1 - (y / CUT) ** 2, 0) ** 2
+
+
+def tukey_loss(y: Array) -> Array:
+    """Return the losses (N,) of residuals (N,): near their squares, and at most CUT^2 / 3."""
+    return CUT**2 / 3 * (1 - np.maximum(1 - (y / CUT) ** 2, 0) ** 3)
 
 
 def noise_variance(y: Array) -> float:

@@ -16,6 +16,7 @@ from vergence.self_calibration.match_noise import (
     CUT,
     design_effect,
     noise_variance,
+    tukey_loss,
     tukey_weights,
 )
 from vergence.self_calibration.state import Evidence
@@ -60,7 +61,11 @@ def robust_fit(
     z = np.asarray(np.linalg.solve(information + np.linalg.inv(C), vector), float)
     scale = float(np.sqrt(scale2)) * match_scale
     inliers = float((weights > INLIER).sum())
-    return z, weights, Evidence(information, vector, inliers, scale, inflation, blocks)
+    # What no change of the geometry explains is not known to be noise of another scale.
+    misfit = float(tukey_loss(y - A @ z).sum()) / expected_design_effect
+    misfit += float(2 * vector @ z - z @ information @ z)
+    says = Evidence(information, vector, inliers, scale, inflation, blocks, misfit)
+    return z, weights, says
 
 
 def _best_hypothesis(y: Array, A: Array, C: Array) -> Array:

@@ -69,19 +69,21 @@ class Evidence:
     """Variance inflation by errors that neighbouring matches share."""
     blocks: Array
     """(B,) sums of residuals in blocks of the left image, of `match_noise.design_effect`."""
+    misfit: float
+    """Twice the negative logarithm of the likelihood of no change, up to a constant of the
+    matches."""
 
 
 @dataclass(frozen=True, eq=False)
 class Past:
     """A frame that may have to be estimated again."""
 
-    head: HeadCalibration
-    """Before the frame."""
-    covariance: Array
-    """(P, P) before the frame."""
-    change: Array
-    """(P,) of the head by the frame."""
-    evidence: Evidence
+    state: SelfCalibration
+    """Before the frame; without past frames and keyframe of its own."""
+    seen: SelfCalibrated
+    """The frame."""
+    elapsed_s: float
+    """Since the frame before."""
 
 
 @dataclass(frozen=True, eq=False)
