@@ -139,15 +139,15 @@ def test_what_is_seen_again_teaches_little_but_what_is_new_does():
     stds = {}
     for kind in ("same", "new"):
         state = begin(head)
-        for _ in range(30):
+        for _ in range(60):
             new = matches(head, angles, points, noise_px=NOISE_PX, rng=rng)
             readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
             found = from_matches(state, same if kind == "same" else new, readings)
             state = learn(state, found, 1 / 30)
-        assert state.long_run is not None
-        stds[kind] = np.sqrt(state.covariance[focal, focal]), state.long_run.ratio
-    assert stds["new"][1] < 4
-    assert stds["same"][1] > 3 * stds["new"][1]
+        assert state.recurrence is not None
+        stds[kind] = np.sqrt(state.covariance[focal, focal]), state.recurrence.correlation
+    assert stds["new"][1] < 0.15
+    assert stds["same"][1] > 0.7
     assert stds["same"][0] > 1.1 * stds["new"][0]
 
 

@@ -30,12 +30,14 @@ from vergence.vision.scene_features import Matches, follow_features
 TURNED_RAD = float(np.radians(8.0))
 """Least change of a reading since the keyframe. Focal lengths show with its square; of larger ones
 a narrow camera would lose sight."""
+_FEATURES = 200
+"""Of a keyframe, at most twice as many; more cost time, and err alike with their neighbours."""
 _DEPTH_STD = 0.05
 """Relative, of the features' depths; the cameras are displaced by millimetres only."""
-_SHARED = 5.0
-"""Variance inflation by what all motions have in common, errors of the lens model above all. With
-it, followed features leave the squared Mahalanobis distance of what is learned from rendered images
-as it is without them (four recordings); with 2.5 they raise it by a half."""
+_SHARED = 2.5
+"""Variance inflation by what all motions have in common, errors of the lens model above all. Fitted
+to rendered images: with it, followed features leave the squared Mahalanobis distance of what is
+learned about as it is without them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,12 +77,17 @@ def _turned(key: Keyframe, seen: SelfCalibrated) -> bool:
 
 
 def with_motion(
-    state: SelfCalibration, seen: SelfCalibrated, followed: Followed, N: Array, b: Array
+    state: SelfCalibration,
+    seen: SelfCalibrated,
+    followed: Followed,
+    inflation: float,
+    N: Array,
+    b: Array,
 ) -> tuple[Array, Array]:
     """Return normal equations (K, K) and (K,) with what followed features say, where it fits.
 
     Unknown are changes of the P parameters, of the present readings (r) and of the keyframe's
-    joints (r).
+    joints (r). What the features say counts less by the variance inflation of the frame.
     """
     for k in range(len(state.cameras)):
         if len(followed.depths_m[k]) < FEWEST:
@@ -92,7 +99,8 @@ def with_motion(
         observed = float(np.trace(posterior @ says.information))
         believed = float(change @ N @ change) < chi2.isf(GATE, max(observed, 1.0))
         if believed and says.inliers > MOST * len(weights):
-            N, b = N + says.information, b + says.vector + says.information @ about
+            information = says.information / inflation
+            N, b = N + information, b + says.vector / inflation + information @ about
     return N, b
 
 
@@ -168,7 +176,9 @@ def next_keyframe(
             covariance=C[P + r :, P + r :],
             with_head=C[:P, P + r :],
         )
-    joints, fits = seen.readings + change[P : P + r], seen.weights > INLIER
+    joints = seen.readings + change[P : P + r]
+    fits = np.flatnonzero(seen.weights > INLIER)
+    fits = fits[:: max(1, len(fits) // _FEATURES)]  # in rows of the image: from all of its parts
     left, right = seen.matches.left[fits], seen.matches.right[fits]
     return Keyframe(
         images=seen.images,

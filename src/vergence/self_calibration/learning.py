@@ -2,7 +2,7 @@
 
 Each frame's joint angles are marginalised, but for those of one keyframe, from which features are
 followed; what the frame says of the head is kept, with a slow random walk for drift. What is seen
-again errs again: a frame counts by how far its errors are new. The noise of the readings is
+again errs again: a frame counts by how far its posture is new. The noise of the readings is
 estimated from what the images say of them. A camera that was bumped shows in a few frames together:
 when turned mountings explain them far better than noise does, the head is estimated again from
 where these frames began, with the mountings free.
@@ -24,7 +24,7 @@ from vergence.self_calibration.keyframe import (
     next_keyframe,
     with_motion,
 )
-from vergence.self_calibration.match_noise import EXPECTED_RATIO, long_run_variance
+from vergence.self_calibration.match_noise import recurrence_inflation, with_frame
 from vergence.self_calibration.prior import BUMP, DRIFT, tolerance_covariance
 from vergence.self_calibration.state import Evidence, Past, SelfCalibrated, SelfCalibration
 
@@ -80,11 +80,11 @@ def _updated(
 ) -> SelfCalibration:
     """Return the state after a frame that is believed."""
     P = len(state.names)
-    errors = long_run_variance(state.long_run, says.blocks, elapsed_s)
-    evidence = _weakened(says, errors.ratio)
+    inflation = recurrence_inflation(state.recurrence, seen.readings)
+    evidence = _weakened(says, inflation)
     N, b = _normal_equations(state, evidence)
     if followed is not None:
-        N, b = with_motion(state, seen, followed, N, b)
+        N, b = with_motion(state, seen, followed, inflation, N, b)
     C = np.asarray(np.linalg.inv(N), float)
     change = C @ b
     head = change_named(state.head, state.names, change[:P])
@@ -93,7 +93,7 @@ def _updated(
         state,
         head=head,
         covariance=(C[:P, :P] + C[:P, :P].T) / 2,
-        long_run=errors,
+        recurrence=with_frame(state.recurrence, seen.readings, says.blocks),
         match_scale=state.match_scale + _PACE * (evidence.match_scale - state.match_scale),
         design_effect=state.design_effect + _PACE * (evidence.design_effect - state.design_effect),
         joint_std_rad=float(np.sqrt(variance)),
@@ -104,10 +104,13 @@ def _updated(
     return _drifted(learned, elapsed_s)
 
 
-def _weakened(evidence: Evidence, ratio: float) -> Evidence:
+def _weakened(evidence: Evidence, inflation: float) -> Evidence:
     """Return what a frame says beyond the frames before, whose errors it shares."""
     return replace(
-        evidence, information=evidence.information / ratio, vector=evidence.vector / ratio
+        evidence,
+        information=evidence.information / inflation,
+        vector=evidence.vector / inflation,
+        misfit=evidence.misfit / inflation,
     )
 
 
@@ -136,14 +139,12 @@ def _after_bump(past: tuple[Past, ...]) -> SelfCalibration | None:
     """Return the state after a bump in the last frames; None: there was none."""
     state = past[-1].state
     free = tolerance_covariance(state.head, state.names, BUMP)
-    known = [(each.state, each.seen.evidence) for each in past]
-    fixed = [_log_likelihood(before, says) for before, says in known if says is not None]
-    suspected = [
-        _log_likelihood(replace(before, covariance=before.covariance + free), says) > likelihood
-        for (before, says), likelihood in zip(known, fixed, strict=True)
-        if says is not None
+    fixed = [_log_likelihood(each.state, each.seen) for each in past]
+    turned = [
+        _log_likelihood(replace(each.state, covariance=each.state.covariance + free), each.seen)
+        for each in past
     ]
-    if not any(suspected):
+    if not any(one > other for one, other in zip(turned, fixed, strict=True)):
         return None
     best, found = 0.0, None
     for first in range(len(past)):
@@ -169,20 +170,21 @@ def _estimated_again(past: tuple[Past, ...], free: Array) -> tuple[SelfCalibrati
         seen = from_matches(state, each.seen.matches, each.seen.readings, images=each.seen.images)
         if seen.evidence is None or seen.status == "contradiction":
             return state, -np.inf
-        likelihood += _log_likelihood(state, seen.evidence)
+        likelihood += _log_likelihood(state, seen)
         state = _updated(state, seen, seen.evidence, None, each.elapsed_s)
     return state, likelihood
 
 
-def _log_likelihood(state: SelfCalibration, evidence: Evidence) -> float:
+def _log_likelihood(state: SelfCalibration, seen: SelfCalibrated) -> float:
     """Return the log likelihood of a frame given what is known before, up to a constant."""
-    ratio = EXPECTED_RATIO if state.long_run is None else state.long_run.ratio
-    says = _weakened(evidence, ratio)
-    C = prior_of(state, len(says.vector) - len(state.names))
+    assert seen.evidence is not None
+    inflation = recurrence_inflation(state.recurrence, seen.readings)
+    says = _weakened(seen.evidence, inflation)
+    C = prior_of(state, len(seen.readings))
     posterior = np.linalg.inv(np.linalg.inv(C) + says.information)
     _, log_det = np.linalg.slogdet(np.eye(len(C)) + C @ says.information)
     pull = float(says.vector @ posterior @ says.vector)
-    return (pull - float(log_det) - evidence.misfit / ratio) / 2
+    return (pull - float(log_det) - says.misfit) / 2
 
 
 def _joint_variance(state: SelfCalibration, evidence: Evidence) -> tuple[float, float]:

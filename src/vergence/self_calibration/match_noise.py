@@ -1,10 +1,10 @@
-"""How the matches of a pair of images err: how much, and how correlated in space and in time.
+"""How the matches of a pair of images err: how much, and how correlated in space and over time.
 
 The contrast of a window tells how well it can be matched, but not edges that are drawn or occluded
-alike in several windows. So errors are taken as independent from one block of the image to the
-next only, and from one second to the next only. How much the correlation within inflates variances
-is measured from the residuals: the design effect of clusters, and the long-run variance of a
-sequence.
+alike in several windows. So errors are taken as independent from one block of the image to the next
+only. How much the correlation within inflates variances is measured from the residuals (the design
+effect of clusters). And eyes that come back to a posture see the same windows with the same errors
+again, however much later: how far these recur is measured too, and a frame counts by what it adds.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ _PRIOR_MATCHES = 30.0
 """How many matches the expected noise counts for, beside the frame's own."""
 _BLOCK_PX = 64
 """Errors of matches farther apart than this are taken as independent."""
-_BLOCKS = 64
-"""Blocks along each axis of the largest image; those of smaller ones stay empty."""
+_BLOCKS = 16
+"""Blocks along each axis; in images of more than 1024 px, blocks this far apart count as one."""
 EXPECTED_MATCH_SCALE = 1.3
 """Noise of matches, relative to what their windows tell, before anything is seen: that of windows
 with relief, the worst kind of surface that was measured."""
@@ -36,22 +36,33 @@ _LEAST_DESIGN_EFFECT = 0.5
 """Below one by chance only: errors of neighbours do not cancel."""
 _UNKNOWNS = 5
 """Degrees of freedom of a pair, which the residuals lack."""
-_FADING_S = 1.0
-"""Errors of frames this far apart share little: the eyes have turned by more than a window."""
-_PACE = 0.05
-"""Share of a frame in the running mean of the long-run variance."""
-EXPECTED_RATIO = 2.0
-"""Of the long-run variance at the first frame: as in a room at ten pairs a second (1.6 to 2.2)."""
+_SAME_RAD = float(np.radians(2.5))
+"""Change of a reading over which the correlation of errors falls to 1 / e: measured in the rendered
+room (both lenses): 0.3 at the same posture, 0.14 at 1.5 degrees, 0.09 at 3.5, 0.03 at 7.5, as much
+within 3 s as later."""
+_EXPECTED_RECURRENCE = 0.3
+"""Correlation of errors at the same posture, before it is measured."""
+_MOST_RECURRENCE = 0.95
+_PACE = 0.1
+"""Share of a frame in its running mean."""
+_NEAREST = 60
+"""Past frames by which it is told what is new; more add nothing."""
+_LEAST_NEW = 1e-3
+"""Share of a frame that is new at least."""
+_REMEMBERED = 2000
+"""Frames that are compared; older ones count as new again."""
 
 
 @dataclass(frozen=True, eq=False)
-class LongRunVariance:
-    """How the correlation of errors from frame to frame inflates the variance of their mean."""
+class Recurrence:
+    """How far the errors of matches recur where the eyes stood before."""
 
-    blocks: Array
-    """(B,) sums of residuals in blocks, summed over past frames, which fade."""
-    ratio: float = EXPECTED_RATIO
-    """Of the variance of a mean over frames to that of independent errors."""
+    joints: Array
+    """(n, r) readings of past frames [rad]."""
+    blocks: np.ndarray
+    """(n, B) float32 sums of their residuals in blocks, as unit vectors."""
+    correlation: float = _EXPECTED_RECURRENCE
+    """Of the errors of two frames of the same posture."""
 
 
 def tukey_weights(y: Array) -> Array:
@@ -85,7 +96,7 @@ def design_effect(y: Array, pixels: Array, expected: float) -> tuple[float, Arra
         pixels: (N, 2) where they are, in one of the images.
         expected: the design effect that is expected; it counts for ten blocks.
     """
-    column, row = np.clip(pixels // _BLOCK_PX, 0, _BLOCKS - 1).astype(int).T
+    column, row = ((pixels // _BLOCK_PX) % _BLOCKS).astype(int).T
     block = row * _BLOCKS + column
     u2 = np.minimum((y / CUT) ** 2, 1.0)
     weights, slopes = (1 - u2) ** 2, (1 - u2) * (1 - 5 * u2)  # psi(y) / y, and psi'(y)
@@ -99,22 +110,46 @@ def design_effect(y: Array, pixels: Array, expected: float) -> tuple[float, Arra
     return max(mean, _LEAST_DESIGN_EFFECT), sums
 
 
-def long_run_variance(
-    before: LongRunVariance | None, blocks: Array, elapsed_s: float
-) -> LongRunVariance:
-    """Return how far the errors of matches are those of the frames before.
+def recurrence_inflation(before: Recurrence | None, joints: Array) -> float:
+    """Return by how much less a frame at readings (r,) tells for what was seen there before.
 
-    The variance of a mean over frames is that of one, plus twice the covariances with all before
-    it, here with weights that fade.
-
-    Args:
-        before: until the last frame; None: there was none.
-        blocks: (B,) of `design_effect`, of the frame.
-        elapsed_s: since the last frame.
+    The mean of frames with correlated errors (covariance K) tells as much as 1' K^-1 1 independent
+    ones; a frame adds the difference.
     """
     if before is None:
-        return LongRunVariance(blocks)
-    faded = before.blocks * np.exp(-elapsed_s / _FADING_S)
-    own = 1 + 2 * float(blocks @ faded) / max(float(blocks @ blocks), 1e-9)
-    ratio = before.ratio + _PACE * (own - before.ratio)
-    return LongRunVariance(faded + blocks, max(ratio, 1.0))
+        return 1.0
+    near = np.argsort(_apart(before.joints, joints))[:_NEAREST]
+    known = before.joints[near]
+    K = before.correlation * np.exp(-_apart(known[:, None], known) / _SAME_RAD)
+    K[np.diag_indices(len(K))] = 1.0
+    k = before.correlation * np.exp(-_apart(known, joints) / _SAME_RAD)
+    weights = np.linalg.solve(K, k)
+    return float((1 - weights @ k) / max(1 - weights.sum(), _LEAST_NEW) ** 2)
+
+
+def with_frame(before: Recurrence | None, joints: Array, blocks: Array) -> Recurrence:
+    """Return the recurrence after a frame.
+
+    Args:
+        before: of the frames before; None: there was none.
+        joints: (r,) readings [rad].
+        blocks: (B,) of `design_effect`.
+    """
+    unit = (blocks / max(float(np.linalg.norm(blocks)), 1e-9)).astype(np.float32)[None]
+    if before is None:
+        return Recurrence(joints[None], unit)
+    near = np.exp(-_apart(before.joints, joints) / _SAME_RAD)
+    weight = float(near @ near)
+    measured = float(near @ (before.blocks @ unit[0])) / max(weight, 1e-9)
+    pace = _PACE * weight / (1 + weight)
+    c = before.correlation + pace * (measured - before.correlation)
+    return Recurrence(
+        joints=np.concatenate([before.joints, joints[None]])[-_REMEMBERED:],
+        blocks=np.concatenate([before.blocks, unit])[-_REMEMBERED:],
+        correlation=min(max(c, 0.0), _MOST_RECURRENCE),
+    )
+
+
+def _apart(a: Array, b: Array) -> Array:
+    """Return by how much postures (..., r) differ [rad], in the reading that differs most."""
+    return np.abs(a - b).max(axis=-1)

@@ -13,7 +13,7 @@ from vergence.geometry.projection import pair_names
 from vergence.self_calibration.match_noise import (
     EXPECTED_DESIGN_EFFECT,
     EXPECTED_MATCH_SCALE,
-    LongRunVariance,
+    Recurrence,
 )
 from vergence.self_calibration.prior import JOINT_STD_RAD, learned_names, prior_covariance
 from vergence.vision.scene_features import Matches
@@ -39,8 +39,8 @@ class SelfCalibration:
     """Noise of the matches, relative to what their contrast tells."""
     design_effect: float = EXPECTED_DESIGN_EFFECT
     """Variance inflation by errors that neighbouring matches share."""
-    long_run: LongRunVariance | None = None
-    """Variance inflation by errors that successive frames share; None: no frame was learned."""
+    recurrence: Recurrence | None = None
+    """How far errors recur where the eyes stood before; None: no frame was learned."""
     joint_weight: float = 5.0
     """Readings from which their noise is known."""
     frames: int = 0
