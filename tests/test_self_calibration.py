@@ -19,6 +19,7 @@ from vergence.geometry.se3 import inverse, transform
 from vergence.self_calibration.frame import from_matches, locate_seen
 from vergence.self_calibration.keyframe import TURNED_RAD
 from vergence.self_calibration.learning import learn, learn_followed, learned_head
+from vergence.self_calibration.match_noise import recurrence_inflation, with_frame
 from vergence.self_calibration.residuals import epipolar_residuals, motion_residuals
 from vergence.self_calibration.state import SelfCalibration, initial_self_calibration
 from vergence.vision.scene_features import Matches
@@ -382,3 +383,15 @@ def test_a_keyframe_stays_until_the_eyes_have_turned():
         assert state.keyframe is not None
         kept.append(np.degrees(state.keyframe.joints[0]))
     np.testing.assert_allclose(kept, [0, 0, 0, 9, 9], atol=0.5)
+
+
+def test_a_frame_counts_by_what_its_posture_adds():
+    """At one posture n frames tell as much as n / (1 + c (n - 1)) independent ones."""
+    joints, blocks = np.zeros(4), np.ones(8)
+    before, told, c = None, 0.0, 0.3
+    for n in range(1, 6):
+        told += 1 / recurrence_inflation(before, joints, 0.0)
+        assert told == pytest.approx(n / (1 + c * (n - 1)))
+        before = replace(with_frame(before, joints, blocks, 0.0), correlation=c)
+    assert recurrence_inflation(before, joints + np.radians(30), 0.0) == pytest.approx(1, abs=1e-3)
+    assert recurrence_inflation(before, joints, 3600.0) == pytest.approx(1, abs=1e-3)

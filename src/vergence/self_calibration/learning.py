@@ -80,7 +80,7 @@ def _updated(
 ) -> SelfCalibration:
     """Return the state after a frame that is believed."""
     P = len(state.names)
-    inflation = recurrence_inflation(state.recurrence, seen.readings)
+    inflation = recurrence_inflation(state.recurrence, seen.readings, elapsed_s)
     evidence = _weakened(says, inflation)
     N, b = _normal_equations(state, evidence)
     if followed is not None:
@@ -93,7 +93,7 @@ def _updated(
         state,
         head=head,
         covariance=(C[:P, :P] + C[:P, :P].T) / 2,
-        recurrence=with_frame(state.recurrence, seen.readings, says.blocks),
+        recurrence=with_frame(state.recurrence, seen.readings, says.blocks, elapsed_s),
         match_scale=state.match_scale + _PACE * (evidence.match_scale - state.match_scale),
         design_effect=state.design_effect + _PACE * (evidence.design_effect - state.design_effect),
         joint_std_rad=float(np.sqrt(variance)),
@@ -139,10 +139,9 @@ def _after_bump(past: tuple[Past, ...]) -> SelfCalibration | None:
     """Return the state after a bump in the last frames; None: there was none."""
     state = past[-1].state
     free = tolerance_covariance(state.head, state.names, BUMP)
-    fixed = [_log_likelihood(each.state, each.seen) for each in past]
+    fixed = [_log_likelihood(each.state, each.seen, each.elapsed_s) for each in past]
     turned = [
-        _log_likelihood(replace(each.state, covariance=each.state.covariance + free), each.seen)
-        for each in past
+        _log_likelihood(_turned(each.state, free), each.seen, each.elapsed_s) for each in past
     ]
     if not any(one > other for one, other in zip(turned, fixed, strict=True)):
         return None
@@ -164,21 +163,25 @@ def _estimated_again(past: tuple[Past, ...], free: Array) -> tuple[SelfCalibrati
     Frames are linearised anew: a bump is far, and frames that are known to a hundredth of a degree
     leave no room for what the linear model neglects.
     """
-    first = past[0].state
-    state, likelihood = replace(first, covariance=first.covariance + free), 0.0
+    state, likelihood = _turned(past[0].state, free), 0.0
     for each in past:
         seen = from_matches(state, each.seen.matches, each.seen.readings, images=each.seen.images)
         if seen.evidence is None or seen.status == "contradiction":
             return state, -np.inf
-        likelihood += _log_likelihood(state, seen)
+        likelihood += _log_likelihood(state, seen, each.elapsed_s)
         state = _updated(state, seen, seen.evidence, None, each.elapsed_s)
     return state, likelihood
 
 
-def _log_likelihood(state: SelfCalibration, seen: SelfCalibrated) -> float:
+def _turned(state: SelfCalibration, free: Array) -> SelfCalibration:
+    """Return the state before a frame if a camera was bumped after the frame before."""
+    return replace(state, covariance=state.covariance + free)
+
+
+def _log_likelihood(state: SelfCalibration, seen: SelfCalibrated, elapsed_s: float) -> float:
     """Return the log likelihood of a frame given what is known before, up to a constant."""
     assert seen.evidence is not None
-    inflation = recurrence_inflation(state.recurrence, seen.readings)
+    inflation = recurrence_inflation(state.recurrence, seen.readings, elapsed_s)
     says = _weakened(seen.evidence, inflation)
     C = prior_of(state, len(seen.readings))
     posterior = np.linalg.inv(np.linalg.inv(C) + says.information)

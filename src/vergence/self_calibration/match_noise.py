@@ -36,10 +36,13 @@ _LEAST_DESIGN_EFFECT = 0.5
 """Below one by chance only: errors of neighbours do not cancel."""
 _UNKNOWNS = 5
 """Degrees of freedom of a pair, which the residuals lack."""
-_SAME_RAD = float(np.radians(2.5))
-"""Change of a reading over which the correlation of errors falls to 1 / e: measured in the rendered
-room (both lenses): 0.3 at the same posture, 0.14 at 1.5 degrees, 0.09 at 3.5, 0.03 at 7.5, as much
-within 3 s as later."""
+_SAME_RAD = float(np.radians(3.5))
+"""Distance in the space of the readings over which the correlation of errors falls to 1 / e.
+Measured in the rendered room (both lenses), by the reading that differs most: 0.3 at the same
+posture, 0.14 at 1.5 degrees, 0.09 at 3.5, 0.03 at 7.5, as much within 3 s as later."""
+_FADING_S = 120.0
+"""Time in which the same is new again: an assumption, without which a slow drift of the head would
+not show to eyes that have been everywhere."""
 _EXPECTED_RECURRENCE = 0.3
 """Correlation of errors at the same posture, before it is measured."""
 _MOST_RECURRENCE = 0.95
@@ -59,6 +62,8 @@ class Recurrence:
 
     joints: Array
     """(n, r) readings of past frames [rad]."""
+    ages_s: Array
+    """(n,) how long before the last one they were."""
     blocks: np.ndarray
     """(n, B) float32 sums of their residuals in blocks, as unit vectors."""
     correlation: float = _EXPECTED_RECURRENCE
@@ -110,46 +115,61 @@ def design_effect(y: Array, pixels: Array, expected: float) -> tuple[float, Arra
     return max(mean, _LEAST_DESIGN_EFFECT), sums
 
 
-def recurrence_inflation(before: Recurrence | None, joints: Array) -> float:
-    """Return by how much less a frame at readings (r,) tells for what was seen there before.
+def recurrence_inflation(before: Recurrence | None, joints: Array, elapsed_s: float) -> float:
+    """Return by how much less a frame tells for what was seen at its posture before.
 
     The mean of frames with correlated errors (covariance K) tells as much as 1' K^-1 1 independent
     ones; a frame adds the difference.
+
+    Args:
+        before: of the frames before; None: there was none.
+        joints: (r,) readings of the frame [rad].
+        elapsed_s: since the frame before.
     """
     if before is None:
         return 1.0
     near = np.argsort(_apart(before.joints, joints))[:_NEAREST]
-    known = before.joints[near]
-    K = before.correlation * np.exp(-_apart(known[:, None], known) / _SAME_RAD)
+    at, ages_s = before.joints[near], before.ages_s[near]
+    between_s = np.abs(ages_s[:, None] - ages_s)
+    K = before.correlation * _kernel(_apart(at[:, None], at), between_s)
     K[np.diag_indices(len(K))] = 1.0
-    k = before.correlation * np.exp(-_apart(known, joints) / _SAME_RAD)
+    k = before.correlation * _kernel(_apart(at, joints), ages_s + elapsed_s)
     weights = np.linalg.solve(K, k)
     return float((1 - weights @ k) / max(1 - weights.sum(), _LEAST_NEW) ** 2)
 
 
-def with_frame(before: Recurrence | None, joints: Array, blocks: Array) -> Recurrence:
+def with_frame(
+    before: Recurrence | None, joints: Array, blocks: Array, elapsed_s: float
+) -> Recurrence:
     """Return the recurrence after a frame.
 
     Args:
         before: of the frames before; None: there was none.
         joints: (r,) readings [rad].
         blocks: (B,) of `design_effect`.
+        elapsed_s: since the frame before.
     """
     unit = (blocks / max(float(np.linalg.norm(blocks)), 1e-9)).astype(np.float32)[None]
     if before is None:
-        return Recurrence(joints[None], unit)
-    near = np.exp(-_apart(before.joints, joints) / _SAME_RAD)
+        return Recurrence(joints[None], np.zeros(1), unit)
+    ages_s = before.ages_s + elapsed_s
+    near = _kernel(_apart(before.joints, joints), ages_s)
     weight = float(near @ near)
     measured = float(near @ (before.blocks @ unit[0])) / max(weight, 1e-9)
     pace = _PACE * weight / (1 + weight)
     c = before.correlation + pace * (measured - before.correlation)
     return Recurrence(
         joints=np.concatenate([before.joints, joints[None]])[-_REMEMBERED:],
+        ages_s=np.append(ages_s, 0.0)[-_REMEMBERED:],
         blocks=np.concatenate([before.blocks, unit])[-_REMEMBERED:],
         correlation=min(max(c, 0.0), _MOST_RECURRENCE),
     )
 
 
 def _apart(a: Array, b: Array) -> Array:
-    """Return by how much postures (..., r) differ [rad], in the reading that differs most."""
-    return np.abs(a - b).max(axis=-1)
+    """Return the distance of postures (..., r) [rad]; Euclidean, so that K is positive definite."""
+    return np.linalg.norm(a - b, axis=-1)
+
+
+def _kernel(apart: Array, elapsed_s: Array) -> Array:
+    return np.exp(-apart / _SAME_RAD - elapsed_s / _FADING_S)
