@@ -23,7 +23,8 @@ from vergence.geometry.projection import T_rcam_lcam
 from vergence.self_calibration.frame import from_matches
 from vergence.self_calibration.learning import learn
 from vergence.self_calibration.state import initial_self_calibration
-from vergence.twin.calibration_sequence import straight_neck
+from vergence.twin.calibration_errors import inject_calibration_error
+from vergence.twin.calibration_sequence import paper_calibration, straight_neck
 from vergence.twin.head import Twin
 from vergence.twin.profile import load_profile
 from vergence.twin.scene.room import Scene
@@ -49,8 +50,11 @@ def main(pairs: int = 40, scene: Scene = "room", seed: int = 0) -> None:
         spent.setdefault(name, []).append(1e3 * (time.thread_time() - begin))
         return result
 
-    with Twin(load_profile("paper"), seed=seed, scene=scene) as twin:
-        state = initial_self_calibration(twin.nominal)
+    profile, lens = load_profile("paper"), "2.8mm"
+    with Twin(profile, seed=seed, lens=lens, scene=scene) as twin:
+        head = paper_calibration(twin, seed).head
+        state = initial_self_calibration(inject_calibration_error(head, profile.by_hand, lens))
+        twin.restart(0)
         cameras = [state.head.camera(name).intrinsics for name in state.cameras]
         for k in range(pairs):
             angles = straight_neck(eye_angles("divergent", np.array(k * STEP_S)))
