@@ -241,6 +241,16 @@ def test_eyes_that_do_not_move_show_nothing_that_persists(tmp_path, moving):
     assert any("did not move" in each for each in found.warnings)
 
 
+def test_little_motion_in_parallel_is_said_to_show_little(tmp_path, slow_setup):
+    rows = []
+    for k, pan in enumerate(np.radians([0.0, 2.5, 5.0])):
+        angles = np.array([pan, 0.0, pan, 0.0])
+        rows.append(DatasetRow(frame(float(k), angles, angles), k, False))
+    write_dataset(tmp_path / "little", DESCRIPTION, rows)
+    found = self_calibrate_dataset(load_dataset(tmp_path / "little"), HEAD)
+    assert any("moved in parallel, by 5.0 degrees" in each for each in found.warnings)
+
+
 def one_eyed() -> HeadCalibration:
     return replace(HEAD, cameras={n: c for n, c in HEAD.cameras.items() if c.eye == "left"})
 

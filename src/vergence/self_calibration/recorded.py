@@ -16,6 +16,7 @@ from vergence.geometry.parameters import boxminus
 from vergence.geometry.projection import T_rcam_lcam, project_point
 from vergence.geometry.se3 import rotvec
 from vergence.progress import Progress, silent
+from vergence.self_calibration.keyframe import TURNED_RAD
 from vergence.self_calibration.learning import learned_head
 from vergence.self_calibration.sequence import MOVED_RAD, initial_seen_geometry, update_geometry
 from vergence.self_calibration.state import SelfCalibration
@@ -24,7 +25,7 @@ from vergence.stereo.uncertainty import calibration_covariance
 OBSERVED, PARTLY = 0.5, 0.9
 """Learned standard deviation over the prior one, up to which a parameter was observed or partly."""
 LEAST_VERGENCE_RAD = float(np.radians(3))
-"""Change of vergence below which focal lengths and gains hardly show."""
+"""Change of vergence below which focal lengths and gains hardly show between the eyes."""
 _MOST_UNSEEN = 0.3
 """Share of the frames that showed little, from which it is said."""
 _POINT_M = np.array([1.0, 0.0, 0.0])
@@ -109,7 +110,8 @@ def self_calibrate_dataset(
         if geometry.learned_s == frame.time_s and geometry.known.bumped:
             bumps.append(frame.time_s - dataset.time_s[0])
         progress(task, k + 1, len(chosen))
-    moved = float(np.ptp(both.joints[chosen], axis=0).max()) >= MOVED_RAD
+    turned_rad = float(np.ptp(both.joints[chosen], axis=0).max())
+    moved = turned_rad >= MOVED_RAD
     known = geometry.known
     warnings = list(_warnings(head, len(chosen), seen, bumps))
     if not moved:
@@ -117,10 +119,12 @@ def self_calibrate_dataset(
             "The eyes did not move, so that nothing that persists can be told from errors of the "
             "readings: the calibration is returned as it was."
         )
-    elif np.ptp(vergence) < LEAST_VERGENCE_RAD:
+    elif np.ptp(vergence) < LEAST_VERGENCE_RAD and turned_rad < TURNED_RAD:
         warnings.append(
-            f"Vergence changed by {np.degrees(np.ptp(vergence)):.1f} degrees only: focal lengths "
-            "and gains hardly show while the eyes move in parallel."
+            f"The eyes moved in parallel, by {np.degrees(turned_rad):.1f} degrees: focal lengths "
+            "and gains hardly show, unless vergence changes by "
+            f"{np.degrees(LEAST_VERGENCE_RAD):.0f} degrees or an eye turns by "
+            f"{np.degrees(TURNED_RAD):.0f}."
         )
     return RecordedSelfCalibration(
         head=learned_head(known) if moved else head,
