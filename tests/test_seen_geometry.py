@@ -29,6 +29,7 @@ from vergence.geometry.projection import T_rcam_lcam
 from vergence.geometry.se3 import boxminus
 from vergence.paper.figures import FIGURES
 from vergence.paper.recording import figure_recording
+from vergence.self_calibration.keyframe import TURNED_RAD
 from vergence.self_calibration.recorded import self_calibrate_dataset
 from vergence.self_calibration.sequence import LEARNING_S, initial_seen_geometry, update_geometry
 from vergence.viewer.seen import log_learned, log_matches
@@ -96,6 +97,21 @@ def test_frames_that_show_the_same_again_teach_nothing(moving):
     assert update_geometry(once, second).known.frames == 1
     earlier = update_geometry(once, replace(second, time_s=-100.0))  # of another run
     assert (np.diag(earlier.known.covariance) < np.diag(once.known.covariance) * 1.001).all()
+
+
+def test_features_are_not_followed_across_a_motion_of_the_neck(moving):
+    geometry = initial_seen_geometry(HEAD)
+    for _, each in moving[:3]:
+        geometry = update_geometry(geometry, each)
+    before = geometry.known.keyframe
+    assert before is not None
+    assert np.abs(moving[3][1].eye_angles - before.joints).max() < TURNED_RAD
+    for neck, stays in ((0.0, True), (np.radians(3), False)):
+        after = update_geometry(geometry, replace(moving[3][1], neck_angles=np.full(3, neck)))
+        assert after.known.keyframe is not None
+        assert (after.known.keyframe.images is before.images) == stays
+        assert after.keyframe_neck is not None
+        np.testing.assert_array_equal(after.keyframe_neck, 0.0 if stays else neck)
 
 
 @pytest.mark.parametrize(

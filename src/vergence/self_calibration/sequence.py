@@ -35,6 +35,9 @@ the same features with the same errors: they are no independent measurements."""
 MOVED_RAD = float(np.radians(2.0))
 """Least change of a reading between them, for the same reason: about the width of the windows that
 are matched. Eyes at rest see the same again."""
+_NECK_STDS = 3.0
+"""Change of a reading of the neck, in standard deviations of the eyes' readings, from which the
+head has moved: then not only eyes have turned, and features are not followed."""
 _SLACK_S = 1e-6  # so that rounding of time stamps drops no frame
 
 
@@ -52,6 +55,8 @@ class SeenGeometry:
     """Of the latest frame from which was learned, at the beginning of the first."""
     learned_at: Array | None = None
     """(r,) its readings [rad]."""
+    keyframe_neck: Array | None = None
+    """(3,) readings of the neck at the keyframe from which features are followed [rad]."""
 
 
 def initial_seen_geometry(
@@ -105,11 +110,19 @@ def update_geometry(
             )
     left, right = (frame.images[name] for name in known.cameras)
     latest = self_calibrate_frame(known, left, right, joints)
+    neck = frame.neck_angles
     if before.learned_s is None or before.learned_at is None:
-        return SeenGeometry(known, latest, frame.time_s, frame.time_s, joints)
+        return SeenGeometry(known, latest, frame.time_s, frame.time_s, joints, neck)
     elapsed_s = frame.time_s - before.learned_s
     at_rest = np.abs(joints - before.learned_at).max() < MOVED_RAD
     if at_rest or 0 < elapsed_s < LEARNING_S - _SLACK_S:
         return replace(before, latest=latest, time_s=frame.time_s)
-    known = learn(known, latest, max(elapsed_s, 0.0))
-    return SeenGeometry(known, latest, frame.time_s, frame.time_s, joints)
+    moved = before.keyframe_neck is None or bool(
+        np.abs(neck - before.keyframe_neck).max() > _NECK_STDS * known.joint_std_rad
+    )
+    known = replace(known, keyframe=None) if moved else known
+    learned = learn(known, latest, max(elapsed_s, 0.0))
+    key, last = learned.keyframe, known.keyframe
+    if key is not None and last is not None and key.images is last.images:
+        neck = before.keyframe_neck
+    return SeenGeometry(learned, latest, frame.time_s, frame.time_s, joints, neck)
