@@ -140,10 +140,8 @@ def _after_bump(past: tuple[Past, ...]) -> SelfCalibration | None:
     state = past[-1].state
     free = tolerance_covariance(state.head, state.names, BUMP)
     fixed = [_log_likelihood(each.state, each.seen, each.elapsed_s) for each in past]
-    turned = [
-        _log_likelihood(_turned(each.state, free), each.seen, each.elapsed_s) for each in past
-    ]
-    if not any(one > other for one, other in zip(turned, fixed, strict=True)):
+    freed = [_log_likelihood(_freed(each.state, free), each.seen, each.elapsed_s) for each in past]
+    if not any(one > other for one, other in zip(freed, fixed, strict=True)):
         return None
     best, found = 0.0, None
     for first in range(len(past)):
@@ -154,7 +152,7 @@ def _after_bump(past: tuple[Past, ...]) -> SelfCalibration | None:
     # One frame alone may be a wrong one: the next will tell.
     if found is None or len(past) - found[0] < 2 or 2 * best < _BUMP_EVIDENCE:
         return None
-    return replace(found[1], bumped=True)
+    return replace(found[1], bumped=True, keyframe=None)
 
 
 def _estimated_again(past: tuple[Past, ...], free: Array) -> tuple[SelfCalibration, float]:
@@ -163,7 +161,7 @@ def _estimated_again(past: tuple[Past, ...], free: Array) -> tuple[SelfCalibrati
     Frames are linearised anew: a bump is far, and frames that are known to a hundredth of a degree
     leave no room for what the linear model neglects.
     """
-    state, likelihood = _turned(past[0].state, free), 0.0
+    state, likelihood = _freed(past[0].state, free), 0.0
     for each in past:
         seen = from_matches(state, each.seen.matches, each.seen.readings, images=each.seen.images)
         if seen.evidence is None or seen.status == "contradiction":
@@ -173,8 +171,8 @@ def _estimated_again(past: tuple[Past, ...], free: Array) -> tuple[SelfCalibrati
     return state, likelihood
 
 
-def _turned(state: SelfCalibration, free: Array) -> SelfCalibration:
-    """Return the state before a frame if a camera was bumped after the frame before."""
+def _freed(state: SelfCalibration, free: Array) -> SelfCalibration:
+    """Return the state before a frame if a camera may have been bumped since the one before."""
     return replace(state, covariance=state.covariance + free)
 
 

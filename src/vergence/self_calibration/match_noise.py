@@ -49,7 +49,7 @@ _MOST_RECURRENCE = 0.95
 _PACE = 0.1
 """Share of a frame in its running mean."""
 _NEAREST = 60
-"""Past frames by which it is told what is new; more add nothing."""
+"""Past frames that tell what is new: the nearest ones, so that few equations are solved."""
 _LEAST_NEW = 1e-3
 """Share of a frame that is new at least."""
 _REMEMBERED = 2000
