@@ -28,11 +28,11 @@ from vergence.geometry import se3
 from vergence.geometry.camera import normalise, project
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named
-from vergence.geometry.projection import T_rcam_lcam
 from vergence.paper.comparison import LEARNED, comparison
 from vergence.self_calibration.frame import from_matches, self_calibrate_frame
 from vergence.self_calibration.learning import learn
 from vergence.self_calibration.state import initial_self_calibration
+from vergence.stereo.extrinsics import T_rcam_lcam
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration
 from vergence.twin.head import Twin

@@ -28,7 +28,6 @@ from vergence.geometry import se3
 from vergence.geometry.camera import normalise, project
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named
-from vergence.geometry.projection import T_rcam_lcam
 from vergence.paper.comparison import LEARNED, comparison, learn_around
 from vergence.paper.figures import FIGURES, default_duration_s
 from vergence.self_calibration.frame import from_matches, locate_seen, self_calibrate_frame
@@ -38,6 +37,7 @@ from vergence.self_calibration.state import (
     SelfCalibration,
     initial_self_calibration,
 )
+from vergence.stereo.extrinsics import T_rcam_lcam
 from vergence.stereo.triangulation import triangulate_at
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration, straight_neck

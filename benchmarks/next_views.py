@@ -30,9 +30,9 @@ from vergence.accuracy.plan_views import Views, admissible_views
 from vergence.accuracy.plan_workspace import largest_std, point_by_parameters
 from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
 from vergence.calibration.observations import Observations
-from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head import HeadCalibration, pair_names
 from vergence.geometry.parameters import parameter_names, without_offsets
-from vergence.geometry.projection import pair_names, project_point
+from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import boxplus
 from vergence.stereo.triangulation import triangulate_at
 

@@ -19,10 +19,10 @@ import numpy as np
 import tyro
 
 from vergence.accuracy.motions import eye_angles
-from vergence.geometry.projection import T_rcam_lcam
 from vergence.self_calibration.frame import from_matches
 from vergence.self_calibration.learning import learn
 from vergence.self_calibration.state import initial_self_calibration
+from vergence.stereo.extrinsics import T_rcam_lcam
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration, straight_neck
 from vergence.twin.head import Twin

@@ -10,10 +10,11 @@ from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.lens import reach
 from vergence.geometry.parameters import change_named
-from vergence.geometry.projection import camera_poses, project_point
+from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.self_calibration.keyframe import Followed
 from vergence.self_calibration.state import Keyframe, SelfCalibration
+from vergence.stereo.extrinsics import camera_poses
 from vergence.vision.scene_features import Matches
 
 ROOM_M = ((0.5, 4.0), (-2.5, 2.5), (-1.2, 1.2))

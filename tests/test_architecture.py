@@ -19,7 +19,7 @@ SRC = Path(__file__).parents[1] / "src"
 
 ROOMS = (
     "errors", "arrays", "reading", "writing", "progress", "geometry", "data", "vision", "stereo",
-    "calibration", "self_calibration", "accuracy", "gaze", "reach", "interchange", "vergence",
+    "calibration", "self_calibration", "gaze", "reach", "accuracy", "interchange", "vergence",
     "twin", "viewer",
     "commands", "paper", "demos", "cli", "__main__",
 )  # fmt: skip

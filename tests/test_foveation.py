@@ -7,6 +7,7 @@ import pytest
 
 from simulated_head import point_in_camera, skewed_head
 from vergence.errors import VergenceError
+from vergence.gaze.fixation import readings_to
 from vergence.gaze.foveation import (
     foveal_miss,
     gaze_angles,
@@ -15,7 +16,6 @@ from vergence.gaze.foveation import (
     wide_from_narrow,
 )
 from vergence.geometry.camera import pinhole
-from vergence.geometry.fixation import readings_to
 from vergence.geometry.head import HeadCalibration, T_narrow_wide
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.projection import project_point

@@ -26,8 +26,9 @@ from vergence.geometry.kinematics import (
     straight_gaze,
 )
 from vergence.geometry.neck import Neck, T_body_head
-from vergence.geometry.projection import T_rcam_lcam, project_point, rebase
+from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import boxminus, hat, pose, rotation, transform
+from vergence.stereo.extrinsics import T_rcam_lcam, rebase
 
 FORWARD, LEFT, UP = np.eye(3)
 angle_pairs = st.tuples(st.floats(-0.7, 0.7), st.floats(-0.7, 0.7)).map(np.array)

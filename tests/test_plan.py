@@ -29,9 +29,9 @@ from vergence.calibration.observations import Observations
 from vergence.commands import plan as command
 from vergence.errors import VergenceError
 from vergence.geometry.eye_motion import eye_poses
-from vergence.geometry.head import HeadCalibration, save_head
+from vergence.geometry.head import HeadCalibration, pair_names, save_head
 from vergence.geometry.parameters import without_offsets
-from vergence.geometry.projection import pair_names, project_point
+from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.uncertainty import calibration_covariance
 

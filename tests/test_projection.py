@@ -17,11 +17,7 @@ from vergence.geometry.camera import project
 from vergence.geometry.head import MountedCamera
 from vergence.geometry.kinematics import T_base_eye
 from vergence.geometry.parameters import lens_of_vector, lens_vector
-from vergence.geometry.projection import (
-    project_at,
-    project_point,
-    project_with_jacobians,
-)
+from vergence.geometry.projection import project_at, project_point, project_with_jacobians
 from vergence.geometry.se3 import boxplus
 
 CAMERAS = ("left_wide", "right_wide", "left_narrow", "right_narrow")

@@ -25,13 +25,13 @@ from vergence.gaze.state import GazeSettings, GazeState, initial_gaze_state
 from vergence.geometry.board import Chessboard
 from vergence.geometry.head import HeadCalibration, load_head, save_head
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Joint, Kinematics, Side, pan_tilt
-from vergence.geometry.projection import T_rcam_lcam
 from vergence.geometry.se3 import boxminus
 from vergence.paper.figures import FIGURES
 from vergence.paper.recording import figure_recording
 from vergence.self_calibration.keyframe import TURNED_RAD
 from vergence.self_calibration.recorded import self_calibrate_dataset
 from vergence.self_calibration.sequence import LEARNING_S, initial_seen_geometry, update_geometry
+from vergence.stereo.extrinsics import T_rcam_lcam
 from vergence.viewer.seen import log_learned, log_matches
 
 HEAD = four_cameras()

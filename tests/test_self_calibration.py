@@ -14,7 +14,7 @@ from vergence.geometry import se3
 from vergence.geometry.camera import normalise
 from vergence.geometry.head import HeadCalibration, load_head, save_head
 from vergence.geometry.parameters import boxminus, boxplus, change_named, parameter_names
-from vergence.geometry.projection import T_rcam_lcam, camera_poses, project_point
+from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.self_calibration.frame import from_matches, locate_seen
 from vergence.self_calibration.keyframe import TURNED_RAD
@@ -22,6 +22,7 @@ from vergence.self_calibration.learning import learn, learn_followed, learned_he
 from vergence.self_calibration.match_noise import recurrence_inflation, with_frame
 from vergence.self_calibration.residuals import epipolar_residuals, motion_residuals
 from vergence.self_calibration.state import SelfCalibration, initial_self_calibration
+from vergence.stereo.extrinsics import T_rcam_lcam, camera_poses
 from vergence.vision.scene_features import Matches
 
 CAMERAS = ("left_wide", "right_wide")

@@ -14,8 +14,8 @@ from test_intrinsics import POINTS, SINGLE_PRECISION_POSE, SINGLE_PRECISION_PX, 
 from vergence.calibration.sequential.static_stereo import calibrate_pair
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera
-from vergence.geometry.projection import T_rcam_lcam
 from vergence.geometry.se3 import boxminus, pose
+from vergence.stereo.extrinsics import T_rcam_lcam
 
 
 def pair(

@@ -14,13 +14,9 @@ from vergence.geometry.camera import pinhole, project
 from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base
 from vergence.geometry.kinematics import T_base_eye
 from vergence.geometry.lens import CameraModel
-from vergence.geometry.projection import (
-    T_rcam_lcam,
-    base_extrinsics,
-    project_point,
-    stereo_extrinsics,
-)
+from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
+from vergence.stereo.extrinsics import T_rcam_lcam, base_extrinsics, stereo_extrinsics
 from vergence.stereo.triangulation import Status, in_body, in_head, triangulate_at
 from vergence.stereo.uncertainty import (
     calibration_covariance,

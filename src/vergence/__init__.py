@@ -27,9 +27,10 @@ if TYPE_CHECKING:
     from vergence.geometry.camera import Camera
     from vergence.geometry.head import HeadCalibration, MountedCamera, load_head, save_head
     from vergence.geometry.kinematics import Joint, Kinematics
-    from vergence.geometry.projection import T_rcam_lcam, project_point
+    from vergence.geometry.projection import project_point
     from vergence.interchange.formats import export_head, import_head
     from vergence.stereo.dense_depth import DenseDepth, dense_depth, point_cloud
+    from vergence.stereo.extrinsics import T_rcam_lcam
     from vergence.stereo.rectification import RectifiedPair, rectified_image, rectify
     from vergence.stereo.triangulation import Status, in_body, in_head
     from vergence.stereo.uncertainty import LocatedPoints, combination, locate

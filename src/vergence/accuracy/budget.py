@@ -15,9 +15,9 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head import HeadCalibration, pair_names
 from vergence.geometry.parameters import parameter_names
-from vergence.geometry.projection import pair_names, project_point
+from vergence.geometry.projection import project_point
 from vergence.stereo.calibration_covariance import covariance_factor
 from vergence.stereo.linearised import Linearised, by_head_parameters, linearised, pair_parameters
 from vergence.stereo.triangulation import pixel_noise

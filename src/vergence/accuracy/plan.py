@@ -26,8 +26,7 @@ from vergence.arrays import Array
 from vergence.calibration.summary import DISTANCES_M
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board
-from vergence.geometry.head import HeadCalibration, reading_stds
-from vergence.geometry.projection import pair_names
+from vergence.geometry.head import HeadCalibration, pair_names, reading_stds
 from vergence.progress import Progress, silent
 
 LIMIT_RAD = 0.35

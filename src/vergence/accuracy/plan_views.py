@@ -15,10 +15,10 @@ from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board, corner_points
 from vergence.geometry.eye_motion import eye_poses
-from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head import HeadCalibration, pair_names
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.lens import reach
-from vergence.geometry.projection import T_lbase_cam, pair_names, project_at
+from vergence.geometry.projection import T_lbase_cam, project_at
 from vergence.geometry.se3 import inverse, pose, rotation, transform
 
 MARGIN_PX = 10.0

@@ -13,7 +13,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.summary import DISTANCES_M
 from vergence.errors import VergenceError
-from vergence.geometry.fixation import readings_to
+from vergence.gaze.fixation import readings_to
 from vergence.geometry.head import HeadCalibration, T_head_base
 from vergence.geometry.parameters import parameter_names
 from vergence.geometry.projection import project_point

@@ -15,10 +15,9 @@ from vergence.accuracy.motions import PERIOD_S, eye_angles
 from vergence.arrays import MAX_M, Array
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
-from vergence.geometry.head import HeadCalibration, reading_stds
+from vergence.geometry.head import HeadCalibration, pair_names, reading_stds
 from vergence.geometry.kinematics import EYE_JOINTS
 from vergence.geometry.parameters import boxminus
-from vergence.geometry.projection import pair_names
 
 if TYPE_CHECKING:
     from vergence.twin.profile import ErrorProfile, Lens

@@ -10,8 +10,7 @@ from vergence.arrays import Array
 from vergence.data.dataset import Dataset, Frame, runs
 from vergence.data.timing import Timing, moved_readings
 from vergence.errors import VergenceError
-from vergence.geometry.head import HeadCalibration
-from vergence.geometry.projection import pair_names
+from vergence.geometry.head import HeadCalibration, pair_names
 
 
 @dataclass(frozen=True, eq=False)

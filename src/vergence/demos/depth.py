@@ -25,9 +25,8 @@ from vergence.commands.depth import (
 )
 from vergence.demos.depth_errors import Truth, depth_errors, summed
 from vergence.demos.experiment import learned_from_room
-from vergence.geometry.head import HeadCalibration, load_head
+from vergence.geometry.head import HeadCalibration, load_head, pair_names
 from vergence.geometry.neck import NECK_JOINTS
-from vergence.geometry.projection import pair_names
 from vergence.progress import Progress, silent
 from vergence.self_calibration.sequence import Geometry, initial_seen_geometry, update_geometry
 from vergence.twin.calibration_sequence import straight_neck

@@ -11,9 +11,9 @@ from vergence.arrays import Array
 from vergence.commands.depth import RANGE_M, Errors
 from vergence.geometry.camera import normalise, project
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.projection import stereo_cameras, stereo_poses
 from vergence.geometry.se3 import transform
 from vergence.stereo.dense_depth import DenseDepth
+from vergence.stereo.extrinsics import stereo_cameras, stereo_poses
 from vergence.stereo.rectification import RectifiedPair, rectified_pixels, rectified_points
 
 _GRID_PX = 16  # between the points whose rows are compared

@@ -31,6 +31,7 @@ from vergence.gaze.commands import (
     hold,
     setpoint,
 )
+from vergence.gaze.fixation import readings_to
 from vergence.gaze.foveation import gaze_angles
 from vergence.gaze.kalman import Track
 from vergence.gaze.observation import (
@@ -44,7 +45,6 @@ from vergence.gaze.observation import (
 )
 from vergence.gaze.seen_position import see_position
 from vergence.gaze.state import GazePhase, GazeSettings, GazeState
-from vergence.geometry.fixation import readings_to
 from vergence.geometry.head import T_body_base
 from vergence.geometry.kinematics import eye_turn, readings_to_turn
 from vergence.geometry.se3 import inverse, transform

@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
+from vergence.gaze.fixation import readings_to
 from vergence.gaze.roles import EyeCameras, default_roles
 from vergence.geometry.camera import normalise, project
-from vergence.geometry.fixation import readings_to
 from vergence.geometry.head import HeadCalibration, T_narrow_wide
 from vergence.geometry.kinematics import Side
 from vergence.geometry.se3 import inverse, transform

@@ -234,6 +234,26 @@ def main_pair(calibration: HeadCalibration) -> tuple[str, str] | None:
     return (main_camera(own[0], "left"), main_camera(own[1], "right")) if all(own) else None
 
 
+def pair_names(head: HeadCalibration, cameras: tuple[str, str] | None = None) -> tuple[str, str]:
+    """Return the names of a camera of the left eye and one of the right; None: the main ones.
+
+    VergenceError if one of them is missing, or left and right are exchanged.
+    """
+    pair = main_pair(head) if cameras is None else cameras
+    if pair is None:
+        raise VergenceError(
+            f"Stereo needs a camera in each eye; this head has {', '.join(head.cameras)}."
+        )
+    left, right = pair
+    eyes = head.camera(left).eye, head.camera(right).eye
+    if eyes != ("left", "right"):
+        raise VergenceError(
+            f"A stereo pair is a camera of the left eye and one of the right, in this order; "
+            f"{left} sits in the {eyes[0]} eye and {right} in the {eyes[1]} one."
+        )
+    return left, right
+
+
 def T_head_base(calibration: HeadCalibration, eye: Side) -> Array:
     """Return the pose (4, 4) of an eye's base frame in frame head."""
     T_lbase_rbase = inverse(calibration.T_rbase_lbase)

@@ -20,9 +20,9 @@ from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, T_base_cam, T_head_base
 from vergence.geometry.kinematics import straight_gaze
 from vergence.geometry.lens import CameraModel
-from vergence.geometry.projection import rebase
 from vergence.geometry.se3 import inverse
 from vergence.interchange.serialization import check_cameras, read, with_intrinsics, write_yaml
+from vergence.stereo.extrinsics import rebase
 
 
 class _Cam(BaseModel):

@@ -17,9 +17,10 @@ from vergence.arrays import Array
 from vergence.geometry.camera import pinhole
 from vergence.geometry.head import R_EYE_CAM, HeadCalibration, MountedCamera
 from vergence.geometry.kinematics import EYES, straight_gaze
-from vergence.geometry.projection import T_rcam_lcam, project_point, rebase
+from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import pose, rotation
 from vergence.paper.figures import FIGURES, Figure
+from vergence.stereo.extrinsics import T_rcam_lcam, rebase
 from vergence.stereo.triangulation import Status
 from vergence.stereo.uncertainty import locate
 from vergence.twin.profile import Lens

@@ -12,10 +12,10 @@ from vergence.arrays import Array
 from vergence.calibration.sequential.sequential import SequentialCalibration
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import straight_gaze
-from vergence.geometry.projection import stereo_poses
 from vergence.paper.comparison import PAPER
 from vergence.paper.replay import WIDE, Replay, summaries
 from vergence.stereo.depth_error import depth_error, disparity_error
+from vergence.stereo.extrinsics import stereo_poses
 from vergence.twin.looking_around import LOOK_S
 from vergence.twin.profile import ErrorProfile, Joints
 from vergence.twin.sensors import read

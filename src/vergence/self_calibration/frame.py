@@ -17,7 +17,6 @@ from scipy.stats import chi2
 from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named, parameter_names
-from vergence.geometry.projection import T_rcam_lcam
 from vergence.self_calibration.prior import BUMP, tolerance_covariance
 from vergence.self_calibration.residuals import epipolar_residuals
 from vergence.self_calibration.robust_fit import robust_fit
@@ -27,6 +26,7 @@ from vergence.self_calibration.state import (
     SelfCalibration,
     Status,
 )
+from vergence.stereo.extrinsics import T_rcam_lcam
 from vergence.stereo.uncertainty import LocatedPoints, locate_jointly
 from vergence.vision.scene_features import Matches, match_scene
 

@@ -18,13 +18,13 @@ from scipy.stats import chi2
 from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named, parameter_names
-from vergence.geometry.projection import camera_poses
 from vergence.geometry.se3 import inverse
 from vergence.self_calibration.frame import FEWEST, GATE, MOST
 from vergence.self_calibration.match_noise import EXPECTED_DESIGN_EFFECT
 from vergence.self_calibration.residuals import depths_of_matches, motion_residuals
 from vergence.self_calibration.robust_fit import INLIER, robust_fit
 from vergence.self_calibration.state import Evidence, Keyframe, SelfCalibrated, SelfCalibration
+from vergence.stereo.extrinsics import camera_poses
 from vergence.vision.scene_features import Matches, follow_features
 
 TURNED_RAD = float(np.radians(8.0))

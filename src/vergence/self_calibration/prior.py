@@ -17,7 +17,7 @@ from vergence.geometry import se3
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import straight_gaze
 from vergence.geometry.parameters import change_named, intrinsics_names, parameter_names
-from vergence.geometry.projection import T_rcam_lcam
+from vergence.stereo.extrinsics import T_rcam_lcam
 
 
 @dataclass(frozen=True)

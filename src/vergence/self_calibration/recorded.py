@@ -13,13 +13,14 @@ from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import straight_gaze
 from vergence.geometry.parameters import boxminus
-from vergence.geometry.projection import T_rcam_lcam, project_point
+from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import rotvec
 from vergence.progress import Progress, silent
 from vergence.self_calibration.keyframe import TURNED_RAD
 from vergence.self_calibration.learning import learned_head
 from vergence.self_calibration.sequence import MOVED_RAD, initial_seen_geometry, update_geometry
 from vergence.self_calibration.state import SelfCalibration
+from vergence.stereo.extrinsics import T_rcam_lcam
 from vergence.stereo.uncertainty import calibration_covariance
 
 OBSERVED, PARTLY = 0.5, 0.9

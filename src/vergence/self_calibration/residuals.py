@@ -27,12 +27,11 @@ from vergence.geometry.parameters import camera_columns, parameter_names
 from vergence.geometry.projection import (
     T_lbase_cam,
     by_parameters,
-    camera_poses,
     project_with_jacobians,
     rows_times,
-    stereo_cameras,
 )
 from vergence.geometry.se3 import cross
+from vergence.stereo.extrinsics import camera_poses, stereo_cameras
 
 _FARTHEST_M = 50.0
 """Noise makes far points infinitely far, or puts them behind the head; they are taken as here."""

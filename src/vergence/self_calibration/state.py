@@ -8,8 +8,7 @@ from typing import Literal
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.geometry.head import HeadCalibration
-from vergence.geometry.projection import pair_names
+from vergence.geometry.head import HeadCalibration, pair_names
 from vergence.self_calibration.match_noise import (
     EXPECTED_DESIGN_EFFECT,
     EXPECTED_MATCH_SCALE,

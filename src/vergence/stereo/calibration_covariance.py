@@ -9,7 +9,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.geometry.components import stacked
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.projection import per_pair
+from vergence.stereo.extrinsics import per_pair
 from vergence.stereo.linearised import Linearised, pair_columns, pair_parameters
 
 

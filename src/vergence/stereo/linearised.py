@@ -22,15 +22,10 @@ from vergence.geometry.components import (
     stacked,
 )
 from vergence.geometry.eye_motion import eye_motions, measured
-from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head import HeadCalibration, pair_names
 from vergence.geometry.parameters import camera_columns, parameter_names
-from vergence.geometry.projection import (
-    by_increments,
-    pair_names,
-    per_pair,
-    projected,
-    stereo_cameras,
-)
+from vergence.geometry.projection import by_increments, projected
+from vergence.stereo.extrinsics import per_pair, stereo_cameras
 from vergence.stereo.triangulation import (
     checked,
     of_part,

@@ -21,8 +21,8 @@ from vergence.geometry.camera import Camera, normalise, project
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import checked_readings
 from vergence.geometry.lens import reach
-from vergence.geometry.projection import stereo_cameras, stereo_poses
 from vergence.geometry.se3 import inverse, pose
+from vergence.stereo.extrinsics import stereo_cameras, stereo_poses
 
 FOCAL_SHARE = 0.85
 """Focal length of the rectified cameras, of the real ones': eyes that diverge need a wider view."""

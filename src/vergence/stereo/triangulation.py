@@ -30,8 +30,9 @@ from vergence.geometry.components import (
 )
 from vergence.geometry.eye_motion import EyeMotion, eye_motions
 from vergence.geometry.head import HeadCalibration, MountedCamera, T_body_base, T_head_base
-from vergence.geometry.projection import camera_pose, stereo_cameras
+from vergence.geometry.projection import camera_pose
 from vergence.geometry.se3 import transform
+from vergence.stereo.extrinsics import stereo_cameras
 
 CHUNK = 4096
 """Points at a time: their arrays stay in the processor's cache, and memory does not grow."""

@@ -8,8 +8,8 @@ import numpy as np
 
 from vergence.geometry.head import HeadCalibration, MountedCamera
 from vergence.geometry.kinematics import straight_gaze
-from vergence.geometry.projection import T_rcam_lcam, rebase
 from vergence.geometry.se3 import pose, rotation
+from vergence.stereo.extrinsics import T_rcam_lcam, rebase
 from vergence.twin.profile import ByHand, Lens
 
 

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from vergence.arrays import Array
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.projection import T_lbase_cam, stereo_cameras
+from vergence.geometry.projection import T_lbase_cam
+from vergence.stereo.extrinsics import stereo_cameras
 from vergence.viewer import style
 from vergence.viewer.layout import camera_entities
 

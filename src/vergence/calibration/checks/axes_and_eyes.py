@@ -10,8 +10,8 @@ import numpy as np
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES, parallel_distance_m, straight_gaze
-from vergence.geometry.projection import stereo_cameras
 from vergence.geometry.se3 import angle
+from vergence.stereo.extrinsics import stereo_cameras
 
 MOST_TURNED_DEG = 30.0
 """Between the bases of the eyes; their axes are the head's, as built."""

@@ -25,8 +25,8 @@ from vergence.geometry.board import corner_points
 from vergence.geometry.head import HeadCalibration, MountedCamera, main_camera, main_pair
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.neck import Neck
-from vergence.geometry.projection import base_extrinsics
 from vergence.geometry.se3 import angle, inverse, mean_pose
+from vergence.stereo.extrinsics import base_extrinsics
 from vergence.vision.board_pose import LEAST_CORNERS, board_poses, seen_corners
 
 STRAIGHT_RAD = 0.05

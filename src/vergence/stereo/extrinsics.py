@@ -1,0 +1,148 @@
+"""How two cameras stand to each other at any posture of the eyes (Eqs. 10 and 11)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache, wraps
+from typing import TypeVar
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.geometry.eye_motion import eye_poses
+from vergence.geometry.head import HeadCalibration, MountedCamera, pair_names
+from vergence.geometry.kinematics import T_base_eye
+from vergence.geometry.projection import T_lbase_cam
+from vergence.geometry.se3 import inverse
+
+Pair = tuple[str, str] | None
+"""Names of a camera of the left eye and one of the right; None: the main ones."""
+Found = TypeVar("Found")
+
+
+def base_extrinsics(
+    *,
+    T_rbase_reye: Array,
+    T_reye_rcam: Array,
+    T_rcam_lcam: Array,
+    T_leye_lcam: Array,
+    T_lbase_leye: Array,
+) -> Array:
+    """Eq. 10: T_rbase_lbase (..., 4, 4) from a static stereo pose and the eye poses of its moment.
+
+    In the paper's symbols T_rbase_reye is T_er^r, T_reye_rcam is T_ec^r and T_rcam_lcam is T_c^rl,
+    the static stereo; all are (..., 4, 4).
+    """
+    return T_rbase_reye @ T_reye_rcam @ T_rcam_lcam @ inverse(T_lbase_leye @ T_leye_lcam)
+
+
+def stereo_extrinsics(
+    *,
+    T_rbase_reye: Array,
+    T_reye_rcam: Array,
+    T_rbase_lbase: Array,
+    T_leye_lcam: Array,
+    T_lbase_leye: Array,
+) -> Array:
+    """Eq. 11: T_rcam_lcam (..., 4, 4) at the present eye poses; the inverse of Eq. 10."""
+    return inverse(T_rbase_reye @ T_reye_rcam) @ T_rbase_lbase @ T_lbase_leye @ T_leye_lcam
+
+
+def per_pair(
+    find: Callable[[HeadCalibration, Pair], Found],
+) -> Callable[[HeadCalibration, Pair], Found]:
+    """Return a function that remembers what it found of a head and two cameras, or the main ones.
+
+    Their names may come as a list, which could not be remembered.
+    """
+    remembered = lru_cache(maxsize=64)(find)
+
+    @wraps(find)
+    def found(head: HeadCalibration, cameras: Pair) -> Found:
+        return remembered(head, cameras if cameras is None else tuple(cameras))
+
+    return found
+
+
+@per_pair
+def stereo_cameras(
+    head: HeadCalibration, cameras: tuple[str, str] | None
+) -> tuple[MountedCamera, MountedCamera]:
+    """Return the left and the right camera of a pair; arguments and errors: see `pair_names`."""
+    left, right = pair_names(head, cameras)
+    return head.camera(left), head.camera(right)
+
+
+def T_rcam_lcam(
+    head: HeadCalibration, joints: Array, *, cameras: tuple[str, str] | None = None
+) -> Array:
+    """Return Eq. 11 (..., 4, 4) at joint readings (..., r) [rad], or eye poses (..., 2, 4, 4).
+
+    Args:
+        head: with a camera in each eye.
+        joints: in the order of head.kinematics.readings.
+        cameras: names of a camera of the left eye and one of the right; None: the main ones.
+
+    Raises:
+        VergenceError: the head has one eye only, has no such camera, or left and right are
+            exchanged.
+    """
+    return stereo_poses(head, joints, cameras=cameras)[1]
+
+
+def stereo_poses(
+    head: HeadCalibration, joints: Array, *, cameras: tuple[str, str] | None = None
+) -> tuple[Array, Array]:
+    """Return T_lbase_lcam (..., 4, 4) and T_rcam_lcam (..., 4, 4).
+
+    Arguments and errors are those of `T_rcam_lcam`.
+    """
+    left, right = stereo_cameras(head, cameras)
+    T_lbase_leye, T_rbase_reye = np.moveaxis(eye_poses(head, joints), -3, 0)
+    T = stereo_extrinsics(
+        T_rbase_reye=T_rbase_reye,
+        T_reye_rcam=right.T_eye_cam,
+        T_rbase_lbase=head.T_rbase_lbase,
+        T_leye_lcam=left.T_eye_cam,
+        T_lbase_leye=T_lbase_leye,
+    )
+    return T_lbase_leye @ left.T_eye_cam, T
+
+
+def camera_poses(
+    head: HeadCalibration, joints: Array, *, cameras: tuple[str, str] | None = None
+) -> Array:
+    """Return T_lbase_cam (..., 2, 4, 4) of a camera of the left eye and one of the right.
+
+    Arguments and errors are those of `T_rcam_lcam`.
+    """
+    pair, eyes = stereo_cameras(head, cameras), eye_poses(head, joints)
+    both = [
+        T_lbase_cam(mounted, head.T_rbase_lbase, eyes[..., k, :, :])
+        for k, mounted in enumerate(pair)
+    ]
+    return np.stack(both, axis=-3)
+
+
+def rebase(
+    head: HeadCalibration,
+    T_rcam_lcam: Array,
+    *,
+    joints: Array,
+    cameras: tuple[str, str] | None = None,
+) -> HeadCalibration:
+    """Return the head with the T_rbase_lbase that a stereo pose demands (Eq. 10).
+
+    The cameras stood at T_rcam_lcam (4, 4) at joint readings (r,) [rad]. Errors are those of
+    `stereo_cameras`.
+    """
+    left, right = stereo_cameras(head, cameras)
+    T = base_extrinsics(
+        T_rbase_reye=T_base_eye(head.kinematics, "right", joints),
+        T_reye_rcam=right.T_eye_cam,
+        T_rcam_lcam=T_rcam_lcam,
+        T_leye_lcam=left.T_eye_cam,
+        T_lbase_leye=T_base_eye(head.kinematics, "left", joints),
+    )
+    return replace(head, T_rbase_lbase=T)
