@@ -17,7 +17,7 @@ from scipy.stats import chi2
 from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named, parameter_names
-from vergence.self_calibration.prior import BUMP, tolerance_covariance
+from vergence.self_calibration.prior import UNCALIBRATED, tolerance_covariance
 from vergence.self_calibration.residuals import epipolar_residuals
 from vergence.self_calibration.robust_fit import robust_fit
 from vergence.self_calibration.state import (
@@ -36,6 +36,8 @@ _GATE_OF_FEW = 1e-3
 """The same where most matches contradict each other."""
 FEWEST = 12.0
 """Matches that must fit; a few always do, whatever they show."""
+_LEAST_SHARE = 0.1
+"""Share of the matches that must fit, for the same reason."""
 MOST = 0.5
 """Share of the matches that is most of them."""
 _LITTLE = 1.5
@@ -87,17 +89,17 @@ def _from_matches(state: SelfCalibration, matches: Matches, joints: Array) -> Se
     if len(matches.left) < FEWEST:
         return _unseen(state, matches, joints, C, "little seen")
     z, weights, evidence = _fit(state, matches, joints, C)
-    if evidence.inliers < FEWEST:
-        return replace(_unseen(state, matches, joints, C, "little seen"), weights=weights)
     if evidence.inliers < MOST * len(weights):
-        # Either much is matched wrongly, or a camera has been turned.
+        # Either much is matched wrongly, or the head is far from what is known.
         P = len(state.names)
-        turned = C.copy()
-        turned[:P, :P] += tolerance_covariance(state.head, state.names, BUMP)
-        _, other_weights, other = _fit(state, matches, joints, turned)
-        if other.inliers > max(MOST * len(weights), 1.3 * evidence.inliers):
+        far = C.copy()
+        far[:P, :P] += tolerance_covariance(state.head, state.names, UNCALIBRATED)
+        _, other_weights, other = _fit(state, matches, joints, far)
+        if other.inliers > max(FEWEST, MOST * len(weights), 1.3 * evidence.inliers):
             seen = _unseen(state, matches, joints, C, "contradiction")
             return replace(seen, weights=other_weights, evidence=other)
+    if evidence.inliers < max(FEWEST, _LEAST_SHARE * len(weights)):
+        return replace(_unseen(state, matches, joints, C, "little seen"), weights=weights)
     covariance = np.asarray(np.linalg.inv(evidence.information + np.linalg.inv(C)), float)
     observed = float(np.trace(covariance @ evidence.information))
     gate = GATE if evidence.inliers > MOST * len(weights) else _GATE_OF_FEW

@@ -3,9 +3,10 @@
 Each frame's joint angles are marginalised, but for those of one keyframe, from which features are
 followed; what the frame says of the head is kept, with a slow random walk for drift. What is seen
 again errs again: a frame counts by how far its posture is new. The noise of the readings is
-estimated from what the images say of them. A camera that was bumped shows in a few frames together:
-when turned mountings explain them far better than noise does, the head is estimated again from
-where these frames began, with the mountings free.
+estimated from what the images say of them. A camera that was bumped, or a head that is not as it was
+calibrated, shows in a few frames together: when mountings that turned, or a head that is hardly
+known, explain them far better than noise does, the head is estimated again from where these frames
+began, with these free.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry.head import Accuracy, HeadCalibration
-from vergence.geometry.parameters import change_named
+from vergence.geometry.parameters import boxminus, change_named
 from vergence.self_calibration.frame import from_matches, prior_of
 from vergence.self_calibration.keyframe import (
     Followed,
@@ -25,13 +26,13 @@ from vergence.self_calibration.keyframe import (
     with_motion,
 )
 from vergence.self_calibration.match_noise import recurrence_inflation, with_frame
-from vergence.self_calibration.prior import BUMP, DRIFT, tolerance_covariance
+from vergence.self_calibration.prior import BUMP, DRIFT, UNCALIBRATED, tolerance_covariance
 from vergence.self_calibration.state import Evidence, Past, SelfCalibrated, SelfCalibration
 
 _WINDOW = 3
-"""Frames that are examined together for a bump; two at least."""
-_BUMP_EVIDENCE = 2 * np.log(1e5)
-"""Twice the logarithm of how much likelier a bump must make the window: it is rare."""
+"""Frames that are examined together for a change of the head; two at least."""
+_CHANGE_EVIDENCE = 2 * np.log(1e5)
+"""Twice the logarithm of how much likelier a change must make the window: it is rare."""
 _PACE = 0.1
 """Share of a frame in the running means of how much matches err."""
 _LONGEST_MEMORY = 4000.0
@@ -53,14 +54,14 @@ def learn_followed(
     state: SelfCalibration, seen: SelfCalibrated, followed: Followed | None, elapsed_s: float
 ) -> SelfCalibration:
     """Return the state after a frame in which features of the keyframe were found; None: not."""
-    state = replace(state, bumped=False)
+    state = replace(state, bumped=False, uncalibrated=False)
     if seen.evidence is None:
-        return replace(_drifted(state, elapsed_s), past=(), keyframe=None)
+        return replace(_drifted(state, elapsed_s), keyframe=None)
     before = replace(state, past=(), keyframe=None)
     past = (*state.past, Past(before, seen, elapsed_s))[-_WINDOW:]
-    bumped = _after_bump(past)
-    if bumped is not None:
-        return bumped
+    changed = _after_change(past)
+    if changed is not None:
+        return changed
     if seen.status == "contradiction":
         return replace(_drifted(state, elapsed_s), past=past, keyframe=None)
     return replace(_updated(state, seen, seen.evidence, followed, elapsed_s), past=past)
@@ -135,31 +136,39 @@ def _normal_equations(state: SelfCalibration, evidence: Evidence) -> tuple[Array
     return N, b
 
 
-def _after_bump(past: tuple[Past, ...]) -> SelfCalibration | None:
-    """Return the state after a bump in the last frames; None: there was none."""
+def _after_change(past: tuple[Past, ...]) -> SelfCalibration | None:
+    """Return the state after a change of the head in the last frames; None: there was none.
+
+    Either a camera was bumped, or the head is not as it was calibrated.
+    """
     state = past[-1].state
-    free = tolerance_covariance(state.head, state.names, BUMP)
     fixed = [_log_likelihood(each.state, each.seen, each.elapsed_s) for each in past]
-    freed = [_log_likelihood(_freed(each.state, free), each.seen, each.elapsed_s) for each in past]
-    if not any(one > other for one, other in zip(freed, fixed, strict=True)):
-        return None
     best, found = 0.0, None
-    for first in range(len(past)):
-        after, likelihood = _estimated_again(past[first:], free)
-        gain = likelihood - sum(fixed[first:])
-        if gain > best:
-            best, found = gain, (first, after)
+    for tolerance in (BUMP, UNCALIBRATED):
+        free = tolerance_covariance(state.head, state.names, tolerance)
+        freed = [
+            _log_likelihood(_freed(each.state, free), each.seen, each.elapsed_s) for each in past
+        ]
+        if not any(one > other for one, other in zip(freed, fixed, strict=True)):
+            continue
+        for first in range(len(past)):
+            after, likelihood = _estimated_again(past[first:], free)
+            gain = likelihood - sum(fixed[first:])
+            if gain > best:
+                best, found = gain, (past[first:], free, after, tolerance is BUMP)
     # One frame alone may be a wrong one: the next will tell.
-    if found is None or len(past) - found[0] < 2 or 2 * best < _BUMP_EVIDENCE:
+    if found is None or len(found[0]) < 2 or 2 * best < _CHANGE_EVIDENCE:
         return None
-    return replace(found[1], bumped=True, keyframe=None)
+    *about, bumped = found
+    after = _linearised_again(*about)
+    return replace(after, bumped=bumped, uncalibrated=not bumped, keyframe=None)
 
 
 def _estimated_again(past: tuple[Past, ...], free: Array) -> tuple[SelfCalibration, float]:
-    """Return the state after frames before which the mountings turned, and their log likelihood.
+    """Return the state after frames before which the head changed, and their log likelihood.
 
-    Frames are linearised anew: a bump is far, and frames that are known to a hundredth of a degree
-    leave no room for what the linear model neglects.
+    Frames are linearised anew: a change is far, and frames that are known to a hundredth of a
+    degree leave no room for what the linear model neglects.
     """
     state, likelihood = _freed(past[0].state, free), 0.0
     for each in past:
@@ -171,8 +180,23 @@ def _estimated_again(past: tuple[Past, ...], free: Array) -> tuple[SelfCalibrati
     return state, likelihood
 
 
+def _linearised_again(
+    past: tuple[Past, ...], free: Array, after: SelfCalibration
+) -> SelfCalibration:
+    """Return the state after frames before which the head changed, linearised where it is now."""
+    before, names = _freed(past[0].state, free), after.names
+    recentred = replace(past[0], state=replace(past[0].state, head=after.head))
+    again, likelihood = _estimated_again((recentred, *past[1:]), free)
+    if not np.isfinite(likelihood):
+        return after
+    # What was known before still stands where it stood.
+    apart = boxminus(before.head, after.head)
+    pull = np.linalg.solve(before.covariance, [apart[name] for name in names])
+    return replace(again, head=change_named(again.head, names, again.covariance @ pull))
+
+
 def _freed(state: SelfCalibration, free: Array) -> SelfCalibration:
-    """Return the state before a frame if a camera may have been bumped since the one before."""
+    """Return the state before a frame if the head may have changed since the one before."""
     return replace(state, covariance=state.covariance + free)
 
 

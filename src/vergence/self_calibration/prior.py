@@ -80,6 +80,16 @@ BUMP = Tolerance(
     shift_m=1e-3,
 )
 """Of a camera that something has hit."""
+UNCALIBRATED = Tolerance(
+    focal=0.02,
+    centre_px=5.0,
+    turn_rad=np.radians(1.5),
+    shift_m=3e-3,
+    stereo_turn_rad=np.radians(1.0),
+    stereo_shift_m=1e-3,
+    gain=0.05,
+)
+"""Of a head that is known from its drawing only, or is no longer as it was calibrated."""
 JOINT_STD_RAD = np.radians(0.2)
 """Of readings whose noise nobody states, until it is estimated."""
 

@@ -46,6 +46,8 @@ class SelfCalibration:
     """From which it was learned."""
     bumped: bool = False
     """Whether the last frame showed that a camera had been turned."""
+    uncalibrated: bool = False
+    """Whether it showed that the head is farther from what was known than this stated."""
     past: tuple[Past, ...] = ()
     """The last frames, by which a bump is told from noise."""
     keyframe: Keyframe | None = None
