@@ -33,7 +33,11 @@ Small turns show little, and of large ones a narrow camera would lose sight."""
 _FEATURES = 200
 """Of a keyframe, at most twice as many; more cost time."""
 _DEPTH_STD = 0.05
-"""Relative, of the features' depths; the cameras are displaced by millimetres only."""
+"""Relative, of the depth of each feature; the cameras are displaced by millimetres only."""
+_COMMON_DEPTH_STD = 0.25
+"""Relative, of all depths together: hardly known. How far the cameras are from the axes of their
+joints would else be learned from the parallax, which is so small that hundredths of a pixel of the
+lens model make it wrong by percents, and the scale of depth with it."""
 _SHARED = 2.5
 """Variance inflation by what all motions have in common, errors of the lens model above all. Fitted
 to rendered images: with it, followed features leave the squared Mahalanobis distance of what is
@@ -113,22 +117,35 @@ def _fit(
     C: Array,
 ) -> tuple[Array, Array, Evidence]:
     """Return what features of camera k say about changes from those (K,) that are believed."""
-    matches = followed.matches[k]
+    matches, K = followed.matches[k], len(C)
+    with_depth = np.eye(K + 1)
+    with_depth[:K, :K] = C
     change, weights, says = robust_fit(
-        lambda z: _whitened(state, seen, followed, k, about + z),
-        C,
+        lambda z: _whitened(state, seen, followed, k, about + z[:K], float(z[K])),
+        with_depth,
         pixels=np.repeat(matches.left, 2, axis=0),
         match_scale=state.match_scale,
         expected_design_effect=EXPECTED_DESIGN_EFFECT,
     )
-    information, vector = says.information / _SHARED, says.vector / _SHARED
-    return change, weights, replace(says, information=information, vector=vector)
+    N, b = says.information / _SHARED, says.vector / _SHARED
+    follows = N[:K, K] / (N[K, K] + 1)
+    information, vector = N[:K, :K] - np.outer(follows, N[K, :K]), b[:K] - follows * b[K]
+    return change[:K], weights, replace(says, information=information, vector=vector)
 
 
 def _whitened(
-    state: SelfCalibration, seen: SelfCalibrated, followed: Followed, k: int, change: Array
+    state: SelfCalibration,
+    seen: SelfCalibrated,
+    followed: Followed,
+    k: int,
+    change: Array,
+    deeper: float,
 ) -> tuple[Array, Array]:
-    """Return residuals (2 N,) and derivatives (2 N, K), in standard deviations of the matches."""
+    """Return residuals (2 N,) and derivatives (2 N, K + 1), in standard deviations of the matches.
+
+    After a change (K,), and with all depths larger by so many of their standard deviations, which
+    is the last unknown.
+    """
     assert state.keyframe is not None
     P, r = len(state.names), len(seen.readings)
     head = change_named(state.head, state.names, change[:P])
@@ -140,10 +157,13 @@ def _whitened(
         now=seen.readings + change[P : P + r],
         earlier=matches.left,
         later=matches.right,
-        depths_m=followed.depths_m[k],
+        depths_m=followed.depths_m[k] * np.exp(_COMMON_DEPTH_STD * deeper),
     )
     columns = [known.index(name) for name in state.names]
-    A = np.concatenate([found.by_parameters[:, :, columns], found.by_now, found.by_before], axis=2)
+    deeper_all = _COMMON_DEPTH_STD * found.by_depth[..., None]
+    A = np.concatenate(
+        [found.by_parameters[:, :, columns], found.by_now, found.by_before, deeper_all], axis=2
+    )
     by_depth = _DEPTH_STD * found.by_depth
     whole = np.concatenate([A, found.residuals[..., None]], axis=2)
     good = np.asarray(np.isfinite(whole).all(axis=(1, 2)))
