@@ -401,6 +401,27 @@ def test_features_that_moved_by_themselves_teach_nothing():
     np.testing.assert_array_equal(with_wrong.covariance, without.covariance)
 
 
+def test_depths_that_are_all_wrong_alike_do_not_move_the_cameras():
+    """Else parallax, wrong by a few percents, would tell how far they are off the joints' axes."""
+    head, rng = head_of(0), np.random.default_rng(0)
+    points, state = room(400, rng), begin(head)
+    then, now = np.zeros(4), np.array([0.2, 0.1, 0.2, 0.1])
+    seen = from_matches(state, matches(head, then, points, noise_px=NOISE_PX, rng=rng), then)
+    state = learn(state, seen, 0.5)
+    assert state.keyframe is not None
+    seen = from_matches(state, matches(head, now, points, noise_px=NOISE_PX, rng=rng), now)
+    right = followed(
+        head, state.keyframe, then=then, now=now, points=points, noise_px=NOISE_PX, rng=rng
+    )
+    near, far = (
+        replace(right, depths_m=(s * right.depths_m[0], s * right.depths_m[1])) for s in (0.9, 1.1)
+    )
+    ends = [learn_followed(state, seen, each, 0.5).head for each in (near, far)]
+    moved = boxminus(ends[1], ends[0])
+    shifts_m = [moved[n] for n in state.names if n.endswith(("tx", "ty", "tz"))]
+    assert max(np.abs(shifts_m)) < 2e-4
+
+
 def test_a_keyframe_stays_until_the_eyes_have_turned():
     head, rng = head_of(0), np.random.default_rng(0)
     points, state = room(400, rng), begin(head)

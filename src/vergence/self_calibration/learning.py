@@ -3,8 +3,8 @@
 Each frame's joint angles are marginalised, but for those of one keyframe, from which features are
 followed; what the frame says of the head is kept, with a slow random walk for drift. What is seen
 again errs again: a frame counts by how far its posture is new. The noise of the readings is
-estimated from what the images say of them. A camera that was bumped, or a head that is not as it was
-calibrated, shows in a few frames together: when mountings that turned, or a head that is hardly
+estimated from what the images say of them. A camera that was bumped, or a head that is not as it
+was calibrated, shows in a few frames together: when mountings that turned, or a head that is hardly
 known, explain them far better than noise does, the head is estimated again from where these frames
 began, with these free.
 """
