@@ -25,6 +25,7 @@ from vergence.gaze.state import GazeSettings, GazeState, initial_gaze_state
 from vergence.geometry.board import Chessboard
 from vergence.geometry.head import HeadCalibration, load_head, save_head
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Joint, Kinematics, Side, pan_tilt
+from vergence.geometry.parameters import change_named
 from vergence.geometry.se3 import boxminus
 from vergence.paper.figures import FIGURES
 from vergence.paper.recording import figure_recording
@@ -255,6 +256,19 @@ def test_eyes_that_do_not_move_show_nothing_that_persists(tmp_path, moving):
     assert found.head is HEAD
     assert {each.verdict for each in found.parameters} == {"not observed"}
     assert any("did not move" in each for each in found.warnings)
+
+
+def test_a_head_that_is_not_as_calibrated_is_learned_anew(recorded):
+    drawn = change_named(
+        HEAD,
+        ("left_wide.fx", "left_wide.fy", "left_wide.cx", "right_wide.cy", "T_rbase_lbase.ry"),
+        np.array([-20.0, -20.0, 5.0, -5.0, np.radians(2.0)]),
+    )
+    data = load_dataset(recorded / "data")
+    found = self_calibrate_dataset(data, drawn)
+    straight = np.zeros(4)
+    assert turn_error(found.head, straight, straight) < 0.1 * turn_error(drawn, straight, straight)
+    assert any("farther from its calibration than this states" in each for each in found.warnings)
 
 
 def test_little_motion_in_parallel_is_said_to_show_little(tmp_path, slow_setup):

@@ -35,9 +35,9 @@ _FEATURES = 200
 _DEPTH_STD = 0.05
 """Relative, of the depth of each feature; the cameras are displaced by millimetres only."""
 _COMMON_DEPTH_STD = 1.0
-"""Relative, of all depths together: as good as unknown. How far the cameras are from the axes of their
-joints would else be learned from the parallax, which is so small that hundredths of a pixel of the
-lens model make it wrong by percents, and the scale of depth with it."""
+"""Relative, of all depths together: as good as unknown. How far the cameras are from the axes of
+their joints would else be learned from the parallax, which is so small that hundredths of a pixel
+of the lens model make it wrong by percents, and the scale of depth with it."""
 _SHARED = 2.5
 """Variance inflation by what all motions have in common, errors of the lens model above all. Fitted
 to rendered images: with it, followed features leave the squared Mahalanobis distance of what is

@@ -159,8 +159,8 @@ def _after_change(past: tuple[Past, ...]) -> SelfCalibration | None:
     # One frame alone may be a wrong one: the next will tell.
     if found is None or len(found[0]) < 2 or 2 * best < _CHANGE_EVIDENCE:
         return None
-    *about, bumped = found
-    after = _linearised_again(*about)
+    frames, free, after, bumped = found
+    after = _linearised_again(frames, free, after)
     return replace(after, bumped=bumped, uncalibrated=not bumped, keyframe=None)
 
 

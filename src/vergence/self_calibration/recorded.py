@@ -97,7 +97,7 @@ def self_calibrate_dataset(
     moving = dataset.moving[both.rows]
     chosen = np.flatnonzero(moving) if moving.any() else np.arange(len(both))
     geometry = initial_seen_geometry(head, cameras=both.cameras)
-    before, seen, bumps = geometry.known, 0, []
+    before, seen, changes = geometry.known, 0, []
     task, vergence = "self-calibration, frames", []
     progress(task, 0, len(chosen))
     for k, row in enumerate(chosen):
@@ -108,13 +108,13 @@ def self_calibrate_dataset(
             seen += latest.status == "seen"
             T = T_rcam_lcam(latest.head, latest.joints, cameras=both.cameras)
             vergence.append(rotvec(T[:3, :3])[1])
-        if geometry.learned_s == frame.time_s and geometry.known.bumped:
-            bumps.append(frame.time_s - dataset.time_s[0])
+        if geometry.learned_s == frame.time_s:
+            changes += _changes(geometry.known, frame.time_s - dataset.time_s[0])
         progress(task, k + 1, len(chosen))
     turned_rad = float(np.ptp(both.joints[chosen], axis=0).max())
     moved = turned_rad >= MOVED_RAD
     known = geometry.known
-    warnings = list(_warnings(head, len(chosen), seen, bumps))
+    warnings = list(_warnings(head, len(chosen), seen)) + changes
     if not moved:
         warnings.append(
             "The eyes did not move, so that nothing that persists can be told from errors of the "
@@ -160,7 +160,21 @@ def _depth_stds(before: SelfCalibration, after: SelfCalibration) -> tuple[float,
     return (found[0], found[1]) if np.isfinite(found).all() else None
 
 
-def _warnings(head: HeadCalibration, frames: int, seen: int, bumps: list[float]) -> list[str]:
+def _changes(known: SelfCalibration, time_s: float) -> list[str]:
+    """Return warnings of what the last frame, at a time since the first, showed to have changed."""
+    when = f"{time_s:.1f} s after the first row"
+    if known.bumped:
+        return [f"A camera turned {when}; which of the two, the images do not tell."]
+    if known.uncalibrated:
+        return [
+            f"The head is farther from its calibration than this states, as the images showed "
+            f"{when}: it was learned anew, from the tolerances of a head that is known from its "
+            "drawing only."
+        ]
+    return []
+
+
+def _warnings(head: HeadCalibration, frames: int, seen: int) -> list[str]:
     found = []
     if head.accuracy is None or not head.accuracy.parameters:
         found.append(
@@ -171,10 +185,5 @@ def _warnings(head: HeadCalibration, frames: int, seen: int, bumps: list[float])
         found.append(
             f"Only {seen} of {frames} frames showed how the cameras stand to each other; in the "
             "others the prior stands, in part or wholly."
-        )
-    for time_s in bumps:
-        found.append(
-            f"A camera turned {time_s:.1f} s after the first row; which of the two, the images do "
-            "not tell."
         )
     return found
