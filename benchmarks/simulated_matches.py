@@ -12,8 +12,7 @@ from vergence.geometry.lens import reach
 from vergence.geometry.parameters import change_named
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
-from vergence.self_calibration.keyframe import Followed
-from vergence.self_calibration.state import Keyframe, SelfCalibration
+from vergence.self_calibration.state import Followed, Keyframe, SelfCalibration
 from vergence.stereo.extrinsics import camera_poses
 from vergence.vision.scene_features import Matches
 
@@ -95,4 +94,4 @@ def followed(
         C = np.tile(max(noise_px, 0.02) ** 2 * np.eye(2), (len(seen), 1, 1))
         found.append(Matches(pixels[seen], later[seen] + noise, C))
         depths.append(key.depths_m[k][seen])
-    return Followed((found[0], found[1]), (depths[0], depths[1]))
+    return Followed(key.readings, (found[0], found[1]), (depths[0], depths[1]))

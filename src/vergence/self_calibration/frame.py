@@ -72,6 +72,7 @@ def from_matches(
     joints: Array,
     *,
     images: tuple[np.ndarray, np.ndarray] | None = None,
+    at_head: bool = False,
 ) -> SelfCalibrated:
     """Return the head and its joint angles as matches of a pair of images show them.
 
@@ -80,15 +81,19 @@ def from_matches(
         matches: of the pair.
         joints: (r,) readings [rad].
         images: in which they were found; None: features are not followed from here.
+        at_head: whether residuals are linearised at the head as it is, which must be nearly right,
+            and not where the pair alone would have it.
     """
-    return replace(_from_matches(state, matches, joints), images=images)
+    return replace(_from_matches(state, matches, joints, at_head), images=images)
 
 
-def _from_matches(state: SelfCalibration, matches: Matches, joints: Array) -> SelfCalibrated:
+def _from_matches(
+    state: SelfCalibration, matches: Matches, joints: Array, at_head: bool
+) -> SelfCalibrated:
     C = prior_of(state, len(joints))
     if len(matches.left) < FEWEST:
         return _unseen(state, matches, joints, C, "little seen")
-    z, weights, evidence = _fit(state, matches, joints, C)
+    z, weights, evidence = _fit(state, matches, joints, C, at_head)
     if evidence.inliers < MOST * len(weights):
         # Either much is matched wrongly, or the head is far from what is known.
         P = len(state.names)
@@ -122,7 +127,7 @@ def _from_matches(state: SelfCalibration, matches: Matches, joints: Array) -> Se
 
 
 def _fit(
-    state: SelfCalibration, matches: Matches, joints: Array, C: Array
+    state: SelfCalibration, matches: Matches, joints: Array, C: Array, at_head: bool = False
 ) -> tuple[Array, Array, Evidence]:
     """Return the change (K,) that matches and prior give, weights (N,), and what matches say."""
     return robust_fit(
@@ -131,6 +136,7 @@ def _fit(
         pixels=matches.left,
         match_scale=state.match_scale,
         expected_design_effect=state.design_effect,
+        held=len(state.names) if at_head else 0,
     )
 
 

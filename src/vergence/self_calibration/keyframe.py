@@ -10,7 +10,7 @@ handles, contradicts the rest, and does not count.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.stats import chi2
@@ -23,9 +23,15 @@ from vergence.self_calibration.frame import FEWEST, GATE, MOST
 from vergence.self_calibration.match_noise import EXPECTED_DESIGN_EFFECT
 from vergence.self_calibration.residuals import depths_of_matches, motion_residuals
 from vergence.self_calibration.robust_fit import INLIER, robust_fit
-from vergence.self_calibration.state import Evidence, Keyframe, SelfCalibrated, SelfCalibration
+from vergence.self_calibration.state import (
+    Evidence,
+    Followed,
+    Keyframe,
+    SelfCalibrated,
+    SelfCalibration,
+)
 from vergence.stereo.extrinsics import camera_poses
-from vergence.vision.scene_features import Matches, follow_features
+from vergence.vision.scene_features import follow_features
 
 TURNED_RAD = float(np.radians(8.0))
 """Least change of a reading since the keyframe: with 4 or 12 degrees depth is about as steady.
@@ -42,16 +48,6 @@ _SHARED = 2.5
 """Variance inflation by what all motions have in common, errors of the lens model above all. Fitted
 to rendered images: with it, followed features leave the squared Mahalanobis distance of what is
 learned about as it is without them."""
-
-
-@dataclass(frozen=True, eq=False)
-class Followed:
-    """Features of the keyframe, found again."""
-
-    matches: tuple[Matches, Matches]
-    """Of the left and of the right camera: then and now."""
-    depths_m: tuple[Array, Array]
-    """(N,) then, along the optical axes."""
 
 
 def follow_keyframe(state: SelfCalibration, seen: SelfCalibrated) -> Followed | None:
@@ -73,11 +69,11 @@ def follow_keyframe(state: SelfCalibration, seen: SelfCalibrated) -> Followed | 
         )
         found.append((matches, key.depths_m[k][which]))
     (left, left_depths), (right, right_depths) = found
-    return Followed((left, right), (left_depths, right_depths))
+    return Followed(key.readings, (left, right), (left_depths, right_depths))
 
 
 def _turned(key: Keyframe, seen: SelfCalibrated) -> bool:
-    return bool(np.abs(seen.readings - key.joints).max() >= TURNED_RAD)
+    return bool(np.abs(seen.readings - key.readings).max() >= TURNED_RAD)
 
 
 def with_motion(
@@ -91,8 +87,11 @@ def with_motion(
     """Return normal equations (K, K) and (K,) with what followed features say, where it fits.
 
     Unknown are changes of the P parameters, of the present readings (r) and of the keyframe's
-    joints (r). What the features say counts less by the variance inflation of the frame.
+    joints (r). What the features say counts less by the variance inflation of the frame, and not
+    at all if they are of another keyframe than the state's.
     """
+    if state.keyframe is None or not np.array_equal(followed.readings, state.keyframe.readings):
+        return N, b
     for k in range(len(state.cameras)):
         if len(followed.depths_m[k]) < FEWEST:
             continue
@@ -201,6 +200,7 @@ def next_keyframe(
     fits = fits[:: max(1, len(fits) // _FEATURES)]  # in rows of the image: from all of its parts
     left, right = seen.matches.left[fits], seen.matches.right[fits]
     return Keyframe(
+        readings=seen.readings,
         images=seen.images,
         joints=joints,
         covariance=C[P : P + r, P : P + r],

@@ -20,17 +20,25 @@ from vergence.geometry.head import Accuracy, HeadCalibration
 from vergence.geometry.parameters import boxminus, change_named
 from vergence.self_calibration.frame import from_matches, prior_of
 from vergence.self_calibration.keyframe import (
-    Followed,
     follow_keyframe,
     next_keyframe,
     with_motion,
 )
 from vergence.self_calibration.match_noise import recurrence_inflation, with_frame
 from vergence.self_calibration.prior import BUMP, DRIFT, UNCALIBRATED, tolerance_covariance
-from vergence.self_calibration.state import Evidence, Past, SelfCalibrated, SelfCalibration
+from vergence.self_calibration.state import (
+    Evidence,
+    Followed,
+    Keyframe,
+    Past,
+    SelfCalibrated,
+    SelfCalibration,
+)
 
 _WINDOW = 3
 """Frames that are examined together for a change of the head; two at least."""
+_LINEARISED_AGAIN = (4, 8, 16, 32)
+"""Numbers of first frames, after which all of them are linearised again; then they are dropped."""
 _CHANGE_EVIDENCE = 2 * np.log(1e5)
 """Twice the logarithm of how much likelier a change must make the window: it is rare."""
 _PACE = 0.1
@@ -57,14 +65,39 @@ def learn_followed(
     state = replace(state, bumped=False, uncalibrated=False)
     if seen.evidence is None:
         return replace(_drifted(state, elapsed_s), keyframe=None)
-    before = replace(state, past=(), keyframe=None)
-    past = (*state.past, Past(before, seen, elapsed_s))[-_WINDOW:]
-    changed = _after_change(past)
+    frame = Past(_alone(state), replace(seen, images=None), followed, elapsed_s)
+    past = (*state.past, frame)
+    changed = _after_change(past[-_WINDOW:])
     if changed is not None:
         return changed
+    past = past[-_WINDOW:] if state.settled else past
     if seen.status == "contradiction":
         return replace(_drifted(state, elapsed_s), past=past, keyframe=None)
-    return replace(_updated(state, seen, seen.evidence, followed, elapsed_s), past=past)
+    learned = replace(_updated(state, seen, seen.evidence, followed, elapsed_s), past=past)
+    return learned if state.settled else _settling(learned)
+
+
+def _alone(state: SelfCalibration) -> SelfCalibration:
+    return replace(state, past=(), keyframe=None)
+
+
+def _settling(state: SelfCalibration) -> SelfCalibration:
+    """Return the state after one of the first frames, at times with all of them linearised anew."""
+    believed = tuple(each for each in state.past if each.seen.status != "contradiction")
+    if len(believed) in _LINEARISED_AGAIN:
+        again = _linearised_again(believed, state)
+        state = replace(again, keyframe=_same_keyframe(state.keyframe, again.keyframe))
+    settled = len(state.past) >= _LINEARISED_AGAIN[-1]
+    return replace(state, settled=settled, past=state.past[-_WINDOW:] if settled else state.past)
+
+
+def _same_keyframe(before: Keyframe | None, again: Keyframe | None) -> Keyframe | None:
+    """Return a keyframe with its joints as they were estimated again; None: they were not."""
+    if before is None or again is None or not np.array_equal(before.readings, again.readings):
+        return None
+    return replace(
+        before, joints=again.joints, covariance=again.covariance, with_head=again.with_head
+    )
 
 
 def _drifted(state: SelfCalibration, elapsed_s: float) -> SelfCalibration:
@@ -147,57 +180,78 @@ def _after_change(past: tuple[Past, ...]) -> SelfCalibration | None:
     for tolerance in (BUMP, UNCALIBRATED):
         free = tolerance_covariance(state.head, state.names, tolerance)
         freed = [
-            _log_likelihood(_freed(each.state, free), each.seen, each.elapsed_s) for each in past
+            _log_likelihood(_freed(each, free).state, each.seen, each.elapsed_s) for each in past
         ]
         if not any(one > other for one, other in zip(freed, fixed, strict=True)):
             continue
         for first in range(len(past)):
-            after, likelihood = _estimated_again(past[first:], free)
+            frames = (_freed(past[first], free), *past[first + 1 :])
+            after, likelihood = _estimated_again(frames)
             gain = likelihood - sum(fixed[first:])
             if gain > best:
-                best, found = gain, (past[first:], free, after, tolerance is BUMP)
+                best, found = gain, (frames, after, tolerance is BUMP)
     # One frame alone may be a wrong one: the next will tell.
     if found is None or len(found[0]) < 2 or 2 * best < _CHANGE_EVIDENCE:
         return None
-    frames, free, after, bumped = found
-    after = _linearised_again(frames, free, after)
-    return replace(after, bumped=bumped, uncalibrated=not bumped, keyframe=None)
+    frames, after, bumped = found
+    after = _linearised_again(frames, after)
+    return replace(after, bumped=bumped, uncalibrated=not bumped, settled=False, keyframe=None)
 
 
-def _estimated_again(past: tuple[Past, ...], free: Array) -> tuple[SelfCalibration, float]:
-    """Return the state after frames before which the head changed, and their log likelihood.
+def _freed(frame: Past, free: Array) -> Past:
+    """Return a frame before which the head may have changed."""
+    state = replace(frame.state, covariance=frame.state.covariance + free)
+    return replace(frame, state=state)
 
-    Frames are linearised anew: a change is far, and frames that are known to a hundredth of a
-    degree leave no room for what the linear model neglects.
+
+def _estimated_again(
+    past: tuple[Past, ...], *, at: HeadCalibration | None = None
+) -> tuple[SelfCalibration, float]:
+    """Return the state after frames, from the state before the first, and their log likelihood.
+
+    Each is linearised anew, at a head, or else where the ones before it have led.
     """
-    state, likelihood = _freed(past[0].state, free), 0.0
+    state, likelihood, again = past[0].state, 0.0, []
     for each in past:
-        seen = from_matches(state, each.seen.matches, each.seen.readings, images=each.seen.images)
+        about = state if at is None else replace(state, head=at)
+        seen = from_matches(about, each.seen.matches, each.seen.readings, at_head=at is not None)
         if seen.evidence is None or seen.status == "contradiction":
             return state, -np.inf
         likelihood += _log_likelihood(state, seen, each.elapsed_s)
-        state = _updated(state, seen, seen.evidence, None, each.elapsed_s)
-    return state, likelihood
+        again.append(Past(_alone(state), seen, each.followed, each.elapsed_s))
+        evidence = _about(state, seen.evidence, about.head)
+        state = _updated(state, seen, evidence, each.followed, each.elapsed_s)
+    return replace(state, past=tuple(again)), likelihood
 
 
-def _linearised_again(
-    past: tuple[Past, ...], free: Array, after: SelfCalibration
-) -> SelfCalibration:
-    """Return the state after frames before which the head changed, linearised where it is now."""
-    before, names = _freed(past[0].state, free), after.names
-    recentred = replace(past[0], state=replace(past[0].state, head=after.head))
-    again, likelihood = _estimated_again((recentred, *past[1:]), free)
+def _about(state: SelfCalibration, says: Evidence, head: HeadCalibration) -> Evidence:
+    """Return evidence about a state's head that was given about another one near it."""
+    if head is state.head:
+        return says
+    apart = boxminus(state.head, head)
+    change = np.array([apart[name] for name in state.names])
+    vector = says.vector - says.information[:, : len(change)] @ change
+    return replace(says, vector=vector)
+
+
+def _linearised_again(past: tuple[Past, ...], after: SelfCalibration) -> SelfCalibration:
+    """Return the state after frames, which led to a state, linearised where this is.
+
+    What was known before the first of them still stands where it stood. Frames that were linearised
+    far from where the head is found to be would else seem to tell more than they do.
+    """
+    before, names = past[0].state, after.names
+    recentred = replace(past[0], state=replace(before, head=after.head))
+    again, likelihood = _estimated_again((recentred, *past[1:]), at=after.head)
     if not np.isfinite(likelihood):
         return after
-    # What was known before still stands where it stood.
     apart = boxminus(before.head, after.head)
     pull = np.linalg.solve(before.covariance, [apart[name] for name in names])
-    return replace(again, head=change_named(again.head, names, again.covariance @ pull))
-
-
-def _freed(state: SelfCalibration, free: Array) -> SelfCalibration:
-    """Return the state before a frame if the head may have changed since the one before."""
-    return replace(state, covariance=state.covariance + free)
+    return replace(
+        again,
+        head=change_named(again.head, names, again.covariance @ pull),
+        past=(replace(again.past[0], state=before), *again.past[1:]),
+    )
 
 
 def _log_likelihood(state: SelfCalibration, seen: SelfCalibrated, elapsed_s: float) -> float:

@@ -48,8 +48,10 @@ class SelfCalibration:
     """Whether the last frame showed that a camera had been turned."""
     uncalibrated: bool = False
     """Whether it showed that the head is farther from what was known than this stated."""
+    settled: bool = False
+    """Whether so much is known that no frame needs to be linearised again."""
     past: tuple[Past, ...] = ()
-    """The last frames, by which a bump is told from noise."""
+    """The last frames, by which a change is told from noise; all of the first ones."""
     keyframe: Keyframe | None = None
     """From which features are followed; None: there is none yet, or none that can be believed."""
 
@@ -82,7 +84,9 @@ class Past:
     state: SelfCalibration
     """Before the frame; without past frames and keyframe of its own."""
     seen: SelfCalibrated
-    """The frame."""
+    """The frame, without images."""
+    followed: Followed | None
+    """Features of an earlier frame that were found in it."""
     elapsed_s: float
     """Since the frame before."""
 
@@ -91,6 +95,8 @@ class Past:
 class Keyframe:
     """An earlier frame whose features are found again, with its joint angles."""
 
+    readings: Array
+    """(r,) as they were, by which it is known again [rad]."""
     images: tuple[np.ndarray, np.ndarray] | None
     """(H, W) grey or (H, W, 3) RGB of both cameras; None: nothing can be found in them."""
     joints: Array
@@ -103,6 +109,18 @@ class Keyframe:
     """(N, 2) of its features in each image."""
     depths_m: tuple[Array, Array]
     """(N,) of these along the optical axes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """Features of a keyframe, found again."""
+
+    readings: Array
+    """(r,) of the keyframe [rad]."""
+    matches: tuple[Matches, Matches]
+    """Of the left and of the right camera: then and now."""
+    depths_m: tuple[Array, Array]
+    """(N,) then, along the optical axes."""
 
 
 @dataclass(frozen=True, eq=False)
