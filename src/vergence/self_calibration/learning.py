@@ -37,7 +37,7 @@ from vergence.self_calibration.state import (
 
 _WINDOW = 3
 """Frames that are examined together for a change of the head; two at least."""
-_LINEARISED_AGAIN = (4, 8, 16, 32)
+_LINEARISED_AGAIN = (4, 8, 16, 32, 64)
 """Numbers of first frames, after which all of them are linearised again; then they are dropped."""
 _CHANGE_EVIDENCE = 2 * np.log(1e5)
 """Twice the logarithm of how much likelier a change must make the window: it is rare."""
