@@ -36,7 +36,7 @@ from vergence.twin.looking_around import LOOK_STEP_S, look_around
 from vergence.twin.model import nominal_head
 from vergence.twin.profile import load_profile
 
-NOISE_PX, JOINT_DEG, POINTS = 0.08, 0.15, 500
+NOISE_PX, JOINT_DEG, POINTS, PAIRS = 0.08, 0.15, 500, 100
 LENS = "2.8mm"
 SHOWN = 0, 3, 5, 10, 20, 50, 99
 """Pairs of which errors are printed."""
@@ -44,7 +44,7 @@ Step = tuple[SelfCalibrated, SelfCalibration, float]
 """A pair, the state after it, and how wrong the cameras' relative turn is by the pair [deg]."""
 
 
-def simulated(seed: int) -> tuple[list[Step], HeadCalibration]:
+def simulated(seed: int, pairs: int = PAIRS) -> tuple[list[Step], HeadCalibration]:
     """Return what became of a drawn head, and this head."""
     rng = np.random.default_rng(seed)
     head = nominal_head(LENS)
@@ -53,7 +53,7 @@ def simulated(seed: int) -> tuple[list[Step], HeadCalibration]:
     change = rng.multivariate_normal(np.zeros(len(C)), C)
     truth, points = change_named(head, state.names, change), room(POINTS, rng)
     steps = []
-    for angles in eye_angles("divergent", LOOK_STEP_S * np.arange(100)):
+    for angles in eye_angles("divergent", LOOK_STEP_S * np.arange(pairs)):
         found = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
         readings = angles + rng.normal(0, np.radians(JOINT_DEG), 4)
         seen = from_matches(state, found, readings)

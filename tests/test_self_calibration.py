@@ -10,6 +10,7 @@ from scipy.stats import chi2
 
 from simulated_head import random_head
 from simulated_matches import drawn_head, followed, matches, room
+from uncalibrated_head import simulated
 from vergence.geometry import se3
 from vergence.geometry.camera import normalise
 from vergence.geometry.head import HeadCalibration, load_head, save_head
@@ -232,15 +233,26 @@ def test_a_bumped_camera_is_reported_and_corrected(axis, noise_px, seen_before, 
     assert turn_error_deg(found.head, found.joints, truth, angles) < 0.1
 
 
+def uncalibrated(seed: int) -> tuple[SelfCalibration, HeadCalibration, np.random.Generator]:
+    """Return what is known of a head by its drawing, and the head as it was built."""
+    state, rng = begin(head_of(seed)), np.random.default_rng(seed)
+    C = tolerance_covariance(state.head, state.names, UNCALIBRATED)
+    change = rng.multivariate_normal(np.zeros(len(state.names)), C)
+    return state, change_named(state.head, state.names, change), rng
+
+
+def squared_distance(state: SelfCalibration, truth: HeadCalibration) -> float:
+    difference = boxminus(truth, state.head)
+    wrong = np.array([difference[name] for name in state.names])
+    return float(wrong @ np.linalg.solve(state.covariance, wrong))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_a_head_that_is_not_as_calibrated_is_reported_and_learned(seed):
     """A drawing in place of a calibration: alone, most pairs contradict what it states."""
-    head, rng = head_of(seed), np.random.default_rng(seed)
-    state, names, points = begin(head), begin(head).names, room(500, rng)
-    C = tolerance_covariance(head, names, UNCALIBRATED)
-    change = rng.multivariate_normal(np.zeros(len(names)), C)
-    truth, reported, errors = change_named(head, names, change), [], []
+    state, truth, rng = uncalibrated(seed)
+    points, reported, errors = room(500, rng), [], []
     for k, angles in enumerate(postures(20, rng)):
         readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
         seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
@@ -249,14 +261,20 @@ def test_a_head_that_is_not_as_calibrated_is_reported_and_learned(seed):
         errors.append(turn_error_deg(found.head, found.joints, truth, angles))
         reported += [k] * state.uncalibrated
         assert not state.bumped
-    # Far from what was known, the first report may be mended by a second.
-    assert 1 <= len(reported) <= 2
+    assert len(reported) == 1
     assert reported[0] < 6
-    assert max(errors) > 1
+    assert max(errors) > 0.5
     assert max(errors[8:]) < 0.1
-    difference = boxminus(truth, state.head)
-    wrong = np.array([difference[name] for name in names])
-    assert wrong @ np.linalg.solve(state.covariance, wrong) < chi2.isf(1e-4, len(names))
+    assert squared_distance(state, truth) < chi2.isf(1e-4, len(state.names))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [4, 14])
+def test_slow_motion_of_a_head_that_is_hardly_known_does_not_seem_to_show_its_scale(seed):
+    """Linearised at a different head each, frames would together determine what none shows."""
+    steps, truth = simulated(seed, pairs=65)
+    _, state, _ = steps[-1]
+    assert squared_distance(state, truth) < chi2.isf(1e-4, len(state.names))
 
 
 def test_a_learned_head_is_a_calibration_with_its_accuracy(tmp_path):

@@ -1,0 +1,149 @@
+"""The recursive filter: what is known of a head after one more frame.
+
+The frame's joint angles are marginalised, but for those of one keyframe, from which features are
+followed; what the frame says of the head is kept, with a slow random walk for drift. What is seen
+again errs again: a frame counts by how far its posture is new. The noise of the readings is
+estimated from what the images say of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.parameters import boxminus, change_named
+from vergence.self_calibration.frame import prior_of
+from vergence.self_calibration.keyframe import next_keyframe, with_motion
+from vergence.self_calibration.match_noise import recurrence_inflation, with_frame
+from vergence.self_calibration.prior import DRIFT, tolerance_covariance
+from vergence.self_calibration.state import Evidence, Followed, SelfCalibrated, SelfCalibration
+
+_PACE = 0.1
+"""Share of a frame in the running means of how much matches err."""
+_LONGEST_MEMORY = 4000.0
+"""Readings from which their noise is estimated."""
+
+
+def updated(
+    state: SelfCalibration,
+    seen: SelfCalibrated,
+    says: Evidence,
+    followed: Followed | None,
+    elapsed_s: float,
+) -> SelfCalibration:
+    """Return the state after a frame that is believed.
+
+    Args:
+        state: before the frame.
+        seen: the frame.
+        says: what its matches say about the state's head.
+        followed: features of an earlier frame that were found in it.
+        elapsed_s: since the frame before.
+    """
+    P = len(state.names)
+    inflation = recurrence_inflation(state.recurrence, seen.readings, elapsed_s)
+    evidence = _weakened(says, inflation)
+    N, b = _normal_equations(state, evidence)
+    if followed is not None:
+        N, b = with_motion(state, seen, followed, inflation, N, b)
+    C = np.asarray(np.linalg.inv(N), float)
+    change = C @ b
+    head = change_named(state.head, state.names, change[:P])
+    variance, weight = _joint_variance(state, evidence)
+    learned = replace(
+        state,
+        head=head,
+        covariance=(C[:P, :P] + C[:P, :P].T) / 2,
+        recurrence=with_frame(state.recurrence, seen.readings, says.blocks, elapsed_s),
+        match_scale=state.match_scale + _PACE * (evidence.match_scale - state.match_scale),
+        design_effect=state.design_effect + _PACE * (evidence.design_effect - state.design_effect),
+        joint_std_rad=float(np.sqrt(variance)),
+        joint_weight=weight,
+        frames=state.frames + 1,
+        keyframe=next_keyframe(state, seen, head, C, change),
+    )
+    return drifted(learned, elapsed_s)
+
+
+def drifted(state: SelfCalibration, elapsed_s: float) -> SelfCalibration:
+    """Return the state some time later, in which the head may have changed a little."""
+    drift = tolerance_covariance(state.head, state.names, DRIFT) * elapsed_s / 60
+    return replace(state, covariance=state.covariance + drift)
+
+
+def _weakened(evidence: Evidence, inflation: float) -> Evidence:
+    """Return what a frame says beyond the frames before, whose errors it shares."""
+    return replace(
+        evidence,
+        information=evidence.information / inflation,
+        vector=evidence.vector / inflation,
+        misfit=evidence.misfit / inflation,
+    )
+
+
+def _normal_equations(state: SelfCalibration, evidence: Evidence) -> tuple[Array, Array]:
+    """Return what is known of head, present readings and joints of the keyframe, if there is one.
+
+    Information (K, K) and vector (K,), about the state's head and the joints as they are.
+    """
+    P, known = len(state.names), len(evidence.vector)
+    key = state.keyframe
+    if key is None:
+        before, K = np.linalg.inv(state.covariance), known
+    else:
+        C = np.block([[state.covariance, key.with_head], [key.with_head.T, key.covariance]])
+        before, K = np.linalg.inv(C), known + len(key.joints)
+    N, b = np.zeros((K, K)), np.zeros(K)
+    lasting = np.r_[:P, known:K]
+    N[np.ix_(lasting, lasting)] = (before + before.T) / 2
+    N[P:known, P:known] = np.eye(known - P) / state.joint_std_rad**2
+    N[:known, :known] += evidence.information
+    b[:known] = evidence.vector
+    return N, b
+
+
+def _joint_variance(state: SelfCalibration, evidence: Evidence) -> tuple[float, float]:
+    """Return the variance [rad^2] of a reading after a frame, and how many readings it is from.
+
+    Each direction of the joints' space that the images determine is a sample, weighted by how well
+    they do.
+    """
+    P = len(state.names)
+    N, b = evidence.information, evidence.vector
+    head = N[:P, :P] + np.linalg.inv(state.covariance)
+    follows = np.linalg.solve(head, N[:P, P:]).T
+    H, h = N[P:, P:] - follows @ N[:P, P:], b[P:] - follows @ b[:P]
+    values, directions = np.linalg.eigh((H + H.T) / 2)
+    sure = values > 1e-9 * values[-1]
+    noise = 1 / values[sure]
+    samples = (directions[:, sure].T @ h * noise) ** 2 - noise
+    expected = state.joint_std_rad**2
+    weights = (expected / (expected + noise)) ** 2
+    weight = state.joint_weight + float(weights.sum())
+    variance = (state.joint_weight * expected + float(weights @ samples)) / weight
+    return max(variance, 1e-2 * expected), min(weight, _LONGEST_MEMORY)
+
+
+def log_likelihood(state: SelfCalibration, seen: SelfCalibrated, elapsed_s: float) -> float:
+    """Return the log likelihood of a frame given what is known before, up to a constant."""
+    assert seen.evidence is not None
+    inflation = recurrence_inflation(state.recurrence, seen.readings, elapsed_s)
+    says = _weakened(seen.evidence, inflation)
+    C = prior_of(state, len(seen.readings))
+    posterior = np.linalg.inv(np.linalg.inv(C) + says.information)
+    _, log_det = np.linalg.slogdet(np.eye(len(C)) + C @ says.information)
+    pull = float(says.vector @ posterior @ says.vector)
+    return (pull - float(log_det) - says.misfit) / 2
+
+
+def evidence_about(state: SelfCalibration, says: Evidence, head: HeadCalibration) -> Evidence:
+    """Return evidence about a state's head that was given about another one near it."""
+    if head is state.head:
+        return says
+    apart = boxminus(state.head, head)
+    change = np.array([apart[name] for name in state.names])
+    vector = says.vector - says.information[:, : len(change)] @ change
+    return replace(says, vector=vector)
