@@ -24,6 +24,7 @@ from vergence.self_calibration.match_noise import recurrence_inflation, with_fra
 from vergence.self_calibration.prior import UNCALIBRATED, tolerance_covariance
 from vergence.self_calibration.residuals import epipolar_residuals, motion_residuals
 from vergence.self_calibration.state import SelfCalibration, initial_self_calibration
+from vergence.self_calibration.update import evidence_about
 from vergence.stereo.extrinsics import T_rcam_lcam, camera_poses
 from vergence.vision.scene_features import Matches
 
@@ -275,6 +276,27 @@ def test_slow_motion_of_a_head_that_is_hardly_known_does_not_seem_to_show_its_sc
     steps, truth = simulated(seed, pairs=65)
     _, state, _ = steps[-1]
     assert squared_distance(state, truth) < chi2.isf(1e-4, len(state.names))
+
+
+def test_evidence_about_another_head_says_the_same():
+    head, rng = head_of(0), np.random.default_rng(0)
+    state, angles = begin(head), postures(1, rng)[0]
+    seen = matches(head, angles, room(300, rng), noise_px=NOISE_PX, rng=rng)
+    says = from_matches(state, seen, angles).evidence
+    assert says is not None
+    change = np.zeros(len(says.vector))
+    change[: len(state.names)] = 1e-5 * rng.normal(size=len(state.names))
+    moved = replace(state, head=change_named(head, state.names, change[: len(state.names)]))
+    other = evidence_about(moved, says, head)
+    # The same change fits best, from where the head is now, and as well.
+    expected = says.information @ change
+    np.testing.assert_allclose(
+        says.vector - other.vector, expected, atol=1e-3 * np.abs(expected).max()
+    )
+    rest = [
+        e.misfit - e.vector @ np.linalg.pinv(says.information) @ e.vector for e in (says, other)
+    ]
+    assert rest[1] == pytest.approx(rest[0], rel=1e-3)
 
 
 def test_a_learned_head_is_a_calibration_with_its_accuracy(tmp_path):

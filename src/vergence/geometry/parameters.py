@@ -127,13 +127,19 @@ def change_named(head: HeadCalibration, names: Sequence[str], change: Array) -> 
     return boxplus(head, full)
 
 
-def boxminus(head: HeadCalibration, reference: HeadCalibration) -> dict[str, float]:
-    """Return by name how much each parameter of a head differs from that of a reference.
+def change_between(
+    head: HeadCalibration, reference: HeadCalibration, names: Sequence[str]
+) -> Array:
+    """Return the change (c,) of named parameters by which `change_named` makes a reference a head.
 
-    Offsets of the joints are counted as turns of the bases and mountings: see without_offsets. The
-    reference has at least the same cameras. VergenceError if a camera has another lens model there.
+    Offsets of the joints are taken as they are.
     """
-    head, reference = without_offsets(head), without_offsets(reference)
+    change = dict(zip(parameter_names(head), _apart(head, reference).tolist(), strict=True))
+    return np.array([change[name] for name in names])
+
+
+def _apart(head: HeadCalibration, reference: HeadCalibration) -> Array:
+    """Return the change of all parameters that leads from a reference to a head: see `boxminus`."""
     others = {name: reference.camera(name) for name in head.cameras}
     for name, mounted in head.cameras.items():
         models = mounted.intrinsics.model, others[name].intrinsics.model
@@ -149,7 +155,17 @@ def boxminus(head: HeadCalibration, reference: HeadCalibration) -> dict[str, flo
     ]
     between = se3.boxminus(head.T_rbase_lbase, reference.T_rbase_lbase)
     values[np.isnan(values)] = np.concatenate([*poses, between])
-    return dict(zip(parameter_names(head), values.tolist(), strict=True))
+    return values
+
+
+def boxminus(head: HeadCalibration, reference: HeadCalibration) -> dict[str, float]:
+    """Return by name how much each parameter of a head differs from that of a reference.
+
+    Offsets of the joints are counted as turns of the bases and mountings: see without_offsets. The
+    reference has at least the same cameras. VergenceError if a camera has another lens model there.
+    """
+    head, reference = without_offsets(head), without_offsets(reference)
+    return dict(zip(parameter_names(head), _apart(head, reference).tolist(), strict=True))
 
 
 def parameter_values(head: HeadCalibration) -> dict[str, float | None]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry.head import Accuracy, HeadCalibration
-from vergence.geometry.parameters import boxminus, change_named
+from vergence.geometry.parameters import change_between, change_named
 from vergence.self_calibration.frame import from_matches
 from vergence.self_calibration.keyframe import follow_keyframe
 from vergence.self_calibration.prior import BUMP, UNCALIBRATED, tolerance_covariance
@@ -137,9 +137,10 @@ def _estimated_again(
         seen = from_matches(about, each.seen.matches, each.seen.readings, at_head=at is not None)
         if seen.evidence is None or seen.status == "contradiction":
             return state, -np.inf
+        evidence = evidence_about(state, seen.evidence, about.head)
+        seen = replace(seen, evidence=evidence)
         likelihood += log_likelihood(state, seen, each.elapsed_s)
         again.append(Past(_alone(state), seen, each.followed, each.elapsed_s))
-        evidence = evidence_about(state, seen.evidence, about.head)
         state = updated(state, seen, evidence, each.followed, each.elapsed_s)
     return replace(state, past=tuple(again)), likelihood
 
@@ -155,8 +156,8 @@ def _linearised_again(past: tuple[Past, ...], after: SelfCalibration) -> SelfCal
     again, likelihood = _estimated_again((recentred, *past[1:]), at=after.head)
     if not np.isfinite(likelihood):
         return after
-    apart = boxminus(before.head, after.head)
-    pull = np.linalg.solve(before.covariance, [apart[name] for name in names])
+    apart = change_between(before.head, after.head, names)
+    pull = np.linalg.solve(before.covariance, apart)
     return replace(
         again,
         head=change_named(again.head, names, again.covariance @ pull),

@@ -14,7 +14,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.parameters import boxminus, change_named
+from vergence.geometry.parameters import change_between, change_named
 from vergence.self_calibration.frame import prior_of
 from vergence.self_calibration.keyframe import next_keyframe, with_motion
 from vergence.self_calibration.match_noise import recurrence_inflation, with_frame
@@ -143,7 +143,7 @@ def evidence_about(state: SelfCalibration, says: Evidence, head: HeadCalibration
     """Return evidence about a state's head that was given about another one near it."""
     if head is state.head:
         return says
-    apart = boxminus(state.head, head)
-    change = np.array([apart[name] for name in state.names])
-    vector = says.vector - says.information[:, : len(change)] @ change
-    return replace(says, vector=vector)
+    P, change = len(state.names), change_between(state.head, head, state.names)
+    of_change = says.information[:, :P] @ change
+    misfit = says.misfit + float(change @ (of_change[:P] - 2 * says.vector[:P]))
+    return replace(says, vector=says.vector - of_change, misfit=misfit)
