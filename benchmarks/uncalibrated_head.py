@@ -53,7 +53,7 @@ def simulated(seed: int, pairs: int = PAIRS) -> tuple[list[Step], HeadCalibratio
     change = rng.multivariate_normal(np.zeros(len(C)), C)
     truth, points = change_named(head, state.names, change), room(POINTS, rng)
     steps = []
-    for angles in eye_angles("divergent", LOOK_STEP_S * np.arange(pairs)):
+    for angles in eye_angles("divergent", LOOK_STEP_S * np.arange(float(pairs))):
         found = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
         readings = angles + rng.normal(0, np.radians(JOINT_DEG), 4)
         seen = from_matches(state, found, readings)
