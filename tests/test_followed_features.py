@@ -1,0 +1,190 @@
+"""Features followed in one eye: exact on exact data, true to their covariance."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from simulated_frames import (
+    CAMERAS,
+    JOINT_STD_RAD,
+    NOISE_PX,
+    begin,
+    head_of,
+    postures,
+)
+from simulated_matches import drawn_head, followed, matches, room
+from vergence.geometry.camera import normalise
+from vergence.geometry.parameters import boxminus, boxplus, parameter_names
+from vergence.geometry.projection import project_point
+from vergence.geometry.se3 import inverse, transform
+from vergence.self_calibration.frame import from_matches
+from vergence.self_calibration.keyframe import TURNED_RAD
+from vergence.self_calibration.learning import learn, learn_followed
+from vergence.self_calibration.residuals import motion_residuals
+from vergence.stereo.extrinsics import camera_poses
+
+
+@given(st.integers(0, 1000))
+def test_features_followed_by_the_true_geometry_have_no_residual(seed):
+    head, rng = head_of(seed), np.random.default_rng(seed)
+    then, now = postures(2, rng)
+    for camera, found in motion_of(head, then, now, room(100, rng)):
+        assert len(found.residuals) > 5, camera
+        np.testing.assert_allclose(found.residuals, 0, atol=1e-7)
+
+
+def motion_of(head, then, now, points, change=None, turned=(0.0, 0.0)):
+    """Yield each camera and its residuals, of exact pixels by a head and angles that are not."""
+    changed = head if change is None else boxplus(head, change)
+    poses = [camera_poses(head, joints, cameras=CAMERAS) for joints in (then, now)]
+    for k, camera in enumerate(CAMERAS):
+        in_camera = [transform(inverse(T[k]), points) for T in poses]
+        # Beyond its reach a lens folds back into the image.
+        ahead = [p[:, 2] > 1.5 * np.linalg.norm(p[:, :2], axis=1) for p in in_camera]
+        near, T = ahead[0] & ahead[1], poses[0][k]
+        earlier, later = (project_point(head, camera, j, points) for j in (then, now))
+        # A changed geometry sees the point as far along the ray as the unchanged one.
+        rays = points - T[:3, 3]
+        T_changed = camera_poses(changed, then + turned[0], cameras=CAMERAS)[k]
+        xy = normalise(changed.camera(camera).intrinsics, earlier)
+        changed_rays = np.column_stack([xy, np.ones(len(xy))]) @ T_changed[:3, :3].T
+        along = np.einsum("ni,ni->n", rays, points - T_changed[:3, 3])
+        depths = along / np.einsum("ni,ni->n", rays, changed_rays)
+        found = motion_residuals(
+            changed,
+            camera,
+            before=then + turned[0],
+            now=now + turned[1],
+            earlier=earlier[near],
+            later=later[near],
+            depths_m=depths[near],
+        )
+        yield camera, found
+
+
+@given(st.integers(0, 1000))
+def test_residuals_of_followed_features_change_as_their_derivatives_say(seed):
+    head, rng = head_of(seed), np.random.default_rng(seed)
+    then, now = postures(2, rng)
+    points = room(100, rng)
+    change, turns = rng.normal(0, 1, len(parameter_names(head))), rng.normal(0, 1, (2, 4))
+    step = 1e-6
+    ends = [
+        [found.residuals for _, found in motion_of(head, then, now, points, h * change, h * turns)]
+        for h in (-step, step)
+    ]
+    for (_, found), low, high in zip(motion_of(head, then, now, points), *ends, strict=True):
+        slope = -(high - low) / (2 * step)  # the derivatives are of what is predicted
+        expected = found.by_parameters @ change + found.by_before @ turns[0]
+        expected += found.by_now @ turns[1]
+        np.testing.assert_allclose(slope, expected, rtol=1e-4, atol=2e-3)
+
+
+def learned_while_moving(truth, state, angles, points, rng, *, follow=True, noise_px=NOISE_PX):
+    """Return the state after simulated frames at true angles (N, r), 0.5 s apart."""
+    at = {}
+    for now in angles:
+        readings = now + rng.normal(0, JOINT_STD_RAD, len(now))
+        seen = from_matches(
+            state, matches(truth, now, points, noise_px=noise_px, rng=rng), readings
+        )
+        key, features = state.keyframe, None
+        if follow and key is not None and np.abs(readings - key.joints).max() >= TURNED_RAD:
+            features = followed(
+                truth, key, then=at["key"], now=now, points=points, noise_px=noise_px, rng=rng
+            )
+        state = learn_followed(state, seen, features, 0.5)
+        if key is None or state.keyframe is None or state.keyframe.pixels is not key.pixels:
+            at["key"] = now
+    return state
+
+
+def test_focal_lengths_and_gains_show_in_parallel_motion_if_features_are_followed():
+    head = head_of(1)
+    phase = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    pan, tilt = 0.35 * np.sin(phase), 0.25 * np.cos(phase)
+    angles = np.stack([pan, tilt, pan, tilt], axis=1)
+    stds, errors = {}, {}
+    for follow in (False, True):
+        rng = np.random.default_rng(0)
+        state = begin(head)
+        truth = drawn_head(state, rng)
+        state = learned_while_moving(truth, state, angles, room(500, rng), rng, follow=follow)
+        names = [n for n in state.names if n.endswith(("fx", "gain"))]
+        difference = boxminus(truth, state.head)
+        std = dict(zip(state.names, np.sqrt(np.diag(state.covariance)), strict=True))
+        stds[follow] = np.array([std[name] for name in names])
+        errors[follow] = np.array([difference[name] for name in names]) / stds[follow]
+    focal = np.array([name.endswith("fx") for name in names])
+    assert (stds[True][focal] < 0.2 * stds[False][focal]).all()
+    assert (stds[True] < 0.7 * stds[False]).all()
+    assert (np.abs(errors[True]) < 3.5).all()
+
+
+@pytest.mark.slow
+def test_stated_covariances_are_true_where_features_are_followed():
+    nominal, of_head, degrees = head_of(1), 0.0, 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        state = begin(nominal)
+        truth = drawn_head(state, rng)
+        angles = postures(12, rng)
+        state = learned_while_moving(truth, state, angles, room(500, rng), rng)
+        difference = boxminus(truth, state.head)
+        wrong = np.array([difference[name] for name in state.names])
+        of_head += float(wrong @ np.linalg.solve(state.covariance, wrong))
+        degrees += len(state.names)
+    assert 0.6 < of_head / degrees < 1.3
+
+
+def test_features_that_moved_by_themselves_teach_nothing():
+    head, rng = head_of(0), np.random.default_rng(0)
+    points, state = room(400, rng), begin(head)
+    then, now = np.zeros(4), np.array([0.2, 0.0, 0.2, 0.0])
+    seen = from_matches(state, matches(head, then, points, noise_px=NOISE_PX, rng=rng), then)
+    state = learn(state, seen, 0.5)
+    assert state.keyframe is not None
+    seen = from_matches(state, matches(head, now, points, noise_px=NOISE_PX, rng=rng), now)
+    turned = now + np.radians(3) * np.array([1, 1, 1, 1])
+    wrong = followed(
+        head, state.keyframe, then=then, now=turned, points=points, noise_px=NOISE_PX, rng=rng
+    )
+    without, with_wrong = (learn_followed(state, seen, each, 0.5) for each in (None, wrong))
+    np.testing.assert_array_equal(with_wrong.covariance, without.covariance)
+
+
+def test_depths_that_are_all_wrong_alike_do_not_move_the_cameras():
+    """Else parallax, wrong by a few percents, would tell how far they are off the joints' axes."""
+    head, rng = head_of(0), np.random.default_rng(0)
+    points, state = room(400, rng), begin(head)
+    then, now = np.zeros(4), np.array([0.2, 0.1, 0.2, 0.1])
+    seen = from_matches(state, matches(head, then, points, noise_px=NOISE_PX, rng=rng), then)
+    state = learn(state, seen, 0.5)
+    assert state.keyframe is not None
+    seen = from_matches(state, matches(head, now, points, noise_px=NOISE_PX, rng=rng), now)
+    right = followed(
+        head, state.keyframe, then=then, now=now, points=points, noise_px=NOISE_PX, rng=rng
+    )
+    near, far = (
+        replace(right, depths_m=(s * right.depths_m[0], s * right.depths_m[1])) for s in (0.9, 1.1)
+    )
+    ends = [learn_followed(state, seen, each, 0.5).head for each in (near, far)]
+    moved = boxminus(ends[1], ends[0])
+    shifts_m = [moved[n] for n in state.names if n.endswith(("tx", "ty", "tz"))]
+    assert max(np.abs(shifts_m)) < 2e-4
+
+
+def test_a_keyframe_stays_until_the_eyes_have_turned():
+    head, rng = head_of(0), np.random.default_rng(0)
+    points, state = room(400, rng), begin(head)
+    kept = []
+    for pan in np.radians([0.0, 3.0, 6.0, 9.0, 12.0]):
+        joints = np.array([pan, 0.0, pan, 0.0])
+        seen = matches(head, joints, points, noise_px=NOISE_PX, rng=rng)
+        state = learn(state, from_matches(state, seen, joints), 0.5)
+        assert state.keyframe is not None
+        kept.append(np.degrees(state.keyframe.joints[0]))
+    np.testing.assert_allclose(kept, [0, 0, 0, 9, 9], atol=0.5)
