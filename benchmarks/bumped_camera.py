@@ -22,9 +22,8 @@ import cv2
 import numpy as np
 import tyro
 
-from simulated_matches import drawn_head, matches, room
+from simulated_matches import drawn_head, matches, room, turn_error_deg
 from vergence.accuracy.motions import eye_angles
-from vergence.geometry import se3
 from vergence.geometry.camera import normalise, project
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named
@@ -32,7 +31,6 @@ from vergence.paper.comparison import LEARNED, comparison
 from vergence.self_calibration.frame import from_matches, self_calibrate_frame
 from vergence.self_calibration.learning import learn
 from vergence.self_calibration.state import initial_self_calibration
-from vergence.stereo.extrinsics import T_rcam_lcam
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration
 from vergence.twin.head import Twin
@@ -65,8 +63,7 @@ def run(seed: int, rate_hz: float, *, bump: bool, drift_deg_min: float = 0.0):
         seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
         found = from_matches(state, seen, readings)
         state = learn(state, found, 1 / rate_hz)
-        T, T_true = T_rcam_lcam(found.head, found.joints), T_rcam_lcam(truth, angles)
-        errors.append(np.degrees(np.linalg.norm(se3.boxminus(T, T_true)[:3])))
+        errors.append(turn_error_deg(found.head, found.joints, truth, angles))
         reported += [k] * state.bumped
         if bump and k >= moment + 20:
             break
@@ -109,11 +106,7 @@ def rendered_bumps(seed: int) -> None:
                     images[k] = turned(images[k], twin.truth, bumped, name)
                 seen = self_calibrate_frame(state, images[0], images[1], frame.eye_angles)
                 state = learn(state, seen, LOOK_STEP_S if n else 0.0)
-                T, T_true = (
-                    T_rcam_lcam(each, at, cameras=pair)
-                    for each, at in ((seen.head, seen.joints), (truth, angles))
-                )
-                errors.append(np.degrees(np.linalg.norm(se3.boxminus(T, T_true)[:3])))
+                errors.append(turn_error_deg(seen.head, seen.joints, truth, angles, pair))
                 reported += [n - moment] * state.bumped
             worst = max(errors[moment + 10 :])
             in_time = bool(reported) and 0 <= reported[0] < 3

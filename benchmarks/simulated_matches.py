@@ -5,15 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.geometry import se3
 from vergence.geometry.camera import normalise, project
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.lens import reach
-from vergence.geometry.parameters import change_named
+from vergence.geometry.parameters import boxminus, change_named
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.self_calibration.state import Followed, Keyframe, SelfCalibration
-from vergence.stereo.extrinsics import camera_poses
+from vergence.stereo.extrinsics import T_rcam_lcam, camera_poses
 from vergence.vision.scene_features import Matches
 
 ROOM_M = ((0.5, 4.0), (-2.5, 2.5), (-1.2, 1.2))
@@ -64,6 +65,27 @@ def drawn_head(state: SelfCalibration, rng: np.random.Generator) -> HeadCalibrat
     """Return a true head, drawn from what a state believes."""
     change = rng.multivariate_normal(np.zeros(len(state.names)), state.covariance)
     return change_named(state.head, state.names, change)
+
+
+def turn_error_deg(
+    head: HeadCalibration,
+    joints: Array,
+    truth: HeadCalibration,
+    angles: Array,
+    cameras: tuple[str, str] | None = None,
+) -> float:
+    """Return by how much the relative turn of two cameras is wrong [deg], by readings (r,)."""
+    T, T_true = (
+        T_rcam_lcam(each, at, cameras=cameras) for each, at in ((head, joints), (truth, angles))
+    )
+    return float(np.degrees(np.linalg.norm(se3.boxminus(T, T_true)[:3])))
+
+
+def squared_distance(state: SelfCalibration, truth: HeadCalibration) -> float:
+    """Return the squared Mahalanobis distance of what was learned from the true head."""
+    difference = boxminus(truth, state.head)
+    wrong = np.array([difference[name] for name in state.names])
+    return float(wrong @ np.linalg.solve(state.covariance, wrong))
 
 
 def followed(

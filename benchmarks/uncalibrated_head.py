@@ -1,7 +1,7 @@
 """How soon self-calibration learns a head of which only the drawing is known.
 
 Divergent motion, ten pairs a second. Simulated matches of a room: true heads are drawn by the
-tolerances of a drawing (`prior.UNCALIBRATED`); the noise of the readings is not told. Rendered:
+tolerances of a drawing (`prior.UNCALIBRATED`); the noise of the readings is not given. Rendered:
 the twin as it was built, with the errors of a profile, looks around for 10 s.
 
     python benchmarks/uncalibrated_head.py [--heads 20]
@@ -16,12 +16,9 @@ from dataclasses import replace
 import numpy as np
 import tyro
 
-from simulated_matches import matches, room
+from simulated_matches import drawn_head, matches, room, squared_distance, turn_error_deg
 from vergence.accuracy.motions import eye_angles
-from vergence.arrays import Array
-from vergence.geometry import se3
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.parameters import boxminus, change_named
 from vergence.self_calibration.frame import from_matches, self_calibrate_frame
 from vergence.self_calibration.learning import learn
 from vergence.self_calibration.prior import UNCALIBRATED, tolerance_covariance
@@ -30,7 +27,6 @@ from vergence.self_calibration.state import (
     SelfCalibration,
     initial_self_calibration,
 )
-from vergence.stereo.extrinsics import T_rcam_lcam
 from vergence.twin.head import Twin
 from vergence.twin.looking_around import LOOK_STEP_S, look_around
 from vergence.twin.model import nominal_head
@@ -49,16 +45,15 @@ def simulated(seed: int, pairs: int = PAIRS) -> tuple[list[Step], HeadCalibratio
     rng = np.random.default_rng(seed)
     head = nominal_head(LENS)
     state = replace(initial_self_calibration(head), match_scale=1.0)
-    C = tolerance_covariance(head, state.names, UNCALIBRATED)
-    change = rng.multivariate_normal(np.zeros(len(C)), C)
-    truth, points = change_named(head, state.names, change), room(POINTS, rng)
+    drawing = replace(state, covariance=tolerance_covariance(head, state.names, UNCALIBRATED))
+    truth, points = drawn_head(drawing, rng), room(POINTS, rng)
     steps = []
     for angles in eye_angles("divergent", LOOK_STEP_S * np.arange(float(pairs))):
         found = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
         readings = angles + rng.normal(0, np.radians(JOINT_DEG), 4)
         seen = from_matches(state, found, readings)
         state = learn(state, seen, LOOK_STEP_S)
-        steps.append((seen, state, turn_error(seen, truth, angles)))
+        steps.append((seen, state, turn_error_deg(seen.head, seen.joints, truth, angles)))
     return steps, truth
 
 
@@ -71,13 +66,8 @@ def rendered(seed: int, profile: str) -> Iterator[Step]:
                 left, right = (frame.images[name] for name in state.cameras)
                 seen = self_calibrate_frame(state, left, right, frame.eye_angles)
                 state = learn(state, seen, LOOK_STEP_S)
-                yield seen, state, turn_error(seen, twin.truth, twin.true_angles()[3:])
-
-
-def turn_error(seen: SelfCalibrated, truth: HeadCalibration, angles: Array) -> float:
-    """Return by how much the cameras' relative turn is wrong [deg]."""
-    T, T_true = T_rcam_lcam(seen.head, seen.joints), T_rcam_lcam(truth, angles)
-    return float(np.degrees(np.linalg.norm(se3.boxminus(T, T_true)[:3])))
+                angles = twin.true_angles()[3:]
+                yield seen, state, turn_error_deg(seen.head, seen.joints, twin.truth, angles)
 
 
 def main(heads: int = 20, rendered_images: bool = False, profile: str = "paper") -> None:
@@ -102,9 +92,8 @@ def main(heads: int = 20, rendered_images: bool = False, profile: str = "paper")
         )
         if truth is not None:
             final = steps[-1][1]
-            difference, names = boxminus(truth, final.head), final.names
-            wrong = np.array([difference[name] for name in names])
-            distances.append(float(wrong @ np.linalg.solve(final.covariance, wrong)))
+            distances.append(squared_distance(final, truth))
+            names = final.names
     print(
         "worst of the heads after pairs", *SHOWN, ":", np.max(worst, axis=0)[list(SHOWN)].round(3)
     )

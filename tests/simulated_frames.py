@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from simulated_head import random_head
-from vergence.geometry import se3
 from vergence.geometry.head import HeadCalibration
 from vergence.self_calibration.state import SelfCalibration, initial_self_calibration
-from vergence.stereo.extrinsics import T_rcam_lcam
 
 CAMERAS = ("left_wide", "right_wide")
 NOISE_PX = 0.08
@@ -26,8 +24,3 @@ def begin(head: HeadCalibration) -> SelfCalibration:
 
 def postures(frames: int, rng: np.random.Generator) -> np.ndarray:
     return rng.uniform(-0.25, 0.25, (frames, 4))
-
-
-def turn_error_deg(head, joints, truth, angles) -> float:
-    T, T_true = T_rcam_lcam(head, joints), T_rcam_lcam(truth, angles)
-    return float(np.degrees(np.linalg.norm(se3.boxminus(T, T_true)[:3])))

@@ -12,12 +12,11 @@ from simulated_frames import (
     begin,
     head_of,
     postures,
-    turn_error_deg,
 )
-from simulated_matches import matches, room
+from simulated_matches import drawn_head, matches, room, squared_distance, turn_error_deg
 from uncalibrated_head import simulated
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.parameters import boxminus, change_named
+from vergence.geometry.parameters import change_named
 from vergence.self_calibration.frame import from_matches
 from vergence.self_calibration.learning import learn
 from vergence.self_calibration.prior import UNCALIBRATED, tolerance_covariance
@@ -55,14 +54,7 @@ def uncalibrated(seed: int) -> tuple[SelfCalibration, HeadCalibration, np.random
     """Return what is known of a head by its drawing, and the head as it was built."""
     state, rng = begin(head_of(seed)), np.random.default_rng(seed)
     C = tolerance_covariance(state.head, state.names, UNCALIBRATED)
-    change = rng.multivariate_normal(np.zeros(len(state.names)), C)
-    return state, change_named(state.head, state.names, change), rng
-
-
-def squared_distance(state: SelfCalibration, truth: HeadCalibration) -> float:
-    difference = boxminus(truth, state.head)
-    wrong = np.array([difference[name] for name in state.names])
-    return float(wrong @ np.linalg.solve(state.covariance, wrong))
+    return state, drawn_head(replace(state, covariance=C), rng), rng
 
 
 @pytest.mark.slow

@@ -268,7 +268,9 @@ def test_a_head_that_is_not_as_calibrated_is_learned_anew(recorded):
     found = self_calibrate_dataset(data, drawn)
     straight = np.zeros(4)
     assert turn_error(found.head, straight, straight) < 0.1 * turn_error(drawn, straight, straight)
-    assert any("farther from its calibration than this states" in each for each in found.warnings)
+    assert any(
+        "farther from its calibration than the stated covariance" in each for each in found.warnings
+    )
 
 
 def test_little_motion_in_parallel_is_said_to_show_little(tmp_path, slow_setup):

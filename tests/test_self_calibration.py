@@ -15,9 +15,8 @@ from simulated_frames import (
     begin,
     head_of,
     postures,
-    turn_error_deg,
 )
-from simulated_matches import drawn_head, matches, room
+from simulated_matches import drawn_head, matches, room, turn_error_deg
 from vergence.geometry.head import load_head, save_head
 from vergence.geometry.parameters import boxminus, boxplus, parameter_names
 from vergence.geometry.projection import project_point

@@ -136,7 +136,7 @@ def _fit(
         pixels=matches.left,
         match_scale=state.match_scale,
         expected_design_effect=state.design_effect,
-        held=len(state.names) if at_head else 0,
+        fixed=len(state.names) if at_head else 0,
     )
 
 

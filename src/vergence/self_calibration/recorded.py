@@ -167,9 +167,9 @@ def _changes(known: SelfCalibration, time_s: float) -> list[str]:
         return [f"A camera turned {when}; which of the two, the images do not tell."]
     if known.uncalibrated:
         return [
-            f"The head is farther from its calibration than this states, as the images showed "
-            f"{when}: it was learned anew, from the tolerances of a head that is known from its "
-            "drawing only."
+            "The head is farther from its calibration than the stated covariance allows, as the "
+            f"images showed {when}: it was learned anew, from the tolerances of a head that is "
+            "known from its drawing only."
         ]
     return []
 

@@ -37,7 +37,7 @@ def robust_fit(
     pixels: Array,
     match_scale: float,
     expected_design_effect: float,
-    held: int = 0,
+    fixed: int = 0,
 ) -> tuple[Array, Array, Evidence]:
     """Return the change (K,) that residuals and prior give, weights (N,), and what residuals say.
 
@@ -48,12 +48,12 @@ def robust_fit(
         pixels: (N, 2) where the residuals are in the image.
         match_scale: noise that the standard deviations assume, relative to what windows tell.
         expected_design_effect: before the residuals are seen.
-        held: the first so many unknowns stay where they are in the second linearisation.
+        fixed: how many of the first unknowns stay at zero where residuals are linearised again.
     """
-    first, prior = np.zeros(len(C)), C[held:, held:]
+    first, prior = np.zeros(len(C)), C[fixed:, fixed:]
     y, A = linearised(first)
-    start = _best_hypothesis(y, A[:, held:], prior)
-    first[held:] = _reweighted(y, A[:, held:], prior, start)
+    start = _best_hypothesis(y, A[:, fixed:], prior)
+    first[fixed:] = _reweighted(y, A[:, fixed:], prior, start)
     y, A = linearised(first)
     y = y + A @ first  # of the linear model about no change
     z = _reweighted(y, A, C, first)

@@ -47,9 +47,10 @@ class SelfCalibration:
     bumped: bool = False
     """Whether the last frame showed that a camera had been turned."""
     uncalibrated: bool = False
-    """Whether it showed that the head is farther from what was known than this stated."""
+    """Whether it showed that the head is farther from its calibration than the stated covariance
+    allows."""
     settled: bool = False
-    """Whether so much is known that no frame needs to be linearised again."""
+    """Whether the first frames are over, which are kept to be linearised again."""
     past: tuple[Past, ...] = ()
     """The last frames, by which a change is told from noise; all of the first ones."""
     keyframe: Keyframe | None = None
