@@ -8,7 +8,9 @@ paper's method, and prints for each figure
   noise of the readings is the profile's; that of the four pixel coordinates is measured in every
   second sample and used in the others, and the 95 % band holds what both halves leave uncertain;
 - predicted / observed spread over the motion, x, y and z: by `accuracy.budget`, with all that is
-  wrong with the calibration taken from the truth as known errors;
+  wrong with the calibration taken from the truth as known errors; where readings are exact, also
+  that in depth of the calibration's errors alone and of the pixels' alone, and the correlation of
+  these two over the motion, of which the budget assumes none;
 - predicted / observed spread in depth by the budget as a user gets it, who knows the profile only.
 
 Measurements are kept in a folder, and a second run goes on where the first one was stopped.
@@ -151,17 +153,41 @@ def line(folder: Path, profile: ErrorProfile, figure: Figure) -> str:
     motion = {"joints": joints, "rates": np.gradient(joints, seen["time_s"], axis=0)}
     at = observed.mean_m[None]
     errors = Source("calibration", errors=boxminus(used, truth))
-    (full,) = budget(used, at, **motion, sources=[white, errors], cameras=WIDE)
-    (plain,) = budget(used, at, **motion, sources=sources_of(used, profile, None), cameras=WIDE)
-    predicted = full.total.spread_m / observed.std_m
-    depth = plain.total.spread_m[0] / observed.std_m[0]
+
+    def spread_m(*sources: Source) -> Array:
+        (found,) = budget(used, at, **motion, sources=sources, cameras=WIDE)
+        return found.total.spread_m
+
+    with_truth = spread_m(errors, white) / observed.std_m
+    depth = spread_m(*sources_of(used, profile, None))[0] / observed.std_m[0]
+    apart = ""
+    if not profile.joints.noise_deg:
+        by_calibration, by_pixels = depth_errors(used, seen)
+        apart = (
+            f" (calibration {spread_m(errors)[0] / by_calibration.std():.2f}, "
+            f"pixels {spread_m(white)[0] / by_pixels.std():.2f}, "
+            f"correlation {np.corrcoef(by_calibration, by_pixels)[0, 1]:.2f})"
+        )
     pixels = " ".join(f"{each:.3f}" for each in noise_px)
     spread = " ".join(f"{1e3 * each:.2f}" for each in observed.std_m)
     return (
         f"{profile.name:<10} Fig. {figure.number:<2} d2/3 {ratio:.3f} (1 +- {width:.3f}), "
         f"pixels {pixels} px; spread {spread} mm, "
-        f"with the truth {' '.join(f'{p:.2f}' for p in predicted)}, by the profile {depth:.2f}"
+        f"with the truth {' '.join(f'{each:.2f}' for each in with_truth)}{apart}, "
+        f"by the profile {depth:.2f}"
     )
+
+
+def depth_errors(used: HeadCalibration, seen: dict[str, Array]) -> tuple[Array, Array]:
+    """Return depths (n,) [m] as the calibration errs, and what pixels add to them, of the n samples
+    that both images show, whose readings are exact.
+    """
+    found, exact = (
+        triangulate_at(used, left=left, right=right, joints=seen["joints"], cameras=WIDE)[0][:, 0]
+        for left, right in (seen["pixels"], seen["true_pixels"])
+    )
+    both = np.isfinite(found)
+    return exact[both], (found - exact)[both]
 
 
 if __name__ == "__main__":
