@@ -90,6 +90,8 @@ def boxplus(head: HeadCalibration, change: Array) -> HeadCalibration:
 
     ValueError if a focal length would not stay positive.
     """
+    if not change.any():
+        return head
     cameras, rest = {}, change
     for name, mounted in head.cameras.items():
         own, rest = np.split(rest, [_size(mounted)])
