@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import chi2
 
 from simulated_frames import (
     CAMERAS,
@@ -15,15 +16,16 @@ from simulated_frames import (
     head_of,
     postures,
 )
-from simulated_matches import drawn_head, followed, matches, room
+from simulated_matches import drawn_head, followed, matches, room, squared_distance
 from vergence.geometry.camera import normalise
 from vergence.geometry.parameters import boxminus, boxplus, parameter_names
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.self_calibration.frame import from_matches
-from vergence.self_calibration.keyframe import TURNED_RAD
+from vergence.self_calibration.keyframe import TURNED_RAD, by_each_eye
 from vergence.self_calibration.learning import learn, learn_followed
 from vergence.self_calibration.residuals import motion_residuals
+from vergence.self_calibration.state import Followed
 from vergence.stereo.extrinsics import camera_poses
 
 
@@ -133,9 +135,7 @@ def test_stated_covariances_are_true_where_features_are_followed():
         truth = drawn_head(state, rng)
         angles = postures(12, rng)
         state = learned_while_moving(truth, state, angles, room(500, rng), rng)
-        difference = boxminus(truth, state.head)
-        wrong = np.array([difference[name] for name in state.names])
-        of_head += float(wrong @ np.linalg.solve(state.covariance, wrong))
+        of_head += squared_distance(state, truth)
         degrees += len(state.names)
     assert 0.6 < of_head / degrees < 1.3
 
@@ -188,3 +188,44 @@ def test_a_keyframe_stays_until_the_eyes_have_turned():
         assert state.keyframe is not None
         kept.append(np.degrees(state.keyframe.joints[0]))
     np.testing.assert_allclose(kept, [0, 0, 0, 9, 9], atol=0.5)
+
+
+def test_an_eye_that_sees_alone_still_tells_how_far_it_has_turned():
+    """With the stated covariance, for heads drawn at random; the other eye keeps its readings."""
+    nominal, distance, of_seeing_eye = head_of(1), 0.0, []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        state = begin(nominal)
+        truth, points = drawn_head(state, rng), room(400, rng)
+        then, now = np.zeros(4), rng.uniform(-0.2, 0.2, 4)
+        key, readings = (at + rng.normal(0, JOINT_STD_RAD, 4) for at in (then, now))
+        known = matches(truth, then, points, noise_px=NOISE_PX, rng=rng)
+        state = learn(state, from_matches(state, known, key), 0.5)
+        assert state.keyframe is not None
+        nothing = matches(truth, now, np.empty((0, 3)), noise_px=NOISE_PX, rng=rng)
+        seen = from_matches(state, nothing, readings)
+        both = followed(
+            truth, state.keyframe, then=then, now=now, points=points, noise_px=NOISE_PX, rng=rng
+        )
+        left = Followed(both.readings, (both.matches[0], nothing), (both.depths_m[0], np.empty(0)))
+        found = by_each_eye(state, seen, left)
+        np.testing.assert_allclose(found.joints[2:], readings[2:], atol=1e-12)
+        C = found.covariance[len(state.names) :, len(state.names) :]
+        stds = np.sqrt(np.diag(C)) / state.joint_std_rad
+        of_seeing_eye.append(stds[:2])
+        np.testing.assert_allclose(stds[2:], 1.0, rtol=1e-6)
+        error = found.joints[:2] - now[:2]
+        distance += float(error @ np.linalg.solve(C[:2, :2], error))
+    assert np.mean(of_seeing_eye) < 0.85  # by two readings, now and then; the lens is hardly known
+    low, high = chi2.interval(0.999, 2 * 20)
+    # The noise of the readings is assumed to be a third larger than it is, and still so after one.
+    assert low * (JOINT_STD_RAD / np.radians(0.2)) ** 2 < distance < high
+
+
+def test_the_keyframe_outlives_frames_that_show_nothing():
+    head, rng = head_of(0), np.random.default_rng(0)
+    points, state, straight = room(400, rng), begin(head), np.zeros(4)
+    for at in (points, np.empty((0, 3))):
+        seen = matches(head, straight, at, noise_px=NOISE_PX, rng=rng)
+        state = learn(state, from_matches(state, seen, straight), 0.5)
+        assert state.keyframe is not None

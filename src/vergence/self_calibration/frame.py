@@ -3,7 +3,8 @@
 Unknown are what the readings of this moment miss (joint noise) and the parameters of the head
 that persist, with their prior. Both are Gaussian, so that where the scene shows little the result
 is the prior, and the covariance says so. Matches may be wrong: the best of many hypotheses from
-three matches each starts a robust fit with a fixed scale.
+three matches each starts a robust fit with a fixed scale. Where the eyes see too little in common,
+what each of them sees again since the keyframe still tells how far it has turned.
 """
 
 from __future__ import annotations
@@ -17,9 +18,10 @@ from scipy.stats import chi2
 from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named, parameter_names
+from vergence.self_calibration.keyframe import by_each_eye, find_keyframe
 from vergence.self_calibration.prior import UNCALIBRATED, tolerance_covariance
 from vergence.self_calibration.residuals import epipolar_residuals
-from vergence.self_calibration.robust_fit import robust_fit
+from vergence.self_calibration.robust_fit import FEWEST, GATE, MOST, robust_fit
 from vergence.self_calibration.state import (
     Evidence,
     SelfCalibrated,
@@ -30,16 +32,11 @@ from vergence.stereo.extrinsics import T_rcam_lcam
 from vergence.stereo.uncertainty import LocatedPoints, locate_jointly
 from vergence.vision.scene_features import Matches, match_scene
 
-GATE = 1e-7
-"""Probability by chance of a change that is not believed from one frame alone."""
 _GATE_OF_FEW = 1e-3
-"""The same where most matches contradict each other."""
-FEWEST = 12.0
-"""Matches that must fit; a few always do, whatever they show."""
+"""Probability by chance of a change that is not believed where most matches contradict each other;
+robust_fit.GATE where they do not."""
 _LEAST_SHARE = 0.1
 """Share of the matches that must fit, for the same reason."""
-MOST = 0.5
-"""Share of the matches that is most of them."""
 _LITTLE = 1.5
 """Degrees of freedom of the pair, of five, below which the scene showed too little."""
 
@@ -80,11 +77,13 @@ def from_matches(
         state: what is known of the head; it is not changed.
         matches: of the pair.
         joints: (r,) readings [rad].
-        images: in which they were found; None: features are not followed from here.
+        images: in which they were found; None: features are not followed to here or from here.
         at_head: whether residuals are linearised at the head as it is, which must be nearly right,
             and not where the pair alone would have it.
     """
-    return replace(_from_matches(state, matches, joints, at_head), images=images)
+    seen = replace(_from_matches(state, matches, joints, at_head), images=images)
+    found = find_keyframe(state, seen) if seen.evidence is None else None
+    return seen if found is None else by_each_eye(state, seen, found)
 
 
 def _from_matches(

@@ -19,10 +19,9 @@ from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named, parameter_names
 from vergence.geometry.se3 import inverse
-from vergence.self_calibration.frame import FEWEST, GATE, MOST
 from vergence.self_calibration.match_noise import EXPECTED_DESIGN_EFFECT
 from vergence.self_calibration.residuals import depths_of_matches, motion_residuals
-from vergence.self_calibration.robust_fit import INLIER, robust_fit
+from vergence.self_calibration.robust_fit import FEWEST, GATE, INLIER, MOST, robust_fit
 from vergence.self_calibration.state import (
     Evidence,
     Followed,
@@ -52,8 +51,18 @@ learned about as it is without them."""
 
 def follow_keyframe(state: SelfCalibration, seen: SelfCalibrated) -> Followed | None:
     """Return where the features of the keyframe are now; None: the eyes have not turned enough."""
+    if state.keyframe is None or not _turned(state.keyframe, seen):
+        return None
+    return find_keyframe(state, seen)
+
+
+def find_keyframe(state: SelfCalibration, seen: SelfCalibrated) -> Followed | None:
+    """Return where the features of the keyframe are now, however little the eyes have turned.
+
+    None: there is no keyframe, or a frame has no images.
+    """
     key = state.keyframe
-    if key is None or key.images is None or seen.images is None or not _turned(key, seen):
+    if key is None or key.images is None or seen.images is None:
         return None
     moments = np.stack([key.joints, seen.joints])
     then, now = camera_poses(state.head, moments, cameras=state.cameras)
@@ -70,6 +79,46 @@ def follow_keyframe(state: SelfCalibration, seen: SelfCalibrated) -> Followed | 
         found.append((matches, key.depths_m[k][which]))
     (left, left_depths), (right, right_depths) = found
     return Followed(key.readings, (left, right), (left_depths, right_depths))
+
+
+def by_each_eye(state: SelfCalibration, seen: SelfCalibrated, followed: Followed) -> SelfCalibrated:
+    """Return a frame that both eyes together show too little of, as each of them shows it.
+
+    An eye in which too few features fit keeps its readings.
+
+    Args:
+        state: before the frame.
+        seen: the frame, with nothing but the prior.
+        followed: features of the keyframe that were found in it.
+    """
+    P, r = len(state.names), len(seen.readings)
+    prior = prior_information(state, r)
+    N, b = with_motion(state, seen, followed, 1.0, prior, np.zeros(len(prior)))
+    if N is prior:
+        return seen
+    C = np.asarray(np.linalg.inv(N), float)
+    change = C @ b
+    return replace(
+        seen,
+        head=change_named(state.head, state.names, change[:P]),
+        joints=seen.readings + change[P : P + r],
+        covariance=C[: P + r, : P + r],
+    )
+
+
+def prior_information(state: SelfCalibration, readings: int) -> Array:
+    """Return what is known before a frame (K, K): of head, readings and the keyframe's joints."""
+    P, key = len(state.names), state.keyframe
+    if key is None:
+        known, K = np.linalg.inv(state.covariance), P + readings
+    else:
+        C = np.block([[state.covariance, key.with_head], [key.with_head.T, key.covariance]])
+        known, K = np.linalg.inv(C), P + readings + len(key.joints)
+    N = np.zeros((K, K))
+    lasting = np.r_[:P, P + readings : K]
+    N[np.ix_(lasting, lasting)] = (known + known.T) / 2
+    N[P : P + readings, P : P + readings] = np.eye(readings) / state.joint_std_rad**2
+    return N
 
 
 def _turned(key: Keyframe, seen: SelfCalibrated) -> bool:

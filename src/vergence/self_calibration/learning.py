@@ -53,7 +53,7 @@ def learn_followed(
     """Return the state after a frame in which features of the keyframe were found; None: not."""
     state = replace(state, bumped=False, uncalibrated=False)
     if seen.evidence is None:
-        return replace(drifted(state, elapsed_s), keyframe=None)
+        return drifted(state, elapsed_s)
     frame = Past(_alone(state), replace(seen, images=None), followed, elapsed_s)
     past = (*state.past, frame)
     changed = _after_change(past[-_WINDOW:])

@@ -28,6 +28,12 @@ _JUDGES = 250
 """Residuals that choose among them; more take longer, and choose no better."""
 INLIER = 0.3
 """Weight from which a residual fits."""
+FEWEST = 12.0
+"""Matches that must fit; a few always do, whatever they show."""
+MOST = 0.5
+"""Share of the matches that is most of them."""
+GATE = 1e-7
+"""Probability by chance of a change that is not believed from one frame alone."""
 
 
 def robust_fit(

@@ -109,18 +109,18 @@ def update_geometry(
                 f"the frame's have {found[1]} x {found[0]} px."
             )
     left, right = (frame.images[name] for name in known.cameras)
-    latest = self_calibrate_frame(known, left, right, joints)
     neck = frame.neck_angles
+    moved = before.keyframe_neck is None or bool(
+        np.abs(neck - before.keyframe_neck).max() > _NECK_STDS * known.joint_std_rad
+    )
+    known = replace(known, keyframe=None) if moved else known
+    latest = self_calibrate_frame(known, left, right, joints)
     if before.learned_s is None or before.learned_at is None:
         return SeenGeometry(known, latest, frame.time_s, frame.time_s, joints, neck)
     elapsed_s = frame.time_s - before.learned_s
     at_rest = np.abs(joints - before.learned_at).max() < MOVED_RAD
     if at_rest or 0 < elapsed_s < LEARNING_S - _SLACK_S:
         return replace(before, latest=latest, time_s=frame.time_s)
-    moved = before.keyframe_neck is None or bool(
-        np.abs(neck - before.keyframe_neck).max() > _NECK_STDS * known.joint_std_rad
-    )
-    known = replace(known, keyframe=None) if moved else known
     learned = learn(known, latest, max(elapsed_s, 0.0))
     key, last = learned.keyframe, known.keyframe
     if key is not None and last is not None and key.images is last.images:

@@ -12,11 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_between, change_named
 from vergence.self_calibration.frame import prior_of
-from vergence.self_calibration.keyframe import next_keyframe, with_motion
+from vergence.self_calibration.keyframe import next_keyframe, prior_information, with_motion
 from vergence.self_calibration.match_noise import recurrence_inflation, with_frame
 from vergence.self_calibration.prior import DRIFT, tolerance_covariance
 from vergence.self_calibration.state import Evidence, Followed, SelfCalibrated, SelfCalibration
@@ -46,7 +45,11 @@ def updated(
     P = len(state.names)
     inflation = recurrence_inflation(state.recurrence, seen.readings, elapsed_s)
     evidence = _weakened(says, inflation)
-    N, b = _normal_equations(state, evidence)
+    known = len(evidence.vector)
+    N = prior_information(state, known - P)
+    N[:known, :known] += evidence.information
+    b = np.zeros(len(N))
+    b[:known] = evidence.vector
     if followed is not None:
         N, b = with_motion(state, seen, followed, inflation, N, b)
     C = np.asarray(np.linalg.inv(N), float)
@@ -82,27 +85,6 @@ def _weakened(evidence: Evidence, inflation: float) -> Evidence:
         vector=evidence.vector / inflation,
         misfit=evidence.misfit / inflation,
     )
-
-
-def _normal_equations(state: SelfCalibration, evidence: Evidence) -> tuple[Array, Array]:
-    """Return what is known of head, present readings and joints of the keyframe, if there is one.
-
-    Information (K, K) and vector (K,), about the state's head and the joints as they are.
-    """
-    P, known = len(state.names), len(evidence.vector)
-    key = state.keyframe
-    if key is None:
-        before, K = np.linalg.inv(state.covariance), known
-    else:
-        C = np.block([[state.covariance, key.with_head], [key.with_head.T, key.covariance]])
-        before, K = np.linalg.inv(C), known + len(key.joints)
-    N, b = np.zeros((K, K)), np.zeros(K)
-    lasting = np.r_[:P, known:K]
-    N[np.ix_(lasting, lasting)] = (before + before.T) / 2
-    N[P:known, P:known] = np.eye(known - P) / state.joint_std_rad**2
-    N[:known, :known] += evidence.information
-    b[:known] = evidence.vector
-    return N, b
 
 
 def _joint_variance(state: SelfCalibration, evidence: Evidence) -> tuple[float, float]:
