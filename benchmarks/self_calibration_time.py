@@ -2,7 +2,7 @@
 
     python benchmarks/self_calibration_time.py [--pairs 40] [--scene room] [--seed 0]
 
-Divergent motion. "following" is learning in a frame in which the features of the keyframe are found
+Divergent motion. "tracking" is learning in a frame in which the features of the keyframe are found
 again. The reference is one call of OpenCV's pyramidal Lucas-Kanade tracker on the same
 images, with the features that were matched and the same window. Times are those of the thread, so
 that other programs hardly count.
@@ -82,7 +82,7 @@ def main(pairs: int = 40, scene: Scene = "room", seed: int = 0) -> None:
             state = timed("learning", lambda now=now, seen=seen: learn(now, seen, STEP_S))
             before, after = now.keyframe, state.keyframe
             if before is not None and after is not None and after.images is not before.images:
-                spent.setdefault("following", []).append(spent["learning"].pop())
+                spent.setdefault("tracking", []).append(spent["learning"].pop())
             grey = [cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in images]
             at = found.left.astype(np.float32)
             timed(
@@ -97,7 +97,7 @@ def main(pairs: int = 40, scene: Scene = "room", seed: int = 0) -> None:
     for name, each in medians.items():
         print(f"{name:9s} {each:5.1f} ms, {each / reference:5.1f} trackings")
     pair = medians["matching"] + medians["estimate"]
-    learning = spent["learning"] + spent.get("following", [])
+    learning = spent["learning"] + spent.get("tracking", [])
     print(
         f"a pair {pair:.1f} ms, with learning {pair + float(np.median(learning)):.1f} ms in the "
         f"median and {pair + float(np.mean(learning)):.1f} ms in the mean; bars 25 and 33 ms"

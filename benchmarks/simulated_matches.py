@@ -13,7 +13,7 @@ from vergence.geometry.lens import reach
 from vergence.geometry.parameters import boxminus, change_named
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
-from vergence.self_calibration.state import Followed, Keyframe, SelfCalibration
+from vergence.self_calibration.state import Keyframe, SelfCalibration, TrackedFeatures
 from vergence.stereo.extrinsics import T_rcam_lcam, camera_poses
 from vergence.vision.scene_features import Matches
 
@@ -88,7 +88,7 @@ def squared_distance(state: SelfCalibration, truth: HeadCalibration) -> float:
     return float(wrong @ np.linalg.solve(state.covariance, wrong))
 
 
-def followed(
+def tracked_features(
     truth: HeadCalibration,
     key: Keyframe,
     *,
@@ -98,7 +98,7 @@ def followed(
     noise_px: float,
     rng: np.random.Generator,
     cameras: tuple[str, str] = ("left_wide", "right_wide"),
-) -> Followed:
+) -> TrackedFeatures:
     """Return where the features of a keyframe are, of the same points, at true angles (r,)."""
     found, depths = [], []
     eyes = zip(
@@ -116,4 +116,4 @@ def followed(
         C = np.tile(max(noise_px, 0.02) ** 2 * np.eye(2), (len(seen), 1, 1))
         found.append(Matches(pixels[seen], later[seen] + noise, C))
         depths.append(key.depths_m[k][seen])
-    return Followed(key.readings, (found[0], found[1]), (depths[0], depths[1]))
+    return TrackedFeatures(key.readings, (found[0], found[1]), (depths[0], depths[1]))

@@ -52,13 +52,9 @@ def sound_files(tmp_path_factory: pytest.TempPathFactory) -> "dict[str, Kind]":
 
 
 @pytest.fixture
-def few_views(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Shorten the twin's calibration sequence, where a test does not depend on its accuracy.
-
-    Images are rendered coarsely, too.
-    """
+def coarse_images(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Render images coarsely, where a test does not depend on hundredths of a pixel."""
     from vergence.twin import head, renderer
-    from vergence.twin.calibration_sequence import plan
 
     def coarse(*args, **kwargs):
         model = compile_head(*args, **kwargs)
@@ -68,6 +64,16 @@ def few_views(monkeypatch: pytest.MonkeyPatch) -> None:
     compile_head = head.compile_head
     monkeypatch.setattr(head, "compile_head", coarse)
     monkeypatch.setattr(renderer, "OVERSAMPLING", 1)
+
+
+@pytest.fixture
+def few_views(coarse_images: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shorten the twin's calibration sequence, where a test does not depend on its accuracy.
+
+    Images are rendered coarsely, too.
+    """
+    from vergence.twin.calibration_sequence import plan
+
     monkeypatch.setitem(plan.__kwdefaults__, "views", (4, 3, 8))
 
 

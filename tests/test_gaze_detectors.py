@@ -26,6 +26,7 @@ def true_settings(profile: str, joints: Kinematics | None = None) -> GazeSetting
 
 
 @pytest.mark.render
+@pytest.mark.usefixtures("coarse_images")
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if "alone" in kind])
 def test_a_head_with_wide_cameras_alone_centres_what_it_is_told_to_look_at(kind: str):
     found, lost = final_errors(
@@ -36,6 +37,7 @@ def test_a_head_with_wide_cameras_alone_centres_what_it_is_told_to_look_at(kind:
 
 
 @pytest.mark.render
+@pytest.mark.usefixtures("coarse_images")
 def test_eyes_that_tilt_before_they_pan_centre_an_object():
     kind = "tilt before pan, sphere"
     settings = true_settings("paper", KINDS[kind][3])

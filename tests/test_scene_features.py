@@ -7,7 +7,7 @@ import pytest
 from vergence.arrays import Array
 from vergence.geometry.camera import normalise, pinhole, project
 from vergence.geometry.se3 import pose, rotation
-from vergence.vision.scene_features import Matches, follow_features, match_scene
+from vergence.vision.scene_features import Matches, match_scene, track_features
 
 CAMERA = pinhole(640, 480, 280.0, (-0.12, 0.01, 0.0, 0.0, 0.0))
 T_RCAM_LCAM = pose(rotation([0.01, -0.15, 0.02]), [-0.075, 0.002, 0.01])
@@ -84,7 +84,7 @@ def test_a_covered_eye_gives_no_matches():
 T_NOW_BEFORE = pose(rotation([0.06, 0.2, 0.02]), [0.004, 0.001, 0.002])
 
 
-def test_features_are_followed_in_a_turning_camera():
+def test_features_are_tracked_in_a_turning_camera():
     rng = np.random.default_rng(0)
     before, now = (picture(T, 1.0, rng) for T in (np.eye(4), T_NOW_BEFORE))
     u, v = np.meshgrid(np.arange(10.5, 640, 25), np.arange(10.25, 480, 25))
@@ -92,7 +92,7 @@ def test_features_are_followed_in_a_turning_camera():
     xy = normalise(CAMERA, pixels)
     points = WALL_M * np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
     predicted = pose(rotation([0, np.radians(0.7), 0])) @ T_NOW_BEFORE
-    matches, which = follow_features(
+    matches, which = track_features(
         before,
         now,
         camera=CAMERA,
@@ -112,13 +112,13 @@ def test_features_are_followed_in_a_turning_camera():
     assert 0.3 < errors[good].std() < 2
 
 
-def test_features_that_left_the_image_are_not_followed():
+def test_features_that_left_the_image_are_not_tracked():
     rng = np.random.default_rng(0)
     image = picture(np.eye(4), 1.0, rng)
     pixels = np.array([[320.0, 240.0], [100.0, 240.0], [np.nan, 3.0]])
     away = pose(rotation([0, np.radians(120), 0]))
     for T, expected in ((np.eye(4), [0, 1]), (away, [])):
-        _, which = follow_features(
+        _, which = track_features(
             image, image, camera=CAMERA, T_now_before=T, pixels=pixels, depths_m=np.ones(3)
         )
         np.testing.assert_array_equal(which, expected)

@@ -100,7 +100,7 @@ def test_frames_that_show_the_same_again_teach_nothing(moving):
     assert (np.diag(earlier.known.covariance) < np.diag(once.known.covariance) * 1.001).all()
 
 
-def test_features_are_not_followed_across_a_motion_of_the_neck(moving):
+def test_features_are_not_tracked_across_a_motion_of_the_neck(moving):
     geometry = initial_seen_geometry(HEAD)
     for _, each in moving[:3]:
         geometry = update_geometry(geometry, each)

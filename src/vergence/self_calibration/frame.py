@@ -18,7 +18,7 @@ from scipy.stats import chi2
 from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named, parameter_names
-from vergence.self_calibration.keyframe import by_each_eye, find_keyframe
+from vergence.self_calibration.keyframe import by_each_eye, track_keyframe
 from vergence.self_calibration.prior import UNCALIBRATED, tolerance_covariance
 from vergence.self_calibration.residuals import epipolar_residuals
 from vergence.self_calibration.robust_fit import FEWEST, GATE, MOST, robust_fit
@@ -77,12 +77,12 @@ def from_matches(
         state: what is known of the head; it is not changed.
         matches: of the pair.
         joints: (r,) readings [rad].
-        images: in which they were found; None: features are not followed to here or from here.
+        images: in which they were found; None: features are not tracked to here or from here.
         at_head: whether residuals are linearised at the head as it is, which must be nearly right,
             and not where the pair alone would have it.
     """
     seen = replace(_from_matches(state, matches, joints, at_head), images=images)
-    found = find_keyframe(state, seen) if seen.evidence is None else None
+    found = track_keyframe(state, seen) if seen.evidence is None else None
     return seen if found is None else by_each_eye(state, seen, found)
 
 

@@ -1,4 +1,4 @@
-"""Features followed from an earlier frame, in each eye: how far it has turned.
+"""Features tracked from an earlier frame, in each eye: how far it has turned.
 
 Between the eyes, images tell how these stand to each other, but hardly focal lengths, gains and
 mountings, least of all while the eyes move in parallel. Over time, what an eye has turned shows all
@@ -24,17 +24,17 @@ from vergence.self_calibration.residuals import depths_of_matches, motion_residu
 from vergence.self_calibration.robust_fit import FEWEST, GATE, INLIER, MOST, robust_fit
 from vergence.self_calibration.state import (
     Evidence,
-    Followed,
     Keyframe,
     SelfCalibrated,
     SelfCalibration,
+    TrackedFeatures,
 )
 from vergence.stereo.extrinsics import camera_poses
-from vergence.vision.scene_features import follow_features
+from vergence.vision.scene_features import track_features
 
 TURNED_RAD = float(np.radians(8.0))
-"""Least change of a reading since the keyframe: with 4 or 12 degrees depth is about as steady.
-Small turns show little, and of large ones a narrow camera would lose sight."""
+"""Least change of a reading since the keyframe, from which is learned: with 4 or 12 degrees depth
+is about as steady. Small turns show little, and of large ones a narrow camera would lose sight."""
 _FEATURES = 200
 """Of a keyframe, at most twice as many; more cost time."""
 _DEPTH_STD = 0.05
@@ -45,30 +45,27 @@ their joints would else be learned from the parallax, which is so small that hun
 of the lens model make it wrong by percents, and the scale of depth with it."""
 _SHARED = 2.5
 """Variance inflation by what all motions have in common, errors of the lens model above all. Fitted
-to rendered images: with it, followed features leave the squared Mahalanobis distance of what is
+to rendered images: with it, tracked features leave the squared Mahalanobis distance of what is
 learned about as it is without them."""
 
 
-def follow_keyframe(state: SelfCalibration, seen: SelfCalibrated) -> Followed | None:
-    """Return where the features of the keyframe are now; None: the eyes have not turned enough."""
-    if state.keyframe is None or not _turned(state.keyframe, seen):
-        return None
-    return find_keyframe(state, seen)
+def track_keyframe(
+    state: SelfCalibration, seen: SelfCalibrated, *, least_turn_rad: float = 0.0
+) -> TrackedFeatures | None:
+    """Return where the features of the keyframe are in a frame.
 
-
-def find_keyframe(state: SelfCalibration, seen: SelfCalibrated) -> Followed | None:
-    """Return where the features of the keyframe are now, however little the eyes have turned.
-
-    None: there is no keyframe, or a frame has no images.
+    None: there is no keyframe, one of the two has no images, or no reading has changed by so much.
     """
     key = state.keyframe
     if key is None or key.images is None or seen.images is None:
+        return None
+    if _turned_rad(key, seen) < least_turn_rad:
         return None
     moments = np.stack([key.joints, seen.joints])
     then, now = camera_poses(state.head, moments, cameras=state.cameras)
     found = []
     for k, name in enumerate(state.cameras):
-        matches, which = follow_features(
+        matches, which = track_features(
             key.images[k],
             seen.images[k],
             camera=state.head.camera(name).intrinsics,
@@ -78,10 +75,12 @@ def find_keyframe(state: SelfCalibration, seen: SelfCalibrated) -> Followed | No
         )
         found.append((matches, key.depths_m[k][which]))
     (left, left_depths), (right, right_depths) = found
-    return Followed(key.readings, (left, right), (left_depths, right_depths))
+    return TrackedFeatures(key.readings, (left, right), (left_depths, right_depths))
 
 
-def by_each_eye(state: SelfCalibration, seen: SelfCalibrated, followed: Followed) -> SelfCalibrated:
+def by_each_eye(
+    state: SelfCalibration, seen: SelfCalibrated, tracked: TrackedFeatures
+) -> SelfCalibrated:
     """Return a frame that both eyes together show too little of, as each of them shows it.
 
     An eye in which too few features fit keeps its readings.
@@ -89,11 +88,11 @@ def by_each_eye(state: SelfCalibration, seen: SelfCalibrated, followed: Followed
     Args:
         state: before the frame.
         seen: the frame, with nothing but the prior.
-        followed: features of the keyframe that were found in it.
+        tracked: features of the keyframe that were found in it.
     """
     P, r = len(state.names), len(seen.readings)
     prior = prior_information(state, r)
-    N, b = with_motion(state, seen, followed, 1.0, prior, np.zeros(len(prior)))
+    N, b = with_motion(state, seen, tracked, 1.0, prior, np.zeros(len(prior)))
     if N is prior:
         return seen
     C = np.asarray(np.linalg.inv(N), float)
@@ -121,32 +120,32 @@ def prior_information(state: SelfCalibration, readings: int) -> Array:
     return N
 
 
-def _turned(key: Keyframe, seen: SelfCalibrated) -> bool:
-    return bool(np.abs(seen.readings - key.readings).max() >= TURNED_RAD)
+def _turned_rad(key: Keyframe, seen: SelfCalibrated) -> float:
+    return float(np.abs(seen.readings - key.readings).max())
 
 
 def with_motion(
     state: SelfCalibration,
     seen: SelfCalibrated,
-    followed: Followed,
+    tracked: TrackedFeatures,
     inflation: float,
     N: Array,
     b: Array,
 ) -> tuple[Array, Array]:
-    """Return normal equations (K, K) and (K,) with what followed features say, where it fits.
+    """Return normal equations (K, K) and (K,) with what tracked features say, where it fits.
 
     Unknown are changes of the P parameters, of the present readings (r) and of the keyframe's
     joints (r). What the features say counts less by the variance inflation of the frame, and not
     at all if they are of another keyframe than the state's.
     """
-    if state.keyframe is None or not np.array_equal(followed.readings, state.keyframe.readings):
+    if state.keyframe is None or not np.array_equal(tracked.readings, state.keyframe.readings):
         return N, b
     for k in range(len(state.cameras)):
-        if len(followed.depths_m[k]) < FEWEST:
+        if len(tracked.depths_m[k]) < FEWEST:
             continue
         C = np.asarray(np.linalg.inv(N), float)
         about = C @ b
-        change, weights, says = _fit(state, seen, followed, k, about, C)
+        change, weights, says = _fit(state, seen, tracked, k, about, C)
         posterior = np.linalg.inv(N + says.information)
         observed = float(np.trace(posterior @ says.information))
         believed = float(change @ N @ change) < chi2.isf(GATE, max(observed, 1.0))
@@ -159,17 +158,17 @@ def with_motion(
 def _fit(
     state: SelfCalibration,
     seen: SelfCalibrated,
-    followed: Followed,
+    tracked: TrackedFeatures,
     k: int,
     about: Array,
     C: Array,
 ) -> tuple[Array, Array, Evidence]:
     """Return what features of camera k say about changes from those (K,) that are believed."""
-    matches, K = followed.matches[k], len(C)
+    matches, K = tracked.matches[k], len(C)
     with_depth = np.eye(K + 1)
     with_depth[:K, :K] = C
     change, weights, says = robust_fit(
-        lambda z: _whitened(state, seen, followed, k, about + z[:K], float(z[K])),
+        lambda z: _whitened(state, seen, tracked, k, about + z[:K], float(z[K])),
         with_depth,
         pixels=np.repeat(matches.left, 2, axis=0),
         match_scale=state.match_scale,
@@ -184,7 +183,7 @@ def _fit(
 def _whitened(
     state: SelfCalibration,
     seen: SelfCalibrated,
-    followed: Followed,
+    tracked: TrackedFeatures,
     k: int,
     change: Array,
     deeper: float,
@@ -197,7 +196,7 @@ def _whitened(
     assert state.keyframe is not None
     P, r = len(state.names), len(seen.readings)
     head = change_named(state.head, state.names, change[:P])
-    matches, known = followed.matches[k], parameter_names(head)
+    matches, known = tracked.matches[k], parameter_names(head)
     found = motion_residuals(
         head,
         state.cameras[k],
@@ -205,7 +204,7 @@ def _whitened(
         now=seen.readings + change[P : P + r],
         earlier=matches.left,
         later=matches.right,
-        depths_m=followed.depths_m[k] * np.exp(_COMMON_DEPTH_STD * deeper),
+        depths_m=tracked.depths_m[k] * np.exp(_COMMON_DEPTH_STD * deeper),
     )
     columns = [known.index(name) for name in state.names]
     deeper_all = _COMMON_DEPTH_STD * found.by_depth[..., None]
@@ -237,7 +236,7 @@ def next_keyframe(
     """
     P, r = len(state.names), len(seen.readings)
     key = state.keyframe
-    if key is not None and not _turned(key, seen):
+    if key is not None and _turned_rad(key, seen) < TURNED_RAD:
         return replace(
             key,
             joints=key.joints + change[P + r :],

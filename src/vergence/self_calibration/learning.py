@@ -17,14 +17,14 @@ from vergence.arrays import Array
 from vergence.geometry.head import Accuracy, HeadCalibration
 from vergence.geometry.parameters import change_between, change_named
 from vergence.self_calibration.frame import from_matches
-from vergence.self_calibration.keyframe import follow_keyframe
+from vergence.self_calibration.keyframe import TURNED_RAD, track_keyframe
 from vergence.self_calibration.prior import BUMP, UNCALIBRATED, tolerance_covariance
 from vergence.self_calibration.state import (
-    Followed,
     Keyframe,
     Past,
     SelfCalibrated,
     SelfCalibration,
+    TrackedFeatures,
 )
 from vergence.self_calibration.update import drifted, evidence_about, log_likelihood, updated
 
@@ -44,17 +44,18 @@ def learn(state: SelfCalibration, seen: SelfCalibrated, elapsed_s: float) -> Sel
         seen: the frame, of `frame.self_calibrate_frame`.
         elapsed_s: since the frame before.
     """
-    return learn_followed(state, seen, follow_keyframe(state, seen), elapsed_s)
+    tracked = track_keyframe(state, seen, least_turn_rad=TURNED_RAD)
+    return learn_tracked(state, seen, tracked, elapsed_s)
 
 
-def learn_followed(
-    state: SelfCalibration, seen: SelfCalibrated, followed: Followed | None, elapsed_s: float
+def learn_tracked(
+    state: SelfCalibration, seen: SelfCalibrated, tracked: TrackedFeatures | None, elapsed_s: float
 ) -> SelfCalibration:
     """Return the state after a frame in which features of the keyframe were found; None: not."""
     state = replace(state, bumped=False, uncalibrated=False)
     if seen.evidence is None:
         return drifted(state, elapsed_s)
-    frame = Past(_alone(state), replace(seen, images=None), followed, elapsed_s)
+    frame = Past(_alone(state), replace(seen, images=None), tracked, elapsed_s)
     past = (*state.past, frame)
     changed = _after_change(past[-_WINDOW:])
     if changed is not None:
@@ -62,7 +63,7 @@ def learn_followed(
     past = past[-_WINDOW:] if state.settled else past[-_LINEARISED_AGAIN[-1] :]
     if seen.status == "contradiction":
         return replace(drifted(state, elapsed_s), past=past, keyframe=None)
-    learned = replace(updated(state, seen, seen.evidence, followed, elapsed_s), past=past)
+    learned = replace(updated(state, seen, seen.evidence, tracked, elapsed_s), past=past)
     return learned if state.settled else _settling(learned)
 
 
@@ -140,8 +141,8 @@ def _estimated_again(
         evidence = evidence_about(state, seen.evidence, about.head)
         seen = replace(seen, evidence=evidence)
         likelihood += log_likelihood(state, seen, each.elapsed_s)
-        again.append(Past(_alone(state), seen, each.followed, each.elapsed_s))
-        state = updated(state, seen, evidence, each.followed, each.elapsed_s)
+        again.append(Past(_alone(state), seen, each.tracked, each.elapsed_s))
+        state = updated(state, seen, evidence, each.tracked, each.elapsed_s)
     return replace(state, past=tuple(again)), likelihood
 
 

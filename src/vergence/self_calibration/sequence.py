@@ -37,7 +37,7 @@ MOVED_RAD = float(np.radians(2.0))
 are matched. Eyes at rest see the same again."""
 _NECK_STDS = 3.0
 """Change of a reading of the neck, in standard deviations of the eyes' readings, from which the
-head has moved: then not only eyes have turned, and features are not followed."""
+head has moved: then not only eyes have turned, and features are not tracked."""
 _SLACK_S = 1e-6  # so that rounding of time stamps drops no frame
 
 
@@ -56,7 +56,7 @@ class SeenGeometry:
     learned_at: Array | None = None
     """(r,) its readings [rad]."""
     keyframe_neck: Array | None = None
-    """(3,) readings of the neck at the keyframe from which features are followed [rad]."""
+    """(3,) readings of the neck at the keyframe from which features are tracked [rad]."""
 
 
 def initial_seen_geometry(

@@ -54,7 +54,7 @@ class SelfCalibration:
     past: tuple[Past, ...] = ()
     """The last frames, by which a change is told from noise; all of the first ones."""
     keyframe: Keyframe | None = None
-    """From which features are followed; None: there is none yet, or none that can be believed."""
+    """From which features are tracked; None: there is none yet, or none that can be believed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +86,7 @@ class Past:
     """Before the frame; without past frames and keyframe of its own."""
     seen: SelfCalibrated
     """The frame, without images."""
-    followed: Followed | None
+    tracked: TrackedFeatures | None
     """Features of an earlier frame that were found in it."""
     elapsed_s: float
     """Since the frame before."""
@@ -113,7 +113,7 @@ class Keyframe:
 
 
 @dataclass(frozen=True, eq=False)
-class Followed:
+class TrackedFeatures:
     """Features of a keyframe, found again."""
 
     readings: Array

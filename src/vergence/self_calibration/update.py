@@ -1,7 +1,7 @@
 """The recursive filter: what is known of a head after one more frame.
 
 The frame's joint angles are marginalised, but for those of one keyframe, from which features are
-followed; what the frame says of the head is kept, with a slow random walk for drift. What is seen
+tracked; what the frame says of the head is kept, with a slow random walk for drift. What is seen
 again errs again: a frame counts by how far its posture is new. The noise of the readings is
 estimated from what the images say of them.
 """
@@ -18,7 +18,12 @@ from vergence.self_calibration.frame import prior_of
 from vergence.self_calibration.keyframe import next_keyframe, prior_information, with_motion
 from vergence.self_calibration.match_noise import recurrence_inflation, with_frame
 from vergence.self_calibration.prior import DRIFT, tolerance_covariance
-from vergence.self_calibration.state import Evidence, Followed, SelfCalibrated, SelfCalibration
+from vergence.self_calibration.state import (
+    Evidence,
+    SelfCalibrated,
+    SelfCalibration,
+    TrackedFeatures,
+)
 
 _PACE = 0.1
 """Share of a frame in the running means of how much matches err."""
@@ -30,7 +35,7 @@ def updated(
     state: SelfCalibration,
     seen: SelfCalibrated,
     says: Evidence,
-    followed: Followed | None,
+    tracked: TrackedFeatures | None,
     elapsed_s: float,
 ) -> SelfCalibration:
     """Return the state after a frame that is believed.
@@ -39,7 +44,7 @@ def updated(
         state: before the frame.
         seen: the frame.
         says: what its matches say about the state's head.
-        followed: features of an earlier frame that were found in it.
+        tracked: features of an earlier frame that were found in it.
         elapsed_s: since the frame before.
     """
     P = len(state.names)
@@ -50,8 +55,8 @@ def updated(
     N[:known, :known] += evidence.information
     b = np.zeros(len(N))
     b[:known] = evidence.vector
-    if followed is not None:
-        N, b = with_motion(state, seen, followed, inflation, N, b)
+    if tracked is not None:
+        N, b = with_motion(state, seen, tracked, inflation, N, b)
     C = np.asarray(np.linalg.inv(N), float)
     change = C @ b
     head = change_named(state.head, state.names, change[:P])

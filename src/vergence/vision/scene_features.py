@@ -88,7 +88,7 @@ def match_scene(
     return _matched(views, _best_of_cells(views.first, views.inside), None)[0]
 
 
-def follow_features(
+def track_features(
     before: np.ndarray,
     now: np.ndarray,
     *,

