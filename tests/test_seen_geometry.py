@@ -115,6 +115,25 @@ def test_features_are_not_tracked_across_a_motion_of_the_neck(moving):
         np.testing.assert_array_equal(after.keyframe_neck, 0.0 if stays else neck)
 
 
+def test_an_eye_that_sees_alone_corrects_its_readings_unless_the_neck_has_moved(moving):
+    geometry = initial_seen_geometry(HEAD)
+    for _, each in moving[:5]:
+        geometry = update_geometry(geometry, each)
+    dark = {**moving[5][1].images, "right_wide": np.full((480, 640, 3), 20, np.uint8)}
+    covered = replace(moving[5][1], images=dark)
+    found = update_geometry(geometry, covered)
+    assert found.latest is not None
+    assert found.latest.status == "little seen"
+    assert found.known.frames == geometry.known.frames
+    corrected = np.abs(found.latest.joints - covered.eye_angles) > 1e-9
+    np.testing.assert_array_equal(corrected, [True, True, False, False])
+    stds = np.sqrt(np.diag(found.latest.covariance)[-4:])
+    assert (stds[:2] < 0.9 * stds[2:]).all()
+    turned = update_geometry(geometry, replace(covered, neck_angles=np.full(3, np.radians(3))))
+    assert turned.latest is not None
+    np.testing.assert_array_equal(turned.latest.joints, covered.eye_angles)
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [

@@ -44,7 +44,9 @@ def learn(state: SelfCalibration, seen: SelfCalibrated, elapsed_s: float) -> Sel
         seen: the frame, of `frame.self_calibrate_frame`.
         elapsed_s: since the frame before.
     """
-    tracked = track_keyframe(state, seen, least_turn_rad=TURNED_RAD)
+    tracked = None
+    if seen.evidence is not None:
+        tracked = track_keyframe(state, seen, least_turn_rad=TURNED_RAD)
     return learn_tracked(state, seen, tracked, elapsed_s)
 
 
