@@ -54,6 +54,7 @@ def test_furniture_occludes_the_places_behind_it():
 
 
 @pytest.mark.render
+@pytest.mark.usefixtures("coarse_images")
 @pytest.mark.parametrize(("profile", "worst_px"), [("ideal", 1.0), ("paper", 15.0)])
 def test_an_object_that_appears_comes_to_the_centre_of_both_foveas(profile: str, worst_px: float):
     with Twin(load_profile(profile), seed=1) as twin:
@@ -85,7 +86,7 @@ def test_the_summary_counts_the_worse_eye():
 
 
 @pytest.mark.render
-@pytest.mark.usefixtures("true_calibration")
+@pytest.mark.usefixtures("true_calibration", "coarse_images")
 def test_the_scenario_prints_writes_and_records_what_it_found(tmp_path: Path, capsys):
     runpy.run_path(str(SCENARIO))["foveate"](out=tmp_path / "new", trials=1)
     assert re.search(r"distance from the centre: median 0\.\d\d px", capsys.readouterr().out)

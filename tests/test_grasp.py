@@ -43,7 +43,7 @@ NARROW = ("left_narrow", "right_narrow")
 
 
 @pytest.mark.render
-@pytest.mark.usefixtures("true_calibration")
+@pytest.mark.usefixtures("true_calibration", "coarse_images")
 def test_the_hand_closes_on_the_object_though_joints_and_arm_are_wrong(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ):

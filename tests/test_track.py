@@ -39,6 +39,7 @@ def test_paths_keep_to_their_space_and_come_to_the_stated_speed(seed: int):
 
 
 @pytest.mark.render
+@pytest.mark.usefixtures("coarse_images")
 def test_a_moving_object_stays_on_both_foveas_and_is_found_again_after_it_was_hidden():
     with Twin(load_profile("paper"), seed=1) as twin:
         settings = GazeSettings(calibration=twin.truth, joint_std_rad=2.6e-3)
@@ -51,6 +52,7 @@ def test_a_moving_object_stays_on_both_foveas_and_is_found_again_after_it_was_hi
 
 
 @pytest.mark.render
+@pytest.mark.usefixtures("coarse_images")
 def test_the_geometry_that_both_eyes_see_locates_better_than_the_joints():
     """In profile paper the readings have gains and noise; the images of both are the same."""
     with Twin(load_profile("paper"), seed=1) as twin:
@@ -61,6 +63,7 @@ def test_the_geometry_that_both_eyes_see_locates_better_than_the_joints():
 
 
 @pytest.mark.render
+@pytest.mark.usefixtures("coarse_images")
 def test_a_gaze_shift_shared_with_the_neck_keeps_the_image_still():
     """A shift of nearly 60 degrees with the twin's heavy neck: below 20 px while it turns."""
     before, after = (0.9 * np.array([np.cos(a), np.sin(a), 0.1]) for a in np.radians([-26.0, 26.0]))
@@ -90,7 +93,7 @@ def test_a_gaze_shift_shared_with_the_neck_keeps_the_image_still():
 
 
 @pytest.mark.render
-@pytest.mark.usefixtures("true_calibration")
+@pytest.mark.usefixtures("true_calibration", "coarse_images")
 def test_the_scenario_shows_that_the_narrow_images_beat_the_wide_ones(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
