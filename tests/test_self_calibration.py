@@ -77,13 +77,15 @@ def test_exact_matches_give_the_exact_pose_of_the_cameras(seed):
 
 def test_seven_of_ten_wrong_matches_change_little():
     head, rng = head_of(0), np.random.default_rng(0)
-    state = begin(head)
-    for angles in postures(5, rng):
+    state, errors = begin(head), []
+    for angles in postures(10, rng):
         readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
         seen = matches(head, angles, room(900, rng), noise_px=NOISE_PX, rng=rng, outliers=0.7)
         found = from_matches(state, seen, readings)
         assert found.status == "seen"
-        assert turn_error_deg(found.head, found.joints, head, angles) < 0.05
+        errors.append(turn_error_deg(found.head, found.joints, head, angles))
+    assert np.median(errors) < 0.04
+    assert max(errors) < 0.1  # readings alone: 0.24 in the median
 
 
 def block_errors(seen: Matches, rng: np.random.Generator) -> Matches:
@@ -203,7 +205,7 @@ def test_heads_of_every_kind_are_learned(kind):
         state = learn(state, found, 0.3)
     assert statuses == {"seen"}
     assert squared_distance(state, truth) < chi2.isf(1e-4, len(state.names))
-    assert np.mean(errors_deg[5:]) < 0.03  # with readings that are wrong by 0.15
+    assert np.mean(errors_deg[5:]) < 0.05  # with readings that are wrong by 0.15
 
 
 def test_a_learned_head_is_a_calibration_with_its_accuracy(tmp_path):

@@ -36,14 +36,15 @@ _LEAST_DESIGN_EFFECT = 0.5
 """Below one by chance only: errors of neighbours do not cancel."""
 _UNKNOWNS = 5
 """Degrees of freedom of a pair, which the residuals lack."""
-_SAME_RAD = float(np.radians(3.5))
-"""Distance in the space of the readings over which the correlation of errors falls to 1 / e.
-Measured in the rendered room (both lenses), by the reading that differs most: 0.3 at the same
-posture, 0.14 at 1.5 degrees, 0.09 at 3.5, 0.03 at 7.5, as much within 3 s as later."""
+_SAME_WINDOWS_RAD, _SAME_SURFACES_RAD = np.radians([1.2, 9.0])
+"""Distances in the space of the readings over which either half of the correlation of errors falls
+to 1 / e: one half by the windows themselves, one by what surrounds them, which stays in its block.
+Fitted to rendered sequences (both lenses, four heads): 0.4 at the same posture,
+0.22 at 1.5 degrees, 0.16 at 4, 0.1 at 8, 0.03 at 17, none at 40; as much within 3 s as later."""
 _FADING_S = 120.0
 """Time in which the same is new again: an assumption, without which a slow drift of the head would
 not show to eyes that have been everywhere."""
-_EXPECTED_RECURRENCE = 0.3
+_EXPECTED_RECURRENCE = 0.4
 """Correlation of errors at the same posture, before it is measured."""
 _MOST_RECURRENCE = 0.95
 _PACE = 0.1
@@ -172,4 +173,5 @@ def _apart(a: Array, b: Array) -> Array:
 
 
 def _kernel(apart: Array, elapsed_s: Array) -> Array:
-    return np.exp(-apart / _SAME_RAD - elapsed_s / _FADING_S)
+    same = np.exp(-apart / _SAME_WINDOWS_RAD) + np.exp(-apart / _SAME_SURFACES_RAD)
+    return same / 2 * np.exp(-elapsed_s / _FADING_S)

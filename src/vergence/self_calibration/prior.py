@@ -8,15 +8,18 @@ which is known far better than the mountings. What has moved since is added to b
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry import se3
+from vergence.geometry.camera import Camera, normalise, project_jacobians
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import straight_gaze
-from vergence.geometry.parameters import change_named, intrinsics_names, parameter_names
+from vergence.geometry.lens import COEFFICIENTS
+from vergence.geometry.parameters import PINHOLE, change_named, intrinsics_names, parameter_names
 from vergence.stereo.extrinsics import T_rcam_lcam
 
 
@@ -29,7 +32,8 @@ class Tolerance:
     aspect: float = 0.0
     """Relative; of one focal length to the other."""
     centre_px: float = 0.0
-    distortion: float = 0.0
+    lens_px: float = 0.0
+    """Root mean square over the image of what wrong coefficients of the lens displace."""
     turn_rad: float = 0.0
     """Of a mounting, about each axis."""
     shift_m: float = 0.0
@@ -45,7 +49,7 @@ USUAL = Tolerance(
     focal=0.02,
     aspect=1e-4,
     centre_px=0.2,
-    distortion=0.003,
+    lens_px=0.1,
     turn_rad=np.radians(0.5),
     shift_m=3e-3,
     stereo_turn_rad=np.radians(0.3),
@@ -90,6 +94,11 @@ UNCALIBRATED = Tolerance(
     gain=0.05,
 )
 """Of a head that is known from its drawing only, or is no longer as it was calibrated."""
+_GRID = 16
+"""Places along each axis of the image where a lens is looked at."""
+_LARGEST_COEFFICIENT = 0.01
+"""Standard deviation of any combination of a lens's coefficients: some of a rational lens show
+nothing, and would change by more than is linear."""
 JOINT_STD_RAD = np.radians(0.2)
 """Of readings whose noise nobody states, until it is estimated."""
 
@@ -97,8 +106,11 @@ JOINT_STD_RAD = np.radians(0.2)
 def learned_names(head: HeadCalibration, cameras: tuple[str, str]) -> tuple[str, ...]:
     """Return which parameters of a head can be wrong, and show in its main cameras."""
     stated = head.accuracy.parameters if head.accuracy else ()
-    first = {name: intrinsics_names(head.camera(name).intrinsics)[:5] for name in cameras}
-    usual = {f"{camera}.{each}" for camera, names in first.items() for each in names}
+    usual = {
+        f"{name}.{each}"
+        for name in cameras
+        for each in (PINHOLE if stated else intrinsics_names(head.camera(name).intrinsics))
+    }
 
     def wanted(name: str) -> bool:
         owner, _, rest = name.partition(".")
@@ -136,7 +148,29 @@ def tolerance_covariance(
             other = names.index(f"{name[:-1]}y")
             focal = head.camera(name[:-3]).intrinsics.matrix[[0, 1], [0, 1]]
             C[k, other] = C[other, k] = tolerance.focal**2 * focal[0] * focal[1]
+    for name, mounted in head.cameras.items():
+        lens = [f"{name}.{each}" for each in COEFFICIENTS[mounted.intrinsics.model]]
+        own = [k for k, each in enumerate(names) if each in lens]
+        if own and tolerance.lens_px:
+            free = [lens.index(names[k]) for k in own]
+            C[np.ix_(own, own)] = _of_lens(mounted.intrinsics, free, tolerance.lens_px)
     return C
+
+
+def _of_lens(camera: Camera, free: Sequence[int], lens_px: float) -> Array:
+    """Return the covariance of n coefficients of a lens that displace its image by so much [rms].
+
+    They make up for each other: each by itself is less certain than all together.
+    """
+    u, v = np.meshgrid(
+        *((np.arange(_GRID) + 0.5) / _GRID * n - 0.5 for n in (camera.width, camera.height))
+    )
+    xy = normalise(camera, np.stack([u.ravel(), v.ravel()], axis=1))
+    xy = xy[np.isfinite(xy).all(axis=1)]
+    _, _, by_lens = project_jacobians(camera, np.column_stack([xy, np.ones(len(xy))]))
+    J = by_lens[:, :, len(PINHOLE) :][:, :, free]
+    shown = len(free) * np.einsum("nij,nik->jk", J, J) / len(xy) / lens_px**2
+    return np.linalg.inv(shown + np.eye(len(free)) / _LARGEST_COEFFICIENT**2)
 
 
 def _std(head: HeadCalibration, name: str, tolerance: Tolerance) -> float:
@@ -147,7 +181,7 @@ def _std(head: HeadCalibration, name: str, tolerance: Tolerance) -> float:
         both = float(np.hypot(tolerance.focal, tolerance.aspect))
         of_lens = {"fx": both * matrix[0, 0], "fy": both * matrix[1, 1]}
         of_lens |= dict.fromkeys(("cx", "cy"), tolerance.centre_px)
-        return of_lens.get(rest, tolerance.distortion)
+        return of_lens.get(rest, 0.0)  # coefficients together: see `_of_image`
     if owner in head.cameras:
         return tolerance.turn_rad if last[0] == "r" else tolerance.shift_m
     if owner == "T_rbase_lbase":

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.spatial import cKDTree
 
 from vergence.arrays import Array
 from vergence.geometry.camera import Camera, normalise, project
@@ -33,6 +34,11 @@ _LEAST_FORWARD = 0.1
 """Of a ray's component along the optical axis: others are beside any view."""
 _LARGEST_STD_PX = 0.7
 """Of a match that is worth its time."""
+_NEIGHBOURS = 8
+_NEIGHBOUR_PX = 40.0
+"""Of matches that show where depth has steps: how many are asked, and how near they are."""
+_STEEPEST = 0.2
+"""Change of displacement per pixel that a surface may have: twice what a window expects."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,8 +188,26 @@ def _matched(views: _Views, at: Array, depths_m: Array | None) -> tuple[Matches,
     pixels, by_view = _on_map(views.maps[1], matched.pixels)
     covariance = by_view @ matched.covariance @ np.swapaxes(by_view, 1, 2)
     good = matched.good & (np.linalg.eigvalsh(covariance)[:, 1] < _LARGEST_STD_PX**2)
+    displaced = ((matched.pixels - at) * along).sum(axis=1)
+    good[good] = ~_at_steps(at[good], displaced[good])
     matches = Matches(_on_map(views.maps[0], at)[0][good], pixels[good], covariance[good])
     return matches, np.flatnonzero(sure)[good]
+
+
+def _at_steps(at: Array, displaced: Array) -> np.ndarray:
+    """Return which windows (N,) lie at a step in depth, by their displacements (N,) along depth's.
+
+    There an edge of the nearer surface and one of the farther often meet, in a corner that no point
+    of the scene has: what seems to be displaced across depth's direction is none. A window cannot
+    tell; its neighbours do, where two of them are displaced more than a surface would let them be.
+    One may be matched wrongly.
+    """
+    if len(at) <= _NEIGHBOURS:
+        return np.zeros(len(at), bool)
+    far, which = cKDTree(at).query(at, k=_NEIGHBOURS + 1, distance_upper_bound=_NEIGHBOUR_PX)
+    near = np.isfinite(far)
+    apart = np.abs(displaced[np.where(near, which, 0)] - displaced[:, None])
+    return (near & (apart > _STEEPEST * far)).sum(axis=1) >= 2
 
 
 def _map(
