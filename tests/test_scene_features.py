@@ -7,7 +7,12 @@ import pytest
 from vergence.arrays import Array
 from vergence.geometry.camera import normalise, pinhole, project
 from vergence.geometry.se3 import pose, rotation
-from vergence.vision.scene_features import Matches, match_scene, track_features
+from vergence.vision.scene_features import (
+    Matches,
+    at_depth_steps,
+    match_scene,
+    track_features,
+)
 
 CAMERA = pinhole(640, 480, 280.0, (-0.12, 0.01, 0.0, 0.0, 0.0))
 T_RCAM_LCAM = pose(rotation([0.01, -0.15, 0.02]), [-0.075, 0.002, 0.01])
@@ -79,6 +84,24 @@ def test_a_covered_eye_gives_no_matches():
         left, dark, left_camera=CAMERA, right_camera=CAMERA, T_rcam_lcam=T_RCAM_LCAM
     )
     assert len(matches.left) < 5
+
+
+GRID = np.stack(np.meshgrid(np.arange(0.0, 300, 15), np.arange(0.0, 300, 15)), axis=-1)
+GRID = GRID.reshape(-1, 2)
+
+
+def test_windows_at_a_step_in_depth_are_known_by_their_neighbours():
+    behind = GRID[:, 1] < 150
+    steps = at_depth_steps(GRID, np.where(behind, 12.0, 20.0) + 0.1 * GRID[:, 0])
+    np.testing.assert_array_equal(steps, np.isin(GRID[:, 1], [135, 150]))
+
+
+def test_an_inclined_surface_and_a_wrong_match_make_no_step():
+    displaced = 5 + 0.12 * GRID[:, 0] - 0.1 * GRID[:, 1]
+    assert not at_depth_steps(GRID, displaced).any()
+    displaced[205] += 10
+    np.testing.assert_array_equal(np.flatnonzero(at_depth_steps(GRID, displaced)), [205])
+    assert not at_depth_steps(GRID[:5], displaced[:5]).any()  # too few to tell
 
 
 T_NOW_BEFORE = pose(rotation([0.06, 0.2, 0.02]), [0.004, 0.001, 0.002])

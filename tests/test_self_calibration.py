@@ -19,7 +19,9 @@ from simulated_frames import (
     postures,
 )
 from simulated_matches import drawn_head, matches, room, squared_distance, turn_error_deg
+from vergence.geometry.camera import normalise, project
 from vergence.geometry.head import load_head, save_head
+from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.parameters import boxplus, parameter_names
 from vergence.geometry.projection import project_point
 from vergence.self_calibration.frame import from_matches, locate_seen
@@ -185,6 +187,28 @@ def test_stated_covariances_are_true_for_heads_drawn_at_random():
     low, high = chi2.interval(0.999, 3 * len(of_point))
     assert low < sum(of_point) < high
     assert np.degrees(np.mean(stds)) == pytest.approx(0.15, abs=0.02)
+
+
+@pytest.mark.parametrize("kind", ["pan, tilt", "k3", "rational", "fisheye"])
+def test_lenses_without_a_stated_covariance_err_by_a_tenth_of_a_pixel(kind):
+    """Root mean square over the image; the coefficients trade off against each other."""
+    head = head_of_kind(kind, np.random.default_rng(0))
+    state, rng = initial_self_calibration(head), np.random.default_rng(1)
+    camera = head.camera(state.cameras[0]).intrinsics
+    lens = [
+        k
+        for k, name in enumerate(state.names)
+        if name.removeprefix(f"{state.cameras[0]}.") in COEFFICIENTS[camera.model]
+    ]
+    u, v = np.meshgrid(np.arange(4.5, camera.width, 9), np.arange(4.5, camera.height, 9))
+    xy = normalise(camera, np.column_stack([u.ravel(), v.ravel()]))
+    rays = np.column_stack([xy, np.ones(len(xy))])
+    C = state.covariance[np.ix_(lens, lens)]
+    squares = []
+    for change in rng.multivariate_normal(np.zeros(len(lens)), C, 100):
+        changed = replace(camera, distortion=camera.distortion + change)
+        squares.append(((project(changed, rays) - project(camera, rays)) ** 2).sum(axis=1).mean())
+    assert 0.05 < np.sqrt(np.mean(squares)) < 0.12
 
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "one eye"])

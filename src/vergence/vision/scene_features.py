@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from vergence.arrays import Array
 from vergence.geometry.camera import Camera, normalise, project
@@ -189,12 +189,12 @@ def _matched(views: _Views, at: Array, depths_m: Array | None) -> tuple[Matches,
     covariance = by_view @ matched.covariance @ np.swapaxes(by_view, 1, 2)
     good = matched.good & (np.linalg.eigvalsh(covariance)[:, 1] < _LARGEST_STD_PX**2)
     displaced = ((matched.pixels - at) * along).sum(axis=1)
-    good[good] = ~_at_steps(at[good], displaced[good])
+    good[good] = ~at_depth_steps(at[good], displaced[good])
     matches = Matches(_on_map(views.maps[0], at)[0][good], pixels[good], covariance[good])
     return matches, np.flatnonzero(sure)[good]
 
 
-def _at_steps(at: Array, displaced: Array) -> np.ndarray:
+def at_depth_steps(at: Array, displaced: Array) -> np.ndarray:
     """Return which windows (N,) lie at a step in depth, by their displacements (N,) along depth's.
 
     There an edge of the nearer surface and one of the farther often meet, in a corner that no point
@@ -204,7 +204,7 @@ def _at_steps(at: Array, displaced: Array) -> np.ndarray:
     """
     if len(at) <= _NEIGHBOURS:
         return np.zeros(len(at), bool)
-    far, which = cKDTree(at).query(at, k=_NEIGHBOURS + 1, distance_upper_bound=_NEIGHBOUR_PX)
+    far, which = KDTree(at).query(at, k=_NEIGHBOURS + 1, distance_upper_bound=_NEIGHBOUR_PX)
     near = np.isfinite(far)
     apart = np.abs(displaced[np.where(near, which, 0)] - displaced[:, None])
     return (near & (apart > _STEEPEST * far)).sum(axis=1) >= 2
