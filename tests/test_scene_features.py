@@ -9,7 +9,7 @@ from vergence.geometry.camera import normalise, pinhole, project
 from vergence.geometry.se3 import pose, rotation
 from vergence.vision.scene_features import (
     Matches,
-    at_depth_steps,
+    at_depth_discontinuities,
     match_scene,
     track_features,
 )
@@ -90,18 +90,18 @@ GRID = np.stack(np.meshgrid(np.arange(0.0, 300, 15), np.arange(0.0, 300, 15)), a
 GRID = GRID.reshape(-1, 2)
 
 
-def test_windows_at_a_step_in_depth_are_known_by_their_neighbours():
+def test_windows_at_a_depth_discontinuity_are_known_by_their_neighbours():
     behind = GRID[:, 1] < 150
-    steps = at_depth_steps(GRID, np.where(behind, 12.0, 20.0) + 0.1 * GRID[:, 0])
-    np.testing.assert_array_equal(steps, np.isin(GRID[:, 1], [135, 150]))
+    found_at = at_depth_discontinuities(GRID, np.where(behind, 12.0, 20.0) + 0.1 * GRID[:, 0])
+    np.testing.assert_array_equal(found_at, np.isin(GRID[:, 1], [135, 150]))
 
 
-def test_an_inclined_surface_and_a_wrong_match_make_no_step():
+def test_an_inclined_surface_and_a_wrong_match_make_no_discontinuity():
     displaced = 5 + 0.12 * GRID[:, 0] - 0.1 * GRID[:, 1]
-    assert not at_depth_steps(GRID, displaced).any()
+    assert not at_depth_discontinuities(GRID, displaced).any()
     displaced[205] += 10
-    np.testing.assert_array_equal(np.flatnonzero(at_depth_steps(GRID, displaced)), [205])
-    assert not at_depth_steps(GRID[:5], displaced[:5]).any()  # too few to tell
+    np.testing.assert_array_equal(np.flatnonzero(at_depth_discontinuities(GRID, displaced)), [205])
+    assert not at_depth_discontinuities(GRID[:5], displaced[:5]).any()  # too few to tell
 
 
 T_NOW_BEFORE = pose(rotation([0.06, 0.2, 0.02]), [0.004, 0.001, 0.002])

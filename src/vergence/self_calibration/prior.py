@@ -158,9 +158,9 @@ def tolerance_covariance(
 
 
 def _of_lens(camera: Camera, free: Sequence[int], lens_px: float) -> Array:
-    """Return the covariance of n coefficients of a lens that displace its image by so much [rms].
+    """Return the covariance (n, n) of coefficients of a lens, which displace its image by so much.
 
-    They make up for each other: each by itself is less certain than all together.
+    Root mean square over the image; each coefficient by itself is less certain than all together.
     """
     u, v = np.meshgrid(
         *((np.arange(_GRID) + 0.5) / _GRID * n - 0.5 for n in (camera.width, camera.height))

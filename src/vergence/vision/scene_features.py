@@ -36,7 +36,7 @@ _LARGEST_STD_PX = 0.7
 """Of a match that is worth its time."""
 _NEIGHBOURS = 8
 _NEIGHBOUR_PX = 40.0
-"""Of matches that show where depth has steps: how many are asked, and how near they are."""
+"""Of matches that show where depth is discontinuous: how many are asked, and how near they are."""
 _STEEPEST = 0.2
 """Change of displacement per pixel that a surface may have: twice what a window expects."""
 
@@ -189,18 +189,22 @@ def _matched(views: _Views, at: Array, depths_m: Array | None) -> tuple[Matches,
     covariance = by_view @ matched.covariance @ np.swapaxes(by_view, 1, 2)
     good = matched.good & (np.linalg.eigvalsh(covariance)[:, 1] < _LARGEST_STD_PX**2)
     displaced = ((matched.pixels - at) * along).sum(axis=1)
-    good[good] = ~at_depth_steps(at[good], displaced[good])
+    good[good] = ~at_depth_discontinuities(at[good], displaced[good])
     matches = Matches(_on_map(views.maps[0], at)[0][good], pixels[good], covariance[good])
     return matches, np.flatnonzero(sure)[good]
 
 
-def at_depth_steps(at: Array, displaced: Array) -> np.ndarray:
-    """Return which windows (N,) lie at a step in depth, by their displacements (N,) along depth's.
+def at_depth_discontinuities(at: Array, displaced: Array) -> np.ndarray:
+    """Return which windows lie at a depth discontinuity, by what their neighbours are displaced.
 
-    There an edge of the nearer surface and one of the farther often meet, in a corner that no point
-    of the scene has: what seems to be displaced across depth's direction is none. A window cannot
-    tell; its neighbours do, where two of them are displaced more than a surface would let them be.
-    One may be matched wrongly.
+    There an edge of the nearer surface and one of the farther often meet in a T-junction, which is
+    no point of the scene, and seems to be displaced across the epipolar line. A window cannot tell;
+    its neighbours do, where two of them are displaced more than a surface would let them be. One
+    may be matched wrongly.
+
+    Args:
+        at: (N, 2) middles of the windows [px].
+        displaced: (N,) how far they are displaced along the epipolar line [px].
     """
     if len(at) <= _NEIGHBOURS:
         return np.zeros(len(at), bool)
