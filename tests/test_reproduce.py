@@ -80,11 +80,11 @@ def test_noise_alone_makes_divergent_motion_no_worse_than_parallel():
 def run(tmp_path_factory, opengl: None) -> Path:
     """Figs. 6 and 7 over their full periods, coarsely sampled, on rendered images.
 
-    The calibration has half of its views, and most samples only the images that are needed.
+    The calibration has a third of its views, and most samples only the images that are needed.
     """
     out = tmp_path_factory.mktemp("paper")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(plan.__kwdefaults__, "views", (9, 6, 30))
+        patch.setitem(plan.__kwdefaults__, "views", (7, 5, 20))
         patch.setattr(main_job, "SAMPLES_WITH_IMAGES", 20)
         reproduce(out, figures=(7, 6), profile=load_profile("paper"), seed=0, rate_hz=0.5)
     return out
