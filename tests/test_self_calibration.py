@@ -229,7 +229,7 @@ def test_heads_of_every_kind_are_learned(kind):
         state = learn(state, found, 0.3)
     assert statuses == {"seen"}
     assert squared_distance(state, truth) < chi2.isf(1e-4, len(state.names))
-    assert np.mean(errors_deg[5:]) < 0.05  # with readings that are wrong by 0.15
+    assert np.mean(errors_deg[5:]) < 0.05  # readings are wrong by 0.15, and lenses by 0.1 px
 
 
 def test_a_learned_head_is_a_calibration_with_its_accuracy(tmp_path):

@@ -141,17 +141,19 @@ def prior_covariance(
 def tolerance_covariance(
     head: HeadCalibration, names: tuple[str, ...], tolerance: Tolerance
 ) -> Array:
-    """Return the covariance (P, P) of parameters that are wrong by independent tolerances."""
+    """Return the covariance (P, P) of parameters that are wrong by tolerances."""
     C = np.diag([_std(head, name, tolerance) ** 2 for name in names])
     for k, name in enumerate(names):
         if name.endswith(".fx") and f"{name[:-1]}y" in names:
             other = names.index(f"{name[:-1]}y")
             focal = head.camera(name[:-3]).intrinsics.matrix[[0, 1], [0, 1]]
             C[k, other] = C[other, k] = tolerance.focal**2 * focal[0] * focal[1]
+    if not tolerance.lens_px:
+        return C
     for name, mounted in head.cameras.items():
         lens = [f"{name}.{each}" for each in COEFFICIENTS[mounted.intrinsics.model]]
         own = [k for k, each in enumerate(names) if each in lens]
-        if own and tolerance.lens_px:
+        if own:
             free = [lens.index(names[k]) for k in own]
             C[np.ix_(own, own)] = _of_lens(mounted.intrinsics, free, tolerance.lens_px)
     return C
@@ -181,7 +183,7 @@ def _std(head: HeadCalibration, name: str, tolerance: Tolerance) -> float:
         both = float(np.hypot(tolerance.focal, tolerance.aspect))
         of_lens = {"fx": both * matrix[0, 0], "fy": both * matrix[1, 1]}
         of_lens |= dict.fromkeys(("cx", "cy"), tolerance.centre_px)
-        return of_lens.get(rest, 0.0)  # coefficients together: see `_of_image`
+        return of_lens.get(rest, 0.0)  # coefficients together: see `_of_lens`
     if owner in head.cameras:
         return tolerance.turn_rad if last[0] == "r" else tolerance.shift_m
     if owner == "T_rbase_lbase":

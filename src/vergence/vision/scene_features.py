@@ -195,7 +195,7 @@ def _matched(views: _Views, at: Array, depths_m: Array | None) -> tuple[Matches,
 
 
 def at_depth_discontinuities(at: Array, displaced: Array) -> np.ndarray:
-    """Return which windows lie at a depth discontinuity, by what their neighbours are displaced.
+    """Return which windows (N,) lie at a depth discontinuity, as their neighbours show.
 
     There an edge of the nearer surface and one of the farther often meet in a T-junction, which is
     no point of the scene, and seems to be displaced across the epipolar line. A window cannot tell;
