@@ -20,7 +20,7 @@ SRC = Path(__file__).parents[1] / "src"
 ROOMS = (
     "errors", "arrays", "reading", "writing", "progress", "geometry", "data", "vision", "stereo",
     "calibration", "self_calibration", "gaze", "reach", "accuracy", "interchange", "vergence",
-    "twin", "viewer",
+    "processes", "twin", "viewer",
     "commands", "paper", "demos", "cli", "__main__",
 )  # fmt: skip
 """Folders and single modules, from the ground up: each may import itself and those before it.
@@ -39,7 +39,7 @@ OUTER_LIBRARIES = {
     "mujoco": ("twin",),
     "rerun": ("viewer", "paper.recording"),
     "matplotlib": ("viewer", "paper.plots"),
-    "joblib": ("commands.design_chunks",),
+    "joblib": ("commands.design_chunks", "processes"),
     "distributed": ("commands.design_chunks",),
     "tyro": ("cli",),
     "rich": ("cli",),

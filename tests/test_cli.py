@@ -28,6 +28,7 @@ BAD_ARGUMENTS = {
     "profile that is a folder": (["--profile", "folder.toml"], "folder.toml"),
     "folder that is a file": (["--out", "file"], "file"),
     "unknown option": (["--fast"], "--fast"),
+    "no processes": (["--jobs", "0"], "--jobs"),
 }
 
 

@@ -189,6 +189,19 @@ def test_methods_are_compared_on_the_same_images(tmp_path, monkeypatch):
     assert len(read_series(recording, "/learned/gain/right_pan")[1]) == 12
 
 
+@pytest.mark.render
+def test_figures_that_are_replayed_side_by_side_are_the_same(tmp_path, monkeypatch):
+    monkeypatch.setitem(plan.__kwdefaults__, "views", (7, 5, 20))
+    short = {"figures": (6, 7), "profile": load_profile("paper"), "duration_s": 2, "rate_hz": 3}
+    alone, beside = (tmp_path / name for name in ("alone", "beside"))
+    reproduce(alone, seed=1, **short)
+    reproduce(beside, seed=1, jobs=2, **short)
+    for name in ("statistics.json", "report.md", "figures.png", "calibration-2.8mm.json"):
+        assert (alone / name).read_bytes() == (beside / name).read_bytes()
+    assert {path.name for path in alone.iterdir()} == {path.name for path in beside.iterdir()}
+    assert_valid(beside / "fig07.rrd")
+
+
 @pytest.mark.usefixtures("few_views")
 @pytest.mark.render
 def test_a_seed_gives_its_digits_even_if_interrupted_and_another_seed_others(tmp_path, monkeypatch):

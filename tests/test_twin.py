@@ -239,6 +239,31 @@ def test_its_cameras_leave_the_model_as_it_was(perfect: Twin):
     assert perfect.model.vis.quality.offsamples == fresh.vis.quality.offsamples
 
 
+@pytest.mark.parametrize("place", [(0.43, -0.02, -0.08), (0.3, 0.25, 0.1), (1.1, 0.0, 0.0)])
+def test_the_object_is_multisampled_where_the_rest_is_not(make: Make, place: tuple[float, ...]):
+    """Beside a picture that MuJoCo multisamples as a whole, of each wide camera."""
+    twin = make(EVERYTHING)
+    twin.place_object(np.array(place))
+    for name in ("left_wide", "right_wide"):
+        image = twin.expose((name,)).negatives[0].rendered.astype(int)
+        height, width = image.shape[:2]
+        buffer = twin.model.vis.global_
+        before = buffer.offwidth, buffer.offheight
+        buffer.offwidth, buffer.offheight = width, height
+        with mujoco.Renderer(twin.model, height, width) as renderer:
+            buffer.offwidth, buffer.offheight = before
+            for flag in ("SKYBOX", "HAZE", "SHADOW", "REFLECTION"):
+                renderer.scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{flag}")] = 0
+            renderer.update_scene(twin._seen, camera=name)
+            wanted = renderer.render().astype(int)
+        off = np.abs(image - wanted).max(axis=2)
+        v, u = np.nonzero(wanted[..., 0] - wanted[..., 1] > 40)  # red
+        assert len(v) > 50
+        around = slice(max(0, v.min() - 4), v.max() + 5), slice(max(0, u.min() - 4), u.max() + 5)
+        assert off[around].max() <= 2
+        assert off.max() > 40
+
+
 def test_a_later_run_does_not_depend_on_what_came_before(make: Make):
     twin = make(EVERYTHING, seed=1)
     frames = []

@@ -37,6 +37,11 @@ def finished_files() -> tuple[Path, ...]:
     return tuple(_finished)
 
 
+def add_finished(files: Iterable[Path]) -> None:
+    """Count among the files of this process those that others have written for it."""
+    _finished.extend(files)
+
+
 def check_outputs(
     *outputs: Path | None, folder: Path | None = None, inputs: Iterable[Path] = ()
 ) -> None:

@@ -39,6 +39,7 @@ def reproduce(
     method: Literal["paper", "self-calibrated"] = "paper",
     compare: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     floor: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    jobs: int = -1,
 ) -> None:
     """Replay the paper's Figs. 6-11 on rendered images.
 
@@ -54,6 +55,7 @@ def reproduce(
             geometry that is learned from the same images.
         compare: State the results of all methods side by side.
         floor: Compare also with self-calibration that is given the true head.
+        jobs: Processes on this machine; -1: one for each core.
     """
     # Imported here, so that help and wrong arguments do not wait for OpenGL.
     from vergence.paper.reproduce import check
@@ -61,7 +63,7 @@ def reproduce(
     from vergence.twin.profile import load_profile
 
     chosen = load_profile(profile)
-    check(out, figures=figures, seed=seed, duration_s=duration, rate_hz=rate)
+    check(out, figures=figures, seed=seed, duration_s=duration, rate_hz=rate, jobs=jobs)
     if (out / "statistics.json").exists():
         print(f"Replacing the results of an earlier run in {out}.")
     say_if_unfinished(out)
@@ -77,6 +79,7 @@ def reproduce(
             method=method,
             compare=compare,
             floor=floor,
+            jobs=jobs,
             progress=progress,
         )
     recordings = [f"fig{number:02d}.rrd" for number in sorted(done.replays)]

@@ -23,6 +23,7 @@ from vergence.accuracy.design_sweep import (
 )
 from vergence.commands.design_chunks import sweep
 from vergence.errors import VergenceError, explain
+from vergence.processes import process_count
 from vergence.progress import Progress, silent
 from vergence.viewer.plots.design import draw_axes, draw_design
 from vergence.writing import markdown_table, results_folder, whole_file, write_json, write_whole
@@ -46,8 +47,7 @@ def chosen_settings(
     for name, value in (("--accuracy-mm", accuracy_mm), ("--at-m", at_m)):
         if not 0 < value < 1e6:
             raise VergenceError(f"{name} takes a number above 0, found {value:g}.")
-    if jobs == 0:
-        raise VergenceError("--jobs takes a number of processes, or -1 for all cores, found 0.")
+    process_count(jobs)
     settings = DesignSettings() if path is None else load_settings(path)
     chosen = settings.model_dump()
     chosen["designs"] |= {name: values for name, values in given.items() if values is not None}

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
@@ -11,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.calibration.sequential.sequential import SequentialCalibration
 from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, save_head
@@ -20,13 +23,14 @@ from vergence.paper.plots import paper_figures
 from vergence.paper.recording import figure_recording, log_results
 from vergence.paper.replay import Replay, chosen, replay, sample_times, summaries, summary
 from vergence.paper.report import Reproduction, figure_report, report
+from vergence.processes import process_count, processes
 from vergence.progress import Progress, silent
 from vergence.self_calibration.learning import learned_head
 from vergence.twin.appearance import visual_geoms
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration
 from vergence.twin.head import Twin
-from vergence.twin.profile import ErrorProfile
+from vergence.twin.profile import ErrorProfile, Lens
 from vergence.twin.scene.room import Scene
 from vergence.viewer.frame import log_frame
 from vergence.viewer.opening import log_report
@@ -38,6 +42,30 @@ _LOOKING = 100
 """Number of the run in which the learned head first looks around; those of figures are theirs."""
 SAMPLES_WITH_IMAGES = 160
 """About how many samples of a figure have their images in the recording, which keeps it small."""
+
+
+@dataclass(frozen=True)
+class _Settings:
+    """What is replayed, and how; see `reproduce`."""
+
+    out: Path
+    profile: ErrorProfile
+    seed: int
+    scene: Scene
+    duration_s: float | None
+    rate_hz: float | None
+    method: Method
+    compare: bool
+    floor: bool
+
+    @property
+    def learns(self) -> bool:
+        """Whether there is self-calibration, which goes on from figure to figure of a lens."""
+        return self.compare or self.floor or self.method != "paper"
+
+    def twin(self, lens: Lens) -> Twin:
+        """Return the twin with wide cameras of a lens."""
+        return Twin(self.profile, seed=self.seed, lens=lens, scene=self.scene)
 
 
 def reproduce(
@@ -52,11 +80,13 @@ def reproduce(
     method: Method = "paper",
     compare: bool = False,
     floor: bool = False,
+    jobs: int = 1,
     progress: Progress = silent,
 ) -> Reproduction:
     """Replay figures and write recordings, plots, report and statistics into a folder.
 
-    Results are written after each figure, so that an interrupted run loses only its last one.
+    Results are written after each figure, so that an interrupted run loses only unfinished ones.
+    The number of jobs does not change them.
 
     Args:
         out: folder of the results; made if it is not there.
@@ -70,66 +100,88 @@ def reproduce(
             the geometry that is learned from the same images.
         compare: also state the results of the other methods.
         floor: also those of self-calibration that is given the true head, for evaluation.
+        jobs: processes, as `processes.processes` has them; -1: one for each core.
         progress: is called after each view of a calibration and each sample of a figure.
 
     Raises:
         VergenceError: an argument cannot be met, or the folder cannot be written.
     """
-    wanted = check(out, figures=figures, seed=seed, duration_s=duration_s, rate_hz=rate_hz)
+    wanted = check(
+        out, figures=figures, seed=seed, duration_s=duration_s, rate_hz=rate_hz, jobs=jobs
+    )
+    settings = _Settings(
+        out, profile, seed, scene, duration_s, rate_hz, method, compare=compare, floor=floor
+    )
     done = Reproduction(profile, seed, {}, {}, {})
     with results_folder(out):
-        sampling = duration_s, rate_hz
-        _replay_all(out, wanted, done, scene, sampling, (method, compare, floor), progress)
+        try:
+            _replay_all(settings, wanted, done, process_count(jobs), progress)
+        finally:
+            if done.replays:
+                paper_figures(out / "figures.png", list(done.replays.values()))
     return done
 
 
 def _replay_all(
-    out: Path,
+    settings: _Settings,
     figures: Sequence[Figure],
     done: Reproduction,
-    scene: Scene,
-    sampling: tuple[float | None, float | None],
-    methods: tuple[Method, bool, bool],
+    jobs: int,
     progress: Progress,
 ) -> None:
     """Replay figures, and add each to what is done when its files are written."""
-    profile, seed = done.profile, done.seed
-    method, compare, floor = methods
-    learns = compare or floor or method != "paper"
-    try:
-        for lens, through_it in groupby(figures, attrgetter("lens")):
-            with Twin(profile, seed=seed, lens=lens, scene=scene) as twin:
-                found = paper_calibration(
-                    twin,
-                    seed,
-                    progress=lambda _, done, total, lens=lens: progress(
-                        f"calibrating, {lens} lens", done, total
-                    ),
-                )
-                save_head(found.head, out / f"calibration-{lens}.json")
-                done.calibrations[lens] = found
-                done.heads[lens] = inject_calibration_error(found.head, profile.by_hand, lens)
-                compared = None
-                if learns:
-                    compared = comparison(done.heads[lens], twin, floor=floor)
-                    learn_around(twin, compared, _LOOKING)
-                for figure in through_it:
-                    done.replays[figure.number] = record_replay(
-                        twin,
-                        done.heads[lens],
-                        figure,
-                        sample_times(figure, *sampling),
-                        out / f"fig{figure.number:02d}.rrd",
-                        method=PAPER if method == "paper" else LEARNED,
-                        compared=compared,
-                        progress=progress,
-                    )
-                    _write(out, done)
-                if compared is not None:
-                    save_head(learned_head(compared.states[LEARNED]), out / f"learned-{lens}.json")
-    finally:
-        if done.replays:
-            paper_figures(out / "figures.png", list(done.replays.values()))
+    by_lens = {lens: list(each) for lens, each in groupby(figures, attrgetter("lens"))}
+    # What is learned goes from one figure to the next.
+    together = settings.learns or jobs == 1
+    chains = list(by_lens.values()) if together else [[figure] for figure in figures]
+    with processes(jobs) as run:
+        calibrated = dict(run([partial(_calibrate, settings, lens) for lens in by_lens], progress))
+        for lens in by_lens:
+            found = done.calibrations[lens] = calibrated[lens]
+            by_hand = settings.profile.by_hand
+            done.heads[lens] = inject_calibration_error(found.head, by_hand, lens)
+        tasks = [partial(_replay_chain, settings, done.heads[c[0].lens], c) for c in chains]
+        for replayed in run(tasks, progress):
+            done.replays[replayed.figure.number] = replayed
+            _write(settings.out, done)
+
+
+def _calibrate(
+    settings: _Settings, lens: Lens, progress: Progress
+) -> Iterator[tuple[Lens, SequentialCalibration]]:
+    """Calibrate the head with wide cameras of a lens, as the paper does, and write the result."""
+    task = f"calibrating, {lens} lens"
+    with settings.twin(lens) as twin:
+        found = paper_calibration(
+            twin, settings.seed, progress=lambda _, done, total: progress(task, done, total)
+        )
+    save_head(found.head, settings.out / f"calibration-{lens}.json")
+    yield lens, found
+
+
+def _replay_chain(
+    settings: _Settings, head: HeadCalibration, figures: Sequence[Figure], progress: Progress
+) -> Iterator[Replay]:
+    """Replay figures of one lens, one after another; each is yielded when it is recorded."""
+    out, compared = settings.out, None
+    with settings.twin(figures[0].lens) as twin:
+        if settings.learns:
+            compared = comparison(head, twin, floor=settings.floor)
+            learn_around(twin, compared, _LOOKING)
+        for figure in figures:
+            yield record_replay(
+                twin,
+                head,
+                figure,
+                sample_times(figure, settings.duration_s, settings.rate_hz),
+                out / f"fig{figure.number:02d}.rrd",
+                method=PAPER if settings.method == "paper" else LEARNED,
+                compared=compared,
+                progress=progress,
+            )
+    if compared is not None:
+        learned = learned_head(compared.states[LEARNED])
+        save_head(learned, out / f"learned-{figures[0].lens}.json")
 
 
 def check(
@@ -139,6 +191,7 @@ def check(
     seed: int,
     duration_s: float | None = None,
     rate_hz: float | None = None,
+    jobs: int = 1,
 ) -> list[Figure]:
     """Check the arguments of `reproduce` before any work is done, and return the figures.
 
@@ -166,6 +219,7 @@ def check(
                 f"A duration of {duration_s} s at {rate_hz or 'the default rate'} gives samples "
                 "less than 1 ms apart, or fewer than two; ask for a longer or slower run."
             )
+    process_count(jobs)
     check_outputs(folder=out)
     return chosen
 

@@ -6,6 +6,7 @@ back by itself, so the choice is made here.
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import sys
 
@@ -13,6 +14,8 @@ from vergence.errors import VergenceError
 
 if sys.platform.startswith("linux"):
     os.environ.setdefault("MUJOCO_GL", "egl")  # renders without a screen
+    if multiprocessing.parent_process() is not None:  # one of several, which share the cores:
+        os.environ.setdefault("LP_NUM_THREADS", "0")  # Mesa takes no threads besides
 
 NO_OPENGL = (
     "Rendering needs OpenGL, and MUJOCO_GL={backend} gave none ({reason}); install Mesa's drivers "

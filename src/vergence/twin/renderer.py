@@ -24,9 +24,12 @@ from vergence.twin.profile import Image
 
 OVERSAMPLING = 1.5
 """Oversampling along each axis of an image that is distorted afterwards: interpolation between
-pixels of the camera's own size would shift corners by 0.01 px, in every image alike. Edges are
-multisampled besides: by 2.25 samples a pixel alone they are stepped, which displaces a sphere of
-5 px in radius by 0.04 px and spreads self-calibrated depth up to twice as far."""
+pixels of the camera's own size would shift corners by 0.01 px, in every image alike."""
+_WINDOW_PX = 192
+"""Side of the part of such an image that is rendered anew, multisampled: the one with the object,
+whose outline would else be stepped, which displaces a sphere of 5 px in radius by 0.04 px. To
+multisample all of the image would take twice as long."""
+_UNSEEN_GROUP = 5  # of geoms, which MuJoCo leaves out unless it is told otherwise
 _PIXEL_STD_PX = 0.36
 """Standard deviation of the filter by which a pixel gathers light before the image is sampled.
 With multisampling (0.2 px) and interpolation (0.3 px) a pixel sees somewhat more than itself."""
@@ -84,6 +87,31 @@ def _in_pinhole(camera: Camera, pixels: Array, size: tuple[int, int]) -> Array:
     return xy @ camera.matrix[:2, :2].T + camera.matrix[:2, 2] + shift
 
 
+def _view_corners(renderer: mujoco.Renderer, data: mujoco.MjData, camera: str) -> Array:
+    """Return the left upper and right lower corner (2, 2) of a camera's view, one metre before it.
+
+    x points right, y up.
+    """
+    renderer.update_scene(data, camera=camera)
+    view = renderer.scene.camera[0]
+    middle, half = view.frustum_center, view.frustum_width
+    corners = [(middle - half, view.frustum_top), (middle + half, view.frustum_bottom)]
+    return np.array(corners) / view.frustum_near
+
+
+def _beside(centres: Array, radii: Array, corners: Array) -> Array:
+    """Return (N,) whether spheres lie outside the cone about a view between two corners (2, 2).
+
+    Centres are (N, 3), x right, y up, z back. A sphere without radius is an infinite plane.
+    """
+    rim = np.array([(x, y, -1) for x in corners[:, 0] for y in corners[:, 1]])
+    axis = rim.mean(axis=0) / np.linalg.norm(rim.mean(axis=0))
+    half_angle = np.arccos((rim @ axis / np.linalg.norm(rim, axis=1)).min())
+    far = np.maximum(np.linalg.norm(centres, axis=1), 1e-9)
+    off_axis = np.arccos(np.clip(centres @ axis / far, -1, 1))
+    return (radii > 0) & (off_axis > half_angle + np.arcsin(np.minimum(radii / far, 1)) + 1e-3)
+
+
 class Renderer:
     """The cameras of a compiled head. Use it in the thread that created it, and close it."""
 
@@ -96,8 +124,7 @@ class Renderer:
         seed: int,
     ):
         """Open OpenGL for a model of a head with its `overscan_sizes`; VergenceError: none."""
-        self._image = image
-        self._seed = seed
+        self._model, self._image, self._seed = model, image, seed
         self.restart(0)
         self._maps = {
             name: _map(mounted.intrinsics, sizes[name])
@@ -108,26 +135,44 @@ class Renderer:
         width = max(m.intrinsics.width for m in head.cameras.values()) + _NOISE_MARGIN
         noise = self._rng.normal(0, image.noise_grey, (height, width, 3))
         self._noise = np.round(noise).astype(np.int16) if image.noise_grey else None
-        self._renderers: dict[tuple[int, int], mujoco.Renderer] = {}
-        self._sizes: dict[str, tuple[int, int]] = {}
-        buffer = model.vis.global_
-        before = buffer.offwidth, buffer.offheight
+        self._renderers: dict[tuple[int, int, int], mujoco.Renderer] = {}
+        self._by_camera: dict[str, mujoco.Renderer] = {}
+        samples = model.vis.quality.offsamples
         try:
             for name, (width, height) in sizes.items():
                 finer = OVERSAMPLING if name in self._maps else 1
-                self._sizes[name] = size = round(finer * width), round(finer * height)
-                if size in self._renderers:
-                    continue
-                buffer.offwidth, buffer.offheight = size
-                self._renderers[size] = mujoco.Renderer(model, height=size[1], width=size[0])
+                size = round(finer * width), round(finer * height)
+                once = 0 if name in self._maps else samples
+                self._by_camera[name] = self._renderer(model, *size, once)
+            data = mujoco.MjData(model)
+            mujoco.mj_forward(model, data)
+            self._corners = {
+                name: _view_corners(renderer, data, name)
+                for name, renderer in self._by_camera.items()
+            }
+            side = min(_WINDOW_PX, *np.ravel(list(sizes.values())).tolist())
+            self._window = self._renderer(model, side, side, samples)
         except Exception as error:  # each backend raises its own kind
             self.close()
             raise no_opengl(error) from error
+
+    def _renderer(
+        self, model: mujoco.MjModel, width: int, height: int, samples: int
+    ) -> mujoco.Renderer:
+        """Return a renderer of pictures of a size, with a number of samples a pixel; 0: one."""
+        if (known := self._renderers.get((width, height, samples))) is not None:
+            return known
+        buffer, quality = model.vis.global_, model.vis.quality
+        before = buffer.offwidth, buffer.offheight, quality.offsamples
+        buffer.offwidth, buffer.offheight, quality.offsamples = width, height, samples
+        try:
+            renderer = mujoco.Renderer(model, height=height, width=width)
         finally:
-            buffer.offwidth, buffer.offheight = before
-        for renderer in self._renderers.values():  # the room is closed: none of these is visible
-            for flag in ("SKYBOX", "HAZE", "SHADOW", "REFLECTION"):
-                renderer.scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{flag}")] = 0
+            buffer.offwidth, buffer.offheight, quality.offsamples = before
+        for flag in ("SKYBOX", "HAZE", "SHADOW", "REFLECTION"):  # the room is closed: not visible
+            renderer.scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{flag}")] = 0
+        self._renderers[width, height, samples] = renderer
+        return renderer
 
     def restart(self, run: int) -> None:
         """Restart the noise, which depends only on the seed and the number of the run."""
@@ -135,10 +180,45 @@ class Renderer:
 
     def expose(self, data: mujoco.MjData, camera: str) -> Negative:
         """Render the image of one camera, and draw the position of its noise."""
-        renderer = self._renderers[self._sizes[camera]]
-        renderer.update_scene(data, camera=camera)
+        renderer, corners = self._by_camera[camera], self._corners[camera]
+        self._show(renderer, data, camera, corners)
         v, u = self._rng.integers(0, _NOISE_MARGIN, 2)
-        return Negative(camera, renderer.render(), (int(v), int(u)))
+        rendered = renderer.render()
+        if camera in self._maps:
+            self._multisample_object(rendered, data, camera)
+        return Negative(camera, rendered, (int(v), int(u)))
+
+    def _show(
+        self, renderer: mujoco.Renderer, data: mujoco.MjData, camera: str, corners: Array
+    ) -> None:
+        """Let a renderer show a camera's view between two corners (2, 2), and no more than that."""
+        seen_by, groups = data.camera(camera), self._model.geom_group.copy()
+        centres = (data.geom_xpos - seen_by.xpos) @ seen_by.xmat.reshape(3, 3)
+        beside = _beside(centres, self._model.geom_rbound, corners)
+        self._model.geom_group[beside] = _UNSEEN_GROUP
+        renderer.update_scene(data, camera=camera)
+        self._model.geom_group[:] = groups
+        for view in renderer.scene.camera:  # of either eye, of which the mean is rendered
+            (left, top), (right, bottom) = corners * view.frustum_near
+            view.frustum_center, view.frustum_width = (left + right) / 2, (right - left) / 2
+            view.frustum_top, view.frustum_bottom = top, bottom
+
+    def _multisample_object(self, image: np.ndarray, data: mujoco.MjData, camera: str) -> None:
+        """Render anew, in place, the part of an image (H, W, 3) in whose middle the object is."""
+        seen_by, (corner, right_lower) = data.camera(camera), self._corners[camera]
+        where = (data.body("object").xpos - seen_by.xpos) @ seen_by.xmat.reshape(3, 3)
+        if where[2] >= 0:  # z points back
+            return
+        side, size = self._window.width, np.array([image.shape[1], image.shape[0]])
+        step = (right_lower - corner) / size
+        middle = (where[:2] / -where[2] - corner) / step
+        if ((middle < -side) | (middle > size + side)).any():
+            return
+        first = np.clip(np.round(middle - side / 2).astype(int), 0, size - side)
+        window = corner + step * np.array([first, first + side])
+        self._show(self._window, data, camera, window)
+        u, v = first
+        image[v : v + side, u : u + side] = self._window.render()
 
     def develop(self, negative: Negative) -> np.ndarray:
         """Return the image (H, W, 3) uint8 of the camera."""
@@ -157,7 +237,7 @@ class Renderer:
 
     def true_depth(self, data: mujoco.MjData, camera: str) -> Array:
         """Return the depth (H, W) [m] along a camera's optical axis, of each of its pixels."""
-        renderer = self._renderers[self._sizes[camera]]
+        renderer = self._by_camera[camera]
         renderer.update_scene(data, camera=camera)
         renderer.enable_depth_rendering()
         try:

@@ -1,0 +1,141 @@
+"""Tasks in processes of their own, side by side, with their progress.
+
+A process that ends takes its tasks with it and no other: Ctrl-C and errors end all of them, what
+they were writing is removed, and none outlives the process that started it.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+import sys
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
+from typing import Any, Protocol, TypeVar
+
+import joblib
+
+from vergence.errors import VergenceError
+from vergence.progress import Progress
+from vergence.writing import add_finished, finished_files
+
+T = TypeVar("T")
+Task = Callable[[Progress], Iterable[T]]
+"""Yields its results, and calls the progress that it is given."""
+
+
+class Run(Protocol):
+    """Run tasks, and yield what they yield as it comes."""
+
+    def __call__(self, tasks: Sequence[Task[T]], progress: Progress) -> Iterator[T]: ...
+
+
+def process_count(jobs: int) -> int:
+    """Return how many processes are asked for; -1: as many as there are cores.
+
+    VergenceError if none is asked for.
+    """
+    if jobs == 0:
+        raise VergenceError("--jobs takes a number of processes, or -1 for all cores, found 0.")
+    return joblib.effective_n_jobs(jobs)
+
+
+@contextmanager
+def processes(jobs: int) -> Iterator[Run]:
+    """Give a `with` block a function that runs up to a number of tasks side by side.
+
+    One job, or a single task, runs in this process. Else tasks and results are pickled, and a
+    script needs `if __name__ == "__main__":`, since each process imports it.
+    """
+    workers: list[tuple[SpawnProcess, Connection]] = []
+    try:
+        yield _in_turn if jobs == 1 else partial(_side_by_side, workers, jobs)
+    finally:
+        for process, link in workers:
+            process.terminate()
+            link.close()
+        for process, _ in workers:
+            process.join()
+
+
+def _in_turn(tasks: Sequence[Task[T]], progress: Progress) -> Iterator[T]:
+    for task in tasks:
+        yield from task(progress)
+
+
+def _side_by_side(
+    workers: list[tuple[SpawnProcess, Connection]],
+    jobs: int,
+    tasks: Sequence[Task[T]],
+    progress: Progress,
+) -> Iterator[T]:
+    if len(tasks) == 1:
+        yield from _in_turn(tasks, progress)
+        return
+    while len(workers) < min(jobs, len(tasks)):
+        workers.append(_start())
+    waiting, idle, busy = list(tasks), [link for _, link in workers], list[Connection]()
+    while waiting or busy:
+        while waiting and idle:
+            link = idle.pop()
+            link.send(waiting.pop(0))
+            busy.append(link)
+        for link in wait(busy):
+            assert isinstance(link, Connection)
+            try:
+                kind, *values = link.recv()
+            except EOFError:
+                raise VergenceError(
+                    "A process ended before its work was done, perhaps for want of memory; fewer "
+                    "processes (--jobs) need less."
+                ) from None
+            if kind == "progress":
+                progress(*values)
+            elif kind == "result":
+                yield values[0]
+            elif kind == "error":
+                raise values[0]
+            else:
+                add_finished(values[0])
+                busy.remove(link)
+                idle.append(link)
+
+
+def _start() -> tuple[SpawnProcess, Connection]:
+    """Start a process that waits for tasks."""
+    context = multiprocessing.get_context("spawn")  # a copy of this one could not use OpenGL
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_work, args=(theirs,), daemon=True)
+    process.start()
+    theirs.close()  # so that either side notices when the other has ended
+    return process, ours
+
+
+def _work(link: Connection) -> None:
+    """Do tasks until the other end is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever started this process ends it
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
+    try:
+        while True:
+            task, before = link.recv(), len(finished_files())
+            try:
+                for result in task(partial(_tell, link)):
+                    link.send(("result", result))
+            except (EOFError, BrokenPipeError):
+                raise
+            except Exception as error:
+                if not isinstance(error, VergenceError):
+                    error.add_note(traceback.format_exc())
+                link.send(("error", error))
+            else:
+                link.send(("end", finished_files()[before:]))
+    except (EOFError, OSError):
+        return
+
+
+def _tell(link: Connection, *progress: Any) -> None:
+    link.send(("progress", *progress))

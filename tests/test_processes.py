@@ -1,0 +1,101 @@
+"""Tasks in processes of their own."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from vergence.errors import VergenceError
+from vergence.processes import process_count, processes
+from vergence.progress import Progress, silent
+from vergence.writing import finished_files, write_whole
+
+
+def count_up(name: str, steps: int, progress: Progress) -> Iterator[tuple[str, int, int]]:
+    for step in range(steps):
+        progress(name, step, steps)
+        yield name, step, os.getpid()
+
+
+def write(path: Path, progress: Progress) -> Iterator[Path]:
+    write_whole(path, "whole")
+    yield path
+
+
+def fail(error: Exception, progress: Progress) -> Iterator[None]:
+    raise error
+
+
+def end(progress: Progress) -> Iterator[None]:
+    os._exit(1)
+
+
+def wait_for_ever(path: Path, progress: Progress) -> Iterator[None]:
+    try:
+        progress("waiting", 0, 1)
+        time.sleep(60)
+        yield
+    finally:
+        path.write_text("cleaned up")
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_every_result_and_step_arrives_in_its_tasks_order(jobs):
+    told = []
+    with processes(jobs) as run:
+        tasks = [partial(count_up, name, steps) for name, steps in (("a", 3), ("b", 1), ("c", 2))]
+        found = list(run(tasks, lambda *step: told.append(step)))
+        again = list(run(tasks[:2], silent))
+    for name, steps in (("a", 3), ("b", 1), ("c", 2)):
+        assert [step for task, step, _ in found if task == name] == list(range(steps))
+        assert [step for step in told if step[0] == name] == [
+            (name, k, steps) for k in range(steps)
+        ]
+    workers = {process for _, _, process in found}
+    assert (workers == {os.getpid()}) == (jobs == 1)
+    assert {process for _, _, process in again} <= workers  # each is started once
+
+
+def test_files_that_a_task_writes_count_as_written(tmp_path):
+    paths = [tmp_path / "a", tmp_path / "b"]
+    with processes(2) as run:
+        assert set(run([partial(write, path) for path in paths], silent)) == set(paths)
+    assert set(paths) <= set(finished_files())
+
+
+@pytest.mark.parametrize("error", [VergenceError("One sentence."), ValueError("A slip.")])
+def test_an_error_of_a_task_is_raised_and_ends_the_others(error, tmp_path):
+    left = tmp_path / "left"
+    with pytest.raises(type(error), match=str(error)), processes(2) as run:
+        for _ in run([partial(wait_for_ever, left), partial(fail, error)], silent):
+            pass
+    assert not left.exists() or left.read_text() == "cleaned up"
+
+
+def test_an_interrupted_run_lets_its_tasks_clean_up(tmp_path):
+    def interrupt(*step: object) -> None:
+        raise KeyboardInterrupt
+
+    lefts = [tmp_path / "a", tmp_path / "b"]
+    begin = time.monotonic()
+    with pytest.raises(KeyboardInterrupt), processes(2) as run:
+        list(run([partial(wait_for_ever, left) for left in lefts], interrupt))
+    assert time.monotonic() - begin < 30
+    assert any(left.exists() for left in lefts)
+
+
+def test_a_process_that_vanishes_is_reported():
+    with pytest.raises(VergenceError, match="ended before its work was done"), processes(2) as run:
+        list(run([end, partial(count_up, "a", 2)], silent))
+
+
+def test_no_process_at_all_is_refused():
+    with pytest.raises(VergenceError, match="-1 for all cores, found 0"):
+        process_count(0)
+    assert process_count(3) == 3
+    assert process_count(-1) >= 1
