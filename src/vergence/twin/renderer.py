@@ -150,8 +150,10 @@ class Renderer:
                 name: _view_corners(renderer, data, name)
                 for name, renderer in self._by_camera.items()
             }
-            side = min(_WINDOW_PX, *np.ravel(list(sizes.values())).tolist())
-            self._window = self._renderer(model, side, side, samples)
+            self._window = None
+            if samples:
+                side = min(_WINDOW_PX, *np.ravel(list(sizes.values())).tolist())
+                self._window = self._renderer(model, side, side, samples)
         except Exception as error:  # each backend raises its own kind
             self.close()
             raise no_opengl(error) from error
@@ -184,8 +186,8 @@ class Renderer:
         self._show(renderer, data, camera, corners)
         v, u = self._rng.integers(0, _NOISE_MARGIN, 2)
         rendered = renderer.render()
-        if camera in self._maps:
-            self._multisample_object(rendered, data, camera)
+        if camera in self._maps and self._window is not None:
+            self._multisample_object(self._window, rendered, data, camera)
         return Negative(camera, rendered, (int(v), int(u)))
 
     def _show(
@@ -203,22 +205,24 @@ class Renderer:
             view.frustum_center, view.frustum_width = (left + right) / 2, (right - left) / 2
             view.frustum_top, view.frustum_bottom = top, bottom
 
-    def _multisample_object(self, image: np.ndarray, data: mujoco.MjData, camera: str) -> None:
+    def _multisample_object(
+        self, renderer: mujoco.Renderer, image: np.ndarray, data: mujoco.MjData, camera: str
+    ) -> None:
         """Render anew, in place, the part of an image (H, W, 3) in whose middle the object is."""
         seen_by, (corner, right_lower) = data.camera(camera), self._corners[camera]
         where = (data.body("object").xpos - seen_by.xpos) @ seen_by.xmat.reshape(3, 3)
         if where[2] >= 0:  # z points back
             return
-        side, size = self._window.width, np.array([image.shape[1], image.shape[0]])
+        side, size = renderer.width, np.array([image.shape[1], image.shape[0]])
         step = (right_lower - corner) / size
         middle = (where[:2] / -where[2] - corner) / step
         if ((middle < -side) | (middle > size + side)).any():
             return
         first = np.clip(np.round(middle - side / 2).astype(int), 0, size - side)
         window = corner + step * np.array([first, first + side])
-        self._show(self._window, data, camera, window)
+        self._show(renderer, data, camera, window)
         u, v = first
-        image[v : v + side, u : u + side] = self._window.render()
+        image[v : v + side, u : u + side] = renderer.render()
 
     def develop(self, negative: Negative) -> np.ndarray:
         """Return the image (H, W, 3) uint8 of the camera."""
