@@ -35,12 +35,14 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @contextlib.contextmanager
 def by_limit(folder: Path, free: int) -> Iterator[None]:
     """Let no file grow beyond a number of bytes: what tests without privileges can have."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before, caches = resource.getrlimit(resource.RLIMIT_FSIZE), sys.dont_write_bytecode
+    sys.dont_write_bytecode = True  # Python would leave it cut off, to be read by the next import
     resource.setrlimit(resource.RLIMIT_FSIZE, (free, before[1]))
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        sys.dont_write_bytecode = caches
 
 
 @contextlib.contextmanager

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from functools import partial
@@ -87,6 +89,55 @@ def test_an_interrupted_run_lets_its_tasks_clean_up(tmp_path):
         list(run([partial(wait_for_ever, left) for left in lefts], interrupt))
     assert time.monotonic() - begin < 30
     assert any(left.exists() for left in lefts)
+
+
+STOPPED_AS_A_PROCESS_STARTS = """
+import os, signal, time
+from functools import partial
+from multiprocessing import resource_tracker, util
+from vergence.processes import processes
+from vergence.progress import silent
+
+started = util.spawnv_passfds
+
+def stop(*arguments):
+    number = started(*arguments)
+    time.sleep(0.1)
+    {stop}
+    return number
+
+def interrupt(*_):
+    raise KeyboardInterrupt
+
+if __name__ == "__main__":
+    resource_tracker.ensure_running()  # a process of its own, with its own guard
+    util.spawnv_passfds = stop
+    signal.signal(signal.SIGINT, interrupt)
+    signal.signal(signal.SIGTERM, interrupt)
+    try:
+        with processes(2) as run:
+            list(run([partial(print, "ran")] * 2, silent))
+    except KeyboardInterrupt:
+        print("stopped")
+"""
+
+
+@pytest.mark.parametrize(
+    "stop",
+    [
+        "os.kill(os.getpid(), signal.SIGTERM)",
+        "os.killpg(0, signal.SIGTERM)",
+        "os.killpg(0, signal.SIGINT)",  # as Ctrl-C in a terminal
+    ],
+)
+def test_a_process_that_is_stopped_as_it_starts_says_nothing(stop, tmp_path):
+    script = tmp_path / "stopped.py"
+    script.write_text(STOPPED_AS_A_PROCESS_STARTS.format(stop=stop))
+    command = [sys.executable, str(script)]
+    done = subprocess.run(
+        command, capture_output=True, text=True, start_new_session=True, check=False, timeout=60
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "stopped\n", "")
 
 
 def test_a_process_that_vanishes_is_reported():

@@ -11,8 +11,10 @@ import signal
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from typing import Any, Protocol, TypeVar
@@ -22,6 +24,8 @@ import joblib
 from vergence.errors import VergenceError
 from vergence.progress import Progress
 from vergence.writing import add_finished, finished_files
+
+_STOP = {signal.SIGINT, signal.SIGTERM}
 
 T = TypeVar("T")
 Task = Callable[[Progress], Iterable[T]]
@@ -55,10 +59,12 @@ def processes(jobs: int) -> Iterator[Run]:
     try:
         yield _in_turn if jobs == 1 else partial(_side_by_side, workers, jobs)
     finally:
-        for process, link in workers:
+        for process, _ in workers:
+            process.terminate()
+        while workers:  # one that was being started may have come to them
+            process, link = workers.pop()
             process.terminate()
             link.close()
-        for process, _ in workers:
             process.join()
 
 
@@ -76,8 +82,9 @@ def _side_by_side(
     if len(tasks) == 1:
         yield from _in_turn(tasks, progress)
         return
-    while len(workers) < min(jobs, len(tasks)):
-        workers.append(_start())
+    # In a thread, which no signal interrupts: a process that is half started could not be ended.
+    with ThreadPoolExecutor(max_workers=1) as starter:
+        starter.submit(_start, workers, min(jobs, len(tasks))).result()
     waiting, idle, busy = list(tasks), [link for _, link in workers], list[Connection]()
     while waiting or busy:
         while waiting and idle:
@@ -105,20 +112,27 @@ def _side_by_side(
                 idle.append(link)
 
 
-def _start() -> tuple[SpawnProcess, Connection]:
-    """Start a process that waits for tasks."""
+def _start(workers: list[tuple[SpawnProcess, Connection]], count: int) -> None:
+    """Start processes that wait for tasks, until there are so many.
+
+    They inherit that signals wait, until they are ready for them.
+    """
+    resource_tracker.ensure_running()  # else it would start with them, and let signals through
+    signal.pthread_sigmask(signal.SIG_BLOCK, _STOP)
     context = multiprocessing.get_context("spawn")  # a copy of this one could not use OpenGL
-    ours, theirs = context.Pipe()
-    process = context.Process(target=_work, args=(theirs,), daemon=True)
-    process.start()
-    theirs.close()  # so that either side notices when the other has ended
-    return process, ours
+    while len(workers) < count:
+        ours, theirs = context.Pipe()
+        process = context.Process(target=_work, args=(theirs,), daemon=True)
+        process.start()
+        theirs.close()  # so that either side notices when the other has ended
+        workers.append((process, ours))
 
 
 def _work(link: Connection) -> None:
     """Do tasks until the other end is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever started this process ends it
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _STOP)
     try:
         while True:
             task, before = link.recv(), len(finished_files())
