@@ -16,17 +16,12 @@ view:
 		echo "There is no $(OUT)/fig06.rrd yet; make it with: make figures OUT=$(OUT)"; exit 1; }
 	$(BIN)/rerun $(OUT)/fig06.rrd
 
-test: .venv/installed
+check: CHOSEN := -m "not render and not slow"
+test check: .venv/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/pyright
-	$(BIN)/pytest -n auto --dist loadfile
-
-check: .venv/installed
-	$(BIN)/ruff format --check .
-	$(BIN)/ruff check .
-	$(BIN)/pyright src & types=$$!; \
-	$(BIN)/pytest -n auto --dist loadfile -m "not render and not slow"; tests=$$?; \
+	$(BIN)/pyright & types=$$!; \
+	$(BIN)/pytest -n auto --dist loadfile $(CHOSEN); tests=$$?; \
 	wait $$types && exit $$tests
 
 docs: .venv/installed-docs
@@ -34,14 +29,15 @@ docs: .venv/installed-docs
 	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going -c docs site/pages site/html
 	@echo "The site begins at site/html/index.html."
 
-# The stamps make a second call instant, and a changed pyproject.toml install again.
+# The stamps make a second call instant, and a changed pyproject.toml install again. What is never
+# imported, which is most of what is installed, need not be compiled.
 .venv/installed: pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --editable ".[dev]"
+	$(BIN)/python -m pip install --quiet --no-compile --editable ".[dev]"
 	touch $@
 
 .venv/installed-docs: .venv/installed
-	$(BIN)/python -m pip install --quiet --editable ".[docs]"
+	$(BIN)/python -m pip install --quiet --no-compile --editable ".[docs]"
 	touch $@
 
 clean:

@@ -79,6 +79,14 @@ def few_views(coarse_images: None, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
+def two_folds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cross-validate by two folds, where a test does not depend on their number."""
+    from vergence.calibration.checks import cross_validation
+
+    monkeypatch.setattr(cross_validation, "FOLDS", 2)
+
+
+@pytest.fixture
 def true_calibration(monkeypatch: pytest.MonkeyPatch) -> None:
     """Give the demos the true calibration, which takes no images."""
     from vergence.demos import experiment

@@ -9,7 +9,6 @@ from lens_monte_carlo import GRID, lens_head, recording, tried
 from simulated_recording import EXACT
 from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
 from vergence.calibration.calibrate import CalibrationResult, calibrate
-from vergence.calibration.checks import cross_validation
 from vergence.calibration.checks.lens_map import (
     COLUMNS,
     ROWS,
@@ -58,8 +57,8 @@ def test_no_covariance_is_stated_without_an_accuracy(fisheye):
     assert np.isnan(pixel_covariance(head, "left_wide", GRID)).all()
 
 
-def test_a_misfit_at_the_edge_is_named_with_its_camera(monkeypatch):
-    monkeypatch.setattr(cross_validation, "FOLDS", 2)  # a lens that does not fit converges slowly
+@pytest.mark.usefixtures("two_folds")  # a lens that does not fit converges slowly
+def test_a_misfit_at_the_edge_is_named_with_its_camera():
     rng = np.random.default_rng(2)
     head = lens_head("k3", rng)
     seen = recording(head, rng)

@@ -28,7 +28,7 @@ from vergence.geometry.parameters import (
 from vergence.geometry.projection import project_at
 from vergence.geometry.se3 import boxplus, pose, rotation, transform
 
-pytestmark = pytest.mark.slow  # whole calibrations
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("two_folds")]  # whole calibrations
 
 QUIET = Recording(reach_rad=(0.3, 0.3), noise=Noise(pixel_px=0.1, joint_rad=np.radians(0.05)))
 

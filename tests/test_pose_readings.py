@@ -15,7 +15,7 @@ from vergence.geometry.kinematics import EYES
 from vergence.geometry.projection import project_at
 from vergence.geometry.se3 import inverse, pose, rotation, transform
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("two_folds")]
 
 
 @pytest.fixture(scope="module")

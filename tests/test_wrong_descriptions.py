@@ -14,7 +14,7 @@ from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.kinematics import EYES, Joint, Kinematics, Side
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("two_folds")]
 
 Change = Callable[[Observations], Observations]
 
