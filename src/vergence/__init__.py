@@ -76,6 +76,11 @@ __all__ = [
     "write_dataset",
 ]
 
+# The C library gives large blocks back to the system when they are freed, and the arrays of every
+# image are paged in anew: a fifth of the time of self-calibration. glibc stops doing so for blocks
+# below the largest one that it has seen freed.
+bytes(31 << 20)
+
 _HOMES = {
     "calibration.bundle.latent_hand_eye": ("refine_eye_camera",),
     "calibration.bundle.target_poses": ("adjust_target_poses",),
