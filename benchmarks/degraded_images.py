@@ -232,7 +232,7 @@ def report(head: HeadCalibration, figure: int, samples, learned: SelfCalibration
     step_s = default_duration_s(FIGURES[figure].motion) / len(samples)
     for name, change in ways.items():
         single, after, share, distance = compare(
-            samples, initial_self_calibration(head), learned, change, step_s
+            samples, initial_self_calibration(head, fresh=True), learned, change, step_s
         )
         worse = " WORSE" if max(single, after) > 1.05 else ""
         print(

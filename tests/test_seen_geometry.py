@@ -30,6 +30,7 @@ from vergence.geometry.se3 import boxminus
 from vergence.paper.figures import FIGURES
 from vergence.paper.recording import figure_recording
 from vergence.self_calibration.keyframe import TURNED_RAD
+from vergence.self_calibration.prior import MOVED, USUAL
 from vergence.self_calibration.recorded import self_calibrate_dataset
 from vergence.self_calibration.sequence import LEARNING_S, initial_seen_geometry, update_geometry
 from vergence.stereo.extrinsics import T_rcam_lcam
@@ -263,6 +264,20 @@ def test_a_recording_says_what_it_shows_and_claims_no_more(recorded, monkeypatch
         true = 1 / GAIN - 1 if name.endswith("gain") else 0.0
         assert abs(each["change"] - true) < 4 * std
     assert found["parameters"]["left.pan_gain"]["verdict"] == "observed"
+
+
+def test_a_head_that_was_just_calibrated_is_better_known_before(recorded, monkeypatch, capsys):
+    stds = {}
+    for flags in ((), ("--fresh",)):
+        out, figures = recorded / "again.json", recorded / "again_figures.json"
+        words = recorded / "data", "--calibration", recorded / "head.json", "--out", out
+        command(monkeypatch, *words, "--json", figures, *flags)
+        found, said = json.loads(figures.read_text()), capsys.readouterr().out
+        stds[flags] = {name: each["prior_std"] for name, each in found["parameters"].items()}
+        assert ("what may have moved since" in said) == (not flags)
+    assert all(stds[("--fresh",)][name] <= std for name, std in stds[()].items())
+    assert stds[("--fresh",)]["left_wide.cx"] == pytest.approx(USUAL.centre_px, rel=1e-3)
+    assert stds[()]["left_wide.cx"] == pytest.approx(np.hypot(USUAL.centre_px, MOVED.centre_px))
 
 
 def test_eyes_that_do_not_move_show_nothing_that_persists(tmp_path, moving):

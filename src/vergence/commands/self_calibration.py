@@ -55,9 +55,10 @@ def sentences(found: RecordedSelfCalibration) -> list[str]:
         lines.append(f"Not observed, as before: {_named(hidden)}.")
     if found.depth_std_m is not None:
         before, after = (1e3 * std for std in found.depth_std_m)
+        moved = "" if found.fresh else " and what may have moved since"
         lines.append(
-            f"Depth of a point 1 m straight ahead: std {before:.3g} mm by the calibration and what "
-            f"may have moved since, {after:.3g} mm by what was learned."
+            f"Depth of a point 1 m straight ahead: std {before:.3g} mm by the "
+            f"calibration{moved}, {after:.3g} mm by what was learned."
         )
     return [*lines, *(f"Warning: {each}" for each in found.warnings)]
 

@@ -70,7 +70,8 @@ class Comparison:
 
 def comparison(head: HeadCalibration, twin: Twin, *, floor: bool) -> Comparison:
     """Return a comparison for a calibration; floor: also with the true head, for evaluation."""
-    states = {SINGLE: initial_self_calibration(head), LEARNED: initial_self_calibration(head)}
+    before = initial_self_calibration(head, fresh=True)  # the twin was calibrated for this
+    states = {SINGLE: before, LEARNED: before}
     if floor:
         known = initial_self_calibration(with_sensors(twin.truth, twin.profile.joints))
         states[FLOOR] = replace(known, covariance=known.covariance * _KNOWN)

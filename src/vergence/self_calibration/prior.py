@@ -3,7 +3,8 @@
 A calibration that states its covariance brings it along. One that does not, such as that of the
 paper's method, is given the errors that such procedures usually have, in the quantities that they
 measure: lenses, mountings, gains, and the pose of the cameras to each other at straight gaze,
-which is known far better than the mountings. What has moved since is added to both.
+which is known far better than the mountings. What has moved since is added to both, unless the head
+has just been calibrated.
 """
 
 from __future__ import annotations
@@ -69,6 +70,9 @@ MOVED = Tolerance(
     gain=0.002,
 )
 """Since the calibration: transport, temperature, screws."""
+_LEFT = 1e-6
+"""Share of that variance that is left right after it: a covariance may state none of what the
+calibration held fixed."""
 DRIFT = Tolerance(
     focal=1e-4,
     centre_px=0.01,
@@ -123,10 +127,13 @@ def learned_names(head: HeadCalibration, cameras: tuple[str, str]) -> tuple[str,
 
 
 def prior_covariance(
-    head: HeadCalibration, names: tuple[str, ...], cameras: tuple[str, str]
+    head: HeadCalibration, names: tuple[str, ...], cameras: tuple[str, str], *, fresh: bool = False
 ) -> Array:
-    """Return the covariance (P, P) of the parameters before anything is seen."""
-    moved = tolerance_covariance(head, names, MOVED)
+    """Return the covariance (P, P) of the parameters before anything is seen.
+
+    Of a head that is fresh from its calibration, nothing has moved since.
+    """
+    moved = tolerance_covariance(head, names, MOVED) * (_LEFT if fresh else 1.0)
     accuracy = head.accuracy
     if accuracy is None or not accuracy.parameters:
         return moved + _of_procedure(head, names, cameras)

@@ -41,7 +41,7 @@ class LearnedParameter:
     change: float
     """Since the calibration: px, rad, m, or a plain number."""
     prior_std: float
-    """Before: by the calibration's covariance, and what may have moved since."""
+    """Before: by the calibration's covariance, and what may have moved since if it is not fresh."""
     std: float
     """After."""
 
@@ -70,11 +70,13 @@ class RecordedSelfCalibration:
     neither image."""
     joint_std_rad: float
     """Noise of a reading, as estimated."""
+    fresh: bool
+    """Whether nothing was taken to have moved since the calibration."""
     warnings: tuple[str, ...]
 
 
 def self_calibrate_dataset(
-    dataset: Dataset, head: HeadCalibration, *, progress: Progress = silent
+    dataset: Dataset, head: HeadCalibration, *, fresh: bool = False, progress: Progress = silent
 ) -> RecordedSelfCalibration:
     """Return what the images of both eyes show of a head that was calibrated before.
 
@@ -83,6 +85,7 @@ def self_calibrate_dataset(
     Args:
         dataset: images and joint readings.
         head: its calibration.
+        fresh: whether it was recorded right after the calibration: nothing has moved since.
         progress: is called after each frame.
 
     Raises:
@@ -96,7 +99,7 @@ def self_calibrate_dataset(
     both = stereo_rows(dataset, head)
     moving = dataset.moving[both.rows]
     chosen = np.flatnonzero(moving) if moving.any() else np.arange(len(both))
-    geometry = initial_seen_geometry(head, cameras=both.cameras)
+    geometry = initial_seen_geometry(head, cameras=both.cameras, fresh=fresh)
     before, seen, changes = geometry.known, 0, []
     task, vergence = "self-calibration, frames", []
     progress(task, 0, len(chosen))
@@ -135,6 +138,7 @@ def self_calibrate_dataset(
         learned=known.frames,
         depth_std_m=_depth_stds(before, known),
         joint_std_rad=known.joint_std_rad,
+        fresh=fresh,
         warnings=tuple(warnings),
     )
 

@@ -60,18 +60,13 @@ class SeenGeometry:
 
 
 def initial_seen_geometry(
-    head: HeadCalibration, *, cameras: tuple[str, str] | None = None
+    head: HeadCalibration, *, cameras: tuple[str, str] | None = None, fresh: bool = False
 ) -> SeenGeometry:
     """Return what is known of a head before its first frame.
 
-    Args:
-        head: with a camera in each eye.
-        cameras: names of the left and the right camera that see the scene; None: the main ones.
-
-    Raises:
-        VergenceError: the head has one eye.
+    Arguments and errors are those of `state.initial_self_calibration`.
     """
-    return SeenGeometry(initial_self_calibration(head, cameras=cameras))
+    return SeenGeometry(initial_self_calibration(head, cameras=cameras, fresh=fresh))
 
 
 def update_geometry(

@@ -148,15 +148,21 @@ class SelfCalibrated:
 
 
 def initial_self_calibration(
-    head: HeadCalibration, *, cameras: tuple[str, str] | None = None
+    head: HeadCalibration, *, cameras: tuple[str, str] | None = None, fresh: bool = False
 ) -> SelfCalibration:
     """Return what is known of a head before its eyes have seen anything.
 
-    VergenceError for a head of one eye.
+    Args:
+        head: with a camera in each eye.
+        cameras: names of the left and the right camera that see the scene; None: the main ones.
+        fresh: whether it has just been calibrated, so that nothing has moved since.
+
+    Raises:
+        VergenceError: the head has one eye.
     """
     pair = pair_names(head, cameras)
     names = learned_names(head, pair)
     stated = head.accuracy.joint_std if head.accuracy else ()
     std = float(np.sqrt(np.mean(np.square(stated)))) if stated else float(JOINT_STD_RAD)
-    C = prior_covariance(head, names, pair)
+    C = prior_covariance(head, names, pair, fresh=fresh)
     return SelfCalibration(head, pair, names, C, std, EXPECTED_MATCH_SCALE)
