@@ -11,7 +11,9 @@ paper's method, and prints for each figure
   wrong with the calibration taken from the truth as known errors; where readings are exact, also
   that in depth of the calibration's errors alone and of the pixels' alone, and the correlation of
   these two over the motion, of which the budget assumes none;
-- predicted / observed spread in depth by the budget as a user gets it, who knows the profile only.
+- predicted / observed spread in depth by the budget as a user gets it, who knows the profile only;
+- where there are several heads, the second of these with the squared spreads of all together: by
+  chance the errors of one head and of the detector add up or cancel, and over heads they do not.
 
 Measurements are kept in a folder, and a second run goes on where the first one was stopped.
 
@@ -117,7 +119,7 @@ def mahalanobis(
 def main(
     samples: int = 640,
     folder: Path = Path("runs/consistency"),
-    seed: int = 0,
+    seeds: tuple[int, ...] = (0,),
     profiles: Sequence[str] = PROFILES,
 ) -> None:
     """Measure what is missing, and print the figures.
@@ -125,19 +127,27 @@ def main(
     Args:
         samples: of each replay.
         folder: of the measurements.
-        seed: of the heads.
+        seeds: of the heads.
         profiles: error profiles.
     """
     for name in profiles:
-        profile, own = load_profile(name), folder / f"{name}-{samples}-{seed}"
-        own.mkdir(parents=True, exist_ok=True)
-        measure(own, profile, seed, samples)
-        for figure in FIGURES.values():
-            print(line(own, profile, figure))
+        profile, spreads = load_profile(name), np.empty((2, len(seeds), len(FIGURES), 3))
+        for k, seed in enumerate(seeds):
+            own = folder / f"{name}-{samples}-{seed}"
+            own.mkdir(parents=True, exist_ok=True)
+            measure(own, profile, seed, samples)
+            for n, figure in enumerate(FIGURES.values()):
+                line, spreads[0, k, n], spreads[1, k, n] = found(own, profile, figure)
+                print(f"{line} seed {seed}" if len(seeds) > 1 else line, flush=True)
+        predicted, observed = np.sqrt((spreads**2).mean(axis=1))
+        for figure, together in zip(FIGURES.values(), predicted / observed, strict=True):
+            if len(seeds) > 1:
+                ratios = " ".join(f"{each:.2f}" for each in together)
+                print(f"{name:<10} Fig. {figure.number:<2} {len(seeds)} heads together: {ratios}")
 
 
-def line(folder: Path, profile: ErrorProfile, figure: Figure) -> str:
-    """Return what is found of a figure."""
+def found(folder: Path, profile: ErrorProfile, figure: Figure) -> tuple[str, Array, Array]:
+    """Return a line about a figure, and the predicted and the observed spread (3,) [m]."""
     truth = with_sensors(load_head(folder / f"truth-{figure.lens}.json"), profile.joints)
     used = load_head(folder / f"calibration-{figure.lens}.json")
     with np.load(folder / f"fig{figure.number}.npz") as file:
@@ -158,7 +168,8 @@ def line(folder: Path, profile: ErrorProfile, figure: Figure) -> str:
         (found,) = budget(used, at, **motion, sources=sources, cameras=WIDE)
         return found.total.spread_m
 
-    with_truth = spread_m(errors, white) / observed.std_m
+    predicted_m = spread_m(errors, white)
+    with_truth = predicted_m / observed.std_m
     depth = spread_m(*sources_of(used, profile, None))[0] / observed.std_m[0]
     apart = ""
     if not profile.joints.noise_deg:
@@ -170,12 +181,13 @@ def line(folder: Path, profile: ErrorProfile, figure: Figure) -> str:
         )
     pixels = " ".join(f"{each:.3f}" for each in noise_px)
     spread = " ".join(f"{1e3 * each:.2f}" for each in observed.std_m)
-    return (
+    line = (
         f"{profile.name:<10} Fig. {figure.number:<2} d2/3 {ratio:.3f} (1 +- {width:.3f}), "
         f"pixels {pixels} px; spread {spread} mm, "
         f"with the truth {' '.join(f'{each:.2f}' for each in with_truth)}{apart}, "
         f"by the profile {depth:.2f}"
     )
+    return line, predicted_m, observed.std_m
 
 
 def depth_errors(used: HeadCalibration, seen: dict[str, Array]) -> tuple[Array, Array]:
