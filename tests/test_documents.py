@@ -121,7 +121,7 @@ def name_of(program: str, words: list[str]) -> str:
     """Return the name of a program, and check that the target or script given to it exists."""
     name = program.removeprefix(".venv/bin/")
     if name == "make":
-        assert re.search(rf"^{words[0]}:", MAKEFILE, re.MULTILINE), words
+        assert re.search(rf"^([\w ]+ )?{words[0]}( [\w ]+)?:", MAKEFILE, re.MULTILINE), words
     elif name == "python" and words[0] != "-m":
         assert (ROOT / words[0]).exists(), words
     return name
