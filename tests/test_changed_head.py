@@ -26,9 +26,9 @@ from vergence.self_calibration.update import evidence_about
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("noise_px", "seen_before", "features"), [(0.08, 40, 500), (0.05, 80, 1500)]
+    ("axis", "noise_px", "seen_before", "features"),
+    [("rx", 0.08, 40, 500), ("ry", 0.08, 40, 500), ("rz", 0.08, 40, 500), ("rz", 0.05, 80, 1500)],
 )
-@pytest.mark.parametrize("axis", ["rx", "ry", "rz"])
 def test_a_bumped_camera_is_reported_and_corrected(axis, noise_px, seen_before, features):
     """Also of a head that is known so well that a linear model of the bump would be too coarse."""
     head, rng = head_of(2), np.random.default_rng(3)

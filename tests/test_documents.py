@@ -329,6 +329,7 @@ def test_links_of_a_page_of_the_site_lead_to_pages_and_no_source_files():
     assert site_pages.relink(text, "README.md") == "[a](gaze.md#x) b ![c](images/gaze.png)"
 
 
+@pytest.mark.usefixtures("coarse_images", "two_folds")
 @pytest.mark.render
 def test_the_program_on_the_first_screen_finds_where_points_are(tmp_path, monkeypatch, capsys):
     from vergence.commands.truth import TRUTH, load

@@ -11,7 +11,7 @@ WIDE = pinhole(640, 480, 280.0, (-0.12, 0.02, 0.0005, -0.0005, 0.0))
 PLAIN = pinhole(640, 480, 400.0)
 RED, GREY = np.array([200.0, 20.0, 20.0]), 110.0
 RADIUS_M = 0.02
-_FINE = 8  # samples along each side of a pixel
+_FINE = 8  # samples along each side of a pixel; half as many where there are many pixels
 
 
 def picture(
@@ -30,7 +30,8 @@ def picture(
     size = int(1.4 * camera.matrix[0, 0] * radius / centre[2] + 12)
     u0, v0 = np.clip(np.round(middle).astype(int) - size, 0, [camera.width, camera.height])
     u1, v1 = np.clip(np.round(middle).astype(int) + size, 0, [camera.width, camera.height])
-    offsets = (np.arange(_FINE) + 0.5) / _FINE - 0.5
+    fine = _FINE if size < 100 else _FINE // 2
+    offsets = (np.arange(fine) + 0.5) / fine - 0.5
     u = (np.arange(u0, u1)[:, None] + offsets).ravel()
     v = (np.arange(v0, v1)[:, None] + offsets).ravel()
     rays = normalise(camera, np.stack(np.meshgrid(u, v), axis=-1))
@@ -43,7 +44,7 @@ def picture(
         near = along - np.sqrt(np.maximum(along**2 - centre @ centre + radius**2, 0))
         normals = (near[..., None] * unit - centre) / radius
         brightness = 0.8 + 0.25 * normals @ light
-    shape = v1 - v0, _FINE, u1 - u0, _FINE
+    shape = v1 - v0, fine, u1 - u0, fine
     cover = hit.reshape(shape).mean(axis=(1, 3))[..., None]
     lit = (hit * brightness).reshape(shape).mean(axis=(1, 3))[..., None]
     image = np.ones((camera.height, camera.width, 3)) * background
