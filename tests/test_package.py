@@ -14,6 +14,10 @@ from vergence.twin.profile import shipped
 ROOT = Path(__file__).parents[1]
 
 
+def test_every_public_name_is_there():
+    assert [name for name in vergence.__all__ if not hasattr(vergence, name)] == []
+
+
 @pytest.mark.slow
 def test_the_wheel_carries_model_profiles_types_and_version(tmp_path):
     command = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--quiet", "-w", str(tmp_path)]
