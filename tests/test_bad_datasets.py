@@ -95,6 +95,11 @@ def test_links_that_leave_the_folder_are_refused(folder):
         ({"joints.left_pan.unit": None}, "joints.left_pan.unit: this field is missing; found "),
         ({"joints.left_pan.sign": 0.5}, "joints.left_pan.sign: Input should be 1 or -1"),
         ({"joints.left_pan.column": "time_s"}, "not the name of a column of joint readings"),
+        ({"joints.left_tilt.column": "left_pan"}, "joints.left_tilt has the column of left_pan"),
+        (
+            {"joints.right_pan": {"column": "left_pan", "unit": "deg"}},
+            "joints.right_pan.unit differs from joints.left_pan.unit",
+        ),
         ({"joints.jaw": {"column": "jaw", "unit": "rad"}}, "expected one of left_pan"),
         ({"eye_motion": "poses"}, "eye_motion is poses, but joints has left_pan"),
         (

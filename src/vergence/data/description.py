@@ -51,6 +51,9 @@ class DatasetCamera:
     """Image height [px]."""
     intrinsics: Camera | None = None
     """What is known of the camera, for other programs: calibration does not use it."""
+    bits: Annotated[int, Field(ge=8, le=16)] | None = None
+    """How many bits of its 16-bit images the camera fills, such as 10 or 12; None: as many as its
+    first image does."""
 
 
 @dataclass(frozen=True, eq=False, config=_STRICT)
@@ -156,6 +159,7 @@ class Description:
                     f"joints.{name}.column is {joint.column!r}, which is not the name of a column "
                     "of joint readings"
                 )
+        _ = self.head_kinematics  # its joints are checked when they are made
 
     def _check_kinematics(self) -> None:
         if self.kinematics is None:
@@ -177,7 +181,6 @@ class Description:
         reserved |= {*self.joints, *(joint.column for joint in self.joints.values())}
         if clash := reserved & used:
             raise ValueError(f"no reading can be called {min(clash)}, which is another column")
-        _ = self.head_kinematics  # its joints are checked when they are made
 
     @property
     def sources(self) -> dict[str, DatasetJoint]:
@@ -230,9 +233,14 @@ def _pan_and_tilt(joints: Mapping[str, DatasetJoint]) -> Kinematics:
         return Kinematics()
     eyes: dict[Side, tuple[Joint, ...]] = {}
     for eye in EYES:
+        pan, tilt = (joints.get(f"{eye}_{joint.name}") for joint in pan_tilt(eye))
+        if pan is None or tilt is None:  # of an eye without cameras
+            eyes[eye] = ()
+            continue
+        if pan.column == tilt.column:
+            raise ValueError(f"joints.{eye}_tilt has the column of {eye}_pan, {pan.column!r}")
         own = []
-        for joint in pan_tilt(eye):
-            stated = joints[f"{eye}_{joint.name}"]
+        for joint, stated in zip(pan_tilt(eye), (pan, tilt), strict=True):
             name = first[stated.column]
             if stated.unit != joints[name].unit:
                 raise ValueError(f"joints.{eye}_{joint.name}.unit differs from joints.{name}.unit")

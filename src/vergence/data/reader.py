@@ -156,13 +156,13 @@ def _read_table(path: Path) -> _Table:
         reader = csv.reader(StringIO(content.decode("utf-8-sig"), newline=""), strict=True)
         header = [" ".join(name.split()) for name in next(reader, [])]
         for cells in reader:
-            if len(cells) > MAX_COLUMNS or len(rows) > MAX_ROWS or len(header) > MAX_COLUMNS:
-                raise ValueError(f"it has more than {MAX_COLUMNS} columns or {MAX_ROWS} rows")
             if any(len(cell) > MAX_CELL for cell in cells):
                 raise ValueError(f"line {reader.line_num} has a cell of over {MAX_CELL} characters")
             stripped = [*map(str.strip, cells)]
             if any(stripped):
                 rows[reader.line_num] = stripped
+            if len(cells) > MAX_COLUMNS or len(rows) > MAX_ROWS or len(header) > MAX_COLUMNS:
+                raise ValueError(f"it has more than {MAX_COLUMNS} columns or {MAX_ROWS} rows")
     except (csv.Error, ValueError) as error:  # ValueError: not UTF-8 too
         raise VergenceError(f"{path} is not a CSV file of frames: {explain(error)}.") from None
     if not any(header):
