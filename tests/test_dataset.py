@@ -17,6 +17,7 @@ from recordings import (
     write_dataset,
     write_table,
 )  # fmt: skip
+from vergence.data import reader
 from vergence.data.dataset import runs
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
@@ -76,6 +77,31 @@ def test_images_are_rgb(tmp_path):
     assert image[0, 0].tolist() == [0, 0, 200]
 
 
+@pytest.mark.parametrize(
+    ("bits", "brightest", "grey"),
+    [(None, 1000, 125), (None, 600, 125), (10, 1000, 125), (12, 1000, 31)],
+)
+def test_all_16_bit_images_of_a_camera_are_reduced_alike(tmp_path, bits, brightest, grey):
+    """By the first one, in which 10 bits are filled, or as stated."""
+    table, about = rows(3), description()
+    if bits:
+        about["cameras"]["left_wide"]["bits"] = bits
+    dim = np.full((24, 32, 3), 500, np.uint16)
+    first, glare = dim.copy(), dim.copy()
+    first[0, 0], glare[0, 0] = brightest, 5000
+    table[2]["right_wide"] = ""
+    images = dict(zip((row["left_wide"] for row in table), (first, dim, glare), strict=True))
+    images[table[0]["right_wide"]] = np.zeros((24, 32, 3), np.uint8)
+    write_dataset(tmp_path / "set", table, about, images)
+    dataset = load_dataset(tmp_path / "set")
+    for row in range(3):
+        image = dataset.image("left_wide", row)
+        assert image is not None
+        assert image.dtype == np.uint8
+        assert image[5, 5].tolist() == [grey] * 3
+    assert dataset.image("left_wide", 2)[0, 0, 0] == min(255, 5000 >> ((bits or 10) - 8))
+
+
 def test_units_signs_and_columns_are_those_of_the_head(folder):
     change_about(
         folder,
@@ -102,6 +128,8 @@ def test_an_eye_without_a_camera_needs_no_joints(folder):
     change_about(folder, dict.fromkeys(("cameras.right_wide", *(f"joints.{n}" for n in gone[1:]))))
     write_table(folder, without(rows(3), *gone))
     assert (load_dataset(folder).eye_angles[:, 2:] == 0).all()
+    change_about(folder, {"joints.right_tilt": {"column": "left_tilt", "unit": "rad"}})
+    assert load_dataset(folder).description.head_kinematics.eyes["right"] == ()
 
 
 def test_columns_of_ones_own_begin_with_an_underscore(folder):
@@ -110,6 +138,15 @@ def test_columns_of_ones_own_begin_with_an_underscore(folder):
     assert len(load_dataset(folder)) == 2
     write_table(folder, [row | {"temperature": "warm"} for row in rows(2)])
     assert "'temperature' is not known" in refusal(folder)
+
+
+def test_a_table_has_as_many_rows_as_are_allowed(folder, monkeypatch):
+    monkeypatch.setattr(reader, "MAX_ROWS", 3)
+    write_table(folder, rows(3))
+    load_dataset(folder)
+    write_table(folder, rows(4))
+    with pytest.raises(VergenceError, match=r"more than .* 3 rows"):
+        load_dataset(folder)
 
 
 def test_a_byte_order_mark_and_blank_lines_are_no_matter(folder):

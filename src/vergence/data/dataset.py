@@ -8,13 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.description import FRAMES, Description
-from vergence.data.images import MAX_IMAGE_BYTES, UNREADABLE, decode_image, image_size
+from vergence.data.images import (
+    MAX_IMAGE_BYTES,
+    UNREADABLE,
+    decode_image,
+    eight_bits,
+    filled_bits,
+    image_size,
+)
 from vergence.errors import VergenceError
 from vergence.reading import read_bytes
 
@@ -86,6 +94,24 @@ class Dataset:
         VergenceError if the file cannot be opened, or if by its header its size differs from
         dataset.json.
         """
+        image = self._decoded(camera, row)
+        if image is None or image.dtype == np.uint8:
+            return image
+        return eight_bits(image, self._bits[camera])
+
+    @cached_property
+    def _bits(self) -> Mapping[str, int]:
+        """By camera: how many bits of its images are filled, as stated or by the first of them."""
+        found = {}
+        for camera, files in self.files.items():
+            rows = (k for k, name in enumerate(files) if name is not None)
+            images = (self._decoded(camera, k) for k in rows)
+            first = next((image for image in images if image is not None), None)
+            guess = 8 if first is None else filled_bits(first)
+            found[camera] = self.description.cameras[camera].bits or guess
+        return found
+
+    def _decoded(self, camera: str, row: int) -> np.ndarray | None:
         path = self.folder / str(self.files[camera][row])
         content = read_bytes(path, MAX_IMAGE_BYTES)
         size = image_size(content)

@@ -26,7 +26,10 @@ def image_size(content: bytes) -> tuple[int, int] | None:
 
 
 def decode_image(content: bytes, size: tuple[int, int]) -> np.ndarray | None:
-    """Return an image file of a known size as (H, W, 3) uint8, RGB; None if it cannot be read."""
+    """Return an image file of a known size as (H, W, 3) RGB; None if it cannot be read.
+
+    uint8, or uint16 for an image of which a pixel has 16 bits.
+    """
     try:
         # As the sensor was read out: an EXIF orientation would turn the pixel coordinates.
         flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
@@ -35,9 +38,16 @@ def decode_image(content: bytes, size: tuple[int, int]) -> np.ndarray | None:
         return None
     if image is None or image.shape[1::-1] != size:
         return None
-    if image.dtype == np.uint16:  # of which cameras of 10 or 12 bits fill the lower ones only
-        unused = max(0, int(image.max()).bit_length() - 8)
-        image = np.right_shift(image, unused).astype(np.uint8)
-    if image.dtype != np.uint8:
+    if image.dtype not in (np.uint8, np.uint16):
         return None
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+
+
+def filled_bits(image: np.ndarray) -> int:
+    """Return how many bits a camera seems to fill by one of its images: 8, 10, 12, 14 or 16."""
+    return max(8, -(-int(image.max()).bit_length() // 2) * 2)
+
+
+def eight_bits(image: np.ndarray, bits: int) -> np.ndarray:
+    """Return an image, of which so many bits are filled, as uint8; what is brighter is white."""
+    return np.minimum(image >> (bits - 8), 255).astype(np.uint8)
