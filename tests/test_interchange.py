@@ -145,6 +145,29 @@ def test_a_camchain_brings_a_head_all_but_its_wide_mountings(tmp_path):
         np.testing.assert_allclose(back.cameras[name].T_eye_cam, mounted.T_eye_cam, atol=1e-12)
 
 
+def test_a_camchain_brings_poses_to_cameras_of_any_name(tmp_path):
+    head = plain(7)
+    renamed = {
+        n.replace("wide", "cam").replace("narrow", "tele"): m for n, m in head.cameras.items()
+    }
+    head = replace(head, cameras=renamed)
+    rng = np.random.default_rng(7)
+    cameras = {
+        name: m if name.endswith("cam") else replace(m, T_eye_cam=random_pose(rng))
+        for name, m in head.cameras.items()
+    }
+    start = replace(head, cameras=cameras, T_rbase_lbase=random_pose(rng))
+    kalibr.save(head, tmp_path / "camchain.yaml")
+    back = import_head(str(tmp_path / "camchain.yaml"), "kalibr", template=start)
+    np.testing.assert_allclose(back.T_rbase_lbase, head.T_rbase_lbase, atol=1e-12)
+    for name, mounted in head.cameras.items():
+        np.testing.assert_allclose(back.cameras[name].T_eye_cam, mounted.T_eye_cam, atol=1e-12)
+    teles = {name: m for name, m in head.cameras.items() if name.endswith("tele")}
+    export_head(replace(head, cameras=teles), str(tmp_path / "teles.yaml"), "kalibr")
+    with pytest.raises(VergenceError, match=r"main camera of each eye, .* not have left_cam"):
+        import_head(tmp_path / "teles.yaml", "kalibr", template=start)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_camchain_holds_at_straight_gaze_of_any_joints(kind, tmp_path):
     rng = np.random.default_rng(9)

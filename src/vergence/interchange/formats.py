@@ -14,7 +14,7 @@ ExportFormat = Literal["kalibr", "ros", "opencv", "urdf"]
 ImportFormat = Literal["kalibr", "ros", "opencv"]
 
 
-def export_head(head: HeadCalibration, path: Path, format_name: ExportFormat) -> None:
+def export_head(head: HeadCalibration, path: Path | str, format_name: ExportFormat) -> None:
     """Write a head in another program's format; ros writes a folder, the others a file.
 
     Raises:
@@ -22,11 +22,11 @@ def export_head(head: HeadCalibration, path: Path, format_name: ExportFormat) ->
             cannot be written.
     """
     writers = {"kalibr": kalibr.save, "ros": ros.save, "opencv": opencv.save, "urdf": urdf.save}
-    writers[format_name](head, path)
+    writers[format_name](head, Path(path))
 
 
 def import_head(
-    path: Path, format_name: ImportFormat, *, template: HeadCalibration | None = None
+    path: Path | str, format_name: ImportFormat, *, template: HeadCalibration | None = None
 ) -> HeadCalibration:
     """Read a head from another program's format.
 
@@ -39,6 +39,7 @@ def import_head(
     Raises:
         VergenceError: the file cannot be read, or a template is needed and there is none.
     """
+    path = Path(path)
     if format_name == "opencv":
         return opencv.load(path)
     if template is None:

@@ -15,10 +15,10 @@ import numpy as np
 from pydantic import BaseModel, FiniteFloat, PositiveInt, TypeAdapter
 
 from vergence.arrays import Array, Transform
-from vergence.errors import explain
+from vergence.errors import VergenceError, explain
 from vergence.geometry.camera import Camera
-from vergence.geometry.head import HeadCalibration, T_base_cam, T_head_base
-from vergence.geometry.kinematics import straight_gaze
+from vergence.geometry.head import HeadCalibration, T_base_cam, T_head_base, main_camera
+from vergence.geometry.kinematics import EYES, straight_gaze
 from vergence.geometry.lens import CameraModel
 from vergence.geometry.se3 import inverse
 from vergence.interchange.serialization import check_cameras, read, with_intrinsics, write_yaml
@@ -117,9 +117,10 @@ def _camchain(content: Any) -> Camchain:
 def update_head(chain: Camchain, template: HeadCalibration) -> HeadCalibration:
     """Return the template with a chain's intrinsics and, if it has all of them, its poses.
 
-    The wide cameras keep their poses in the eyes, which a chain does not hold. Those of the narrow
-    ones and T_rbase_lbase follow from the chain, which is assumed to hold at readings of zero.
-    VergenceError if the chain names a camera that the template does not have.
+    The main camera of each eye keeps its pose in the eye, which a chain does not hold. Those of the
+    other cameras and T_rbase_lbase follow from the chain, which is assumed to hold at readings of
+    zero. VergenceError if the chain names a camera that the template does not have, or has poses
+    of cameras of an eye but not of its main one.
     """
     head = with_intrinsics(template, {name: camera for name, (camera, _) in chain.items()})
     T, T_cam_first = np.eye(4), {}
@@ -128,16 +129,28 @@ def update_head(chain: Camchain, template: HeadCalibration) -> HeadCalibration:
             return head
         T = T if step is None else step @ T
         T_cam_first[name] = T
-    cameras = dict(head.cameras)
+    if len(chain) == 1:
+        return head
+    cameras, main = dict(head.cameras), {}
+    for eye in EYES:
+        if any(cameras[name].eye == eye for name in chain):
+            own = [name for name, mounted in cameras.items() if mounted.eye == eye]
+            main[eye] = main_camera(own, eye)
+    if absent := set(main.values()) - set(chain):
+        raise VergenceError(
+            f"The poses of a camchain are taken from those of the main camera of each eye, which "
+            f"does not have {min(absent)}; it has {', '.join(chain)}."
+        )
     for name in chain:
-        wide = f"{cameras[name].eye}_wide"
-        if name != wide and wide in chain:
-            T_eye_first = cameras[wide].T_eye_cam @ T_cam_first[wide]
+        known = main[cameras[name].eye]
+        if name != known:
+            T_eye_first = cameras[known].T_eye_cam @ T_cam_first[known]
             T_eye_cam = T_eye_first @ inverse(T_cam_first[name])
             cameras[name] = replace(cameras[name], T_eye_cam=T_eye_cam)
     head = replace(head, cameras=cameras)
-    if not {"left_wide", "right_wide"} <= set(chain):
+    if len(main) == 1:
         return head
-    T_rcam_lcam = T_cam_first["right_wide"] @ inverse(T_cam_first["left_wide"])
-    straight, wide = straight_gaze(head.kinematics), ("left_wide", "right_wide")
-    return rebase(head, T_rcam_lcam, joints=straight, cameras=wide)
+    pair = main["left"], main["right"]
+    T_rcam_lcam = T_cam_first[pair[1]] @ inverse(T_cam_first[pair[0]])
+    straight = straight_gaze(head.kinematics)
+    return rebase(head, T_rcam_lcam, joints=straight, cameras=pair)
