@@ -76,9 +76,10 @@ def test_offsets_are_found_to_half_a_millisecond_and_gains_to_a_thousandth(offse
 
 
 def turning(t: Array) -> Array:
-    """Return poses (V, 4, 4) of an eye on an arm that swings and moves."""
-    angles = 0.3 * np.cos(2.0 * t[:, None] + np.arange(3))
-    return pose(rotation(angles), 0.1 * np.sin(1.5 * t[:, None] + np.arange(3)))
+    """Return poses (V, 2, 4, 4) of eyes on arms that swing and move."""
+    phase = np.arange(6.0).reshape(2, 3)
+    angles = 0.3 * np.cos(2.0 * t[:, None, None] + phase)
+    return pose(rotation(angles), 0.1 * np.sin(1.5 * t[:, None, None] + phase))
 
 
 @pytest.mark.parametrize("late_s", [-0.04, 0.04])
@@ -97,8 +98,8 @@ def test_the_offset_of_measured_poses_is_found():
     t = np.concatenate([np.zeros(still), np.arange(moving) / 30])
     run = np.repeat([0, 1], [still, moving])
     at_rest = pose(rotation(rng.uniform(-0.3, 0.3, (still, 3))), rng.uniform(-0.1, 0.1, (still, 3)))
-    at_image = np.concatenate([at_rest, turning(t[still:] + late_s)])
-    at_reading = np.concatenate([at_rest, turning(t[still:])])
+    at_image = np.concatenate([at_rest, turning(t[still:] + late_s)[:, 0]])
+    at_reading = np.concatenate([at_rest, turning(t[still:])[:, 0]])
     board = facing(np.array([0.55, 0.0, 0.0]), np.array([0.3, -0.3, 0.1]))
     corners = {}
     for name, mounted in truth.cameras.items():

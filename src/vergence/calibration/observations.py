@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 
@@ -125,11 +124,11 @@ class Observations:
         """
         if self.timing is None:
             return self
-        move = partial(moved_readings, timing=self.timing, seconds=head.time_offset_s)
         if self.T_base_eye is None:
-            return replace(self, eye_angles=move(self.eye_angles))
-        poses = [move(T) for T in np.moveaxis(self.T_base_eye, 1, 0)]
-        return replace(self, T_base_eye=np.stack(poses, axis=1))
+            angles = moved_readings(self.eye_angles, self.timing, head.time_offset_s)
+            return replace(self, eye_angles=angles)
+        poses = moved_readings(self.T_base_eye, self.timing, head.time_offset_s)
+        return replace(self, T_base_eye=poses)
 
 
 def check_rotations(name: str, T: Array) -> None:

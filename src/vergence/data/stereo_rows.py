@@ -33,7 +33,8 @@ class StereoRows:
         row = int(self.rows[k])
         images = {name: self.dataset.image(name, row) for name in self.cameras}
         time_s = float(self.dataset.time_s[row])
-        angles = np.full(0, np.nan) if self.joints.ndim > 2 else self.joints[k]
+        measured = self.joints.ndim > 2
+        angles = self.dataset.eye_angles[row] if measured else self.joints[k]  # NaN if measured
         neck = self.dataset.neck_angles[row]
         shown = {name: image for name, image in images.items() if image is not None}
         return Frame(time_s, time_s, angles, neck, shown)
@@ -77,15 +78,15 @@ def stereo_rows(dataset: Dataset, head: HeadCalibration) -> StereoRows:
     if not both:
         raise VergenceError(f"No row of {folder} has images of both {' and '.join(cameras)}.")
     rows = np.array(both)
-    joints = _at_the_images(dataset, head) if dataset.T_base_eye is None else dataset.T_base_eye
-    return StereoRows(dataset, cameras, rows, joints[rows])
+    return StereoRows(dataset, cameras, rows, _at_the_images(dataset, head)[rows])
 
 
 def _at_the_images(dataset: Dataset, head: HeadCalibration) -> Array:
-    """Return the readings (M, r) [rad] of all rows at the moments of their images."""
+    """Return all rows' readings (M, r) [rad], or eye poses, at the moments of their images."""
+    readings = dataset.eye_angles if dataset.T_base_eye is None else dataset.T_base_eye
     if not dataset.moving.any():
-        return dataset.eye_angles
+        return readings
     apart = (dataset.time_s - dataset.joint_time_s)[dataset.moving]
     offset_s = head.time_offset_s or float(np.median(apart))
     timing = Timing(dataset.joint_time_s, runs(dataset))
-    return moved_readings(dataset.eye_angles, timing, offset_s)
+    return moved_readings(readings, timing, offset_s)

@@ -102,8 +102,12 @@ def pose_coefficients(around: Stencil, T: Array) -> Array:
 
 
 def moved_readings(readings: Array, timing: Timing, seconds: float) -> Array:
-    """Return what readings (V, J), or poses (V, 4, 4), would have been some seconds later."""
+    """Return what readings (V, J), or eye poses (V, 2, 4, 4), would be some seconds later."""
     around = stencil(timing.time_s, timing.run)
-    if readings.ndim == 3:
-        return boxplus(readings, change(pose_coefficients(around, readings), seconds))
-    return readings + change(coefficients(around, readings), seconds)
+    if readings.ndim == 2:
+        return readings + change(coefficients(around, readings), seconds)
+    later = [
+        boxplus(T, change(pose_coefficients(around, T), seconds))
+        for T in np.moveaxis(readings, 1, 0)
+    ]
+    return np.stack(later, axis=1)
