@@ -180,6 +180,17 @@ def test_an_average_keeps_the_error_of_the_calibration_and_a_difference_loses_mo
     assert np.trace(of_pair) < 0.2 * np.trace(independent.sum(axis=0))
 
 
+def test_a_combination_assumes_the_stated_noise_as_locate_does():
+    head, point = stated(plain_head(0.092, 280.0)), np.array([0.6, -0.03, 0.02])
+    seen = {
+        eye: project_point(head, name, np.zeros(4), point)[None]
+        for eye, name in zip(("left", "right"), WIDE, strict=True)
+    }
+    each = locate(head, **seen, joints=np.zeros(4))
+    _, covariance = combination(head, weights=np.ones(1), **seen, joints=np.zeros(4))
+    np.testing.assert_allclose(covariance, each.covariance[0], rtol=1e-9)
+
+
 def test_pixels_are_weighted_by_their_noise():
     """A left image ten times as noisy counts little in height, and the covariance says so."""
     rng = np.random.default_rng(2)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -101,10 +101,7 @@ def locate(
             head, left=left, right=right, joints=joints, cameras=cameras
         )
         return LocatedPoints(points, np.full((n, 3, 3), np.nan), status, np.zeros((n, 3, 3)))
-    if pixel_std_px is None:
-        pixel_std_px = (head.accuracy and head.accuracy.pixel_std_px) or 0.0
-    if joint_std_rad is None:
-        joint_std_rad = stated_reading_stds(head, joints)
+    pixel_std_px, joint_std_rad = _or_stated(head, joints, pixel_std_px, joint_std_rad)
     noise = _noise(head, joints, pixel_std_px, joint_std_rad)
     given = head, (left, right), joints, cameras, pixel_variances(pixel_std_px)
 
@@ -118,6 +115,20 @@ def locate(
         return seen.points.T, covariance + shared, seen.status, shared
 
     return LocatedPoints(*in_chunks(n, find))
+
+
+def _or_stated(
+    head: HeadCalibration,
+    joints: Array,
+    pixel_std_px: ArrayLike | None,
+    joint_std_rad: ArrayLike | None,
+) -> tuple[ArrayLike, ArrayLike]:
+    """Return the noise of pixels and readings, None: as the calibration states it, or none."""
+    if pixel_std_px is None:
+        pixel_std_px = (head.accuracy and head.accuracy.pixel_std_px) or 0.0
+    if joint_std_rad is None:
+        joint_std_rad = stated_reading_stds(head, joints)
+    return pixel_std_px, joint_std_rad
 
 
 def stated_reading_stds(head: HeadCalibration, joints: Array) -> Array:
@@ -154,10 +165,7 @@ def _at_the_images(head: HeadCalibration, joints: ArrayLike, joint_time_s: Array
     distinct, which = np.unique(joint_time_s, return_inverse=True)  # points of one image
     first = np.searchsorted(joint_time_s, distinct)
     timing = Timing(distinct, np.ones(len(distinct), dtype=int))
-    move = partial(moved_readings, timing=timing, seconds=head.time_offset_s)
-    if not measured(joints):
-        return move(joints[first])[which]
-    return np.stack([move(T) for T in np.moveaxis(joints[first], 1, 0)], axis=1)[which]
+    return moved_readings(joints[first], timing, head.time_offset_s)[which]
 
 
 def locate_with_covariance(
@@ -201,18 +209,20 @@ def combination(
     right: Array,
     joints: Array,
     cameras: tuple[str, str] | None = None,
-    pixel_std_px: ArrayLike = 0.0,
-    joint_std_rad: ArrayLike = 0.0,
+    pixel_std_px: ArrayLike | None = None,
+    joint_std_rad: ArrayLike | None = None,
 ) -> tuple[Array, Array]:
     """Return the sum (3,) [m] of points times weights (N,), and its covariance (3, 3) [m^2].
 
     With weights 1/N an average, with 1 and -1 a difference. Errors of pixels are each point's own;
     those of readings are too, but are shared by all points where one posture serves all; and those
     of the calibration are always shared. Points that cannot be located must have weight zero, or
-    the result is NaN. Other arguments and errors are those of `locate`.
+    the result is NaN. Other arguments and errors are those of `locate`; noise that neither the
+    caller nor the calibration states is taken as none.
     """
     left, right, joints = checked(left, right, joints, len(head.kinematics.readings))
     factor, n = pair_factor(head, cameras), len(left)
+    pixel_std_px, joint_std_rad = _or_stated(head, joints, pixel_std_px, joint_std_rad)
     noise, one = _noise(head, joints, pixel_std_px, joint_std_rad), joints.ndim in (1, 3)
     given = head, (left, right), joints, cameras, pixel_variances(pixel_std_px)
     total, covariance = np.zeros(3), np.zeros((3, 3))

@@ -23,7 +23,7 @@ from vergence.geometry.projection import project_at
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.extrinsics import T_rcam_lcam
 from vergence.stereo.triangulation import triangulate_at
-from vergence.stereo.uncertainty import combination, stated_reading_stds
+from vergence.stereo.uncertainty import combination
 from vergence.vision.board_pose import LEAST_CORNERS, board_poses, seen_corners
 
 FOLDS = 5
@@ -216,8 +216,6 @@ def _located(
                 right=right,
                 joints=readings[each],
                 cameras=pair,
-                pixel_std_px=head.accuracy.pixel_std_px or 0.0,
-                joint_std_rad=stated_reading_stds(head, readings),
             )
             expected.append(np.sqrt([np.trace(covariance)]))
     off, away = ([each[row, usable[row]] for row in rows] for each in (errors, distances))
