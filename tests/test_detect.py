@@ -107,8 +107,9 @@ def board_image() -> np.ndarray:
         (cv2.GaussianBlur(board_image(), (0, 0), 12), "blurred"),
         (np.random.default_rng(0).integers(0, 255, (240, 280), dtype=np.uint8), "was not found"),
         (np.zeros((1, 1), np.uint8), ""),
+        (np.full((40, 2), 120, np.uint8), "too small"),
     ],
-    ids=["dark", "bright", "blurred", "noise", "one pixel"],
+    ids=["dark", "bright", "blurred", "noise", "one pixel", "two columns"],
 )
 def test_an_image_without_a_board_gives_its_reason(image, reason):
     corners, found = detect_or_explain(image, CHESSBOARD)

@@ -75,5 +75,19 @@ def test_noise_leaves_an_error_of_its_own_size():
 def test_cameras_that_never_saw_the_board_together_are_refused():
     _, corners, cameras = pair(np.random.default_rng(4))
     corners[0][:4], corners[1][4:] = np.nan, np.nan
-    with pytest.raises(VergenceError, match="both see the board, found none"):
+    with pytest.raises(VergenceError, match=r"both see 6 corners .*; found none"):
         calibrate_pair(*corners, POINTS, *cameras)
+
+
+def test_corners_that_tell_no_pose_are_refused():
+    _, corners, cameras = pair(np.random.default_rng(5))
+    on_one_line = POINTS[:, 1] == POINTS[0, 1]
+    for seen in corners:
+        seen[:, ~on_one_line] = np.nan
+    with pytest.raises(VergenceError, match="not all on one line"):
+        calibrate_pair(*corners, POINTS, *cameras)
+    # 70 degrees from the axes of lenses that see so far.
+    lens = Camera(640, 480, np.diag([150.0, 150.0, 1.0]), np.zeros(4), "fisheye")
+    aside = 150 * np.radians(70) + np.zeros((2, len(POINTS), 2)) + POINTS[:, :2]
+    with pytest.raises(VergenceError, match="not far from the images' middles"):
+        calibrate_pair(aside, aside, POINTS, lens, lens)

@@ -119,6 +119,8 @@ def detect_or_explain(grey: np.ndarray, board: Board) -> tuple[Array | None, str
 
 
 def _why_not(grey: np.ndarray) -> str:
+    if min(grey.shape) < 3:
+        return "the image is too small"
     low, middle, high = np.percentile(grey, [2, 50, 98])
     if high < 2 * DARK:
         return "the image is too dark"

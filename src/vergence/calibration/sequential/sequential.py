@@ -160,4 +160,9 @@ def _between_the_eyes(
     )
     between = T_rbase_target @ inverse(T_lbase_target)
     known = np.isfinite(between).all(axis=(1, 2))
+    if not known.any():
+        raise VergenceError(
+            f"T_rbase_lbase is not observable: no view shows {left} and {right} {LEAST_CORNERS} "
+            "corners of the board that are not all on one line."
+        )
     return mean_pose(between[known]), None, 0

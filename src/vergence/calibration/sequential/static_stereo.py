@@ -35,21 +35,15 @@ def calibrate_pair(
         b: its intrinsics.
 
     Raises:
-        VergenceError: no view shows six common corners.
+        VergenceError: no view shows six common corners that are not on one line.
     """
-    both = seen_corners(corners_a) & seen_corners(corners_b)
-    usable = np.flatnonzero(both.sum(axis=1) >= LEAST_CORNERS)
-    if not len(usable):
-        raise VergenceError(
-            "The pose between two cameras needs views in which both see the board, found none."
-        )
     # OpenCV's function does not know the one, and fails far from the axis of the other.
     wide = bool({"fisheye", "rational"} & {a.model, b.model})
     if wide:
         corners_a, a = _undistorted(corners_a, a)
         corners_b, b = _undistorted(corners_b, b)
-        both = seen_corners(corners_a) & seen_corners(corners_b)
-        usable = np.flatnonzero(both.sum(axis=1) >= LEAST_CORNERS)
+    both = seen_corners(corners_a) & seen_corners(corners_b)
+    usable = np.flatnonzero(both.sum(axis=1) >= LEAST_CORNERS)
     # OpenCV's own start is a median of rotation vectors, which fails for cameras that are rolled
     # against each other by about half a turn.
     T_a, T_b = (
@@ -58,10 +52,15 @@ def calibrate_pair(
     )
     between = T_b @ inverse(T_a)
     known = np.flatnonzero(np.isfinite(between).all(axis=(1, 2)))
+    if not len(known):
+        raise VergenceError(
+            f"The pose between two cameras needs views in which both see {LEAST_CORNERS} corners "
+            "of the board, not all on one line and not far from the images' middles; found none."
+        )
     if wide:  # a few corners near the axis may put a board where it is not
         known = known[agreeing_rotations(between[known, :3, :3])]
-        usable = usable[known]
-    start = mean_pose(between[known])
+    usable, between = usable[known], between[known]
+    start = mean_pose(between)
     with repeatable():
         rms, _K1, _D1, _K2, _D2, R, t, *_ = cv2.stereoCalibrateExtended(
             [points[both[v]].astype(np.float32) for v in usable],
