@@ -20,7 +20,7 @@ from vergence.geometry.head import HeadCalibration, save_head
 from vergence.geometry.parameters import boxplus, change_named, parameter_names
 from vergence.geometry.projection import project_point
 from vergence.stereo.triangulation import triangulate_at
-from vergence.twin.profile import ErrorProfile, Joints, load_profile
+from vergence.twin.profile import ByHand, ErrorProfile, Joints, load_profile
 from without_mujoco import without_mujoco
 
 HEAD = plain_head(0.092, 280.0, camera_m=((0.02, 0.001, 0.01), (0.02, -0.001, 0.01)))
@@ -197,6 +197,9 @@ def test_a_profile_gives_sources_that_the_papers_method_does_not_find():
     assert names[:3] == ["pixel noise", "joint noise", "gains of the joints"]
     assert names[-1] == "total"
     assert "half of" in advice(found, 0)
+    both = ErrorProfile(by_hand=ByHand(focal_percent_28=1.0, focal_percent_40=2.0))
+    of_lens = [source for source in sources_of(HEAD, both, None) if "focal" in source.name]
+    assert [source.errors["left_wide.fx"] for source in of_lens] == [pytest.approx(2.8)]
     bundle = replace(HEAD, accuracy=replace(stated(HEAD).accuracy, method="bundle"))
     sensors = ErrorProfile(joints=Joints(noise_deg=0.1, gain_percent=(1, 1, 1, 1), delay_ms=5))
     common = {"points": POINT[None], "motion": "parallel", "pixel_std_px": None}

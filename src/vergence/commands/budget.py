@@ -142,20 +142,16 @@ def sources_of(
     known = {} if estimated else _known_of_sensors(head, profile)
     focal = head.camera(pair_names(head)[0]).intrinsics.matrix[0, 0]
     lens: Lens = "4.0mm" if focal > LONG_LENS_PX else "2.8mm"
-    for name in ("focal_percent_28", "focal_percent_40", "roll_deg", "axial_mm"):
+    of_lens = "focal_percent_40" if lens == "4.0mm" else "focal_percent_28"
+    for name, source in (
+        (of_lens, "focal lengths, by hand"),
+        ("roll_deg", "roll of the mountings, by hand"),
+        ("axial_mm", "shift of the mountings, by hand"),
+    ):
         if value := getattr(profile.by_hand, name):
             alone = type(profile.by_hand)(**{name: value})
-            wrong = inject_calibration_error(head, alone, lens)
-            known[_BY_HAND[name]] = boxminus(wrong, head)
+            known[source] = boxminus(inject_calibration_error(head, alone, lens), head)
     return sources + [Source(name, errors=_nonzero(e)) for name, e in known.items() if _nonzero(e)]
-
-
-_BY_HAND = {
-    "focal_percent_28": "focal lengths, by hand",
-    "focal_percent_40": "focal lengths, by hand",
-    "roll_deg": "roll of the mountings, by hand",
-    "axial_mm": "shift of the mountings, by hand",
-}
 
 
 def _known_of_sensors(head: HeadCalibration, profile: ErrorProfile) -> dict[str, dict[str, float]]:
