@@ -86,6 +86,8 @@ def test_poses_take_the_place_of_angles_and_are_read_back_exactly(tmp_path):
     T = np.array([[random_pose(rng), random_pose(rng)] for _ in range(3)])
     made = zip(entries(3, rng), T, strict=True)
     write_dataset(folder, described, [DatasetRow(frame=e.frame, T_base_eye=t) for e, t in made])
+    with pytest.raises(VergenceError, match=r"needs the poses of both eyes.*; found none"):
+        write_dataset(tmp_path / "none", described, entries(1, rng))
     dataset = load_dataset(folder)
     assert (dataset.T_base_eye == T).all()
     assert np.isnan(dataset.eye_angles).all()
@@ -102,6 +104,11 @@ def test_a_folder_that_is_not_empty_is_never_overwritten(tmp_path):
     with pytest.raises(VergenceError, match="already exists and is not empty"):
         write_dataset(folder, about(), entries(2, np.random.default_rng(0)))
     assert sorted(folder.rglob("*")) == before
+
+
+def test_a_folder_may_be_named_by_a_string(tmp_path):
+    write_dataset(str(tmp_path / "set"), about(), entries(1, np.random.default_rng(1)))
+    assert len(load_dataset(str(tmp_path / "set"))) == 1
 
 
 def test_an_empty_folder_is_used(tmp_path):

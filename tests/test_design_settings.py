@@ -50,6 +50,8 @@ def test_ranges_lists_and_numbers_are_values(tmp_path: Path):
         ("[designs]\nviews = [20, 20.0]", "a value is there twice"),
         ("[prices]\nviews = [[10, 1], [10, 2]]", "values of views rise"),
         ("[workspace]\neye_correlation = 2", "workspace.eye_correlation"),
+        ("[workspace]\nimage_px = [0, 480]", "workspace.image_px"),
+        ("[workspace]\noff_deg = [[0, 200]]", "workspace.off_deg"),
         ("[designs", "is not a description of designs"),
     ],
 )

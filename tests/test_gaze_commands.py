@@ -64,6 +64,18 @@ def test_a_recording_is_a_head_that_goes_where_it_went(tmp_path: Path):
     seen = [head.read(()) for _ in range(4)]
     assert seen.pop() is None
     head.command(command(goal=0.3))
-    assert head.now_s() == pytest.approx(dataset.time_s[-1])
+    assert head.now_s() == pytest.approx(dataset.time_s[-1] + 0.1)
     angles = np.array([frame.eye_angles for frame in seen if frame is not None])
     np.testing.assert_array_equal(angles, dataset.eye_angles)
+
+
+def test_the_clock_of_a_recording_goes_on_after_its_end(tmp_path: Path):
+    """So that a loop until a later time ends."""
+    small_dataset(tmp_path / "set", 3)
+    head = RecordedHead(load_dataset(tmp_path / "set"))
+    until_s = head.now_s() + 10
+    times = []
+    while head.now_s() < until_s:
+        head.read(())
+        times.append(head.now_s())
+    assert (np.diff(times) > 0).all()

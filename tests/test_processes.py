@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -68,6 +69,16 @@ def test_files_that_a_task_writes_count_as_written(tmp_path):
     with processes(2) as run:
         assert set(run([partial(write, path) for path in paths], silent)) == set(paths)
     assert set(paths) <= set(finished_files())
+
+
+def test_a_process_that_ended_between_tasks_is_reported():
+    with processes(2) as run:
+        found = run([partial(count_up, name, 1) for name in "ab"], silent)
+        for process in {process for _, _, process in found}:
+            os.kill(process, signal.SIGKILL)
+        time.sleep(0.5)
+        with pytest.raises(VergenceError, match="ended before its work was done"):
+            list(run([partial(count_up, name, 1) for name in "cd"], silent))
 
 
 @pytest.mark.parametrize("error", [VergenceError("One sentence."), ValueError("A slip.")])

@@ -20,7 +20,7 @@ from simulated_frames import (
 )
 from simulated_matches import drawn_head, matches, room, squared_distance, turn_error_deg
 from vergence.geometry.camera import normalise, project
-from vergence.geometry.head import load_head, save_head
+from vergence.geometry.head import Accuracy, load_head, save_head
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.parameters import boxplus, parameter_names
 from vergence.geometry.projection import project_point
@@ -209,6 +209,15 @@ def test_lenses_without_a_stated_covariance_err_by_a_tenth_of_a_pixel(kind):
         changed = replace(camera, distortion=camera.distortion + change)
         squares.append(((project(changed, rays) - project(camera, rays)) ** 2).sum(axis=1).mean())
     assert 0.05 < np.sqrt(np.mean(squares)) < 0.12
+
+
+def test_a_stated_covariance_without_focal_lengths_leaves_a_prior_that_can_be_inverted():
+    head = head_of(0)
+    names = tuple(name for name in parameter_names(head) if name.endswith("_gain"))
+    accuracy = Accuracy(method="bundle", parameters=names, covariance=1e-8 * np.eye(len(names)))
+    C = initial_self_calibration(replace(head, accuracy=accuracy)).covariance
+    std = np.sqrt(np.diag(C))
+    assert np.linalg.eigvalsh(C / np.outer(std, std))[0] > 1e-4
 
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "one eye"])

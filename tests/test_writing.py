@@ -125,6 +125,22 @@ def test_a_link_stays_a_link_and_leads_to_what_was_written(tmp_path):
     assert finished_files()[-1] == tmp_path / "link.txt"
 
 
+def test_permissions_are_those_of_the_user_and_stay(tmp_path):
+    """In a process of its own, whose umask keeps others out."""
+    program = (
+        "import os, pathlib\nos.umask(0o077)\n"
+        "from vergence.writing import whole_folder, write_whole\n"
+        "write_whole(pathlib.Path('new.txt'), 'a')\n"
+        "write_whole(pathlib.Path('shared.txt'), 'a')\n"
+        "with whole_folder(pathlib.Path('set')):\n    pass\n"
+    )
+    (tmp_path / "shared.txt").touch(mode=0o664)
+    (tmp_path / "shared.txt").chmod(0o664)
+    subprocess.run([sys.executable, "-c", program], cwd=tmp_path, check=True)
+    modes = {path.name: path.stat().st_mode & 0o777 for path in tmp_path.iterdir()}
+    assert modes == {"new.txt": 0o600, "shared.txt": 0o664, "set": 0o700}
+
+
 @pytest.mark.parametrize("name", ["[a-z]*?.txt", ".hidden", "a" * 250, "\N{GREEK SMALL LETTER PI}"])
 def test_odd_names_are_written_and_their_remains_removed(tmp_path, name):
     for text in ("one", "two"):

@@ -89,17 +89,13 @@ def _side_by_side(
     while waiting or busy:
         while waiting and idle:
             link = idle.pop()
-            link.send(waiting.pop(0))
+            with _noticing_its_end():
+                link.send(waiting.pop(0))
             busy.append(link)
         for link in wait(busy):
             assert isinstance(link, Connection)
-            try:
+            with _noticing_its_end():
                 kind, *values = link.recv()
-            except EOFError:
-                raise VergenceError(
-                    "A process ended before its work was done, perhaps for want of memory; fewer "
-                    "processes (--jobs) need less."
-                ) from None
             if kind == "progress":
                 progress(*values)
             elif kind == "result":
@@ -110,6 +106,18 @@ def _side_by_side(
                 add_finished(values[0])
                 busy.remove(link)
                 idle.append(link)
+
+
+@contextmanager
+def _noticing_its_end() -> Iterator[None]:
+    """Raise a VergenceError if the process at the other end of a link has ended."""
+    try:
+        yield
+    except (EOFError, OSError):
+        raise VergenceError(
+            "A process ended before its work was done, perhaps for want of memory; fewer "
+            "processes (--jobs) need less."
+        ) from None
 
 
 def _start(workers: list[tuple[SpawnProcess, Connection]], count: int) -> None:

@@ -29,6 +29,9 @@ if sys.platform != "win32":
 UNFINISHED = "UNFINISHED.txt"
 """Stands in a folder of results while they are being written, and after a run that was stopped."""
 
+_UMASK = os.umask(0o077)  # which can only be read by setting it
+os.umask(_UMASK)
+
 _finished: list[Path] = []
 
 
@@ -116,12 +119,19 @@ def whole_file(path: Path) -> Iterator[Path]:
         with _temporary(target) as (handle, part):
             yield part
             os.fsync(handle)  # a full disk may show only now
-            part.chmod(0o644)  # temporary files are private
+            part.chmod(_mode(target))
             part.replace(target)
     except OSError as error:
         kept = "; the file of that name is as it was" if target.is_file() else ""
         raise VergenceError(f"Cannot write {path}: {_reason(error)}{kept}.") from error
     _finished.append(path)
+
+
+def _mode(target: Path) -> int:
+    """Return the permissions of a file that is replaced, or those of a new one."""
+    if target.exists():
+        return stat.S_IMODE(target.stat().st_mode)
+    return 0o666 & ~_UMASK
 
 
 @contextmanager
@@ -134,7 +144,7 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         with _temporary(folder, is_folder=True) as (_, part):
-            part.chmod(0o755)
+            part.chmod(0o777 & ~_UMASK)
             yield part
             check_new(folder)
             if folder.is_dir():
@@ -239,7 +249,7 @@ def results_folder(folder: Path) -> Iterator[None]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         known = mark.exists()
-        handle = os.open(mark, os.O_RDWR | os.O_CREAT, 0o644)
+        handle = os.open(mark, os.O_RDWR | os.O_CREAT, 0o666)
         try:
             if not _lock(handle, mark):
                 raise VergenceError(

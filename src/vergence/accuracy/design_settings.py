@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from vergence.arrays import Array
+from vergence.geometry.camera import Pixels
 from vergence.reading import parse_json, read_parsed
 
 MAX_BYTES = 2**16
@@ -87,6 +88,9 @@ CHUNK_AXES = AXES[:3]
 """Those whose combinations are computed one by one; all others at once."""
 
 
+_Off = Annotated[float, Field(ge=-90, le=90)]
+
+
 class Workspace(_Section):
     """Where points are located, and how the eyes look at them."""
 
@@ -96,7 +100,7 @@ class Workspace(_Section):
     """Directions of points to the side."""
     tilt_deg: Annotated[Values, _within(-60, 60)] = (-15.0, 0.0, 15.0)
     """Directions of points downwards."""
-    off_deg: Annotated[tuple[tuple[float, float], ...], Field(min_length=1, max_length=1000)] = (
+    off_deg: Annotated[tuple[tuple[_Off, _Off], ...], Field(min_length=1, max_length=1000)] = (
         (0.0, 0.0),
         (8.0, 0.0),
         (-8.0, 0.0),
@@ -110,7 +114,7 @@ class Workspace(_Section):
     """Of the two eyes' speeds: 1 when they turn together, -1 when opposite."""
     camera_ahead_mm: Annotated[float, Field(ge=-200, le=200)] = 20.0
     """By how much a camera sits ahead of its eye's rotation centre."""
-    image_px: Annotated[tuple[int, int], Field()] = (640, 480)
+    image_px: tuple[Pixels, Pixels] = (640, 480)
     """Width and height of the images."""
     board: tuple[Annotated[int, Field(ge=3, le=100)], Annotated[int, Field(ge=3, le=100)]] = (9, 6)
     """Inner corners of the board in a row and in a column."""

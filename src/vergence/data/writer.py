@@ -46,7 +46,7 @@ class DatasetRow:
 
 
 def write_dataset(
-    folder: Path,
+    folder: Path | str,
     description: Description,
     rows: Iterable[DatasetRow],
     *,
@@ -67,6 +67,7 @@ def write_dataset(
         VergenceError: the folder is not empty, or cannot be written; or a row has other readings
             than the description.
     """
+    folder = Path(folder)
     check_new(folder)
     with whole_folder(folder) as part:
         (part / "images").mkdir()
@@ -122,9 +123,15 @@ def _cells(description: Description, row: DatasetRow) -> dict[str, object]:
             continue  # it shares its column with another
         angle = joint.sign * angles[name]
         cells[joint.column] = float(np.degrees(angle) if joint.unit == "deg" else angle)
-    if row.T_base_eye is not None:
+    if description.eye_motion == "poses":
+        if row.T_base_eye is None or row.T_base_eye.shape != (2, 4, 4):
+            found = "none" if row.T_base_eye is None else f"shape {row.T_base_eye.shape}"
+            raise VergenceError(
+                f"The row at {frame.time_s:g} s needs the poses of both eyes, T_base_eye (2, 4, 4);"
+                f" found {found}."
+            )
         poses = row.T_base_eye[[EYES.index(eye) for eye in description.eyes]]
-        cells |= dict(zip(description.pose_columns, poses.ravel().tolist(), strict=False))
+        cells |= dict(zip(description.pose_columns, poses.ravel().tolist(), strict=True))
     return cells
 
 

@@ -87,8 +87,14 @@ def recorded(
 
         def record_series() -> None:
             nonlocal lanes_before
-            first, eyes = count - len(moments), tuple(settings.eyes)
-            log_gaze_series(rec, moments, eyes=eyes, first=first, lanes=lanes_before)
+            log_gaze_series(
+                rec,
+                moments,
+                eyes=tuple(settings.eyes),
+                joints=settings.joints,
+                first=count - len(moments),
+                lanes=lanes_before,
+            )
             if moments:
                 lanes_before = moments[-1].lanes
             moments.clear()

@@ -153,23 +153,29 @@ class HeadDriver(Protocol):
         ...
 
 
+_TIMEOUT_S = 0.1
+"""For how long a recorded head waits for a frame after its last one."""
+
+
 class RecordedHead:
     """A dataset that is replayed as a head, in open loop: commands have no effect."""
 
     def __init__(self, dataset: Dataset):
         """Begin before the first row of the dataset."""
-        self._dataset, self._row = dataset, -1
+        self._dataset, self._reads = dataset, 0
 
     def now_s(self) -> float:
-        """Return the time of the row that was read last [s]."""
-        return float(self._dataset.time_s[max(self._row, 0)])
+        """Return the time of the row that was read last [s]; after the last one it goes on."""
+        rows = len(self._dataset)
+        last = float(self._dataset.time_s[max(min(self._reads, rows) - 1, 0)])
+        return last + _TIMEOUT_S * max(self._reads - rows, 0)
 
     def read(self, cameras: Sequence[str]) -> Frame | None:
         """Return the next row with all its images; None at the end of the dataset."""
-        if self._row + 1 >= len(self._dataset):
+        self._reads += 1
+        if self._reads > len(self._dataset):
             return None
-        self._row += 1
-        return self._dataset.frame(self._row)
+        return self._dataset.frame(self._reads - 1)
 
     def command(self, command: HeadCommand) -> None:
         """Ignore the command: a recording cannot move."""

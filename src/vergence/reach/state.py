@@ -205,7 +205,7 @@ def initial_reach_state(
     *,
     geometry: SeenGeometry | None = None,
 ) -> ReachState:
-    """Return the state of head (set points (7,) [rad]) and hand at rest, with nothing seen.
+    """Return the state of head (set points (j,) [rad]) and hand at rest, with nothing seen.
 
     A geometry is what an earlier run has learned, as of `initial_gaze_state`.
     """

@@ -62,6 +62,7 @@ USUAL = Tolerance(
 """Of a calibration that does not state its covariance."""
 MOVED = Tolerance(
     focal=0.002,
+    aspect=1e-4,
     centre_px=0.3,
     turn_rad=np.radians(0.1),
     shift_m=1e-4,

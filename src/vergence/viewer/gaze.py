@@ -49,9 +49,9 @@ class Moment:
     lanes: Mapping[str, str]
     """By lane: the state of the gaze or of another part of the experiment."""
     readings: Array
-    """(7,) joint readings [rad]."""
+    """(j,) joint readings [rad]."""
     commanded: Array
-    """(7,) commanded joint angles [rad], at the moment of the image."""
+    """(j,) commanded joint angles [rad], at the moment of the image."""
     axes: Array
     """(E, 2, 3) by eye: the centre of the camera to be centred and a point on its axis, in frame
     body. E is 2, or 1 for a head that uses one eye."""
@@ -102,7 +102,7 @@ def moment(
 
 
 def _cameras(settings: GazeSettings, readings: Array) -> dict[Side, Array]:
-    """Return by eye the pose (4, 4) of the camera to be centred in frame body, at readings (7,)."""
+    """Return by eye the pose (4, 4) of the camera to be centred in frame body, at readings (j,)."""
     head = settings.calibration
     return {
         eye: T_body_base(head, eye, readings)
@@ -239,13 +239,15 @@ def log_gaze_series(
     moments: Sequence[Moment],
     *,
     eyes: Sequence[Side] = EYES,
+    joints: Sequence[str] = HEAD_JOINTS,
     first: int = 0,
     lanes: Mapping[str, str] = MappingProxyType({}),
 ) -> None:
     """Record curves, trails and states of moments, which are in order of time.
 
     Of a long run parts can be recorded: `first` is then the number of the first moment, and `lanes`
-    are those of the moment before. `eyes` are those that are used, E of them.
+    are those of the moment before. `eyes` are those that are used, E of them; `joints` are the
+    names of the j joints of a posture.
     """
     if not moments:
         return
@@ -264,7 +266,7 @@ def log_gaze_series(
         series |= {f"position/{axis}": fused[:, k], f"position/true_{axis}": truth[:, k]}
     for k, eye in enumerate(eyes):
         series[f"gaze_error/{eye}"] = errors[:, k]
-    for k, joint in enumerate(HEAD_JOINTS):
+    for k, joint in enumerate(joints):
         series[_joint(joint)] = np.array([m.readings[k] for m in moments])
         series[_joint(joint, "command_")] = np.array([m.commanded[k] for m in moments])
     for entity, values in series.items():
