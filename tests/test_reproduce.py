@@ -164,7 +164,17 @@ def test_the_report_of_two_lenses_has_one_whole_table_of_calibrations():
         assert f"\nStatic stereo with the {lens} lens: {found.stereo_views} views" in text
 
 
-@pytest.mark.usefixtures("few_views")
+@pytest.fixture
+def simulated_views(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Calibrate the head of seed 0 with simulated views of the board, which take no rendering."""
+    profile, nominal, rng = load_profile("paper"), nominal_head("2.8mm"), np.random.default_rng(0)
+    head = as_built_head(nominal, profile, 0)
+    views = simulate_views(head, profile, plan(nominal, 0), pixel_noise=0.03, rng=rng)
+    found = calibrate_sequentially(views)
+    monkeypatch.setattr(main_job, "paper_calibration", lambda *_, **__: found)
+
+
+@pytest.mark.usefixtures("simulated_views", "coarse_images")
 @pytest.mark.render
 def test_methods_are_compared_on_the_same_images(tmp_path, monkeypatch):
     monkeypatch.setattr(looking_around, "LOOK_S", 1.0)
@@ -189,12 +199,10 @@ def test_methods_are_compared_on_the_same_images(tmp_path, monkeypatch):
     assert len(read_series(recording, "/learned/gain/right_pan")[1]) == 12
 
 
+@pytest.mark.usefixtures("simulated_views")
 @pytest.mark.render
-def test_figures_that_are_replayed_side_by_side_are_the_same(tmp_path, monkeypatch):
-    profile, head, rng = load_profile("paper"), nominal_head("2.8mm"), np.random.default_rng(0)
-    views = simulate_views(head, profile, plan(head, 0), pixel_noise=0.03, rng=rng)
-    found = calibrate_sequentially(views)  # in place of one on rendered images
-    monkeypatch.setattr(main_job, "paper_calibration", lambda *_, **__: found)
+def test_figures_that_are_replayed_side_by_side_are_the_same(tmp_path):
+    profile = load_profile("paper")
     short = {"figures": (6, 7), "profile": profile, "duration_s": 1, "rate_hz": 2}
     alone, beside = (tmp_path / name for name in ("alone", "beside"))
     reproduce(alone, seed=1, **short)
