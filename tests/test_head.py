@@ -11,13 +11,17 @@ from simulated_head import plain_head, skewed_head
 from vergence.errors import VergenceError
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import (
+    Accuracy,
     HeadCalibration,
     T_base_cam,
     T_body_base,
     T_head_base,
     T_narrow_wide,
+    check_states_covariance,
     load_head,
     save_head,
+    stated_covariance,
+    states_covariance,
 )
 from vergence.geometry.neck import Neck
 from vergence.geometry.parameters import parameter_names
@@ -189,3 +193,19 @@ def test_a_file_of_version_0_1_has_axes_instead_of_joints(file: Path, head: Head
     np.testing.assert_array_equal(eye_poses(read, joints), eye_poses(head, joints))
     assert read.accuracy is not None
     assert set(read.accuracy.parameters) < set(parameter_names(read))
+
+
+def test_the_stated_covariance_is_that_of_the_names_in_their_order(head: HeadCalibration):
+    C = np.diag([1.0, 4.0, 9.0])
+    C[0, 2] = C[2, 0] = 0.5
+    names = ("left_wide.fx", "left_wide.fy", "left.pan_gain")
+    stated = replace(head, accuracy=Accuracy(method="bundle", parameters=names, covariance=C))
+    rows, found = stated_covariance(stated, ["left.pan_gain", "time_offset_s", "left_wide.fx"])
+    assert rows.tolist() == [0, 2]
+    np.testing.assert_array_equal(found, [[9.0, 0.5], [0.5, 1.0]])
+    assert states_covariance(stated)
+    for none in (replace(head, accuracy=None), replace(head, accuracy=Accuracy(method="paper"))):
+        assert not states_covariance(none)
+        assert stated_covariance(none, names)[1].shape == (0, 0)
+        with pytest.raises(VergenceError, match="states no covariance"):
+            check_states_covariance(none)

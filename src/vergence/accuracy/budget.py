@@ -15,7 +15,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.geometry.head import HeadCalibration, pair_names
+from vergence.geometry.head import HeadCalibration, pair_names, stated_covariance, states_covariance
 from vergence.geometry.parameters import parameter_names
 from vergence.geometry.projection import project_point
 from vergence.stereo.calibration_covariance import covariance_factor
@@ -197,17 +197,15 @@ def _of_calibration(
     head: HeadCalibration, names: tuple[str, ...], by_head: Array
 ) -> dict[str, Array]:
     """Return by group of parameters, and of all, changes (3, q, T) by q unit errors; or nothing."""
-    if head.accuracy is None or not head.accuracy.parameters:
+    if not states_covariance(head):
         return {}
-    stated = head.accuracy.parameters
-    rows = [k for k, name in enumerate(names) if name in stated]
-    C = head.accuracy.covariance[np.ix_(*[[stated.index(names[k]) for k in rows]] * 2)]
+    rows, C = stated_covariance(head, names)
     groups = [group_of(names[k]) for k in rows]
     found = {}
     for group in (*dict.fromkeys(groups), CALIBRATION):
         own = np.flatnonzero([group in (each, CALIBRATION) for each in groups])
         factor = covariance_factor(C[np.ix_(own, own)])
-        found[group] = factor.T @ by_head[:, np.array(rows)[own]]
+        found[group] = factor.T @ by_head[:, rows[own]]
     return found
 
 

@@ -17,7 +17,7 @@ from vergence.calibration.bundle.initial_state import initial_state
 from vergence.calibration.bundle.problem import head_size, jacobians
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board
-from vergence.geometry.head import Accuracy, HeadCalibration
+from vergence.geometry.head import Accuracy, HeadCalibration, check_states_covariance
 from vergence.geometry.parameters import POSE, parameter_names
 
 LEAST_JOINT_STD = 1e-6
@@ -45,12 +45,9 @@ class Knowledge:
 
 def stated(head: HeadCalibration) -> tuple[Accuracy, Knowledge]:
     """Return what a calibration states; VergenceError if it states no covariance or no noise."""
+    check_states_covariance(head)
     accuracy = head.accuracy
-    if accuracy is None or not accuracy.parameters or not accuracy.joint_std:
-        raise VergenceError(
-            "This calibration states no covariance; `vergence calibrate --method bundle` makes "
-            "one that does."
-        )
+    assert accuracy is not None
     if accuracy.eye_motion == "poses":
         raise VergenceError(
             "A plan says which joint readings to take; this head was calibrated with measured "

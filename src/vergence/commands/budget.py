@@ -15,7 +15,7 @@ from vergence.accuracy.motions import PERIOD_S, eye_angles
 from vergence.arrays import MAX_M, Array
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
-from vergence.geometry.head import HeadCalibration, pair_names, reading_stds
+from vergence.geometry.head import HeadCalibration, pair_names, reading_stds, states_covariance
 from vergence.geometry.kinematics import EYE_JOINTS
 from vergence.geometry.parameters import boxminus
 
@@ -71,7 +71,7 @@ def run(
     if not np.abs(np.array(points)).max(initial=0.0) <= MAX_M:
         raise VergenceError(f"--at takes coordinates up to {MAX_M:g} m; found {points}.")
     sources = sources_of(head, profile, pixel_std_px)
-    if not sources and (head.accuracy is None or not head.accuracy.parameters):
+    if not sources and not states_covariance(head):
         raise VergenceError(
             "A budget needs sources of errors: give a calibration that states its accuracy, an "
             "error profile (--profile paper), or --noise in pixels."

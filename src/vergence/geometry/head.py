@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import field
 from inspect import signature
 from pathlib import Path
@@ -200,6 +200,34 @@ class HeadCalibration:
             known = ", ".join(self.cameras)
             raise VergenceError(f"No camera is called {name!r}; this head has: {known}.")
         return self.cameras[name]
+
+
+def states_covariance(head: HeadCalibration) -> bool:
+    """Return whether a head states how well its parameters are known."""
+    return head.accuracy is not None and len(head.accuracy.parameters) > 0
+
+
+def check_states_covariance(head: HeadCalibration) -> None:
+    """Raise VergenceError if a head does not state how well its parameters are known."""
+    if not states_covariance(head):
+        raise VergenceError(
+            "This calibration states no covariance; `vergence calibrate --method bundle` makes "
+            "one that does."
+        )
+
+
+def stated_covariance(head: HeadCalibration, names: Sequence[str]) -> tuple[np.ndarray, Array]:
+    """Return which of the named parameters have a stated covariance, and that covariance.
+
+    The first are (s,) indices into the names, in their order; the second is (s, s), where s may
+    be 0.
+    """
+    if head.accuracy is None:
+        return np.empty(0, dtype=np.intp), np.empty((0, 0))
+    theirs = {name: k for k, name in enumerate(head.accuracy.parameters)}
+    stated = np.array([k for k, name in enumerate(names) if name in theirs], dtype=np.intp)
+    rows = [theirs[name] for name in names if name in theirs]
+    return stated, head.accuracy.covariance[np.ix_(rows, rows)]
 
 
 def reading_stds(head: HeadCalibration) -> Array:

@@ -17,7 +17,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.geometry import se3
 from vergence.geometry.camera import Camera, normalise, project_jacobians
-from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head import HeadCalibration, stated_covariance, states_covariance
 from vergence.geometry.kinematics import straight_gaze
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.parameters import PINHOLE, change_named, intrinsics_names, parameter_names
@@ -135,15 +135,11 @@ def prior_covariance(
     Of a head that is fresh from its calibration, nothing has moved since.
     """
     moved = tolerance_covariance(head, names, MOVED) * (_LEFT if fresh else 1.0)
-    accuracy = head.accuracy
-    if accuracy is None or not accuracy.parameters:
+    if not states_covariance(head):
         return moved + _of_procedure(head, names, cameras)
-    stated = np.zeros_like(moved)
-    known = [name for name in names if name in accuracy.parameters]
-    own = [names.index(name) for name in known]
-    theirs = [accuracy.parameters.index(name) for name in known]
-    stated[np.ix_(own, own)] = accuracy.covariance[np.ix_(theirs, theirs)]
-    return moved + stated
+    stated, C = stated_covariance(head, names)
+    moved[np.ix_(stated, stated)] += C
+    return moved
 
 
 def tolerance_covariance(

@@ -10,7 +10,7 @@ import numpy as np
 from vergence.data.dataset import Dataset
 from vergence.data.stereo_rows import stereo_rows
 from vergence.errors import VergenceError
-from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head import HeadCalibration, states_covariance
 from vergence.geometry.kinematics import straight_gaze
 from vergence.geometry.parameters import boxminus
 from vergence.geometry.projection import project_point
@@ -180,7 +180,7 @@ def _changes(known: SelfCalibration, time_s: float) -> list[str]:
 
 def _warnings(head: HeadCalibration, frames: int, seen: int) -> list[str]:
     found = []
-    if head.accuracy is None or not head.accuracy.parameters:
+    if not states_covariance(head):
         found.append(
             "The calibration states no covariance: the usual errors of such a procedure are "
             "assumed in its place."

@@ -8,7 +8,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry.components import stacked
-from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head import HeadCalibration, stated_covariance, states_covariance
 from vergence.stereo.extrinsics import per_pair
 from vergence.stereo.linearised import Linearised, pair_columns, pair_parameters
 
@@ -30,15 +30,14 @@ def pair_covariance(
     head: HeadCalibration, cameras: tuple[str, str] | None
 ) -> PairCovariance | None:
     """Return the covariance that the pixels of a pair depend on; None where none is stated."""
-    if head.accuracy is None or not head.accuracy.parameters:
+    if not states_covariance(head):
         return None
-    rows = {name: k for k, name in enumerate(head.accuracy.parameters)}
     names, (left, right) = pair_parameters(head, cameras), pair_columns(head, cameras)
     of_base = np.array([name.startswith("T_rbase_lbase.") for name in names])
-    stated = np.array([name in rows for name in names])
+    stated = np.isin(np.arange(len(names)), stated_covariance(head, names)[0])
     own = np.flatnonzero((stated & ~of_base)[left]), np.flatnonzero(stated[right])
-    order = [rows[names[k]] for k in (*left[own[0]], *right[own[1]])]
-    C, n = head.accuracy.covariance[np.ix_(order, order)], len(own[0])
+    _, C = stated_covariance(head, [names[k] for k in (*left[own[0]], *right[own[1]])])
+    n = len(own[0])
     return PairCovariance(
         (own[0].tolist(), own[1].tolist()),
         np.ascontiguousarray(C[:, :n]),
@@ -69,14 +68,10 @@ def covariance_of_calibration(seen: Linearised, known: PairCovariance) -> Array:
 @per_pair
 def pair_factor(head: HeadCalibration, cameras: tuple[str, str] | None) -> Array:
     """Return F (P, q) with F F^T the calibration's covariance of `pair_parameters`."""
-    accuracy, names = head.accuracy, pair_parameters(head, cameras)
-    if accuracy is None or not accuracy.parameters:
-        return np.zeros((len(names), 0))
-    rows = {name: k for k, name in enumerate(accuracy.parameters)}
-    stated = np.array([name in rows for name in names])
-    order = [rows[name] for name in names if name in rows]
-    factor = np.zeros((len(names), len(order)))
-    factor[stated] = covariance_factor(accuracy.covariance[np.ix_(order, order)])
+    names = pair_parameters(head, cameras)
+    stated, C = stated_covariance(head, names)
+    factor = np.zeros((len(names), len(stated)))
+    factor[stated] = covariance_factor(C)
     return factor
 
 

@@ -14,7 +14,7 @@ from vergence.data.dataset import MAX_GAP_S
 from vergence.data.timing import Timing, moved_readings
 from vergence.errors import VergenceError
 from vergence.geometry.eye_motion import measured
-from vergence.geometry.head import HeadCalibration, reading_stds
+from vergence.geometry.head import HeadCalibration, check_states_covariance, reading_stds
 from vergence.stereo.calibration_covariance import (
     covariance_of_calibration,
     pair_covariance,
@@ -322,11 +322,7 @@ def calibration_covariance(
 
     Arguments and errors are those of `locate`; VergenceError also if the head states no covariance.
     """
-    if head.accuracy is None or not head.accuracy.parameters:
-        raise VergenceError(
-            "This calibration states no covariance; `vergence calibrate --method bundle` makes "
-            "one that does."
-        )
+    check_states_covariance(head)
     found = locate(head, left=left, right=right, joints=joints, cameras=cameras)
     return np.where(np.isnan(found.covariance), np.nan, found.calibration_covariance)
 

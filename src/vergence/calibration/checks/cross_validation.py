@@ -16,7 +16,7 @@ from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
 from vergence.geometry.camera import project
-from vergence.geometry.head import HeadCalibration, HeldOut, main_pair
+from vergence.geometry.head import HeadCalibration, HeldOut, main_pair, states_covariance
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.parameters import boxminus
 from vergence.geometry.projection import project_at
@@ -199,7 +199,7 @@ def _located(
     rows = np.flatnonzero(np.asarray(usable.any(axis=1)))
     errors, distances = np.linalg.norm(located - place, axis=2), np.linalg.norm(located, axis=2)
     expected = []
-    if len(rows) and head.accuracy and head.accuracy.parameters:
+    if len(rows) and states_covariance(head):
         for row in rows:
             # One corner of each view stands for it: a view's corners are equally far away.
             corner = int(np.flatnonzero(usable[row])[usable[row].sum() // 2])

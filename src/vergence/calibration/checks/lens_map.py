@@ -14,7 +14,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry.camera import Camera, normalise, project_jacobians
-from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head import HeadCalibration, stated_covariance, states_covariance
 from vergence.geometry.parameters import intrinsics_names
 from vergence.geometry.se3 import cross
 
@@ -107,19 +107,15 @@ def pixel_covariance(head: HeadCalibration, name: str, pixels: Array) -> Array:
     for an error of its lens is of no effect, and taken out: see `without_turn`. NaN where the lens
     reaches no direction, or no covariance is stated.
     """
-    accuracy, camera = head.accuracy, head.camera(name).intrinsics
+    camera = head.camera(name).intrinsics
     total = np.full((len(pixels), 2, 2), np.nan)
-    if accuracy is None or not accuracy.parameters:
+    if not states_covariance(head):
         return total
-    known = {each: k for k, each in enumerate(accuracy.parameters)}
-    own = [f"{name}.{each}" for each in intrinsics_names(camera)]
-    chosen = [k for k, each in enumerate(own) if each in known]
-    columns = [known[own[k]] for k in chosen]
+    stated, C = stated_covariance(head, [f"{name}.{each}" for each in intrinsics_names(camera)])
     both = np.concatenate([pixels, reference_pixels(camera)])
     with np.errstate(invalid="ignore"):
-        rows = project_jacobians(camera, unit_rays(camera, both))[2][..., chosen]
+        rows = project_jacobians(camera, unit_rays(camera, both))[2][..., stated]
     rows = without_turn(camera, pixels, rows[: len(pixels)], rows[len(pixels) :])
-    C = accuracy.covariance[np.ix_(columns, columns)]
     return rows @ C @ np.swapaxes(rows, 1, 2)
 
 
