@@ -34,7 +34,6 @@ from vergence.accuracy.budget import Source, budget
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.commands.budget import sources_of
-from vergence.commands.truth import with_sensors
 from vergence.geometry.head import HeadCalibration, load_head, save_head
 from vergence.geometry.parameters import boxminus
 from vergence.paper.figures import FIGURES, Figure, default_duration_s
@@ -45,6 +44,7 @@ from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile, load_profile
+from vergence.twin.sensors import with_sensors
 
 PROFILES = ("ideal", "noise-only", "paper")
 

@@ -23,7 +23,6 @@ import tyro
 
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
-from vergence.commands.truth import with_sensors
 from vergence.geometry import se3
 from vergence.geometry.camera import normalise, project
 from vergence.geometry.head import HeadCalibration
@@ -44,6 +43,7 @@ from vergence.twin.calibration_sequence import paper_calibration, straight_neck
 from vergence.twin.head import Twin
 from vergence.twin.looking_around import LOOK_S
 from vergence.twin.profile import load_profile
+from vergence.twin.sensors import with_sensors
 from vergence.vision.sphere import STD_PX, find_sphere
 
 CAMERAS = ("left_wide", "right_wide")

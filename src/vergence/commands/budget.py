@@ -159,7 +159,7 @@ def _known_of_sensors(head: HeadCalibration, profile: ErrorProfile) -> dict[str,
 
     Offsets of joints are none: calibration takes them for turns of the mountings.
     """
-    from vergence.commands.truth import with_sensors
+    from vergence.twin.sensors import with_sensors
 
     without = profile.joints.model_copy(update={"offset_deg": (0.0,) * 4})
     gains = boxminus(replace(head, accuracy=None), with_sensors(head, without))

@@ -12,7 +12,7 @@ from pydantic import ConfigDict, TypeAdapter
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Array
-from vergence.commands.truth import TRUTH, Truth, with_sensors
+from vergence.commands.truth import TRUTH, Truth
 from vergence.data.description import (
     DatasetCamera,
     DatasetJoint,
@@ -43,6 +43,7 @@ from vergence.twin.head import Twin
 from vergence.twin.model import nominal_head
 from vergence.twin.profile import ErrorProfile, Lens
 from vergence.twin.scene.room import Scene
+from vergence.twin.sensors import with_sensors
 from vergence.writing import as_json, check_new
 
 Target = Literal["chessboard", "charuco"]

@@ -5,7 +5,6 @@ Only evaluation reads it (`vergence evaluate`); calibration never does.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -16,8 +15,7 @@ from vergence.arrays import Matrix, Transform
 from vergence.geometry.board import Charuco, Chessboard
 from vergence.geometry.head import HeadCalibration
 from vergence.reading import read_json
-from vergence.twin.profile import ErrorProfile, Joints
-from vergence.twin.sensors import gains_and_offsets, sensor_columns, with_sensor_errors
+from vergence.twin.profile import ErrorProfile
 
 TRUTH = "truth.json"
 
@@ -40,16 +38,6 @@ class Truth:
     lens: str
     profile: ErrorProfile
     format: Literal["vergence-truth-1"] = "vergence-truth-1"
-
-
-def with_sensors(head: HeadCalibration, joints: Joints) -> HeadCalibration:
-    """Return a head whose joints undo the gains and offsets of its joint sensors.
-
-    A sensor reads gain * angle + offset; a calibration states angle = gain * reading + offset.
-    """
-    gain, offset = gains_and_offsets(joints, sensor_columns(head.kinematics))
-    undone = with_sensor_errors(head.kinematics, 1 / gain, -offset / gain)
-    return replace(head, kinematics=undone)
 
 
 def load(path: Path) -> Truth:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.commands.truth import with_sensors
 from vergence.geometry.head import HeadCalibration
 from vergence.self_calibration.frame import from_matches, locate_seen, self_calibrate_frame
 from vergence.self_calibration.learning import learn
@@ -19,6 +18,7 @@ from vergence.self_calibration.state import (
 )
 from vergence.twin.head import Twin
 from vergence.twin.looking_around import look_around
+from vergence.twin.sensors import with_sensors
 from vergence.vision.sphere import STD_PX
 
 PAPER, SINGLE, LEARNED, FLOOR = "paper", "single-frame", "learned", "floor"

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Joint, Kinematics, Side
 from vergence.twin.profile import Joints
 
@@ -87,3 +88,13 @@ def read(
         step = 2 * np.pi / joints.counts_per_turn
         reading = np.round(reading / step) * step
     return reading
+
+
+def with_sensors(head: HeadCalibration, joints: Joints) -> HeadCalibration:
+    """Return a head whose joints undo the gains and offsets of its joint sensors.
+
+    A sensor reads gain * angle + offset; a calibration states angle = gain * reading + offset.
+    """
+    gain, offset = gains_and_offsets(joints, sensor_columns(head.kinematics))
+    undone = with_sensor_errors(head.kinematics, 1 / gain, -offset / gain)
+    return replace(head, kinematics=undone)
