@@ -9,6 +9,7 @@ import pytest
 from drawn_hand import MARKER_HAND, DrawnHeadWithHand
 from drawn_head import four_cameras, point_at
 from vergence.arrays import Array
+from vergence.errors import VergenceError
 from vergence.gaze.state import GazeSettings
 from vergence.geometry.se3 import pose, rotation
 from vergence.reach.controller import run_reach, step_reach
@@ -19,6 +20,7 @@ from vergence.reach.state import (
     initial_reach_state,
     target_covariance,
 )  # fmt: skip
+from vergence.vision.detector import Detection
 from vergence.vision.sphere import sphere_detector
 
 SETTINGS = ReachSettings(gaze=GazeSettings(calibration=four_cameras()), marker_hand=MARKER_HAND)
@@ -173,3 +175,9 @@ def test_a_hand_that_closed_on_nothing_opens_again():
         phases.append(state.phase)
     assert phases[0] is ReachPhase.HELD
     assert ReachPhase.SERVO in phases
+
+
+def test_a_detector_of_markers_that_answers_wrongly_is_named():
+    settings = replace(SETTINGS, detect_marker=lambda *_: Detection(np.full(2, np.nan), 0.1))
+    with pytest.raises(VergenceError, match=r"detector of \"the hand's marker\" must return None"):
+        run(DrawnHeadWithHand(still, home=SETTINGS.home), 1.0, settings=settings)

@@ -10,6 +10,7 @@ from vergence.arrays import Array
 from vergence.data.dataset import Dataset, Frame, runs
 from vergence.data.timing import Timing, moved_readings
 from vergence.errors import VergenceError
+from vergence.geometry.camera import check_image
 from vergence.geometry.head import HeadCalibration, pair_names
 
 
@@ -58,12 +59,8 @@ def stereo_rows(dataset: Dataset, head: HeadCalibration) -> StereoRows:
                 f"The calibration's main cameras are {' and '.join(cameras)}; {folder} has "
                 f"{', '.join(dataset.files)}."
             )
-        lens, found = head.camera(name).intrinsics, stated[name]
-        if (found.width, found.height) != (lens.width, lens.height):
-            raise VergenceError(
-                f"The calibration of {name} is for images of {lens.width} x {lens.height} px, but "
-                f"those of {folder} have {found.width} x {found.height} px."
-            )
+        shape = stated[name].height, stated[name].width
+        check_image(name, head.camera(name).intrinsics, shape, whose=f"those of {folder}")
     read, known = dataset.description.head_kinematics.readings, head.kinematics.readings
     if dataset.T_base_eye is None and read != known:
         raise VergenceError(

@@ -13,12 +13,12 @@ from vergence.errors import VergenceError
 from vergence.gaze.commands import EYE_READINGS, NECK, commanded
 from vergence.gaze.kalman import InnovationRatio, Track, begin, fuse, predict, update_ratio
 from vergence.gaze.state import GazeSettings, GazeState
-from vergence.geometry.camera import Camera, normalise
+from vergence.geometry.camera import Camera, check_image, normalise
 from vergence.geometry.head import T_base_cam, T_body_base
 from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.uncertainty import locate_with_covariance
-from vergence.vision.detector import Detection
+from vergence.vision.detector import Detection, Detector
 
 Rays = Mapping[Side, tuple[Array, Array]]
 """By eye that sees the object: origin (3,) [m] and direction (3,) of the ray to it, in the eye's
@@ -50,7 +50,9 @@ def detect_object(settings: GazeSettings, state: GazeState, frame: Frame) -> Gaz
         if best_view(settings, detections, eye) is None or settings.geometry == "seen":
             before = state.detections.get(name)
             near = None if before is None else before.pixel
-            detections[name] = _detect(settings, state.target, frame, name, near)
+            detector = settings.objects[state.target]
+            found = detect(settings, detector, frame, name, near, target=state.target)
+            detections[name] = found
     sent, earlier = (commanded(state.commands, frame.joint_time_s - ago) for ago in (0, 0.1))
     read = np.concatenate([frame.neck_angles, frame.eye_angles])
     at_rest = np.abs(sent - earlier) < settings.stuck_rad / 3
@@ -70,17 +72,23 @@ def detect_object(settings: GazeSettings, state: GazeState, frame: Frame) -> Gaz
     )
 
 
-def _detect(
-    settings: GazeSettings, target: str, frame: Frame, camera: str, near: Array | None
+def detect(
+    settings: GazeSettings,
+    detector: Detector,
+    frame: Frame,
+    camera: str,
+    near: Array | None,
+    *,
+    target: str,
 ) -> Detection | None:
-    """Return where an object is in one image of a frame; errors are those of `detect_object`."""
+    """Return what a detector finds in one image of a frame, checked.
+
+    VergenceError if the image is not of the calibration's size, or the detector, which is called
+    by the name of its target in the message, returns something else than a `Detector` does.
+    """
     image, intrinsics = frame.images[camera], settings.calibration.camera(camera).intrinsics
-    if image.shape[:2] != (intrinsics.height, intrinsics.width):
-        raise VergenceError(
-            f"The calibration of {camera} is for images of {intrinsics.width} x "
-            f"{intrinsics.height} px, but the frame's have {image.shape[1]} x {image.shape[0]} px."
-        )
-    found = settings.objects[target](image, intrinsics, near)
+    check_image(camera, intrinsics, image.shape, whose="the frame's")
+    found = detector(image, intrinsics, near)
     if found is None:
         return None
     pixel = np.asarray(found.pixel) if isinstance(found, Detection) else np.empty(0)

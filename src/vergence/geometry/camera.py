@@ -18,6 +18,7 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Array, Matrix3, Vector
+from vergence.errors import VergenceError
 from vergence.geometry import lens
 from vergence.geometry.components import (
     Component,
@@ -47,6 +48,22 @@ def check_image_size(width: int, height: int) -> None:
     if width * height > MAX_IMAGE_AREA_PX:
         raise ValueError(
             f"images have at most {MAX_IMAGE_AREA_PX:,} pixels, found {width} x {height}"
+        )
+
+
+def check_image(name: str, camera: Camera, shape: Sequence[int], *, whose: str) -> None:
+    """Raise VergenceError if images are not as large as those that a camera was calibrated with.
+
+    Args:
+        name: of the camera, for the message.
+        camera: its intrinsics.
+        shape: (H, W, ...) of an image.
+        whose: images they are, for the message, such as "the frame's".
+    """
+    if tuple(shape[:2]) != (camera.height, camera.width):
+        raise VergenceError(
+            f"The calibration of {name} is for images of {camera.width} x {camera.height} px, but "
+            f"{whose} have {shape[1]} x {shape[0]} px."
         )
 
 

@@ -23,7 +23,7 @@ from vergence.data.dataset import Frame
 from vergence.gaze.commands import EYE_READINGS, HeadDriver
 from vergence.gaze.controller import step_gaze
 from vergence.gaze.kalman import Track, fuse, predict
-from vergence.gaze.observation import posture_at_image
+from vergence.gaze.observation import detect, posture_at_image
 from vergence.gaze.seen_position import see_position
 from vergence.gaze.state import GazePhase
 from vergence.geometry.head import T_body_base
@@ -105,10 +105,16 @@ def step_reach(
 
 def _detect_marker(settings: ReachSettings, state: ReachState, frame: Frame) -> ReachState:
     """Return the state with the marker's pixels in the requested images of a frame."""
-    cameras = settings.gaze.calibration.cameras
     found = {
-        name: settings.detect_marker(image, cameras[name].intrinsics, _before(state, name))
-        for name, image in frame.images.items()
+        name: detect(
+            settings.gaze,
+            settings.detect_marker,
+            frame,
+            name,
+            _before(state, name),
+            target="the hand's marker",
+        )
+        for name in frame.images
         if name in state.cameras
     }
     return replace(state, detections=found)
@@ -155,11 +161,11 @@ def _object(
 
     Where the gaze has not searched for it, it is searched for around the marker, which is near it.
     """
-    if camera in state.gaze.detections or not isinstance(state.gaze.target, str):
+    target = state.gaze.target
+    if camera in state.gaze.detections or not isinstance(target, str):
         return state.gaze.detections.get(camera)
-    intrinsics = settings.gaze.calibration.camera(camera).intrinsics
-    detect = settings.gaze.objects[state.gaze.target]
-    return detect(frame.images[camera], intrinsics, _before(state, camera))
+    detector, near = settings.gaze.objects[target], _before(state, camera)
+    return detect(settings.gaze, detector, frame, camera, near, target=target)
 
 
 def _fuse_target(

@@ -16,6 +16,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
+from vergence.geometry.camera import check_image
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import checked_readings
 from vergence.self_calibration.frame import self_calibrate_frame
@@ -97,12 +98,8 @@ def update_geometry(
                 f"The geometry is seen by {' and '.join(known.cameras)}; the frame has images of "
                 f"{', '.join(frame.images) or 'no camera'}."
             )
-        lens, found = known.head.camera(name).intrinsics, frame.images[name].shape[:2]
-        if found != (lens.height, lens.width):
-            raise VergenceError(
-                f"The calibration of {name} is for images of {lens.width} x {lens.height} px, but "
-                f"the frame's have {found[1]} x {found[0]} px."
-            )
+        lens = known.head.camera(name).intrinsics
+        check_image(name, lens, frame.images[name].shape, whose="the frame's")
     left, right = (frame.images[name] for name in known.cameras)
     neck = frame.neck_angles
     moved = before.keyframe_neck is None or bool(
