@@ -44,7 +44,7 @@ Matrix = Annotated[Array, *_shaped(None, None)]
 
 
 MAX_M = 1e6
-"""Of a translation or a point; with far larger ones the algebra overflows."""
+"""Largest coordinate of a translation or a point; with far larger ones the algebra overflows."""
 
 
 def _rigid(array: Array) -> Array:

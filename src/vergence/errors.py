@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from pydantic import ValidationError
 
 MOST_CHARACTERS = 1000
-"""Of what is said of a file: a parser may cite the whole line."""
+"""Longest message about a file that is passed on: a parser may cite the whole line."""
 MOST_NAMES = 10
-"""Of fields that were found where one is missing."""
+"""Most names of found fields that a message about a missing one lists."""
 
 
 class VergenceError(Exception):

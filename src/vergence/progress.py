@@ -1,4 +1,4 @@
-"""How long work tells how far it is, without knowing who shows it."""
+"""The progress callback of long computations, which do not know who shows it."""
 
 from __future__ import annotations
 

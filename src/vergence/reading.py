@@ -25,7 +25,7 @@ MAX_JSON_BYTES = 16 * 2**20
 MAX_KEYS = 20_000
 """In one object of a JSON file; a truth has one for each placement of the board."""
 MAX_DIGITS = 40
-"""Of a number in a file; a float needs at most 24 characters."""
+"""Longest number in a file; a float needs at most 24 characters."""
 
 
 def read_bytes(path: Path, most_bytes: int) -> bytes:

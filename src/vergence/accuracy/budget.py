@@ -43,9 +43,9 @@ class Source:
 
     name: str
     pixel_std_px: float | Array = 0.0
-    """Of each coordinate, or of left u, left v, right u, right v (4,)."""
+    """Noise of each coordinate, or of left u, left v, right u, right v (4,)."""
     joint_std_rad: float | Array = 0.0
-    """Of each reading, or (r,)."""
+    """Noise of each reading, or of all (r,)."""
     errors: Mapping[str, float] = field(default_factory=dict)
     """By parameter of the head: calibration minus truth."""
 
@@ -63,7 +63,7 @@ class Part:
 
     @property
     def std_m(self) -> Array:
-        """Of one sample (3,)."""
+        """Return the standard deviation of one sample (3,)."""
         return np.hypot(self.spread_m, self.shared_m)
 
 

@@ -29,7 +29,7 @@ STRAIGHT, GAZES = 8, 16
 """Boards at straight gaze, and directions of gaze to a board at rest."""
 VIEWS = STRAIGHT + GAZES
 FILLS = (0.5, 0.75)
-"""Of an image's height, by the circle about a board, as large as its slant may make it."""
+"""Shares of an image's height that the circle about a board fills, however it is slanted."""
 LEAN_RAD = (0.6, 0.6, 0.4)
 """Slants, and the turn in its plane, of a board."""
 USED = 0.85

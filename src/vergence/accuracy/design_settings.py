@@ -111,7 +111,7 @@ class Workspace(_Section):
     eye_speed_deg_s: Annotated[float, Field(ge=0, le=5000)] = 30.0
     """How fast each joint turns, root mean square, which makes a delay matter."""
     eye_correlation: Annotated[float, Field(ge=-1, le=1)] = 0.0
-    """Of the two eyes' speeds: 1 when they turn together, -1 when opposite."""
+    """Correlation of the two eyes' speeds: 1 when they turn together, -1 when opposite."""
     camera_ahead_mm: Annotated[float, Field(ge=-200, le=200)] = 20.0
     """By how much a camera sits ahead of its eye's rotation centre."""
     image_px: tuple[Pixels, Pixels] = (640, 480)

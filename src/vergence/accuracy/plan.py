@@ -30,7 +30,7 @@ from vergence.geometry.head import HeadCalibration, pair_names, reading_stds
 from vergence.progress import Progress, silent
 
 LIMIT_RAD = 0.35
-"""Of all readings: 20 degrees. Many heads can do more; boards are then hard to hold."""
+"""Largest reading of a joint: 20 degrees. Many heads can do more; boards are then hard to hold."""
 PLACES, GAZES = 40, 12
 """Candidates: places of the board, and directions of gaze at each."""
 LEAST_PX = 1e-3

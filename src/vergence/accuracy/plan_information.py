@@ -21,7 +21,7 @@ from vergence.geometry.head import Accuracy, HeadCalibration, check_states_covar
 from vergence.geometry.parameters import POSE, parameter_names
 
 LEAST_JOINT_STD = 1e-6
-"""Of a reading [rad]: joints that a calibration calls exact."""
+"""Least noise of a reading [rad]: a calibration may call joints exact."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,9 +115,9 @@ def linearised_views(
 
 
 def information(linear: LinearViews, pixel_std_px: float, joint_std_rad: Array) -> Array:
-    """Return (V, p + 6, p + 6) what each view tells of the head and of the board's place.
+    """Return each view's information (V, p + 6, p + 6) about the head and the board's place.
 
-    By the noise of one coordinate of a corner, and of the readings (r,) of the head.
+    The noise is that of one coordinate of a corner, and of the readings (r,) of the head.
     """
     joint = np.maximum(joint_std_rad[linear.columns], LEAST_JOINT_STD)
     # In pixels: (J^T J - J^T L (L^T L + s^2 / j^2)^-1 L^T J) / s^2.

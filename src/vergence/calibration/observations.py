@@ -23,9 +23,9 @@ class DetectionFailure:
     """An image that gave no corners."""
 
     row: int
-    """Of the dataset, from 0."""
+    """Row of the dataset, from 0."""
     line: int
-    """Of frames.csv."""
+    """Line of frames.csv."""
     camera: str
     file: str
     reason: str

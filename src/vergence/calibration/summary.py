@@ -25,11 +25,11 @@ the ten views or more of a usual fold set it stays below by far."""
 VOID_MISFIT = 5.0
 """The same, from which the result must not be used."""
 PART = 1 / 3
-"""Of the noise of a reading, which a calibration may add: it makes a twentieth of the whole."""
+"""Share of the noise of a reading that a calibration may add: it makes a twentieth of the whole."""
 SMALL = 0.002
 """Error of a point, relative to its distance, that is small whatever the noise of a reading."""
 DISTANCES_M = (0.3, 0.6, 1.0)
-"""Of the points whose accuracy is stated: the range of a hand, and beyond."""
+"""Distances of the points whose accuracy is stated: the range of a hand, and beyond."""
 _TURNS_RAD = 0.2
 """Gaze directions of the motion over which it is stated, from straight ahead."""
 

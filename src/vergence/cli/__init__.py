@@ -29,7 +29,7 @@ from vergence.errors import VergenceError
 from vergence.writing import finished_files
 
 FILES_NAMED = 10
-"""Of those that a stopped command has finished."""
+"""Most files that a stopped command names of those that it has finished."""
 
 
 COMMANDS: dict[str, Callable[..., None]] = {

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from vergence.twin.profile import ErrorProfile, Lens
 
 SAMPLES = 400
-"""Of a motion: as many as the budget needs to be smooth."""
+"""Samples of a motion: as many as the budget needs to be smooth."""
 OBJECT_NOISE_PX = 0.02
-"""Of the centre of the twin's sphere: root mean square of Figs. 6-11 with the profile `ideal`."""
+"""Noise of the centre of the twin's sphere: RMS of Figs. 6-11 with the profile `ideal`."""
 LONG_LENS_PX = 340.0
 """Focal length between those of the twin's lenses of 2.8 mm and 4.0 mm."""
 MAX_NOISE_PX = 100.0

@@ -63,7 +63,7 @@ class Errors:
     """Share of the others whose error is within two standard deviations."""
     pixels: int
     vertical_rms_px: float
-    """Of the rows of a point in the two rectified images."""
+    """Difference of the rows of a point in the two rectified images."""
 
 
 @dataclass(frozen=True)

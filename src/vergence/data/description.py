@@ -82,8 +82,8 @@ class EyeJoint:
 
     name: str
     axis: Literal["pan", "tilt", "roll"] | Vector3
-    """Of a right-handed turn, with every joint at zero: up, to the left, ahead, or a vector in the
-    axes of the head (x ahead, y left, z up)."""
+    """Axis of a right-handed turn, with every joint at zero: up, to the left, ahead, or a vector in
+    the axes of the head (x ahead, y left, z up)."""
     readings: dict[str, float]
     """By column of frames.csv its factor."""
     point_m: Vector3 = field(default_factory=lambda: np.zeros(3))

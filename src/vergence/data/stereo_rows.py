@@ -20,7 +20,7 @@ class StereoRows:
 
     dataset: Dataset
     cameras: tuple[str, str]
-    """Of the left and of the right eye."""
+    """Names of the cameras of the left and the right eye."""
     rows: np.ndarray
     """(N,) of int: which rows."""
     joints: Array

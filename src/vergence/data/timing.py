@@ -20,7 +20,7 @@ WINDOW_S = 0.3
 LEAST_ROWS = 7
 """Neighbours, and the row itself, if they come more slowly than that."""
 TRAJECTORY_DEGREE = 7
-"""Of the polynomial, where there are enough neighbours: it gives the figures of WINDOW_S."""
+"""Degree of the polynomial where there are enough neighbours: it gives the figures of WINDOW_S."""
 _SLACK_S = 1e-6  # so that rounding of time stamps drops no row
 
 

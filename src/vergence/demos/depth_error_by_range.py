@@ -23,7 +23,7 @@ from vergence.twin.head import Twin
 from vergence.twin.simulated_robot import true_pixels
 
 EDGES_M = (0.35, 0.45, 0.6, 0.8, 1.0, 1.4)
-"""Of the intervals of distance, from where the hand closes to where objects come into view."""
+"""Ends of the intervals of distance, from where the hand closes to where objects come into view."""
 _FEWEST = 10
 """Samples of an interval, below which it has no statistics."""
 

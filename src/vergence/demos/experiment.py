@@ -40,7 +40,7 @@ class Experiment:
     profile: ErrorProfile
     """Imperfections of the head."""
     seed: int = 0
-    """Of everything random."""
+    """Seed of everything random."""
     scene: Scene = "room"
     """What the head looks at."""
     geometry: Geometry = "joints"

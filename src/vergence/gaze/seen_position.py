@@ -30,7 +30,7 @@ def see_position(settings: GazeSettings, state: GazeState, frame: Frame | None) 
     object.
 
     Raises:
-        VergenceError: see `self_calibration.sequence.see`.
+        VergenceError: see `self_calibration.sequence.update_geometry`.
     """
     if state.geometry is None or frame is None or state.seen_s != frame.time_s:
         return state

@@ -61,7 +61,7 @@ class GazeSettings:
     command_std_rad: float = 2e-4
     """Standard deviation of a joint angle about its set point."""
     motion: MotionModel = field(default_factory=MotionModel)
-    """Of the object."""
+    """How the object is expected to move."""
     saccade_rad: float = 0.12
     """Error from which a correction is a saccade: half the way to the edge of the fovea."""
     settle_s: float = 0.02
@@ -182,9 +182,9 @@ class GazeState:
     """Estimate over time from commands instead of readings, for control: without the readings'
     noise, which would make the eyes tremble, but subject to the errors of the joints' gains."""
     innovation_ratio: InnovationRatio = field(default_factory=InnovationRatio)
-    """Of the measurements of `track`."""
+    """Observed over stated variance of the measurements of `track`."""
     aim_innovation_ratio: InnovationRatio = field(default_factory=InnovationRatio)
-    """Of the measurements of `aim`."""
+    """Observed over stated variance of the measurements of `aim`."""
     geometry: SeenGeometry | None = None
     """By what both eyes see, after the latest frame; None: `geometry` of the settings is joints."""
     stuck: tuple[str, ...] = ()

@@ -40,7 +40,7 @@ MIN_FOCAL_PX = 1e-6
 Pixels = Annotated[int, Field(gt=0, le=MAX_IMAGE_PX)]
 """The width or height of an image."""
 MAX_NUMBER = 1e12
-"""Of the matrix and the distortion; with larger ones projections overflow."""
+"""Largest number in the matrix and the distortion; with larger ones projections overflow."""
 
 
 def check_image_size(width: int, height: int) -> None:

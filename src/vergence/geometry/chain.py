@@ -73,7 +73,7 @@ class _Turn(NamedTuple):
     step: list[float]
     """From this joint to the next one, or to the end."""
     entries: list[tuple[int, int, float, float]]
-    """Of Rodrigues' formula, where they are not zero: row, column, and the entries of the turn's
+    """Terms of Rodrigues' formula that are not zero: row, column, and the entries of the turn's
     generator and of its square, which the sine and one minus the cosine are multiplied by."""
     mixing: list[tuple[int, float]]
     """Readings that move it, and their factors."""

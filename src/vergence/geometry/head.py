@@ -36,12 +36,14 @@ from vergence.reading import read_json
 from vergence.writing import write_json
 
 R_EYE_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""Of a camera that looks straight ahead, and of a board that faces it: z along the eye's x."""
+"""Rotation of a camera that looks straight ahead, and of a board that faces it: z along the eye's
+x."""
 
 _FINITE = ConfigDict(extra="forbid", allow_inf_nan=False)
 MAX_CAMERAS = 64
 SMALLEST_VARIANCE = 1e-60
-"""Of an estimated parameter; numbers far from one would overflow where variances are compared."""
+"""Smallest variance of an estimated parameter; numbers far from one would overflow where variances
+are compared."""
 MAX_TIME_OFFSET_S = 10.0
 
 
@@ -73,7 +75,7 @@ class HeldOut:
     expected_mm: float | None
     """What point_mm should be by the stated noise and covariance; None: these are not stated."""
     distance_m: float | None
-    """Of these corners from the left eye, in the mean."""
+    """Mean distance of these corners from the left eye."""
     jackknife_ratio: Annotated[
         float | None, Field(validation_alias=AliasChoices("jackknife_ratio", "scatter"))
     ] = None

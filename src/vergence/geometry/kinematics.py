@@ -37,9 +37,9 @@ _Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,40}$")]
 ReadingName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_:()/ -]{0,60}$")]
 _FINITE = ConfigDict(extra="forbid", allow_inf_nan=False)
 MAX_JOINTS = 20
-"""Of a chain, and readings of a head."""
+"""Most joints of a chain, and readings of a head."""
 MAX_POINT_M = 5.0
-"""Of a point on an eye's joint; one that is farther away was probably given in millimetres."""
+"""Farthest point on an eye's joint; one that is farther away was probably given in millimetres."""
 PARALLEL = 0.1
 """Sine of the angle between successive axes below which they count as parallel."""
 LEAST_APART_M = 1e-3
@@ -75,7 +75,7 @@ class Joint:
     slide_m: _Number = 0.0
     """Shift along the axis, of this joint and all behind it."""
     inclination_rad: _Number = 0.0
-    """Of an axis parallel to the one before: turn about (own axis) x (common normal), in their
+    """Turn of an axis, parallel to the one before, about (own axis) x (common normal), in their
     plane."""
 
     def __post_init__(self) -> None:
@@ -330,10 +330,10 @@ class _Error(NamedTuple):
 
     joint: int
     mixing: list[tuple[int, float]]
-    """Of an angle, which changes by constant + mixing @ readings."""
+    """Readings that change an angle, and by how much: it is constant + mixing @ readings."""
     constant: float
     direction: list[float] | None
-    """Of an axis, that it is turned about or shifted along."""
+    """Direction that an axis is turned about or shifted along."""
     tilts: bool
 
 

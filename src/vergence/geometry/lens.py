@@ -33,7 +33,7 @@ Coefficients = tuple[float, ...]
 _SMALLEST_RADIUS = 1e-9
 """Below it a fisheye lens is linear to machine precision."""
 _LARGEST_TANGENT = 100.0
-"""Of the angle from the axis up to which a rational lens is inverted: 89.4 degrees."""
+"""Tangent of the angle from the axis up to which a rational lens is inverted: 89.4 degrees."""
 
 
 def distort(

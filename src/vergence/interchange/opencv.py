@@ -146,7 +146,7 @@ class _Head(BaseModel):
     T_rbase_lbase: Matrix
     kinematics: _Kinematics | None = None
     axes: dict[Side, dict[str, FiniteFloat]] = {}
-    """Of pan and tilt; files of version 0.1 have these instead."""
+    """Errors of pan and tilt; files of version 0.1 have these instead."""
     neck: _Neck
     time_offset_s: FiniteFloat = 0.0
 

@@ -31,13 +31,13 @@ class Comparison:
     """Self-calibration of one lens, fed frame by frame."""
 
     states: dict[str, SelfCalibration]
-    """By method; that of `learned` changes with every frame."""
+    """What is known of the head, by method; that of `learned` changes with every frame."""
     points: dict[str, list[Array]] = field(default_factory=dict)
-    """By method, (3,) [m] in the left eye's base frame for each sample; NaN: not located."""
+    """Positions (3,) [m] in the left eye's base frame of each sample, by method; NaN: not located."""
     stds: dict[str, list[float]] = field(default_factory=dict)
-    """By method, the stated standard deviation of depth [m]."""
+    """Stated standard deviation of depth [m] of each sample, by method."""
     last: dict[str, SelfCalibrated] = field(default_factory=dict)
-    """By method, of the last frame."""
+    """Head and joints of the last frame, by method."""
     _time_s: float | None = None
 
     def begin(self) -> None:

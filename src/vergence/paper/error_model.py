@@ -27,7 +27,7 @@ from vergence.twin.profile import Lens
 
 FOCAL_PX: dict[Lens, float] = {"2.8mm": 280.0, "4.0mm": 400.0}
 PIXEL_UM = 10.0
-"""Of a sensor 6.4 mm wide with 640 columns."""
+"""Pitch of the pixels: a sensor 6.4 mm wide with 640 columns."""
 _UP = np.array([1.0, -1.0, 1.0, -1.0])
 """In this study's version of Eqs. 22-23 positive tilt looks up."""
 TABLE_CAMERA_MM = ((4.0, 1.0, 10.0), (3.0, -1.5, 10.5))
@@ -40,22 +40,22 @@ class Errors:
     """Sources of errors; pairs are those of the left and the right eye."""
 
     baseline_mm: float = 92.0
-    """Of the true head, which the paper does not state."""
+    """Baseline of the true head, which the paper does not state."""
     joint_noise_deg: float = 0.0
     """White, of each reading."""
     pixel_noise_um: float = 0.0
     """White, of each coordinate on the sensor."""
     delay_ms: float = 0.0
-    """By which readings are older than images."""
+    """Time by which readings are older than images."""
     pan_gain_percent: tuple[float, float] = (0.0, 0.0)
     tilt_gain_percent: tuple[float, float] = (0.0, 0.0)
     roll_deg: tuple[float, float] = (0.0, 0.0)
-    """Of the believed mounting about the optical axis."""
+    """Error of the believed mounting about the optical axis."""
     pitch_deg: tuple[float, float] = (0.0, 0.0)
     axial_mm: tuple[float, float] = (0.0, 0.0)
-    """Of the believed mounting along the optical axis."""
+    """Error of the believed mounting along the optical axis."""
     focal_28_percent: tuple[float, float] = (0.0, 0.0)
-    """Of the believed focal length of the 2.8 mm lenses."""
+    """Error of the believed focal length of the 2.8 mm lenses."""
     focal_40_percent: tuple[float, float] = (0.0, 0.0)
 
 

@@ -19,11 +19,11 @@ from vergence.viewer.plots.canvas import BLUE, DPI, GREEN, RED, save
 
 _COLOURS = (BLUE, GREEN, RED)  # x, y, z
 _OTHERS = ("orange", "black", "0.5")
-"""Of the depth by other methods, one after the other."""
+"""Colours of the depth by other methods, one after the other."""
 _PANEL_INCHES, _HEADING_INCHES = (8.0, 5.8), 0.6
 _FIRST = 6  # from here in pairs: parallel motion on the left, divergent on the right
 _LEGEND = 0.25
-"""Of a panel's height, added above the curves where methods are compared."""
+"""Share of a panel's height that is added above the curves where methods are compared."""
 _STYLE: dict[str, Any] = {"fontsize": 12}
 
 

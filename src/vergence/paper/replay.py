@@ -66,7 +66,7 @@ class Replay:
     """(N, 3) estimated positions [m] in the left eye's base frame; NaN: not located."""
     statistics: Statistics
     others: dict[str, Estimates] = field(default_factory=dict)
-    """By method, what others made of the same images and readings."""
+    """What other methods made of the same images and readings, by method."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,11 +29,11 @@ class Reproduction:
     profile: ErrorProfile
     seed: int
     calibrations: dict[str, SequentialCalibration]
-    """By lens, as they were estimated."""
+    """Calibrations as they were estimated, by lens."""
     heads: dict[str, HeadCalibration]
-    """By lens, as they are used: with the calibration errors that the profile injects."""
+    """Heads as they are used, with the calibration errors that the profile injects, by lens."""
     replays: dict[int, Replay]
-    """By number of the figure."""
+    """Replays by number of the figure."""
 
 
 def _orientation_error(result: Replay, joints: Joints) -> float:

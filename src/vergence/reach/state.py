@@ -124,7 +124,7 @@ class ReachSettings:
     distance between them: from the calibration and the attitude of the hand. It is the same in
     every frame, so that no filter averages it out."""
     motion: MotionModel = field(default_factory=lambda: MotionModel(jerk_density=0.04))
-    """Of an object that a person holds out: 0.2 m/s^2 more or less in a second."""
+    """Motion of an object that a person holds out: 0.2 m/s^2 more or less in a second."""
     unseen_s: float = 0.3
     """Time without a detection of the marker after which the hand counts as not seen."""
     waits_s: float = 0.7

@@ -36,7 +36,7 @@ TURNED_RAD = float(np.radians(8.0))
 """Least change of a reading since the keyframe, from which is learned: with 4 or 12 degrees depth
 is about as steady. Small turns show little, and of large ones a narrow camera would lose sight."""
 _FEATURES = 200
-"""Of a keyframe, at most twice as many; more cost time."""
+"""Features of a keyframe, at most twice as many; more cost time."""
 _DEPTH_STD = 0.05
 """Relative, of the depth of each feature; the cameras are displaced by millimetres only."""
 _COMMON_DEPTH_STD = 1.0

@@ -68,7 +68,7 @@ class Recurrence:
     blocks: np.ndarray
     """(n, B) float32 sums of their residuals in blocks, as unit vectors."""
     correlation: float = _EXPECTED_RECURRENCE
-    """Of the errors of two frames of the same posture."""
+    """Correlation of the errors of two frames of the same posture."""
 
 
 def tukey_weights(y: Array) -> Array:
@@ -117,7 +117,7 @@ def design_effect(y: Array, pixels: Array, expected: float) -> tuple[float, Arra
 
 
 def recurrence_inflation(before: Recurrence | None, joints: Array, elapsed_s: float) -> float:
-    """Return by how much less a frame tells for what was seen at its posture before.
+    """Return the variance inflation of a frame whose posture was observed before.
 
     The mean of frames with correlated errors (covariance K) tells as much as 1' K^-1 1 independent
     ones; a frame adds the difference.

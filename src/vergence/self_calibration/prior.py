@@ -36,10 +36,10 @@ class Tolerance:
     lens_px: float = 0.0
     """Root mean square over the image of what wrong coefficients of the lens displace."""
     turn_rad: float = 0.0
-    """Of a mounting, about each axis."""
+    """Turn of a mounting about each axis."""
     shift_m: float = 0.0
     stereo_turn_rad: float = 0.0
-    """Of the cameras to each other at straight gaze, or of the bases."""
+    """Turn of the cameras to each other at straight gaze, or of the bases."""
     stereo_shift_m: float = 0.0
     gain: float = 0.0
     axes_rad: float = 0.0
@@ -59,7 +59,7 @@ USUAL = Tolerance(
     axes_rad=np.radians(0.2),
     axes_m=2e-4,
 )
-"""Of a calibration that does not state its covariance."""
+"""What a calibration that does not state its covariance may be wrong by."""
 MOVED = Tolerance(
     focal=0.002,
     aspect=1e-4,
@@ -88,7 +88,7 @@ BUMP = Tolerance(
     turn_rad=np.radians(1.5),
     shift_m=1e-3,
 )
-"""Of a camera that something has hit."""
+"""What a camera that something has hit may have moved by."""
 UNCALIBRATED = Tolerance(
     focal=0.02,
     centre_px=5.0,
@@ -98,14 +98,14 @@ UNCALIBRATED = Tolerance(
     stereo_shift_m=1e-3,
     gain=0.05,
 )
-"""Of a head that is known from its drawing only, or is no longer as it was calibrated."""
+"""What a head may be wrong by that is known from its drawing only, or is not as calibrated."""
 _GRID = 16
 """Places along each axis of the image where a lens is looked at."""
 _LARGEST_COEFFICIENT = 0.01
 """Standard deviation of any combination of a lens's coefficients: some of a rational lens show
 nothing, and would change by more than is linear."""
 JOINT_STD_RAD = np.radians(0.2)
-"""Of readings whose noise nobody states, until it is estimated."""
+"""Noise of readings that nobody states, until it is estimated."""
 
 
 def learned_names(head: HeadCalibration, cameras: tuple[str, str]) -> tuple[str, ...]:

@@ -62,12 +62,12 @@ class RecordedSelfCalibration:
     frames: int
     """Rows that were used."""
     seen: int
-    """Of these the ones that showed how the cameras stand to each other."""
+    """Frames that showed how the cameras stand to each other."""
     learned: int
-    """Of these the ones from which was learned."""
+    """Frames from which was learned."""
     depth_std_m: tuple[float, float] | None
-    """Of a point 1 m straight ahead, by the calibration alone: before and after; None: it is in
-    neither image."""
+    """Standard deviation of the depth of a point 1 m straight ahead, by the calibration alone,
+    before and after; None: an image does not show it."""
     joint_std_rad: float
     """Noise of a reading, as estimated."""
     fresh: bool

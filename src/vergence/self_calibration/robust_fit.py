@@ -23,7 +23,7 @@ from vergence.self_calibration.state import Evidence
 
 _HYPOTHESES = 300
 _STEPS = 4
-"""Of reweighted least squares; there are two in a fit."""
+"""Steps of reweighted least squares, of which a fit has two."""
 _JUDGES = 250
 """Residuals that choose among them; more take longer, and choose no better."""
 INLIER = 0.3

@@ -51,9 +51,9 @@ class SeenGeometry:
     latest: SelfCalibrated | None = None
     """Head and joint angles at the latest frame, with what was known before it; None: no frame."""
     time_s: float | None = None
-    """Of the latest frame."""
+    """Time of the latest frame [s]."""
     learned_s: float | None = None
-    """Of the latest frame from which was learned, at the beginning of the first."""
+    """Time of the latest frame from which was learned [s]; at the beginning that of the first."""
     learned_at: Array | None = None
     """(r,) its readings [rad]."""
     keyframe_neck: Array | None = None

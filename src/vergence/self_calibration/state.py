@@ -119,7 +119,7 @@ class TrackedFeatures:
     readings: Array
     """(r,) of the keyframe [rad]."""
     matches: tuple[Matches, Matches]
-    """Of the left and of the right camera: then and now."""
+    """Matches of then and now in the left and in the right camera."""
     depths_m: tuple[Array, Array]
     """(N,) then, along the optical axes."""
 

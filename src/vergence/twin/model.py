@@ -51,7 +51,7 @@ def load_spec(scene: Scene = "room") -> mujoco.MjSpec:
 
 
 LEAST_JOINTS = 2
-"""Of an eye: those of the MJCF file."""
+"""Fewest joints of an eye: those of the MJCF file."""
 
 
 def hinges(kinematics: Kinematics) -> dict[Side, list[str]]:

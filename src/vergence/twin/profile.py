@@ -30,7 +30,7 @@ Percent = Annotated[float, Field(ge=-50, le=50)]
 
 
 MAX_BYTES = 2**14
-"""Of a profile; those that are shipped have at most 2 kB."""
+"""Largest file of a profile; those that are shipped have at most 2 kB."""
 
 
 class _Section(BaseModel):

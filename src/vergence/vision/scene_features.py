@@ -31,12 +31,12 @@ _EXPECTED_DEPTH_M = 1.5
 """Where tracking starts to search; its pyramid reaches about 50 px from there."""
 _ROUND_TRIP_PX = 0.3
 _LEAST_FORWARD = 0.1
-"""Of a ray's component along the optical axis: others are beside any view."""
+"""Least component of a ray along the optical axis: others are beside any view."""
 _LARGEST_STD_PX = 0.7
-"""Of a match that is worth its time."""
+"""Largest standard deviation of a match that is kept: others are not worth their time."""
 _NEIGHBOURS = 8
 _NEIGHBOUR_PX = 40.0
-"""Of matches that show where depth is discontinuous: how many are asked, and how near they are."""
+"""Neighbours of a match that show where depth is discontinuous: how many, and how near they are."""
 _STEEPEST = 0.2
 """Change of displacement per pixel that a surface may have: twice what a window expects."""
 
@@ -65,7 +65,7 @@ class _Views:
     second_image: np.ndarray
     """(H, W) grey, as it was taken."""
     maps: tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
-    """Of both: u and v (H, W) in the image, where the pixels of the view lie."""
+    """Where the pixels of each view lie in its image: u and v (H, W)."""
     inside: np.ndarray
     """(H / 2, W / 2) bool: of every second pixel, whether both images show it."""
     focal: float

@@ -48,17 +48,18 @@ _EDGE_PX = 1.6
 of the image is known from its coverage."""
 _NARROWEST_PX, _WIDEST_PX = 1.0, 3.5  # limits of it: sharp images, and what the margin leaves
 _ROUNDS = 2
-"""Of coverage and outline; more change a few thousandths of a pixel."""
+"""How often coverage and outline are estimated; more rounds change some thousandths of a pixel."""
 _COVER_STD = 0.5
-"""Of the coverage that the outline before lets expect, for pixels whose colours tell nothing."""
+"""Prior standard deviation of a pixel's coverage about that of the previous outline."""
 _NEARBY = (9, 9)  # pixels across: as far as the edge's outer side is seen from its inner one
 _NEARBY_STD_PX = 1.0  # of their weights: the nearest count, since backgrounds are not even
 _GREY_NOISE = 3.0
-"""Of a pixel in each plane [grey levels], with rounding and textures too fine to be seen."""
+"""Noise of a pixel in each plane [grey levels], with rounding and textures too fine to be seen."""
 _SHARE = 0.15
-"""Of the spread of all that surrounds the sphere, in what may be behind a pixel of its rim."""
+"""Share of the spread of all that surrounds the sphere, by which the background of a pixel of its
+rim may differ from what is seen beside it."""
 _SHADING_PIXELS = 2.0
-"""Brightness is expected to be even with the weight of so many pixels of normals that differ."""
+"""Ridge on the slopes of the shading, in pixels: even brightness is expected."""
 _FITTED_PIXELS = 1000  # about how many inner pixels of a large sphere are enough
 _POINTS = np.asarray(chebpts2(16), dtype=float)
 """Chebyshev points along each side of a window. Near the corner of a wide lens's image they

@@ -50,7 +50,7 @@ FEW_LEFT = 6
 ROUGH_STEPS = 5
 """Steps of the minimiser before that is judged again: they lead away from a poor start."""
 ROUNDS = 40
-"""Of unknowns, noise and observability in turn, after which an estimate has not converged."""
+"""Rounds of unknowns, noise and observability in turn, before an estimate has not converged."""
 RELEASES = 2
 """How often fixed directions may be released again."""
 WEIGHINGS = 2

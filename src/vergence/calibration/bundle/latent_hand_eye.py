@@ -46,9 +46,9 @@ class EyeCamera:
     residuals_px: Array
     """(N, K, 2) projected minus seen; NaN where not seen."""
     pixel_std_px: float
-    """Of one coordinate of a corner."""
+    """Noise of one coordinate of a corner."""
     joint_std: tuple[float, ...]
-    """Of the readings: (angles [rad],), or (rotation [rad], translation [m]) for eye poses."""
+    """Noise of the readings: (angles [rad],), or of eye poses (rotation [rad], translation [m])."""
     warnings: tuple[str, ...]
     """What the data cannot determine, and why."""
 

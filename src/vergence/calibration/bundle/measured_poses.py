@@ -21,7 +21,7 @@ from vergence.geometry.projection import T_lbase_cam
 from vergence.geometry.se3 import boxminus, cross, hat, inverse
 
 PAIRS = 3
-"""Of numbers of a pose; they stand where the corners of a board would."""
+"""Pairs of numbers of a pose; they stand where the corners of a board would."""
 
 
 @dataclass(frozen=True, eq=False)

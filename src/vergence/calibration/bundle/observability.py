@@ -30,13 +30,13 @@ JOINT_STD = {
     "axis_distance_m": 0.005,
     "slide_m": 0.005,
 }
-"""Of the errors of a joint."""
+"""Usual standard deviations of the errors of a joint."""
 FACTOR_STD = 0.1
-"""Of the factor of one of several readings of a joint."""
+"""Usual standard deviation of the factor of one of several readings of a joint."""
 TIME_S = 0.1
-"""Of the time offset."""
+"""Usual standard deviation of the time offset."""
 BOARD_SCALE = 0.02
-"""Of the size of a board, relative to the stated one."""
+"""Usual standard deviation of the size of a board, relative to the stated one."""
 UNKNOWN = 1e3
 """Standard deviation, in prior ones, that stands for "not determined at all"."""
 FIXED = 5.0
@@ -50,7 +50,7 @@ _POWERS: dict[CameraModel, tuple[int, ...]] = {
     "rational": (2, 4, 1, 1, 6, 2, 4, 6),
     "fisheye": (2, 4, 6, 8),
 }
-"""Of the radius, with which each coefficient moves a point relative to its distance."""
+"""Power of the radius with which each coefficient moves a point, relative to its distance."""
 _MOVED = 0.2
 """By how much a coefficient may move the image's corner, relative to its distance from the centre.
 """

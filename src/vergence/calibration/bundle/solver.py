@@ -51,7 +51,7 @@ class NoiseLevels:
 
     @property
     def pixel_px(self) -> float:
-        """Of one coordinate of a corner."""
+        """Return the noise of one coordinate of a corner."""
         return float(self.levels[0])
 
     @property
@@ -80,7 +80,7 @@ class LinearProblem:
     sum_squares: float
     """Weighted squares of the corner errors [px^2], in units of the images' noise scale."""
     count: float
-    """Of corner coordinates with a weight."""
+    """Number of corner coordinates that have a weight."""
     joint_errors: Array
     """(B, n)."""
     weights: Weights

@@ -30,7 +30,7 @@ from vergence.geometry.parameters import intrinsics_names
 from vergence.geometry.se3 import inverse, mean_pose
 
 LEAST_POSES = 3
-"""Of a target at rest, from which a camera's place in its eye follows."""
+"""Fewest poses of a target at rest, from which a camera's place in its eye follows."""
 _UNIT_RAD = 1e-3
 """Unit of rotation in which errors of poses are counted where no covariance is given."""
 _LEVERS_M = 1e-2, 1e1

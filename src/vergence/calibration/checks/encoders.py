@@ -22,7 +22,7 @@ from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side
 from vergence.geometry.se3 import inverse, rotvec
 
 LEAST_VIEWS_AT_REST = 6
-"""Of a board at rest, to say something about readings or measured poses."""
+"""Fewest views of a board at rest that say something about readings or measured poses."""
 LEAST_TURN_RAD = 0.02
 """Root mean square, about the second axis; less is too near to the noise of readings, and says
 nothing of one of the joints. `excitation` and the bundle adjustment speak of such motion."""
@@ -40,7 +40,7 @@ LEAST_BASELINE_M = 1e-3
 DEAD = 0.03
 """Part of the other joint's motion, below which a reading does not change."""
 GAINS = (0.6, 1.6)
-"""Of a joint that is calibrated; others are another unit, or another joint."""
+"""Least and largest gain of a joint that is calibrated; others mean another unit or joint."""
 DEGREES_PER_RAD = np.degrees(1.0)
 AHEAD = 0.3
 """Cosine of the angle between a camera's axis and the eye's x axis, at least: some look aside."""
@@ -51,7 +51,7 @@ class _Fit:
     """How the u readings of an eye explain the turns of a camera before a board at rest."""
 
     names: list[str]
-    """Of the readings."""
+    """Names of the readings."""
     gains: Array
     """(u,) of each: by what factor w_r is R_cam_eye d_r."""
     explained: float
@@ -71,7 +71,7 @@ class _Fit:
 
 @dataclass(frozen=True, eq=False)
 class _Turns:
-    """Of one camera before the board that it sees most often."""
+    """Turns of one camera before the board that it sees most often."""
 
     camera: str
     views: int

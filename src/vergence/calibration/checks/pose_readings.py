@@ -30,7 +30,7 @@ MISFIT = 0.15
 LEAST_MISFIT_RAD = np.radians(0.3)
 """Misfit, in the median, below which no other explanation is looked for."""
 BETTER = 1 / 3
-"""Of that, at most, by what the poses really are."""
+"""Largest misfit of an explanation, as a part of the misfit of the poses as they are."""
 OUTLIER, OUTLIER_RAD = 6.0, np.radians(1.0)
 """A view contradicts the others that differs by this many times the median, and by this angle."""
 OUTLIERS = 0.25
@@ -168,7 +168,7 @@ def _misfits(T_eye: Array, T_cam_target: Array) -> Array:
 
 
 def _what_they_are(T_eye: Array, T_cam: Array, misfit: float) -> str:
-    """Return what poses seem to be that do not fit [rad] as they are; empty: not known."""
+    """Return the likeliest mistake in poses that misfit [rad]; empty: none explains it."""
     tried = {
         "they are inverted (T_eye_base instead of T_base_eye), or their rotations transposed": (
             inverse(T_eye),

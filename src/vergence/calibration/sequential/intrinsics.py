@@ -60,7 +60,7 @@ FREE_COEFFICIENTS: dict[LensModel, int] = {
 }
 """How many coefficients are fitted: the first ones of geometry.lens."""
 LEAST_VIEWS = 3
-"""Of a flat board: each gives two equations for up to five intrinsics (Zhang)."""
+"""Fewest views of a flat board: each gives two equations for up to five intrinsics (Zhang)."""
 SLANT_DOUBTED = 4.0
 """Mean square of a view's errors, relative to that of the typical view, from which the board's
 slant is doubted."""

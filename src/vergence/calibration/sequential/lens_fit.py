@@ -29,7 +29,7 @@ FOLDS = 5
 EXACT_PX2 = 1e-20
 """Mean square of errors at which a fit is exact."""
 SMALLEST_EIGENVALUE = 1e-13
-"""Of information scaled to a unit diagonal, below which a direction counts as not determined."""
+"""Least eigenvalue, of information scaled to a unit diagonal, of a direction that is determined."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class LensFit:
 
     @property
     def sum_squares(self) -> float:
-        """Of the errors [px^2]."""
+        """Return the sum of squares of the errors [px^2]."""
         return float((self.errors**2).sum())
 
 

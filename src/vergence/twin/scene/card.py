@@ -25,7 +25,7 @@ class Card:
     picture: np.ndarray
     """(h, w, 3) uint8, RGB, as it is seen from the front; the object's place is its centre."""
     width_m: float
-    """Of the whole picture."""
+    """Width of the whole picture."""
 
     def __post_init__(self) -> None:
         shape, kind = self.picture.shape, self.picture.dtype

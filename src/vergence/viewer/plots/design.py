@@ -12,7 +12,7 @@ from vergence.viewer.plots.canvas import BLUE, GREEN, RED, panels, save
 
 MAP_STEPS = 41
 LEVELS = (0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500)
-"""Of the map's contours [mm]."""
+"""Levels of the map's contours [mm]."""
 CURVES = 7
 """Baselines that are drawn at most."""
 
