@@ -33,7 +33,7 @@ class Comparison:
     states: dict[str, SelfCalibration]
     """What is known of the head, by method; that of `learned` changes with every frame."""
     points: dict[str, list[Array]] = field(default_factory=dict)
-    """Positions (3,) [m] in the left eye's base frame of each sample, by method; NaN: not located."""
+    """Position (3,) [m] in frame lbase of each sample, by method; NaN: not located."""
     stds: dict[str, list[float]] = field(default_factory=dict)
     """Stated standard deviation of depth [m] of each sample, by method."""
     last: dict[str, SelfCalibrated] = field(default_factory=dict)
