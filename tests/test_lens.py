@@ -10,8 +10,8 @@ from pydantic import ValidationError
 from vergence.geometry.camera import (
     Camera,
     normalise,
-    normalise_area,
     pinhole,
+    pixel_area,
     project,
     project_jacobians,
     undistort,
@@ -108,7 +108,7 @@ def test_the_area_of_a_pixel_is_the_determinant_of_normalise(seed: int, model: C
         for step in np.eye(2) * h
     ]
     area = np.linalg.det(np.stack(sides, axis=-1))
-    np.testing.assert_allclose(normalise_area(camera, normalise(camera, pixels)), area, rtol=1e-6)
+    np.testing.assert_allclose(pixel_area(camera, normalise(camera, pixels)), area, rtol=1e-6)
 
 
 def test_a_fisheye_lens_without_coefficients_is_linear_in_the_angle():

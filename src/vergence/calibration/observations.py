@@ -117,7 +117,7 @@ class Observations:
         own = self.kinematics if head is None else head.kinematics
         return np.stack([T_base_eye(own, eye, self.eye_angles) for eye in EYES], axis=1)
 
-    def timely(self, head: HeadCalibration) -> Observations:
+    def at_image_times(self, head: HeadCalibration) -> Observations:
         """Return the observations with readings at the moments of the images.
 
         They are moved by the head's time offset, where the eyes moved.

@@ -188,7 +188,7 @@ def measure(settings: GazeSettings, state: GazeState, frame: Frame, posture: Arr
         aim = state.aim
         aim = None if aim is None else predict(aim, time_s, jerk_density=motion.jerk_density)
         state = replace(state, aim=aim)
-        return state if by_sight else without_one(settings, state, frame)
+        return state if by_sight else predict_track(settings, state, frame)
     by_readings, by_commands = found
     aim, aim_ratio = _fused(settings, state.aim, state.aim_innovation_ratio, time_s, *by_commands)
     state = replace(state, aim=aim, aim_innovation_ratio=aim_ratio)
@@ -207,7 +207,7 @@ def fuse_measurement(
     return replace(state, measured=point, track=track, innovation_ratio=ratio)
 
 
-def without_one(settings: GazeSettings, state: GazeState, frame: Frame) -> GazeState:
+def predict_track(settings: GazeSettings, state: GazeState, frame: Frame) -> GazeState:
     """Return the state whose `track` is predicted to the time of a frame without a measurement."""
     if state.track is None:
         return state

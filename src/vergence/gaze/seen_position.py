@@ -12,7 +12,7 @@ import numpy as np
 
 from vergence.data.dataset import Frame
 from vergence.gaze.commands import EYE_READINGS
-from vergence.gaze.observation import best_view, fuse_measurement, readings_at_image, without_one
+from vergence.gaze.observation import best_view, fuse_measurement, predict_track, readings_at_image
 from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.head import T_body_base
 from vergence.geometry.kinematics import EYES
@@ -43,7 +43,7 @@ def see_position(settings: GazeSettings, state: GazeState, frame: Frame | None) 
         return state
     found = _seen_pair(settings, state)
     if found is None:
-        return without_one(settings, state, frame)
+        return predict_track(settings, state, frame)
     cameras, left, right = found
     where = locate_jointly(
         seen.head,
@@ -56,7 +56,7 @@ def see_position(settings: GazeSettings, state: GazeState, frame: Frame | None) 
         cameras=cameras,
     )
     if not np.isfinite(where.covariance).all():
-        return without_one(settings, state, frame)
+        return predict_track(settings, state, frame)
     T = T_body_base(seen.head, "left", readings)
     R = T[:3, :3]
     point, covariance = transform(T, where.xyz[0]), R @ where.covariance[0] @ R.T

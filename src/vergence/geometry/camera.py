@@ -209,7 +209,7 @@ def normalised_rows(camera: Camera, u: Component, v: Component) -> tuple[Sequenc
     return (x, y), ((fx * xx + skew * cross, fx * cross + skew * yy), (fy * cross, fy * yy))
 
 
-def normalise_area(camera: Camera, xy: Array) -> Array:
+def pixel_area(camera: Camera, xy: Array) -> Array:
     """Return the area (...,) in the plane z = 1 of one pixel at undistorted xy (..., 2)."""
     _, _, xx, cross, yy = _distortion(camera, xy[..., 0], xy[..., 1])
     return 1 / (camera.matrix[0, 0] * camera.matrix[1, 1] * (xx * yy - cross * cross))

@@ -81,23 +81,44 @@ def seen_from_the_other_side(T_cam_target: Array, points: Array) -> Array:
     return pose(R_other, centre - R_other @ middle)
 
 
+def board_errors(
+    camera: Camera, T_cam_target: Array, corners: Array, points: Array
+) -> tuple[Array, Array, Array]:
+    """Return what V views of a board are off, and how that depends on the poses and on the lens.
+
+    Args:
+        camera: that saw the board.
+        T_cam_target: (V, 4, 4) poses of the board.
+        corners: (V, K, 2) pixels; NaN where a corner was not seen, whose rows are zero.
+        points: (K, 3) the corners in frame target [m].
+
+    Returns:
+        Predicted minus seen pixels (V, 2 K), and their derivatives by increments of the poses
+        (V, 2 K, 6) and by the n intrinsics (V, 2 K, n), in the order of `project_jacobians`.
+    """
+    V, seen = len(T_cam_target), seen_corners(corners)[..., None]
+    turned = points @ np.swapaxes(T_cam_target[:, :3, :3], 1, 2)
+    at = turned + T_cam_target[:, None, :3, 3]
+    pixels, by_point, by_lens = project_jacobians(camera, at)
+    errors = np.where(seen, pixels - np.where(seen, corners, 0.0), 0.0).reshape(V, -1)
+    by_pose, by_lens = (
+        np.where(seen[..., None], J, 0.0).reshape(V, -1, J.shape[-1])
+        for J in (by_pose_of_points(by_point, turned), by_lens)
+    )
+    return errors, by_pose, by_lens
+
+
 def refined_poses(camera: Camera, corners: Array, points: Array, T: Array) -> tuple[Array, Array]:
     """Return poses (V, 4, 4) of least reprojection error near T, and the sums of squares [px^2].
 
     All views at once, by Levenberg and Marquardt's method; each has four corners or more.
     """
-    seen = seen_corners(corners)[..., None]
-    target = np.where(seen, corners, 0.0)
     damping, lowest, best = np.full(len(T), 1e-6), np.full(len(T), np.inf), T
     step = np.zeros((len(T), 6))
     kept: tuple[Array, Array] | None = None
     for _ in range(_REFINEMENTS):
         trial = boxplus(best, step)
-        turned = points @ np.swapaxes(trial[:, :3, :3], 1, 2)
-        pixels, by_point, _ = project_jacobians(camera, turned + trial[:, None, :3, 3])
-        errors = np.where(seen, pixels - target, 0.0).reshape(len(T), -1)
-        J = by_pose_of_points(by_point, turned)
-        J = np.where(seen[..., None], J, 0.0).reshape(len(T), -1, 6)
+        errors, J, _ = board_errors(camera, trial, corners, points)
         cost = np.nan_to_num((errors**2).sum(axis=1), nan=np.inf)
         better = (cost <= lowest) & np.isfinite(cost)
         J_T = np.swapaxes(J, 1, 2)

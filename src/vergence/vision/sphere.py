@@ -31,7 +31,7 @@ from numpy.polynomial.chebyshev import chebpts2, chebvander
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.geometry.camera import Camera, normalise, normalise_area, project
+from vergence.geometry.camera import Camera, normalise, pixel_area, project
 from vergence.vision.detector import Detection, Detector, windows
 
 COLOURS = ("red", "blue")
@@ -165,7 +165,7 @@ def _centre(
     xy = normalise(camera, np.stack(np.broadcast_arrays(u, v[:, None]), axis=-1))
     if not np.isfinite(xy).all():
         return np.full(2, np.nan)
-    areas = block**2 * normalise_area(camera, xy)
+    areas = block**2 * pixel_area(camera, xy)
 
     def cone(cover: Array) -> tuple[Array, float]:
         weights = (by_v.T @ cover @ by_u) * areas

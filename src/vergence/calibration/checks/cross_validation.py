@@ -81,7 +81,7 @@ def predicted_squares(observations: Observations, parts: Sequence[PartCalibratio
     number, points = folds(observations.placement), corner_points(observations.board)
     found = np.zeros((len(number), 2))
     for k, part in enumerate(parts):
-        head, views = part.head, observations.timely(part.head)
+        head, views = part.head, observations.at_image_times(part.head)
         eye_poses = views.eye_poses(head)
         known = np.isin(views.placement, list(part.T_lbase_target))
         rows = np.flatnonzero(known & (number == k))
@@ -161,7 +161,7 @@ def _transferred(
     """Return for each view of both eyes the distances of corners from the prediction [px]."""
     seen = [seen_corners(observations.corners[name]).sum(axis=1) for name in pair]
     rows = np.flatnonzero((np.min(seen, axis=0) >= LEAST_CORNERS) & mine)
-    views = observations.timely(head).take(rows)  # readings move along all their neighbours
+    views = observations.at_image_times(head).take(rows)  # readings move along all their neighbours
     if not len(views.placement):
         return []
     points = corner_points(views.board)
@@ -180,7 +180,7 @@ def _located(
     head: HeadCalibration, observations: Observations, mine: np.ndarray, pair: tuple[str, str]
 ) -> tuple[list[Array], list[Array], list[Array]]:
     """Return by view errors of corners of boards at rest [m]; expected errors and distances [m]."""
-    views = observations.timely(head)
+    views = observations.at_image_times(head)
     V, K = views.corners[pair[0]].shape[:2]
     left, right = (views.corners[name].reshape(-1, 2) for name in pair)
     readings = views.eye_angles if views.T_base_eye is None else views.T_base_eye

@@ -16,12 +16,12 @@ from vergence.calibration.sequential.lens_fit import NEGLIGIBLE_GAIN, ROUGH, Len
 from vergence.calibration.sequential.lens_prior import EQUIDISTANT
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
-from vergence.geometry.camera import Camera, pinhole, project_jacobians
+from vergence.geometry.camera import Camera, pinhole
 from vergence.geometry.lens import distort
 from vergence.geometry.parameters import PINHOLE
-from vergence.geometry.projection import by_pose_of_points
 from vergence.geometry.se3 import pose, rotation, transform
 from vergence.vision.board_pose import (
+    board_errors,
     board_poses,
     determines_pose,
     refined_poses,
@@ -374,19 +374,14 @@ def _focal_std(camera: Camera, free: int, poses: Array, corners: Array, points: 
     Free were the first `free` intrinsics in the order of project_jacobians; infinite: not
     determined.
     """
-    V, seen = len(poses), np.isfinite(corners)[..., None]
-    turned = points @ np.swapaxes(poses[:, :3, :3], 1, 2)
-    pixels, by_point, by_lens = project_jacobians(camera, turned + poses[:, None, :3, 3])
-    of_view = np.where(seen, by_pose_of_points(by_point, turned), 0.0).reshape(V, -1, 6)
-    of_lens = np.where(seen, by_lens[..., :free], 0.0).reshape(V, -1, free)
-    of_view_T = np.swapaxes(of_view, 1, 2)
-    rest = of_lens - of_view @ np.linalg.solve(of_view_T @ of_view, of_view_T @ of_lens)
+    errors, by_pose, by_lens = board_errors(camera, poses, corners, points)
+    by_lens, by_pose_T = by_lens[..., :free], np.swapaxes(by_pose, 1, 2)
+    rest = by_lens - by_pose @ np.linalg.solve(by_pose_T @ by_pose, by_pose_T @ by_lens)
     H = (np.swapaxes(rest, 1, 2) @ rest).sum(axis=0)
-    redundancy = np.count_nonzero(seen) - 6 * V - free
+    redundancy = 2 * np.count_nonzero(seen_corners(corners)) - 6 * len(poses) - free
     scale = np.sqrt(np.diag(H))
     if redundancy < 1 or not (scale > 0).all():
         return np.full(2, np.inf)
     values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
     variance = (vectors**2 / np.maximum(values, 1e-15)).sum(axis=1) / scale**2
-    residuals = np.where(seen[..., 0], corners - pixels, 0.0)
-    return np.sqrt(variance * (residuals**2).sum() / redundancy)[:2]
+    return np.sqrt(variance * (errors**2).sum() / redundancy)[:2]

@@ -13,10 +13,10 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.sequential.lens_prior import lens_prior
-from vergence.geometry.camera import Camera, project_jacobians
+from vergence.geometry.camera import Camera
 from vergence.geometry.parameters import lens_of_vector, lens_vector
-from vergence.geometry.projection import by_pose_of_points
 from vergence.geometry.se3 import boxplus
+from vergence.vision.board_pose import board_errors
 
 ITERATIONS = 60
 """At most, of Levenberg and Marquardt's method."""
@@ -77,10 +77,9 @@ def fit_lens(
     Raises:
         ValueError: a corner has no place in the image at the start.
     """
-    seen = np.isfinite(corners)
-    count = np.count_nonzero(seen)
+    count = np.count_nonzero(np.isfinite(corners))
     damping, lens = 1e-4, camera
-    state = _linearised(lens, free, T_cam_target, corners, points, seen)
+    state = _linearised(lens, free, T_cam_target, corners, points)
     if state is None:
         raise ValueError("the start of a lens shows a corner behind the camera")
 
@@ -109,7 +108,7 @@ def fit_lens(
             moved = boxplus(T, step_view)
             found = None
             if np.isfinite(lens_prior(trial)[0]):
-                found = _linearised(trial, free, moved, corners, points, seen)
+                found = _linearised(trial, free, moved, corners, points)
             accepted = found is not None and cost(found, trial) <= lowest
             if found is not None and accepted:
                 lens, T, state, damping = trial, moved, found, max(damping / 10, 1e-14)
@@ -122,19 +121,12 @@ _Linear = tuple[Array, Array, Array]
 
 
 def _linearised(
-    camera: Camera, free: np.ndarray, T: Array, corners: Array, points: Array, seen: np.ndarray
+    camera: Camera, free: np.ndarray, T: Array, corners: Array, points: Array
 ) -> _Linear | None:
     """Return errors (V, 2 K), and their derivatives by poses (V, 2 K, 6) and lens (V, 2 K, n)."""
-    V = len(T)
-    turned = points @ np.swapaxes(T[:, :3, :3], 1, 2)
     with np.errstate(over="ignore", invalid="ignore"):
-        pixels, by_point, by_lens = project_jacobians(camera, turned + T[:, None, :3, 3])
-    errors = np.where(seen, pixels - np.where(seen, corners, 0.0), 0.0).reshape(V, -1)
-    if not np.isfinite(errors).all():
-        return None
-    of_view = np.where(seen[..., None], by_pose_of_points(by_point, turned), 0.0)
-    of_lens = np.where(seen[..., None], by_lens[..., free], 0.0)
-    return errors, of_view.reshape(V, -1, 6), of_lens.reshape(V, -1, len(free))
+        errors, by_pose, by_lens = board_errors(camera, T, corners, points)
+    return (errors, by_pose, by_lens[..., free]) if np.isfinite(errors).all() else None
 
 
 def _step(state: _Linear, prior: tuple[Array, Array], damping: float) -> tuple[Array, Array, float]:
