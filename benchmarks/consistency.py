@@ -15,8 +15,9 @@ calibrated by the paper's method, and prints for each figure
 - where there are several heads, the second of these with the squared spreads of all together: by
   chance the errors of one head and of the detector add up or cancel, and over heads they do not.
 
-Samples are taken at random times. At regular ones postures come again, and where pictures have no
-noise a detector errs in the same way each time: of 320 samples of Fig. 8 only 80 would be distinct.
+Samples are taken at random times, one in each of as many equal parts of the motion. At regular
+times postures come again, and where pictures have no noise a detector errs in the same way each
+time: of 320 samples of Fig. 8 only 80 would be distinct.
 
 Measurements are kept in a folder, and a second run goes on where the first one was stopped.
 
@@ -83,10 +84,10 @@ def measure(folder: Path, profile: ErrorProfile, seed: int, samples: int) -> Non
 
 
 def random_times(figure: Figure, samples: int, seed: int) -> Array:
-    """Return times (N,) [s] over the whole motion, in whole milliseconds, each once."""
+    """Return times (N,) [s], one in each of N equal parts of the motion, in whole milliseconds."""
     rng = np.random.default_rng([seed, figure.number])
-    whole = rng.choice(round(1e3 * default_duration_s(figure.motion)), samples, replace=False)
-    return np.sort(whole) / 1e3
+    part_s = default_duration_s(figure.motion) / samples
+    return np.floor(1e3 * part_s * (np.arange(samples) + rng.uniform(0, 0.95, samples))) / 1e3
 
 
 def mahalanobis(

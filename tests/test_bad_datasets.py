@@ -80,7 +80,7 @@ def test_links_that_leave_the_folder_are_refused(folder):
         ({"cameras": {}}, "cameras is empty"),
         ({"cameras.left_wide.width": 0}, "cameras.left_wide.width: Input should be greater"),
         ({"cameras.left_wide.width": "32"}, "cameras.left_wide.width: Input should be a valid int"),
-        ({"cameras.left_wide.eye": "right"}, "are left and right exchanged?"),
+        ({"cameras.left_wide.eye": "right"}, "perhaps left and right are exchanged."),
         ({"cameras.left_wide.eye": "middle"}, "cameras.left_wide.eye: Input should be 'left' or"),
         ({"cameras.cam 0": {"eye": "left", "width": 1, "height": 1}}, "a camera's name begins"),
         ({"cameras.left": {"eye": "left", "width": 1, "height": 1}}, "is not the name of an eye"),

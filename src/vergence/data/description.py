@@ -118,8 +118,8 @@ class Description:
             side = name.partition("_")[0]
             if side in EYES and side != camera.eye:
                 raise ValueError(
-                    f"cameras.{name}.eye is {camera.eye!r}; {name} sits in the {side} eye: are "
-                    "left and right exchanged?"
+                    f"cameras.{name}.eye is {camera.eye!r}, but {name} sits in the {side} eye; "
+                    "perhaps left and right are exchanged"
                 )
             known = camera.intrinsics
             if known and (known.width, known.height) != (camera.width, camera.height):
