@@ -10,7 +10,7 @@ from vergence.arrays import Array
 from vergence.data.dataset import Dataset, Frame, runs
 from vergence.data.timing import Timing, moved_readings
 from vergence.errors import VergenceError
-from vergence.geometry.camera import check_image
+from vergence.geometry.camera import check_image_fits
 from vergence.geometry.head import HeadCalibration, pair_names
 
 
@@ -60,7 +60,7 @@ def stereo_rows(dataset: Dataset, head: HeadCalibration) -> StereoRows:
                 f"{', '.join(dataset.files)}."
             )
         shape = stated[name].height, stated[name].width
-        check_image(name, head.camera(name).intrinsics, shape, whose=f"those of {folder}")
+        check_image_fits(name, head.camera(name).intrinsics, shape, whose=f"those of {folder}")
     read, known = dataset.description.head_kinematics.readings, head.kinematics.readings
     if dataset.T_base_eye is None and read != known:
         raise VergenceError(

@@ -13,7 +13,7 @@ from vergence.errors import VergenceError
 from vergence.gaze.commands import EYE_READINGS, NECK, commanded
 from vergence.gaze.kalman import InnovationRatio, Track, begin, fuse, predict, update_ratio
 from vergence.gaze.state import GazeSettings, GazeState
-from vergence.geometry.camera import Camera, check_image, normalise
+from vergence.geometry.camera import Camera, check_image_fits, normalise
 from vergence.geometry.head import T_base_cam, T_body_base
 from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.se3 import inverse, transform
@@ -87,7 +87,7 @@ def detect(
     by the name of its target in the message, returns something else than a `Detector` does.
     """
     image, intrinsics = frame.images[camera], settings.calibration.camera(camera).intrinsics
-    check_image(camera, intrinsics, image.shape, whose="the frame's")
+    check_image_fits(camera, intrinsics, image.shape, whose="the frame's")
     found = detector(image, intrinsics, near)
     if found is None:
         return None

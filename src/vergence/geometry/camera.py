@@ -51,7 +51,7 @@ def check_image_size(width: int, height: int) -> None:
         )
 
 
-def check_image(name: str, camera: Camera, shape: Sequence[int], *, whose: str) -> None:
+def check_image_fits(name: str, camera: Camera, shape: Sequence[int], *, whose: str) -> None:
     """Raise VergenceError if images are not as large as those that a camera was calibrated with.
 
     Args:

@@ -16,7 +16,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
-from vergence.geometry.camera import check_image
+from vergence.geometry.camera import check_image_fits
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import checked_readings
 from vergence.self_calibration.frame import self_calibrate_frame
@@ -99,7 +99,7 @@ def update_geometry(
                 f"{', '.join(frame.images) or 'no camera'}."
             )
         lens = known.head.camera(name).intrinsics
-        check_image(name, lens, frame.images[name].shape, whose="the frame's")
+        check_image_fits(name, lens, frame.images[name].shape, whose="the frame's")
     left, right = (frame.images[name] for name in known.cameras)
     neck = frame.neck_angles
     moved = before.keyframe_neck is None or bool(
