@@ -138,8 +138,8 @@ def update_head(chain: Camchain, template: HeadCalibration) -> HeadCalibration:
             main[eye] = main_camera(own, eye)
     if absent := set(main.values()) - set(chain):
         raise VergenceError(
-            f"The poses of a camchain are taken from those of the main camera of each eye, which "
-            f"does not have {min(absent)}; it has {', '.join(chain)}."
+            f"The poses of a camchain are taken from that of each eye's main camera, but it has "
+            f"{', '.join(chain)} and not {min(absent)}; without T_cn_cnm1 only the lenses are read."
         )
     for name in chain:
         known = main[cameras[name].eye]
