@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
+from vergence.geometry.components import dot, plus
 
 Vec = tuple[Array, Array, Array]
 """x, y, z; in three arrays, since most of the time goes into memory."""
@@ -91,27 +92,27 @@ def sensitivity(
         F, L, U = (ct * cp, ct * sp, -st), (-sp, cp, np.zeros_like(cp)), (st * cp, st * sp, ct)
         q = P[0], P[1] - side * baseline, P[2]
         r = q[0] - camera_ahead_m * F[0], q[1] - camera_ahead_m * F[1], q[2] - camera_ahead_m * F[2]
-        depth = _dot(F, r)
+        depth = dot(F, r)
         for k, axis in enumerate((L, U)):
-            at = -_dot(axis, r) / depth
+            at = -dot(axis, r) / depth
             row = axis[0] + at * F[0], axis[1] + at * F[1], axis[2] + at * F[2]
             # A turn of the eye moves the point, as the eye sees it, by -axis x q.
             by_pan = row[1] * q[0] - row[0] * q[1]
-            by_tilt = _dot(row, (L[1] * q[2], -L[0] * q[2], L[0] * q[1] - L[1] * q[0]))
+            by_tilt = dot(row, (L[1] * q[2], -L[0] * q[2], L[0] * q[1] - L[1] * q[0]))
             rows.append(row)
             errors.append((depth, by_pan, by_tilt))
             image[k] = np.maximum(image[k], np.abs(at))
     inverse = _inverse_of_squares(rows)
     columns = [_times(inverse, row) for row in rows]
-    pixel = sum(_dot(c, c) * e[0] ** 2 for c, e in zip(columns, errors, strict=True))
+    pixel = sum(dot(c, c) * e[0] ** 2 for c, e in zip(columns, errors, strict=True))
     joint, between = np.zeros(()), np.zeros(())
     for k in (1, 2):
         left, right = (
-            _add(_scaled(columns[i], errors[i][k]), _scaled(columns[i + 1], errors[i + 1][k]))
+            plus(_scaled(columns[i], errors[i][k]), _scaled(columns[i + 1], errors[i + 1][k]))
             for i in (0, 2)
         )
-        joint = joint + _dot(left, left) + _dot(right, right)
-        between = between + 2 * _dot(left, right)
+        joint = joint + dot(left, left) + dot(right, right)
+        between = between + 2 * dot(left, right)
     return Sensitivity(np.asarray(pixel), joint, between, *image)
 
 
@@ -134,14 +135,6 @@ def mean_square(
     return by_pixels + joint * seen.joint + correlation * late * seen.between
 
 
-def _dot(a: Vec, b: Vec) -> Array:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _add(a: Vec, b: Vec) -> Vec:
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
-
-
 def _scaled(a: Vec, by: Array) -> Vec:
     return a[0] * by, a[1] * by, a[2] * by
 
@@ -160,4 +153,4 @@ def _inverse_of_squares(rows: list[Vec]) -> tuple[Array, ...]:
 
 def _times(symmetric: tuple[Array, ...], v: Vec) -> Vec:
     xx, xy, xz, yy, yz, zz = symmetric
-    return _dot((xx, xy, xz), v), _dot((xy, yy, yz), v), _dot((xz, yz, zz), v)
+    return dot((xx, xy, xz), v), dot((xy, yy, yz), v), dot((xz, yz, zz), v)

@@ -21,7 +21,7 @@ from vergence.calibration.bundle.bundle_adjustment import fixed_by_default
 from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.camera import pinhole
 from vergence.geometry.head import R_EYE_CAM, HeadCalibration, MountedCamera
-from vergence.geometry.kinematics import EYES
+from vergence.geometry.kinematics import EYES, looking_along
 from vergence.geometry.parameters import parameter_names
 from vergence.geometry.se3 import pose, rotation
 
@@ -69,8 +69,7 @@ def standard_recording(head: HeadCalibration, board: Chessboard) -> Views:
     apart = np.arctan(baseline / 2 / distance)
     pan = draw[:, 1] * np.maximum(room[:, 0] - apart, 0.0)
     tilt = draw[:, 2] * room[:, 1]
-    ray = np.stack([np.cos(tilt) * np.cos(pan), np.cos(tilt) * np.sin(pan), -np.sin(tilt)], -1)
-    centre = distance[:, None] * ray
+    centre = distance[:, None] * looking_along(pan, tilt)
     R = R_EYE_CAM @ rotation(draw[:, 3:] * LEAN_RAD)
     T = pose(R, centre - [0.0, baseline / 2, 0.0] - R @ corners.mean(axis=0))
     fixating = np.stack(gaze_at(np.array(baseline), centre[-1]), axis=-1)

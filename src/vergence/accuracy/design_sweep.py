@@ -21,6 +21,7 @@ from vergence.accuracy.design_settings import (
 )
 from vergence.arrays import Array
 from vergence.geometry.board import Chessboard
+from vergence.geometry.kinematics import looking_along
 
 SOURCES = ("pixels", "readings", "delay", "calibration")
 
@@ -51,8 +52,8 @@ def located_points(settings: DesignSettings) -> tuple[Array, Array]:
         np.arange(len(where.off_deg)),
         indexing="ij",
     )
-    ray = np.stack([np.cos(tilt) * np.cos(pan), np.cos(tilt) * np.sin(pan), -np.sin(tilt)], -1)
-    points = np.multiply.outer(np.array(where.distances_m), ray.reshape(-1, 3))
+    rays = looking_along(pan, tilt).reshape(-1, 3)
+    points = np.multiply.outer(np.array(where.distances_m), rays)
     return points, np.radians(where.off_deg)[off.ravel()]
 
 

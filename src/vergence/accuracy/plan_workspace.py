@@ -15,6 +15,7 @@ from vergence.calibration.summary import DISTANCES_M
 from vergence.errors import VergenceError
 from vergence.gaze.fixation import readings_to
 from vergence.geometry.head import HeadCalibration, T_head_base
+from vergence.geometry.kinematics import looking_along
 from vergence.geometry.parameters import parameter_names
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
@@ -49,8 +50,7 @@ def workspace(
     VergenceError if the eyes cannot both see one of them.
     """
     a, b = np.meshgrid(ASIDE_RAD * np.arange(-1, 2), ABOVE_RAD * np.arange(-1, 2))
-    ray = np.stack([np.cos(a) * np.cos(b), np.sin(a) * np.cos(b), np.sin(b)], axis=-1)
-    in_head = np.multiply.outer(np.array(distances_m), ray).reshape(-1, 3)
+    in_head = np.multiply.outer(np.array(distances_m), looking_along(a, -b)).reshape(-1, 3)
     points = transform(inverse(T_head_base(head, "left")), in_head)
     joints = fixating(head, pair, points, limits_rad)
     columns = [parameter_names(head).index(name) for name in names]

@@ -300,6 +300,13 @@ def straight_gaze(kinematics: Kinematics) -> Array:
     return np.zeros(len(kinematics.readings))
 
 
+def looking_along(pan_rad: np.ndarray, tilt_rad: np.ndarray) -> Array:
+    """Return unit vectors (..., 3) along which an eye that pans, then tilts, looks (x ahead)."""
+    ahead = np.cos(tilt_rad)
+    parts = ahead * np.cos(pan_rad), ahead * np.sin(pan_rad), -np.sin(tilt_rad)
+    return np.stack(parts, axis=-1)
+
+
 def checked_readings(
     kinematics: Kinematics, readings: ArrayLike, *, one_posture: bool = False
 ) -> Array:
