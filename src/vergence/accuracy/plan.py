@@ -21,7 +21,7 @@ from vergence.accuracy.plan_information import (
     without_place,
 )
 from vergence.accuracy.plan_views import Views, admissible_views
-from vergence.accuracy.plan_workspace import Workspace, largest_std, workspace
+from vergence.accuracy.plan_workspace import WorkspacePoints, largest_std, workspace
 from vergence.arrays import Array
 from vergence.calibration.summary import DISTANCES_M
 from vergence.errors import VergenceError
@@ -57,7 +57,7 @@ class Plan:
     """(W,) the same once the views are recorded: what is predicted."""
     steps_m: Array
     """(N,) the largest of these after the first, first two, ... of the views."""
-    workspace: Workspace
+    workspace: WorkspacePoints
     covariance: Array
     """(p, p) of the head's estimated parameters after the views."""
 

@@ -26,7 +26,7 @@ ASIDE_RAD, ABOVE_RAD = 0.25, 0.2
 
 
 @dataclass(frozen=True, eq=False)
-class Workspace:
+class WorkspacePoints:
     """W points that both eyes fixate."""
 
     points: Array
@@ -44,7 +44,7 @@ def workspace(
     *,
     names: tuple[str, ...],
     distances_m: tuple[float, ...] = DISTANCES_M,
-) -> Workspace:
+) -> WorkspacePoints:
     """Return points before the head, with their derivatives by named parameters.
 
     VergenceError if the eyes cannot both see one of them.
@@ -54,7 +54,9 @@ def workspace(
     points = transform(inverse(T_head_base(head, "left")), in_head)
     joints = fixating(head, pair, points, limits_rad)
     columns = [parameter_names(head).index(name) for name in names]
-    return Workspace(points, joints, point_by_parameters(head, pair, points, joints)[..., columns])
+    return WorkspacePoints(
+        points, joints, point_by_parameters(head, pair, points, joints)[..., columns]
+    )
 
 
 def fixating(

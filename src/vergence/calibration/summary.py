@@ -19,7 +19,7 @@ from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.uncertainty import calibration_covariance, locate_with_covariance
 from vergence.vision.board_pose import seen_corners
 
-MISFIT = 1.5
+POOR_FIT = 1.5
 """Held-out error, as a multiple of what the noise explains, from which something is amiss; with
 the ten views or more of a usual fold set it stays below by far."""
 VOID_MISFIT = 5.0
@@ -53,7 +53,7 @@ def verdict(accuracy: Accuracy, head: HeadCalibration) -> tuple[str, str]:
     assert checked is not None
     if checked.point_mm is not None and checked.expected_mm is not None:
         ratio = checked.point_mm / checked.expected_mm
-        if ratio > MISFIT:
+        if ratio > POOR_FIT:
             return (
                 "DOUBTFUL" if ratio < VOID_MISFIT else "VOID",
                 f"Next: held-out points are {ratio:.1f} times as wrong as the noise explains; look "

@@ -40,7 +40,7 @@ from vergence.geometry.se3 import angle, pose, rotation, rotvec
 
 CLEAR = 10.0
 """Evidence [nats] below which a view is left as it is, and named."""
-LEAST_TURN_RAD = 0.03
+LEAST_SPREAD_RAD = 0.03
 """Root mean square motion about the second axis, from which the eye's camera can be placed."""
 
 
@@ -202,7 +202,7 @@ def _mounting(R_base_eye: Array, R_cam_target: Array) -> Array | None:
         return None
     motion = rotvec(np.swapaxes(R_base_eye[:1], 1, 2) @ R_base_eye)
     spread = np.linalg.svd(motion - motion.mean(axis=0), compute_uv=False) / np.sqrt(len(motion))
-    if spread[1] < LEAST_TURN_RAD:
+    if spread[1] < LEAST_SPREAD_RAD:
         return None
     try:
         return robust_park_martin(pose(R_base_eye), pose(R_cam_target))[:3, :3]

@@ -23,7 +23,7 @@ from vergence.geometry.se3 import inverse, rotvec
 
 LEAST_VIEWS_AT_REST = 6
 """Fewest views of a board at rest that say something about readings or measured poses."""
-LEAST_TURN_RAD = 0.02
+LEAST_SPREAD_RAD = 0.02
 """Root mean square, about the second axis; less is too near to the noise of readings, and says
 nothing of one of the joints. `excitation` and the bundle adjustment speak of such motion."""
 EXPLAINED = 0.8
@@ -120,7 +120,7 @@ def _turns(seen: Observations, name: str, e: int, T_cam_target: Array) -> _Turns
     # A camera that turns by T sees a board at rest turn by its inverse.
     turn = rotvec(R[:1] @ np.swapaxes(R, 1, 2))
     turn = turn - turn.mean(axis=0)
-    if np.linalg.svd(turn, compute_uv=False)[1] < LEAST_TURN_RAD * np.sqrt(len(turn)):
+    if np.linalg.svd(turn, compute_uv=False)[1] < LEAST_SPREAD_RAD * np.sqrt(len(turn)):
         return None
     readings = seen.eye_angles[rows]
     own, other = (_fit(seen.kinematics, EYES[eye], readings, turn) for eye in (e, 1 - e))

@@ -25,7 +25,7 @@ from vergence.geometry.se3 import angle, inverse, pose, rotation
 
 LEAST_TURN_RAD = 0.03
 """Median turn between views, below which noise says as much as the poses."""
-MISFIT = 0.15
+MISFIT_SHARE = 0.15
 """Part of the median turn by which poses and images may differ in the median."""
 LEAST_MISFIT_RAD = np.radians(0.3)
 """Misfit, in the median, below which no other explanation is looked for."""
@@ -82,7 +82,7 @@ def check_pose_readings(seen: Observations, T_cam_target: Mapping[str, Array]) -
         by_view = _misfits(T_eye, T_cam)
         misfit = float(np.median(by_view))
         cause = _what_they_are(T_eye, T_cam, misfit)
-        if misfit > MISFIT * turn or (cause and misfit > LEAST_MISFIT_RAD):
+        if misfit > MISFIT_SHARE * turn or (cause and misfit > LEAST_MISFIT_RAD):
             cause = cause or "they are not of this eye or not of these moments, or the board moved"
             raise VergenceError(
                 f"The poses of the {eye} eye differ by {np.degrees(misfit):.1f} degrees in the "

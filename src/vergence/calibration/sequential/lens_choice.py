@@ -49,7 +49,7 @@ not contain the usual models, which fit mild lenses nearly as well."""
 BY_CHANCE = 10.0
 """Sum of squares, in variances of a corner, by which a model may always predict better by chance:
 about three standard errors of one of its coefficients."""
-BEYOND_CHANCE = 25.0
+MOST_VARIANCES = 25.0
 """Sum of squares, in variances of a corner, by which no model predicts better by chance. Where a
 few views at the edge make all the difference, its standard error is as large as itself."""
 
@@ -146,7 +146,7 @@ def best_lens(
         worse = own - squares[best]
         certain = MARGIN.get(best, 1.0) * np.sqrt(len(worse)) * worse.std()
         variance = held_out[best] ** 2
-        likely = min(certain, BEYOND_CHANCE * variance)
+        likely = min(certain, MOST_VARIANCES * variance)
         if worse.sum() <= max(likely, BY_CHANCE * variance):
             return LensChoice(model, held_out)
     return LensChoice(best, held_out)
