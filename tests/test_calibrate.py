@@ -22,7 +22,7 @@ from vergence.calibration.observations import Observations
 from vergence.data.dataset import Dataset
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
-from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head import HeadCalibration, HeldOut
 from vergence.geometry.parameters import boxminus
 from vergence.vision.board_detection import detect_board
 from vergence.vision.board_pose import board_poses
@@ -104,6 +104,24 @@ def test_the_board_s_pose_is_found_once_in_each_image(recorded, method: Method, 
 
 def _nothing() -> None:
     raise VergenceError("no held-out error here.")
+
+
+def test_a_calibration_that_predicts_held_out_points_far_too_badly_is_void(recorded, monkeypatch):
+    wrong = HeldOut(5, 30, 0.1, 30, point_mm=12.0, expected_mm=2.0, distance_m=0.5)
+    monkeypatch.setattr(calibrate_module, "held_out", lambda *_: wrong)
+    found = calibrate(recorded[1])
+    assert found.summary().startswith("VOID")
+    assert "6.0 times as wrong as the noise explains" in found.accuracy.void[0]
+
+
+def test_parts_of_few_views_that_differ_are_not_blamed_on_the_readings_alone(recorded, monkeypatch):
+    differing = HeldOut(12, 12, 0.1, 0, None, None, None, jackknife_ratio=11.0)
+    monkeypatch.setattr(calibrate_module, "held_out", lambda *_: differing)
+    observed = recorded[1]
+    for views, few in ((observed.take(np.arange(36) % 3 == 0), True), (observed, False)):
+        said = calibrate(views).accuracy.void[0]
+        assert "differ 11.0 times as much as stated" in said
+        assert ("or record more: 12 views" in said) == few
 
 
 def test_boards_numbered_from_the_wrong_end_are_renumbered_and_named(recorded, found, monkeypatch):

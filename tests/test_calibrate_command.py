@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from vergence.calibration.observations import Observations
 from vergence.data.dataset import Dataset
 from vergence.data.description import pose_columns
 from vergence.data.reader import load_dataset
-from vergence.geometry.head import load_head, main_pair, save_head
+from vergence.geometry.head import Accuracy, load_head, main_pair, save_head
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Side
 from vergence.interchange import kalibr
 
@@ -71,6 +72,39 @@ def test_a_recorded_head_is_calibrated_and_evaluated(recorded, tmp_path, monkeyp
     text = (report / "report.md").read_text()
     assert text.splitlines()[2].startswith(stated["verdict"])
     assert "mm after these views (predicted)" in text
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("budget", "--calibration", "void.json"),
+        ("depth", "dataset", "--calibration", "void.json", "--out", "depth"),
+        ("depth", "--twin", "--calibration", "void.json", "--out", "depth"),
+        ("export", "void.json", "--format", "opencv", "--out", "head.yaml"),
+        (
+            "import",
+            "camchain.yaml",
+            "--format",
+            "kalibr",
+            "--start",
+            "void.json",
+            "--out",
+            "b.json",
+        ),
+        ("plan", "void.json", "--board", "9", "6", "0.03"),
+        ("self-calibrate", "dataset", "--calibration", "void.json", "--out", "b.json"),
+    ],
+    ids=lambda words: " ".join(words[:2]),
+)
+def test_a_void_calibration_is_not_used(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    void = Accuracy("bundle", void=("The estimate did not converge.",))
+    save_head(replace(plain_head(0.07, 300.0), accuracy=void), "void.json")
+    with pytest.raises(SystemExit, match="2"):
+        run(monkeypatch, *words)
+    said = capsys.readouterr().err
+    assert said == "vergence: The calibration void.json is VOID: The estimate did not converge.\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["void.json"]
 
 
 def _check_recording(path: Path, folder: Path, stated: dict) -> None:

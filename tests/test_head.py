@@ -151,6 +151,16 @@ def test_a_wrong_field_is_named(file: Path, path: list, value: object, says: str
         load_head(file)
 
 
+def test_a_void_calibration_is_read_only_where_that_is_asked_for(head, tmp_path: Path):
+    void = replace(head, accuracy=Accuracy("bundle", void=("The estimate did not converge.",)))
+    save_head(void, tmp_path / "void.json")
+    with pytest.raises(VergenceError, match=r"void\.json is VOID: The estimate did not converge\."):
+        load_head(tmp_path / "void.json")
+    read = load_head(tmp_path / "void.json", allow_void=True)
+    assert read.accuracy is not None
+    assert read.accuracy.void == ("The estimate did not converge.",)
+
+
 @pytest.mark.parametrize("text", [b"", b"{", b"[]", b"\xff\xfe", b"null"])
 def test_a_file_that_is_no_calibration_is_refused(tmp_path: Path, text: bytes):
     (tmp_path / "head.json").write_bytes(text)

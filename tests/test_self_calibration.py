@@ -254,6 +254,13 @@ def test_a_learned_head_is_a_calibration_with_its_accuracy(tmp_path):
     assert initial_self_calibration(again).names == state.names
 
 
+def test_what_is_learned_from_a_void_calibration_is_void():
+    void = replace(head_of(0), accuracy=Accuracy("bundle", void=("Readings contradict.",)))
+    learned = learned_head(begin(void))
+    assert learned.accuracy is not None
+    assert learned.accuracy.void == ("Readings contradict.",)
+
+
 def test_a_frame_counts_by_what_its_posture_adds():
     """At one posture n frames tell as much as n / (1 + c (n - 1)) independent ones."""
     joints, blocks = np.zeros(4), np.ones(8)

@@ -12,6 +12,7 @@ from vergence.arrays import Array
 from vergence.calibration.bundle.bundle_adjustment import BundleEstimate, bundle_adjust
 from vergence.calibration.checks import axes_and_eyes, board_flips, encoders, excitation
 from vergence.calibration.checks.cross_validation import (
+    EACH_BELOW,
     PartCalibration,
     calibrate_folds,
     held_out,
@@ -38,7 +39,7 @@ from vergence.calibration.sequential.lens_choice import (
     choose_lenses,
 )
 from vergence.calibration.sequential.sequential import SequentialCalibration, calibrate_sequentially
-from vergence.calibration.summary import summary_lines
+from vergence.calibration.summary import MISFIT_CAUSES, summary_lines
 from vergence.data.dataset import Dataset
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
@@ -52,6 +53,8 @@ LARGEST_JACKKNIFE_RATIO = 2.0
 it to about a tenth."""
 VOID_RATIO = 10.0
 """The same, from which the result must not be used."""
+VOID_MISFIT = 5.0
+"""Held-out error, as a multiple of what the noise explains, from which it must not be used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,18 +229,32 @@ def _cross_validated(
         return None, (f"There is no held-out error: {error}",), ()
     if not found.transfer_views and len(set(camera_eyes(observations).values())) > 1:
         return found, ("There is no held-out error: no view shows the board to both eyes.",), ()
+    contradictions = _misfit(found)
     ratio = found.jackknife_ratio
     if ratio is None or ratio <= LARGEST_JACKKNIFE_RATIO:
-        return found, (), ()
+        return found, (), contradictions
     said = f"Calibrations from parts of the views differ {ratio:.1f} times as much as stated: "
     if ratio > VOID_RATIO:
-        return (
-            found,
-            (),
-            (said + "they contradict each other; look for views with wrong readings.",),
+        views = len(observations.placement)
+        said += "they contradict each other; look for views with wrong readings" + (
+            f", or record more: {views} views are so few that parts of them determine too little."
+            if views < EACH_BELOW
+            else "."
         )
+        return found, (), (said, *contradictions)
     said += (
         "the errors of the corners are not independent (a board that bends, blur), and true errors "
         "are larger than the stated ones by as much at least."
     )
-    return found, (said,), ()
+    return found, (said,), contradictions
+
+
+def _misfit(checked: HeldOut) -> tuple[str, ...]:
+    """Return a sentence if held-out points are too wrong for the calibration to be used."""
+    if checked.point_mm is None or checked.expected_mm is None:
+        return ()
+    ratio = checked.point_mm / checked.expected_mm
+    if ratio < VOID_MISFIT:
+        return ()
+    said = f"Held-out points are {ratio:.1f} times as wrong as the noise explains; {MISFIT_CAUSES}."
+    return (said,)

@@ -22,8 +22,8 @@ from vergence.vision.board_pose import seen_corners
 POOR_FIT = 1.5
 """Held-out error, as a multiple of what the noise explains, from which something is amiss; with
 the ten views or more of a usual fold set it stays below by far."""
-VOID_MISFIT = 5.0
-"""The same, from which the result must not be used."""
+MISFIT_CAUSES = "look for backlash, a board that moved or bends, and time stamps of moving eyes"
+"""What is to be done about such an error."""
 PART = 1 / 3
 """Share of the noise of a reading that a calibration may add: it makes a twentieth of the whole."""
 SMALL = 0.002
@@ -55,9 +55,9 @@ def verdict(accuracy: Accuracy, head: HeadCalibration) -> tuple[str, str]:
         ratio = checked.point_mm / checked.expected_mm
         if ratio > POOR_FIT:
             return (
-                "DOUBTFUL" if ratio < VOID_MISFIT else "VOID",
-                f"Next: held-out points are {ratio:.1f} times as wrong as the noise explains; look "
-                "for backlash, a board that moved or bends, and time stamps of moving eyes.",
+                "DOUBTFUL",
+                f"Next: held-out points are {ratio:.1f} times as wrong as the noise explains; "
+                f"{MISFIT_CAUSES}.",
             )
     table = point_accuracy(head)
     if not table:

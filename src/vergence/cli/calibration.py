@@ -126,7 +126,7 @@ def evaluate(
     from vergence.geometry.head import load_head
 
     check_outputs(json, inputs=[calibration, truth])
-    found = run(load_head(calibration), load(truth))
+    found = run(load_head(calibration, allow_void=True), load(truth))
     if json is not None:
         write_json(found, json)
     print(as_text(found))

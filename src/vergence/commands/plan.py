@@ -34,7 +34,7 @@ def run(
     """Return the plan for a calibration file, or for a dataset, which is calibrated first.
 
     Arguments are those of the command. VergenceError if the source is neither file nor folder of
-    that kind, or an option is not possible.
+    that kind, its calibration is void, or an option is not possible.
     """
     _check(views, limits_deg, distances_m, seed)
     head, shown = _head_and_board(source, board, progress)
@@ -73,7 +73,10 @@ def _head_and_board(
     if source.is_dir():
         data = load_dataset(source)
         board = data.description.board if stated is None else _chessboard(stated)
-        return calibrate(data, progress=progress).head, board
+        found = calibrate(data, progress=progress)
+        if found.accuracy.void:
+            raise VergenceError(f"The calibration from {source} is VOID: {found.accuracy.void[0]}")
+        return found.head, board
     head = load_head(source)
     if stated is None:
         raise VergenceError(

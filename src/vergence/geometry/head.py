@@ -322,10 +322,19 @@ def save_head(head: HeadCalibration, path: Path | str) -> None:
     write_json(head, Path(path))
 
 
-def load_head(path: Path | str) -> HeadCalibration:
+def load_head(path: Path | str, *, allow_void: bool = False) -> HeadCalibration:
     """Read a calibration from JSON.
 
+    Args:
+        path: the file.
+        allow_void: whether to read a calibration that says of itself that it must not be used,
+            such as to look at what is wrong with it.
+
     Raises:
-        VergenceError: the file is missing, not JSON, or a field of it is not valid.
+        VergenceError: the file is missing, not JSON, a field of it is not valid, or the calibration
+            is void.
     """
-    return read_json(Path(path), HeadCalibration, "a head calibration")
+    head = read_json(Path(path), HeadCalibration, "a head calibration")
+    if head.accuracy is not None and head.accuracy.void and not allow_void:
+        raise VergenceError(f"The calibration {path} is VOID: {head.accuracy.void[0]}")
+    return head
