@@ -14,9 +14,11 @@ from vergence.geometry.camera import pinhole, project
 from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base
 from vergence.geometry.kinematics import T_base_eye
 from vergence.geometry.lens import CameraModel
+from vergence.geometry.neck import Neck
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.extrinsics import T_rcam_lcam, base_extrinsics, stereo_extrinsics
+from vergence.stereo.rectification import rectify
 from vergence.stereo.triangulation import Status, in_body, in_head, triangulate_at
 from vergence.stereo.uncertainty import (
     calibration_covariance,
@@ -274,6 +276,33 @@ def test_locating_in_the_body_is_equation_12(seed: int):
     expected = transform(T_body_base(head, "left", neck), points)
     located = locate(head, left=left, right=right, joints=eyes)
     np.testing.assert_allclose(in_body(head, located.xyz, neck), expected, atol=1e-9)
+
+
+def test_angles_that_are_not_those_of_the_neck_are_refused(head: HeadCalibration):
+    point, without = np.array([1.0, 0.1, 0.2]), replace(head, neck=Neck())
+    assert in_body(without, point, np.empty(0)).shape == (3,)
+    for own, angles, found in (
+        (head, np.zeros(2), r"has 3 joints; found an array of angles of shape \(2,\)"),
+        (head, np.zeros(7), r"has 3 joints; found an array of angles of shape \(7,\)"),
+        (head, 0.1, r"has 3 joints; found an array of angles of shape \(\)"),
+        (head, np.array([0.0, 10.0, 0.0]), "are in radians; found 10, more than a turn"),
+        (without, np.zeros(3), r"has 0 joints; found an array of angles of shape \(3,\)"),
+    ):
+        with pytest.raises(VergenceError, match=found):
+            in_body(own, point, angles)
+
+
+def test_readings_in_degrees_are_refused(head: HeadCalibration):
+    degrees, point = np.array([-3.0, -1.0, 15.0, -1.0]), np.array([1.0, 0.0, 0.0])
+    seen = {"left": np.full((1, 2), 300.0), "right": np.full((1, 2), 290.0)}
+    for use in (
+        lambda: locate(head, **seen, joints=degrees),
+        lambda: rectify(head, degrees),
+        lambda: project_point(head, "left_wide", degrees, point),
+        lambda: T_rcam_lcam(head, degrees),
+    ):
+        with pytest.raises(VergenceError, match="in radians; found 15, more than a turn"):
+            use()
 
 
 def test_the_head_frame_lies_half_a_baseline_to_the_right_of_the_left_eye():

@@ -19,7 +19,7 @@ from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import boxplus, rotation
 from vergence.stereo.depth_error import depth_error, disparity_error, predicted_depth_std
 from vergence.stereo.triangulation import triangulate_at
-from vergence.stereo.uncertainty import locate, locate_both
+from vergence.stereo.uncertainty import combination, locate, locate_both
 
 
 def test_depth_error_is_the_slope_of_depth_over_disparity():
@@ -46,6 +46,39 @@ def test_orientation_error_makes_focal_length_no_help_in_depth():
     """Eqs. 20-21 together: a longer lens does not improve what wrong orientation spoils."""
     depths = [depth_error(1.0, 0.09, f, disparity_error(f, 2e-3)) for f in (280.0, 400.0, 1200.0)]
     np.testing.assert_allclose(depths, depths[0])
+
+
+def test_noise_is_a_standard_deviation_for_all_or_for_each_measurement():
+    rng = np.random.default_rng(0)
+    head = skewed_head(rng)
+    _, eyes, left, right = random_samples(head, rng, 3)
+    seen = {"left": left, "right": right, "joints": eyes}
+    for wrong, found in (
+        ({"pixel_std_px": -0.1}, "pixel_std_px is a standard deviation, 0 or more; found -0.1"),
+        ({"pixel_std_px": np.nan}, "0 or more; found nan"),
+        ({"pixel_std_px": [0.1, 0.1]}, r"shape \(4,\) or \(3, 4\); found one of shape \(2,\)"),
+        ({"pixel_std_px": np.ones((2, 4))}, r"found one of shape \(2, 4\)"),
+        ({"joint_std_rad": [1e-3, 1e-3, -1e-3, 1e-3]}, "joint_std_rad is .* found -0.001"),
+        ({"joint_std_rad": [1e-3] * 3}, r"joint_std_rad is .* found one of shape \(3,\)"),
+    ):
+        with pytest.raises(VergenceError, match=found):
+            locate(head, **seen, **wrong)
+    own = np.full((3, 4), 0.1)
+    own[1] = np.nan
+    assert np.isnan(locate(head, **seen, pixel_std_px=own).covariance).all((1, 2)).tolist() == [
+        False,
+        True,
+        False,
+    ]
+
+
+def test_a_combination_has_a_weight_for_each_point():
+    rng = np.random.default_rng(0)
+    head = skewed_head(rng)
+    _, eyes, left, right = random_samples(head, rng, 3)
+    for weights in (np.ones(2), np.ones((3, 1)), 1.0):
+        with pytest.raises(VergenceError, match="3 points has 3 weights; found an array of shape"):
+            combination(head, weights=weights, left=left, right=right, joints=eyes)
 
 
 @pytest.mark.parametrize("noise_px", [0.0, 0.1])

@@ -187,8 +187,9 @@ def _check_names(head: HeadCalibration, source: Source) -> None:
 
 def _white(seen: Linearised, source: Source) -> Array:
     """Return the variance (3,) [m^2] that white noise makes, in the mean over the motion."""
-    stds = noise_of_readings(source.joint_std_rad, seen.by_readings.shape[1])
-    pixels = (seen.by_pixels * pixel_noise(source.pixel_std_px)) ** 2
+    _, r, n = seen.by_readings.shape
+    stds = noise_of_readings(source.joint_std_rad, r, n)
+    pixels = (seen.by_pixels * pixel_noise(source.pixel_std_px, n)) ** 2
     readings = (seen.by_readings * stds) ** 2
     return pixels.sum(axis=1).mean(axis=1) + readings.sum(axis=1).mean(axis=1)
 

@@ -312,7 +312,8 @@ def checked_readings(
 ) -> Array:
     """Return readings (..., r) [rad] as an array; of one posture they are (r,).
 
-    VergenceError if they are not the head's r, or of more than one posture where one is needed.
+    VergenceError if they are not the head's r, or where one posture is needed if they are of more
+    than one or not in radians.
     """
     found, names = np.asarray(readings, dtype=float), kinematics.readings
     if found.shape[-1:] != (len(names),) or (one_posture and found.ndim > 1):
@@ -321,7 +322,22 @@ def checked_readings(
             f"This head has the {len(names)} joint readings {', '.join(names)}; found an array of "
             f"shape {found.shape} {where}."
         )
+    if one_posture:
+        check_radians(found)
     return found
+
+
+def check_radians(readings: Array) -> None:
+    """Raise VergenceError for readings (...) [rad] of more than a turn, as degrees are.
+
+    Those that are not finite count as unknown.
+    """
+    beyond = (np.abs(readings) > 2 * np.pi) & np.isfinite(readings)
+    if beyond.any():
+        raise VergenceError(
+            f"Joint readings are in radians; found {readings[beyond].flat[0]:g}, more than a turn: "
+            "np.radians makes radians of degrees."
+        )
 
 
 def T_base_eye(kinematics: Kinematics, eye: Side, readings: ArrayLike) -> Array:

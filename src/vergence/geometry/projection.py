@@ -31,7 +31,7 @@ from vergence.geometry.components import (
     transposed,
 )
 from vergence.geometry.head import HeadCalibration, MountedCamera
-from vergence.geometry.kinematics import Side, T_base_eye
+from vergence.geometry.kinematics import Side, T_base_eye, check_radians
 from vergence.geometry.se3 import inverse
 
 
@@ -49,9 +49,11 @@ def project_point(head: HeadCalibration, camera: str, joints: Array, points: Arr
         NaN for points that are not in front of the camera.
 
     Raises:
-        VergenceError: the head has no such camera.
+        VergenceError: the head has no such camera, or the readings are not as many as the head has,
+            or not in radians.
     """
     mounted = head.camera(camera)
+    check_radians(np.asarray(joints))
     T = T_base_eye(head.kinematics, mounted.eye, joints)
     return project_at(mounted, head.T_rbase_lbase, T, points[..., None, :])[..., 0, :]
 

@@ -10,9 +10,9 @@ from typing import TypeVar
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.geometry.eye_motion import eye_poses
+from vergence.geometry.eye_motion import eye_poses, measured
 from vergence.geometry.head import HeadCalibration, MountedCamera, pair_names
-from vergence.geometry.kinematics import T_base_eye
+from vergence.geometry.kinematics import T_base_eye, check_radians
 from vergence.geometry.projection import T_lbase_cam
 from vergence.geometry.se3 import inverse
 
@@ -85,9 +85,11 @@ def T_rcam_lcam(
         cameras: names of a camera of the left eye and one of the right; None: the main ones.
 
     Raises:
-        VergenceError: the head has one eye only, has no such camera, or left and right are
-            exchanged.
+        VergenceError: the head has one eye only, has no such camera, left and right are exchanged,
+            or the joints are not as many as the head has, or not in radians.
     """
+    if not measured(joints):
+        check_radians(np.asarray(joints))
     return stereo_poses(head, joints, cameras=cameras)[1]
 
 

@@ -106,7 +106,7 @@ def linearised(
     Pixels count equally. Arguments and errors are those of `locate`.
     """
     left, right, joints = checked(left, right, joints, len(head.kinematics.readings))
-    return linearised_part(head, (left, right), joints, cameras, pixel_variances(1.0))
+    return linearised_part(head, (left, right), joints, cameras, pixel_variances(1.0, len(left)))
 
 
 def linearised_part(

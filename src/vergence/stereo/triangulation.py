@@ -28,8 +28,9 @@ from vergence.geometry.components import (
     times,
     transposed,
 )
-from vergence.geometry.eye_motion import EyeMotion, eye_motions
+from vergence.geometry.eye_motion import EyeMotion, eye_motions, measured
 from vergence.geometry.head import HeadCalibration, MountedCamera, T_body_base, T_head_base
+from vergence.geometry.kinematics import check_radians
 from vergence.geometry.projection import camera_pose
 from vergence.geometry.se3 import transform
 from vergence.stereo.extrinsics import stereo_cameras
@@ -81,7 +82,7 @@ def triangulate_at(
     """
     left, right, joints = checked(left, right, joints, len(head.kinematics.readings))
     pair, n = stereo_cameras(head, cameras), len(left)
-    variances = pixel_variances(pixel_std_px)
+    variances = pixel_variances(pixel_std_px, n)
 
     def find(part: slice) -> tuple[Array, np.ndarray]:
         eyes, pixels = eye_motions(head, postures(joints, part)), (left[part], right[part])
@@ -204,19 +205,38 @@ def postures(joints: Array, part: slice) -> Array:
     return joints[None] if joints.ndim in (1, 3) else joints[part]
 
 
-def pixel_noise(pixel_std_px: ArrayLike) -> Array:
-    """Return standard deviations (4, N or 1) of pixels from a number, (4,) or (N, 4)."""
-    std = np.asarray(pixel_std_px, dtype=float)
-    return std.reshape(-1, 4).T if std.ndim else std.repeat(4)[:, None]
+def noise_rows(std: ArrayLike, count: int, n: int, name: str) -> Array:
+    """Return standard deviations (count, n or 1) of n measurements of `count` numbers each.
+
+    From a number, (count,) or (n, count); VergenceError if they are neither, or one is negative.
+    """
+    stds = np.asarray(std, dtype=float)
+    if stds.shape not in ((), (count,), (n, count)):
+        raise VergenceError(
+            f"{name} is a number or an array of shape ({count},) or ({n}, {count}); found one of "
+            f"shape {stds.shape}."
+        )
+    # Of many points some may have none: NaN, where they are not seen.
+    wrong = (stds < 0) | (~np.isfinite(stds) & (stds.ndim < 2))
+    if wrong.any():
+        raise VergenceError(
+            f"{name} is a standard deviation, 0 or more; found {stds[wrong].flat[0]:g}."
+        )
+    return stds.reshape(-1, count).T if stds.ndim else stds.repeat(count)[:, None]
 
 
-def pixel_variances(pixel_std_px: ArrayLike) -> Array:
-    """Return variances (4, N or 1) of pixels, as weights of a triangulation.
+def pixel_noise(pixel_std_px: ArrayLike, n: int) -> Array:
+    """Return standard deviations (4, n or 1) of pixels; arguments and errors: `noise_rows`."""
+    return noise_rows(pixel_std_px, 4, n, "pixel_std_px")
+
+
+def pixel_variances(pixel_std_px: ArrayLike, n: int) -> Array:
+    """Return variances (4, n or 1) of pixels, as weights of a triangulation.
 
     In the order left u, left v, right u, right v. All ones where some of the noise is zero: with an
-    exact pixel there are no ratios.
+    exact pixel there are no ratios. Errors are those of `noise_rows`.
     """
-    std = pixel_noise(pixel_std_px)
+    std = pixel_noise(pixel_std_px, n)
     return std * std if (std > 0).all() else np.ones((4, 1))
 
 
@@ -228,7 +248,7 @@ def of_part(noise: Array, part: slice) -> Array:
 def checked(left: Array, right: Array, joints: Array, r: int) -> tuple[Array, Array, Array]:
     """Return float arrays; VergenceError if they are not (N, 2), (N, 2) and readings.
 
-    These are angles (r,) or (N, r), or measured eye poses (2, 4, 4) or (N, 2, 4, 4).
+    These are angles (r,) or (N, r) in radians, or measured eye poses (2, 4, 4) or (N, 2, 4, 4).
     """
     left, right, joints = (np.asarray(each, dtype=float) for each in (left, right, joints))
     n = len(left) if left.ndim else 0
@@ -242,6 +262,8 @@ def checked(left: Array, right: Array, joints: Array, r: int) -> tuple[Array, Ar
                 f"Locating {n} points needs {name} of shape {' or '.join(map(str, shapes))}, found "
                 f"{array.shape}."
             )
+    if not measured(joints):
+        check_radians(joints)
     return left, right, joints
 
 
@@ -253,6 +275,18 @@ def in_head(head: HeadCalibration, points_lbase: Array) -> Array:
 def in_body(head: HeadCalibration, points_lbase: Array, neck_angles: Array) -> Array:
     """Eq. 12: map points (..., 3) [m] from the left eye's base frame into frame body.
 
-    The neck's angles (..., n) [rad] are in the order of its chain.
+    The neck's angles (..., n) [rad] are in the order of its chain; leading dimensions broadcast.
+
+    Raises:
+        VergenceError: the angles are not as many as the neck has joints, or not in radians; a neck
+            without joints takes `np.empty(0)`.
     """
+    angles = np.asarray(neck_angles, dtype=float)
+    joints = len(head.neck.axes)
+    if angles.shape[-1:] != (joints,):
+        raise VergenceError(
+            f"The neck of this head has {joints} joints; found an array of angles of shape "
+            f"{angles.shape}."
+        )
+    check_radians(angles)
     return transform(T_body_base(head, "left", neck_angles), points_lbase)

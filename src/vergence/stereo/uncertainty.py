@@ -31,6 +31,7 @@ from vergence.stereo.triangulation import (
     checked,
     chunks,
     in_chunks,
+    noise_rows,
     of_part,
     pixel_noise,
     pixel_variances,
@@ -89,8 +90,9 @@ def locate(
             polynomial through its neighbours. None: the eyes stood still.
 
     Raises:
-        VergenceError: shapes do not fit, time stamps are not those of one motion, the head has no
-            such camera, or left and right are exchanged.
+        VergenceError: shapes do not fit, readings are not in radians, noise is negative, time
+            stamps are not those of one motion, the head has no such camera, or left and right are
+            exchanged.
     """
     if joint_time_s is not None:
         joints = _at_the_images(head, joints, joint_time_s)
@@ -102,8 +104,8 @@ def locate(
         )
         return LocatedPoints(points, np.full((n, 3, 3), np.nan), status, np.zeros((n, 3, 3)))
     pixel_std_px, joint_std_rad = _or_stated(head, joints, pixel_std_px, joint_std_rad)
-    noise = _noise(head, joints, pixel_std_px, joint_std_rad)
-    given = head, (left, right), joints, cameras, pixel_variances(pixel_std_px)
+    noise = _noise(head, joints, n, pixel_std_px, joint_std_rad)
+    given = head, (left, right), joints, cameras, pixel_variances(pixel_std_px, n)
 
     def find(part: slice) -> tuple[Array, ...]:
         seen = linearised_part(*given, part=part, parameters=known is not None)
@@ -218,13 +220,19 @@ def combination(
     those of readings are too, but are shared by all points where one posture serves all; and those
     of the calibration are always shared. Points that cannot be located must have weight zero, or
     the result is NaN. Other arguments and errors are those of `locate`; noise that neither the
-    caller nor the calibration states is taken as none.
+    caller nor the calibration states is taken as none. VergenceError also if there are not as many
+    weights as points.
     """
     left, right, joints = checked(left, right, joints, len(head.kinematics.readings))
     factor, n = pair_factor(head, cameras), len(left)
+    weights = np.asarray(weights, dtype=float)
+    if weights.shape != (n,):
+        raise VergenceError(
+            f"A combination of {n} points has {n} weights; found an array of shape {weights.shape}."
+        )
     pixel_std_px, joint_std_rad = _or_stated(head, joints, pixel_std_px, joint_std_rad)
-    noise, one = _noise(head, joints, pixel_std_px, joint_std_rad), joints.ndim in (1, 3)
-    given = head, (left, right), joints, cameras, pixel_variances(pixel_std_px)
+    noise, one = _noise(head, joints, n, pixel_std_px, joint_std_rad), joints.ndim in (1, 3)
+    given = head, (left, right), joints, cameras, pixel_variances(pixel_std_px, n)
     total, covariance = np.zeros(3), np.zeros((3, 3))
     by_readings, by_head = np.zeros((3, len(noise[1]))), np.zeros((3, len(factor)))
     for part in chunks(n):
@@ -272,7 +280,7 @@ def locate_jointly(
     nothing = np.zeros((3, n))
     rows = [by_head[:, names.index(k)] if k in names else nothing for k in parameters]
     own = np.concatenate([np.stack(rows, axis=1), seen.by_readings], axis=1).transpose(2, 0, 1)
-    both = _squares(seen.by_pixels * pixel_noise(pixel_std_px))
+    both = _squares(seen.by_pixels * pixel_noise(pixel_std_px, n))
     both += own @ covariance @ own.swapaxes(1, 2)
     of_head, P = own[..., : len(rows)], len(rows)
     shared = of_head @ covariance[:P, :P] @ of_head.swapaxes(1, 2)
@@ -298,11 +306,11 @@ def locate_both(
     errors are those of `locate`. Returns points a and b (N, 3) [m], and covariances (N, 3, 3) [m^2]
     of a - b, in the left eye's base frame; NaN where a point cannot be located.
     """
-    joints = np.asarray(joints, dtype=float)
-    noise, points, changes = _noise(head, joints, pixel_std_px, joint_std_rad), [], []
+    joints, n = np.asarray(joints, dtype=float), len(left[0])
+    noise, points, changes = _noise(head, joints, n, pixel_std_px, joint_std_rad), [], []
     for own in zip(left, right, strict=True):
         u_l, u_r, readings = checked(*own, joints, len(head.kinematics.readings))
-        given = head, (u_l, u_r), readings, cameras, pixel_variances(pixel_std_px)
+        given = head, (u_l, u_r), readings, cameras, pixel_variances(pixel_std_px, n)
         seen = linearised_part(*given, parameters=False)
         points.append(seen.points.T)
         changes.append(_by_noise(seen, noise))
@@ -333,11 +341,11 @@ def _squares(changes: Array) -> Array:
 
 
 def _noise(
-    head: HeadCalibration, joints: Array, pixel_std_px: ArrayLike, joint_std_rad: ArrayLike
+    head: HeadCalibration, joints: Array, n: int, pixel_std_px: ArrayLike, joint_std_rad: ArrayLike
 ) -> tuple[Array, Array]:
-    """Return standard deviations (4, N or 1) of pixels and (r, N or 1) of readings or poses."""
+    """Return standard deviations (4, n or 1) of pixels and (r, n or 1) of readings or poses."""
     count = 12 if measured(joints) else len(head.kinematics.readings)
-    return pixel_noise(pixel_std_px), noise_of_readings(joint_std_rad, count)
+    return pixel_noise(pixel_std_px, n), noise_of_readings(joint_std_rad, count, n)
 
 
 def _by_noise(
@@ -347,12 +355,12 @@ def _by_noise(
     return seen.by_pixels * of_part(noise[0], part), seen.by_readings * of_part(noise[1], part)
 
 
-def noise_of_readings(joint_std: ArrayLike, count: int) -> Array:
-    """Return standard deviations (r, N or 1) of readings; of poses from rotation, translation.
+def noise_of_readings(joint_std: ArrayLike, count: int, n: int) -> Array:
+    """Return standard deviations (r, n or 1) of readings; of poses from rotation, translation.
 
-    From a number, (r,) or (N, r), or for measured poses (count 12) the two numbers of `locate`.
+    From a number, (r,) or (n, r), or for measured poses (count 12) the two numbers of `locate`.
+    Errors are those of `noise_rows`.
     """
-    std = np.asarray(joint_std, dtype=float)
-    if count == 12 and std.shape == (2,):
-        return np.tile(np.repeat(std, 3), 2)[:, None]
-    return std.reshape(-1, count).T if std.ndim else std.repeat(count)[:, None]
+    if count == 12 and np.shape(joint_std) == (2,):
+        return noise_rows(np.tile(np.repeat(joint_std, 3), 2), count, n, "joint_std_rad")
+    return noise_rows(joint_std, count, n, "joint_std_rad")
