@@ -190,6 +190,13 @@ def test_a_detector_of_one_s_own_gives_the_same_as_a_dataset(dataset: Dataset):
     assert ours.head.T_rbase_lbase[1, 3] == pytest.approx(0.07, abs=5e-4)
 
 
+def test_what_cannot_be_calibrated_and_unknown_methods_are_named(dataset: Dataset):
+    with pytest.raises(VergenceError, match=r"load_dataset\(folder\).*found 'runs/dataset'"):
+        calibrate("runs/dataset")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(VergenceError, match="method is bundle or paper, found 'bundel'"):
+        calibrate(dataset, method="bundel")  # pyright: ignore[reportArgumentType]
+
+
 def test_a_dataset_of_moving_eyes_only_is_refused(dataset: Dataset):
     moving = replace(dataset, moving=np.ones(len(dataset), bool))
     with pytest.raises(VergenceError, match="moving rows only"):

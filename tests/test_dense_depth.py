@@ -132,6 +132,11 @@ def test_images_that_do_not_fit_the_calibration_are_refused(pair, drawn, shape, 
         dense_depth(HEAD, JOINTS, pair, drawn[0], np.zeros(shape, dtype))
 
 
+def test_an_image_that_was_not_read_is_refused(pair, drawn):
+    with pytest.raises(VergenceError, match="one of them is None: it was not read"):
+        dense_depth(HEAD, JOINTS, pair, drawn[0], None)  # pyright: ignore[reportArgumentType]
+
+
 def depth(monkeypatch: pytest.MonkeyPatch, *words: str) -> None:
     monkeypatch.setattr(sys, "argv", ["vergence", "depth", *words])
     cli.main()

@@ -12,6 +12,7 @@ from vergence.commands.truth import Truth
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard
 from vergence.geometry.head import Accuracy, HeadCalibration
+from vergence.geometry.kinematics import EYES, Kinematics
 from vergence.geometry.parameters import change_named, without_offsets
 from vergence.twin.profile import ErrorProfile
 from vergence.writing import write_json
@@ -75,3 +76,10 @@ def test_an_evaluation_without_accuracy_says_so(head, tmp_path: Path):
     assert "states no accuracy" in as_text(found)
     write_json(found, tmp_path / "errors.json")
     assert '"focal_percent"' in (tmp_path / "errors.json").read_text()
+
+
+def test_a_truth_with_other_joints_is_refused(head):
+    tilts, pans = ({eye: head.kinematics.eyes[eye][k] for eye in EYES} for k in (1, 0))
+    other = Kinematics({eye: (tilts[eye], pans[eye]) for eye in EYES})
+    with pytest.raises(VergenceError, match=r"its joints are left pan about .* left tilt about"):
+        evaluate(replace(head, kinematics=other), truth_of(head))

@@ -272,6 +272,30 @@ def test_a_head_with_perfect_axes_has_plain_joints(tmp_path):
     np.testing.assert_allclose(T, T_head_base(head, "right"), atol=1e-12)
 
 
+@pytest.mark.parametrize("eyes", [("left",), ("right",), ("left", "right")])
+def test_an_eye_whose_pose_is_measured_floats_in_the_urdf(tmp_path, eyes):
+    head = plain(10)
+    cameras = {name: each for name, each in head.cameras.items() if each.eye in eyes}
+    accuracy = Accuracy("bundle", eye_motion="poses")
+    head = replace(head, cameras=cameras, neck=Neck(), accuracy=accuracy)
+    urdf.save(head, tmp_path / "head.urdf")
+    robot = ElementTree.parse(tmp_path / "head.urdf").getroot()
+    kinds = {joint.get("name"): joint.get("type") for joint in robot.iter("joint")}
+    assert "revolute" not in kinds.values()
+    moved = {name for name, kind in kinds.items() if kind == "floating"}
+    assert moved == {f"{eye}_eye_joint" for eye in eyes}
+
+
+def test_the_urdf_of_a_head_of_one_eye_has_one_eye(tmp_path):
+    head = plain(10)
+    cameras = {name: each for name, each in head.cameras.items() if each.eye == "left"}
+    urdf.save(replace(head, cameras=cameras, neck=Neck()), tmp_path / "head.urdf")
+    robot = ElementTree.parse(tmp_path / "head.urdf").getroot()
+    links = [str(link.get("name")) for link in robot.iter("link")]
+    assert set(links) - {"body", "head"}
+    assert all(link.startswith("left") for link in links if link not in ("body", "head"))
+
+
 @pytest.mark.parametrize("pitch", [np.pi / 2, -np.pi / 2])
 @pytest.mark.parametrize("yaw", [0.0, 0.7, -2.0])
 def test_the_urdf_turns_a_camera_that_looks_straight_up_or_down_rightly(tmp_path, pitch, yaw):

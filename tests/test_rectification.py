@@ -144,6 +144,21 @@ def test_a_pair_is_rectified_at_one_posture(shape):
         rectify(four_cameras(), np.zeros(shape))
 
 
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"focal_px": 0.0}, "focal_px is above 0 pixels, found 0"),
+        ({"focal_px": np.nan}, "focal_px is above 0 pixels, found nan"),
+        ({"size": (0, 480)}, r"1 pixel or more, found \(0, 480\)"),
+        ({"joints": [0.0, np.nan, 0.0, 0.0]}, "rectified at known joints; found .*nan"),
+    ],
+    ids=str,
+)
+def test_what_no_camera_can_have_is_refused(wrong, said):
+    with pytest.raises(VergenceError, match=said):
+        rectify(four_cameras(), **{"joints": np.zeros(4)} | wrong)
+
+
 @pytest.mark.parametrize("shape", [(240, 320, 3), (480, 640, 3, 1), (640,)])
 def test_an_image_of_another_size_is_refused_with_both_sizes(shape):
     pair = rectify(four_cameras(), [0.0, 0.0, 0.0, 0.0], size=(16, 12))

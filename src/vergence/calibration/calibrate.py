@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -107,8 +107,16 @@ def calibrate(
         progress: see vergence.progress.
 
     Raises:
-        VergenceError: the data are too poor for any answer, or contradict themselves.
+        VergenceError: the data are too poor for any answer, or contradict themselves; or an
+            argument is none of these.
     """
+    if not isinstance(data, (Dataset, Observations)):
+        raise VergenceError(
+            "calibrate takes a dataset, as of vg.load_dataset(folder), or observations; found "
+            f"{data!r:.80}."
+        )
+    if method not in get_args(Method):
+        raise VergenceError(f"method is {' or '.join(get_args(Method))}, found {method!r}.")
     if isinstance(data, Dataset):
         if data.moving.all():
             raise VergenceError(

@@ -75,13 +75,20 @@ def evaluate(head: HeadCalibration, truth: Truth) -> Evaluation:
     """Compare a calibration with the truth.
 
     Images cannot distinguish offsets of the joints from rotations of the mountings, so both heads
-    are compared with the offsets expressed as rotations. VergenceError if the truth lacks a camera.
+    are compared with the offsets expressed as rotations. VergenceError if the truth lacks a camera,
+    or its joints are others.
     """
     missing = [name for name in head.cameras if name not in truth.head.cameras]
     if missing:
         raise VergenceError(
             f"The truth is of another head: it has no camera {missing[0]}, only "
             f"{', '.join(truth.head.cameras)}."
+        )
+    joints, true_joints = (_joints(each) for each in (head, truth.head))
+    if joints != true_joints:
+        raise VergenceError(
+            f"The truth is of another head: its joints are {true_joints}, those of the calibration "
+            f"{joints}."
         )
     errors = boxminus(head, replace(truth.head, time_offset_s=truth.time_offset_s))
     mine, true = without_offsets(head), without_offsets(truth.head)
@@ -103,6 +110,16 @@ def evaluate(head: HeadCalibration, truth: Truth) -> Evaluation:
         time_offset_ms=1e3 * errors["time_offset_s"],
         regions=_regions(names, covariance, errors),
         parameters={name: _parameter(error, stds.get(name)) for name, error in errors.items()},
+    )
+
+
+def _joints(head: HeadCalibration) -> str:
+    """Return the joints of a head as designed, in words."""
+    return ", ".join(
+        f"{eye} {joint.name} about {' '.join(f'{x:.3g}' for x in joint.axis)} by "
+        + " and ".join(f"{factor:g} {reading}" for reading, factor in joint.readings.items())
+        for eye, joints in head.kinematics.eyes.items()
+        for joint in joints
     )
 
 

@@ -47,7 +47,7 @@ _ERRORS = tuple(field.name for field in fields(Joint) if isinstance(field.defaul
 
 
 def save(head: HeadCalibration, path: Path) -> None:
-    """Write a head with cv2.FileStorage; its accuracy is left out.
+    """Write a head with cv2.FileStorage; its accuracy is left out, and how its eyes were read.
 
     VergenceError if a camera has skew, which OpenCV's functions ignore, the file's suffix is none
     of SUFFIXES, or it cannot be written.

@@ -1,7 +1,8 @@
 """URDF of a calibrated head, for ROS: links, joints, and the cameras' optical frames.
 
-Links: body, (one a neck joint), head, and for each eye left_base, left_pan, left_eye, and for each
-camera left_wide (x forward) and left_wide_optical_frame (frame cam: z forward).
+Links: body, (one a neck joint), head, and for each eye with a camera left_base, left_pan, left_eye,
+and for each camera left_wide (x forward) and left_wide_optical_frame (frame cam: z forward). An eye
+whose pose is measured floats in its base: whoever measures it publishes the transform.
 
 Joints have their usual names (left_pan, left_tilt, neck_pitch, ...), and their positions are the
 encoders' readings. Where readings need a gain or an offset, the joint of that name turns an empty
@@ -49,16 +50,22 @@ def save(head: HeadCalibration, path: Path) -> None:
         _add_joint(robot, names[k], links[k], names[k], pose(t=step), neck.axes[k])
     T_last_head = pose(t=neck.head_m - (neck.points_m[-1] if n else 0.0))
     _add_joint(robot, "head_joint", links[-1], "head", T_last_head)
+    floating = head.accuracy is not None and head.accuracy.eye_motion == "poses"
     for eye in EYES:
+        cameras = {name: each for name, each in head.cameras.items() if each.eye == eye}
+        if not cameras:
+            continue
         base, link = f"{eye}_base", f"{eye}_eye"
         _add_joint(robot, f"{base}_joint", "head", base, T_head_base(head, eye))
-        _add_eye(robot, head.kinematics, eye, base, link)
-        for name, mounted in head.cameras.items():
-            if mounted.eye == eye:
-                T_eye_link = mounted.T_eye_cam @ inverse(T_LINK_OPTICAL)
-                _add_joint(robot, f"{name}_joint", link, name, T_eye_link)
-                optical = f"{name}_optical_frame"
-                _add_joint(robot, f"{name}_optical_joint", name, optical, T_LINK_OPTICAL)
+        if floating:
+            _add_joint(robot, f"{link}_joint", base, link, np.eye(4), kind="floating")
+        else:
+            _add_eye(robot, head.kinematics, eye, base, link)
+        for name, mounted in cameras.items():
+            T_eye_link = mounted.T_eye_cam @ inverse(T_LINK_OPTICAL)
+            _add_joint(robot, f"{name}_joint", link, name, T_eye_link)
+            optical = f"{name}_optical_frame"
+            _add_joint(robot, f"{name}_optical_joint", name, optical, T_LINK_OPTICAL)
     ElementTree.indent(robot)
     text = ElementTree.tostring(robot, encoding="unicode")
     write_whole(path, f'<?xml version="1.0"?>\n{text}\n')
@@ -114,9 +121,11 @@ def _add_joint(
     T_parent_child: Array,
     axis: Array | None = None,
     limit_rad: tuple[float, ...] = LIMIT_RAD,
+    *,
+    kind: str = "fixed",
 ) -> ElementTree.Element:
-    """Add a joint, fixed without an axis, and the link that it moves; return the joint."""
-    kind = "fixed" if axis is None else "revolute"
+    """Add a joint, revolute with an axis, and the link that it moves; return the joint."""
+    kind = kind if axis is None else "revolute"
     joint = ElementTree.SubElement(robot, "joint", name=name, type=kind)
     ElementTree.SubElement(joint, "parent", link=parent)
     ElementTree.SubElement(joint, "child", link=child)

@@ -84,7 +84,7 @@ def dense_depth(
 
     Raises:
         VergenceError: the nearest depth is not positive, or its disparity exceeds the image; or an
-            image is not uint8, or of another size than the calibration's.
+            image is missing, not uint8, or of another size than the calibration's.
     """
     width = pair.left.map_x.shape[1]
     scale = pair.matrix[0, 0] * pair.baseline_m
@@ -128,6 +128,9 @@ def dense_depth(
 
 
 def _checked(image: np.ndarray) -> np.ndarray:
+    if image is None:  # as cv2.imread answers
+        raise VergenceError("Dense depth is of two images; one of them is None: it was not read.")
+    image = np.asarray(image)
     if image.dtype != np.uint8 or (image.ndim == 3 and image.shape[2] not in (1, 3)):
         raise VergenceError(
             "Dense depth is of RGB (H, W, 3) or grey (H, W) images of uint8; found an array of "

@@ -98,13 +98,19 @@ def rectify(
         focal_px: of the rectified cameras; None: FOCAL_SHARE of the real ones' mean.
 
     Raises:
-        VergenceError: the head has no such pair, the joints are not those of one posture, or the
-            two views do not overlap.
+        VergenceError: the head has no such pair, the joints are not those of one posture, size or
+            focal length are not positive, or the two views do not overlap.
     """
     left, right = stereo_cameras(head, cameras)
     at = np.asarray(joints, dtype=float)
     if at.shape != (2, 4, 4):
         at = checked_readings(head.kinematics, at, one_posture=True)
+    if not np.isfinite(at).all():
+        raise VergenceError(f"A pair is rectified at known joints; found {at.ravel()}.")
+    if focal_px is not None and not 0 < focal_px < np.inf:
+        raise VergenceError(f"focal_px is above 0 pixels, found {focal_px:g}.")
+    if size is not None and min(size) < 1:
+        raise VergenceError(f"size is a width and a height of 1 pixel or more, found {size}.")
     T_lbase_lcam, T_rcam_lcam = stereo_poses(head, at, cameras=cameras)
     R_lcam_rcam, baseline = T_rcam_lcam[:3, :3].T, inverse(T_rcam_lcam)[:3, 3]
     axes = np.array([[0, 0, 1], R_lcam_rcam[:, 2]])  # of both cameras, in the left one
