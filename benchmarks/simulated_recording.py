@@ -54,6 +54,8 @@ class Recording:
     """Whether tilt does what pan does."""
     alike: bool = True
     """Whether both eyes do the same."""
+    apart_rad: float = 0.0
+    """If so, but for differences of this standard deviation."""
     gaze_rad: tuple[float, float] = (0.0, 0.0)
     """Pan and tilt of both eyes before the boards of which each stands elsewhere."""
     slant_rad: tuple[float, float] | None = None
@@ -190,6 +192,8 @@ def record(
     gaze = _sunflower(count) * how.reach_rad
     gaze = gaze[:, [0, 0]] if how.together else gaze
     other = gaze if how.alike else rng.permutation(gaze)
+    if how.apart_rad:
+        other = other + rng.normal(0, how.apart_rad, other.shape)
     ahead = np.tile(how.gaze_rad, (still, 2))
     slants = rng.uniform(-0.6, 0.6, (still + 1, 2))
     if how.slant_rad is not None:

@@ -91,6 +91,10 @@ def test_links_that_leave_the_folder_are_refused(folder):
         ({"board.square_m": 30}, "board.square_m is 30.0 m"),
         ({"board.square_m": 0}, "board.square_m: Input should be greater than 0"),
         ({"joints.left_pan": None}, "joints.left_pan is missing; that eye has a camera"),
+        (
+            {"joints.left_pan": None, "joints.left_pam": {"column": "left_pan", "unit": "rad"}},
+            "joints.left_pam: expected one of left_pan, left_tilt",
+        ),
         ({"joints.left_pan.unit": "degrees"}, "joints.left_pan.unit: Input should be 'rad' or"),
         ({"joints.left_pan.unit": None}, "joints.left_pan.unit: this field is missing; found "),
         ({"joints.left_pan.sign": 0.5}, "joints.left_pan.sign: Input should be 1 or -1"),

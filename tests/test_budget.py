@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from other_heads import KINDS, other_head
+from recordings import small_dataset
 from simulated_head import plain_head
 from test_location_accuracy import stated
 from vergence import cli
@@ -158,7 +159,7 @@ def test_what_cannot_be_budgeted_is_refused():
     with pytest.raises(VergenceError, match="coordinates up to"):
         run(stated(HEAD), points=1e7 * POINT[None], **nothing)
     with pytest.raises(VergenceError, match="There is no motion 'round'"):
-        motion_of("round")
+        motion_of("round", HEAD)
     source = Source("wrong", errors={"nose.fx": 1.0})
     with pytest.raises(VergenceError, match=r"no parameter 'nose\.fx'"):
         budget(HEAD, POINT[None], **motion("parallel"), sources=[source])
@@ -173,9 +174,23 @@ def test_a_profiles_errors_are_sources_for_heads_with_any_joints(kind: str):
 
 def test_motions_of_pan_and_tilt_are_refused_for_heads_with_other_readings():
     head = stated(other_head("shared tilt, pan", np.random.default_rng(0)))
-    said = r"'divergent' is of the 4 readings .* has tilt, left_pan, right_pan\. .* dataset"
+    said = r"'divergent' is of the readings .* has tilt, left_pan, right_pan\. .* dataset"
     with pytest.raises(VergenceError, match=said):
         run(head, points=POINT[None], motion="divergent", profile=None, pixel_std_px=0.1)
+
+
+def test_the_motion_of_a_dataset_of_other_joints_is_refused(tmp_path):
+    small_dataset(tmp_path / "set")
+    head = stated(other_head("shared tilt, pan", np.random.default_rng(0)))
+    said = r"is for the joint readings tilt, left_pan, right_pan; .*set has left_pan, left_tilt"
+    with pytest.raises(VergenceError, match=said):
+        motion_of(str(tmp_path / "set"), head)
+
+
+def test_the_table_of_a_budget_names_its_unit(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["vergence", "budget", "--profile", "noise-only"])
+    cli.main()
+    assert "1 std [mm]" in capsys.readouterr().out
 
 
 def test_a_budget_beyond_first_order_says_so():

@@ -130,7 +130,7 @@ def test_boards_numbered_from_the_wrong_end_are_renumbered_and_named(recorded, f
     turns = {"left_wide": np.isin(np.arange(36), [3, 20]).astype(int)}
     again = calibrate(turn_boards(observed, turns))
     remark = "Numbered from the wrong end, and turned: views 3, 20 of left_wide."
-    assert again.observations.remarks == (remark,)
+    assert again.observations.remarks[0] == remark
     for name, corners in observed.corners.items():
         np.testing.assert_array_equal(again.observations.corners[name], corners)
     off = boxminus(again.head, found.head)
@@ -188,6 +188,16 @@ def test_a_detector_of_one_s_own_gives_the_same_as_a_dataset(dataset: Dataset):
     assert max(map(abs, boxminus(ours.head, theirs.head).values())) < 1e-9
     np.testing.assert_allclose(ours.accuracy.covariance, theirs.accuracy.covariance, rtol=1e-6)
     assert ours.head.T_rbase_lbase[1, 3] == pytest.approx(0.07, abs=5e-4)
+
+
+@pytest.mark.slow
+def test_a_board_of_ten_times_its_size_is_doubted_by_the_distance_of_the_eyes(dataset: Dataset):
+    board = replace(BOARD, square_m=10 * BOARD.square_m)
+    large = replace(dataset, description=replace(dataset.description, board=board))
+    said = calibrate(large, lens="none").summary()
+    assert "The eyes are 7" in said.splitlines()[0]
+    assert "nan" not in said
+    assert "the board's squares have another size than the dataset says" in said.splitlines()[-1]
 
 
 def test_what_cannot_be_calibrated_and_unknown_methods_are_named(dataset: Dataset):

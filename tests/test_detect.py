@@ -23,7 +23,7 @@ from vergence.calibration.detection import detect_or_explain, detect_target
 from vergence.data.images import UNREADABLE
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
-from vergence.geometry.board import corner_points
+from vergence.geometry.board import Charuco, corner_points
 from vergence.vision.board_detection import detect_board
 
 
@@ -170,6 +170,36 @@ def test_squares_counted_for_inner_corners_are_recognised(tmp_path):
     change_about(tmp_path / "set", {"board.columns": 7, "board.rows": 6})
     with pytest.raises(VergenceError, match=r"one of 6 x 5 is there.*not its squares"):
         detect_target(load_dataset(tmp_path / "set"))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"board.squares_x": 7, "board.squares_y": 5}, "one of 5 x 7 squares is there: exchange"),
+        ({"board.dictionary": "DICT_6X6_50"}, "other markers is there: set board.dictionary to DI"),
+    ],
+)
+def test_a_charuco_board_that_is_described_wrongly_is_recognised(tmp_path, change, said):
+    board = Charuco(5, 7, 0.03, 0.022, "DICT_5X5_50")
+    seen_dataset(tmp_path / "set", board, 1)
+    change_about(tmp_path / "set", change)
+    with pytest.raises(VergenceError, match=said):
+        detect_target(load_dataset(tmp_path / "set"))
+
+
+def test_one_corner_too_many_in_one_direction_is_recognised(tmp_path):
+    seen_dataset(tmp_path / "set", CHESSBOARD, 1)
+    change_about(tmp_path / "set", {"board.columns": 7})
+    with pytest.raises(VergenceError, match="one of 6 x 5 is there"):
+        detect_target(load_dataset(tmp_path / "set"))
+
+
+def test_a_sharp_image_of_little_contrast_on_most_of_it_is_not_called_blurred():
+    image = np.full((240, 280), 200, np.uint8)
+    image[100:140, 130:134] = 20  # a board from its edge
+    assert detect_or_explain(image, CHESSBOARD)[1] == "the board was not found"
+    moved = cv2.blur(board_image(), (36, 1))
+    assert "blurred" in detect_or_explain(moved, CHESSBOARD)[1]
 
 
 def test_a_camera_that_sees_no_board_is_remarked(tmp_path):

@@ -23,9 +23,11 @@ from vergence.vision.board_pose import board_poses
 GOOD = Recording(reach_rad=(0.3, 0.3), noise=Noise(pixel_px=0.1, joint_rad=np.radians(0.2)))
 
 
-def recorded(seed: int = 0, *, alike: bool = True) -> tuple[HeadCalibration, Observations]:
+def recorded(
+    seed: int = 0, *, alike: bool = True, apart_rad: float = 0.0
+) -> tuple[HeadCalibration, Observations]:
     """Return a head and what it observes, with eyes that move alike, or each by itself."""
-    return recorded_of(seed, how=replace(GOOD, alike=alike))
+    return recorded_of(seed, how=replace(GOOD, alike=alike, apart_rad=apart_rad))
 
 
 def exchanged_images(seen: Observations) -> Observations:
@@ -60,6 +62,25 @@ def test_exchanged_images_are_noticed_where_the_eyes_moved_alike():
     said = refusal(exchanged_images(seen))
     assert said.startswith("left_wide stands to the right of right_wide by the images")
     assert "exchanged in the images, or images and joint readings" in said
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_exchanged_readings_of_eyes_that_moved_nearly_alike_void_the_result(seed):
+    """By 0.6 degrees apart, with 0.2 of noise in each reading."""
+    _, seen = recorded(seed, apart_rad=0.01)
+    right = calibrate(seen)
+    assert right.accuracy.void == ()
+    assert not [said for said in right.observations.remarks if "exchanged" in said]
+    said = calibrate(exchanged_readings(seen)).accuracy.void[0]
+    assert "left and right are exchanged in the columns of the joint readings" in said
+
+
+def test_eyes_that_moved_alike_do_not_tell_whether_their_readings_are_exchanged():
+    _, seen = recorded()
+    for each in (seen, exchanged_readings(seen)):
+        found = calibrate(each)
+        assert found.accuracy.void == ()
+        assert "let the eyes verge in some of the views" in found.observations.remarks[-1]
 
 
 RAD = np.radians(1)

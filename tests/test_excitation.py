@@ -102,6 +102,13 @@ def test_eyes_that_never_move_are_refused(method: Method):
     assert "sees a board at rest in one view only" in said
 
 
+def test_views_that_all_have_a_placement_of_their_own_are_told_what_to_share(method: Method):
+    _, observed = recorded(0, how=Recording())
+    each = replace(observed, placement=np.arange(len(observed.placement)))
+    said = sentences(each, method)
+    assert "give the views of a board that stands still one number in `placement`" in said
+
+
 def test_a_camera_that_never_finds_the_board_is_refused(method: Method):
     _, observed = recorded(0, how=Recording())
     nothing = np.full_like(observed.corners["right_wide"], np.nan)

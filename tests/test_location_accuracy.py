@@ -9,6 +9,7 @@ from simulated_head import plain_head, skewed_head
 from test_triangulation import random_samples
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
+from vergence.calibration.summary import DISTANCES_M, point_accuracy
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import Accuracy, HeadCalibration
 from vergence.geometry.lens import COEFFICIENTS
@@ -215,3 +216,20 @@ def test_chunks_of_points_are_located_as_all_at_once():
     np.testing.assert_allclose(whole.xyz, points, atol=1e-9)
     np.testing.assert_allclose(whole.xyz[-9:], last.xyz, atol=1e-13)
     np.testing.assert_allclose(whole.covariance[-9:], last.covariance, rtol=1e-9)
+
+
+def test_the_accuracy_of_points_that_both_eyes_do_not_see_is_not_stated():
+    """A lens of radial distortion -0.35 reaches to 44 degrees from its axis."""
+    lists = []
+    for baseline in (0.09, 0.9):
+        head = stated(plain_head(baseline, 280.0))
+        barrel = np.array([-0.35, 0.0, 0.0, 0.0, 0.0])
+        cameras = {
+            name: replace(each, intrinsics=replace(each.intrinsics, distortion=barrel))
+            for name, each in head.cameras.items()
+        }
+        lists.append(point_accuracy(replace(head, cameras=cameras)))
+    near, far = lists
+    assert [distance for distance, *_ in near] == list(DISTANCES_M)
+    assert [distance for distance, *_ in far] == list(DISTANCES_M[1:])
+    assert np.isfinite(far).all()

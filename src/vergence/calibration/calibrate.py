@@ -17,6 +17,7 @@ from vergence.calibration.checks.cross_validation import (
     calibrate_folds,
     held_out,
 )
+from vergence.calibration.checks.exchanged_readings import exchanged_readings
 from vergence.calibration.checks.lens_map import edge_warnings
 from vergence.calibration.checks.part_calibration import (
     bundle_of_part,
@@ -170,9 +171,14 @@ def calibrate(
         at_the_edge = edge_warnings(head, observations.corners, estimate.residuals_px)
     checked, doubts, contradictions = _cross_validated(observations, of_part)
     progress("calibrating", 3, 3)
-    void = (*accuracy.void, *contradictions, *axes_and_eyes.doubts(head, std))
+    exchanged, unknown = (), ()
+    if estimate is not None:
+        exchanged, unknown = exchanged_readings(observations, head, estimate.T_base_eye)
+    void = (*exchanged, *accuracy.void, *contradictions, *axes_and_eyes.doubts(head, std))
+    measured_poses = observations.T_base_eye is not None
     warnings = (
         *posed.warnings,
+        *([] if measured_poses else axes_and_eyes.odd_baseline(head)),
         *board_flips.warnings(renumbered),
         *excitation.doubts(observations, T_cam_target, head, focal_std),
         *accuracy.warnings,
@@ -181,12 +187,12 @@ def calibrate(
     )
     accuracy = replace(
         accuracy,
-        eye_motion="pan-tilt" if observations.T_base_eye is None else "poses",
+        eye_motion="poses" if measured_poses else "pan-tilt",
         held_out=checked,
         void=void,
         warnings=warnings,
     )
-    remarks = (*observations.remarks, *board_flips.remarks(renumbered), *choice)
+    remarks = (*observations.remarks, *board_flips.remarks(renumbered), *choice, *unknown)
     return CalibrationResult(
         replace(head, accuracy=accuracy),
         replace(observations, remarks=remarks),

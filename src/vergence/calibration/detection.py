@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import product
 
 import cv2
 import numpy as np
@@ -16,7 +19,7 @@ from vergence.data.dataset import Dataset, runs
 from vergence.data.images import UNREADABLE
 from vergence.data.timing import Timing
 from vergence.errors import VergenceError
-from vergence.geometry.board import Board, Chessboard
+from vergence.geometry.board import DICTIONARIES, Board, Chessboard
 from vergence.progress import Progress, silent
 from vergence.vision.board_detection import detect_board
 from vergence.vision.board_pose import LEAST_CORNERS
@@ -24,7 +27,10 @@ from vergence.vision.board_pose import LEAST_CORNERS
 DARK, BRIGHT = 25, 230
 """Grey levels between which most of a usable image lies."""
 BLURRED = 0.35
-"""Part of an image's contrast that is left in steps of two pixels, below which it is blurred."""
+"""Part of the strongest edges' height that lies within two pixels, below which an image is blurred:
+that of a blur of 2.5 pixels, of one standard deviation."""
+HIGH = 20
+"""Height of an edge from which its blur is looked at [grey levels]."""
 SYSTEMATIC_PX = 0.002
 """Systematic error of the detector, smooth over the image: assumed. It was at most 0.0011 px in
 each of 28 cameras, on boards that were rendered, or drawn before lenses of several kinds; cameras
@@ -126,12 +132,25 @@ def _why_not(grey: np.ndarray) -> str:
         return "the image is too dark"
     if middle > BRIGHT and low > BRIGHT / 2:
         return "the image is overexposed"
-    # The steepest slopes of a sharp image take its contrast in a pixel or two.
-    smooth = cv2.GaussianBlur(grey, (0, 0), 0.7).astype(np.float32)
-    steep = np.abs(smooth[:, 2:] - smooth[:, :-2])
-    if np.percentile(steep, 99.5) < BLURRED * (high - low):
-        return "the board was not found; the image is blurred, or shows nothing with edges"
+    if min(_steepness(grey), _steepness(grey.T)) < BLURRED:
+        return "the board was not found; the image is blurred"
     return "the board was not found"
+
+
+def _steepness(grey: np.ndarray) -> float:
+    """Return how much of the height of the strongest edges across the rows lies within two pixels.
+
+    Their height is the difference over eight pixels; 1 for an image without high edges.
+    """
+    smooth = cv2.GaussianBlur(grey, (0, 0), 0.7).astype(np.float32)
+    if smooth.shape[1] < 16:
+        return 1.0
+    heights = np.abs(smooth[:, 8:] - smooth[:, :-8])
+    steps = np.abs(smooth[:, 2:] - smooth[:, :-2])
+    strong = heights > max(float(np.percentile(heights, 99.5)) / 2, HIGH)
+    # The largest step between the two ends of each height.
+    largest = cv2.dilate(steps, np.ones((1, 7), np.uint8))[:, 3:-3]
+    return float(np.median(largest[strong] / heights[strong])) if strong.any() else 1.0
 
 
 def _without_repeats(dataset: Dataset, seen: list[_Detection]) -> list[_Detection]:
@@ -160,16 +179,43 @@ def _nothing_found(dataset: Dataset, seen: list[_Detection]) -> str:
     reasons = [each.reason for each in seen]
     common = max(set(reasons), key=reasons.count)
     sentence = f"No image of {dataset.folder} shows a {board.kind} of {stated} ({common})"
-    if isinstance(board, Chessboard):
-        for each in seen[:: max(1, len(seen) // _PROBES)]:
-            image = dataset.readable_image(each.camera, each.row)
-            for more in (-1, 1):
-                columns, rows = board.columns + more, board.rows + more
-                if image is None or min(columns, rows) < 3:
-                    continue
-                if detect_board(image, Chessboard(columns, rows, board.square_m)) is not None:
-                    return (
-                        f"{sentence}; one of {columns} x {rows} is there: board.columns and "
-                        "board.rows count the corners inside the board, not its squares."
-                    )
+    probes = [
+        image
+        for each in seen[:: max(1, len(seen) // _PROBES)]
+        if (image := dataset.readable_image(each.camera, each.row)) is not None
+    ]
+    for other, advice in _other_descriptions(board):
+        for image in probes:
+            corners = detect_board(image, other)
+            if corners is not None and np.isfinite(corners[:, 0]).sum() >= LEAST_CORNERS:
+                return f"{sentence}; one {advice}."
     return f"{sentence}; check board in dataset.json."
+
+
+def _other_descriptions(board: Board) -> Iterator[tuple[Board, str]]:
+    """Yield boards that are described as this one by mistake, and what to say of them."""
+    if isinstance(board, Chessboard):
+        for more in product((-1, 0, 1), repeat=2):
+            columns, rows = board.columns + more[0], board.rows + more[1]
+            if any(more) and min(columns, rows) >= 3:
+                yield (
+                    Chessboard(columns, rows, board.square_m),
+                    f"of {columns} x {rows} is there: board.columns and board.rows count the "
+                    "corners inside the board, not its squares",
+                )
+        return
+    yield (
+        replace(board, squares_x=board.squares_y, squares_y=board.squares_x),
+        f"of {board.squares_y} x {board.squares_x} squares is there: exchange board.squares_x and "
+        "board.squares_y",
+    )
+    yield (
+        replace(board, legacy=not board.legacy),
+        f"of the other pattern is there: set board.legacy to {str(not board.legacy).lower()}",
+    )
+    for dictionary in DICTIONARIES:
+        with suppress(ValueError):  # of those with too few markers
+            yield (
+                replace(board, dictionary=dictionary),
+                f"with other markers is there: set board.dictionary to {dictionary}",
+            )

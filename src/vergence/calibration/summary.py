@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from vergence.calibration.checks.axes_and_eyes import eye_shift
 from vergence.calibration.observations import Observations
 from vergence.geometry.head import (
     Accuracy,
@@ -78,8 +79,9 @@ def verdict(accuracy: Accuracy, head: HeadCalibration) -> tuple[str, str]:
 def point_accuracy(head: HeadCalibration) -> list[tuple[float, float, float]]:
     """Return at some distances [m] what calibration and what one reading add to a point [mm].
 
-    Root mean square over a motion: both eyes fixate a point while the gaze goes round. Empty
-    where the head states no covariance, has one eye, or eyes that do not pan and tilt.
+    Root mean square over a motion: both eyes fixate a point while the gaze goes round. Without the
+    distances at which they do not both see it; empty where the head states no covariance, has one
+    eye, or eyes that do not pan and tilt.
     """
     accuracy, pair = head.accuracy, main_pair(head)
     if accuracy is None or not accuracy.parameters or pair is None:
@@ -103,11 +105,12 @@ def point_accuracy(head: HeadCalibration) -> list[tuple[float, float, float]]:
             pixel_std_px=accuracy.pixel_std_px or 0.0,
             joint_std_rad=reading_stds(head),
         )
-        both = (
+        by_head, by_reading = (
             1e3 * float(np.sqrt(np.trace(each, axis1=1, axis2=2).mean()))
             for each in (of_head, of_reading)
         )
-        rows.append((distance, *both))
+        if np.isfinite([by_head, by_reading]).all():
+            rows.append((distance, by_head, by_reading))
     return rows
 
 
@@ -117,10 +120,13 @@ def summary_lines(head: HeadCalibration, observations: Observations) -> list[str
     assert accuracy is not None
     word, following = verdict(accuracy, head)
     corners, lost = observations.corners, len(observations.failures)
+    apart = ""
+    if main_pair(head) is not None and accuracy.eye_motion == "pan-tilt":
+        apart = f" The eyes are {1e3 * np.linalg.norm(eye_shift(head)):.1f} mm apart."
     found = sum(int(seen_corners(c).any(axis=1).sum()) for c in corners.values())
     lines = [
         f"{word}: {len(corners)} camera{'s' * (len(corners) > 1)}, {len(observations.placement)} "
-        f"views, the board found in {found} of {found + lost} images."
+        f"views, the board found in {found} of {found + lost} images.{apart}"
     ]
     if accuracy.pixel_std_px is not None:
         degrees = [f"{np.degrees(s):.3f}" for s in accuracy.joint_std]
@@ -149,7 +155,10 @@ def summary_lines(head: HeadCalibration, observations: Observations) -> list[str
     table = point_accuracy(head)
     if table:
         parts = ", ".join(f"{mm:.2f} mm at {distance:g} m" for distance, mm, _ in table)
-        lines.append(f"Of this the calibration itself adds (1 std): {parts}.")
+        shown = {distance for distance, *_ in table}
+        unseen = " or ".join(f"{distance:g}" for distance in DISTANCES_M if distance not in shown)
+        beyond = f"; not both eyes see a point at {unseen} m" if unseen else ""
+        lines.append(f"Of this the calibration itself adds (1 std): {parts}{beyond}.")
     said = len(accuracy.void) + len(accuracy.warnings)
     if said > 1:
         lines.append(f"{said} warnings, listed in the report.")

@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
-from rich.table import Table
 
 from vergence.cli.progress import progress_bars
+from vergence.cli.tables import print_table
 from vergence.writing import check_outputs, write_json
 
 
@@ -178,13 +177,8 @@ def budget(
         from vergence.viewer.plots.budget import budget_figure
 
         budget_figure(figure, found.budgets, f"{motion} motion")
-    console = Console()
     for k, own in enumerate(found.budgets):
         x, y, z = own.point_m
-        rows = Table(title=f"({x:g}, {y:g}, {z:g}) m, {motion} motion: 1 std [mm]")
-        for name in HEADING:
-            rows.add_column(name, justify="left" if name == HEADING[0] else "right")
-        for row in table(found, k):
-            rows.add_row(*row)
-        console.print(rows)
+        title = f"({x:g}, {y:g}, {z:g}) m, {motion} motion: 1 std [mm]"
+        print_table(title, HEADING, table(found, k))
         print(advice(found, k))

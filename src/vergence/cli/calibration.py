@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
-from rich.console import Console
-from rich.table import Table
 
 from vergence.cli.progress import progress_bars, say_if_unfinished
+from vergence.cli.tables import print_table
 from vergence.commands.invocation import invocation
 from vergence.writing import check_outputs, write_json
 
@@ -100,12 +99,7 @@ def self_calibrate(
         write_json(as_plain(found), json)
     rows = table(found)
     if rows:
-        shown = Table(title="What was observed since the calibration")
-        for name in HEADING:
-            shown.add_column(name, justify="left" if name == HEADING[0] else "right")
-        for row in rows:
-            shown.add_row(*row)
-        Console().print(shown)
+        print_table("What was observed since the calibration", HEADING, rows)
     print("\n".join(sentences(found)))
     print(f"Wrote {out}.")
 

@@ -14,6 +14,7 @@ from vergence.accuracy.budget import TIME_OFFSET, Budget, Part, Source, budget
 from vergence.accuracy.motions import PERIOD_S, eye_angles
 from vergence.arrays import MAX_M, Array
 from vergence.data.reader import load_dataset
+from vergence.data.stereo_rows import check_readings
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, pair_names, reading_stds, states_covariance
 from vergence.geometry.kinematics import EYE_JOINTS
@@ -77,23 +78,25 @@ def run(
             "error profile (--profile paper), or --noise in pixels."
         )
     motions = dict.fromkeys((motion, "parallel"))
-    if len(readings := head.kinematics.readings) != len(EYE_JOINTS):
+    if (readings := head.kinematics.readings) != EYE_JOINTS:
         if motion in PERIOD_S:
             raise VergenceError(
-                f"The motion {motion!r} is of the {len(EYE_JOINTS)} readings "
-                f"{', '.join(EYE_JOINTS)}; this head has {', '.join(readings)}. Give the folder of "
-                "a dataset of this head as --motion."
+                f"The motion {motion!r} is of the readings {', '.join(EYE_JOINTS)}; this head has "
+                f"{', '.join(readings)}. Give the folder of a dataset of this head as --motion."
             )
         motions = [motion]
     found = [
         budget(head, np.array(points), joints=joints, rates=rates, sources=sources)
-        for joints, rates in map(motion_of, motions)
+        for joints, rates in (motion_of(name, head) for name in motions)
     ]
     return Budgets(motion, found[0], found[1] if len(found) > 1 else None)
 
 
-def motion_of(name: str) -> tuple[Array, Array]:
-    """Return joints (T, r) [rad] of a motion and their rates (T, r) [rad/s]."""
+def motion_of(name: str, head: HeadCalibration) -> tuple[Array, Array]:
+    """Return joints (T, r) [rad] of a head's motion, and their rates (T, r) [rad/s].
+
+    VergenceError if there is no such motion or dataset, or it is of other joints.
+    """
     if name in PERIOD_S:
         time_s = np.arange(SAMPLES) * PERIOD_S[name] / SAMPLES
         joints = eye_angles("parallel" if name == "parallel" else "divergent", time_s)
@@ -109,6 +112,7 @@ def motion_of(name: str) -> tuple[Array, Array]:
             f"The motion of {name} is not one of joints: it has {len(data.eye_angles)} rows"
             + (" of measured eye poses." if data.T_base_eye is not None else ".")
         )
+    check_readings(data, head)
     rates = np.gradient(data.eye_angles, data.joint_time_s, axis=0)
     every = -(-len(rates) // (4 * SAMPLES))
     return data.eye_angles[::every], np.where(data.moving[:, None], rates, 0.0)[::every]

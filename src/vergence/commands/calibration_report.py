@@ -160,8 +160,13 @@ def as_markdown(result: CalibrationResult, dataset: Dataset) -> str:
 
 def _points(result: CalibrationResult) -> list[str]:
     rows = [(f"{d:g}", f"{a:.2f}", f"{b:.2f}") for d, a, b in point_accuracy(result.head)]
-    if not rows:
+    if not rows and result.accuracy.method == "paper":
         return ["Not stated: see `vergence calibrate --method bundle`."]
+    if not rows:
+        return [
+            "Not stated: it is for points that both eyes see from 0.3 to 1 m, of heads of two eyes "
+            "that pan and tilt."
+        ]
     lines = [
         "Standard deviation of a point ahead, located with the wide cameras, while the gaze goes",
         "round by 0.2 rad: what the calibration adds, the same for every reading at these angles,",

@@ -23,7 +23,8 @@ from vergence.data.description import (
 from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board, Charuco
-from vergence.geometry.kinematics import EYE_JOINTS, Side
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import EYE_JOINTS, EYES, Side
 from vergence.geometry.neck import NECK_JOINTS
 from vergence.progress import Progress, silent
 from vergence.reading import parse_json, read_parsed
@@ -67,6 +68,7 @@ LEAST_MOVING = 3
 RATE_HZ = 30.0
 _SPEED_RAD_S = 2.5  # of the phase of pan: with 0.2 rad as fast as eyes that pursue a hand
 _AMPLITUDE_RAD = 0.2
+_VERGENCE_RAD = 0.03  # of each eye, to either side
 
 
 @dataclass(frozen=True, eq=False, config=ConfigDict(extra="ignore"))
@@ -165,7 +167,26 @@ def _shots(twin: Twin, board: Board, seed: int, frames: int) -> list[Shot]:
     narrow = max(3, round(frames * NARROW_VIEWS / whole))
     views = (wide, narrow, frames - wide - 2 * narrow)
     shots = plan(twin.nominal, seed, board=board, views=views)
+    shots[-views[2] :] = _verging(twin.nominal, shots[-views[2] :])
     return [replace(shot, cameras=_seeing(twin, board, shot)) for shot in shots]
+
+
+def _verging(head: HeadCalibration, shots: list[Shot]) -> list[Shot]:
+    """Return shots in which the eyes move less alike, where each has readings of its own.
+
+    Images of eyes that move alike do not tell whether the readings of left and right are exchanged.
+    """
+    left, right = (head.kinematics.used(eye) for eye in EYES)
+    if set(left) & set(right):
+        return shots
+    moved = []
+    for k, shot in enumerate(shots):
+        readings = shot.eye_angles.copy()
+        by = _VERGENCE_RAD * np.sin(2.4 * k + np.arange(max(len(left), len(right))))
+        readings[left] += by[: len(left)]
+        readings[right] -= by[: len(right)]
+        moved.append(replace(shot, eye_angles=readings))
+    return moved
 
 
 def _seeing(twin: Twin, board: Board, shot: Shot) -> tuple[str, ...]:

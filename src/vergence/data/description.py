@@ -139,6 +139,9 @@ class Description:
                 "board.columns and board.rows count inner corners, 3 to 100 each; found "
                 f"{columns} x {rows}"
             )
+        for name in self.joints:
+            if name not in JOINTS:
+                raise ValueError(f"joints.{name}: expected one of {', '.join(JOINTS)}")
         self._check_kinematics()
         for name in EYE_JOINTS:
             if self.eye_motion == "poses" and name in self.joints:
@@ -152,8 +155,6 @@ class Description:
         if clash := reserved & set(self.cameras):
             raise ValueError(f"no camera can be called {min(clash)}, which is another column")
         for name, joint in self.joints.items():
-            if name not in JOINTS:
-                raise ValueError(f"joints.{name}: expected one of {', '.join(JOINTS)}")
             if joint.column in reserved | set(self.cameras) or not joint.column.strip():
                 raise ValueError(
                     f"joints.{name}.column is {joint.column!r}, which is not the name of a column "

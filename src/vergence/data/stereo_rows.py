@@ -61,12 +61,8 @@ def stereo_rows(dataset: Dataset, head: HeadCalibration) -> StereoRows:
             )
         shape = stated[name].height, stated[name].width
         check_image_fits(name, head.camera(name).intrinsics, shape, whose=f"those of {folder}")
-    read, known = dataset.description.head_kinematics.readings, head.kinematics.readings
-    if dataset.T_base_eye is None and read != known:
-        raise VergenceError(
-            f"The calibration is for the joint readings {', '.join(known)}; {folder} has "
-            f"{', '.join(read) or 'none'}."
-        )
+    if dataset.T_base_eye is None:
+        check_readings(dataset, head)
     both = [
         k
         for k in range(len(dataset))
@@ -76,6 +72,16 @@ def stereo_rows(dataset: Dataset, head: HeadCalibration) -> StereoRows:
         raise VergenceError(f"No row of {folder} has images of both {' and '.join(cameras)}.")
     rows = np.array(both)
     return StereoRows(dataset, cameras, rows, _at_the_images(dataset, head)[rows])
+
+
+def check_readings(dataset: Dataset, head: HeadCalibration) -> None:
+    """Raise VergenceError if a dataset has other joint readings than a head."""
+    read, known = dataset.description.head_kinematics.readings, head.kinematics.readings
+    if read != known:
+        raise VergenceError(
+            f"The calibration is for the joint readings {', '.join(known)}; {dataset.folder} has "
+            f"{', '.join(read) or 'none'}."
+        )
 
 
 def _at_the_images(dataset: Dataset, head: HeadCalibration) -> Array:

@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from vergence.arrays import Array
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES, parallel_distance_m, straight_gaze
@@ -19,6 +20,8 @@ SURE = 4.0
 """Standard deviations from which an axis stands on the wrong side beyond doubt."""
 ASIDE = 0.7
 """Cosine of the angle between the line through the eyes and the head's y axis, at least."""
+USUAL_BASELINE_M = 0.02, 0.5
+"""Between which the baseline of a head is not doubted."""
 
 
 def doubts(head: HeadCalibration, std: Mapping[str, float] | None = None) -> list[str]:
@@ -36,13 +39,7 @@ def doubts(head: HeadCalibration, std: Mapping[str, float] | None = None) -> lis
             "other, though the joints of both turn about the head's axes: check the signs of one "
             "eye's readings, and which is of which joint."
         )
-    left, right = stereo_cameras(head, None)
-    joints = straight_gaze(head.kinematics)
-    T_lbase_leye, T_rbase_reye = eye_poses(head, joints)
-    if set(head.kinematics.used("left")) == set(head.kinematics.used("right")):
-        # A pair that turns as one: its eyes are where its cameras are.
-        T_lbase_leye, T_rbase_reye = T_lbase_leye @ left.T_eye_cam, T_rbase_reye @ right.T_eye_cam
-    t = (head.T_rbase_lbase @ T_lbase_leye)[:3, 3] - T_rbase_reye[:3, 3]
+    t = eye_shift(head)
     if t[1] < ASIDE * np.linalg.norm(t):
         ahead, aside, above = 1e3 * t
         said.append(
@@ -51,6 +48,33 @@ def doubts(head: HeadCalibration, std: Mapping[str, float] | None = None) -> lis
             "are left and right, and the signs of the joints."
         )
     return said
+
+
+def eye_shift(head: HeadCalibration) -> Array:
+    """Return where the left eye stands from the right one (3,) [m], looking straight ahead.
+
+    Along the axes of the right eye's base; the length is the baseline.
+    """
+    left, right = stereo_cameras(head, None)
+    joints = straight_gaze(head.kinematics)
+    T_lbase_leye, T_rbase_reye = eye_poses(head, joints)
+    if set(head.kinematics.used("left")) == set(head.kinematics.used("right")):
+        # A pair that turns as one: its eyes are where its cameras are.
+        T_lbase_leye, T_rbase_reye = T_lbase_leye @ left.T_eye_cam, T_rbase_reye @ right.T_eye_cam
+    return (head.T_rbase_lbase @ T_lbase_leye)[:3, 3] - T_rbase_reye[:3, 3]
+
+
+def odd_baseline(head: HeadCalibration) -> list[str]:
+    """Return a sentence if the eyes are nearer to each other, or farther, than those of a head."""
+    if len({mounted.eye for mounted in head.cameras.values()}) < 2:
+        return []
+    baseline, (least, most) = float(np.linalg.norm(eye_shift(head))), USUAL_BASELINE_M
+    if least <= baseline <= most:
+        return []
+    return [
+        f"The eyes came out {1e3 * baseline:.3g} mm apart: if they are not, the board's squares "
+        "have another size than the dataset says."
+    ]
 
 
 def _exchanged_axes(head: HeadCalibration, std: Mapping[str, float]) -> list[str]:

@@ -71,6 +71,8 @@ def _lacking(seen: Observations, name: str, e: int, spread: Array, rows: np.ndar
         times = ("no view", "one view only", "two views only")[len(rows)]
         what, why = everything, f"{whose} sees a board at rest in {times}"
         advice = f"let it look at one from 20 angles or more, and move {all_joints} {ADVISED}"
+        if len(np.unique(seen.placement)) == len(seen.placement):
+            advice = "give the views of a board that stands still one number in `placement`"
     elif spread[1] >= LEAST_MOTION_RAD:
         return []
     elif spread[0] < LEAST_MOTION_RAD:
