@@ -43,6 +43,7 @@ from vergence.twin.calibration_sequence import (
 from vergence.twin.head import Twin
 from vergence.twin.model import nominal_head
 from vergence.twin.profile import ErrorProfile, Lens
+from vergence.twin.renderer import FINE
 from vergence.twin.scene.room import Scene
 from vergence.twin.sensors import with_sensors
 from vergence.writing import as_json, check_new
@@ -129,7 +130,15 @@ def record(
     joints = description.head_kinematics
     true_angles: list[Array] = []
     images = 0
-    with Twin(profile, seed=seed, lens=lens, board=charuco, kinematics=joints, scene=scene) as twin:
+    with Twin(
+        profile,
+        seed=seed,
+        lens=lens,
+        board=charuco,
+        kinematics=joints,
+        scene=scene,
+        oversampling=FINE,
+    ) as twin:
         shots = _shots(twin, board, seed, frames)
         total = len(shots) + moving
         task = f"recording {total} frames"

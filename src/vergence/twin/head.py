@@ -68,13 +68,15 @@ class Twin:
         card: Card | None = None,
         kinematics: Kinematics | None = None,
         scene: Scene = "room",
+        oversampling: float | None = None,
     ):
         """Build a head with wide cameras of a lens, and with the imperfections of a profile.
 
         The same seed gives the same head, whatever the lens. A board replaces the scene's
         chessboard, a card the red sphere that is its object. The eyes have two joints each or
-        more; by default pan, then tilt. VergenceError if there is no OpenGL, the model or the
-        scene cannot be loaded, the eyes have fewer joints, or the seed is negative.
+        more; by default pan, then tilt. Oversampling is that of images that are distorted; None:
+        the renderer's. VergenceError if there is no OpenGL, the model or the scene cannot be
+        loaded, the eyes have fewer joints, or the seed is negative.
         """
         if seed < 0:
             raise VergenceError(f"The seed must be a whole number from 0, found {seed}.")
@@ -95,7 +97,7 @@ class Twin:
         eyes = np.concatenate([chains[eye].mixing for eye in EYES])
         self._mixing: Array = np.asarray(block_diag(np.eye(len(NECK_JOINTS)), eyes))
         self._unmixing = np.linalg.pinv(self._mixing)
-        self._renderer = Renderer(self.model, self.truth, sizes, profile.image, seed)
+        self._renderer = Renderer(self.model, self.truth, sizes, profile.image, seed, oversampling)
         self.restart(0)
 
     def restart(self, run: int) -> None:
