@@ -13,6 +13,7 @@ from vergence.geometry.head import HeadCalibration
 from vergence.twin.calibration_sequence import BOARD, capture_views, plan
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile, Mounting, Optics
+from vergence.twin.renderer import FINE
 
 MOUNTED = Mounting(rotation_deg=1.5, translation_mm=2, base_rotation_deg=0.5, base_translation_mm=1)
 AS_BUILT = ErrorProfile(mounting=MOUNTED, optics=Optics(focal_percent=1, principal_px=4))
@@ -23,7 +24,11 @@ Rendered = tuple[HeadCalibration, Observations, Observations]
 @pytest.fixture(scope="module")
 def rendered(opengl: None) -> Rendered:
     """The true head, corners found in some clean renders of the sequence, and the true ones."""
-    with Twin(AS_BUILT, seed=0) as twin:
+    return renders()
+
+
+def renders(oversampling: float | None = None) -> Rendered:
+    with Twin(AS_BUILT, seed=0, oversampling=oversampling) as twin:
         shots = plan(twin.nominal, 0)
         straight = [shot for shot in shots if not shot.eye_angles.any()]
         chosen = [shot for shot in straight if not any("narrow" in c for c in shot.cameras)][:8]
@@ -47,6 +52,20 @@ def test_corners_of_clean_renders_have_no_bias(rendered: Rendered):
         assert np.isfinite(error).all(axis=(1, 2)).sum() >= 4
         assert np.abs(np.nanmean(error, axis=(0, 1))).max() < 0.02
         assert np.sqrt(np.nanmean(error**2)) < 0.05
+
+
+def test_corners_of_recorded_pictures_err_by_hundredths_of_a_pixel_no_more(rendered: Rendered):
+    """Where the eyes look at a board at rest; the sampling of other pictures shows there."""
+
+    def rms(renders: Rendered) -> float:
+        _, found, true = renders
+        names, fixed = ("left_wide", "right_wide"), true.placement == true.placement.max()
+        errors = [(found.corners[name] - true.corners[name])[fixed] for name in names]
+        return float(np.sqrt(np.nanmean(np.square(errors))))
+
+    coarse, fine = rms(rendered), rms(renders(FINE))
+    assert fine < 0.008
+    assert fine < coarse / 2
 
 
 def test_focal_length_and_principal_point_of_clean_renders_are_mujocos(rendered: Rendered):
