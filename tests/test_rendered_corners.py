@@ -68,6 +68,24 @@ def test_corners_of_recorded_pictures_err_by_hundredths_of_a_pixel_no_more(rende
     assert fine < coarse / 2
 
 
+def test_errors_of_neighbouring_corners_are_independent(rendered: Rendered):
+    """A calibration takes them for it; corners whose pixels overlap have a correlation of 0.35."""
+    _, found, true = rendered
+    products, squares = [], []
+    for name in ("left_wide", "right_wide"):
+        errors = (found.corners[name] - true.corners[name])[true.placement == true.placement.max()]
+        grid = errors.reshape(-1, BOARD.rows, BOARD.columns, 2)
+        grid = grid - np.nanmean(grid, axis=(1, 2), keepdims=True)
+        # Across the line that leads from one to the other, whose edge both may share.
+        products += [grid[:, :, 1:, 1] * grid[:, :, :-1, 1], grid[:, 1:, :, 0] * grid[:, :-1, :, 0]]
+        squares.append(grid**2)
+    mean_product, mean_square = (
+        np.nanmean(np.concatenate([each.ravel() for each in those]))
+        for those in (products, squares)
+    )
+    assert abs(mean_product / mean_square) < 0.15
+
+
 def test_focal_length_and_principal_point_of_clean_renders_are_mujocos(rendered: Rendered):
     """With the board's poses given, corners tell them apart from the truth by below 0.05 px.
 
