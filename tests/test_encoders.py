@@ -81,6 +81,7 @@ def test_eyes_that_moved_alike_do_not_tell_whether_their_readings_are_exchanged(
         found = calibrate(each)
         assert found.accuracy.void == ()
         assert "let the eyes verge in some of the views" in found.observations.remarks[-1]
+        assert f"Note: {found.observations.remarks[-1]}" in found.summary().splitlines()
 
 
 RAD = np.radians(1)

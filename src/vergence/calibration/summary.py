@@ -29,6 +29,8 @@ PART = 1 / 3
 """Share of the noise of a reading that a calibration may add: it makes a twentieth of the whole."""
 SMALL = 0.002
 """Error of a point, relative to its distance, that is small whatever the noise of a reading."""
+MOST_REMARKS = 2
+"""Most remarks that a summary repeats; the report has all."""
 DISTANCES_M = (0.3, 0.6, 1.0)
 """Distances of the points whose accuracy is stated: the range of a hand, and beyond."""
 _TURNS_RAD = 0.2
@@ -162,5 +164,6 @@ def summary_lines(head: HeadCalibration, observations: Observations) -> list[str
     said = len(accuracy.void) + len(accuracy.warnings)
     if said > 1:
         lines.append(f"{said} warnings, listed in the report.")
+    lines += [f"Note: {remark}" for remark in observations.remarks[:MOST_REMARKS]]
     lines.append(following)
     return lines
