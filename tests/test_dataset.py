@@ -33,6 +33,7 @@ def test_a_dataset_is_read_as_it_was_written(folder):
     dataset = load_dataset(folder)
     table = rows(4)
     assert len(dataset) == 4
+    assert repr(dataset) == f"<Dataset {folder}: 4 frames of left_wide, right_wide>"
     assert dataset.time_s.tolist() == [row["time_s"] for row in table]
     assert dataset.joint_time_s.tolist() == [row["joint_time_s"] for row in table]
     assert dataset.eye_angles.tolist() == [[row[name] for name in JOINTS] for row in table]

@@ -151,6 +151,13 @@ def test_a_wrong_field_is_named(file: Path, path: list, value: object, says: str
         load_head(file)
 
 
+def test_a_head_is_printed_in_one_line(head: HeadCalibration):
+    assert repr(head) == (
+        "<HeadCalibration of left_wide, left_narrow, right_wide, right_narrow; moved by left_pan, "
+        "left_tilt, right_pan, right_tilt; states no accuracy>"
+    )
+
+
 def test_a_void_calibration_is_read_only_where_that_is_asked_for(head, tmp_path: Path):
     void = replace(head, accuracy=Accuracy("bundle", void=("The estimate did not converge.",)))
     save_head(void, tmp_path / "void.json")

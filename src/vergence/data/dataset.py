@@ -75,6 +75,9 @@ class Dataset:
     def __len__(self) -> int:
         return len(self.time_s)
 
+    def __repr__(self) -> str:
+        return f"<Dataset {self.folder}: {len(self)} frames of {', '.join(self.files)}>"
+
     def image(self, camera: str, row: int) -> np.ndarray | None:
         """Return an image (H, W, 3) uint8, RGB; None where the camera has none in this row.
 

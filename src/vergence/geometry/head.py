@@ -196,6 +196,13 @@ class HeadCalibration:
                 f"{self.time_offset_s:g}"
             )
 
+    def __repr__(self) -> str:
+        stated = "states its accuracy" if states_covariance(self) else "states no accuracy"
+        return (
+            f"<HeadCalibration of {', '.join(self.cameras)}; moved by "
+            f"{', '.join(self.kinematics.readings)}; {stated}>"
+        )
+
     def camera(self, name: str) -> MountedCamera:
         """Return a camera by its name; VergenceError if there is none of that name."""
         if name not in self.cameras:
