@@ -12,7 +12,7 @@ from vergence.commands.truth import Truth
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard
 from vergence.geometry.head import Accuracy, HeadCalibration
-from vergence.geometry.kinematics import EYES, Kinematics
+from vergence.geometry.kinematics import EYE_JOINTS, EYES, Joint, Kinematics, Side
 from vergence.geometry.parameters import change_named, without_offsets
 from vergence.twin.profile import ErrorProfile
 from vergence.writing import write_json
@@ -80,6 +80,16 @@ def test_an_evaluation_without_accuracy_says_so(head, tmp_path: Path):
 
 def test_a_truth_with_other_joints_is_refused(head):
     tilts, pans = ({eye: head.kinematics.eyes[eye][k] for eye in EYES} for k in (1, 0))
-    other = Kinematics({eye: (tilts[eye], pans[eye]) for eye in EYES})
+    eyes: dict[Side, tuple[Joint, ...]] = {eye: (tilts[eye], pans[eye]) for eye in EYES}
+    other = Kinematics(eyes)
     with pytest.raises(VergenceError, match=r"its joints are left pan about .* left tilt about"):
         evaluate(replace(head, kinematics=other), truth_of(head))
+
+
+def test_the_joints_of_an_eye_that_was_not_calibrated_do_not_count(head):
+    left = {name: each for name, each in head.cameras.items() if each.eye == "left"}
+    eyes: dict[Side, tuple[Joint, ...]] = {"left": head.kinematics.eyes["left"], "right": ()}
+    alone = Kinematics(eyes, EYE_JOINTS[:2])
+    one = replace(head, cameras=left, kinematics=alone, time_offset_s=0.01)
+    found = evaluate(one, truth_of(head))
+    assert set(found.cameras) == {"left_wide", "left_narrow"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from vergence.arrays import Array
 from vergence.commands.truth import Truth
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import EYES, Joint, Kinematics, Side
 from vergence.geometry.parameters import boxminus, without_offsets
 from vergence.geometry.se3 import angle, inverse
 
@@ -84,14 +86,20 @@ def evaluate(head: HeadCalibration, truth: Truth) -> Evaluation:
             f"The truth is of another head: it has no camera {missing[0]}, only "
             f"{', '.join(truth.head.cameras)}."
         )
-    joints, true_joints = (_joints(each) for each in (head, truth.head))
+    eyes = {mounted.eye for mounted in head.cameras.values()}
+    joints, true_joints = (_joints(each, eyes) for each in (head, truth.head))
     if joints != true_joints:
         raise VergenceError(
             f"The truth is of another head: its joints are {true_joints}, those of the calibration "
             f"{joints}."
         )
-    errors = boxminus(head, replace(truth.head, time_offset_s=truth.time_offset_s))
-    mine, true = without_offsets(head), without_offsets(truth.head)
+    known = truth.head.kinematics
+    same: dict[Side, tuple[Joint, ...]] = {
+        eye: (known if eye in eyes else head.kinematics).eyes[eye] for eye in EYES
+    }
+    true_head = replace(truth.head, kinematics=Kinematics(same, known.readings))
+    errors = boxminus(head, replace(true_head, time_offset_s=truth.time_offset_s))
+    mine, true = without_offsets(head), without_offsets(true_head)
     cameras = {}
     for name, mounted in mine.cameras.items():
         turn, shift = _apart(mounted.T_eye_cam, true.cameras[name].T_eye_cam)
@@ -113,12 +121,13 @@ def evaluate(head: HeadCalibration, truth: Truth) -> Evaluation:
     )
 
 
-def _joints(head: HeadCalibration) -> str:
-    """Return the joints of a head as designed, in words."""
+def _joints(head: HeadCalibration, eyes: Collection[Side]) -> str:
+    """Return the joints of some eyes of a head as designed, in words."""
     return ", ".join(
         f"{eye} {joint.name} about {' '.join(f'{x:.3g}' for x in joint.axis)} by "
         + " and ".join(f"{factor:g} {reading}" for reading, factor in joint.readings.items())
         for eye, joints in head.kinematics.eyes.items()
+        if eye in eyes
         for joint in joints
     )
 

@@ -40,7 +40,7 @@ def exchanged_readings(
     readings = observations.at_image_times(head).eye_angles
     swapped = readings.copy()
     swapped[:, [*used[0], *used[1]]] = readings[:, [*used[1], *used[0]]]
-    errors, differences = [], []
+    errors, differences, unknowns = [], [], 1
     for e, eye in enumerate(EYES):
         rows = np.isfinite(T_base_eye[:, e]).all((1, 2))
         T_read, _, by_readings = eye_linearised(head.kinematics, eye, readings[rows])
@@ -55,12 +55,14 @@ def exchanged_readings(
         left = turns.T - known @ np.linalg.lstsq(known, turns.T, rcond=None)[0]
         errors.append(left[:, 0])
         differences.append(left[:, 1])
+        unknowns += known.shape[1]
     error, difference = np.concatenate(errors), np.concatenate(differences)
     # Noise of the readings is in both: it makes of the slopes 0 (right) and 1 (exchanged) any
     # below and above 1/2.
     square = difference @ difference
     slope = error @ difference / max(square, 1e-30)
-    std = np.sqrt(((error - slope * difference) ** 2).mean() / max(square, 1e-30))
+    squares = ((error - slope * difference) ** 2).sum()
+    std = np.sqrt(squares / max(len(error) - unknowns, 1) / max(square, 1e-30))
     if slope - 0.5 > SURE * std:
         return (
             "The images of each eye follow the joint readings of the other: left and right are "
