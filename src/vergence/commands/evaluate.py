@@ -86,7 +86,7 @@ def evaluate(head: HeadCalibration, truth: Truth) -> Evaluation:
             f"The truth is of another head: it has no camera {missing[0]}, only "
             f"{', '.join(truth.head.cameras)}."
         )
-    eyes = {mounted.eye for mounted in head.cameras.values()}
+    eyes: set[Side] = {mounted.eye for mounted in head.cameras.values()}
     joints, true_joints = (_joints(each, eyes) for each in (head, truth.head))
     if joints != true_joints:
         raise VergenceError(
