@@ -20,6 +20,7 @@ from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES, Kinematics
 from vergence.geometry.neck import NECK_JOINTS
 from vergence.geometry.se3 import inverse, pose, transform
+from vergence.twin import renderer
 from vergence.twin.model import (
     CAMERAS,
     T_world_body,
@@ -31,7 +32,7 @@ from vergence.twin.model import (
 from vergence.twin.profile import ErrorProfile, Lens
 from vergence.twin.renderer import Negative, Renderer, overscan_sizes
 from vergence.twin.scene.card import Card
-from vergence.twin.scene.room import PASSER, Scene, passer_position
+from vergence.twin.scene.room import FINENESS, PASSER, Scene, passer_position
 from vergence.twin.sensors import play, read, sensor_columns
 
 _TICK_STEPS = 5
@@ -75,8 +76,9 @@ class Twin:
         The same seed gives the same head, whatever the lens. A board replaces the scene's
         chessboard, a card the red sphere that is its object. The eyes have two joints each or
         more; by default pan, then tilt. Oversampling is that of images that are distorted; None:
-        the renderer's. VergenceError if there is no OpenGL, the model or the scene cannot be
-        loaded, the eyes have fewer joints, or the seed is negative.
+        OVERSAMPLING of the renderer, and as much finer as the scene allows. VergenceError if there
+        is no OpenGL, the model or the scene cannot be loaded, the eyes have fewer joints, or the
+        seed is negative.
         """
         if seed < 0:
             raise VergenceError(f"The seed must be a whole number from 0, found {seed}.")
@@ -97,7 +99,8 @@ class Twin:
         eyes = np.concatenate([chains[eye].mixing for eye in EYES])
         self._mixing: Array = np.asarray(block_diag(np.eye(len(NECK_JOINTS)), eyes))
         self._unmixing = np.linalg.pinv(self._mixing)
-        self._renderer = Renderer(self.model, self.truth, sizes, profile.image, seed, oversampling)
+        finer = renderer.OVERSAMPLING * FINENESS[scene] if oversampling is None else oversampling
+        self._renderer = Renderer(self.model, self.truth, sizes, profile.image, seed, finer)
         self.restart(0)
 
     def restart(self, run: int) -> None:

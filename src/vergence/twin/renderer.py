@@ -23,8 +23,8 @@ from vergence.twin import no_opengl
 from vergence.twin.profile import Image
 
 OVERSAMPLING = 1.5
-"""Oversampling along each axis of an image that is distorted afterwards: interpolation between
-pixels of the camera's own size would shift corners by 0.01 px, in every image alike."""
+"""Oversampling along each axis of an image of the room that is distorted afterwards: interpolation
+between pixels of the camera's own size would shift corners by 0.01 px, in every image alike."""
 FINE = 3.0
 """The same for recorded datasets: corners of a board in wide images are then off by 0.005 px, not
 0.02, and a picture takes three times as long."""
@@ -132,14 +132,14 @@ class Renderer:
         sizes: dict[str, tuple[int, int]],
         image: Image,
         seed: int,
-        oversampling: float | None = None,
+        oversampling: float,
     ):
         """Open OpenGL for a model of a head with its `overscan_sizes`; VergenceError: none.
 
-        Oversampling is of images that are distorted; None: OVERSAMPLING.
+        Oversampling is of images that are distorted.
         """
         self._model, self._image, self._seed = model, image, seed
-        self._oversampling = OVERSAMPLING if oversampling is None else oversampling
+        self._oversampling = oversampling
         self.restart(0)
         self._maps = {
             name: _map(mounted.intrinsics, sizes[name], self._oversampling)

@@ -23,7 +23,10 @@ from vergence.vision.least_squares_matching import WINDOW_PX, match_windows
 
 _MAP_STEP_PX = 8
 _FEATURES = 450
-"""About how many are sought, however large the part is that both eyes see."""
+"""About how many are sought, however large the part is that both eyes see and that has texture."""
+_NOISE_QUANTILE, _ABOVE_NOISE = 0.05, 3.0
+"""Windows without texture show noise alone, as the weakest twentieth of an image does; others have
+gradients this many times as large in the square."""
 _SMALLEST_CELL_PX, _LARGEST_CELL_PX = 10, 24
 _WINDOW_PX = 11
 _LEVELS = 3
@@ -254,13 +257,17 @@ def _best_of_cells(view: np.ndarray, inside: np.ndarray) -> Array:
     """Return pixels (N, 2), one of each cell: where a window determines both directions best.
 
     By the smaller eigenvalue of its structure tensor (Shi and Tomasi). Of every second pixel,
-    `inside` says whether both eyes see it.
+    `inside` says whether both eyes see it. Cells are as small as the part with texture demands:
+    plain walls have no features, and leave theirs to the rest.
     """
     half = cv2.pyrDown(view)  # near enough, and much faster
     smaller = cv2.cornerMinEigenVal(half, WINDOW_PX // 2, ksize=3)
-    whole = _whole_windows(inside)
-    smaller[~whole] = 0
-    side = round(float(np.sqrt(np.count_nonzero(whole) / _FEATURES)))
+    smaller[~_whole_windows(inside)] = 0
+    something = smaller[smaller > 0]
+    if not len(something):
+        return np.empty((0, 2))
+    smaller[smaller < _ABOVE_NOISE * np.quantile(something, _NOISE_QUANTILE)] = 0
+    side = round(float(np.sqrt(np.count_nonzero(smaller) / _FEATURES)))
     side = min(max(side, _SMALLEST_CELL_PX // 2), _LARGEST_CELL_PX // 2)
     rows, columns = (n // side for n in smaller.shape)
     cells = smaller[: rows * side, : columns * side]

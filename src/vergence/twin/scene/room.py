@@ -20,6 +20,9 @@ _FILES: dict[Scene, str] = {
     "sparse": "scene_sparse.xml",
     "moving": "scene_moving.xml",
 }
+FINENESS: dict[Scene, float] = {"room": 1.0, "sparse": 4 / 3, "moving": 1.0}
+"""How much finer pictures of a scene are sampled than those of the room, in the same time: plain
+surfaces are drawn faster than textures."""
 PASSER = "passer"
 """The body that moves by itself, where there is one."""
 _PASSER_M = np.array([0.75, 0.30, 1.20])
