@@ -19,10 +19,17 @@ T_RCAM_LCAM = pose(rotation([0.01, -0.15, 0.02]), [-0.075, 0.002, 0.01])
 WALL_M = 1.5
 
 
-def picture(T_cam_lcam: Array, contrast: float, rng: np.random.Generator) -> np.ndarray:
-    """Return (H, W) what a camera sees of the wall, which stands at WALL_M before the left one."""
+def picture(
+    T_cam_lcam: Array, contrast: float, rng: np.random.Generator, *, plain: float = 0.0
+) -> np.ndarray:
+    """Return (H, W) what a camera sees of the wall, which stands at WALL_M before the left one.
+
+    The lower share `plain` of the wall is without texture.
+    """
     texture = cv2.GaussianBlur(np.random.default_rng(7).normal(0, 1, (1200, 1600)), (0, 0), 2.0)
     texture = (contrast * 60 / texture.std() * texture).astype(np.float32)
+    top, seen_rows = 150, 900  # of the wall, that the left camera sees
+    texture[top + round((1 - plain) * seen_rows) :] *= plain == 0
     u, v = np.meshgrid(np.arange(640.0), np.arange(480.0))
     xy = normalise(CAMERA, np.stack([u, v], axis=-1))
     R, t = T_cam_lcam[:3, :3], T_cam_lcam[:3, 3]
@@ -74,6 +81,19 @@ def test_a_prediction_that_is_wrong_by_a_degree_is_good_enough():
     turned = pose(rotation([0, 0, np.radians(1)]) @ rotation([0, np.radians(1), 0]))
     _, errors = found(1.0, turned @ T_RCAM_LCAM)
     assert (np.abs(errors) < 5).all(axis=1).sum() > 150
+
+
+def test_plain_walls_leave_their_features_to_what_has_texture():
+    """Of what nine tenths show, and what a third shows, nearly as many features are matched."""
+    counts = {}
+    for plain in (0.1, 0.65):
+        rng = np.random.default_rng(0)
+        left, right = (picture(T, 1.0, rng, plain=plain) for T in (np.eye(4), T_RCAM_LCAM))
+        matches = match_scene(
+            left, right, left_camera=CAMERA, right_camera=CAMERA, T_rcam_lcam=T_RCAM_LCAM
+        )
+        counts[plain] = len(matches.left)
+    assert counts[0.65] > 0.7 * counts[0.1]
 
 
 def test_a_covered_eye_gives_no_matches():

@@ -21,6 +21,7 @@ from simulated_frames import (
 from simulated_matches import drawn_head, matches, room, squared_distance, turn_error_deg
 from vergence.geometry.camera import normalise, project
 from vergence.geometry.head import Accuracy, load_head, save_head
+from vergence.geometry.kinematics import EYES
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.parameters import boxplus, parameter_names
 from vergence.geometry.projection import project_point
@@ -209,6 +210,18 @@ def test_lenses_without_a_stated_covariance_err_by_a_tenth_of_a_pixel(kind):
         changed = replace(camera, distortion=camera.distortion + change)
         squares.append(((project(changed, rays) - project(camera, rays)) ** 2).sum(axis=1).mean())
     assert 0.05 < np.sqrt(np.mean(squares)) < 0.12
+
+
+def test_both_eyes_of_a_calibration_without_covariance_are_taken_to_err_alike_in_part():
+    state = begin(head_of(0))
+    std = np.sqrt(np.diag(state.covariance))
+    correlation = state.covariance / np.outer(std, std)
+    for name in ("wide.fx", "wide.k1", "wide.T_eye_cam.tz"):
+        left, right = (state.names.index(f"{eye}_{name}") for eye in EYES)
+        assert correlation[left, right] == pytest.approx(0.5, abs=0.01)
+    gains = [state.names.index(f"{eye}.pan_gain") for eye in EYES]
+    assert correlation[gains[0], gains[1]] == pytest.approx(0.5, abs=0.01)
+    assert np.linalg.eigvalsh(correlation)[0] > 0
 
 
 def test_a_stated_covariance_without_focal_lengths_leaves_a_prior_that_can_be_inverted():

@@ -18,7 +18,7 @@ from vergence.arrays import Array
 from vergence.geometry import se3
 from vergence.geometry.camera import Camera, normalise, project_jacobians
 from vergence.geometry.head import HeadCalibration, stated_covariance, states_covariance
-from vergence.geometry.kinematics import straight_gaze
+from vergence.geometry.kinematics import EYES, straight_gaze
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.parameters import PINHOLE, change_named, intrinsics_names, parameter_names
 from vergence.stereo.extrinsics import T_rcam_lcam
@@ -60,6 +60,10 @@ USUAL = Tolerance(
     axes_m=2e-4,
 )
 """What a calibration that does not state its covariance may be wrong by."""
+_COMMON = 0.5
+"""Share of that variance which both eyes have in common: their lenses and encoders are of one make,
+and one board is shown to both. With a half, neither eyes that have nothing in common nor such that
+are wrong alike are out of proportion."""
 MOVED = Tolerance(
     focal=0.002,
     aspect=1e-4,
@@ -197,12 +201,36 @@ def _std(head: HeadCalibration, name: str, tolerance: Tolerance) -> float:
     return tolerance.axes_m if last.endswith("_m") else tolerance.axes_rad
 
 
+def _with_common(
+    head: HeadCalibration, names: tuple[str, ...], cameras: tuple[str, str], C: Array
+) -> Array:
+    """Return the covariance of parameters of which those of both eyes err alike in part."""
+    lenses = [head.camera(name).intrinsics for name in cameras]
+    alike = lenses[0].model == lenses[1].model
+    of_eyes = [
+        [
+            (f"{left}.{rest}", f"{right}.{rest}")
+            for name in names
+            for owner, _, rest in [name.partition(".")]
+            if owner == left and (alike or rest not in COEFFICIENTS[lenses[0].model])
+        ]
+        for left, right in (cameras, EYES)
+    ]
+    both = [pair for pairs in of_eyes for pair in pairs if pair[1] in names]
+    first, second = ([names.index(pair[k]) for pair in both] for k in (0, 1))
+    left, right = (np.linalg.cholesky(C[np.ix_(each, each)]) for each in (first, second))
+    shared = C.copy()
+    shared[np.ix_(first, second)] = _COMMON * left @ right.T
+    shared[np.ix_(second, first)] = shared[np.ix_(first, second)].T
+    return shared
+
+
 def _of_procedure(head: HeadCalibration, names: tuple[str, ...], cameras: tuple[str, str]) -> Array:
     """Return the covariance of a head whose T_rbase_lbase follows from static stereo (Eq. 10).
 
     Its error is that of the static stereo, and what the mountings' errors do to it.
     """
-    C = tolerance_covariance(head, names, USUAL)
+    C = _with_common(head, names, cameras, tolerance_covariance(head, names, USUAL))
     base = [k for k, name in enumerate(names) if name.startswith("T_rbase_lbase")]
     zero = straight_gaze(head.kinematics)
     straight = T_rcam_lcam(head, zero, cameras=cameras)

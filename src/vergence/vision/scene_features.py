@@ -24,9 +24,9 @@ from vergence.vision.least_squares_matching import WINDOW_PX, match_windows
 _MAP_STEP_PX = 8
 _FEATURES = 450
 """About how many are sought, however large the part is that both eyes see and that has texture."""
-_NOISE_QUANTILE, _ABOVE_NOISE = 0.05, 3.0
-"""Windows without texture show noise alone, as the weakest twentieth of an image does; others have
-gradients this many times as large in the square."""
+_ABOVE_NOISE, _BELOW_TEXTURE = 3.0, 0.01
+"""Cells have no texture whose squared gradients are below both: so many times those of the weakest
+twentieth, which show noise alone if any do, and this share of those of the strongest."""
 _SMALLEST_CELL_PX, _LARGEST_CELL_PX = 10, 24
 _WINDOW_PX = 11
 _LEVELS = 3
@@ -257,26 +257,36 @@ def _best_of_cells(view: np.ndarray, inside: np.ndarray) -> Array:
     """Return pixels (N, 2), one of each cell: where a window determines both directions best.
 
     By the smaller eigenvalue of its structure tensor (Shi and Tomasi). Of every second pixel,
-    `inside` says whether both eyes see it. Cells are as small as the part with texture demands:
-    plain walls have no features, and leave theirs to the rest.
+    `inside` says whether both eyes see it. Plain walls have no features, and leave theirs to the
+    rest, whose cells are the smaller.
     """
     half = cv2.pyrDown(view)  # near enough, and much faster
     smaller = cv2.cornerMinEigenVal(half, WINDOW_PX // 2, ksize=3)
-    smaller[~_whole_windows(inside)] = 0
-    something = smaller[smaller > 0]
-    if not len(something):
-        return np.empty((0, 2))
-    smaller[smaller < _ABOVE_NOISE * np.quantile(something, _NOISE_QUANTILE)] = 0
-    side = round(float(np.sqrt(np.count_nonzero(smaller) / _FEATURES)))
-    side = min(max(side, _SMALLEST_CELL_PX // 2), _LARGEST_CELL_PX // 2)
-    rows, columns = (n // side for n in smaller.shape)
-    cells = smaller[: rows * side, : columns * side]
+    whole = _whole_windows(inside)
+    smaller[~whole] = 0
+    wanted_px = np.sqrt(np.count_nonzero(whole) / _FEATURES)
+    at, best = _strongest(smaller, wanted_px)
+    if not len(at):
+        return at
+    weak, strong = np.quantile(best, [0.05, 0.95])
+    least = min(_ABOVE_NOISE * weak, _BELOW_TEXTURE * strong)
+    textured = np.count_nonzero(best > least) / len(best)
+    at, best = _strongest(smaller, wanted_px * np.sqrt(textured))
+    return 2 * at[best > least]
+
+
+def _strongest(values: np.ndarray, side_px: float) -> tuple[Array, np.ndarray]:
+    """Return where (N, 2) the largest positive value of each cell is, and these values (N,)."""
+    side = min(max(round(float(side_px)), _SMALLEST_CELL_PX // 2), _LARGEST_CELL_PX // 2)
+    rows, columns = (n // side for n in values.shape)
+    cells = values[: rows * side, : columns * side]
     cells = cells.reshape(rows, side, columns, side).swapaxes(1, 2)
     cells = cells.reshape(rows, columns, -1)
-    best = cells.argmax(axis=-1)
-    row, column = np.nonzero(cells.max(axis=-1) > 0)
+    largest, best = cells.max(axis=-1), cells.argmax(axis=-1)
+    row, column = np.nonzero(largest > 0)
     down, across = np.divmod(best[row, column], side)
-    return 2.0 * np.stack([column * side + across, row * side + down], axis=-1)
+    at = np.stack([column * side + across, row * side + down], axis=-1).astype(float)
+    return at, largest[row, column]
 
 
 def _whole_windows(inside: np.ndarray) -> np.ndarray:
