@@ -27,7 +27,7 @@ from vergence.geometry import se3
 from vergence.geometry.camera import normalise, project
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named
-from vergence.paper.comparison import LEARNED, comparison, learn_around
+from vergence.paper.comparison import comparison, learn_around
 from vergence.paper.figures import FIGURES, default_duration_s
 from vergence.self_calibration.frame import from_matches, locate_seen, self_calibrate_frame
 from vergence.self_calibration.learning import learn
@@ -265,7 +265,7 @@ def main(figures: tuple[int, ...] = (6, 8, 9, 10, 11), samples: int = 40, seed: 
                 taken_now = taken(
                     twin, head, with_sensors(twin.truth, twin.profile.joints), figure, samples
                 )
-                report(head, figure, taken_now, compared.states[LEARNED])
+                report(head, figure, taken_now, compared.learning.known)
 
 
 if __name__ == "__main__":

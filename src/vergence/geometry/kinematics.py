@@ -143,6 +143,11 @@ class Kinematics:
         return {eye: _eye_chain(self.eyes[eye], self.readings) for eye in EYES}
 
     @cached_property
+    def parameters(self) -> Mapping[Side, list[tuple[int, str]]]:
+        """By eye what may differ of its joints: see joint_parameters."""
+        return {eye: joint_parameters(self.eyes[eye]) for eye in EYES}
+
+    @cached_property
     def errors(self) -> Mapping[Side, tuple[_Error, ...]]:
         """By eye what may differ of its joints, in the order of joint_parameters."""
         return {eye: _errors(self.eyes[eye], self.readings) for eye in EYES}

@@ -18,7 +18,7 @@ from vergence.errors import VergenceError
 from vergence.geometry import se3
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, MountedCamera
-from vergence.geometry.kinematics import EYES, Side, change_joints, joint_parameters, joint_value
+from vergence.geometry.kinematics import EYES, Side, change_joints, joint_value
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.se3 import inverse, pose, rotation
 
@@ -49,7 +49,8 @@ def parameter_names(head: HeadCalibration) -> tuple[str, ...]:
 def axes_names(head: HeadCalibration, eye: Side) -> tuple[str, ...]:
     """Return the names of the parameters of an eye's joints, such as left.pan_gain."""
     joints = head.kinematics.eyes[eye]
-    return tuple(f"{eye}.{joints[k].name}_{name}" for k, name in joint_parameters(joints))
+    parameters = head.kinematics.parameters[eye]
+    return tuple(f"{eye}.{joints[k].name}_{name}" for k, name in parameters)
 
 
 def camera_columns(head: HeadCalibration, camera: str) -> np.ndarray:
@@ -183,7 +184,7 @@ def _vector(head: HeadCalibration) -> Array:
     axes = [
         joint_value(head.kinematics.eyes[eye][k], name)
         for eye in EYES
-        for k, name in joint_parameters(head.kinematics.eyes[eye])
+        for k, name in head.kinematics.parameters[eye]
     ]
     return np.concatenate([*own, pose, axes, [head.time_offset_s]])
 

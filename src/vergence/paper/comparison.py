@@ -10,9 +10,13 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
 from vergence.self_calibration.frame import from_matches, locate_seen, self_calibrate_frame
-from vergence.self_calibration.learning import learn
+from vergence.self_calibration.sequence import (
+    SeenGeometry,
+    after_frame,
+    initial_seen_geometry,
+    update_geometry,
+)
 from vergence.self_calibration.state import (
-    SelfCalibrated,
     SelfCalibration,
     initial_self_calibration,
 )
@@ -24,6 +28,8 @@ from vergence.vision.sphere import STD_PX
 PAPER, SINGLE, LEARNED, FLOOR = "paper", "single-frame", "learned", "floor"
 _KNOWN = 1e-8
 """Share of the prior's covariance that is left where the true head is given."""
+_NECK = np.zeros(3)
+"""Readings of the neck, which rests."""
 
 
 @dataclass(eq=False)
@@ -31,20 +37,18 @@ class Comparison:
     """Self-calibration of one lens, fed frame by frame."""
 
     states: dict[str, SelfCalibration]
-    """What is known of the head, by method; that of `learned` changes with every frame."""
+    """What is known of the head, by method that does not learn."""
+    learning: SeenGeometry
+    """What is known of the head by the one that does; it changes with every frame."""
     points: dict[str, list[Array]] = field(default_factory=dict)
     """Position (3,) [m] in frame lbase of each sample, by method; NaN: not located."""
     stds: dict[str, list[float]] = field(default_factory=dict)
     """Stated standard deviation of depth [m] of each sample, by method."""
-    last: dict[str, SelfCalibrated] = field(default_factory=dict)
-    """Head and joints of the last frame, by method."""
-    _time_s: float | None = None
 
     def begin(self) -> None:
         """Begin a figure: what was learned stays."""
-        self.points = {method: [] for method in self.states}
-        self.stds = {method: [] for method in self.states}
-        self._time_s = None
+        self.points = {method: [] for method in (SINGLE, LEARNED, *self.states)}
+        self.stds = {method: [] for method in self.points}
 
     def add(
         self, images: Mapping[str, np.ndarray], joints: Array, pixels: Mapping[str, Array], t: float
@@ -52,7 +56,8 @@ class Comparison:
         """Locate the object in a sample, by its pixels (2,) in both images, at a time [s]."""
         left, right = self.states[SINGLE].cameras
         first = self_calibrate_frame(self.states[SINGLE], images[left], images[right], joints)
-        for method, state in self.states.items():
+        known = {LEARNED: self.learning.known, **self.states}
+        for method, state in known.items():
             seen = first
             if method != SINGLE:
                 seen = from_matches(state, first.matches, joints, images=first.images)
@@ -61,29 +66,21 @@ class Comparison:
             )
             self.points[method].append(found.xyz[0])
             self.stds[method].append(float(np.sqrt(found.covariance[0, 0, 0])))
-            self.last[method] = seen
-        if LEARNED in self.states:
-            elapsed_s = 0.0 if self._time_s is None else t - self._time_s
-            self.states[LEARNED] = learn(self.states[LEARNED], self.last[LEARNED], elapsed_s)
-        self._time_s = t
+            if method == LEARNED:
+                self.learning = after_frame(self.learning, seen, t, _NECK)
 
 
 def comparison(head: HeadCalibration, twin: Twin, *, floor: bool) -> Comparison:
     """Return a comparison for a calibration; floor: also with the true head, for evaluation."""
-    before = initial_self_calibration(head, fresh=True)  # the twin was calibrated for this
-    states = {SINGLE: before, LEARNED: before}
+    before = initial_seen_geometry(head, fresh=True)  # the twin was calibrated for this
+    states = {SINGLE: before.known}
     if floor:
         known = initial_self_calibration(with_sensors(twin.truth, twin.profile.joints))
         states[FLOOR] = replace(known, covariance=known.covariance * _KNOWN)
-    return Comparison(states)
+    return Comparison(states, before)
 
 
 def learn_around(twin: Twin, compared: Comparison, run: int) -> None:
     """Let the learned head see the room alone; see `looking_around.look_around`."""
-    before: float | None = None
-    for frame in look_around(twin, compared.states[LEARNED].cameras, run=run):
-        state = compared.states[LEARNED]
-        left, right = (frame.images[name] for name in state.cameras)
-        seen = self_calibrate_frame(state, left, right, frame.eye_angles)
-        elapsed_s = 0.0 if before is None else frame.time_s - before
-        compared.states[LEARNED], before = learn(state, seen, elapsed_s), frame.time_s
+    for frame in look_around(twin, compared.learning.known.cameras, run=run):
+        compared.learning = update_geometry(compared.learning, frame)

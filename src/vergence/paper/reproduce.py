@@ -180,7 +180,7 @@ def _replay_chain(
                 progress=progress,
             )
     if compared is not None:
-        learned = learned_head(compared.states[LEARNED])
+        learned = learned_head(compared.learning.known)
         save_head(learned, out / f"learned-{figures[0].lens}.json")
 
 
@@ -238,16 +238,17 @@ def record_replay(
     """Replay one figure on rendered images, as `replay` does, and record it."""
     beside = known = None
     if compared is not None:
-        beside, known = LEARNED if method == PAPER else PAPER, compared.states[LEARNED]
+        beside, known = LEARNED if method == PAPER else PAPER, compared.learning.known
     geoms = visual_geoms(twin.model)
     with figure_recording(path, figure, calibration, geoms, beside=beside, known=known) as rec:
 
         def observe(*, frame: Frame | None, **sample: Any) -> None:
             log_frame(rec, calibration, frame=frame, **sample)
             if compared is not None:
-                log_learned(rec, calibration, compared.states[LEARNED])
-                if frame is not None:
-                    log_matches(rec, calibration, compared.last[LEARNED])
+                now = compared.learning
+                log_learned(rec, calibration, now.known)
+                if frame is not None and now.latest is not None:
+                    log_matches(rec, calibration, now.latest)
 
         result = replay(
             twin,

@@ -13,12 +13,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from vergence.arrays import Array
 from vergence.geometry.head import Accuracy, HeadCalibration
 from vergence.geometry.parameters import change_between, change_named
 from vergence.self_calibration.frame import from_matches
 from vergence.self_calibration.keyframe import TURNED_RAD, track_keyframe
-from vergence.self_calibration.prior import BUMP, UNCALIBRATED, tolerance_covariance
+from vergence.self_calibration.prior import (
+    BUMP,
+    UNCALIBRATED,
+    Tolerance,
+    tolerance_covariance,
+)
 from vergence.self_calibration.state import (
     Keyframe,
     Past,
@@ -32,6 +36,7 @@ _WINDOW = 3
 """Frames that are examined together for a change of the head; two at least."""
 _LINEARISED_AGAIN = (4, 8, 16, 32, 64)
 """Numbers of first frames, after which all of them are linearised again; then they are dropped."""
+_CHANGES = (BUMP, UNCALIBRATED)
 _CHANGE_EVIDENCE = 2 * np.log(1e5)
 """Twice the logarithm of how much likelier a change must make the window: it is rare."""
 
@@ -57,8 +62,7 @@ def learn_tracked(
     state = replace(state, bumped=False, uncalibrated=False)
     if seen.evidence is None:
         return drifted(state, elapsed_s)
-    frame = Past(_alone(state), replace(seen, images=None), tracked, elapsed_s)
-    past = (*state.past, frame)
+    past = (*state.past, _remembered(state, replace(seen, images=None), tracked, elapsed_s))
     changed = _after_change(past[-_WINDOW:])
     if changed is not None:
         return changed
@@ -69,8 +73,20 @@ def learn_tracked(
     return learned if state.settled else _settling(learned)
 
 
-def _alone(state: SelfCalibration) -> SelfCalibration:
-    return replace(state, past=(), keyframe=None)
+def _remembered(
+    state: SelfCalibration, seen: SelfCalibrated, tracked: TrackedFeatures | None, elapsed_s: float
+) -> Past:
+    """Return a frame, seen from a state, as it is kept."""
+    before = replace(state, past=(), keyframe=None)
+    known = [before, *(_freed(before, tolerance) for tolerance in _CHANGES)]
+    likelihoods = tuple(log_likelihood(each, seen, elapsed_s) for each in known)
+    return Past(before, seen, tracked, elapsed_s, likelihoods)
+
+
+def _freed(state: SelfCalibration, tolerance: Tolerance) -> SelfCalibration:
+    """Return what is known of a head that may have changed."""
+    free = tolerance_covariance(state.head, state.names, tolerance)
+    return replace(state, covariance=state.covariance + free)
 
 
 def _settling(state: SelfCalibration) -> SelfCalibration:
@@ -97,20 +113,15 @@ def _after_change(past: tuple[Past, ...]) -> SelfCalibration | None:
 
     Either a camera was bumped, or the head is not as it was calibrated.
     """
-    state = past[-1].state
-    fixed = [log_likelihood(each.state, each.seen, each.elapsed_s) for each in past]
     best, found = 0.0, None
-    for tolerance in (BUMP, UNCALIBRATED):
-        free = tolerance_covariance(state.head, state.names, tolerance)
-        freed = [
-            log_likelihood(_freed(each, free).state, each.seen, each.elapsed_s) for each in past
-        ]
-        if not any(one > other for one, other in zip(freed, fixed, strict=True)):
+    for k, tolerance in enumerate(_CHANGES, start=1):
+        if not any(each.likelihoods[k] > each.likelihoods[0] for each in past):
             continue
-        for first in range(len(past)):
-            frames = (_freed(past[first], free), *past[first + 1 :])
+        for first, frame in enumerate(past):
+            changed = replace(frame, state=_freed(frame.state, tolerance))
+            frames = (changed, *past[first + 1 :])
             after, likelihood = _estimated_again(frames)
-            gain = likelihood - sum(fixed[first:])
+            gain = likelihood - sum(each.likelihoods[0] for each in past[first:])
             if gain > best:
                 best, found = gain, (frames, after, tolerance is BUMP)
     # One frame alone may be a wrong one: the next will tell.
@@ -121,12 +132,6 @@ def _after_change(past: tuple[Past, ...]) -> SelfCalibration | None:
     return replace(after, bumped=bumped, uncalibrated=not bumped, settled=False, keyframe=None)
 
 
-def _freed(frame: Past, free: Array) -> Past:
-    """Return a frame before which the head may have changed."""
-    state = replace(frame.state, covariance=frame.state.covariance + free)
-    return replace(frame, state=state)
-
-
 def _estimated_again(
     past: tuple[Past, ...], *, at: HeadCalibration | None = None
 ) -> tuple[SelfCalibration, float]:
@@ -134,7 +139,7 @@ def _estimated_again(
 
     Each is linearised anew, at a head, or else where the ones before it have led.
     """
-    state, likelihood, again = past[0].state, 0.0, []
+    state, likelihood, again = past[0].state, 0.0, list[Past]()
     for each in past:
         about = state if at is None else replace(state, head=at)
         seen = from_matches(about, each.seen.matches, each.seen.readings, at_head=at is not None)
@@ -142,8 +147,8 @@ def _estimated_again(
             return state, -np.inf
         evidence = evidence_about(state, seen.evidence, about.head)
         seen = replace(seen, evidence=evidence)
-        likelihood += log_likelihood(state, seen, each.elapsed_s)
-        again.append(Past(_alone(state), seen, each.tracked, each.elapsed_s))
+        again.append(_remembered(state, seen, each.tracked, each.elapsed_s))
+        likelihood += again[-1].likelihoods[0]
         state = updated(state, seen, evidence, each.tracked, each.elapsed_s)
     return replace(state, past=tuple(again)), likelihood
 

@@ -101,20 +101,39 @@ def update_geometry(
         lens = known.head.camera(name).intrinsics
         check_image_fits(name, lens, frame.images[name].shape, whose="the frame's")
     left, right = (frame.images[name] for name in known.cameras)
-    neck = frame.neck_angles
-    moved = before.keyframe_neck is None or bool(
-        np.abs(neck - before.keyframe_neck).max() > _NECK_STDS * known.joint_std_rad
+    before = _keyframe_while_neck_rests(before, frame.neck_angles)
+    latest = self_calibrate_frame(before.known, left, right, joints)
+    return after_frame(before, latest, frame.time_s, frame.neck_angles)
+
+
+def _keyframe_while_neck_rests(before: SeenGeometry, neck: Array) -> SeenGeometry:
+    """Return the geometry without a keyframe from before a motion of the neck (3,) [rad]."""
+    rests = before.keyframe_neck is not None and bool(
+        np.abs(neck - before.keyframe_neck).max() <= _NECK_STDS * before.known.joint_std_rad
     )
-    known = replace(known, keyframe=None) if moved else known
-    latest = self_calibrate_frame(known, left, right, joints)
+    return before if rests else replace(before, known=replace(before.known, keyframe=None))
+
+
+def after_frame(
+    before: SeenGeometry, latest: SelfCalibrated, time_s: float, neck: Array
+) -> SeenGeometry:
+    """Return the geometry after a frame that was estimated with what was known before it.
+
+    Args:
+        before: after the frame before.
+        latest: the frame, of `frame.self_calibrate_frame`.
+        time_s: when it was taken [s].
+        neck: (3,) readings of the neck [rad].
+    """
+    known, joints = before.known, latest.readings
     if before.learned_s is None or before.learned_at is None:
-        return SeenGeometry(known, latest, frame.time_s, frame.time_s, joints, neck)
-    elapsed_s = frame.time_s - before.learned_s
+        return SeenGeometry(known, latest, time_s, time_s, joints, neck)
+    elapsed_s = time_s - before.learned_s
     at_rest = np.abs(joints - before.learned_at).max() < MOVED_RAD
     if at_rest or 0 < elapsed_s < LEARNING_S - _SLACK_S:
-        return replace(before, latest=latest, time_s=frame.time_s)
+        return replace(before, latest=latest, time_s=time_s)
     learned = learn(known, latest, max(elapsed_s, 0.0))
     key, last = learned.keyframe, known.keyframe
-    if key is not None and last is not None and key.images is last.images:
-        neck = before.keyframe_neck
-    return SeenGeometry(learned, latest, frame.time_s, frame.time_s, joints, neck)
+    same = key is not None and last is not None and key.images is last.images
+    at_keyframe = before.keyframe_neck if same else neck
+    return SeenGeometry(learned, latest, time_s, time_s, joints, at_keyframe)

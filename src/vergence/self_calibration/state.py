@@ -90,6 +90,9 @@ class Past:
     """Features of an earlier frame that were found in it."""
     elapsed_s: float
     """Since the frame before."""
+    likelihoods: tuple[float, ...]
+    """Logarithms, up to a constant, given the head as it was known and given each change that it
+    may have undergone before the frame."""
 
 
 @dataclass(frozen=True, eq=False)
