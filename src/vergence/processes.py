@@ -19,6 +19,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from typing import Any, Protocol, TypeVar
 
+import cv2
 import joblib
 
 from vergence.errors import VergenceError
@@ -128,19 +129,21 @@ def _start(workers: list[tuple[SpawnProcess, Connection]], count: int) -> None:
     resource_tracker.ensure_running()  # else it would start with them, and let signals through
     signal.pthread_sigmask(signal.SIG_BLOCK, _STOP)
     context = multiprocessing.get_context("spawn")  # a copy of this one could not use OpenGL
+    threads = max(1, joblib.effective_n_jobs(-1) // count)
     while len(workers) < count:
         ours, theirs = context.Pipe()
-        process = context.Process(target=_work, args=(theirs,), daemon=True)
+        process = context.Process(target=_work, args=(theirs, threads), daemon=True)
         process.start()
         theirs.close()  # so that either side notices when the other has ended
         workers.append((process, ours))
 
 
-def _work(link: Connection) -> None:
-    """Do tasks until the other end is closed."""
+def _work(link: Connection, threads: int) -> None:
+    """Do tasks until the other end is closed, with so many threads of OpenCV."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever started this process ends it
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _STOP)
+    cv2.setNumThreads(threads)  # more than there are cores would wait for each other
     try:
         while True:
             task, before = link.recv(), len(finished_files())
