@@ -41,9 +41,11 @@ _SAME_WINDOWS_RAD, _SAME_SURFACES_RAD = np.radians([1.2, 9.0])
 to 1 / e: one half by the windows themselves, one by what surrounds them, which stays in its block.
 Fitted to rendered sequences (both lenses, four heads): 0.4 at the same posture,
 0.22 at 1.5 degrees, 0.16 at 4, 0.1 at 8, 0.03 at 17, none at 40; as much within 3 s as later."""
-_FADING_S = 120.0
-"""Time in which the same is new again: an assumption, without which a slow drift of the head would
-not show to eyes that have been everywhere."""
+_FADING_S = 600.0
+"""Time in which the same is new again: an assumption, without which a head that has drifted while
+its eyes rested would be learned slowly. Rendered errors do not fade within nine minutes; with two
+minutes instead of ten, what is learned in five came out 1.3 times farther from the truth, relative
+to what is stated."""
 _EXPECTED_RECURRENCE = 0.4
 """Correlation of errors at the same posture, before it is measured."""
 _MOST_RECURRENCE = 0.95
