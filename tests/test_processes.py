@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
+import cv2
 import pytest
 
 from vergence.errors import VergenceError
@@ -161,3 +162,13 @@ def test_no_process_at_all_is_refused():
         process_count(0)
     assert process_count(3) == 3
     assert process_count(-1) >= 1
+
+
+def opencv_threads(progress: Progress) -> Iterator[int]:
+    yield cv2.getNumThreads()
+
+
+def test_processes_share_the_cores_among_threads_of_opencv():
+    with processes(2) as run:
+        counts = list(run([opencv_threads, opencv_threads], silent))
+    assert counts == 2 * [max(1, process_count(-1) // 2)]

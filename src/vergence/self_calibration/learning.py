@@ -37,7 +37,7 @@ _WINDOW = 3
 _LINEARISED_AGAIN = (4, 8, 16, 32, 64)
 """Numbers of first frames, after which all of them are linearised again; then they are dropped."""
 _CHANGES = (BUMP, UNCALIBRATED)
-"""What a head may have undergone before a frame."""
+"""How far a bump, or an uncalibrated head, may be from what was known before a frame."""
 _CHANGE_EVIDENCE = 2 * np.log(1e5)
 """Twice the logarithm of how much likelier a change must make the window: it is rare."""
 

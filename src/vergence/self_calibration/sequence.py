@@ -35,8 +35,8 @@ LEARNING_S = 0.1
 the same features with the same errors: they are no independent measurements."""
 MOVED_RAD = float(np.radians(1.0))
 """Least change of a reading between them, for the same reason: about half the width of the windows
-that are matched. Eyes at rest see the same again. With two degrees five seconds teach less, and
-depth is up to a fourth less steady after them."""
+that are matched. Eyes at rest see the same again. With two degrees five seconds teach less: the
+spread of depth in Fig. 6, which comes next, was then up to 1.4 times as large."""
 _NECK_STDS = 3.0
 """Change of a reading of the neck, in standard deviations of the eyes' readings, from which the
 head has moved: then not only eyes have turned, and features are not tracked."""
