@@ -129,8 +129,13 @@ def _fit(
     state: SelfCalibration, matches: Matches, joints: Array, C: Array, at_head: bool = False
 ) -> tuple[Array, Array, Evidence]:
     """Return the change (K,) that matches and prior give, weights (N,), and what matches say."""
+
+    def linearised(z: Array, some: np.ndarray) -> tuple[Array, Array]:
+        those = Matches(matches.left[some], matches.right[some], matches.covariance[some])
+        return _whitened(state, *_changed(state, joints, z), those)
+
     return robust_fit(
-        lambda z: _whitened(state, *_changed(state, joints, z), matches),
+        linearised,
         C,
         pixels=matches.left,
         match_scale=state.match_scale,

@@ -168,8 +168,13 @@ def _fit(
     matches, K = tracked.matches[k], len(C)
     with_depth = np.eye(K + 1)
     with_depth[:K, :K] = C
+
+    def linearised(z: Array, some: np.ndarray) -> tuple[Array, Array]:
+        y, A = _whitened(state, seen, tracked, k, about + z[:K], float(z[K]))
+        return y[some], A[some]
+
     change, weights, says = robust_fit(
-        lambda z: _whitened(state, seen, tracked, k, about + z[:K], float(z[K])),
+        linearised,
         with_depth,
         pixels=np.repeat(matches.left, 2, axis=0),
         match_scale=state.match_scale,

@@ -3,7 +3,8 @@
 A calibration that states its covariance brings it along. One that does not, such as that of the
 paper's method, is given the errors that such procedures usually have, in the quantities that they
 measure: lenses, mountings, gains, and the pose of the cameras to each other at straight gaze,
-which is known far better than the mountings. What has moved since is added to both, unless the head
+which is known far better than the mountings; best of all, how well epipolar lines fit there, since
+both cameras saw the same board. What has moved since is added to both, unless the head
 has just been calibrated.
 """
 
@@ -21,7 +22,9 @@ from vergence.geometry.head import HeadCalibration, stated_covariance, states_co
 from vergence.geometry.kinematics import EYES, straight_gaze
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.parameters import PINHOLE, change_named, intrinsics_names, parameter_names
-from vergence.stereo.extrinsics import T_rcam_lcam
+from vergence.geometry.projection import project_point
+from vergence.self_calibration.residuals import epipolar_residuals
+from vergence.stereo.extrinsics import T_rcam_lcam, camera_poses
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,9 @@ class Tolerance:
     stereo_turn_rad: float = 0.0
     """Turn of the cameras to each other at straight gaze, or of the bases."""
     stereo_shift_m: float = 0.0
+    epipolar_px: float = 0.0
+    """Root mean square over the image of how far points lie from their epipolar lines at straight
+    gaze, by wrong lenses and poses together. 0: whatever these make it."""
     gain: float = 0.0
     axes_rad: float = 0.0
     axes_m: float = 0.0
@@ -55,6 +61,7 @@ USUAL = Tolerance(
     shift_m=3e-3,
     stereo_turn_rad=np.radians(0.3),
     stereo_shift_m=2e-4,
+    epipolar_px=0.3,
     gain=0.03,
     axes_rad=np.radians(0.2),
     axes_m=2e-4,
@@ -105,6 +112,11 @@ UNCALIBRATED = Tolerance(
 """What a head may be wrong by that is known from its drawing only, or is not as calibrated."""
 _GRID = 16
 """Places along each axis of the image where a lens is looked at."""
+_BASELINES_AWAY = 5.0, 20.0
+"""Depths at which boards are shown."""
+_SHOWN_BY_LINES = 4
+"""What epipolar lines show of a pair at straight gaze, since it displaces points differently over
+the image: pitch and roll of one camera to the other, vergence, and the ratio of focal lengths."""
 _LARGEST_COEFFICIENT = 0.01
 """Standard deviation of any combination of a lens's coefficients: some of a rational lens show
 nothing, and would change by more than is linear."""
@@ -172,15 +184,20 @@ def _of_lens(camera: Camera, free: Sequence[int], lens_px: float) -> Array:
 
     Root mean square over the image; each coefficient by itself is less certain than all together.
     """
-    u, v = np.meshgrid(
-        *((np.arange(_GRID) + 0.5) / _GRID * n - 0.5 for n in (camera.width, camera.height))
-    )
-    xy = normalise(camera, np.stack([u.ravel(), v.ravel()], axis=1))
+    xy = normalise(camera, _pixels(camera))
     xy = xy[np.isfinite(xy).all(axis=1)]
     _, _, by_lens = project_jacobians(camera, np.column_stack([xy, np.ones(len(xy))]))
     J = by_lens[:, :, len(PINHOLE) :][:, :, free]
     shown = len(free) * np.einsum("nij,nik->jk", J, J) / len(xy) / lens_px**2
     return np.linalg.inv(shown + np.eye(len(free)) / _LARGEST_COEFFICIENT**2)
+
+
+def _pixels(camera: Camera) -> Array:
+    """Return pixels (N, 2) evenly spread over an image."""
+    u, v = np.meshgrid(
+        *((np.arange(_GRID) + 0.5) / _GRID * n - 0.5 for n in (camera.width, camera.height))
+    )
+    return np.stack([u.ravel(), v.ravel()], axis=1)
 
 
 def _std(head: HeadCalibration, name: str, tolerance: Tolerance) -> float:
@@ -247,4 +264,31 @@ def _of_procedure(head: HeadCalibration, names: tuple[str, ...], cameras: tuple[
     mixing = np.eye(len(names))
     mixing[base] = -back @ by
     mixing[np.ix_(base, base)] = back
-    return mixing @ C @ mixing.T
+    C = mixing @ C @ mixing.T
+    J = _by_epipolar_lines(head, names, cameras)
+    noise = USUAL.epipolar_px**2 * len(J) / _SHOWN_BY_LINES * np.eye(len(J))
+    C = C - C @ J.T @ np.linalg.solve(J @ C @ J.T + noise, J @ C)
+    return (C + C.T) / 2
+
+
+def _by_epipolar_lines(
+    head: HeadCalibration, names: tuple[str, ...], cameras: tuple[str, str]
+) -> Array:
+    """Return how parameters (N, P) displace points from their epipolar lines at straight gaze [px].
+
+    Of points all over the image that both cameras see; N is 0 if there are none.
+    """
+    straight = straight_gaze(head.kinematics)
+    T_left, T_right = camera_poses(head, straight, cameras=cameras)
+    lenses = [head.camera(name).intrinsics for name in cameras]
+    baseline = float(np.linalg.norm(T_right[:3, 3] - T_left[:3, 3]))
+    left = np.tile(_pixels(lenses[0]), (len(_BASELINES_AWAY), 1))
+    depths = np.repeat(_BASELINES_AWAY, len(left) // len(_BASELINES_AWAY)) * baseline
+    rays = np.column_stack([normalise(lenses[0], left), np.ones(len(left))])
+    points = se3.transform(T_left, rays * depths[:, None])
+    right = project_point(head, cameras[1], straight, points)
+    edge = np.array([lenses[1].width, lenses[1].height]) - 1
+    both = ((right >= 0) & (right <= edge)).all(axis=1)  # NaN: not seen
+    found = epipolar_residuals(head, straight, left[both], right[both], cameras)
+    known = parameter_names(head)
+    return found.by_parameters[:, [known.index(name) for name in names]]

@@ -1,8 +1,8 @@
 """Robust linearised fits with a Gaussian prior: the estimator of self-calibration.
 
-Residuals are in standard deviations. Many of them may be wrong: the best of many hypotheses from
-three residuals each starts a reweighted fit with a fixed scale, which is linearised again where it
-ended. What the residuals say is kept apart from the prior, as normal equations.
+Residuals are in standard deviations. Many of them may be wrong: some of them start, by the best of
+many hypotheses from three each and a reweighted fit with a fixed scale; where that ended, all are
+linearised, and fitted likewise. What they say is kept apart from the prior, as normal equations.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from vergence.self_calibration.state import Evidence
 _HYPOTHESES = 300
 _STEPS = 4
 """Steps of reweighted least squares, of which a fit has two."""
-_JUDGES = 250
-"""Residuals that choose among them; more take longer, and choose no better."""
+_FIRST = 300
+"""Residuals that start a fit; more take longer, and start no better."""
 INLIER = 0.3
 """Weight from which a residual fits."""
 FEWEST = 12.0
@@ -37,7 +37,7 @@ GATE = 1e-7
 
 
 def robust_fit(
-    linearised: Callable[[Array], tuple[Array, Array]],
+    linearised: Callable[[Array, np.ndarray], tuple[Array, Array]],
     C: Array,
     *,
     pixels: Array,
@@ -48,8 +48,8 @@ def robust_fit(
     """Return the change (K,) that residuals and prior give, weights (N,), and what residuals say.
 
     Args:
-        linearised: returns the residuals (N,) [standard deviations] after a change (K,), and their
-            derivatives (N, K) there, with the sign of what is predicted.
+        linearised: returns residuals (n,) [standard deviations] of some (n,) of the pixels, after a
+            change (K,), and their derivatives (n, K) there, with the sign of what is predicted.
         C: (K, K) prior covariance of the change.
         pixels: (N, 2) where the residuals are in the image.
         match_scale: noise that the standard deviations assume, relative to what windows tell.
@@ -57,10 +57,12 @@ def robust_fit(
         fixed: how many of the first unknowns stay at zero where residuals are linearised again.
     """
     first, prior = np.zeros(len(C)), C[fixed:, fixed:]
-    y, A = linearised(first)
+    everyone = np.arange(len(pixels))
+    few = np.linspace(0, len(pixels), min(len(pixels), _FIRST), endpoint=False, dtype=int)
+    y, A = linearised(first, few)
     start = _best_hypothesis(y, A[:, fixed:], prior)
     first[fixed:] = _reweighted(y, A[:, fixed:], prior, start)
-    y, A = linearised(first)
+    y, A = linearised(first, everyone)
     y = y + A @ first  # of the linear model about no change
     z = _reweighted(y, A, C, first)
     weights, scale2 = tukey_weights(y - A @ z), noise_variance(y - A @ z)
@@ -80,13 +82,9 @@ def robust_fit(
 
 def _best_hypothesis(y: Array, A: Array, C: Array) -> Array:
     """Return the change (K,) by three residuals and the prior that most others agree with."""
-    rng = np.random.default_rng(0)
-    if len(y) > _JUDGES:
-        some = rng.choice(len(y), _JUDGES, replace=False)
-        y, A = y[some], A[some]
     AC = A @ C
     G = AC @ A.T
-    triples = rng.integers(0, len(y), (_HYPOTHESES, 3))
+    triples = np.random.default_rng(0).integers(0, len(y), (_HYPOTHESES, 3))
     G3 = G[triples[:, :, None], triples[:, None, :]]
     pull = np.linalg.solve(G3 + np.eye(3), y[triples][..., None])[..., 0]
     pull = np.concatenate([np.zeros((1, 3)), pull])  # and that nothing is wrong

@@ -95,8 +95,9 @@ def match_windows(
     def difference(state: np.ndarray) -> np.ndarray:
         """Return the difference of the right windows to the left (N, n)."""
         by_offset = along[:, :, None] * state[:, None, 2:] + larger * np.eye(2, dtype=np.float32)
-        moved = by_view @ np.concatenate([state[:, :2, None], by_offset], axis=2) @ offsets
-        return _sampled(right, u + moved[:, 0], v + moved[:, 1]) - template
+        moved = by_view @ np.concatenate([state[:, :2, None], by_offset], axis=2)
+        at_u, at_v = (each + moved[:, k] @ offsets for k, each in enumerate((u, v)))
+        return _sampled(right, at_u, at_v) - template
 
     apart = difference(state)
     by_state = _slopes(template + apart / 2, along)
@@ -158,12 +159,14 @@ def _slopes(windows: np.ndarray, along: np.ndarray) -> np.ndarray:
 
     Less their means, since the windows' brightness is free.
     """
-    grey = _square(windows)
-    across = ((grey[:, 1:-1, 2:] - grey[:, 1:-1, :-2]) / 2).reshape(len(windows), -1)
-    down = ((grey[:, 2:, 1:-1] - grey[:, :-2, 1:-1]) / 2).reshape(len(windows), -1)
-    x, y = _offsets(WINDOW_PX // 2)
-    by_depth = along[:, :1] * across + along[:, 1:] * down
-    slopes = np.stack([across, down, by_depth * x, by_depth * y], axis=1)
+    grey, (x, y) = _square(windows), _offsets(WINDOW_PX // 2)
+    slopes = np.empty((len(grey), 4, *grey[0, 1:-1, 1:-1].shape), np.float32)
+    np.subtract(grey[:, 1:-1, 2:], grey[:, 1:-1, :-2], out=slopes[:, 0])
+    np.subtract(grey[:, 2:, 1:-1], grey[:, :-2, 1:-1], out=slopes[:, 1])
+    slopes = slopes.reshape(len(grey), 4, -1)
+    slopes[:, :2] /= 2
+    by_depth = along[:, :1] * slopes[:, 0] + along[:, 1:] * slopes[:, 1]
+    slopes[:, 2], slopes[:, 3] = by_depth * x, by_depth * y
     slopes -= slopes.mean(axis=2, keepdims=True)
     return slopes
 
@@ -180,12 +183,25 @@ def _covariance(
     of_noise = WINDOW_PX**2 * _SLOPE_NOISE * np.diag([1, 1, far, far])
     # The slopes of noise determine nothing.
     information = H + variance[..., None] * (prior - of_noise)
-    clear = np.linalg.eigvalsh(information)[:, 0] > 0
+    clear = _positive_definite(information)
     information[~clear] = np.eye(4)
     inverse = np.linalg.inv(information)[:, :2]
     independent = inverse[:, :, :2] * variance[..., None]
-    moved = inverse @ ((by_state * apart[:, None]) @ _IN_PARTS)
+    by_pixel = (inverse.astype(np.float32) @ by_state) * apart[:, None]
+    moved = (by_pixel.reshape(-1, len(_IN_PARTS)) @ _IN_PARTS).reshape(len(H), 2, -1)
     # Nine sums, of which the estimate and the mean have taken five.
     of_parts = moved @ np.swapaxes(moved, 1, 2) * (_PARTS**2 / (_PARTS**2 - 5))
     covariance = (_INFLATION * independent + of_parts) / 2
     return covariance.astype(float) + _FLOOR_PX**2 * np.eye(2), clear
+
+
+def _positive_definite(matrices: np.ndarray) -> np.ndarray:
+    """Return which symmetric matrices (N, n, n) are: those all of whose pivots are positive."""
+    left = matrices.copy()
+    definite = np.ones(len(left), bool)
+    for _ in range(left.shape[1]):
+        pivot = left[:, :1, :1]
+        definite &= pivot[:, 0, 0] > 0
+        row = left[:, :1, 1:] / np.where(definite[:, None, None], pivot, 1.0)
+        left = left[:, 1:, 1:] - left[:, 1:, :1] @ row
+    return definite

@@ -22,12 +22,12 @@ from vergence.geometry.se3 import rotation, rotvec
 from vergence.vision.least_squares_matching import WINDOW_PX, match_windows
 
 _MAP_STEP_PX = 8
-_FEATURES = 450
+_FEATURES = 1350
 """About how many are sought, however large the part is that both eyes see and that has texture."""
 _ABOVE_NOISE, _BELOW_TEXTURE = 3.0, 0.01
 """Cells have no texture whose squared gradients are below both: so many times those of the weakest
 twentieth, which show noise alone if any do, and this share of those of the strongest."""
-_SMALLEST_CELL_PX, _LARGEST_CELL_PX = 10, 24
+_SMALLEST_CELL_PX, _LARGEST_CELL_PX = 6, 24
 _WINDOW_PX = 11
 _LEVELS = 3
 _EXPECTED_DEPTH_M = 1.5
@@ -312,7 +312,7 @@ def _track(
         "winSize": (_WINDOW_PX, _WINDOW_PX),
         "flags": cv2.OPTFLOW_USE_INITIAL_FLOW,
         # Near enough for least squares.
-        "criteria": (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03),
+        "criteria": (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 5, 0.1),
     }
     points = at.astype(np.float32)
     found, good, _ = cv2.calcOpticalFlowPyrLK(
