@@ -309,10 +309,16 @@ def test_what_is_learned_from_a_void_calibration_is_void():
 def test_a_frame_counts_by_what_its_posture_adds():
     """At one posture n frames tell as much as n / (1 + c (n - 1)) independent ones."""
     joints, blocks = np.zeros(4), np.ones(8)
-    before, told, c = None, 0.0, 0.3
+    before, told, c, everywhere = None, 0.0, 0.3, 0.01
     for n in range(1, 6):
         told += 1 / recurrence_inflation(before, joints, 0.0)
-        assert told == pytest.approx(n / (1 + c * (n - 1)))
+        assert told == pytest.approx(n / (1 + (c + everywhere) * (n - 1)))
         before = replace(with_frame(before, joints, blocks, 0.0), correlation=c)
-    assert recurrence_inflation(before, joints + np.radians(30), 0.0) == pytest.approx(1, abs=1e-3)
-    assert recurrence_inflation(before, joints, 7200.0) == pytest.approx(1, abs=1e-3)
+    # Elsewhere, or much later, all but what frames have in common at any posture is new.
+    K = (1 - c - everywhere) * np.eye(6) + c + everywhere
+    K[5, :5] = K[:5, 5] = everywhere
+    new = 1 / (np.linalg.solve(K, np.ones(6)).sum() - told)
+    assert 1 < new < 1.05
+    elsewhere = joints + np.radians(60)
+    assert recurrence_inflation(before, elsewhere, 0.0) == pytest.approx(new, abs=1e-3)
+    assert recurrence_inflation(before, joints, 7200.0) == pytest.approx(new, abs=1e-3)
