@@ -123,7 +123,9 @@ def design_effect(y: Array, pixels: Array, expected: float) -> tuple[float, Arra
     return max(mean, _LEAST_DESIGN_EFFECT), sums
 
 
-def recurrence_inflation(before: Recurrence | None, joints: Array, elapsed_s: float) -> float:
+def recurrence_inflation(
+    before: Recurrence | None, joints: Array, elapsed_s: float, everywhere: float = _EVERYWHERE
+) -> float:
     """Return the variance inflation of a frame whose posture was observed before.
 
     The mean of frames with correlated errors (covariance K) tells as much as 1' K^-1 1 independent
@@ -133,15 +135,16 @@ def recurrence_inflation(before: Recurrence | None, joints: Array, elapsed_s: fl
         before: of the frames before; None: there was none.
         joints: (r,) readings of the frame [rad].
         elapsed_s: since the frame before.
+        everywhere: correlation of the errors of any two postures.
     """
     if before is None:
         return 1.0
     near = np.argsort(_apart(before.joints, joints))[:_NEAREST]
     at, ages_s = before.joints[near], before.ages_s[near]
     between_s = np.abs(ages_s[:, None] - ages_s)
-    K = _EVERYWHERE + before.correlation * _kernel(_apart(at[:, None], at), between_s)
+    K = everywhere + before.correlation * _kernel(_apart(at[:, None], at), between_s)
     K[np.diag_indices(len(K))] = 1.0
-    k = _EVERYWHERE + before.correlation * _kernel(_apart(at, joints), ages_s + elapsed_s)
+    k = everywhere + before.correlation * _kernel(_apart(at, joints), ages_s + elapsed_s)
     weights = np.linalg.solve(K, k)
     return float((1 - weights @ k) / max(1 - weights.sum(), _LEAST_NEW) ** 2)
 

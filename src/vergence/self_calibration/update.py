@@ -117,7 +117,8 @@ def _joint_variance(state: SelfCalibration, evidence: Evidence) -> tuple[float, 
 def log_likelihood(state: SelfCalibration, seen: SelfCalibrated, elapsed_s: float) -> float:
     """Return the log likelihood of a frame given what is known before, up to a constant."""
     assert seen.evidence is not None
-    inflation = recurrence_inflation(state.recurrence, seen.readings, elapsed_s)
+    # What all frames share, the state has learned too: it hides no change.
+    inflation = recurrence_inflation(state.recurrence, seen.readings, elapsed_s, everywhere=0.0)
     says = _weakened(seen.evidence, inflation)
     C = prior_of(state, len(seen.readings))
     posterior = np.linalg.inv(np.linalg.inv(C) + says.information)
