@@ -232,7 +232,11 @@ def test_both_eyes_of_a_calibration_without_covariance_are_taken_to_err_alike_in
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "one eye"])
 def test_epipolar_lines_of_a_calibration_without_covariance_fit_to_a_third_of_a_pixel(kind):
-    """At straight gaze, root mean square over the image."""
+    """At straight gaze, root mean square over the image.
+
+    Approximately: seen are points at other depths, and lenses of some kinds show a little more than
+    the four errors that are counted.
+    """
     head = head_of_kind(kind, np.random.default_rng(0))
     state, rng = initial_self_calibration(head, fresh=True), np.random.default_rng(1)
     straight = straight_gaze(head.kinematics)

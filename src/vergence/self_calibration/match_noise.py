@@ -47,10 +47,11 @@ is learned again. In nine rendered minutes errors recurred as within seconds. Wi
 instead of ten, squared Mahalanobis distances of what these had taught were 1.2 to 1.4 times as
 large."""
 _EVERYWHERE = 0.01
-"""Correlation of errors at any two postures, chosen: interpolation and aliasing leave residuals of
-some thousandths of a pixel that no frame averages out. Without it what all figures of a lens had
-taught was up to 2.5 times too certain (squared distance from the truth), in the same few directions
-for all heads and lenses. Between postures 20 to 60 degrees apart 0.00 to 0.01 was measured."""
+"""Correlation of errors at any two postures, an assumption: rendered matches have mean residuals of
+some thousandths of a pixel that no number of frames averages out. Without it what all figures of a
+lens had taught was up to 2.5 times too certain (squared distance from the truth), in the same few
+directions for all heads and lenses. Between postures 20 to 60 degrees apart -0.01 to 0.01 was
+measured in three sequences."""
 _EXPECTED_RECURRENCE = 0.4
 """Correlation of errors at the same posture, before it is measured."""
 _MOST_RECURRENCE = 0.95

@@ -3,9 +3,9 @@
 A calibration that states its covariance brings it along. One that does not, such as that of the
 paper's method, is given the errors that such procedures usually have, in the quantities that they
 measure: lenses, mountings, gains, and the pose of the cameras to each other at straight gaze,
-which is known far better than the mountings; best of all, how well epipolar lines fit there, since
-both cameras saw the same board. What has moved since is added to both, unless the head
-has just been calibrated.
+which is known far better than the mountings. There points lie near their epipolar lines, since both
+cameras saw the same board, whatever each parameter may be wrong by. What has moved since is added
+to both, unless the head has just been calibrated.
 """
 
 from __future__ import annotations
@@ -113,10 +113,10 @@ UNCALIBRATED = Tolerance(
 _GRID = 16
 """Places along each axis of the image where a lens is looked at."""
 _BASELINES_AWAY = 5.0, 20.0
-"""Depths at which boards are shown."""
+"""Depths at which boards are shown, in baselines."""
 _SHOWN_BY_LINES = 4
-"""What epipolar lines show of a pair at straight gaze, since it displaces points differently over
-the image: pitch and roll of one camera to the other, vergence, and the ratio of focal lengths."""
+"""How many errors of a pair displace points from their epipolar lines at straight gaze, each with
+another pattern over the image: pitch, roll, vergence, and the ratio of the focal lengths."""
 _LARGEST_COEFFICIENT = 0.01
 """Standard deviation of any combination of a lens's coefficients: some of a rational lens show
 nothing, and would change by more than is linear."""

@@ -1,8 +1,9 @@
 """Robust linearised fits with a Gaussian prior: the estimator of self-calibration.
 
-Residuals are in standard deviations. Many of them may be wrong: some of them start, by the best of
-many hypotheses from three each and a reweighted fit with a fixed scale; where that ended, all are
-linearised, and fitted likewise. What they say is kept apart from the prior, as normal equations.
+Residuals are in standard deviations. Many of them may be wrong: the best of many hypotheses from
+three residuals each starts a reweighted fit with a fixed scale. This is done with some of them
+first; where that fit ended all are linearised, and fitted in the same way. What the residuals say
+is kept apart from the prior, as normal equations.
 """
 
 from __future__ import annotations

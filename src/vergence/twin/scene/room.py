@@ -21,9 +21,9 @@ _FILES: dict[Scene, str] = {
     "moving": "scene_moving.xml",
 }
 FINENESS: dict[Scene, float] = {"room": 1.0, "sparse": 2.0, "moving": 1.0}
-"""How much finer pictures of a scene are sampled than those of the room. Where little has texture,
-what does errs by its aliasing; a picture of the sparse scene takes twice as long as one of the
-room."""
+"""How much finer pictures of a scene are sampled than those of the room. The less texture there is
+to match, the more its aliasing matters. A picture of the sparse scene takes twice as long as one of
+the room."""
 PASSER = "passer"
 """The body that moves by itself, where there is one."""
 _PASSER_M = np.array([0.75, 0.30, 1.20])
