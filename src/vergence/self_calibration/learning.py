@@ -80,7 +80,7 @@ def _remembered(
     """Return a frame, seen from a state, as it is kept."""
     before = replace(state, past=(), keyframe=None)
     known = [before, *(_freed(before, tolerance) for tolerance in _CHANGES)]
-    likelihoods = tuple(log_likelihood(each, seen, elapsed_s) for each in known)
+    likelihoods = tuple(log_likelihood(each, seen) for each in known)
     return Past(before, seen, tracked, elapsed_s, likelihoods)
 
 

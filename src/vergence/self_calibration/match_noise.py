@@ -36,11 +36,12 @@ _LEAST_DESIGN_EFFECT = 0.5
 """Below one by chance only: errors of neighbours do not cancel."""
 _UNKNOWNS = 5
 """Degrees of freedom of a pair, which the residuals lack."""
-_SAME_WINDOWS_RAD, _SAME_SURFACES_RAD = np.radians([1.2, 9.0])
-"""Distances in the space of the readings over which either half of the correlation of errors falls
-to 1 / e: one half by the windows themselves, one by what surrounds them, which stays in its block.
-Fitted to rendered sequences (both lenses, four heads): 0.4 at the same posture,
-0.22 at 1.5 degrees, 0.16 at 4, 0.1 at 8, 0.03 at 17, none at 40; as much within 3 s as later."""
+_SAME_WINDOWS_RAD, _SAME_SURFACES_RAD = np.radians([1.2, 13.0])
+"""Distances in the space of the readings over which the correlation of errors falls to 1 / e: one
+half as exp(-x) with the windows themselves, one as exp(-x^2) with what surrounds them. Fitted to
+what the errors of matches do to the parameters of the head, in four heads, both lenses, the room
+and the sparse scene (800 pictures at known postures): 0.36 within 1 degree, 0.20 at 2.5, 0.14 at 5,
+0.09 at 9, 0.07 at 13, 0.02 at 18, 0.01 at 22; 0.005 beyond."""
 _FADING_S = 600.0
 """Time over which the correlation falls to 1 / e: an assumption, so that a head that has drifted
 is learned again. In nine rendered minutes errors recurred as within seconds. With two minutes
@@ -124,9 +125,7 @@ def design_effect(y: Array, pixels: Array, expected: float) -> tuple[float, Arra
     return max(mean, _LEAST_DESIGN_EFFECT), sums
 
 
-def recurrence_inflation(
-    before: Recurrence | None, joints: Array, elapsed_s: float, everywhere: float = _EVERYWHERE
-) -> float:
+def recurrence_inflation(before: Recurrence | None, joints: Array, elapsed_s: float) -> float:
     """Return the variance inflation of a frame whose posture was observed before.
 
     The mean of frames with correlated errors (covariance K) tells as much as 1' K^-1 1 independent
@@ -136,16 +135,15 @@ def recurrence_inflation(
         before: of the frames before; None: there was none.
         joints: (r,) readings of the frame [rad].
         elapsed_s: since the frame before.
-        everywhere: correlation of the errors of any two postures.
     """
     if before is None:
         return 1.0
     near = np.argsort(_apart(before.joints, joints))[:_NEAREST]
     at, ages_s = before.joints[near], before.ages_s[near]
     between_s = np.abs(ages_s[:, None] - ages_s)
-    K = everywhere + before.correlation * _kernel(_apart(at[:, None], at), between_s)
+    K = _EVERYWHERE + before.correlation * _kernel(_apart(at[:, None], at), between_s)
     K[np.diag_indices(len(K))] = 1.0
-    k = everywhere + before.correlation * _kernel(_apart(at, joints), ages_s + elapsed_s)
+    k = _EVERYWHERE + before.correlation * _kernel(_apart(at, joints), ages_s + elapsed_s)
     weights = np.linalg.solve(K, k)
     return float((1 - weights @ k) / max(1 - weights.sum(), _LEAST_NEW) ** 2)
 
@@ -184,5 +182,5 @@ def _apart(a: Array, b: Array) -> Array:
 
 
 def _kernel(apart: Array, elapsed_s: Array) -> Array:
-    same = np.exp(-apart / _SAME_WINDOWS_RAD) + np.exp(-apart / _SAME_SURFACES_RAD)
+    same = np.exp(-apart / _SAME_WINDOWS_RAD) + np.exp(-((apart / _SAME_SURFACES_RAD) ** 2))
     return same / 2 * np.exp(-elapsed_s / _FADING_S)

@@ -114,12 +114,11 @@ def _joint_variance(state: SelfCalibration, evidence: Evidence) -> tuple[float, 
     return max(variance, 1e-2 * expected), min(weight, _LONGEST_MEMORY)
 
 
-def log_likelihood(state: SelfCalibration, seen: SelfCalibrated, elapsed_s: float) -> float:
+def log_likelihood(state: SelfCalibration, seen: SelfCalibrated) -> float:
     """Return the log likelihood of a frame given what is known before, up to a constant."""
     assert seen.evidence is not None
-    # What all frames share, the state has learned too: it hides no change.
-    inflation = recurrence_inflation(state.recurrence, seen.readings, elapsed_s, everywhere=0.0)
-    says = _weakened(seen.evidence, inflation)
+    # Not weakened: an error that recurs, the state has learned too, so that it hides no change.
+    says = seen.evidence
     C = prior_of(state, len(seen.readings))
     posterior = np.linalg.inv(np.linalg.inv(C) + says.information)
     _, log_det = np.linalg.slogdet(np.eye(len(C)) + C @ says.information)
