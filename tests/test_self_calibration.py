@@ -28,7 +28,7 @@ from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import transform
 from vergence.self_calibration.frame import from_matches, locate_seen
 from vergence.self_calibration.learning import learn, learned_head
-from vergence.self_calibration.match_noise import recurrence_inflation, with_frame
+from vergence.self_calibration.match_noise import Recurrence, recurrence_inflation, with_frame
 from vergence.self_calibration.residuals import epipolar_residuals
 from vergence.self_calibration.state import initial_self_calibration
 from vergence.stereo.extrinsics import camera_poses
@@ -326,3 +326,16 @@ def test_a_frame_counts_by_what_its_posture_adds():
     elsewhere = joints + np.radians(60)
     assert recurrence_inflation(before, elsewhere, 0.0) == pytest.approx(new, abs=1e-3)
     assert recurrence_inflation(before, joints, 7200.0) == pytest.approx(new, abs=1e-3)
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    n=st.integers(1, 100),
+    apart_deg=st.floats(0.01, 60),
+    correlation=st.floats(0, 0.95),
+)
+def test_no_frame_tells_more_than_one_that_shares_no_errors(seed, n, apart_deg, correlation):
+    rng = np.random.default_rng(seed)
+    joints = np.radians(apart_deg) * rng.normal(size=(n + 1, 4))
+    before = Recurrence(joints[1:], rng.uniform(0, 1200, n), np.ones((n, 4)), correlation)
+    assert recurrence_inflation(before, joints[0], rng.uniform(0, 10)) >= 1 - 1e-9

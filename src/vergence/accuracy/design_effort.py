@@ -22,7 +22,7 @@ from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.camera import pinhole
 from vergence.geometry.head import R_EYE_CAM, HeadCalibration, MountedCamera
 from vergence.geometry.kinematics import EYES, looking_along
-from vergence.geometry.parameters import parameter_names
+from vergence.geometry.parameters import named_columns, parameter_names
 from vergence.geometry.se3 import pose, rotation
 
 STRAIGHT, GAZES = 8, 16
@@ -99,7 +99,7 @@ def calibration_mean_square(
     """
     fixed = fixed_by_default(head, timed=False)
     names = tuple(name for name in parameter_names(head) if name not in fixed)
-    columns = [parameter_names(head).index(name) for name in names]
+    columns = named_columns(head, names)
     views = standard_recording(head, board)
     linear = linearised_views(head, board, views, names, np.ones(len(names)))
     pair = ("left_wide", "right_wide")

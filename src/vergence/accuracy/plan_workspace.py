@@ -16,7 +16,7 @@ from vergence.errors import VergenceError
 from vergence.gaze.fixation import readings_to
 from vergence.geometry.head import HeadCalibration, T_head_base
 from vergence.geometry.kinematics import looking_along
-from vergence.geometry.parameters import parameter_names
+from vergence.geometry.parameters import named_columns, parameter_names
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.linearised import by_head_parameters, linearised, pair_parameters
@@ -53,7 +53,7 @@ def workspace(
     in_head = np.multiply.outer(np.array(distances_m), looking_along(a, -b)).reshape(-1, 3)
     points = transform(inverse(T_head_base(head, "left")), in_head)
     joints = fixating(head, pair, points, limits_rad)
-    columns = [parameter_names(head).index(name) for name in names]
+    columns = named_columns(head, names)
     return WorkspacePoints(
         points, joints, point_by_parameters(head, pair, points, joints)[..., columns]
     )
@@ -98,9 +98,8 @@ def point_by_parameters(
     """
     left, right = (project_point(head, name, joints, points) for name in pair)
     seen = linearised(head, left=left, right=right, joints=joints, cameras=pair)
-    everything = parameter_names(head)
-    rows = np.zeros((len(points), 3, len(everything)))
-    columns = [everything.index(name) for name in pair_parameters(head, pair)]
+    rows = np.zeros((len(points), 3, len(parameter_names(head))))
+    columns = named_columns(head, pair_parameters(head, pair))
     rows[..., columns] = by_head_parameters(head, pair, seen).transpose(2, 0, 1)
     return rows
 

@@ -46,6 +46,15 @@ def parameter_names(head: HeadCalibration) -> tuple[str, ...]:
     )
 
 
+def named_columns(head: HeadCalibration, names: Sequence[str]) -> list[int]:
+    """Return where named parameters are among all of a head; VergenceError: an unknown name."""
+    known = {name: k for k, name in enumerate(parameter_names(head))}
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise VergenceError(f"This head has no parameter {unknown[0]!r}.")
+    return [known[name] for name in names]
+
+
 def axes_names(head: HeadCalibration, eye: Side) -> tuple[str, ...]:
     """Return the names of the parameters of an eye's joints, such as left.pan_gain."""
     joints = head.kinematics.eyes[eye]
@@ -121,12 +130,8 @@ def boxplus(head: HeadCalibration, change: Array) -> HeadCalibration:
 
 def change_named(head: HeadCalibration, names: Sequence[str], change: Array) -> HeadCalibration:
     """Return a head with named parameters changed by (c,); VergenceError: an unknown name."""
-    known = {name: k for k, name in enumerate(parameter_names(head))}
-    unknown = [name for name in names if name not in known]
-    if unknown:
-        raise VergenceError(f"This head has no parameter {unknown[0]!r}.")
-    full = np.zeros(len(known))
-    full[[known[name] for name in names]] = change
+    full = np.zeros(len(parameter_names(head)))
+    full[named_columns(head, names)] = change
     return boxplus(head, full)
 
 

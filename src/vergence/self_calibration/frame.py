@@ -17,7 +17,7 @@ from scipy.stats import chi2
 
 from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.parameters import change_named, parameter_names
+from vergence.geometry.parameters import change_named, named_columns
 from vergence.self_calibration.keyframe import by_each_eye, track_keyframe
 from vergence.self_calibration.prior import UNCALIBRATED, tolerance_covariance
 from vergence.self_calibration.residuals import epipolar_residuals
@@ -181,8 +181,7 @@ def _whitened(
 ) -> tuple[Array, Array]:
     """Return residuals (N,) and derivatives (N, P + r), in standard deviations of the matches."""
     found = epipolar_residuals(head, joints, matches.left, matches.right, state.cameras)
-    known = parameter_names(head)
-    columns = [known.index(name) for name in state.names]
+    columns = named_columns(head, state.names)
     n = found.normals[:, 2:]
     std = state.match_scale * np.sqrt(np.einsum("ni,nij,nj->n", n, matches.covariance, n))
     A = np.concatenate([found.by_parameters[:, columns], found.by_readings], axis=1)

@@ -17,7 +17,7 @@ from scipy.stats import chi2
 
 from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.parameters import change_named, parameter_names
+from vergence.geometry.parameters import change_named, named_columns
 from vergence.geometry.se3 import inverse
 from vergence.self_calibration.match_noise import EXPECTED_DESIGN_EFFECT
 from vergence.self_calibration.residuals import depths_of_matches, motion_residuals
@@ -202,7 +202,7 @@ def _whitened(
     assert state.keyframe is not None
     P, r = len(state.names), len(seen.readings)
     head = change_named(state.head, state.names, change[:P])
-    matches, known = tracked.matches[k], parameter_names(head)
+    matches = tracked.matches[k]
     found = motion_residuals(
         head,
         state.cameras[k],
@@ -212,7 +212,7 @@ def _whitened(
         later=matches.right,
         depths_m=tracked.depths_m[k] * np.exp(_COMMON_DEPTH_STD * deeper),
     )
-    columns = [known.index(name) for name in state.names]
+    columns = named_columns(head, state.names)
     deeper_all = _COMMON_DEPTH_STD * found.by_depth[..., None]
     A = np.concatenate(
         [found.by_parameters[:, :, columns], found.by_now, found.by_before, deeper_all], axis=2

@@ -21,7 +21,13 @@ from vergence.geometry.camera import Camera, normalise, project_jacobians
 from vergence.geometry.head import HeadCalibration, stated_covariance, states_covariance
 from vergence.geometry.kinematics import EYES, straight_gaze
 from vergence.geometry.lens import COEFFICIENTS
-from vergence.geometry.parameters import PINHOLE, change_named, intrinsics_names, parameter_names
+from vergence.geometry.parameters import (
+    PINHOLE,
+    change_named,
+    intrinsics_names,
+    named_columns,
+    parameter_names,
+)
 from vergence.geometry.projection import project_point
 from vergence.self_calibration.residuals import epipolar_residuals
 from vergence.stereo.extrinsics import T_rcam_lcam, camera_poses
@@ -290,5 +296,4 @@ def _by_epipolar_lines(
     edge = np.array([lenses[1].width, lenses[1].height]) - 1
     both = ((right >= 0) & (right <= edge)).all(axis=1)  # NaN: not seen
     found = epipolar_residuals(head, straight, left[both], right[both], cameras)
-    known = parameter_names(head)
-    return found.by_parameters[:, [known.index(name) for name in names]]
+    return found.by_parameters[:, named_columns(head, names)]
