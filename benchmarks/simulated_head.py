@@ -119,6 +119,16 @@ def skewed_head(rng: np.random.Generator, *, distorted: bool = True) -> HeadCali
     )
 
 
+def unskewed_head(seed: int) -> HeadCalibration:
+    """Return such a head without skew, which formats of other programs have no field for."""
+    head, cameras = skewed_head(np.random.default_rng(seed)), {}
+    for name, mounted in head.cameras.items():
+        matrix = mounted.intrinsics.matrix.copy()
+        matrix[0, 1] = 0.0
+        cameras[name] = replace(mounted, intrinsics=replace(mounted.intrinsics, matrix=matrix))
+    return replace(head, cameras=cameras)
+
+
 def plain_head(
     baseline_m: float,
     focal_px: float,

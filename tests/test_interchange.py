@@ -1,8 +1,6 @@
 """Other programs' formats: round trips are exact, and what a format cannot say is refused."""
 
 from dataclasses import replace
-from pathlib import Path
-from xml.etree import ElementTree
 
 import cv2
 import numpy as np
@@ -12,29 +10,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
-from other_heads import KINDS, other_head
-from simulated_head import random_pose, skewed_head
+from simulated_head import skewed_head, unskewed_head
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, project
-from vergence.geometry.head import Accuracy, HeadCalibration, T_base_cam, T_body_base, T_head_base
-from vergence.geometry.kinematics import EYE_JOINTS, Kinematics
+from vergence.geometry.head import Accuracy, HeadCalibration
 from vergence.geometry.lens import CameraModel
-from vergence.geometry.neck import NECK_JOINTS, Neck, T_body_head
-from vergence.geometry.se3 import inverse, pose, rotation, rotvec
-from vergence.interchange import kalibr, opencv, ros, urdf
+from vergence.geometry.neck import Neck
+from vergence.interchange import kalibr, opencv, ros
 from vergence.interchange.formats import export_head, import_head
 from vergence.interchange.serialization import with_intrinsics
 
 SEEDS = st.integers(0, 2**32 - 1)
-
-
-def plain(seed: int) -> HeadCalibration:
-    """Return a random head without skew, which no format has a field for."""
-    head = skewed_head(np.random.default_rng(seed))
-    lenses = {name: mounted.intrinsics for name, mounted in head.cameras.items()}
-    skew = np.array([[0, 1, 0], [0, 0, 0], [0, 0, 0]], dtype=bool)
-    plain = {n: replace(c, matrix=np.where(skew, 0.0, c.matrix)) for n, c in lenses.items()}
-    return with_intrinsics(head, plain)
 
 
 def with_k3(head: HeadCalibration, k3: float) -> HeadCalibration:
@@ -48,26 +34,22 @@ def numbers(item: HeadCalibration | Camera) -> dict:
     return TypeAdapter(type(item)).dump_python(item, mode="json")
 
 
-def rays(rng: np.random.Generator) -> np.ndarray:
-    return rng.uniform([-0.5, -0.4, 0.5], [0.5, 0.4, 2.0], (50, 3))
-
-
 @pytest.mark.parametrize("suffix", opencv.SUFFIXES)
-@pytest.mark.parametrize("neck", [plain(1).neck, Neck()], ids=["neck", "no neck"])
+@pytest.mark.parametrize("neck", [unskewed_head(1).neck, Neck()], ids=["neck", "no neck"])
 def test_a_head_survives_opencv_to_the_last_digit(tmp_path, suffix, neck):
-    head = replace(with_k3(plain(1), 0.0123456789), time_offset_s=0.0321, neck=neck)
+    head = replace(with_k3(unskewed_head(1), 0.0123456789), time_offset_s=0.0321, neck=neck)
     opencv.save(head, tmp_path / f"head{suffix}")
     assert numbers(opencv.load(tmp_path / f"head{suffix}")) == numbers(head)
 
 
 def assert_opencv_projects(matrix: np.ndarray, distortion: np.ndarray, camera: Camera) -> None:
-    points = rays(np.random.default_rng(0))
+    points = np.random.default_rng(0).uniform([-0.5, -0.4, 0.5], [0.5, 0.4, 2.0], (50, 3))
     pixels, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, distortion)
     np.testing.assert_allclose(pixels.reshape(-1, 2), project(camera, points), atol=1e-9)
 
 
 def test_opencv_alone_reads_what_it_needs_to_project(tmp_path):
-    head = plain(3)
+    head = unskewed_head(3)
     opencv.save(head, tmp_path / "head.yml")
     storage = cv2.FileStorage(str(tmp_path / "head.yml"), cv2.FILE_STORAGE_READ)
     node = storage.getNode("cameras").getNode("right_wide")
@@ -80,7 +62,7 @@ def test_opencv_alone_reads_what_it_needs_to_project(tmp_path):
 @given(seed=SEEDS)
 def test_intrinsics_survive_kalibr_and_ros_to_the_last_digit(seed, tmp_path_factory):
     folder = tmp_path_factory.mktemp("out")
-    head = plain(seed)
+    head = unskewed_head(seed)
     kalibr.save(head, folder / "camchain.yaml")
     chain = kalibr.load(folder / "camchain.yaml")
     ros.save(head, folder / "info")
@@ -91,105 +73,8 @@ def test_intrinsics_survive_kalibr_and_ros_to_the_last_digit(seed, tmp_path_fact
         assert numbers(chain[name][0]) == numbers(infos[name]) == numbers(mounted.intrinsics)
 
 
-def radtan(cam: dict, points: np.ndarray) -> np.ndarray:
-    """Return pixels by Kalibr's own formulas (aslam_cv RadialTangentialDistortion)."""
-    x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
-    k1, k2, p1, p2 = cam["distortion_coeffs"]
-    rho = x * x + y * y
-    radial = k1 * rho + k2 * rho**2
-    u = x + x * radial + 2 * p1 * x * y + p2 * (rho + 2 * x * x)
-    v = y + y * radial + 2 * p2 * x * y + p1 * (rho + 2 * y * y)
-    fu, fv, pu, pv = cam["intrinsics"]
-    return np.stack([fu * u + pu, fv * v + pv], axis=-1)
-
-
-def test_a_camchain_has_every_field_that_kalibr_requires_and_projects_as_the_head_does(tmp_path):
-    head, points = plain(5), rays(np.random.default_rng(1))
-    kalibr.save(head, tmp_path / "camchain.yaml")
-    content = yaml.safe_load((tmp_path / "camchain.yaml").read_text())
-    assert list(content) == ["cam0", "cam1", "cam2", "cam3"]
-    required = {"camera_model", "intrinsics", "distortion_model", "distortion_coeffs"}
-    required |= {"resolution", "rostopic", "cam_overlaps"}
-    for k, (cam, mounted) in enumerate(zip(content.values(), head.cameras.values(), strict=True)):
-        assert set(cam) == required | ({"T_cn_cnm1"} if k else set())
-        assert (cam["camera_model"], cam["distortion_model"]) == ("pinhole", "radtan")
-        exact = project(mounted.intrinsics, points)
-        np.testing.assert_allclose(radtan(cam, points), exact, atol=1e-9)
-
-
-def test_a_camchain_leads_from_camera_to_camera(tmp_path):
-    head = plain(6)
-    kalibr.save(head, tmp_path / "camchain.yaml")
-    chain = kalibr.load(tmp_path / "camchain.yaml")
-    # From cam0, left_wide, to the last one, right_narrow.
-    T = np.linalg.multi_dot([step for _, step in reversed(chain.values()) if step is not None])
-    T_lbase_first = T_base_cam(head, "left_wide", np.zeros(4))
-    T_rbase_last = T_base_cam(head, "right_narrow", np.zeros(4))
-    np.testing.assert_allclose(
-        T, inverse(T_rbase_last) @ head.T_rbase_lbase @ T_lbase_first, atol=1e-12
-    )
-
-
-def test_a_camchain_brings_a_head_all_but_its_wide_mountings(tmp_path):
-    head = plain(7)
-    rng = np.random.default_rng(7)
-    cameras = {
-        name: m if name.endswith("wide") else replace(m, T_eye_cam=random_pose(rng))
-        for name, m in head.cameras.items()
-    }
-    start = replace(plain(8), cameras=cameras, kinematics=head.kinematics)
-    kalibr.save(head, tmp_path / "camchain.yaml")
-    back = import_head(tmp_path / "camchain.yaml", "kalibr", template=start)
-    np.testing.assert_allclose(back.T_rbase_lbase, head.T_rbase_lbase, atol=1e-12)
-    for name, mounted in head.cameras.items():
-        np.testing.assert_allclose(back.cameras[name].T_eye_cam, mounted.T_eye_cam, atol=1e-12)
-
-
-def test_a_camchain_brings_poses_to_cameras_of_any_name(tmp_path):
-    head = plain(7)
-    renamed = {
-        n.replace("wide", "cam").replace("narrow", "tele"): m for n, m in head.cameras.items()
-    }
-    head = replace(head, cameras=renamed)
-    rng = np.random.default_rng(7)
-    cameras = {
-        name: m if name.endswith("cam") else replace(m, T_eye_cam=random_pose(rng))
-        for name, m in head.cameras.items()
-    }
-    start = replace(head, cameras=cameras, T_rbase_lbase=random_pose(rng))
-    kalibr.save(head, tmp_path / "camchain.yaml")
-    back = import_head(str(tmp_path / "camchain.yaml"), "kalibr", template=start)
-    np.testing.assert_allclose(back.T_rbase_lbase, head.T_rbase_lbase, atol=1e-12)
-    for name, mounted in head.cameras.items():
-        np.testing.assert_allclose(back.cameras[name].T_eye_cam, mounted.T_eye_cam, atol=1e-12)
-    teles = {name: m for name, m in head.cameras.items() if name.endswith("tele")}
-    export_head(replace(head, cameras=teles), str(tmp_path / "teles.yaml"), "kalibr")
-    with pytest.raises(VergenceError, match=r"it has .* and not left_cam; without T_cn_cnm1"):
-        import_head(tmp_path / "teles.yaml", "kalibr", template=start)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_camchain_holds_at_straight_gaze_of_any_joints(kind, tmp_path):
-    rng = np.random.default_rng(9)
-    head = other_head(kind, rng)
-    kalibr.save(head, tmp_path / "camchain.yaml")
-    start = replace(head, T_rbase_lbase=random_pose(rng))
-    back = import_head(tmp_path / "camchain.yaml", "kalibr", template=start)
-    np.testing.assert_allclose(back.T_rbase_lbase, head.T_rbase_lbase, atol=1e-12)
-
-
-def test_a_camchain_of_other_programs_is_read(tmp_path):
-    (tmp_path / "camchain.yaml").write_text(
-        "cam0: {camera_model: pinhole, distortion_model: radtan, rostopic: /left_wide/image_raw,\n"
-        "  distortion_coeffs: [-0.1, 2e-2, 1e-5, 0], intrinsics: [280, 281, 319.5, 239.5],\n"
-        "  resolution: [640, 480], T_cam_imu: [[1, 0]], timeshift_cam_imu: 0.0}\n"
-    )
-    camera, _ = kalibr.load(tmp_path / "camchain.yaml")["left_wide"]
-    assert camera.distortion.tolist() == [-0.1, 0.02, 1e-5, 0, 0]
-
-
 def test_a_camera_info_has_every_field_that_ros_requires(tmp_path):
-    head = plain(9)
+    head = unskewed_head(9)
     ros.save(head, tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {f"{name}.yaml" for name in head.cameras}
     info = yaml.safe_load((tmp_path / "left_wide.yaml").read_text())
@@ -207,110 +92,6 @@ def test_a_camera_info_has_every_field_that_ros_requires(tmp_path):
     assert_opencv_projects(K, D, head.cameras["left_wide"].intrinsics)
 
 
-class Tree:
-    """A little forward kinematics of URDF, written from its specification."""
-
-    def __init__(self, path: Path):
-        self.joints = {}
-        for joint in ElementTree.parse(path).getroot().iter("joint"):
-            name, child = joint.get("name"), joint.find("child")
-            assert child is not None
-            self.joints[child.get("link")] = (name, joint)
-
-    def T_root(self, link: str, angles: dict[str, float]) -> np.ndarray:
-        if link not in self.joints:
-            return np.eye(4)
-        name, joint = self.joints[link]
-        origin, axis, mimic = (joint.find(tag) for tag in ("origin", "axis", "mimic"))
-        roll, pitch, yaw = map(float, origin.get("rpy").split())
-        R = rotation([0, 0, yaw]) @ rotation([0, pitch, 0]) @ rotation([roll, 0, 0])
-        T = pose(R, np.array(origin.get("xyz").split(), dtype=float))
-        if joint.get("type") == "revolute":
-            angle = angles[name if mimic is None else mimic.get("joint")]
-            if mimic is not None:
-                angle = float(mimic.get("multiplier")) * angle + float(mimic.get("offset"))
-            T = T @ pose(rotation(angle * np.array(axis.get("xyz").split(), dtype=float)))
-        return self.T_root(joint.find("parent").get("link"), angles) @ T
-
-
-@given(seed=SEEDS)
-def test_the_urdf_moves_as_the_head_does(seed, tmp_path_factory):
-    path = tmp_path_factory.mktemp("out") / "head.urdf"
-    head = plain(seed)
-    urdf.save(head, path)
-    tree = Tree(path)
-    rng = np.random.default_rng(seed)
-    neck, eyes = rng.uniform(-0.5, 0.5, 3), rng.uniform(-0.5, 0.5, 4)
-    angles = dict(zip((*NECK_JOINTS, *EYE_JOINTS), (*neck, *eyes), strict=True))
-    np.testing.assert_allclose(
-        tree.T_root("head", angles), T_body_head(head.neck, neck), atol=1e-12
-    )
-    for name, mounted in head.cameras.items():
-        T_body_eye_base = T_body_base(head, mounted.eye, neck)
-        np.testing.assert_allclose(
-            tree.T_root(f"{mounted.eye}_base", angles), T_body_eye_base, atol=1e-12
-        )
-        wanted = T_body_eye_base @ T_base_cam(head, name, eyes)
-        np.testing.assert_allclose(tree.T_root(f"{name}_optical_frame", angles), wanted, atol=1e-12)
-
-
-def test_a_head_with_perfect_axes_has_plain_joints(tmp_path):
-    head = replace(plain(10), kinematics=Kinematics(), neck=Neck())
-    urdf.save(head, tmp_path / "head.urdf")
-    robot = ElementTree.parse(tmp_path / "head.urdf").getroot()
-    revolute = {j.get("name"): j for j in robot.iter("joint") if j.get("type") == "revolute"}
-    assert set(revolute) == set(EYE_JOINTS)
-    assert all(j.find("mimic") is None for j in revolute.values())
-    limit = revolute["left_pan"].find("limit")
-    assert limit is not None
-    assert (limit.get("lower"), limit.get("upper")) == ("-1.5708", "1.5708")
-    links = [link.get("name") for link in robot.iter("link")]
-    assert len(links) == len(set(links))
-    children = [child.get("link") for child in robot.iter("child")]
-    assert sorted([*children, "body"], key=str) == sorted(links, key=str)
-    T = Tree(tmp_path / "head.urdf").T_root("right_base", {})
-    np.testing.assert_allclose(T, T_head_base(head, "right"), atol=1e-12)
-
-
-@pytest.mark.parametrize("eyes", [("left",), ("right",), ("left", "right")])
-def test_an_eye_whose_pose_is_measured_floats_in_the_urdf(tmp_path, eyes):
-    head = plain(10)
-    cameras = {name: each for name, each in head.cameras.items() if each.eye in eyes}
-    accuracy = Accuracy("bundle", eye_motion="poses")
-    head = replace(head, cameras=cameras, neck=Neck(), accuracy=accuracy)
-    urdf.save(head, tmp_path / "head.urdf")
-    robot = ElementTree.parse(tmp_path / "head.urdf").getroot()
-    kinds = {joint.get("name"): joint.get("type") for joint in robot.iter("joint")}
-    assert "revolute" not in kinds.values()
-    moved = {name for name, kind in kinds.items() if kind == "floating"}
-    assert moved == {f"{eye}_eye_joint" for eye in eyes}
-
-
-def test_the_urdf_of_a_head_of_one_eye_has_one_eye(tmp_path):
-    head = plain(10)
-    cameras = {name: each for name, each in head.cameras.items() if each.eye == "left"}
-    urdf.save(replace(head, cameras=cameras, neck=Neck()), tmp_path / "head.urdf")
-    robot = ElementTree.parse(tmp_path / "head.urdf").getroot()
-    links = [str(link.get("name")) for link in robot.iter("link")]
-    assert set(links) - {"body", "head"}
-    assert all(link.startswith("left") for link in links if link not in ("body", "head"))
-
-
-@pytest.mark.parametrize("pitch", [np.pi / 2, -np.pi / 2])
-@pytest.mark.parametrize("yaw", [0.0, 0.7, -2.0])
-def test_the_urdf_turns_a_camera_that_looks_straight_up_or_down_rightly(tmp_path, pitch, yaw):
-    R_eye_link = rotation([0, 0, yaw]) @ rotation([0, pitch, 0])
-    head = plain(11)
-    T_eye_cam = pose(R_eye_link) @ urdf.T_LINK_OPTICAL
-    cameras = {"left_wide": replace(head.cameras["left_wide"], T_eye_cam=T_eye_cam)}
-    urdf.save(replace(head, cameras=cameras), tmp_path / "head.urdf")
-    angles = dict.fromkeys(NECK_JOINTS, 0.0) | dict.fromkeys(EYE_JOINTS, 0.1)
-    tree = Tree(tmp_path / "head.urdf")
-    T_eye = tree.T_root("left_eye", angles)
-    found = inverse(T_eye) @ tree.T_root("left_wide_optical_frame", angles)
-    assert np.abs(rotvec(found[:3, :3].T @ T_eye_cam[:3, :3])).max() < 1e-7
-
-
 @pytest.mark.parametrize("format_name", ["kalibr", "ros", "opencv"])
 def test_skew_is_refused_by_formats_that_have_no_field_for_it(tmp_path, format_name):
     head = skewed_head(np.random.default_rng(12))
@@ -321,7 +102,7 @@ def test_skew_is_refused_by_formats_that_have_no_field_for_it(tmp_path, format_n
 
 
 def test_k3_is_refused_by_kalibr_and_kept_by_ros(tmp_path):
-    head = with_k3(plain(13), 0.004)
+    head = with_k3(unskewed_head(13), 0.004)
     with pytest.raises(VergenceError, match=r"left_wide has k3 = 0\.004.*opencv or ros"):
         kalibr.save(head, tmp_path / "camchain.yaml")
     ros.save(head, tmp_path)
@@ -330,20 +111,23 @@ def test_k3_is_refused_by_kalibr_and_kept_by_ros(tmp_path):
 
 @pytest.mark.parametrize("format_name", ["kalibr", "ros"])
 def test_the_accuracy_of_the_head_to_start_from_is_not_that_of_other_lenses(tmp_path, format_name):
-    head, path = plain(3), tmp_path / ("chain.yaml" if format_name == "kalibr" else "cameras")
+    head, path = (
+        unskewed_head(3),
+        tmp_path / ("chain.yaml" if format_name == "kalibr" else "cameras"),
+    )
     export_head(head, path, format_name)
     stated = replace(head, accuracy=Accuracy("bundle", ("time_offset_s",), np.array([[1e-6]])))
     assert import_head(path, format_name, template=stated).accuracy is None
 
 
 def test_kalibr_and_ros_need_a_head_to_start_from(tmp_path):
-    ros.save(plain(14), tmp_path)
+    ros.save(unskewed_head(14), tmp_path)
     with pytest.raises(VergenceError, match="name a head calibration"):
         import_head(tmp_path, "ros")
 
 
 def test_a_camera_that_the_head_has_not_is_named(tmp_path):
-    head = plain(15)
+    head = unskewed_head(15)
     ros.save(head, tmp_path)
     start = replace(head, cameras={"left_wide": head.cameras["left_wide"]})
     with pytest.raises(VergenceError, match="No camera is called 'left_narrow'"):
@@ -351,7 +135,7 @@ def test_a_camera_that_the_head_has_not_is_named(tmp_path):
 
 
 def test_names_that_lead_out_of_the_folder_are_refused(tmp_path):
-    head = plain(16)
+    head = unskewed_head(16)
     cameras = {"../left_wide": head.cameras["left_wide"]}
     with pytest.raises(ValidationError, match="letters, digits"):
         replace(head, cameras=cameras)
@@ -363,7 +147,7 @@ def test_names_that_lead_out_of_the_folder_are_refused(tmp_path):
 @given(data=st.data())
 def test_damaged_files_are_refused_in_one_sentence_or_read(data, tmp_path_factory):
     folder = tmp_path_factory.mktemp("damaged")
-    head = plain(17)
+    head = unskewed_head(17)
     name, format_name = data.draw(
         st.sampled_from([("head.yml", "opencv"), ("camchain.yaml", "kalibr"), ("info", "ros")])
     )
@@ -392,12 +176,12 @@ def test_damaged_files_are_refused_in_one_sentence_or_read(data, tmp_path_factor
 @pytest.mark.parametrize("format_name", ["kalibr", "ros", "opencv"])
 def test_a_missing_file_is_named(tmp_path, format_name):
     with pytest.raises(VergenceError, match=r"none\.yml"):
-        import_head(tmp_path / "none.yml", format_name, template=plain(18))
+        import_head(tmp_path / "none.yml", format_name, template=unskewed_head(18))
 
 
 def test_opencv_says_which_endings_it_knows(tmp_path):
     with pytest.raises(VergenceError, match=r"\.yml, \.yaml, \.xml, \.json"):
-        opencv.save(plain(19), tmp_path / "head.txt")
+        opencv.save(unskewed_head(19), tmp_path / "head.txt")
 
 
 FISHEYE = (-0.02, 0.01, -0.004, 0.001)
@@ -413,7 +197,7 @@ def with_lens(head: HeadCalibration, model: CameraModel) -> HeadCalibration:
 
 @pytest.mark.parametrize("model", ["fisheye", "rational"])
 def test_every_lens_survives_opencv_and_ros(tmp_path, model):
-    head = with_lens(plain(21), model)
+    head = with_lens(unskewed_head(21), model)
     opencv.save(head, tmp_path / "head.yml")
     assert numbers(opencv.load(tmp_path / "head.yml")) == numbers(head)
     ros.save(head, tmp_path / "ros")
@@ -425,18 +209,18 @@ def test_every_lens_survives_opencv_and_ros(tmp_path, model):
 
 
 def test_kalibr_keeps_a_fisheye_lens_and_refuses_a_rational_one(tmp_path):
-    head = with_lens(plain(22), "fisheye")
+    head = with_lens(unskewed_head(22), "fisheye")
     kalibr.save(head, tmp_path / "chain.yaml")
     cam = yaml.safe_load((tmp_path / "chain.yaml").read_text())["cam0"]
     assert (cam["distortion_model"], cam["distortion_coeffs"]) == ("equidistant", list(FISHEYE))
     lens, _ = kalibr.load(tmp_path / "chain.yaml")["left_wide"]
     assert numbers(lens) == numbers(head.cameras["left_wide"].intrinsics)
     with pytest.raises(VergenceError, match=r"rational lens.*--lens radial-tangential or fisheye"):
-        kalibr.save(with_lens(plain(22), "rational"), tmp_path / "other.yaml")
+        kalibr.save(with_lens(unskewed_head(22), "rational"), tmp_path / "other.yaml")
 
 
 def test_a_file_without_a_lens_model_has_the_five_coefficients(tmp_path):
-    head = plain(23)
+    head = unskewed_head(23)
     opencv.save(head, tmp_path / "head.json")
     text = (tmp_path / "head.json").read_text().replace('"lens_model"', '"note"')
     (tmp_path / "head.json").write_text(text)

@@ -1,0 +1,123 @@
+"""URDF: it moves as the head does, read by its specification."""
+
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from simulated_head import unskewed_head
+from vergence.geometry.head import Accuracy, T_base_cam, T_body_base, T_head_base
+from vergence.geometry.kinematics import EYE_JOINTS, Kinematics
+from vergence.geometry.neck import NECK_JOINTS, Neck, T_body_head
+from vergence.geometry.se3 import inverse, pose, rotation, rotvec
+from vergence.interchange import urdf
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+class Tree:
+    """A little forward kinematics of URDF, written from its specification."""
+
+    def __init__(self, path: Path):
+        self.joints = {}
+        for joint in ElementTree.parse(path).getroot().iter("joint"):
+            name, child = joint.get("name"), joint.find("child")
+            assert child is not None
+            self.joints[child.get("link")] = (name, joint)
+
+    def T_root(self, link: str, angles: dict[str, float]) -> np.ndarray:
+        if link not in self.joints:
+            return np.eye(4)
+        name, joint = self.joints[link]
+        origin, axis, mimic = (joint.find(tag) for tag in ("origin", "axis", "mimic"))
+        roll, pitch, yaw = map(float, origin.get("rpy").split())
+        R = rotation([0, 0, yaw]) @ rotation([0, pitch, 0]) @ rotation([roll, 0, 0])
+        T = pose(R, np.array(origin.get("xyz").split(), dtype=float))
+        if joint.get("type") == "revolute":
+            angle = angles[name if mimic is None else mimic.get("joint")]
+            if mimic is not None:
+                angle = float(mimic.get("multiplier")) * angle + float(mimic.get("offset"))
+            T = T @ pose(rotation(angle * np.array(axis.get("xyz").split(), dtype=float)))
+        return self.T_root(joint.find("parent").get("link"), angles) @ T
+
+
+@given(seed=SEEDS)
+def test_the_urdf_moves_as_the_head_does(seed, tmp_path_factory):
+    path = tmp_path_factory.mktemp("out") / "head.urdf"
+    head = unskewed_head(seed)
+    urdf.save(head, path)
+    tree = Tree(path)
+    rng = np.random.default_rng(seed)
+    neck, eyes = rng.uniform(-0.5, 0.5, 3), rng.uniform(-0.5, 0.5, 4)
+    angles = dict(zip((*NECK_JOINTS, *EYE_JOINTS), (*neck, *eyes), strict=True))
+    np.testing.assert_allclose(
+        tree.T_root("head", angles), T_body_head(head.neck, neck), atol=1e-12
+    )
+    for name, mounted in head.cameras.items():
+        T_body_eye_base = T_body_base(head, mounted.eye, neck)
+        np.testing.assert_allclose(
+            tree.T_root(f"{mounted.eye}_base", angles), T_body_eye_base, atol=1e-12
+        )
+        wanted = T_body_eye_base @ T_base_cam(head, name, eyes)
+        np.testing.assert_allclose(tree.T_root(f"{name}_optical_frame", angles), wanted, atol=1e-12)
+
+
+def test_a_head_with_perfect_axes_has_plain_joints(tmp_path):
+    head = replace(unskewed_head(10), kinematics=Kinematics(), neck=Neck())
+    urdf.save(head, tmp_path / "head.urdf")
+    robot = ElementTree.parse(tmp_path / "head.urdf").getroot()
+    revolute = {j.get("name"): j for j in robot.iter("joint") if j.get("type") == "revolute"}
+    assert set(revolute) == set(EYE_JOINTS)
+    assert all(j.find("mimic") is None for j in revolute.values())
+    limit = revolute["left_pan"].find("limit")
+    assert limit is not None
+    assert (limit.get("lower"), limit.get("upper")) == ("-1.5708", "1.5708")
+    links = [link.get("name") for link in robot.iter("link")]
+    assert len(links) == len(set(links))
+    children = [child.get("link") for child in robot.iter("child")]
+    assert sorted([*children, "body"], key=str) == sorted(links, key=str)
+    T = Tree(tmp_path / "head.urdf").T_root("right_base", {})
+    np.testing.assert_allclose(T, T_head_base(head, "right"), atol=1e-12)
+
+
+@pytest.mark.parametrize("eyes", [("left",), ("right",), ("left", "right")])
+def test_an_eye_whose_pose_is_measured_floats_in_the_urdf(tmp_path, eyes):
+    head = unskewed_head(10)
+    cameras = {name: each for name, each in head.cameras.items() if each.eye in eyes}
+    accuracy = Accuracy("bundle", eye_motion="poses")
+    head = replace(head, cameras=cameras, neck=Neck(), accuracy=accuracy)
+    urdf.save(head, tmp_path / "head.urdf")
+    robot = ElementTree.parse(tmp_path / "head.urdf").getroot()
+    kinds = {joint.get("name"): joint.get("type") for joint in robot.iter("joint")}
+    assert "revolute" not in kinds.values()
+    moved = {name for name, kind in kinds.items() if kind == "floating"}
+    assert moved == {f"{eye}_eye_joint" for eye in eyes}
+
+
+def test_the_urdf_of_a_head_of_one_eye_has_one_eye(tmp_path):
+    head = unskewed_head(10)
+    cameras = {name: each for name, each in head.cameras.items() if each.eye == "left"}
+    urdf.save(replace(head, cameras=cameras, neck=Neck()), tmp_path / "head.urdf")
+    robot = ElementTree.parse(tmp_path / "head.urdf").getroot()
+    links = [str(link.get("name")) for link in robot.iter("link")]
+    assert set(links) - {"body", "head"}
+    assert all(link.startswith("left") for link in links if link not in ("body", "head"))
+
+
+@pytest.mark.parametrize("pitch", [np.pi / 2, -np.pi / 2])
+@pytest.mark.parametrize("yaw", [0.0, 0.7, -2.0])
+def test_the_urdf_turns_a_camera_that_looks_straight_up_or_down_rightly(tmp_path, pitch, yaw):
+    R_eye_link = rotation([0, 0, yaw]) @ rotation([0, pitch, 0])
+    head = unskewed_head(11)
+    T_eye_cam = pose(R_eye_link) @ urdf.T_LINK_OPTICAL
+    cameras = {"left_wide": replace(head.cameras["left_wide"], T_eye_cam=T_eye_cam)}
+    urdf.save(replace(head, cameras=cameras), tmp_path / "head.urdf")
+    angles = dict.fromkeys(NECK_JOINTS, 0.0) | dict.fromkeys(EYE_JOINTS, 0.1)
+    tree = Tree(tmp_path / "head.urdf")
+    T_eye = tree.T_root("left_eye", angles)
+    found = inverse(T_eye) @ tree.T_root("left_wide_optical_frame", angles)
+    assert np.abs(rotvec(found[:3, :3].T @ T_eye_cam[:3, :3])).max() < 1e-7
