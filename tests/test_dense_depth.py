@@ -119,6 +119,15 @@ def test_grey_images_have_the_depth_of_the_same_ones_in_colour(pair: RectifiedPa
     np.testing.assert_array_equal(by_grey.image, by_colour.image)
 
 
+def test_depth_does_not_depend_on_how_the_eyes_expose(pair: RectifiedPair, drawn):
+    left, right = drawn
+    darker = np.round(0.6 * right.astype(float)).astype(np.uint8)
+    alike, found = (dense_depth(HEAD, JOINTS, pair, left, each) for each in (right, darker))
+    both = np.isfinite(alike.depth_m) & alike.textured & np.isfinite(found.depth_m)
+    assert both.sum() > 0.98 * (np.isfinite(alike.depth_m) & alike.textured).sum()
+    assert np.median(np.abs(found.depth_m / alike.depth_m - 1)[both]) < 0.005
+
+
 @pytest.mark.parametrize(
     ("shape", "dtype", "said"),
     [

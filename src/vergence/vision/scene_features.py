@@ -19,6 +19,7 @@ from scipy.spatial import KDTree
 from vergence.arrays import Array
 from vergence.geometry.camera import Camera, normalise, project
 from vergence.geometry.se3 import rotation, rotvec
+from vergence.vision.exposure import exposure_like
 from vergence.vision.least_squares_matching import WINDOW_PX, match_windows
 
 _MAP_STEP_PX = 8
@@ -59,14 +60,17 @@ class Matches:
 
 @dataclass(frozen=True, eq=False)
 class _Views:
-    """Two images of the scene, each turned half of the way to the other."""
+    """Two images of the scene, each turned half of the way to the other.
+
+    The second one is as bright, and of as much contrast, as the first in the part that both show.
+    """
 
     first: np.ndarray
     """(H, W) grey."""
     second: np.ndarray
     """(H, W) grey."""
     second_image: np.ndarray
-    """(H, W) grey, as it was taken."""
+    """(H, W) grey, as it was taken, with the contrast of the first; float32."""
     maps: tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
     """Where the pixels of each view lie in its image: u and v (H, W)."""
     inside: np.ndarray
@@ -150,12 +154,14 @@ def _views(
         maps.append((u, v))
         u, v = u[::2, ::2], v[::2, ::2]
         inside.append((u > 0) & (v > 0) & (u < camera.width - 1) & (v < camera.height - 1))
+    both = inside[0] & inside[1]
+    alike = exposure_like(*(view[::2, ::2][both] for view in views))
     return _Views(
         first=views[0],
-        second=views[1],
-        second_image=greys[1],
+        second=alike.of(views[1]),
+        second_image=greys[1] * np.float32(alike.gain),
         maps=(maps[0], maps[1]),
-        inside=inside[0] & inside[1],
+        inside=both,
         focal=focal,
         middle=middle,
         R_view_first=R_second_view,
