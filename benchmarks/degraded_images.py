@@ -4,8 +4,9 @@
 
 Rendered images of the paper's figures, made worse before anything is matched: contrast, exposure
 and blur, parts that are covered, a repeated pattern at a near depth, wrong matches, eyes that
-expose one after the other. The object's pixels are those of the good images, so that the geometry alone makes
-the difference. `learned` has seen 5 s of good images before, and goes on learning from bad ones.
+expose one after the other. The object's pixels are those of the good images, so that the geometry
+alone makes the difference. `learned` has seen 5 s of good images before, and goes on learning from
+bad ones.
 
 Printed is the standard deviation of depth over that of the joints (below 1: steadier; bar 1.05),
 and of single frames the mean squared error of the cameras' turn to each other over its stated
