@@ -111,10 +111,11 @@ def test_plain_walls_leave_their_features_to_what_has_texture():
     assert counts[0.65] > 0.7 * counts[0.1]
 
 
-def test_a_covered_eye_gives_no_matches():
+@pytest.mark.parametrize("noise_grey", [0.0, 1.5, 4.0])
+def test_a_covered_eye_gives_no_matches(noise_grey):
     rng = np.random.default_rng(0)
     left = picture(np.eye(4), 1.0, rng)
-    dark = np.full_like(left, 10)
+    dark = np.clip(np.round(rng.normal(15, noise_grey, left.shape)), 0, 255).astype(np.uint8)
     matches = match_scene(
         left, dark, left_camera=CAMERA, right_camera=CAMERA, T_rcam_lcam=T_RCAM_LCAM
     )
