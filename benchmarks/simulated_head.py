@@ -120,7 +120,7 @@ def skewed_head(rng: np.random.Generator, *, distorted: bool = True) -> HeadCali
 
 
 def unskewed_head(seed: int) -> HeadCalibration:
-    """Return such a head without skew, which formats of other programs have no field for."""
+    """Return a head with a neck and no skew, which formats of other programs have no field for."""
     head, cameras = skewed_head(np.random.default_rng(seed)), {}
     for name, mounted in head.cameras.items():
         matrix = mounted.intrinsics.matrix.copy()

@@ -7,7 +7,7 @@ import pytest
 from vergence.arrays import Array
 from vergence.geometry.camera import normalise, pinhole, project
 from vergence.geometry.se3 import pose, rotation
-from vergence.vision.exposure import Exposure
+from vergence.vision.exposure import with_exposure
 from vergence.vision.scene_features import (
     Matches,
     at_depth_discontinuities,
@@ -18,7 +18,7 @@ from vergence.vision.scene_features import (
 CAMERA = pinhole(640, 480, 280.0, (-0.12, 0.01, 0.0, 0.0, 0.0))
 T_RCAM_LCAM = pose(rotation([0.01, -0.15, 0.02]), [-0.075, 0.002, 0.01])
 WALL_M = 1.5
-ALIKE = Exposure(1.0, 0.0)
+ALIKE = 1.0, 0.0
 
 
 def picture(
@@ -45,12 +45,12 @@ def picture(
 
 
 def found(
-    contrast: float, guess: Array = T_RCAM_LCAM, exposure: Exposure = ALIKE
+    contrast: float, guess: Array = T_RCAM_LCAM, exposure: tuple[float, float] = ALIKE
 ) -> tuple[Matches, Array]:
     """Return matches, and how far each right pixel is from where it belongs, in deviations."""
     rng = np.random.default_rng(0)
     left, right = (picture(T, contrast, rng) for T in (np.eye(4), T_RCAM_LCAM))
-    right = exposure.of(right)
+    right = with_exposure(right, *exposure)
     matches = match_scene(left, right, left_camera=CAMERA, right_camera=CAMERA, T_rcam_lcam=guess)
     xy = normalise(CAMERA, matches.left)
     points = WALL_M * np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
@@ -88,7 +88,7 @@ def test_a_prediction_that_is_wrong_by_a_degree_is_good_enough():
     assert (np.abs(errors) < 5).all(axis=1).sum() > 150
 
 
-@pytest.mark.parametrize("exposure", [Exposure(0.5, 0), Exposure(0.8, 40), Exposure(1.2, -30)])
+@pytest.mark.parametrize("exposure", [(0.5, 0.0), (0.8, 40.0), (1.2, -30.0)])
 def test_eyes_that_expose_differently_see_the_same(exposure):
     alike, _ = found(1.0)
     matches, errors = found(1.0, exposure=exposure)

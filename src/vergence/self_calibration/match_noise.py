@@ -38,10 +38,10 @@ _UNKNOWNS = 5
 """Degrees of freedom of a pair, which the residuals lack."""
 _SAME_WINDOWS_RAD, _SAME_SURFACES_RAD = np.radians([1.2, 13.0])
 """Distances in the space of the readings over which the correlation of errors falls to 1 / e: one
-half as exp(-x) with the windows themselves, one as exp(-x^2) with what surrounds them. Fitted to
-what the errors of matches do to the parameters of the head, in four heads, both lenses, the room
-and the sparse scene (800 pictures at known postures): 0.36 within 1 degree, 0.20 at 2.5, 0.14 at 5,
-0.09 at 9, 0.07 at 13, 0.02 at 18, 0.01 at 22; 0.005 beyond."""
+half as exp(-x) with the windows themselves, one as exp(-x^2) with what surrounds them. The second
+was fitted, by eye, to what the errors of matches do to the parameters of the head (two heads in the
+room and two in the sparse scene, both lenses, 800 pairs of images at known postures): correlations
+of 0.36 within 1 degree, 0.20 at 2.5, 0.14 at 5, 0.09 at 9, 0.07 at 13, 0.02 at 18, 0.01 at 22."""
 _FADING_S = 600.0
 """Time over which the correlation falls to 1 / e: an assumption, so that a head that has drifted
 is learned again. In nine rendered minutes errors recurred as within seconds. With two minutes
@@ -49,10 +49,10 @@ instead of ten, squared Mahalanobis distances of what these had taught were 1.2 
 large."""
 _EVERYWHERE = 0.01
 """Correlation of errors at any two postures, an assumption: rendered matches have mean residuals of
-some thousandths of a pixel that no number of frames averages out. Without it what all figures of a
-lens had taught was up to 2.5 times too certain (squared distance from the truth), in the same few
-directions for all heads and lenses. Between postures 20 to 60 degrees apart -0.01 to 0.01 was
-measured in three sequences."""
+some thousandths of a pixel that no number of frames averages out. Without it, and with an earlier
+fit of the distances above, what all figures of a lens had taught was up to 2.5 times too certain
+(squared distance from the truth), in the same few directions for all heads and lenses. Between
+postures 20 to 60 degrees apart 0.005 was measured, with an uncertainty as large."""
 _EXPECTED_RECURRENCE = 0.4
 """Correlation of errors at the same posture, before it is measured."""
 _MOST_RECURRENCE = 0.95

@@ -117,7 +117,8 @@ def _joint_variance(state: SelfCalibration, evidence: Evidence) -> tuple[float, 
 def log_likelihood(state: SelfCalibration, seen: SelfCalibrated) -> float:
     """Return the log likelihood of a frame given what is known before, up to a constant."""
     assert seen.evidence is not None
-    # Not weakened: an error that recurs, the state has learned too, so that it hides no change.
+    # In full, unlike in `updated`: errors that recur were there when the state was learned, so that
+    # they do not look like a change.
     says = seen.evidence
     C = prior_of(state, len(seen.readings))
     posterior = np.linalg.inv(np.linalg.inv(C) + says.information)

@@ -72,7 +72,7 @@ def match_windows(
 
     Args:
         left: (H, W) the left view, grey.
-        right: (H, W) the right image as it was taken, grey: interpolated once only.
+        right: (H, W) the right image, not turned, grey: interpolated once only.
         right_map: u and v (H, W) float32 in it, where the pixels of the right view lie.
         at: (N, 2) middles of the windows in the left view [px].
         found: (N, 2) about where they are in the right view, to half a pixel.

@@ -19,7 +19,7 @@ from scipy.spatial import KDTree
 from vergence.arrays import Array
 from vergence.geometry.camera import Camera, normalise, project
 from vergence.geometry.se3 import rotation, rotvec
-from vergence.vision.exposure import exposure_like
+from vergence.vision.exposure import gain_and_offset, with_exposure
 from vergence.vision.least_squares_matching import WINDOW_PX, match_windows
 
 _MAP_STEP_PX = 8
@@ -70,7 +70,7 @@ class _Views:
     second: np.ndarray
     """(H, W) grey."""
     second_image: np.ndarray
-    """(H, W) grey, as it was taken, with the contrast of the first; float32."""
+    """(H, W) grey, not turned, with the contrast of the first; float32."""
     maps: tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
     """Where the pixels of each view lie in its image: u and v (H, W)."""
     inside: np.ndarray
@@ -155,11 +155,11 @@ def _views(
         u, v = u[::2, ::2], v[::2, ::2]
         inside.append((u > 0) & (v > 0) & (u < camera.width - 1) & (v < camera.height - 1))
     both = inside[0] & inside[1]
-    alike = exposure_like(*(view[::2, ::2][both] for view in views))
+    gain, offset = gain_and_offset(*(view[::2, ::2][both] for view in views))
     return _Views(
         first=views[0],
-        second=alike.of(views[1]),
-        second_image=greys[1] * np.float32(alike.gain),
+        second=with_exposure(views[1], gain, offset),
+        second_image=greys[1].astype(np.float32) * np.float32(gain),
         maps=(maps[0], maps[1]),
         inside=both,
         focal=focal,
