@@ -129,7 +129,14 @@ GRID = GRID.reshape(-1, 2)
 def test_windows_at_a_depth_discontinuity_are_known_by_their_neighbours():
     behind = GRID[:, 1] < 150
     found_at = at_depth_discontinuities(GRID, np.where(behind, 12.0, 20.0) + 0.1 * GRID[:, 0])
-    np.testing.assert_array_equal(found_at, np.isin(GRID[:, 1], [135, 150]))
+    assert found_at[np.isin(GRID[:, 1], [135, 150])].all()
+    assert not found_at[np.abs(GRID[:, 1] - 142.5) > 25].any()
+
+
+def test_windows_on_a_curved_surface_are_known_by_their_neighbours():
+    across = (GRID[:, 0] - 142.5) / 15
+    assert not at_depth_discontinuities(GRID, 0.05 * across**2).any()
+    assert at_depth_discontinuities(GRID, across**2).all()
 
 
 def test_an_inclined_surface_and_a_wrong_match_make_no_discontinuity():

@@ -38,11 +38,15 @@ _LEAST_FORWARD = 0.1
 """Least component of a ray along the optical axis: others are beside any view."""
 _LARGEST_STD_PX = 0.7
 """Largest standard deviation of a match that is kept: others are not worth their time."""
-_NEIGHBOURS = 8
+_NEIGHBOURS = 12
 _NEIGHBOUR_PX = 40.0
-"""Neighbours of a match that show where depth is discontinuous: how many, and how near they are."""
-_STEEPEST = 0.2
-"""Change of displacement per pixel that a surface may have: twice what a window expects."""
+"""Neighbours of a match that show the surface around it: how many, and how near they are."""
+_SURFACE_PX = 15.0
+"""Distance at which a neighbour counts half: a window's width."""
+_LARGEST_RELIEF_PX = 0.4
+"""Root mean square by which the neighbours may be displaced otherwise than a plane would be."""
+_LARGEST_STEP_PX = 1.0
+"""By how much a match may be displaced otherwise than the plane of its neighbours."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,12 +208,12 @@ def _matched(views: _Views, at: Array, depths_m: Array | None) -> tuple[Matches,
 
 
 def at_depth_discontinuities(at: Array, displaced: Array) -> np.ndarray:
-    """Return which windows (N,) lie at a depth discontinuity, as their neighbours show.
+    """Return which windows (N,) lie where the scene is not nearly plane, as neighbours show.
 
-    There an edge of the nearer surface and one of the farther often meet in a T-junction, which is
-    no point of the scene, and seems to be displaced across the epipolar line. A window cannot tell;
-    its neighbours do, where two of them are displaced more than a surface would let them be. One
-    may be matched wrongly.
+    At a depth discontinuity an edge of the nearer surface and one of the farther often meet in a
+    T-junction, which is no point of the scene, and seems to be displaced across the epipolar line;
+    relief in a window is taken in part for such a displacement. A window cannot tell; its
+    neighbours do, where they are not displaced as a plane would be. One of them may be wrong.
 
     Args:
         at: (N, 2) middles of the windows [px].
@@ -218,9 +222,27 @@ def at_depth_discontinuities(at: Array, displaced: Array) -> np.ndarray:
     if len(at) <= _NEIGHBOURS:
         return np.zeros(len(at), bool)
     far, which = KDTree(at).query(at, k=_NEIGHBOURS + 1, distance_upper_bound=_NEIGHBOUR_PX)
+    far = np.asarray(far)[:, 1:]
     near = np.isfinite(far)
-    apart = np.abs(displaced[np.where(near, which, 0)] - displaced[:, None])
-    return (near & (apart > _STEEPEST * far)).sum(axis=1) >= 2
+    which = np.where(near, np.asarray(which)[:, 1:], 0)
+    A = np.ones((*which.shape, 3))
+    A[..., 1:] = (at[which] - at[:, None]) / _SURFACE_PX
+    weights = np.where(near, 1 / (1 + (far / _SURFACE_PX) ** 2), 0.0)
+    y = displaced[which] - displaced[:, None]
+    apart = y - _planes(A, weights, y)[0]
+    weights[np.arange(len(at)), (np.abs(apart) * near).argmax(axis=1)] = 0
+    plane, here = _planes(A, weights, y)
+    square = (weights * (y - plane) ** 2).sum(axis=1)
+    relief = np.sqrt(square / np.maximum(weights.sum(axis=1), 1e-9))
+    return (relief > _LARGEST_RELIEF_PX) | (np.abs(here) > _LARGEST_STEP_PX)
+
+
+def _planes(A: Array, weights: Array, y: Array) -> tuple[Array, Array]:
+    """Return planes fitted to values (N, k): at their k places (N, k), and in the middle (N,)."""
+    weighted = np.swapaxes(A, 1, 2) * weights[:, None]
+    normal = weighted @ A + 1e-3 * np.eye(3)  # of neighbours on one line, the flattest
+    coefficients = np.asarray(np.linalg.solve(normal, weighted @ y[..., None]), float)
+    return (A @ coefficients)[..., 0], coefficients[:, 0, 0]
 
 
 def _map(
