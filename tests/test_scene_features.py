@@ -10,8 +10,8 @@ from vergence.geometry.se3 import pose, rotation
 from vergence.vision.exposure import with_exposure
 from vergence.vision.scene_features import (
     Matches,
-    at_depth_discontinuities,
     match_scene,
+    relief_around,
     track_features,
 )
 
@@ -126,25 +126,32 @@ GRID = np.stack(np.meshgrid(np.arange(0.0, 300, 15), np.arange(0.0, 300, 15)), a
 GRID = GRID.reshape(-1, 2)
 
 
-def test_windows_at_a_depth_discontinuity_are_known_by_their_neighbours():
-    behind = GRID[:, 1] < 150
-    found_at = at_depth_discontinuities(GRID, np.where(behind, 12.0, 20.0) + 0.1 * GRID[:, 0])
-    assert found_at[np.isin(GRID[:, 1], [135, 150])].all()
-    assert not found_at[np.abs(GRID[:, 1] - 142.5) > 25].any()
-
-
-def test_windows_on_a_curved_surface_are_known_by_their_neighbours():
-    across = (GRID[:, 0] - 142.5) / 15
-    assert not at_depth_discontinuities(GRID, 0.05 * across**2).any()
-    assert at_depth_discontinuities(GRID, across**2).all()
-
-
-def test_an_inclined_surface_and_a_wrong_match_make_no_discontinuity():
+def test_a_plane_has_no_relief():
     displaced = 5 + 0.12 * GRID[:, 0] - 0.1 * GRID[:, 1]
-    assert not at_depth_discontinuities(GRID, displaced).any()
+    np.testing.assert_allclose(relief_around(GRID, displaced), 0, atol=0.01)
+    np.testing.assert_array_equal(relief_around(GRID[:5], displaced[:5]), 0)  # too few to tell
+
+
+def test_neighbours_show_relief_at_a_depth_discontinuity():
+    behind = GRID[:, 1] < 150
+    found = relief_around(GRID, np.where(behind, 12.0, 20.0) + 0.1 * GRID[:, 0])
+    assert (found[np.isin(GRID[:, 1], [135, 150])] > 1).all()
+    assert (found[np.abs(GRID[:, 1] - 142.5) > 25] < 0.01).all()
+
+
+def test_neighbours_show_the_relief_of_a_curved_surface():
+    across = (GRID[:, 0] - 142.5) / 15
+    slightly, strongly = (relief_around(GRID, by * across**2) for by in (0.05, 1.0))
+    np.testing.assert_allclose(strongly, 20 * slightly, rtol=1e-6)
+    assert (strongly > 0.4).all()
+
+
+def test_a_wrong_match_makes_relief_for_itself_alone():
+    displaced = np.zeros(len(GRID))
     displaced[205] += 10
-    np.testing.assert_array_equal(np.flatnonzero(at_depth_discontinuities(GRID, displaced)), [205])
-    assert not at_depth_discontinuities(GRID[:5], displaced[:5]).any()  # too few to tell
+    found = relief_around(GRID, displaced)
+    assert found[205] > 1
+    assert (np.delete(found, 205) < 0.1).all()
 
 
 T_NOW_BEFORE = pose(rotation([0.06, 0.2, 0.02]), [0.004, 0.001, 0.002])
