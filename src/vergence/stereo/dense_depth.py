@@ -101,7 +101,7 @@ def dense_depth(
     grey = [each if each.ndim == 2 else cv2.cvtColor(each, cv2.COLOR_RGB2GRAY) for each in found]
     colour = found[0] if found[0].ndim == 3 else cv2.cvtColor(found[0], cv2.COLOR_GRAY2RGB)
     both = pair.left.seen & pair.right.seen
-    as_left = with_exposure(grey[1], *gain_and_offset(grey[0][both], grey[1][both]))
+    as_left = with_exposure(grey[1], *gain_and_offset(grey[0], grey[1], both))
     disparity = _match(grey[0], as_left, scale / nearest_m)
     u, v = np.meshgrid(*map(np.arange, disparity.shape[::-1]))
     opposite = np.round(u - np.nan_to_num(disparity)).astype(int)

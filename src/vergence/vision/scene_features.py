@@ -159,7 +159,7 @@ def _views(
         u, v = u[::2, ::2], v[::2, ::2]
         inside.append((u > 0) & (v > 0) & (u < camera.width - 1) & (v < camera.height - 1))
     both = inside[0] & inside[1]
-    gain, offset = gain_and_offset(*(view[::2, ::2][both] for view in views))
+    gain, offset = gain_and_offset(views[0][::2, ::2], views[1][::2, ::2], both)
     return _Views(
         first=views[0],
         second=with_exposure(views[1], gain, offset),
