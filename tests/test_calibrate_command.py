@@ -125,7 +125,7 @@ def _check_recording(path: Path, folder: Path, stated: dict) -> None:
     np.testing.assert_array_equal(pan.ravel(), dataset.eye_angles[:, 0])
 
 
-def test_the_paper_s_method_states_no_accuracy(recorded, tmp_path, monkeypatch, capsys):
+def test_the_paper_s_method_states_no_covariance(recorded, tmp_path, monkeypatch, capsys):
     out = tmp_path / "paper.json"
     run(monkeypatch, "calibrate", recorded, "--out", out, "--method", "paper")
     assert capsys.readouterr().out.startswith("DOUBTFUL")  # never "GOOD"
@@ -133,6 +133,8 @@ def test_the_paper_s_method_states_no_accuracy(recorded, tmp_path, monkeypatch, 
     assert accuracy is not None
     assert accuracy.method == "paper"
     assert not accuracy.parameters
+    assert set(accuracy.focal_std) == set(load_head(out).cameras)
+    assert all(0 < std < 1e-2 for std in accuracy.focal_std.values())
 
 
 def test_an_exported_head_comes_back(tmp_path, monkeypatch):

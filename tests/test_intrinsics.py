@@ -103,6 +103,8 @@ def test_the_residual_is_the_noise_and_the_stated_deviation_of_the_focal_length_
         assert found.rms_px == pytest.approx(0.2 * np.sqrt(2), rel=0.1)
         off.append(found.camera.matrix[[0, 1], [0, 1]] - camera.matrix[[0, 1], [0, 1]])
         stated.append(found.focal_std_px)
+        mean = np.mean(found.focal_std_px / found.camera.matrix[[0, 1], [0, 1]])
+        assert found.focal_std == pytest.approx(mean)
     # The deviation of twenty is known to a sixth.
     np.testing.assert_allclose(
         np.sqrt(np.mean(np.square(off), axis=0)), np.mean(stated, 0), rtol=0.5

@@ -7,7 +7,6 @@ import pytest
 from vergence.arrays import Array
 from vergence.geometry.camera import normalise, pinhole, project
 from vergence.geometry.se3 import pose, rotation
-from vergence.vision.exposure import with_exposure
 from vergence.vision.scene_features import (
     Matches,
     match_scene,
@@ -50,7 +49,7 @@ def found(
     """Return matches, and how far each right pixel is from where it belongs, in deviations."""
     rng = np.random.default_rng(0)
     left, right = (picture(T, contrast, rng) for T in (np.eye(4), T_RCAM_LCAM))
-    right = with_exposure(right, *exposure)
+    right = np.clip(np.round(exposure[0] * right + exposure[1]), 0, 255).astype(np.uint8)
     matches = match_scene(left, right, left_camera=CAMERA, right_camera=CAMERA, T_rcam_lcam=guess)
     xy = normalise(CAMERA, matches.left)
     points = WALL_M * np.concatenate([xy, np.ones((len(xy), 1))], axis=1)

@@ -230,6 +230,32 @@ def test_both_eyes_of_a_calibration_without_covariance_are_taken_to_err_alike_in
     assert np.linalg.eigvalsh(correlation)[0] > 0
 
 
+def test_the_ratio_of_focal_lengths_is_as_certain_as_their_fits_state():
+    head = head_of(0)
+    left, right = initial_self_calibration(head).cameras
+
+    def ratio_std(*stated: float) -> float:
+        accuracy = Accuracy(
+            method="paper", focal_std=dict(zip((left, right), stated, strict=False))
+        )
+        state = initial_self_calibration(replace(head, accuracy=accuracy), fresh=True)
+        assert np.linalg.eigvalsh(state.covariance)[0] > 0
+        both = np.zeros(len(state.names))
+        for name, sign in ((left, 1), (right, -1)):
+            of_fx = state.names.index(f"{name}.fx")
+            both[of_fx] = sign / head.camera(name).intrinsics.matrix[0, 0]
+            # Both may still be wrong alike.
+            focal = np.sqrt(state.covariance[of_fx, of_fx]) * abs(both[of_fx])
+            assert focal == pytest.approx(0.0175, rel=0.03)
+        return float(np.sqrt(both @ state.covariance @ both))
+
+    assert ratio_std(1e-4, 2e-4) == pytest.approx(2 * np.hypot(1e-4, 2e-4), rel=0.03)
+    assert 0 < ratio_std(0.0, 0.0) < 1e-5
+    # What nobody states, or what says little, leaves what epipolar lines tell.
+    assert ratio_std(0.5, 0.5) == pytest.approx(ratio_std(), rel=1e-3)
+    assert ratio_std(1e-4) == ratio_std()
+
+
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "one eye"])
 def test_epipolar_lines_of_a_calibration_without_covariance_fit_to_a_third_of_a_pixel(kind):
     """At straight gaze, root mean square over the image.

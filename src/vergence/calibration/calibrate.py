@@ -148,7 +148,7 @@ def calibrate(
     progress("calibrating", 1, 3)
     if method == "paper":
         estimate, choice, std = None, (), {}
-        head, accuracy = start.head, Accuracy(method="paper")
+        head, accuracy = start.head, start.accuracy
         focal_std = {name: each.focal_std_px for name, each in intrinsics.items()}
     else:
         estimate = bundle_adjust(start.head, observations, T_cam_target=T_cam_target)

@@ -106,9 +106,13 @@ class Accuracy:
     """Bundle adjustment, or the paper's steps alone."""
     parameters: Annotated[tuple[str, ...], BeforeValidator(_names_of_version_0_1)] = ()
     """Names of what was estimated, such as left_wide.fx, left_wide.T_eye_cam.rx, left.pan_gain;
-    px, rad, m, s. Empty for the paper's method, which states no accuracy."""
+    px, rad, m, s. Empty for the paper's method, which states no covariance."""
     covariance: Matrix = field(default_factory=lambda: np.empty((0, 0)))
     """In the order of parameters. Poses change by the increment of `se3.boxplus`."""
+    focal_std: dict[str, Annotated[float, Field(ge=0, lt=1)]] = field(default_factory=dict)
+    """By camera, where there is no covariance: relative standard deviation of the focal length by
+    independent errors of the corners. What all cameras that saw the board have in common, such as a
+    bent board, is not in it."""
     pixel_std_px: Annotated[float, Field(ge=0)] | None = None
     """Noise of one coordinate of a corner."""
     joint_std: tuple[Annotated[float, Field(ge=0)], ...] = ()

@@ -178,7 +178,7 @@ def learned_head(state: SelfCalibration) -> HeadCalibration:
     """Return the learned head with its accuracy, to be saved and used as any calibration."""
     before = state.head.accuracy
     accuracy = Accuracy(
-        method=before.method if before else "bundle",
+        method="bundle",
         parameters=state.names,
         covariance=state.covariance,
         pixel_std_px=before.pixel_std_px if before else None,

@@ -22,7 +22,7 @@ from vergence.geometry.se3 import transform
 from vergence.stereo.depth_error import depth_error
 from vergence.stereo.rectification import RectifiedPair, rectified_image, rectified_points
 from vergence.stereo.uncertainty import LocatedPoints, locate
-from vergence.vision.exposure import gain_and_offset, with_exposure
+from vergence.vision.exposure import of_equal_contrast
 
 NEAREST_M = 0.3
 """Default least depth that is sought."""
@@ -101,8 +101,8 @@ def dense_depth(
     grey = [each if each.ndim == 2 else cv2.cvtColor(each, cv2.COLOR_RGB2GRAY) for each in found]
     colour = found[0] if found[0].ndim == 3 else cv2.cvtColor(found[0], cv2.COLOR_GRAY2RGB)
     both = pair.left.seen & pair.right.seen
-    as_left = with_exposure(grey[1], *gain_and_offset(grey[0], grey[1], both))
-    disparity = _match(grey[0], as_left, scale / nearest_m)
+    alike = of_equal_contrast(grey[0], grey[1], both[::2, ::2])
+    disparity = _match(*alike, scale / nearest_m)
     u, v = np.meshgrid(*map(np.arange, disparity.shape[::-1]))
     opposite = np.round(u - np.nan_to_num(disparity)).astype(int)
     whole = [_whole(view.seen) for view in (pair.left, pair.right)]

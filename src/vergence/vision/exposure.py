@@ -1,9 +1,10 @@
-"""How two images of one scene differ in brightness and contrast, and images made alike in both.
+"""Two images of one scene made alike in brightness and contrast, for trackers and stereo matchers.
 
-Two cameras seldom expose alike, nor does one camera at two times, and trackers and stereo matchers
-compare grey levels as they are. There is one gain and one offset for the whole image; vignetting is
-not modelled. Images show what the other does not, such as something near to one eye: so each part
-of the image tells a gain and an offset, and most of the contrast decides.
+These compare grey levels as they are, and two cameras seldom expose alike, nor does one camera at
+two times. Brightness is taken away by its mean nearby, so that vignetting does not matter, nor what
+one image alone shows elsewhere. Contrast is one number for the whole image: each part of the image
+tells one, since images show what the other does not, such as something near to one eye, and most of
+the contrast decides.
 """
 
 from __future__ import annotations
@@ -13,40 +14,56 @@ import numpy as np
 
 from vergence.arrays import Array
 
+_NEARBY_PX = 31
+"""Side of the square of which the mean is taken: twice that of a window that is matched."""
 _LEAST_STD = 1.0
-"""Standard deviation of grey levels below which a part shows noise and rounding alone."""
-_PARTS = 16
+"""Root mean square of grey levels below which a part shows noise and rounding alone."""
+_PARTS = 10
 """Along the width of an image."""
 _SMALLEST_PART_PX = 8
+_MIDDLE = 128
 
 
-def gain_and_offset(first: np.ndarray, second: np.ndarray, both: np.ndarray) -> tuple[float, float]:
-    """Return what gives the second image the grey levels and the contrast of the first.
+def of_equal_contrast(
+    first: np.ndarray, second: np.ndarray, both: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return two images (H, W) without their means nearby, the second with the first's contrast.
 
-    Where no part has contrast in both images the gain is 1; where none is shown by both, nothing
-    changes.
+    Grey levels are uint8 about 128. Where no part has contrast in both images, each keeps its own.
 
     Args:
         first: (H, W) uint8.
         second: (H, W) uint8; a point of the scene is displaced by a part of the image at most.
-        both: (H, W) bool: whether both images show it.
+        both: (H / 2, W / 2) bool: of every second pixel, whether both images show it.
     """
+    first, second = (_without_mean(each) for each in (first, second))
+    ratio = _contrast_ratio(first[::2, ::2], second[::2, ::2], both)
+    levels = np.round(ratio * (np.arange(256) - _MIDDLE) + _MIDDLE)
+    return first, cv2.LUT(second, np.clip(levels, 0, 255).astype(np.uint8))
+
+
+def _without_mean(image: np.ndarray) -> np.ndarray:
+    side = (_NEARBY_PX, _NEARBY_PX)
+    nearby = cv2.boxFilter(image, -1, side, borderType=cv2.BORDER_REPLICATE)
+    return cv2.addWeighted(image, 1, nearby, -1, _MIDDLE)
+
+
+def _contrast_ratio(first: np.ndarray, second: np.ndarray, both: np.ndarray) -> float:
+    """Return how many times the contrast of the second image the first one has."""
     part = max(first.shape[1] // _PARTS, _SMALLEST_PART_PX)
     whole = _means(both, part) > 0.999
-    means = [_means(image, part)[whole] for image in (first, second)]
-    if not len(means[0]):
-        return 1.0, 0.0
-    variances = [
-        np.maximum(_means(np.square(image, dtype=np.float32), part)[whole] - mean**2, 0)
-        for image, mean in zip((first, second), means, strict=True)
+    squares = [
+        _means(np.square(image.astype(np.float32) - _MIDDLE), part)[whole]
+        for image in (first, second)
     ]
-    contrast = np.minimum(*variances)
-    contrast[contrast < _LEAST_STD**2] = 0
-    if not contrast.any():
-        return 1.0, _median(means[0] - means[1], np.ones_like(contrast))
-    ratios = np.sqrt(variances[0] / np.maximum(variances[1], _LEAST_STD**2))
-    gain = _median(ratios, contrast)
-    return gain, _median(means[0] - gain * means[1], contrast)
+    weights = np.minimum(*squares)
+    counted = weights >= _LEAST_STD**2
+    if not counted.any():
+        return 1.0
+    ratios = np.sqrt(squares[0][counted] / squares[1][counted])
+    order = np.argsort(ratios)
+    reached = np.cumsum(weights[counted][order])
+    return float(ratios[order][np.searchsorted(reached, reached[-1] / 2)])
 
 
 def _means(image: np.ndarray, part: int) -> Array:
@@ -56,16 +73,3 @@ def _means(image: np.ndarray, part: int) -> Array:
     if not image.size:
         return np.empty((0, 0))
     return cv2.resize(image, (columns, rows), interpolation=cv2.INTER_AREA).astype(float)
-
-
-def _median(values: Array, weights: Array) -> float:
-    """Return the value (n,) at which half of the weight is reached."""
-    order = np.argsort(values)
-    reached = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(reached, reached[-1] / 2)])
-
-
-def with_exposure(grey: np.ndarray, gain: float, offset: float) -> np.ndarray:
-    """Return an image (H, W) uint8 whose grey levels are multiplied, shifted, and cut to 0-255."""
-    levels = np.round(gain * np.arange(256) + offset)
-    return cv2.LUT(grey, np.clip(levels, 0, 255).astype(np.uint8))

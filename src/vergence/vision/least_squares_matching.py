@@ -82,24 +82,26 @@ def match_windows(
     if not len(at):
         return Matched(np.empty((0, 2)), np.empty((0, 2, 2)), np.zeros(0, bool))
     x, y = _offsets(WINDOW_PX // 2 + 1)  # one more, for the slopes
-    first, last, along = (each.astype(np.float32) for each in (at, found, direction))
+    middle, last, along = (each.astype(np.float32) for each in (at, found, direction))
     larger = enlargement.astype(np.float32)[:, None, None]
     left, right = left.astype(np.float32), right.astype(np.float32)
-    template = _sampled(left, first[:, :1] + x, first[:, 1:] + y)
+    template = _sampled(left, middle[:, :1] + x, middle[:, 1:] + y)
     # Changes of less than a pixel are taken on by the map's own slopes.
     u, v = (_sampled(each, last[:, :1] + x, last[:, 1:] + y) for each in right_map)
     by_view = np.stack([_middle_slopes(each) for each in (u, v)], axis=1)
     offsets = np.stack([np.ones_like(x), x, y])
     state = np.zeros((len(at), 4), np.float32)  # a shift (2), and its change per pixel in x and y
 
-    def difference(state: np.ndarray) -> np.ndarray:
-        """Return the difference of the right windows to the left (N, n)."""
+    def shown(state: np.ndarray) -> np.ndarray:
+        """Return the right windows (N, n)."""
         by_offset = along[:, :, None] * state[:, None, 2:] + larger * np.eye(2, dtype=np.float32)
         moved = by_view @ np.concatenate([state[:, :2, None], by_offset], axis=2)
         at_u, at_v = (each + moved[:, k] @ offsets for k, each in enumerate((u, v)))
-        return _sampled(right, at_u, at_v) - template
+        return _sampled(right, at_u, at_v)
 
-    apart = difference(state)
+    first = shown(state)
+    contrast = _contrast(template, first)
+    apart = contrast * first - template
     by_state = _slopes(template + apart / 2, along)
     H = by_state @ np.swapaxes(by_state, 1, 2)
     prior = np.diag(np.array([0, 0, 1, 1], np.float32)) / _SLOPE_STD**2
@@ -110,7 +112,7 @@ def match_windows(
         whole = H + variance[..., None] * prior + 1e-3 * np.eye(4, dtype=np.float32)
         step = np.linalg.solve(whole, pull[..., None])[..., 0]
         state = state - np.clip(step, -_LARGEST_STEP_PX, _LARGEST_STEP_PX)
-        apart = _inner(difference(state))
+        apart = _inner(contrast * shown(state) - template)
     covariance, clear = _covariance(by_state, H, apart, _variance(apart), prior)
     inside = (u.min(1) >= 0) & (v.min(1) >= 0)
     inside &= (u.max(1) <= right.shape[1] - 1) & (v.max(1) <= right.shape[0] - 1)
@@ -136,6 +138,15 @@ def _middle_slopes(windows: np.ndarray) -> np.ndarray:
 def _sampled(image: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Return the values (N, n) of an image at u and v (N, n), between its pixels."""
     return cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
+def _contrast(template: np.ndarray, other: np.ndarray) -> np.float32:
+    """Return how many times the contrast of other windows (N, n) that of templates (N, n) is.
+
+    One for all of them: cameras expose a whole image alike.
+    """
+    variances = [(_inner(each) ** 2).sum(axis=1) for each in (template, other)]
+    return np.median(np.sqrt(variances[0] / np.maximum(variances[1], _LEAST_GREY**2)))
 
 
 def _square(windows: np.ndarray) -> np.ndarray:

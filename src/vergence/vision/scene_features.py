@@ -19,7 +19,7 @@ from scipy.spatial import KDTree
 from vergence.arrays import Array
 from vergence.geometry.camera import Camera, normalise, project
 from vergence.geometry.se3 import rotation, rotvec
-from vergence.vision.exposure import gain_and_offset, with_exposure
+from vergence.vision.exposure import of_equal_contrast
 from vergence.vision.least_squares_matching import WINDOW_PX, match_windows
 
 _MAP_STEP_PX = 8
@@ -64,17 +64,14 @@ class Matches:
 
 @dataclass(frozen=True, eq=False)
 class _Views:
-    """Two images of the scene, each turned half of the way to the other.
-
-    The second one is as bright, and of as much contrast, as the first in the part that both show.
-    """
+    """Two images of the scene, each turned half of the way to the other."""
 
     first: np.ndarray
     """(H, W) grey."""
     second: np.ndarray
     """(H, W) grey."""
     second_image: np.ndarray
-    """(H, W) grey, not turned, with the contrast of the first; float32."""
+    """(H, W) grey, not turned."""
     maps: tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
     """Where the pixels of each view lie in its image: u and v (H, W)."""
     inside: np.ndarray
@@ -154,18 +151,17 @@ def _views(
         u, v = _map(camera, R_cam_view, focal, middle, size)
         grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         greys.append(grey)
-        views.append(cv2.remap(grey, u, v, cv2.INTER_LINEAR))
+        # Outside of the image its edge, which has no contrast of its own.
+        views.append(cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
         maps.append((u, v))
         u, v = u[::2, ::2], v[::2, ::2]
         inside.append((u > 0) & (v > 0) & (u < camera.width - 1) & (v < camera.height - 1))
-    both = inside[0] & inside[1]
-    gain, offset = gain_and_offset(views[0][::2, ::2], views[1][::2, ::2], both)
     return _Views(
         first=views[0],
-        second=with_exposure(views[1], gain, offset),
-        second_image=greys[1].astype(np.float32) * np.float32(gain),
+        second=views[1],
+        second_image=greys[1],
         maps=(maps[0], maps[1]),
-        inside=both,
+        inside=inside[0] & inside[1],
         focal=focal,
         middle=middle,
         R_view_first=R_second_view,
@@ -180,7 +176,8 @@ def _matched(views: _Views, at: Array, depths_m: Array | None) -> tuple[Matches,
     """
     by_depth = views.focal * views.shift[:2] - (at - views.middle) * views.shift[2]
     nearness = 1 / (np.full(len(at), _EXPECTED_DEPTH_M) if depths_m is None else depths_m)
-    found, sure = _track(views.first, views.second, at, at + by_depth * nearness[:, None])
+    alike = of_equal_contrast(views.first, views.second, views.inside)
+    found, sure = _track(*alike, at, at + by_depth * nearness[:, None])
     at, found, by_depth, nearness = at[sure], found[sure], by_depth[sure], nearness[sure]
     # Displaced by by_depth / (depth + shift[2]), of which the last is due to the change of scale.
     square = np.maximum((by_depth**2).sum(axis=1), 1e-12)

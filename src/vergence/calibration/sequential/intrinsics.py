@@ -102,6 +102,11 @@ class Intrinsics:
     """Standard deviations of fx and fy, if all corners have independent errors of the size that
     is left."""
 
+    @property
+    def focal_std(self) -> float:
+        """That of the focal length, relative to it."""
+        return float((self.focal_std_px / self.camera.matrix[[0, 1], [0, 1]]).mean())
+
 
 def calibrate_intrinsics(
     observations: Observations,

@@ -22,7 +22,13 @@ from vergence.calibration.sequential.intrinsics import Intrinsics, LensModel, ca
 from vergence.calibration.sequential.static_stereo import calibrate_pair
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
-from vergence.geometry.head import HeadCalibration, MountedCamera, main_camera, main_pair
+from vergence.geometry.head import (
+    Accuracy,
+    HeadCalibration,
+    MountedCamera,
+    main_camera,
+    main_pair,
+)
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.neck import Neck
 from vergence.geometry.se3 import angle, inverse, mean_pose
@@ -44,6 +50,12 @@ class SequentialCalibration:
     """None: no static stereo, for want of straight gaze or of another eye."""
     stereo_views: int
     eye_views: Mapping[str, int]
+
+    @property
+    def accuracy(self) -> Accuracy:
+        """The head's accuracy."""
+        assert self.head.accuracy is not None
+        return self.head.accuracy
 
 
 def calibrate_sequentially(
@@ -105,6 +117,9 @@ def calibrate_sequentially(
         T_rbase_lbase=np.eye(4),
         kinematics=observations.kinematics,
         neck=neck or Neck(),
+        accuracy=Accuracy(
+            method="paper", focal_std={name: each.focal_std for name, each in intrinsics.items()}
+        ),
     )
     T_rbase_lbase, rms, count = _between_the_eyes(observations, head, T_cam_target, points)
     head = replace(head, T_rbase_lbase=T_rbase_lbase)
