@@ -19,6 +19,7 @@ from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named, named_columns
 from vergence.self_calibration.keyframe import by_each_eye, track_keyframe
+from vergence.self_calibration.match_noise import recurrence_inflation
 from vergence.self_calibration.prior import UNCALIBRATED, tolerance_covariance
 from vergence.self_calibration.residuals import epipolar_residuals
 from vergence.self_calibration.robust_fit import FEWEST, GATE, MOST, robust_fit
@@ -110,7 +111,9 @@ def _from_matches(
     if float(z @ np.linalg.solve(C, z)) > chi2.isf(gate, max(observed, 1.0)):
         seen = _unseen(state, matches, joints, C, "contradiction")
         return replace(seen, weights=weights, evidence=evidence)
-    head, now = _changed(state, joints, z)
+    information, vector = _beyond_known(state, evidence, joints)
+    covariance = np.asarray(np.linalg.inv(information + np.linalg.inv(C)), float)
+    head, now = _changed(state, joints, covariance @ vector)
     return SelfCalibrated(
         head=head,
         cameras=state.cameras,
@@ -142,6 +145,24 @@ def _fit(
         expected_design_effect=state.design_effect,
         fixed=len(state.names) if at_head else 0,
     )
+
+
+def _beyond_known(state: SelfCalibration, says: Evidence, joints: Array) -> tuple[Array, Array]:
+    """Return what a frame says, (K, K) and (K,), with less of the head where it was seen like this.
+
+    Errors of matches that recur were learned with the head: they tell no more of it, as in
+    `update.updated`, and the head would else follow them from frame to frame. Given the head, they
+    tell of the frame's joints what they do.
+    """
+    inflation, P = recurrence_inflation(state.recurrence, joints, 0.0), len(state.names)
+    N, b = says.information, says.vector
+    of_joints = N[P:, P:] + np.eye(len(joints)) / state.joint_std_rad**2
+    follows = np.linalg.solve(of_joints, N[P:, :P]).T
+    information, vector = N.copy(), b.copy()
+    known = 1 - 1 / inflation
+    information[:P, :P] -= known * (N[:P, :P] - follows @ N[P:, :P])
+    vector[:P] -= known * (b[:P] - follows @ b[P:])
+    return information, vector
 
 
 def prior_of(state: SelfCalibration, readings: int) -> Array:
