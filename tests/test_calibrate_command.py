@@ -133,8 +133,8 @@ def test_the_paper_s_method_states_no_covariance(recorded, tmp_path, monkeypatch
     assert accuracy is not None
     assert accuracy.method == "paper"
     assert not accuracy.parameters
-    assert set(accuracy.focal_std) == set(load_head(out).cameras)
-    assert all(0 < std < 1e-2 for std in accuracy.focal_std.values())
+    assert set(accuracy.lenses) == set(load_head(out).cameras)
+    assert all(0 < each.focal < 1e-2 for each in accuracy.lenses.values())
 
 
 def test_an_exported_head_comes_back(tmp_path, monkeypatch):

@@ -20,17 +20,22 @@ from simulated_frames import (
 )
 from simulated_matches import drawn_head, matches, room, squared_distance, turn_error_deg
 from vergence.geometry.camera import normalise, project
-from vergence.geometry.head import Accuracy, load_head, save_head
+from vergence.geometry.head import Accuracy, LensAccuracy, load_head, save_head
 from vergence.geometry.kinematics import EYES, straight_gaze
 from vergence.geometry.lens import COEFFICIENTS
-from vergence.geometry.parameters import boxplus, change_named, parameter_names
+from vergence.geometry.parameters import (
+    boxplus,
+    change_between,
+    change_named,
+    parameter_names,
+)
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import transform
 from vergence.self_calibration.frame import from_matches, locate_seen
 from vergence.self_calibration.learning import learn, learned_head
 from vergence.self_calibration.match_noise import Recurrence, recurrence_inflation, with_frame
 from vergence.self_calibration.residuals import epipolar_residuals
-from vergence.self_calibration.state import initial_self_calibration
+from vergence.self_calibration.state import SelfCalibration, initial_self_calibration
 from vergence.stereo.extrinsics import camera_poses
 from vergence.vision.scene_features import Matches
 
@@ -230,29 +235,71 @@ def test_both_eyes_of_a_calibration_without_covariance_are_taken_to_err_alike_in
     assert np.linalg.eigvalsh(correlation)[0] > 0
 
 
-def test_the_ratio_of_focal_lengths_is_as_certain_as_their_fits_state():
-    head = head_of(0)
-    left, right = initial_self_calibration(head).cameras
+def fitted(*focal: float, centre_px: float = 1.0, distortion_px: float = 1.0) -> SelfCalibration:
+    """Return what is known of a head whose lenses were fitted so well, the left one first."""
+    lenses = {
+        name: LensAccuracy(focal=each, centre_px=centre_px, distortion_px=distortion_px)
+        for name, each in zip(CAMERAS, focal, strict=False)
+    }
+    head = replace(head_of(0), accuracy=Accuracy(method="paper", lenses=lenses))
+    state = initial_self_calibration(head, fresh=True)
+    assert np.linalg.eigvalsh(state.covariance)[0] > 0
+    return state
 
-    def ratio_std(*stated: float) -> float:
-        accuracy = Accuracy(
-            method="paper", focal_std=dict(zip((left, right), stated, strict=False))
-        )
-        state = initial_self_calibration(replace(head, accuracy=accuracy), fresh=True)
-        assert np.linalg.eigvalsh(state.covariance)[0] > 0
+
+def test_the_ratio_of_focal_lengths_is_as_certain_as_their_fits_state():
+    def ratio_std(*focal: float) -> float:
+        state = fitted(*focal)
         both = np.zeros(len(state.names))
-        for name, sign in ((left, 1), (right, -1)):
+        for name, sign in zip(CAMERAS, (1, -1), strict=True):
             of_fx = state.names.index(f"{name}.fx")
-            both[of_fx] = sign / head.camera(name).intrinsics.matrix[0, 0]
+            both[of_fx] = sign / state.head.camera(name).intrinsics.matrix[0, 0]
         alike = np.abs(both) / 2
         assert np.sqrt(alike @ state.covariance @ alike) > 0.005  # still unknown
         return float(np.sqrt(both @ state.covariance @ both))
 
-    assert ratio_std(1e-4, 2e-4) == pytest.approx(2 * np.hypot(1e-4, 2e-4), rel=0.03)
+    assert ratio_std(2e-5, 4e-5) == pytest.approx(3 * np.hypot(2e-5, 4e-5), rel=0.03)
     assert 0 < ratio_std(0.0, 0.0) < 1e-5
     # What nobody states, or what says little, leaves what epipolar lines tell.
     assert ratio_std(0.5, 0.5) == pytest.approx(ratio_std(), rel=1e-3)
     assert ratio_std(1e-4) == ratio_std()
+
+
+def test_lenses_are_as_certain_as_their_fits_state_and_never_less_than_usual():
+    def std(state: SelfCalibration, name: str) -> float:
+        k = state.names.index(name)
+        return float(np.sqrt(state.covariance[k, k]))
+
+    usual, rough = fitted(), fitted(0.5, 0.5)
+    np.testing.assert_allclose(rough.covariance, usual.covariance, rtol=1e-3, atol=1e-12)
+    well = fitted(0.5, 0.5, centre_px=0.02, distortion_px=0.01)
+    assert std(well, "left_wide.cx") == pytest.approx(0.06, rel=0.05)
+    assert std(usual, "left_wide.cx") == pytest.approx(0.2, rel=0.05)
+    # A third of the usual tenth of a pixel.
+    assert std(well, "right_wide.k1") < 0.4 * std(usual, "right_wide.k1")
+    one = fitted(0.5, centre_px=0.02, distortion_px=0.01)
+    assert std(one, "right_wide.k1") == pytest.approx(std(usual, "right_wide.k1"), rel=0.01)
+
+
+def test_a_frame_at_a_posture_that_was_learned_from_tells_no_more_of_the_head():
+    """The same errors again: the head stays, and only the joints follow the images."""
+    rng, state = np.random.default_rng(5), begin(head_of(5))
+    truth, joints = drawn_head(state, rng), postures(1, rng)[0]
+    pair = matches(truth, joints, room(400, rng), noise_px=NOISE_PX, rng=rng)
+    for _ in range(30):
+        state = learn(state, from_matches(state, pair, joints), 0.1)
+    again = from_matches(state, pair, joints)
+    assert again.evidence is not None
+    P = len(state.names)
+    before = np.sqrt(np.diag(state.covariance))
+    moved = change_between(again.head, state.head, state.names) / before
+    assert np.abs(moved).max() < 0.02
+    np.testing.assert_allclose(np.sqrt(np.diag(again.covariance))[:P], before, rtol=0.02)
+    # Elsewhere it tells what is new.
+    away = joints + np.radians([25.0, -20.0, -25.0, 20.0])
+    elsewhere = matches(truth, away, room(400, rng), noise_px=NOISE_PX, rng=rng)
+    other = from_matches(state, elsewhere, away)
+    assert (np.diag(other.covariance)[:P] < 0.9 * before**2).any()
 
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "one eye"])

@@ -73,8 +73,8 @@ def test_exact_data_give_the_head(exact, as_measured_poses: bool):
     assert found.stereo_views == 28
     assert found.eye_views == {"left": 20, "right": 20}
     assert found.accuracy.parameters == ()
-    assert found.accuracy.focal_std == {n: each.focal_std for n, each in found.intrinsics.items()}
-    assert max(found.accuracy.focal_std.values()) < 1e-6
+    assert found.accuracy.lenses == {n: each.accuracy for n, each in found.intrinsics.items()}
+    assert max(each.focal for each in found.accuracy.lenses.values()) < 1e-6
 
 
 def test_a_head_from_exact_data_locates_points_exactly(exact):

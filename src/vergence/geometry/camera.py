@@ -41,6 +41,8 @@ Pixels = Annotated[int, Field(gt=0, le=MAX_IMAGE_PX)]
 """The width or height of an image."""
 MAX_NUMBER = 1e12
 """Largest number in the matrix and the distortion; with larger ones projections overflow."""
+_GRID = 16
+"""Places along each axis of the image where a lens is looked at."""
 
 
 def check_image_size(width: int, height: int) -> None:
@@ -168,6 +170,26 @@ def projection_rows(
         [0.0, distorted_y, 0.0, 1.0, *(fy * b for b in of_y)],
     )
     return pixel, by_point, by_intrinsics
+
+
+def displaced_by_distortion(camera: Camera) -> Array:
+    """Return what coefficients of the distortion displace, (n, n) [px^2]: d' X d for a change d.
+
+    The square of the displacement, in the mean over the image.
+    """
+    xy = normalise(camera, pixel_grid(camera))
+    xy = xy[np.isfinite(xy).all(axis=1)]
+    _, _, by_lens = project_jacobians(camera, np.column_stack([xy, np.ones(len(xy))]))
+    J = by_lens[:, :, -len(COEFFICIENTS[camera.model]) :]
+    return np.einsum("nij,nik->jk", J, J) / len(xy)
+
+
+def pixel_grid(camera: Camera) -> Array:
+    """Return pixels (N, 2) evenly spread over an image."""
+    u, v = np.meshgrid(
+        *((np.arange(_GRID) + 0.5) / _GRID * n - 0.5 for n in (camera.width, camera.height))
+    )
+    return np.stack([u.ravel(), v.ravel()], axis=1)
 
 
 def normalise(camera: Camera, pixels: Array) -> Array:

@@ -98,6 +98,21 @@ def _names_of_version_0_1(names: Any) -> Any:
     return tuple(name.replace(".", ".tilt_") if name in old else name for name in names)
 
 
+@dataclass(frozen=True, config=_FINITE)
+class LensAccuracy:
+    """Standard deviations of a fitted lens, as independent errors of the board's corners leave it.
+
+    What views of one board have in common, such as its bend, is not in them.
+    """
+
+    focal: Annotated[float, Field(ge=0)]
+    """Of the focal length, relative to it."""
+    centre_px: Annotated[float, Field(ge=0)]
+    """Of one coordinate of the principal point."""
+    distortion_px: Annotated[float, Field(ge=0)]
+    """Root mean square over the image, of what the coefficients of the distortion displace."""
+
+
 @dataclass(frozen=True, eq=False, config=_FINITE)
 class Accuracy:
     """How well a calibration is known; see docs/calibration.md."""
@@ -109,10 +124,8 @@ class Accuracy:
     px, rad, m, s. Empty for the paper's method, which states no covariance."""
     covariance: Matrix = field(default_factory=lambda: np.empty((0, 0)))
     """In the order of parameters. Poses change by the increment of `se3.boxplus`."""
-    focal_std: dict[str, Annotated[float, Field(ge=0, lt=1)]] = field(default_factory=dict)
-    """By camera, where there is no covariance: relative standard deviation of the focal length by
-    independent errors of the corners. What all cameras that saw the board have in common, such as a
-    bent board, is not in it."""
+    lenses: dict[str, LensAccuracy] = field(default_factory=dict)
+    """By camera, where there is no covariance: how well the views of the board determined it."""
     pixel_std_px: Annotated[float, Field(ge=0)] | None = None
     """Noise of one coordinate of a corner."""
     joint_std: tuple[Annotated[float, Field(ge=0)], ...] = ()

@@ -12,13 +12,18 @@ moved since is added to both, unless the head has just been calibrated.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry import se3
-from vergence.geometry.camera import Camera, normalise, project_jacobians
+from vergence.geometry.camera import (
+    Camera,
+    displaced_by_distortion,
+    normalise,
+    pixel_grid,
+)
 from vergence.geometry.head import HeadCalibration, stated_covariance, states_covariance
 from vergence.geometry.kinematics import EYES, straight_gaze
 from vergence.geometry.lens import COEFFICIENTS
@@ -117,14 +122,12 @@ UNCALIBRATED = Tolerance(
     gain=0.05,
 )
 """What a head may be wrong by that is known from its drawing only, or is not as calibrated."""
-_GRID = 16
-"""Places along each axis of the image where a lens is looked at."""
 _BASELINES_AWAY = 5.0, 20.0
 """Depths at which boards are shown, in baselines."""
-_BOARDS_ERR = 2.0
-"""By how much the ratio of two focal lengths errs more than independent errors of corners make it.
-On 13 pairs of real images of a bent board the halves of the views differed by 1.1 to 1.6 of it, in
-each focal length by 3."""
+_BOARDS_ERR = 3.0
+"""By how much fitted lenses err more than independent errors of the corners make them. On 13 pairs
+of real images of a bent board, halves of the views differed by 1.1 to 3.6 times what they state,
+parameter by parameter, 2.3 times in all, and the ratios of the focal lengths by 1.3."""
 _SHOWN_BY_LINES = 4
 """How many errors of a pair displace points from their epipolar lines at straight gaze, each with
 another pattern over the image: pitch, roll, vergence, and the ratio of the focal lengths."""
@@ -190,25 +193,31 @@ def tolerance_covariance(
     return C
 
 
+def _with_fits(head: HeadCalibration, names: tuple[str, ...]) -> Array:
+    """Return the covariance (P, P) by usual tolerances, of lenses by how well they were fitted.
+
+    But for the focal length, which the views of one board may make wrong in all cameras.
+    """
+    C = tolerance_covariance(head, names, USUAL)
+    for camera, fit in (head.accuracy.lenses if head.accuracy else {}).items():
+        tolerance = replace(
+            USUAL,
+            centre_px=min(_BOARDS_ERR * fit.centre_px, USUAL.centre_px),
+            lens_px=min(_BOARDS_ERR * fit.distortion_px, USUAL.lens_px),
+        )
+        own = [k for k, name in enumerate(names) if name.startswith(f"{camera}.")]
+        C[np.ix_(own, own)] = tolerance_covariance(head, names, tolerance)[np.ix_(own, own)]
+    return C
+
+
 def _of_lens(camera: Camera, free: Sequence[int], lens_px: float) -> Array:
     """Return the covariance (n, n) of coefficients of a lens, which displace its image by so much.
 
     Root mean square over the image; each coefficient by itself is less certain than all together.
     """
-    xy = normalise(camera, _pixels(camera))
-    xy = xy[np.isfinite(xy).all(axis=1)]
-    _, _, by_lens = project_jacobians(camera, np.column_stack([xy, np.ones(len(xy))]))
-    J = by_lens[:, :, len(PINHOLE) :][:, :, free]
-    shown = len(free) * np.einsum("nij,nik->jk", J, J) / len(xy) / lens_px**2
-    return np.linalg.inv(shown + np.eye(len(free)) / _LARGEST_COEFFICIENT**2)
-
-
-def _pixels(camera: Camera) -> Array:
-    """Return pixels (N, 2) evenly spread over an image."""
-    u, v = np.meshgrid(
-        *((np.arange(_GRID) + 0.5) / _GRID * n - 0.5 for n in (camera.width, camera.height))
-    )
-    return np.stack([u.ravel(), v.ravel()], axis=1)
+    shown = len(free) * displaced_by_distortion(camera)[np.ix_(free, free)] / lens_px**2
+    whole = shown + np.eye(len(free)) / _LARGEST_COEFFICIENT**2
+    return np.asarray(np.linalg.inv(whole), float)
 
 
 def _std(head: HeadCalibration, name: str, tolerance: Tolerance) -> float:
@@ -258,7 +267,7 @@ def _of_procedure(head: HeadCalibration, names: tuple[str, ...], cameras: tuple[
 
     Its error is that of the static stereo, and what the mountings' errors do to it.
     """
-    C = _with_common(head, names, cameras, tolerance_covariance(head, names, USUAL))
+    C = _with_common(head, names, cameras, _with_fits(head, names))
     base = [k for k, name in enumerate(names) if name.startswith("T_rbase_lbase")]
     zero = straight_gaze(head.kinematics)
     straight = T_rcam_lcam(head, zero, cameras=cameras)
@@ -286,13 +295,13 @@ def _with_focal_ratio(
     head: HeadCalibration, names: tuple[str, ...], cameras: tuple[str, str], C: Array
 ) -> Array:
     """Return the covariance with the ratio of the focal lengths as certain as their fits state."""
-    stated = head.accuracy.focal_std if head.accuracy else {}
-    if not all(name in stated and f"{name}.fx" in names for name in cameras):
+    fits = head.accuracy.lenses if head.accuracy else {}
+    if not all(name in fits and f"{name}.fx" in names for name in cameras):
         return C
     ratio = np.zeros(len(names))
     for name, sign in zip(cameras, (1, -1), strict=True):
         ratio[names.index(f"{name}.fx")] = sign / head.camera(name).intrinsics.matrix[0, 0]
-    variance = _BOARDS_ERR**2 * sum(stated[name] ** 2 for name in cameras)
+    variance = _BOARDS_ERR**2 * sum(fits[name].focal ** 2 for name in cameras)
     by_ratio = C @ ratio
     return C - np.outer(by_ratio, by_ratio) / (ratio @ by_ratio + variance)
 
@@ -308,7 +317,7 @@ def _by_epipolar_lines(
     T_left, T_right = camera_poses(head, straight, cameras=cameras)
     lenses = [head.camera(name).intrinsics for name in cameras]
     baseline = float(np.linalg.norm(T_right[:3, 3] - T_left[:3, 3]))
-    left = np.tile(_pixels(lenses[0]), (len(_BASELINES_AWAY), 1))
+    left = np.tile(pixel_grid(lenses[0]), (len(_BASELINES_AWAY), 1))
     depths = np.repeat(_BASELINES_AWAY, len(left) // len(_BASELINES_AWAY)) * baseline
     rays = np.column_stack([normalise(lenses[0], left), np.ones(len(left))])
     points = se3.transform(T_left, rays * depths[:, None])

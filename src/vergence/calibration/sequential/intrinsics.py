@@ -16,7 +16,8 @@ from vergence.calibration.sequential.lens_fit import NEGLIGIBLE_GAIN, ROUGH, Len
 from vergence.calibration.sequential.lens_prior import EQUIDISTANT
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
-from vergence.geometry.camera import Camera, pinhole
+from vergence.geometry.camera import Camera, displaced_by_distortion, pinhole
+from vergence.geometry.head import LensAccuracy
 from vergence.geometry.lens import distort
 from vergence.geometry.parameters import PINHOLE
 from vergence.geometry.se3 import pose, rotation, transform
@@ -101,11 +102,8 @@ class Intrinsics:
     focal_std_px: tuple[float, float]
     """Standard deviations of fx and fy, if all corners have independent errors of the size that
     is left."""
-
-    @property
-    def focal_std(self) -> float:
-        """That of the focal length, relative to it."""
-        return float((self.focal_std_px / self.camera.matrix[[0, 1], [0, 1]]).mean())
+    accuracy: LensAccuracy
+    """The same, of all that was fitted."""
 
 
 def calibrate_intrinsics(
@@ -192,10 +190,22 @@ def _fitted(
 def _checked(
     camera: Camera, poses: Array, rms: float, corners: Array, points: Array, model: LensModel
 ) -> Intrinsics:
-    std = _focal_std(camera, len(free_intrinsics(model)), poses, corners, points)
-    if not (std < USELESS * camera.matrix[[0, 1], [0, 1]]).all():
+    errors, by_pose, by_lens = board_errors(camera, poses, corners, points)
+    by_lens = by_lens[..., free_intrinsics(model)]
+    redundancy = 2 * np.count_nonzero(seen_corners(corners)) - 6 * len(poses) - by_lens.shape[-1]
+    variance = float((errors**2).sum()) / redundancy if redundancy > 0 else np.inf
+    C = _covariance(by_pose, by_lens, variance)
+    std, focal = np.sqrt(np.diag(C)), camera.matrix[[0, 1], [0, 1]]
+    if not (std[:2] < USELESS * focal).all():
         raise VergenceError(_NOT_OBSERVABLE)
-    return Intrinsics(camera, rms, len(corners), (float(std[0]), float(std[1])))
+    n = len(PINHOLE)
+    displaced = C[n:, n:] * displaced_by_distortion(camera)[: len(C) - n, : len(C) - n]
+    accuracy = LensAccuracy(
+        focal=float((std[:2] / focal).mean()),
+        centre_px=float(std[2:n].mean()),
+        distortion_px=float(np.sqrt(displaced.sum())),
+    )
+    return Intrinsics(camera, rms, len(corners), (float(std[0]), float(std[1])), accuracy)
 
 
 def by_opencv(
@@ -373,20 +383,21 @@ def _fit_fisheye(
     return best
 
 
-def _focal_std(camera: Camera, free: int, poses: Array, corners: Array, points: Array) -> Array:
-    """Return the standard deviations (2,) of fx and fy [px], with the views' poses projected out.
+def _covariance(by_pose: Array, by_lens: Array, variance: float) -> Array:
+    """Return the covariance (n, n) of fitted intrinsics, with the views' poses projected out.
 
-    Free were the first `free` intrinsics in the order of project_jacobians; infinite: not
-    determined.
+    Infinite: not determined.
+
+    Args:
+        by_pose: (V, 2 K, 6) derivatives of the corners' pixels.
+        by_lens: (V, 2 K, n) derivatives by what is fitted.
+        variance: of these pixels.
     """
-    errors, by_pose, by_lens = board_errors(camera, poses, corners, points)
-    by_lens, by_pose_T = by_lens[..., :free], np.swapaxes(by_pose, 1, 2)
+    by_pose_T = np.swapaxes(by_pose, 1, 2)
     rest = by_lens - by_pose @ np.linalg.solve(by_pose_T @ by_pose, by_pose_T @ by_lens)
     H = (np.swapaxes(rest, 1, 2) @ rest).sum(axis=0)
-    redundancy = 2 * np.count_nonzero(seen_corners(corners)) - 6 * len(poses) - free
     scale = np.sqrt(np.diag(H))
-    if redundancy < 1 or not (scale > 0).all():
-        return np.full(2, np.inf)
+    if not np.isfinite(variance) or not (scale > 0).all():
+        return np.full(H.shape, np.inf)
     values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
-    variance = (vectors**2 / np.maximum(values, 1e-15)).sum(axis=1) / scale**2
-    return np.sqrt(variance * (errors**2).sum() / redundancy)[:2]
+    return variance * (vectors / np.maximum(values, 1e-15)) @ vectors.T / np.outer(scale, scale)

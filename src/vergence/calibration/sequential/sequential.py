@@ -118,7 +118,7 @@ def calibrate_sequentially(
         kinematics=observations.kinematics,
         neck=neck or Neck(),
         accuracy=Accuracy(
-            method="paper", focal_std={name: each.focal_std for name, each in intrinsics.items()}
+            method="paper", lenses={name: each.accuracy for name, each in intrinsics.items()}
         ),
     )
     T_rbase_lbase, rms, count = _between_the_eyes(observations, head, T_cam_target, points)
