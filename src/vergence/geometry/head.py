@@ -124,8 +124,6 @@ class Accuracy:
     px, rad, m, s. Empty for the paper's method, which states no covariance."""
     covariance: Matrix = field(default_factory=lambda: np.empty((0, 0)))
     """In the order of parameters. Poses change by the increment of `se3.boxplus`."""
-    lenses: dict[str, LensAccuracy] = field(default_factory=dict)
-    """By camera, where there is no covariance: how well the views of the board determined it."""
     pixel_std_px: Annotated[float, Field(ge=0)] | None = None
     """Noise of one coordinate of a corner."""
     joint_std: tuple[Annotated[float, Field(ge=0)], ...] = ()
@@ -138,6 +136,8 @@ class Accuracy:
     """Why the calibration must not be used; empty: it may be."""
     warnings: tuple[str, ...] = ()
     """What the data could not determine, and what to record instead."""
+    lenses: dict[str, LensAccuracy] = field(default_factory=dict)
+    """By camera, where there is no covariance: how well the views of the board determined it."""
 
     def __post_init__(self) -> None:
         n, C = len(self.parameters), self.covariance
