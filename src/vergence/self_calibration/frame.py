@@ -105,14 +105,15 @@ def _from_matches(
             return replace(seen, weights=other_weights, evidence=other)
     if evidence.inliers < max(FEWEST, _LEAST_SHARE * len(weights)):
         return replace(_unseen(state, matches, joints, C, "little seen"), weights=weights)
-    covariance = np.asarray(np.linalg.inv(evidence.information + np.linalg.inv(C)), float)
-    observed = float(np.trace(covariance @ evidence.information))
+    prior = np.linalg.inv(C)
+    in_full = np.linalg.inv(evidence.information + prior)
+    observed = float(np.trace(in_full @ evidence.information))
     gate = GATE if evidence.inliers > MOST * len(weights) else _GATE_OF_FEW
     if float(z @ np.linalg.solve(C, z)) > chi2.isf(gate, max(observed, 1.0)):
         seen = _unseen(state, matches, joints, C, "contradiction")
         return replace(seen, weights=weights, evidence=evidence)
     information, vector = _beyond_known(state, evidence, joints)
-    covariance = np.asarray(np.linalg.inv(information + np.linalg.inv(C)), float)
+    covariance = np.asarray(np.linalg.inv(information + prior), float)
     head, now = _changed(state, joints, covariance @ vector)
     return SelfCalibrated(
         head=head,

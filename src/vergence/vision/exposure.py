@@ -1,10 +1,9 @@
 """Two images of one scene made alike in brightness and contrast, for trackers and stereo matchers.
 
 These compare grey levels as they are, and two cameras seldom expose alike, nor does one camera at
-two times. Brightness is taken away by its mean nearby, so that vignetting does not matter, nor what
-one image alone shows elsewhere. Contrast is one number for the whole image: each part of the image
-tells one, since images show what the other does not, such as something near to one eye, and most of
-the contrast decides.
+two times. The local mean is subtracted from both images, so that offsets and most of the vignetting
+do not matter. The ratio of contrasts is one number for the whole image: the median of the ratios of
+its parts, weighted by contrast, since each image also shows things that the other does not.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ _MIDDLE = 128
 def of_equal_contrast(
     first: np.ndarray, second: np.ndarray, both: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return two images (H, W) without their means nearby, the second with the first's contrast.
+    """Return two images (H, W) without their local means, the second with the first's contrast.
 
     Grey levels are uint8 about 128. Where no part has contrast in both images, each keeps its own.
 
@@ -49,7 +48,7 @@ def _without_mean(image: np.ndarray) -> np.ndarray:
 
 
 def _contrast_ratio(first: np.ndarray, second: np.ndarray, both: np.ndarray) -> float:
-    """Return how many times the contrast of the second image the first one has."""
+    """Return the contrast of the first image over that of the second."""
     part = max(first.shape[1] // _PARTS, _SMALLEST_PART_PX)
     whole = _means(both, part) > 0.999
     squares = [

@@ -141,9 +141,9 @@ def _sampled(image: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def _contrast(template: np.ndarray, other: np.ndarray) -> np.float32:
-    """Return how many times the contrast of other windows (N, n) that of templates (N, n) is.
+    """Return the contrast of templates (N, n) over that of other windows (N, n).
 
-    One for all of them: cameras expose a whole image alike.
+    One ratio for all of them: cameras expose a whole image alike.
     """
     variances = [(_inner(each) ** 2).sum(axis=1) for each in (template, other)]
     return np.median(np.sqrt(variances[0] / np.maximum(variances[1], _LEAST_GREY**2)))

@@ -386,12 +386,8 @@ def _fit_fisheye(
 def _covariance(by_pose: Array, by_lens: Array, variance: float) -> Array:
     """Return the covariance (n, n) of fitted intrinsics, with the views' poses projected out.
 
-    Infinite: not determined.
-
-    Args:
-        by_pose: (V, 2 K, 6) derivatives of the corners' pixels.
-        by_lens: (V, 2 K, n) derivatives by what is fitted.
-        variance: of these pixels.
+    By the derivatives (V, 2 K, 6) and (V, 2 K, n) of the corners' pixels, and the variance of
+    these. Infinite: not determined.
     """
     by_pose_T = np.swapaxes(by_pose, 1, 2)
     rest = by_lens - by_pose @ np.linalg.solve(by_pose_T @ by_pose, by_pose_T @ by_lens)
