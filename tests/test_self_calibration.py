@@ -19,24 +19,18 @@ from simulated_frames import (
     postures,
 )
 from simulated_matches import drawn_head, matches, room, squared_distance, turn_error_deg
-from vergence.geometry.camera import normalise, project
-from vergence.geometry.head import Accuracy, LensAccuracy, load_head, save_head
-from vergence.geometry.kinematics import EYES, straight_gaze
-from vergence.geometry.lens import COEFFICIENTS
+from vergence.geometry.head import Accuracy, load_head, save_head
 from vergence.geometry.parameters import (
     boxplus,
     change_between,
-    change_named,
     parameter_names,
 )
 from vergence.geometry.projection import project_point
-from vergence.geometry.se3 import transform
 from vergence.self_calibration.frame import from_matches, locate_seen
 from vergence.self_calibration.learning import learn, learned_head
 from vergence.self_calibration.match_noise import Recurrence, recurrence_inflation, with_frame
 from vergence.self_calibration.residuals import epipolar_residuals
-from vergence.self_calibration.state import SelfCalibration, initial_self_calibration
-from vergence.stereo.extrinsics import camera_poses
+from vergence.self_calibration.state import initial_self_calibration
 from vergence.vision.scene_features import Matches
 
 
@@ -197,90 +191,6 @@ def test_stated_covariances_are_true_for_heads_drawn_at_random():
     assert np.degrees(np.mean(stds)) == pytest.approx(0.15, abs=0.02)
 
 
-@pytest.mark.parametrize("kind", ["pan, tilt", "k3", "rational", "fisheye"])
-def test_lenses_without_a_stated_covariance_err_by_a_tenth_of_a_pixel(kind):
-    """Root mean square over the image; the coefficients trade off against each other."""
-    head = head_of_kind(kind, np.random.default_rng(0))
-    state, rng = initial_self_calibration(head), np.random.default_rng(1)
-    camera = head.camera(state.cameras[0]).intrinsics
-    lens = [
-        k
-        for k, name in enumerate(state.names)
-        if name.removeprefix(f"{state.cameras[0]}.") in COEFFICIENTS[camera.model]
-    ]
-    u, v = np.meshgrid(np.arange(4.5, camera.width, 9), np.arange(4.5, camera.height, 9))
-    xy = normalise(camera, np.column_stack([u.ravel(), v.ravel()]))
-    rays = np.column_stack([xy, np.ones(len(xy))])
-    C = state.covariance[np.ix_(lens, lens)]
-    squares = []
-    for change in rng.multivariate_normal(np.zeros(len(lens)), C, 100):
-        changed = replace(camera, distortion=camera.distortion + change)
-        squares.append(((project(changed, rays) - project(camera, rays)) ** 2).sum(axis=1).mean())
-    assert 0.05 < np.sqrt(np.mean(squares)) < 0.12
-
-
-def test_both_eyes_of_a_calibration_without_covariance_are_taken_to_err_alike_in_part():
-    state = begin(head_of(0))
-    std = np.sqrt(np.diag(state.covariance))
-    correlation = state.covariance / np.outer(std, std)
-
-    def of_both_eyes(name: str) -> float:
-        left, right = (state.names.index(f"{eye}{name}") for eye in EYES)
-        return correlation[left, right]
-
-    for name in ("_wide.k1", "_wide.T_eye_cam.tz", ".pan_gain"):
-        assert of_both_eyes(name) == pytest.approx(0.5, abs=0.02)
-    # Lenses that err differently would displace points from their epipolar lines.
-    assert 0.85 < of_both_eyes("_wide.fx") < 0.99
-    assert np.linalg.eigvalsh(correlation)[0] > 0
-
-
-def fitted(*focal: float, centre_px: float = 1.0, distortion_px: float = 1.0) -> SelfCalibration:
-    """Return what is known of a head whose lenses were fitted so well, the left one first."""
-    lenses = {
-        name: LensAccuracy(focal=each, centre_px=centre_px, distortion_px=distortion_px)
-        for name, each in zip(CAMERAS, focal, strict=False)
-    }
-    head = replace(head_of(0), accuracy=Accuracy(method="paper", lenses=lenses))
-    state = initial_self_calibration(head, fresh=True)
-    assert np.linalg.eigvalsh(state.covariance)[0] > 0
-    return state
-
-
-def test_the_ratio_of_focal_lengths_is_as_certain_as_their_fits_state():
-    def ratio_std(*focal: float) -> float:
-        state = fitted(*focal)
-        both = np.zeros(len(state.names))
-        for name, sign in zip(CAMERAS, (1, -1), strict=True):
-            of_fx = state.names.index(f"{name}.fx")
-            both[of_fx] = sign / state.head.camera(name).intrinsics.matrix[0, 0]
-        alike = np.abs(both) / 2
-        assert np.sqrt(alike @ state.covariance @ alike) > 0.005  # still unknown
-        return float(np.sqrt(both @ state.covariance @ both))
-
-    assert ratio_std(2e-5, 4e-5) == pytest.approx(3 * np.hypot(2e-5, 4e-5), rel=0.03)
-    assert 0 < ratio_std(0.0, 0.0) < 1e-5
-    # What nobody states, or what says little, leaves what epipolar lines tell.
-    assert ratio_std(0.5, 0.5) == pytest.approx(ratio_std(), rel=1e-3)
-    assert ratio_std(1e-4) == ratio_std()
-
-
-def test_lenses_are_as_certain_as_their_fits_state_and_never_less_than_usual():
-    def std(state: SelfCalibration, name: str) -> float:
-        k = state.names.index(name)
-        return float(np.sqrt(state.covariance[k, k]))
-
-    usual, rough = fitted(), fitted(0.5, 0.5)
-    np.testing.assert_allclose(rough.covariance, usual.covariance, rtol=1e-3, atol=1e-12)
-    well = fitted(0.5, 0.5, centre_px=0.02, distortion_px=0.01)
-    assert std(well, "left_wide.cx") == pytest.approx(0.06, rel=0.05)
-    assert std(usual, "left_wide.cx") == pytest.approx(0.2, rel=0.05)
-    # A third of the usual tenth of a pixel.
-    assert std(well, "right_wide.k1") < 0.4 * std(usual, "right_wide.k1")
-    one = fitted(0.5, centre_px=0.02, distortion_px=0.01)
-    assert std(one, "right_wide.k1") == pytest.approx(std(usual, "right_wide.k1"), rel=0.01)
-
-
 def test_a_frame_at_a_posture_that_was_learned_from_tells_no_more_of_the_head():
     """The same errors again: the head stays, and only the joints follow the images."""
     rng, state = np.random.default_rng(5), begin(head_of(5))
@@ -300,44 +210,6 @@ def test_a_frame_at_a_posture_that_was_learned_from_tells_no_more_of_the_head():
     elsewhere = matches(truth, away, room(400, rng), noise_px=NOISE_PX, rng=rng)
     other = from_matches(state, elsewhere, away)
     assert (np.diag(other.covariance)[:P] < 0.9 * before**2).any()
-
-
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "one eye"])
-def test_epipolar_lines_of_a_calibration_without_covariance_fit_to_a_third_of_a_pixel(kind):
-    """At straight gaze, root mean square over the image.
-
-    Approximately: seen are points at other depths, and lenses of some kinds show a little more than
-    the four errors that are counted.
-    """
-    head = head_of_kind(kind, np.random.default_rng(0))
-    state, rng = initial_self_calibration(head, fresh=True), np.random.default_rng(1)
-    straight = straight_gaze(head.kinematics)
-    T_left, T_right = camera_poses(head, straight, cameras=state.cameras)
-    baseline = np.linalg.norm(T_right[:3, 3] - T_left[:3, 3])
-    x, y = rng.uniform(-1.5, 1.5, (2, 2000))
-    points = transform(T_left, np.column_stack([x, y, np.ones(2000)]) * 10 * baseline)
-    seen = [project_point(head, name, straight, points) for name in state.cameras]
-    inside = np.ones(len(points), bool)
-    for pixels, name in zip(seen, state.cameras, strict=True):
-        lens = head.camera(name).intrinsics
-        inside &= ((pixels > 0) & (pixels < [lens.width - 1, lens.height - 1])).all(axis=1)
-    assert inside.sum() > 100
-    left, right = (pixels[inside] for pixels in seen)
-    squares = []
-    for change in rng.multivariate_normal(np.zeros(len(state.names)), state.covariance, 100):
-        changed = change_named(head, state.names, change)
-        found = epipolar_residuals(changed, straight, left, right, state.cameras)
-        squares.append((found.residuals**2).mean())
-    assert np.sqrt(np.mean(squares)) == pytest.approx(0.3, rel=0.3)
-
-
-def test_a_stated_covariance_without_focal_lengths_leaves_a_prior_that_can_be_inverted():
-    head = head_of(0)
-    names = tuple(name for name in parameter_names(head) if name.endswith("_gain"))
-    accuracy = Accuracy(method="bundle", parameters=names, covariance=1e-8 * np.eye(len(names)))
-    C = initial_self_calibration(replace(head, accuracy=accuracy)).covariance
-    std = np.sqrt(np.diag(C))
-    assert np.linalg.eigvalsh(C / np.outer(std, std))[0] > 1e-4
 
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "one eye"])
