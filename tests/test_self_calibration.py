@@ -125,8 +125,7 @@ def test_what_is_seen_again_teaches_little_but_what_is_new_does():
     head, rng = head_of(0), np.random.default_rng(0)
     points, angles = room(300, rng), np.zeros(4)
     same = matches(head, angles, points, noise_px=NOISE_PX, rng=rng)
-    focal = begin(head).names.index("left_wide.fx")
-    stds = {}
+    prior, told, recurs = begin(head).covariance, {}, {}
     for kind in ("same", "new"):
         state = begin(head)
         for _ in range(60):
@@ -135,10 +134,12 @@ def test_what_is_seen_again_teaches_little_but_what_is_new_does():
             found = from_matches(state, same if kind == "same" else new, readings)
             state = learn(state, found, 1 / 30)
         assert state.recurrence is not None
-        stds[kind] = np.sqrt(state.covariance[focal, focal]), state.recurrence.correlation
-    assert stds["new"][1] < 0.15
-    assert stds["same"][1] > 0.7
-    assert stds["same"][0] > 1.1 * stds["new"][0]
+        recurs[kind] = state.recurrence.correlation
+        # How much smaller a variance has become, in the direction that images determine best.
+        told[kind] = np.linalg.eigvals(np.linalg.solve(state.covariance, prior)).real.max()
+    assert recurs["new"] < 0.15
+    assert recurs["same"] > 0.7
+    assert told["new"] > 3 * told["same"]
 
 
 def test_a_scene_that_shows_nothing_leaves_head_and_readings_as_they_were():
@@ -257,7 +258,7 @@ def test_what_is_learned_from_a_void_calibration_is_void():
 def test_a_frame_counts_by_what_its_posture_adds():
     """At one posture n frames tell as much as n / (1 + c (n - 1)) independent ones."""
     joints, blocks = np.zeros(4), np.ones(8)
-    before, told, c, everywhere = None, 0.0, 0.3, 0.01
+    before, told, c, everywhere = None, 0.0, 0.3, 0.03
     for n in range(1, 6):
         told += 1 / recurrence_inflation(before, joints, 0.0)
         assert told == pytest.approx(n / (1 + (c + everywhere) * (n - 1)))
@@ -266,7 +267,7 @@ def test_a_frame_counts_by_what_its_posture_adds():
     K = (1 - c - everywhere) * np.eye(6) + c + everywhere
     K[5, :5] = K[:5, 5] = everywhere
     new = 1 / (np.linalg.solve(K, np.ones(6)).sum() - told)
-    assert 1 < new < 1.05
+    assert 1 < new < 1.2
     elsewhere = joints + np.radians(60)
     assert recurrence_inflation(before, elsewhere, 0.0) == pytest.approx(new, abs=1e-3)
     assert recurrence_inflation(before, joints, 7200.0) == pytest.approx(new, abs=1e-3)
