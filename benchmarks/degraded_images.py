@@ -114,8 +114,8 @@ def apart(sample: Sample) -> Images:
     return sample.images[0], sample.later
 
 
-def chessboard(head: HeadCalibration) -> Callable[[Sample], Images]:
-    """Return what covers a quarter of the left view by a near chessboard, where it truly would be.
+def chessboard(truth: HeadCalibration) -> Callable[[Sample], Images]:
+    """Return what covers a quarter of the left view by a near chessboard, as the head shows it.
 
     It is fixed to the left eye, 0.6 m ahead.
     """
@@ -123,14 +123,14 @@ def chessboard(head: HeadCalibration) -> Callable[[Sample], Images]:
     def change(sample: Sample) -> Images:
         both = []
         for k, name in enumerate(CAMERAS):
-            camera, image = head.camera(name).intrinsics, sample.images[k].copy()
+            camera, image = truth.camera(name).intrinsics, sample.images[k].copy()
             v, u = np.mgrid[: image.shape[0], : image.shape[1]].astype(float)
             rays = np.ones((u.size, 3))
             rays[:, :2] = normalise(camera, np.stack([u.ravel(), v.ravel()], axis=-1))
             T = np.eye(4) if k == 0 else se3.inverse(sample.T_rcam_lcam)
             turned, centre = rays @ T[:3, :3].T, T[:3, 3]
             hit = centre + turned * ((NEAR_M - centre[2]) / turned[:, 2])[:, None]
-            left = project(head.camera(CAMERAS[0]).intrinsics, hit)
+            left = project(truth.camera(CAMERAS[0]).intrinsics, hit)
             inside = ((left > [0, 0]) & (left < [image.shape[1] / 2, image.shape[0] / 2])).all(1)
             dark = (np.floor(hit[:, :2] / SQUARE_M).astype(int).sum(axis=1) % 2) == 0
             inside = inside.reshape(image.shape)
@@ -222,7 +222,13 @@ def compare(
     return single / joints, after / joints, float(np.mean(seen_share)), float(np.mean(distances))
 
 
-def report(head: HeadCalibration, figure: int, samples, learned: SelfCalibration) -> None:
+def report(
+    head: HeadCalibration,
+    truth: HeadCalibration,
+    figure: int,
+    samples: list[Sample],
+    learned: SelfCalibration,
+) -> None:
     """Print a line for each way in which images are bad."""
     ways = {
         "good": lambda s: s.images,
@@ -230,7 +236,7 @@ def report(head: HeadCalibration, figure: int, samples, learned: SelfCalibration
         "contrast 1/8": contrast(1 / 8),
         "contrast 1/16": contrast(1 / 16),
         "70 % wrong matches": mismatched,
-        "near chessboard": chessboard(head),
+        "near chessboard": chessboard(truth),
         "one eye covered": covered,
         "right eye 0.6 as bright": darker,
         "motion blur 5 px": blurred,
@@ -268,11 +274,10 @@ def main(figures: tuple[int, ...] = (6, 8, 9, 10, 11), samples: int = 40, seed: 
             compared = comparison(head, twin, floor=False)
             learn_around(twin, compared, 100)
             print(f"{lens}: {LOOK_S:.0f} s of good images seen")
+            truth = with_sensors(twin.truth, twin.profile.joints)
             for figure in numbers:
-                taken_now = taken(
-                    twin, head, with_sensors(twin.truth, twin.profile.joints), figure, samples
-                )
-                report(head, figure, taken_now, compared.learning.known)
+                taken_now = taken(twin, head, truth, figure, samples)
+                report(head, truth, figure, taken_now, compared.learning.known)
 
 
 if __name__ == "__main__":
