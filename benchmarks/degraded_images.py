@@ -25,7 +25,7 @@ import tyro
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.geometry import se3
-from vergence.geometry.camera import normalise, project
+from vergence.geometry.camera import Camera, normalise, project
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named
 from vergence.paper.comparison import comparison, learn_around
@@ -50,6 +50,8 @@ from vergence.vision.sphere import STD_PX, find_sphere
 CAMERAS = ("left_wide", "right_wide")
 APART_S = 0.005
 NEAR_M, SQUARE_M = 0.6, 0.02
+FINER = 3
+"""Rays along each side of a pixel, of which the near chessboard's grey levels are the mean."""
 Images = tuple[np.ndarray, np.ndarray]
 
 
@@ -115,30 +117,43 @@ def apart(sample: Sample) -> Images:
 
 
 def chessboard(truth: HeadCalibration) -> Callable[[Sample], Images]:
-    """Return what covers a quarter of the left view by a near chessboard, as the head shows it.
+    """Return what covers a quarter of the left view by a near chessboard, as the cameras show it.
 
     It is fixed to the left eye, 0.6 m ahead.
     """
 
+    cameras = [truth.camera(name).intrinsics for name in CAMERAS]
+    rays = [rays_within_pixels(camera) for camera in cameras]
+
     def change(sample: Sample) -> Images:
         both = []
-        for k, name in enumerate(CAMERAS):
-            camera, image = truth.camera(name).intrinsics, sample.images[k].copy()
-            v, u = np.mgrid[: image.shape[0], : image.shape[1]].astype(float)
-            rays = np.ones((u.size, 3))
-            rays[:, :2] = normalise(camera, np.stack([u.ravel(), v.ravel()], axis=-1))
+        for k, image in enumerate(sample.images):
             T = np.eye(4) if k == 0 else se3.inverse(sample.T_rcam_lcam)
-            turned, centre = rays @ T[:3, :3].T, T[:3, 3]
+            turned, centre = rays[k] @ T[:3, :3].T, T[:3, 3]
             hit = centre + turned * ((NEAR_M - centre[2]) / turned[:, 2])[:, None]
-            left = project(truth.camera(CAMERAS[0]).intrinsics, hit)
+            left = project(cameras[0], hit)
             inside = ((left > [0, 0]) & (left < [image.shape[1] / 2, image.shape[0] / 2])).all(1)
             dark = (np.floor(hit[:, :2] / SQUARE_M).astype(int).sum(axis=1) % 2) == 0
-            inside = inside.reshape(image.shape)
-            image[inside] = np.where(dark, 40, 210).reshape(image.shape)[inside]
-            both.append(cv2.GaussianBlur(image, (0, 0), 0.5))
+            share, board = (
+                mean_within_pixels(each, image.shape)
+                for each in (inside, inside * np.where(dark, 40.0, 210.0))
+            )
+            both.append(np.round(board + (1 - share) * image).astype(np.uint8))
         return both[0], both[1]
 
     return change
+
+
+def rays_within_pixels(camera: Camera) -> Array:
+    """Return rays (N, 3) evenly spread over each pixel, by rows of the finer image."""
+    u, v = ((np.arange(FINER * n) + 0.5) / FINER - 0.5 for n in (camera.width, camera.height))
+    xy = normalise(camera, np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
+    return np.column_stack([xy, np.ones(len(xy))])
+
+
+def mean_within_pixels(values: Array, size: tuple[int, ...]) -> Array:
+    """Return the means (H, W) of values (N,) at the rays of rays_within_pixels."""
+    return values.reshape(size[0], FINER, size[1], FINER).mean(axis=(1, 3))
 
 
 def mismatched(state: SelfCalibration, sample: Sample) -> SelfCalibrated:

@@ -7,19 +7,12 @@ import pytest
 
 from head_kinds import KINDS
 from head_kinds import head_of as head_of_kind
-from simulated_frames import (
-    CAMERAS,
-    begin,
-    head_of,
-)
+from simulated_frames import CAMERAS, begin, head_of
 from vergence.geometry.camera import normalise, project
 from vergence.geometry.head import Accuracy, LensAccuracy
 from vergence.geometry.kinematics import EYES, straight_gaze
 from vergence.geometry.lens import COEFFICIENTS
-from vergence.geometry.parameters import (
-    change_named,
-    parameter_names,
-)
+from vergence.geometry.parameters import change_named, parameter_names
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import transform
 from vergence.self_calibration.residuals import epipolar_residuals

@@ -106,8 +106,8 @@ def _from_matches(
     if evidence.inliers < max(FEWEST, _LEAST_SHARE * len(weights)):
         return replace(_unseen(state, matches, joints, C, "little seen"), weights=weights)
     prior = np.linalg.inv(C)
-    in_full = np.linalg.inv(evidence.information + prior)
-    observed = float(np.trace(in_full @ evidence.information))
+    posterior = np.linalg.inv(evidence.information + prior)
+    observed = float(np.trace(posterior @ evidence.information))
     gate = GATE if evidence.inliers > MOST * len(weights) else _GATE_OF_FEW
     if float(z @ np.linalg.solve(C, z)) > chi2.isf(gate, max(observed, 1.0)):
         seen = _unseen(state, matches, joints, C, "contradiction")

@@ -18,12 +18,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry import se3
-from vergence.geometry.camera import (
-    Camera,
-    displaced_by_distortion,
-    normalise,
-    pixel_grid,
-)
+from vergence.geometry.camera import Camera, displaced_by_distortion, normalise, pixel_grid
 from vergence.geometry.head import HeadCalibration, stated_covariance, states_covariance
 from vergence.geometry.kinematics import EYES, straight_gaze
 from vergence.geometry.lens import COEFFICIENTS

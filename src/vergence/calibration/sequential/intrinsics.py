@@ -191,19 +191,18 @@ def _checked(
     camera: Camera, poses: Array, rms: float, corners: Array, points: Array, model: LensModel
 ) -> Intrinsics:
     errors, by_pose, by_lens = board_errors(camera, poses, corners, points)
-    by_lens = by_lens[..., free_intrinsics(model)]
-    redundancy = 2 * np.count_nonzero(seen_corners(corners)) - 6 * len(poses) - by_lens.shape[-1]
+    free, n = free_intrinsics(model), len(PINHOLE)
+    redundancy = 2 * np.count_nonzero(seen_corners(corners)) - 6 * len(poses) - len(free)
     variance = float((errors**2).sum()) / redundancy if redundancy > 0 else np.inf
-    C = _covariance(by_pose, by_lens, variance)
+    C = _covariance(by_pose, by_lens[..., free], variance)
     std, focal = np.sqrt(np.diag(C)), camera.matrix[[0, 1], [0, 1]]
     if not (std[:2] < USELESS * focal).all():
         raise VergenceError(_NOT_OBSERVABLE)
-    n = len(PINHOLE)
-    displaced = C[n:, n:] * displaced_by_distortion(camera)[: len(C) - n, : len(C) - n]
+    displaced = C[n:, n:] * displaced_by_distortion(camera)[np.ix_(free[n:] - n, free[n:] - n)]
     accuracy = LensAccuracy(
         focal=float((std[:2] / focal).mean()),
         centre_px=float(std[2:n].mean()),
-        distortion_px=float(np.sqrt(displaced.sum())),
+        distortion_px=float(np.sqrt(max(displaced.sum(), 0.0))),  # below by rounding
     )
     return Intrinsics(camera, rms, len(corners), (float(std[0]), float(std[1])), accuracy)
 
