@@ -132,7 +132,8 @@ def chessboard(truth: HeadCalibration) -> Callable[[Sample], Images]:
             turned, centre = rays[k] @ T[:3, :3].T, T[:3, 3]
             hit = centre + turned * ((NEAR_M - centre[2]) / turned[:, 2])[:, None]
             left = project(cameras[0], hit)
-            inside = ((left > [0, 0]) & (left < [image.shape[1] / 2, image.shape[0] / 2])).all(1)
+            middle = np.array(image.shape[::-1]) / 2
+            inside = np.asarray(((left > 0) & (left < middle)).all(axis=1), float)
             dark = (np.floor(hit[:, :2] / SQUARE_M).astype(int).sum(axis=1) % 2) == 0
             share, board = (
                 mean_within_pixels(each, image.shape)
