@@ -127,6 +127,24 @@ def test_a_blurred_image_does_not_move_the_centre(depth: float, blur_px: float):
     assert np.abs(find_sphere(blurred, WIDE) - pixel).max() < 0.05
 
 
+@pytest.mark.parametrize("depth", [0.2, 0.4])
+@pytest.mark.parametrize("hidden", [0.15, 0.5, 0.8])
+def test_a_sphere_of_which_a_part_is_hidden_is_not_found(depth: float, hidden: float):
+    """The middle of what is left of it would be wrong by pixels."""
+    pixel = (200.4, 300.3)
+    image = picture(WIDE, at(WIDE, pixel, depth), light=np.array([0.8, -0.6, 0.0]), background=WOOD)
+    right = pixel[0] + WIDE.matrix[0, 0] * RADIUS_M / depth * (1 - 2 * hidden)
+    image[:, round(right) :] = (90, 100, 120)
+    assert np.isnan(find_sphere(image, WIDE)).all()
+
+
+@pytest.mark.parametrize("blur_px", [3, 5])
+def test_a_sphere_blurred_by_motion_is_found_whole(blur_px: int):
+    pixel = (200.4, 300.3)
+    image = picture(WIDE, at(WIDE, pixel, 0.4), light=np.array([0.8, -0.6, 0.0]), background=WOOD)
+    assert np.abs(find_sphere(cv2.blur(image, (blur_px, 1)), WIDE) - pixel).max() < 0.3
+
+
 @pytest.mark.render
 def test_the_rendered_sphere_is_where_the_twin_knows_it_in_the_room():
     from vergence.geometry.projection import project_point
@@ -180,7 +198,7 @@ def test_the_largest_region_counts_unless_another_is_near_where_it_is_sought():
     image = picture(WIDE, at(WIDE, pixel, 0.4))
     image[100:103, 500:503] = RED
     assert np.abs(find_sphere(image, WIDE) - pixel).max() < 0.02
-    image[100:200, 450:550] = RED
+    image[60:220, 420:580] = picture(WIDE, at(WIDE, (500.0, 140.0), 0.1))[60:220, 420:580]
     assert np.abs(find_sphere(image, WIDE, near=np.array([190.0, 310.0])) - pixel).max() < 0.02
     assert np.abs(find_sphere(image, WIDE) - pixel).max() > 100
 

@@ -47,16 +47,14 @@ _FADING_S = 600.0
 is learned again. In nine rendered minutes errors recurred as within seconds. With two minutes
 instead of ten, squared Mahalanobis distances of what these had taught were 1.2 to 1.4 times as
 large."""
-_EVERYWHERE = 0.03
+_EVERYWHERE = 0.01
 """Correlation of errors at any two postures, fitted: rendered matches have mean residuals of some
 thousandths of a pixel that many frames hardly average out, and that pull in the same few directions
-for all heads and lenses. With 0.01, 0.02 and 0.04 the squared Mahalanobis distance of the 40
-learned parameters was 45, 38 and 31 in the mean of four cases (a head in the room and one in the
-sparse scene, both lenses, a third of the 640 samples of each figure); with 0.01 and all samples it
-was 38 to 86. The spread of learned depth changed by 3 percent at most, and in one of twelve figures
-by 7. Between postures 20 to 60 degrees apart 0.005 was measured, with an uncertainty as large. It
-counts between a frame and its _NEAREST past ones only: it is no bound on what any number of frames
-may tell."""
+for all heads and lenses. With 0.0025, 0.005, 0.01 and 0.02 the squared Mahalanobis distance of the
+40 learned parameters was 47, 42, 35 and 28 in the mean of four cases (a head in the room and one in
+the sparse scene, both lenses, a third of the 640 samples of each figure), and the spread of learned
+depth changed by 5 percent at most in eleven of twelve figures. Between postures 20 to 60 degrees
+apart 0.005 was measured, with an uncertainty as large."""
 _EXPECTED_RECURRENCE = 0.4
 """Correlation of errors at the same posture, before it is measured."""
 _MOST_RECURRENCE = 0.95
@@ -82,6 +80,8 @@ class Recurrence:
     """(n, B) float32 sums of their residuals in blocks, as unit vectors."""
     correlation: float = _EXPECTED_RECURRENCE
     """Correlation of the errors of two frames of the same posture."""
+    independent: float = 0.0
+    """How many independent frames would tell as much, but for what any two have in common."""
 
 
 def tukey_weights(y: Array) -> Array:
@@ -130,10 +130,10 @@ def design_effect(y: Array, pixels: Array, expected: float) -> tuple[float, Arra
 
 
 def recurrence_inflation(before: Recurrence | None, joints: Array, elapsed_s: float) -> float:
-    """Return the variance inflation of a frame whose posture was observed before.
+    """Return the variance inflation of a frame, which shares errors with the frames before it.
 
-    The mean of frames with correlated errors (covariance K) tells as much as 1' K^-1 1 independent
-    ones; a frame adds the difference.
+    Frames that would tell as much as n independent ones tell n / (1 + c (n - 1)), where the errors
+    of any two have a correlation of c. A frame counts by what it adds.
 
     Args:
         before: of the frames before; None: there was none.
@@ -142,14 +142,30 @@ def recurrence_inflation(before: Recurrence | None, joints: Array, elapsed_s: fl
     """
     if before is None:
         return 1.0
+    n, c = _faded(before, elapsed_s), _EVERYWHERE
+    added = 1 / _posture_inflation(before, joints, elapsed_s)
+    return (1 + c * (n - 1)) * (1 + c * (n + added - 1)) / (added * (1 - c))
+
+
+def _posture_inflation(before: Recurrence, joints: Array, elapsed_s: float) -> float:
+    """Return the variance inflation of a frame whose posture was observed before.
+
+    The mean of frames with correlated errors (covariance K) tells as much as 1' K^-1 1 independent
+    ones; a frame adds the difference.
+    """
     near = np.argsort(_apart(before.joints, joints))[:_NEAREST]
     at, ages_s = before.joints[near], before.ages_s[near]
     between_s = np.abs(ages_s[:, None] - ages_s)
-    K = _EVERYWHERE + before.correlation * _kernel(_apart(at[:, None], at), between_s)
+    K = before.correlation * _kernel(_apart(at[:, None], at), between_s)
     K[np.diag_indices(len(K))] = 1.0
-    k = _EVERYWHERE + before.correlation * _kernel(_apart(at, joints), ages_s + elapsed_s)
+    k = before.correlation * _kernel(_apart(at, joints), ages_s + elapsed_s)
     weights = np.linalg.solve(K, k)
     return float((1 - weights @ k) / max(1 - weights.sum(), _LEAST_NEW) ** 2)
+
+
+def _faded(before: Recurrence, elapsed_s: float) -> float:
+    """Return how many independent frames those before still are."""
+    return before.independent * float(np.exp(-elapsed_s / _FADING_S))
 
 
 def with_frame(
@@ -165,18 +181,20 @@ def with_frame(
     """
     unit = (blocks / max(float(np.linalg.norm(blocks)), 1e-9)).astype(np.float32)[None]
     if before is None:
-        return Recurrence(joints[None], np.zeros(1), unit)
+        return Recurrence(joints[None], np.zeros(1), unit, independent=1.0)
     ages_s = before.ages_s + elapsed_s
     near = _kernel(_apart(before.joints, joints), ages_s)
     weight = float(near @ near)
     measured = float(near @ (before.blocks @ unit[0])) / max(weight, 1e-9)
     pace = _PACE * weight / (1 + weight)
     c = before.correlation + pace * (measured - before.correlation)
+    added = 1 / _posture_inflation(before, joints, elapsed_s)
     return Recurrence(
         joints=np.concatenate([before.joints, joints[None]])[-_REMEMBERED:],
         ages_s=np.append(ages_s, 0.0)[-_REMEMBERED:],
         blocks=np.concatenate([before.blocks, unit])[-_REMEMBERED:],
         correlation=min(max(c, 0.0), _MOST_RECURRENCE),
+        independent=_faded(before, elapsed_s) + added,
     )
 
 

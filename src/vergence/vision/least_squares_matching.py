@@ -24,10 +24,26 @@ from vergence.arrays import Array
 
 WINDOW_PX = 15
 """Large, since noise falls with the size, and the linear change allows for most of the relief."""
+_HALF = WINDOW_PX // 2
 _PARTS = 3
 """Clusters of pixels along each side of a window."""
 _IN_PARTS = np.kron(*2 * [np.eye(_PARTS, dtype=np.float32).repeat(WINDOW_PX // _PARTS, axis=0)])
 """(n, 9): which part of a window each of its pixels is in."""
+_REACH = _HALF + 1
+"""From the middle of a window to its edge, with one pixel more for the slopes."""
+_DIFFERENCES = np.array(
+    [
+        [0, 0, 0, 0, 1, 0, 0, 0, 0],
+        [0, 0, 0, -1 / 2, 0, 1 / 2, 0, 0, 0],
+        [0, -1 / 2, 0, 0, 0, 0, 0, 1 / 2, 0],
+        [0, 0, 0, 1 / 2, -1, 1 / 2, 0, 0, 0],
+        [1 / 4, 0, -1 / 4, 0, 0, 0, -1 / 4, 0, 1 / 4],
+        [0, 1 / 2, 0, 0, -1, 0, 0, 1 / 2, 0],
+    ],
+    np.float32,
+) / np.array([1, _REACH, _REACH, *3 * [_REACH**2]], np.float32).reshape(-1, 1)
+"""(6, 9): the polynomial of 1, x, y, x^2, x y and y^2 by its values at the middle of a window, the
+middles of its edges and its corners, row by row."""
 _INFLATION = 4.0
 """Variance inflation of a window's displacement by correlated differences (design effect): the
 images' errors are smooth over about two pixels, by interpolation and by blur."""
@@ -81,43 +97,45 @@ def match_windows(
     """
     if not len(at):
         return Matched(np.empty((0, 2)), np.empty((0, 2, 2)), np.zeros(0, bool))
-    x, y = _offsets(WINDOW_PX // 2 + 1)  # one more, for the slopes
-    middle, last, along = (each.astype(np.float32) for each in (at, found, direction))
-    larger = enlargement.astype(np.float32)[:, None, None]
+    x, y = _offsets(_REACH)
+    middle, along = at.astype(np.float32), direction.astype(np.float32)
+    larger = enlargement.astype(np.float32)[:, None, None] * np.eye(2, dtype=np.float32)
     left, right = left.astype(np.float32), right.astype(np.float32)
     template = _sampled(left, middle[:, :1] + x, middle[:, 1:] + y)
-    # Changes of less than a pixel are taken on by the map's own slopes.
-    u, v = (_sampled(each, last[:, :1] + x, last[:, 1:] + y) for each in right_map)
-    by_view = np.stack([_middle_slopes(each) for each in (u, v)], axis=1)
-    offsets = np.stack([np.ones_like(x), x, y])
+    maps, inside = _local_maps(right_map, found.astype(np.float32), right.shape)
+    by_view = maps[:, :, 1:3]
+    powers = np.stack([np.ones_like(x), x, y, x**2, x * y, y**2])
     state = np.zeros((len(at), 4), np.float32)  # a shift (2), and its change per pixel in x and y
 
     def shown(state: np.ndarray) -> np.ndarray:
         """Return the right windows (N, n)."""
-        by_offset = along[:, :, None] * state[:, None, 2:] + larger * np.eye(2, dtype=np.float32)
-        moved = by_view @ np.concatenate([state[:, :2, None], by_offset], axis=2)
-        at_u, at_v = (each + moved[:, k] @ offsets for k, each in enumerate((u, v)))
-        return _sampled(right, at_u, at_v)
+        moved = maps.copy()
+        by_offset = along[:, :, None] * state[:, None, 2:] + larger
+        moved[:, :, :3] += by_view @ np.concatenate([state[:, :2, None], by_offset], axis=2)
+        u, v = np.swapaxes(moved, 0, 1) @ powers
+        return _sampled(right, u, v)
 
     first = shown(state)
-    contrast = _contrast(template, first)
-    apart = contrast * first - template
-    by_state = _slopes(template + apart / 2, along)
+    grey, other = _inner(template), _inner(first)
+    contrast = _contrast(grey, other)
+    by_state = _slopes((template + contrast * first) / 2, along)
     H = by_state @ np.swapaxes(by_state, 1, 2)
     prior = np.diag(np.array([0, 0, 1, 1], np.float32)) / _SLOPE_STD**2
-    apart = _inner(apart)
-    for _ in range(_STEPS):
+    apart = contrast * other - grey
+    for k in range(_STEPS):
+        if k:
+            apart = contrast * _inner(shown(state)) - grey
         variance = _variance(apart)
         pull = (by_state @ apart[..., None])[..., 0] + variance * (state @ prior)
         whole = H + variance[..., None] * prior + 1e-3 * np.eye(4, dtype=np.float32)
-        step = np.linalg.solve(whole, pull[..., None])[..., 0]
-        state = state - np.clip(step, -_LARGEST_STEP_PX, _LARGEST_STEP_PX)
-        apart = _inner(contrast * shown(state) - template)
+        step = -np.linalg.solve(whole, pull[..., None])[..., 0]
+        step = np.clip(step, -_LARGEST_STEP_PX, _LARGEST_STEP_PX)
+        state = state + step
+    # The last step is so small that its end need not be sampled.
+    apart += (step[:, None] @ by_state)[:, 0]
     covariance, clear = _covariance(by_state, H, apart, _variance(apart), prior)
-    inside = (u.min(1) >= 0) & (v.min(1) >= 0)
-    inside &= (u.max(1) <= right.shape[1] - 1) & (v.max(1) <= right.shape[0] - 1)
     good = inside & clear & (np.linalg.norm(state[:, :2], axis=1) < _LARGEST_CHANGE_PX)
-    return Matched((last + state[:, :2]).astype(float), covariance, good)
+    return Matched(found + state[:, :2], covariance, good)
 
 
 def _offsets(half: int) -> tuple[np.ndarray, np.ndarray]:
@@ -127,12 +145,20 @@ def _offsets(half: int) -> tuple[np.ndarray, np.ndarray]:
     return x.ravel(), y.ravel()
 
 
-def _middle_slopes(windows: np.ndarray) -> np.ndarray:
-    """Return derivatives (N, 2) of values (N, n) in windows by x and y, in their middles."""
-    grid, middle = _square(windows), WINDOW_PX // 2 + 1
-    across = grid[:, middle, middle + 4] - grid[:, middle, middle - 4]
-    down = grid[:, middle + 4, middle] - grid[:, middle - 4, middle]
-    return np.stack([across, down], axis=1) / 8
+def _local_maps(
+    maps: tuple[np.ndarray, np.ndarray], middles: np.ndarray, shape: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return polynomials (N, 2, 6) of u and v about points (N, 2) of a view, and which are inside.
+
+    By 1, x, y, x^2, x y and y^2 of the offsets from these: through their middles, where matches are
+    taken back, and with differences to the ends of the windows. Inside (N,) are those whose windows
+    are in an image (H, W) as a whole.
+    """
+    x, y = (_REACH * each for each in _offsets(1))
+    values = [_sampled(each, middles[:, :1] + x, middles[:, 1:] + y) for each in maps]
+    lowest, highest = (np.stack([end(each, axis=1) for each in values]) for end in (np.min, np.max))
+    inside = ((lowest >= 0) & (highest <= np.array(shape[::-1])[:, None] - 1)).all(axis=0)
+    return np.stack([each @ _DIFFERENCES.T for each in values], axis=1), inside
 
 
 def _sampled(image: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -141,16 +167,17 @@ def _sampled(image: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def _contrast(template: np.ndarray, other: np.ndarray) -> np.float32:
-    """Return the contrast of templates (N, n) over that of other windows (N, n).
+    """Return the contrast of templates (N, n) over that of other windows (N, n), less their means.
 
     One ratio for all of them: cameras expose a whole image alike.
     """
-    variances = [(_inner(each) ** 2).sum(axis=1) for each in (template, other)]
+    variances = [np.einsum("ni,ni->n", each, each) for each in (template, other)]
     return np.median(np.sqrt(variances[0] / np.maximum(variances[1], _LEAST_GREY**2)))
 
 
 def _square(windows: np.ndarray) -> np.ndarray:
-    side = WINDOW_PX + 2
+    """Return windows (N, n) row by row (N, side, side)."""
+    side = round(windows.shape[1] ** 0.5)
     return windows.reshape(-1, side, side)
 
 
@@ -162,7 +189,8 @@ def _inner(windows: np.ndarray) -> np.ndarray:
 
 def _variance(apart: np.ndarray) -> np.ndarray:
     """Return the variance (N, 1) of the differences of the pixels of windows (N, n)."""
-    return np.maximum((apart**2).sum(axis=1, keepdims=True) / (WINDOW_PX**2 - 5), _LEAST_GREY**2)
+    squares = np.einsum("ni,ni->n", apart, apart)[:, None]
+    return np.maximum(squares / (WINDOW_PX**2 - 5), _LEAST_GREY**2)
 
 
 def _slopes(windows: np.ndarray, along: np.ndarray) -> np.ndarray:
@@ -170,14 +198,17 @@ def _slopes(windows: np.ndarray, along: np.ndarray) -> np.ndarray:
 
     Less their means, since the windows' brightness is free.
     """
-    grey = _square(windows)
-    across = ((grey[:, 1:-1, 2:] - grey[:, 1:-1, :-2]) / 2).reshape(len(windows), -1)
-    down = ((grey[:, 2:, 1:-1] - grey[:, :-2, 1:-1]) / 2).reshape(len(windows), -1)
-    x, y = _offsets(WINDOW_PX // 2)
-    by_depth = along[:, :1] * across + along[:, 1:] * down
-    slopes = np.stack([across, down, by_depth * x, by_depth * y], axis=1)
+    grey, (x, y) = _square(windows), _offsets(_HALF)
+    # In place, since memory takes the time.
+    slopes = np.empty((4, len(windows), WINDOW_PX**2), np.float32)
+    np.subtract(grey[:, 1:-1, 2:], grey[:, 1:-1, :-2], out=_square(slopes[0]))
+    np.subtract(grey[:, 2:, 1:-1], grey[:, :-2, 1:-1], out=_square(slopes[1]))
+    slopes[:2] *= np.float32(0.5)
+    by_depth = along[:, :1] * slopes[0] + along[:, 1:] * slopes[1]
+    np.multiply(by_depth, x, out=slopes[2])
+    np.multiply(by_depth, y, out=slopes[3])
     slopes -= slopes.mean(axis=2, keepdims=True)
-    return slopes
+    return np.swapaxes(slopes, 0, 1)
 
 
 def _covariance(
@@ -188,7 +219,7 @@ def _covariance(
     prior: np.ndarray,
 ) -> tuple[Array, np.ndarray]:
     """Return covariances (N, 2, 2) [px^2] of the displacements, and which are determined."""
-    far = float((np.arange(-(WINDOW_PX // 2), WINDOW_PX // 2 + 1) ** 2).mean())
+    far = float((np.arange(-_HALF, _HALF + 1) ** 2).mean())
     of_noise = WINDOW_PX**2 * _SLOPE_NOISE * np.diag([1, 1, far, far])
     # The slopes of noise determine nothing.
     information = H + variance[..., None] * (prior - of_noise)

@@ -23,9 +23,9 @@ from vergence.vision.exposure import of_equal_contrast
 from vergence.vision.least_squares_matching import WINDOW_PX, match_windows
 
 _MAP_STEP_PX = 8
-_FEATURES = 1350
+_FEATURES = 1200
 """About how many are sought, however large the part is that both eyes see and that has texture."""
-_ABOVE_NOISE, _BELOW_TEXTURE = 3.0, 0.01
+_ABOVE_NOISE, _BELOW_TEXTURE = 10.0, 0.03
 """Cells have no texture whose squared gradients are below both: so many times those of the weakest
 twentieth, which show noise alone if any do, and this share of those of the strongest."""
 _SMALLEST_CELL_PX, _LARGEST_CELL_PX = 6, 24

@@ -13,7 +13,8 @@ seen; the three colours of a pixel of the rim are therefore weighted so that the
 it is as even as possible (generalised least squares, with the covariance of its colours).
 
 Which pixels are inner ones is told by the outline itself: a first one from the colour alone, and
-one better one suffice.
+one better one suffice. Where something hides a part of the sphere, what is left is no disc, and its
+middle is not the sphere's: such a sphere is not found.
 
 Undistorting every pixel would be slow. The undistorted position is a smooth function of the pixel,
 so it is interpolated between Chebyshev points of the sphere's window, which alone are undistorted;
@@ -49,6 +50,10 @@ of the image is known from its coverage."""
 _NARROWEST_PX, _WIDEST_PX = 1.0, 3.5  # limits of it: sharp images, and what the margin leaves
 _ROUNDS = 2
 """How often coverage and outline are estimated; more rounds change some thousandths of a pixel."""
+_LARGEST_MISFIT_PX = 0.1
+"""Width of a ring as long as the outline, of all the pixels whose colour is on the wrong side of it
+by more than a pixel. Of whole spheres it is 0 to 0.06, blurred by motion or not; where a fifth of
+the diameter is hidden, of spheres of more than ten pixels, 0.1 to 0.7."""
 _COVER_STD = 0.5
 """Prior standard deviation of a pixel's coverage about that of the previous outline."""
 _NEARBY = (9, 9)  # pixels across: as far as the edge's outer side is seen from its inner one
@@ -111,7 +116,8 @@ def find_sphere(
 
     Returns:
         The centre of the largest region of this colour, of those around `near` if one lies
-        completely there; NaN if no region of at least four pixels lies completely in the image.
+        completely there; NaN if no region of at least four pixels lies completely in the image, or
+        a part of it is hidden.
     """
     planes = (0, 1, 2) if colour == "red" else (2, 1, 0)  # the sphere's own colour first
     for rows, columns in windows(image, near):
@@ -180,13 +186,14 @@ def _centre(
     window = window.astype(np.float32)
     contrast = window @ _CONTRAST
     cover = (contrast > 0.5 * np.median(contrast[contrast > _THRESHOLD])).astype(float)
-    edge_px = _EDGE_PX
+    edge_px, outline = _EDGE_PX, _surface(rays, *cone(cover))
     for _ in range(_ROUNDS):
-        axis, sine = cone(cover)
-        cover = _coverage(window, *_surface(rays, axis, sine), edge_px)
+        cover = _coverage(window, *outline, edge_px)
         if cover.sum() < 1:  # of a pixel: this is no sphere
             return np.full(2, np.nan)
-        edge_px = _edge_px(cover)
+        edge_px, outline = _edge_px(cover), _surface(rays, *cone(cover))
+    if _misfit_px(window, *outline, edge_px) > _LARGEST_MISFIT_PX:
+        return np.full(2, np.nan)
     return project(camera, cone(cover)[0])
 
 
@@ -208,8 +215,8 @@ def _surface(rays: Array, axis: Array, sine: float) -> tuple[Array, np.ndarray]:
 
 def _coverage(window: np.ndarray, outward: Array, normals: np.ndarray, edge_px: float) -> Array:
     """Return the part (H, W) of each pixel that the sphere covers, from its colours (H, W, 3)."""
-    # A small sphere has at least its innermost pixel, and what is no sphere has outer ones too.
-    inside = outward <= max(-edge_px, float(outward.min()))
+    # What is no sphere has outer ones too.
+    inside = _inside(outward, edge_px)
     outside = outward >= min(edge_px, float(outward.max()))
     rim = np.abs(outward) < edge_px
     light = _shading(window, normals, inside)
@@ -223,6 +230,25 @@ def _coverage(window: np.ndarray, outward: Array, normals: np.ndarray, edge_px: 
     cover = (outward < 0).astype(float)
     cover[rim] = (seen + expected / _COVER_STD**2) / ((apart * pull).sum(axis=1) + _COVER_STD**-2)
     return cover
+
+
+def _misfit_px(window: np.ndarray, outward: Array, normals: np.ndarray, edge_px: float) -> float:
+    """Return by how much the pixels (H, W, 3) of the sphere's colour do not fill its outline [px].
+
+    A pixel has the sphere's colour from half of the contrast that the sphere has there.
+    """
+    light = _shading(window, normals, _inside(outward, edge_px)) @ _CONTRAST
+    contrast = window @ _CONTRAST
+    usual = np.median(contrast[contrast > _THRESHOLD])
+    inner = outward < 0
+    wanted = np.where(inner, np.minimum(light, usual), usual) / 2
+    wrong = ((contrast > wanted) != inner) & (np.abs(outward) > 1)
+    return float(wrong.sum()) / (2 * sqrt(pi * max(float(inner.sum()), 1.0)))
+
+
+def _inside(outward: Array, edge_px: float) -> np.ndarray:
+    """Return which pixels (H, W) the sphere covers wholly: at least its innermost one."""
+    return outward <= max(-edge_px, float(outward.min()))
 
 
 def _background(window: np.ndarray, outside: np.ndarray, rim: np.ndarray) -> tuple[Array, Array]:
