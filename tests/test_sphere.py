@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from vergence.geometry.camera import Camera, normalise, pinhole, project
-from vergence.vision.sphere import find_sphere
+from vergence.vision.sphere import find_sphere, sphere_detector
 
 WIDE = pinhole(640, 480, 280.0, (-0.12, 0.02, 0.0005, -0.0005, 0.0))
 PLAIN = pinhole(640, 480, 400.0)
@@ -128,21 +128,30 @@ def test_a_blurred_image_does_not_move_the_centre(depth: float, blur_px: float):
 
 
 @pytest.mark.parametrize("depth", [0.2, 0.4])
-@pytest.mark.parametrize("hidden", [0.15, 0.5, 0.8])
-def test_a_sphere_of_which_a_part_is_hidden_is_not_found(depth: float, hidden: float):
-    """The middle of what is left of it would be wrong by pixels."""
+@pytest.mark.parametrize("hidden", [0.15, 0.25, 0.5])
+def test_the_centre_of_a_sphere_that_is_hidden_in_part_is_not_known(depth: float, hidden: float):
+    """The middle of what is left is wrong by pixels: it is no measurement, or an uncertain one."""
     pixel = (200.4, 300.3)
     image = picture(WIDE, at(WIDE, pixel, depth), light=np.array([0.8, -0.6, 0.0]), background=WOOD)
     right = pixel[0] + WIDE.matrix[0, 0] * RADIUS_M / depth * (1 - 2 * hidden)
     image[:, round(right) :] = (90, 100, 120)
     assert np.isnan(find_sphere(image, WIDE)).all()
+    found = sphere_detector()(image, WIDE, None)
+    assert found is not None
+    error = np.abs(found.pixel - pixel).max()
+    assert error > 0.5
+    assert error < 2 * found.std_px
 
 
 @pytest.mark.parametrize("blur_px", [3, 5])
 def test_a_sphere_blurred_by_motion_is_found_whole(blur_px: int):
     pixel = (200.4, 300.3)
     image = picture(WIDE, at(WIDE, pixel, 0.4), light=np.array([0.8, -0.6, 0.0]), background=WOOD)
-    assert np.abs(find_sphere(cv2.blur(image, (blur_px, 1)), WIDE) - pixel).max() < 0.3
+    image = cv2.blur(image, (blur_px, 1))
+    assert np.abs(find_sphere(image, WIDE) - pixel).max() < 0.3
+    found = sphere_detector()(image, WIDE, None)
+    assert found is not None
+    assert found.std_px < 0.3
 
 
 @pytest.mark.render

@@ -14,7 +14,7 @@ it is as even as possible (generalised least squares, with the covariance of its
 
 Which pixels are inner ones is told by the outline itself: a first one from the colour alone, and
 one better one suffice. Where something hides a part of the sphere, what is left is no disc, and its
-middle is not the sphere's: such a sphere is not found.
+middle is not the sphere's. By how much it is no disc tells about how wrong that may be.
 
 Undistorting every pixel would be slow. The undistorted position is a smooth function of the pixel,
 so it is interpolated between Chebyshev points of the sphere's window, which alone are undistorted;
@@ -51,9 +51,11 @@ _NARROWEST_PX, _WIDEST_PX = 1.0, 3.5  # limits of it: sharp images, and what the
 _ROUNDS = 2
 """How often coverage and outline are estimated; more rounds change some thousandths of a pixel."""
 _LARGEST_MISFIT_PX = 0.1
-"""Width of a ring as long as the outline, of all the pixels whose colour is on the wrong side of it
-by more than a pixel. Of whole spheres it is 0 to 0.06, blurred by motion or not; where a fifth of
-the diameter is hidden, of spheres of more than ten pixels, 0.1 to 0.7."""
+"""From here on a part of a sphere is hidden. Drawn ones that are whole have a misfit of 0, lit from
+one side or blurred by five pixels of motion; those of 28 and 56 px of which 15 % of the diameter
+are hidden one of 0.3 and 0.4. Where less is hidden, the centre is wrong by less than a pixel."""
+_MISLEADS = 5.0
+"""Error of the centre per misfit: 3.6 to 5 in those spheres, with up to half of them hidden."""
 _COVER_STD = 0.5
 """Prior standard deviation of a pixel's coverage about that of the previous outline."""
 _NEARBY = (9, 9)  # pixels across: as far as the edge's outer side is seen from its inner one
@@ -78,7 +80,8 @@ def sphere_detector(colour: Literal["red", "blue"] = "red", *, std_px: float = S
 
     Args:
         colour: of the sphere.
-        std_px: standard deviation of its centre to report.
+        std_px: standard deviation of its centre to report; that of one that is hidden in part is
+            larger, by what this may do.
 
     Raises:
         VergenceError: spheres of this colour are not detected, or the standard deviation is not
@@ -90,8 +93,10 @@ def sphere_detector(colour: Literal["red", "blue"] = "red", *, std_px: float = S
         raise VergenceError(f"The standard deviation must be above 0 px, found {std_px:g}.")
 
     def detect(image: np.ndarray, camera: Camera, near: Array | None) -> Detection | None:
-        pixel = find_sphere(image, camera, colour=colour, near=near)
-        return Detection(pixel, std_px) if np.isfinite(pixel).all() else None
+        pixel, misfit_px = _found(image, camera, colour, near)
+        if not np.isfinite(pixel).all():
+            return None
+        return Detection(pixel, float(np.hypot(std_px, _MISLEADS * misfit_px)))
 
     return detect
 
@@ -119,12 +124,20 @@ def find_sphere(
         completely there; NaN if no region of at least four pixels lies completely in the image, or
         a part of it is hidden.
     """
+    pixel, misfit_px = _found(image, camera, colour, near)
+    return pixel if misfit_px <= _LARGEST_MISFIT_PX else np.full(2, np.nan)
+
+
+def _found(
+    image: np.ndarray, camera: Camera, colour: str, near: Array | None
+) -> tuple[Array, float]:
+    """Return the centre (2,) of a sphere, or NaN, and by how much it is no disc [px]."""
     planes = (0, 1, 2) if colour == "red" else (2, 1, 0)  # the sphere's own colour first
     for rows, columns in windows(image, near):
         window = _sphere_window(image, planes, rows, columns)
         if window is not None:
             return _centre(image, planes, *window, camera)
-    return np.full(2, np.nan)
+    return np.full(2, np.nan), 0.0
 
 
 def _sphere_window(
@@ -161,8 +174,11 @@ def _colour_mask(image: np.ndarray, planes: tuple[int, int, int]) -> np.ndarray:
 
 def _centre(
     image: np.ndarray, planes: tuple[int, int, int], rows: slice, columns: slice, camera: Camera
-) -> Array:
-    """Return the centre (2,) [px] of the sphere in these rows and columns; NaN: beyond the lens."""
+) -> tuple[Array, float]:
+    """Return the centre (2,) [px] of the sphere in these rows and columns, and its misfit [px].
+
+    NaN: it is beyond the lens, or no sphere.
+    """
     # Blocks of pixels show a large sphere exactly enough, in less time; they are its pixels below.
     size = max(columns.stop - columns.start, rows.stop - rows.start)
     block = 1 if size <= _LARGEST_WINDOW else 2
@@ -170,7 +186,7 @@ def _centre(
     v, by_v = _interpolation(rows.start, rows.stop, block)
     xy = normalise(camera, np.stack(np.broadcast_arrays(u, v[:, None]), axis=-1))
     if not np.isfinite(xy).all():
-        return np.full(2, np.nan)
+        return np.full(2, np.nan), 0.0
     areas = block**2 * pixel_area(camera, xy)
 
     def cone(cover: Array) -> tuple[Array, float]:
@@ -190,11 +206,9 @@ def _centre(
     for _ in range(_ROUNDS):
         cover = _coverage(window, *outline, edge_px)
         if cover.sum() < 1:  # of a pixel: this is no sphere
-            return np.full(2, np.nan)
+            return np.full(2, np.nan), 0.0
         edge_px, outline = _edge_px(cover), _surface(rays, *cone(cover))
-    if _misfit_px(window, *outline, edge_px) > _LARGEST_MISFIT_PX:
-        return np.full(2, np.nan)
-    return project(camera, cone(cover)[0])
+    return project(camera, cone(cover)[0]), block * _misfit_px(window, *outline, edge_px)
 
 
 def _surface(rays: Array, axis: Array, sine: float) -> tuple[Array, np.ndarray]:
@@ -235,7 +249,9 @@ def _coverage(window: np.ndarray, outward: Array, normals: np.ndarray, edge_px: 
 def _misfit_px(window: np.ndarray, outward: Array, normals: np.ndarray, edge_px: float) -> float:
     """Return by how much the pixels (H, W, 3) of the sphere's colour do not fill its outline [px].
 
-    A pixel has the sphere's colour from half of the contrast that the sphere has there.
+    As the width of a ring as long as the outline, of all pixels that are beyond it by more than one
+    though they have the colour, or within and do not. A pixel has it from half of the contrast that
+    the sphere has there.
     """
     light = _shading(window, normals, _inside(outward, edge_px)) @ _CONTRAST
     contrast = window @ _CONTRAST
