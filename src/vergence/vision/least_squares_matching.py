@@ -105,7 +105,8 @@ def match_windows(
     maps, inside = _local_maps(right_map, found.astype(np.float32), right.shape)
     by_view = maps[:, :, 1:3]
     powers = np.stack([np.ones_like(x), x, y, x**2, x * y, y**2])
-    state = np.zeros((len(at), 4), np.float32)  # a shift (2), and its change per pixel in x and y
+    # A shift (2), and its change per pixel in x and y.
+    state = step = np.zeros((len(at), 4), np.float32)
 
     def shown(state: np.ndarray) -> np.ndarray:
         """Return the right windows (N, n)."""
@@ -157,8 +158,8 @@ def _local_maps(
     x, y = (_REACH * each for each in _offsets(1))
     values = [_sampled(each, middles[:, :1] + x, middles[:, 1:] + y) for each in maps]
     lowest, highest = (np.stack([end(each, axis=1) for each in values]) for end in (np.min, np.max))
-    inside = ((lowest >= 0) & (highest <= np.array(shape[::-1])[:, None] - 1)).all(axis=0)
-    return np.stack([each @ _DIFFERENCES.T for each in values], axis=1), inside
+    inside = (lowest >= 0) & (highest <= np.array(shape[::-1])[:, None] - 1)
+    return np.stack([each @ _DIFFERENCES.T for each in values], axis=1), np.all(inside, axis=0)
 
 
 def _sampled(image: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:

@@ -264,7 +264,7 @@ def _misfit_px(window: np.ndarray, outward: Array, normals: np.ndarray, edge_px:
 
 def _inside(outward: Array, edge_px: float) -> np.ndarray:
     """Return which pixels (H, W) the sphere covers wholly: at least its innermost one."""
-    return outward <= max(-edge_px, float(outward.min()))
+    return np.asarray(outward <= max(-edge_px, float(outward.min())))
 
 
 def _background(window: np.ndarray, outside: np.ndarray, rim: np.ndarray) -> tuple[Array, Array]:
