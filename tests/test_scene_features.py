@@ -21,9 +21,14 @@ ALIKE = 1.0, 0.0
 
 
 def picture(
-    T_cam_lcam: Array, contrast: float, rng: np.random.Generator, *, plain: float = 0.0
+    T_cam_lcam: Array,
+    contrast: float,
+    rng: np.random.Generator,
+    *,
+    plain: float = 0.0,
+    wall_m: float = WALL_M,
 ) -> np.ndarray:
-    """Return (H, W) what a camera sees of the wall, which stands at WALL_M before the left one.
+    """Return (H, W) what a camera sees of the wall, which stands at wall_m before the left one.
 
     The lower share `plain` of the wall is without texture.
     """
@@ -36,23 +41,26 @@ def picture(
     R, t = T_cam_lcam[:3, :3], T_cam_lcam[:3, 3]
     rays = np.concatenate([xy, np.ones((480, 640, 1))], axis=-1) @ R
     start = -R.T @ t
-    on_wall = start + (WALL_M - start[2]) / rays[..., 2:] * rays
-    at = (on_wall[..., :2] * 250 + [800, 600]).astype(np.float32)
+    on_wall = start + (wall_m - start[2]) / rays[..., 2:] * rays
+    at = (on_wall[..., :2] / wall_m * 375 + [800, 600]).astype(np.float32)
     u, v = (np.ascontiguousarray(at[..., k]) for k in (0, 1))
     seen = cv2.remap(texture, u, v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
     return np.clip(np.round(128 + seen + rng.normal(0, 1.5, seen.shape)), 0, 255).astype(np.uint8)
 
 
 def found(
-    contrast: float, guess: Array = T_RCAM_LCAM, exposure: tuple[float, float] = ALIKE
+    contrast: float,
+    guess: Array = T_RCAM_LCAM,
+    exposure: tuple[float, float] = ALIKE,
+    wall_m: float = WALL_M,
 ) -> tuple[Matches, Array]:
     """Return matches, and how far each right pixel is from where it belongs, in deviations."""
     rng = np.random.default_rng(0)
-    left, right = (picture(T, contrast, rng) for T in (np.eye(4), T_RCAM_LCAM))
+    left, right = (picture(T, contrast, rng, wall_m=wall_m) for T in (np.eye(4), T_RCAM_LCAM))
     right = np.clip(np.round(exposure[0] * right + exposure[1]), 0, 255).astype(np.uint8)
     matches = match_scene(left, right, left_camera=CAMERA, right_camera=CAMERA, T_rcam_lcam=guess)
     xy = normalise(CAMERA, matches.left)
-    points = WALL_M * np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
+    points = wall_m * np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
     in_right = points @ T_RCAM_LCAM[:3, :3].T + T_RCAM_LCAM[:3, 3]
     errors = matches.right - project(CAMERA, in_right)
     root = np.linalg.cholesky(matches.covariance)
@@ -81,6 +89,14 @@ def test_the_deviation_follows_the_contrast():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("baselines", [3.0, 5.0, 100.0])
+def test_near_and_far_scenes_are_matched_alike(baselines: float):
+    """Displaced by 90, 55 and 3 px."""
+    matches, errors = found(1.0, wall_m=0.075 * baselines)
+    assert len(matches.left) > 200
+    assert (np.abs(errors) < 5).all(axis=1).mean() > 0.8
+
+
 def test_a_prediction_that_is_wrong_by_a_degree_is_good_enough():
     turned = pose(rotation([0, 0, np.radians(1)]) @ rotation([0, np.radians(1), 0]))
     _, errors = found(1.0, turned @ T_RCAM_LCAM)

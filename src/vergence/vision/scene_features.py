@@ -21,6 +21,7 @@ from vergence.geometry.camera import Camera, normalise, project
 from vergence.geometry.se3 import rotation, rotvec
 from vergence.vision.exposure import of_equal_contrast
 from vergence.vision.least_squares_matching import WINDOW_PX, match_windows
+from vergence.vision.plane_sweep import swept_nearness
 
 _MAP_STEP_PX = 8
 _FEATURES = 1200
@@ -33,6 +34,9 @@ _WINDOW_PX = 11
 _LEVELS = 3
 _EXPECTED_DEPTH_M = 1.5
 """Where tracking starts to search; its pyramid reaches about 50 px from there."""
+_FAR_STEPS = 3
+"""Steps of the plane sweep from there, from which what it says counts: trackers that begin nearer
+need no help."""
 _ROUND_TRIP_PX = 0.3
 _LEAST_FORWARD = 0.1
 """Least component of a ray along the optical axis: others are beside any view."""
@@ -177,7 +181,11 @@ def _matched(views: _Views, at: Array, depths_m: Array | None) -> tuple[Matches,
     by_depth = views.focal * views.shift[:2] - (at - views.middle) * views.shift[2]
     nearness = 1 / (np.full(len(at), _EXPECTED_DEPTH_M) if depths_m is None else depths_m)
     alike = of_equal_contrast(views.first, views.second, views.inside)
-    found, sure = _track(*alike, at, at + by_depth * nearness[:, None])
+    starts = at + by_depth * nearness[:, None]
+    if depths_m is None:
+        found, sure = _track_far(views, alike, at, starts, by_depth)
+    else:
+        found, sure = _track(*alike, at, starts)
     at, found, by_depth, nearness = at[sure], found[sure], by_depth[sure], nearness[sure]
     # Displaced by by_depth / (depth + shift[2]), of which the last is due to the change of scale.
     square = np.maximum((by_depth**2).sum(axis=1), 1e-12)
@@ -324,6 +332,30 @@ def _whole_windows(inside: np.ndarray) -> np.ndarray:
         inside.astype(np.uint8), margin, borderType=cv2.BORDER_CONSTANT, borderValue=0
     )
     return whole.astype(bool)
+
+
+def _track_far(
+    views: _Views,
+    alike: tuple[np.ndarray, np.ndarray],
+    at: Array,
+    starts: Array,
+    by_depth: Array,
+) -> tuple[Array, np.ndarray]:
+    """Return what `_track` does, also for pixels (N, 2) that are far from their starts (N, 2).
+
+    Those for which a plane sweep says so are tracked from where it has them, too. Repeated patterns
+    would else be found where they look the same, some periods away.
+    """
+    near, step_px = swept_nearness(
+        *alike, at, focal=views.focal, middle=views.middle, shift=views.shift
+    )
+    others = at + by_depth * near[:, None]
+    far = np.flatnonzero(np.linalg.norm(others - starts, axis=1) > _FAR_STEPS * step_px)
+    both = np.concatenate([np.arange(len(at)), far])
+    found, sure = _track(*alike, at[both], np.concatenate([starts, others[far]]))
+    (found, there), (sure, again) = (np.split(each, [len(at)]) for each in (found, sure))
+    found[far[again]], sure[far[again]] = there[again], True
+    return found, sure
 
 
 def _track(
