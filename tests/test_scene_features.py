@@ -88,7 +88,6 @@ def test_the_deviation_follows_the_contrast():
     assert 0.5 < errors[good].std() < 2
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("baselines", [3.0, 5.0, 100.0])
 def test_near_and_far_scenes_are_matched_alike(baselines: float):
     """Displaced by 90, 55 and 3 px."""
@@ -97,6 +96,7 @@ def test_near_and_far_scenes_are_matched_alike(baselines: float):
     assert (np.abs(errors) < 5).all(axis=1).mean() > 0.8
 
 
+@pytest.mark.slow
 def test_a_prediction_that_is_wrong_by_a_degree_is_good_enough():
     turned = pose(rotation([0, 0, np.radians(1)]) @ rotation([0, np.radians(1), 0]))
     _, errors = found(1.0, turned @ T_RCAM_LCAM)

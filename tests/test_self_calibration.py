@@ -135,7 +135,7 @@ def test_what_is_seen_again_teaches_little_but_what_is_new_does():
         told[kind] = np.linalg.eigvals(np.linalg.solve(state.covariance, prior)).real.max()
     assert recurs["new"] < 0.15
     assert recurs["same"] > 0.7
-    # With no error in common it would be 60 times; 0.03 of all variance is taken to be.
+    # With no error in common it would be 60 times; a correlation of 0.01 is assumed.
     assert told["new"] > 3 * told["same"]
 
 

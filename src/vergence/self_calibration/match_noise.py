@@ -46,7 +46,7 @@ _FADING_S = 600.0
 """Time over which the correlation falls to 1 / e: an assumption, so that a head that has drifted
 is learned again. In nine rendered minutes errors recurred as within seconds. With two minutes
 instead of ten, squared Mahalanobis distances of what these had taught were 1.2 to 1.4 times as
-large."""
+large. What all frames have taught fades as fast."""
 _EVERYWHERE = 0.01
 """Correlation of errors at any two postures, fitted: rendered matches have mean residuals of some
 thousandths of a pixel that many frames hardly average out, and that pull in the same few directions
@@ -81,7 +81,8 @@ class Recurrence:
     correlation: float = _EXPECTED_RECURRENCE
     """Correlation of the errors of two frames of the same posture."""
     independent: float = 0.0
-    """How many independent frames would tell as much, but for what any two have in common."""
+    """How many independent frames would tell as much as all of them, if those at different postures
+    had no errors in common."""
 
 
 def tukey_weights(y: Array) -> Array:

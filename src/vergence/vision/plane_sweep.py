@@ -1,4 +1,4 @@
-"""About how near the scene is, anywhere in an image: where a tracker begins to search.
+"""About how far away the scene is, anywhere in an image: where a tracker begins to search.
 
 Both images are pinhole images of one orientation, so that a plane that faces them is displaced by
 an affine map. The second image is displaced as planes at many distances would be, and each place of
@@ -23,20 +23,20 @@ _SIDE_PX = 5
 """Of the squares that are compared, in the small images."""
 _MEDIAN_PX = 5
 _CLEAR = 0.5
-"""Share of the mean difference of all planes, below which the least one tells something. Any share
-from 0.3 to 0.7 gives about the same matches."""
+"""Share of the mean difference of all planes, below which the least one tells something; 0.5
+and 0.7 give about the same matches."""
 _OUTSIDE = 1e4
 """Difference from what the second image does not show: more than any between grey levels, even in
 the mean of a square."""
 
 
-def swept_nearness(
+def inverse_depths(
     first: np.ndarray, second: np.ndarray, at: Array, *, focal: float, middle: Array, shift: Array
 ) -> tuple[Array, float]:
-    """Return about how near the scene is at pixels (N,) [1/m], and the step of this [px].
+    """Return inverse depths (N,) [1/m] of the scene, and their step [px].
 
-    The inverse of the depth in the second image; NaN where nothing tells. The step is the
-    displacement between neighbouring planes.
+    The depths are those in the second image, NaN where no plane fits clearly better than the
+    others. The step is the displacement between neighbouring planes.
 
     Args:
         first: (H, W) grey, uint8.
@@ -47,9 +47,9 @@ def swept_nearness(
         shift: (3,) of a point, from the first camera to the second [m].
     """
     step = max(first.shape[1] // _WIDTH_PX, 1)
-    by_nearness = focal * float(np.hypot(*shift[:2]))  # displacement in the middle
+    by_inverse_depth = focal * float(np.hypot(*shift[:2]))  # displacement in the middle
     unknown = np.full(len(at), np.nan), float(step)
-    if by_nearness < 1e-9 or not len(at):
+    if by_inverse_depth < 1e-9 or not len(at):
         return unknown
     size = first.shape[1] // step, first.shape[0] // step
     a, b = (
@@ -57,12 +57,12 @@ def swept_nearness(
         for each in (first, second)
     )
     planes = np.arange(-round(_BEYOND * size[0]), round(_NEAREST * size[0]) + 1)
-    planes = planes * (step / by_nearness)
+    planes = planes * (step / by_inverse_depth)
     corner = (middle + 0.5) / step - 0.5  # the principal point, in pixels of the small images
     apart = np.empty((len(planes), *a.shape), np.float32)
-    for k, near in enumerate(planes):
-        scale = 1 - near * shift[2]
-        moved = near * focal / step * shift[:2] + (1 - scale) * corner
+    for k, inverse_depth in enumerate(planes):
+        scale = 1 - inverse_depth * shift[2]
+        moved = inverse_depth * focal / step * shift[:2] + (1 - scale) * corner
         there = cv2.warpAffine(
             b,
             np.array([[scale, 0, moved[0]], [0, scale, moved[1]]]),

@@ -21,7 +21,7 @@ from vergence.geometry.camera import Camera, normalise, project
 from vergence.geometry.se3 import rotation, rotvec
 from vergence.vision.exposure import of_equal_contrast
 from vergence.vision.least_squares_matching import WINDOW_PX, match_windows
-from vergence.vision.plane_sweep import swept_nearness
+from vergence.vision.plane_sweep import inverse_depths
 
 _MAP_STEP_PX = 8
 _FEATURES = 1200
@@ -341,15 +341,16 @@ def _track_far(
     starts: Array,
     by_depth: Array,
 ) -> tuple[Array, np.ndarray]:
-    """Return what `_track` does, also for pixels (N, 2) that are far from their starts (N, 2).
+    """Return where pixels (N, 2) are found in another view, and which are sure, near and far.
 
-    Those for which a plane sweep says so are tracked from where it has them, too. Repeated patterns
-    would else be found where they look the same, some periods away.
+    Each is tracked from its start (N, 2). Those that a plane sweep has far from there are tracked
+    from where it has them too, which counts if they are found: repeated patterns look the same
+    some periods away.
     """
-    near, step_px = swept_nearness(
+    swept, step_px = inverse_depths(
         *alike, at, focal=views.focal, middle=views.middle, shift=views.shift
     )
-    others = at + by_depth * near[:, None]
+    others = at + by_depth * swept[:, None]
     far = np.flatnonzero(np.linalg.norm(others - starts, axis=1) > _FAR_STEPS * step_px)
     both = np.concatenate([np.arange(len(at)), far])
     found, sure = _track(*alike, at[both], np.concatenate([starts, others[far]]))

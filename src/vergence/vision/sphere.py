@@ -81,7 +81,7 @@ def sphere_detector(colour: Literal["red", "blue"] = "red", *, std_px: float = S
     Args:
         colour: of the sphere.
         std_px: standard deviation of its centre to report; that of one that is hidden in part is
-            larger, by what this may do.
+            larger, by how wrong its centre may be.
 
     Raises:
         VergenceError: spheres of this colour are not detected, or the standard deviation is not
@@ -201,14 +201,16 @@ def _centre(
     window = cv2.resize(whole, (len(by_u), len(by_v)), interpolation=cv2.INTER_AREA)
     window = window.astype(np.float32)
     contrast = window @ _CONTRAST
-    cover = (contrast > 0.5 * np.median(contrast[contrast > _THRESHOLD])).astype(float)
+    usual = float(np.median(contrast[contrast > _THRESHOLD]))
+    cover = (contrast > 0.5 * usual).astype(float)
     edge_px, outline = _EDGE_PX, _surface(rays, *cone(cover))
     for _ in range(_ROUNDS):
         cover = _coverage(window, *outline, edge_px)
         if cover.sum() < 1:  # of a pixel: this is no sphere
             return np.full(2, np.nan), 0.0
         edge_px, outline = _edge_px(cover), _surface(rays, *cone(cover))
-    return project(camera, cone(cover)[0]), block * _misfit_px(window, *outline, edge_px)
+    misfit_px = block * _misfit(window, *outline, edge_px, usual)
+    return project(camera, cone(cover)[0]), misfit_px
 
 
 def _surface(rays: Array, axis: Array, sine: float) -> tuple[Array, np.ndarray]:
@@ -229,8 +231,8 @@ def _surface(rays: Array, axis: Array, sine: float) -> tuple[Array, np.ndarray]:
 
 def _coverage(window: np.ndarray, outward: Array, normals: np.ndarray, edge_px: float) -> Array:
     """Return the part (H, W) of each pixel that the sphere covers, from its colours (H, W, 3)."""
-    # What is no sphere has outer ones too.
     inside = _inside(outward, edge_px)
+    # One pixel at least, of what is no sphere too.
     outside = outward >= min(edge_px, float(outward.max()))
     rim = np.abs(outward) < edge_px
     light = _shading(window, normals, inside)
@@ -246,19 +248,19 @@ def _coverage(window: np.ndarray, outward: Array, normals: np.ndarray, edge_px: 
     return cover
 
 
-def _misfit_px(window: np.ndarray, outward: Array, normals: np.ndarray, edge_px: float) -> float:
-    """Return by how much the pixels (H, W, 3) of the sphere's colour do not fill its outline [px].
+def _misfit(
+    window: np.ndarray, outward: Array, normals: np.ndarray, edge_px: float, usual: float
+) -> float:
+    """Return by how much the pixels (H, W, 3) of the sphere's colour do not fill its outline.
 
-    As the width of a ring as long as the outline, of all pixels that are beyond it by more than one
-    though they have the colour, or within and do not. A pixel has it from half of the contrast that
-    the sphere has there.
+    As the width, in pixels, of a ring along the outline that has as many pixels as are on its wrong
+    side by more than one: beyond it with the colour, or within it without. A pixel has the colour
+    from half of the contrast that the sphere has there by its shading, or of the usual one.
     """
     light = _shading(window, normals, _inside(outward, edge_px)) @ _CONTRAST
-    contrast = window @ _CONTRAST
-    usual = np.median(contrast[contrast > _THRESHOLD])
     inner = outward < 0
     wanted = np.where(inner, np.minimum(light, usual), usual) / 2
-    wrong = ((contrast > wanted) != inner) & (np.abs(outward) > 1)
+    wrong = ((window @ _CONTRAST > wanted) != inner) & (np.abs(outward) > 1)
     return float(wrong.sum()) / (2 * sqrt(pi * max(float(inner.sum()), 1.0)))
 
 
