@@ -47,10 +47,7 @@ middles of its edges and its corners, row by row."""
 _INFLATION = 4.0
 """Variance inflation of a window's displacement by correlated differences (design effect): the
 images' errors are smooth over about two pixels, by interpolation and by blur."""
-_STEPS = 2
-"""From the tracker's places; more change nothing."""
-_LARGEST_STEP_PX = 1.0
-_LARGEST_CHANGE_PX = 1.5
+_LARGEST_CHANGE_PX = 1.0
 """From where tracking ended: beyond, something else was found."""
 _SLOPE_STD = 0.1
 """Change of the displacement per pixel: of a surface inclined by 45 degrees, ten baselines away."""
@@ -103,40 +100,24 @@ def match_windows(
     left, right = left.astype(np.float32), right.astype(np.float32)
     template = _sampled(left, middle[:, :1] + x, middle[:, 1:] + y)
     maps, inside = _local_maps(right_map, found.astype(np.float32), right.shape)
-    by_view = maps[:, :, 1:3]
+    maps[:, :, 1:3] += maps[:, :, 1:3] @ larger
     powers = np.stack([np.ones_like(x), x, y, x**2, x * y, y**2])
-    # A shift (2), and its change per pixel in x and y.
-    state = step = np.zeros((len(at), 4), np.float32)
-
-    def shown(state: np.ndarray) -> np.ndarray:
-        """Return the right windows (N, n)."""
-        moved = maps.copy()
-        by_offset = along[:, :, None] * state[:, None, 2:] + larger
-        moved[:, :, :3] += by_view @ np.concatenate([state[:, :2, None], by_offset], axis=2)
-        u, v = np.swapaxes(moved, 0, 1) @ powers
-        return _sampled(right, u, v)
-
-    first = shown(state)
-    grey, other = _inner(template), _inner(first)
+    shown = _sampled(right, *(np.swapaxes(maps, 0, 1) @ powers))
+    grey, other = _inner(template), _inner(shown)
     contrast = _contrast(grey, other)
-    by_state = _slopes((template + contrast * first) / 2, along)
+    # With slopes of both windows one step is exact to the second order: more change nothing.
+    by_state = _slopes((template + contrast * shown) / 2, along)
     H = by_state @ np.swapaxes(by_state, 1, 2)
     prior = np.diag(np.array([0, 0, 1, 1], np.float32)) / _SLOPE_STD**2
     apart = contrast * other - grey
-    for k in range(_STEPS):
-        if k:
-            apart = contrast * _inner(shown(state)) - grey
-        variance = _variance(apart)
-        pull = (by_state @ apart[..., None])[..., 0] + variance * (state @ prior)
-        whole = H + variance[..., None] * prior + 1e-3 * np.eye(4, dtype=np.float32)
-        step = -np.linalg.solve(whole, pull[..., None])[..., 0]
-        step = np.clip(step, -_LARGEST_STEP_PX, _LARGEST_STEP_PX)
-        state = state + step
-    # The last step is so small that its end need not be sampled.
-    apart += (step[:, None] @ by_state)[:, 0]
-    covariance, clear = _covariance(by_state, H, apart, _variance(apart), prior)
-    good = inside & clear & (np.linalg.norm(state[:, :2], axis=1) < _LARGEST_CHANGE_PX)
-    return Matched(found + state[:, :2], covariance, good)
+    whole = H + _variance(apart)[..., None] * prior + 1e-3 * np.eye(4, dtype=np.float32)
+    # A shift (2), and its change per pixel in x and y.
+    state = -np.linalg.solve(whole, by_state @ apart[..., None])
+    apart += (by_state.swapaxes(1, 2) @ state)[..., 0]
+    covariance, clear = _covariance(by_state, H, apart, prior)
+    shift = state[:, :2, 0]
+    good = inside & clear & (np.linalg.norm(shift, axis=1) < _LARGEST_CHANGE_PX)
+    return Matched(found + shift, covariance, good)
 
 
 def _offsets(half: int) -> tuple[np.ndarray, np.ndarray]:
@@ -216,10 +197,10 @@ def _covariance(
     by_state: np.ndarray,
     H: np.ndarray,
     apart: np.ndarray,
-    variance: np.ndarray,
     prior: np.ndarray,
 ) -> tuple[Array, np.ndarray]:
     """Return covariances (N, 2, 2) [px^2] of the displacements, and which are determined."""
+    variance = _variance(apart)
     far = float((np.arange(-_HALF, _HALF + 1) ** 2).mean())
     of_noise = WINDOW_PX**2 * _SLOPE_NOISE * np.diag([1, 1, far, far])
     # The slopes of noise determine nothing.

@@ -18,19 +18,21 @@ from scipy.spatial import KDTree
 
 from vergence.arrays import Array
 from vergence.geometry.camera import Camera, normalise, project
-from vergence.geometry.se3 import rotation, rotvec
+from vergence.geometry.se3 import cross, rotation, rotvec
 from vergence.vision.exposure import of_equal_contrast
 from vergence.vision.least_squares_matching import WINDOW_PX, match_windows
 from vergence.vision.plane_sweep import inverse_depths
 
 _MAP_STEP_PX = 8
-_FEATURES = 1200
-"""About how many are sought, however large the part is that both eyes see and that has texture."""
+_CELLS = 1200
+"""About how many there are, however large the part is that both eyes see and that has texture."""
+_FEATURES = 900
+"""Most features between the eyes: those of the cells that are expected to tell most."""
 _ABOVE_NOISE, _BELOW_TEXTURE = 10.0, 0.03
 """Cells have no texture whose squared gradients are below both: so many times those of the weakest
 twentieth, which show noise alone if any do, and this share of those of the strongest."""
 _SMALLEST_CELL_PX, _LARGEST_CELL_PX = 6, 24
-_WINDOW_PX = 11
+_WINDOW_PX = 9
 _LEVELS = 3
 _EXPECTED_DEPTH_M = 1.5
 """Where tracking starts to search; its pyramid reaches about 50 px from there."""
@@ -103,7 +105,8 @@ def match_scene(
     degrees.
     """
     views = _views((left, right), (left_camera, right_camera), T_rcam_lcam)
-    return _matched(views, _best_of_cells(views.first, views.inside), None)[0]
+    at, strength = _best_of_cells(views.first, views.inside)
+    return _matched(views, at[_most_telling(views, at, strength)], None)[0]
 
 
 def track_features(
@@ -288,26 +291,47 @@ def _on_map(where: tuple[np.ndarray, np.ndarray], pixels: Array) -> tuple[Array,
     return a + u * (b - a) + v * by_v, np.stack([by_u, by_v], axis=-1)
 
 
-def _best_of_cells(view: np.ndarray, inside: np.ndarray) -> Array:
-    """Return pixels (N, 2), one of each cell: where a window determines both directions best.
+def _most_telling(views: _Views, at: Array, strength: np.ndarray) -> np.ndarray:
+    """Return which pixels (N,) of the first view are worth their time, as (n,) numbers in order.
 
-    By the smaller eigenvalue of its structure tensor (Shi and Tomasi). Of every second pixel,
-    `inside` says whether both eyes see it. Plain walls have no features, and leave theirs to the
-    rest, whose cells are the smaller.
+    What matches tell of the turn between the cameras is how they are displaced across epipolar
+    lines. Those by which the turn follows best (of large leverage) are taken most densely, and so
+    are strong ones; others are passed over evenly, so that no part of the image goes unseen.
+    """
+    if len(at) <= _FEATURES or not views.shift.any():
+        return np.arange(len(at))
+    rays = np.column_stack([(at - views.middle) / views.focal, np.ones(len(at))])
+    # A turn w displaces a ray r by w x r, and t x r is the normal of its epipolar plane.
+    planes = cross(views.shift, rays)
+    by_turn = cross(rays, planes)
+    by_turn /= np.maximum(np.linalg.norm(planes[:, :2], axis=1), 1e-12)[:, None]
+    leverage = (np.linalg.qr(by_turn)[0] ** 2).sum(axis=1)
+    worth = np.sqrt(leverage * strength)
+    reached = np.cumsum(worth) * (_FEATURES / worth.sum())
+    return np.flatnonzero(np.diff(np.floor(reached), prepend=0))
+
+
+def _best_of_cells(view: np.ndarray, inside: np.ndarray) -> tuple[Array, np.ndarray]:
+    """Return pixels (N, 2), one of each cell, where windows determine both directions best.
+
+    With them their strengths (N,), the smaller eigenvalues of the windows' structure tensors (Shi
+    and Tomasi). Of every second pixel, `inside` says whether both eyes see it. Plain walls have no
+    features, and leave theirs to the rest, whose cells are the smaller.
     """
     half = cv2.pyrDown(view)  # near enough, and much faster
     smaller = cv2.cornerMinEigenVal(half, WINDOW_PX // 2, ksize=3)
     whole = _whole_windows(inside)
     smaller[~whole] = 0
-    wanted_px = np.sqrt(np.count_nonzero(whole) / _FEATURES)
+    wanted_px = np.sqrt(np.count_nonzero(whole) / _CELLS)
     at, best = _strongest(smaller, wanted_px)
     if not len(at):
-        return at
+        return at, best
     weak, strong = np.quantile(best, [0.05, 0.95])
     least = min(_ABOVE_NOISE * weak, _BELOW_TEXTURE * strong)
     textured = np.count_nonzero(best > least) / len(best)
     at, best = _strongest(smaller, wanted_px * np.sqrt(textured))
-    return 2 * at[best > least]
+    good = best > least
+    return 2 * at[good], best[good]
 
 
 def _strongest(values: np.ndarray, side_px: float) -> tuple[Array, np.ndarray]:
