@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
@@ -109,7 +109,7 @@ def _from_matches(
     posterior = np.linalg.inv(evidence.information + prior)
     observed = float(np.trace(posterior @ evidence.information))
     gate = GATE if evidence.inliers > MOST * len(weights) else _GATE_OF_FEW
-    if float(z @ np.linalg.solve(C, z)) > chi2.isf(gate, max(observed, 1.0)):
+    if float(z @ np.linalg.solve(C, z)) > chdtri(max(observed, 1.0), gate):
         seen = _unseen(state, matches, joints, C, "contradiction")
         return replace(seen, weights=weights, evidence=evidence)
     information, vector = _beyond_known(state, evidence, joints)

@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
@@ -149,7 +149,7 @@ def with_motion(
         change, weights, says = _fit(state, seen, tracked, k, about, C)
         posterior = np.linalg.inv(N + says.information)
         observed = float(np.trace(posterior @ says.information))
-        believed = float(change @ N @ change) < chi2.isf(GATE, max(observed, 1.0))
+        believed = float(change @ N @ change) < chdtri(max(observed, 1.0), GATE)
         if believed and says.inliers > MOST * len(weights):
             information = says.information / inflation
             N, b = N + information, b + says.vector / inflation + information @ about

@@ -25,7 +25,7 @@ from vergence.self_calibration.state import Evidence
 _HYPOTHESES = 300
 _STEPS = 4
 """Steps of reweighted least squares, of which a fit has two."""
-_FIRST = 300
+_FIRST = 150
 """Residuals that start a fit; more take longer, and start no better."""
 INLIER = 0.3
 """Weight from which a residual fits."""
