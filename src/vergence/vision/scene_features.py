@@ -18,16 +18,16 @@ from scipy.spatial import KDTree
 
 from vergence.arrays import Array
 from vergence.geometry.camera import Camera, normalise, project
-from vergence.geometry.se3 import cross, rotation, rotvec
+from vergence.geometry.se3 import rotation, rotvec
 from vergence.vision.exposure import of_equal_contrast
 from vergence.vision.least_squares_matching import WINDOW_PX, match_windows
 from vergence.vision.plane_sweep import inverse_depths
 
 _MAP_STEP_PX = 8
-_CELLS = 1200
-"""About how many there are, however large the part is that both eyes see and that has texture."""
 _FEATURES = 900
-"""Most features between the eyes: those of the cells that are expected to tell most."""
+"""About how many are sought, however large the part is that both eyes see and that has texture.
+They are spread evenly: taking more where contrast is high, or where features tell most of the turn
+between the eyes, would let a near thing with a repeated pattern outvote the rest."""
 _ABOVE_NOISE, _BELOW_TEXTURE = 10.0, 0.03
 """Cells have no texture whose squared gradients are below both: so many times those of the weakest
 twentieth, which show noise alone if any do, and this share of those of the strongest."""
@@ -44,7 +44,7 @@ _LEAST_FORWARD = 0.1
 """Least component of a ray along the optical axis: others are beside any view."""
 _LARGEST_STD_PX = 0.7
 """Largest standard deviation of a match that is kept: others are not worth their time."""
-_NEIGHBOURS = 12
+_NEIGHBOURS = 8
 _NEIGHBOUR_PX = 40.0
 """Neighbours of a match that show the surface around it: how many, and how near they are."""
 _SURFACE_PX = 15.0
@@ -105,8 +105,7 @@ def match_scene(
     degrees.
     """
     views = _views((left, right), (left_camera, right_camera), T_rcam_lcam)
-    at, strength = _best_of_cells(views.first, views.inside)
-    return _matched(views, at[_most_telling(views, at, strength)], None)[0]
+    return _matched(views, _best_of_cells(views.first, views.inside), None)[0]
 
 
 def track_features(
@@ -189,13 +188,19 @@ def _matched(views: _Views, at: Array, depths_m: Array | None) -> tuple[Matches,
         found, sure = _track_far(views, alike, at, starts, by_depth)
     else:
         found, sure = _track(*alike, at, starts)
-    at, found, by_depth, nearness = at[sure], found[sure], by_depth[sure], nearness[sure]
     # Displaced by by_depth / (depth + shift[2]), of which the last is due to the change of scale.
     square = np.maximum((by_depth**2).sum(axis=1), 1e-12)
-    if depths_m is None:
-        nearness = ((found - at) * by_depth).sum(axis=1) / square
     # A camera that only turns displaces nothing by depth: any direction will do.
     along = np.where(square[:, None] > 1e-12, by_depth / np.sqrt(square)[:, None], [1.0, 0.0])
+    kept = np.flatnonzero(sure)
+    relief = relief_around(at[kept], ((found - at) * along)[kept].sum(axis=1))
+    flat = relief < _LARGEST_RELIEF_PX
+    kept, relief = kept[flat], relief[flat]
+    at, found, along = at[kept], found[kept], along[kept]
+    if depths_m is None:
+        nearness = ((found - at) * by_depth[kept]).sum(axis=1) / square[kept]
+    else:
+        nearness = nearness[kept]
     matched = match_windows(
         views.first,
         views.second_image,
@@ -209,12 +214,9 @@ def _matched(views: _Views, at: Array, depths_m: Array | None) -> tuple[Matches,
     pixels, by_view = _on_map(views.maps[1], matched.pixels)
     covariance = by_view @ matched.covariance @ np.swapaxes(by_view, 1, 2)
     good = matched.good & (np.linalg.eigvalsh(covariance)[:, 1] < _LARGEST_STD_PX**2)
-    displaced = ((matched.pixels - at) * along).sum(axis=1)
-    relief = relief_around(at[good], displaced[good])
-    covariance[good] += ((_ACROSS * relief) ** 2)[:, None, None] * np.eye(2)
-    good[good] = relief < _LARGEST_RELIEF_PX
-    matches = Matches(_on_map(views.maps[0], at)[0][good], pixels[good], covariance[good])
-    return matches, np.flatnonzero(sure)[good]
+    covariance += ((_ACROSS * relief) ** 2)[:, None, None] * np.eye(2)
+    matches = Matches(_on_map(views.maps[0], at[good])[0], pixels[good], covariance[good])
+    return matches, kept[good]
 
 
 def relief_around(at: Array, displaced: Array) -> Array:
@@ -291,47 +293,26 @@ def _on_map(where: tuple[np.ndarray, np.ndarray], pixels: Array) -> tuple[Array,
     return a + u * (b - a) + v * by_v, np.stack([by_u, by_v], axis=-1)
 
 
-def _most_telling(views: _Views, at: Array, strength: np.ndarray) -> np.ndarray:
-    """Return which pixels (N,) of the first view are worth their time, as (n,) numbers in order.
+def _best_of_cells(view: np.ndarray, inside: np.ndarray) -> Array:
+    """Return pixels (N, 2), one of each cell: where a window determines both directions best.
 
-    What matches tell of the turn between the cameras is how they are displaced across epipolar
-    lines. Those by which the turn follows best (of large leverage) are taken most densely, and so
-    are strong ones; others are passed over evenly, so that no part of the image goes unseen.
-    """
-    if len(at) <= _FEATURES or not views.shift.any():
-        return np.arange(len(at))
-    rays = np.column_stack([(at - views.middle) / views.focal, np.ones(len(at))])
-    # A turn w displaces a ray r by w x r, and t x r is the normal of its epipolar plane.
-    planes = cross(views.shift, rays)
-    by_turn = cross(rays, planes)
-    by_turn /= np.maximum(np.linalg.norm(planes[:, :2], axis=1), 1e-12)[:, None]
-    leverage = (np.linalg.qr(by_turn)[0] ** 2).sum(axis=1)
-    worth = np.sqrt(leverage * strength)
-    reached = np.cumsum(worth) * (_FEATURES / worth.sum())
-    return np.flatnonzero(np.diff(np.floor(reached), prepend=0))
-
-
-def _best_of_cells(view: np.ndarray, inside: np.ndarray) -> tuple[Array, np.ndarray]:
-    """Return pixels (N, 2), one of each cell, where windows determine both directions best.
-
-    With them their strengths (N,), the smaller eigenvalues of the windows' structure tensors (Shi
-    and Tomasi). Of every second pixel, `inside` says whether both eyes see it. Plain walls have no
-    features, and leave theirs to the rest, whose cells are the smaller.
+    By the smaller eigenvalue of its structure tensor (Shi and Tomasi). Of every second pixel,
+    `inside` says whether both eyes see it. Plain walls have no features, and leave theirs to the
+    rest, whose cells are the smaller.
     """
     half = cv2.pyrDown(view)  # near enough, and much faster
     smaller = cv2.cornerMinEigenVal(half, WINDOW_PX // 2, ksize=3)
     whole = _whole_windows(inside)
     smaller[~whole] = 0
-    wanted_px = np.sqrt(np.count_nonzero(whole) / _CELLS)
+    wanted_px = np.sqrt(np.count_nonzero(whole) / _FEATURES)
     at, best = _strongest(smaller, wanted_px)
     if not len(at):
-        return at, best
+        return at
     weak, strong = np.quantile(best, [0.05, 0.95])
     least = min(_ABOVE_NOISE * weak, _BELOW_TEXTURE * strong)
     textured = np.count_nonzero(best > least) / len(best)
     at, best = _strongest(smaller, wanted_px * np.sqrt(textured))
-    good = best > least
-    return 2 * at[good], best[good]
+    return 2 * at[best > least]
 
 
 def _strongest(values: np.ndarray, side_px: float) -> tuple[Array, np.ndarray]:
