@@ -92,7 +92,7 @@ def test_the_deviation_follows_the_contrast():
 def test_near_and_far_scenes_are_matched_alike(baselines: float):
     """Displaced by 90, 55 and 3 px."""
     matches, errors = found(1.0, wall_m=0.075 * baselines)
-    assert len(matches.left) > 150
+    assert len(matches.left) > 120
     assert (np.abs(errors) < 5).all(axis=1).mean() > 0.8
 
 
@@ -158,7 +158,8 @@ def test_neighbours_show_the_relief_of_a_curved_surface():
     across = (GRID[:, 0] - 142.5) / 15
     slightly, strongly = (relief_around(GRID, by * across**2) for by in (0.05, 1.0))
     np.testing.assert_allclose(strongly, 20 * slightly, rtol=1e-6)
-    assert (strongly > 0.4).all()
+    on_both_sides = (GRID[:, 0] > 0) & (GRID[:, 0] < 285)
+    assert (strongly[on_both_sides] > 0.4).all()
 
 
 def test_a_wrong_match_makes_relief_for_itself_alone():
