@@ -4,7 +4,7 @@
 
 Divergent motion. "tracking" is learning in a frame in which the features of the keyframe are found
 again. The reference is one call of OpenCV's pyramidal Lucas-Kanade tracker on the same
-images, with the features that were matched and the same window. Times are those of the thread, so
+images, with the features that were matched and windows of 11 px. Times are those of the thread, so
 that other programs hardly count.
 """
 

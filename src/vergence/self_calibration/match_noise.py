@@ -54,7 +54,8 @@ for all heads and lenses. With 0.0025, 0.005, 0.01 and 0.02 the squared Mahalano
 40 learned parameters was 47, 42, 35 and 28 in the mean of four cases (a head in the room and one in
 the sparse scene, both lenses, a third of the 640 samples of each figure), and the spread of learned
 depth changed by 5 percent at most in eleven of twelve figures. Between postures 20 to 60 degrees
-apart 0.005 was measured, with an uncertainty as large."""
+apart 0.005 was measured, with an uncertainty as large. All this with 1200 features a pair; with 900
+the squared distance is 25 in the mean of 16 cases: errors in common are a smaller share then."""
 _EXPECTED_RECURRENCE = 0.4
 """Correlation of errors at the same posture, before it is measured."""
 _MOST_RECURRENCE = 0.95

@@ -68,7 +68,7 @@ class Matched:
     covariance: Array
     """(N, 2, 2) [px^2] of them."""
     good: np.ndarray
-    """(N,) bool: lie in the image, converged, and show more than noise."""
+    """(N,) bool: lie in the image, moved little, and show more than noise."""
 
 
 def match_windows(
@@ -105,7 +105,8 @@ def match_windows(
     shown = _sampled(right, *(np.swapaxes(maps, 0, 1) @ powers))
     grey, other = _inner(template), _inner(shown)
     contrast = _contrast(grey, other)
-    # With slopes of both windows one step is exact to the second order: more change nothing.
+    # With slopes of both windows one step is exact to the second order. In rendered rooms more make
+    # depth no steadier; a wall at three baselines would be matched a quarter more exactly.
     by_state = _slopes((template + contrast * shown) / 2, along)
     H = by_state @ np.swapaxes(by_state, 1, 2)
     prior = np.diag(np.array([0, 0, 1, 1], np.float32)) / _SLOPE_STD**2
