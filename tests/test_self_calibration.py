@@ -255,12 +255,14 @@ def test_what_is_learned_from_a_void_calibration_is_void():
 def test_a_frame_counts_by_what_its_posture_adds():
     """At one posture n frames tell as much as n / (1 + c (n - 1)) independent ones."""
     joints, blocks = np.zeros(4), np.ones(8)
-    before, told, c, everywhere = None, 0.0, 0.3, 0.01
+    before, told, c, everywhere = None, 0.0, 0.3, 0.005
     for n in range(1, 6):
         told += 1 / recurrence_inflation(before, joints, 0.0)
         assert told == pytest.approx(n / (1 + (c + everywhere) * (n - 1)))
         # Of what is not in common at any posture.
-        before = replace(with_frame(before, joints, blocks, 0.0), correlation=c / (1 - everywhere))
+        after, inflation = with_frame(before, joints, blocks, 0.0)
+        assert inflation == recurrence_inflation(before, joints, 0.0)
+        before = replace(after, correlation=c / (1 - everywhere))
     # Elsewhere, or much later, all but what frames have in common at any posture is new.
     K = (1 - c - everywhere) * np.eye(6) + c + everywhere
     K[5, :5] = K[:5, 5] = everywhere
@@ -272,10 +274,10 @@ def test_a_frame_counts_by_what_its_posture_adds():
 
 
 def test_no_number_of_frames_tells_more_than_what_they_have_in_common_allows():
-    told, before, rng, everywhere = 0.0, None, np.random.default_rng(0), 0.01
+    told, before, rng, everywhere = 0.0, None, np.random.default_rng(0), 0.005
     for joints in rng.uniform(-100, 100, (1000, 4)):  # postures without a common neighbour
         told += 1 / recurrence_inflation(before, joints, 0.0)
-        before = with_frame(before, joints, np.ones(8), 0.0)
+        before, _ = with_frame(before, joints, np.ones(8), 0.0)
     assert told == pytest.approx(1000 / (1 + everywhere * 999), rel=1e-6)
     assert told < 1 / everywhere
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from vergence.geometry import se3
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, MountedCamera
 from vergence.geometry.kinematics import EYES, Side, change_joints, joint_value
-from vergence.geometry.lens import COEFFICIENTS
+from vergence.geometry.lens import COEFFICIENTS, CameraModel
 from vergence.geometry.se3 import inverse, pose, rotation
 
 PINHOLE = ("fx", "fy", "cx", "cy")
@@ -33,26 +34,41 @@ def intrinsics_names(camera: Camera) -> tuple[str, ...]:
 
 def parameter_names(head: HeadCalibration) -> tuple[str, ...]:
     """Return the names of the parameters of a head, in their order."""
+    models = tuple((name, mounted.intrinsics.model) for name, mounted in head.cameras.items())
+    return _names(models, tuple(name for eye in EYES for name in axes_names(head, eye)))
+
+
+@lru_cache(maxsize=64)
+def _names(models: tuple[tuple[str, CameraModel], ...], axes: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names of all parameters, by the lens models of the cameras and those of the axes.
+
+    Remembered, since heads that an estimate changes many times a second keep theirs.
+    """
     poses = tuple(f"T_eye_cam.{name}" for name in POSE)
     return (
         *(
             f"{camera}.{name}"
-            for camera, mounted in head.cameras.items()
-            for name in (*intrinsics_names(mounted.intrinsics), *poses)
+            for camera, model in models
+            for name in (*PINHOLE, *COEFFICIENTS[model], *poses)
         ),
         *(f"T_rbase_lbase.{name}" for name in POSE),
-        *(name for eye in EYES for name in axes_names(head, eye)),
+        *axes,
         "time_offset_s",
     )
 
 
 def named_columns(head: HeadCalibration, names: Sequence[str]) -> list[int]:
     """Return where named parameters are among all of a head; VergenceError: an unknown name."""
-    known = {name: k for k, name in enumerate(parameter_names(head))}
+    return list(_columns(parameter_names(head), tuple(names)))
+
+
+@lru_cache(maxsize=64)
+def _columns(everything: tuple[str, ...], names: tuple[str, ...]) -> tuple[int, ...]:
+    known = {name: k for k, name in enumerate(everything)}
     unknown = [name for name in names if name not in known]
     if unknown:
         raise VergenceError(f"This head has no parameter {unknown[0]!r}.")
-    return [known[name] for name in names]
+    return tuple(known[name] for name in names)
 
 
 def axes_names(head: HeadCalibration, eye: Side) -> tuple[str, ...]:

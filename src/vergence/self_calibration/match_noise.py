@@ -47,15 +47,13 @@ _FADING_S = 600.0
 is learned again. In nine rendered minutes errors recurred as within seconds. With two minutes
 instead of ten, squared Mahalanobis distances of what these had taught were 1.2 to 1.4 times as
 large. What all frames have taught fades as fast."""
-_EVERYWHERE = 0.01
-"""Correlation of errors at any two postures, fitted: rendered matches have mean residuals of some
+_EVERYWHERE = 0.005
+"""Correlation of errors at any two postures: rendered matches have mean residuals of some
 thousandths of a pixel that many frames hardly average out, and that pull in the same few directions
-for all heads and lenses. With 0.0025, 0.005, 0.01 and 0.02 the squared Mahalanobis distance of the
-40 learned parameters was 47, 42, 35 and 28 in the mean of four cases (a head in the room and one in
-the sparse scene, both lenses, a third of the 640 samples of each figure), and the spread of learned
-depth changed by 5 percent at most in eleven of twelve figures. Between postures 20 to 60 degrees
-apart 0.005 was measured, with an uncertainty as large. All this with 1200 features a pair; with 900
-the squared distance is 25 in the mean of 16 cases: errors in common are a smaller share then."""
+for all heads and lenses. Measured between postures 20 to 60 degrees apart, with an uncertainty as
+large. With it the squared Mahalanobis distance of the 40 learned parameters is 33 in the mean of
+twenty cases (five heads in the room and in the sparse scene, both lenses, all figures); with 0.01
+it was 25 in sixteen of these, and learned depth as steady within 6 percent."""
 _EXPECTED_RECURRENCE = 0.4
 """Correlation of errors at the same posture, before it is measured."""
 _MOST_RECURRENCE = 0.95
@@ -144,13 +142,16 @@ def recurrence_inflation(before: Recurrence | None, joints: Array, elapsed_s: fl
     """
     if before is None:
         return 1.0
+    return _inflation(before, _added(before, joints, elapsed_s), elapsed_s)
+
+
+def _inflation(before: Recurrence, added: float, elapsed_s: float) -> float:
     n, c = _faded(before, elapsed_s), _EVERYWHERE
-    added = 1 / _posture_inflation(before, joints, elapsed_s)
     return (1 + c * (n - 1)) * (1 + c * (n + added - 1)) / (added * (1 - c))
 
 
-def _posture_inflation(before: Recurrence, joints: Array, elapsed_s: float) -> float:
-    """Return the variance inflation of a frame whose posture was observed before.
+def _added(before: Recurrence, joints: Array, elapsed_s: float) -> float:
+    """Return how many independent frames a frame adds, whose posture was observed before.
 
     The mean of frames with correlated errors (covariance K) tells as much as 1' K^-1 1 independent
     ones; a frame adds the difference.
@@ -162,7 +163,7 @@ def _posture_inflation(before: Recurrence, joints: Array, elapsed_s: float) -> f
     K[np.diag_indices(len(K))] = 1.0
     k = before.correlation * _kernel(_apart(at, joints), ages_s + elapsed_s)
     weights = np.linalg.solve(K, k)
-    return float((1 - weights @ k) / max(1 - weights.sum(), _LEAST_NEW) ** 2)
+    return float(max(1 - weights.sum(), _LEAST_NEW) ** 2 / (1 - weights @ k))
 
 
 def _faded(before: Recurrence, elapsed_s: float) -> float:
@@ -172,8 +173,8 @@ def _faded(before: Recurrence, elapsed_s: float) -> float:
 
 def with_frame(
     before: Recurrence | None, joints: Array, blocks: Array, elapsed_s: float
-) -> Recurrence:
-    """Return the recurrence after a frame.
+) -> tuple[Recurrence, float]:
+    """Return the recurrence after a frame, and the frame's `recurrence_inflation`.
 
     Args:
         before: of the frames before; None: there was none.
@@ -183,21 +184,22 @@ def with_frame(
     """
     unit = (blocks / max(float(np.linalg.norm(blocks)), 1e-9)).astype(np.float32)[None]
     if before is None:
-        return Recurrence(joints[None], np.zeros(1), unit, independent=1.0)
+        return Recurrence(joints[None], np.zeros(1), unit, independent=1.0), 1.0
     ages_s = before.ages_s + elapsed_s
     near = _kernel(_apart(before.joints, joints), ages_s)
     weight = float(near @ near)
     measured = float(near @ (before.blocks @ unit[0])) / max(weight, 1e-9)
     pace = _PACE * weight / (1 + weight)
     c = before.correlation + pace * (measured - before.correlation)
-    added = 1 / _posture_inflation(before, joints, elapsed_s)
-    return Recurrence(
+    added = _added(before, joints, elapsed_s)
+    after = Recurrence(
         joints=np.concatenate([before.joints, joints[None]])[-_REMEMBERED:],
         ages_s=np.append(ages_s, 0.0)[-_REMEMBERED:],
         blocks=np.concatenate([before.blocks, unit])[-_REMEMBERED:],
         correlation=min(max(c, 0.0), _MOST_RECURRENCE),
         independent=_faded(before, elapsed_s) + added,
     )
+    return after, _inflation(before, added, elapsed_s)
 
 
 def _apart(a: Array, b: Array) -> Array:

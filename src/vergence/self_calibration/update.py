@@ -16,7 +16,7 @@ from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_between, change_named
 from vergence.self_calibration.frame import prior_of
 from vergence.self_calibration.keyframe import next_keyframe, prior_information, with_motion
-from vergence.self_calibration.match_noise import recurrence_inflation, with_frame
+from vergence.self_calibration.match_noise import with_frame
 from vergence.self_calibration.prior import DRIFT, tolerance_covariance
 from vergence.self_calibration.state import (
     Evidence,
@@ -48,7 +48,7 @@ def updated(
         elapsed_s: since the frame before.
     """
     P = len(state.names)
-    inflation = recurrence_inflation(state.recurrence, seen.readings, elapsed_s)
+    recurrence, inflation = with_frame(state.recurrence, seen.readings, says.blocks, elapsed_s)
     evidence = _weakened(says, inflation)
     known = len(evidence.vector)
     N = prior_information(state, known - P)
@@ -65,7 +65,7 @@ def updated(
         state,
         head=head,
         covariance=(C[:P, :P] + C[:P, :P].T) / 2,
-        recurrence=with_frame(state.recurrence, seen.readings, says.blocks, elapsed_s),
+        recurrence=recurrence,
         match_scale=state.match_scale + _PACE * (evidence.match_scale - state.match_scale),
         design_effect=state.design_effect + _PACE * (evidence.design_effect - state.design_effect),
         joint_std_rad=float(np.sqrt(variance)),
