@@ -20,7 +20,7 @@ from vergence.geometry import se3
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, MountedCamera
 from vergence.geometry.kinematics import EYES, Side, change_joints, joint_value
-from vergence.geometry.lens import COEFFICIENTS, CameraModel
+from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.se3 import inverse, pose, rotation
 
 PINHOLE = ("fx", "fy", "cx", "cy")
@@ -34,23 +34,21 @@ def intrinsics_names(camera: Camera) -> tuple[str, ...]:
 
 def parameter_names(head: HeadCalibration) -> tuple[str, ...]:
     """Return the names of the parameters of a head, in their order."""
-    models = tuple((name, mounted.intrinsics.model) for name, mounted in head.cameras.items())
-    return _names(models, tuple(name for eye in EYES for name in axes_names(head, eye)))
+    lenses = tuple((name, intrinsics_names(each.intrinsics)) for name, each in head.cameras.items())
+    return _names(lenses, tuple(name for eye in EYES for name in axes_names(head, eye)))
 
 
 @lru_cache(maxsize=64)
-def _names(models: tuple[tuple[str, CameraModel], ...], axes: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names of all parameters, by the lens models of the cameras and those of the axes.
+def _names(
+    lenses: tuple[tuple[str, tuple[str, ...]], ...], axes: tuple[str, ...]
+) -> tuple[str, ...]:
+    """Return the names of all parameters, by those of each camera's lens and of the axes.
 
     Remembered, since heads that an estimate changes many times a second keep theirs.
     """
     poses = tuple(f"T_eye_cam.{name}" for name in POSE)
     return (
-        *(
-            f"{camera}.{name}"
-            for camera, model in models
-            for name in (*PINHOLE, *COEFFICIENTS[model], *poses)
-        ),
+        *(f"{camera}.{name}" for camera, lens in lenses for name in (*lens, *poses)),
         *(f"T_rbase_lbase.{name}" for name in POSE),
         *axes,
         "time_offset_s",
