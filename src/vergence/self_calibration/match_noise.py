@@ -146,6 +146,7 @@ def recurrence_inflation(before: Recurrence | None, joints: Array, elapsed_s: fl
 
 
 def _inflation(before: Recurrence, added: float, elapsed_s: float) -> float:
+    """Return the variance inflation of a frame by how many independent ones it adds."""
     n, c = _faded(before, elapsed_s), _EVERYWHERE
     return (1 + c * (n - 1)) * (1 + c * (n + added - 1)) / (added * (1 - c))
 
