@@ -27,7 +27,6 @@ from vergence.accuracy.motions import eye_angles
 from vergence.geometry.camera import normalise, project
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named
-from vergence.paper.comparison import comparison
 from vergence.self_calibration.frame import from_matches, self_calibrate_frame
 from vergence.self_calibration.learning import learn
 from vergence.self_calibration.state import initial_self_calibration
@@ -88,7 +87,7 @@ def rendered_bumps(seed: int) -> None:
         with Twin(profile, seed=seed, lens=lens) as twin:
             found = paper_calibration(twin, seed)
             head = inject_calibration_error(found.head, profile.by_hand, lens)
-            first = comparison(head, twin, floor=False).learning.known
+            first = initial_self_calibration(head, fresh=True)
             pair = first.cameras
             frames = [
                 (f, twin.true_angles()[3:])

@@ -28,7 +28,7 @@ from vergence.geometry import se3
 from vergence.geometry.camera import Camera, normalise, project
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named
-from vergence.paper.comparison import comparison, learn_around
+from vergence.paper.comparison import learned_around
 from vergence.paper.figures import FIGURES, default_duration_s
 from vergence.self_calibration.frame import from_matches, locate_seen, self_calibrate_frame
 from vergence.self_calibration.learning import learn
@@ -287,13 +287,12 @@ def main(figures: tuple[int, ...] = (6, 8, 9, 10, 11), samples: int = 40, seed: 
         with Twin(profile, seed=seed, lens=lens) as twin:
             found = paper_calibration(twin, seed)
             head = inject_calibration_error(found.head, profile.by_hand, lens)
-            compared = comparison(head, twin, floor=False)
-            learn_around(twin, compared, 100)
+            learned = learned_around(head, twin, 100).known
             print(f"{lens}: {LOOK_S:.0f} s of good images seen")
             truth = with_sensors(twin.truth, twin.profile.joints)
             for figure in numbers:
                 taken_now = taken(twin, head, truth, figure, samples)
-                report(head, truth, figure, taken_now, compared.learning.known)
+                report(head, truth, figure, taken_now, learned)
 
 
 if __name__ == "__main__":

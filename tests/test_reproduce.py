@@ -191,7 +191,7 @@ def test_methods_are_compared_on_the_same_images(tmp_path, monkeypatch):
     depth = {name: each["std_m"][0] for name, each in methods.items()}
     assert depth["floor"] < depth["learned"] < depth["paper"] / 3
     assert "## Methods compared" in (tmp_path / "all" / "report.md").read_text()
-    assert load_head(tmp_path / "all" / "learned-2.8mm.json").accuracy is not None
+    assert load_head(tmp_path / "all" / "fig07-learned.json").accuracy is not None
     recording = tmp_path / "all" / "fig07.rrd"
     assert_valid(recording)
     beside = read_series(recording, "/beside/x")[1]
@@ -201,16 +201,22 @@ def test_methods_are_compared_on_the_same_images(tmp_path, monkeypatch):
 
 @pytest.mark.usefixtures("simulated_views")
 @pytest.mark.render
-def test_figures_that_are_replayed_side_by_side_are_the_same(tmp_path):
-    profile = load_profile("paper")
-    short = {"figures": (6, 7), "profile": profile, "duration_s": 1, "rate_hz": 2}
-    alone, beside = (tmp_path / name for name in ("alone", "beside"))
-    reproduce(alone, seed=1, **short)
-    reproduce(beside, seed=1, jobs=2, **short)
-    for name in ("statistics.json", "report.md", "figures.png", "calibration-2.8mm.json"):
-        assert (alone / name).read_bytes() == (beside / name).read_bytes()
-    assert {path.name for path in alone.iterdir()} == {path.name for path in beside.iterdir()}
+def test_figures_are_the_same_one_after_another_side_by_side_and_alone(tmp_path, monkeypatch):
+    monkeypatch.setattr(looking_around, "LOOK_S", 0.5)
+    short = {"profile": load_profile("paper"), "seed": 1, "duration_s": 1, "rate_hz": 2}
+    turns, beside, alone = (tmp_path / name for name in ("turns", "beside", "alone"))
+    reproduce(turns, figures=(6, 7), compare=True, **short)
+    reproduce(beside, figures=(6, 7), compare=True, jobs=2, **short)
+    reproduce(alone, figures=(7,), compare=True, **short)
+    learned = [f"fig{number:02d}-learned.json" for number in (6, 7)]
+    for name in ("statistics.json", "report.md", "figures.png", "calibration-2.8mm.json", *learned):
+        assert (turns / name).read_bytes() == (beside / name).read_bytes()
+    assert {path.name for path in turns.iterdir()} == {path.name for path in beside.iterdir()}
     assert_valid(beside / "fig07.rrd")
+    several, one = (statistics(folder)["methods"] for folder in (turns, alone))
+    for method, found in one.items():
+        assert found["figures"]["7"] == several[method]["figures"]["7"]
+    assert (alone / learned[1]).read_bytes() == (turns / learned[1]).read_bytes()
 
 
 @pytest.mark.usefixtures("few_views")

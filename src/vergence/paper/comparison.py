@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,21 +34,16 @@ _NECK = np.zeros(3)
 
 @dataclass(eq=False)
 class Comparison:
-    """Self-calibration of one lens, fed frame by frame."""
+    """Self-calibration in one figure, fed frame by frame."""
 
     states: dict[str, SelfCalibration]
     """What is known of the head, by method that does not learn."""
     learning: SeenGeometry
     """What is known of the head by the one that does; it changes with every frame."""
-    points: dict[str, list[Array]] = field(default_factory=dict)
+    points: dict[str, list[Array]]
     """Position (3,) [m] in frame lbase of each sample, by method; NaN: not located."""
-    stds: dict[str, list[float]] = field(default_factory=dict)
+    stds: dict[str, list[float]]
     """Stated standard deviation of depth [m] of each sample, by method."""
-
-    def begin(self) -> None:
-        """Begin a figure: what was learned stays."""
-        self.points = {method: [] for method in (SINGLE, LEARNED, *self.states)}
-        self.stds = {method: [] for method in self.points}
 
     def add(
         self, images: Mapping[str, np.ndarray], joints: Array, pixels: Mapping[str, Array], t: float
@@ -70,17 +65,30 @@ class Comparison:
                 self.learning = after_frame(self.learning, seen, t, _NECK)
 
 
-def comparison(head: HeadCalibration, twin: Twin, *, floor: bool) -> Comparison:
-    """Return a comparison for a calibration; floor: also with the true head, for evaluation."""
-    before = initial_seen_geometry(head, fresh=True)  # the twin was calibrated for this
-    states = {SINGLE: before.known}
+def comparison(
+    head: HeadCalibration, twin: Twin, learning: SeenGeometry, *, floor: bool
+) -> Comparison:
+    """Return a comparison for a calibration, with what was learned so far.
+
+    floor: also with the true head, for evaluation.
+    """
+    states = {SINGLE: _before(head).known}
     if floor:
         known = initial_self_calibration(with_sensors(twin.truth, twin.profile.joints))
         states[FLOOR] = replace(known, covariance=known.covariance * _KNOWN)
-    return Comparison(states, before)
+    methods = (SINGLE, LEARNED, *states)
+    return Comparison(
+        states, learning, {each: [] for each in methods}, {each: [] for each in methods}
+    )
 
 
-def learn_around(twin: Twin, compared: Comparison, run: int) -> None:
-    """Let the learned head see the room alone; see `looking_around.look_around`."""
-    for frame in look_around(twin, compared.learning.known.cameras, run=run):
-        compared.learning = update_geometry(compared.learning, frame)
+def learned_around(head: HeadCalibration, twin: Twin, run: int) -> SeenGeometry:
+    """Return what is learned of a head that looks around; see `looking_around.look_around`."""
+    learning = _before(head)
+    for frame in look_around(twin, learning.known.cameras, run=run):
+        learning = update_geometry(learning, frame)
+    return learning
+
+
+def _before(head: HeadCalibration) -> SeenGeometry:
+    return initial_seen_geometry(head, fresh=True)  # the twin was calibrated for this

@@ -117,8 +117,6 @@ def replay(
         compared: other methods, which get every sample in its order.
     """
     start = _LEAD_S
-    if compared is not None:
-        compared.begin()
     twin.restart(figure.number)
     twin.place_object(np.array(figure.mean_m))
 

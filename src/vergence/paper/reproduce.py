@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import groupby
-from operator import attrgetter
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,7 +15,7 @@ from vergence.calibration.sequential.sequential import SequentialCalibration
 from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, save_head
-from vergence.paper.comparison import LEARNED, PAPER, Comparison, comparison, learn_around
+from vergence.paper.comparison import LEARNED, PAPER, Comparison, comparison, learned_around
 from vergence.paper.figures import FIGURES, Figure
 from vergence.paper.plots import paper_figures
 from vergence.paper.recording import figure_recording, log_results
@@ -26,6 +24,7 @@ from vergence.paper.report import Reproduction, figure_report, report
 from vergence.processes import process_count, processes
 from vergence.progress import Progress, silent
 from vergence.self_calibration.learning import learned_head
+from vergence.self_calibration.sequence import SeenGeometry
 from vergence.twin.appearance import visual_geoms
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration
@@ -60,7 +59,7 @@ class _Settings:
 
     @property
     def learns(self) -> bool:
-        """Whether there is self-calibration, which goes on from figure to figure of a lens."""
+        """Whether there is self-calibration."""
         return self.compare or self.floor or self.method != "paper"
 
     def twin(self, lens: Lens) -> Twin:
@@ -130,58 +129,64 @@ def _replay_all(
     progress: Progress,
 ) -> None:
     """Replay figures, and add each to what is done when its files are written."""
-    by_lens = {lens: list(each) for lens, each in groupby(figures, attrgetter("lens"))}
-    # What is learned goes from one figure to the next.
-    together = settings.learns or jobs == 1
-    chains = list(by_lens.values()) if together else [[figure] for figure in figures]
+    lenses = list(dict.fromkeys(figure.lens for figure in figures))
     with processes(jobs) as run:
-        calibrated = dict(run([partial(_calibrate, settings, lens) for lens in by_lens], progress))
-        for lens in by_lens:
-            found = done.calibrations[lens] = calibrated[lens]
-            by_hand = settings.profile.by_hand
-            done.heads[lens] = inject_calibration_error(found.head, by_hand, lens)
-        tasks = [partial(_replay_chain, settings, done.heads[c[0].lens], c) for c in chains]
+        prepared = {}
+        for lens, found, head, learning in run(
+            [partial(_prepare, settings, lens) for lens in lenses], progress
+        ):
+            done.calibrations[lens], done.heads[lens] = found, head
+            prepared[lens] = head, learning
+        tasks = [partial(_replay, settings, *prepared[each.lens], each) for each in figures]
         for replayed in run(tasks, progress):
             done.replays[replayed.figure.number] = replayed
             _write(settings.out, done)
 
 
-def _calibrate(
+def _prepare(
     settings: _Settings, lens: Lens, progress: Progress
-) -> Iterator[tuple[Lens, SequentialCalibration]]:
-    """Calibrate the head with wide cameras of a lens, as the paper does, and write the result."""
+) -> Iterator[tuple[Lens, SequentialCalibration, HeadCalibration, SeenGeometry | None]]:
+    """Calibrate the head with wide cameras of a lens, as the paper does, and write the result.
+
+    The head is yielded as the replays use it, with what its eyes have learned in looking around,
+    with which every figure begins; None: there is no self-calibration.
+    """
     task = f"calibrating, {lens} lens"
     with settings.twin(lens) as twin:
         found = paper_calibration(
             twin, settings.seed, progress=lambda _, done, total: progress(task, done, total)
         )
+        head = inject_calibration_error(found.head, settings.profile.by_hand, lens)
+        learning = learned_around(head, twin, _LOOKING) if settings.learns else None
     save_head(found.head, settings.out / f"calibration-{lens}.json")
-    yield lens, found
+    yield lens, found, head, learning
 
 
-def _replay_chain(
-    settings: _Settings, head: HeadCalibration, figures: Sequence[Figure], progress: Progress
+def _replay(
+    settings: _Settings,
+    head: HeadCalibration,
+    learning: SeenGeometry | None,
+    figure: Figure,
+    progress: Progress,
 ) -> Iterator[Replay]:
-    """Replay figures of one lens, one after another; each is yielded when it is recorded."""
-    out, compared = settings.out, None
-    with settings.twin(figures[0].lens) as twin:
-        if settings.learns:
-            compared = comparison(head, twin, floor=settings.floor)
-            learn_around(twin, compared, _LOOKING)
-        for figure in figures:
-            yield record_replay(
-                twin,
-                head,
-                figure,
-                sample_times(figure, settings.duration_s, settings.rate_hz),
-                out / f"fig{figure.number:02d}.rrd",
-                method=PAPER if settings.method == "paper" else LEARNED,
-                compared=compared,
-                progress=progress,
-            )
+    """Replay a figure and record it."""
+    with settings.twin(figure.lens) as twin:
+        compared = None
+        if learning is not None:
+            compared = comparison(head, twin, learning, floor=settings.floor)
+        yield record_replay(
+            twin,
+            head,
+            figure,
+            sample_times(figure, settings.duration_s, settings.rate_hz),
+            settings.out / f"fig{figure.number:02d}.rrd",
+            method=PAPER if settings.method == "paper" else LEARNED,
+            compared=compared,
+            progress=progress,
+        )
     if compared is not None:
         learned = learned_head(compared.learning.known)
-        save_head(learned, out / f"learned-{figures[0].lens}.json")
+        save_head(learned, settings.out / f"fig{figure.number:02d}-learned.json")
 
 
 def check(
