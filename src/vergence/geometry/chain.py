@@ -21,7 +21,6 @@ from vergence.geometry.components import (
     stacked,
     times,
 )
-from vergence.geometry.se3 import hat
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,19 +44,16 @@ class Chain:
     @cached_property
     def turns(self) -> tuple[_Turn, ...]:
         """The joints, from the base outwards."""
-        generators, ends = hat(self.axes), [*self.points_m, self.end_m]
+        ends = [*self.points_m, self.end_m]
         return tuple(
             _Turn(
-                axis=self.axes[k].tolist(),
+                axis=axis,
                 step=(ends[k + 1] - ends[k]).tolist(),
-                entries=[
-                    (i, j, float(G[i, j]), float((G @ G)[i, j]))
-                    for i, j in np.argwhere((G != 0) | (G @ G != 0)).tolist()
-                ],
+                entries=_rodrigues(axis),
                 mixing=[(r, f) for r, f in enumerate(self.mixing[k].tolist()) if f],
                 offset_rad=float(self.offset_rad[k]),
             )
-            for k, G in enumerate(generators)
+            for k, axis in enumerate(self.axes.tolist())
         )
 
     @cached_property
@@ -81,6 +77,18 @@ class _Turn(NamedTuple):
 
 
 _ONE = np.eye(4).tolist()
+
+
+def _rodrigues(axis: list[float]) -> list[tuple[int, int, float, float]]:
+    """Return the `entries` of a turn about an axis: G = hat(axis), and G^2 = a a^T - a^T a I."""
+    x, y, z = axis
+    generator, square = ((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)), x * x + y * y + z * z
+    found = [
+        (i, j, generator[i][j], axis[i] * axis[j] - (square if i == j else 0.0))
+        for i in range(3)
+        for j in range(3)
+    ]
+    return [entry for entry in found if entry[2] or entry[3]]
 
 
 def chain_pose(chain: Chain, readings: Array) -> Array:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -183,7 +183,7 @@ def _check_joints(whose: str, joints: tuple[Joint, ...], readings: tuple[str, ..
 
 def _parallel(before: Joint, joint: Joint) -> bool:
     """Return whether two successive axes are parallel."""
-    return bool(np.linalg.norm(se3.cross(before.axis, joint.axis)) < PARALLEL)
+    return _designed(*_lines(before, joint))[0]
 
 
 def parallel_distance_m(before: Joint, joint: Joint) -> float | None:
@@ -193,15 +193,39 @@ def parallel_distance_m(before: Joint, joint: Joint) -> float | None:
 
 def _between(before: Joint, joint: Joint) -> Array:
     """Return the vector (3,) [m] from a parallel axis before to that of a joint."""
-    apart = joint.point_m - before.point_m
-    return apart - apart @ joint.axis * joint.axis
+    return _off_axis(joint.point_m - before.point_m, joint.axis)
+
+
+def _off_axis(apart: Array, axis: Array) -> Array:
+    return apart - apart @ axis * axis
 
 
 def _normal(before: Joint, joint: Joint) -> Array:
     """Return the unit vector (3,) of the common normal of two successive axes."""
-    parallel = _parallel(before, joint)
-    normal = _between(before, joint) if parallel else se3.cross(joint.axis, before.axis)
-    return normal / np.linalg.norm(normal)
+    return _designed(*_lines(before, joint))[1]
+
+
+_Numbers = tuple[float, ...]
+
+
+def _lines(before: Joint, joint: Joint) -> list[_Numbers]:
+    return [tuple(each.axis.tolist() + each.point_m.tolist()) for each in (before, joint)]
+
+
+@lru_cache(maxsize=256)
+def _designed(before: _Numbers, own: _Numbers) -> tuple[bool, Array]:
+    """Return whether two axes are parallel, and the unit vector (3,) of their common normal.
+
+    Given are directions and points. Remembered, since joints that an estimate changes many times a
+    second keep their design.
+    """
+    (first, start), (axis, point) = (np.reshape(each, (2, 3)) for each in (before, own))
+    normal = se3.cross(axis, first)
+    parallel = bool(np.linalg.norm(normal) < PARALLEL)
+    if parallel:
+        normal = _off_axis(point - start, axis)
+    length = np.linalg.norm(normal)
+    return parallel, normal / length if length > 0 else normal
 
 
 def _inclines_about(before: Joint, joint: Joint) -> Array:

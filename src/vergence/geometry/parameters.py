@@ -81,15 +81,16 @@ def camera_columns(head: HeadCalibration, camera: str) -> np.ndarray:
 
     The n of its lens, those of T_eye_cam and of T_rbase_lbase, and the a of the joints of its eye.
     """
-    sizes = [_size(mounted) for mounted in head.cameras.values()]
-    k = list(head.cameras).index(camera)
-    own = sum(sizes[:k]) + np.arange(sizes[k])
-    base = sum(sizes) + np.arange(len(POSE))
-    first = base[-1] + 1
-    for eye in EYES[: EYES.index(head.cameras[camera].eye)]:
-        first += len(axes_names(head, eye))
-    axes = first + np.arange(len(axes_names(head, head.cameras[camera].eye)))
-    return np.concatenate([own, base, axes])
+    owners = camera, "T_rbase_lbase", head.cameras[camera].eye
+    return np.array(_owned(parameter_names(head), owners))
+
+
+@lru_cache(maxsize=64)
+def _owned(names: tuple[str, ...], owners: tuple[str, ...]) -> tuple[int, ...]:
+    """Return where the parameters of cameras, bases and eyes are, in the order of these."""
+    return tuple(
+        k for owner in owners for k, name in enumerate(names) if name.startswith(f"{owner}.")
+    )
 
 
 def _size(mounted: MountedCamera) -> int:
@@ -116,27 +117,29 @@ def boxplus(head: HeadCalibration, change: Array) -> HeadCalibration:
     """
     if not change.any():
         return head
-    cameras, rest = {}, change
+    whole, first = {}, 0
     for name, mounted in head.cameras.items():
-        own, rest = np.split(rest, [_size(mounted)])
-        if not own.any():  # what is made anew is checked anew, which takes time
-            cameras[name] = mounted
-            continue
-        lens = lens_vector(mounted.intrinsics)
-        cameras[name] = replace(
-            mounted,
-            intrinsics=lens_of_vector(mounted.intrinsics, lens + own[: len(lens)]),
-            T_eye_cam=se3.boxplus(mounted.T_eye_cam, own[len(lens) :]),
-        )
-    between, rest = np.split(rest, [len(POSE)])
+        whole[name] = change[first : first + _size(mounted)]
+        first += _size(mounted)
+    # What is made anew is checked anew, which takes time.
+    moved = {name: own for name, own in whole.items() if own.any()}
+    between, rest = change[first : first + len(POSE)], change[first + len(POSE) :]
+    T = np.stack([*(head.cameras[name].T_eye_cam for name in moved), head.T_rbase_lbase])
+    T = se3.boxplus(T, np.stack([*(own[-len(POSE) :] for own in moved.values()), between]))
+    cameras = dict(head.cameras)
+    for T_eye_cam, (name, own) in zip(T[:-1], moved.items(), strict=True):
+        lens = cameras[name].intrinsics
+        lens = lens_of_vector(lens, lens_vector(lens) + own[: -len(POSE)])
+        cameras[name] = replace(cameras[name], intrinsics=lens, T_eye_cam=T_eye_cam)
     eyes = {}
     for eye in EYES:
-        own, rest = np.split(rest, [len(axes_names(head, eye))])
-        eyes[eye] = change_joints(head.kinematics.eyes[eye], own)
+        count = len(head.kinematics.parameters[eye])
+        eyes[eye] = change_joints(head.kinematics.eyes[eye], rest[:count])
+        rest = rest[count:]
     return replace(
         head,
         cameras=cameras,
-        T_rbase_lbase=se3.boxplus(head.T_rbase_lbase, between),
+        T_rbase_lbase=T[-1],
         kinematics=replace(head.kinematics, eyes=eyes),
         time_offset_s=head.time_offset_s + float(rest[0]),
     )

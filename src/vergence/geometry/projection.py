@@ -30,6 +30,7 @@ from vergence.geometry.components import (
     times,
     transposed,
 )
+from vergence.geometry.eye_motion import EyeMotion
 from vergence.geometry.head import HeadCalibration, MountedCamera
 from vergence.geometry.kinematics import Side, T_base_eye, check_radians
 from vergence.geometry.se3 import inverse
@@ -201,6 +202,28 @@ def by_increments(rows: Rows, increments: Sequence[Vector]) -> list[tuple[Compon
     """Return derivatives of u and v by increments of a pose, given those by the pose (2, 6)."""
     u, v = rows
     return [(_inner(u, xi), _inner(v, xi)) for xi in increments]
+
+
+def by_camera_columns(
+    own: ProjectionRows, eye: EyeMotion, by_angles: Sequence[tuple[Component, Component]]
+) -> list[tuple[Component, Component]]:
+    """Return derivatives of u and v in the order of `parameters.camera_columns`.
+
+    Given are those of a camera's pixel, the motion of its eye, and the derivatives of u and v by
+    the angles of its joints, of `by_increments`.
+    """
+    columns = [
+        pair
+        for rows in (own.by_lens, own.by_T_eye_cam, own.by_T_rbase_lbase)
+        for pair in zip(*rows, strict=True)
+    ]
+    for joint, change in eye.by_errors:
+        if joint is None:
+            columns += by_increments(own.by_T_base_eye, [change])
+        else:
+            u, v = by_angles[joint]
+            columns.append((u * change, v * change))
+    return columns
 
 
 def _inner(row: Vector, xi: Vector) -> Component:

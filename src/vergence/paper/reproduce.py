@@ -129,7 +129,7 @@ def _replay_all(
     progress: Progress,
 ) -> None:
     """Replay figures, and add each to what is done when its files are written."""
-    lenses = list(dict.fromkeys(figure.lens for figure in figures))
+    lenses: list[Lens] = list(dict.fromkeys(figure.lens for figure in figures))
     with processes(jobs) as run:
         prepared = {}
         for lens, found, head, learning in run(

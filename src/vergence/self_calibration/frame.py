@@ -22,7 +22,7 @@ from vergence.self_calibration.keyframe import by_each_eye, track_keyframe
 from vergence.self_calibration.match_noise import recurrence_inflation
 from vergence.self_calibration.prior import UNCALIBRATED, tolerance_covariance
 from vergence.self_calibration.residuals import epipolar_residuals
-from vergence.self_calibration.robust_fit import FEWEST, GATE, MOST, robust_fit
+from vergence.self_calibration.robust_fit import FEWEST, GATE, LINEAR_RAD, MOST, robust_fit
 from vergence.self_calibration.state import (
     Evidence,
     SelfCalibrated,
@@ -38,6 +38,9 @@ _GATE_OF_FEW = 1e-3
 robust_fit.GATE where they do not."""
 _LEAST_SHARE = 0.1
 """Share of the matches that must fit, for the same reason."""
+_LEAST_SHOWN = 0.01
+"""Share of a residual's normal in the right image, of usually 0.7, from which a match counts. Where
+the rays of a wrong match are nearest in the plane of a camera it is zero, and its noise with it."""
 _LITTLE = 1.5
 """Degrees of freedom of the pair, of five, below which the scene showed too little."""
 
@@ -134,6 +137,11 @@ def _fit(
 ) -> tuple[Array, Array, Evidence]:
     """Return the change (K,) that matches and prior give, weights (N,), and what matches say."""
 
+    P = len(state.names)
+
+    def linear(z: Array) -> bool:
+        return bool(np.abs(z[P:]).max() < LINEAR_RAD)
+
     def linearised(z: Array, some: np.ndarray) -> tuple[Array, Array]:
         those = Matches(matches.left[some], matches.right[some], matches.covariance[some])
         return _whitened(state, *_changed(state, joints, z), those)
@@ -144,7 +152,8 @@ def _fit(
         pixels=matches.left,
         match_scale=state.match_scale,
         expected_design_effect=state.design_effect,
-        fixed=len(state.names) if at_head else 0,
+        fixed=P if at_head else 0,
+        linear=linear if state.settled else None,
     )
 
 
@@ -207,7 +216,8 @@ def _whitened(
     n = found.normals[:, 2:]
     std = state.match_scale * np.sqrt(np.einsum("ni,nij,nj->n", n, matches.covariance, n))
     A = np.concatenate([found.by_parameters[:, columns], found.by_readings], axis=1)
-    good = np.isfinite(found.residuals) & np.isfinite(A).all(axis=1) & (std > 0)
+    good = np.isfinite(found.residuals) & np.isfinite(A).all(axis=1)
+    good &= (std > 0) & (np.linalg.norm(n, axis=1) > _LEAST_SHOWN)
     y = np.where(good, found.residuals / std, 1e3)
     return y, np.where(good[:, None], A / std[:, None], 0.0)
 

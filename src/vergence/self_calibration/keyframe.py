@@ -21,7 +21,7 @@ from vergence.geometry.parameters import change_named, named_columns
 from vergence.geometry.se3 import inverse
 from vergence.self_calibration.match_noise import EXPECTED_DESIGN_EFFECT
 from vergence.self_calibration.residuals import depths_of_matches, motion_residuals
-from vergence.self_calibration.robust_fit import FEWEST, GATE, INLIER, MOST, robust_fit
+from vergence.self_calibration.robust_fit import FEWEST, GATE, INLIER, LINEAR_RAD, MOST, robust_fit
 from vergence.self_calibration.state import (
     Evidence,
     Keyframe,
@@ -44,6 +44,8 @@ _COMMON_DEPTH_STD = 1.0
 """Relative, of all depths together: as good as unknown. How far the cameras are from the axes of
 their joints would else be learned from the parallax, which is so small that hundredths of a pixel
 of the lens model make it wrong by percents, and the scale of depth with it."""
+_LINEAR_DEPTH = 0.1
+"""Change of it up to which residuals are linear: what a parallax of a pixel then lacks is 0.005."""
 _SHARED = 2.5
 """Variance inflation by what all motions have in common, errors of the lens model above all. Fitted
 to rendered images: with it, tracked features leave the squared Mahalanobis distance of what is
@@ -165,9 +167,12 @@ def _fit(
     C: Array,
 ) -> tuple[Array, Array, Evidence]:
     """Return what features of camera k say about changes from those (K,) that are believed."""
-    matches, K = tracked.matches[k], len(C)
+    matches, K, P = tracked.matches[k], len(C), len(state.names)
     with_depth = np.eye(K + 1)
     with_depth[:K, :K] = C
+
+    def linear(z: Array) -> bool:
+        return bool(np.abs(z[P:K]).max() < LINEAR_RAD and abs(z[K]) < _LINEAR_DEPTH)
 
     def linearised(z: Array, some: np.ndarray) -> tuple[Array, Array]:
         y, A = _whitened(state, seen, tracked, k, about + z[:K], float(z[K]))
@@ -179,6 +184,7 @@ def _fit(
         pixels=np.repeat(matches.left, 2, axis=0),
         match_scale=state.match_scale,
         expected_design_effect=EXPECTED_DESIGN_EFFECT,
+        linear=linear if state.settled else None,
     )
     N, b = says.information / _SHARED, says.vector / _SHARED
     follows = N[:K, K] / (N[K, K] + 1)

@@ -19,19 +19,30 @@ from dataclasses import dataclass
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.geometry.camera import normalise
-from vergence.geometry.eye_motion import eye_poses, eye_poses_with_jacobians
+from vergence.geometry.camera import normalised_rows
+from vergence.geometry.components import (
+    Component,
+    Rows,
+    Vector,
+    components,
+    cross,
+    dot,
+    minus,
+    quotient,
+    stacked,
+    times,
+    transposed,
+)
+from vergence.geometry.eye_motion import EyeMotion, eye_motion, eye_motions
 from vergence.geometry.head import HeadCalibration, MountedCamera
-from vergence.geometry.kinematics import EYES
 from vergence.geometry.parameters import camera_columns, parameter_names
 from vergence.geometry.projection import (
-    T_lbase_cam,
-    by_parameters,
-    project_with_jacobians,
-    rows_times,
+    by_camera_columns,
+    by_increments,
+    camera_pose,
+    projected,
 )
-from vergence.geometry.se3 import cross
-from vergence.stereo.extrinsics import camera_poses, stereo_cameras
+from vergence.stereo.extrinsics import stereo_cameras
 
 _FARTHEST_M = 50.0
 """Noise makes far points infinitely far, or puts them behind the head; they are taken as here."""
@@ -72,26 +83,28 @@ def epipolar_residuals(
     head: HeadCalibration, joints: Array, left: Array, right: Array, cameras: tuple[str, str]
 ) -> EpipolarResiduals:
     """Return the residuals of matches: (N, 2) pixels in two cameras, at readings (r,) [rad]."""
-    T, by_axes, by_reading = eye_poses_with_jacobians(head, joints, 1)
-    points = _points(head, T[0], left, right, cameras)
-    parts = []
-    for k, (mounted, seen) in enumerate(
-        zip(stereo_cameras(head, cameras), (left, right), strict=True)
-    ):
-        J = project_with_jacobians(mounted, head.T_rbase_lbase, T[:, k], points[None])
-        of_head = by_parameters(J, by_axes[k])[0]
-        of_readings = rows_times(J.by_T_base_eye, by_reading[:, k])[0]
-        parts.append((J.by_point[0], seen - J.pixels[0], of_head, of_readings))
-    normals = _normals(parts[0][0], parts[1][0])
-    n = len(left)
-    residuals, by_readings = np.zeros(n), np.zeros((n, by_reading.shape[-1]))
-    by_head = np.zeros((n, len(parameter_names(head))))
-    for k, (_, apart, of_head, of_readings) in enumerate(parts):
-        row = normals[:, None, 2 * k : 2 * k + 2]
-        residuals += (row @ apart[..., None])[:, 0, 0]
-        by_head[:, camera_columns(head, cameras[k])] += (row @ of_head)[:, 0]
-        by_readings += (row @ of_readings)[:, 0]
-    return EpipolarResiduals(residuals, normals, by_head, by_readings)
+    pair, eyes = stereo_cameras(head, cameras), eye_motions(head, joints[None])
+    seen = components(left.T), components(right.T)
+    point = _points(pair, head.T_rbase_lbase, eyes, seen)
+    both = [
+        projected(mounted, head.T_rbase_lbase, eye.R, eye.t, point)
+        for mounted, eye in zip(pair, eyes, strict=True)
+    ]
+    normals, n = _normals(both[0].by_point, both[1].by_point), len(left)
+    residuals, by_readings = np.zeros(n), np.zeros((len(joints), n))
+    by_parameters = np.zeros((len(parameter_names(head)), n))
+    for k, (own, eye) in enumerate(zip(both, eyes, strict=True)):
+        a, b = normals[2 * k : 2 * k + 2]
+        (u, v), (own_u, own_v) = seen[k], own.pixel
+        residuals += a * (u - own_u) + b * (v - own_v)
+        by_angles = by_increments(own.by_T_base_eye, eye.by_angles)
+        pairs = by_camera_columns(own, eye, by_angles)
+        for column, (u, v) in zip(camera_columns(head, cameras[k]), pairs, strict=True):
+            by_parameters[column] += a * u + b * v
+        for joint, reading, factor in eye.angle_by_readings:
+            u, v = by_angles[joint]
+            by_readings[reading] += factor * (a * u + b * v)
+    return EpipolarResiduals(residuals, stacked(normals, (n,)).T, by_parameters.T, by_readings.T)
 
 
 def motion_residuals(
@@ -115,35 +128,49 @@ def motion_residuals(
         later: (N, 2) pixels now.
         depths_m: (N,) of the points along the optical axis, then.
     """
-    mounted = head.camera(camera)
-    eye = EYES.index(mounted.eye)
-    moments = [eye_poses_with_jacobians(head, joints, 1) for joints in (before, now)]
-    T = T_lbase_cam(mounted, head.T_rbase_lbase, moments[0][0][0, eye])
-    rays = _rays(mounted, T, earlier)
-    points = T[:3, 3] + rays * depths_m[:, None]
-    J = [
-        project_with_jacobians(mounted, head.T_rbase_lbase, poses[:, eye], points[None])
-        for poses, _, _ in moments
+    mounted, T_rbase_lbase, n = head.camera(camera), head.T_rbase_lbase, len(earlier)
+    moments = [
+        eye_motion(head.kinematics, mounted.eye, joints.tolist()) for joints in (before, now)
+    ]
+    centre, ray = _ray(mounted, T_rbase_lbase, moments[0], components(earlier.T))
+    (depth,) = components(depths_m[None])
+    point = [c + depth * each for c, each in zip(centre, ray, strict=True)]
+    both = [projected(mounted, T_rbase_lbase, eye.R, eye.t, point) for eye in moments]
+    by_angles = [
+        by_increments(own.by_T_base_eye, eye.by_angles)
+        for own, eye in zip(both, moments, strict=True)
     ]
     # The point follows what the earlier pixel demands, at its depth along the ray.
-    held = np.concatenate([J[0].by_point[0], rays[:, None]], axis=1)
-    by_earlier = J[1].by_point[0] @ np.linalg.inv(held)[:, :, :2]
-    of_head = [
-        by_parameters(each, by_axes[eye])[0]
-        for each, (_, by_axes, _) in zip(J, moments, strict=True)
-    ]
-    of_readings = [
-        rows_times(each.by_T_base_eye, by_reading[:, eye])[0]
-        for each, (_, _, by_reading) in zip(J, moments, strict=True)
-    ]
-    by_head = np.zeros((len(earlier), 2, len(parameter_names(head))))
-    by_head[:, :, camera_columns(head, camera)] = of_head[1] - by_earlier @ of_head[0]
+    a, b = both[0].by_point
+    by_u, by_v = cross(b, ray), cross(ray, a)
+    det = dot(a, by_u)
+    (uu, uv), (vu, vv) = (
+        (quotient(dot(row, by_u), det), quotient(dot(row, by_v), det)) for row in both[1].by_point
+    )
+
+    def by_earlier(u: Component, v: Component) -> tuple[Component, Component]:
+        return uu * u + uv * v, vu * u + vv * v
+
+    by_parameters = np.zeros((len(parameter_names(head)), 2, n))
+    then, later_on = (
+        by_camera_columns(own, eye, each)
+        for own, eye, each in zip(both, moments, by_angles, strict=True)
+    )
+    for column, of_then, (u, v) in zip(camera_columns(head, camera), then, later_on, strict=True):
+        lost_u, lost_v = by_earlier(*of_then)
+        by_parameters[column, 0], by_parameters[column, 1] = u - lost_u, v - lost_v
+    by_before, by_now = np.zeros((2, len(now), 2, n))
+    for joint, reading, factor in moments[0].angle_by_readings:
+        for k in (0, 1):
+            by_before[reading, k] -= factor * by_earlier(*by_angles[0][joint])[k]
+            by_now[reading, k] += factor * by_angles[1][joint][k]
+    by_depth = [depth * dot(row, ray) for row in both[1].by_point]
     return MotionResiduals(
-        residuals=later - J[1].pixels[0],
-        by_parameters=by_head,
-        by_before=-by_earlier @ of_readings[0],
-        by_now=of_readings[1],
-        by_depth=(J[1].by_point[0] @ (rays * depths_m[:, None])[..., None])[..., 0],
+        residuals=later - stacked(both[1].pixel, (n,)).T,
+        by_parameters=by_parameters.transpose(2, 1, 0),
+        by_before=by_before.transpose(2, 1, 0),
+        by_now=by_now.transpose(2, 1, 0),
+        by_depth=stacked(by_depth, (n,)).T,
     )
 
 
@@ -151,48 +178,66 @@ def depths_of_matches(
     head: HeadCalibration, joints: Array, left: Array, right: Array, cameras: tuple[str, str]
 ) -> tuple[Array, Array]:
     """Return how far the points of matches are along the optical axes of both cameras, (N,) [m]."""
-    points = _points(head, eye_poses(head, joints), left, right, cameras)
-    first, second = (
-        np.maximum((points - T[:3, 3]) @ T[:3, 2], _NEAREST_M)
-        for T in camera_poses(head, joints, cameras=cameras)
-    )
+    pair, eyes = stereo_cameras(head, cameras), eye_motions(head, joints[None])
+    seen = components(left.T), components(right.T)
+    point = _points(pair, head.T_rbase_lbase, eyes, seen)
+    depths = []
+    for mounted, eye in zip(pair, eyes, strict=True):
+        R, centre = camera_pose(mounted, head.T_rbase_lbase, eye.R, eye.t)
+        depths.append(np.maximum(dot(minus(point, centre), transposed(R)[2]), _NEAREST_M))
+    first, second = stacked(depths, (len(left),))
     return first, second
 
 
-def _rays(mounted: MountedCamera, T_lbase_cam: Array, pixels: Array) -> Array:
-    """Return the rays (N, 3) of pixels in the left eye's base, with depth 1 along the axis."""
-    xy = normalise(mounted.intrinsics, pixels)
-    return np.concatenate([xy, np.ones((len(xy), 1))], axis=1) @ T_lbase_cam[:3, :3].T
+def _ray(
+    mounted: MountedCamera, T_rbase_lbase: Array, eye: EyeMotion, pixel: Vector
+) -> tuple[Vector, Vector]:
+    """Return the centre of a camera, and the ray of a pixel with depth 1 along the optical axis.
+
+    In the left eye's base, by components.
+    """
+    R, centre = camera_pose(mounted, T_rbase_lbase, eye.R, eye.t)
+    (x, y), _ = normalised_rows(mounted.intrinsics, *pixel)
+    return centre, times(R, (x, y, 1.0))
 
 
 def _points(
-    head: HeadCalibration, T_base_eye: Array, left: Array, right: Array, cameras: tuple[str, str]
-) -> Array:
-    """Return (N, 3) midway between the two rays where they are nearest, in the left eye's base."""
-    centres, rays = [], []
-    for k, (mounted, seen) in enumerate(
-        zip(stereo_cameras(head, cameras), (left, right), strict=True)
-    ):
-        T = T_lbase_cam(mounted, head.T_rbase_lbase, T_base_eye[k])
-        rays.append(_rays(mounted, T, seen))
-        centres.append(T[:3, 3])
-    between = centres[1] - centres[0]
-    ll, lr, rr = (np.einsum("ni,ni->n", rays[i], rays[j]) for i, j in ((0, 0), (0, 1), (1, 1)))
-    lb, rb = (ray @ between for ray in rays)
-    sine2 = np.maximum(ll * rr - lr**2, 1e-12)
-    depths = (rr * lb - lr * rb) / sine2, (lr * lb - ll * rb) / sine2
-    near = [np.where(z > 0, np.clip(z, _NEAREST_M, _FARTHEST_M), _FARTHEST_M) for z in depths]
-    ends = [c + z[:, None] * ray for c, z, ray in zip(centres, near, rays, strict=True)]
-    return (ends[0] + ends[1]) / 2
+    pair: tuple[MountedCamera, MountedCamera],
+    T_rbase_lbase: Array,
+    eyes: tuple[EyeMotion, EyeMotion],
+    seen: tuple[Vector, Vector],
+) -> Vector:
+    """Return the point midway between the rays of both pixels where they are nearest.
 
-
-def _normals(left: Array, right: Array) -> Array:
-    """Return unit vectors (N, 4) normal to the three columns of (N, 2, 3) over (N, 2, 3).
-
-    The cofactors of the four rows.
+    In the left eye's base, by components.
     """
-    ray_l, ray_r = cross(left[:, 0], left[:, 1]), cross(right[:, 0], right[:, 1])
-    of_left = np.einsum("nij,nj->ni", left, ray_r)
-    of_right = np.einsum("nij,nj->ni", right, ray_l)
-    normals = np.stack([of_left[:, 1], -of_left[:, 0], of_right[:, 1], -of_right[:, 0]], axis=1)
-    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    (centre, left), (other, right) = (
+        _ray(mounted, T_rbase_lbase, eye, pixel)
+        for mounted, eye, pixel in zip(pair, eyes, seen, strict=True)
+    )
+    between = minus(other, centre)
+    ll, lr, rr = dot(left, left), dot(left, right), dot(right, right)
+    lb, rb = dot(left, between), dot(right, between)
+    sine2 = np.maximum(ll * rr - lr * lr, 1e-12)
+    depths = (rr * lb - lr * rb) / sine2, (lr * lb - ll * rb) / sine2
+    near, far = (np.where(z > 0, np.clip(z, _NEAREST_M, _FARTHEST_M), _FARTHEST_M) for z in depths)
+    return [
+        (c + near * a + d + far * b) / 2
+        for c, d, a, b in zip(centre, other, left, right, strict=True)
+    ]
+
+
+def _normals(left: Rows, right: Rows) -> Vector:
+    """Return the unit vector (4) normal to the three columns of (2, 3) over (2, 3): the cofactors.
+
+    By components.
+    """
+    ray_l, ray_r = cross(*left), cross(*right)
+    normal = (
+        dot(left[1], ray_r),
+        -dot(left[0], ray_r),
+        dot(right[1], ray_l),
+        -dot(right[0], ray_l),
+    )
+    length = np.sqrt(sum(each * each for each in normal))
+    return [each / length for each in normal]

@@ -36,6 +36,10 @@ MOST = 0.5
 GATE = 1e-7
 """Probability by chance of a change that is not believed from one frame alone."""
 
+LINEAR_RAD = 0.005
+"""Error of a reading up to which residuals are linear: by its square they are wrong by 0.01 px at
+most, with focal lengths up to 800 px."""
+
 
 def robust_fit(
     linearised: Callable[[Array, np.ndarray], tuple[Array, Array]],
@@ -45,6 +49,7 @@ def robust_fit(
     match_scale: float,
     expected_design_effect: float,
     fixed: int = 0,
+    linear: Callable[[Array], bool] | None = None,
 ) -> tuple[Array, Array, Evidence]:
     """Return the change (K,) that residuals and prior give, weights (N,), and what residuals say.
 
@@ -56,15 +61,19 @@ def robust_fit(
         match_scale: noise that the standard deviations assume, relative to what windows tell.
         expected_design_effect: before the residuals are seen.
         fixed: how many of the first unknowns stay at zero where residuals are linearised again.
+        linear: whether residuals are linear enough up to a change (K,), so that they need not be
+            linearised again there; None: they never are.
     """
     first, prior = np.zeros(len(C)), C[fixed:, fixed:]
     everyone = np.arange(len(pixels))
     few = np.linspace(0, len(pixels), min(len(pixels), _FIRST), endpoint=False, dtype=int)
-    y, A = linearised(first, few)
-    start = _best_hypothesis(y, A[:, fixed:], prior)
-    first[fixed:] = _reweighted(y, A[:, fixed:], prior, start)
-    y, A = linearised(first, everyone)
-    y = y + A @ first  # of the linear model about no change
+    y, A = linearised(first, few if linear is None else everyone)
+    started = slice(None) if linear is None else few
+    start = _best_hypothesis(y[started], A[started, fixed:], prior)
+    first[fixed:] = _reweighted(y[started], A[started, fixed:], prior, start)
+    if linear is None or not linear(first):
+        y, A = linearised(first, everyone)
+        y = y + A @ first  # of the linear model about no change
     z = _reweighted(y, A, C, first)
     weights, scale2 = tukey_weights(y - A @ z), noise_variance(y - A @ z)
     normal = (y - A @ z) / np.sqrt(scale2)

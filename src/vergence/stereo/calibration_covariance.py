@@ -51,8 +51,8 @@ def covariance_of_calibration(seen: Linearised, known: PairCovariance) -> Array:
     By way of the covariance of the four pixel coordinates, which takes half the time.
     """
     left, right = (
-        stacked([[row[k] for k in own] for row in rows], seen.status.shape, 2)
-        for rows, own in zip(seen.pixels_by_head, known.own, strict=True)
+        stacked([[pairs[k][i] for k in own] for i in (0, 1)], seen.status.shape, 2)
+        for pairs, own in zip(seen.pixels_by_head, known.own, strict=True)
     )
     by_left, by_right = known.by_left @ left, known.by_right @ right
     split = left.shape[1]

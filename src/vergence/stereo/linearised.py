@@ -24,7 +24,7 @@ from vergence.geometry.components import (
 from vergence.geometry.eye_motion import eye_motions, measured
 from vergence.geometry.head import HeadCalibration, pair_names
 from vergence.geometry.parameters import camera_columns, parameter_names
-from vergence.geometry.projection import by_increments, projected
+from vergence.geometry.projection import by_camera_columns, by_increments, projected
 from vergence.stereo.extrinsics import per_pair, stereo_cameras
 from vergence.stereo.triangulation import (
     checked,
@@ -74,8 +74,8 @@ class Linearised:
     """(3, 4, n) with left u, left v, right u, right v."""
     by_readings: Array
     """(3, r, n) with the readings, or the increments of both measured poses (r = 12)."""
-    pixels_by_head: tuple[Rows, ...]
-    """(2, p) by camera, by components: its pixels by its `parameters.camera_columns`; empty where
+    pixels_by_head: tuple[Sequence[tuple[Component, Component]], ...]
+    """(p, 2) by camera, by components: its pixels by its `parameters.camera_columns`; empty where
     they are not wanted."""
 
 
@@ -84,10 +84,10 @@ def by_head_parameters(
 ) -> Array:
     """Return how points change (3, P, n) with the P `pair_parameters`."""
     total = np.zeros((3, len(pair_parameters(head, cameras)), seen.points.shape[1]))
-    for k, (rows, columns) in enumerate(
+    for k, (pairs, columns) in enumerate(
         zip(seen.pixels_by_head, pair_columns(head, cameras), strict=True)
     ):
-        for column, u, v in zip(columns, *rows, strict=True):
+        for column, (u, v) in zip(columns, pairs, strict=True):
             # The point makes up for what changes, so that its projection stays where it was seen.
             total[:, column] -= seen.by_pixels[:, 2 * k] * u + seen.by_pixels[:, 2 * k + 1] * v
     return total
@@ -145,19 +145,7 @@ def linearised_part(
             for joint, reading, factor in eye.angle_by_readings:
                 total[reading] = total[reading] - factor * moves[joint]
         if parameters:
-            by_errors = [
-                (by_angles[joint][0] * change, by_angles[joint][1] * change)
-                if joint is not None
-                else by_increments(own.by_T_base_eye, [change])[0]
-                for joint, change in eye.by_errors
-            ]
-            pixels_by_head.append(
-                tuple(
-                    [*own.by_lens[i], *own.by_T_eye_cam[i], *own.by_T_rbase_lbase[i]]
-                    + [each[i] for each in by_errors]
-                    for i in (0, 1)
-                )
-            )
+            pixels_by_head.append(by_camera_columns(own, eye, by_angles))
     return Linearised(
         points,
         status,
