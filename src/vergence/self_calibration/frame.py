@@ -112,7 +112,7 @@ def _from_matches(
     posterior = np.linalg.inv(evidence.information + prior)
     observed = float(np.trace(posterior @ evidence.information))
     gate = GATE if evidence.inliers > MOST * len(weights) else _GATE_OF_FEW
-    if float(z @ np.linalg.solve(C, z)) > chdtri(max(observed, 1.0), gate):
+    if float(z @ prior @ z) > chdtri(max(observed, 1.0), gate):
         seen = _unseen(state, matches, joints, C, "contradiction")
         return replace(seen, weights=weights, evidence=evidence)
     information, vector = _beyond_known(state, evidence, joints)
@@ -153,7 +153,7 @@ def _fit(
         match_scale=state.match_scale,
         expected_design_effect=state.design_effect,
         fixed=P if at_head else 0,
-        linear=linear if state.settled else None,
+        linear=linear if state.settled or at_head else None,
     )
 
 

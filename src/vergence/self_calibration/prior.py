@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -171,12 +172,11 @@ def tolerance_covariance(
     head: HeadCalibration, names: tuple[str, ...], tolerance: Tolerance
 ) -> Array:
     """Return the covariance (P, P) of parameters that are wrong by tolerances."""
-    C = np.diag([_std(head, name, tolerance) ** 2 for name in names])
-    for k, name in enumerate(names):
-        if name.endswith(".fx") and f"{name[:-1]}y" in names:
-            other = names.index(f"{name[:-1]}y")
-            focal = head.camera(name[:-3]).intrinsics.matrix[[0, 1], [0, 1]]
-            C[k, other] = C[other, k] = tolerance.focal**2 * focal[0] * focal[1]
+    relative, focal = _relative_covariance(tuple(head.cameras), names, tolerance)
+    scale = np.ones(len(names))
+    for k, camera, axis in focal:
+        scale[k] = head.camera(camera).intrinsics.matrix[axis, axis]
+    C = relative * scale * scale[:, None]
     if not tolerance.lens_px:
         return C
     for name, mounted in head.cameras.items():
@@ -215,16 +215,35 @@ def _of_lens(camera: Camera, free: Sequence[int], lens_px: float) -> Array:
     return np.asarray(np.linalg.inv(whole), float)
 
 
-def _std(head: HeadCalibration, name: str, tolerance: Tolerance) -> float:
+@lru_cache(maxsize=64)
+def _relative_covariance(
+    cameras: tuple[str, ...], names: tuple[str, ...], tolerance: Tolerance
+) -> tuple[Array, list[tuple[int, str, int]]]:
+    """Return the covariance (P, P), of focal lengths relative to them, and which these are.
+
+    Of each its place, its camera, and 0 for fx or 1 for fy. Without coefficients of lenses, which
+    are wrong together: see `_of_lens`.
+    """
+    C = np.diag([_std(cameras, name, tolerance) ** 2 for name in names])
+    focal = []
+    for k, name in enumerate(names):
+        owner, _, rest = name.partition(".")
+        if owner in cameras and rest in ("fx", "fy"):
+            focal.append((k, owner, ("fx", "fy").index(rest)))
+        if rest == "fx" and f"{owner}.fy" in names:
+            other = names.index(f"{owner}.fy")
+            C[k, other] = C[other, k] = tolerance.focal**2
+    return C, focal
+
+
+def _std(cameras: tuple[str, ...], name: str, tolerance: Tolerance) -> float:
     owner, _, rest = name.partition(".")
     last = rest.rpartition(".")[2]
-    if owner in head.cameras and not rest.startswith("T_eye_cam"):
-        matrix = head.camera(owner).intrinsics.matrix
+    if owner in cameras and not rest.startswith("T_eye_cam"):
         both = float(np.hypot(tolerance.focal, tolerance.aspect))
-        of_lens = {"fx": both * matrix[0, 0], "fy": both * matrix[1, 1]}
-        of_lens |= dict.fromkeys(("cx", "cy"), tolerance.centre_px)
-        return of_lens.get(rest, 0.0)  # coefficients together: see `_of_lens`
-    if owner in head.cameras:
+        of_lens = {"fx": both, "fy": both, "cx": tolerance.centre_px, "cy": tolerance.centre_px}
+        return of_lens.get(rest, 0.0)
+    if owner in cameras:
         return tolerance.turn_rad if last[0] == "r" else tolerance.shift_m
     if owner == "T_rbase_lbase":
         return tolerance.stereo_turn_rad if last[0] == "r" else tolerance.stereo_shift_m

@@ -64,23 +64,24 @@ def robust_fit(
         linear: whether residuals are linear enough up to a change (K,), so that they need not be
             linearised again there; None: they never are.
     """
-    first, prior = np.zeros(len(C)), C[fixed:, fixed:]
+    first, prior = np.zeros(len(C)), np.asarray(np.linalg.inv(C), float)
     everyone = np.arange(len(pixels))
     few = np.linspace(0, len(pixels), min(len(pixels), _FIRST), endpoint=False, dtype=int)
     y, A = linearised(first, few if linear is None else everyone)
     started = slice(None) if linear is None else few
-    start = _best_hypothesis(y[started], A[started, fixed:], prior)
-    first[fixed:] = _reweighted(y[started], A[started, fixed:], prior, start)
+    own = np.linalg.inv(C[fixed:, fixed:]) if fixed else prior
+    start = _best_hypothesis(y[started], A[started, fixed:], C[fixed:, fixed:])
+    first[fixed:] = _reweighted(y[started], A[started, fixed:], own, start)
     if linear is None or not linear(first):
         y, A = linearised(first, everyone)
         y = y + A @ first  # of the linear model about no change
-    z = _reweighted(y, A, C, first)
+    z = _reweighted(y, A, prior, first)
     weights, scale2 = tukey_weights(y - A @ z), noise_variance(y - A @ z)
     normal = (y - A @ z) / np.sqrt(scale2)
     inflation, blocks = design_effect(normal, pixels, expected_design_effect)
     weighted = A * (weights / (scale2 * inflation))[:, None]
     information, vector = weighted.T @ A, weighted.T @ y
-    z = np.asarray(np.linalg.solve(information + np.linalg.inv(C), vector), float)
+    z = np.asarray(np.linalg.solve(information + prior, vector), float)
     scale = float(np.sqrt(scale2)) * match_scale
     inliers = float((weights > INLIER).sum())
     # What no change of the geometry explains is not known to be noise of another scale.
@@ -106,10 +107,12 @@ def _best_hypothesis(y: Array, A: Array, C: Array) -> Array:
     return pull[best] @ AC[triples[best]]
 
 
-def _reweighted(y: Array, A: Array, C: Array, z: Array) -> Array:
-    """Return the change (K,) by iteratively reweighted least squares with the prior."""
-    inverse = np.linalg.inv(C)
+def _reweighted(y: Array, A: Array, prior: Array, z: Array) -> Array:
+    """Return the change (K,) by iteratively reweighted least squares with the prior's information.
+
+    It begins at a change z.
+    """
     for _ in range(_STEPS):
         weighted = A * tukey_weights(y - A @ z)[:, None]
-        z = np.asarray(np.linalg.solve(weighted.T @ A + inverse, weighted.T @ y), float)
+        z = np.asarray(np.linalg.solve(weighted.T @ A + prior, weighted.T @ y), float)
     return z

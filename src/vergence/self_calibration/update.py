@@ -121,9 +121,9 @@ def log_likelihood(state: SelfCalibration, seen: SelfCalibrated) -> float:
     # they do not look like a change.
     says = seen.evidence
     C = prior_of(state, len(seen.readings))
-    posterior = np.linalg.inv(np.linalg.inv(C) + says.information)
-    _, log_det = np.linalg.slogdet(np.eye(len(C)) + C @ says.information)
-    pull = float(says.vector @ posterior @ says.vector)
+    added = np.eye(len(C)) + says.information @ C
+    _, log_det = np.linalg.slogdet(added)
+    pull = float(says.vector @ C @ np.linalg.solve(added, says.vector))
     return (pull - float(log_det) - says.misfit) / 2
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -38,9 +39,7 @@ from vergence.stereo.triangulation import (
 @per_pair
 def pair_parameters(head: HeadCalibration, cameras: tuple[str, str] | None) -> tuple[str, ...]:
     """Return the names of the P parameters that the points of a pair of cameras depend on."""
-    names, pair = parameter_names(head), pair_names(head, cameras)
-    both = np.unique(np.concatenate([camera_columns(head, name) for name in pair]))
-    return tuple(names[k] for k in both)
+    return _of_pair(head, cameras)[0]
 
 
 @per_pair
@@ -48,14 +47,24 @@ def pair_columns(
     head: HeadCalibration, cameras: tuple[str, str] | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return where the columns of each camera are among the `pair_parameters`."""
-    names = pair_parameters(head, cameras)
-    everything = parameter_names(head)
-    place = {everything.index(name): k for k, name in enumerate(names)}
-    left, right = (
-        np.array([place[k] for k in camera_columns(head, name)])
-        for name in pair_names(head, cameras)
-    )
-    return left, right
+    return _of_pair(head, cameras)[1]
+
+
+def _of_pair(
+    head: HeadCalibration, cameras: tuple[str, str] | None
+) -> tuple[tuple[str, ...], tuple[np.ndarray, np.ndarray]]:
+    left, right = (tuple(camera_columns(head, name).tolist()) for name in pair_names(head, cameras))
+    return _of_columns(parameter_names(head), left, right)
+
+
+@lru_cache(maxsize=64)
+def _of_columns(
+    everything: tuple[str, ...], left: tuple[int, ...], right: tuple[int, ...]
+) -> tuple[tuple[str, ...], tuple[np.ndarray, np.ndarray]]:
+    """Return the names of the parameters that either depends on, and where those of each are."""
+    both = sorted({*left, *right})
+    first, second = (np.array([both.index(k) for k in own]) for own in (left, right))
+    return tuple(everything[k] for k in both), (first, second)
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,6 +18,7 @@ from scipy.spatial import KDTree
 
 from vergence.arrays import Array
 from vergence.geometry.camera import Camera, normalise, project
+from vergence.geometry.components import cross, dot, transposed
 from vergence.geometry.se3 import rotation, rotvec
 from vergence.vision.exposure import of_equal_contrast
 from vergence.vision.least_squares_matching import WINDOW_PX, match_windows
@@ -235,27 +236,33 @@ def relief_around(at: Array, displaced: Array) -> Array:
     """
     if len(at) <= _NEIGHBOURS:
         return np.zeros(len(at))
-    far, which = KDTree(at).query(at, k=_NEIGHBOURS + 1, distance_upper_bound=_NEIGHBOUR_PX)
+    tree = KDTree(at, balanced_tree=False, compact_nodes=False)  # is used but once
+    far, which = tree.query(at, k=_NEIGHBOURS + 1, distance_upper_bound=_NEIGHBOUR_PX)
     far = np.asarray(far)[:, 1:]
     near = np.isfinite(far)
     which = np.where(near, np.asarray(which)[:, 1:], 0)
-    A = np.ones((*which.shape, 3))
-    A[..., 1:] = (at[which] - at[:, None]) / _SURFACE_PX
+    x, y = np.moveaxis((at[which] - at[:, None]) / _SURFACE_PX, -1, 0)
     weights = np.where(near, 1 / (1 + (far / _SURFACE_PX) ** 2), 0.0)
-    y = displaced[which] - displaced[:, None]
-    apart = y - _planes(A, weights, y)[0]
+    values = displaced[which] - displaced[:, None]
+    apart = values - _planes(x, y, weights, values)[0]
     weights[np.arange(len(at)), (np.abs(apart) * near).argmax(axis=1)] = 0
-    plane, here = _planes(A, weights, y)
-    square = (weights * (y - plane) ** 2).sum(axis=1) + here**2
+    plane, here = _planes(x, y, weights, values)
+    square = (weights * (values - plane) ** 2).sum(axis=1) + here**2
     return np.sqrt(square / (weights.sum(axis=1) + 1))
 
 
-def _planes(A: Array, weights: Array, y: Array) -> tuple[Array, Array]:
+def _planes(x: Array, y: Array, weights: Array, values: Array) -> tuple[Array, Array]:
     """Return planes fitted to values (N, k): at their k places (N, k), and in the middle (N,)."""
-    weighted = np.swapaxes(A, 1, 2) * weights[:, None]
-    normal = weighted @ A + 1e-3 * np.eye(3)  # of neighbours on one line, the flattest
-    coefficients = np.asarray(np.linalg.solve(normal, weighted @ y[..., None]), float)
-    return (A @ coefficients)[..., 0], coefficients[:, 0, 0]
+    wx, wy = weights * x, weights * y
+    one, to_x, to_y = weights.sum(axis=1), wx.sum(axis=1), wy.sum(axis=1)
+    xx, xy, yy = ((a * b).sum(axis=1) for a, b in ((wx, x), (wx, y), (wy, y)))
+    right = [(each * values).sum(axis=1) for each in (weights, wx, wy)]
+    # Of neighbours on one line, the flattest.
+    a, b, c = (one + 1e-3, to_x, to_y), (to_x, xx + 1e-3, xy), (to_y, xy, yy + 1e-3)
+    columns = transposed((cross(b, c), cross(c, a), cross(a, b)))
+    det = dot(a, [column[0] for column in columns])
+    here, by_x, by_y = (dot(column, right) / det for column in columns)
+    return here[:, None] + by_x[:, None] * x + by_y[:, None] * y, here
 
 
 def _map(
