@@ -153,7 +153,7 @@ def _fit(
         match_scale=state.match_scale,
         expected_design_effect=state.design_effect,
         fixed=P if at_head else 0,
-        linear=linear if state.settled or at_head else None,
+        linear=linear if state.settled else None,
     )
 
 

@@ -69,7 +69,7 @@ def robust_fit(
     few = np.linspace(0, len(pixels), min(len(pixels), _FIRST), endpoint=False, dtype=int)
     y, A = linearised(first, few if linear is None else everyone)
     started = slice(None) if linear is None else few
-    own = np.linalg.inv(C[fixed:, fixed:]) if fixed else prior
+    own = np.asarray(np.linalg.inv(C[fixed:, fixed:]), float) if fixed else prior
     start = _best_hypothesis(y[started], A[started, fixed:], C[fixed:, fixed:])
     first[fixed:] = _reweighted(y[started], A[started, fixed:], own, start)
     if linear is None or not linear(first):
