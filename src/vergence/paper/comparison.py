@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,7 +21,7 @@ from vergence.self_calibration.state import (
     initial_self_calibration,
 )
 from vergence.twin.head import Twin
-from vergence.twin.looking_around import look_around
+from vergence.twin.looking_around import look_around, look_times
 from vergence.twin.sensors import with_sensors
 from vergence.vision.sphere import STD_PX
 
@@ -82,11 +82,18 @@ def comparison(
     )
 
 
-def learned_around(head: HeadCalibration, twin: Twin, run: int) -> SeenGeometry:
-    """Return what is learned of a head that looks around; see `looking_around.look_around`."""
-    learning = _before(head)
-    for frame in look_around(twin, learning.known.cameras, run=run):
+def learned_around(
+    head: HeadCalibration, twin: Twin, run: int, progress: Callable[[int, int], None] | None = None
+) -> SeenGeometry:
+    """Return what is learned of a head that looks around; see `looking_around.look_around`.
+
+    The progress is called with how many frames of how many are done.
+    """
+    learning, total = _before(head), len(look_times())
+    for done, frame in enumerate(look_around(twin, learning.known.cameras, run=run), start=1):
         learning = update_geometry(learning, frame)
+        if progress is not None:
+            progress(done, total)
     return learning
 
 

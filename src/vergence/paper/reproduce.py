@@ -157,7 +157,10 @@ def _prepare(
             twin, settings.seed, progress=lambda _, done, total: progress(task, done, total)
         )
         head = inject_calibration_error(found.head, settings.profile.by_hand, lens)
-        learning = learned_around(head, twin, _LOOKING) if settings.learns else None
+        learning = None
+        if settings.learns:
+            looked = partial(progress, f"looking around, {lens} lens")
+            learning = learned_around(head, twin, _LOOKING, looked)
     save_head(found.head, settings.out / f"calibration-{lens}.json")
     yield lens, found, head, learning
 

@@ -2,13 +2,15 @@
 
 Residuals are in standard deviations. Many of them may be wrong: the best of many hypotheses from
 three residuals each starts a reweighted fit with a fixed scale. This is done with some of them
-first; where that fit ended all are linearised, and fitted in the same way. What the residuals say
-is kept apart from the prior, as normal equations.
+first; where that fit ended all are linearised, and fitted in the same way. Where they are linear up
+to there, all are linearised at once. What the residuals say is kept apart from the prior, as normal
+equations.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 
@@ -95,7 +97,7 @@ def _best_hypothesis(y: Array, A: Array, C: Array) -> Array:
     """Return the change (K,) by three residuals and the prior that most others agree with."""
     AC = A @ C
     G = AC @ A.T
-    triples = np.random.default_rng(0).integers(0, len(y), (_HYPOTHESES, 3))
+    triples = _triples(len(y))
     G3 = G[triples[:, :, None], triples[:, None, :]]
     pull = np.linalg.solve(G3 + np.eye(3), y[triples][..., None])[..., 0]
     pull = np.concatenate([np.zeros((1, 3)), pull])  # and that nothing is wrong
@@ -105,6 +107,12 @@ def _best_hypothesis(y: Array, A: Array, C: Array) -> Array:
     cost = np.minimum((y - predicted) ** 2, CUT**2).sum(axis=1) + prior
     best = int(cost.argmin())
     return pull[best] @ AC[triples[best]]
+
+
+@lru_cache(maxsize=64)
+def _triples(residuals: int) -> np.ndarray:
+    """Return of which residuals (H, 3) each hypothesis is; the same whenever there are as many."""
+    return np.random.default_rng(0).integers(0, residuals, (_HYPOTHESES, 3))
 
 
 def _reweighted(y: Array, A: Array, prior: Array, z: Array) -> Array:

@@ -17,6 +17,11 @@ LOOK_S, LOOK_STEP_S = 5.0, 0.1
 _SETTLE_S = 1.0
 
 
+def look_times() -> Array:
+    """Return the times (n,) [s] of its frames."""
+    return np.arange(0.0, LOOK_S, LOOK_STEP_S)
+
+
 def look_around(twin: Twin, cameras: Sequence[str], *, run: int) -> Iterator[Frame]:
     """Yield frames of LOOK_S of divergent motion, in which vergence changes.
 
@@ -28,6 +33,6 @@ def look_around(twin: Twin, cameras: Sequence[str], *, run: int) -> Iterator[Fra
         return straight_neck(eye_angles("divergent", np.array(time_s - _SETTLE_S)))
 
     twin.advance(_SETTLE_S / 2, command(_SETTLE_S))
-    for time_s in np.arange(0.0, LOOK_S, LOOK_STEP_S):
+    for time_s in look_times():
         twin.advance(round(_SETTLE_S + time_s, 3), command)
         yield twin.capture(cameras)

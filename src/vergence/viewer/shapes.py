@@ -28,8 +28,7 @@ def quaternions(R: Array) -> Array:
 
 def placed(T: Array) -> rr.Transform3D:
     """Return the transform of an entity whose pose in its parent is T (4, 4)."""
-    quaternion = rr.Quaternion(xyzw=quaternions(T[:3, :3]))
-    return rr.Transform3D(translation=T[:3, 3], quaternion=quaternion)
+    return rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])
 
 
 def log_geoms(rec: rr.RecordingStream, geoms: Sequence[VisualGeom]) -> None:
