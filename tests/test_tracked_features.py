@@ -22,8 +22,9 @@ from vergence.geometry.parameters import boxminus, boxplus, parameter_names
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.self_calibration.frame import from_matches
-from vergence.self_calibration.keyframe import TURNED_RAD, by_each_eye
+from vergence.self_calibration.keyframe import TURNED_RAD, by_each_eye, worth_tracking
 from vergence.self_calibration.learning import learn, learn_tracked
+from vergence.self_calibration.match_noise import Recurrence
 from vergence.self_calibration.residuals import motion_residuals
 from vergence.self_calibration.state import TrackedFeatures
 from vergence.stereo.extrinsics import camera_poses
@@ -124,6 +125,22 @@ def test_focal_lengths_and_gains_show_in_parallel_motion_if_features_are_tracked
     assert (stds[True][focal] < 0.2 * stds[False][focal]).all()
     assert (stds[True] < 0.7 * stds[False]).all()
     assert (np.abs(errors[True]) < 3.5).all()
+
+
+def test_features_are_tracked_to_postures_that_are_far_enough_and_new():
+    head, rng = head_of(1), np.random.default_rng(0)
+    points, there, unit = room(300, rng), np.zeros(4), np.zeros((1, 256), np.float32)
+
+    def seen_at(readings):
+        found = matches(head, readings, points, noise_px=NOISE_PX, rng=rng)
+        return from_matches(state, found, readings)
+
+    state = begin(head)
+    state = learn(state, seen_at(there), 0.5)
+    for turned, stood, worth in ((0.5, 0.0, False), (1.5, 0.0, True), (1.5, 1.5, False)):
+        before = Recurrence(there[None] + stood * TURNED_RAD, np.zeros(1), unit, 0.95, 1.0)
+        state = replace(state, recurrence=before)
+        assert worth_tracking(state, seen_at(there + turned * TURNED_RAD), 0.5) == worth
 
 
 @pytest.mark.slow

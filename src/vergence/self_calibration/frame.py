@@ -31,6 +31,7 @@ from vergence.self_calibration.state import (
 )
 from vergence.stereo.extrinsics import T_rcam_lcam
 from vergence.stereo.uncertainty import LocatedPoints, locate_jointly
+from vergence.vision.exposure import grey_levels
 from vergence.vision.scene_features import Matches, match_scene
 
 _GATE_OF_FEW = 1e-3
@@ -57,6 +58,7 @@ def self_calibrate_frame(
         joints: (r,) readings [rad].
     """
     cameras = [state.head.camera(name).intrinsics for name in state.cameras]
+    left, right = grey_levels(left), grey_levels(right)
     matches = match_scene(
         left,
         right,

@@ -19,7 +19,10 @@ from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named, named_columns
 from vergence.geometry.se3 import inverse
-from vergence.self_calibration.match_noise import EXPECTED_DESIGN_EFFECT
+from vergence.self_calibration.match_noise import (
+    EXPECTED_DESIGN_EFFECT,
+    recurrence_inflation,
+)
 from vergence.self_calibration.residuals import depths_of_matches, motion_residuals
 from vergence.self_calibration.robust_fit import FEWEST, GATE, INLIER, LINEAR_RAD, MOST, robust_fit
 from vergence.self_calibration.state import (
@@ -35,6 +38,9 @@ from vergence.vision.scene_features import track_features
 TURNED_RAD = float(np.radians(8.0))
 """Least change of a reading since the keyframe, from which is learned: with 4 or 12 degrees depth
 is about as steady. Small turns show little, and of large ones a narrow camera would lose sight."""
+_LARGEST_INFLATION = 10.0
+"""Variance inflation of a frame, for its posture was seen before, from which no features are
+tracked: they would count as much less, and take longer than all else."""
 _FEATURES = 150
 """Features of a keyframe; with twice as many depth is no steadier, and tracking takes a third
 longer."""
@@ -52,17 +58,24 @@ to rendered images: with it, tracked features leave the squared Mahalanobis dist
 learned about as it is without them."""
 
 
-def track_keyframe(
-    state: SelfCalibration, seen: SelfCalibrated, *, least_turn_rad: float = 0.0
-) -> TrackedFeatures | None:
+def worth_tracking(state: SelfCalibration, seen: SelfCalibrated, elapsed_s: float) -> bool:
+    """Return whether features that are tracked to a frame, so long after the last, may teach.
+
+    The eyes have turned far enough since the keyframe, and have not stood there before.
+    """
+    key = state.keyframe
+    if key is None or _turned_rad(key, seen) < TURNED_RAD:
+        return False
+    return recurrence_inflation(state.recurrence, seen.readings, elapsed_s) < _LARGEST_INFLATION
+
+
+def track_keyframe(state: SelfCalibration, seen: SelfCalibrated) -> TrackedFeatures | None:
     """Return where the features of the keyframe are in a frame.
 
-    None: there is no keyframe, one of the two has no images, or no reading has changed by so much.
+    None: there is no keyframe, or one of the two has no images.
     """
     key = state.keyframe
     if key is None or key.images is None or seen.images is None:
-        return None
-    if _turned_rad(key, seen) < least_turn_rad:
         return None
     moments = np.stack([key.joints, seen.joints])
     then, now = camera_poses(state.head, moments, cameras=state.cameras)

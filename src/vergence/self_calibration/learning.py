@@ -16,7 +16,7 @@ import numpy as np
 from vergence.geometry.head import Accuracy, HeadCalibration
 from vergence.geometry.parameters import change_between, change_named
 from vergence.self_calibration.frame import from_matches
-from vergence.self_calibration.keyframe import TURNED_RAD, track_keyframe
+from vergence.self_calibration.keyframe import track_keyframe, worth_tracking
 from vergence.self_calibration.prior import (
     BUMP,
     UNCALIBRATED,
@@ -51,8 +51,8 @@ def learn(state: SelfCalibration, seen: SelfCalibrated, elapsed_s: float) -> Sel
         elapsed_s: since the frame before.
     """
     tracked = None
-    if seen.evidence is not None:
-        tracked = track_keyframe(state, seen, least_turn_rad=TURNED_RAD)
+    if seen.evidence is not None and worth_tracking(state, seen, elapsed_s):
+        tracked = track_keyframe(state, seen)
     return learn_tracked(state, seen, tracked, elapsed_s)
 
 

@@ -22,7 +22,7 @@ from vergence.geometry.se3 import transform
 from vergence.stereo.depth_error import depth_error
 from vergence.stereo.rectification import RectifiedPair, rectified_image, rectified_points
 from vergence.stereo.uncertainty import LocatedPoints, locate
-from vergence.vision.exposure import of_equal_contrast
+from vergence.vision.exposure import grey_levels, of_equal_contrast
 
 NEAREST_M = 0.3
 """Default least depth that is sought."""
@@ -98,7 +98,7 @@ def dense_depth(
         rectified_image(view, _checked(image))
         for view, image in ((pair.left, left), (pair.right, right))
     ]
-    grey = [each if each.ndim == 2 else cv2.cvtColor(each, cv2.COLOR_RGB2GRAY) for each in found]
+    grey = [grey_levels(each) for each in found]
     colour = found[0] if found[0].ndim == 3 else cv2.cvtColor(found[0], cv2.COLOR_GRAY2RGB)
     both = pair.left.seen & pair.right.seen
     alike = of_equal_contrast(grey[0], grey[1], both[::2, ::2])

@@ -96,9 +96,10 @@ def by_head_parameters(
     for k, (pairs, columns) in enumerate(
         zip(seen.pixels_by_head, pair_columns(head, cameras), strict=True)
     ):
-        for column, (u, v) in zip(columns, pairs, strict=True):
-            # The point makes up for what changes, so that its projection stays where it was seen.
-            total[:, column] -= seen.by_pixels[:, 2 * k] * u + seen.by_pixels[:, 2 * k + 1] * v
+        by_u, by_v = seen.by_pixels[:, 2 * k, None], seen.by_pixels[:, 2 * k + 1, None]
+        pixels = stacked(pairs, seen.status.shape, 2)
+        # The point makes up for what changes, so that its projection stays where it was seen.
+        total[:, columns] -= by_u * pixels[:, 0] + by_v * pixels[:, 1]
     return total
 
 

@@ -13,6 +13,7 @@ from vergence.vision.corner_refinement import (
     edge_distances,
     refine_corners,
 )
+from vergence.vision.exposure import grey_levels
 
 CLEARANCE_FRACTION = 0.4
 """Part of the distance to the nearest other edge along which a corner's edges are sampled. With
@@ -41,7 +42,7 @@ def detect_board(image: np.ndarray, board: Board) -> Array | None:
     Returns pixels (rows * columns, 2) in the order of corner_points, NaN for corners that were not
     found; None where no board was detected.
     """
-    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    grey = grey_levels(image)
     if isinstance(board, Charuco):
         return _detect_charuco(grey, board)
     return _detect_chessboard(grey, board)

@@ -23,6 +23,11 @@ _SMALLEST_PART_PX = 8
 _MIDDLE = 128
 
 
+def grey_levels(image: np.ndarray) -> np.ndarray:
+    """Return an image (H, W, 3) in RGB as grey levels (H, W) uint8; a grey one as it is."""
+    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+
+
 def of_equal_contrast(
     first: np.ndarray, second: np.ndarray, both: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -20,7 +20,7 @@ from vergence.arrays import Array
 from vergence.geometry.camera import Camera, normalise, project
 from vergence.geometry.components import cross, dot, transposed
 from vergence.geometry.se3 import rotation, rotvec
-from vergence.vision.exposure import of_equal_contrast
+from vergence.vision.exposure import grey_levels, of_equal_contrast
 from vergence.vision.least_squares_matching import WINDOW_PX, match_windows
 from vergence.vision.plane_sweep import inverse_depths
 
@@ -159,7 +159,7 @@ def _views(
         images, cameras, (R_second_view.T, R_second_view), strict=True
     ):
         u, v = _map(camera, R_cam_view, focal, middle, size)
-        grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+        grey = grey_levels(image)
         greys.append(grey)
         # Outside of the image its edge, which has no contrast of its own.
         views.append(cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
