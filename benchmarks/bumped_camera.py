@@ -15,7 +15,7 @@ x, y and z of the camera.
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import islice, product
+from itertools import product
 from typing import get_args
 
 import cv2
@@ -38,9 +38,6 @@ from vergence.twin.model import nominal_head
 from vergence.twin.profile import Lens, load_profile
 
 NOISE_PX, JOINT_DEG, POINTS, DURATION_S = 0.08, 0.15, 500, 60.0
-STEP_S = 0.1
-EVERY = round(STEP_S / LOOK_STEP_S)
-"""Of the images that the twin takes when it looks around."""
 TURN = ("rx", "ry", "rz")
 MOMENTS = 28, 53
 """Pair of rendered images from which a camera is turned."""
@@ -95,7 +92,7 @@ def rendered_bumps(seed: int) -> None:
             frames = [
                 (f, twin.true_angles()[3:])
                 for run in (100, 101)
-                for f in islice(look_around(twin, pair, run=run), 0, None, EVERY)
+                for f in look_around(twin, pair, run=run)
             ]
         for moment, name, axis in product(MOMENTS, pair, TURN):
             k, change = pair.index(name), [np.radians(1.0)]
@@ -107,13 +104,13 @@ def rendered_bumps(seed: int) -> None:
                 if n >= moment:
                     images[k] = turned(images[k], twin.truth, bumped, name)
                 seen = self_calibrate_frame(state, images[0], images[1], frame.eye_angles)
-                state = learn(state, seen, STEP_S if n else 0.0)
+                state = learn(state, seen, LOOK_STEP_S if n else 0.0)
                 errors.append(turn_error_deg(seen.head, seen.joints, truth, angles, pair))
                 reported += [n - moment] * state.bumped
             worst = max(errors[moment + 10 :])
             in_time = bool(reported) and 0 <= reported[0] < 3
             results.append((moment, in_time, worst < 0.1))
-            seconds = moment * STEP_S
+            seconds = moment * LOOK_STEP_S
             print(
                 f"{lens}, {name}, {axis}, after {seconds:.1f} s: reported {reported}, then "
                 f"{worst:.3f} deg at most"
@@ -121,7 +118,7 @@ def rendered_bumps(seed: int) -> None:
     for moment in MOMENTS:
         these = np.array([each[1:] for each in results if each[0] == moment])
         print(
-            f"after {moment * STEP_S:.1f} s: {these[:, 0].sum()} of {len(these)} reported "
+            f"after {moment * LOOK_STEP_S:.1f} s: {these[:, 0].sum()} of {len(these)} reported "
             f"within 3 frames, {these[:, 1].sum()} corrected"
         )
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import islice
 
 import numpy as np
 import tyro
@@ -35,9 +34,6 @@ from vergence.twin.profile import load_profile
 
 NOISE_PX, JOINT_DEG, POINTS, PAIRS = 0.08, 0.15, 500, 100
 LENS = "2.8mm"
-STEP_S = 0.1
-EVERY = round(STEP_S / LOOK_STEP_S)
-"""Of the images that the twin takes when it looks around."""
 SHOWN = 0, 3, 5, 10, 20, 50, 99
 """Pairs of which errors are printed."""
 Step = tuple[SelfCalibrated, SelfCalibration, float]
@@ -52,11 +48,11 @@ def simulated(seed: int, pairs: int = PAIRS) -> tuple[list[Step], HeadCalibratio
     drawing = replace(state, covariance=tolerance_covariance(head, state.names, UNCALIBRATED))
     truth, points = drawn_head(drawing, rng), room(POINTS, rng)
     steps = []
-    for angles in eye_angles("divergent", STEP_S * np.arange(float(pairs))):
+    for angles in eye_angles("divergent", LOOK_STEP_S * np.arange(float(pairs))):
         found = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
         readings = angles + rng.normal(0, np.radians(JOINT_DEG), 4)
         seen = from_matches(state, found, readings)
-        state = learn(state, seen, STEP_S)
+        state = learn(state, seen, LOOK_STEP_S)
         steps.append((seen, state, turn_error_deg(seen.head, seen.joints, truth, angles)))
     return steps, truth
 
@@ -66,10 +62,10 @@ def rendered(seed: int, profile: str) -> Iterator[Step]:
     with Twin(load_profile(profile), seed=seed, lens=LENS) as twin:
         state = initial_self_calibration(twin.nominal)
         for run in (0, 1):
-            for frame in islice(look_around(twin, state.cameras, run=run), 0, None, EVERY):
+            for frame in look_around(twin, state.cameras, run=run):
                 left, right = (frame.images[name] for name in state.cameras)
                 seen = self_calibrate_frame(state, left, right, frame.eye_angles)
-                state = learn(state, seen, STEP_S)
+                state = learn(state, seen, LOOK_STEP_S)
                 angles = twin.true_angles()[3:]
                 yield seen, state, turn_error_deg(seen.head, seen.joints, twin.truth, angles)
 

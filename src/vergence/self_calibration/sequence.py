@@ -30,11 +30,11 @@ from vergence.self_calibration.state import (
 Geometry = Literal["joints", "seen"]
 """What tells how the eyes stand to each other: the calibration and the joint readings, or these
 corrected by what both eyes see."""
-LEARNING_S = 0.05
+LEARNING_S = 0.1
 """Least time between frames from which is learned. Frames that follow each other more closely show
 the same features with the same errors: they are no independent measurements."""
-MOVED_RAD = float(np.radians(0.5))
-"""Least change of a reading between them, for the same reason: a quarter of the width of the windows
+MOVED_RAD = float(np.radians(1.0))
+"""Least change of a reading between them, for the same reason: about half the width of the windows
 that are matched. Eyes at rest see the same again. With two degrees five seconds teach less: the
 spread of depth in Fig. 6, which comes next, was then up to 1.4 times as large."""
 _NECK_STDS = 3.0

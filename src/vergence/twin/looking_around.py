@@ -12,7 +12,7 @@ from vergence.data.dataset import Frame
 from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Twin
 
-LOOK_S, LOOK_STEP_S = 5.0, 0.05
+LOOK_S, LOOK_STEP_S = 5.0, 0.1
 """How long the twin looks around, and how often it takes images."""
 _SETTLE_S = 1.0
 
