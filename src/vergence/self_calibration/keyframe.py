@@ -40,7 +40,8 @@ TURNED_RAD = float(np.radians(8.0))
 is about as steady. Small turns show little, and of large ones a narrow camera would lose sight."""
 _LARGEST_INFLATION = 10.0
 """Variance inflation of a frame, for its posture was seen before, from which no features are
-tracked: they would count as much less, and take longer than all else."""
+tracked: they would count as much less, and take longer than all else. On the same images of Figs. 6
+to 11 learned depth spreads by up to 2 percent more."""
 _FEATURES = 150
 """Features of a keyframe; with twice as many depth is no steadier, and tracking takes a third
 longer."""
