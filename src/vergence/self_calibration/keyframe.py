@@ -19,10 +19,7 @@ from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named, named_columns
 from vergence.geometry.se3 import inverse
-from vergence.self_calibration.match_noise import (
-    EXPECTED_DESIGN_EFFECT,
-    recurrence_inflation,
-)
+from vergence.self_calibration.match_noise import EXPECTED_DESIGN_EFFECT, recurrence_inflation
 from vergence.self_calibration.residuals import depths_of_matches, motion_residuals
 from vergence.self_calibration.robust_fit import FEWEST, GATE, INLIER, LINEAR_RAD, MOST, robust_fit
 from vergence.self_calibration.state import (
@@ -40,8 +37,8 @@ TURNED_RAD = float(np.radians(8.0))
 is about as steady. Small turns show little, and of large ones a narrow camera would lose sight."""
 _LARGEST_INFLATION = 10.0
 """Variance inflation of a frame, for its posture was seen before, from which no features are
-tracked: they would count as much less, and take longer than all else. On the same images of Figs. 6
-to 11 learned depth spreads by up to 2 percent more."""
+tracked: they would count for a tenth or less, and take longer than the estimate. On the same images
+learned depth spreads by up to 4 percent more."""
 _FEATURES = 150
 """Features of a keyframe; with twice as many depth is no steadier, and tracking takes a third
 longer."""
@@ -60,9 +57,10 @@ learned about as it is without them."""
 
 
 def worth_tracking(state: SelfCalibration, seen: SelfCalibrated, elapsed_s: float) -> bool:
-    """Return whether features that are tracked to a frame, so long after the last, may teach.
+    """Return whether features tracked to a frame would tell enough of the head.
 
-    The eyes have turned far enough since the keyframe, and have not stood there before.
+    The eyes have turned far enough since the keyframe, to a posture at which little was learned
+    before. The time is since the frame before.
     """
     key = state.keyframe
     if key is None or _turned_rad(key, seen) < TURNED_RAD:
