@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any
 
 import numpy as np
@@ -47,14 +48,19 @@ MAX_M = 1e6
 """Largest coordinate of a translation or a point; with far larger ones the algebra overflows."""
 
 
+_EYE, _LAST_ROW = np.eye(3), np.array([0.0, 0.0, 0.0, 1.0])
+
+
 def _rigid(array: Array) -> Array:
     R = array[:3, :3]
     possible = np.abs(R).max() < 1.1  # far larger numbers would overflow below
     found = "a rotation part that is not a rotation"
     if possible:
-        square, scale = R @ R.T, float(np.sqrt(np.trace(R @ R.T) / 3))
-        if scale > 0 and np.abs(square / scale**2 - np.eye(3)).max() < 1e-6:
-            if np.linalg.det(R) < 0:
+        square = R @ R.T
+        scale = math.sqrt(square.trace() / 3)
+        if scale > 0 and np.abs(square / scale**2 - _EYE).max() < 1e-6:
+            (a, b, c), (d, e, f), (g, h, i) = R.tolist()
+            if a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < 0:
                 found = "left-handed axes, which no rotation gives: one of them is mirrored"
             elif abs(scale - 1) > 1e-6:
                 found = (
@@ -66,7 +72,7 @@ def _rigid(array: Array) -> Array:
         raise ValueError(f"expected a rigid transform, found {found}")
     if np.abs(array[:3, 3]).max() > MAX_M:
         raise ValueError(f"expected a translation in metres, found {array[:3, 3].tolist()}")
-    if np.abs(array[3] - [0, 0, 0, 1]).max() > 1e-9:
+    if np.abs(array[3] - _LAST_ROW).max() > 1e-9:
         raise ValueError(f"expected a last row of 0 0 0 1, found {array[3].tolist()}")
     return array
 

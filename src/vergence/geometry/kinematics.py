@@ -242,7 +242,8 @@ def _eye_chain(joints: tuple[Joint, ...], readings: tuple[str, ...]) -> Chain:
         axes[k] = joint.axis
         if k:
             normal = _normal(joints[k - 1], joint)
-            axes[k] = rotation(joint.nonorthogonality_rad * normal) @ joint.axis
+            if joint.nonorthogonality_rad:
+                axes[k] = rotation(joint.nonorthogonality_rad * normal) @ joint.axis
             if joint.inclination_rad:
                 about = _inclines_about(joints[k - 1], joint)
                 axes[k] = rotation(joint.inclination_rad * about) @ axes[k]

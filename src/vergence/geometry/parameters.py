@@ -32,6 +32,7 @@ def intrinsics_names(camera: Camera) -> tuple[str, ...]:
     return (*PINHOLE, *COEFFICIENTS[camera.model])
 
 
+@lru_cache(maxsize=64)
 def parameter_names(head: HeadCalibration) -> tuple[str, ...]:
     """Return the names of the parameters of a head, in their order."""
     lenses = tuple((name, intrinsics_names(each.intrinsics)) for name, each in head.cameras.items())
@@ -174,12 +175,14 @@ def _apart(head: HeadCalibration, reference: HeadCalibration) -> Array:
                 "different lens models cannot be compared."
             )
     values = _vector(head) - _vector(replace(reference, cameras=others))
-    poses = [
-        se3.boxminus(mounted.T_eye_cam, others[name].T_eye_cam)
-        for name, mounted in head.cameras.items()
-    ]
-    between = se3.boxminus(head.T_rbase_lbase, reference.T_rbase_lbase)
-    values[np.isnan(values)] = np.concatenate([*poses, between])
+    now, before = (
+        np.stack([*(mounted.T_eye_cam for mounted in cameras.values()), T_rbase_lbase])
+        for cameras, T_rbase_lbase in (
+            (head.cameras, head.T_rbase_lbase),
+            (others, reference.T_rbase_lbase),
+        )
+    )
+    values[np.isnan(values)] = se3.boxminus(now, before).ravel()
     return values
 
 

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from vergence.arrays import Array
 
@@ -87,7 +88,7 @@ def match_windows(
         left: (H, W) the left view, grey.
         right: (H, W) the right image, not turned, grey: interpolated once only.
         right_map: u and v (H, W) float32 in it, where the pixels of the right view lie.
-        at: (N, 2) middles of the windows in the left view [px].
+        at: (N, 2) middles of the windows in the left view, which shows all of each; whole pixels.
         found: (N, 2) about where they are in the right view, to half a pixel.
         direction: (N, 2) unit vectors along which depth displaces in the view.
         enlargement: (N,) by what share the windows are larger in the right view, for being nearer.
@@ -95,10 +96,9 @@ def match_windows(
     if not len(at):
         return Matched(np.empty((0, 2)), np.empty((0, 2, 2)), np.zeros(0, bool))
     x, y = _offsets(_REACH)
-    middle, along = at.astype(np.float32), direction.astype(np.float32)
+    along = direction.astype(np.float32)
     larger = enlargement.astype(np.float32)[:, None, None] * np.eye(2, dtype=np.float32)
-    left, right = left.astype(np.float32), right.astype(np.float32)
-    template = _sampled(left, middle[:, :1] + x, middle[:, 1:] + y)
+    template, right = _cut_out(left, at), right.astype(np.float32)
     maps, inside = _local_maps(right_map, found.astype(np.float32), right.shape)
     maps[:, :, 1:3] += maps[:, :, 1:3] @ larger
     powers = np.stack([np.ones_like(x), x, y, x**2, x * y, y**2])
@@ -119,6 +119,13 @@ def match_windows(
     shift = state[:, :2, 0]
     good = inside & clear & (np.linalg.norm(shift, axis=1) < _LARGEST_CHANGE_PX)
     return Matched(found + shift, covariance, good)
+
+
+def _cut_out(image: np.ndarray, at: Array) -> np.ndarray:
+    """Return the windows (N, n) float32 of an image about whole pixels (N, 2)."""
+    column, row = at.astype(int).T - _REACH
+    windows = sliding_window_view(image, 2 * (2 * _REACH + 1,))[row, column]
+    return windows.reshape(len(at), -1).astype(np.float32)
 
 
 def _offsets(half: int) -> tuple[np.ndarray, np.ndarray]:

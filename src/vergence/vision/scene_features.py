@@ -17,8 +17,8 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from vergence.arrays import Array
-from vergence.geometry.camera import Camera, normalise, project
-from vergence.geometry.components import cross, dot, transposed
+from vergence.geometry.camera import Camera, normalise, pixel_rows
+from vergence.geometry.components import cross, dot, times, transposed
 from vergence.geometry.se3 import rotation, rotvec
 from vergence.vision.exposure import grey_levels, of_equal_contrast
 from vergence.vision.least_squares_matching import WINDOW_PX, match_windows
@@ -132,15 +132,16 @@ def track_features(
         depths_m: (M,) about how far they were along its optical axis.
 
     Returns:
-        N matches, and which (N,) of the features they are.
+        N matches, of the pixels of a turned image that are nearest to the features, and which (N,)
+        of these they are.
     """
     views = _views((before, now), (camera, camera), T_now_before)
     rays = np.column_stack([normalise(camera, pixels), np.ones(len(pixels))])
     rays = np.nan_to_num(rays @ views.R_view_first.T)
     ahead = rays[:, 2] > _LEAST_FORWARD
     at = views.focal * rays[:, :2] / np.where(ahead, rays[:, 2], 1.0)[:, None] + views.middle
-    whole = _whole_windows(views.inside)
-    column, row = np.clip(np.round(at / 2), 0, np.array(whole.shape[::-1]) - 1).astype(int).T
+    at, whole = np.round(at), _whole_windows(views.inside)
+    column, row = np.clip(at // 2, 0, np.array(whole.shape[::-1]) - 1).astype(int).T
     usable = np.flatnonzero(ahead & whole[row, column])
     matches, kept = _matched(views, at[usable], depths_m[usable])
     return matches, usable[kept]
@@ -180,7 +181,7 @@ def _views(
 
 
 def _matched(views: _Views, at: Array, depths_m: Array | None) -> tuple[Matches, np.ndarray]:
-    """Return matches of pixels (M, 2) of the first view, and which of these they are (N,).
+    """Return matches of whole pixels (M, 2) of the first view, and which of these they are (N,).
 
     Depths (M,) tell where to search, and how much larger a window became; None: unknown.
     """
@@ -275,14 +276,20 @@ def _map(
     """
     # The middles of squares, where enlarging leaves them; one row of squares around the image.
     squares = [np.arange(-1, -(-n // _MAP_STEP_PX) + 1) for n in size]
-    grid = [(each + 0.5) * _MAP_STEP_PX - 0.5 for each in squares]
-    rays = np.ones((len(grid[1]), len(grid[0]), 3))
-    rays[..., :2] = (np.stack(np.meshgrid(*grid), axis=-1) - middle) / focal
-    coarse = np.nan_to_num(project(camera, rays @ R_cam_common.T), nan=-1e4).astype(np.float32)
+    x, y = (
+        ((each + 0.5) * _MAP_STEP_PX - 0.5 - centre) / focal
+        for each, centre in zip(squares, middle, strict=True)
+    )
+    coarse = pixel_rows(camera, times(R_cam_common.tolist(), (x, y[:, None], 1.0)))
     columns, rows = (slice(_MAP_STEP_PX, _MAP_STEP_PX + n) for n in size)
     u, v = (
-        cv2.resize(np.ascontiguousarray(coarse[..., k]), None, fx=_MAP_STEP_PX, fy=_MAP_STEP_PX)
-        for k in (0, 1)
+        cv2.resize(
+            np.nan_to_num(each, nan=-1e4).astype(np.float32),
+            None,
+            fx=_MAP_STEP_PX,
+            fy=_MAP_STEP_PX,
+        )
+        for each in coarse
     )
     return u[rows, columns], v[rows, columns]
 
