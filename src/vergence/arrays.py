@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any
+from dataclasses import fields
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import PlainSerializer, PlainValidator
 
 Array = NDArray[np.float64]
+_Instance = TypeVar("_Instance")
 
 
 def _shaped(*shape: int | None) -> tuple[PlainValidator, PlainSerializer]:
@@ -84,3 +86,19 @@ Transform = Annotated[
     _serialise,
 ]
 """A (4, 4) rigid transform."""
+
+
+def replace_unchecked(instance: _Instance, **changes: Any) -> _Instance:
+    """Return a dataclass with other values, as `dataclasses.replace` does, but not checked anew.
+
+    For valid values that change many times a second: checks take most of the time of making one.
+    """
+    changed = object.__new__(type(instance))
+    for value in changes.values():
+        if isinstance(value, np.ndarray):
+            value.setflags(write=False)
+    vars(changed).update(
+        (each.name, changes.get(each.name, getattr(instance, each.name)))
+        for each in fields(instance)  # pyright: ignore
+    )
+    return changed

@@ -8,7 +8,7 @@ linear combination of readings. The default of an eye is the paper's: pan, a rig
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import field, replace
+from dataclasses import field
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import Annotated, Any, Literal, NamedTuple
@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
-from vergence.arrays import Array, Vector3
+from vergence.arrays import Array, Vector3, replace_unchecked
 from vergence.errors import VergenceError
 from vergence.geometry import se3
 from vergence.geometry.chain import Chain, chain_pose
@@ -32,7 +32,9 @@ AXIS_NAMES = {"pan": (0.0, 0.0, 1.0), "tilt": (0.0, 1.0, 0.0), "roll": (1.0, 0.0
 """The axes of a head that stands upright: up, to the left, ahead."""
 
 
-_Number = Annotated[float, Field(ge=-1e3, le=1e3)]
+MAX_NUMBER = 1e3
+"""Largest gain, factor, offset [rad] or length [m] of a joint."""
+_Number = Annotated[float, Field(ge=-MAX_NUMBER, le=MAX_NUMBER)]
 _Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,40}$")]
 ReadingName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_:()/ -]{0,60}$")]
 _FINITE = ConfigDict(extra="forbid", allow_inf_nan=False)
@@ -317,12 +319,17 @@ def joint_value(joint: Joint, name: str) -> float:
 
 
 def change_joints(joints: tuple[Joint, ...], change: Array) -> tuple[Joint, ...]:
-    """Return joints whose errors are changed by (a,), in the order of joint_parameters."""
+    """Return joints whose errors are changed by (a,), in the order of joint_parameters.
+
+    ValueError for changes that are not finite or far beyond what is possible.
+    """
+    if not (np.abs(change) <= MAX_NUMBER).all():
+        raise ValueError(f"a joint changes by {MAX_NUMBER:g} at most, found {change}")
     own: list[dict[str, Any]] = [{"readings": dict(joint.readings)} for joint in joints]
     for (k, name), value in zip(joint_parameters(joints), change.tolist(), strict=True):
         into = own[k]["readings"] if name.startswith("factor_") else own[k]
         into[name.removeprefix("factor_")] = joint_value(joints[k], name) + value
-    return tuple(replace(joint, **new) for joint, new in zip(joints, own, strict=True))
+    return tuple(replace_unchecked(joint, **new) for joint, new in zip(joints, own, strict=True))
 
 
 def straight_gaze(kinematics: Kinematics) -> Array:

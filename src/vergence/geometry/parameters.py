@@ -14,7 +14,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from vergence.arrays import Array
+from vergence.arrays import Array, replace_unchecked
 from vergence.errors import VergenceError
 from vergence.geometry import se3
 from vergence.geometry.camera import Camera
@@ -114,7 +114,7 @@ def lens_of_vector(camera: Camera, values: Array) -> Camera:
 def boxplus(head: HeadCalibration, change: Array) -> HeadCalibration:
     """Return a head whose parameters are changed by (c,), in the order of parameter_names.
 
-    ValueError if a focal length would not stay positive.
+    ValueError if a focal length would not stay positive, or a change is not possible.
     """
     if not change.any():
         return head
@@ -122,7 +122,6 @@ def boxplus(head: HeadCalibration, change: Array) -> HeadCalibration:
     for name, mounted in head.cameras.items():
         whole[name] = change[first : first + _size(mounted)]
         first += _size(mounted)
-    # What is made anew is checked anew, which takes time.
     moved = {name: own for name, own in whole.items() if own.any()}
     between, rest = change[first : first + len(POSE)], change[first + len(POSE) :]
     T = np.stack([*(head.cameras[name].T_eye_cam for name in moved), head.T_rbase_lbase])
@@ -131,7 +130,7 @@ def boxplus(head: HeadCalibration, change: Array) -> HeadCalibration:
     for T_eye_cam, (name, own) in zip(T[:-1], moved.items(), strict=True):
         lens = cameras[name].intrinsics
         lens = lens_of_vector(lens, lens_vector(lens) + own[: -len(POSE)])
-        cameras[name] = replace(cameras[name], intrinsics=lens, T_eye_cam=T_eye_cam)
+        cameras[name] = replace_unchecked(cameras[name], intrinsics=lens, T_eye_cam=T_eye_cam)
     eyes = {}
     for eye in EYES:
         count = len(head.kinematics.parameters[eye])
@@ -141,7 +140,7 @@ def boxplus(head: HeadCalibration, change: Array) -> HeadCalibration:
         head,
         cameras=cameras,
         T_rbase_lbase=T[-1],
-        kinematics=replace(head.kinematics, eyes=eyes),
+        kinematics=replace_unchecked(head.kinematics, eyes=eyes),
         time_offset_s=head.time_offset_s + float(rest[0]),
     )
 
