@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import lens_monte_carlo
 from lens_monte_carlo import GRID, lens_head, recording, tried
 from simulated_recording import EXACT
 from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
@@ -58,7 +59,9 @@ def test_no_covariance_is_stated_without_an_accuracy(fisheye):
 
 
 @pytest.mark.usefixtures("two_folds")  # a lens that does not fit converges slowly
-def test_a_misfit_at_the_edge_is_named_with_its_camera():
+def test_a_misfit_at_the_edge_is_named_with_its_camera(monkeypatch):
+    monkeypatch.setattr(lens_monte_carlo, "STRAIGHT", 24)
+    monkeypatch.setattr(lens_monte_carlo, "ORIENTATIONS", 12)
     rng = np.random.default_rng(2)
     head = lens_head("k3", rng)
     seen = recording(head, rng)
