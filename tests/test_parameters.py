@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import TypeAdapter
 
 from simulated_head import plain_head, skewed_head
 from vergence.arrays import Array
@@ -62,6 +63,36 @@ def test_boxminus_is_the_increment_that_boxplus_makes(seed: int):
     off = boxminus(boxplus(head, change), head)
     assert tuple(off) == names
     np.testing.assert_allclose(list(off.values()), change, atol=1e-12)
+
+
+@given(seeds)
+def test_a_changed_head_is_valid_though_it_is_not_checked_anew(seed: int):
+    """Checked anew it is the same, with nothing left of the joints that it had before."""
+    rng = np.random.default_rng(seed)
+    head = skewed_head(rng)
+    assert head.kinematics.chains  # is remembered
+    changed = boxplus(head, rng.normal(0, 1e-3, len(parameter_names(head))))
+    adapter = TypeAdapter(HeadCalibration)
+    checked = adapter.validate_json(adapter.dump_json(changed))
+    angles = rng.normal(0, 0.2, (3, 4))
+    for name, mounted in changed.cameras.items():
+        one, other = T_base_cam(changed, name, angles), T_base_cam(checked, name, angles)
+        np.testing.assert_array_equal(one, other)
+        assert not mounted.T_eye_cam.flags.writeable
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "says"),
+    [
+        ("left_wide.fx", -1e4, "focal lengths are positive"),
+        ("left.pan_gain", -1e4, "change by 1000 at most"),
+        ("right_wide.T_eye_cam.tx", np.nan, "found NaN or infinity"),
+        ("left.pan_gain", np.inf, "found NaN or infinity"),
+    ],
+)
+def test_a_change_that_leaves_no_possible_head_is_refused(name: str, size: float, says: str):
+    with pytest.raises(ValueError, match=says):
+        change_named(HEAD, [name], np.array([size]))
 
 
 def test_values_change_by_what_is_added_to_them():

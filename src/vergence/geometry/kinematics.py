@@ -321,10 +321,10 @@ def joint_value(joint: Joint, name: str) -> float:
 def change_joints(joints: tuple[Joint, ...], change: Array) -> tuple[Joint, ...]:
     """Return joints whose errors are changed by (a,), in the order of joint_parameters.
 
-    ValueError for changes that are not finite or far beyond what is possible.
+    ValueError if they change by more than any joint has.
     """
-    if not (np.abs(change) <= MAX_NUMBER).all():
-        raise ValueError(f"a joint changes by {MAX_NUMBER:g} at most, found {change}")
+    if np.abs(change).max(initial=0.0) > MAX_NUMBER:
+        raise ValueError(f"the numbers of a joint change by {MAX_NUMBER:g} at most, found {change}")
     own: list[dict[str, Any]] = [{"readings": dict(joint.readings)} for joint in joints]
     for (k, name), value in zip(joint_parameters(joints), change.tolist(), strict=True):
         into = own[k]["readings"] if name.startswith("factor_") else own[k]

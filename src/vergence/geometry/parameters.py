@@ -118,6 +118,8 @@ def boxplus(head: HeadCalibration, change: Array) -> HeadCalibration:
     """
     if not change.any():
         return head
+    if not np.isfinite(change).all():
+        raise ValueError("the parameters of a head change by finite numbers, found NaN or infinity")
     whole, first = {}, 0
     for name, mounted in head.cameras.items():
         whole[name] = change[first : first + _size(mounted)]
