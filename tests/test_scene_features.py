@@ -202,10 +202,11 @@ def test_features_are_tracked_in_a_turning_camera():
 def test_features_that_left_the_image_are_not_tracked():
     rng = np.random.default_rng(0)
     image = picture(np.eye(4), 1.0, rng)
-    pixels = np.array([[320.0, 240.0], [100.0, 240.0], [np.nan, 3.0]])
+    whole, cut_off = [[320.0, 240.0], [100.0, 240.0]], [[320.0, 7.4], [632.4, 240.0]]
+    pixels = np.array([*whole, *cut_off, [np.nan, 3.0]])
     away = pose(rotation([0, np.radians(120), 0]))
     for T, expected in ((np.eye(4), [0, 1]), (away, [])):
         _, which = track_features(
-            image, image, camera=CAMERA, T_now_before=T, pixels=pixels, depths_m=np.ones(3)
+            image, image, camera=CAMERA, T_now_before=T, pixels=pixels, depths_m=np.ones(5)
         )
         np.testing.assert_array_equal(which, expected)
