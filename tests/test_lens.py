@@ -47,6 +47,19 @@ def in_view(camera: Camera, rng: np.random.Generator) -> np.ndarray:
     return points * rng.uniform(0.2, 3, (len(points), 1))
 
 
+@pytest.mark.parametrize(
+    "k", [(-0.28, 0.07, 0, 0, -0.006), (-0.35, 0.15, 1e-3, 0, -0.03), (0.3, 0.1, 0, 0, 0)]
+)
+def test_a_lens_is_inverted_out_to_where_it_folds_over_or_to_60_degrees(k):
+    camera = pinhole(640, 480, 220.0, k)
+    farthest = np.sqrt(reach(camera.model, camera.coefficients))
+    r = np.linspace(0, 0.998 * farthest if np.isfinite(farthest) else np.tan(np.pi / 3), 200)
+    for angle in (0.0, 0.7, 2.0):
+        xy = r[:, None] * [np.cos(angle), np.sin(angle)]
+        pixels = project(camera, np.column_stack([xy, np.ones(len(r))]))
+        np.testing.assert_allclose(normalise(camera, pixels), xy, rtol=1e-9, atol=1e-12)
+
+
 @given(seeds, models)
 def test_normalise_undoes_project_out_to_the_corners(seed: int, model: CameraModel):
     rng = np.random.default_rng(seed)

@@ -214,9 +214,9 @@ def normalised_rows(camera: Camera, u: Component, v: Component) -> tuple[Sequenc
     if camera.model != "fisheye" and not camera.distortion.any():
         return (wanted_x, wanted_y), ((fx, skew), (0.0, fy))
     k = camera.coefficients
-    x, y = lens.first_guess(camera.model, k, wanted_x, wanted_y)
-    xx = cross = yy = det = squared = x
-    with ignoring_invalid(x):
+    with ignoring_invalid(wanted_x):
+        x, y = lens.first_guess(camera.model, k, wanted_x, wanted_y)
+        xx = cross = yy = det = squared = x
         for _ in range(20):
             distorted_x, distorted_y, xx, cross, yy = _distortion(camera, x, y)
             error_x, error_y = distorted_x - wanted_x, distorted_y - wanted_y

@@ -161,7 +161,12 @@ def first_guess(model: CameraModel, k: Coefficients, x: Array, y: Array) -> tupl
     exact.
     """
     if model == "radial-tangential":
-        return x, y
+        k1, k2, _, _, k3 = k
+        r2, scale = x * x + y * y, 1.0
+        for _ in range(2):  # of a fixed-point iteration, which leads there from within a fold
+            inside = r2 * (scale * scale)
+            scale = quotient(1.0, 1 + inside * (k1 + inside * (k2 + inside * k3)))
+        return x * scale, y * scale
     radius = np.hypot(x, y)
     in_image, out = _table(model, k)
     found = np.interp(radius, in_image, out)
