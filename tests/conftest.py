@@ -80,10 +80,14 @@ def few_views(coarse_images: None, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def two_folds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Cross-validate by two folds, where a test does not depend on their number."""
+    """Cross-validate by two folds, where a test does not depend on their number.
+
+    Also where each of few views would be left out by itself.
+    """
     from vergence.calibration.checks import cross_validation
 
     monkeypatch.setattr(cross_validation, "FOLDS", 2)
+    monkeypatch.setattr(cross_validation, "EACH_BELOW", 0)
 
 
 @pytest.fixture

@@ -106,6 +106,7 @@ def _nothing() -> None:
     raise VergenceError("no held-out error here.")
 
 
+@pytest.mark.usefixtures("two_folds")
 def test_a_calibration_that_predicts_held_out_points_far_too_badly_is_void(recorded, monkeypatch):
     wrong = HeldOut(5, 30, 0.1, 30, point_mm=12.0, expected_mm=2.0, distance_m=0.5)
     monkeypatch.setattr(calibrate_module, "held_out", lambda *_: wrong)
@@ -114,6 +115,7 @@ def test_a_calibration_that_predicts_held_out_points_far_too_badly_is_void(recor
     assert "6.0 times as wrong as the noise explains" in found.accuracy.void[0]
 
 
+@pytest.mark.usefixtures("two_folds")
 def test_parts_of_few_views_that_differ_are_not_blamed_on_the_readings_alone(recorded, monkeypatch):
     differing = HeldOut(12, 12, 0.1, 0, None, None, None, jackknife_ratio=11.0)
     monkeypatch.setattr(calibrate_module, "held_out", lambda *_: differing)
@@ -124,6 +126,7 @@ def test_parts_of_few_views_that_differ_are_not_blamed_on_the_readings_alone(rec
         assert ("or record more: 12 views" in said) == few
 
 
+@pytest.mark.usefixtures("two_folds")
 def test_boards_numbered_from_the_wrong_end_are_renumbered_and_named(recorded, found, monkeypatch):
     observed = recorded[1]
     monkeypatch.setattr(calibrate_module, "held_out", lambda *_: _nothing())

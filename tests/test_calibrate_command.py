@@ -204,6 +204,7 @@ def write_folder(folder: Path, seen: Observations, eyes: dict[str, Side]) -> Non
     write_dataset(folder, table, about, images)
 
 
+@pytest.mark.usefixtures("two_folds")
 @pytest.mark.slow
 @pytest.mark.parametrize("poses", [False, True])
 def test_other_heads_go_all_the_way_from_a_folder_to_a_report(

@@ -64,6 +64,7 @@ def test_exchanged_images_are_noticed_where_the_eyes_moved_alike():
     assert "exchanged in the images, or images and joint readings" in said
 
 
+@pytest.mark.usefixtures("two_folds")
 @pytest.mark.parametrize("seed", range(3))
 def test_exchanged_readings_of_eyes_that_moved_nearly_alike_void_the_result(seed):
     """By 0.6 degrees apart, with 0.2 of noise in each reading."""
@@ -75,6 +76,7 @@ def test_exchanged_readings_of_eyes_that_moved_nearly_alike_void_the_result(seed
     assert "left and right are exchanged in the columns of the joint readings" in said
 
 
+@pytest.mark.usefixtures("two_folds")
 def test_eyes_that_moved_alike_do_not_tell_whether_their_readings_are_exchanged():
     _, seen = recorded()
     for each in (seen, exchanged_readings(seen)):

@@ -13,6 +13,7 @@ from mutated_files import stated_head, true_of
 from recordings import CHESSBOARD, seen_dataset
 from vergence import cli
 from vergence.commands.record import record
+from vergence.demos import grasp, track
 from vergence.geometry.head import save_head
 from vergence.interchange.formats import export_head
 from vergence.twin.profile import load_profile
@@ -146,7 +147,7 @@ LARGE = {
         50_000,
     ),
     "foveate": (["f/foveate.rrd"], "foveate --trials 1 --out out/f", 200_000),
-    "track": (["t/track.rrd"], "track --seconds 3 --out out/t", 200_000),
+    "track": (["t/track.rrd"], "track --seconds 1 --out out/t", 200_000),
     "grasp": (["g/grasp.rrd"], "grasp --trials 1 --out out/g", 200_000),
     "summary": (["a.json"], "foveate --trials 1 --json out/a.json", 16),
 }
@@ -159,9 +160,16 @@ def recorded(tmp_path_factory: pytest.TempPathFactory, opengl: None) -> Path:
     return folder
 
 
+@pytest.fixture
+def short_runs(few_views: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the demos run for a second before they write."""
+    monkeypatch.setattr(track, "SHORTEST_S", 1.0)
+    monkeypatch.setattr(grasp, "LONGEST_S", 1.0)
+
+
 @pytest.mark.parametrize("name", LARGE)
 def test_a_disk_that_fills_leaves_the_old_results(
-    name, tmp_path, inputs, recorded, few_views, true_calibration, capsys, monkeypatch
+    name, tmp_path, inputs, recorded, short_runs, true_calibration, capsys, monkeypatch
 ):
     results, line, free = LARGE[name]
     arguments = line.format(inputs=inputs, recorded=recorded).split()

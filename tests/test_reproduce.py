@@ -199,7 +199,7 @@ def test_methods_are_compared_on_the_same_images(tmp_path, monkeypatch):
     assert len(read_series(recording, "/learned/gain/right_pan")[1]) == 12
 
 
-@pytest.mark.usefixtures("simulated_views", "coarse_images")
+@pytest.mark.usefixtures("simulated_views")  # processes beside know nothing of coarse images
 @pytest.mark.render
 def test_figures_are_the_same_one_after_another_side_by_side_and_alone(tmp_path, monkeypatch):
     monkeypatch.setattr(looking_around, "LOOK_S", 0.5)
