@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
@@ -140,6 +140,16 @@ def test_directions_beyond_90_degrees_are_not_supported():
     beyond = np.array([499.5 + 200 * np.pi / 2 + 0.01, 499.5])
     assert np.isnan(normalise(camera, beyond)).all()
     assert np.isfinite(normalise(camera, beyond - [0.02, 0])).all()
+
+
+@given(st.floats(-0.5, 0.5), st.floats(-0.2, 0.2))
+def test_a_lens_without_k3_ends_where_its_radius_stops_rising(k1: float, k2: float):
+    end = reach("radial-tangential", (k1, k2, 0.0, 0.0, 0.0))
+    assume(abs(2.25 * k1 * k1 - 5 * k2) > 1e-6)  # there it just stops rising, or just does not
+    if np.isfinite(end):
+        assert 1 + 3 * k1 * end + 5 * k2 * end**2 == pytest.approx(0, abs=1e-6 * (1 + end**2))
+    inside = np.linspace(0, min(end, 100.0), 1000)[:-1]
+    assert (1 + 3 * k1 * inside + 5 * k2 * inside**2 > -1e-9).all()
 
 
 def test_a_fisheye_lens_that_folds_has_no_direction_beyond():

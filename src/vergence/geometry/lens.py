@@ -13,6 +13,7 @@ Directions are given by x/z and y/z, so all models end at 90 degrees from the ax
 
 from __future__ import annotations
 
+import cmath
 from functools import lru_cache
 from typing import Literal
 
@@ -118,7 +119,12 @@ def reach(model: CameraModel, k: Coefficients) -> float:
     """
     if model == "radial-tangential":
         k1, k2, _, _, k3 = k
-        inverse = np.roots([1, 3 * k1, 5 * k2, 7 * k3])  # of 1 / r^2, where the slope is zero
+        # Of 1 / r^2, where the slope is zero. Most lenses have no k3, and estimates change lenses
+        # many times a second.
+        root = cmath.sqrt(2.25 * k1 * k1 - 5 * k2)
+        inverse = (
+            np.roots([1, 3 * k1, 5 * k2, 7 * k3]) if k3 else [-1.5 * k1 + root, -1.5 * k1 - root]
+        )
     elif model == "fisheye":
         k1, k2, k3, k4 = k
         inverse = np.roots([1, 3 * k1, 5 * k2, 7 * k3, 9 * k4])

@@ -166,8 +166,10 @@ def _beyond_known(state: SelfCalibration, says: Evidence, joints: Array) -> tupl
     `update.updated`, and the head would else follow them from frame to frame. Given the head, they
     tell of the frame's joints what they do.
     """
-    inflation, P = recurrence_inflation(state.recurrence, joints, 0.0), len(state.names)
     N, b = says.information, says.vector
+    if state.recurrence is None:
+        return N, b
+    inflation, P = recurrence_inflation(state.recurrence, joints, 0.0), len(state.names)
     of_joints = N[P:, P:] + np.eye(len(joints)) / state.joint_std_rad**2
     follows = np.linalg.solve(of_joints, N[P:, :P]).T
     information, vector = N.copy(), b.copy()
