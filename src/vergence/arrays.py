@@ -54,6 +54,7 @@ _EYE, _LAST_ROW = np.eye(3), np.array([0.0, 0.0, 0.0, 1.0])
 
 
 def _rigid(array: Array) -> Array:
+    # Determinant and root in plain numbers: estimates make poses many times a second.
     R = array[:3, :3]
     possible = np.abs(R).max() < 1.1  # far larger numbers would overflow below
     found = "a rotation part that is not a rotation"
