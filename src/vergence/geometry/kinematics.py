@@ -32,9 +32,9 @@ AXIS_NAMES = {"pan": (0.0, 0.0, 1.0), "tilt": (0.0, 1.0, 0.0), "roll": (1.0, 0.0
 """The axes of a head that stands upright: up, to the left, ahead."""
 
 
-MAX_NUMBER = 1e3
+_LARGEST = 1e3
 """Largest gain, factor, offset [rad] or length [m] of a joint."""
-_Number = Annotated[float, Field(ge=-MAX_NUMBER, le=MAX_NUMBER)]
+_Number = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST)]
 _Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,40}$")]
 ReadingName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_:()/ -]{0,60}$")]
 _FINITE = ConfigDict(extra="forbid", allow_inf_nan=False)
@@ -323,8 +323,8 @@ def change_joints(joints: tuple[Joint, ...], change: Array) -> tuple[Joint, ...]
 
     ValueError if they change by more than any joint has.
     """
-    if np.abs(change).max(initial=0.0) > MAX_NUMBER:
-        raise ValueError(f"the numbers of a joint change by {MAX_NUMBER:g} at most, found {change}")
+    if np.abs(change).max(initial=0.0) > _LARGEST:
+        raise ValueError(f"the numbers of a joint change by {_LARGEST:g} at most, found {change}")
     own: list[dict[str, Any]] = [{"readings": dict(joint.readings)} for joint in joints]
     for (k, name), value in zip(joint_parameters(joints), change.tolist(), strict=True):
         into = own[k]["readings"] if name.startswith("factor_") else own[k]

@@ -119,8 +119,8 @@ def reach(model: CameraModel, k: Coefficients) -> float:
     """
     if model == "radial-tangential":
         k1, k2, _, _, k3 = k
-        # Of 1 / r^2, where the slope is zero. Most lenses have no k3, and estimates change lenses
-        # many times a second.
+        # Of 1 / r^2, where the slope is zero. Without k3, as most lenses are, a quadratic tells it,
+        # far faster: estimates change lenses many times a second.
         root = cmath.sqrt(2.25 * k1 * k1 - 5 * k2)
         inverse = (
             np.roots([1, 3 * k1, 5 * k2, 7 * k3]) if k3 else [-1.5 * k1 + root, -1.5 * k1 - root]
@@ -169,7 +169,8 @@ def first_guess(model: CameraModel, k: Coefficients, x: Array, y: Array) -> tupl
     if model == "radial-tangential":
         k1, k2, _, _, k3 = k
         r2, scale = x * x + y * y, 1.0
-        for _ in range(2):  # of a fixed-point iteration, which leads there from within a fold
+        # Two fixed-point steps: from x and y themselves Newton's method misses places near a fold.
+        for _ in range(2):
             inside = r2 * (scale * scale)
             scale = quotient(1.0, 1 + inside * (k1 + inside * (k2 + inside * k3)))
         return x * scale, y * scale

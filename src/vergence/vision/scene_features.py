@@ -132,8 +132,8 @@ def track_features(
         depths_m: (M,) about how far they were along its optical axis.
 
     Returns:
-        N matches, of the pixels of a turned image that are nearest to the features, and which (N,)
-        of these they are.
+        N matches, and which (N,) of the features they are. Windows lie on whole pixels of a turned
+        image, so that a match is up to a pixel beside its feature.
     """
     views = _views((before, now), (camera, camera), T_now_before)
     rays = np.column_stack([normalise(camera, pixels), np.ones(len(pixels))])
