@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import lens_monte_carlo
 from head_kinds import head_of
 from lens_monte_carlo import NOISE, recording
 from vergence.calibration.calibrate import calibrate
@@ -145,12 +144,6 @@ WRONG: list[tuple[str, Change, str]] = [
     (TWO_TILTS, exchange(0, 1), "other side of its neck_tilt axis .* readings are exchanged"),
     (TWO_TILTS, sign(1), "tilt counts the other way"),
 ]
-
-
-@pytest.fixture(autouse=True)
-def few_boards(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Record half the boards at straight gaze: the cause shows in the same way."""
-    monkeypatch.setattr(lens_monte_carlo, "STRAIGHT", 18)
 
 
 @pytest.mark.parametrize(("kind", "change", "cause"), WRONG)
