@@ -6,6 +6,9 @@ PYTHON ?= python3
 OUT ?= runs/paper
 BIN := .venv/bin
 
+# Also where the environment forbids it: each of many processes would compile all that it imports.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: figures view test check docs clean
 
 figures: .venv/installed

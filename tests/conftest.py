@@ -114,5 +114,5 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
         pytest.fail("This test renders: mark it `render`, or let its fixture request `opengl`.")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(mujoco, "Renderer", refuse)
+        patch.setattr(mujoco, "MjrContext", refuse)
         return (yield)

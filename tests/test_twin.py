@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import fields
-from itertools import chain
+from itertools import chain, product
 
 import mujoco
 import numpy as np
@@ -26,6 +26,7 @@ from vergence.twin.model import (
     hinges,
     nominal_head,
 )  # fmt: skip
+from vergence.twin.offscreen import Format, Offscreen
 from vergence.twin.profile import Axes, ErrorProfile, Image, Joints, Mounting, Optics
 from vergence.twin.renderer import overscan_sizes
 
@@ -237,6 +238,25 @@ def test_its_cameras_leave_the_model_as_it_was(perfect: Twin):
     fresh = compile_head(perfect.truth, overscan_sizes(perfect.truth))
     assert perfect.model.vis.global_.offwidth == fresh.vis.global_.offwidth
     assert perfect.model.vis.quality.offsamples == fresh.vis.quality.offsamples
+
+
+def test_pictures_of_several_sizes_are_those_of_mujoco_s_renderer(make: Make):
+    """Which has an OpenGL context for each size."""
+    twin = make(EVERYTHING)
+    sizes = [(320, 240), (200, 300)]
+    offscreen = Offscreen(twin.model, [Format(*size, samples=4) for size in sizes])
+    for (width, height), name in product(sizes, ("left_wide", "right_narrow")):
+        offscreen.show(twin._seen, name)
+        with mujoco.Renderer(twin.model, height, width) as renderer:
+            for flag in ("SKYBOX", "HAZE", "SHADOW", "REFLECTION"):
+                renderer.scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{flag}")] = 0
+            renderer.update_scene(twin._seen, camera=name)
+            form = Format(width, height, samples=4)
+            np.testing.assert_array_equal(offscreen.colours(form), renderer.render())
+            renderer.enable_depth_rendering()
+            depths = offscreen.depths(form)
+            np.testing.assert_allclose(depths, renderer.render(), rtol=1e-6)
+    offscreen.close()
 
 
 @pytest.mark.parametrize("place", [(0.43, -0.02, -0.08), (0.3, 0.25, 0.1), (1.1, 0.0, 0.0)])

@@ -20,6 +20,7 @@ from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, normalise
 from vergence.geometry.head import HeadCalibration
 from vergence.twin import no_opengl
+from vergence.twin.offscreen import Format, Offscreen
 from vergence.twin.profile import Image
 
 OVERSAMPLING = 1.5
@@ -92,13 +93,13 @@ def _in_pinhole(camera: Camera, pixels: Array, size: tuple[int, int]) -> Array:
     return xy @ camera.matrix[:2, :2].T + camera.matrix[:2, 2] + shift
 
 
-def _view_corners(renderer: mujoco.Renderer, data: mujoco.MjData, camera: str) -> Array:
+def _view_corners(offscreen: Offscreen, data: mujoco.MjData, camera: str) -> Array:
     """Return the left upper and right lower corner (2, 2) of a camera's view, one metre before it.
 
     x points right, y up.
     """
-    renderer.update_scene(data, camera=camera)
-    view = renderer.scene.camera[0]
+    offscreen.show(data, camera)
+    view = offscreen.scene.camera[0]
     middle, half = view.frustum_center, view.frustum_width
     corners = [(middle - half, view.frustum_top), (middle + half, view.frustum_bottom)]
     return np.array(corners) / view.frustum_near
@@ -151,46 +152,21 @@ class Renderer:
         noise = np.round(self._rng.normal(0, image.noise_grey, (height, width, 3)))
         # What it adds and what it takes away: OpenCV is fast where all are of one type.
         self._noise = [np.clip(each, 0, 255).astype(np.uint8) for each in (noise, -noise)]
-        self._renderers: dict[tuple[int, int, int], mujoco.Renderer] = {}
-        self._by_camera: dict[str, mujoco.Renderer] = {}
-        samples = model.vis.quality.offsamples
+        samples, self._formats = model.vis.quality.offsamples, {}
+        for name, size in sizes.items():
+            finer, once = (self._oversampling, 0) if name in self._maps else (1, samples)
+            width, height = (round(finer * side) for side in size)
+            self._formats[name] = Format(width, height, once)
+        side = min(_WINDOW_PX, *np.ravel(list(sizes.values())).tolist())
+        self._window = Format(side, side, samples) if samples else None
+        formats = [*self._formats.values(), *([self._window] if self._window else [])]
         try:
-            for name, (width, height) in sizes.items():
-                finer = self._oversampling if name in self._maps else 1
-                size = round(finer * width), round(finer * height)
-                once = 0 if name in self._maps else samples
-                self._by_camera[name] = self._renderer(model, *size, once)
-            data = mujoco.MjData(model)
-            mujoco.mj_forward(model, data)
-            self._corners = {
-                name: _view_corners(renderer, data, name)
-                for name, renderer in self._by_camera.items()
-            }
-            self._window = None
-            if samples:
-                side = min(_WINDOW_PX, *np.ravel(list(sizes.values())).tolist())
-                self._window = self._renderer(model, side, side, samples)
+            self._offscreen = Offscreen(model, formats)
         except Exception as error:  # each backend raises its own kind
-            self.close()
             raise no_opengl(error) from error
-
-    def _renderer(
-        self, model: mujoco.MjModel, width: int, height: int, samples: int
-    ) -> mujoco.Renderer:
-        """Return a renderer of pictures of a size, with a number of samples a pixel; 0: one."""
-        if (known := self._renderers.get((width, height, samples))) is not None:
-            return known
-        buffer, quality = model.vis.global_, model.vis.quality
-        before = buffer.offwidth, buffer.offheight, quality.offsamples
-        buffer.offwidth, buffer.offheight, quality.offsamples = width, height, samples
-        try:
-            renderer = mujoco.Renderer(model, height=height, width=width)
-        finally:
-            buffer.offwidth, buffer.offheight, quality.offsamples = before
-        for flag in ("SKYBOX", "HAZE", "SHADOW", "REFLECTION"):  # the room is closed: not visible
-            renderer.scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{flag}")] = 0
-        self._renderers[width, height, samples] = renderer
-        return renderer
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        self._corners = {name: _view_corners(self._offscreen, data, name) for name in sizes}
 
     def restart(self, run: int) -> None:
         """Restart the noise, which depends only on the seed and the number of the run."""
@@ -198,47 +174,43 @@ class Renderer:
 
     def expose(self, data: mujoco.MjData, camera: str) -> Negative:
         """Render the image of one camera, and draw the position of its noise."""
-        renderer, corners = self._by_camera[camera], self._corners[camera]
-        self._show(renderer, data, camera, corners)
+        self._show(data, camera, self._corners[camera])
         v, u = self._rng.integers(0, _NOISE_MARGIN, 2)
-        rendered = renderer.render()
+        rendered = self._offscreen.colours(self._formats[camera])
         if camera in self._maps and self._window is not None:
             self._multisample_object(self._window, rendered, data, camera)
         return Negative(camera, rendered, (int(v), int(u)))
 
-    def _show(
-        self, renderer: mujoco.Renderer, data: mujoco.MjData, camera: str, corners: Array
-    ) -> None:
-        """Let a renderer show a camera's view between two corners (2, 2), and no more than that."""
+    def _show(self, data: mujoco.MjData, camera: str, corners: Array) -> None:
+        """Show a camera's view between two corners (2, 2), and no more than that."""
         seen_by, groups = data.camera(camera), self._model.geom_group.copy()
         centres = (data.geom_xpos - seen_by.xpos) @ seen_by.xmat.reshape(3, 3)
         beside = _beside(centres, self._model.geom_rbound, corners)
         self._model.geom_group[beside] = _UNSEEN_GROUP
-        renderer.update_scene(data, camera=camera)
+        self._offscreen.show(data, camera)
         self._model.geom_group[:] = groups
-        for view in renderer.scene.camera:  # of either eye, of which the mean is rendered
+        for view in self._offscreen.scene.camera:  # of either eye, of which the mean is rendered
             (left, top), (right, bottom) = corners * view.frustum_near
             view.frustum_center, view.frustum_width = (left + right) / 2, (right - left) / 2
             view.frustum_top, view.frustum_bottom = top, bottom
 
     def _multisample_object(
-        self, renderer: mujoco.Renderer, image: np.ndarray, data: mujoco.MjData, camera: str
+        self, window: Format, image: np.ndarray, data: mujoco.MjData, camera: str
     ) -> None:
         """Render anew, in place, the part of an image (H, W, 3) in whose middle the object is."""
         seen_by, (corner, right_lower) = data.camera(camera), self._corners[camera]
         where = (data.body("object").xpos - seen_by.xpos) @ seen_by.xmat.reshape(3, 3)
         if where[2] >= 0:  # z points back
             return
-        side, size = renderer.width, np.array([image.shape[1], image.shape[0]])
+        side, size = window.width, np.array([image.shape[1], image.shape[0]])
         step = (right_lower - corner) / size
         middle = (where[:2] / -where[2] - corner) / step
         if ((middle < -side) | (middle > size + side)).any():
             return
         first = np.clip(np.round(middle - side / 2).astype(int), 0, size - side)
-        window = corner + step * np.array([first, first + side])
-        self._show(renderer, data, camera, window)
+        self._show(data, camera, corner + step * np.array([first, first + side]))
         u, v = first
-        image[v : v + side, u : u + side] = renderer.render()
+        image[v : v + side, u : u + side] = self._offscreen.colours(window)
 
     def develop(self, negative: Negative) -> np.ndarray:
         """Return the image (H, W, 3) uint8 of the camera."""
@@ -259,19 +231,13 @@ class Renderer:
 
     def true_depth(self, data: mujoco.MjData, camera: str) -> Array:
         """Return the depth (H, W) [m] along a camera's optical axis, of each of its pixels."""
-        renderer = self._by_camera[camera]
-        renderer.update_scene(data, camera=camera)
-        renderer.enable_depth_rendering()
-        try:
-            depth = renderer.render()
-        finally:
-            renderer.disable_depth_rendering()
+        self._offscreen.show(data, camera)
+        depth = self._offscreen.depths(self._formats[camera])
         if camera in self._maps:  # no mean of what is before and behind an edge
             x, y = self._maps[camera]
-            depth = cv2.remap(depth, x, y, cv2.INTER_NEAREST)
-        return depth.astype(float)
+            depth = cv2.remap(depth, x, y, cv2.INTER_NEAREST).astype(float)
+        return depth
 
     def close(self) -> None:
         """Release OpenGL's resources."""
-        for renderer in self._renderers.values():
-            renderer.close()
+        self._offscreen.close()
