@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vergence.accuracy.plan_views import T_cam_target, Views, as_seen
-from vergence.arrays import Array
+from vergence.arrays import Array, summed
 from vergence.calibration.bundle.initial_state import initial_state
 from vergence.calibration.bundle.problem import head_size, jacobians
 from vergence.errors import VergenceError
@@ -94,18 +94,19 @@ def linearised_views(
     shared, index, by_latent = jacobians(problem, state)
     c, (B, n), V = head_size(problem), problem.reading.shape, len(views.place)
     # Each view's place has the same six columns after those of the head; the board's size is known.
-    size = index == len(problem.free) - 1
-    index = np.where(size, 0, np.where(index < c, index, c + (index - c) % len(POSE)))
-    shared = np.where(size[:, None, None], 0.0, shared)
+    of_size = index == len(problem.free) - 1
+    index = np.where(of_size, 0, np.where(index < c, index, c + (index - c) % len(POSE)))
+    shared = np.where(of_size[:, None, None], 0.0, shared)
     J = shared.reshape(len(index), -1, index.shape[1])
     L = by_latent.reshape(len(index), -1, n)
     J_T = np.swapaxes(J, 1, 2)
-    whole = np.zeros((V, c + len(POSE), c + len(POSE)))
-    across, latent = np.zeros((B, c + len(POSE), n)), np.zeros((B, n, n))
-    view = problem.block_view[problem.block]
-    np.add.at(whole, (view[:, None, None], index[:, :, None], index[:, None, :]), J_T @ J)
-    np.add.at(across, (problem.block[:, None], index), J_T @ L)
-    np.add.at(latent, problem.block, np.swapaxes(L, 1, 2) @ L)
+    block, angle = problem.block[:, None, None], np.arange(n)
+    view = problem.block_view[block]
+    row, column = index[:, :, None], index[:, None, :]
+    size = c + len(POSE)
+    whole = summed(J_T @ J, (view, row, column), (V, size, size))
+    across = summed(J_T @ L, (block, row, angle), (B, size, n))
+    latent = summed(np.swapaxes(L, 1, 2) @ L, (block, angle[:, None], angle), (B, n, n))
     known = {name: k for k, name in enumerate(problem.parameters)}
     kept = np.array([known[name] for name in names] + [*range(c, c + len(POSE))])
     unit = np.append(scale, np.ones(len(POSE)))

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_array
 
-from vergence.arrays import Array
+from vergence.arrays import Array, summed
 from vergence.calibration.bundle.problem import (
     BundleProblem,
     BundleState,
@@ -118,13 +118,13 @@ def linearise(problem: BundleProblem, state: BundleState, weights: Weights) -> L
     L = (latent * root[..., None]).reshape(M, -1, n)
     r = (error * root).reshape(M, -1, 1)
     J_T, L_T = np.swapaxes(J, 1, 2), np.swapaxes(L, 1, 2)
-    gg, g = np.zeros((G, G)), np.zeros(G)
-    np.add.at(gg, (index[:, :, None], index[:, None, :]), J_T @ J)
-    np.add.at(g, index, -(J_T @ r)[..., 0])
-    gl, ll, right = np.zeros((B, G, n)), np.zeros((B, n, n)), np.zeros((B, n))
-    np.add.at(gl, (problem.block[:, None], index), J_T @ L)
-    np.add.at(ll, problem.block, L_T @ L)
-    np.add.at(right, problem.block, -(L_T @ r)[..., 0])
+    block, angle = problem.block[:, None, None], np.arange(n)
+    row, column = index[:, :, None], index[:, None, :]
+    gg = summed(J_T @ J, (row, column), (G, G))
+    gl = summed(J_T @ L, (block, row, angle), (B, G, n))
+    ll = summed(L_T @ L, (block, angle[:, None], angle), (B, n, n))
+    g = -summed(J_T @ r, (row,), (G,))
+    right = -summed(L_T @ r, (block, angle[:, None]), (B, n))
     return LinearProblem(
         gg, gl, ll, g, right,
         sum_squares=float((r**2).sum()),
