@@ -126,32 +126,30 @@ def _follow(
     start_now = setpoint(state.command, now_s)
     neck_then = posture[NECK]
     neck_now = neck_then + start_now[NECK] - commanded(state.commands, image_s)[NECK]
-    aim_now = _in_left_base(settings, aim.position, neck_now)
-    eyes_now = gaze_angles(calibration, aim_now, cameras=settings.narrow)
-    state = _turn_neck(settings, state, eyes_now, now_s)
+    if settings.use_neck:
+        aim_now = _in_left_base(settings, aim.position, neck_now)
+        eyes_now = gaze_angles(calibration, aim_now, cameras=settings.narrow)
+        state = _turn_neck(settings, state, eyes_now, now_s)
     moments = np.array([image_s, now_s, now_s + _RATE_STEP_S])
     velocity = aim.velocity * _is_moving(settings, aim)
     points = aim.position + (moments - image_s)[:, None] * velocity
     necks = np.stack([neck_then, neck_now, neck_now + _RATE_STEP_S * state.neck_rate])
-    points_lbase = _in_left_base(settings, points, necks)
-    then, now, soon = gaze_angles(calibration, points_lbase, cameras=settings.narrow)
-    aim_lbase = points_lbase[0]
-    aim_base = {"left": aim_lbase, "right": transform(calibration.T_rbase_lbase, aim_lbase)}
+    left = _in_left_base(settings, points, necks)
+    points_base = {"left": left, "right": transform(calibration.T_rbase_lbase, left)}
     targets = {}
     for eye, cameras in settings.eyes.items():
-        targets[cameras.narrow] = aim_base[eye]
+        seen = points_base[eye][0]
         if eye in rays:
             centre, ray = rays[eye]
-            along = np.linalg.norm(aim_base[eye] - centre) / np.linalg.norm(ray)
-            targets[cameras.narrow] = centre + along * ray
-    goal = now + readings_to(calibration, targets) - then
+            seen = centre + np.linalg.norm(seen - centre) / np.linalg.norm(ray) * ray
+        targets[cameras.narrow] = np.vstack([points_base[eye], seen])
+    then, now, soon, to_seen = readings_to(calibration, targets)
+    goal = now + to_seen - then
     return _move_eyes(settings, state, goal, (soon - now) / _RATE_STEP_S, now_s)
 
 
 def _turn_neck(settings: GazeSettings, state: GazeState, eyes: Array, now_s: float) -> GazeState:
     """Return the state with the neck's velocity, by the eyes' readings (r,) [rad] to the object."""
-    if not settings.use_neck:
-        return state
     kinematics = settings.calibration.kinematics
     turns = [eye_turn(kinematics, eye, eyes) for eye in settings.eyes]
     if not np.isfinite(turns).all():
