@@ -134,23 +134,24 @@ class Twin:
         line, which is servoed at 1 kHz.
         """
         width = np.radians(self.profile.joints.backlash_deg)
+        wanted_at = command if callable(command) else lambda _: command
+        last: Array | None = None
         while (left := round((until_s - self._data.time) * 1000)) > 0:
             past = round(self._data.time * 1000) % _TICK_STEPS  # [ms] since it was asked
             begin = self._data.time - past / 1000
-            ends = [
-                command(begin + after / 1000) if callable(command) else command
-                for after in (0, _TICK_STEPS)
-            ]
-            for step in range(past, min(past + left, _TICK_STEPS)):
-                part = step / _TICK_STEPS
-                wanted = (1 - part) * ends[0] + part * ends[1]
-                self._data.ctrl[self._actuators] = self._mixing @ wanted
+            first = wanted_at(begin) if last is None else last
+            last = wanted_at(begin + _TICK_STEPS / 1000)
+            part = np.arange(past, min(past + left, _TICK_STEPS))[:, None] / _TICK_STEPS
+            wanted = (1 - part) * first + part * last
+            for controls in wanted @ self._mixing.T:
+                self._data.ctrl[self._actuators] = controls
                 mujoco.mj_step(self.model, self._data)
             angles = self._posture()
             sensed = play(angles[None], width, self._sensed[-1])[0] if width else angles
-            self._times = np.append(self._times[1:], self._data.time)
-            self._true = np.vstack([self._true[1:], angles])
-            self._sensed = np.vstack([self._sensed[1:], sensed])
+            latest = (self._times, self._data.time), (self._true, angles), (self._sensed, sensed)
+            for history, now in latest:
+                history[:-1] = history[1:]
+                history[-1] = now
 
     def settle(self, command: Array, seconds: float = 0.6) -> None:
         """Go to a posture (j,) and wait until the motion has died away."""
