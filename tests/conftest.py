@@ -6,7 +6,7 @@ twin's OpenGL, and `slow` when it, or its file as a whole, takes seconds of proc
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices; workers have one core each
@@ -52,19 +52,32 @@ def sound_files(tmp_path_factory: pytest.TempPathFactory) -> "dict[str, Kind]":
     return kinds(tmp_path_factory.mktemp("files"))
 
 
+@pytest.fixture(scope="session")
+def coarsely() -> Callable[[pytest.MonkeyPatch], None]:
+    """Return what lets images be rendered coarsely: `coarse_images` for fixtures of a module."""
+
+    def patched(patch: pytest.MonkeyPatch) -> None:
+        from vergence.twin import head, renderer
+
+        def coarse(*args, **kwargs):
+            model = compile_head(*args, **kwargs)
+            model.vis.quality.offsamples = 0
+            return model
+
+        compile_head = head.compile_head
+        patch.setattr(head, "compile_head", coarse)
+        patch.setattr(renderer, "OVERSAMPLING", 1)
+        patch.setattr("vergence.commands.record.FINE", 1)
+
+    return patched
+
+
 @pytest.fixture
-def coarse_images(monkeypatch: pytest.MonkeyPatch) -> None:
+def coarse_images(
+    coarsely: Callable[[pytest.MonkeyPatch], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Render images coarsely, where a test does not depend on hundredths of a pixel."""
-    from vergence.twin import head, renderer
-
-    def coarse(*args, **kwargs):
-        model = compile_head(*args, **kwargs)
-        model.vis.quality.offsamples = 0
-        return model
-
-    compile_head = head.compile_head
-    monkeypatch.setattr(head, "compile_head", coarse)
-    monkeypatch.setattr(renderer, "OVERSAMPLING", 1)
+    coarsely(monkeypatch)
 
 
 @pytest.fixture

@@ -33,13 +33,15 @@ def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory, opengl: None) -> Path:
+def recorded(tmp_path_factory: pytest.TempPathFactory, opengl: None, coarsely) -> Path:
     folder = tmp_path_factory.mktemp("calibration") / "dataset"
     with pytest.MonkeyPatch.context() as monkeypatch:
+        coarsely(monkeypatch)
         run(monkeypatch, "record", "--out", folder, "--frames", 20, "--profile", "noise-only")
     return folder
 
 
+@pytest.mark.usefixtures("two_folds")
 def test_a_recorded_head_is_calibrated_and_evaluated(recorded, tmp_path, monkeypatch, capsys):
     out = tmp_path / "calibration.json"
     report, accuracy, errors = tmp_path / "report", tmp_path / "a.json", tmp_path / "e.json"

@@ -154,9 +154,11 @@ LARGE = {
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory, opengl: None) -> Path:
+def recorded(tmp_path_factory: pytest.TempPathFactory, opengl: None, coarsely) -> Path:
     folder = tmp_path_factory.mktemp("recorded") / "set"
-    record(folder, profile=load_profile("ideal"), frames=12)
+    with pytest.MonkeyPatch.context() as patch:
+        coarsely(patch)
+        record(folder, profile=load_profile("ideal"), frames=12)
     return folder
 
 

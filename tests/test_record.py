@@ -74,6 +74,7 @@ def eyes_with(joints: dict[str, dict[str, float]]) -> dict[str, Any]:
     return {"kinematics": {"left": eye, "right": eye}, "readings": readings}
 
 
+@pytest.mark.usefixtures("coarse_images")
 @pytest.mark.render
 def test_a_head_with_other_joints_is_recorded(tmp_path):
     joints = {"pan": {"yaw": 1.0}, "tilt": {"nod": 0.5, "lean": 0.5}, "roll": {"roll": 1.0}}
@@ -187,6 +188,7 @@ def test_a_wrongly_printed_board_is_true_only_in_the_truth(recorded):
     assert truth.board in (BOARD, CHARUCO)
 
 
+@pytest.mark.usefixtures("coarse_images")
 @pytest.mark.render
 def test_the_same_seed_gives_the_same_dataset(tmp_path):
     for name in ("a", "b"):
