@@ -40,7 +40,9 @@ def detect_board(image: np.ndarray, board: Board) -> Array | None:
     A ChArUco board may be partly visible. A chessboard must be visible as a whole, although single
     corners without a clear saddle point become NaN. If one of a chessboard's corner counts is odd
     and the other even, its two ends differ, and corners are numbered so that the square outside the
-    first one is black. Otherwise they keep OpenCV's order, which may be rotated by 180 degrees.
+    first one is black. Otherwise the ends look the same, and the first corner is the one that is
+    nearest to the image's upper left; of a board with as many rows as columns, an odd number, it is
+    one of the two outside of which is a black square.
 
     Returns pixels (rows * columns, 2) in the order of corner_points, NaN for corners that were not
     found; None where no board was detected.
@@ -78,10 +80,9 @@ def _contrast(grey: np.ndarray, corners: np.ndarray) -> float:
 
 def _refined(grey: np.ndarray, detected: np.ndarray, board: Chessboard) -> Array | None:
     """Return the refined corners (N, 2) of a board that OpenCV detected; None: it is another."""
-    corners = detected.reshape(-1, 2).astype(float)
-    if (board.columns + board.rows) % 2 and _first_square_is_white(grey, corners, board):
-        corners = corners[::-1]
-    grid = corners.reshape(board.rows, board.columns, 2)
+    grid = detected.reshape(board.rows, board.columns, 2).astype(float)
+    quarters = (0, 1, 2, 3) if board.rows == board.columns else (0, 2)
+    grid = _numbered(grey, [np.rot90(grid, quarter) for quarter in quarters])
     distances = edge_distances(grid)
     grid = np.where(distances[..., None] < MIN_CLEARANCE_PX, np.nan, grid)
     grid = refine_corners(grey, grid, CLEARANCE_FRACTION * distances)
@@ -166,9 +167,20 @@ def _reject_misread(corners: Array, points: Array, tolerance_px: float) -> None:
         corners[valid[~np.asarray(inside, dtype=bool).ravel()]] = np.nan
 
 
-def _first_square_is_white(grey: np.ndarray, corners: Array, board: Chessboard) -> bool:
+def _numbered(grey: np.ndarray, turned: list[Array]) -> Array:
+    """Return that one of the grids of a turned board whose first corner is the board's.
+
+    The square outside it is black, if those outside the corners of the board differ in colour; of
+    several, it is the one nearest to the upper left, whichever method found the board.
+    """
+    rows, columns = turned[0].shape[:2]
+    if (rows + columns) % 2 or (rows == columns and rows % 2):
+        turned = [grid for grid in turned if not _first_square_is_white(grey, grid)]
+    return min(turned, key=lambda grid: float(grid[0, 0].sum()))
+
+
+def _first_square_is_white(grey: np.ndarray, grid: Array) -> bool:
     """Return whether squares of the first one's colour are brighter on average than the others."""
-    grid = corners.reshape(board.rows, board.columns, 2)
     centres = (grid[:-1, :-1] + grid[:-1, 1:] + grid[1:, :-1] + grid[1:, 1:]) / 4
     column, row = np.round(centres).astype(int).transpose(2, 0, 1)
     values = grey[row, column].astype(float)
