@@ -9,7 +9,7 @@ and beyond are not supported, whatever the lens. See docs/conventions.md.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from functools import cached_property
 from typing import Annotated
 
@@ -240,6 +240,15 @@ def pixel_area(camera: Camera, xy: Array) -> Array:
 def undistort(camera: Camera, pixels: Array) -> Array:
     """Return distortion-corrected pixels (..., 2): what Eqs. 1-4 speak of."""
     return normalise(camera, pixels) @ camera.matrix[:2, :2].T + camera.matrix[:2, 2]
+
+
+def half_size(camera: Camera) -> Camera:
+    """Return the camera of an image whose pixels are means of 2 x 2; an odd last one is lost."""
+    matrix = camera.matrix.copy()
+    matrix[:2] /= 2
+    matrix[:2, 2] -= 1 / 4  # (0, 0) is the middle of a pixel
+    width, height = camera.width // 2, camera.height // 2
+    return replace(camera, width=width, height=height, matrix=matrix)
 
 
 def pinhole(

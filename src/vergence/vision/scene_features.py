@@ -17,14 +17,13 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from vergence.arrays import Array
-from vergence.geometry.camera import Camera, normalise, pixel_rows
-from vergence.geometry.components import cross, dot, times, transposed
-from vergence.geometry.se3 import rotation, rotvec
+from vergence.geometry.camera import Camera, half_size, normalise
+from vergence.geometry.components import cross, dot, transposed
 from vergence.vision.exposure import grey_levels, of_equal_contrast
 from vergence.vision.least_squares_matching import WINDOW_PX, match_windows
 from vergence.vision.plane_sweep import inverse_depths
+from vergence.vision.turned_views import TurnedViews, on_map, turned_views, whole_windows
 
-_MAP_STEP_PX = 8
 _FEATURES = 900
 """About how many are sought, however large the part is that both eyes see and that has texture.
 They are spread evenly: taking more where contrast is high, or where features tell most of the turn
@@ -32,6 +31,9 @@ between the eyes, would let a near thing with a repeated pattern outvote the res
 _ABOVE_NOISE, _BELOW_TEXTURE = 10.0, 0.03
 """Cells have no texture whose squared gradients are below both: so many times those of the weakest
 twentieth, which show noise alone if any do, and this share of those of the strongest."""
+_FEW = 150
+"""Matches below which images of half the size are tried. A furnished room gives 400 and more, also
+with plain walls."""
 _SMALLEST_CELL_PX, _LARGEST_CELL_PX = 6, 24
 _WINDOW_PX = 9
 """OpenCV's tracker takes eight columns at a time: 11 px take half as long again, for 4 % more."""
@@ -72,29 +74,6 @@ class Matches:
     window, and by how far the two windows differ."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Views:
-    """Two images of the scene, each turned half of the way to the other."""
-
-    first: np.ndarray
-    """(H, W) grey."""
-    second: np.ndarray
-    """(H, W) grey."""
-    second_image: np.ndarray
-    """(H, W) grey, not turned."""
-    maps: tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
-    """Where the pixels of each view lie in its image: u and v (H, W)."""
-    inside: np.ndarray
-    """(H / 2, W / 2) bool: of every second pixel, whether both images show it."""
-    focal: float
-    middle: Array
-    """(2,) the principal point of the views."""
-    R_view_first: Array
-    """(3, 3)"""
-    shift: Array
-    """(3,) [m] of a point, from the first view to the second."""
-
-
 def match_scene(
     left: np.ndarray,
     right: np.ndarray,
@@ -105,11 +84,39 @@ def match_scene(
 ) -> Matches:
     """Return features that both images show, by about where the cameras stand to each other.
 
+    Where noise leaves few, images of half the size are matched too, in which windows are larger;
+    the matches that tell more are returned.
+
     Images are (H, W) grey or (H, W, 3) RGB, uint8; T_rcam_lcam (4, 4) may be wrong by a few
     degrees.
     """
-    views = _views((left, right), (left_camera, right_camera), T_rcam_lcam)
+    by_left, by_right = (left, left_camera), (right, right_camera)
+    matches = _between_eyes(by_left, by_right, T_rcam_lcam)
+    if len(matches.left) >= _FEW or min(left.shape[:2]) < 4 * WINDOW_PX:
+        return matches
+    small = _between_eyes(_half_size(*by_left), _half_size(*by_right), T_rcam_lcam)
+    small = Matches(2 * small.left + 0.5, 2 * small.right + 0.5, 4 * small.covariance)
+    return max(matches, small, key=_told)
+
+
+def _between_eyes(
+    left: tuple[np.ndarray, Camera], right: tuple[np.ndarray, Camera], T_rcam_lcam: Array
+) -> Matches:
+    """Return what images with their cameras show alike, at their own scale."""
+    views = turned_views((left[0], right[0]), (left[1], right[1]), T_rcam_lcam)
     return _matched(views, _best_of_cells(views.first, views.inside), None)[0]
+
+
+def _half_size(image: np.ndarray, camera: Camera) -> tuple[np.ndarray, Camera]:
+    """Return an image whose pixels are the means of 2 x 2, and its camera."""
+    small = half_size(camera)
+    whole = grey_levels(image)[: 2 * small.height, : 2 * small.width]
+    return cv2.resize(whole, (small.width, small.height), interpolation=cv2.INTER_AREA), small
+
+
+def _told(matches: Matches) -> float:
+    """Return how much matches tell: the sum of their inverse variances [1/px^2]."""
+    return float((1 / np.trace(matches.covariance, axis1=1, axis2=2)).sum())
 
 
 def track_features(
@@ -135,52 +142,19 @@ def track_features(
         N matches, and which (N,) of the features they are. Windows lie on whole pixels of a turned
         image, so that a match is up to a pixel beside its feature.
     """
-    views = _views((before, now), (camera, camera), T_now_before)
+    views = turned_views((before, now), (camera, camera), T_now_before)
     rays = np.column_stack([normalise(camera, pixels), np.ones(len(pixels))])
     rays = np.nan_to_num(rays @ views.R_view_first.T)
     ahead = rays[:, 2] > _LEAST_FORWARD
     at = views.focal * rays[:, :2] / np.where(ahead, rays[:, 2], 1.0)[:, None] + views.middle
-    at, whole = np.round(at), _whole_windows(views.inside)
+    at, whole = np.round(at), whole_windows(views.inside)
     column, row = np.clip(at // 2, 0, np.array(whole.shape[::-1]) - 1).astype(int).T
     usable = np.flatnonzero(ahead & whole[row, column])
     matches, kept = _matched(views, at[usable], depths_m[usable])
     return matches, usable[kept]
 
 
-def _views(
-    images: tuple[np.ndarray, np.ndarray], cameras: tuple[Camera, Camera], T: Array
-) -> _Views:
-    """Return both images as pinhole images of one orientation; T (4, 4) is T_second_first."""
-    R_second_view = rotation(rotvec(T[:3, :3]) / 2)  # each camera turns half of the way
-    focal = (cameras[0].matrix[0, 0] + cameras[1].matrix[0, 0]) / 2
-    size = cameras[0].width, cameras[0].height
-    middle = (np.array(size) - 1) / 2
-    greys, views, maps, inside = [], [], [], []
-    for image, camera, R_cam_view in zip(
-        images, cameras, (R_second_view.T, R_second_view), strict=True
-    ):
-        u, v = _map(camera, R_cam_view, focal, middle, size)
-        grey = grey_levels(image)
-        greys.append(grey)
-        # Outside of the image its edge, which has no contrast of its own.
-        views.append(cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
-        maps.append((u, v))
-        u, v = u[::2, ::2], v[::2, ::2]
-        inside.append((u > 0) & (v > 0) & (u < camera.width - 1) & (v < camera.height - 1))
-    return _Views(
-        first=views[0],
-        second=views[1],
-        second_image=greys[1],
-        maps=(maps[0], maps[1]),
-        inside=inside[0] & inside[1],
-        focal=focal,
-        middle=middle,
-        R_view_first=R_second_view,
-        shift=R_second_view.T @ T[:3, 3],
-    )
-
-
-def _matched(views: _Views, at: Array, depths_m: Array | None) -> tuple[Matches, np.ndarray]:
+def _matched(views: TurnedViews, at: Array, depths_m: Array | None) -> tuple[Matches, np.ndarray]:
     """Return matches of whole pixels (M, 2) of the first view, and which of these they are (N,).
 
     Depths (M,) tell where to search, and how much larger a window became; None: unknown.
@@ -214,11 +188,11 @@ def _matched(views: _Views, at: Array, depths_m: Array | None) -> tuple[Matches,
         enlargement=-views.shift[2] * nearness,
     )
     # In the second image itself, whose scale is another.
-    pixels, by_view = _on_map(views.maps[1], matched.pixels)
+    pixels, by_view = on_map(views.maps[1], matched.pixels)
     covariance = by_view @ matched.covariance @ np.swapaxes(by_view, 1, 2)
     good = matched.good & (np.linalg.eigvalsh(covariance)[:, 1] < _LARGEST_STD_PX**2)
     covariance += ((_ACROSS * relief) ** 2)[:, None, None] * np.eye(2)
-    matches = Matches(_on_map(views.maps[0], at[good])[0], pixels[good], covariance[good])
+    matches = Matches(on_map(views.maps[0], at[good])[0], pixels[good], covariance[good])
     return matches, kept[good]
 
 
@@ -266,48 +240,6 @@ def _planes(x: Array, y: Array, weights: Array, values: Array) -> tuple[Array, A
     return here[:, None] + by_x[:, None] * x + by_y[:, None] * y, here
 
 
-def _map(
-    camera: Camera, R_cam_common: Array, focal: float, middle: Array, size: tuple[int, int]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return u and v (H, W) where in a camera's image the pixels of the common image lie.
-
-    Lines between every eighth pixel. Matches are taken back by the same lines, so that these need
-    not be exact.
-    """
-    # The middles of squares, where enlarging leaves them; one row of squares around the image.
-    squares = [np.arange(-1, -(-n // _MAP_STEP_PX) + 1) for n in size]
-    x, y = (
-        ((each + 0.5) * _MAP_STEP_PX - 0.5 - centre) / focal
-        for each, centre in zip(squares, middle, strict=True)
-    )
-    coarse = pixel_rows(camera, times(R_cam_common.tolist(), (x, y[:, None], 1.0)))
-    columns, rows = (slice(_MAP_STEP_PX, _MAP_STEP_PX + n) for n in size)
-    u, v = (
-        cv2.resize(
-            np.nan_to_num(each, nan=-1e4).astype(np.float32),
-            None,
-            fx=_MAP_STEP_PX,
-            fy=_MAP_STEP_PX,
-        )
-        for each in coarse
-    )
-    return u[rows, columns], v[rows, columns]
-
-
-def _on_map(where: tuple[np.ndarray, np.ndarray], pixels: Array) -> tuple[Array, Array]:
-    """Return where pixels (N, 2) of the common image lie (N, 2), and derivatives (N, 2, 2)."""
-    limits = np.array(where[0].shape[::-1]) - 2
-    corner = np.clip(np.floor(pixels), 0, limits).astype(int)
-    u, v = (pixels - corner).T[..., None]
-    column, row = corner.T
-    a, b, c, d = (
-        np.stack([plane[row + i, column + j] for plane in where], axis=-1).astype(float)
-        for i, j in np.ndindex(2, 2)
-    )
-    by_u, by_v = (1 - v) * (b - a) + v * (d - c), (1 - u) * (c - a) + u * (d - b)
-    return a + u * (b - a) + v * by_v, np.stack([by_u, by_v], axis=-1)
-
-
 def _best_of_cells(view: np.ndarray, inside: np.ndarray) -> Array:
     """Return pixels (N, 2), one of each cell: where a window determines both directions best.
 
@@ -317,7 +249,7 @@ def _best_of_cells(view: np.ndarray, inside: np.ndarray) -> Array:
     """
     half = cv2.pyrDown(view)  # near enough, and much faster
     smaller = cv2.cornerMinEigenVal(half, WINDOW_PX // 2, ksize=3)
-    whole = _whole_windows(inside)
+    whole = whole_windows(inside)
     smaller[~whole] = 0
     wanted_px = np.sqrt(np.count_nonzero(whole) / _FEATURES)
     at, best = _strongest(smaller, wanted_px)
@@ -344,18 +276,8 @@ def _strongest(values: np.ndarray, side_px: float) -> tuple[Array, np.ndarray]:
     return at, largest[row, column]
 
 
-def _whole_windows(inside: np.ndarray) -> np.ndarray:
-    """Return of every second pixel whether both images show the whole window around it."""
-    reach = WINDOW_PX // 4 + 1
-    margin = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-    whole = cv2.erode(
-        inside.astype(np.uint8), margin, borderType=cv2.BORDER_CONSTANT, borderValue=0
-    )
-    return whole.astype(bool)
-
-
 def _track_far(
-    views: _Views,
+    views: TurnedViews,
     alike: tuple[np.ndarray, np.ndarray],
     at: Array,
     starts: Array,
