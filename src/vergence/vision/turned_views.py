@@ -45,10 +45,16 @@ class TurnedViews:
 
 
 def turned_views(
-    images: tuple[np.ndarray, np.ndarray], cameras: tuple[Camera, Camera], T: Array
+    images: tuple[np.ndarray, np.ndarray], cameras: tuple[Camera, Camera], T_second_first: Array
 ) -> TurnedViews:
-    """Return both images as pinhole images of one orientation; T (4, 4) is T_second_first."""
-    R_second_view = rotation(rotvec(T[:3, :3]) / 2)  # each camera turns half of the way
+    """Return two images (H, W) or (H, W, 3) uint8 as pinhole images of one orientation.
+
+    T_second_first (4, 4) is about how the cameras stand to each other. The views are as large as
+    the first camera's image, and have the mean of both focal lengths.
+    """
+    R_second_view = rotation(
+        rotvec(T_second_first[:3, :3]) / 2
+    )  # each camera turns half of the way
     focal = (cameras[0].matrix[0, 0] + cameras[1].matrix[0, 0]) / 2
     size = cameras[0].width, cameras[0].height
     middle = (np.array(size) - 1) / 2
@@ -73,7 +79,7 @@ def turned_views(
         focal=focal,
         middle=middle,
         R_view_first=R_second_view,
-        shift=R_second_view.T @ T[:3, 3],
+        shift=R_second_view.T @ T_second_first[:3, 3],
     )
 
 
