@@ -52,9 +52,8 @@ def turned_views(
     T_second_first (4, 4) is about how the cameras stand to each other. The views are as large as
     the first camera's image, and have the mean of both focal lengths.
     """
-    R_second_view = rotation(
-        rotvec(T_second_first[:3, :3]) / 2
-    )  # each camera turns half of the way
+    # Each camera turns half of the way.
+    R_second_view = rotation(rotvec(T_second_first[:3, :3]) / 2)
     focal = (cameras[0].matrix[0, 0] + cameras[1].matrix[0, 0]) / 2
     size = cameras[0].width, cameras[0].height
     middle = (np.array(size) - 1) / 2
