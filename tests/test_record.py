@@ -45,10 +45,12 @@ PROFILE = ErrorProfile(
 
 
 @pytest.fixture(scope="module", params=["chessboard", "charuco"])
-def recorded(request, tmp_path_factory, opengl: None) -> tuple[Dataset, Observations, Truth]:
-    """A small recording with moving frames at its end."""
+def recorded(request, tmp_path_factory, opengl: None, coarsely):
+    """Return dataset, corners and truth of a small recording with moving frames at its end."""
     out = tmp_path_factory.mktemp("out") / request.param
-    images = record(out, profile=PROFILE, seed=2, frames=12, target=request.param, moving=10)
+    with pytest.MonkeyPatch.context() as patch:
+        coarsely(patch)
+        images = record(out, profile=PROFILE, seed=2, frames=12, target=request.param, moving=10)
     assert len(list((out / "images").iterdir())) == images
     dataset = load_dataset(out)
     return dataset, detect_target(dataset), truth_file.load(out / "truth.json")
