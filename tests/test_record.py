@@ -45,8 +45,10 @@ PROFILE = ErrorProfile(
 
 
 @pytest.fixture(scope="module", params=["chessboard", "charuco"])
-def recorded(request, tmp_path_factory, opengl: None, coarsely):
-    """Return dataset, corners and truth of a small recording with moving frames at its end."""
+def recorded(
+    request, tmp_path_factory, opengl: None, coarsely
+) -> tuple[Dataset, Observations, Truth]:
+    """A small recording with moving frames at its end."""
     out = tmp_path_factory.mktemp("out") / request.param
     with pytest.MonkeyPatch.context() as patch:
         coarsely(patch)
