@@ -185,6 +185,7 @@ def own_detector(dataset: Dataset) -> Observations:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("two_folds")
 def test_a_detector_of_one_s_own_gives_the_same_as_a_dataset(dataset: Dataset):
     lens = "radial-tangential"
     ours, theirs = calibrate(dataset, lens=lens), calibrate(own_detector(dataset), lens=lens)
@@ -194,6 +195,7 @@ def test_a_detector_of_one_s_own_gives_the_same_as_a_dataset(dataset: Dataset):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("two_folds")
 def test_a_board_of_ten_times_its_size_is_doubted_by_the_distance_of_the_eyes(dataset: Dataset):
     board = replace(BOARD, square_m=10 * BOARD.square_m)
     large = replace(dataset, description=replace(dataset.description, board=board))
