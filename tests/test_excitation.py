@@ -15,7 +15,8 @@ from vergence.geometry.camera import project
 from vergence.geometry.se3 import pose, rotation, transform
 from vergence.vision.board_pose import board_poses
 
-pytestmark = pytest.mark.slow  # whole calibrations, by both methods
+# Whole calibrations, by both methods.
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("two_folds")]
 
 
 @pytest.fixture(params=["bundle", "paper"])
