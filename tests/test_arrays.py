@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vergence.arrays import summed
+from vergence.arrays import scatter_add
 
 
 @given(st.integers(0, 2**31), st.integers(0, 12), st.integers(1, 4), st.integers(1, 5))
@@ -15,4 +15,4 @@ def test_values_at_the_same_place_add_up(seed, rows, columns, size):
     wanted = np.zeros((3, size, 2))
     np.add.at(wanted, (block[:, None], index), values)
     places = (block[:, None, None], index[:, :, None], np.arange(2))
-    np.testing.assert_array_equal(summed(values, places, (3, size, 2)), wanted)
+    np.testing.assert_array_equal(scatter_add(values, places, (3, size, 2)), wanted)

@@ -105,7 +105,7 @@ def replace_unchecked(instance: _Instance, **changes: Any) -> _Instance:
     return changed
 
 
-def summed(values: Array, places: tuple[np.ndarray, ...], shape: tuple[int, ...]) -> Array:
+def scatter_add(values: Array, places: tuple[np.ndarray, ...], shape: tuple[int, ...]) -> Array:
     """Return an array of a shape with all values at their places in it; those at the same add up.
 
     The places are indices that are broadcast to the values.

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vergence.accuracy.plan_views import T_cam_target, Views, as_seen
-from vergence.arrays import Array, summed
+from vergence.arrays import Array, scatter_add
 from vergence.calibration.bundle.initial_state import initial_state
 from vergence.calibration.bundle.problem import head_size, jacobians
 from vergence.errors import VergenceError
@@ -104,9 +104,9 @@ def linearised_views(
     view = problem.block_view[block]
     row, column = index[:, :, None], index[:, None, :]
     size = c + len(POSE)
-    whole = summed(J_T @ J, (view, row, column), (V, size, size))
-    across = summed(J_T @ L, (block, row, angle), (B, size, n))
-    latent = summed(np.swapaxes(L, 1, 2) @ L, (block, angle[:, None], angle), (B, n, n))
+    whole = scatter_add(J_T @ J, (view, row, column), (V, size, size))
+    across = scatter_add(J_T @ L, (block, row, angle), (B, size, n))
+    latent = scatter_add(np.swapaxes(L, 1, 2) @ L, (block, angle[:, None], angle), (B, n, n))
     known = {name: k for k, name in enumerate(problem.parameters)}
     kept = np.array([known[name] for name in names] + [*range(c, c + len(POSE))])
     unit = np.append(scale, np.ones(len(POSE)))

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_array
 
-from vergence.arrays import Array, summed
+from vergence.arrays import Array, scatter_add
 from vergence.calibration.bundle.problem import (
     BundleProblem,
     BundleState,
@@ -120,11 +120,11 @@ def linearise(problem: BundleProblem, state: BundleState, weights: Weights) -> L
     J_T, L_T = np.swapaxes(J, 1, 2), np.swapaxes(L, 1, 2)
     block, angle = problem.block[:, None, None], np.arange(n)
     row, column = index[:, :, None], index[:, None, :]
-    gg = summed(J_T @ J, (row, column), (G, G))
-    gl = summed(J_T @ L, (block, row, angle), (B, G, n))
-    ll = summed(L_T @ L, (block, angle[:, None], angle), (B, n, n))
-    g = -summed(J_T @ r, (row,), (G,))
-    right = -summed(L_T @ r, (block, angle[:, None]), (B, n))
+    gg = scatter_add(J_T @ J, (row, column), (G, G))
+    gl = scatter_add(J_T @ L, (block, row, angle), (B, G, n))
+    ll = scatter_add(L_T @ L, (block, angle[:, None], angle), (B, n, n))
+    g = -scatter_add(J_T @ r, (row,), (G,))
+    right = -scatter_add(L_T @ r, (block, angle[:, None]), (B, n))
     return LinearProblem(
         gg, gl, ll, g, right,
         sum_squares=float((r**2).sum()),

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.polynomial.legendre import legvander2d
 from scipy.linalg import cho_solve
 
-from vergence.arrays import Array
+from vergence.arrays import Array, scatter_add
 from vergence.calibration.bundle.problem import BundleProblem, BundleState, corner_errors, jacobians
 from vergence.calibration.bundle.solver import (
     LinearProblem,
@@ -76,11 +76,13 @@ def systematic_errors(
         weighed = fields * precision[mine][..., None]
         N = len(mine)
         w = weighed.reshape(N, -1, fields.shape[-1])
-        onto = np.zeros((len(problem.free), w.shape[2]))
-        np.add.at(onto, index[mine], np.swapaxes(shared[mine].reshape(N, w.shape[1], -1), 1, 2) @ w)
-        right_l = np.zeros((*linear.latent.shape, w.shape[2]))
-        L = latent[mine].reshape(N, w.shape[1], -1)
-        np.add.at(right_l, problem.block[mine], np.swapaxes(L, 1, 2) @ w)
+        J, L = (each[mine].reshape(N, w.shape[1], -1) for each in (shared, latent))
+        column = np.arange(w.shape[2])
+        places = index[mine][..., None], column
+        onto = scatter_add(np.swapaxes(J, 1, 2) @ w, places, (len(problem.free), len(column)))
+        places = problem.block[mine][:, None, None], np.arange(L.shape[2])[:, None], column
+        shape = (*linear.latent.shape, len(column))
+        right_l = scatter_add(np.swapaxes(L, 1, 2) @ w, places, shape)
         right_g = basis.T @ onto
         free = cho_solve(schur, right_g - np.einsum("bnf,bnk->fk", factors.coupling, right_l))
         follows = factors.ll_inverse @ right_l - factors.coupling @ free
