@@ -240,6 +240,12 @@ def test_its_cameras_leave_the_model_as_it_was(perfect: Twin):
     assert perfect.model.vis.quality.offsamples == fresh.vis.quality.offsamples
 
 
+def hide_what_lies_outside_the_room(renderer: mujoco.Renderer) -> None:
+    """As the twin's own renderer does."""
+    for flag in ("SKYBOX", "HAZE", "SHADOW", "REFLECTION"):
+        renderer.scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{flag}")] = 0
+
+
 def test_pictures_of_several_sizes_are_those_of_mujoco_s_renderer(make: Make):
     """Which has an OpenGL context for each size."""
     twin = make(EVERYTHING)
@@ -248,8 +254,7 @@ def test_pictures_of_several_sizes_are_those_of_mujoco_s_renderer(make: Make):
     for (width, height), name in product(sizes, ("left_wide", "right_narrow")):
         offscreen.show(twin._seen, name)
         with mujoco.Renderer(twin.model, height, width) as renderer:
-            for flag in ("SKYBOX", "HAZE", "SHADOW", "REFLECTION"):
-                renderer.scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{flag}")] = 0
+            hide_what_lies_outside_the_room(renderer)
             renderer.update_scene(twin._seen, camera=name)
             form = Format(width, height, samples=4)
             np.testing.assert_array_equal(offscreen.colours(form), renderer.render())
@@ -272,8 +277,7 @@ def test_the_object_is_multisampled_where_the_rest_is_not(make: Make, place: tup
         buffer.offwidth, buffer.offheight = width, height
         with mujoco.Renderer(twin.model, height, width) as renderer:
             buffer.offwidth, buffer.offheight = before
-            for flag in ("SKYBOX", "HAZE", "SHADOW", "REFLECTION"):
-                renderer.scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{flag}")] = 0
+            hide_what_lies_outside_the_room(renderer)
             renderer.update_scene(twin._seen, camera=name)
             wanted = renderer.render().astype(int)
         off = np.abs(image - wanted).max(axis=2)
