@@ -6,7 +6,8 @@ PYTHON ?= python3
 OUT ?= runs/paper
 BIN := .venv/bin
 
-# Also where the environment forbids it: each of many processes would compile all that it imports.
+# Python keeps its bytecode even where the environment forbids it: else each of the many processes
+# would compile all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: figures view test check docs clean

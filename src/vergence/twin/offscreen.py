@@ -1,7 +1,7 @@
 """Pinhole pictures of a compiled model, of several sizes, in one OpenGL context.
 
 `mujoco.Renderer` opens a context for each size, and in each of them Mesa compiles its shaders anew:
-half a second of processor time, as much as twenty pictures take.
+0.3 to 0.4 s of processor time, as much as a dozen pictures take.
 """
 
 # pyright: reportAttributeAccessIssue=false

@@ -40,9 +40,9 @@ def detect_board(image: np.ndarray, board: Board) -> Array | None:
     A ChArUco board may be partly visible. A chessboard must be visible as a whole, although single
     corners without a clear saddle point become NaN. If one of a chessboard's corner counts is odd
     and the other even, its two ends differ, and corners are numbered so that the square outside the
-    first one is black. Otherwise the ends look the same, and the first corner is the one that is
-    nearest to the image's upper left; of a board with as many rows as columns, an odd number, it is
-    one of the two outside of which is a black square.
+    first one is black. Otherwise several ends look the same, and the first corner is that of these
+    which is nearest to the image's upper left. (A square board with an odd count has a black square
+    outside of two of its four corners; one of these is the first.)
 
     Returns pixels (rows * columns, 2) in the order of corner_points, NaN for corners that were not
     found; None where no board was detected.

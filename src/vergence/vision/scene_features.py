@@ -32,8 +32,8 @@ _ABOVE_NOISE, _BELOW_TEXTURE = 10.0, 0.03
 """Cells have no texture whose squared gradients are below both: so many times those of the weakest
 twentieth, which show noise alone if any do, and this share of those of the strongest."""
 _FEW = 150
-"""Matches below which images of half the size are tried. A furnished room gives 400 and more, also
-with plain walls."""
+"""Matches below which images of half the size are tried. Rooms give 370 and more, also with plain
+walls."""
 _SMALLEST_CELL_PX, _LARGEST_CELL_PX = 6, 24
 _WINDOW_PX = 9
 """OpenCV's tracker takes eight columns at a time: 11 px take half as long again, for 4 % more."""
@@ -84,8 +84,8 @@ def match_scene(
 ) -> Matches:
     """Return features that both images show, by about where the cameras stand to each other.
 
-    Where noise leaves few, images of half the size are matched too, in which windows are larger;
-    the matches that tell more are returned.
+    Where noise leaves few, images of half the size are matched too, whose windows show more of the
+    scene; the matches with more information are returned.
 
     Images are (H, W) grey or (H, W, 3) RGB, uint8; T_rcam_lcam (4, 4) may be wrong by a few
     degrees.
@@ -96,7 +96,7 @@ def match_scene(
         return matches
     small = _between_eyes(_half_size(*by_left), _half_size(*by_right), T_rcam_lcam)
     small = Matches(2 * small.left + 0.5, 2 * small.right + 0.5, 4 * small.covariance)
-    return max(matches, small, key=_told)
+    return max(matches, small, key=_information)
 
 
 def _between_eyes(
@@ -114,8 +114,8 @@ def _half_size(image: np.ndarray, camera: Camera) -> tuple[np.ndarray, Camera]:
     return cv2.resize(whole, (small.width, small.height), interpolation=cv2.INTER_AREA), small
 
 
-def _told(matches: Matches) -> float:
-    """Return how much matches tell: the sum of their inverse variances [1/px^2]."""
+def _information(matches: Matches) -> float:
+    """Return the information of matches: the sum of their inverse variances [1/px^2]."""
     return float((1 / np.trace(matches.covariance, axis1=1, axis2=2)).sum())
 
 
