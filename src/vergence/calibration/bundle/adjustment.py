@@ -21,6 +21,7 @@ from vergence.calibration.bundle.solver import (
     LinearProblem,
     NoiseLevels,
     corner_distances,
+    errors_of,
     inlier_weights,
     linearise,
     minimise,
@@ -188,10 +189,11 @@ def _linear(
     known: LinearProblem | None = None,
 ) -> LinearProblem:
     """Return the problem linearised with inliers only: the known one, if that is what it is."""
-    weights = inlier_weights(problem, state, noise)
+    errors = errors_of(problem, state)
+    weights = inlier_weights(problem, errors, noise)
     if known is not None and all(map(np.array_equal, weights, known.weights)):
         return known
-    return linearise(problem, state, weights)
+    return linearise(problem, state, errors, weights)
 
 
 def _weighed(
@@ -206,5 +208,5 @@ def _weighed(
 
 def _median_level(problem: BundleProblem, state: BundleState) -> float:
     """Return the pixel noise by the median, which half of the corners cannot spoil."""
-    lengths = corner_distances(problem, state)[problem.seen]
+    lengths = corner_distances(problem, errors_of(problem, state))[problem.seen]
     return float(np.nanmedian(lengths)) / np.sqrt(2 * np.log(2))

@@ -10,6 +10,7 @@ weight as in Cauchy's loss; within, the loss is quadratic, so that good data los
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -106,17 +107,32 @@ class NormalEquations:
     """(G,), (B, n)."""
 
 
-def linearise(problem: BundleProblem, state: BundleState, weights: Weights) -> LinearProblem:
-    """Return the problem linearised at a state."""
+class Errors(NamedTuple):
+    """What images and readings miss a state by."""
+
+    corner: Array
+    """(M, K, 2) [px], of `corner_errors`."""
+    joint: Array
+    """(B, n), of `joint_errors`."""
+
+
+def errors_of(problem: BundleProblem, state: BundleState) -> Errors:
+    """Return the errors of a state."""
+    return Errors(corner_errors(problem, state), joint_errors(problem, state))
+
+
+def linearise(
+    problem: BundleProblem, state: BundleState, errors: Errors, weights: Weights
+) -> LinearProblem:
+    """Return the problem linearised at a state with these errors."""
     G, (B, n) = len(problem.free), problem.reading.shape
     shared, index, latent = jacobians(problem, state)
-    error = corner_errors(problem, state)
     _, half_gradient, information = prior(problem, state)
     root = np.sqrt(weights[0])[..., None] / problem.noise_scale[:, None, None]
     M = len(index)
     J = (shared * root[..., None]).reshape(M, -1, index.shape[1])
     L = (latent * root[..., None]).reshape(M, -1, n)
-    r = (error * root).reshape(M, -1, 1)
+    r = (errors.corner * root).reshape(M, -1, 1)
     J_T, L_T = np.swapaxes(J, 1, 2), np.swapaxes(L, 1, 2)
     block, angle = problem.block[:, None, None], np.arange(n)
     row, column = index[:, :, None], index[:, None, :]
@@ -129,7 +145,7 @@ def linearise(problem: BundleProblem, state: BundleState, weights: Weights) -> L
         gg, gl, ll, g, right,
         sum_squares=float((r**2).sum()),
         count=2.0 * np.count_nonzero(weights[0]),
-        joint_errors=joint_errors(problem, state),
+        joint_errors=errors.joint,
         weights=weights,
         rate=joint_rates(problem, state),
         time=np.eye(1, G, head_size(problem) - 1)[0],
@@ -196,43 +212,41 @@ def cholesky(matrix: Array) -> tuple[Array, bool]:
     )
 
 
-def robust_weights(problem: BundleProblem, state: BundleState, noise: NoiseLevels) -> Weights:
+def robust_weights(problem: BundleProblem, errors: Errors, noise: NoiseLevels) -> Weights:
     """Return Cauchy's weights beyond noise.outlier and 1 within."""
     corner, joint = (
         (noise.outlier / np.maximum(s, noise.outlier)) ** 2
         if np.isfinite(noise.outlier)
         else np.ones_like(s)
-        for s in _in_noise(problem, state, noise)
+        for s in _in_noise(problem, errors, noise)
     )
     return np.where(problem.seen, corner, 0.0), joint
 
 
-def inlier_weights(problem: BundleProblem, state: BundleState, noise: NoiseLevels) -> Weights:
+def inlier_weights(problem: BundleProblem, errors: Errors, noise: NoiseLevels) -> Weights:
     """Return 1 for what lies within noise.outlier and 0 for the rest."""
-    corner, joint = robust_weights(problem, state, noise)
+    corner, joint = robust_weights(problem, errors, noise)
     return (corner == 1).astype(float), (joint == 1).astype(float)
 
 
-def corner_distances(problem: BundleProblem, state: BundleState) -> Array:
+def corner_distances(problem: BundleProblem, errors: Errors) -> Array:
     """Return (M, K) [px] the lengths of the corner errors, in units of the images' noise scale."""
-    return np.linalg.norm(corner_errors(problem, state), axis=-1) / problem.noise_scale[:, None]
+    return np.linalg.norm(errors.corner, axis=-1) / problem.noise_scale[:, None]
 
 
-def _in_noise(
-    problem: BundleProblem, state: BundleState, noise: NoiseLevels
-) -> tuple[Array, Array]:
+def _in_noise(problem: BundleProblem, errors: Errors, noise: NoiseLevels) -> tuple[Array, Array]:
     """Return the sizes of all errors, (M, K) and (B, n), in units of the noise."""
-    corner = corner_distances(problem, state) / noise.pixel_px
-    return corner, np.abs(joint_errors(problem, state)) / noise.joint
+    corner = corner_distances(problem, errors) / noise.pixel_px
+    return corner, np.abs(errors.joint) / noise.joint
 
 
-def cost(problem: BundleProblem, state: BundleState, noise: NoiseLevels) -> float:
+def cost(problem: BundleProblem, state: BundleState, errors: Errors, noise: NoiseLevels) -> float:
     """Return the robust sum of squares in units of the noise, and of what is assumed beforehand.
 
     Infinite behind a camera.
     """
     total = prior(problem, state)[0]
-    for s in _in_noise(problem, state, noise):
+    for s in _in_noise(problem, errors, noise):
         total += (np.minimum(s, noise.outlier) ** 2).sum()
         if np.isfinite(noise.outlier):
             beyond = np.maximum(s / noise.outlier, 1.0)
@@ -253,9 +267,10 @@ def minimise(
     Levenberg and Marquardt's method; the linear problem is that of the state where it converged.
     """
     problem = refit_trajectory(problem, state)
-    damping, lowest = 1e-6, cost(problem, state, noise)
+    errors = errors_of(problem, state)
+    damping, lowest = 1e-6, cost(problem, state, errors, noise)
     while True:
-        linear = linearise(problem, state, robust_weights(problem, state, noise))
+        linear = linearise(problem, state, errors, robust_weights(problem, errors, noise))
         free_linear, iterations = project_onto(linear, basis), iterations - 1
         while True:
             factors = factorise(free_linear, noise, damping)
@@ -266,18 +281,21 @@ def minimise(
                 return state, True, linear
             try:
                 trial = retract(problem, state, basis @ free, latent)
-                found = cost(problem, trial, noise)
+                found = errors_of(problem, trial)
+                reached = cost(problem, trial, found, noise)
             except ValueError:  # a focal length that is not positive
-                trial, found = None, np.inf
-            if trial is not None and found <= lowest + 1e-12 * abs(lowest):
-                state, damping = trial, max(damping / 10, 1e-12)
+                trial, found, reached = None, errors, np.inf
+            if trial is not None and reached <= lowest + 1e-12 * abs(lowest):
+                state, errors, damping = trial, found, max(damping / 10, 1e-12)
                 if problem.around is not None:
                     problem = refit_trajectory(problem, state)
-                    found = cost(problem, state, noise)
-                lowest = found
+                    errors = errors_of(problem, state)
+                    reached = cost(problem, state, errors, noise)
+                lowest = reached
                 break
             damping = max(damping, 1e-7) * 10
             if damping > 1e8:
                 return state, False, linear
         if iterations == 0:
-            return state, False, linearise(problem, state, robust_weights(problem, state, noise))
+            weights = robust_weights(problem, errors, noise)
+            return state, False, linearise(problem, state, errors, weights)
