@@ -2,6 +2,7 @@
 
 import json
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -19,12 +20,17 @@ from vergence.paper.report import Reproduction, report
 from vergence.paper.reproduce import reproduce
 from vergence.twin import looking_around
 from vergence.twin.calibration_errors import inject_calibration_error
-from vergence.twin.calibration_sequence import plan
+from vergence.twin.calibration_sequence import Shot, plan
 from vergence.twin.model import FOCAL_MM, as_built_head, nominal_head
-from vergence.twin.profile import load_profile
+from vergence.twin.profile import Lens, load_profile
 from vergence.writing import UNFINISHED
 
 PAPER_STD = np.array([figure.std_m for figure in FIGURES.values()])
+
+
+@cache
+def planned(lens: Lens, seed: int) -> list[Shot]:
+    return plan(nominal_head(lens), seed)
 
 
 def point_level(profile_name: str, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -35,9 +41,9 @@ def point_level(profile_name: str, seed: int) -> tuple[np.ndarray, np.ndarray]:
     profile = load_profile(profile_name)
     std, error = [], []
     for lens in FOCAL_MM:
-        nominal = nominal_head(lens)
-        truth, rng = as_built_head(nominal, profile, seed), np.random.default_rng(seed)
-        views = simulate_views(truth, profile, plan(nominal, seed), pixel_noise=0.035, rng=rng)
+        truth = as_built_head(nominal_head(lens), profile, seed)
+        rng = np.random.default_rng(seed)
+        views = simulate_views(truth, profile, planned(lens, seed), pixel_noise=0.035, rng=rng)
         head = inject_calibration_error(calibrate_sequentially(views).head, profile.by_hand, lens)
         for figure in FIGURES.values():
             if figure.lens == lens:
@@ -152,7 +158,7 @@ def test_the_report_of_two_lenses_has_one_whole_table_of_calibrations():
     calibrations, replays = {}, {}
     for lens, number in zip(FOCAL_MM, (6, 10), strict=True):
         head, figure = nominal_head(lens), FIGURES[number]
-        views = simulate_views(head, profile, plan(head, 0), pixel_noise=0.03, rng=rng)
+        views = simulate_views(head, profile, planned(lens, 0), pixel_noise=0.03, rng=rng)
         calibrations[lens] = found = calibrate_sequentially(views)
         seen = observe_points(head, profile, figure, np.arange(10.0), pixel_noise=0.03, rng=rng)
         replays[number] = estimate(found.head, figure, seen)
@@ -167,9 +173,9 @@ def test_the_report_of_two_lenses_has_one_whole_table_of_calibrations():
 @pytest.fixture
 def simulated_views(monkeypatch: pytest.MonkeyPatch) -> None:
     """Calibrate the head of seed 0 with simulated views of the board, which take no rendering."""
-    profile, nominal, rng = load_profile("paper"), nominal_head("2.8mm"), np.random.default_rng(0)
-    head = as_built_head(nominal, profile, 0)
-    views = simulate_views(head, profile, plan(nominal, 0), pixel_noise=0.03, rng=rng)
+    profile, rng = load_profile("paper"), np.random.default_rng(0)
+    head = as_built_head(nominal_head("2.8mm"), profile, 0)
+    views = simulate_views(head, profile, planned("2.8mm", 0), pixel_noise=0.03, rng=rng)
     found = calibrate_sequentially(views)
     monkeypatch.setattr(main_job, "paper_calibration", lambda *_, **__: found)
 

@@ -136,7 +136,8 @@ def _held_board(
         turn = rng.uniform(-1, 1, 3) * [lean_rad, lean_rad, 0.3]
         T = _facing(board, (depth, y + eye_y, z), turn)
         shot = Shot(0, T, straight_gaze(head.kinematics), ())
-        if all(visible(head, board, camera, shot).all() for camera in cameras):
+        # The last camera, which sees least, is asked first.
+        if all(visible(head, board, camera, shot).all() for camera in reversed(cameras)):
             return T
     raise AssertionError("the board fits into no image at these depths")
 
