@@ -238,7 +238,8 @@ def test_readings_are_those_of_the_joints_that_are_described(folder):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"kinematics.left": []}, "kinematics.left is missing; that eye has a camera"),
+        ({"kinematics.left": None}, "kinematics.left is missing; that eye has a camera"),
+        ({"kinematics.left": []}, "kinematics.left has no joint, but that eye has a camera"),
         ({"readings.tilt": None}, "readings.tilt is missing"),
         ({"readings.roll": {"unit": "deg"}}, "readings.roll is in no joint of kinematics"),
         ({"eye_motion": "poses"}, "eye_motion is poses, but kinematics is given"),

@@ -170,8 +170,13 @@ class Description:
         if self.eye_motion == "poses":
             raise ValueError("eye_motion is poses, but kinematics is given; give one of the two")
         for eye in self.eyes:
-            if not self.kinematics.get(eye):
+            if eye not in self.kinematics:
                 raise ValueError(f"kinematics.{eye} is missing; that eye has a camera")
+            if not self.kinematics[eye]:
+                raise ValueError(
+                    f"kinematics.{eye} has no joint, but that eye has a camera, whose place in the "
+                    "eye is found by turning it; describe the joints of what carries it"
+                )
         joints = [joint for own in self.kinematics.values() for joint in own]
         used = {column for joint in joints for column in joint.readings}
         if odd := used ^ set(self.readings):
