@@ -100,9 +100,9 @@ def _names_of_version_0_1(names: Any) -> Any:
 
 @dataclass(frozen=True, config=_FINITE)
 class LensAccuracy:
-    """Standard deviations of a fitted lens, as independent errors of the board's corners leave it.
+    """Standard deviations of a fitted lens, by the errors of corners and by how the views differ.
 
-    What views of one board have in common, such as its bend, is not in them.
+    What all views of a board have in common is not in them: its bend makes the focal length wrong.
     """
 
     focal: Annotated[float, Field(ge=0)]

@@ -120,10 +120,9 @@ UNCALIBRATED = Tolerance(
 """What a head may be wrong by that is known from its drawing only, or is not as calibrated."""
 _BASELINES_AWAY = 5.0, 20.0
 """Depths at which boards are shown, in baselines."""
-_BOARDS_ERR = 3.0
-"""By how much fitted lenses err more than independent errors of the corners make them. On 13 pairs
-of real images of a bent board, halves of the views differed by 1.1 to 3.6 times what they state,
-parameter by parameter, 2.3 times in all, and the ratios of the focal lengths by 1.3."""
+_LEAST_LENS_PX = 1e-3
+"""Standard deviation of a principal point, and of what coefficients displace, below which no board
+determines them, however well it fits."""
 _SHOWN_BY_LINES = 4
 """How many errors of a pair displace points from their epipolar lines at straight gaze, each with
 another pattern over the image: pitch, roll, vergence, and the ratio of the focal lengths."""
@@ -191,14 +190,15 @@ def tolerance_covariance(
 def _with_fits(head: HeadCalibration, names: tuple[str, ...]) -> Array:
     """Return the covariance (P, P) by usual tolerances, of lenses by how well they were fitted.
 
-    But for the focal length, which the views of one board may make wrong in all cameras.
+    But for the focal length, which one board may make wrong in all of its views.
     """
     C = tolerance_covariance(head, names, USUAL)
     for camera, fit in (head.accuracy.lenses if head.accuracy else {}).items():
         tolerance = replace(
             USUAL,
-            centre_px=min(_BOARDS_ERR * fit.centre_px, USUAL.centre_px),
-            lens_px=min(_BOARDS_ERR * fit.distortion_px, USUAL.lens_px),
+            focal=max(fit.focal, USUAL.focal),
+            centre_px=max(fit.centre_px, _LEAST_LENS_PX),
+            lens_px=max(fit.distortion_px, _LEAST_LENS_PX),
         )
         own = [k for k, name in enumerate(names) if name.startswith(f"{camera}.")]
         C[np.ix_(own, own)] = tolerance_covariance(head, names, tolerance)[np.ix_(own, own)]
@@ -315,7 +315,7 @@ def _with_focal_ratio(
     ratio = np.zeros(len(names))
     for name, sign in zip(cameras, (1, -1), strict=True):
         ratio[names.index(f"{name}.fx")] = sign / head.camera(name).intrinsics.matrix[0, 0]
-    variance = _BOARDS_ERR**2 * sum(fits[name].focal ** 2 for name in cameras)
+    variance = sum(fits[name].focal ** 2 for name in cameras)
     by_ratio = C @ ratio
     return C - np.outer(by_ratio, by_ratio) / (ratio @ by_ratio + variance)
 

@@ -12,7 +12,14 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.observations import Observations
-from vergence.calibration.sequential.lens_fit import NEGLIGIBLE_GAIN, ROUGH, LensFit, fit_lens
+from vergence.calibration.sequential.lens_fit import (
+    NEGLIGIBLE_GAIN,
+    ROUGH,
+    LensFit,
+    fit_lens,
+    jackknife_covariance,
+    without_poses,
+)
 from vergence.calibration.sequential.lens_prior import EQUIDISTANT
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
@@ -103,7 +110,7 @@ class Intrinsics:
     """Standard deviations of fx and fy, if all corners have independent errors of the size that
     is left."""
     accuracy: LensAccuracy
-    """The same, of all that was fitted."""
+    """Of all that was fitted; also by how the views differ."""
 
 
 def calibrate_intrinsics(
@@ -194,17 +201,20 @@ def _checked(
     free, n = free_intrinsics(model), len(PINHOLE)
     redundancy = 2 * np.count_nonzero(seen_corners(corners)) - 6 * len(poses) - len(free)
     variance = float((errors**2).sum()) / redundancy if redundancy > 0 else np.inf
-    C = _covariance(by_pose, by_lens[..., free], variance)
-    std, focal = np.sqrt(np.diag(C)), camera.matrix[[0, 1], [0, 1]]
-    if not (std[:2] < USELESS * focal).all():
+    rest = without_poses(by_pose, by_lens[..., free])
+    C, focal = _covariance(rest, variance), camera.matrix[[0, 1], [0, 1]]
+    fx_std, fy_std = np.sqrt(np.diag(C))[:2].tolist()
+    if not (np.array([fx_std, fy_std]) < USELESS * focal).all():
         raise VergenceError(_NOT_OBSERVABLE)
-    displaced = C[n:, n:] * displaced_by_distortion(camera)[np.ix_(free[n:] - n, free[n:] - n)]
-    accuracy = LensAccuracy(
-        focal=float((std[:2] / focal).mean()),
-        centre_px=float(std[2:n].mean()),
-        distortion_px=float(np.sqrt(max(displaced.sum(), 0.0))),  # below by rounding
-    )
-    return Intrinsics(camera, rms, len(corners), (float(std[0]), float(std[1])), accuracy)
+    shown = displaced_by_distortion(camera)[np.ix_(free[n:] - n, free[n:] - n)]
+    stated = []
+    for each in (C, jackknife_covariance(errors, rest)):
+        std, displaced = np.sqrt(np.diag(each)), (each[n:, n:] * shown).sum()
+        stated.append(((std[:2] / focal).mean(), std[2:n].mean(), np.sqrt(max(displaced, 0.0))))
+    # Of few views the jackknife knows little; they err by as much as their corners at least.
+    of_focal, centre_px, distortion_px = np.max(stated, axis=0).tolist()
+    accuracy = LensAccuracy(focal=of_focal, centre_px=centre_px, distortion_px=distortion_px)
+    return Intrinsics(camera, rms, len(corners), (fx_std, fy_std), accuracy)
 
 
 def by_opencv(
@@ -382,14 +392,12 @@ def _fit_fisheye(
     return best
 
 
-def _covariance(by_pose: Array, by_lens: Array, variance: float) -> Array:
-    """Return the covariance (n, n) of fitted intrinsics, with the views' poses projected out.
+def _covariance(rest: Array, variance: float) -> Array:
+    """Return the covariance (n, n) of fitted intrinsics, if all corners err independently.
 
-    By the derivatives (V, 2 K, 6) and (V, 2 K, n) of the corners' pixels, and the variance of
+    By the derivatives (V, 2 K, n) of the corners' pixels, of `without_poses`, and the variance of
     these. Infinite: not determined.
     """
-    by_pose_T = np.swapaxes(by_pose, 1, 2)
-    rest = by_lens - by_pose @ np.linalg.solve(by_pose_T @ by_pose, by_pose_T @ by_lens)
     H = (np.swapaxes(rest, 1, 2) @ rest).sum(axis=0)
     scale = np.sqrt(np.diag(H))
     if not np.isfinite(variance) or not (scale > 0).all():
