@@ -1,10 +1,11 @@
 """Make the pictures of the documents from the results of runs.
 
     vergence reproduce --out runs/paper
+    vergence reproduce --compare --figures 6 7 --out runs/compared
     vergence foveate --trials 10 --profile paper --out runs/foveate
     vergence design --out runs/design
-    python docs/make_pictures.py --paper runs/paper --gaze runs/foveate --design runs/design
-    python docs/make_pictures.py --scenes
+    python docs/make_pictures.py --paper runs/paper --compared runs/compared
+    python docs/make_pictures.py --gaze runs/foveate --design runs/design --scenes
 
 Screenshots are taken by rerun's viewer without a display, which needs a Vulkan driver (Debian:
 apt-get install mesa-vulkan-drivers).
@@ -76,6 +77,11 @@ def of_paper(run: Path) -> None:
     write_small(IMAGES / "recording.png", shrink(screenshot(run / "fig06.rrd", MOMENT_S), 1440))
 
 
+def of_comparison(run: Path) -> None:
+    """Make the picture of a run of `vergence reproduce --compare` of two figures."""
+    write_small(IMAGES / "self_calibration.png", shrink(picture(run / "figures.png"), 1200))
+
+
 def of_gaze(run: Path) -> None:
     """Make the pictures of a run of `vergence foveate`."""
     write_small(IMAGES / "depth.png", shrink(picture(run / "depth.png"), 1200))
@@ -130,6 +136,7 @@ def picture(path: Path) -> np.ndarray:
 def main() -> None:
     parser = argparse.ArgumentParser(description="Make the pictures of the documents.")
     parser.add_argument("--paper", type=Path, help="folder that `vergence reproduce` wrote")
+    parser.add_argument("--compared", type=Path, help="folder of `vergence reproduce --compare`")
     parser.add_argument("--gaze", type=Path, help="folder that `vergence foveate` wrote")
     parser.add_argument("--design", type=Path, help="folder that `vergence design` wrote")
     parser.add_argument("--scenes", action="store_true", help="render the scenes, too")
@@ -137,6 +144,8 @@ def main() -> None:
     IMAGES.mkdir(exist_ok=True)
     if args.paper is not None:
         of_paper(args.paper)
+    if args.compared is not None:
+        of_comparison(args.compared)
     if args.gaze is not None:
         of_gaze(args.gaze)
     if args.design is not None:
