@@ -12,11 +12,17 @@ from vergence.calibration.sequential.intrinsics import (
     free_intrinsics,
 )
 from vergence.calibration.sequential.lens_choice import best_lens, choose_lenses
-from vergence.calibration.sequential.lens_fit import FOLDS, fit_lens, held_out_squares
+from vergence.calibration.sequential.lens_fit import (
+    FOLDS,
+    fit_lens,
+    held_out_squares,
+    jackknife_covariance,
+)
 from vergence.calibration.sequential.lens_prior import EQUIDISTANT, lens_prior
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.camera import Camera, normalise, pinhole, pixel_grid, project
+from vergence.geometry.parameters import lens_vector
 from vergence.geometry.se3 import pose, rotation, transform
 from vergence.vision.board_pose import (
     board_poses,
@@ -115,6 +121,25 @@ def test_the_residual_is_the_noise_and_the_stated_deviations_are_true(model):
     # The deviation of twenty is known to a sixth.
     np.testing.assert_allclose(
         np.sqrt(np.mean(np.square(off), axis=0)), np.mean(stated, 0), rtol=0.5, atol=1e-9
+    )
+
+
+def test_the_jackknife_is_what_fits_without_each_view_say():
+    rng = np.random.default_rng(16)
+    camera, T = lens(rng, 0, 1), boards(10, rng)
+    corners = views(camera, T) + rng.normal(0, 0.05, (10, len(POINTS), 2))
+    free = free_intrinsics("k1k2")
+    whole = fit_lens(camera, free, T, corners, POINTS)
+    without = []
+    for k in range(10):
+        rest = np.delete(np.arange(10), k)
+        fit = fit_lens(whole.camera, free, whole.T_cam_target[rest], corners[rest], POINTS)
+        without.append(lens_vector(fit.camera)[free])
+    expected = 9 * np.cov(np.transpose(without), bias=True)
+    found = jackknife_covariance(whole.errors, whole.rest)
+    scale = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(
+        found / np.outer(scale, scale), expected / np.outer(scale, scale), atol=0.02
     )
 
 

@@ -18,6 +18,7 @@ from vergence.calibration.sequential.lens_fit import (
     LensFit,
     fit_lens,
     jackknife_covariance,
+    noise_covariance,
     without_poses,
 )
 from vergence.calibration.sequential.lens_prior import EQUIDISTANT
@@ -202,7 +203,7 @@ def _checked(
     redundancy = 2 * np.count_nonzero(seen_corners(corners)) - 6 * len(poses) - len(free)
     variance = float((errors**2).sum()) / redundancy if redundancy > 0 else np.inf
     rest = without_poses(by_pose, by_lens[..., free])
-    C, focal = _covariance(rest, variance), camera.matrix[[0, 1], [0, 1]]
+    C, focal = noise_covariance(rest, variance), camera.matrix[[0, 1], [0, 1]]
     fx_std, fy_std = np.sqrt(np.diag(C))[:2].tolist()
     if not (np.array([fx_std, fy_std]) < USELESS * focal).all():
         raise VergenceError(_NOT_OBSERVABLE)
@@ -390,17 +391,3 @@ def _fit_fisheye(
     if best is None:
         raise ValueError("no start of a fisheye lens shows all boards")
     return best
-
-
-def _covariance(rest: Array, variance: float) -> Array:
-    """Return the covariance (n, n) of fitted intrinsics, if all corners err independently.
-
-    By the derivatives (V, 2 K, n) of the corners' pixels, of `without_poses`, and the variance of
-    these. Infinite: not determined.
-    """
-    H = (np.swapaxes(rest, 1, 2) @ rest).sum(axis=0)
-    scale = np.sqrt(np.diag(H))
-    if not np.isfinite(variance) or not (scale > 0).all():
-        return np.full(H.shape, np.inf)
-    values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
-    return variance * (vectors / np.maximum(values, 1e-15)) @ vectors.T / np.outer(scale, scale)

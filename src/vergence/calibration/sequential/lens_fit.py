@@ -174,6 +174,20 @@ def without_poses(by_pose: Array, by_lens: Array) -> Array:
     return by_lens - by_pose @ np.linalg.solve(by_pose_T @ by_pose, by_pose_T @ by_lens)
 
 
+def noise_covariance(rest: Array, variance: float) -> Array:
+    """Return the covariance (n, n) of fitted intrinsics, if all corners err independently.
+
+    By the derivatives (V, 2 K, n) of the corners' pixels, of `without_poses`, and the variance of
+    these. Infinite: not determined.
+    """
+    H = (np.swapaxes(rest, 1, 2) @ rest).sum(axis=0)
+    scale = np.sqrt(np.diag(H))
+    if not np.isfinite(variance) or not (scale > 0).all():
+        return np.full(H.shape, np.inf)
+    values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
+    return variance * (vectors / np.maximum(values, 1e-15)) @ vectors.T / np.outer(scale, scale)
+
+
 def jackknife_covariance(errors: Array, rest: Array) -> Array:
     """Return the covariance (n, n) of fitted intrinsics, by how much each view matters.
 
