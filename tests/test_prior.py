@@ -103,6 +103,11 @@ def test_lenses_are_as_certain_as_their_fits_state():
     badly = fitted(0.1, 0.1, centre_px=0.6, distortion_px=0.5)
     assert std(badly, "left_wide.cx") == pytest.approx(0.6, rel=0.05)
     assert std(badly, "left_wide.fx") > 1.3 * std(usual, "left_wide.fx")
+    # None was fitted, or one that is more exact than any board shows.
+    undistorted = fitted(0.01, 0.01, centre_px=0.06, distortion_px=0.0)
+    assert std(undistorted, "right_wide.k1") == pytest.approx(std(usual, "right_wide.k1"), rel=0.1)
+    exact = fitted(0.0, 0.0, centre_px=0.0, distortion_px=1e-12)
+    assert 1e-4 < std(exact, "left_wide.cx") < 2e-3
     one = fitted(0.01, centre_px=0.06, distortion_px=0.03)
     assert std(one, "right_wide.k1") == pytest.approx(std(usual, "right_wide.k1"), rel=0.01)
 

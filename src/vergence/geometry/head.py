@@ -110,7 +110,8 @@ class LensAccuracy:
     centre_px: Annotated[float, Field(ge=0)]
     """Of one coordinate of the principal point."""
     distortion_px: Annotated[float, Field(ge=0)]
-    """Root mean square over the image, of what the coefficients of the distortion displace."""
+    """Root mean square over the image, of what the coefficients of the distortion displace; 0 where
+    none was fitted."""
 
 
 @dataclass(frozen=True, eq=False, config=_FINITE)

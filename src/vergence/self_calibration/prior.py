@@ -198,7 +198,7 @@ def _with_fits(head: HeadCalibration, names: tuple[str, ...]) -> Array:
             USUAL,
             focal=max(fit.focal, USUAL.focal),
             centre_px=max(fit.centre_px, _LEAST_LENS_PX),
-            lens_px=max(fit.distortion_px, _LEAST_LENS_PX),
+            lens_px=max(fit.distortion_px or USUAL.lens_px, _LEAST_LENS_PX),
         )
         own = [k for k, name in enumerate(names) if name.startswith(f"{camera}.")]
         C[np.ix_(own, own)] = tolerance_covariance(head, names, tolerance)[np.ix_(own, own)]
