@@ -1,0 +1,93 @@
+"""How true the covariance of a single frame is: the cameras' turn to each other, over many heads.
+
+    python benchmarks/single_frames.py [--lens 2.8mm] [--heads 12] [--factors 0.5 0.75 1 1.5]
+
+Every head is built, and calibrated by the paper's method, on rendered images; seven pairs in
+parallel and seven in divergent motion are corrected each by itself. Printed is the mean squared
+Mahalanobis distance of the turn per degree of freedom (1 is right), with the prior of the lenses as
+it is and so many times as uncertain. The prior's factor on what lens fits state was chosen by this.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import tyro
+
+from degraded_images import turn_distance
+from vergence.accuracy.motions import eye_angles
+from vergence.geometry.head import HeadCalibration
+from vergence.self_calibration.frame import from_matches, self_calibrate_frame
+from vergence.self_calibration.state import initial_self_calibration
+from vergence.stereo.extrinsics import T_rcam_lcam
+from vergence.twin.calibration_errors import inject_calibration_error
+from vergence.twin.calibration_sequence import paper_calibration, straight_neck
+from vergence.twin.head import Twin
+from vergence.twin.profile import Lens, load_profile
+
+PAIRS = 7
+POSTURE_S, STEP_S = 2.3, 1.7
+"""From posture to posture in the motion, and on the clock of the twin."""
+
+
+def less_certain(head: HeadCalibration, factor: float) -> HeadCalibration:
+    """Return a calibration whose lenses are so many times as uncertain."""
+    assert head.accuracy is not None
+    lenses = {
+        name: replace(
+            fit,
+            focal=factor * fit.focal,
+            centre_px=factor * fit.centre_px,
+            distortion_px=factor * fit.distortion_px,
+        )
+        for name, fit in head.accuracy.lenses.items()
+    }
+    return replace(head, accuracy=replace(head.accuracy, lenses=lenses))
+
+
+def distances(twin: Twin, head: HeadCalibration, factors: tuple[float, ...]) -> np.ndarray:
+    """Return the mean distances (n,) of single frames by factor."""
+    states = [initial_self_calibration(less_certain(head, each), fresh=True) for each in factors]
+    cameras, found, time_s = states[0].cameras, [], 0.0
+    twin.restart(0)
+    for motion in ("parallel", "divergent"):
+        for k in range(PAIRS):
+            time_s += STEP_S
+            posture = straight_neck(eye_angles(motion, np.array(1.0 + k * POSTURE_S)))
+            twin.advance(time_s, lambda _, posture=posture: posture)
+            frame = twin.capture(cameras)
+            T_true = T_rcam_lcam(twin.truth, twin.true_angles()[3:], cameras=cameras)
+            left, right = (frame.images[name] for name in cameras)
+            matches = self_calibrate_frame(states[0], left, right, frame.eye_angles).matches
+            seen = [from_matches(state, matches, frame.eye_angles) for state in states]
+            found.append([turn_distance(each, T_true) for each in seen])
+    return np.mean(found, axis=0)
+
+
+def main(
+    lens: Lens = "2.8mm", heads: int = 12, factors: tuple[float, ...] = (0.5, 0.75, 1.0, 1.5)
+) -> None:
+    """Print the mean distances of each head, and of all.
+
+    Args:
+        lens: of the wide cameras.
+        heads: seeds from 0.
+        factors: on the standard deviations of the lenses.
+    """
+    cv2.setNumThreads(1)
+    profile, found = load_profile("paper"), []
+    print("factor", *factors)
+    for seed in range(heads):
+        with Twin(profile, seed=seed, lens=lens) as twin:
+            calibrated = paper_calibration(twin, seed).head
+            head = inject_calibration_error(calibrated, profile.by_hand, lens)
+            found.append(distances(twin, head, factors))
+        print(f"head {seed}:", *np.round(found[-1], 2))
+    error = np.std(found, axis=0) / np.sqrt(heads)
+    print("mean:", *np.round(np.mean(found, axis=0), 2), "+-", *np.round(error, 2))
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
