@@ -96,15 +96,19 @@ def epipolar_errors(pair: Pair, corners: Array) -> Array:
 def halves_apart(corners: Array, points: Array, size: tuple[int, int]) -> Array:
     """Return how much lenses by halves of views (V, K, 2) differ, over what they state.
 
-    Root mean squares (3,) of focal length, principal point and displacement by the distortion.
+    Root mean squares (3,) of focal length, principal point and displacement by the distortion, of
+    halves that determine a lens; NaN: none does.
     """
     rng, views, found = np.random.default_rng(0), len(corners), []
     for _ in range(HALVINGS):
         order = rng.permutation(views)
-        first, second = (
-            calibrate_camera(corners[half], points, size=size, lens_model="radial-tangential")
-            for half in np.array_split(order, 2)
-        )
+        try:
+            first, second = (
+                calibrate_camera(corners[half], points, size=size, lens_model="radial-tangential")
+                for half in np.array_split(order, 2)
+            )
+        except VergenceError:
+            continue
         apart = lens_vector(first.camera) - lens_vector(second.camera)
         k = apart[len(PINHOLE) :]
         displaced = np.sqrt(k @ displaced_by_distortion(first.camera) @ k)
@@ -114,7 +118,7 @@ def halves_apart(corners: Array, points: Array, size: tuple[int, int]) -> Array:
             for name in ("focal", "centre_px", "distortion_px")
         ]
         found.append(np.array(off) / stated / [1, np.sqrt(2), 1])
-    return np.sqrt(np.mean(np.square(found), axis=0))
+    return np.sqrt(np.mean(np.square(found), axis=0)) if found else np.full(3, np.nan)
 
 
 def main(

@@ -70,7 +70,7 @@ def fitted(*focal: float, centre_px: float = 0.1, distortion_px: float = 0.05) -
     return state
 
 
-def test_the_ratio_of_focal_lengths_is_as_certain_as_their_fits_state():
+def test_the_ratio_of_focal_lengths_errs_by_twice_what_their_fits_state():
     def ratio_std(*focal: float) -> float:
         state = fitted(*focal)
         both = np.zeros(len(state.names))
@@ -102,6 +102,7 @@ def test_lenses_err_by_twice_what_their_fits_state():
     assert std(well, "left_wide.fx") == pytest.approx(std(usual, "left_wide.fx"), rel=0.05)
     badly = fitted(0.1, 0.1, centre_px=0.3, distortion_px=0.25)
     assert std(badly, "left_wide.cx") == pytest.approx(0.6, rel=0.05)
+    # Epipolar lines at straight gaze tell the rest.
     assert std(badly, "left_wide.fx") > 1.3 * std(usual, "left_wide.fx")
     # None was fitted, or one that is more exact than any board shows.
     undistorted = fitted(0.01, 0.01, centre_px=0.03, distortion_px=0.0)

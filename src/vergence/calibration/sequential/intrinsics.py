@@ -111,7 +111,7 @@ class Intrinsics:
     """Standard deviations of fx and fy, if all corners have independent errors of the size that
     is left."""
     accuracy: LensAccuracy
-    """Of all that was fitted; also by how the views differ."""
+    """Standard deviations of all that was fitted, also by how the views differ."""
 
 
 def calibrate_intrinsics(
