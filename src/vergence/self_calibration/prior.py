@@ -5,8 +5,8 @@ paper's method, is given the errors that such procedures usually have, in the qu
 measure: lenses, mountings, gains, and the pose of the cameras to each other at straight gaze,
 which is known far better than the mountings. There points lie near their epipolar lines, since both
 cameras saw the same board, whatever each parameter may be wrong by; and a board that is bent makes
-both focal lengths wrong alike, but not their ratio. What has
-moved since is added to both, unless the head has just been calibrated.
+both focal lengths wrong alike, but not their ratio. What has moved since is added to both, unless
+the head has just been calibrated.
 """
 
 from __future__ import annotations
@@ -313,7 +313,7 @@ def _of_procedure(head: HeadCalibration, names: tuple[str, ...], cameras: tuple[
 def _with_focal_ratio(
     head: HeadCalibration, names: tuple[str, ...], cameras: tuple[str, str], C: Array
 ) -> Array:
-    """Return the covariance with the ratio of the focal lengths as certain as their fits make it."""
+    """Return the covariance with the ratio of the focal lengths as certain as their fits are."""
     fits = head.accuracy.lenses if head.accuracy else {}
     if not all(name in fits and f"{name}.fx" in names for name in cameras):
         return C

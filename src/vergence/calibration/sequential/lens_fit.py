@@ -199,11 +199,16 @@ def jackknife_covariance(errors: Array, rest: Array) -> Array:
         errors: (V, 2 K) [px] of the fit to all views.
         rest: (V, 2 K, n) their derivatives, of `without_poses`.
     """
-    V, rest_T = len(errors), np.swapaxes(rest, 1, 2)
-    H, g = rest_T @ rest, (rest_T @ errors[..., None])[..., 0]
+    V, (H, g) = len(errors), _by_view(errors, rest)
     moved = _solve(H.sum(axis=0) - H, g)
     moved -= moved.mean(axis=0)
     return (V - 1) / V * moved.T @ moved
+
+
+def _by_view(errors: Array, rest: Array) -> tuple[Array, Array]:
+    """Return what each view adds to the normal equations of the intrinsics: (V, n, n), (V, n)."""
+    rest_T = np.swapaxes(rest, 1, 2)
+    return rest_T @ rest, (rest_T @ errors[..., None])[..., 0]
 
 
 def held_out_squares(fit: LensFit) -> Array:
@@ -214,8 +219,7 @@ def held_out_squares(fit: LensFit) -> Array:
     """
     V = len(fit.errors)
     number, squares = np.arange(V) % FOLDS, np.empty(V)
-    rest_T = np.swapaxes(fit.rest, 1, 2)
-    H, g = rest_T @ fit.rest, (rest_T @ fit.errors[..., None])[..., 0]
+    H, g = _by_view(fit.errors, fit.rest)
     for k in range(FOLDS):
         mine = number == k
         moved = _solve(H[~mine].sum(axis=0), g[mine].sum(axis=0))
