@@ -108,7 +108,7 @@ class NormalEquations:
 
 
 class Errors(NamedTuple):
-    """What images and readings miss a state by."""
+    """Errors of the corners and of the readings at a state."""
 
     corner: Array
     """(M, K, 2) [px], of `corner_errors`."""
