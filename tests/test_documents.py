@@ -264,11 +264,8 @@ def test_the_guide_to_drivers_moves_a_head(tmp_path, monkeypatch, capsys):
         return drawn.read(names)
 
     def angles_rad() -> dict[str, float]:
-        assert drawn.last is not None
-        return {
-            name: sign[name] * angle
-            for name, angle in zip(sign, drawn.last.eye_angles, strict=True)
-        }
+        angles = np.zeros(4) if drawn.last is None else drawn.last.eye_angles
+        return {name: sign[name] * angle for name, angle in zip(sign, angles, strict=True)}
 
     bus = SimpleNamespace(time_s=drawn.now_s, angles_rad=angles_rad, move_to=moved.append)
     driver: dict[str, Any] = {"bus": bus, "cameras": SimpleNamespace(grab=grab)}

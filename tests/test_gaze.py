@@ -167,6 +167,15 @@ def test_an_object_beyond_the_view_is_searched_for_and_found():
     assert done.errors[-1].max() < 2
 
 
+def test_a_search_without_the_neck_leaves_the_neck_where_it_is():
+    posture = np.concatenate([[0.2, 0.0, -0.3], np.zeros(4)])
+    state = initial_gaze_state(SETTINGS, posture, 0.0)
+    for now_s in np.arange(0.0, 3.0, 0.1):
+        state = step_gaze(SETTINGS, state, None, now_s)
+        np.testing.assert_array_equal(setpoint(state.command, now_s + 0.1)[NECK], posture[NECK])
+    assert state.searched > 2
+
+
 @pytest.mark.slow
 def test_a_stuck_joint_is_named_and_the_others_continue():
     held = np.full(7, np.nan)

@@ -30,11 +30,13 @@ def command(start=0.0, goal=0.0, rate=0.0, time_s=1.0) -> HeadCommand:
 
 @given(start=SEVEN, goal=SEVEN, rate=SEVEN, time_s=st.floats(1, 3))
 def test_set_points_keep_ranges_and_speeds(start, goal, rate, time_s):
-    start = np.clip(start, *LIMITS.setpoint_range_rad.T)
+    """One that starts beyond a range does not go farther, and is back once there was time."""
+    lower, upper = LIMITS.setpoint_range_rad.T
     now = setpoint(HeadCommand(1.0, start, goal, rate, LIMITS), time_s)
-    assert (now >= LIMITS.setpoint_range_rad[:, 0]).all()
-    assert (now <= LIMITS.setpoint_range_rad[:, 1]).all()
-    assert (np.abs(now - start) <= LIMITS.speed_rad_s * (time_s - 1) + 1e-12).all()
+    reach = LIMITS.speed_rad_s * (time_s - 1)
+    assert (np.abs(now - start) <= reach + 1e-12).all()
+    assert (now >= np.minimum(lower, start + reach) - 1e-12).all()
+    assert (now <= np.maximum(upper, start - reach) + 1e-12).all()
 
 
 def test_a_goal_is_reached_and_followed_until_no_further_command_comes():

@@ -118,12 +118,15 @@ class HeadCommand:
 
 
 def setpoint(command: HeadCommand, time_s: float) -> Array:
-    """Return the set points (j,) [rad] of a command at a time, within ranges and speeds."""
+    """Return the set points (j,) [rad] of a command at a time, within ranges and speeds.
+
+    A joint that starts beyond its range comes back to it at its speed.
+    """
     elapsed = max(time_s - command.time_s, 0.0)
     goal = command.goal + command.rate * min(elapsed, HOLD_S)
+    goal = np.clip(goal, *command.limits.setpoint_range_rad.T)
     reach = command.limits.speed_rad_s * elapsed
-    wanted = command.start + np.clip(goal - command.start, -reach, reach)
-    return np.clip(wanted, *command.limits.setpoint_range_rad.T)
+    return command.start + np.clip(goal - command.start, -reach, reach)
 
 
 def commanded(commands: Sequence[HeadCommand], time_s: float) -> Array:

@@ -254,10 +254,10 @@ def _without_detection(settings: GazeSettings, state: GazeState, now_s: float) -
     if now_s < state.since_s + settings.search_s or now_s < state.landing_s + settings.dwell_s:
         return state
     pan, tilt = _SEARCH_RAD[state.searched % len(_SEARCH_RAD)]
-    neck = np.array([0.0, 0.0, pan * settings.use_neck])
+    at = setpoint(state.command, now_s)
+    neck = np.array([0.0, 0.0, pan]) if settings.use_neck else at[NECK]
     eyes = readings_to_turn(settings.calibration.kinematics, np.array([0.0, tilt, pan]))
     goal = np.concatenate([neck, eyes])
-    at = setpoint(state.command, now_s)
     command = HeadCommand(now_s, at, goal, np.zeros(len(goal)), settings.limits)
     landing = now_s + (np.abs(goal - at) / settings.limits.speed_rad_s).max() + settings.settle_s
     return _send(state, command, landing_s=landing, searched=state.searched + 1)
