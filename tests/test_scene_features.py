@@ -218,6 +218,31 @@ def test_features_are_tracked_in_a_turning_camera():
     assert 0.3 < errors[good].std() < 2
 
 
+@pytest.mark.parametrize(("width", "height"), [(641, 480), (640, 481)])
+def test_features_at_the_edge_of_an_image_with_an_odd_side_are_left_out(width, height):
+    """What both images show is known of every second pixel of a view."""
+    camera = pinhole(width, height, 280.0, (-0.12, 0.02, 0.0, 0.0, 0.0))
+    noise = np.random.default_rng(0).normal(0, 1, (height, width))
+    image = np.clip(128 + 120 * cv2.GaussianBlur(noise, (0, 0), 1.5), 0, 255).astype(np.uint8)
+    right, lower = np.arange(width - 80.0, width, 0.25), np.arange(height - 80.0, height, 0.25)
+    pixels = np.concatenate(
+        [
+            np.column_stack([right, np.full(len(right), height / 2)]),
+            np.column_stack([np.full(len(lower), width / 2), lower]),
+        ]
+    )
+    matches, which = track_features(
+        image,
+        image,
+        camera=camera,
+        T_now_before=np.eye(4),
+        pixels=pixels,
+        depths_m=np.ones(len(pixels)),
+    )
+    assert 0 < len(which) < len(pixels)
+    np.testing.assert_allclose(matches.right, matches.left, atol=0.02)
+
+
 def test_features_that_left_the_image_are_not_tracked():
     rng = np.random.default_rng(0)
     image = picture(np.eye(4), 1.0, rng)

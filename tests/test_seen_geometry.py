@@ -4,6 +4,8 @@ import json
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -26,9 +28,10 @@ from vergence.geometry.board import Chessboard
 from vergence.geometry.head import HeadCalibration, load_head, save_head
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Joint, Kinematics, Side, pan_tilt
 from vergence.geometry.parameters import change_named
-from vergence.geometry.se3 import boxminus
+from vergence.geometry.se3 import boxminus, pose, rotation
 from vergence.paper.figures import FIGURES
 from vergence.paper.recording import figure_recording
+from vergence.self_calibration import recorded as recorded_self_calibration
 from vergence.self_calibration.keyframe import TURNED_RAD
 from vergence.self_calibration.prior import MOVED, USUAL
 from vergence.self_calibration.recorded import self_calibrate_dataset
@@ -135,12 +138,24 @@ def test_an_eye_that_sees_alone_corrects_its_readings_unless_the_neck_has_moved(
     np.testing.assert_array_equal(turned.latest.joints, covered.eye_angles)
 
 
+def test_a_frame_that_showed_nothing_does_not_keep_the_next_from_teaching(moving):
+    """A hand covers an eye while the eyes move, and is gone when they rest."""
+    geometry = update_geometry(initial_seen_geometry(HEAD), moving[0][1])
+    dark = {**moving[5][1].images, "right_wide": np.full((480, 640, 3), 20, np.uint8)}
+    covered = update_geometry(geometry, replace(moving[5][1], images=dark))
+    assert covered.known is geometry.known
+    assert covered.learned_s == geometry.learned_s
+    at_rest = replace(moving[5][1], time_s=moving[5][1].time_s + 1.0)
+    assert update_geometry(covered, at_rest).known.frames == 1
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
         (lambda f: replace(f, images={}), "the frame has images of no camera"),
         (lambda f: replace(f, images={n: i[::2] for n, i in f.images.items()}), "640 x 240 px"),
         (lambda f: replace(f, eye_angles=np.zeros(2)), r"readings left_pan.*shape \(2,\)"),
+        (lambda f: replace(f, eye_angles=np.full(4, np.nan)), "leave out frames without readings"),
     ],
 )
 def test_a_frame_that_cannot_be_used_is_refused(change, said, moving):
@@ -291,6 +306,34 @@ def test_eyes_that_do_not_move_show_nothing_that_persists(tmp_path, moving):
     assert found.head is HEAD
     assert {each.verdict for each in found.parameters} == {"not observed"}
     assert any("did not move" in each for each in found.warnings)
+
+
+def test_a_recording_in_which_one_eye_was_covered_returns_the_calibration(tmp_path, moving):
+    dark = np.full((480, 640, 3), 20, np.uint8)
+    rows = [
+        DatasetRow(replace(each, images={**each.images, "right_wide": dark}), k, False)
+        for k, (_, each) in enumerate(moving[:3])
+    ]
+    write_dataset(tmp_path / "covered", DESCRIPTION, rows)
+    found = self_calibrate_dataset(load_dataset(tmp_path / "covered"), HEAD)
+    assert found.head is HEAD
+    assert found.learned == 0
+    assert any("showed enough of the scene" in each for each in found.warnings)
+
+
+def test_vergence_is_told_from_tilt_in_cameras_of_any_roll():
+    joints = np.array([0.05, 0.1, -0.02, 0.1])
+    turns = {name: pose(rotation([0, 0, np.radians(90)])) for name in WIDE}
+    cameras = {
+        name: replace(HEAD.camera(name), T_eye_cam=HEAD.camera(name).T_eye_cam @ turn)
+        for name, turn in turns.items()
+    }
+    seen = SimpleNamespace(head=replace(HEAD, cameras=cameras), cameras=WIDE)
+    at = [
+        recorded_self_calibration._vergence(cast("Any", SimpleNamespace(**vars(seen), joints=each)))
+        for each in (np.zeros(4), joints)
+    ]
+    assert abs(at[1] - at[0]) == pytest.approx(0.07, abs=0.005)
 
 
 def test_a_head_that_is_not_as_calibrated_is_learned_anew(recorded):

@@ -1,6 +1,7 @@
 """Self-calibration from matches: exact on exact data, true to its covariance, never fooled."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
+from drawn_head import four_cameras
 from head_kinds import KINDS
 from head_kinds import head_of as head_of_kind
 from simulated_frames import (
@@ -20,13 +22,22 @@ from simulated_frames import (
 )
 from simulated_matches import drawn_head, matches, room, squared_distance, turn_error_deg
 from vergence.geometry.head import Accuracy, load_head, save_head
-from vergence.geometry.parameters import boxplus, change_between, parameter_names
+from vergence.geometry.parameters import (
+    boxplus,
+    change_between,
+    change_named,
+    parameter_names,
+    parameter_values,
+)
 from vergence.geometry.projection import project_point
+from vergence.self_calibration import learning, prior
 from vergence.self_calibration.frame import from_matches, locate_seen
 from vergence.self_calibration.learning import learn, learned_head
 from vergence.self_calibration.match_noise import Recurrence, recurrence_inflation, with_frame
+from vergence.self_calibration.prior import USUAL
 from vergence.self_calibration.residuals import epipolar_residuals
 from vergence.self_calibration.state import initial_self_calibration
+from vergence.stereo.uncertainty import locate_jointly
 from vergence.vision.scene_features import Matches
 
 
@@ -243,6 +254,96 @@ def test_a_learned_head_is_a_calibration_with_its_accuracy(tmp_path):
     assert again.accuracy is not None
     np.testing.assert_allclose(again.accuracy.covariance, state.covariance, rtol=1e-9)
     assert initial_self_calibration(again).names == state.names
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_cameras_that_do_not_see_the_scene_stay_as_uncertain_as_they_were(stated):
+    head = four_cameras()
+    if stated:
+        names = parameter_names(head)
+        std = 1e-3 * (1 + np.arange(len(names)))
+        head = replace(head, accuracy=Accuracy("bundle", names, np.diag(std**2)))
+    state = initial_self_calibration(head)
+    learned = learned_head(state).accuracy
+    assert learned is not None
+    own = [k for k, n in enumerate(learned.parameters) if n.startswith("left_narrow.")]
+    assert len(own) == len([n for n in parameter_names(head) if n.startswith("left_narrow.")])
+    stds = dict(zip(learned.parameters, np.sqrt(np.diag(learned.covariance)), strict=True))
+    if stated:
+        assert set(learned.parameters) == set(parameter_names(head))
+        expected = dict(zip(parameter_names(head), 1e-3 * (1 + np.arange(len(stds))), strict=True))
+        assert all(stds[n] == pytest.approx(expected[n]) for n in expected if n not in state.names)
+    else:
+        assert stds["left_narrow.cx"] == pytest.approx(USUAL.centre_px)
+    points = np.array([[0.6, -0.03, 0.0], [0.8, 0.02, 0.05]])
+    pair = ("left_narrow", "right_narrow")
+    left, right = (project_point(head, name, np.zeros(4), points) for name in pair)
+    seen: dict[str, Any] = {"left": left, "right": right, "joints": np.zeros(4), "cameras": pair}
+    P = len(state.names)
+    of_both = np.zeros((P + 4, P + 4))
+    of_both[:P, :P] = state.covariance
+    given: dict[str, Any] = {"parameters": state.names, "covariance": of_both, "pixel_std_px": 0.1}
+    certain, uncertain = (
+        locate_jointly(each, **seen, **given).covariance for each in (head, learned_head(state))
+    )
+    more = uncertain - certain
+    assert (np.linalg.eigvalsh(more)[:, 0] > -1e-12).all()
+    assert (np.linalg.eigvalsh(more)[:, -1] > 1e-10).all() == (not stated)
+
+
+def test_a_vergence_that_is_counted_wrongly_is_learned_without_a_stated_covariance():
+    """Joints with several readings have a factor of each in place of a gain."""
+    rng = np.random.default_rng(4)
+    head = replace(head_of_kind("version and vergence", rng), accuracy=None)
+    factors = [n for n in parameter_names(head) if n.endswith("_factor_vergence")]
+    truth = change_named(
+        head, factors, 0.03 * np.array([parameter_values(head)[n] for n in factors])
+    )
+    state, points = initial_self_calibration(head), room(500, rng)
+    assert set(factors) <= set(state.names)
+    readings = len(head.kinematics.readings)
+    for angles in rng.uniform(-0.25, 0.25, (20, readings)):
+        given = angles + rng.normal(0, JOINT_STD_RAD, readings)
+        seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng, cameras=state.cameras)
+        state = learn(state, from_matches(state, seen, given), 0.3)
+    rows = [state.names.index(n) for n in factors]
+    error = change_between(truth, state.head, state.names)[rows]
+    std = np.sqrt(np.diag(state.covariance))[rows]
+    assert (np.abs(error) < 4 * std).all()
+    assert (std < 0.9 * 0.5 * USUAL.gain).all()
+
+
+def test_the_first_frames_are_linearised_again_at_their_end_though_one_was_not_believed(
+    monkeypatch,
+):
+    found, again = [], learning._linearised_again
+
+    def counted(past, after):
+        found.append(len(past))
+        return again(past, after)
+
+    monkeypatch.setattr(learning, "_LINEARISED_AGAIN", (2, 4, 8))
+    monkeypatch.setattr(learning, "_linearised_again", counted)
+    head, rng = head_of(1), np.random.default_rng(1)
+    state, points = begin(head), room(300, rng)
+    for k, angles in enumerate(postures(8, rng)):
+        seen = matches(head, angles, points, noise_px=NOISE_PX, rng=rng)
+        readings = angles + rng.normal(0, JOINT_STD_RAD, 4) + np.radians(8.0) * (k == 5)
+        frame = from_matches(state, seen, readings)
+        assert (frame.status == "contradiction") == (k == 5)
+        state = learn(state, frame, 0.3)
+    assert state.settled
+    assert found == [2, 4, 7]
+
+
+def test_readings_without_stated_noise_are_given_the_usual_noise():
+    head = head_of(0)
+    for accuracy in (
+        Accuracy("paper", joint_std=(0.0,)),
+        Accuracy("bundle", joint_std=(1e-3, 1e-4), eye_motion="poses"),
+    ):
+        state = initial_self_calibration(replace(head, accuracy=accuracy))
+        assert state.joint_std_rad == pytest.approx(prior.JOINT_STD_RAD)
 
 
 def test_what_is_learned_from_a_void_calibration_is_void():

@@ -1,6 +1,7 @@
 """How far off a located point is: Eqs. 20-21 and the covariance, against simulation."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,13 +14,13 @@ from test_triangulation import random_samples
 from vergence.errors import VergenceError
 from vergence.geometry.camera import project
 from vergence.geometry.eye_motion import eye_poses
-from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head import Accuracy, HeadCalibration
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import boxplus, rotation
 from vergence.stereo.depth_error import depth_error, disparity_error, predicted_depth_std
 from vergence.stereo.triangulation import triangulate_at
-from vergence.stereo.uncertainty import combination, locate, locate_both
+from vergence.stereo.uncertainty import combination, locate, locate_both, locate_jointly
 
 
 def test_depth_error_is_the_slope_of_depth_over_disparity():
@@ -241,6 +242,44 @@ def test_what_cannot_be_located_has_no_covariance_nor_has_anything_if_no_noise_i
         found = locate(plain_head(0.09, 280.0), left=left, right=right, joints=np.zeros(4), **stds)
         assert np.isfinite(found.xyz).all(axis=1).tolist() == [False, False, True]
         assert np.isfinite(found.covariance).all(axis=(1, 2)).tolist() == [False, False, bool(stds)]
+
+
+def test_a_point_without_noise_of_its_own_leaves_the_weights_of_the_others():
+    rng = np.random.default_rng(0)
+    head = skewed_head(rng)
+    _, eyes, left, right = random_samples(head, rng, 5)
+    left = left + rng.normal(0, 1, left.shape)
+    noise = np.tile([0.05, 0.05, 0.5, 0.5], (5, 1))
+    seen: dict[str, Any] = {"left": left, "right": right, "joints": eyes, "joint_std_rad": 1e-3}
+    whole = locate(head, **seen, pixel_std_px=noise)
+    noise[2] = np.nan
+    found = locate(head, **seen, pixel_std_px=noise)
+    others = [0, 1, 3, 4]
+    np.testing.assert_array_equal(found.xyz[others], whole.xyz[others])
+    np.testing.assert_array_equal(found.covariance[others], whole.covariance[others])
+
+
+def test_noise_counts_that_a_calibration_states_without_a_covariance():
+    rng = np.random.default_rng(0)
+    head = skewed_head(rng)
+    _, eyes, left, right = random_samples(head, rng, 5)
+    seen: dict[str, Any] = {"left": left, "right": right, "joints": eyes}
+    stated = Accuracy("paper", pixel_std_px=0.1, joint_std=(2e-3,))
+    found = locate(replace(head, accuracy=stated), **seen)
+    given = locate(head, **seen, pixel_std_px=0.1, joint_std_rad=2e-3)
+    np.testing.assert_allclose(found.covariance, given.covariance)
+
+
+def test_points_of_a_head_that_was_estimated_with_its_readings_are_weighted_like_others():
+    rng = np.random.default_rng(0)
+    head = skewed_head(rng)
+    _, eyes, left, right = random_samples(head, rng, 5)
+    left, noise = left + rng.normal(0, 1, left.shape), [0.1, 0.1, 3.0, 3.0]
+    seen: dict[str, Any] = {"left": left, "right": right, "joints": eyes[0], "pixel_std_px": noise}
+    alone = locate(head, **seen, joint_std_rad=1e-3)
+    jointly = locate_jointly(head, **seen, parameters=(), covariance=1e-6 * np.eye(4))
+    np.testing.assert_allclose(jointly.xyz, alone.xyz)
+    np.testing.assert_allclose(jointly.covariance, alone.covariance)
 
 
 def test_the_covariance_of_a_difference_leaves_out_what_is_shared():

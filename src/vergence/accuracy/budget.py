@@ -16,7 +16,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, pair_names, stated_covariance, states_covariance
-from vergence.geometry.parameters import parameter_names
+from vergence.geometry.parameters import is_gain, parameter_names
 from vergence.geometry.projection import project_point
 from vergence.stereo.calibration_covariance import covariance_factor
 from vergence.stereo.linearised import Linearised, by_head_parameters, linearised, pair_parameters
@@ -212,7 +212,7 @@ def _of_calibration(
 
 def group_of(parameter: str) -> str:
     """Return to which group of sources a parameter of a head belongs."""
-    if "_factor_" in parameter:
+    if is_gain(parameter):
         return "gains"
     return next((group for group, ends in GROUPS if parameter.endswith(ends)), "axes of the eyes")
 

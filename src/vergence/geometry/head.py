@@ -234,6 +234,13 @@ def states_covariance(head: HeadCalibration) -> bool:
     return head.accuracy is not None and len(head.accuracy.parameters) > 0
 
 
+def states_noise(head: HeadCalibration) -> bool:
+    """Return whether a head states any errors: its covariance, or noise of pixels or readings."""
+    accuracy = head.accuracy
+    noise = accuracy is not None and (accuracy.pixel_std_px is not None or any(accuracy.joint_std))
+    return noise or states_covariance(head)
+
+
 def check_states_covariance(head: HeadCalibration) -> None:
     """Raise VergenceError if a head does not state how well its parameters are known."""
     if not states_covariance(head):

@@ -77,6 +77,14 @@ def axes_names(head: HeadCalibration, eye: Side) -> tuple[str, ...]:
     return tuple(f"{eye}.{joints[k].name}_{name}" for k, name in parameters)
 
 
+def is_gain(name: str) -> bool:
+    """Return whether a parameter says by how much a joint turns per reading.
+
+    A gain or, where a joint has several readings, the factor of one of them.
+    """
+    return name.endswith("_gain") or "_factor_" in name
+
+
 def camera_columns(head: HeadCalibration, camera: str) -> np.ndarray:
     """Return which parameters (n + 12 + a,) the pixels of a camera depend on.
 

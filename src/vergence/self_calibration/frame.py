@@ -16,7 +16,10 @@ from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
 from vergence.arrays import Array
+from vergence.errors import VergenceError
+from vergence.geometry.camera import check_image_fits
 from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import checked_readings
 from vergence.geometry.parameters import change_named, named_columns
 from vergence.self_calibration.keyframe import by_each_eye, track_keyframe
 from vergence.self_calibration.match_noise import recurrence_inflation
@@ -47,7 +50,7 @@ _LITTLE = 1.5
 
 
 def self_calibrate_frame(
-    state: SelfCalibration, left: np.ndarray, right: np.ndarray, joints: Array
+    state: SelfCalibration, left: np.ndarray, right: np.ndarray, joints: ArrayLike
 ) -> SelfCalibrated:
     """Return the head and its joint angles as a pair of images shows them.
 
@@ -56,8 +59,20 @@ def self_calibrate_frame(
         left: (H, W, 3) RGB or (H, W) grey image of the left camera, uint8.
         right: the same moment in the right camera.
         joints: (r,) readings [rad].
+
+    Raises:
+        VergenceError: an image is not of the calibration's size, or the readings are not as many
+            as the head has, not finite, or not in radians.
     """
     cameras = [state.head.camera(name).intrinsics for name in state.cameras]
+    for name, lens, image in zip(state.cameras, cameras, (left, right), strict=True):
+        check_image_fits(name, lens, image.shape, whose="the frame's")
+    joints = checked_readings(state.head.kinematics, joints, one_posture=True)
+    if not np.isfinite(joints).all():
+        raise VergenceError(
+            "Self-calibration corrects the readings of the moment of the images; found "
+            f"{joints.tolist()}: leave out frames without readings."
+        )
     left, right = grey_levels(left), grey_levels(right)
     matches = match_scene(
         left,

@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from vergence.geometry.head import Accuracy, HeadCalibration
 from vergence.geometry.parameters import change_between, change_named
@@ -21,6 +22,7 @@ from vergence.self_calibration.prior import (
     BUMP,
     UNCALIBRATED,
     Tolerance,
+    covariance_of_others,
     tolerance_covariance,
 )
 from vergence.self_calibration.state import (
@@ -92,12 +94,14 @@ def _freed(state: SelfCalibration, tolerance: Tolerance) -> SelfCalibration:
 
 def _settling(state: SelfCalibration) -> SelfCalibration:
     """Return the state after one of the first frames, at times with all of them linearised anew."""
-    believed = tuple(each for each in state.past if each.seen.status != "contradiction")
-    if len(believed) in _LINEARISED_AGAIN:
+    past = state.past
+    settled = len(past) >= _LINEARISED_AGAIN[-1]
+    believed = tuple(each for each in past if each.seen.status != "contradiction")
+    if settled or len(believed) in _LINEARISED_AGAIN:
         again = _linearised_again(believed, state)
         state = replace(again, keyframe=_same_keyframe(state.keyframe, again.keyframe))
-    settled = len(state.past) >= _LINEARISED_AGAIN[-1]
-    return replace(state, settled=settled, past=state.past[-_WINDOW:] if settled else state.past)
+        past = state.past
+    return replace(state, settled=settled, past=past[-_WINDOW:] if settled else past)
 
 
 def _same_keyframe(before: Keyframe | None, again: Keyframe | None) -> Keyframe | None:
@@ -175,12 +179,17 @@ def _linearised_again(past: tuple[Past, ...], after: SelfCalibration) -> SelfCal
 
 
 def learned_head(state: SelfCalibration) -> HeadCalibration:
-    """Return the learned head with its accuracy, to be saved and used as any calibration."""
+    """Return the learned head with its accuracy, to be saved and used as any calibration.
+
+    Cameras that self-calibration does not use, and the time offset, are as certain as they were
+    calibrated.
+    """
     before = state.head.accuracy
+    others, C = covariance_of_others(state.head, state.names, state.cameras)
     accuracy = Accuracy(
         method="bundle",
-        parameters=state.names,
-        covariance=state.covariance,
+        parameters=(*state.names, *others),
+        covariance=np.asarray(block_diag(state.covariance, C), float),
         pixel_std_px=before.pixel_std_px if before else None,
         joint_std=(state.joint_std_rad,),
         eye_motion=before.eye_motion if before else "pan-tilt",

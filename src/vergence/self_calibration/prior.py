@@ -27,8 +27,10 @@ from vergence.geometry.parameters import (
     PINHOLE,
     change_named,
     intrinsics_names,
+    is_gain,
     named_columns,
     parameter_names,
+    parameter_values,
 )
 from vergence.geometry.projection import project_point
 from vergence.self_calibration.residuals import epipolar_residuals
@@ -42,7 +44,7 @@ class Tolerance:
     focal: float = 0.0
     """Relative; of both focal lengths of a camera together."""
     aspect: float = 0.0
-    """Relative; of one focal length to the other."""
+    """Relative; of each focal length by itself."""
     centre_px: float = 0.0
     lens_px: float = 0.0
     """Root mean square over the image of what wrong coefficients of the lens displace."""
@@ -56,8 +58,7 @@ class Tolerance:
     """Root mean square over the image of how far points lie from their epipolar lines at straight
     gaze, by wrong lenses and poses together. 0: whatever these make it."""
     gain: float = 0.0
-    axes_rad: float = 0.0
-    axes_m: float = 0.0
+    """Relative; of a joint with several readings, of the factor of each."""
 
 
 USUAL = Tolerance(
@@ -71,8 +72,6 @@ USUAL = Tolerance(
     stereo_shift_m=2e-4,
     epipolar_px=0.3,
     gain=0.03,
-    axes_rad=np.radians(0.2),
-    axes_m=2e-4,
 )
 """What a calibration that does not state its covariance may be wrong by."""
 _COMMON = 0.5
@@ -131,6 +130,8 @@ determines them, however well it fits."""
 _SHOWN_BY_LINES = 4
 """How many errors of a pair displace points from their epipolar lines at straight gaze, each with
 another pattern over the image: pitch, roll, vergence, and the ratio of the focal lengths."""
+_LEAST_FACTOR = 0.1
+"""Of a reading in a joint's angle, for its tolerance: zero may be wrong too."""
 _LARGEST_COEFFICIENT = 0.01
 """Standard deviation of any combination of a lens's coefficients: some of a rational lens show
 nothing, and would change by more than is linear."""
@@ -152,7 +153,7 @@ def learned_names(head: HeadCalibration, cameras: tuple[str, str]) -> tuple[str,
         if owner in head.cameras:
             own = owner in cameras and (rest.startswith("T_eye_cam") or name in usual)
             return own or (owner in cameras and name in stated)
-        return name.startswith("T_rbase_lbase") or rest.endswith("gain") or name in stated
+        return name.startswith("T_rbase_lbase") or is_gain(name) or name in stated
 
     return tuple(n for n in parameter_names(head) if wanted(n) and n != "time_offset_s")
 
@@ -172,14 +173,34 @@ def prior_covariance(
     return moved
 
 
+def covariance_of_others(
+    head: HeadCalibration, names: tuple[str, ...], cameras: tuple[str, str]
+) -> tuple[tuple[str, ...], Array]:
+    """Return the parameters (R,) of a head that may be wrong besides those named, and (R, R).
+
+    By the calibration's covariance or, where it states none, by what such procedures usually are
+    wrong by.
+    """
+    if states_covariance(head):
+        others = [name for name in parameter_names(head) if name not in names]
+        stated, C = stated_covariance(head, others)
+        return tuple(others[k] for k in stated), C
+    beside = set(head.cameras) - set(cameras)
+    others = tuple(name for name in parameter_names(head) if name.partition(".")[0] in beside)
+    return others, _with_fits(head, others)
+
+
 def tolerance_covariance(
     head: HeadCalibration, names: tuple[str, ...], tolerance: Tolerance
 ) -> Array:
     """Return the covariance (P, P) of parameters that are wrong by tolerances."""
-    relative, focal = _relative_covariance(tuple(head.cameras), names, tolerance)
+    relative, focal, factors = _relative_covariance(tuple(head.cameras), names, tolerance)
     scale = np.ones(len(names))
     for k, camera, axis in focal:
         scale[k] = head.camera(camera).intrinsics.matrix[axis, axis]
+    values = parameter_values(head) if factors else {}
+    for k in factors:
+        scale[k] = max(abs(values[names[k]] or 0.0), _LEAST_FACTOR)
     C = relative * scale * scale[:, None]
     if not tolerance.lens_px:
         return C
@@ -223,11 +244,12 @@ def _of_lens(camera: Camera, free: Sequence[int], lens_px: float) -> Array:
 @lru_cache(maxsize=64)
 def _relative_covariance(
     cameras: tuple[str, ...], names: tuple[str, ...], tolerance: Tolerance
-) -> tuple[Array, list[tuple[int, str, int]]]:
-    """Return the covariance (P, P), of focal lengths relative to them, and which these are.
+) -> tuple[Array, list[tuple[int, str, int]], list[int]]:
+    """Return the covariance (P, P), of what is relative to its value so, and which that is.
 
-    Of each its place, its camera, and 0 for fx or 1 for fy. Without coefficients of lenses, which
-    are wrong together: see `_of_lens`.
+    Of each focal length its place, its camera, and 0 for fx or 1 for fy; and the places of the
+    factors of joints with several readings. Without coefficients of lenses, which are wrong
+    together: see `_of_lens`.
     """
     C = np.diag([_std(cameras, name, tolerance) ** 2 for name in names])
     focal = []
@@ -238,7 +260,8 @@ def _relative_covariance(
         if rest == "fx" and f"{owner}.fy" in names:
             other = names.index(f"{owner}.fy")
             C[k, other] = C[other, k] = tolerance.focal**2
-    return C, focal
+    factors = [k for k, name in enumerate(names) if is_gain(name) and not name.endswith("_gain")]
+    return C, focal, factors
 
 
 def _std(cameras: tuple[str, ...], name: str, tolerance: Tolerance) -> float:
@@ -252,9 +275,7 @@ def _std(cameras: tuple[str, ...], name: str, tolerance: Tolerance) -> float:
         return tolerance.turn_rad if last[0] == "r" else tolerance.shift_m
     if owner == "T_rbase_lbase":
         return tolerance.stereo_turn_rad if last[0] == "r" else tolerance.stereo_shift_m
-    if last.endswith("gain"):
-        return tolerance.gain
-    return tolerance.axes_m if last.endswith("_m") else tolerance.axes_rad
+    return tolerance.gain if is_gain(name) else 0.0
 
 
 def _with_common(

@@ -19,8 +19,8 @@ from vergence.progress import Progress, silent
 from vergence.self_calibration.keyframe import TURNED_RAD
 from vergence.self_calibration.learning import learned_head
 from vergence.self_calibration.sequence import MOVED_RAD, initial_seen_geometry, update_geometry
-from vergence.self_calibration.state import SelfCalibration
-from vergence.stereo.extrinsics import T_rcam_lcam
+from vergence.self_calibration.state import SelfCalibrated, SelfCalibration
+from vergence.stereo.extrinsics import T_rcam_lcam, camera_poses
 from vergence.stereo.uncertainty import calibration_covariance
 
 OBSERVED, PARTLY = 0.5, 0.9
@@ -67,7 +67,7 @@ class RecordedSelfCalibration:
     """Frames from which was learned."""
     depth_std_m: tuple[float, float] | None
     """Standard deviation of the depth of a point 1 m straight ahead, by the calibration alone,
-    before and after; None: an image does not show it."""
+    before and after; None: it is not in front of both cameras."""
     joint_std_rad: float
     """Noise of a reading, as estimated."""
     fresh: bool
@@ -109,20 +109,22 @@ def self_calibrate_dataset(
         latest = geometry.latest
         if latest is not None:
             seen += latest.status == "seen"
-            T = T_rcam_lcam(latest.head, latest.joints, cameras=both.cameras)
-            vergence.append(rotvec(T[:3, :3])[1])
+            vergence.append(_vergence(latest))
         if geometry.learned_s == frame.time_s:
             changes += _changes(geometry.known, frame.time_s - dataset.time_s[0])
         progress(task, k + 1, len(chosen))
     turned_rad = float(np.ptp(both.joints[chosen], axis=0).max())
-    moved = turned_rad >= MOVED_RAD
     known = geometry.known
     warnings = list(_warnings(head, len(chosen), seen)) + changes
-    if not moved:
-        warnings.append(
-            "The eyes did not move, so that nothing that persists can be told from errors of the "
-            "readings: the calibration is returned as it was."
+    if not known.frames:
+        moved = np.abs(both.joints[chosen] - both.joints[chosen[0]]).max() >= MOVED_RAD
+        reason = (
+            "No frame after the first showed enough of the scene to both eyes"
+            if moved
+            else "The eyes did not move, so that nothing that persists can be told from errors of "
+            "the readings"
         )
+        warnings.append(f"{reason}: the calibration is returned as it was.")
     elif np.ptp(vergence) < LEAST_VERGENCE_RAD and turned_rad < TURNED_RAD:
         warnings.append(
             f"The eyes moved in parallel, by {np.degrees(turned_rad):.1f} degrees: focal lengths "
@@ -131,7 +133,7 @@ def self_calibrate_dataset(
             f"{np.degrees(TURNED_RAD):.0f}."
         )
     return RecordedSelfCalibration(
-        head=learned_head(known) if moved else head,
+        head=learned_head(known) if known.frames else head,
         parameters=_parameters(before, known),
         frames=len(chosen),
         seen=seen,
@@ -141,6 +143,13 @@ def self_calibrate_dataset(
         fresh=fresh,
         warnings=tuple(warnings),
     )
+
+
+def _vergence(seen: SelfCalibrated) -> float:
+    """Return the angle [rad] about the left base's z axis between a frame's cameras."""
+    T_lbase_lcam, _ = camera_poses(seen.head, seen.joints, cameras=seen.cameras)
+    R_rcam_lcam = T_rcam_lcam(seen.head, seen.joints, cameras=seen.cameras)[:3, :3]
+    return float((T_lbase_lcam[:3, :3] @ rotvec(R_rcam_lcam))[2])
 
 
 def _parameters(before: SelfCalibration, after: SelfCalibration) -> tuple[LearnedParameter, ...]:

@@ -16,9 +16,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
-from vergence.geometry.camera import check_image_fits
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import checked_readings
 from vergence.self_calibration.frame import self_calibrate_frame
 from vergence.self_calibration.learning import learn
 from vergence.self_calibration.state import (
@@ -86,23 +84,18 @@ def update_geometry(
         joints: (r,) readings at the moment of the images [rad]; None: the frame's.
 
     Raises:
-        VergenceError: an image is missing, or of another size than the calibration's, or the
-            readings are not as many as the head has.
+        VergenceError: an image is missing; others are those of `frame.self_calibrate_frame`.
     """
-    known = before.known
-    joints = checked_readings(
-        known.head.kinematics, frame.eye_angles if joints is None else joints, one_posture=True
-    )
-    for name in known.cameras:
+    cameras = before.known.cameras
+    for name in cameras:
         if name not in frame.images:
             raise VergenceError(
-                f"The geometry is seen by {' and '.join(known.cameras)}; the frame has images of "
+                f"The geometry is seen by {' and '.join(cameras)}; the frame has images of "
                 f"{', '.join(frame.images) or 'no camera'}."
             )
-        lens = known.head.camera(name).intrinsics
-        check_image_fits(name, lens, frame.images[name].shape, whose="the frame's")
-    left, right = (frame.images[name] for name in known.cameras)
+    left, right = (frame.images[name] for name in cameras)
     before = _keyframe_while_neck_rests(before, frame.neck_angles)
+    joints = frame.eye_angles if joints is None else joints
     latest = self_calibrate_frame(before.known, left, right, joints)
     return after_frame(before, latest, frame.time_s, frame.neck_angles)
 
@@ -120,6 +113,9 @@ def after_frame(
 ) -> SeenGeometry:
     """Return the geometry after a frame that was estimated with what was known before it.
 
+    A frame in which too little was seen teaches nothing; the next that does counts for the time
+    since the last that did.
+
     Args:
         before: after the frame before.
         latest: the frame, of `frame.self_calibrate_frame`.
@@ -131,7 +127,8 @@ def after_frame(
         return SeenGeometry(known, latest, time_s, time_s, joints, neck)
     elapsed_s = time_s - before.learned_s
     at_rest = np.abs(joints - before.learned_at).max() < MOVED_RAD
-    if at_rest or 0 < elapsed_s < LEARNING_S - _SLACK_S:
+    nothing_seen = latest.evidence is None
+    if at_rest or nothing_seen or 0 < elapsed_s < LEARNING_S - _SLACK_S:
         return replace(before, latest=latest, time_s=time_s)
     learned = learn(known, latest, max(elapsed_s, 0.0))
     key, last = learned.keyframe, known.keyframe

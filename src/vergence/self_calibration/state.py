@@ -41,7 +41,7 @@ class SelfCalibration:
     recurrence: Recurrence | None = None
     """How far errors recur where the eyes stood before; None: no frame was learned."""
     joint_weight: float = 5.0
-    """Readings from which their noise is known."""
+    """How many readings their noise would be estimated from, to be as well known."""
     frames: int = 0
     """From which it was learned."""
     bumped: bool = False
@@ -147,7 +147,7 @@ class SelfCalibrated:
     evidence: Evidence | None
     """None: too few matches fit."""
     images: tuple[np.ndarray, np.ndarray] | None = None
-    """In which they were found; None: they were given."""
+    """In which the matches were found; None: matches were given without images."""
 
 
 def initial_self_calibration(
@@ -165,7 +165,8 @@ def initial_self_calibration(
     """
     pair = pair_names(head, cameras)
     names = learned_names(head, pair)
-    stated = head.accuracy.joint_std if head.accuracy else ()
-    std = float(np.sqrt(np.mean(np.square(stated)))) if stated else float(JOINT_STD_RAD)
+    accuracy = head.accuracy
+    stated = accuracy.joint_std if accuracy and accuracy.eye_motion == "pan-tilt" else ()
+    std = float(np.sqrt(np.mean(np.square(stated)))) if any(stated) else float(JOINT_STD_RAD)
     C = prior_covariance(head, names, pair, fresh=fresh)
     return SelfCalibration(head, pair, names, C, std, EXPECTED_MATCH_SCALE)

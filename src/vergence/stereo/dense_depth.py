@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.geometry.head import HeadCalibration, states_covariance
+from vergence.geometry.head import HeadCalibration, states_noise
 from vergence.geometry.se3 import transform
 from vergence.stereo.depth_error import depth_error
 from vergence.stereo.rectification import RectifiedPair, rectified_image, rectified_points
@@ -110,7 +110,7 @@ def dense_depth(
     pixels = np.stack([u, v], axis=-1).astype(float)
     depth = rectified_points(pair, pixels, disparity)[..., 2]
     by_texture = _std_by_texture(grey[0])
-    if located is None and (states_covariance(head) or joint_std_rad is not None):
+    if located is None and (states_noise(head) or joint_std_rad is not None):
         located = partial(
             locate,
             head,

@@ -233,11 +233,11 @@ def pixel_noise(pixel_std_px: ArrayLike, n: int) -> Array:
 def pixel_variances(pixel_std_px: ArrayLike, n: int) -> Array:
     """Return variances (4, n or 1) of pixels, as weights of a triangulation.
 
-    In the order left u, left v, right u, right v. All ones where some of the noise is zero: with an
-    exact pixel there are no ratios. Errors are those of `noise_rows`.
+    In the order left u, left v, right u, right v. Ones for points some of whose noise is zero or
+    unknown: with an exact pixel there are no ratios. Errors are those of `noise_rows`.
     """
     std = pixel_noise(pixel_std_px, n)
-    return std * std if (std > 0).all() else np.ones((4, 1))
+    return np.where((std > 0).all(axis=0), std * std, 1.0)
 
 
 def of_part(noise: Array, part: slice) -> Array:

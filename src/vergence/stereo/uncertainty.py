@@ -14,7 +14,13 @@ from vergence.data.dataset import MAX_GAP_S
 from vergence.data.timing import Timing, moved_readings
 from vergence.errors import VergenceError
 from vergence.geometry.eye_motion import measured
-from vergence.geometry.head import HeadCalibration, check_states_covariance, reading_stds
+from vergence.geometry.head import (
+    HeadCalibration,
+    check_states_covariance,
+    reading_stds,
+    stated_covariance,
+    states_noise,
+)
 from vergence.stereo.calibration_covariance import (
     covariance_of_calibration,
     pair_covariance,
@@ -23,7 +29,6 @@ from vergence.stereo.calibration_covariance import (
 from vergence.stereo.linearised import (
     Linearised,
     by_head_parameters,
-    linearised,
     linearised_part,
     pair_parameters,
 )
@@ -98,7 +103,7 @@ def locate(
         joints = _at_the_images(head, joints, joint_time_s)
     left, right, joints = checked(left, right, joints, len(head.kinematics.readings))
     known, n = pair_covariance(head, cameras), len(left)
-    if known is None and pixel_std_px is None and joint_std_rad is None:
+    if not states_noise(head) and pixel_std_px is None and joint_std_rad is None:
         points, status = triangulate_at(
             head, left=left, right=right, joints=joints, cameras=cameras
         )
@@ -271,20 +276,32 @@ def locate_jointly(
     """Return where points are, if head and readings were estimated together.
 
     The covariance (P + r, P + r) is of the named parameters of the head, then of the r readings
-    (r,) [rad] of the one posture that serves all points. Other arguments and errors are those of
+    (r,) [rad] of the one posture that serves all points. What the head states of its other
+    parameters counts too, as if it were independent. Other arguments and errors are those of
     `locate`.
     """
-    seen = linearised(head, left=left, right=right, joints=joints, cameras=cameras)
-    names, n = pair_parameters(head, cameras), seen.points.shape[1]
-    by_head = by_head_parameters(head, cameras, seen)
-    nothing = np.zeros((3, n))
-    rows = [by_head[:, names.index(k)] if k in names else nothing for k in parameters]
-    own = np.concatenate([np.stack(rows, axis=1), seen.by_readings], axis=1).transpose(2, 0, 1)
-    both = _squares(seen.by_pixels * pixel_noise(pixel_std_px, n))
-    both += own @ covariance @ own.swapaxes(1, 2)
-    of_head, P = own[..., : len(rows)], len(rows)
-    shared = of_head @ covariance[:P, :P] @ of_head.swapaxes(1, 2)
-    return LocatedPoints(seen.points.T, both, seen.status, shared)
+    left, right, joints = checked(left, right, joints, len(head.kinematics.readings))
+    n, P, names = len(left), len(parameters), pair_parameters(head, cameras)
+    noise, variances = pixel_noise(pixel_std_px, n), pixel_variances(pixel_std_px, n)
+    mine = [k for k, name in enumerate(parameters) if name in names]
+    theirs = [names.index(parameters[k]) for k in mine]
+    others = [k for k in range(len(names)) if k not in theirs]
+    stated, C = stated_covariance(head, [names[k] for k in others])
+    beside = [others[k] for k in stated]
+
+    def find(part: slice) -> tuple[Array, ...]:
+        seen = linearised_part(head, (left, right), joints, cameras, variances, part=part)
+        by_head = by_head_parameters(head, cameras, seen)
+        own = np.zeros((3, len(covariance), len(seen.status)))
+        own[:, mine], own[:, P:] = by_head[:, theirs], seen.by_readings
+        own, rest = own.transpose(2, 0, 1), by_head[:, beside].transpose(2, 0, 1)
+        of_rest = rest @ C @ rest.swapaxes(1, 2)
+        of_head = own[..., :P] @ covariance[:P, :P] @ own[..., :P].swapaxes(1, 2)
+        whole = _squares(seen.by_pixels * of_part(noise, part))
+        whole += own @ covariance @ own.swapaxes(1, 2)
+        return seen.points.T, whole + of_rest, seen.status, of_head + of_rest
+
+    return LocatedPoints(*in_chunks(n, find))
 
 
 def locate_both(

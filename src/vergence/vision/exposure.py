@@ -24,7 +24,9 @@ _MIDDLE = 128
 
 
 def grey_levels(image: np.ndarray) -> np.ndarray:
-    """Return an image (H, W, 3) in RGB as grey levels (H, W) uint8; a grey one as it is."""
+    """Return the grey levels (H, W) uint8 of an image (H, W, 3) in RGB, or of a grey one."""
+    if image.ndim == 3 and image.shape[2] == 1:
+        return image[..., 0]
     return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
 
 

@@ -30,7 +30,7 @@ _PARTS = 3
 """Clusters of pixels along each side of a window."""
 _IN_PARTS = np.kron(*2 * [np.eye(_PARTS, dtype=np.float32).repeat(WINDOW_PX // _PARTS, axis=0)])
 """(n, 9): which part of a window each of its pixels is in."""
-_REACH = _HALF + 1
+REACH = _HALF + 1
 """From the middle of a window to its edge, with one pixel more for the slopes."""
 _DIFFERENCES = np.array(
     [
@@ -42,7 +42,7 @@ _DIFFERENCES = np.array(
         [0, 1 / 2, 0, 0, -1, 0, 0, 1 / 2, 0],
     ],
     np.float32,
-) / np.array([1, _REACH, _REACH, *3 * [_REACH**2]], np.float32).reshape(-1, 1)
+) / np.array([1, REACH, REACH, *3 * [REACH**2]], np.float32).reshape(-1, 1)
 """(6, 9): the polynomial of 1, x, y, x^2, x y and y^2 by its values at the middle of a window, the
 middles of its edges and its corners, row by row."""
 _INFLATION = 4.0
@@ -95,7 +95,7 @@ def match_windows(
     """
     if not len(at):
         return Matched(np.empty((0, 2)), np.empty((0, 2, 2)), np.zeros(0, bool))
-    x, y = _offsets(_REACH)
+    x, y = _offsets(REACH)
     along = direction.astype(np.float32)
     larger = enlargement.astype(np.float32)[:, None, None] * np.eye(2, dtype=np.float32)
     template, right = _cut_out(left, at), right.astype(np.float32)
@@ -123,8 +123,8 @@ def match_windows(
 
 def _cut_out(image: np.ndarray, at: Array) -> np.ndarray:
     """Return the windows (N, n) float32 of an image about whole pixels (N, 2)."""
-    column, row = at.astype(int).T - _REACH
-    windows = sliding_window_view(image, 2 * (2 * _REACH + 1,))[row, column]
+    column, row = at.astype(int).T - REACH
+    windows = sliding_window_view(image, 2 * (2 * REACH + 1,))[row, column]
     return windows.reshape(len(at), -1).astype(np.float32)
 
 
@@ -144,7 +144,7 @@ def _local_maps(
     taken back, and with differences to the ends of the windows. Inside (N,) are those whose windows
     are in an image (H, W) as a whole.
     """
-    x, y = (_REACH * each for each in _offsets(1))
+    x, y = (REACH * each for each in _offsets(1))
     values = [_sampled(each, middles[:, :1] + x, middles[:, 1:] + y) for each in maps]
     lowest, highest = (np.stack([end(each, axis=1) for each in values]) for end in (np.min, np.max))
     inside = (lowest >= 0) & (highest <= np.array(shape[::-1])[:, None] - 1)

@@ -14,6 +14,7 @@ from vergence.arrays import Array
 from vergence.geometry.board import marker_family
 from vergence.geometry.camera import Camera, normalise, project
 from vergence.vision.detector import Detection, Detector, windows
+from vergence.vision.exposure import grey_levels
 
 _LEAST_STD_PX, _STD_MODULES = 0.05, 0.6
 """Standard deviation of a marker's centre: at least the first, and the second divided by the width
@@ -46,7 +47,7 @@ def marker_detector(dictionary: str, marker_id: int) -> Detector:
     modules = family.markerSize + 2  # with the black frame
 
     def detect(image: np.ndarray, camera: Camera, near: Array | None) -> Detection | None:
-        grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+        grey = grey_levels(image)
         for rows, columns in windows(grey, near):
             corners = _largest(finder, np.ascontiguousarray(grey[rows, columns]), marker_id)
             if corners is not None:

@@ -20,7 +20,7 @@ from vergence.arrays import Array
 from vergence.geometry.camera import Camera, half_size, normalise
 from vergence.geometry.components import cross, dot, transposed
 from vergence.vision.exposure import grey_levels, of_equal_contrast
-from vergence.vision.least_squares_matching import WINDOW_PX, match_windows
+from vergence.vision.least_squares_matching import REACH, WINDOW_PX, match_windows
 from vergence.vision.plane_sweep import inverse_depths
 from vergence.vision.turned_views import TurnedViews, on_map, turned_views, whole_windows
 
@@ -149,7 +149,9 @@ def track_features(
     at = views.focal * rays[:, :2] / np.where(ahead, rays[:, 2], 1.0)[:, None] + views.middle
     at, whole = np.round(at), whole_windows(views.inside)
     column, row = np.clip(at // 2, 0, np.array(whole.shape[::-1]) - 1).astype(int).T
-    usable = np.flatnonzero(ahead & whole[row, column])
+    edge = np.array(views.first.shape[::-1]) - 1
+    within = ((at >= REACH) & (at <= edge - REACH)).all(axis=1)
+    usable = np.flatnonzero(ahead & within & whole[row, column])
     matches, kept = _matched(views, at[usable], depths_m[usable])
     return matches, usable[kept]
 

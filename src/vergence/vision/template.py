@@ -18,6 +18,7 @@ from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera
 from vergence.vision.detector import Detection, Detector, windows
+from vergence.vision.exposure import grey_levels
 
 LEAST_SIDE_PX = 8
 """Smaller pictures resemble too many places of an image."""
@@ -84,7 +85,7 @@ def template_detector(
 
     def detect(image: np.ndarray, camera: Camera, near: Array | None) -> Detection | None:
         del camera  # the picture is compared as it is: lenses bend an image little over its size
-        there = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+        there = grey_levels(image)
         for rows, columns in windows(there, near):
             found = _best(there[rows, columns], templates)
             if found is not None and found.score >= least_score:
@@ -106,7 +107,7 @@ def _grey(picture: np.ndarray) -> np.ndarray:
             "A template is a picture (h, w, 3) RGB or (h, w) grey of uint8, found "
             f"{picture.shape} of {picture.dtype}."
         )
-    grey = picture if flat else cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+    grey = grey_levels(picture)
     if min(grey.shape) < LEAST_SIDE_PX:
         raise VergenceError(
             f"A template has sides of at least {LEAST_SIDE_PX} px, found "
@@ -163,11 +164,15 @@ def _best(image: np.ndarray, templates: Sequence[_Template]) -> _Match | None:
     reduced = [image]
     for _ in range(max(template.octaves for template in templates)):
         height, width = reduced[-1].shape
+        if min(height, width) < 2:
+            break
         reduced.append(
             _resized(reduced[-1][: height & ~1, : width & ~1], [width // 2, height // 2])
         )
     matches: list[_Match] = []
     for template in templates:
+        if template.octaves >= len(reduced):
+            continue
         there = reduced[template.octaves]
         if not _fits(template.reduced, there):
             continue
