@@ -165,6 +165,18 @@ def test_what_cannot_be_budgeted_is_refused():
         budget(HEAD, POINT[None], **motion("parallel"), sources=[source])
 
 
+def test_a_head_calibrated_with_measured_eye_poses_has_no_budget():
+    accuracy = replace(stated(HEAD).accuracy, joint_std=(1e-3, 2e-3), eye_motion="poses")
+    with pytest.raises(VergenceError, match=r"errors of joint readings .* measured eye poses"):
+        run(
+            replace(HEAD, accuracy=accuracy),
+            points=POINT[None],
+            motion="parallel",
+            profile=None,
+            pixel_std_px=None,
+        )
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_profiles_errors_are_sources_for_heads_with_any_joints(kind: str):
     head = other_head(kind, np.random.default_rng(0))

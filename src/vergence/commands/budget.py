@@ -62,8 +62,14 @@ def run(
 
     Raises:
         VergenceError: there is nothing that could be wrong, a point is not seen or too far away,
-            the noise is negative, or the motion is none of this head.
+            the noise is negative, the motion is none of this head, or the head was calibrated
+            with measured eye poses.
     """
+    if head.accuracy is not None and head.accuracy.eye_motion == "poses":
+        raise VergenceError(
+            "A budget says what errors of joint readings add; this head was calibrated with "
+            "measured eye poses."
+        )
     if pixel_std_px is not None and not 0 <= pixel_std_px <= MAX_NOISE_PX:
         raise VergenceError(
             f"--noise is a standard deviation from 0 to {MAX_NOISE_PX:g} px; found "
