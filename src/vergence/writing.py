@@ -46,21 +46,41 @@ def add_finished(files: Iterable[Path]) -> None:
 
 
 def check_outputs(
-    *outputs: Path | None, folder: Path | None = None, inputs: Iterable[Path] = ()
+    *outputs: Path | None,
+    folder: Path | None = None,
+    names: Iterable[str] = (),
+    inputs: Iterable[Path] = (),
 ) -> None:
     """Check before any work that files can be written, and a folder of results.
 
-    Nothing is made. VergenceError if a path cannot be written, two are the same, or one of them is
-    an input of the same command.
+    Nothing is made.
+
+    Args:
+        outputs: the files; None: not asked for.
+        folder: of the results.
+        names: of files that are written into the folder.
+        inputs: files that the same command reads.
+
+    Raises:
+        VergenceError: a path cannot be written, two are the same, or one of them is an input.
     """
-    taken = {path.resolve(): "that is read" for path in inputs}
+    if folder is not None:
+        _check_folder(folder)
+        outputs = (*outputs, *(folder / name for name in names))
+    taken = {place: "that is read" for place in map(_place, inputs)}
     for path in filter(None, outputs):
         place = _target(path)
         if place in taken:
             raise VergenceError(f"Cannot write {path}: it is also the file {taken[place]}.")
         taken[place] = "of another result"
-    if folder is not None:
-        _check_folder(folder)
+
+
+def _place(path: Path) -> Path:
+    """Return the file that a path leads to, or the path itself if it cannot lead to any."""
+    try:
+        return Path(os.path.realpath(path))  # for links in a circle too, unlike Path.resolve
+    except ValueError:
+        return path
 
 
 def _target(path: Path) -> Path:

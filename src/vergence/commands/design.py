@@ -29,6 +29,8 @@ from vergence.viewer.plots.design import draw_axes, draw_design
 from vergence.writing import markdown_table, results_folder, whole_file, write_json, write_whole
 
 CHUNKS = "chunks"
+RESULTS = ("sweep.npz", "design.png", "properties.png", "design.json", "report.md")
+"""Files in the folder of the results, besides the chunks."""
 
 
 def chosen_settings(
