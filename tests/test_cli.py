@@ -75,6 +75,26 @@ def test_no_command_writes_over_what_it_reads(capsys, monkeypatch, tmp_path):
         assert "it is also the file that is read" in refused(words.split(), capsys, monkeypatch)
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        "plan LONG",
+        "calibrate LONG --out a.json",
+        "budget --noise 0.1 --motion LONG",
+        "import LONG --format ros --start head.json --out a.json",
+        "depth LONG --calibration head.json --out LONG",
+        "reproduce --out LONG",
+        "foveate --out LONG",
+        "record --out LONG",
+    ],
+)
+def test_a_name_that_is_too_long_ends_in_a_sentence(words, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    save_head(plain_head(0.09, 280.0), "head.json")
+    said = refused(words.replace("LONG", "long" * 100).split(), capsys, monkeypatch)
+    assert re.search("too long|There is no", said)
+
+
 def test_a_bad_profile_ends_in_a_sentence_that_names_the_value(capsys, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     Path("mine.toml").write_text("[joints]\nnoise_deg = -1\n")

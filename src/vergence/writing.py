@@ -180,7 +180,11 @@ def whole_folder(folder: Path) -> Iterator[Path]:
 def check_new(folder: Path) -> None:
     """Raise VergenceError if a folder cannot be made, or is there and not empty."""
     _check_folder(folder)
-    if folder.is_dir() and any(folder.iterdir()):
+    try:
+        filled = folder.is_dir() and any(folder.iterdir())
+    except OSError as error:
+        raise VergenceError(f"Cannot write the folder {folder}: {_reason(error)}.") from error
+    if filled:
         raise VergenceError(
             f"{folder} already exists and is not empty; name another folder, or remove it."
         )
@@ -253,7 +257,7 @@ def _remove_abandoned(path: Path) -> None:
 
 def unfinished(folder: Path) -> bool:
     """Return whether a run into a folder of results was stopped before its end, or is under way."""
-    return (folder / UNFINISHED).exists()
+    return os.path.exists(folder / UNFINISHED)
 
 
 @contextmanager

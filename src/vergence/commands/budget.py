@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -107,7 +107,7 @@ def motion_of(name: str, head: HeadCalibration) -> tuple[Array, Array]:
         time_s = np.arange(SAMPLES) * PERIOD_S[name] / SAMPLES
         joints = eye_angles("parallel" if name == "parallel" else "divergent", time_s)
         return joints, np.gradient(joints, time_s, axis=0)
-    if not Path(name).is_dir():
+    if not os.path.isdir(name):
         raise VergenceError(
             f"There is no motion {name!r}; there are parallel, divergent, and the folders of "
             "datasets."

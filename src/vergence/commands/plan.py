@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +71,7 @@ def _check(
 def _head_and_board(
     source: Path, stated: tuple[int, int, float] | None, progress: Progress
 ) -> tuple[HeadCalibration, Board]:
-    if source.is_dir():
+    if os.path.isdir(source):
         data = load_dataset(source)
         board = data.description.board if stated is None else _chessboard(stated)
         found = calibrate(data, progress=progress)
