@@ -63,7 +63,6 @@ def test_no_command_writes_over_what_it_reads(capsys, monkeypatch, tmp_path):
     save_head(plain_head(0.09, 280.0), "left_wide.yaml")
     for words in (
         "plan data --json data/dataset.json",
-        "plan data --figure data/frames.csv",
         "design design.json --out .",
         "budget --profile mine.toml --json mine.toml",
         "budget --motion data --noise 0.1 --json data/frames.csv",
@@ -73,6 +72,13 @@ def test_no_command_writes_over_what_it_reads(capsys, monkeypatch, tmp_path):
         "import . --format ros --out left_wide.yaml",
     ):
         assert "it is also the file that is read" in refused(words.split(), capsys, monkeypatch)
+
+
+@pytest.mark.parametrize("command", ["plan data", "budget --noise 0.1"])
+def test_a_figure_that_is_not_called_a_png_file_is_refused(command, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    said = refused([*command.split(), "--figure", "plan.pdf"], capsys, monkeypatch)
+    assert "A figure is a PNG file, whose name ends in .png; found plan.pdf." in said
 
 
 @pytest.mark.parametrize(

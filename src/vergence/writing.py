@@ -47,6 +47,7 @@ def add_finished(files: Iterable[Path]) -> None:
 
 def check_outputs(
     *outputs: Path | None,
+    figure: Path | None = None,
     folder: Path | None = None,
     names: Iterable[str] = (),
     inputs: Iterable[Path] = (),
@@ -57,18 +58,22 @@ def check_outputs(
 
     Args:
         outputs: the files; None: not asked for.
+        figure: another one, a picture in PNG.
         folder: of the results.
         names: of files that are written into the folder.
         inputs: files that the same command reads.
 
     Raises:
-        VergenceError: a path cannot be written, two are the same, or one of them is an input.
+        VergenceError: a path cannot be written, two are the same, one of them is an input, or the
+            name of the figure does not end in .png.
     """
+    if figure is not None and figure.suffix.lower() != ".png":
+        raise VergenceError(f"A figure is a PNG file, whose name ends in .png; found {figure}.")
     if folder is not None:
         _check_folder(folder)
         outputs = (*outputs, *(folder / name for name in names))
     taken = {place: "that is read" for place in map(_place, inputs)}
-    for path in filter(None, outputs):
+    for path in filter(None, (*outputs, figure)):
         place = _target(path)
         if place in taken:
             raise VergenceError(f"Cannot write {path}: it is also the file {taken[place]}.")

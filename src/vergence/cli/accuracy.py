@@ -42,7 +42,7 @@ def plan(
     from vergence.data.description import DESCRIPTION, FRAMES
     from vergence.viewer.plots.plan import draw_plan
 
-    check_outputs(figure, json, inputs=[source, source / DESCRIPTION, source / FRAMES])
+    check_outputs(json, figure=figure, inputs=[source, source / DESCRIPTION, source / FRAMES])
     with progress_bars() as progress:
         found = run(
             source,
@@ -162,7 +162,7 @@ def budget(
     read = [Path(motion) / DESCRIPTION, Path(motion) / FRAMES]
     read += [calibration] if calibration else []
     read += [Path(profile)] if profile else []
-    check_outputs(json, figure, inputs=read)
+    check_outputs(json, figure=figure, inputs=read)
     # The twin, and with it OpenGL, only where it is asked for.
     chosen = None
     if profile is not None:
