@@ -106,6 +106,7 @@ def test_the_command_writes_a_report_with_the_cheapest_head(tmp_path, monkeypatc
     [
         (["--accuracy-mm", "0"], "--accuracy-mm takes a number above 0"),
         (["--at-m", "-1"], "--at-m takes a number above 0"),
+        (["--accuracy-mm", "2000000"], "below 1,000,000, found 2e+06"),
         (["--jobs", "0"], "--jobs takes a number of processes"),
         (["--focal-px", "5"], "designs.focal_px: values are from 50 to 10000, found 5"),
         (["missing.toml"], "missing.toml"),
