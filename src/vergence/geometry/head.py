@@ -40,6 +40,8 @@ R_EYE_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Rotation of a camera that looks straight ahead, and of a board that faces it: z along the eye's
 x."""
 
+WIDE = ("left_wide", "right_wide")
+"""The wide cameras of the paper's head, by which it locates points."""
 _FINITE = ConfigDict(extra="forbid", allow_inf_nan=False)
 MAX_CAMERAS = 64
 SMALLEST_VARIANCE = 1e-60
