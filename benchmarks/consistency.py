@@ -35,10 +35,10 @@ from vergence.accuracy.budget import Source, budget
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.commands.budget import sources_of
-from vergence.geometry.head import HeadCalibration, load_head, save_head
+from vergence.geometry.head import WIDE, HeadCalibration, load_head, save_head
 from vergence.geometry.parameters import boxminus
 from vergence.paper.figures import FIGURES, Figure, default_duration_s
-from vergence.paper.replay import WIDE, describe, replay
+from vergence.paper.replay import describe, replay
 from vergence.stereo.triangulation import triangulate_at
 from vergence.stereo.uncertainty import locate
 from vergence.twin.calibration_errors import inject_calibration_error

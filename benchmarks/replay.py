@@ -19,8 +19,9 @@ import tyro
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.gaze.commands import HEAD_JOINTS
+from vergence.geometry.head import WIDE
 from vergence.paper.figures import FIGURES, default_duration_s
-from vergence.paper.replay import SAMPLES, WIDE, sample_times
+from vergence.paper.replay import SAMPLES, sample_times
 from vergence.paper.reproduce import SAMPLES_WITH_IMAGES, record_replay
 from vergence.twin.head import Twin
 from vergence.twin.model import CAMERAS

@@ -150,6 +150,8 @@ def test_a_description_that_is_none_is_refused(folder, content):
 
 def test_what_is_missing_is_named(tmp_path, folder):
     assert "There is no dataset folder" in refusal(tmp_path / "none")
+    assert "There is no dataset folder" in refusal(tmp_path / ("long" * 100))
+    assert "dataset.json is a file; a dataset is a folder with" in refusal(folder / "dataset.json")
     (folder / "frames.csv").unlink()
     assert "There is no frames.csv in" in refusal(folder)
     (folder / "dataset.json").unlink()

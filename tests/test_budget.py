@@ -15,7 +15,7 @@ from vergence import cli
 from vergence.accuracy.budget import CALIBRATION, Source, budget, group_of
 from vergence.accuracy.motions import PERIOD_S, eye_angles
 from vergence.arrays import Array
-from vergence.commands.budget import advice, as_plain, motion_of, run, sources_of, table
+from vergence.commands.budget import Budgets, advice, as_plain, motion_of, run, sources_of, table
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, save_head
 from vergence.geometry.parameters import boxplus, change_named, parameter_names
@@ -165,6 +165,18 @@ def test_what_cannot_be_budgeted_is_refused():
         budget(HEAD, POINT[None], **motion("parallel"), sources=[source])
 
 
+def test_a_head_calibrated_with_measured_eye_poses_has_no_budget():
+    accuracy = replace(stated(HEAD).accuracy, joint_std=(1e-3, 2e-3), eye_motion="poses")
+    with pytest.raises(VergenceError, match=r"errors of joint readings .* measured eye poses"):
+        run(
+            replace(HEAD, accuracy=accuracy),
+            points=POINT[None],
+            motion="parallel",
+            profile=None,
+            pixel_std_px=None,
+        )
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_profiles_errors_are_sources_for_heads_with_any_joints(kind: str):
     head = other_head(kind, np.random.default_rng(0))
@@ -177,6 +189,19 @@ def test_motions_of_pan_and_tilt_are_refused_for_heads_with_other_readings():
     said = r"'divergent' is of the readings .* has tilt, left_pan, right_pan\. .* dataset"
     with pytest.raises(VergenceError, match=said):
         run(head, points=POINT[None], motion="divergent", profile=None, pixel_std_px=0.1)
+
+
+def test_a_head_with_other_joints_has_no_parallel_motion():
+    head = other_head("shared tilt, pan", np.random.default_rng(0))
+    joints = np.random.default_rng(1).uniform(-0.1, 0.1, (5, len(head.kinematics.readings)))
+    source = [Source("pixels", pixel_std_px=0.2)]
+    budgets = budget(head, POINT[None], joints=joints, rates=0 * joints, sources=source)
+    found = Budgets("data", budgets, None)
+    assert [row[4] for row in table(found, 0)] == ["", ""]
+    assert as_plain(found)["in_parallel_motion"] is None
+    same = run(HEAD, points=POINT[None], motion="parallel", profile=None, pixel_std_px=0.2)
+    assert [row[4] for row in table(same, 0)] == [row[1] for row in table(same, 0)]
+    assert as_plain(same)["in_parallel_motion"] == as_plain(same)["points"]
 
 
 def test_the_motion_of_a_dataset_of_other_joints_is_refused(tmp_path):

@@ -8,8 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from simulated_head import plain_head
 from vergence import __version__, cli
 from vergence.commands.invocation import invocation
+from vergence.geometry.head import save_head
 
 BAD_ARGUMENTS = {
     "unknown figure": (["--figures", "5"], "figures 6 to 11"),
@@ -50,6 +52,53 @@ def test_bad_argument_ends_in_a_sentence(case, capsys, monkeypatch, tmp_path):
     text = refused(["reproduce", *arguments], capsys, monkeypatch)
     assert named in text
     assert "Traceback" not in text
+
+
+def test_no_command_writes_over_what_it_reads(capsys, monkeypatch, tmp_path):
+    """Where the file that is read has the name of a result, or is part of a folder."""
+    monkeypatch.chdir(tmp_path)
+    Path("data").mkdir()
+    for name in ("data/dataset.json", "data/frames.csv", "design.json", "depth.json", "mine.toml"):
+        Path(name).write_text("")
+    save_head(plain_head(0.09, 280.0), "left_wide.yaml")
+    for words in (
+        "plan data --json data/dataset.json",
+        "design design.json --out .",
+        "budget --profile mine.toml --json mine.toml",
+        "budget --motion data --noise 0.1 --json data/frames.csv",
+        "depth data --calibration depth.json --out .",
+        "depth --twin --calibration depth.json --out .",
+        "export left_wide.yaml --format ros --out .",
+        "import . --format ros --out left_wide.yaml",
+    ):
+        assert "it is also the file that is read" in refused(words.split(), capsys, monkeypatch)
+
+
+@pytest.mark.parametrize("command", ["plan data", "budget --noise 0.1"])
+def test_a_figure_that_is_not_called_a_png_file_is_refused(command, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    said = refused([*command.split(), "--figure", "plan.pdf"], capsys, monkeypatch)
+    assert "A figure is a PNG file, whose name ends in .png; found plan.pdf." in said
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "plan LONG",
+        "calibrate LONG --out a.json",
+        "budget --noise 0.1 --motion LONG",
+        "import LONG --format ros --start head.json --out a.json",
+        "depth LONG --calibration head.json --out LONG",
+        "reproduce --out LONG",
+        "foveate --out LONG",
+        "record --out LONG",
+    ],
+)
+def test_a_name_that_is_too_long_ends_in_a_sentence(words, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    save_head(plain_head(0.09, 280.0), "head.json")
+    said = refused(words.replace("LONG", "long" * 100).split(), capsys, monkeypatch)
+    assert re.search("too long|There is no", said)
 
 
 def test_a_bad_profile_ends_in_a_sentence_that_names_the_value(capsys, monkeypatch, tmp_path):

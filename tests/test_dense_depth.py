@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -16,14 +17,15 @@ from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard
 from vergence.geometry.camera import normalise
 from vergence.geometry.eye_motion import eye_poses
-from vergence.geometry.head import save_head
-from vergence.geometry.kinematics import EYE_JOINTS, EYES
+from vergence.geometry.head import HeadCalibration, save_head
+from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.dense_depth import LEAST_STD_PX, dense_depth, point_cloud
 from vergence.stereo.rectification import RectifiedPair, rectify
 from vergence.twin import looking_around
-from vergence.twin.model import as_built_head, nominal_head
-from vergence.twin.profile import load_profile
+from vergence.twin.calibration_errors import inject_calibration_error
+from vergence.twin.model import as_built_head, check_calibration_of, nominal_head
+from vergence.twin.profile import Lens, load_profile
 from without_mujoco import without_mujoco
 
 HEAD = four_cameras()
@@ -209,6 +211,39 @@ def test_depth_by_what_both_eyes_see_is_better_than_by_wrong_joints(tmp_path, mo
         assert found["seen"][figure] < found["joints"][figure] / 3
     assert found["seen"]["within_two_std"] > 0.85
     assert "seen by both eyes" in (out / "report.md").read_text()
+
+
+def test_a_calibration_of_another_head_is_not_the_twins():
+    def built(profile: str, lens: Lens = "2.8mm") -> HeadCalibration:
+        return as_built_head(nominal_head(lens), load_profile(profile), 0)
+
+    twin = built("paper")
+    by_hand = load_profile("paper").by_hand.model_copy(update={"focal_percent_28": 5.0})
+    check_calibration_of(twin, inject_calibration_error(twin, by_hand, "2.8mm"))
+    check_calibration_of(built("noise-only"), nominal_head("2.8mm"))
+    renamed = {name.replace("wide", "outer"): camera for name, camera in twin.cameras.items()}
+    for other, said in (
+        (built("noise-only"), r"its baseline is 9\d\.\d mm, the twin's 7\d\.\d mm"),
+        (built("paper", "4.0mm"), r"_wide\.fx is 4\d\d\.\d px, the twin's 2\d\d\.\d px"),
+        (replace(twin, cameras=renamed), "no camera left_wide, it has left_outer"),
+        (replace(twin, kinematics=Kinematics(readings=EYE_JOINTS[::-1])), "moved by right_tilt"),
+    ):
+        with pytest.raises(VergenceError, match=f"{said}.* the --profile and the --seed"):
+            check_calibration_of(twin, other)
+
+
+@pytest.mark.render
+def test_depth_of_the_twin_by_a_calibration_of_another_head_is_refused(
+    tmp_path, monkeypatch, capsys
+):
+    save_head(nominal_head("2.8mm"), tmp_path / "head.json")
+    with pytest.raises(SystemExit):
+        depth(
+            monkeypatch, "--twin", "--calibration", str(tmp_path / "head.json"),
+            "--out", str(tmp_path / "depth"),
+        )  # fmt: skip
+    assert "of another head than the twin: its baseline is 92.0 mm" in capsys.readouterr().err
+    assert not (tmp_path / "depth").exists()
 
 
 @pytest.mark.parametrize(

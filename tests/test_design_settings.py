@@ -39,6 +39,8 @@ def test_ranges_lists_and_numbers_are_values(tmp_path: Path):
     assert (found.focal_px, found.delay_ms) == ((400,), (0, 2))
     (tmp_path / "d.json").write_text(json.dumps(SMALL.model_dump()))
     assert load_settings(tmp_path / "d.json") == SMALL
+    (tmp_path / "d.json").rename(tmp_path / "D.JSON")
+    assert load_settings(tmp_path / "D.JSON") == SMALL
 
 
 @pytest.mark.parametrize(
@@ -52,7 +54,7 @@ def test_ranges_lists_and_numbers_are_values(tmp_path: Path):
         ("[workspace]\neye_correlation = 2", "workspace.eye_correlation"),
         ("[workspace]\nimage_px = [0, 480]", "workspace.image_px"),
         ("[workspace]\noff_deg = [[0, 200]]", "workspace.off_deg"),
-        ("[designs", "is not a description of designs"),
+        ("[designs", "is not a description of designs .*: it is not valid TOML: "),
     ],
 )
 def test_settings_that_are_not_possible_end_in_a_sentence(text, said, tmp_path: Path):
@@ -106,6 +108,7 @@ def test_the_command_writes_a_report_with_the_cheapest_head(tmp_path, monkeypatc
     [
         (["--accuracy-mm", "0"], "--accuracy-mm takes a number above 0"),
         (["--at-m", "-1"], "--at-m takes a number above 0"),
+        (["--accuracy-mm", "2000000"], "below 1,000,000, found 2e+06"),
         (["--jobs", "0"], "--jobs takes a number of processes"),
         (["--focal-px", "5"], "designs.focal_px: values are from 50 to 10000, found 5"),
         (["missing.toml"], "missing.toml"),

@@ -1,7 +1,9 @@
 """Sweeps over designs: sums of their sources, that can be stopped and go on."""
 
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -140,6 +142,24 @@ def test_a_sweep_that_was_stopped_goes_on_without_doing_finished_work_again(
     wider = SMALL.designs.model_copy(update={"baseline_mm": (60.0, 90.0, 120.0)})
     sweep(SMALL.model_copy(update={"designs": wider}), tmp_path)
     assert len(computed) == 5 + 2  # those of the new baseline
+
+
+@pytest.mark.parametrize("kind", ["text", "complex", "too long", "pipe", "archive"])
+def test_finished_work_that_is_no_array_of_floats_is_computed_again(kind: str, tmp_path: Path):
+    file, numbers = tmp_path / "chunk.npy", np.arange(6.0).reshape(2, 3)
+    np.save(file, numbers)
+    np.testing.assert_array_equal(command._read(file, (2, 3)), numbers)
+    if kind == "pipe":
+        file.unlink()
+        os.mkfifo(file)
+    elif kind == "too long":
+        file.write_bytes(file.read_bytes() + bytes(10_000))
+    elif kind == "archive":
+        with file.open("wb") as opened:
+            np.savez(opened, numbers)
+    else:
+        np.save(file, numbers.astype(str if kind == "text" else complex))
+    assert command._read(file, (2, 3)) is None
 
 
 def test_processes_that_compute_do_not_wait_for_what_draws():

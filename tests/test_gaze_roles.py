@@ -246,6 +246,27 @@ def test_images_that_are_not_those_of_the_calibration_are_refused(images, words:
 
 
 @pytest.mark.parametrize(
+    ("eye_angles", "neck_angles", "words"),
+    [
+        (np.zeros(4), np.empty(0), r"3 neck angles neck_pitch, .*shape \(0,\)\. .* read zero"),
+        (np.zeros(7), np.zeros(3), r"4 joint readings left_pan, .*shape \(7,\)"),
+        (np.zeros((1, 4)), np.zeros(3), r"4 joint readings left_pan, .*shape \(1, 4\)"),
+    ],
+)
+def test_readings_that_are_not_those_of_the_head_are_refused(eye_angles, neck_angles, words: str):
+    settings = GazeSettings(calibration=HEAD)
+    state = initial_gaze_state(settings, np.zeros(7), 0.0)
+    with pytest.raises(VergenceError, match=words):
+        step_gaze(settings, state, Frame(0.1, 0.1, eye_angles, neck_angles, {}), 0.1)
+
+
+@pytest.mark.parametrize("posture", [np.zeros(4), np.zeros((1, 7)), np.float64(0.0)])
+def test_a_posture_that_is_not_one_of_the_head_is_refused(posture):
+    with pytest.raises(VergenceError, match=r"7 angles neck_pitch, .*; found an array of shape"):
+        initial_gaze_state(GazeSettings(calibration=HEAD), posture, 0.0)
+
+
+@pytest.mark.parametrize(
     "answer",
     [(3.0, 4.0), Detection(np.zeros(3), 0.1), Detection(np.array([np.nan, 1.0]), 0.1),
      Detection(np.zeros(2), 0.0)],

@@ -151,6 +151,21 @@ def test_a_wrong_field_is_named(file: Path, path: list, value: object, says: str
         load_head(file)
 
 
+def test_an_accuracy_of_parameters_that_the_head_does_not_have_is_refused(tmp_path: Path, head):
+    accuracy = Accuracy("bundle", parameters=parameter_names(head)[:2], covariance=np.eye(2))
+    save_head(replace(head, accuracy=accuracy), tmp_path / "head.json")
+    assert load_head(tmp_path / "head.json").accuracy is not None
+    content = json.loads((tmp_path / "head.json").read_text())
+    content["cameras"]["left_middle"] = content["cameras"].pop("left_wide")
+    (tmp_path / "head.json").write_text(json.dumps(content))
+    said = (
+        r"head\.json is not a head calibration: accuracy\.parameters has 'left_wide\.fx', .*; "
+        r"it has left_narrow\.fx, .*cameras left_narrow, right_wide, right_narrow, left_middle\."
+    )
+    with pytest.raises(VergenceError, match=said):
+        load_head(tmp_path / "head.json")
+
+
 def test_a_head_is_printed_in_one_line(head: HeadCalibration):
     assert repr(head) == (
         "<HeadCalibration of left_wide, left_narrow, right_wide, right_narrow; moved by left_pan, "

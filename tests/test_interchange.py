@@ -95,7 +95,8 @@ def test_a_camera_info_has_every_field_that_ros_requires(tmp_path):
 @pytest.mark.parametrize("format_name", ["kalibr", "ros", "opencv"])
 def test_skew_is_refused_by_formats_that_have_no_field_for_it(tmp_path, format_name):
     head = skewed_head(np.random.default_rng(12))
-    with pytest.raises(VergenceError, match="left_wide has a skew") as refused:
+    said = r"left_wide has a skew .*set cameras\.left_wide\.intrinsics\.matrix\[0\]\[1\] to 0"
+    with pytest.raises(VergenceError, match=said) as refused:
         export_head(head, tmp_path / "out.yml", format_name)
     assert "\n" not in str(refused.value)
     assert list(tmp_path.iterdir()) == []
@@ -103,10 +104,20 @@ def test_skew_is_refused_by_formats_that_have_no_field_for_it(tmp_path, format_n
 
 def test_k3_is_refused_by_kalibr_and_kept_by_ros(tmp_path):
     head = with_k3(unskewed_head(13), 0.004)
-    with pytest.raises(VergenceError, match=r"left_wide has k3 = 0\.004.*opencv or ros"):
+    with pytest.raises(
+        VergenceError, match=r"left_wide has k3 = 0\.004.*opencv or ros.*radial-tan"
+    ):
         kalibr.save(head, tmp_path / "camchain.yaml")
     ros.save(head, tmp_path)
     assert ros.load(tmp_path / "left_wide.yaml")["left_wide"].distortion[4] == 0.004
+
+
+@pytest.mark.parametrize("format_name", ["kalibr", "ros", "opencv", "urdf"])
+def test_a_dash_in_a_name_is_refused_with_a_name_that_will_do(tmp_path, format_name):
+    head = unskewed_head(12)
+    head = replace(head, cameras={n.replace("_", "-"): each for n, each in head.cameras.items()})
+    with pytest.raises(VergenceError, match=r"called 'left-wide'; .*: write 'left_wide' wherever"):
+        export_head(head, tmp_path / "out.yml", format_name)
 
 
 @pytest.mark.parametrize("format_name", ["kalibr", "ros"])

@@ -184,6 +184,21 @@ def test_a_file_that_nobody_may_write_is_refused_before_the_work(tmp_path):
         check_outputs(tmp_path / "a.json")
 
 
+def test_an_output_that_is_also_an_input_is_refused(tmp_path):
+    (tmp_path / "link").symlink_to("a.json")
+    (tmp_path / "circle").symlink_to("circle")
+    (tmp_path / "a.json").write_text("{}")
+    read = [tmp_path / "a.json", tmp_path / "circle", Path("\0")]
+    for outputs, folder, names in (
+        ([tmp_path / "link"], None, []),
+        ([tmp_path / "new" / ".." / "a.json"], None, []),
+        ([], tmp_path, ["b.json", "a.json"]),
+    ):
+        with pytest.raises(VergenceError, match="it is also the file that is read"):
+            check_outputs(*outputs, folder=folder, names=names, inputs=read)
+    check_outputs(folder=tmp_path, names=["b.json"], inputs=read)
+
+
 @pytest.mark.render
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_stopped_command_says_what_it_had_finished(tmp_path, number):

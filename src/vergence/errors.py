@@ -1,4 +1,6 @@
-"""The one exception for whatever a user can mend, and the text of errors found in files."""
+"""The one exception for whatever a user can mend, the text of errors found in files, and the check
+of a seed, which commands of several rooms take.
+"""
 
 from collections.abc import Mapping
 
@@ -36,3 +38,9 @@ def explain(error: Exception) -> str:
             said += f"; found {first['input']!r:.80}"
         text = (f"{where}: " if where else "") + said
     return " ".join(text[:MOST_CHARACTERS].split()).rstrip(".")
+
+
+def check_seed(seed: int) -> None:
+    """Raise VergenceError for a seed that numpy's generators do not take."""
+    if seed < 0:
+        raise VergenceError(f"The seed must be a whole number from 0, found {seed}.")

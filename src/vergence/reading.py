@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import stat
+import tomllib
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -86,6 +87,14 @@ def parse_json(text: str) -> Any:
         parse_float=_finite,
         parse_constant=_finite,
     )
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Parse TOML; ValueError says where it is none."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"it is not valid TOML: {error}") from None
 
 
 def unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -46,21 +46,46 @@ def add_finished(files: Iterable[Path]) -> None:
 
 
 def check_outputs(
-    *outputs: Path | None, folder: Path | None = None, inputs: Iterable[Path] = ()
+    *outputs: Path | None,
+    figure: Path | None = None,
+    folder: Path | None = None,
+    names: Iterable[str] = (),
+    inputs: Iterable[Path] = (),
 ) -> None:
     """Check before any work that files can be written, and a folder of results.
 
-    Nothing is made. VergenceError if a path cannot be written, two are the same, or one of them is
-    an input of the same command.
+    Nothing is made.
+
+    Args:
+        outputs: the files; None: not asked for.
+        figure: another one, a picture in PNG.
+        folder: of the results.
+        names: of files that are written into the folder.
+        inputs: files that the same command reads.
+
+    Raises:
+        VergenceError: a path cannot be written, two are the same, one of them is an input, or the
+            name of the figure does not end in .png.
     """
-    taken = {path.resolve(): "that is read" for path in inputs}
-    for path in filter(None, outputs):
+    if figure is not None and figure.suffix.lower() != ".png":
+        raise VergenceError(f"A figure is a PNG file, whose name ends in .png; found {figure}.")
+    if folder is not None:
+        _check_folder(folder)
+        outputs = (*outputs, *(folder / name for name in names))
+    taken = {place: "that is read" for place in map(_place, inputs)}
+    for path in filter(None, (*outputs, figure)):
         place = _target(path)
         if place in taken:
             raise VergenceError(f"Cannot write {path}: it is also the file {taken[place]}.")
         taken[place] = "of another result"
-    if folder is not None:
-        _check_folder(folder)
+
+
+def _place(path: Path) -> Path:
+    """Return the file that a path leads to, or the path itself if it cannot lead to any."""
+    try:
+        return Path(os.path.realpath(path))  # for links in a circle too, unlike Path.resolve
+    except ValueError:
+        return path
 
 
 def _target(path: Path) -> Path:
@@ -160,7 +185,11 @@ def whole_folder(folder: Path) -> Iterator[Path]:
 def check_new(folder: Path) -> None:
     """Raise VergenceError if a folder cannot be made, or is there and not empty."""
     _check_folder(folder)
-    if folder.is_dir() and any(folder.iterdir()):
+    try:
+        filled = folder.is_dir() and any(folder.iterdir())
+    except OSError as error:
+        raise VergenceError(f"Cannot write the folder {folder}: {_reason(error)}.") from error
+    if filled:
         raise VergenceError(
             f"{folder} already exists and is not empty; name another folder, or remove it."
         )
@@ -233,7 +262,7 @@ def _remove_abandoned(path: Path) -> None:
 
 def unfinished(folder: Path) -> bool:
     """Return whether a run into a folder of results was stopped before its end, or is under way."""
-    return (folder / UNFINISHED).exists()
+    return os.path.exists(folder / UNFINISHED)
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from vergence.arrays import Array
 from vergence.calibration.bundle.bundle_adjustment import fixed_by_default
 from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.camera import pinhole
-from vergence.geometry.head import R_EYE_CAM, HeadCalibration, MountedCamera
+from vergence.geometry.head import R_EYE_CAM, WIDE, HeadCalibration, MountedCamera
 from vergence.geometry.kinematics import EYES, looking_along
 from vergence.geometry.parameters import named_columns, parameter_names
 from vergence.geometry.se3 import pose, rotation
@@ -102,8 +102,7 @@ def calibration_mean_square(
     columns = named_columns(head, names)
     views = standard_recording(head, board)
     linear = linearised_views(head, board, views, names, np.ones(len(names)))
-    pair = ("left_wide", "right_wide")
-    moved = point_by_parameters(head, pair, points_m, joints)[..., columns].reshape(-1, len(names))
+    moved = point_by_parameters(head, WIDE, points_m, joints)[..., columns].reshape(-1, len(names))
     found = []
     for std in joint_std_rad:
         total = gained(information(linear, corner_std_px, np.full(4, std)), views.place)

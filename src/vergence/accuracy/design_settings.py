@@ -6,7 +6,6 @@ From the command line, or from a TOML or JSON file; docs/design_and_plan.md desc
 from __future__ import annotations
 
 import itertools
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,7 +15,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from vergence.arrays import Array
 from vergence.geometry.camera import Pixels
-from vergence.reading import parse_json, read_parsed
+from vergence.reading import parse_json, parse_toml, read_parsed
 
 MAX_BYTES = 2**16
 MAX_DESIGNS = 50_000_000
@@ -191,7 +190,10 @@ def chunks(settings: DesignSettings) -> Iterator[DesignSettings]:
 
 
 def load_settings(path: Path) -> DesignSettings:
-    """Read settings from a TOML or JSON file; VergenceError if it is not valid."""
-    parse = parse_json if path.suffix == ".json" else tomllib.loads
+    """Read settings from a JSON file, which ends in .json, or from a TOML file.
+
+    VergenceError if it is not valid.
+    """
+    parse = parse_json if path.suffix.lower() == ".json" else parse_toml
     what = "a description of designs (see docs/design_and_plan.md)"
     return read_parsed(path, what, DesignSettings.model_validate, parse, most_bytes=MAX_BYTES)

@@ -39,9 +39,10 @@ def plan(
         json: JSON file of the plan.
     """
     from vergence.commands.plan import as_text, figures, run
+    from vergence.data.description import DESCRIPTION, FRAMES
     from vergence.viewer.plots.plan import draw_plan
 
-    check_outputs(figure, json, inputs=[source])
+    check_outputs(json, figure=figure, inputs=[source, source / DESCRIPTION, source / FRAMES])
     with progress_bars() as progress:
         found = run(
             source,
@@ -97,7 +98,7 @@ def design(
         jobs: Processes on this machine; -1: one for each core.
         cluster: Address of a Dask scheduler, which then does the work: tcp://HOST:PORT.
     """
-    from vergence.commands.design import chosen_settings, run, sentences
+    from vergence.commands.design import RESULTS, chosen_settings, run, sentences
 
     given = {
         "baseline_mm": baseline_mm,
@@ -109,7 +110,7 @@ def design(
         "pixel_noise_px": pixel_noise_px,
         "delay_ms": delay_ms,
     }
-    check_outputs(folder=out, inputs=[settings] if settings else [])
+    check_outputs(folder=out, names=RESULTS, inputs=[settings] if settings else [])
     swept = chosen_settings(settings, given, accuracy_mm=accuracy_mm, at_m=at_m, jobs=jobs)
     with progress_bars() as progress:
         found = run(
@@ -155,9 +156,13 @@ def budget(
     """
     from vergence.commands.budget import HEADING, advice, as_plain, table
     from vergence.commands.budget import run as run_budget
+    from vergence.data.description import DESCRIPTION, FRAMES
     from vergence.geometry.head import load_head
 
-    check_outputs(json, figure, inputs=[] if calibration is None else [calibration])
+    read = [Path(motion) / DESCRIPTION, Path(motion) / FRAMES]
+    read += [calibration] if calibration else []
+    read += [Path(profile)] if profile else []
+    check_outputs(json, figure=figure, inputs=read)
     # The twin, and with it OpenGL, only where it is asked for.
     chosen = None
     if profile is not None:

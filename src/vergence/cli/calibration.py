@@ -141,10 +141,15 @@ def export(
         out: File or folder to write.
     """
     from vergence.geometry.head import load_head
+    from vergence.interchange import ros
     from vergence.interchange.formats import export_head
 
-    check_outputs(None if format == "ros" else out, inputs=[calibration])
-    export_head(load_head(calibration), out, format)
+    head = load_head(calibration)
+    if format == "ros":
+        check_outputs(folder=out, names=map(ros.file_name, head.cameras), inputs=[calibration])
+    else:
+        check_outputs(out, inputs=[calibration])
+    export_head(head, out, format)
     print(f"Wrote {out}.")
 
 
@@ -165,9 +170,11 @@ def import_(
         start: Calibration that supplies what kalibr and ros files do not contain.
     """
     from vergence.geometry.head import load_head, save_head
+    from vergence.interchange import ros
     from vergence.interchange.formats import import_head
 
-    check_outputs(out, inputs=[path] if start is None else [path, start])
+    read = ros.files(path) if format == "ros" else [path]
+    check_outputs(out, inputs=[*read, start] if start else read)
     template = None if start is None else load_head(start)
     save_head(import_head(path, format, template=template), out)
     print(f"Wrote {out}.")

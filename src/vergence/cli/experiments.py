@@ -270,7 +270,7 @@ def _experiment(
     from vergence.twin.profile import load_profile
 
     profile = load_profile(options.profile)
-    check_outputs(options.json, folder=options.out)
+    check_outputs(options.json, folder=options.out, inputs=[Path(options.profile)])
     say_if_unfinished(options.out)
     with progress_bars() as progress:
         settings = Experiment(profile, options.seed, options.scene, options.geometry, options.out)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -41,7 +41,8 @@ class Budgets:
     motion: str
     budgets: list[Budget]
     parallel: list[Budget] | None
-    """None: the motion is parallel itself, or the head has other readings than pan and tilt."""
+    """Those of `budgets` if the motion is parallel itself; None: the head has other readings than
+    pan and tilt, and no parallel motion."""
 
 
 def run(
@@ -62,8 +63,14 @@ def run(
 
     Raises:
         VergenceError: there is nothing that could be wrong, a point is not seen or too far away,
-            the noise is negative, or the motion is none of this head.
+            the noise is negative, the motion is none of this head, or the head was calibrated
+            with measured eye poses.
     """
+    if head.accuracy is not None and head.accuracy.eye_motion == "poses":
+        raise VergenceError(
+            "A budget says what errors of joint readings add; this head was calibrated with "
+            "measured eye poses."
+        )
     if pixel_std_px is not None and not 0 <= pixel_std_px <= MAX_NOISE_PX:
         raise VergenceError(
             f"--noise is a standard deviation from 0 to {MAX_NOISE_PX:g} px; found "
@@ -77,7 +84,7 @@ def run(
             "A budget needs sources of errors: give a calibration that states its accuracy, an "
             "error profile (--profile paper), or --noise in pixels."
         )
-    motions = dict.fromkeys((motion, "parallel"))
+    motions = [motion] if motion == "parallel" else [motion, "parallel"]
     if (readings := head.kinematics.readings) != EYE_JOINTS:
         if motion in PERIOD_S:
             raise VergenceError(
@@ -85,11 +92,11 @@ def run(
                 f"{', '.join(readings)}. Give the folder of a dataset of this head as --motion."
             )
         motions = [motion]
-    found = [
-        budget(head, np.array(points), joints=joints, rates=rates, sources=sources)
-        for joints, rates in (motion_of(name, head) for name in motions)
-    ]
-    return Budgets(motion, found[0], found[1] if len(found) > 1 else None)
+    found = {}
+    for name in motions:
+        joints, rates = motion_of(name, head)
+        found[name] = budget(head, np.array(points), joints=joints, rates=rates, sources=sources)
+    return Budgets(motion, found[motion], found.get("parallel"))
 
 
 def motion_of(name: str, head: HeadCalibration) -> tuple[Array, Array]:
@@ -101,7 +108,7 @@ def motion_of(name: str, head: HeadCalibration) -> tuple[Array, Array]:
         time_s = np.arange(SAMPLES) * PERIOD_S[name] / SAMPLES
         joints = eye_angles("parallel" if name == "parallel" else "divergent", time_s)
         return joints, np.gradient(joints, time_s, axis=0)
-    if not Path(name).is_dir():
+    if not os.path.isdir(name):
         raise VergenceError(
             f"There is no motion {name!r}; there are parallel, divergent, and the folders of "
             "datasets."
@@ -183,20 +190,25 @@ def _nonzero(errors: dict[str, float]) -> dict[str, float]:
 
 HEADING = ("source", "x", "y", "z", "x, parallel", "shared")
 """Standard deviations [mm]: what differs between samples, and what of it in x parallel motion
-leaves; what all samples share, x, y and z."""
+leaves, blank for a head that has none; what all samples share, x, y and z."""
 
 
 def table(found: Budgets, k: int) -> list[tuple[str, ...]]:
     """Return the rows of the table of point k, as HEADING says; the last one is the total."""
     own = found.budgets[k]
-    beside = found.parallel[k] if found.parallel else own
+    parts = *own.parts, own.total
+    beside = [""] * len(parts)
+    if found.parallel is not None:
+        other = found.parallel[k]
+        beside = [_mm(part.spread_m[0]) for part in (*other.parts, other.total)]
     return [
         (
             one.name,
-            *map(_mm, (*one.spread_m, other.spread_m[0])),
+            *map(_mm, one.spread_m),
+            in_parallel,
             " ".join(map(_mm, one.shared_m)) if one.shared_m.any() else "",
         )
-        for one, other in zip((*own.parts, own.total), (*beside.parts, beside.total), strict=True)
+        for one, in_parallel in zip(parts, beside, strict=True)
     ]
 
 
@@ -243,5 +255,5 @@ def as_plain(found: Budgets) -> dict[str, object]:
     return {
         "motion": found.motion,
         "points": each_of(found.budgets),
-        "in_parallel_motion": each_of(found.parallel or found.budgets),
+        "in_parallel_motion": None if found.parallel is None else each_of(found.parallel),
     }

@@ -33,6 +33,8 @@ from vergence.writing import check_outputs, markdown_table, results_folder, writ
 RANGE_M = (0.5, 1.5)
 """Distances at which accuracy is stated."""
 MOST_PAIRS = 1000
+RESULTS = ("depth.rrd", "depth.json", "report.md")
+"""Files in the folder of the results."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +112,7 @@ def depth(
             has no stereo pair, or the folder cannot be written.
     """
     check_pairs(pairs)
-    check_outputs(folder=out, inputs=[calibration])
+    check_outputs(folder=out, names=RESULTS, inputs=[calibration])
     head = load_head(calibration)
     moments, count = _moments(dataset, head, pairs, geometry)
     found = ((moment, depth_of(moment, head)) for moment in moments)

@@ -28,7 +28,11 @@ from vergence.progress import Progress, silent
 from vergence.viewer.plots.design import draw_axes, draw_design
 from vergence.writing import markdown_table, results_folder, whole_file, write_json, write_whole
 
+LARGEST = 1_000_000
+"""Limit of the accuracy [mm] and of the distance [m] that may be wanted."""
 CHUNKS = "chunks"
+RESULTS = ("sweep.npz", "design.png", "properties.png", "design.json", "report.md")
+"""Files in the folder of the results, besides the chunks."""
 
 
 def chosen_settings(
@@ -45,8 +49,10 @@ def chosen_settings(
     a value is not possible.
     """
     for name, value in (("--accuracy-mm", accuracy_mm), ("--at-m", at_m)):
-        if not 0 < value < 1e6:
-            raise VergenceError(f"{name} takes a number above 0, found {value:g}.")
+        if not 0 < value < LARGEST:
+            raise VergenceError(
+                f"{name} takes a number above 0 and below {LARGEST:,}, found {value:g}."
+            )
     process_count(jobs)
     settings = DesignSettings() if path is None else load_settings(path)
     chosen = settings.model_dump()

@@ -8,6 +8,7 @@ Processes that compute import this module, so that it imports nothing that draws
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import threading
 import time
@@ -15,6 +16,7 @@ import zipfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
+from io import BytesIO
 from pathlib import Path
 from typing import cast
 
@@ -27,9 +29,12 @@ from vergence.accuracy.design_sweep import Sweep, assemble, chunk_shape, compute
 from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.progress import Progress, silent
+from vergence.reading import read_bytes
 from vergence.writing import whole_file
 
 TIMEOUT_S = 10
+HEADER_BYTES = 1024
+"""Most bytes of a file of an array before its numbers; numpy writes 128."""
 
 
 def sweep(
@@ -63,12 +68,14 @@ def digest(chunk: DesignSettings) -> str:
 
 
 def _read(file: Path, shape: tuple[int, ...]) -> Array | None:
-    """Return what an earlier run has written; None if there is nothing of this shape to be read."""
+    """Return what an earlier run has written; None if there are no floats of this shape."""
     try:
-        values = np.load(file, allow_pickle=False)
-    except (OSError, ValueError, EOFError, MemoryError, zipfile.BadZipFile):
+        content = read_bytes(file, HEADER_BYTES + 8 * math.prod(shape))
+        values = np.load(BytesIO(content), allow_pickle=False)
+    except (VergenceError, ValueError, EOFError, MemoryError, zipfile.BadZipFile):
         return None
-    return values if isinstance(values, np.ndarray) and values.shape == shape else None
+    right = isinstance(values, np.ndarray) and (values.dtype, values.shape) == (np.float64, shape)
+    return values if right else None
 
 
 def _computed(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from vergence.accuracy.plan import Plan, plan
 from vergence.arrays import Array
 from vergence.calibration.calibrate import calibrate
 from vergence.data.reader import load_dataset
-from vergence.errors import VergenceError
+from vergence.errors import VergenceError, check_seed
 from vergence.geometry.board import Board, Chessboard, corner_points
 from vergence.geometry.head import HeadCalibration, T_head_base, load_head
 from vergence.geometry.se3 import transform
@@ -52,8 +53,7 @@ def run(
 def _check(
     views: int, limits_deg: tuple[float, ...], distances_m: tuple[float, ...], seed: int
 ) -> None:
-    if seed < 0:
-        raise VergenceError(f"--seed takes 0 or more, found {seed}.")
+    check_seed(seed)
     if not 1 <= views <= MOST_VIEWS:
         raise VergenceError(f"A plan has 1 to {MOST_VIEWS} views, found --views {views}.")
     for name, values, most, unit in (
@@ -70,7 +70,7 @@ def _check(
 def _head_and_board(
     source: Path, stated: tuple[int, int, float] | None, progress: Progress
 ) -> tuple[HeadCalibration, Board]:
-    if source.is_dir():
+    if os.path.isdir(source):
         data = load_dataset(source)
         board = data.description.board if stated is None else _chessboard(stated)
         found = calibrate(data, progress=progress)

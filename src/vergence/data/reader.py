@@ -6,6 +6,7 @@ Whatever is missing, doubtful or impossible is refused with the file, the line a
 from __future__ import annotations
 
 import csv
+import os
 import re
 from collections import Counter
 from dataclasses import dataclass
@@ -64,10 +65,15 @@ def load_dataset(folder: str | Path) -> Dataset:
             the field or line.
     """
     folder = Path(folder)
-    if not folder.is_dir():
+    if os.path.isfile(folder):
+        raise VergenceError(
+            f"{folder} is a file; a dataset is a folder with {DESCRIPTION} and {FRAMES}."
+        )
+    # Those of os.path: methods of Path raise where a name is too long, or may not be looked up.
+    if not os.path.isdir(folder):
         raise VergenceError(f"There is no dataset folder {folder}.")
     for name in (DESCRIPTION, FRAMES):
-        if not (folder / name).exists():
+        if not os.path.exists(folder / name):
             raise VergenceError(f"There is no {name} in {folder}.")
     description = read_parsed(
         folder / DESCRIPTION,

@@ -1,6 +1,7 @@
 """Dense depth while the twin's eyes move, and its error.
 
-The truth, which only the twin knows, is used for the errors alone.
+The truth, which only the twin knows, is used for the errors, and to refuse a calibration of another
+head.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.commands.depth import (
+    RESULTS,
     PairDepth,
     StereoImages,
     Summary,
@@ -31,6 +33,7 @@ from vergence.progress import Progress, silent
 from vergence.self_calibration.sequence import Geometry, initial_seen_geometry, update_geometry
 from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Twin
+from vergence.twin.model import check_calibration_of
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.scene.room import Scene
 from vergence.twin.simulated_robot import calibrate_twin
@@ -65,11 +68,11 @@ def depth(
         progress: is called after each pair.
 
     Raises:
-        VergenceError: an argument is out of range, the calibration cannot be read or has no stereo
-            pair, or the folder cannot be written.
+        VergenceError: an argument is out of range, the calibration cannot be read or is of another
+            head, or the folder cannot be written.
     """
     check_pairs(pairs)
-    check_outputs(folder=out, inputs=[calibration] if calibration else [])
+    check_outputs(folder=out, names=RESULTS, inputs=[calibration] if calibration else [])
     given = None if calibration is None else load_head(calibration)
     errors: dict[str, list[tuple[Array, Array, float]]] = defaultdict(list)
     with _twin(profile, scene, seed, given) as (twin, head, joint_std):
@@ -90,6 +93,7 @@ def _twin(
 ) -> Iterator[tuple[Twin, HeadCalibration, float | None]]:
     with Twin(profile, seed=seed, scene=scene) as twin:
         if given is not None:
+            check_calibration_of(twin.truth, given)
             yield twin, given, None
         else:
             settings = calibrate_twin(twin, seed)

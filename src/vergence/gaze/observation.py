@@ -15,7 +15,8 @@ from vergence.gaze.kalman import InnovationRatio, Track, begin, fuse, predict, u
 from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.camera import Camera, check_image_fits, normalise
 from vergence.geometry.head import T_base_cam, T_body_base
-from vergence.geometry.kinematics import EYES, Side
+from vergence.geometry.kinematics import EYES, Side, checked_readings
+from vergence.geometry.neck import NECK_JOINTS
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.uncertainty import locate_with_covariance
 from vergence.vision.detector import Detection, Detector
@@ -32,9 +33,11 @@ def detect_object(settings: GazeSettings, state: GazeState, frame: Frame) -> Gaz
     show the object, or where the geometry is seen by it; none, while a point is looked at.
 
     Raises:
-        VergenceError: the frame's images are those of other cameras, or of another size than the
-            calibration's, or the detector returned something else than it may.
+        VergenceError: the frame's readings are not those of this head, its images are those of
+            other cameras, or of another size than the calibration's, or the detector returned
+            something else than it may.
     """
+    read = _readings(settings, frame)
     detections: dict[str, Detection | None] = {}
     if frame.images and not set(frame.images) & set(settings.cameras):
         raise VergenceError(
@@ -54,7 +57,6 @@ def detect_object(settings: GazeSettings, state: GazeState, frame: Frame) -> Gaz
             found = detect(settings, detector, frame, name, near, target=state.target)
             detections[name] = found
     sent, earlier = (commanded(state.commands, frame.joint_time_s - ago) for ago in (0, 0.1))
-    read = np.concatenate([frame.neck_angles, frame.eye_angles])
     at_rest = np.abs(sent - earlier) < settings.stuck_rad / 3
     was_stuck = np.isin(settings.joints, state.stuck)
     # A stuck joint is free again once it is at its set point, at rest or not.
@@ -115,6 +117,18 @@ def _seen_by_another(
     return len({view[0] for view in views if view is not None}) > 1
 
 
+def _readings(settings: GazeSettings, frame: Frame) -> Array:
+    """Return a frame's readings (j,) [rad]; VergenceError if they are not those of this head."""
+    if np.shape(frame.neck_angles) != (len(NECK_JOINTS),):
+        raise VergenceError(
+            f"A frame has the {len(NECK_JOINTS)} neck angles {', '.join(NECK_JOINTS)}; found an "
+            f"array of shape {np.shape(frame.neck_angles)}. Joints that the head does not have "
+            "read zero."
+        )
+    eyes = checked_readings(settings.calibration.kinematics, frame.eye_angles, one_posture=True)
+    return np.concatenate([frame.neck_angles, eyes])
+
+
 def readings_at_image(settings: GazeSettings, state: GazeState, frame: Frame) -> Array:
     """Return the joint readings (j,) [rad], moved from their own time to that of the image.
 
@@ -122,7 +136,7 @@ def readings_at_image(settings: GazeSettings, state: GazeState, frame: Frame) ->
     joints than the image does is the calibrated time offset or, without one, what the time stamps
     say.
     """
-    read = np.concatenate([frame.neck_angles, frame.eye_angles])
+    read = _readings(settings, frame)
     earlier_s = settings.calibration.time_offset_s or frame.time_s - frame.joint_time_s
     if earlier_s == 0:
         return read

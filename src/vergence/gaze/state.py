@@ -218,7 +218,14 @@ def initial_gaze_state(
 
     It will look at the first object of the settings; see `look_at`. A geometry is what an earlier
     run has learned, where the settings ask for the geometry that is seen; None: nothing.
+    VergenceError if the posture is not one of this head.
     """
+    if np.shape(posture) != (len(settings.joints),):
+        raise VergenceError(
+            f"A posture has the {len(settings.joints)} angles {', '.join(settings.joints)}; found "
+            f"an array of shape {np.shape(posture)}. Joints that the head does not have are at "
+            "zero."
+        )
     command = hold(posture, settings.limits, time_s)
     target = next(iter(settings.objects))
     if settings.geometry == "seen" and geometry is None:

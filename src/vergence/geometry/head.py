@@ -31,6 +31,7 @@ from vergence.geometry.kinematics import (
     reading_kinds,
 )
 from vergence.geometry.neck import Neck, T_body_head
+from vergence.geometry.parameter_names import names_of
 from vergence.geometry.se3 import inverse, pose
 from vergence.reading import read_json
 from vergence.writing import write_json
@@ -39,6 +40,8 @@ R_EYE_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Rotation of a camera that looks straight ahead, and of a board that faces it: z along the eye's
 x."""
 
+WIDE = ("left_wide", "right_wide")
+"""The wide cameras of the paper's head, by which it locates points."""
 _FINITE = ConfigDict(extra="forbid", allow_inf_nan=False)
 MAX_CAMERAS = 64
 SMALLEST_VARIANCE = 1e-60
@@ -363,10 +366,24 @@ def load_head(path: Path | str, *, allow_void: bool = False) -> HeadCalibration:
             such as to look at what is wrong with it.
 
     Raises:
-        VergenceError: the file is missing, not JSON, a field of it is not valid, or the calibration
-            is void.
+        VergenceError: the file is missing, not JSON, a field of it is not valid, its accuracy is of
+            a parameter that the head does not have, or the calibration is void.
     """
     head = read_json(Path(path), HeadCalibration, "a head calibration")
+    _check_accuracy_names(head, path)
     if head.accuracy is not None and head.accuracy.void and not allow_void:
         raise VergenceError(f"The calibration {path} is VOID: {head.accuracy.void[0]}")
     return head
+
+
+def _check_accuracy_names(head: HeadCalibration, path: Path | str) -> None:
+    if head.accuracy is None:
+        return
+    cameras = {name: mounted.intrinsics for name, mounted in head.cameras.items()}
+    known = names_of(cameras, head.kinematics)
+    if unknown := [name for name in head.accuracy.parameters if name not in known]:
+        raise VergenceError(
+            f"{path} is not a head calibration: accuracy.parameters has {unknown[0][:80]!r}, which "
+            f"is no parameter of this head; it has {', '.join(known[:3])} and others, of the "
+            f"cameras {', '.join(head.cameras)}."
+        )

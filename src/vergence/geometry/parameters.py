@@ -20,40 +20,16 @@ from vergence.geometry import se3
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, MountedCamera
 from vergence.geometry.kinematics import EYES, Side, change_joints, joint_value
-from vergence.geometry.lens import COEFFICIENTS
+from vergence.geometry.parameter_names import PINHOLE, POSE, joint_names, names_of
+from vergence.geometry.parameter_names import intrinsics_names as intrinsics_names
 from vergence.geometry.se3 import inverse, pose, rotation
-
-PINHOLE = ("fx", "fy", "cx", "cy")
-POSE = ("rx", "ry", "rz", "tx", "ty", "tz")
-
-
-def intrinsics_names(camera: Camera) -> tuple[str, ...]:
-    """Return the names of a camera's intrinsics: fx, fy, cx, cy, k1, ..., in their order."""
-    return (*PINHOLE, *COEFFICIENTS[camera.model])
 
 
 @lru_cache(maxsize=64)
 def parameter_names(head: HeadCalibration) -> tuple[str, ...]:
     """Return the names of the parameters of a head, in their order."""
-    lenses = tuple((name, intrinsics_names(each.intrinsics)) for name, each in head.cameras.items())
-    return _names(lenses, tuple(name for eye in EYES for name in axes_names(head, eye)))
-
-
-@lru_cache(maxsize=64)
-def _names(
-    lenses: tuple[tuple[str, tuple[str, ...]], ...], axes: tuple[str, ...]
-) -> tuple[str, ...]:
-    """Return the names of all parameters, by those of each camera's lens and of the axes.
-
-    Remembered, since heads that an estimate changes many times a second keep theirs.
-    """
-    poses = tuple(f"T_eye_cam.{name}" for name in POSE)
-    return (
-        *(f"{camera}.{name}" for camera, lens in lenses for name in (*lens, *poses)),
-        *(f"T_rbase_lbase.{name}" for name in POSE),
-        *axes,
-        "time_offset_s",
-    )
+    cameras = {name: mounted.intrinsics for name, mounted in head.cameras.items()}
+    return names_of(cameras, head.kinematics)
 
 
 def named_columns(head: HeadCalibration, names: Sequence[str]) -> list[int]:
@@ -72,9 +48,7 @@ def _columns(everything: tuple[str, ...], names: tuple[str, ...]) -> tuple[int, 
 
 def axes_names(head: HeadCalibration, eye: Side) -> tuple[str, ...]:
     """Return the names of the parameters of an eye's joints, such as left.pan_gain."""
-    joints = head.kinematics.eyes[eye]
-    parameters = head.kinematics.parameters[eye]
-    return tuple(f"{eye}.{joints[k].name}_{name}" for k, name in parameters)
+    return joint_names(head.kinematics, eye)
 
 
 def is_gain(name: str) -> bool:

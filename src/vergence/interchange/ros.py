@@ -5,6 +5,7 @@ The files hold intrinsics only; where a camera sits in the head is not part of t
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -56,7 +57,12 @@ def save(head: HeadCalibration, folder: Path) -> None:
                 "projection_matrix": np.pad(mounted.intrinsics.matrix, ((0, 0), (0, 1))),
             }
             plain = {key: _plain(value) for key, value in content.items()}
-            write_yaml(folder / f"{name}.yaml", plain)
+            write_yaml(folder / file_name(name), plain)
+
+
+def file_name(camera: str) -> str:
+    """Return the name of a camera's file."""
+    return f"{camera}.yaml"
 
 
 def _plain(value: Any) -> Any:
@@ -75,19 +81,24 @@ def load(path: Path) -> dict[str, Camera]:
         raise VergenceError(
             f"The export into {path} was stopped before its end; repeat it, or remove {UNFINISHED}."
         )
-    files = sorted(path.glob("*.yaml")) if path.is_dir() else [path]
-    if not 1 <= len(files) <= MAX_CAMERAS:
+    found = files(path)
+    if not 1 <= len(found) <= MAX_CAMERAS:
         raise VergenceError(
-            f"{path} has {len(files)} *.yaml files; expected one for each of 1 to {MAX_CAMERAS} "
+            f"{path} has {len(found)} *.yaml files; expected one for each of 1 to {MAX_CAMERAS} "
             "cameras."
         )
     cameras: dict[str, Camera] = {}
-    for file in files:
+    for file in found:
         name, camera = read(file, "a camera_info", _named_camera)
         if name in cameras:
             raise VergenceError(f"{file}: another file also describes {name}.")
         cameras[name] = camera
     return cameras
+
+
+def files(path: Path) -> list[Path]:
+    """Return the files that are read of a path: all *.yaml files of a folder, or the file."""
+    return sorted(path.glob("*.yaml")) if os.path.isdir(path) else [path]
 
 
 def _named_camera(content: Any) -> tuple[str, Camera]:

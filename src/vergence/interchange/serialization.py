@@ -128,7 +128,8 @@ def check_names(head: HeadCalibration) -> None:
     for name in head.cameras:
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
             raise VergenceError(
-                f"A camera is called {name!r}; other formats need names of letters, digits and _."
+                f"A camera is called {name!r}; other formats need names of letters, digits and _: "
+                f"write {name.replace('-', '_')!r} wherever the calibration's file names it."
             )
 
 
@@ -150,8 +151,9 @@ def check_cameras(
         skew = lens.matrix[0, 1]
         if abs(skew) > NEGLIGIBLE:
             raise VergenceError(
-                f"{name} has a skew of {skew:.3g} px, for which {format} has no field; "
-                "calibrate without skew to export it."
+                f"{name} has a skew of {skew:.3g} px, for which {format} has no field; set "
+                f"cameras.{name}.intrinsics.matrix[0][1] to 0 in the calibration's file. "
+                "`vergence calibrate` never estimates skew."
             )
         if lens.model not in models:
             raise VergenceError(
@@ -162,5 +164,5 @@ def check_cameras(
         if abs(k3) > NEGLIGIBLE and not has_k3:
             raise VergenceError(
                 f"{name} has k3 = {k3:.3g}, for which {format} has no field; export to opencv "
-                "or ros, or calibrate without k3."
+                "or ros, or calibrate with --lens radial-tangential, which has none."
             )

@@ -15,7 +15,7 @@ import numpy as np
 from vergence.accuracy.motions import PERIOD_S, eye_angles
 from vergence.arrays import Array
 from vergence.geometry.camera import pinhole
-from vergence.geometry.head import R_EYE_CAM, HeadCalibration, MountedCamera
+from vergence.geometry.head import R_EYE_CAM, WIDE, HeadCalibration, MountedCamera
 from vergence.geometry.kinematics import EYES, straight_gaze
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import pose, rotation
@@ -142,16 +142,13 @@ def _measured(
     angles = eye_angles(figure.motion, time_s) * _UP
     gains = np.array([errors.pan_gain_percent, errors.tilt_gain_percent]).T.ravel()
     sensed = eye_angles(figure.motion, time_s - 1e-3 * errors.delay_ms) * _UP
-    left, right = (project_point(truth, name, angles, np.array(figure.mean_m)) for name in _WIDE)
+    left, right = (project_point(truth, name, angles, np.array(figure.mean_m)) for name in WIDE)
     joints = (1 + gains / 100) * sensed
     return believed_head(truth, figure.lens, errors), {
         "left": left,
         "right": right,
         "joints": joints,
     }
-
-
-_WIDE = ("left_wide", "right_wide")
 
 
 def spreads_mm(errors: Errors) -> Array:

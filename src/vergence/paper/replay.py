@@ -11,7 +11,7 @@ import numpy as np
 
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
-from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head import WIDE, HeadCalibration
 from vergence.geometry.neck import NECK_JOINTS
 from vergence.geometry.projection import project_point
 from vergence.paper.comparison import PAPER, Comparison
@@ -24,7 +24,6 @@ from vergence.vision.sphere import find_sphere
 
 SAMPLES = 640
 """Samples per figure, evenly spaced; with 600, standard deviations vary by 2-3 % with the seed."""
-WIDE = ("left_wide", "right_wide")
 _LEAD_S = 1.0  # the eyes reach the trajectory before the first sample
 
 

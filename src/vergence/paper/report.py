@@ -10,10 +10,10 @@ import numpy as np
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.calibration.sequential.sequential import SequentialCalibration
-from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head import WIDE, HeadCalibration
 from vergence.geometry.kinematics import straight_gaze
 from vergence.paper.comparison import PAPER
-from vergence.paper.replay import WIDE, Replay, summaries
+from vergence.paper.replay import Replay, summaries
 from vergence.stereo.depth_error import depth_error, disparity_error
 from vergence.stereo.extrinsics import stereo_poses
 from vergence.twin.looking_around import LOOK_S

@@ -13,7 +13,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.sequential.sequential import SequentialCalibration
 from vergence.data.dataset import Frame
-from vergence.errors import VergenceError
+from vergence.errors import VergenceError, check_seed
 from vergence.geometry.head import HeadCalibration, save_head
 from vergence.paper.comparison import LEARNED, PAPER, Comparison, comparison, learned_around
 from vergence.paper.figures import FIGURES, Figure
@@ -209,8 +209,7 @@ def check(
     if unknown or not figures:
         asked = f"figure {unknown[0]}" if unknown else "no figure"
         raise VergenceError(f"Asked for {asked}; the paper's experiments are figures 6 to 11.")
-    if seed < 0:
-        raise VergenceError(f"The seed must be a whole number from 0, found {seed}.")
+    check_seed(seed)
     for name, unit, value, most in (
         ("duration", "s", duration_s, 3600),
         ("rate", "Hz", rate_hz, 200),

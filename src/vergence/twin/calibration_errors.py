@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from vergence.geometry.head import HeadCalibration, MountedCamera
+from vergence.geometry.head import WIDE, HeadCalibration, MountedCamera
 from vergence.geometry.kinematics import straight_gaze
 from vergence.geometry.se3 import pose, rotation
 from vergence.stereo.extrinsics import T_rcam_lcam, rebase
@@ -25,7 +25,7 @@ def inject_calibration_error(
         return calibration
     focal = by_hand.focal_percent_28 if lens == "2.8mm" else by_hand.focal_percent_40
     cameras = dict(calibration.cameras)
-    for name, sign in (("left_wide", 1), ("right_wide", -1)):
+    for name, sign in zip(WIDE, (1, -1), strict=True):
         mounted = calibration.camera(name)
         matrix = mounted.intrinsics.matrix.copy()
         matrix[[0, 1], [0, 1]] *= 1 + focal / 100
@@ -35,6 +35,6 @@ def inject_calibration_error(
             intrinsics=replace(mounted.intrinsics, matrix=matrix),
             T_eye_cam=mounted.T_eye_cam @ pose(roll, [0, 0, by_hand.axial_mm * 1e-3]),
         )
-    straight, wide = straight_gaze(calibration.kinematics), ("left_wide", "right_wide")
-    T = T_rcam_lcam(calibration, straight, cameras=wide)
-    return rebase(replace(calibration, cameras=cameras), T, joints=straight, cameras=wide)
+    straight = straight_gaze(calibration.kinematics)
+    T = T_rcam_lcam(calibration, straight, cameras=WIDE)
+    return rebase(replace(calibration, cameras=cameras), T, joints=straight, cameras=WIDE)

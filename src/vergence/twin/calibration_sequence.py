@@ -17,7 +17,7 @@ from vergence.calibration.observations import Observations
 from vergence.calibration.sequential.intrinsics import lenses_of_the_paper
 from vergence.calibration.sequential.sequential import SequentialCalibration, calibrate_sequentially
 from vergence.geometry.board import Board, Chessboard, corner_points
-from vergence.geometry.head import R_EYE_CAM, HeadCalibration
+from vergence.geometry.head import R_EYE_CAM, WIDE, HeadCalibration
 from vergence.geometry.kinematics import EYES, readings_to_turn, straight_gaze
 from vergence.geometry.neck import NECK_JOINTS
 from vergence.geometry.projection import project_point
@@ -74,9 +74,8 @@ def plan(
     wide_views, narrow_views, orientations = views
     rng = np.random.default_rng([seed, 4])
     shots: list[Shot] = []
-    wide = ("left_wide", "right_wide")
-    held = [(wide, wide_views, (0.28, 0.65), 0.7)]
-    held += [((*wide, f"{eye}_narrow"), narrow_views, (0.72, 1.1), 0.6) for eye in EYES]
+    held = [(WIDE, wide_views, (0.28, 0.65), 0.7)]
+    held += [((*WIDE, f"{eye}_narrow"), narrow_views, (0.72, 1.1), 0.6) for eye in EYES]
     for cameras, count, depth_m, lean_rad in held:
         for _ in range(count):
             T = _held_board(head, board, cameras, depth_m, lean_rad, rng)
@@ -93,7 +92,7 @@ def plan(
     product = pan * tilt / 0.26
     gaze = readings_to_turn(head.kinematics, np.stack([product, tilt, pan], axis=-1))
     gaze[:, np.ptp(gaze, axis=0) < 1e-6] = product[:, None]
-    shots += [Shot(fixed, T_fixed, readings, wide) for readings in gaze]
+    shots += [Shot(fixed, T_fixed, readings, WIDE) for readings in gaze]
     return shots
 
 

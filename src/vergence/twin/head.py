@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.errors import VergenceError
+from vergence.errors import check_seed
 from vergence.geometry.board import Charuco
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES, Kinematics
@@ -80,8 +80,7 @@ class Twin:
         is no OpenGL, the model or the scene cannot be loaded, the eyes have fewer joints, or the
         seed is negative.
         """
-        if seed < 0:
-            raise VergenceError(f"The seed must be a whole number from 0, found {seed}.")
+        check_seed(seed)
         self.profile = profile
         self.nominal: HeadCalibration = nominal_head(lens, kinematics)
         self.truth: HeadCalibration = as_built_head(self.nominal, profile, seed)

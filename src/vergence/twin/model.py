@@ -18,7 +18,7 @@ from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.board import Charuco
 from vergence.geometry.camera import Camera
-from vergence.geometry.head import HeadCalibration, MountedCamera, T_head_base
+from vergence.geometry.head import HeadCalibration, MountedCamera, T_head_base, pair_names
 from vergence.geometry.kinematics import EYES, Joint, Kinematics, Side
 from vergence.geometry.neck import NECK_JOINTS, Neck
 from vergence.geometry.se3 import pose, rotation
@@ -50,6 +50,9 @@ def load_spec(scene: Scene = "room") -> mujoco.MjSpec:
     return load_scene(model_folder(), scene)
 
 
+ANOTHER_HEAD = 0.1
+"""Share by which a baseline or a focal length is off only in a calibration of another head; errors
+of calibration are a few percent."""
 LEAST_JOINTS = 2
 """Fewest joints of an eye: those of the MJCF file."""
 
@@ -164,6 +167,38 @@ def as_built_head(nominal: HeadCalibration, profile: ErrorProfile, seed: int) ->
         eyes[eye] = first, second, *more
     kinematics = replace(nominal.kinematics, eyes=eyes)
     return replace(nominal, cameras=cameras, T_rbase_lbase=T_rbase_lbase, kinematics=kinematics)
+
+
+def check_calibration_of(twin: HeadCalibration, calibration: HeadCalibration) -> None:
+    """Raise VergenceError if a calibration cannot be that of the twin, which is the as-built head.
+
+    By the baseline and the focal lengths of the main pair, the cameras and the readings.
+    """
+    pair, readings = pair_names(twin), twin.kinematics.readings
+    found = None
+    if missing := [name for name in pair if name not in calibration.cameras]:
+        found = f"it has no camera {missing[0]}, it has {', '.join(calibration.cameras)}"
+    elif calibration.kinematics.readings != readings:
+        theirs = ", ".join(calibration.kinematics.readings)
+        found = f"it is moved by {theirs}, the twin by {', '.join(readings)}"
+    else:
+        (here, own), (there, others) = (
+            (
+                float(np.linalg.norm(head.T_rbase_lbase[:3, 3])),
+                [float(head.cameras[name].intrinsics.matrix[0, 0]) for name in pair],
+            )
+            for head in (calibration, twin)
+        )
+        if abs(here / there - 1) > ANOTHER_HEAD:
+            found = f"its baseline is {1e3 * here:.1f} mm, the twin's {1e3 * there:.1f} mm"
+        for name, focal, of_twin in zip(pair, own, others, strict=True):
+            if abs(focal / of_twin - 1) > ANOTHER_HEAD:
+                found = f"{name}.fx is {focal:.1f} px, the twin's {of_twin:.1f} px"
+    if found:
+        raise VergenceError(
+            f"This calibration is of another head than the twin: {found}. Give the --profile and "
+            "the --seed with which its dataset was recorded, with 2.8 mm lenses."
+        )
 
 
 def compile_head(

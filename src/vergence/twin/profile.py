@@ -8,16 +8,15 @@ drawn with the seed of the run.
 
 from __future__ import annotations
 
-import tomllib
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from vergence.calibration.sequential.intrinsics import LensModel
 from vergence.errors import VergenceError
-from vergence.reading import read_parsed
+from vergence.reading import parse_toml, read_parsed
 
 Lens = Literal["2.8mm", "4.0mm"]
 """Focal length of the wide cameras."""
@@ -161,7 +160,7 @@ def load_profile(name_or_file: str) -> ErrorProfile:
     """Read a shipped profile by its name, or a TOML file; VergenceError if it is not a profile."""
     if name_or_file in shipped():
         shipped_file = resources.files("vergence.twin") / "profiles" / f"{name_or_file}.toml"
-        return ErrorProfile.model_validate(tomllib.loads(shipped_file.read_text(encoding="utf-8")))
+        return ErrorProfile.model_validate(parse_toml(shipped_file.read_text(encoding="utf-8")))
     if not name_or_file.endswith(".toml"):
         raise VergenceError(
             f"No error profile is called {name_or_file!r}; there are {', '.join(shipped())}, "
@@ -171,13 +170,6 @@ def load_profile(name_or_file: str) -> ErrorProfile:
         Path(name_or_file),
         "an error profile",
         ErrorProfile.model_validate,
-        _toml,
+        parse_toml,
         most_bytes=MAX_BYTES,
     )
-
-
-def _toml(text: str) -> dict[str, Any]:
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"it is not valid TOML: {error}") from None
