@@ -174,11 +174,15 @@ def calibrate(
     exchanged, unknown = (), ()
     if estimate is not None:
         exchanged, unknown = exchanged_readings(observations, head, estimate.T_base_eye)
-    void = (*exchanged, *accuracy.void, *contradictions, *axes_and_eyes.doubts(head, std))
+    void = (*exchanged, *accuracy.void, *contradictions)
+    odd_baseline = []
     measured_poses = observations.T_base_eye is not None
+    if not measured_poses:  # whose bases may stand anywhere, as those of two arms do
+        void += tuple(axes_and_eyes.doubts(head, std))
+        odd_baseline = axes_and_eyes.odd_baseline(head)
     warnings = (
         *posed.warnings,
-        *([] if measured_poses else axes_and_eyes.odd_baseline(head)),
+        *odd_baseline,
         *board_flips.warnings(renumbered),
         *excitation.doubts(observations, T_cam_target, head, focal_std),
         *accuracy.warnings,
