@@ -175,7 +175,7 @@ def _exchanged(found: Mapping[int, _Turns], to_left: Mapping[int, Array]) -> lis
     if not follows_own and not follows_other:
         return []
     left, right = (found[e].camera for e in (0, 1))
-    fits = [turns.own if follows_own else turns.other for turns in found.values()]
+    fits = [found[e].own if follows_own else found[e].other for e in (0, 1)]
     if not all(fit.possible for fit in fits):
         return []  # one joint alone counts the other way: of that speaks _contradictions
     aside = None  # how far the left eye's camera stands to the left of the right one's
