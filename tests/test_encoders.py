@@ -103,6 +103,22 @@ def test_the_order_in_which_cameras_are_listed_does_not_matter():
     check_encoders(seen, board_poses_of(truth, seen))
 
 
+def test_a_reading_that_is_missing_does_not_switch_off_the_checks():
+    truth, seen = recorded()
+    spoilt = seen.eye_angles * [1, -1, 1, 1]
+    spoilt[20, 0] = np.nan
+    with pytest.raises(VergenceError, match="left_tilt counts the other way"):
+        check_encoders(with_readings(seen, spoilt), board_poses_of(truth, seen))
+
+
+def test_readings_of_an_eye_without_cameras_are_not_needed():
+    truth, seen = recorded()
+    seen = replace(seen, corners={"left_wide": seen.corners["left_wide"]})
+    spoilt = seen.eye_angles * [1, -1, np.nan, np.nan]
+    with pytest.raises(VergenceError, match="left_tilt counts the other way"):
+        check_encoders(with_readings(seen, spoilt), board_poses_of(truth, seen))
+
+
 RAD = np.radians(1)
 
 

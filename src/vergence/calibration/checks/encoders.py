@@ -9,7 +9,7 @@ eyes before any of them spoils a calibration.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -90,10 +90,17 @@ def check_encoders(seen: Observations, T_cam_target: Mapping[str, Array]) -> Non
 
     T_cam_target has by camera the poses (V, 4, 4) of the board, NaN where not known.
     """
-    if seen.T_base_eye is not None or not np.isfinite(seen.eye_angles).all():
+    if seen.T_base_eye is not None:
         return
+    eyes = camera_eyes(seen)
+    needed = sorted({r for eye in eyes.values() for r in seen.kinematics.used(eye)})
+    read = np.asarray(np.isfinite(seen.eye_angles[:, needed]).all(axis=1))
+    T_cam_target = {name: T[read] for name, T in T_cam_target.items()}
+    seen = seen.take(read)
+    # Readings of an eye without cameras explain nothing.
+    seen = replace(seen, eye_angles=np.nan_to_num(seen.eye_angles))
     found: dict[int, _Turns] = {}
-    for name, eye in camera_eyes(seen).items():
+    for name, eye in eyes.items():
         e = EYES.index(eye)
         turns = _turns(seen, name, e, T_cam_target[name]) if name in T_cam_target else None
         if turns is not None and (e not in found or turns.views > found[e].views):
