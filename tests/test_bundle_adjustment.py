@@ -121,6 +121,15 @@ def test_what_is_fixed_keeps_its_start_and_has_no_variance():
         assert covariance_of(found, name) == 0
 
 
+def test_a_time_offset_that_is_fixed_keeps_its_start():
+    head, observed, start = simulated(20, time_offset_s=0.02)
+    start = replace(start, time_offset_s=0.02)
+    fixed = fixed_by_default(start, timed=False)
+    found = bundle_adjust(start, observed, fixed=fixed)
+    assert found.head.time_offset_s == 0.02
+    np.testing.assert_allclose(errors(found, head), 0, atol=1e-6)
+
+
 def test_a_camera_that_sees_no_board_is_named_and_left_alone():
     _, observed, start = simulated(23, NOISY)
     observed = observed.take(np.arange(0, 40, 2))

@@ -115,8 +115,9 @@ def initial_state(
         ),
         measured=measured_poses,
     )
+    offset_s = start.time_offset_s if "time_offset_s" in fixed else 0.0
     state = BundleState(
-        head=replace(start, time_offset_s=0.0, accuracy=None),
+        head=replace(start, time_offset_s=offset_s, accuracy=None),
         T_lbase_target=np.tile(np.eye(4), (len(numbers), 1, 1)),
         latent=reading,
     )
