@@ -212,6 +212,14 @@ def test_what_cannot_be_calibrated_and_unknown_methods_are_named(dataset: Datase
         calibrate(dataset, method="bundel")  # pyright: ignore[reportArgumentType]
 
 
+@pytest.mark.parametrize("method", ["bundle", "paper"])
+def test_a_view_without_a_reading_is_named(recorded, method: Method):
+    angles = recorded[1].eye_angles.copy()
+    angles[20, 2] = np.nan
+    with pytest.raises(VergenceError, match="The right eye sees a board in view 20, but its joint"):
+        calibrate(replace(recorded[1], eye_angles=angles), method=method)
+
+
 def test_a_dataset_of_moving_eyes_only_is_refused(dataset: Dataset):
     moving = replace(dataset, moving=np.ones(len(dataset), bool))
     with pytest.raises(VergenceError, match="moving rows only"):

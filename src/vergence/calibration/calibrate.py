@@ -26,7 +26,7 @@ from vergence.calibration.checks.part_calibration import (
 )
 from vergence.calibration.checks.pose_readings import check_axis_order, check_pose_readings
 from vergence.calibration.detection import detect_target
-from vergence.calibration.observations import Observations, camera_eyes
+from vergence.calibration.observations import Observations, camera_eyes, check_readings
 from vergence.calibration.sequential.intrinsics import (
     LEAST_VIEWS,
     LensModel,
@@ -128,6 +128,8 @@ def calibrate(
     progress("calibrating", 0, 3)
     seen = data.take(data.at_rest)
     _check_views(seen)
+    if method == "bundle":  # the paper's steps need the readings of some views only
+        check_readings(data)
     lenses = _lenses(seen, method, lens)
     models: dict[str, LensModel] = {name: choice.model for name, choice in lenses.items()}
     intrinsics = calibrate_intrinsics(seen, lenses=models)

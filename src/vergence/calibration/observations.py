@@ -157,6 +157,36 @@ def camera_eyes(observations: Observations) -> dict[str, Side]:
     return found
 
 
+def missing_reading(eye: Side | None, view: int) -> VergenceError:
+    """Return the error for a view without the joint readings, or the pose, of an eye that sees.
+
+    None: of both eyes, whose readings are needed together.
+    """
+    who, its = ("An eye sees", "a") if eye is None else (f"The {eye} eye sees", "its")
+    return VergenceError(
+        f"{who} a board in view {view}, but {its} joint reading is not finite; leave the view out."
+    )
+
+
+def check_readings(observations: Observations) -> None:
+    """Raise a VergenceError if an eye sees a board in a view without a reading or a pose of it."""
+    for name, eye in camera_eyes(observations).items():
+        sees = np.isfinite(observations.corners[name]).any(axis=(1, 2))
+        lost = np.flatnonzero(sees & ~readable(observations, eye))
+        if len(lost):
+            raise missing_reading(eye, int(lost[0]))
+
+
+def readable(observations: Observations, eye: Side) -> np.ndarray:
+    """Return (V,) of bool: in which views all joint readings, or the pose, of an eye are known."""
+    if observations.T_base_eye is not None:
+        finite = np.isfinite(observations.T_base_eye[:, EYES.index(eye)]).all(axis=(1, 2))
+    else:
+        used = observations.kinematics.used(eye)
+        finite = np.isfinite(observations.eye_angles[:, used]).all(axis=1)
+    return np.asarray(finite)
+
+
 def most_seen_board(observations: Observations, T_cam_target: Array) -> np.ndarray:
     """Return the views (N,) of the placement that a camera sees most often, perhaps none.
 

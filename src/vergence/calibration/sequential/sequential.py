@@ -16,7 +16,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.observations import Observations, camera_eyes, most_seen_board
+from vergence.calibration.observations import (
+    Observations,
+    camera_eyes,
+    missing_reading,
+    most_seen_board,
+    readable,
+)
 from vergence.calibration.sequential.hand_eye import park_martin
 from vergence.calibration.sequential.intrinsics import Intrinsics, LensModel, calibrate_intrinsics
 from vergence.calibration.sequential.static_stereo import calibrate_pair
@@ -102,6 +108,9 @@ def calibrate_sequentially(
         rows = most_seen_board(observations, T_cam_target[main])
         if not len(rows):
             raise VergenceError(f"The board was never found in the images of {main}.")
+        lost = rows[~readable(observations, eye)[rows]]
+        if len(lost):
+            raise missing_reading(eye, int(lost[0]))
         T_eye_main = park_martin(T_base_eye[rows, k], T_cam_target[main][rows])
         eye_views[eye] = len(rows)
         mounted[main] = MountedCamera(eye=eye, intrinsics=cameras[main], T_eye_cam=T_eye_main)
