@@ -36,7 +36,7 @@ from vergence.calibration.sequential.hand_eye import robust_park_martin
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board, Charuco, corner_points
 from vergence.geometry.kinematics import EYES
-from vergence.geometry.se3 import angle, pose, rotation, rotvec
+from vergence.geometry.se3 import angle, nearest_rotation, pose, rotation, rotvec
 
 CLEAR = 10.0
 """Evidence [nats] below which a view is left as it is, and named."""
@@ -270,8 +270,7 @@ def _links(
         in_base = (a.R_base_cam @ seen_a, b.R_base_cam @ seen_b)
         groups = [[(e.placement == p) & ~e.unclear for p in placement] for e in (a, b)]
         sums = [[R[g].sum(axis=0) for g in own] for R, own in zip(in_base, groups, strict=True)]
-        U, _, Vt = np.linalg.svd(np.reshape(sums, (2, -1, 3, 3)))
-        mean_a, mean_b = U @ Vt  # rotations, (P, 3, 3)
+        mean_a, mean_b = nearest_rotation(np.reshape(sums, (2, -1, 3, 3)))  # (P, 3, 3)
         least = np.min([[g.sum() for g in own] for own in groups], axis=0)
         return placement, (mean_a, mean_b, np.zeros(len(placement)), least)
     _, i, j = np.intersect1d(a.view, b.view, return_indices=True)

@@ -19,7 +19,7 @@ from vergence.calibration.checks import board_flips
 from vergence.calibration.observations import Observations, camera_eyes, most_seen_board
 from vergence.errors import VergenceError
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side
-from vergence.geometry.se3 import inverse, rotvec
+from vergence.geometry.se3 import inverse, nearest_rotation, rotvec
 
 LEAST_VIEWS_AT_REST = 6
 """Fewest views of a board at rest that say something about readings or measured poses."""
@@ -143,8 +143,7 @@ def _fit(kinematics: Kinematics, eye: Side, readings: Array, turn: Array) -> _Fi
     left = ((turn - read @ w) ** 2).sum() / (turn**2).sum()
     # The rotation that takes the described axes best to where the images show them.
     lengths = [np.linalg.norm(each, axis=1, keepdims=True) for each in (w, d)]
-    U, _, Vt = np.linalg.svd((w / np.maximum(lengths[0], 1e-12)).T @ (d / lengths[1]))
-    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    R = nearest_rotation((w / np.maximum(lengths[0], 1e-12)).T @ (d / lengths[1]))
     gains = (w * (d @ R.T)).sum(axis=1) / lengths[1][:, 0] ** 2
     names = [kinematics.readings[r] for r in used]
     left_rad = float(np.sqrt(((turn - read @ w) ** 2).sum(axis=1).mean()))
