@@ -14,7 +14,7 @@ from vergence.arrays import Array
 from vergence.data.timing import Timing, moved_readings
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board
-from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head import HeadCalibration, check_camera_name
 from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye
 
 
@@ -39,7 +39,8 @@ class Observations:
     """What the cameras saw of a board with K corners in V views, and what the joints read.
 
     Raises:
-        VergenceError: when made of arrays whose shapes do not fit.
+        VergenceError: when made of arrays whose shapes do not fit, or of cameras without a size, or
+            with a name or an eye that a head cannot have.
     """
 
     board: Board
@@ -88,6 +89,27 @@ class Observations:
                 )
         if self.T_base_eye is not None:
             check_rotations("T_base_eye", self.T_base_eye)
+        self._check_cameras()
+
+    def _check_cameras(self) -> None:
+        if not self.corners:
+            raise VergenceError("Observations need the corners of a camera; corners is empty.")
+        for name in self.corners:
+            try:
+                check_camera_name(name)
+            except ValueError as error:
+                why = str(error).rpartition(": ")[2]
+                raise VergenceError(f"corners has a camera {name!r:.80}; {why}.") from None
+            size = self.sizes.get(name)
+            whole = size is not None and len(size) == 2 and all(n > 0 and n == int(n) for n in size)
+            if not whole:
+                raise VergenceError(
+                    f"sizes needs the width and height of {name}'s images [px], such as "
+                    f"(640, 480); found {size}."
+                )
+        for name, eye in self.eyes.items():
+            if eye not in EYES:
+                raise VergenceError(f"eyes.{name} is {eye!r}; expected left or right.")
 
     @property
     def at_rest(self) -> np.ndarray:
