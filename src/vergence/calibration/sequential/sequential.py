@@ -45,6 +45,10 @@ STRAIGHT_RAD = 0.05
 """Readings turned by less than this from zero count as straight gaze: noise and offsets stay below,
 and the eyes' deliberate motions lie well above."""
 
+STRAIGHT_M = 1e-3
+"""Measured poses that look straight but lie farther than this from their median are of eyes that
+move: noise of poses is a fraction of a millimetre."""
+
 
 @dataclass(frozen=True, eq=False)
 class SequentialCalibration:
@@ -161,7 +165,8 @@ def _between_the_eyes(
     straight = both & readable
     for T in (T_l, T_r):
         straight[straight] &= angle(T[straight, :3, :3]) < STRAIGHT_RAD
-    if straight.any():
+    still = observations.T_base_eye is None or all(_stand_still(T[straight]) for T in (T_l, T_r))
+    if straight.any() and still:
         T_rcam_lcam, rms = calibrate_pair(
             corners_l[straight],
             corners_r[straight],
@@ -190,3 +195,9 @@ def _between_the_eyes(
             "corners of the board that are not all on one line."
         )
     return mean_pose(between[known]), None, 0
+
+
+def _stand_still(T: Array) -> bool:
+    """Return whether eyes with poses (N, 4, 4) are all at one place."""
+    t = T[:, :3, 3]
+    return bool((np.linalg.norm(t - np.median(t, axis=0), axis=1) < STRAIGHT_M).all())
