@@ -267,6 +267,7 @@ def test_two_views_are_too_few_and_said_so():
     text = " ".join(solve(recording, start=recording.T_eye_cam).warnings)
     assert "not observable" in text
     assert "noise of the joint readings cannot be estimated" in text
+    assert "0.002 rad was assumed" in text
 
 
 def test_general_poses_about_one_axis_are_named():

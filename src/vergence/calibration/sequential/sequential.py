@@ -121,7 +121,9 @@ def calibrate_sequentially(
         for name in own:
             if name != main:
                 both = observations.corners[main], observations.corners[name]
-                T_name_main, _ = calibrate_pair(*both, points, cameras[main], cameras[name])
+                T_name_main, _ = calibrate_pair(
+                    *both, points, cameras[main], cameras[name], names=(main, name)
+                )
                 mounted[name] = MountedCamera(
                     eye=eye, intrinsics=cameras[name], T_eye_cam=T_eye_main @ inverse(T_name_main)
                 )
@@ -173,6 +175,7 @@ def _between_the_eyes(
             points,
             mounted[left].intrinsics,
             mounted[right].intrinsics,
+            names=pair,
         )
         T = base_extrinsics(
             # The eyes stand still at straight gaze: the mean of what was read is the better one.
