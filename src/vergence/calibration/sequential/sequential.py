@@ -167,8 +167,9 @@ def _between_the_eyes(
     straight = both & readable
     for T in (T_l, T_r):
         straight[straight] &= angle(T[straight, :3, :3]) < STRAIGHT_RAD
-    still = observations.T_base_eye is None or all(_stand_still(T[straight]) for T in (T_l, T_r))
-    if straight.any() and still:
+    if observations.T_base_eye is not None and straight.any():
+        straight &= _stand_still(T_l[straight]) and _stand_still(T_r[straight])
+    if straight.any():
         T_rcam_lcam, rms = calibrate_pair(
             corners_l[straight],
             corners_r[straight],
