@@ -1,6 +1,7 @@
 """Boards numbered from the wrong end are turned, all of them and no others."""
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -9,7 +10,15 @@ from board_flips import count, flips, rolled, squared
 from simulated_head import random_head
 from simulated_recording import Noise, Recording, record
 from vergence.arrays import Array
-from vergence.calibration.checks.board_flips import number_alike, remarks, turn_boards, warnings
+from vergence.calibration.checks import flip_evidence
+from vergence.calibration.checks.board_flips import (
+    CLEAR,
+    number_alike,
+    remarks,
+    turn_boards,
+    warnings,
+)
+from vergence.calibration.checks.flip_evidence import agreed_shifts
 from vergence.calibration.observations import Observations
 from vergence.geometry.board import Charuco, corner_points
 from vergence.geometry.head import HeadCalibration
@@ -100,3 +109,39 @@ def test_boards_that_one_view_leaves_open_are_named():
     (said,) = warnings(found)
     assert "is not clear" in said
     assert "view 0 of left_wide; view 0 of right_wide" in said
+
+
+def votes(
+    rng: np.random.Generator, cameras: int, n: int
+) -> tuple[np.ndarray, Array, dict[tuple[int, int], Array]]:
+    """Return true shifts of cameras, and costs by which 19 of 20 pairs show them."""
+    true, pairs = rng.integers(0, n, cameras), {}
+    for a, b in combinations(range(cameras), 2):
+        if b == a + 1 or rng.random() < 0.5:  # not all cameras see the board together
+            cost = rng.uniform(5, 20, n)
+            cost[(true[b] - true[a]) % n if rng.random() < 0.95 else rng.integers(n)] = 0.0
+            pairs[a, b] = cost
+    return true, 0.7 * (np.arange(n) > 0) + rng.uniform(0, 0.1, (cameras, n)), pairs
+
+
+@pytest.mark.parametrize(("cameras", "n"), [(2, 2), (5, 2), (9, 2), (4, 4), (6, 4)])
+def test_cameras_that_are_joined_by_parts_agree_as_when_all_shifts_are_tried(
+    cameras: int, n: int, monkeypatch
+):
+    for seed in range(20):
+        _, own, pairs = votes(np.random.default_rng(seed), cameras, n)
+        monkeypatch.setattr(flip_evidence, "MOST_TRIED", 4096)
+        shifts, evidence = agreed_shifts(own, pairs)
+        monkeypatch.setattr(flip_evidence, "MOST_TRIED", 0)
+        by_parts, stated = agreed_shifts(own, pairs)
+        alike = (by_parts == shifts).all()
+        assert alike or max(stated, evidence) < CLEAR  # a view that is not clear stays as it is
+        assert not alike or stated > evidence - 1e-9
+
+
+@pytest.mark.parametrize(("cameras", "n"), [(16, 2), (30, 4)])
+def test_the_boards_of_many_cameras_are_turned_too(cameras: int, n: int):
+    true, own, pairs = votes(np.random.default_rng(0), cameras, n)
+    shifts, evidence = agreed_shifts(own, pairs)
+    assert len(set((shifts - true) % n)) == 1
+    assert evidence > 10

@@ -212,6 +212,14 @@ def test_what_cannot_be_calibrated_and_unknown_methods_are_named(dataset: Datase
         calibrate(dataset, method="bundel")  # pyright: ignore[reportArgumentType]
 
 
+@pytest.mark.parametrize("method", ["bundle", "paper"])
+def test_a_view_without_a_reading_is_named(recorded, method: Method):
+    angles = recorded[1].eye_angles.copy()
+    angles[20, 2] = np.nan
+    with pytest.raises(VergenceError, match="The right eye sees a board in view 20, but its joint"):
+        calibrate(replace(recorded[1], eye_angles=angles), method=method)
+
+
 def test_a_dataset_of_moving_eyes_only_is_refused(dataset: Dataset):
     moving = replace(dataset, moving=np.ones(len(dataset), bool))
     with pytest.raises(VergenceError, match="moving rows only"):
@@ -224,3 +232,20 @@ def test_shapes_that_do_not_fit_are_refused_when_observations_are_made(recorded)
         replace(observed, eye_angles=observed.eye_angles[:, :2])
     with pytest.raises(VergenceError, match=r"corners of left_wide of shape \(36, 54, 2\)"):
         replace(observed, corners={"left_wide": observed.corners["left_wide"][:, 1:]})
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"sizes": {"left_wide": (640, 480)}}, "and height of right_wide's images .* found None"),
+        ({"sizes": {"left_wide": (640, 0), "right_wide": (640, 480)}}, r"found \(640, 0\)"),
+        ({"corners": {}}, "corners is empty"),
+        ({"eyes": {"left_wide": "Left"}}, "eyes.left_wide is 'Left'; expected left or right"),
+    ],
+)
+def test_cameras_that_no_head_has_are_refused_when_observations_are_made(recorded, change, said):
+    with pytest.raises(VergenceError, match=said):
+        replace(recorded[1], **change)
+    corners = {"left cam": recorded[1].corners["left_wide"]}
+    with pytest.raises(VergenceError, match="a camera 'left cam'; a camera's name begins with"):
+        replace(recorded[1], corners=corners)

@@ -3,6 +3,8 @@
 `test_lens` has what holds for every lens model.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -19,6 +21,7 @@ from vergence.geometry.camera import (
     project_jacobians,
     undistort,
 )
+from vergence.geometry.lens import COEFFICIENTS, CameraModel
 
 seeds = st.integers(0, 2**32 - 1)
 WIDE = pinhole(640, 480, 280.0, (-0.12, 0.02, 0.0005, -0.0005, 0.0))
@@ -119,6 +122,16 @@ def test_an_impossible_camera_is_refused(change: dict, says: str):
     Camera(**valid)
     with pytest.raises(ValidationError, match=says):
         Camera(**(valid | change))
+
+
+@pytest.mark.parametrize("model", COEFFICIENTS)
+def test_a_lens_without_distortion_need_not_say_so(model: CameraModel):
+    camera = Camera(640, 480, np.diag([300.0, 300, 1]), model=model)
+    assert camera.distortion.tolist() == [0.0] * len(COEFFICIENTS[model])
+    with pytest.raises(ValueError, match="read-only"):
+        camera.distortion[0] = 1
+    with pytest.raises(ValueError, match="coefficients, found 0"):
+        replace(camera, distortion=[])
 
 
 def test_a_camera_cannot_be_changed_behind_its_back():

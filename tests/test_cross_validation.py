@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from simulated_head import plain_head
-from simulated_recording import EXACT, Noise, Recording, record
+from simulated_recording import BOARD, EXACT, Noise, Recording, record
 from test_parameters import stated
 from vergence.calibration.checks.cross_validation import (
     PartCalibration,
@@ -51,6 +51,21 @@ def test_a_perfect_calibration_has_no_held_out_error():
     assert found.point_mm == pytest.approx(0, abs=1e-6)
     assert found.transfer_views == found.point_views == 20
     assert found.expected_mm is None
+
+
+def test_corners_are_carried_from_eye_to_eye_by_a_board_of_the_size_that_was_estimated():
+    board = replace(BOARD, square_m=BOARD.square_m / 1.05)
+    seen = replace(observations(), board=board)
+    parts = calibrate_folds(seen, lambda _: PartCalibration(HEAD, {}, 1.05))
+    assert held_out(seen, parts).transfer_px == pytest.approx(0, abs=1e-4)
+
+
+def test_a_view_that_wide_and_narrow_cameras_see_is_one_view():
+    cameras = {n.replace("wide", "narrow"): each for n, each in HEAD.cameras.items()}
+    four = replace(HEAD, cameras={**HEAD.cameras, **cameras})
+    how = Recording(straight=0, orientations=20, noise=EXACT)
+    seen = record(four, np.random.default_rng(1), how)
+    assert cross_validated(seen, lambda _: four).transfer_views == 20
 
 
 def test_training_never_contains_the_views_that_are_predicted():

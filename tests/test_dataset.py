@@ -235,6 +235,26 @@ def test_readings_are_those_of_the_joints_that_are_described(folder):
     np.testing.assert_array_equal(tilt.axis, [0, 1, 0])
 
 
+def test_readings_before_a_gear_are_neither_wrapped_nor_limited(folder):
+    """A motor may turn more than once, and 190 degrees of it are not -170."""
+    gear = {"version": 0.25, "vergence": 1}
+    described = {
+        "kinematics": {
+            eye: [joint("pan", gear), joint("tilt", {"tilt": 1})] for eye in ("left", "right")
+        },
+        "readings": {name: {"unit": "deg"} for name in ("version", "vergence", "tilt")},
+    }
+    without_pan_and_tilt(folder, described)
+    table = without(rows(3), "left_pan", "left_tilt", "right_pan", "right_tilt")
+    for row, version in zip(table, (170.0, 190.0, 730.0), strict=True):
+        row |= {"version": version, "vergence": 359.0, "tilt": 5.0}
+    write_table(folder, table)
+    dataset = load_dataset(folder)
+    np.testing.assert_allclose(np.degrees(dataset.eye_angles[:, 0]), [170, 190, 730])
+    np.testing.assert_allclose(np.degrees(dataset.eye_angles[:, 1]), -1)
+    assert dataset.remarks == ()
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [

@@ -80,6 +80,30 @@ def test_other_readings_than_described_are_refused_and_nothing_is_left(tmp_path,
     assert not (tmp_path / "set").exists()
 
 
+def image(width: int = 32, height: int = 24) -> np.ndarray:
+    return np.zeros((height, width, 3), np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"images": {"third": image()}}, "an image of 'third'; the cameras described are left_w"),
+        ({"images": {"left_wide": image(24, 32)}}, r"of shape \(32, 24, 3\); 32 x 24 pixels are d"),
+        ({"eye_angles": np.array([0, np.nan, 0, 0])}, "needs finite numbers; left_tilt is nan"),
+        ({"neck_angles": np.array([np.inf, 0, 0])}, "needs finite numbers; neck_.* is inf"),
+        ({"joint_time_s": np.nan}, "needs finite numbers; joint_time_s is nan"),
+        ({"time_s": 1.1}, "increase from row to row; time_s = 1.1 s follows 1.1 s"),
+        ({"joint_time_s": 0.9}, "joint_time_s = 0.9 s follows 1.2 s"),
+    ],
+)
+def test_what_could_not_be_read_back_is_not_written(tmp_path, change, said):
+    *good, last = entries(3, np.random.default_rng(1))
+    wrong = replace(last, frame=replace(last.frame, **change))
+    with pytest.raises(VergenceError, match=said):
+        write_dataset(tmp_path / "set", about(), [*good, wrong])
+    assert not (tmp_path / "set").exists()
+
+
 def test_poses_take_the_place_of_angles_and_are_read_back_exactly(tmp_path):
     rng, folder = np.random.default_rng(2), tmp_path / "set"
     described = Description(cameras=about().cameras, board=CHARUCO, eye_motion="poses")

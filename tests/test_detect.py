@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -19,6 +20,7 @@ from recordings import (
     small_dataset,
     write_dataset,
 )
+from vergence.calibration import detection
 from vergence.calibration.detection import detect_or_explain, detect_target
 from vergence.data.images import UNREADABLE
 from vergence.data.reader import load_dataset
@@ -151,6 +153,35 @@ def test_one_picture_from_two_cameras_is_refused(folder):
     shutil.copy(folder / "images" / "left_2.png", folder / "images" / "right_2.png")
     with pytest.raises(VergenceError, match=r"line 4: .*right_2\.png .* same picture as .*left_2"):
         detect_target(load_dataset(folder))
+
+
+def test_blank_pictures_of_two_cameras_are_no_repetition(folder):
+    blank = np.zeros((240, 280), np.uint8)
+    for name in ("left_1", "right_2"):
+        cv2.imwrite(str(folder / "images" / f"{name}.png"), blank)
+    found = detect_target(load_dataset(folder))
+    assert {f.reason for f in found.failures} == {"the image is too dark"}
+    assert len(found.failures) == 2
+
+
+def test_motions_of_too_few_rows_are_refused_before_images_are_searched(folder):
+    dataset = load_dataset(folder)
+    moving = replace(dataset, moving=np.arange(len(dataset)) == 1)
+    calls = []
+    with pytest.raises(VergenceError, match="moving rows come at least 3 in sequence"):
+        detect_target(moving, progress=lambda *call: calls.append(call))
+    assert calls == []
+
+
+def test_images_in_which_opencv_cannot_look_for_another_board_are_no_failure(tmp_path, monkeypatch):
+    def refuse(image: np.ndarray, board: object) -> None:
+        if board != CHESSBOARD:
+            raise cv2.error("no room")
+
+    small_dataset(tmp_path / "set")
+    monkeypatch.setattr(detection, "detect_board", refuse)
+    with pytest.raises(VergenceError, match=r"check board in dataset\.json"):
+        detect_target(load_dataset(tmp_path / "set"))
 
 
 def test_images_of_another_size_are_refused(folder):

@@ -43,6 +43,13 @@ def exchanged_readings(seen: Observations) -> Observations:
     return with_readings(seen, seen.eye_angles[:, [2, 3, 0, 1]])
 
 
+def board_poses_of(head: HeadCalibration, seen: Observations) -> dict[str, np.ndarray]:
+    return {
+        name: board_poses(head.cameras[name].intrinsics, corners, POINTS)
+        for name, corners in seen.corners.items()
+    }
+
+
 def refusal(seen: Observations) -> str:
     with pytest.raises(VergenceError) as refused:
         calibrate(seen)
@@ -84,6 +91,32 @@ def test_eyes_that_moved_alike_do_not_tell_whether_their_readings_are_exchanged(
         assert found.accuracy.void == ()
         assert "let the eyes verge in some of the views" in found.observations.remarks[-1]
         assert f"Note: {found.observations.remarks[-1]}" in found.summary().splitlines()
+
+
+def test_the_order_in_which_cameras_are_listed_does_not_matter():
+    truth, _ = recorded()
+    over = pose(rotation([0, 0, np.pi]))
+    left, right = truth.cameras["left_wide"], truth.cameras["right_wide"]
+    left = replace(left, T_eye_cam=left.T_eye_cam @ over)
+    truth = replace(truth, cameras={"right_wide": right, "left_wide": left})
+    seen = record(truth, np.random.default_rng(3), GOOD)
+    check_encoders(seen, board_poses_of(truth, seen))
+
+
+def test_a_reading_that_is_missing_does_not_switch_off_the_checks():
+    truth, seen = recorded()
+    spoilt = seen.eye_angles * [1, -1, 1, 1]
+    spoilt[20, 0] = np.nan
+    with pytest.raises(VergenceError, match="left_tilt counts the other way"):
+        check_encoders(with_readings(seen, spoilt), board_poses_of(truth, seen))
+
+
+def test_readings_of_an_eye_without_cameras_are_not_needed():
+    truth, seen = recorded()
+    seen = replace(seen, corners={"left_wide": seen.corners["left_wide"]})
+    spoilt = seen.eye_angles * [1, -1, np.nan, np.nan]
+    with pytest.raises(VergenceError, match="left_tilt counts the other way"):
+        check_encoders(with_readings(seen, spoilt), board_poses_of(truth, seen))
 
 
 RAD = np.radians(1)
@@ -161,11 +194,7 @@ def test_good_readings_are_never_refused(seed: int):
         for name, corners in seen.corners.items()
     }
     seen = turn_boards(seen, turns)
-    poses = {
-        name: board_poses(truth.cameras[name].intrinsics, corners, POINTS)
-        for name, corners in seen.corners.items()
-    }
-    check_encoders(seen, poses)
+    check_encoders(seen, board_poses_of(truth, seen))
 
 
 SPOILT = {

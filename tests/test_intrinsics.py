@@ -296,12 +296,12 @@ def observed(corners: dict[str, np.ndarray]) -> Observations:
 
 def test_a_lens_is_stated_for_all_cameras_or_by_camera():
     rng = np.random.default_rng(9)
-    seen = observed({name: scattered(LENSES["fisheye"], 15, rng) for name in ("left", "right")})
+    seen = observed({name: scattered(LENSES["fisheye"], 15, rng) for name in ("one", "two")})
     assert {c.model for c in choose_lenses(seen, "k1").values()} == {"k1"}
-    found = choose_lenses(seen, {"left": "rational"})
-    assert (found["left"].model, found["left"].held_out_px) == ("rational", {})
-    assert found["right"].model == "fisheye"
-    with pytest.raises(VergenceError, match="'middle'; the cameras are left, right"):
+    found = choose_lenses(seen, {"one": "rational"})
+    assert (found["one"].model, found["one"].held_out_px) == ("rational", {})
+    assert found["two"].model == "fisheye"
+    with pytest.raises(VergenceError, match="'middle'; the cameras are one, two"):
         choose_lenses(seen, {"middle": "fisheye"})
     with pytest.raises(VergenceError, match="no lens model 'mirror'; there are auto, none"):
         choose_lenses(seen, "mirror")  # pyright: ignore[reportArgumentType]

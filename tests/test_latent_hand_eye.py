@@ -203,7 +203,22 @@ def test_poses_of_pan_and_tilt_are_taken_as_pan_and_tilt():
     np.testing.assert_allclose(solve(poses).T_eye_cam, solve(recording).T_eye_cam, atol=1e-9)
 
 
+def test_noise_of_rotation_and_translation_may_be_given_for_poses_of_pan_and_tilt():
+    recording = record(5, joint_std=0.002, pixel_std_px=0.1)
+    poses = replace(recording, readings=pan_tilt_pose(recording.readings))
+    found = solve(poses, joint_std=(0.002, 1e-4))
+    assert found.joint_std == pytest.approx((0.002,))
+    with pytest.raises(VergenceError, match=r"one number \[rad\], found \(0.002, 0.0001\)"):
+        solve(recording, joint_std=(0.002, 1e-4))
+
+
 # Recordings that do not determine the mounting.
+
+
+def test_a_motion_below_its_noise_voids_the_result():
+    found = solve(record(7, joint_std=0.005, pixel_std_px=0.1, reach=(0.25, 0.002)))
+    assert "the sense of the motion is uncertain" in found.void[0]
+    assert solve(record(7, joint_std=0.001, pixel_std_px=0.1)).void == ()
 
 
 @pytest.mark.parametrize(
@@ -252,6 +267,7 @@ def test_two_views_are_too_few_and_said_so():
     text = " ".join(solve(recording, start=recording.T_eye_cam).warnings)
     assert "not observable" in text
     assert "noise of the joint readings cannot be estimated" in text
+    assert "0.002 rad was assumed" in text
 
 
 def test_general_poses_about_one_axis_are_named():

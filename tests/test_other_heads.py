@@ -102,6 +102,31 @@ def test_poses_that_know_lengths_show_the_size_of_the_board(size: float):
     assert checked.prediction_px < 0.5
 
 
+@pytest.mark.parametrize("turned_rad", [0.0, np.pi / 2])
+def test_bases_of_measured_poses_may_stand_anywhere(turned_rad: float):
+    """Two cameras on one flange, of whose poses the right ones are given in a base of its own."""
+    truth, left = on_an_arm(8)
+    assert left.T_base_eye is not None
+    mounted = truth.cameras["left_wide"]
+    T_rbase_lbase = pose(rotation([0.0, 0.0, turned_rad]))
+    aside = replace(mounted, eye="right", T_eye_cam=pose(t=[0, -0.08, 0]) @ mounted.T_eye_cam)
+    truth = replace(truth, cameras={"left_wide": mounted, "right_wide": aside})
+    truth = replace(truth, T_rbase_lbase=T_rbase_lbase)
+    T = left.T_base_eye[:, 0]
+    T_base_target = mounted.T_eye_cam @ pose(rotation([0.3, 0.2, 0.0]), [-0.12, -0.08, 0.5])
+    right = project_at(aside, np.eye(4), T, transform(T_base_target, POINTS)[None])
+    right += np.random.default_rng(1).normal(0, 0.2, right.shape)
+    seen = replace(
+        left,
+        corners={**left.corners, "right_wide": right},
+        sizes=dict.fromkeys(truth.cameras, (640, 480)),
+        T_base_eye=np.stack([T, T_rbase_lbase @ T], axis=1),
+    )
+    found = calibrate(seen)
+    assert_near(found, truth)
+    assert found.accuracy.void == ()
+
+
 def test_eye_poses_about_one_axis_are_refused_with_the_axis():
     _, seen = recorded(2, how=replace(QUIET, reach_rad=(0.25, 0)))
     words = r"rotation about and translation along \(-?0\.0.*1\.00\)"

@@ -9,7 +9,9 @@ import pytest
 from simulated_recording import BOARD, POINTS, as_poses
 from test_other_heads import assert_near, on_an_arm, recorded
 from vergence.calibration.calibrate import calibrate
+from vergence.calibration.checks.pose_readings import check_pose_readings
 from vergence.calibration.observations import Observations
+from vergence.data.timing import Timing
 from vergence.errors import VergenceError
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.projection import project_at
@@ -71,6 +73,33 @@ def test_exchanged_rows_are_named_and_left_out(seen):
     assert checked is not None
     assert checked.prediction_px is not None
     assert checked.prediction_px < 0.5
+
+
+def test_a_time_offset_of_moving_eyes_is_not_taken_for_another_row(seen):
+    """It is estimated; and a row at rest that contradicts the others keeps its number."""
+    assert seen.T_base_eye is not None
+    phase = np.linspace(0, 6 * np.pi, 60)[:, None]
+    turns = 0.3 * np.sin(phase + np.arange(3))
+    late = pose(rotation(turns), 0.1 * turns)
+    true = np.concatenate([np.roll(late, -1, axis=0), seen.T_base_eye[:, 0]])
+    read = np.concatenate([late, seen.T_base_eye[:, 0]])
+    read[70] = read[65]
+    V, K = len(read), len(POINTS)
+    moving = Observations(
+        board=BOARD,
+        placement=np.zeros(V, int),
+        eye_angles=np.full((V, 4), np.nan),
+        corners={"left_wide": np.zeros((V, K, 2))},
+        sizes={"left_wide": (640, 480)},
+        timing=Timing(np.arange(V) / 30, (np.arange(V) < 60).astype(int)),
+        T_base_eye=np.stack([read, read], axis=1),
+    )
+    T_base_target = pose(rotation([0.3, 0.2, 0.0]), [-0.12, -0.08, 0.5])
+    found = check_pose_readings(moving, {"left_wide": inverse(true) @ T_base_target})
+    (said,) = found.warnings
+    assert said.startswith("View 70: the pose of the left eye")
+    lost = np.isnan(found.observations.corners["left_wide"]).all(axis=(1, 2))
+    assert np.flatnonzero(lost).tolist() == [70]
 
 
 @pytest.mark.parametrize("shared", [False, True], ids=["each its own", "common tilt"])

@@ -12,6 +12,8 @@ from vergence.geometry.se3 import (
     boxplus,
     hat,
     inverse,
+    mean_pose,
+    nearest_rotation,
     pose,
     rotation,
     rotvec,
@@ -132,3 +134,18 @@ def test_leading_dimensions_are_batches():
     assert_same(inverse(T)[1, 4], inverse(T[1, 4]))
     assert_same(boxminus(T, np.eye(4))[3, 0], boxminus(T[3, 0], np.eye(4)))
     assert pose(t=p).shape == (5, 4, 4)
+
+
+@given(poses, st.floats(-1e-3, 1e-3))
+def test_the_nearest_rotation_is_no_mirror_image(T: np.ndarray, third: float):
+    """As of a sum of rotations that is nearly of rank two, whose determinant may be negative."""
+    R = nearest_rotation(T[:3, :3] @ np.diag([2.0, 1.0, third]))
+    assert_same(R, T[:3, :3], 1e-9)
+    batch = nearest_rotation(np.stack([np.diag([1.0, 1, -0.1]), T[:3, :3]])[None])
+    assert_same(batch, np.stack([np.eye(3), T[:3, :3]])[None], 1e-9)
+
+
+def test_the_mean_of_poses_that_differ_much_is_a_pose():
+    half_turns = pose(rotation(np.pi * np.eye(3)[[0, 1]]))
+    quarter = pose(rotation([0.0, 0.0, np.pi - 0.1]))
+    assert np.linalg.det(mean_pose(np.stack([*half_turns, quarter]))[:3, :3]) > 0

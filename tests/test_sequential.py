@@ -16,6 +16,7 @@ from vergence.geometry.board import Chessboard
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.projection import project_point
+from vergence.geometry.se3 import inverse, pose
 from vergence.stereo.triangulation import Status, triangulate_at
 
 NARROW = 10.0
@@ -75,6 +76,20 @@ def test_exact_data_give_the_head(exact, as_measured_poses: bool):
     assert found.accuracy.parameters == ()
     assert found.accuracy.lenses == {n: each.accuracy for n, each in found.intrinsics.items()}
     assert max(each.focal for each in found.accuracy.lenses.values()) < 1e-6
+
+
+def test_measured_poses_that_shift_without_turning_are_no_straight_gaze():
+    truth, observed = recorded()
+    away = pose(t=np.random.default_rng(1).normal(0, 0.02, (len(observed.placement), 3)))
+    away[observed.placement == observed.placement.max()] = np.eye(4)  # before the board at rest
+    seen = as_poses(observed)
+    assert seen.T_base_eye is not None
+    T = seen.T_base_eye.copy()
+    T[:, 0] = away @ T[:, 0]
+    T[:, 1] = truth.T_rbase_lbase @ away @ inverse(truth.T_rbase_lbase) @ T[:, 1]
+    found = calibrate_sequentially(replace(seen, T_base_eye=T))
+    assert_same(found.head.T_rbase_lbase, truth.T_rbase_lbase)
+    assert found.stereo_rms_px is None
 
 
 def test_a_head_from_exact_data_locates_points_exactly(exact):

@@ -75,8 +75,10 @@ def test_noise_leaves_an_error_of_its_own_size():
 def test_cameras_that_never_saw_the_board_together_are_refused():
     _, corners, cameras = pair(np.random.default_rng(4))
     corners[0][:4], corners[1][4:] = np.nan, np.nan
-    with pytest.raises(VergenceError, match=r"both see 6 corners .*; found none"):
+    with pytest.raises(VergenceError, match=r"a and camera b .* both see 6 corners .*; found none"):
         calibrate_pair(*corners, POINTS, *cameras)
+    with pytest.raises(VergenceError, match="The pose between left_wide and left_narrow needs"):
+        calibrate_pair(*corners, POINTS, *cameras, names=("left_wide", "left_narrow"))
 
 
 def test_corners_that_tell_no_pose_are_refused():

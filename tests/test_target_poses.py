@@ -102,6 +102,32 @@ def test_a_camera_of_the_start_that_measured_nothing_keeps_its_place():
     assert any("right_wide" in warning for warning in found.warnings)
 
 
+def test_the_joints_are_those_of_the_start():
+    rng = np.random.default_rng(3)
+    head = head_of("shared tilt, pan", rng)
+    poses, readings = measured(head, rng)
+    covariance = dict.fromkeys(poses, NOISE)
+    given = as_designed(head.kinematics)
+    for kinematics in (None, given):
+        found = adjust_target_poses(
+            poses, readings, eyes=EYES_OF, covariance=covariance, start=head, kinematics=kinematics
+        )
+        assert np.abs(off(found, head)).max() < 1e-5
+
+
+def test_a_start_of_another_head_is_refused():
+    rng = np.random.default_rng(3)
+    head = head_of("pan, tilt", rng)
+    poses, readings = measured(head, rng, views=10)
+    others = head_of("tilt, pan", rng).kinematics
+    with pytest.raises(VergenceError, match=r"kinematics and start\.kinematics describe different"):
+        adjust_target_poses(poses, readings, eyes=EYES_OF, start=head, kinematics=others)
+    with pytest.raises(VergenceError, match="target by third; start has the cameras left_wide, r"):
+        adjust_target_poses({"third": poses["left_wide"]}, readings, eyes=EYES_OF, start=head)
+    with pytest.raises(VergenceError, match="right_wide sits in the right eye of start"):
+        adjust_target_poses(poses, readings, eyes=dict.fromkeys(poses, "left"), start=head)
+
+
 def test_noisy_poses_give_the_stated_error():
     inside = []
     for seed in range(6):
@@ -175,6 +201,8 @@ def test_wrong_arguments_are_refused():
         adjust_target_poses(poses, readings, eyes={"left_wide": "left"})
     with pytest.raises(VergenceError, match=r"eye is \(10, 4\) readings"):
         adjust_target_poses(poses, readings[:, :3], eyes=EYES_OF)
+    with pytest.raises(VergenceError, match=r"each of the 10 views, found shape \(9,\)"):
+        adjust_target_poses(poses, readings, eyes=EYES_OF, placement=np.zeros(9, int))
     covariance = dict.fromkeys(poses, -np.eye(6))
     with pytest.raises(VergenceError, match="positive definite"):
         adjust_target_poses(poses, readings, eyes=EYES_OF, covariance=covariance)

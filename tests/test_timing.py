@@ -58,6 +58,16 @@ def test_eyes_at_rest_and_other_motions_have_no_part_in_it():
     assert np.abs(moved[run == 2]).max() < 0.1
 
 
+def test_a_view_at_rest_without_a_reading_leaves_the_others_as_they_are():
+    t = np.concatenate([np.zeros(2), np.arange(20) / 30])
+    run = np.repeat([0, 1], [2, 20])
+    values = swing(t)
+    expected = moved_readings(values, Timing(t, run), 0.03)
+    values[0] = np.nan
+    moved = moved_readings(values, Timing(t, run), 0.03)
+    np.testing.assert_array_equal(moved[1:], expected[1:])
+
+
 def test_three_views_give_a_straight_line():
     t = np.array([0.0, 0.1, 0.2])
     moved = moved_readings(t[:, None] * [1.0, -2.0], Timing(t, np.ones(3, dtype=int)), 0.05)

@@ -26,7 +26,7 @@ from vergence.calibration.checks.part_calibration import (
 )
 from vergence.calibration.checks.pose_readings import check_axis_order, check_pose_readings
 from vergence.calibration.detection import detect_target
-from vergence.calibration.observations import Observations, camera_eyes
+from vergence.calibration.observations import Observations, camera_eyes, check_readings
 from vergence.calibration.sequential.intrinsics import (
     LEAST_VIEWS,
     LensModel,
@@ -128,6 +128,8 @@ def calibrate(
     progress("calibrating", 0, 3)
     seen = data.take(data.at_rest)
     _check_views(seen)
+    if method == "bundle":  # the paper's steps need the readings of some views only
+        check_readings(data)
     lenses = _lenses(seen, method, lens)
     models: dict[str, LensModel] = {name: choice.model for name, choice in lenses.items()}
     intrinsics = calibrate_intrinsics(seen, lenses=models)
@@ -174,11 +176,15 @@ def calibrate(
     exchanged, unknown = (), ()
     if estimate is not None:
         exchanged, unknown = exchanged_readings(observations, head, estimate.T_base_eye)
-    void = (*exchanged, *accuracy.void, *contradictions, *axes_and_eyes.doubts(head, std))
+    void = (*exchanged, *accuracy.void, *contradictions)
+    odd_baseline = []
     measured_poses = observations.T_base_eye is not None
+    if not measured_poses:  # whose bases may stand anywhere, as those of two arms do
+        void += tuple(axes_and_eyes.doubts(head, std))
+        odd_baseline = axes_and_eyes.odd_baseline(head)
     warnings = (
         *posed.warnings,
-        *([] if measured_poses else axes_and_eyes.odd_baseline(head)),
+        *odd_baseline,
         *board_flips.warnings(renumbered),
         *excitation.doubts(observations, T_cam_target, head, focal_std),
         *accuracy.warnings,

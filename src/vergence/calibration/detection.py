@@ -52,7 +52,7 @@ def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observati
 
     Raises:
         VergenceError: images have another size than dataset.json states, two cameras gave the
-            same picture, or no image shows the board.
+            same picture of the board, no image shows the board, or a motion has too few rows.
     """
     jobs = [
         (camera, row)
@@ -62,6 +62,7 @@ def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observati
     ]
     if not jobs:
         raise VergenceError(f"{dataset.folder} names no image in frames.csv.")
+    timing = Timing(dataset.joint_time_s, runs(dataset)) if dataset.moving.any() else None
     task = "finding the board"
     progress(task, 0, len(jobs))
     found: list[_Detection] = []
@@ -93,7 +94,7 @@ def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observati
         sizes={name: (camera.width, camera.height) for name, camera in cameras.items()},
         eyes={name: camera.eye for name, camera in cameras.items()},
         kinematics=dataset.description.head_kinematics,
-        timing=Timing(dataset.joint_time_s, runs(dataset)) if dataset.moving.any() else None,
+        timing=timing,
         T_base_eye=dataset.T_base_eye,
         systematic_px=SYSTEMATIC_PX,
         failures=tuple(failures),
@@ -154,18 +155,21 @@ def _steepness(grey: np.ndarray) -> float:
 
 
 def _without_repeats(dataset: Dataset, seen: list[_Detection]) -> list[_Detection]:
-    """Return the detections; those in pictures that a camera gave before count as failures."""
+    """Return the detections; those in pictures that a camera gave before count as failures.
+
+    Pictures without a board may be alike: of a covered lens, all are black.
+    """
     first: dict[bytes, _Detection] = {}
     kept = []
     for each in seen:
-        before = first.setdefault(each.digest, each) if each.digest else each
+        before = each if each.corners is None else first.setdefault(each.digest, each)
         if before.camera != each.camera:
             raise VergenceError(
                 f"{dataset.where(each.row)}: {dataset.files[each.camera][each.row]} of "
                 f"{each.camera} is the same picture as "
                 f"{dataset.files[before.camera][before.row]} of {before.camera}."
             )
-        if before is not each and each.corners is not None:
+        if before is not each:
             line = dataset.lines[before.row]
             each = replace(each, corners=None, reason=f"the same picture as in line {line}")
         kept.append(each)
@@ -186,8 +190,8 @@ def _nothing_found(dataset: Dataset, seen: list[_Detection]) -> str:
     ]
     for other, advice in _other_descriptions(board):
         for image in probes:
-            corners = detect_board(image, other)
-            if corners is not None and np.isfinite(corners[:, 0]).sum() >= LEAST_CORNERS:
+            corners, _ = detect_or_explain(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), other)
+            if corners is not None:
                 return f"{sentence}; one {advice}."
     return f"{sentence}; check board in dataset.json."
 

@@ -14,7 +14,7 @@ from vergence.arrays import Array
 from vergence.data.timing import Timing, moved_readings
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board
-from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head import HeadCalibration, check_camera_name
 from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye
 
 
@@ -39,7 +39,8 @@ class Observations:
     """What the cameras saw of a board with K corners in V views, and what the joints read.
 
     Raises:
-        VergenceError: when made of arrays whose shapes do not fit.
+        VergenceError: when made of arrays whose shapes do not fit, or of cameras without a size, or
+            with a name or an eye that a head cannot have.
     """
 
     board: Board
@@ -88,6 +89,27 @@ class Observations:
                 )
         if self.T_base_eye is not None:
             check_rotations("T_base_eye", self.T_base_eye)
+        self._check_cameras()
+
+    def _check_cameras(self) -> None:
+        if not self.corners:
+            raise VergenceError("Observations need the corners of a camera; corners is empty.")
+        for name in self.corners:
+            try:
+                check_camera_name(name)
+            except ValueError as error:
+                why = str(error).rpartition(": ")[2]
+                raise VergenceError(f"corners has a camera {name!r:.80}; {why}.") from None
+            size = self.sizes.get(name)
+            whole = size is not None and len(size) == 2 and all(n > 0 and n == int(n) for n in size)
+            if not whole:
+                raise VergenceError(
+                    f"sizes needs the width and height of {name}'s images [px], such as "
+                    f"(640, 480); found {size}."
+                )
+        for name, eye in self.eyes.items():
+            if eye not in EYES:
+                raise VergenceError(f"eyes.{name} is {eye!r}; expected left or right.")
 
     @property
     def at_rest(self) -> np.ndarray:
@@ -155,6 +177,36 @@ def camera_eyes(observations: Observations) -> dict[str, Side]:
             )
         found[name] = eye
     return found
+
+
+def missing_reading(eye: Side | None, view: int) -> VergenceError:
+    """Return the error for a view without the joint readings, or the pose, of an eye that sees.
+
+    None: of both eyes, whose readings are needed together.
+    """
+    who, its = ("An eye sees", "a") if eye is None else (f"The {eye} eye sees", "its")
+    return VergenceError(
+        f"{who} a board in view {view}, but {its} joint reading is not finite; leave the view out."
+    )
+
+
+def check_readings(observations: Observations) -> None:
+    """Raise a VergenceError if an eye sees a board in a view without a reading or a pose of it."""
+    for name, eye in camera_eyes(observations).items():
+        sees = np.isfinite(observations.corners[name]).any(axis=(1, 2))
+        lost = np.flatnonzero(sees & ~readable(observations, eye))
+        if len(lost):
+            raise missing_reading(eye, int(lost[0]))
+
+
+def readable(observations: Observations, eye: Side) -> np.ndarray:
+    """Return (V,) of bool: in which views all joint readings, or the pose, of an eye are known."""
+    if observations.T_base_eye is not None:
+        finite = np.isfinite(observations.T_base_eye[:, EYES.index(eye)]).all(axis=(1, 2))
+    else:
+        used = observations.kinematics.used(eye)
+        finite = np.isfinite(observations.eye_angles[:, used]).all(axis=1)
+    return np.asarray(finite)
 
 
 def most_seen_board(observations: Observations, T_cam_target: Array) -> np.ndarray:

@@ -66,7 +66,7 @@ def verdict(accuracy: Accuracy, head: HeadCalibration) -> tuple[str, str]:
     if not table:
         return "DOUBTFUL", (
             "Next: look at the standard deviations; the accuracy of a point is stated for heads of "
-            "two eyes that pan and tilt."
+            "two eyes with joint readings."
         )
     for distance, by_calibration, by_reading in table:
         if by_calibration > max(PART * by_reading, SMALL * 1e3 * distance):
@@ -81,9 +81,9 @@ def verdict(accuracy: Accuracy, head: HeadCalibration) -> tuple[str, str]:
 def point_accuracy(head: HeadCalibration) -> list[tuple[float, float, float]]:
     """Return at some distances [m] what calibration and what one reading add to a point [mm].
 
-    Root mean square over a motion: both eyes fixate a point while the gaze goes round. Without the
-    distances at which they do not both see it; empty where the head states no covariance, has one
-    eye, or eyes that do not pan and tilt.
+    Root mean square over a motion: both eyes turn in parallel while the gaze goes round a point
+    that stays ahead. Without the distances at which they do not both see it; empty where the head
+    states no covariance, has one eye, or eyes whose poses are measured.
     """
     accuracy, pair = head.accuracy, main_pair(head)
     if accuracy is None or not accuracy.parameters or pair is None:

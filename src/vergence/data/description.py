@@ -199,10 +199,10 @@ class Description:
 
     @cached_property
     def head_kinematics(self) -> Kinematics:
-        """The joints of both eyes as designed; of an eye without cameras none if not given.
+        """The joints of both eyes as designed; an eye without cameras may have none.
 
-        Of eyes that pan and tilt, joints with one column are moved by one reading, which is called
-        as the first of them.
+        Pan and tilt joints that share a column share one reading, which has the name of the first
+        of them.
         """
         if self.kinematics is None:
             return _pan_and_tilt({n: j for n, j in self.joints.items() if n in EYE_JOINTS})

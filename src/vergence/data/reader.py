@@ -252,6 +252,9 @@ def _joint_angles(description: Description, names: tuple[str, ...], table: _Tabl
             continue
         readings = joint.sign * table.numbers([joint.column])[:, 0]
         turned = np.radians(readings) if joint.unit == "deg" else readings
+        if not _is_angle(description, name):
+            angles[:, n] = turned
+            continue
         beyond = (np.abs(turned) > np.pi) & (np.abs(turned) <= 2 * np.pi)  # 359 degrees are -1
         angles[:, n] = turned - np.where(beyond, 2 * np.pi * np.sign(turned), 0.0)
         for k in np.flatnonzero(np.abs(angles[:, n]) > np.pi).tolist():
@@ -262,6 +265,15 @@ def _joint_angles(description: Description, names: tuple[str, ...], table: _Tabl
                 f"is more than a turn{advice if joint.unit == 'rad' else ''}."
             )
     return angles
+
+
+def _is_angle(description: Description, name: str) -> bool:
+    """Return whether a reading is the angle of joints, or adds to it: a turn more is then the same.
+
+    Not of one with another factor, as of a motor before a gear.
+    """
+    joints = [joint for own in description.head_kinematics.eyes.values() for joint in own]
+    return all(abs(joint.readings.get(name, 1.0)) == 1 for joint in joints)
 
 
 def _placements(neck_angles: Array, table: _Table) -> np.ndarray:
@@ -330,7 +342,7 @@ def _remarks(description: Description, eye_angles: Array, table: _Table) -> tupl
     remarks, sources = [], description.sources
     for n, name in enumerate(description.head_kinematics.readings):
         joint = sources.get(name)
-        if joint is None:
+        if joint is None or not _is_angle(description, name):
             continue
         k = np.abs(eye_angles[:, n]).argmax()
         reading = table.columns[joint.column][k]

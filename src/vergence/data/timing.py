@@ -72,7 +72,9 @@ def stencil(time_s: Array, run: np.ndarray) -> Stencil:
             fit = fit / WINDOW_S ** np.arange(1, degree + 1)[:, None]
             found.append((row, rows[window], fit.T))
     W = max((len(rows) for _, rows, _ in found), default=1)
-    neighbours, weights = np.zeros((N, W), dtype=np.intp), np.zeros((N, W, TRAJECTORY_DEGREE))
+    # Places that are not needed are of the sample itself: another may be NaN, and 0 x NaN is NaN.
+    neighbours = np.tile(np.arange(N, dtype=np.intp)[:, None], W)
+    weights = np.zeros((N, W, TRAJECTORY_DEGREE))
     for row, rows, fit in found:
         neighbours[row, : len(rows)] = rows
         weights[row, : len(rows), : fit.shape[1]] = fit

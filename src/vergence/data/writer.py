@@ -64,8 +64,9 @@ def write_dataset(
         beside: is called with the temporary folder after the last row, to write other files there.
 
     Raises:
-        VergenceError: the folder is not empty, or cannot be written; or a row has other readings
-            than the description.
+        VergenceError: the folder is not empty, or cannot be written; or a row has other cameras,
+            sizes of images or readings than the description, numbers that are not finite, or time
+            stamps that do not increase.
     """
     folder = Path(folder)
     check_new(folder)
@@ -87,7 +88,11 @@ def _write_frames(folder: Path, description: Description, rows: Iterable[Dataset
     ):
         table = csv.DictWriter(file, description.columns, restval="", lineterminator="\n")
         table.writeheader()
+        before: Frame | None = None
         for number, row in enumerate(rows):
+            _check_times(row.frame, before)
+            _check_images(description, row.frame)
+            before = row.frame
             images = {camera: f"images/{number:05d}_{camera}.png" for camera in row.frame.images}
             table.writerow(_cells(description, row) | images)
             for camera, image in row.frame.images.items():
@@ -132,7 +137,43 @@ def _cells(description: Description, row: DatasetRow) -> dict[str, object]:
             )
         poses = row.T_base_eye[[EYES.index(eye) for eye in description.eyes]]
         cells |= dict(zip(description.pose_columns, poses.ravel().tolist(), strict=True))
+    for column, value in cells.items():
+        if isinstance(value, float) and not np.isfinite(value):
+            raise VergenceError(
+                f"The row at {frame.time_s:g} s needs finite numbers; {column} is {value}."
+            )
     return cells
+
+
+def _check_times(frame: Frame, before: Frame | None) -> None:
+    """Raise a VergenceError if time stamps do not increase."""
+    if before is None:
+        return
+    for name, now, then in (
+        (TIME, frame.time_s, before.time_s),
+        (JOINT_TIME, frame.joint_time_s, before.joint_time_s),
+    ):
+        if now <= then:
+            raise VergenceError(
+                f"Time stamps increase from row to row; {name} = {now:g} s follows {then:g} s."
+            )
+
+
+def _check_images(description: Description, frame: Frame) -> None:
+    """Raise a VergenceError if images are of another camera or size than described."""
+    where = f"The row at {frame.time_s:g} s has"
+    for name, image in frame.images.items():
+        if name not in description.cameras:
+            raise VergenceError(
+                f"{where} an image of {name!r}; the cameras described are "
+                f"{', '.join(description.cameras)}."
+            )
+        camera, shape = description.cameras[name], np.shape(image)
+        if shape not in ((camera.height, camera.width), (camera.height, camera.width, 3)):
+            raise VergenceError(
+                f"{where} an image of {name} of shape {shape}; {camera.width} x {camera.height} "
+                f"pixels are described, shape ({camera.height}, {camera.width}, 3)."
+            )
 
 
 def _write_image(path: Path, image: np.ndarray) -> None:

@@ -69,6 +69,9 @@ def check_image_fits(name: str, camera: Camera, shape: Sequence[int], *, whose: 
         )
 
 
+_UNDISTORTED = np.zeros(0)  # as many zeros as the lens model has coefficients
+
+
 @dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
 class Camera:
     """Intrinsic parameters of one camera; ValueError where they are not possible."""
@@ -79,13 +82,17 @@ class Camera:
     """Image height [px]."""
     matrix: Matrix3
     """A of Eq. 2: [[alpha, gamma, u0], [0, beta, v0], [0, 0, 1]] [px]."""
-    distortion: Vector = field(default_factory=lambda: np.zeros(5))
-    """The coefficients of the lens model, in the order of `lens.COEFFICIENTS`."""
+    distortion: Vector = field(default_factory=lambda: _UNDISTORTED)
+    """The coefficients of the lens model, in the order of `lens.COEFFICIENTS`; left out: zeros."""
     model: CameraModel = "radial-tangential"
     """The lens model; files of earlier versions, which do not state one, have this one."""
 
     def __post_init__(self) -> None:
         names = COEFFICIENTS[self.model]
+        if self.distortion is _UNDISTORTED:
+            zeros = np.zeros(len(names))
+            zeros.setflags(write=False)
+            object.__setattr__(self, "distortion", zeros)
         if self.distortion.shape != (len(names),):
             raise ValueError(
                 f"distortion has {len(names)} coefficients, found {self.distortion.size}; those of "

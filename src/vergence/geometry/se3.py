@@ -84,10 +84,20 @@ def angle(R: Array) -> Array:
     return Rotation.from_matrix(R).magnitude()
 
 
+def nearest_rotation(M: Array) -> Array:
+    """Return the rotations (..., 3, 3) that are nearest to matrices M (..., 3, 3).
+
+    The orthogonal factor of M, with the direction of the least singular value turned round where
+    that factor is a mirror image.
+    """
+    U, _, Vt = np.linalg.svd(M)
+    U[..., :, 2] *= np.sign(np.linalg.det(U @ Vt))[..., None]
+    return U @ Vt
+
+
 def mean_pose(T: Array) -> Array:
     """Return the mean rotation and median translation (4, 4) of poses (N, 4, 4) that differ little.
 
     The rotation is the mean of the matrices, projected onto SO(3).
     """
-    U, _, Vt = np.linalg.svd(T[:, :3, :3].sum(axis=0))
-    return pose(U @ Vt, np.median(T[:, :3, 3], axis=0))
+    return pose(nearest_rotation(T[:, :3, :3].sum(axis=0)), np.median(T[:, :3, 3], axis=0))

@@ -118,8 +118,8 @@ def bundle_adjust(
         outlier: standard deviations beyond which a corner or a reading loses weight.
 
     Raises:
-        VergenceError: an unknown parameter is named, a reading that is needed is not finite, or
-            there are fewer data than unknowns.
+        VergenceError: an unknown parameter is named, joint_std is that of other readings, a reading
+            that is needed is not finite, or there are fewer data than unknowns.
     """
     timed = observations.timing is not None
     fixed = fixed_by_default(start, timed=timed) if fixed is None else fixed
@@ -128,6 +128,11 @@ def bundle_adjust(
         raise VergenceError(
             f"There is no parameter {min(unknown)!r} to fix; there are, for example, "
             "left_wide.fx, left_wide.T_eye_cam.rx, left.pan_gain and time_offset_s."
+        )
+    if observations.T_base_eye is None and np.ndim(joint_std):
+        raise VergenceError(
+            f"joint_std of joint readings is one number [rad], found {joint_std}; two, of rotation "
+            "[rad] and translation [m], are for measured eye poses."
         )
     problem, state, numbers = initial_state(
         start,

@@ -41,9 +41,12 @@ def warnings(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
     noise = found.noise
     said = _unobservable(problem, found)
     said += [
-        f"The noise of the joint readings cannot be estimated from these views; {level:g} was "
-        "assumed: let the eyes look at each board from several angles."
-        for level in noise.levels[1:][found.assumed]
+        f"The noise of {what} cannot be estimated from these views; {level:g} {unit} was assumed: "
+        "let the eyes look at each board from several angles."
+        for level, (what, unit), assumed in zip(
+            noise.levels[1:], _kinds_of_noise(problem, found), found.assumed, strict=True
+        )
+        if assumed
     ]
     said += [
         f"The noise of the joint readings rests on {redundancy:.0f} readings more than it takes to "
@@ -70,6 +73,13 @@ def warnings(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
             "model, or the board is not flat; look at the residuals over the image."
         )
     return tuple(dict.fromkeys(said))  # pan and tilt may share one
+
+
+def _kinds_of_noise(problem: BundleProblem, found: Adjusted) -> list[tuple[str, str]]:
+    """Return what each of the levels of joint noise is of, and its unit."""
+    if problem.T_base_eye_read is not None:
+        return [("the eyes' measured rotations", "rad"), ("their measured places", "m")]
+    return [("the joint readings", "rad")] * len(found.assumed)
 
 
 def _lost_readings(problem: BundleProblem, found: Adjusted) -> list[str]:
@@ -171,7 +181,7 @@ def _eyes_of(problem: BundleProblem, owner: str) -> list[int]:
         return [int(problem.eye[problem.cameras.index(camera)])]
     if owner in EYES:
         return [EYES.index(owner)]
-    return [0, 1] if len(problem.cameras) > 1 else [int(problem.eye[0])]
+    return np.unique(problem.eye).tolist()
 
 
 def _causes(problem: BundleProblem, found: Adjusted, eyes: list[int]) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.bundle.measured_poses import PAIRS, MeasuredPoses, PoseObservations
 from vergence.calibration.bundle.problem import BundleProblem, BundleState, corner_errors, eye_poses
-from vergence.calibration.observations import Observations
+from vergence.calibration.observations import Observations, missing_reading
 from vergence.calibration.sequential.lens_prior import lens_prior
 from vergence.data.timing import TRAJECTORY_DEGREE, stencil
 from vergence.errors import VergenceError
@@ -69,10 +69,7 @@ def initial_state(
     reading, block_columns, finite = _readings(observations, pairs, columns)
     if not finite.all():
         v, e = pairs[~finite][0]
-        who, its = (f"The {EYES[e]} eye sees", "its") if alone else ("An eye sees", "a")
-        raise VergenceError(
-            f"{who} a board in view {v}, but {its} joint reading is not finite; leave the view out."
-        )
+        raise missing_reading(EYES[e] if alone else None, int(v))
     around = None
     if observations.timing is not None:
         run = observations.timing.run[block_view]  # a motion of one eye, not of both
@@ -115,8 +112,9 @@ def initial_state(
         ),
         measured=measured_poses,
     )
+    offset_s = start.time_offset_s if "time_offset_s" in fixed else 0.0
     state = BundleState(
-        head=replace(start, time_offset_s=0.0, accuracy=None),
+        head=replace(start, time_offset_s=offset_s, accuracy=None),
         T_lbase_target=np.tile(np.eye(4), (len(numbers), 1, 1)),
         latent=reading,
     )

@@ -49,6 +49,8 @@ class EyeCamera:
     """Noise of one coordinate of a corner."""
     joint_std: tuple[float, ...]
     """Noise of the readings: (angles [rad],), or of eye poses (rotation [rad], translation [m])."""
+    void: tuple[str, ...]
+    """Why the result must not be used; empty: it may be."""
     warnings: tuple[str, ...]
     """What the data cannot determine, and why."""
 
@@ -80,8 +82,8 @@ def refine_eye_camera(
         intrinsics_covariance: (n, n) of the intrinsics in the order of
             `geometry.parameters.intrinsics_names`; None: they are taken as exact.
         pixel_std_px: noise of one coordinate of a corner; None: estimated.
-        joint_std: noise of the readings, [rad] or, for poses, ([rad], [m]); None: estimated; 0:
-            the readings are exact.
+        joint_std: noise of the readings, [rad] or, for poses, ([rad], [m]), of which those of a pan
+            and a tilt use the first; None: estimated; 0: the readings are exact.
         outlier: standard deviations beyond which a corner or a reading loses weight.
 
     Raises:
@@ -94,6 +96,8 @@ def refine_eye_camera(
     _check(eye, pixels, points, len(names))
     N, K = pixels.shape[:2]
     angles = eye if eye.ndim == 2 else _readings_of(eye, kinematics)
+    if eye.ndim == 3 and angles is not None and isinstance(joint_std, tuple):
+        joint_std = joint_std[0]
     T_read = eye if angles is None else T_base_eye(kinematics, "left", angles)
     T_cam_target = board_poses(camera, pixels, points)
     if start is None:
@@ -144,6 +148,7 @@ def refine_eye_camera(
         residuals_px=found.residuals_px[_NAME],
         pixel_std_px=found.pixel_std_px,
         joint_std=found.joint_std,
+        void=found.void,
         warnings=warnings,
     )
 

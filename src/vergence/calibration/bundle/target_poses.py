@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -87,7 +88,7 @@ def adjust_target_poses(
         T_cam_target: by camera (V, 4, 4); NaN where none was measured.
         eye: (V, r) joint readings [rad], or (V, 2, 4, 4) measured poses of both eyes.
         eyes: by camera, in which eye it sits.
-        kinematics: how readings turn the eyes; None: pan and tilt.
+        kinematics: how readings turn the eyes; None: as in the start or, without one, pan and tilt.
         placement: (V,) numbers of the target's places in the head; None: it stayed at one.
         covariance: by camera (6, 6) or (V, 6, 6) of the poses, in the increment of `se3.boxplus`;
             None: noise of one level for rotations and of one for translations, both estimated.
@@ -98,12 +99,16 @@ def adjust_target_poses(
             the readings are exact.
 
     Raises:
-        VergenceError: shapes do not fit, or the motion does not determine a start.
+        VergenceError: shapes do not fit, the start is another head, or the motion does not
+            determine a start.
     """
+    if start is not None:
+        _check_start(start, T_cam_target, eyes, kinematics)
+        kinematics = start.kinematics
     kinematics = Kinematics() if kinematics is None else kinematics
     views = len(eye)
-    placement = np.zeros(views, dtype=int) if placement is None else placement
-    _check(T_cam_target, eye, eyes, kinematics)
+    placement = np.zeros(views, dtype=int) if placement is None else np.asarray(placement)
+    _check(T_cam_target, eye, eyes, kinematics, placement)
     measured_eyes = eye.ndim == 4
     if start is None:
         read = eye
@@ -148,7 +153,7 @@ def _with_noise(
 
     Its level is estimated by each adjustment; sought here is its ratio of translation to rotation.
     """
-    rotations = sum(3 * int(np.isfinite(T[:, 0, 0]).sum()) for T in T_cam_target.values())
+    translations = sum(3 * int(np.isfinite(T[:, 0, 0]).sum()) for T in T_cam_target.values())
     tried: dict[float, BundleEstimate] = {}
 
     def cost(log_lever: float) -> float:
@@ -158,7 +163,7 @@ def _with_noise(
         tried[log_lever] = adjust(
             {name: np.broadcast_to(each, (len(T), 6, 6)) for name, T in T_cam_target.items()}
         )
-        return tried[log_lever].cost + 2 * rotations * log_lever
+        return tried[log_lever].cost + 2 * translations * log_lever
 
     best = minimize_scalar(
         cost, bounds=np.log(_LEVERS_M), method="bounded", options={"xatol": 0.05}
@@ -213,6 +218,7 @@ def _check(
     eye: Array,
     eyes: Mapping[str, Side],
     kinematics: Kinematics,
+    placement: np.ndarray,
 ) -> None:
     views, r = len(eye), len(kinematics.readings)
     if not T_cam_target:
@@ -222,6 +228,10 @@ def _check(
             f"eye is ({views}, {r}) readings, or ({views}, 2, 4, 4) poses of both eyes, found "
             f"{eye.shape}."
         )
+    if placement.shape != (views,):
+        raise VergenceError(
+            f"placement has a number for each of the {views} views, found shape {placement.shape}."
+        )
     if eye.ndim == 4:
         check_rotations("eye", eye)
     for name, T in T_cam_target.items():
@@ -230,9 +240,47 @@ def _check(
                 f"Poses of a target in {views} views are ({views}, 4, 4) for each camera, found "
                 f"{T.shape} for {name}."
             )
-        if name not in eyes:
-            raise VergenceError(f"eyes does not say in which eye {name} sits.")
+        if eyes.get(name) not in EYES:
+            raise VergenceError(f"eyes does not say in which eye {name} sits, left or right.")
         check_rotations(f"T_cam_target of {name}", T)
+
+
+def _check_start(
+    start: HeadCalibration,
+    T_cam_target: Mapping[str, Array],
+    eyes: Mapping[str, Side],
+    kinematics: Kinematics | None,
+) -> None:
+    """Raise a VergenceError if a start is of another head than what was measured."""
+    for name in T_cam_target:
+        if name not in start.cameras:
+            raise VergenceError(
+                f"There are poses of a target by {name}; start has the cameras "
+                f"{', '.join(start.cameras)}."
+            )
+        own = start.cameras[name].eye
+        if eyes.get(name, own) != own:
+            raise VergenceError(f"{name} sits in the {own} eye of start, not in the {eyes[name]}.")
+    if kinematics is not None and not _same_design(kinematics, start.kinematics):
+        raise VergenceError(
+            "kinematics and start.kinematics describe different joints or readings; leave "
+            "kinematics out."
+        )
+
+
+def _same_design(a: Kinematics, b: Kinematics) -> bool:
+    """Return whether joints and readings are the same, but for what a calibration changes."""
+    if a.readings != b.readings:
+        return False
+    pairs = [pair for eye in EYES for pair in zip_longest(a.eyes[eye], b.eyes[eye])]
+    return all(
+        one is not None
+        and other is not None
+        and (one.name, set(one.readings)) == (other.name, set(other.readings))
+        and np.allclose(one.axis, other.axis)
+        and np.allclose(one.point_m, other.point_m)
+        for one, other in pairs
+    )
 
 
 def _start(

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
-from itertools import combinations, product
+from itertools import combinations
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from vergence.arrays import Array
 from vergence.calibration.checks.flip_evidence import (
     PRIOR,
     SPREAD_RAD,
+    agreed_shifts,
     angles_apart,
     apart,
     costs_of_turns,
@@ -36,7 +37,7 @@ from vergence.calibration.sequential.hand_eye import robust_park_martin
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board, Charuco, corner_points
 from vergence.geometry.kinematics import EYES
-from vergence.geometry.se3 import angle, pose, rotation, rotvec
+from vergence.geometry.se3 import angle, nearest_rotation, pose, rotation, rotvec
 
 CLEAR = 10.0
 """Evidence [nats] below which a view is left as it is, and named."""
@@ -224,30 +225,24 @@ def _together(cameras: Mapping[str, _CameraViews], eyes: Mapping[str, str], R: A
     for p, pairs in votes.items():
         for names in _connected(pairs):
             here = {name: cameras[name].placement == p for name in names}
-            totals = {}
-            for shifts in product(range(n), repeat=len(names)):
-                by = dict(zip(names, shifts, strict=True))
-                after = {name: (cameras[name].turns[here[name]] + by[name]) % n for name in names}
-                count = sum(np.count_nonzero(turns) for turns in after.values())
+            views = sum(np.count_nonzero(mask) for mask in here.values())
+            own = np.zeros((len(names), n))
+            for c, shift in np.ndindex(own.shape):
+                seen, mask = cameras[names[c]], here[names[c]]
+                turns = (seen.turns[mask] + shift) % n
+                x_axes = (seen.R_cam_target[mask] @ R[turns])[:, :, 0] @ upright[names[c]]
                 # Boards are mostly held the same way up; this only decides between equals.
-                x_axes = [
-                    (cameras[name].R_cam_target[here[name]] @ R[turns])[:, :, 0] @ upright[name]
-                    for name, turns in after.items()
-                ]
-                totals[shifts] = PRIOR * (count - float(np.concatenate(x_axes).mean()) / 2) + sum(
-                    float(cost[(by[b] - by[a]) % n]) for (a, b), cost in pairs.items() if a in by
-                )
-            best = min(totals, key=lambda shifts: totals[shifts])
-            # Nothing depends on one turn of all: only what differs by more is another answer.
-            others = [
-                total
-                for shifts, total in totals.items()
-                if len({(k - m) % n for k, m in zip(shifts, best, strict=True)}) > 1
-            ]
-            for name, shift in zip(names, best, strict=True):
+                own[c, shift] = PRIOR * (np.count_nonzero(turns) - x_axes.sum() / views / 2)
+            between = {
+                (names.index(a), names.index(b)): cost
+                for (a, b), cost in pairs.items()
+                if a in here
+            }
+            shifts, evidence = agreed_shifts(own, between)
+            for name, shift in zip(names, shifts, strict=True):
                 seen = cameras[name]
                 seen.turns[here[name]] = (seen.turns[here[name]] + shift) % n
-                seen.unclear[here[name]] |= min(others) - totals[best] < CLEAR
+                seen.unclear[here[name]] |= evidence < CLEAR
 
 
 def _connected(pairs: Collection[tuple[str, str]]) -> list[list[str]]:
@@ -270,8 +265,7 @@ def _links(
         in_base = (a.R_base_cam @ seen_a, b.R_base_cam @ seen_b)
         groups = [[(e.placement == p) & ~e.unclear for p in placement] for e in (a, b)]
         sums = [[R[g].sum(axis=0) for g in own] for R, own in zip(in_base, groups, strict=True)]
-        U, _, Vt = np.linalg.svd(np.reshape(sums, (2, -1, 3, 3)))
-        mean_a, mean_b = U @ Vt  # rotations, (P, 3, 3)
+        mean_a, mean_b = nearest_rotation(np.reshape(sums, (2, -1, 3, 3)))  # (P, 3, 3)
         least = np.min([[g.sum() for g in own] for own in groups], axis=0)
         return placement, (mean_a, mean_b, np.zeros(len(placement)), least)
     _, i, j = np.intersect1d(a.view, b.view, return_indices=True)

@@ -105,13 +105,17 @@ def held_out(observations: Observations, parts: Sequence[PartCalibration]) -> He
     number, heads = folds(observations.placement), [part.head for part in parts]
     squares, corners = predicted_squares(observations, parts).sum(axis=0)
     pixels, points, expected, distances = [], [], [], []
-    for k, head in enumerate(heads):
+    transferred: set[int] = set()
+    for k, part in enumerate(parts):
+        head = part.head
         main, narrow = main_pair(head), ("left_narrow", "right_narrow")
         pairs = [] if main is None else [main]
         if set(narrow) <= set(head.cameras) and main != narrow:
             pairs.append(narrow)
         for pair in pairs:
-            pixels += _transferred(head, observations, number == k, pair)
+            errors = _transferred(part, observations, number == k, pair)
+            pixels += errors.values()
+            transferred |= errors.keys()  # a view may be seen by both pairs
         if main is not None:
             found = _located(head, observations, number == k, main)
             for every, own in zip((points, expected, distances), found, strict=True):
@@ -119,7 +123,7 @@ def held_out(observations: Observations, parts: Sequence[PartCalibration]) -> He
     return HeldOut(
         folds=len(parts),
         prediction_px=float(np.sqrt(squares / corners)) if corners else None,
-        transfer_views=len(pixels),
+        transfer_views=len(transferred),
         transfer_px=_rms(pixels),
         point_views=len(points),
         point_mm=_rms(points, 1e3),
@@ -156,15 +160,16 @@ def _rms(errors: list[Array], unit: float = 1.0) -> float | None:
 
 
 def _transferred(
-    head: HeadCalibration, observations: Observations, mine: np.ndarray, pair: tuple[str, str]
-) -> list[Array]:
-    """Return for each view of both eyes the distances of corners from the prediction [px]."""
+    part: PartCalibration, observations: Observations, mine: np.ndarray, pair: tuple[str, str]
+) -> dict[int, Array]:
+    """Return by view of both eyes the distances of corners from the prediction [px]."""
+    head = part.head
     seen = [seen_corners(observations.corners[name]).sum(axis=1) for name in pair]
     rows = np.flatnonzero((np.min(seen, axis=0) >= LEAST_CORNERS) & mine)
     views = observations.at_image_times(head).take(rows)  # readings move along all their neighbours
     if not len(views.placement):
-        return []
-    points = corner_points(views.board)
+        return {}
+    points = part.board_scale * corner_points(views.board)
     between = T_rcam_lcam(head, views.eye_poses(head), cameras=pair)
     errors = []
     for source, target, T in ((0, 1, between), (1, 0, inverse(between))):
@@ -173,7 +178,7 @@ def _transferred(
         expected = project(lenses[1], transform(T_target[:, None], points))
         errors.append(np.linalg.norm(expected - views.corners[pair[target]], axis=-1))
     together = np.concatenate(errors, axis=1)
-    return [row[np.isfinite(row)] for row in together]
+    return {row: own[np.isfinite(own)] for row, own in zip(rows.tolist(), together, strict=True)}
 
 
 def _located(

@@ -9,7 +9,7 @@ eyes before any of them spoils a calibration.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -19,7 +19,7 @@ from vergence.calibration.checks import board_flips
 from vergence.calibration.observations import Observations, camera_eyes, most_seen_board
 from vergence.errors import VergenceError
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side
-from vergence.geometry.se3 import inverse, rotvec
+from vergence.geometry.se3 import inverse, nearest_rotation, rotvec
 
 LEAST_VIEWS_AT_REST = 6
 """Fewest views of a board at rest that say something about readings or measured poses."""
@@ -90,10 +90,17 @@ def check_encoders(seen: Observations, T_cam_target: Mapping[str, Array]) -> Non
 
     T_cam_target has by camera the poses (V, 4, 4) of the board, NaN where not known.
     """
-    if seen.T_base_eye is not None or not np.isfinite(seen.eye_angles).all():
+    if seen.T_base_eye is not None:
         return
+    eyes = camera_eyes(seen)
+    needed = sorted({r for eye in eyes.values() for r in seen.kinematics.used(eye)})
+    read = np.asarray(np.isfinite(seen.eye_angles[:, needed]).all(axis=1))
+    T_cam_target = {name: T[read] for name, T in T_cam_target.items()}
+    seen = seen.take(read)
+    # Readings of an eye without cameras explain nothing.
+    seen = replace(seen, eye_angles=np.nan_to_num(seen.eye_angles))
     found: dict[int, _Turns] = {}
-    for name, eye in camera_eyes(seen).items():
+    for name, eye in eyes.items():
         e = EYES.index(eye)
         turns = _turns(seen, name, e, T_cam_target[name]) if name in T_cam_target else None
         if turns is not None and (e not in found or turns.views > found[e].views):
@@ -136,8 +143,7 @@ def _fit(kinematics: Kinematics, eye: Side, readings: Array, turn: Array) -> _Fi
     left = ((turn - read @ w) ** 2).sum() / (turn**2).sum()
     # The rotation that takes the described axes best to where the images show them.
     lengths = [np.linalg.norm(each, axis=1, keepdims=True) for each in (w, d)]
-    U, _, Vt = np.linalg.svd((w / np.maximum(lengths[0], 1e-12)).T @ (d / lengths[1]))
-    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    R = nearest_rotation((w / np.maximum(lengths[0], 1e-12)).T @ (d / lengths[1]))
     gains = (w * (d @ R.T)).sum(axis=1) / lengths[1][:, 0] ** 2
     names = [kinematics.readings[r] for r in used]
     left_rad = float(np.sqrt(((turn - read @ w) ** 2).sum(axis=1).mean()))
@@ -175,7 +181,7 @@ def _exchanged(found: Mapping[int, _Turns], to_left: Mapping[int, Array]) -> lis
     if not follows_own and not follows_other:
         return []
     left, right = (found[e].camera for e in (0, 1))
-    fits = [turns.own if follows_own else turns.other for turns in found.values()]
+    fits = [found[e].own if follows_own else found[e].other for e in (0, 1)]
     if not all(fit.possible for fit in fits):
         return []  # one joint alone counts the other way: of that speaks _contradictions
     aside = None  # how far the left eye's camera stands to the left of the right one's

@@ -6,6 +6,8 @@ that good views have, up to a cap.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from vergence.arrays import Array
@@ -19,6 +21,8 @@ PRIOR = float(np.log(2.0))
 """Against a view being turned: at most a third of the views are."""
 MOST_OFFERS = 100
 """Views of which each says how the others, or two cameras, are related; more find nothing new."""
+MOST_TRIED = 4096
+"""Shifts of the cameras that are all tried: those of 12 cameras, of 6 where a board is square."""
 
 
 def angles_apart(R_cam_target: Array, R_base_eye: Array, R: Array) -> Array:
@@ -98,3 +102,67 @@ def costs_of_turns(R_a: Array, R_b: Array, slack: Array, weight: Array, R: Array
     total = least.sum(axis=1)[:, None, None] - least[..., None] + cost
     found = total.min(axis=0)
     return found - found.min(axis=1, keepdims=True)
+
+
+def agreed_shifts(own: Array, pairs: Mapping[tuple[int, int], Array]) -> tuple[np.ndarray, float]:
+    """Return the shifts (C,) of the boards of C cameras that cost least, and the evidence [nats].
+
+    The evidence is what the next best cost more. Nothing depends on one shift of all cameras: only
+    what differs by more is another answer. Of more than MOST_TRIED shifts not all are tried.
+
+    Args:
+        own: (C, n) what each shift of one camera's boards costs by itself.
+        pairs: by cameras a and b (n,) what it costs to shift those of b by k more than those of a.
+    """
+    C, n = own.shape
+    if n**C > MOST_TRIED:
+        return _agreed_by_parts(own, pairs)
+    shifts = np.indices((n,) * C).reshape(C, -1).T
+    totals = _totals(shifts, own, pairs)
+    best = int(totals.argmin())
+    change = (shifts - shifts[best]) % n
+    others = totals[(change != change[:, :1]).any(axis=1)]
+    return shifts[best], float(others.min() - totals[best])
+
+
+def _totals(shifts: np.ndarray, own: Array, pairs: Mapping[tuple[int, int], Array]) -> Array:
+    """Return (M,) what shifts (M, C) cost."""
+    n = own.shape[1]
+    alone = own[np.arange(len(own)), shifts].sum(axis=1)
+    return alone + sum(cost[(shifts[:, b] - shifts[:, a]) % n] for (a, b), cost in pairs.items())
+
+
+def _agreed_by_parts(
+    own: Array, pairs: Mapping[tuple[int, int], Array]
+) -> tuple[np.ndarray, float]:
+    """Return what agreed_shifts does: groups of cameras are joined, the clearest first.
+
+    Then whole groups are shifted as long as that costs less. The next best is that of one group.
+    """
+    C, n = own.shape
+    back = -np.arange(n) % n
+    between = np.zeros((C, C, n))
+    for (a, b), cost in pairs.items():
+        between[a, b] += cost
+        between[b, a] += cost[back]
+    groups = np.eye(C, dtype=bool)  # of each camera, the row of its first one
+    shifts, alive, moved = np.zeros(C, dtype=int), np.ones(C, dtype=bool), [*groups.copy()]
+    while alive.sum() > 1:
+        least = np.sort(between, axis=2)
+        clear = np.where(alive[:, None] & alive, least[..., 1] - least[..., 0], -1.0)
+        np.fill_diagonal(clear, -1.0)
+        a, b = np.unravel_index(clear.argmax(), clear.shape)
+        shift = int(between[a, b].argmin())
+        shifts[groups[b]] = (shifts[groups[b]] + shift) % n
+        between[a] += np.roll(between[b], shift, axis=1)
+        between[:, a] = between[a][:, back]
+        groups[a] |= groups[b]
+        alive[b] = False
+        moved.append(groups[a].copy())
+    moves = np.concatenate([k * np.array(moved) for k in range(1, n)])
+    partial = ~np.array(moved * (n - 1)).all(axis=1)
+    while True:
+        totals = _totals(np.vstack([shifts, (shifts + moves) % n]), own, pairs)
+        if totals[1:].min() >= totals[0]:
+            return shifts, float(totals[1:][partial].min() - totals[0])
+        shifts = (shifts + moves[totals[1:].argmin()]) % n

@@ -59,20 +59,20 @@ def check_pose_readings(seen: Observations, T_cam_target: Mapping[str, Array]) -
 
     T_cam_target has by camera the poses (V, 4, 4) of the board, NaN where not known. VergenceError
     says what the poses seem to be, if they are not what they should be. Without measured poses
-    nothing is done.
+    nothing is done. Views of moving eyes are not compared: a time offset looks like another row.
     """
     if seen.T_base_eye is None:
         return CheckedPoses(seen, ())
     eyes, warnings = camera_eyes(seen), []
     left_out: set[tuple[Side, int]] = set()
     for name, eye in eyes.items():
-        rows = most_seen_board(seen, T_cam_target[name])
-        T_eye, T_cam = seen.T_base_eye[rows, EYES.index(eye)], T_cam_target[name][rows]
+        at_rest = np.where(seen.at_rest[:, None, None], T_cam_target[name], np.nan)
+        rows = most_seen_board(seen, at_rest)
+        T_eye, T_cam = seen.T_base_eye[rows, EYES.index(eye)], at_rest[rows]
         known = np.isfinite(T_eye).all(axis=(1, 2))
         rows, T_eye, T_cam = rows[known], T_eye[known], T_cam[known]
         if len(rows) < LEAST_VIEWS_AT_REST:
             continue
-        T_cam = T_cam.copy()
         T_cam[:, :3, :3] = board_flips.nearest(T_cam[:, :3, :3], seen.board)
         turn = float(
             np.median(angle(_motions(T_eye)[:, :, :3, :3])[*np.triu_indices(len(rows), 1)])

@@ -10,7 +10,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.geometry.se3 import inverse, pose, rotvec
+from vergence.geometry.se3 import inverse, nearest_rotation, pose, rotvec
 
 AGREE_RAD = 0.1
 """Views agree that put the board within this of each other: far beyond any joint noise, far below
@@ -39,15 +39,15 @@ def solve_rotation(a: Array, b: Array) -> Array:
     When all rotations share one axis M has rank one, the turn about that axis is free, and a
     VergenceError is raised.
     """
-    U, S, Vt = np.linalg.svd(b.T @ a)
+    M = b.T @ a
+    S = np.linalg.svd(M, compute_uv=False)
     # Two axes suffice: M then has rank two, and the third direction follows from handedness.
     if not S[1] > 1e-6 * S[0] or S[0] == 0:
         raise VergenceError(
             "All eye motions share one axis, which leaves the camera's turn about that axis open; "
             "record views in which the eye both pans and tilts."
         )
-    handed = np.diag([1.0, 1.0, np.linalg.det(Vt.T @ U.T)])
-    return Vt.T @ handed @ U.T
+    return nearest_rotation(M.T)
 
 
 def park_martin(T_base_eye: Array, T_cam_target: Array) -> Array:

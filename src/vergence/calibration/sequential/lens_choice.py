@@ -142,14 +142,15 @@ def best_lens(
         model: float(np.sqrt(each.sum() / count)) for model, each in squares.items()
     }
     best = min(squares, key=lambda model: squares[model].sum())
-    for model, own in squares.items():
-        worse = own - squares[best]
+
+    def worse_by_chance(model: LensModel) -> bool:
+        worse = squares[model] - squares[best]
         certain = MARGIN.get(best, 1.0) * np.sqrt(len(worse)) * worse.std()
         variance = held_out[best] ** 2
         likely = min(certain, MOST_VARIANCES * variance)
-        if worse.sum() <= max(likely, BY_CHANCE * variance):
-            return LensChoice(model, held_out)
-    return LensChoice(best, held_out)
+        return bool(worse.sum() <= max(likely, BY_CHANCE * variance))
+
+    return LensChoice(next(filter(worse_by_chance, squares)), held_out)
 
 
 def _fits(corners: Array, points: Array, size: tuple[int, int]) -> dict[LensModel, LensFit]:

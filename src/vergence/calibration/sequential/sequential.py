@@ -16,7 +16,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.observations import Observations, camera_eyes, most_seen_board
+from vergence.calibration.observations import (
+    Observations,
+    camera_eyes,
+    missing_reading,
+    most_seen_board,
+    readable,
+)
 from vergence.calibration.sequential.hand_eye import park_martin
 from vergence.calibration.sequential.intrinsics import Intrinsics, LensModel, calibrate_intrinsics
 from vergence.calibration.sequential.static_stereo import calibrate_pair
@@ -38,6 +44,10 @@ from vergence.vision.board_pose import LEAST_CORNERS, board_poses, seen_corners
 STRAIGHT_RAD = 0.05
 """Readings turned by less than this from zero count as straight gaze: noise and offsets stay below,
 and the eyes' deliberate motions lie well above."""
+
+STRAIGHT_M = 1e-3
+"""Measured poses that look straight but lie farther than this from their median are of eyes that
+move: noise of poses is a fraction of a millimetre."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,13 +112,18 @@ def calibrate_sequentially(
         rows = most_seen_board(observations, T_cam_target[main])
         if not len(rows):
             raise VergenceError(f"The board was never found in the images of {main}.")
+        lost = rows[~readable(observations, eye)[rows]]
+        if len(lost):
+            raise missing_reading(eye, int(lost[0]))
         T_eye_main = park_martin(T_base_eye[rows, k], T_cam_target[main][rows])
         eye_views[eye] = len(rows)
         mounted[main] = MountedCamera(eye=eye, intrinsics=cameras[main], T_eye_cam=T_eye_main)
         for name in own:
             if name != main:
                 both = observations.corners[main], observations.corners[name]
-                T_name_main, _ = calibrate_pair(*both, points, cameras[main], cameras[name])
+                T_name_main, _ = calibrate_pair(
+                    *both, points, cameras[main], cameras[name], names=(main, name)
+                )
                 mounted[name] = MountedCamera(
                     eye=eye, intrinsics=cameras[name], T_eye_cam=T_eye_main @ inverse(T_name_main)
                 )
@@ -152,6 +167,8 @@ def _between_the_eyes(
     straight = both & readable
     for T in (T_l, T_r):
         straight[straight] &= angle(T[straight, :3, :3]) < STRAIGHT_RAD
+    if observations.T_base_eye is not None and straight.any():
+        straight &= _stand_still(T_l[straight]) and _stand_still(T_r[straight])
     if straight.any():
         T_rcam_lcam, rms = calibrate_pair(
             corners_l[straight],
@@ -159,6 +176,7 @@ def _between_the_eyes(
             points,
             mounted[left].intrinsics,
             mounted[right].intrinsics,
+            names=pair,
         )
         T = base_extrinsics(
             # The eyes stand still at straight gaze: the mean of what was read is the better one.
@@ -181,3 +199,9 @@ def _between_the_eyes(
             "corners of the board that are not all on one line."
         )
     return mean_pose(between[known]), None, 0
+
+
+def _stand_still(T: Array) -> bool:
+    """Return whether eyes with poses (N, 4, 4) are all at one place."""
+    t = T[:, :3, 3]
+    return bool((np.linalg.norm(t - np.median(t, axis=0), axis=1) < STRAIGHT_M).all())

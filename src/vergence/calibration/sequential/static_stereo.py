@@ -19,7 +19,13 @@ their errors grow with its square."""
 
 
 def calibrate_pair(
-    corners_a: Array, corners_b: Array, points: Array, a: Camera, b: Camera
+    corners_a: Array,
+    corners_b: Array,
+    points: Array,
+    a: Camera,
+    b: Camera,
+    *,
+    names: tuple[str, str] = ("camera a", "camera b"),
 ) -> tuple[Array, float]:
     """Return T_b_a (4, 4) of two rigidly connected cameras, and the RMS residual [px].
 
@@ -33,6 +39,7 @@ def calibrate_pair(
         points: (K, 3) the board's corners in frame target.
         a: its intrinsics.
         b: its intrinsics.
+        names: of both, for the message.
 
     Raises:
         VergenceError: no view shows six common corners that are not on one line.
@@ -54,8 +61,9 @@ def calibrate_pair(
     known = np.flatnonzero(np.isfinite(between).all(axis=(1, 2)))
     if not len(known):
         raise VergenceError(
-            f"The pose between two cameras needs views in which both see {LEAST_CORNERS} corners "
-            "of the board, not all on one line and not far from the images' middles; found none."
+            f"The pose between {' and '.join(names)} needs views in which both see "
+            f"{LEAST_CORNERS} corners of the board, not all on one line and not far from the "
+            "images' middles; found none."
         )
     if wide:  # a few corners near the axis may put a board where it is not
         known = known[agreeing_rotations(between[known, :3, :3])]
