@@ -17,7 +17,8 @@ from vergence.geometry.head import R_EYE_CAM, HeadCalibration, MountedCamera, T_
 from vergence.geometry.kinematics import EYES, Joint, Kinematics, Side, pan_tilt
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.neck import Neck
-from vergence.geometry.parameters import POSE, boxplus, parameter_values
+from vergence.geometry.parameter_names import POSE
+from vergence.geometry.parameters import boxplus, parameter_values
 from vergence.geometry.se3 import inverse, pose, rotation, transform
 
 WIDTH, HEIGHT = 640, 480

@@ -29,7 +29,8 @@ from vergence.calibration.sequential.static_stereo import calibrate_pair
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.camera import Camera, displaced_by_distortion, undistort
-from vergence.geometry.parameters import PINHOLE, lens_vector
+from vergence.geometry.parameter_names import PINHOLE
+from vergence.geometry.parameters import lens_vector
 from vergence.geometry.se3 import hat
 from vergence.vision.board_detection import detect_board
 

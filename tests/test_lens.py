@@ -17,7 +17,8 @@ from vergence.geometry.camera import (
     undistort,
 )
 from vergence.geometry.lens import COEFFICIENTS, CameraModel, reach
-from vergence.geometry.parameters import intrinsics_names, lens_of_vector, lens_vector
+from vergence.geometry.parameter_names import intrinsics_names
+from vergence.geometry.parameters import lens_of_vector, lens_vector
 
 seeds = st.integers(0, 2**32 - 1)
 models = st.sampled_from(["radial-tangential", "rational", "fisheye"])

@@ -18,7 +18,8 @@ from vergence.calibration.bundle.problem import head_size, jacobians
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board
 from vergence.geometry.head import Accuracy, HeadCalibration, check_states_covariance
-from vergence.geometry.parameters import POSE, parameter_names
+from vergence.geometry.parameter_names import POSE
+from vergence.geometry.parameters import parameter_names
 
 LEAST_JOINT_STD = 1e-6
 """Least noise of a reading [rad]: a calibration may call joints exact."""

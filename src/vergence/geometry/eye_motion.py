@@ -32,7 +32,7 @@ from vergence.geometry.kinematics import (
     T_base_eye,
     checked_readings,
 )
-from vergence.geometry.parameters import axes_names
+from vergence.geometry.parameter_names import joint_names
 
 
 def eye_linearised(
@@ -118,14 +118,14 @@ def eye_poses_with_jacobians(
     """Return T_base_eye (n, 2, 4, 4), and its derivatives by axes and by readings.
 
     The derivatives by the a errors of the joints (n, 6, a) are a pair, for the left and the right
-    eye, in the order of `parameters.axes_names`. Those by the r readings of the head, or by the
-    increments of both eyes' measured poses (r = 12), are (n, 2, 6, r). All are in the increment of
+    eye, in the order of `parameter_names.joint_names`. Those by the r readings of the head, or by
+    the increments of both eyes' measured poses (r = 12), are (n, 2, 6, r). All are in the increment of
     `se3.boxplus`. Readings are (n, r) or (r,) angles [rad], or (n, 2, 4, 4) or (2, 4, 4) poses.
     VergenceError if they are neither.
     """
     if measured(joints):
         by_pose = np.broadcast_to(np.eye(12).reshape(2, 6, 12), (n, 2, 6, 12))
-        left, right = (np.zeros((n, 6, len(axes_names(head, eye)))) for eye in EYES)
+        left, right = (np.zeros((n, 6, len(joint_names(head.kinematics, eye)))) for eye in EYES)
         return np.broadcast_to(joints, (n, 2, 4, 4)), (left, right), by_pose
     readings = checked_readings(head.kinematics, joints)
     angles = np.broadcast_to(readings, (n, readings.shape[-1]))

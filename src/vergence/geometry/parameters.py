@@ -19,9 +19,8 @@ from vergence.errors import VergenceError
 from vergence.geometry import se3
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, MountedCamera
-from vergence.geometry.kinematics import EYES, Side, change_joints, joint_value
-from vergence.geometry.parameter_names import PINHOLE, POSE, joint_names, names_of
-from vergence.geometry.parameter_names import intrinsics_names as intrinsics_names
+from vergence.geometry.kinematics import EYES, change_joints, joint_value
+from vergence.geometry.parameter_names import PINHOLE, POSE, names_of
 from vergence.geometry.se3 import inverse, pose, rotation
 
 
@@ -44,11 +43,6 @@ def _columns(everything: tuple[str, ...], names: tuple[str, ...]) -> tuple[int, 
     if unknown:
         raise VergenceError(f"This head has no parameter {unknown[0]!r}.")
     return tuple(known[name] for name in names)
-
-
-def axes_names(head: HeadCalibration, eye: Side) -> tuple[str, ...]:
-    """Return the names of the parameters of an eye's joints, such as left.pan_gain."""
-    return joint_names(head.kinematics, eye)
 
 
 def is_gain(name: str) -> bool:

@@ -95,7 +95,7 @@ class ProjectionJacobians:
     pixels: Array
     """(M, K, 2); NaN for points that are not in front of the camera."""
     by_lens: Array
-    """(M, K, 2, n) by the intrinsics, in the order of `parameters.intrinsics_names`."""
+    """(M, K, 2, n) by the intrinsics, in the order of `parameter_names.intrinsics_names`."""
     by_T_eye_cam: Array
     """(M, K, 2, 6)."""
     by_T_base_eye: Array

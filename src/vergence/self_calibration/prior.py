@@ -23,10 +23,9 @@ from vergence.geometry.camera import Camera, displaced_by_distortion, normalise,
 from vergence.geometry.head import HeadCalibration, stated_covariance, states_covariance
 from vergence.geometry.kinematics import EYES, straight_gaze
 from vergence.geometry.lens import COEFFICIENTS
+from vergence.geometry.parameter_names import PINHOLE, intrinsics_names
 from vergence.geometry.parameters import (
-    PINHOLE,
     change_named,
-    intrinsics_names,
     is_gain,
     named_columns,
     parameter_names,

@@ -33,7 +33,8 @@ from vergence.errors import VergenceError
 from vergence.geometry.head import Accuracy, HeadCalibration, main_pair
 from vergence.geometry.kinematics import Kinematics, reading_kinds
 from vergence.geometry.lens import COEFFICIENTS
-from vergence.geometry.parameters import POSE, parameter_names
+from vergence.geometry.parameter_names import POSE
+from vergence.geometry.parameters import parameter_names
 
 EXACT = 1e-8
 """Joint noise [rad or m] that stands for exact readings."""
@@ -129,7 +130,7 @@ def bundle_adjust(
             f"There is no parameter {min(unknown)!r} to fix; there are, for example, "
             "left_wide.fx, left_wide.T_eye_cam.rx, left.pan_gain and time_offset_s."
         )
-    if observations.T_base_eye is None and np.ndim(joint_std):
+    if observations.T_base_eye is None and isinstance(joint_std, tuple):
         raise VergenceError(
             f"joint_std of joint readings is one number [rad], found {joint_std}; two, of rotation "
             "[rad] and translation [m], are for measured eye poses."

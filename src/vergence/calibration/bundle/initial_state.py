@@ -18,7 +18,8 @@ from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES, Kinematics
-from vergence.geometry.parameters import POSE, axes_names, parameter_names
+from vergence.geometry.parameter_names import POSE, joint_names
+from vergence.geometry.parameters import parameter_names
 from vergence.geometry.se3 import angle, inverse
 from vergence.vision.board_pose import LEAST_CORNERS, board_poses, determines_pose, seen_corners
 
@@ -147,7 +148,7 @@ def _free(
     Not what is fixed by choice, nor what belongs to a blind camera or eye, which saw no board, nor
     the joints where poses were measured in place of their angles.
     """
-    joints = () if angles else (*axes_names(start, "left"), *axes_names(start, "right"))
+    joints = () if angles else tuple(n for e in EYES for n in joint_names(start.kinematics, e))
     return [
         name not in fixed and name.partition(".")[0] not in blind and name not in joints
         for name in parameter_names(start)

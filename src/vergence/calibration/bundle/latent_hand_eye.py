@@ -22,7 +22,8 @@ from vergence.geometry.board import Chessboard
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, MountedCamera
 from vergence.geometry.kinematics import Joint, Kinematics, T_base_eye, pan_tilt
-from vergence.geometry.parameters import POSE, change_named, intrinsics_names, parameter_names
+from vergence.geometry.parameter_names import POSE, intrinsics_names
+from vergence.geometry.parameters import change_named, parameter_names
 from vergence.geometry.se3 import boxminus
 from vergence.stereo.calibration_covariance import covariance_factor
 from vergence.vision.board_pose import board_poses

@@ -36,7 +36,8 @@ from vergence.geometry import parameters
 from vergence.geometry.eye_motion import eye_linearised
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES, T_base_eye
-from vergence.geometry.parameters import axes_names, camera_columns
+from vergence.geometry.parameter_names import joint_names
+from vergence.geometry.parameters import camera_columns
 from vergence.geometry.projection import (
     by_parameters,
     by_pose_of_points,
@@ -219,7 +220,7 @@ def _eye_jacobians(problem: BundleProblem, state: BundleState) -> tuple[list[Arr
     for k in range(2, 12):
         term = term @ hat(state.latent[:, :3]) / k
         by_latent[:, :3, :3] += term
-    axes = [np.zeros((len(block), 6, len(axes_names(state.head, eye)))) for eye in EYES]
+    axes = [np.zeros((len(block), 6, len(joint_names(state.head.kinematics, eye)))) for eye in EYES]
     return axes, by_latent[block]
 
 

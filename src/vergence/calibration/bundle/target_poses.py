@@ -27,7 +27,7 @@ from vergence.errors import VergenceError
 from vergence.geometry.camera import pinhole
 from vergence.geometry.head import HeadCalibration, MountedCamera, main_pair
 from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye
-from vergence.geometry.parameters import intrinsics_names
+from vergence.geometry.parameter_names import intrinsics_names
 from vergence.geometry.se3 import inverse, mean_pose
 
 LEAST_POSES = 3

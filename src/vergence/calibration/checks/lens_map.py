@@ -15,7 +15,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.geometry.camera import Camera, normalise, project_jacobians
 from vergence.geometry.head import HeadCalibration, stated_covariance, states_covariance
-from vergence.geometry.parameters import intrinsics_names
+from vergence.geometry.parameter_names import intrinsics_names
 from vergence.geometry.se3 import cross
 
 COLUMNS, ROWS = 12, 9

@@ -27,7 +27,7 @@ from vergence.geometry.board import corner_points
 from vergence.geometry.camera import Camera, displaced_by_distortion, pinhole
 from vergence.geometry.head import LensAccuracy
 from vergence.geometry.lens import distort
-from vergence.geometry.parameters import PINHOLE
+from vergence.geometry.parameter_names import PINHOLE
 from vergence.geometry.se3 import pose, rotation, transform
 from vergence.vision.board_pose import (
     board_errors,

@@ -15,7 +15,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry.camera import Camera
-from vergence.geometry.parameters import PINHOLE
+from vergence.geometry.parameter_names import PINHOLE
 
 EQUIDISTANT = 21 / 13, 105 / 143, 35 / 429
 """k4, k5 and k6 of the rational lens that is nearest to the equidistant one: the denominator of the
