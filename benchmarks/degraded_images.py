@@ -33,7 +33,7 @@ from vergence.paper.figures import FIGURES, default_duration_s
 from vergence.self_calibration.frame import from_matches, locate_seen, self_calibrate_frame
 from vergence.self_calibration.learning import learn
 from vergence.self_calibration.state import (
-    SelfCalibrated,
+    FrameEstimate,
     SelfCalibration,
     initial_self_calibration,
 )
@@ -157,7 +157,7 @@ def mean_within_pixels(values: Array, size: tuple[int, ...]) -> Array:
     return values.reshape(size[0], FINER, size[1], FINER).mean(axis=(1, 3))
 
 
-def mismatched(state: SelfCalibration, sample: Sample) -> SelfCalibrated:
+def mismatched(state: SelfCalibration, sample: Sample) -> FrameEstimate:
     """Estimate from matches of which seven in ten are wrong."""
     good = self_calibrate_frame(state, *sample.images, sample.joints).matches
     rng = np.random.default_rng(len(good.left))
@@ -196,7 +196,7 @@ def taken(twin: Twin, head: HeadCalibration, truth: HeadCalibration, figure: int
     return found
 
 
-def turn_distance(seen: SelfCalibrated, T_true: Array) -> float:
+def turn_distance(seen: FrameEstimate, T_true: Array) -> float:
     """Return the squared Mahalanobis distance of the cameras' turn to each other, per degree."""
     T, P, step = T_rcam_lcam(seen.head, seen.joints), len(seen.names), 1e-6
     by = np.zeros((3, len(seen.covariance)))

@@ -23,7 +23,7 @@ from vergence.self_calibration.frame import from_matches, self_calibrate_frame
 from vergence.self_calibration.learning import learn
 from vergence.self_calibration.prior import UNCALIBRATED, tolerance_covariance
 from vergence.self_calibration.state import (
-    SelfCalibrated,
+    FrameEstimate,
     SelfCalibration,
     initial_self_calibration,
 )
@@ -36,7 +36,7 @@ NOISE_PX, JOINT_DEG, POINTS, PAIRS = 0.08, 0.15, 500, 100
 LENS = "2.8mm"
 SHOWN = 0, 3, 5, 10, 20, 50, 99
 """Pairs of which errors are printed."""
-Step = tuple[SelfCalibrated, SelfCalibration, float]
+Step = tuple[FrameEstimate, SelfCalibration, float]
 """A pair, the state after it, and how wrong the cameras' relative turn is by the pair [deg]."""
 
 

@@ -165,7 +165,7 @@ def _points(result: CalibrationResult) -> list[str]:
     if not rows:
         return [
             "Not stated: it is for points that both eyes see from 0.3 to 1 m, of heads of two eyes "
-            "that pan and tilt."
+            "with joint readings."
         ]
     lines = [
         "Standard deviation of a point ahead, located with the wide cameras, while the gaze goes",

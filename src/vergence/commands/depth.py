@@ -22,7 +22,7 @@ from vergence.geometry.head import HeadCalibration, load_head
 from vergence.progress import Progress, silent
 from vergence.self_calibration.frame import locate_seen
 from vergence.self_calibration.sequence import Geometry, initial_seen_geometry, update_geometry
-from vergence.self_calibration.state import SelfCalibrated
+from vergence.self_calibration.state import FrameEstimate
 from vergence.stereo.dense_depth import DenseDepth, dense_depth
 from vergence.stereo.rectification import RectifiedPair, rectify
 from vergence.stereo.uncertainty import LocatedPoints
@@ -46,7 +46,7 @@ class StereoImages:
     """Readings [rad], or measured poses (2, 4, 4)."""
     left: np.ndarray
     right: np.ndarray
-    seen: SelfCalibrated | None = None
+    seen: FrameEstimate | None = None
     """The geometry that both eyes see; None: it is not asked for."""
 
 

@@ -119,8 +119,8 @@ def eye_poses_with_jacobians(
 
     The derivatives by the a errors of the joints (n, 6, a) are a pair, for the left and the right
     eye, in the order of `parameter_names.joint_names`. Those by the r readings of the head, or by
-    the increments of both eyes' measured poses (r = 12), are (n, 2, 6, r). All are in the increment of
-    `se3.boxplus`. Readings are (n, r) or (r,) angles [rad], or (n, 2, 4, 4) or (2, 4, 4) poses.
+    the increments of both eyes' measured poses (r = 12), are (n, 2, 6, r). All are in the increment
+    of `se3.boxplus`. Readings are (n, r) or (r,) angles [rad], or (n, 2, 4, 4) or (2, 4, 4) poses.
     VergenceError if they are neither.
     """
     if measured(joints):

@@ -28,7 +28,7 @@ from vergence.self_calibration.residuals import epipolar_residuals
 from vergence.self_calibration.robust_fit import FEWEST, GATE, LINEAR_RAD, MOST, robust_fit
 from vergence.self_calibration.state import (
     Evidence,
-    SelfCalibrated,
+    FrameEstimate,
     SelfCalibration,
     Status,
 )
@@ -51,7 +51,7 @@ _LITTLE = 1.5
 
 def self_calibrate_frame(
     state: SelfCalibration, left: np.ndarray, right: np.ndarray, joints: ArrayLike
-) -> SelfCalibrated:
+) -> FrameEstimate:
     """Return the head and its joint angles as a pair of images shows them.
 
     Args:
@@ -91,7 +91,7 @@ def from_matches(
     *,
     images: tuple[np.ndarray, np.ndarray] | None = None,
     at_head: bool = False,
-) -> SelfCalibrated:
+) -> FrameEstimate:
     """Return the head and its joint angles as matches of a pair of images show them.
 
     Args:
@@ -109,7 +109,7 @@ def from_matches(
 
 def _from_matches(
     state: SelfCalibration, matches: Matches, joints: Array, at_head: bool
-) -> SelfCalibrated:
+) -> FrameEstimate:
     C = prior_of(state, len(joints))
     if len(matches.left) < FEWEST:
         return _unseen(state, matches, joints, C, "little seen")
@@ -135,7 +135,7 @@ def _from_matches(
     information, vector = _beyond_known(state, evidence, joints)
     covariance = np.asarray(np.linalg.inv(information + prior), float)
     head, now = _changed(state, joints, covariance @ vector)
-    return SelfCalibrated(
+    return FrameEstimate(
         head=head,
         cameras=state.cameras,
         joints=now,
@@ -205,9 +205,9 @@ def prior_of(state: SelfCalibration, readings: int) -> Array:
 
 def _unseen(
     state: SelfCalibration, matches: Matches, joints: Array, C: Array, status: Status
-) -> SelfCalibrated:
+) -> FrameEstimate:
     """Return the prior."""
-    return SelfCalibrated(
+    return FrameEstimate(
         head=state.head,
         cameras=state.cameras,
         joints=joints,
@@ -242,7 +242,7 @@ def _whitened(
 
 
 def locate_seen(
-    seen: SelfCalibrated, *, left: Array, right: Array, pixel_std_px: ArrayLike
+    seen: FrameEstimate, *, left: Array, right: Array, pixel_std_px: ArrayLike
 ) -> LocatedPoints:
     """Return where points are that both eyes see at the moment of a self-calibrated frame.
 

@@ -24,8 +24,8 @@ from vergence.self_calibration.residuals import depths_of_matches, motion_residu
 from vergence.self_calibration.robust_fit import FEWEST, GATE, INLIER, LINEAR_RAD, MOST, robust_fit
 from vergence.self_calibration.state import (
     Evidence,
+    FrameEstimate,
     Keyframe,
-    SelfCalibrated,
     SelfCalibration,
     TrackedFeatures,
 )
@@ -56,7 +56,7 @@ to rendered images: with it, tracked features leave the squared Mahalanobis dist
 learned about as it is without them."""
 
 
-def worth_tracking(state: SelfCalibration, seen: SelfCalibrated, elapsed_s: float) -> bool:
+def worth_tracking(state: SelfCalibration, seen: FrameEstimate, elapsed_s: float) -> bool:
     """Return whether features tracked to a frame would tell enough of the head.
 
     The eyes have turned far enough since the keyframe, to a posture at which little was learned
@@ -68,7 +68,7 @@ def worth_tracking(state: SelfCalibration, seen: SelfCalibrated, elapsed_s: floa
     return recurrence_inflation(state.recurrence, seen.readings, elapsed_s) < _LARGEST_INFLATION
 
 
-def track_keyframe(state: SelfCalibration, seen: SelfCalibrated) -> TrackedFeatures | None:
+def track_keyframe(state: SelfCalibration, seen: FrameEstimate) -> TrackedFeatures | None:
     """Return where the features of the keyframe are in a frame.
 
     None: there is no keyframe, or one of the two has no images.
@@ -94,8 +94,8 @@ def track_keyframe(state: SelfCalibration, seen: SelfCalibrated) -> TrackedFeatu
 
 
 def by_each_eye(
-    state: SelfCalibration, seen: SelfCalibrated, tracked: TrackedFeatures
-) -> SelfCalibrated:
+    state: SelfCalibration, seen: FrameEstimate, tracked: TrackedFeatures
+) -> FrameEstimate:
     """Return a frame that both eyes together show too little of, as each of them shows it.
 
     An eye in which too few features fit keeps its readings.
@@ -135,13 +135,13 @@ def prior_information(state: SelfCalibration, readings: int) -> Array:
     return N
 
 
-def _turned_rad(key: Keyframe, seen: SelfCalibrated) -> float:
+def _turned_rad(key: Keyframe, seen: FrameEstimate) -> float:
     return float(np.abs(seen.readings - key.readings).max())
 
 
 def with_motion(
     state: SelfCalibration,
-    seen: SelfCalibrated,
+    seen: FrameEstimate,
     tracked: TrackedFeatures,
     inflation: float,
     N: Array,
@@ -172,7 +172,7 @@ def with_motion(
 
 def _fit(
     state: SelfCalibration,
-    seen: SelfCalibrated,
+    seen: FrameEstimate,
     tracked: TrackedFeatures,
     k: int,
     about: Array,
@@ -206,7 +206,7 @@ def _fit(
 
 def _whitened(
     state: SelfCalibration,
-    seen: SelfCalibrated,
+    seen: FrameEstimate,
     tracked: TrackedFeatures,
     k: int,
     change: Array,
@@ -247,7 +247,7 @@ def _whitened(
 
 
 def next_keyframe(
-    state: SelfCalibration, seen: SelfCalibrated, head: HeadCalibration, C: Array, change: Array
+    state: SelfCalibration, seen: FrameEstimate, head: HeadCalibration, C: Array, change: Array
 ) -> Keyframe:
     """Return the keyframe after a frame: the one before, known better, or the frame itself.
 

@@ -26,9 +26,9 @@ from vergence.self_calibration.prior import (
     tolerance_covariance,
 )
 from vergence.self_calibration.state import (
+    FrameEstimate,
     Keyframe,
     Past,
-    SelfCalibrated,
     SelfCalibration,
     TrackedFeatures,
 )
@@ -44,7 +44,7 @@ _CHANGE_EVIDENCE = 2 * np.log(1e5)
 """Twice the logarithm of how much likelier a change must make the window: it is rare."""
 
 
-def learn(state: SelfCalibration, seen: SelfCalibrated, elapsed_s: float) -> SelfCalibration:
+def learn(state: SelfCalibration, seen: FrameEstimate, elapsed_s: float) -> SelfCalibration:
     """Return the state after a frame that was estimated from it.
 
     Args:
@@ -59,7 +59,7 @@ def learn(state: SelfCalibration, seen: SelfCalibrated, elapsed_s: float) -> Sel
 
 
 def learn_tracked(
-    state: SelfCalibration, seen: SelfCalibrated, tracked: TrackedFeatures | None, elapsed_s: float
+    state: SelfCalibration, seen: FrameEstimate, tracked: TrackedFeatures | None, elapsed_s: float
 ) -> SelfCalibration:
     """Return the state after a frame in which features of the keyframe were found; None: not."""
     state = replace(state, bumped=False, uncalibrated=False)
@@ -77,7 +77,7 @@ def learn_tracked(
 
 
 def _remembered(
-    state: SelfCalibration, seen: SelfCalibrated, tracked: TrackedFeatures | None, elapsed_s: float
+    state: SelfCalibration, seen: FrameEstimate, tracked: TrackedFeatures | None, elapsed_s: float
 ) -> Past:
     """Return a frame, seen from a state, as it is kept."""
     before = replace(state, past=(), keyframe=None)

@@ -19,7 +19,7 @@ from vergence.progress import Progress, silent
 from vergence.self_calibration.keyframe import TURNED_RAD
 from vergence.self_calibration.learning import learned_head
 from vergence.self_calibration.sequence import MOVED_RAD, initial_seen_geometry, update_geometry
-from vergence.self_calibration.state import SelfCalibrated, SelfCalibration
+from vergence.self_calibration.state import FrameEstimate, SelfCalibration
 from vergence.stereo.extrinsics import T_rcam_lcam, camera_poses
 from vergence.stereo.uncertainty import calibration_covariance
 
@@ -145,7 +145,7 @@ def self_calibrate_dataset(
     )
 
 
-def _vergence(seen: SelfCalibrated) -> float:
+def _vergence(seen: FrameEstimate) -> float:
     """Return the angle [rad] about the left base's z axis between a frame's cameras."""
     T_lbase_lcam, _ = camera_poses(seen.head, seen.joints, cameras=seen.cameras)
     R_rcam_lcam = T_rcam_lcam(seen.head, seen.joints, cameras=seen.cameras)[:3, :3]

@@ -26,7 +26,7 @@ from vergence.self_calibration.state import Evidence
 
 _HYPOTHESES = 300
 _STEPS = 4
-"""Steps of reweighted least squares, of which a fit has two."""
+"""Steps of each of the two runs of reweighted least squares in a fit."""
 _FIRST = 150
 """Residuals that start a fit; more take longer, and start no better."""
 INLIER = 0.3

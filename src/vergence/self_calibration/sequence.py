@@ -20,7 +20,7 @@ from vergence.geometry.head import HeadCalibration
 from vergence.self_calibration.frame import self_calibrate_frame
 from vergence.self_calibration.learning import learn
 from vergence.self_calibration.state import (
-    SelfCalibrated,
+    FrameEstimate,
     SelfCalibration,
     initial_self_calibration,
 )
@@ -47,7 +47,7 @@ class SeenGeometry:
 
     known: SelfCalibration
     """What persists, learned from all frames so far."""
-    latest: SelfCalibrated | None = None
+    latest: FrameEstimate | None = None
     """Head and joint angles at the latest frame, with what was known before it; None: no frame."""
     time_s: float | None = None
     """Time of the latest frame [s]."""
@@ -109,7 +109,7 @@ def _keyframe_while_neck_rests(before: SeenGeometry, neck: Array) -> SeenGeometr
 
 
 def after_frame(
-    before: SeenGeometry, latest: SelfCalibrated, time_s: float, neck: Array
+    before: SeenGeometry, latest: FrameEstimate, time_s: float, neck: Array
 ) -> SeenGeometry:
     """Return the geometry after a frame that was estimated with what was known before it.
 

@@ -84,7 +84,7 @@ class Past:
 
     state: SelfCalibration
     """Before the frame; without past frames and keyframe of its own."""
-    seen: SelfCalibrated
+    seen: FrameEstimate
     """The frame, without images."""
     tracked: TrackedFeatures | None
     """Features of an earlier frame that were found in it."""
@@ -128,7 +128,7 @@ class TrackedFeatures:
 
 
 @dataclass(frozen=True, eq=False)
-class SelfCalibrated:
+class FrameEstimate:
     """A head and its joint angles at the moment of a pair of images."""
 
     head: HeadCalibration

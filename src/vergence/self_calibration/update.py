@@ -20,7 +20,7 @@ from vergence.self_calibration.match_noise import with_frame
 from vergence.self_calibration.prior import DRIFT, tolerance_covariance
 from vergence.self_calibration.state import (
     Evidence,
-    SelfCalibrated,
+    FrameEstimate,
     SelfCalibration,
     TrackedFeatures,
 )
@@ -33,7 +33,7 @@ _LONGEST_MEMORY = 4000.0
 
 def updated(
     state: SelfCalibration,
-    seen: SelfCalibrated,
+    seen: FrameEstimate,
     says: Evidence,
     tracked: TrackedFeatures | None,
     elapsed_s: float,
@@ -114,7 +114,7 @@ def _joint_variance(state: SelfCalibration, evidence: Evidence) -> tuple[float, 
     return max(variance, 1e-2 * expected), min(weight, _LONGEST_MEMORY)
 
 
-def log_likelihood(state: SelfCalibration, seen: SelfCalibrated) -> float:
+def log_likelihood(state: SelfCalibration, seen: FrameEstimate) -> float:
     """Return the log likelihood of a frame given what is known before, up to a constant."""
     assert seen.evidence is not None
     # In full, unlike in `updated`: errors that recur were there when the state was learned, so that

@@ -18,7 +18,7 @@ class PairCovariance:
     """The part of a head's covariance on which the pixels of two cameras depend."""
 
     own: tuple[list[int], list[int]]
-    """By camera which p_l and p_r of its columns are known to be uncertain."""
+    """By camera, which p_l and p_r of its `pair_columns` have a stated covariance."""
     by_left: Array
     """(p_l + p_r, p_l) covariance of both cameras' with the left one's."""
     by_right: Array

@@ -15,7 +15,7 @@ import rerun.blueprint as rrb
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import parameter_values
 from vergence.self_calibration.robust_fit import INLIER
-from vergence.self_calibration.state import SelfCalibrated, SelfCalibration
+from vergence.self_calibration.state import FrameEstimate, SelfCalibration
 from vergence.viewer import style
 from vergence.viewer.layout import camera_entities, curves_view
 
@@ -46,7 +46,7 @@ def log_seen_styles(rec: rr.RecordingStream, head: HeadCalibration, known: SelfC
         rec.log(entity, lines, static=True)
 
 
-def log_matches(rec: rr.RecordingStream, head: HeadCalibration, seen: SelfCalibrated) -> None:
+def log_matches(rec: rr.RecordingStream, head: HeadCalibration, seen: FrameEstimate) -> None:
     """Record the matches of a frame in both images, at the time that was set."""
     colours = np.where(seen.weights[:, None] > INLIER, style.FITTING, style.MISFIT)
     entities = camera_entities(head)

@@ -81,7 +81,7 @@ def refine_eye_camera(
         joints: of the eye, whose readings are named in the order of their columns; None: pan and
             tilt. Of no use with poses.
         intrinsics_covariance: (n, n) of the intrinsics in the order of
-            `geometry.parameters.intrinsics_names`; None: they are taken as exact.
+            `geometry.parameter_names.intrinsics_names`; None: they are taken as exact.
         pixel_std_px: noise of one coordinate of a corner; None: estimated.
         joint_std: noise of the readings, [rad] or, for poses, ([rad], [m]), of which those of a pan
             and a tilt use the first; None: estimated; 0: the readings are exact.
