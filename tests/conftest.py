@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices; workers have one core each
+os.environ.setdefault("OPENCV_FOR_THREADS_NUM", "1")
 if sys.platform.startswith("linux"):
     os.environ.setdefault("MUJOCO_GL", "egl")  # read when a test imports mujoco, before the twin
     os.environ.setdefault("LP_NUM_THREADS", "0")  # Mesa renders in the worker's own thread

@@ -91,7 +91,7 @@ def run(tmp_path_factory, opengl: None) -> Path:
     out = tmp_path_factory.mktemp("paper")
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(plan.__kwdefaults__, "views", (7, 5, 20))
-        patch.setattr(main_job, "SAMPLES_WITH_IMAGES", 20)
+        patch.setattr(main_job, "SAMPLES_WITH_IMAGES", 6)
         reproduce(out, figures=(7, 6), profile=load_profile("paper"), seed=0, rate_hz=0.5)
     return out
 
