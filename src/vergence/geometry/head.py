@@ -240,8 +240,9 @@ def states_covariance(head: HeadCalibration) -> bool:
 def states_noise(head: HeadCalibration) -> bool:
     """Return whether a head states any errors: its covariance, or noise of pixels or readings."""
     accuracy = head.accuracy
-    noise = accuracy is not None and (accuracy.pixel_std_px is not None or any(accuracy.joint_std))
-    return noise or states_covariance(head)
+    if accuracy is None:
+        return False
+    return accuracy.pixel_std_px is not None or bool(accuracy.joint_std) or states_covariance(head)
 
 
 def check_states_covariance(head: HeadCalibration) -> None:

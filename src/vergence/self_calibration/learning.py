@@ -185,7 +185,7 @@ def learned_head(state: SelfCalibration) -> HeadCalibration:
     calibrated.
     """
     before = state.head.accuracy
-    others, C = covariance_of_others(state.head, state.names, state.cameras)
+    others, C = covariance_of_others(state.head, state.names)
     accuracy = Accuracy(
         method="bundle",
         parameters=(*state.names, *others),

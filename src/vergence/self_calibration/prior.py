@@ -173,19 +173,18 @@ def prior_covariance(
 
 
 def covariance_of_others(
-    head: HeadCalibration, names: tuple[str, ...], cameras: tuple[str, str]
+    head: HeadCalibration, names: tuple[str, ...]
 ) -> tuple[tuple[str, ...], Array]:
     """Return the parameters (R,) of a head that may be wrong besides those named, and (R, R).
 
     By the calibration's covariance or, where it states none, by what such procedures usually are
     wrong by.
     """
+    others = tuple(name for name in parameter_names(head) if name not in names)
     if states_covariance(head):
-        others = [name for name in parameter_names(head) if name not in names]
         stated, C = stated_covariance(head, others)
         return tuple(others[k] for k in stated), C
-    beside = set(head.cameras) - set(cameras)
-    others = tuple(name for name in parameter_names(head) if name.partition(".")[0] in beside)
+    others = tuple(name for name in others if name.partition(".")[0] in head.cameras)
     return others, _with_fits(head, others)
 
 

@@ -20,7 +20,7 @@ from vergence.self_calibration.keyframe import TURNED_RAD
 from vergence.self_calibration.learning import learned_head
 from vergence.self_calibration.sequence import MOVED_RAD, initial_seen_geometry, update_geometry
 from vergence.self_calibration.state import FrameEstimate, SelfCalibration
-from vergence.stereo.extrinsics import T_rcam_lcam, camera_poses
+from vergence.stereo.extrinsics import camera_poses
 from vergence.stereo.uncertainty import calibration_covariance
 
 OBSERVED, PARTLY = 0.5, 0.9
@@ -147,9 +147,8 @@ def self_calibrate_dataset(
 
 def _vergence(seen: FrameEstimate) -> float:
     """Return the angle [rad] about the left base's z axis between a frame's cameras."""
-    T_lbase_lcam, _ = camera_poses(seen.head, seen.joints, cameras=seen.cameras)
-    R_rcam_lcam = T_rcam_lcam(seen.head, seen.joints, cameras=seen.cameras)[:3, :3]
-    return float((T_lbase_lcam[:3, :3] @ rotvec(R_rcam_lcam))[2])
+    left, right = camera_poses(seen.head, seen.joints, cameras=seen.cameras)
+    return float(rotvec(left[:3, :3] @ right[:3, :3].T)[2])
 
 
 def _parameters(before: SelfCalibration, after: SelfCalibration) -> tuple[LearnedParameter, ...]:

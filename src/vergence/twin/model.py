@@ -174,31 +174,35 @@ def check_calibration_of(twin: HeadCalibration, calibration: HeadCalibration) ->
 
     By the baseline and the focal lengths of the main pair, the cameras and the readings.
     """
-    pair, readings = pair_names(twin), twin.kinematics.readings
-    found = None
-    if missing := [name for name in pair if name not in calibration.cameras]:
-        found = f"it has no camera {missing[0]}, it has {', '.join(calibration.cameras)}"
-    elif calibration.kinematics.readings != readings:
-        theirs = ", ".join(calibration.kinematics.readings)
-        found = f"it is moved by {theirs}, the twin by {', '.join(readings)}"
-    else:
-        (here, own), (there, others) = (
-            (
-                float(np.linalg.norm(head.T_rbase_lbase[:3, 3])),
-                [float(head.cameras[name].intrinsics.matrix[0, 0]) for name in pair],
-            )
-            for head in (calibration, twin)
-        )
-        if abs(here / there - 1) > ANOTHER_HEAD:
-            found = f"its baseline is {1e3 * here:.1f} mm, the twin's {1e3 * there:.1f} mm"
-        for name, focal, of_twin in zip(pair, own, others, strict=True):
-            if abs(focal / of_twin - 1) > ANOTHER_HEAD:
-                found = f"{name}.fx is {focal:.1f} px, the twin's {of_twin:.1f} px"
+    found = _other_parts(twin, calibration) or _other_sizes(twin, calibration)
     if found:
         raise VergenceError(
             f"This calibration is of another head than the twin: {found}. Give the --profile and "
             "the --seed with which its dataset was recorded, with 2.8 mm lenses."
         )
+
+
+def _other_parts(twin: HeadCalibration, calibration: HeadCalibration) -> str:
+    """Return which camera of the main pair a calibration lacks, or by what else it is moved."""
+    for name in pair_names(twin):
+        if name not in calibration.cameras:
+            return f"it has no camera {name}, it has {', '.join(calibration.cameras)}"
+    theirs, own = (", ".join(head.kinematics.readings) for head in (calibration, twin))
+    return "" if theirs == own else f"it is moved by {theirs}, the twin by {own}"
+
+
+def _other_sizes(twin: HeadCalibration, calibration: HeadCalibration) -> str:
+    """Return which size of a head with the same cameras is far from the twin's."""
+    sizes = [("its baseline", "mm", lambda head: 1e3 * np.linalg.norm(head.T_rbase_lbase[:3, 3]))]
+    sizes += [
+        (f"{name}.fx", "px", lambda head, name=name: head.cameras[name].intrinsics.matrix[0, 0])
+        for name in pair_names(twin)
+    ]
+    for what, unit, size in sizes:
+        theirs, own = size(calibration), size(twin)
+        if abs(theirs / own - 1) > ANOTHER_HEAD:
+            return f"{what} is {theirs:.1f} {unit}, the twin's {own:.1f} {unit}"
+    return ""
 
 
 def compile_head(
