@@ -190,6 +190,14 @@ def test_a_file_that_is_no_calibration_is_refused(tmp_path: Path, text: bytes):
         load_head(tmp_path / "head.json")
 
 
+def test_a_text_that_is_no_json_is_said_to_be_none(tmp_path: Path):
+    (tmp_path / "notes.md").write_text("# Notes")
+    with pytest.raises(
+        VergenceError, match=r"notes\.md is not a head cal.*: it is not valid JSON: E"
+    ):
+        load_head(tmp_path / "notes.md")
+
+
 def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path):
     target = tmp_path / "new" / "file.txt"
     write_whole(target, "one")

@@ -80,13 +80,16 @@ def read_parsed(
 
 def parse_json(text: str) -> Any:
     """Parse JSON; ValueError for NaN and infinity, repeated keys, and numbers without end."""
-    return json.loads(
-        text,
-        object_pairs_hook=unique_keys,
-        parse_int=lambda digits: int(_short(digits)),
-        parse_float=_finite,
-        parse_constant=_finite,
-    )
+    try:
+        return json.loads(
+            text,
+            object_pairs_hook=unique_keys,
+            parse_int=lambda digits: int(_short(digits)),
+            parse_float=_finite,
+            parse_constant=_finite,
+        )
+    except json.JSONDecodeError as error:
+        raise ValueError(f"it is not valid JSON: {error}") from None
 
 
 def parse_toml(text: str) -> dict[str, Any]:
