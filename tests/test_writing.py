@@ -14,6 +14,7 @@ from PIL import Image
 from rerun.chunk import RrdReader
 
 from mutated_files import stated_head
+from vergence import writing
 from vergence.errors import VergenceError
 from vergence.geometry.head import load_head
 from vergence.interchange.formats import import_head
@@ -212,6 +213,16 @@ def test_a_stopped_command_says_what_it_had_finished(tmp_path, number):
     assert process.returncode in (128 + number, -signal.SIGINT), said
     assert said.strip().splitlines()[-1] == "vergence: stopped; nothing was written."
     assert list(out.iterdir()) == []
+
+
+def test_a_run_stopped_while_it_marks_its_folder_leaves_no_mark(tmp_path, monkeypatch):
+    def stopped(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(writing, "_lock", stopped)
+    with pytest.raises(KeyboardInterrupt), results_folder(tmp_path):
+        pass
+    assert list(tmp_path.iterdir()) == []
 
 
 KINDS = ("a.rrd", "a.png", "a.json", "a.yml", "a.xml", "a.urdf", "a.yaml", "info")

@@ -274,28 +274,31 @@ def results_folder(folder: Path) -> Iterator[None]:
     writing into it.
     """
     _check_folder(folder)
-    mark, before = folder / UNFINISHED, len(_finished)
+    mark, before, ours = folder / UNFINISHED, len(_finished), True
     try:
         folder.mkdir(parents=True, exist_ok=True)
         known = mark.exists()
-        handle = os.open(mark, os.O_RDWR | os.O_CREAT, 0o666)
-        try:
-            if not _lock(handle, mark):
+        handle = -1
+        try:  # from before the mark is made: a run may be stopped as soon as it is there
+            handle = os.open(mark, os.O_RDWR | os.O_CREAT, 0o666)
+            ours = _lock(handle, mark)
+            if not ours:
                 raise VergenceError(
                     f"Another process is writing results into {folder}; wait for it, or name "
                     "another folder."
                 )
-            try:
-                os.ftruncate(handle, 0)
-                os.write(handle, _notice().encode())
-                yield
-            except BaseException:
-                if not known and not any(path.parent == folder for path in _finished[before:]):
-                    mark.unlink(missing_ok=True)
-                raise
+            os.ftruncate(handle, 0)
+            os.write(handle, _notice().encode())
+            yield
             mark.unlink(missing_ok=True)
+        except BaseException:
+            written = any(path.parent == folder for path in _finished[before:])
+            if ours and not known and not written:
+                mark.unlink(missing_ok=True)
+            raise
         finally:
-            os.close(handle)
+            if handle >= 0:
+                os.close(handle)
     except OSError as error:
         raise VergenceError(f"Cannot write into the folder {folder}: {_reason(error)}.") from error
 
