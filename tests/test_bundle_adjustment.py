@@ -9,12 +9,14 @@ import pytest
 from simulated_head import probability, rough_start, skewed_head
 from simulated_recording import EXACT, POINTS, Noise, two_boards
 from vergence.arrays import Array
+from vergence.calibration.bundle import adjustment
 from vergence.calibration.bundle.bundle_adjustment import (
     BundleEstimate,
     bundle_adjust,
     covariance_of,
     fixed_by_default,
 )
+from vergence.calibration.bundle.solver import minimise
 from vergence.calibration.observations import Observations
 from vergence.data.timing import Timing
 from vergence.errors import VergenceError
@@ -225,3 +227,18 @@ def test_a_reading_that_contradicts_its_image_is_named_with_by_how_much():
     (said,) = found.warnings
     assert re.match(r"View 20: right_pan is off by (3\.9|4(\.[01])?) degrees, and lost its", said)
     assert_within_stated(found, head)
+
+
+def test_an_estimate_without_a_minimum_ends_after_some_rounds_and_says_so(monkeypatch):
+    rounds = []
+
+    def lost(problem, state, noise, basis):
+        rounds.append(state)
+        found, _, linear = minimise(problem, state, noise, basis)
+        return (found if len(rounds) % 2 else rounds[0]), False, linear
+
+    monkeypatch.setattr(adjustment, "minimise", lost)
+    _, observed, start = simulated(33, NOISY)
+    (said,) = bundle_adjust(start, observed).void
+    assert len(rounds) == adjustment.FAILURES
+    assert said.startswith("The estimate did not converge: no head as described fits the data;")

@@ -52,6 +52,9 @@ ROUGH_STEPS = 5
 """Steps of the minimiser before that is judged again: they lead away from a poor start."""
 ROUNDS = 40
 """Rounds of unknowns, noise and observability in turn, before an estimate has not converged."""
+FAILURES = 6
+"""Rounds without a minimum, after which the estimate has not converged. Where the data fit the head
+that is described there is none; where they do not, the next ones would take minutes."""
 RELEASES = 2
 """How often fixed directions may be released again."""
 WEIGHINGS = 2
@@ -129,10 +132,11 @@ def adjust(
     given[1:] |= assumed
     noise = replace(noise, levels=np.array([pixel, *np.where(assumed, USUAL_JOINT, joint)]))
     state, seen, log_variance = start, None, np.zeros(1 + groups)
-    agreed, converged, restarted, releases = False, False, False, 0
+    agreed, converged, restarted, releases, failures = False, False, False, 0, 0
     weighings = 0 if np.isfinite(outlier) else WEIGHINGS
     for _ in range(ROUNDS):
         state, converged, linear = minimise(problem, state, noise, basis)
+        failures += not converged
         problem = refit_trajectory(problem, state)
         # The level depends on the inliers and they on it: keep half of the corners among them.
         least = 0.0 if given[0] else 0.8 * _median_level(problem, state)
@@ -157,6 +161,8 @@ def adjust(
             if weighings == WEIGHINGS:
                 break
             problem, weighings = _weighed(problem, state, linear, rest[0]), weighings + 1
+        if failures == FAILURES:
+            break
     assert seen is not None
     systematic_px, systematic = systematic_errors(problem, state, linear, noise, seen.basis)
     # Levels that are larger by their own uncertainty. For one that is well known the variance grows

@@ -34,6 +34,10 @@ NAMED = 0.3
 
 _WORDS = {f"r{axis}": f"rotation about {axis}" for axis in "xyz"}
 _WORDS |= {f"t{axis}": f"translation along {axis}" for axis in "xyz"}
+_UNCONVERGED = (
+    "The estimate did not converge: no head as described fits the data; check the description of "
+    "the joints, the order of their readings, and the size of the board."
+)
 
 
 def warnings(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
@@ -119,7 +123,7 @@ def _lost_readings(problem: BundleProblem, found: Adjusted) -> list[str]:
 
 def void(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
     """Return a sentence for every reason not to use a result."""
-    said = [] if found.converged else ["The estimate did not converge."]
+    said = [] if found.converged else [_UNCONVERGED]
     for e in np.unique(detection_eyes(problem)):
         said += _senses(problem, found, int(e))
     return tuple(said)

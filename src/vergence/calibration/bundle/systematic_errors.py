@@ -92,7 +92,7 @@ def systematic_errors(
         seen += right_g.T @ moved[0] + np.einsum("bnk,bn->k", right_l, moved[1])
         # Of functions whose mean square is one, for each coordinate.
         per_px = np.sqrt(2 / fields.shape[-1])
-        std = max(_likeliest(left, seen) if estimable else 0.0, problem.systematic_px * per_px)
+        std = max(likeliest_std(left, seen) if estimable else 0.0, problem.systematic_px * per_px)
         absorbed = basis @ free
         covariance += std**2 * absorbed @ absorbed.T
         levels.append(float(std / per_px))
@@ -111,13 +111,15 @@ def _fields(pixels: Array, width: int, height: int) -> Array:
     return fields
 
 
-def _likeliest(left: Array, seen: Array) -> float:
+def likeliest_std(left: Array, seen: Array) -> float:
     """Return the coefficients' standard deviation of greatest likelihood for the residuals.
 
     Their projection y onto the fields has the covariance G + s^2 G^2, with G what is left of the
     fields after the fit, in units of the noise.
     """
     values, vectors = np.linalg.eigh((left + left.T) / 2)
+    if not values.max() > 0:  # of a fit that has not converged: nothing can be told
+        return 0.0
     kept = values > 1e-5 * values.max()
     g, squares = values[kept], (vectors.T @ seen)[kept] ** 2
 
