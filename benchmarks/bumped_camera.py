@@ -30,6 +30,7 @@ from vergence.geometry.parameters import change_named
 from vergence.self_calibration.frame import from_matches, self_calibrate_frame
 from vergence.self_calibration.learning import learn
 from vergence.self_calibration.state import initial_self_calibration
+from vergence.self_calibration.update import drifted
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration
 from vergence.twin.head import Twin
@@ -61,7 +62,7 @@ def run(seed: int, rate_hz: float, *, bump: bool, drift_deg_min: float = 0.0):
         readings = angles + rng.normal(0, np.radians(JOINT_DEG), 4)
         seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
         found = from_matches(state, seen, readings)
-        state = learn(state, found, 1 / rate_hz)
+        state = drifted(learn(state, found), 1 / rate_hz)
         errors.append(turn_error_deg(found.head, found.joints, truth, angles))
         reported += [k] * state.bumped
         if bump and k >= moment + 20:
@@ -104,7 +105,7 @@ def rendered_bumps(seed: int) -> None:
                 if n >= moment:
                     images[k] = turned(images[k], twin.truth, bumped, name)
                 seen = self_calibrate_frame(state, images[0], images[1], frame.eye_angles)
-                state = learn(state, seen, LOOK_STEP_S if n else 0.0)
+                state = drifted(learn(state, seen), LOOK_STEP_S if n else 0.0)
                 errors.append(turn_error_deg(seen.head, seen.joints, truth, angles, pair))
                 reported += [n - moment] * state.bumped
             worst = max(errors[moment + 10 :])

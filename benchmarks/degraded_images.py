@@ -37,6 +37,7 @@ from vergence.self_calibration.state import (
     SelfCalibration,
     initial_self_calibration,
 )
+from vergence.self_calibration.update import drifted
 from vergence.stereo.extrinsics import T_rcam_lcam
 from vergence.stereo.triangulation import triangulate_at
 from vergence.twin.calibration_errors import inject_calibration_error
@@ -233,7 +234,7 @@ def compare(
                 distances.append(turn_distance(seen, sample.T_rcam_lcam))
                 seen_share.append(seen.status == "seen")
             else:
-                learned = learn(now, seen, step_s)
+                learned = drifted(learn(now, seen), step_s)
     joints, single, after = (float(np.nanstd(each, ddof=1)) for each in depths.values())
     return single / joints, after / joints, float(np.mean(seen_share)), float(np.mean(distances))
 

@@ -22,6 +22,7 @@ from vergence.accuracy.motions import eye_angles
 from vergence.self_calibration.frame import from_matches
 from vergence.self_calibration.learning import learn
 from vergence.self_calibration.state import initial_self_calibration
+from vergence.self_calibration.update import drifted
 from vergence.stereo.extrinsics import T_rcam_lcam
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration, straight_neck
@@ -79,7 +80,7 @@ def main(pairs: int = 40, scene: Scene = "room", seed: int = 0) -> None:
                     now, found, j, images=both
                 ),
             )
-            state = timed("learning", lambda now=now, seen=seen: learn(now, seen, STEP_S))
+            state = timed("learning", lambda now=now, seen=seen: drifted(learn(now, seen), STEP_S))
             before, after = now.keyframe, state.keyframe
             if before is not None and after is not None and after.images is not before.images:
                 spent.setdefault("tracking", []).append(spent["learning"].pop())

@@ -27,6 +27,7 @@ from vergence.self_calibration.state import (
     SelfCalibration,
     initial_self_calibration,
 )
+from vergence.self_calibration.update import drifted
 from vergence.twin.head import Twin
 from vergence.twin.looking_around import LOOK_STEP_S, look_around
 from vergence.twin.model import nominal_head
@@ -52,7 +53,7 @@ def simulated(seed: int, pairs: int = PAIRS) -> tuple[list[Step], HeadCalibratio
         found = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
         readings = angles + rng.normal(0, np.radians(JOINT_DEG), 4)
         seen = from_matches(state, found, readings)
-        state = learn(state, seen, LOOK_STEP_S)
+        state = drifted(learn(state, seen), LOOK_STEP_S)
         steps.append((seen, state, turn_error_deg(seen.head, seen.joints, truth, angles)))
     return steps, truth
 
@@ -65,7 +66,7 @@ def rendered(seed: int, profile: str) -> Iterator[Step]:
             for frame in look_around(twin, state.cameras, run=run):
                 left, right = (frame.images[name] for name in state.cameras)
                 seen = self_calibrate_frame(state, left, right, frame.eye_angles)
-                state = learn(state, seen, LOOK_STEP_S)
+                state = drifted(learn(state, seen), LOOK_STEP_S)
                 angles = twin.true_angles()[3:]
                 yield seen, state, turn_error_deg(seen.head, seen.joints, twin.truth, angles)
 

@@ -15,13 +15,14 @@ from simulated_frames import (
 )
 from simulated_matches import drawn_head, matches, room, squared_distance, turn_error_deg
 from uncalibrated_head import simulated
+from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named
 from vergence.self_calibration.frame import from_matches
 from vergence.self_calibration.learning import learn
 from vergence.self_calibration.prior import UNCALIBRATED, tolerance_covariance
 from vergence.self_calibration.state import SelfCalibration
-from vergence.self_calibration.update import evidence_about
+from vergence.self_calibration.update import drifted, evidence_about
 
 
 @pytest.mark.slow
@@ -41,7 +42,7 @@ def test_a_bumped_camera_is_reported_and_corrected(axis, noise_px, seen_before, 
         readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
         seen = matches(truth, angles, points, noise_px=noise_px, rng=rng)
         found = from_matches(state, seen, readings)
-        state = learn(state, found, 0.3)
+        state = drifted(learn(state, found), 0.3)
         if state.bumped:
             reported.append(k)
     assert found is not None
@@ -67,7 +68,7 @@ def test_a_head_that_is_not_as_calibrated_is_reported_and_learned(seed):
         readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
         seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
         found = from_matches(state, seen, readings)
-        state = learn(state, found, 0.3)
+        state = drifted(learn(state, found), 0.3)
         errors.append(turn_error_deg(found.head, found.joints, truth, angles))
         reported += [k] * state.uncalibrated
         assert not state.bumped
@@ -106,3 +107,59 @@ def test_evidence_about_another_head_says_the_same():
         e.misfit - e.vector @ np.linalg.pinv(says.information) @ e.vector for e in (says, other)
     ]
     assert rest[1] == pytest.approx(rest[0], rel=1e-3)
+
+
+def learned(frames: int, *, joint_std_deg: float, told_deg: float) -> SelfCalibration:
+    """Return what frames teach of a head that is as calibrated, whose readings are told a noise."""
+    head, rng = head_of(0), np.random.default_rng(4)
+    state, points = replace(begin(head), joint_std_rad=np.radians(told_deg)), room(300, rng)
+    for angles in postures(frames, rng):
+        seen = matches(head, angles, points, noise_px=NOISE_PX, rng=rng)
+        readings = angles + rng.normal(0, np.radians(joint_std_deg), 4)
+        state = drifted(learn(state, from_matches(state, seen, readings)), 0.3)
+        assert not state.bumped
+        assert not state.uncalibrated
+    return state
+
+
+def test_what_may_drift_in_a_pause_is_expected_in_the_frame_after_it():
+    state, rng = learned(9, joint_std_deg=0.15, told_deg=0.15), np.random.default_rng(5)
+    turned = [f"right_wide.T_eye_cam.r{axis}" for axis in "xyz"]
+    truth, angles = change_named(head_of(0), turned, np.radians([1.0, -1.0, 1.0])), np.zeros(4)
+    seen = matches(truth, angles, room(300, rng), noise_px=NOISE_PX, rng=rng)
+    statuses = []
+    for hours in (0, 24):
+        after = drifted(state, 3600.0 * hours)
+        found = from_matches(after, seen, angles)
+        statuses.append(found.status)
+        error = turn_error_deg(found.head, found.joints, truth, angles)
+        assert (error < 0.1) == (hours > 0)
+        assert not learn(after, found).bumped  # alone, no frame reports a change
+    assert statuses == ["contradiction", "seen"]
+
+
+@pytest.mark.parametrize("elapsed_s", [-0.1, np.nan, np.inf])
+def test_a_time_between_frames_that_is_none_is_refused(elapsed_s):
+    with pytest.raises(VergenceError, match="Frames follow each other after 0 s or more; found "):
+        drifted(begin(head_of(0)), elapsed_s)
+
+
+@pytest.mark.slow
+def test_readings_that_are_noisier_than_was_told_do_not_make_the_head_seem_better_known():
+    told, wrongly = (learned(16, joint_std_deg=0.6, told_deg=deg) for deg in (0.6, 0.15))
+    assert wrongly.joint_std_rad == pytest.approx(np.radians(0.6), rel=0.3)
+    stds = [np.sqrt(np.diag(state.covariance)) for state in (told, wrongly)]
+    assert np.median(stds[1] / stds[0]) == pytest.approx(1, abs=0.1)
+
+
+def test_a_few_matches_report_no_change_however_well_they_fit_one():
+    head, rng = head_of(0), np.random.default_rng(6)
+    state, points = learned(9, joint_std_deg=0.15, told_deg=0.15), room(40, rng)
+    truth = change_named(head, ["right_wide.T_eye_cam.rx"], np.radians([2.0]))
+    for angles in postures(4, rng):
+        seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
+        found = from_matches(state, seen, angles)
+        assert found.status == "contradiction"
+        state = drifted(learn(state, found), 0.3)
+        assert not state.bumped
+        assert not state.uncalibrated

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from vergence.vision.plane_sweep import inverse_depths
+from vergence.vision.plane_sweep import inverse_depths, step_px
 
 FOCAL, MIDDLE = 280.0, np.array([319.5, 239.5])
 SHIFTS = {
@@ -35,10 +35,8 @@ def test_a_plane_is_found_to_half_a_step(shift: tuple[float, ...], displaced_px:
     near, second = displaced_px / by_inverse_depth, textured()
     first = of_plane(second, np.array(shift), near)
     at = np.array([[300.0, 220.0], [330.0, 260.0], [360.0, 200.0]])
-    found, step_px = inverse_depths(
-        first, second, at, focal=FOCAL, middle=MIDDLE, shift=np.array(shift)
-    )
-    assert np.abs(found - near).max() * by_inverse_depth <= 0.51 * step_px
+    found = inverse_depths(first, second, at, focal=FOCAL, middle=MIDDLE, shift=np.array(shift))
+    assert np.abs(found - near).max() * by_inverse_depth <= 0.51 * step_px(640)
 
 
 def test_what_has_no_texture_or_no_counterpart_tells_nothing():
@@ -47,11 +45,11 @@ def test_what_has_no_texture_or_no_counterpart_tells_nothing():
         (np.full((480, 640), 128, np.uint8), np.full((480, 640), 128, np.uint8)),
         (textured(0), textured(1)),
     ):
-        found, _ = inverse_depths(first, second, at, focal=FOCAL, middle=MIDDLE, shift=shift)
+        found = inverse_depths(first, second, at, focal=FOCAL, middle=MIDDLE, shift=shift)
         assert np.isnan(found).all()
 
 
 def test_cameras_at_one_place_tell_nothing():
     image, at = textured(), np.array([[300.0, 220.0]])
-    found, _ = inverse_depths(image, image, at, focal=FOCAL, middle=MIDDLE, shift=np.zeros(3))
+    found = inverse_depths(image, image, at, focal=FOCAL, middle=MIDDLE, shift=np.zeros(3))
     assert np.isnan(found).all()

@@ -149,3 +149,36 @@ def test_a_stated_covariance_without_focal_lengths_leaves_a_prior_that_can_be_in
     C = initial_self_calibration(replace(head, accuracy=accuracy)).covariance
     std = np.sqrt(np.diag(C))
     assert np.linalg.eigvalsh(C / np.outer(std, std))[0] > 1e-4
+
+
+def test_gains_of_readings_that_count_against_each_other_err_alike_too():
+    """Vergence turns the eyes against each other: the same error of its gain is of both signs."""
+    state = initial_self_calibration(head_of_kind("version and vergence", np.random.default_rng(0)))
+    std = np.sqrt(np.diag(state.covariance))
+
+    def of_both_eyes(reading: str) -> float:
+        left, right = (
+            k for k, name in enumerate(state.names) if name.endswith(f"_factor_{reading}")
+        )
+        return state.covariance[left, right] / (std[left] * std[right])
+
+    assert of_both_eyes("version") == pytest.approx(0.5, abs=0.02)
+    assert of_both_eyes("vergence") == pytest.approx(-0.5, abs=0.02)
+
+
+def test_names_of_cameras_do_not_matter():
+    head = head_of(0)
+    named = {f"{name}_factor_x": mounted for name, mounted in head.cameras.items()}
+    covariances = [
+        initial_self_calibration(each).covariance for each in (head, replace(head, cameras=named))
+    ]
+    np.testing.assert_allclose(*covariances, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("stated_deg", "taken_deg"), [(0.0, 0.2), (0.01, 0.05), (0.1, 0.1)])
+def test_readings_of_moving_eyes_err_by_more_than_a_recording_at_rest_may_state(
+    stated_deg, taken_deg
+):
+    accuracy = Accuracy("bundle", joint_std=(np.radians(stated_deg),))
+    state = initial_self_calibration(replace(head_of(0), accuracy=accuracy))
+    assert state.joint_std_rad == pytest.approx(np.radians(taken_deg))

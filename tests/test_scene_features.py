@@ -254,3 +254,23 @@ def test_features_that_left_the_image_are_not_tracked():
             image, image, camera=CAMERA, T_now_before=T, pixels=pixels, depths_m=np.ones(5)
         )
         np.testing.assert_array_equal(which, expected)
+
+
+@pytest.mark.parametrize("distance_m", [0.7, 3.0, 20.0])
+def test_large_images_of_smooth_things_are_matched_at_any_distance(distance_m):
+    """A facing wall whose contrast falls with its detail, as that of most things does."""
+    width, height, focal, baseline = 1920, 1080, 840.0, 0.092
+    frequency = np.hypot(np.fft.fftfreq(height)[:, None], np.fft.rfftfreq(2 * width))
+    noise = np.random.default_rng(3).normal(size=(height, 2 * width))
+    wall = np.fft.irfft2(np.fft.rfft2(noise) / np.maximum(frequency, 1e-3), noise.shape)
+    shift = round(focal * baseline / distance_m)
+    images = [
+        np.clip(120 + 45 * each / wall.std(), 0, 255).astype(np.uint8)
+        for each in (wall[:, 200 : 200 + width], wall[:, 200 + shift : 200 + shift + width])
+    ]
+    camera = pinhole(width, height, focal)
+    T = pose(np.eye(3), [-baseline, 0.0, 0.0])
+    found = match_scene(*images, left_camera=camera, right_camera=camera, T_rcam_lcam=T)
+    assert len(found.left) > 1000
+    apart = found.left - found.right - [shift, 0]
+    assert np.median(np.linalg.norm(apart, axis=1)) < 0.1

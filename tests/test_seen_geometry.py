@@ -188,3 +188,34 @@ def test_recordings_show_the_matches_and_what_was_learned(moving, tmp_path):
     _, focal = read_series(path, "/learned/focal/right_wide")
     true, learned = (h.camera("right_wide").intrinsics.matrix for h in (HEAD, geometry.known.head))
     assert focal[-1][0] == pytest.approx(100 * (learned[0, 0] / true[0, 0] - 1))
+
+
+def test_what_a_driver_writes_into_its_images_later_does_not_reach_the_keyframe(moving):
+    geometry = initial_seen_geometry(HEAD)
+    grey = [
+        replace(each, images={name: image[..., 0] for name, image in each.images.items()})
+        for _, each in moving[:2]
+    ]
+    for each in grey:
+        geometry = update_geometry(geometry, each)
+    key = geometry.known.keyframe
+    assert key is not None
+    assert key.images is not None
+    before = key.images[0].copy()
+    for image in grey[1].images.values():
+        image[:] = 0
+    np.testing.assert_array_equal(key.images[0], before)
+
+
+def test_a_change_is_reported_once(moving):
+    geometry = update_geometry(initial_seen_geometry(HEAD), moving[0][1])
+    reported = replace(geometry, known=replace(geometry.known, bumped=True, uncalibrated=True))
+    at_rest = update_geometry(reported, moving[0][1]).known
+    assert not at_rest.bumped
+    assert not at_rest.uncalibrated
+
+
+def test_a_frame_without_a_time_is_refused(moving):
+    geometry = update_geometry(initial_seen_geometry(HEAD), moving[0][1])
+    with pytest.raises(VergenceError, match="found nan s"):
+        update_geometry(geometry, replace(moving[1][1], time_s=np.nan))

@@ -33,10 +33,11 @@ from vergence.geometry.projection import project_point
 from vergence.self_calibration import learning, prior
 from vergence.self_calibration.frame import from_matches, locate_seen
 from vergence.self_calibration.learning import learn, learned_head
-from vergence.self_calibration.match_noise import Recurrence, recurrence_inflation, with_frame
+from vergence.self_calibration.match_noise import Recurrence, aged, recurrence_inflation, with_frame
 from vergence.self_calibration.prior import USUAL
 from vergence.self_calibration.residuals import epipolar_residuals
 from vergence.self_calibration.state import initial_self_calibration
+from vergence.self_calibration.update import drifted
 from vergence.stereo.uncertainty import locate_jointly
 from vergence.vision.scene_features import Matches
 
@@ -139,7 +140,7 @@ def test_what_is_seen_again_teaches_little_but_what_is_new_does():
             new = matches(head, angles, points, noise_px=NOISE_PX, rng=rng)
             readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
             found = from_matches(state, same if kind == "same" else new, readings)
-            state = learn(state, found, 1 / 30)
+            state = drifted(learn(state, found), 1 / 30)
         assert state.recurrence is not None
         recurs[kind] = state.recurrence.correlation
         # How much smaller a variance has become, in the direction that images determine best.
@@ -182,7 +183,7 @@ def test_stated_covariances_are_true_for_heads_drawn_at_random():
             readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
             seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
             found = from_matches(state, seen, readings)
-            state = learn(state, found, 0.0)
+            state = learn(state, found)
         assert found is not None
         target = np.array([0.8, 0.05, -0.05])
         pixels = [project_point(truth, name, angles, target)[None] for name in CAMERAS]
@@ -206,7 +207,7 @@ def test_a_frame_at_a_posture_that_was_learned_from_tells_no_more_of_the_head():
     truth, joints = drawn_head(state, rng), postures(1, rng)[0]
     pair = matches(truth, joints, room(400, rng), noise_px=NOISE_PX, rng=rng)
     for _ in range(30):
-        state = learn(state, from_matches(state, pair, joints), 0.1)
+        state = drifted(learn(state, from_matches(state, pair, joints)), 0.1)
     again = from_matches(state, pair, joints)
     assert again.evidence is not None
     P = len(state.names)
@@ -236,7 +237,7 @@ def test_heads_of_every_kind_are_learned(kind):
         found = from_matches(state, seen, given)
         errors_deg.append(turn_error_deg(found.head, found.joints, truth, angles, pair))
         statuses.add(found.status)
-        state = learn(state, found, 0.3)
+        state = drifted(learn(state, found), 0.3)
     assert statuses == {"seen"}
     assert squared_distance(state, truth) < chi2.isf(1e-4, len(state.names))
     # Half of what readings are wrong by: of 88 drawn heads 0.018 in the mean, 0.062 at most.
@@ -248,7 +249,7 @@ def test_a_learned_head_is_a_calibration_with_its_accuracy(tmp_path):
     state = begin(head)
     for angles in postures(3, rng):
         seen = matches(head, angles, room(300, rng), noise_px=NOISE_PX, rng=rng)
-        state = learn(state, from_matches(state, seen, angles), 0.3)
+        state = drifted(learn(state, from_matches(state, seen, angles)), 0.3)
     save_head(learned_head(state), tmp_path / "learned.json")
     again = load_head(tmp_path / "learned.json")
     assert again.accuracy is not None
@@ -306,7 +307,7 @@ def test_a_vergence_that_is_counted_wrongly_is_learned_without_a_stated_covarian
     for angles in rng.uniform(-0.25, 0.25, (20, readings)):
         given = angles + rng.normal(0, JOINT_STD_RAD, readings)
         seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng, cameras=state.cameras)
-        state = learn(state, from_matches(state, seen, given), 0.3)
+        state = drifted(learn(state, from_matches(state, seen, given)), 0.3)
     rows = [state.names.index(n) for n in factors]
     error = change_between(truth, state.head, state.names)[rows]
     std = np.sqrt(np.diag(state.covariance))[rows]
@@ -332,7 +333,7 @@ def test_the_first_frames_are_linearised_again_at_their_end_though_one_was_not_b
         readings = angles + rng.normal(0, JOINT_STD_RAD, 4) + np.radians(8.0) * (k == 5)
         frame = from_matches(state, seen, readings)
         assert (frame.status == "contradiction") == (k == 5)
-        state = learn(state, frame, 0.3)
+        state = drifted(learn(state, frame), 0.3)
     assert state.settled
     assert found == [2, 4, 7]
 
@@ -359,11 +360,11 @@ def test_a_frame_counts_by_what_its_posture_adds():
     joints, blocks = np.zeros(4), np.ones(8)
     before, told, c, everywhere = None, 0.0, 0.3, 0.005
     for n in range(1, 6):
-        told += 1 / recurrence_inflation(before, joints, 0.0)
+        told += 1 / recurrence_inflation(before, joints)
         assert told == pytest.approx(n / (1 + (c + everywhere) * (n - 1)))
         # Of what is not in common at any posture.
-        after, inflation = with_frame(before, joints, blocks, 0.0)
-        assert inflation == recurrence_inflation(before, joints, 0.0)
+        after, inflation = with_frame(before, joints, blocks)
+        assert inflation == recurrence_inflation(before, joints)
         before = replace(after, correlation=c / (1 - everywhere))
     # Elsewhere, or much later, all but what frames have in common at any posture is new.
     K = (1 - c - everywhere) * np.eye(6) + c + everywhere
@@ -371,15 +372,15 @@ def test_a_frame_counts_by_what_its_posture_adds():
     new = 1 / (np.linalg.solve(K, np.ones(6)).sum() - told)
     assert 1 < new < 1.2
     elsewhere = joints + np.radians(60)
-    assert recurrence_inflation(before, elsewhere, 0.0) == pytest.approx(new, abs=1e-3)
-    assert recurrence_inflation(before, joints, 7200.0) == pytest.approx(1, abs=1e-3)
+    assert recurrence_inflation(before, elsewhere) == pytest.approx(new, abs=1e-3)
+    assert recurrence_inflation(aged(before, 7200.0), joints) == pytest.approx(1, abs=1e-3)
 
 
 def test_no_number_of_frames_tells_more_than_what_they_have_in_common_allows():
     told, before, rng, everywhere = 0.0, None, np.random.default_rng(0), 0.005
     for joints in rng.uniform(-100, 100, (1000, 4)):  # postures without a common neighbour
-        told += 1 / recurrence_inflation(before, joints, 0.0)
-        before, _ = with_frame(before, joints, np.ones(8), 0.0)
+        told += 1 / recurrence_inflation(before, joints)
+        before, _ = with_frame(before, joints, np.ones(8))
     assert told == pytest.approx(1000 / (1 + everywhere * 999), rel=1e-6)
     assert told < 1 / everywhere
 
@@ -394,4 +395,4 @@ def test_no_frame_tells_more_than_one_that_shares_no_errors(seed, n, apart_deg, 
     rng = np.random.default_rng(seed)
     joints = np.radians(apart_deg) * rng.normal(size=(n + 1, 4))
     before = Recurrence(joints[1:], rng.uniform(0, 1200, n), np.ones((n, 4)), correlation)
-    assert recurrence_inflation(before, joints[0], rng.uniform(0, 10)) >= 1 - 1e-9
+    assert recurrence_inflation(aged(before, rng.uniform(0, 10)), joints[0]) >= 1 - 1e-9

@@ -27,6 +27,7 @@ from vergence.self_calibration.learning import learn, learn_tracked
 from vergence.self_calibration.match_noise import Recurrence
 from vergence.self_calibration.residuals import motion_residuals
 from vergence.self_calibration.state import TrackedFeatures
+from vergence.self_calibration.update import drifted
 from vergence.stereo.extrinsics import camera_poses
 
 
@@ -99,7 +100,7 @@ def learned_while_moving(truth, state, angles, points, rng, *, track=True, noise
             features = tracked_features(
                 truth, key, then=at["key"], now=now, points=points, noise_px=noise_px, rng=rng
             )
-        state = learn_tracked(state, seen, features, 0.5)
+        state = drifted(learn_tracked(state, seen, features), 0.5)
         if key is None or state.keyframe is None or state.keyframe.pixels is not key.pixels:
             at["key"] = now
     return state
@@ -136,11 +137,11 @@ def test_features_are_tracked_to_postures_that_are_far_enough_and_new():
         return from_matches(state, found, readings)
 
     state = begin(head)
-    state = learn(state, seen_at(there), 0.5)
+    state = drifted(learn(state, seen_at(there)), 0.5)
     for turned, stood, worth in ((0.5, 0.0, False), (1.5, 0.0, True), (1.5, 1.5, False)):
         before = Recurrence(there[None] + stood * TURNED_RAD, np.zeros(1), unit, 0.95, 1.0)
         state = replace(state, recurrence=before)
-        assert worth_tracking(state, seen_at(there + turned * TURNED_RAD), 0.5) == worth
+        assert worth_tracking(state, seen_at(there + turned * TURNED_RAD)) == worth
 
 
 @pytest.mark.slow
@@ -164,14 +165,14 @@ def test_features_that_moved_by_themselves_teach_nothing():
     points, state = room(400, rng), begin(head)
     then, now = np.zeros(4), np.array([0.2, 0.0, 0.2, 0.0])
     seen = from_matches(state, matches(head, then, points, noise_px=NOISE_PX, rng=rng), then)
-    state = learn(state, seen, 0.5)
+    state = drifted(learn(state, seen), 0.5)
     assert state.keyframe is not None
     seen = from_matches(state, matches(head, now, points, noise_px=NOISE_PX, rng=rng), now)
     turned = now + np.radians(3) * np.array([1, 1, 1, 1])
     wrong = tracked_features(
         head, state.keyframe, then=then, now=turned, points=points, noise_px=NOISE_PX, rng=rng
     )
-    without, with_wrong = (learn_tracked(state, seen, each, 0.5) for each in (None, wrong))
+    without, with_wrong = (learn_tracked(state, seen, each) for each in (None, wrong))
     np.testing.assert_array_equal(with_wrong.covariance, without.covariance)
 
 
@@ -181,7 +182,7 @@ def test_depths_that_are_all_wrong_alike_do_not_move_the_cameras():
     points, state = room(400, rng), begin(head)
     then, now = np.zeros(4), np.array([0.2, 0.1, 0.2, 0.1])
     seen = from_matches(state, matches(head, then, points, noise_px=NOISE_PX, rng=rng), then)
-    state = learn(state, seen, 0.5)
+    state = drifted(learn(state, seen), 0.5)
     assert state.keyframe is not None
     seen = from_matches(state, matches(head, now, points, noise_px=NOISE_PX, rng=rng), now)
     right = tracked_features(
@@ -190,7 +191,7 @@ def test_depths_that_are_all_wrong_alike_do_not_move_the_cameras():
     near, far = (
         replace(right, depths_m=(s * right.depths_m[0], s * right.depths_m[1])) for s in (0.9, 1.1)
     )
-    ends = [learn_tracked(state, seen, each, 0.5).head for each in (near, far)]
+    ends = [learn_tracked(state, seen, each).head for each in (near, far)]
     moved = boxminus(ends[1], ends[0])
     shifts_m = [moved[n] for n in state.names if n.endswith(("tx", "ty", "tz"))]
     assert max(np.abs(shifts_m)) < 2e-4
@@ -203,7 +204,7 @@ def test_a_keyframe_stays_until_the_eyes_have_turned():
     for pan in np.radians([0.0, 3.0, 6.0, 9.0, 12.0]):
         joints = np.array([pan, 0.0, pan, 0.0])
         seen = matches(head, joints, points, noise_px=NOISE_PX, rng=rng)
-        state = learn(state, from_matches(state, seen, joints), 0.5)
+        state = drifted(learn(state, from_matches(state, seen, joints)), 0.5)
         assert state.keyframe is not None
         kept.append(np.degrees(state.keyframe.joints[0]))
     np.testing.assert_allclose(kept, [0, 0, 0, 9, 9], atol=0.5)
@@ -219,7 +220,7 @@ def test_an_eye_that_sees_alone_still_tells_how_far_it_has_turned():
         then, now = np.zeros(4), rng.uniform(-0.2, 0.2, 4)
         key, readings = (at + rng.normal(0, JOINT_STD_RAD, 4) for at in (then, now))
         known = matches(truth, then, points, noise_px=NOISE_PX, rng=rng)
-        state = learn(state, from_matches(state, known, key), 0.5)
+        state = drifted(learn(state, from_matches(state, known, key)), 0.5)
         assert state.keyframe is not None
         nothing = matches(truth, now, np.empty((0, 3)), noise_px=NOISE_PX, rng=rng)
         seen = from_matches(state, nothing, readings)
@@ -248,5 +249,5 @@ def test_the_keyframe_outlives_frames_that_show_nothing():
     points, state, straight = room(400, rng), begin(head), np.zeros(4)
     for at in (points, np.empty((0, 3))):
         seen = matches(head, straight, at, noise_px=NOISE_PX, rng=rng)
-        state = learn(state, from_matches(state, seen, straight), 0.5)
+        state = drifted(learn(state, from_matches(state, seen, straight)), 0.5)
         assert state.keyframe is not None

@@ -50,7 +50,8 @@ def is_gain(name: str) -> bool:
 
     A gain or, where a joint has several readings, the factor of one of them.
     """
-    return name.endswith("_gain") or "_factor_" in name
+    owner, _, own = name.partition(".")
+    return owner in EYES and (own.endswith("_gain") or "_factor_" in own)
 
 
 def camera_columns(head: HeadCalibration, camera: str) -> np.ndarray:

@@ -14,6 +14,7 @@ from vergence.self_calibration.sequence import (
     SeenGeometry,
     after_frame,
     initial_seen_geometry,
+    known_at,
     update_geometry,
 )
 from vergence.self_calibration.state import (
@@ -51,7 +52,7 @@ class Comparison:
         """Locate the object in a sample, by its pixels (2,) in both images, at a time [s]."""
         left, right = self.states[SINGLE].cameras
         first = self_calibrate_frame(self.states[SINGLE], images[left], images[right], joints)
-        known = {LEARNED: self.learning.known, **self.states}
+        known = {LEARNED: known_at(self.learning, t), **self.states}
         for method, state in known.items():
             seen = first
             if method != SINGLE:

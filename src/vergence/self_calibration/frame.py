@@ -184,7 +184,7 @@ def _beyond_known(state: SelfCalibration, says: Evidence, joints: Array) -> tupl
     N, b = says.information, says.vector
     if state.recurrence is None:
         return N, b
-    inflation, P = recurrence_inflation(state.recurrence, joints, 0.0), len(state.names)
+    inflation, P = recurrence_inflation(state.recurrence, joints), len(state.names)
     of_joints = N[P:, P:] + np.eye(len(joints)) / state.joint_std_rad**2
     follows = np.linalg.solve(of_joints, N[P:, :P]).T
     information, vector = N.copy(), b.copy()

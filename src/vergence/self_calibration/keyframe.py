@@ -56,16 +56,16 @@ to rendered images: with it, tracked features leave the squared Mahalanobis dist
 learned about as it is without them."""
 
 
-def worth_tracking(state: SelfCalibration, seen: FrameEstimate, elapsed_s: float) -> bool:
+def worth_tracking(state: SelfCalibration, seen: FrameEstimate) -> bool:
     """Return whether features tracked to a frame would tell enough of the head.
 
     The eyes have turned far enough since the keyframe, to a posture at which little was learned
-    before. The time is since the frame before.
+    before.
     """
     key = state.keyframe
     if key is None or _turned_rad(key, seen) < TURNED_RAD:
         return False
-    return recurrence_inflation(state.recurrence, seen.readings, elapsed_s) < _LARGEST_INFLATION
+    return recurrence_inflation(state.recurrence, seen.readings) < _LARGEST_INFLATION
 
 
 def track_keyframe(state: SelfCalibration, seen: FrameEstimate) -> TrackedFeatures | None:
@@ -273,7 +273,7 @@ def next_keyframe(
     left, right = seen.matches.left[fits], seen.matches.right[fits]
     return Keyframe(
         readings=seen.readings,
-        images=seen.images,
+        images=None if seen.images is None else (seen.images[0].copy(), seen.images[1].copy()),
         joints=joints,
         covariance=C[P : P + r, P : P + r],
         with_head=C[:P, P : P + r],

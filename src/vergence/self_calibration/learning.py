@@ -25,6 +25,7 @@ from vergence.self_calibration.prior import (
     covariance_of_others,
     tolerance_covariance,
 )
+from vergence.self_calibration.robust_fit import MOST
 from vergence.self_calibration.state import (
     FrameEstimate,
     Keyframe,
@@ -40,50 +41,58 @@ _LINEARISED_AGAIN = (4, 8, 16, 32, 64)
 """Numbers of first frames, after which all of them are linearised again; then they are dropped."""
 _CHANGES = (BUMP, UNCALIBRATED)
 """How far a bump, or an uncalibrated head, may be from what was known before a frame."""
+_CHANGE_MATCHES = 50.0
+"""Matches of a frame that fit a change at least, and most of them: a few wrong ones always fit some
+head. Rooms show ten times as many."""
 _CHANGE_EVIDENCE = 2 * np.log(1e5)
 """Twice the logarithm of how much likelier a change must make the window: it is rare."""
 
 
-def learn(state: SelfCalibration, seen: FrameEstimate, elapsed_s: float) -> SelfCalibration:
+def learn(state: SelfCalibration, seen: FrameEstimate) -> SelfCalibration:
     """Return the state after a frame that was estimated from it.
 
     Args:
-        state: before the frame.
+        state: just before the frame: `update.drifted` by the time since the one before.
         seen: the frame, of `frame.self_calibrate_frame`.
-        elapsed_s: since the frame before.
     """
     tracked = None
-    if seen.evidence is not None and worth_tracking(state, seen, elapsed_s):
+    if seen.evidence is not None and worth_tracking(state, seen):
         tracked = track_keyframe(state, seen)
-    return learn_tracked(state, seen, tracked, elapsed_s)
+    return learn_tracked(state, seen, tracked)
 
 
 def learn_tracked(
-    state: SelfCalibration, seen: FrameEstimate, tracked: TrackedFeatures | None, elapsed_s: float
+    state: SelfCalibration, seen: FrameEstimate, tracked: TrackedFeatures | None
 ) -> SelfCalibration:
     """Return the state after a frame in which features of the keyframe were found; None: not."""
-    state = replace(state, bumped=False, uncalibrated=False)
+    state = without_reports(state)
     if seen.evidence is None:
-        return drifted(state, elapsed_s)
-    past = (*state.past, _remembered(state, replace(seen, images=None), tracked, elapsed_s))
+        return state
+    past = (*state.past, _remembered(state, replace(seen, images=None), tracked))
     changed = _after_change(past[-_WINDOW:])
     if changed is not None:
         return changed
     past = past[-_WINDOW:] if state.settled else past[-_LINEARISED_AGAIN[-1] :]
     if seen.status == "contradiction":
-        return replace(drifted(state, elapsed_s), past=past, keyframe=None)
-    learned = replace(updated(state, seen, seen.evidence, tracked, elapsed_s), past=past)
+        return replace(state, past=past, keyframe=None)
+    learned = replace(updated(state, seen, seen.evidence, tracked), past=past)
     return learned if state.settled else _settling(learned)
 
 
+def without_reports(state: SelfCalibration) -> SelfCalibration:
+    """Return the state after a frame that reported no change of the head."""
+    changed = state.bumped or state.uncalibrated
+    return replace(state, bumped=False, uncalibrated=False) if changed else state
+
+
 def _remembered(
-    state: SelfCalibration, seen: FrameEstimate, tracked: TrackedFeatures | None, elapsed_s: float
+    state: SelfCalibration, seen: FrameEstimate, tracked: TrackedFeatures | None
 ) -> Past:
     """Return a frame, seen from a state, as it is kept."""
     before = replace(state, past=(), keyframe=None)
     known = [before, *(_freed(before, tolerance) for tolerance in _CHANGES)]
     likelihoods = tuple(log_likelihood(each, seen) for each in known)
-    return Past(before, seen, tracked, elapsed_s, likelihoods)
+    return Past(before, seen, tracked, likelihoods)
 
 
 def _freed(state: SelfCalibration, tolerance: Tolerance) -> SelfCalibration:
@@ -146,15 +155,18 @@ def _estimated_again(
     """
     state, likelihood, again = past[0].state, 0.0, list[Past]()
     for each in past:
+        state = drifted(state, max(each.state.time_s - state.time_s, 0.0))
         about = state if at is None else replace(state, head=at)
         seen = from_matches(about, each.seen.matches, each.seen.readings, at_head=at is not None)
         if seen.evidence is None or seen.status == "contradiction":
             return state, -np.inf
+        if at is None and seen.evidence.inliers < max(_CHANGE_MATCHES, MOST * len(seen.weights)):
+            return state, -np.inf
         evidence = evidence_about(state, seen.evidence, about.head)
         seen = replace(seen, evidence=evidence)
-        again.append(_remembered(state, seen, each.tracked, each.elapsed_s))
+        again.append(_remembered(state, seen, each.tracked))
         likelihood += again[-1].likelihoods[0]
-        state = updated(state, seen, evidence, each.tracked, each.elapsed_s)
+        state = updated(state, seen, evidence, each.tracked)
     return replace(state, past=tuple(again)), likelihood
 
 
@@ -162,10 +174,12 @@ def _linearised_again(past: tuple[Past, ...], after: SelfCalibration) -> SelfCal
     """Return the state after frames, which led to a state, linearised where this is.
 
     What was known before the first of them still stands where it stood. Frames that were linearised
-    far from where the head is found to be would else seem to tell more than they do.
+    far from where the head is found to be would else seem to tell more than they do, and so would
+    readings that are noisier than was expected.
     """
     before, names = past[0].state, after.names
-    recentred = replace(past[0], state=replace(before, head=after.head))
+    known = replace(before, head=after.head, joint_std_rad=after.joint_std_rad)
+    recentred = replace(past[0], state=known)
     again, likelihood = _estimated_again((recentred, *past[1:]), at=after.head)
     if not np.isfinite(likelihood):
         return after

@@ -9,7 +9,7 @@ again, however much later: how far these recur is measured too, and a frame coun
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -75,7 +75,7 @@ class Recurrence:
     joints: Array
     """(n, r) readings of past frames [rad]."""
     ages_s: Array
-    """(n,) how long before the last one they were."""
+    """(n,) how long ago they were."""
     blocks: np.ndarray
     """(n, B) float32 sums of their residuals in blocks, as unit vectors."""
     correlation: float = _EXPECTED_RECURRENCE
@@ -130,29 +130,32 @@ def design_effect(y: Array, pixels: Array, expected: float) -> tuple[float, Arra
     return max(mean, _LEAST_DESIGN_EFFECT), sums
 
 
-def recurrence_inflation(before: Recurrence | None, joints: Array, elapsed_s: float) -> float:
+def aged(before: Recurrence, elapsed_s: float) -> Recurrence:
+    """Return the recurrence some time later, after which a frame comes."""
+    independent = before.independent * float(np.exp(-elapsed_s / _FADING_S))
+    return replace(before, ages_s=before.ages_s + elapsed_s, independent=independent)
+
+
+def recurrence_inflation(before: Recurrence | None, joints: Array) -> float:
     """Return the variance inflation of a frame, which shares errors with the frames before it.
 
     Frames that would tell as much as n independent ones tell n / (1 + c (n - 1)), where the errors
     of any two have a correlation of c. A frame counts by what it adds.
 
     Args:
-        before: of the frames before; None: there was none.
+        before: of the frames before, as old as they are now; None: there was none.
         joints: (r,) readings of the frame [rad].
-        elapsed_s: since the frame before.
     """
-    if before is None:
-        return 1.0
-    return _inflation(before, _added(before, joints, elapsed_s), elapsed_s)
+    return 1.0 if before is None else _inflation(before, _added(before, joints))
 
 
-def _inflation(before: Recurrence, added: float, elapsed_s: float) -> float:
+def _inflation(before: Recurrence, added: float) -> float:
     """Return the variance inflation of a frame by how many independent ones it adds."""
-    n, c = _faded(before, elapsed_s), _EVERYWHERE
+    n, c = before.independent, _EVERYWHERE
     return (1 + c * (n - 1)) * (1 + c * (n + added - 1)) / (added * (1 - c))
 
 
-def _added(before: Recurrence, joints: Array, elapsed_s: float) -> float:
+def _added(before: Recurrence, joints: Array) -> float:
     """Return how many independent frames a frame adds, whose posture was observed before.
 
     The mean of frames with correlated errors (covariance K) tells as much as 1' K^-1 1 independent
@@ -163,45 +166,36 @@ def _added(before: Recurrence, joints: Array, elapsed_s: float) -> float:
     between_s = np.abs(ages_s[:, None] - ages_s)
     K = before.correlation * _kernel(_apart(at[:, None], at), between_s)
     K[np.diag_indices(len(K))] = 1.0
-    k = before.correlation * _kernel(_apart(at, joints), ages_s + elapsed_s)
+    k = before.correlation * _kernel(_apart(at, joints), ages_s)
     weights = np.linalg.solve(K, k)
     return float(max(1 - weights.sum(), _LEAST_NEW) ** 2 / (1 - weights @ k))
 
 
-def _faded(before: Recurrence, elapsed_s: float) -> float:
-    """Return how many independent frames those before still are."""
-    return before.independent * float(np.exp(-elapsed_s / _FADING_S))
-
-
-def with_frame(
-    before: Recurrence | None, joints: Array, blocks: Array, elapsed_s: float
-) -> tuple[Recurrence, float]:
+def with_frame(before: Recurrence | None, joints: Array, blocks: Array) -> tuple[Recurrence, float]:
     """Return the recurrence after a frame, and the frame's `recurrence_inflation`.
 
     Args:
-        before: of the frames before; None: there was none.
+        before: of the frames before, as old as they are now; None: there was none.
         joints: (r,) readings [rad].
         blocks: (B,) of `design_effect`.
-        elapsed_s: since the frame before.
     """
     unit = (blocks / max(float(np.linalg.norm(blocks)), 1e-9)).astype(np.float32)[None]
     if before is None:
         return Recurrence(joints[None], np.zeros(1), unit, independent=1.0), 1.0
-    ages_s = before.ages_s + elapsed_s
-    near = _kernel(_apart(before.joints, joints), ages_s)
+    near = _kernel(_apart(before.joints, joints), before.ages_s)
     weight = float(near @ near)
     measured = float(near @ (before.blocks @ unit[0])) / max(weight, 1e-9)
     pace = _PACE * weight / (1 + weight)
     c = before.correlation + pace * (measured - before.correlation)
-    added = _added(before, joints, elapsed_s)
+    added = _added(before, joints)
     after = Recurrence(
         joints=np.concatenate([before.joints, joints[None]])[-_REMEMBERED:],
-        ages_s=np.append(ages_s, 0.0)[-_REMEMBERED:],
+        ages_s=np.append(before.ages_s, 0.0)[-_REMEMBERED:],
         blocks=np.concatenate([before.blocks, unit])[-_REMEMBERED:],
         correlation=min(max(c, 0.0), _MOST_RECURRENCE),
-        independent=_faded(before, elapsed_s) + added,
+        independent=before.independent + added,
     )
-    return after, _inflation(before, added, elapsed_s)
+    return after, _inflation(before, added)
 
 
 def _apart(a: Array, b: Array) -> Array:

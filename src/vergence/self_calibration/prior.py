@@ -136,6 +136,9 @@ _LARGEST_COEFFICIENT = 0.01
 nothing, and would change by more than is linear."""
 JOINT_STD_RAD = np.radians(0.2)
 """Noise of readings that nobody states, until it is estimated."""
+LEAST_JOINT_STD_RAD = np.radians(0.05)
+"""Noise at first where a calibration states less: it was recorded with eyes at rest, and readings
+that are a millisecond late are that wrong while eyes turn by 50 degrees a second. An assumption."""
 
 
 def learned_names(head: HeadCalibration, cameras: tuple[str, str]) -> tuple[str, ...]:
@@ -293,7 +296,12 @@ def _with_common(
     ]
     both = [pair for pairs in of_eyes for pair in pairs if pair[1] in names]
     first, second = ([names.index(pair[k]) for pair in both] for k in (0, 1))
-    left, right = (np.linalg.cholesky(C[np.ix_(each, each)]) for each in (first, second))
+    # Errors of factors are relative to these, which may be of opposite sign in the two eyes.
+    values = parameter_values(head)
+    sign = np.array([-1.0 if is_gain(n) and (values[n] or 0.0) < 0 else 1.0 for n in names])
+    left, right = (
+        sign[each, None] * np.linalg.cholesky(C[np.ix_(each, each)]) for each in (first, second)
+    )
     shared = C.copy()
     shared[np.ix_(first, second)] = _COMMON * left @ right.T
     shared[np.ix_(second, first)] = shared[np.ix_(first, second)].T

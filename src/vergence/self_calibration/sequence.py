@@ -18,12 +18,13 @@ from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
 from vergence.self_calibration.frame import self_calibrate_frame
-from vergence.self_calibration.learning import learn
+from vergence.self_calibration.learning import learn, without_reports
 from vergence.self_calibration.state import (
     FrameEstimate,
     SelfCalibration,
     initial_self_calibration,
 )
+from vergence.self_calibration.update import drifted
 
 Geometry = Literal["joints", "seen"]
 """What tells how the eyes stand to each other: the calibration and the joint readings, or these
@@ -84,7 +85,8 @@ def update_geometry(
         joints: (r,) readings at the moment of the images [rad]; None: the frame's.
 
     Raises:
-        VergenceError: an image is missing; others are those of `frame.self_calibrate_frame`.
+        VergenceError: an image is missing, or the time is not finite; others are those of
+            `frame.self_calibrate_frame`.
     """
     cameras = before.known.cameras
     for name in cameras:
@@ -96,7 +98,7 @@ def update_geometry(
     left, right = (frame.images[name] for name in cameras)
     before = _keyframe_while_neck_rests(before, frame.neck_angles)
     joints = frame.eye_angles if joints is None else joints
-    latest = self_calibrate_frame(before.known, left, right, joints)
+    latest = self_calibrate_frame(known_at(before, frame.time_s), left, right, joints)
     return after_frame(before, latest, frame.time_s, frame.neck_angles)
 
 
@@ -106,6 +108,15 @@ def _keyframe_while_neck_rests(before: SeenGeometry, neck: Array) -> SeenGeometr
         np.abs(neck - before.keyframe_neck).max() <= _NECK_STDS * before.known.joint_std_rad
     )
     return before if rests else replace(before, known=replace(before.known, keyframe=None))
+
+
+def known_at(before: SeenGeometry, time_s: float) -> SelfCalibration:
+    """Return what is known just before a frame at a time [s]: the head may have drifted since.
+
+    VergenceError if the time is not finite.
+    """
+    elapsed_s = 0.0 if before.learned_s is None else time_s - before.learned_s
+    return drifted(before.known, max(elapsed_s, 0.0))
 
 
 def after_frame(
@@ -118,19 +129,19 @@ def after_frame(
 
     Args:
         before: after the frame before.
-        latest: the frame, of `frame.self_calibrate_frame`.
+        latest: the frame, of `frame.self_calibrate_frame` with `known_at`.
         time_s: when it was taken [s].
         neck: (3,) readings of the neck [rad].
     """
-    known, joints = before.known, latest.readings
+    known, joints = without_reports(before.known), latest.readings
     if before.learned_s is None or before.learned_at is None:
         return SeenGeometry(known, latest, time_s, time_s, joints, neck)
     elapsed_s = time_s - before.learned_s
     at_rest = np.abs(joints - before.learned_at).max() < MOVED_RAD
     nothing_seen = latest.evidence is None
     if at_rest or nothing_seen or 0 < elapsed_s < LEARNING_S - _SLACK_S:
-        return replace(before, latest=latest, time_s=time_s)
-    learned = learn(known, latest, max(elapsed_s, 0.0))
+        return replace(before, known=known, latest=latest, time_s=time_s)
+    learned = learn(known_at(before, time_s), latest)
     key, last = learned.keyframe, known.keyframe
     same = key is not None and last is not None and key.images is last.images
     at_keyframe = before.keyframe_neck if same else neck

@@ -14,7 +14,12 @@ from vergence.self_calibration.match_noise import (
     EXPECTED_MATCH_SCALE,
     Recurrence,
 )
-from vergence.self_calibration.prior import JOINT_STD_RAD, learned_names, prior_covariance
+from vergence.self_calibration.prior import (
+    JOINT_STD_RAD,
+    LEAST_JOINT_STD_RAD,
+    learned_names,
+    prior_covariance,
+)
 from vergence.vision.scene_features import Matches
 
 Status = Literal["seen", "little seen", "contradiction"]
@@ -44,6 +49,8 @@ class SelfCalibration:
     """How many readings their noise would be estimated from, to be as well known."""
     frames: int = 0
     """From which it was learned."""
+    time_s: float = 0.0
+    """Since it began, as `update.drifted` has counted."""
     bumped: bool = False
     """Whether the last frame showed that a camera had been turned."""
     uncalibrated: bool = False
@@ -83,13 +90,11 @@ class Past:
     """A frame that may have to be estimated again."""
 
     state: SelfCalibration
-    """Before the frame; without past frames and keyframe of its own."""
+    """Just before the frame; without past frames and keyframe of its own."""
     seen: FrameEstimate
     """The frame, without images."""
     tracked: TrackedFeatures | None
     """Features of an earlier frame that were found in it."""
-    elapsed_s: float
-    """Since the frame before."""
     likelihoods: tuple[float, ...]
     """Logarithms, up to a constant, given the head as it was known and given each change that it
     may have undergone before the frame."""
@@ -167,6 +172,7 @@ def initial_self_calibration(
     names = learned_names(head, pair)
     accuracy = head.accuracy
     stated = accuracy.joint_std if accuracy and accuracy.eye_motion == "pan-tilt" else ()
-    std = float(np.sqrt(np.mean(np.square(stated)))) if any(stated) else float(JOINT_STD_RAD)
+    usual = float(np.sqrt(np.mean(np.square(stated)))) if any(stated) else float(JOINT_STD_RAD)
     C = prior_covariance(head, names, pair, fresh=fresh)
+    std = max(usual, float(LEAST_JOINT_STD_RAD))
     return SelfCalibration(head, pair, names, C, std, EXPECTED_MATCH_SCALE)

@@ -12,11 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_between, change_named
 from vergence.self_calibration.frame import prior_of
 from vergence.self_calibration.keyframe import next_keyframe, prior_information, with_motion
-from vergence.self_calibration.match_noise import with_frame
+from vergence.self_calibration.match_noise import aged, with_frame
 from vergence.self_calibration.prior import DRIFT, tolerance_covariance
 from vergence.self_calibration.state import (
     Evidence,
@@ -36,19 +37,17 @@ def updated(
     seen: FrameEstimate,
     says: Evidence,
     tracked: TrackedFeatures | None,
-    elapsed_s: float,
 ) -> SelfCalibration:
     """Return the state after a frame that is believed.
 
     Args:
-        state: before the frame.
+        state: just before the frame.
         seen: the frame.
         says: what its matches say about the state's head.
         tracked: features of an earlier frame that were found in it.
-        elapsed_s: since the frame before.
     """
     P = len(state.names)
-    recurrence, inflation = with_frame(state.recurrence, seen.readings, says.blocks, elapsed_s)
+    recurrence, inflation = with_frame(state.recurrence, seen.readings, says.blocks)
     evidence = _weakened(says, inflation)
     known = len(evidence.vector)
     N = prior_information(state, known - P)
@@ -61,7 +60,7 @@ def updated(
     change = C @ b
     head = change_named(state.head, state.names, change[:P])
     variance, weight = _joint_variance(state, evidence)
-    learned = replace(
+    return replace(
         state,
         head=head,
         covariance=(C[:P, :P] + C[:P, :P].T) / 2,
@@ -73,13 +72,26 @@ def updated(
         frames=state.frames + 1,
         keyframe=next_keyframe(state, seen, head, C, change),
     )
-    return drifted(learned, elapsed_s)
 
 
 def drifted(state: SelfCalibration, elapsed_s: float) -> SelfCalibration:
-    """Return the state some time later, in which the head may have changed a little."""
+    """Return the state some time later, in which the head may have changed a little.
+
+    VergenceError if the time is not finite, or negative.
+    """
+    if not 0 <= elapsed_s < np.inf:
+        raise VergenceError(
+            f"Frames follow each other after 0 s or more; found {elapsed_s:g} s between two."
+        )
+    if elapsed_s == 0:
+        return state
     drift = tolerance_covariance(state.head, state.names, DRIFT) * elapsed_s / 60
-    return replace(state, covariance=state.covariance + drift)
+    return replace(
+        state,
+        covariance=state.covariance + drift,
+        recurrence=None if state.recurrence is None else aged(state.recurrence, elapsed_s),
+        time_s=state.time_s + elapsed_s,
+    )
 
 
 def _weakened(evidence: Evidence, inflation: float) -> Evidence:

@@ -13,7 +13,7 @@ import numpy as np
 
 from vergence.arrays import Array
 
-_NEARBY_PX = 31
+NEARBY_PX = 31
 """Side of the square of which the mean is taken: twice that of a window that is matched."""
 _LEAST_STD = 1.0
 """Root mean square of grey levels below which a part shows noise and rounding alone."""
@@ -31,7 +31,7 @@ def grey_levels(image: np.ndarray) -> np.ndarray:
 
 
 def of_equal_contrast(
-    first: np.ndarray, second: np.ndarray, both: np.ndarray
+    first: np.ndarray, second: np.ndarray, both: np.ndarray, nearby_px: int = NEARBY_PX
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return two images (H, W) without their local means, the second with the first's contrast.
 
@@ -41,16 +41,16 @@ def of_equal_contrast(
         first: (H, W) uint8.
         second: (H, W) uint8; a point of the scene is displaced by a part of the image at most.
         both: (H / 2, W / 2) bool: of every second pixel, whether both images show it.
+        nearby_px: side of the square of which the mean is taken.
     """
-    first, second = (_without_mean(each) for each in (first, second))
+    first, second = (_without_mean(each, nearby_px) for each in (first, second))
     ratio = _contrast_ratio(first[::2, ::2], second[::2, ::2], both)
     levels = np.round(ratio * (np.arange(256) - _MIDDLE) + _MIDDLE)
     return first, cv2.LUT(second, np.clip(levels, 0, 255).astype(np.uint8))
 
 
-def _without_mean(image: np.ndarray) -> np.ndarray:
-    side = (_NEARBY_PX, _NEARBY_PX)
-    nearby = cv2.boxFilter(image, -1, side, borderType=cv2.BORDER_REPLICATE)
+def _without_mean(image: np.ndarray, nearby_px: int) -> np.ndarray:
+    nearby = cv2.boxFilter(image, -1, 2 * (nearby_px,), borderType=cv2.BORDER_REPLICATE)
     return cv2.addWeighted(image, 1, nearby, -1, _MIDDLE)
 
 

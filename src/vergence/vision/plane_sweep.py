@@ -30,27 +30,31 @@ _OUTSIDE = 1e4
 the mean of a square."""
 
 
+def step_px(width: int) -> int:
+    """Return the displacement between neighbouring planes, which is a pixel of the small images."""
+    return max(width // _WIDTH_PX, 1)
+
+
 def inverse_depths(
     first: np.ndarray, second: np.ndarray, at: Array, *, focal: float, middle: Array, shift: Array
-) -> tuple[Array, float]:
-    """Return inverse depths (N,) [1/m] of the scene, and their step [px].
+) -> Array:
+    """Return inverse depths (N,) [1/m] of the scene.
 
     The depths are those in the second image, NaN where no plane fits clearly better than the
-    others. The step is the displacement between neighbouring planes.
+    others.
 
     Args:
-        first: (H, W) grey, uint8.
+        first: (H, W) grey, uint8, with contrast over some `step_px`.
         second: the same, of about the same brightness and contrast.
         at: (N, 2) pixels of the first.
         focal: of both [px].
         middle: (2,) principal point of both [px].
         shift: (3,) of a point, from the first camera to the second [m].
     """
-    step = max(first.shape[1] // _WIDTH_PX, 1)
+    step = step_px(first.shape[1])
     by_inverse_depth = focal * float(np.hypot(*shift[:2]))  # displacement in the middle
-    unknown = np.full(len(at), np.nan), float(step)
     if by_inverse_depth < 1e-9 or not len(at):
-        return unknown
+        return np.full(len(at), np.nan)
     size = first.shape[1] // step, first.shape[0] // step
     a, b = (
         cv2.resize(each, size, interpolation=cv2.INTER_AREA).astype(np.float32)
@@ -80,4 +84,4 @@ def inverse_depths(
     numbers = np.arange(len(planes), dtype=np.uint8)[:, None, None]
     best = cv2.medianBlur((numbers * (apart == least)).max(axis=0), _MEDIAN_PX)
     column, row = np.clip(((at + 0.5) // step).astype(int), 0, np.array(size) - 1).T
-    return np.where(clear[row, column], planes[best[row, column]], np.nan), float(step)
+    return np.where(clear[row, column], planes[best[row, column]], np.nan)
