@@ -157,8 +157,8 @@ class Kinematics:
     def used(self, eye: Side) -> list[int]:
         """Return which of the readings move an eye, in the order of the joints that they move."""
         mixing = self.chains[eye].mixing != 0
-        used = np.flatnonzero(mixing.any(axis=0))
-        return used[np.argsort(mixing[:, used].argmax(axis=0), kind="stable")].tolist()
+        _, used = np.nonzero(mixing)  # joint by joint
+        return list(dict.fromkeys(used.tolist()))
 
 
 def _check_joints(whose: str, joints: tuple[Joint, ...], readings: tuple[str, ...]) -> None:
