@@ -360,20 +360,28 @@ def checked_readings(
             f"shape {found.shape} {where}."
         )
     if one_posture:
-        check_radians(found)
+        check_turns(kinematics, found)
     return found
 
 
-def check_radians(readings: Array) -> None:
-    """Raise VergenceError for readings (...) [rad] of more than a turn, as degrees are.
+def check_turns(kinematics: Kinematics, readings: Array) -> None:
+    """Raise VergenceError for readings (..., r) [rad] that turn a joint by more than a turn.
 
-    Those that are not finite count as unknown.
+    Degrees do so. The reading itself may be larger, as that of a motor before a gear; one that is
+    not finite counts as unknown.
     """
-    beyond = (np.abs(readings) > 2 * np.pi) & np.isfinite(readings)
+    known = np.where(np.isfinite(readings), readings, 0.0)
+    for chain in kinematics.chains.values():
+        check_radians(known @ chain.mixing.T + chain.offset_rad, "Joint readings")
+
+
+def check_radians(angles: Array, what: str) -> None:
+    """Raise VergenceError for angles (...) [rad] of more than a turn, as degrees are."""
+    beyond = np.abs(angles) > 2 * np.pi
     if beyond.any():
         raise VergenceError(
-            f"Joint readings are in radians; found {readings[beyond].flat[0]:g}, more than a turn: "
-            "np.radians makes radians of degrees."
+            f"{what} are in radians; found a joint at {angles[beyond].flat[0]:g}, more than a "
+            "turn: np.radians makes radians of degrees."
         )
 
 
