@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simulated_head import unskewed_head
+from vergence.errors import VergenceError
 from vergence.geometry.head import Accuracy, T_base_cam, T_body_base, T_head_base
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Joint, Kinematics
 from vergence.geometry.neck import NECK_JOINTS, Neck, T_body_head
@@ -111,6 +112,27 @@ def test_joints_are_limited_and_readings_by_as_much_as_moves_a_joint_so_far(tmp_
         ("right_tilt_true", quarter / 2 + 0.1),
     ):
         np.testing.assert_allclose(limits_rad(limits[name]), wanted, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("joint", "reading", "said"),
+    [
+        ("eye", "a", "two links called left_eye;"),
+        ("base", "a", "two links called left_base;"),
+        ("wide", "a", "two links called left_wide;"),
+        ("pan", "b c", "two joints called b_c;"),
+        ("pan", "head_joint", "two joints called head_joint;"),
+    ],
+)
+def test_names_that_would_be_there_twice_are_refused(tmp_path, joint, reading, said):
+    up, left = np.eye(3)[[2, 1]]
+    joints = (
+        Joint(name=joint, axis=up, readings={reading: 1.1}),
+        Joint(name="tilt", axis=left, readings={"b_c": 1.0}),
+    )
+    kinematics = Kinematics({"left": joints, "right": ()}, (reading, "b_c"))
+    with pytest.raises(VergenceError, match=said):
+        urdf.save(replace(unskewed_head(10), kinematics=kinematics), tmp_path / "head.urdf")
 
 
 @pytest.mark.parametrize("eyes", [("left",), ("right",), ("left", "right")])

@@ -12,12 +12,14 @@ link, and <joint>_true mimics it with URDF's multiplier and offset; transforms t
 from __future__ import annotations
 
 import re
+from collections import Counter
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.errors import VergenceError
 from vergence.geometry.head import R_EYE_CAM, HeadCalibration, T_head_base
 from vergence.geometry.kinematics import EYES, Kinematics, Side
 from vergence.geometry.neck import NECK_JOINTS
@@ -38,7 +40,8 @@ T_LINK_OPTICAL = pose(R_EYE_CAM)
 def save(head: HeadCalibration, path: Path) -> None:
     """Write a head as URDF, without the cameras' intrinsics, for which it has no field.
 
-    VergenceError if there is no camera, or the file cannot be written.
+    VergenceError if there is no camera, two links or joints would have one name, or the file cannot
+    be written.
     """
     check_names(head)
     robot = ElementTree.Element("robot", name="vergence_head")
@@ -67,6 +70,9 @@ def save(head: HeadCalibration, path: Path) -> None:
             _add_joint(robot, f"{name}_joint", link, name, T_eye_link)
             optical = f"{name}_optical_frame"
             _add_joint(robot, f"{name}_optical_joint", name, optical, T_LINK_OPTICAL)
+    _check_different("link", [link.get("name", "") for link in robot.iter("link")])
+    _check_different("joint", [joint.get("name", "") for joint in robot.iter("joint")])
+    _check_different("joint", [_identifier(name) for name in head.kinematics.readings])
     ElementTree.indent(robot)
     text = ElementTree.tostring(robot, encoding="unicode")
     write_whole(path, f'<?xml version="1.0"?>\n{text}\n')
@@ -82,7 +88,7 @@ def _add_eye(
     """
     chain, parent, at = kinematics.chains[eye], base, np.zeros(3)
     factors = np.concatenate([c.mixing for c in kinematics.chains.values()])
-    largest = np.abs(factors).max(axis=0)
+    largest = np.abs(factors).max(axis=0, initial=0.0)
     for k, joint in enumerate(kinematics.eyes[eye]):
         T, at = pose(t=chain.points_m[k] - at), chain.points_m[k]
         terms = [r for r in kinematics.used(eye) if chain.mixing[k, r]]
@@ -99,7 +105,7 @@ def _add_eye(
         for r in terms:
             name, factor = _identifier(kinematics.readings[r]), chain.mixing[k, r]
             reach = LIMIT_RAD / largest[r]
-            if robot.find(f"joint[@name='{name}']") is None:
+            if robot.find(f"link[@name='{name}_reading']") is None:
                 _add_joint(robot, name, parent, f"{name}_reading", T, chain.axes[k], reach)
             true = f"{eye}_{joint.name}_true" + ("" if len(terms) == 1 else f"_{name}")
             through = child if r == terms[-1] else true
@@ -112,6 +118,15 @@ def _add_eye(
             parent, T, offset = through, np.eye(4), 0.0
     if not len(chain.axes):
         _add_joint(robot, f"{end}_joint", base, end, np.eye(4))
+
+
+def _check_different(what: str, names: list[str]) -> None:
+    for name, count in Counter(names).most_common(1):
+        if count > 1:
+            raise VergenceError(
+                f"The URDF would have two {what}s called {name}; rename the camera, the joint or "
+                "the reading of that name in the calibration's file."
+            )
 
 
 def _identifier(name: str) -> str:
