@@ -277,10 +277,16 @@ def reading_kinds(kinematics: Kinematics) -> list[int]:
 def readings_to_turn(kinematics: Kinematics, turn: Array) -> Array:
     """Return readings (..., r) at which both eyes have turned by vectors (..., 3) [rad].
 
-    Along the axes of the head, to first order in the turn, and as nearly as the joints can.
+    Along the axes of the head, to first order in the turn, and as nearly as the joints can without
+    turning against each other about axes that are all but parallel.
     """
     maps = [chain.axes.T @ chain.mixing for chain in kinematics.chains.values()]
-    return np.concatenate([turn, turn], axis=-1) @ np.linalg.pinv(np.concatenate(maps)).T
+    by_reading = np.concatenate(maps)
+    # By the turn that each reading makes, so that one before a gear counts as any other.
+    size = np.linalg.norm(by_reading, axis=0)
+    size[size == 0] = 1.0
+    inverse = np.linalg.pinv(by_reading / size, rcond=PARALLEL) / size[:, None]
+    return np.concatenate([turn, turn], axis=-1) @ inverse.T
 
 
 def eye_turn(kinematics: Kinematics, eye: Side, readings: Array) -> Array:
