@@ -229,6 +229,16 @@ def test_a_reading_that_contradicts_its_image_is_named_with_by_how_much():
     assert_within_stated(found, head)
 
 
+def test_a_view_in_which_the_board_moved_is_named():
+    _, observed, start = simulated(31, NOISY)
+    turned = np.array([[1.0, 0.03], [-0.03, 1.0]])
+    for corners in observed.corners.values():
+        middle = corners[20].mean(axis=0)
+        corners[20] = (corners[20] - middle) @ turned + middle + [5, -8]
+    said, *_ = bundle_adjust(start, observed).warnings
+    assert re.search(r"lost their weight: \d+ of them are in view 20, in which the board may", said)
+
+
 def test_an_estimate_without_a_minimum_ends_after_some_rounds_and_says_so(monkeypatch):
     rounds = []
 

@@ -16,6 +16,7 @@ from vergence.calibration.checks.encoders import check_encoders
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side, pan_tilt
 from vergence.geometry.parameters import boxminus
 from vergence.geometry.se3 import pose, rotation
 from vergence.vision.board_pose import board_poses
@@ -117,6 +118,29 @@ def test_readings_of_an_eye_without_cameras_are_not_needed():
     spoilt = seen.eye_angles * [1, -1, np.nan, np.nan]
     with pytest.raises(VergenceError, match="left_tilt counts the other way"):
         check_encoders(with_readings(seen, spoilt), board_poses_of(truth, seen))
+
+
+@pytest.mark.parametrize("side", EYES)
+def test_an_eye_may_be_the_only_one_that_has_joints(side: Side):
+    truth, seen = recorded()
+    eyes = dict.fromkeys(EYES, ()) | {side: pan_tilt(side)}
+    columns = [EYE_JOINTS.index(f"{side}_{name}") for name in ("pan", "tilt")]
+    seen = replace(
+        seen,
+        corners={f"{side}_wide": seen.corners[f"{side}_wide"]},
+        kinematics=Kinematics(eyes, (f"{side}_pan", f"{side}_tilt")),
+        eye_angles=seen.eye_angles[:, columns],
+    )
+    check_encoders(seen, board_poses_of(truth, seen))
+    spoilt = with_readings(seen, seen.eye_angles * [1, -1])
+    with pytest.raises(VergenceError, match=f"{side}_tilt counts the other way"):
+        check_encoders(spoilt, board_poses_of(truth, seen))
+
+
+def test_a_camera_in_an_eye_without_joints_is_refused_in_words():
+    _, seen = recorded()
+    kinematics = Kinematics({"left": pan_tilt("left"), "right": ()})
+    assert "All eye motions share one axis" in refusal(replace(seen, kinematics=kinematics))
 
 
 RAD = np.radians(1)

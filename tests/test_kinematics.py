@@ -252,6 +252,25 @@ def test_both_eyes_turn_by_the_readings_that_are_asked_for():
     )
 
 
+def test_joints_about_nearly_one_axis_are_not_turned_against_each_other():
+    """A neck's yaw and a geared pan, off by 5 mrad: together they would tilt, by 200 times it."""
+    yaw = Joint(name="yaw", axis=UP, readings={"yaw": 1.0}, point_m=-FORWARD)
+    eyes = {
+        eye: (
+            yaw,
+            Joint(name="pan", axis=rotation([0.005, 0, 0]) @ UP, readings={f"{eye}_pan": 0.02}),
+        )
+        for eye in EYES
+    }
+    kinematics = Kinematics(eyes, ("yaw", "left_pan", "right_pan"))
+    turn = np.array([0.0, 0.2, 0.2])
+    readings = readings_to_turn(kinematics, turn)
+    assert np.abs(readings * [1, 0.02, 0.02]).max() < 0.2
+    for eye in EYES:
+        found = eye_turn(kinematics, eye, readings)
+        np.testing.assert_allclose(found, [0, 0, 0.2], atol=0.002)
+
+
 @pytest.mark.parametrize(
     ("eyes", "said"),
     [

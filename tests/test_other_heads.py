@@ -123,7 +123,9 @@ def test_bases_of_measured_poses_may_stand_anywhere(turned_rad: float):
         T_base_eye=np.stack([T, T_rbase_lbase @ T], axis=1),
     )
     found = calibrate(seen)
-    assert_near(found, truth)
+    std = np.sqrt(np.diag(found.accuracy.covariance))
+    error = boxminus(found.head, truth)
+    assert max(abs(error[n]) / s for n, s in zip(found.accuracy.parameters, std, strict=True)) < 4
     assert found.accuracy.void == ()
 
 
@@ -170,12 +172,18 @@ def test_without_straight_gaze_a_board_before_both_eyes_will_do():
     assert found.start.stereo_rms_px is None
 
 
-def test_eyes_that_never_see_one_board_together_are_refused():
-    _, seen = recorded(8)
+def test_eyes_may_see_one_board_at_rest_one_after_the_other():
+    truth, seen = recorded(8)
     seen.corners["left_wide"][::2] = np.nan
     seen.corners["right_wide"][1::2] = np.nan
-    with pytest.raises(VergenceError, match="T_rbase_lbase is not observable: no view shows the"):
-        calibrate(seen)
+    found = calibrate(seen)
+    std = np.sqrt(np.diag(found.accuracy.covariance))
+    error = boxminus(found.head, truth)
+    assert max(abs(error[n]) / s for n, s in zip(found.accuracy.parameters, std, strict=True)) < 4
+    assert found.accuracy.void == ()
+    assert found.warnings[-1].startswith("There is no held-out error: no view shows the board to")
+    with pytest.raises(VergenceError, match="no placement of the board is seen by both"):
+        calibrate(replace(seen, placement=2 * seen.placement + np.arange(len(seen.placement)) % 2))
 
 
 # Other joints than pan and tilt of each eye

@@ -131,6 +131,19 @@ def test_without_straight_gaze_the_eyes_are_related_by_boards_that_both_see():
     assert_same(found.head.T_rbase_lbase, truth.T_rbase_lbase)
 
 
+def test_eyes_that_see_a_board_at_rest_one_after_the_other_are_related_by_it():
+    rng = np.random.default_rng(2)
+    truth = random_head(rng, lenses=("wide",), perfect_axes=True)
+    observed = record(truth, rng, Recording(gaze_rad=(0.1, -0.08), noise=EXACT))
+    observed.corners["left_wide"][::2] = np.nan
+    observed.corners["right_wide"][1::2] = np.nan
+    found = calibrate_sequentially(observed)
+    assert_same(found.head.T_rbase_lbase, truth.T_rbase_lbase)
+    apart = 2 * observed.placement + np.arange(len(observed.placement)) % 2
+    with pytest.raises(VergenceError, match="no placement of the board is seen by both left_wide"):
+        calibrate_sequentially(replace(observed, placement=apart))
+
+
 def test_cameras_may_have_any_names_and_an_eye_several(exact):
     truth, observed = exact
     names = {"left_wide": "port", "left_narrow": "far", "right_wide": "starboard"}

@@ -87,6 +87,15 @@ def test_exact_poses_give_the_head_without_error(kind: str):
     assert np.isnan(found.errors["left_wide"][3]).all()
 
 
+def test_eyes_may_see_a_target_at_rest_one_after_the_other():
+    rng = np.random.default_rng(3)
+    truth = head_of("pan, tilt", rng)
+    poses, readings = measured(truth, rng)
+    poses["left_wide"][::2] = np.nan
+    poses["right_wide"][1::2] = np.nan
+    assert np.abs(off(estimate(truth, poses, readings), truth)).max() < 1e-5
+
+
 def test_a_camera_of_the_start_that_measured_nothing_keeps_its_place():
     rng = np.random.default_rng(2)
     head = head_of("pan, tilt", rng)

@@ -285,7 +285,7 @@ def test_angles_that_are_not_those_of_the_neck_are_refused(head: HeadCalibration
         (head, np.zeros(2), r"has 3 joints; found an array of angles of shape \(2,\)"),
         (head, np.zeros(7), r"has 3 joints; found an array of angles of shape \(7,\)"),
         (head, 0.1, r"has 3 joints; found an array of angles of shape \(\)"),
-        (head, np.array([0.0, 10.0, 0.0]), "are in radians; found 10, more than a turn"),
+        (head, np.array([0.0, 10.0, 0.0]), "are in radians; found a joint at 10, more than a turn"),
         (without, np.zeros(3), r"has 0 joints; found an array of angles of shape \(3,\)"),
     ):
         with pytest.raises(VergenceError, match=found):
@@ -301,8 +301,29 @@ def test_readings_in_degrees_are_refused(head: HeadCalibration):
         lambda: project_point(head, "left_wide", degrees, point),
         lambda: T_rcam_lcam(head, degrees),
     ):
-        with pytest.raises(VergenceError, match="in radians; found 15, more than a turn"):
+        with pytest.raises(VergenceError, match=r"in radians; found a joint at 1[45]\.?\d*, more"):
             use()
+
+
+def test_readings_of_a_motor_before_a_gear_may_be_of_many_turns():
+    rng = np.random.default_rng(5)
+    head = skewed_head(rng)
+    points, angles, left, right = random_samples(head, rng, 20)
+    geared = {
+        eye: tuple(
+            replace(joint, readings={name: 0.02 * f for name, f in joint.readings.items()})
+            for joint in joints
+        )
+        for eye, joints in head.kinematics.eyes.items()
+    }
+    head, motor = replace(head, kinematics=replace(head.kinematics, eyes=geared)), angles / 0.02
+    assert np.abs(motor).max() > 2 * np.pi
+    np.testing.assert_allclose(project_point(head, "left_wide", motor, points), left)
+    located = locate(head, left=left, right=right, joints=motor)
+    np.testing.assert_allclose(located.xyz, points, atol=1e-9)
+    assert rectify(head, motor[0]) is not None
+    with pytest.raises(VergenceError, match="in radians; found a joint at"):
+        project_point(head, "left_wide", np.degrees(motor), points)
 
 
 def test_the_head_frame_lies_half_a_baseline_to_the_right_of_the_left_eye():

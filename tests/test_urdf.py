@@ -10,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simulated_head import unskewed_head
+from vergence.errors import VergenceError
 from vergence.geometry.head import Accuracy, T_base_cam, T_body_base, T_head_base
-from vergence.geometry.kinematics import EYE_JOINTS, Kinematics
+from vergence.geometry.kinematics import EYE_JOINTS, EYES, Joint, Kinematics
 from vergence.geometry.neck import NECK_JOINTS, Neck, T_body_head
 from vergence.geometry.se3 import inverse, pose, rotation, rotvec
 from vergence.interchange import urdf
@@ -73,15 +74,65 @@ def test_a_head_with_perfect_axes_has_plain_joints(tmp_path):
     revolute = {j.get("name"): j for j in robot.iter("joint") if j.get("type") == "revolute"}
     assert set(revolute) == set(EYE_JOINTS)
     assert all(j.find("mimic") is None for j in revolute.values())
-    limit = revolute["left_pan"].find("limit")
-    assert limit is not None
-    assert (limit.get("lower"), limit.get("upper")) == ("-1.5708", "1.5708")
+    assert limits_rad(revolute["left_pan"]) == (-1.5708, 1.5708)
     links = [link.get("name") for link in robot.iter("link")]
     assert len(links) == len(set(links))
     children = [child.get("link") for child in robot.iter("child")]
     assert sorted([*children, "body"], key=str) == sorted(links, key=str)
     T = Tree(tmp_path / "head.urdf").T_root("right_base", {})
     np.testing.assert_allclose(T, T_head_base(head, "right"), atol=1e-12)
+
+
+def limits_rad(joint: ElementTree.Element) -> tuple[float, float]:
+    limit = joint.find("limit")
+    assert limit is not None
+    return float(limit.get("lower", "nan")), float(limit.get("upper", "nan"))
+
+
+def test_joints_are_limited_and_readings_by_as_much_as_moves_a_joint_so_far(tmp_path):
+    """Behind a gear a motor turns farther than the eye; of two factors the larger one limits."""
+    up, left = np.eye(3)[[2, 1]]
+    eyes = {
+        eye: (
+            Joint(name="pan", axis=up, readings={f"{eye}_motor": -0.02}),
+            Joint(name="tilt", axis=left, readings={"tilt": factor}, offset_rad=0.1),
+        )
+        for eye, factor in zip(EYES, (1.0, 0.5), strict=True)
+    }
+    kinematics = Kinematics(eyes, ("left_motor", "right_motor", "tilt"))
+    urdf.save(replace(unskewed_head(10), kinematics=kinematics), tmp_path / "head.urdf")
+    robot = ElementTree.parse(tmp_path / "head.urdf").getroot()
+    limits = {joint.get("name"): joint for joint in robot.iter("joint")}
+    quarter = np.array([-1.0, 1.0]) * urdf.LIMIT_RAD
+    for name, wanted in (
+        ("left_motor", quarter / 0.02),
+        ("left_pan_true", quarter),
+        ("tilt", quarter),
+        ("left_tilt_true", quarter + 0.1),
+        ("right_tilt_true", quarter / 2 + 0.1),
+    ):
+        np.testing.assert_allclose(limits_rad(limits[name]), wanted, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("joint", "reading", "said"),
+    [
+        ("eye", "a", "two links called left_eye;"),
+        ("base", "a", "two links called left_base;"),
+        ("wide", "a", "two links called left_wide;"),
+        ("pan", "b c", "two joints called b_c;"),
+        ("pan", "head_joint", "two joints called head_joint;"),
+    ],
+)
+def test_names_that_would_be_there_twice_are_refused(tmp_path, joint, reading, said):
+    up, left = np.eye(3)[[2, 1]]
+    joints = (
+        Joint(name=joint, axis=up, readings={reading: 1.1}),
+        Joint(name="tilt", axis=left, readings={"b_c": 1.0}),
+    )
+    kinematics = Kinematics({"left": joints, "right": ()}, (reading, "b_c"))
+    with pytest.raises(VergenceError, match=said):
+        urdf.save(replace(unskewed_head(10), kinematics=kinematics), tmp_path / "head.urdf")
 
 
 @pytest.mark.parametrize("eyes", [("left",), ("right",), ("left", "right")])

@@ -254,17 +254,15 @@ def _cross_validated(
     if ratio is None or ratio <= LARGEST_JACKKNIFE_RATIO:
         return found, (), contradictions
     said = f"Calibrations from parts of the views differ {ratio:.1f} times as much as stated: "
+    views, few = len(observations.placement), ""
+    if views < EACH_BELOW:
+        few = f", or record more: {views} views are so few that parts of them determine too little"
     if ratio > VOID_RATIO:
-        views = len(observations.placement)
-        said += "they contradict each other; look for views with wrong readings" + (
-            f", or record more: {views} views are so few that parts of them determine too little."
-            if views < EACH_BELOW
-            else "."
-        )
+        said += f"they contradict each other; look for views with wrong readings{few}."
         return found, (), (said, *contradictions)
     said += (
-        "the errors of the corners are not independent (a board that bends, blur), and true errors "
-        "are larger than the stated ones by as much at least."
+        "true errors are larger than the stated ones by as much at least; look for errors that "
+        f"corners share (a board that bends, blur){few}."
     )
     return found, (said,), contradictions
 

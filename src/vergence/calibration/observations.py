@@ -16,6 +16,7 @@ from vergence.errors import VergenceError
 from vergence.geometry.board import Board
 from vergence.geometry.head import HeadCalibration, check_camera_name
 from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye
+from vergence.geometry.se3 import mean_pose
 
 
 @dataclass(frozen=True)
@@ -219,3 +220,15 @@ def most_seen_board(observations: Observations, T_cam_target: Array) -> np.ndarr
         return known
     numbers, counts = np.unique(observations.placement[known], return_counts=True)
     return known[observations.placement[known] == numbers[counts.argmax()]]
+
+
+def mean_placed(T_base_target: Array, placement: np.ndarray) -> Array:
+    """Return for each view where its board stands by all views (V, 4, 4) of its placement.
+
+    It is the mean of the poses that are not NaN, and NaN where all of them are.
+    """
+    known = np.isfinite(T_base_target).all(axis=(1, 2))
+    mean = np.full_like(T_base_target, np.nan)
+    for each in np.unique(placement[known]):
+        mean[placement == each] = mean_pose(T_base_target[known & (placement == each)])
+    return mean

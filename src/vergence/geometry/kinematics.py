@@ -157,8 +157,8 @@ class Kinematics:
     def used(self, eye: Side) -> list[int]:
         """Return which of the readings move an eye, in the order of the joints that they move."""
         mixing = self.chains[eye].mixing != 0
-        used = np.flatnonzero(mixing.any(axis=0))
-        return used[np.argsort(mixing[:, used].argmax(axis=0), kind="stable")].tolist()
+        _, used = np.nonzero(mixing)  # joint by joint
+        return list(dict.fromkeys(used.tolist()))
 
 
 def _check_joints(whose: str, joints: tuple[Joint, ...], readings: tuple[str, ...]) -> None:
@@ -277,10 +277,16 @@ def reading_kinds(kinematics: Kinematics) -> list[int]:
 def readings_to_turn(kinematics: Kinematics, turn: Array) -> Array:
     """Return readings (..., r) at which both eyes have turned by vectors (..., 3) [rad].
 
-    Along the axes of the head, to first order in the turn, and as nearly as the joints can.
+    Along the axes of the head, to first order in the turn, and as nearly as the joints can without
+    turning against each other about axes that are all but parallel.
     """
     maps = [chain.axes.T @ chain.mixing for chain in kinematics.chains.values()]
-    return np.concatenate([turn, turn], axis=-1) @ np.linalg.pinv(np.concatenate(maps)).T
+    by_reading = np.concatenate(maps)
+    # By the turn that each reading makes, so that one before a gear counts as any other.
+    size = np.linalg.norm(by_reading, axis=0)
+    size[size == 0] = 1.0
+    inverse = np.linalg.pinv(by_reading / size, rcond=PARALLEL) / size[:, None]
+    return np.concatenate([turn, turn], axis=-1) @ inverse.T
 
 
 def eye_turn(kinematics: Kinematics, eye: Side, readings: Array) -> Array:
@@ -360,20 +366,28 @@ def checked_readings(
             f"shape {found.shape} {where}."
         )
     if one_posture:
-        check_radians(found)
+        check_turns(kinematics, found)
     return found
 
 
-def check_radians(readings: Array) -> None:
-    """Raise VergenceError for readings (...) [rad] of more than a turn, as degrees are.
+def check_turns(kinematics: Kinematics, readings: Array) -> None:
+    """Raise VergenceError for readings (..., r) [rad] that turn a joint by more than a turn.
 
-    Those that are not finite count as unknown.
+    Degrees do so. The reading itself may be larger, as that of a motor before a gear; one that is
+    not finite counts as unknown.
     """
-    beyond = (np.abs(readings) > 2 * np.pi) & np.isfinite(readings)
+    known = np.where(np.isfinite(readings), readings, 0.0)
+    for chain in kinematics.chains.values():
+        check_radians(known @ chain.mixing.T + chain.offset_rad, "Joint readings")
+
+
+def check_radians(angles: Array, what: str) -> None:
+    """Raise VergenceError for angles (...) [rad] of more than a turn, as degrees are."""
+    beyond = np.abs(angles) > 2 * np.pi
     if beyond.any():
         raise VergenceError(
-            f"Joint readings are in radians; found {readings[beyond].flat[0]:g}, more than a turn: "
-            "np.radians makes radians of degrees."
+            f"{what} are in radians; found a joint at {angles[beyond].flat[0]:g}, more than a "
+            "turn: np.radians makes radians of degrees."
         )
 
 

@@ -32,7 +32,7 @@ from vergence.geometry.components import (
 )
 from vergence.geometry.eye_motion import EyeMotion
 from vergence.geometry.head import HeadCalibration, MountedCamera
-from vergence.geometry.kinematics import Side, T_base_eye, check_radians
+from vergence.geometry.kinematics import Side, T_base_eye, check_turns
 from vergence.geometry.se3 import inverse
 
 
@@ -54,8 +54,8 @@ def project_point(head: HeadCalibration, camera: str, joints: Array, points: Arr
             or not in radians.
     """
     mounted = head.camera(camera)
-    check_radians(np.asarray(joints))
     T = T_base_eye(head.kinematics, mounted.eye, joints)
+    check_turns(head.kinematics, np.asarray(joints, dtype=float))
     return project_at(mounted, head.T_rbase_lbase, T, points[..., None, :])[..., 0, :]
 
 

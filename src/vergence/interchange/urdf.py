@@ -12,12 +12,14 @@ link, and <joint>_true mimics it with URDF's multiplier and offset; transforms t
 from __future__ import annotations
 
 import re
+from collections import Counter
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.errors import VergenceError
 from vergence.geometry.head import R_EYE_CAM, HeadCalibration, T_head_base
 from vergence.geometry.kinematics import EYES, Kinematics, Side
 from vergence.geometry.neck import NECK_JOINTS
@@ -25,8 +27,9 @@ from vergence.geometry.se3 import inverse, pose
 from vergence.interchange.serialization import check_names
 from vergence.writing import write_whole
 
-LIMIT_RAD = (-1.5708, 1.5708)
-"""A quarter turn each way. URDF requires limits, and a calibration holds none."""
+LIMIT_RAD = 1.5708
+"""A quarter turn each way, of a joint of an eye and so of what a reading adds to it. URDF requires
+limits, and a calibration holds none."""
 EFFORT, VELOCITY = 100.0, 100.0
 """The same of torque and speed: large enough to have no effect."""
 
@@ -37,7 +40,8 @@ T_LINK_OPTICAL = pose(R_EYE_CAM)
 def save(head: HeadCalibration, path: Path) -> None:
     """Write a head as URDF, without the cameras' intrinsics, for which it has no field.
 
-    VergenceError if there is no camera, or the file cannot be written.
+    VergenceError if there is no camera, two links or joints would have one name, or the file cannot
+    be written.
     """
     check_names(head)
     robot = ElementTree.Element("robot", name="vergence_head")
@@ -66,6 +70,9 @@ def save(head: HeadCalibration, path: Path) -> None:
             _add_joint(robot, f"{name}_joint", link, name, T_eye_link)
             optical = f"{name}_optical_frame"
             _add_joint(robot, f"{name}_optical_joint", name, optical, T_LINK_OPTICAL)
+    _check_different("link", [link.get("name", "") for link in robot.iter("link")])
+    _check_different("joint", [joint.get("name", "") for joint in robot.iter("joint")])
+    _check_different("joint", [_identifier(name) for name in head.kinematics.readings])
     ElementTree.indent(robot)
     text = ElementTree.tostring(robot, encoding="unicode")
     write_whole(path, f'<?xml version="1.0"?>\n{text}\n')
@@ -80,6 +87,8 @@ def _add_eye(
     each; a reading that is no joint's angle is the joint of a link of its own, beside the eye.
     """
     chain, parent, at = kinematics.chains[eye], base, np.zeros(3)
+    factors = np.concatenate([c.mixing for c in kinematics.chains.values()])
+    largest = np.abs(factors).max(axis=0, initial=0.0)
     for k, joint in enumerate(kinematics.eyes[eye]):
         T, at = pose(t=chain.points_m[k] - at), chain.points_m[k]
         terms = [r for r in kinematics.used(eye) if chain.mixing[k, r]]
@@ -95,17 +104,29 @@ def _add_eye(
         offset = chain.offset_rad[k]
         for r in terms:
             name, factor = _identifier(kinematics.readings[r]), chain.mixing[k, r]
-            if robot.find(f"joint[@name='{name}']") is None:
-                _add_joint(robot, name, parent, f"{name}_reading", T, chain.axes[k])
+            reach = LIMIT_RAD / largest[r]
+            if robot.find(f"link[@name='{name}_reading']") is None:
+                _add_joint(robot, name, parent, f"{name}_reading", T, chain.axes[k], reach)
             true = f"{eye}_{joint.name}_true" + ("" if len(terms) == 1 else f"_{name}")
             through = child if r == terms[-1] else true
-            limit = tuple(sorted(factor * angle + offset for angle in LIMIT_RAD))
-            follower = _add_joint(robot, true, parent, through, T, chain.axes[k], limit)
+            reach *= abs(factor)
+            follower = _add_joint(
+                robot, true, parent, through, T, chain.axes[k], reach, middle_rad=offset
+            )
             relation = {"joint": name, "multiplier": _text(factor), "offset": _text(offset)}
             ElementTree.SubElement(follower, "mimic", relation)
             parent, T, offset = through, np.eye(4), 0.0
     if not len(chain.axes):
         _add_joint(robot, f"{end}_joint", base, end, np.eye(4))
+
+
+def _check_different(what: str, names: list[str]) -> None:
+    for name, count in Counter(names).most_common(1):
+        if count > 1:
+            raise VergenceError(
+                f"The URDF would have two {what}s called {name}; rename the camera, the joint or "
+                "the reading of that name in the calibration's file."
+            )
 
 
 def _identifier(name: str) -> str:
@@ -120,11 +141,15 @@ def _add_joint(
     child: str,
     T_parent_child: Array,
     axis: Array | None = None,
-    limit_rad: tuple[float, ...] = LIMIT_RAD,
+    reach_rad: float = LIMIT_RAD,
     *,
+    middle_rad: float = 0.0,
     kind: str = "fixed",
 ) -> ElementTree.Element:
-    """Add a joint, revolute with an axis, and the link that it moves; return the joint."""
+    """Add a joint, revolute with an axis, and the link that it moves; return the joint.
+
+    It turns by `reach_rad` to either side of `middle_rad`.
+    """
     kind = kind if axis is None else "revolute"
     joint = ElementTree.SubElement(robot, "joint", name=name, type=kind)
     ElementTree.SubElement(joint, "parent", link=parent)
@@ -132,7 +157,8 @@ def _add_joint(
     xyz, rpy = T_parent_child[:3, 3], _rpy(T_parent_child[:3, :3])
     ElementTree.SubElement(joint, "origin", xyz=_text(*xyz), rpy=_text(*rpy))
     if axis is not None:
-        numbers = dict(lower=limit_rad[0], upper=limit_rad[1], effort=EFFORT, velocity=VELOCITY)
+        lower, upper = middle_rad - reach_rad, middle_rad + reach_rad
+        numbers = dict(lower=lower, upper=upper, effort=EFFORT, velocity=VELOCITY)
         ElementTree.SubElement(joint, "axis", xyz=_text(*axis))
         ElementTree.SubElement(joint, "limit", {key: _text(v) for key, v in numbers.items()})
     ElementTree.SubElement(robot, "link", name=child)

@@ -12,7 +12,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.geometry.eye_motion import eye_poses, measured
 from vergence.geometry.head import HeadCalibration, MountedCamera, pair_names
-from vergence.geometry.kinematics import T_base_eye, check_radians
+from vergence.geometry.kinematics import T_base_eye, check_turns
 from vergence.geometry.projection import T_lbase_cam
 from vergence.geometry.se3 import inverse
 
@@ -88,9 +88,10 @@ def T_rcam_lcam(
         VergenceError: the head has one eye only, has no such camera, left and right are exchanged,
             or the joints are not as many as the head has, or not in radians.
     """
+    T = stereo_poses(head, joints, cameras=cameras)[1]
     if not measured(joints):
-        check_radians(np.asarray(joints))
-    return stereo_poses(head, joints, cameras=cameras)[1]
+        check_turns(head.kinematics, np.asarray(joints, dtype=float))
+    return T
 
 
 def stereo_poses(

@@ -115,7 +115,7 @@ def linearised(
 
     Pixels count equally. Arguments and errors are those of `locate`.
     """
-    left, right, joints = checked(left, right, joints, len(head.kinematics.readings))
+    left, right, joints = checked(left, right, joints, head.kinematics)
     return linearised_part(head, (left, right), joints, cameras, pixel_variances(1.0, len(left)))
 
 

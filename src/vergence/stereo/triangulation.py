@@ -30,7 +30,7 @@ from vergence.geometry.components import (
 )
 from vergence.geometry.eye_motion import EyeMotion, eye_motions, measured
 from vergence.geometry.head import HeadCalibration, MountedCamera, T_body_base, T_head_base
-from vergence.geometry.kinematics import check_radians
+from vergence.geometry.kinematics import Kinematics, check_radians, check_turns
 from vergence.geometry.projection import camera_pose
 from vergence.geometry.se3 import transform
 from vergence.stereo.extrinsics import stereo_cameras
@@ -80,7 +80,7 @@ def triangulate_at(
     Raises:
         VergenceError: shapes do not fit, or the head has no such pair of cameras.
     """
-    left, right, joints = checked(left, right, joints, len(head.kinematics.readings))
+    left, right, joints = checked(left, right, joints, head.kinematics)
     pair, n = stereo_cameras(head, cameras), len(left)
     variances = pixel_variances(pixel_std_px, n)
 
@@ -245,13 +245,15 @@ def of_part(noise: Array, part: slice) -> Array:
     return noise if noise.shape[-1] == 1 else noise[..., part]
 
 
-def checked(left: Array, right: Array, joints: Array, r: int) -> tuple[Array, Array, Array]:
+def checked(
+    left: Array, right: Array, joints: Array, kinematics: Kinematics
+) -> tuple[Array, Array, Array]:
     """Return float arrays; VergenceError if they are not (N, 2), (N, 2) and readings.
 
     These are angles (r,) or (N, r) in radians, or measured eye poses (2, 4, 4) or (N, 2, 4, 4).
     """
     left, right, joints = (np.asarray(each, dtype=float) for each in (left, right, joints))
-    n = len(left) if left.ndim else 0
+    n, r = len(left) if left.ndim else 0, len(kinematics.readings)
     for name, array, shapes in (
         ("left", left, [(n, 2)]),
         ("right", right, [(n, 2)]),
@@ -263,7 +265,7 @@ def checked(left: Array, right: Array, joints: Array, r: int) -> tuple[Array, Ar
                 f"{array.shape}."
             )
     if not measured(joints):
-        check_radians(joints)
+        check_turns(kinematics, joints)
     return left, right, joints
 
 
@@ -288,5 +290,5 @@ def in_body(head: HeadCalibration, points_lbase: Array, neck_angles: Array) -> A
             f"The neck of this head has {joints} joints; found an array of angles of shape "
             f"{angles.shape}."
         )
-    check_radians(angles)
+    check_radians(angles, "Angles of the neck")
     return transform(T_body_base(head, "left", neck_angles), points_lbase)

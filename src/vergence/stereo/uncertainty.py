@@ -101,7 +101,7 @@ def locate(
     """
     if joint_time_s is not None:
         joints = _at_the_images(head, joints, joint_time_s)
-    left, right, joints = checked(left, right, joints, len(head.kinematics.readings))
+    left, right, joints = checked(left, right, joints, head.kinematics)
     known, n = pair_covariance(head, cameras), len(left)
     if not states_noise(head) and pixel_std_px is None and joint_std_rad is None:
         points, status = triangulate_at(
@@ -228,7 +228,7 @@ def combination(
     caller nor the calibration states is taken as none. VergenceError also if there are not as many
     weights as points.
     """
-    left, right, joints = checked(left, right, joints, len(head.kinematics.readings))
+    left, right, joints = checked(left, right, joints, head.kinematics)
     factor, n = pair_factor(head, cameras), len(left)
     weights = np.asarray(weights, dtype=float)
     if weights.shape != (n,):
@@ -280,7 +280,7 @@ def locate_jointly(
     parameters counts too, as if it were independent. Other arguments and errors are those of
     `locate`.
     """
-    left, right, joints = checked(left, right, joints, len(head.kinematics.readings))
+    left, right, joints = checked(left, right, joints, head.kinematics)
     n, P, names = len(left), len(parameters), pair_parameters(head, cameras)
     noise, variances = pixel_noise(pixel_std_px, n), pixel_variances(pixel_std_px, n)
     mine = [k for k, name in enumerate(parameters) if name in names]
@@ -326,7 +326,7 @@ def locate_both(
     joints, n = np.asarray(joints, dtype=float), len(left[0])
     noise, points, changes = _noise(head, joints, n, pixel_std_px, joint_std_rad), [], []
     for own in zip(left, right, strict=True):
-        u_l, u_r, readings = checked(*own, joints, len(head.kinematics.readings))
+        u_l, u_r, readings = checked(*own, joints, head.kinematics)
         given = head, (u_l, u_r), readings, cameras, pixel_variances(pixel_std_px, n)
         seen = linearised_part(*given, parameters=False)
         points.append(seen.points.T)

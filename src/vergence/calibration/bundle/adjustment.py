@@ -70,8 +70,8 @@ class Adjusted:
     observability: Observability
     """Its covariance allows for the levels of noise being estimates themselves, and for errors of
     corners that images share."""
-    outliers: int
-    """Corners that lost their weight."""
+    outliers: Array
+    """(M,) how many corners of each image of a board lost their weight."""
     lost_readings: Array
     """(B, n) by how much latent unknowns differ from readings without weight; 0: the others."""
     assumed: np.ndarray
@@ -176,7 +176,7 @@ def adjust(
         state,
         noise,
         replace(seen, covariance=certain.covariance + systematic[:c, :c]),
-        int(problem.seen.sum() - linear.weights[0].sum()),
+        problem.seen.sum(axis=1) - linear.weights[0].sum(axis=1),
         np.where(linear.weights[1] > 0, 0.0, joint_errors(problem, state)),
         assumed,
         np.full(groups, joint_std is not None),

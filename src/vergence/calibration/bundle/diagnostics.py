@@ -57,15 +57,21 @@ def warnings(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
         "fit them: the stated accuracy is rough; record more views."
         for redundancy in found.redundancy[~found.assumed & ~found.given & (found.redundancy < FEW)]
     ]
-    corners = int(np.count_nonzero(problem.seen))
-    if found.outliers > 0.01 * corners:
+    corners, lost = int(np.count_nonzero(problem.seen)), int(found.outliers.sum())
+    if lost > 0.01 * corners:
+        by_view = np.bincount(problem.block_view[problem.block], found.outliers)
+        look = "look at the views with the largest residuals"
+        if by_view.max() > lost / 2:
+            look = (
+                f"{by_view.max():.0f} of them are in view {by_view.argmax()}, in which the board "
+                "may have moved, or its image be blurred"
+            )
         what, unit = "corners", f"{noise.pixel_px:.2g} px"
         if problem.measured is not None:
             what, unit = "pairs of numbers of measured poses", f"{noise.pixel_px:.2g} stated ones"
         said.append(
-            f"{found.outliers} of {corners} {what} lie beyond {noise.outlier:g} standard "
-            f"deviations of {unit} and lost their weight: look at the views with the largest "
-            "residuals."
+            f"{lost} of {corners} {what} lie beyond {noise.outlier:g} standard deviations of "
+            f"{unit} and lost their weight: {look}."
         )
     said += _lost_readings(problem, found)
     systematic = max(found.systematic_px)

@@ -21,7 +21,7 @@ from vergence.calibration.bundle.bundle_adjustment import (
     fixed_by_default,
 )
 from vergence.calibration.bundle.measured_poses import PoseObservations, whitening
-from vergence.calibration.observations import check_rotations
+from vergence.calibration.observations import check_rotations, mean_placed
 from vergence.calibration.sequential.hand_eye import robust_park_martin
 from vergence.errors import VergenceError
 from vergence.geometry.camera import pinhole
@@ -306,7 +306,7 @@ def _start(
         T_eye_cam = robust_park_martin(own[rows], T[rows])
         # Poses have no pixels: a lens of one stands where a head needs one.
         mounted[name] = MountedCamera(eye=eye, intrinsics=pinhole(1, 1, 1.0), T_eye_cam=T_eye_cam)
-        seen[name] = own @ T_eye_cam @ T
+        seen[name] = mean_placed(own @ T_eye_cam @ T, placement)
     head = HeadCalibration(cameras=mounted, T_rbase_lbase=np.eye(4), kinematics=kinematics)
     pair = main_pair(head)
     if pair is None:
@@ -316,6 +316,6 @@ def _start(
     known = _measured(both)
     if not known.any():
         raise VergenceError(
-            f"T_rbase_lbase is not observable: no view has poses by both {left} and {right}."
+            f"T_rbase_lbase is not observable: no placement has poses by both {left} and {right}."
         )
     return replace(head, T_rbase_lbase=mean_pose(both[known]))

@@ -119,9 +119,12 @@ def check_encoders(seen: Observations, T_cam_target: Mapping[str, Array]) -> Non
 
 
 def _turns(seen: Observations, name: str, e: int, T_cam_target: Array) -> _Turns | None:
-    """Return how a camera turns; None where it does so too little, or in too few views."""
+    """Return how a camera turns; None where it does so too little, or in too few views.
+
+    None too of an eye without joints, since no readings are to explain its turns.
+    """
     rows = most_seen_board(seen, T_cam_target)
-    if len(rows) < LEAST_VIEWS_AT_REST:
+    if len(rows) < LEAST_VIEWS_AT_REST or not seen.kinematics.used(EYES[e]):
         return None
     R = board_flips.nearest(T_cam_target[rows, :3, :3], seen.board)
     # A camera that turns by T sees a board at rest turn by its inverse.

@@ -5,7 +5,8 @@ pose between wide and narrow camera, T_rbase_lbase (Eq. 10). Each step takes the
 exact.
 
 Beyond the paper: eyes may be given by poses instead of angles; without straight gaze T_rbase_lbase
-comes from the cameras of both eyes before the same board; a head may have one eye only.
+comes from boards at rest that both eyes see, at once or one after the other; a head may have one
+eye only.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from vergence.arrays import Array
 from vergence.calibration.observations import (
     Observations,
     camera_eyes,
+    mean_placed,
     missing_reading,
     most_seen_board,
     readable,
@@ -157,11 +159,6 @@ def _between_the_eyes(
     left, right = pair
     corners_l, corners_r = observations.corners[left], observations.corners[right]
     both = (seen_corners(corners_l) & seen_corners(corners_r)).sum(axis=1) >= LEAST_CORNERS
-    if not both.any():
-        raise VergenceError(
-            f"T_rbase_lbase is not observable: no view shows the board to both {left} and {right}; "
-            "hold it where both eyes see it."
-        )
     T_l, T_r = np.moveaxis(observations.eye_poses(), 1, 0)
     readable = np.isfinite(T_l).all(axis=(1, 2)) & np.isfinite(T_r).all(axis=(1, 2))
     straight = both & readable
@@ -188,15 +185,16 @@ def _between_the_eyes(
         )
         return T, rms, int(straight.sum())
     T_lbase_target, T_rbase_target = (
-        T_read[both] @ mounted[name].T_eye_cam @ T_cam_target[name][both]
+        mean_placed(T_read @ mounted[name].T_eye_cam @ T_cam_target[name], observations.placement)
         for T_read, name in ((T_l, left), (T_r, right))
     )
     between = T_rbase_target @ inverse(T_lbase_target)
     known = np.isfinite(between).all(axis=(1, 2))
     if not known.any():
         raise VergenceError(
-            f"T_rbase_lbase is not observable: no view shows {left} and {right} {LEAST_CORNERS} "
-            "corners of the board that are not all on one line."
+            "T_rbase_lbase is not observable: no placement of the board is seen by both "
+            f"{left} and {right}, in one view or in several, with {LEAST_CORNERS} corners that are "
+            "not all on one line; hold it where both eyes see it."
         )
     return mean_pose(between[known]), None, 0
 
