@@ -74,6 +74,24 @@ def test_no_command_writes_over_what_it_reads(capsys, monkeypatch, tmp_path):
         assert "it is also the file that is read" in refused(words.split(), capsys, monkeypatch)
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("calibrate data --out r/report.md --report r", "the file of another result"),
+        ("calibrate data --out a.json --json r/dataset.rrd --report r", "the file of another res"),
+        ("calibrate data --out r/UNFINISHED.txt --report r", "the file of another result"),
+        ("calibrate data --out a.json --report a.json", "a folder of other results"),
+        ("calibrate data --out a --report a/report", "a folder of other results"),
+        ("foveate --out f --json f/foveate.rrd", "the file of another result"),
+        ("foveate --out f --json f/depth.png", "the file of another result"),
+        ("track --out f --json f/track.rrd", "the file of another result"),
+    ],
+)
+def test_no_result_takes_the_place_of_another(words, said, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    assert f"it is also {said}" in refused(words.split(), capsys, monkeypatch)
+
+
 @pytest.mark.parametrize("command", ["plan data", "budget --noise 0.1"])
 def test_a_figure_that_is_not_called_a_png_file_is_refused(command, capsys, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)

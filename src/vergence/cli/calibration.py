@@ -44,12 +44,13 @@ def calibrate(
         json: JSON file of the accuracy alone.
     """
     from vergence.calibration.calibrate import calibrate as run
-    from vergence.commands.calibration_report import figures, write_report
+    from vergence.commands.calibration_report import RESULTS, figures, write_report
     from vergence.data.description import DESCRIPTION, FRAMES
     from vergence.data.reader import load_dataset
     from vergence.geometry.head import save_head
 
-    check_outputs(out, json, folder=report, inputs=[dataset / DESCRIPTION, dataset / FRAMES])
+    read = [dataset / DESCRIPTION, dataset / FRAMES]
+    check_outputs(out, json, folder=report, names=RESULTS, inputs=read)
     data = load_dataset(dataset)
     say_if_unfinished(report)
     with progress_bars() as progress:

@@ -168,7 +168,7 @@ def foveate(*, trials: int = 100, options: Options = DEFAULT) -> None:
     """
     from vergence.demos.foveate import foveate as run
 
-    _experiment("foveate", lambda *given: run(*given, trials=trials)[0], options)
+    _experiment("foveate", lambda *given: run(*given, trials=trials)[0], options, "depth.png")
 
 
 def track(*, seconds: float = 60.0, options: Options = DEFAULT) -> None:
@@ -263,14 +263,22 @@ def depth(
 
 
 def _experiment(
-    name: str, run: Callable[[Experiment, Progress], DataclassInstance], options: ExperimentOptions
+    name: str,
+    run: Callable[[Experiment, Progress], DataclassInstance],
+    options: ExperimentOptions,
+    *figures: str,
 ) -> None:
-    """Run an experiment, print and write its summary, and say how to view its recording."""
+    """Run an experiment, print and write its summary, and say how to view its recording.
+
+    Its folder gets a summary and a recording of its name, and figures.
+    """
     from vergence.demos.experiment import Experiment
     from vergence.twin.profile import load_profile
 
     profile = load_profile(options.profile)
-    check_outputs(options.json, folder=options.out, inputs=[Path(options.profile)])
+    results = f"{name}.json", f"{name}.rrd", *figures
+    read = [Path(options.profile)]
+    check_outputs(options.json, folder=options.out, names=results, inputs=read)
     say_if_unfinished(options.out)
     with progress_bars() as progress:
         settings = Experiment(profile, options.seed, options.scene, options.geometry, options.out)
