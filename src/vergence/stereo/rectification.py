@@ -98,15 +98,11 @@ def rectify(
         focal_px: of the rectified cameras; None: FOCAL_SHARE of the real ones' mean.
 
     Raises:
-        VergenceError: the head has no such pair, the joints are not those of one posture, size or
-            focal length are not positive, or the two views do not overlap.
+        VergenceError: the head has no such pair, the joints are not known ones of one posture, size
+            or focal length are not positive, or the two views do not overlap.
     """
     left, right = stereo_cameras(head, cameras)
-    at = np.asarray(joints, dtype=float)
-    if at.shape != (2, 4, 4):
-        at = checked_readings(head.kinematics, at, one_posture=True)
-    if not np.isfinite(at).all():
-        raise VergenceError(f"A pair is rectified at known joints; found {at.ravel()}.")
+    at = known_posture(head, joints)
     if focal_px is not None and not 0 < focal_px < np.inf:
         raise VergenceError(f"focal_px is above 0 pixels, found {focal_px:g}.")
     if size is not None and min(size) < 1:
@@ -138,6 +134,19 @@ def rectify(
         baseline_m=float(np.linalg.norm(baseline)),
         T_lbase_rect=T_lbase_lcam @ pose(R_rect_lcam.T),
     )
+
+
+def known_posture(head: HeadCalibration, joints: ArrayLike) -> Array:
+    """Return the readings (r,) [rad], or measured poses (2, 4, 4), of one posture as an array.
+
+    VergenceError if they are those of none, or not all of them are known.
+    """
+    at = np.asarray(joints, dtype=float)
+    if at.shape != (2, 4, 4):
+        at = checked_readings(head.kinematics, at, one_posture=True)
+    if not np.isfinite(at).all():
+        raise VergenceError(f"A pair is rectified at known joints; found {at.ravel()}.")
+    return at
 
 
 def _orientation(baseline: Array, forward: Array) -> Array:
