@@ -122,7 +122,9 @@ def test_joints_that_are_not_known_are_refused(pair: RectifiedPair, drawn):
 def test_points_are_of_the_pair_that_the_depth_was_found_in(pair: RectifiedPair, drawn):
     found = dense_depth(HEAD, JOINTS, pair, *drawn)
     small = rectify(HEAD, JOINTS, size=(320, 240))
-    with pytest.raises(VergenceError, match=r"shape \(240, 320\) and a depth of shape \(480, 640\)"):
+    with pytest.raises(
+        VergenceError, match=r"shape \(240, 320\) and a depth of shape \(480, 640\)"
+    ):
         point_cloud(small, found)
 
 

@@ -305,6 +305,27 @@ def test_readings_in_degrees_are_refused(head: HeadCalibration):
             use()
 
 
+@pytest.mark.parametrize(
+    ("pose", "said"),
+    [
+        (np.diag([2.0, 2, 2, 1]), "a rotation part that is no rotation"),
+        (np.ones((4, 4)), "a rotation part that is no rotation"),
+        (np.eye(4) + np.eye(4)[[3]].T @ [[0.1, 0, 0, 0]], "a last row other than 0 0 0 1"),
+    ],
+)
+def test_measured_poses_that_are_not_rigid_are_refused(head: HeadCalibration, pose, said):
+    poses = np.stack([pose, np.eye(4)])
+    seen = {"left": np.full((1, 2), 300.0), "right": np.full((1, 2), 290.0)}
+    for use in (
+        lambda: locate(head, **seen, joints=poses),
+        lambda: locate(head, **seen, joints=poses[None], joint_time_s=[0.0]),
+        lambda: rectify(head, poses),
+        lambda: T_rcam_lcam(head, poses),
+    ):
+        with pytest.raises(VergenceError, match=f"joints has {said}"):
+            use()
+
+
 def test_the_head_frame_lies_half_a_baseline_to_the_right_of_the_left_eye():
     head = plain_head(0.09, 280.0)
     np.testing.assert_allclose(in_head(head, np.array([[1.0, 0, 0]])), [[1.0, 0.045, 0]])

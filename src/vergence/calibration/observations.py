@@ -16,6 +16,7 @@ from vergence.errors import VergenceError
 from vergence.geometry.board import Board
 from vergence.geometry.head import HeadCalibration, check_camera_name
 from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye
+from vergence.geometry.se3 import check_rigid
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ class Observations:
                     f"{np.shape(array)}."
                 )
         if self.T_base_eye is not None:
-            check_rotations("T_base_eye", self.T_base_eye)
+            check_rigid("T_base_eye", self.T_base_eye)
         self._check_cameras()
 
     def _check_cameras(self) -> None:
@@ -151,17 +152,6 @@ class Observations:
             return replace(self, eye_angles=angles)
         poses = moved_readings(self.T_base_eye, self.timing, head.time_offset_s)
         return replace(self, T_base_eye=poses)
-
-
-def check_rotations(name: str, T: Array) -> None:
-    """Raise a VergenceError if a finite one of poses (..., 4, 4) has no rotation in it."""
-    R = T[np.isfinite(T).all(axis=(-2, -1))][:, :3, :3]
-    off = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(initial=0)
-    if off > 1e-6 or (np.linalg.det(R) < 0).any():
-        raise VergenceError(
-            f"{name} has a rotation part that is no rotation: of a quaternion that is not of "
-            "length 1, or of left-handed axes."
-        )
 
 
 def camera_eyes(observations: Observations) -> dict[str, Side]:

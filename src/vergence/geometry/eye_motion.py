@@ -30,9 +30,11 @@ from vergence.geometry.kinematics import (
     Kinematics,
     Side,
     T_base_eye,
+    check_radians,
     checked_readings,
 )
 from vergence.geometry.parameter_names import joint_names
+from vergence.geometry.se3 import check_rigid
 
 
 def eye_linearised(
@@ -97,6 +99,14 @@ def eye_motion(kinematics: Kinematics, eye: Side, readings: Sequence[Component])
 def measured(joints: ArrayLike) -> bool:
     """Return whether readings are measured eye poses (..., 2, 4, 4) instead of angles (..., r)."""
     return np.shape(joints)[-3:] == (2, 4, 4)
+
+
+def check_joints(joints: Array) -> None:
+    """Raise VergenceError for readings (..., r) in degrees, and for poses that are not rigid."""
+    if measured(joints):
+        check_rigid("joints", joints)
+    else:
+        check_radians(joints)
 
 
 def eye_poses(head: HeadCalibration, joints: ArrayLike) -> Array:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from vergence.arrays import Array
+from vergence.errors import VergenceError
 
 
 def pose(R: ArrayLike | None = None, t: ArrayLike | None = None) -> Array:
@@ -101,3 +102,20 @@ def mean_pose(T: Array) -> Array:
     The rotation is the mean of the matrices, projected onto SO(3).
     """
     return pose(nearest_rotation(T[:, :3, :3].sum(axis=0)), np.median(T[:, :3, 3], axis=0))
+
+
+def check_rigid(name: str, T: Array) -> None:
+    """Raise a VergenceError if a finite one of poses (..., 4, 4) is not a rigid transform."""
+    known = T[np.isfinite(T).all(axis=(-2, -1))]
+    R = known[:, :3, :3]
+    off = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(initial=0)
+    if off > 1e-6 or (np.linalg.det(R) < 0).any():
+        raise VergenceError(
+            f"{name} has a rotation part that is no rotation: of a quaternion that is not of "
+            "length 1, or of left-handed axes."
+        )
+    if (np.abs(known[:, 3] - [0.0, 0.0, 0.0, 1.0]) > 1e-9).any():
+        raise VergenceError(
+            f"{name} has a last row other than 0 0 0 1: in a pose the translation is the last "
+            "column."
+        )

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, normalise, project
+from vergence.geometry.eye_motion import check_joints
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import checked_readings
 from vergence.geometry.lens import reach
@@ -139,13 +140,14 @@ def rectify(
 def known_posture(head: HeadCalibration, joints: ArrayLike) -> Array:
     """Return the readings (r,) [rad], or measured poses (2, 4, 4), of one posture as an array.
 
-    VergenceError if they are those of none, or not all of them are known.
+    VergenceError if they are those of none, not all of them are known, or poses are not rigid.
     """
     at = np.asarray(joints, dtype=float)
     if at.shape != (2, 4, 4):
         at = checked_readings(head.kinematics, at, one_posture=True)
     if not np.isfinite(at).all():
         raise VergenceError(f"A pair is rectified at known joints; found {at.ravel()}.")
+    check_joints(at)
     return at
 
 

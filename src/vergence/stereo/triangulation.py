@@ -28,7 +28,7 @@ from vergence.geometry.components import (
     times,
     transposed,
 )
-from vergence.geometry.eye_motion import EyeMotion, eye_motions, measured
+from vergence.geometry.eye_motion import EyeMotion, check_joints, eye_motions
 from vergence.geometry.head import HeadCalibration, MountedCamera, T_body_base, T_head_base
 from vergence.geometry.kinematics import check_radians
 from vergence.geometry.projection import camera_pose
@@ -248,7 +248,8 @@ def of_part(noise: Array, part: slice) -> Array:
 def checked(left: Array, right: Array, joints: Array, r: int) -> tuple[Array, Array, Array]:
     """Return float arrays; VergenceError if they are not (N, 2), (N, 2) and readings.
 
-    These are angles (r,) or (N, r) in radians, or measured eye poses (2, 4, 4) or (N, 2, 4, 4).
+    These are angles (r,) or (N, r) in radians, or measured eye poses (2, 4, 4) or (N, 2, 4, 4),
+    which are rigid.
     """
     left, right, joints = (np.asarray(each, dtype=float) for each in (left, right, joints))
     n = len(left) if left.ndim else 0
@@ -262,8 +263,7 @@ def checked(left: Array, right: Array, joints: Array, r: int) -> tuple[Array, Ar
                 f"Locating {n} points needs {name} of shape {' or '.join(map(str, shapes))}, found "
                 f"{array.shape}."
             )
-    if not measured(joints):
-        check_radians(joints)
+    check_joints(joints)
     return left, right, joints
 
 

@@ -21,14 +21,13 @@ from vergence.calibration.bundle.bundle_adjustment import (
     fixed_by_default,
 )
 from vergence.calibration.bundle.measured_poses import PoseObservations, whitening
-from vergence.calibration.observations import check_rotations
 from vergence.calibration.sequential.hand_eye import robust_park_martin
 from vergence.errors import VergenceError
 from vergence.geometry.camera import pinhole
 from vergence.geometry.head import HeadCalibration, MountedCamera, main_pair
 from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye
 from vergence.geometry.parameter_names import intrinsics_names
-from vergence.geometry.se3 import inverse, mean_pose
+from vergence.geometry.se3 import check_rigid, inverse, mean_pose
 
 LEAST_POSES = 3
 """Fewest poses of a target at rest, from which a camera's place in its eye follows."""
@@ -233,7 +232,7 @@ def _check(
             f"placement has a number for each of the {views} views, found shape {placement.shape}."
         )
     if eye.ndim == 4:
-        check_rotations("eye", eye)
+        check_rigid("eye", eye)
     for name, T in T_cam_target.items():
         if T.shape != (views, 4, 4):
             raise VergenceError(
@@ -242,7 +241,7 @@ def _check(
             )
         if eyes.get(name) not in EYES:
             raise VergenceError(f"eyes does not say in which eye {name} sits, left or right.")
-        check_rotations(f"T_cam_target of {name}", T)
+        check_rigid(f"T_cam_target of {name}", T)
 
 
 def _check_start(
