@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import field, replace
 from functools import cached_property
+from numbers import Integral
 from typing import Annotated
 
 import numpy as np
@@ -51,6 +52,16 @@ def check_image_size(width: int, height: int) -> None:
         raise ValueError(
             f"images have at most {MAX_IMAGE_AREA_PX:,} pixels, found {width} x {height}"
         )
+
+
+def is_image_size(size: object) -> bool:
+    """Return whether this is a width and a height, in whole pixels, that an image may have."""
+    if np.shape(size) != (2,):  # pyright: ignore[reportArgumentType]
+        return False
+    width, height = size  # pyright: ignore[reportGeneralTypeIssues]
+    whole = isinstance(width, Integral) and isinstance(height, Integral)
+    in_range = whole and 0 < min(width, height) <= max(width, height) <= MAX_IMAGE_PX
+    return in_range and width * height <= MAX_IMAGE_AREA_PX
 
 
 def check_image_fits(name: str, camera: Camera, shape: Sequence[int], *, whose: str) -> None:
