@@ -18,6 +18,7 @@ from vergence.arrays import Array
 from vergence.calibration.bundle.bundle_adjustment import (
     BundleEstimate,
     bundle_adjust,
+    check_noise,
     fixed_by_default,
 )
 from vergence.calibration.bundle.measured_poses import PoseObservations, whitening
@@ -25,7 +26,7 @@ from vergence.calibration.sequential.hand_eye import robust_park_martin
 from vergence.errors import VergenceError
 from vergence.geometry.camera import pinhole
 from vergence.geometry.head import HeadCalibration, MountedCamera, main_pair
-from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye
+from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye, check_radians
 from vergence.geometry.parameter_names import intrinsics_names
 from vergence.geometry.se3 import check_rigid, inverse, mean_pose
 
@@ -98,14 +99,18 @@ def adjust_target_poses(
             the readings are exact.
 
     Raises:
-        VergenceError: shapes do not fit, the start is another head, or the motion does not
-            determine a start.
+        VergenceError: shapes do not fit, readings are not in radians, poses are not rigid, noise is
+            not positive, a reading that is needed is not finite, the start is another head, or the
+            motion does not determine a start.
     """
+    T_cam_target = {name: np.asarray(T, dtype=float) for name, T in T_cam_target.items()}
+    eye = np.asarray(eye, dtype=float)
+    check_noise(joint_std, noise_factor=noise_factor)
     if start is not None:
         _check_start(start, T_cam_target, eyes, kinematics)
         kinematics = start.kinematics
     kinematics = Kinematics() if kinematics is None else kinematics
-    views = len(eye)
+    views = len(eye) if eye.ndim else 0
     placement = np.zeros(views, dtype=int) if placement is None else np.asarray(placement)
     _check(T_cam_target, eye, eyes, kinematics, placement)
     measured_eyes = eye.ndim == 4
@@ -219,7 +224,7 @@ def _check(
     kinematics: Kinematics,
     placement: np.ndarray,
 ) -> None:
-    views, r = len(eye), len(kinematics.readings)
+    views, r = len(eye) if eye.ndim else 0, len(kinematics.readings)
     if not T_cam_target:
         raise VergenceError("There are no poses of a target: T_cam_target names no camera.")
     if eye.shape not in ((views, r), (views, 2, 4, 4)):
@@ -233,6 +238,8 @@ def _check(
         )
     if eye.ndim == 4:
         check_rigid("eye", eye)
+    else:
+        check_radians(eye)
     for name, T in T_cam_target.items():
         if T.shape != (views, 4, 4):
             raise VergenceError(
