@@ -126,6 +126,12 @@ def test_an_unknown_camera_and_a_missing_file_are_named(head: HeadCalibration, t
         load_head(tmp_path / "no.json")
 
 
+def test_only_a_head_is_saved(tmp_path: Path):
+    with pytest.raises(VergenceError, match=r"save_head takes a HeadCalibration.*; found None"):
+        save_head(None, tmp_path / "a.json")  # pyright: ignore[reportArgumentType]
+    assert not (tmp_path / "a.json").exists()
+
+
 @pytest.mark.parametrize(
     ("path", "value", "says"),
     [

@@ -119,3 +119,21 @@ def check_rigid(name: str, T: Array) -> None:
             f"{name} has a last row other than 0 0 0 1: in a pose the translation is the last "
             "column."
         )
+
+
+def checked_points(points: ArrayLike, postures: tuple[int, ...] = ()) -> Array:
+    """Return points (..., 3) as an array.
+
+    VergenceError if they are others, or cannot be broadcast with postures of a leading shape.
+    """
+    found = np.asarray(points, dtype=float)
+    if found.shape[-1:] != (3,):
+        raise VergenceError(f"Points have the shape (..., 3); found an array of {found.shape}.")
+    try:
+        np.broadcast_shapes(found.shape[:-1], postures)
+    except ValueError:
+        raise VergenceError(
+            f"Points of shape {found.shape} do not go with postures of shape {postures}: there is "
+            "one posture, one point, or as many of both."
+        ) from None
+    return found

@@ -61,7 +61,8 @@ def per_pair(
 
     @wraps(find)
     def found(head: HeadCalibration, cameras: Pair) -> Found:
-        return remembered(head, cameras if cameras is None else tuple(cameras))
+        one = cameras is None or isinstance(cameras, str)  # which is refused as it stands
+        return remembered(head, cameras if one else tuple(cameras))
 
     return found
 

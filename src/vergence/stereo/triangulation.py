@@ -32,7 +32,7 @@ from vergence.geometry.eye_motion import EyeMotion, check_joints, eye_motions
 from vergence.geometry.head import HeadCalibration, MountedCamera, T_body_base, T_head_base
 from vergence.geometry.kinematics import check_radians
 from vergence.geometry.projection import camera_pose
-from vergence.geometry.se3 import transform
+from vergence.geometry.se3 import checked_points, transform
 from vergence.stereo.extrinsics import stereo_cameras
 
 CHUNK = 4096
@@ -252,7 +252,9 @@ def checked(left: Array, right: Array, joints: Array, r: int) -> tuple[Array, Ar
     which are rigid.
     """
     left, right, joints = (np.asarray(each, dtype=float) for each in (left, right, joints))
-    n = len(left) if left.ndim else 0
+    if left.ndim != 2:
+        raise VergenceError(f"Locating points needs left of shape (N, 2), found {left.shape}.")
+    n = len(left)
     for name, array, shapes in (
         ("left", left, [(n, 2)]),
         ("right", right, [(n, 2)]),
@@ -268,8 +270,11 @@ def checked(left: Array, right: Array, joints: Array, r: int) -> tuple[Array, Ar
 
 
 def in_head(head: HeadCalibration, points_lbase: Array) -> Array:
-    """Map points (..., 3) [m] from the left eye's base frame into frame head."""
-    return transform(T_head_base(head, "left"), points_lbase)
+    """Map points (..., 3) [m] from the left eye's base frame into frame head.
+
+    VergenceError if they are not (..., 3).
+    """
+    return transform(T_head_base(head, "left"), checked_points(points_lbase))
 
 
 def in_body(head: HeadCalibration, points_lbase: Array, neck_angles: Array) -> Array:
@@ -278,8 +283,8 @@ def in_body(head: HeadCalibration, points_lbase: Array, neck_angles: Array) -> A
     The neck's angles (..., n) [rad] are in the order of its chain; leading dimensions broadcast.
 
     Raises:
-        VergenceError: the angles are not as many as the neck has joints, or not in radians; a neck
-            without joints takes `np.empty(0)`.
+        VergenceError: the angles are not as many as the neck has joints, or not in radians, or the
+            shapes do not fit; a neck without joints takes `np.empty(0)`.
     """
     angles = np.asarray(neck_angles, dtype=float)
     joints = len(head.neck.axes)
@@ -289,4 +294,5 @@ def in_body(head: HeadCalibration, points_lbase: Array, neck_angles: Array) -> A
             f"{angles.shape}."
         )
     check_radians(angles)
-    return transform(T_body_base(head, "left", neck_angles), points_lbase)
+    points = checked_points(points_lbase, angles.shape[:-1])
+    return transform(T_body_base(head, "left", angles), points)
