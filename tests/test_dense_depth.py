@@ -265,6 +265,8 @@ def test_depth_of_the_twin_by_a_calibration_of_another_head_is_refused(
     [
         (["--out", "x"], "found neither"),
         (["folder", "--twin", "--out", "x"], "found both"),
+        (["folder", "--out", "x", "--seed", "3"], "--seed is of the twin; found it with a dataset"),
+        (["folder", "--out", "x", "--profile", "paper"], "--profile is of the twin"),
         (["folder", "--out", "x"], "needs --calibration FILE"),
         (["--twin", "--pairs", "0", "--out", "x"], "Asked for 0 pairs"),
     ],

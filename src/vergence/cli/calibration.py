@@ -10,6 +10,7 @@ import tyro
 from vergence.cli.progress import progress_bars, say_if_unfinished
 from vergence.cli.tables import print_table
 from vergence.commands.invocation import invocation
+from vergence.errors import VergenceError
 from vergence.writing import check_outputs, write_json
 
 
@@ -174,6 +175,8 @@ def import_(
     from vergence.interchange import ros
     from vergence.interchange.formats import import_head
 
+    if format == "opencv" and start is not None:
+        raise VergenceError("opencv files hold the whole head; leave --start out.")
     read = ros.files(path) if format == "ros" else [path]
     check_outputs(out, inputs=[*read, start] if start else read)
     template = None if start is None else load_head(start)
