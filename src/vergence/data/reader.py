@@ -74,7 +74,7 @@ def load_dataset(folder: str | Path) -> Dataset:
         raise VergenceError(f"There is no dataset folder {folder}.")
     for name in (DESCRIPTION, FRAMES):
         if not os.path.exists(folder / name):
-            raise VergenceError(f"There is no {name} in {folder}.")
+            raise VergenceError(f"There is no {name} in the folder {str(folder)!r}.")
     description = read_parsed(
         folder / DESCRIPTION,
         "a description of a dataset",
