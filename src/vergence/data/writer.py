@@ -141,7 +141,7 @@ def _cells(description: Description, row: DatasetRow) -> _Cells:
         angle = joint.sign * angles[name]
         cells[joint.column] = float(np.degrees(angle) if joint.unit == "deg" else angle)
     if description.eye_motion == "poses":
-        if np.shape(row.T_base_eye) != (2, 4, 4):
+        if row.T_base_eye is None or np.shape(row.T_base_eye) != (2, 4, 4):
             found = "none" if row.T_base_eye is None else f"shape {np.shape(row.T_base_eye)}"
             raise VergenceError(
                 f"The row at {frame.time_s:g} s needs the poses of both eyes, T_base_eye (2, 4, 4);"

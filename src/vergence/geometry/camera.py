@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import field, replace
 from functools import cached_property
 from numbers import Integral
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import ConfigDict, Field
@@ -54,14 +54,14 @@ def check_image_size(width: int, height: int) -> None:
         )
 
 
-def is_image_size(size: object) -> bool:
+def is_image_size(size: Any) -> bool:
     """Return whether this is a width and a height, in whole pixels, that an image may have."""
-    if np.shape(size) != (2,):  # pyright: ignore[reportArgumentType]
+    if np.shape(size) != (2,) or not all(isinstance(n, Integral) for n in size):
         return False
-    width, height = size  # pyright: ignore[reportGeneralTypeIssues]
-    whole = isinstance(width, Integral) and isinstance(height, Integral)
-    in_range = whole and 0 < min(width, height) <= max(width, height) <= MAX_IMAGE_PX
-    return in_range and width * height <= MAX_IMAGE_AREA_PX
+    width, height = map(int, size)
+    return 0 < min(width, height) <= max(width, height) <= MAX_IMAGE_PX and (
+        width * height <= MAX_IMAGE_AREA_PX
+    )
 
 
 def check_image_fits(name: str, camera: Camera, shape: Sequence[int], *, whose: str) -> None:

@@ -61,8 +61,9 @@ def per_pair(
 
     @wraps(find)
     def found(head: HeadCalibration, cameras: Pair) -> Found:
-        one = cameras is None or isinstance(cameras, str)  # which is refused as it stands
-        return remembered(head, cameras if one else tuple(cameras))
+        if cameras is not None and not isinstance(cameras, str):  # a str is refused as it is
+            cameras = tuple(cameras)  # pyright: ignore[reportAssignmentType]: counted later
+        return remembered(head, cameras)
 
     return found
 
