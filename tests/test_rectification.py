@@ -146,7 +146,7 @@ def test_a_pair_that_would_show_hardly_anything_is_refused(pan):
 
 @pytest.mark.parametrize("pan", [0.0, 0.9])
 def test_fisheye_lenses_may_have_the_epipole_at_their_rim(pan):
-    lens = pinhole(640, 480, 215.0, np.zeros(4), model="fisheye")
+    lens = pinhole(640, 480, 215.0, (0.0,) * 4, model="fisheye")
     made = four_cameras()
     cameras = {name: replace(each, intrinsics=lens) for name, each in made.cameras.items()}
     pair = rectify(replace(made, cameras=cameras), np.array([pan, 0.0, pan, 0.0]))
