@@ -155,7 +155,7 @@ def test_what_is_missing_is_named(tmp_path, folder):
     (folder / "frames.csv").unlink()
     assert "There is no frames.csv in" in refusal(folder)
     (folder / "dataset.json").unlink()
-    assert "There is no dataset.json in" in refusal(folder)
+    assert f"There is no dataset.json in the folder {str(folder)!r}." in refusal(folder)
 
 
 def test_a_neck_that_moves_while_the_board_is_said_to_rest_is_noticed(folder):

@@ -238,11 +238,27 @@ def test_shapes_that_do_not_fit_are_refused_when_observations_are_made(recorded)
         replace(observed, corners={"left_wide": observed.corners["left_wide"][:, 1:]})
 
 
+def test_observations_may_be_lists_and_a_corner_is_never_infinite(recorded):
+    observed: Observations = recorded[1]
+    listed = replace(
+        observed,
+        placement=observed.placement.tolist(),
+        eye_angles=observed.eye_angles.tolist(),
+        corners={name: corners.tolist() for name, corners in observed.corners.items()},
+    )
+    np.testing.assert_array_equal(listed.eye_angles, observed.eye_angles)
+    assert len(listed.take(np.arange(3)).placement) == 3
+    listed.corners["left_wide"][4, 5, 0] = np.inf
+    with pytest.raises(VergenceError, match="Corners of left_wide are finite pixels, or NaN where"):
+        replace(listed)
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
         ({"sizes": {"left_wide": (640, 480)}}, "and height of right_wide's images .* found None"),
         ({"sizes": {"left_wide": (640, 0), "right_wide": (640, 480)}}, r"found \(640, 0\)"),
+        ({"sizes": {"left_wide": ("640", "480")}}, r"left_wide's images .* found \('640', '480'\)"),
         ({"corners": {}}, "corners is empty"),
         ({"eyes": {"left_wide": "Left"}}, "eyes.left_wide is 'Left'; expected left or right"),
     ],

@@ -30,7 +30,9 @@ BAD_ARGUMENTS = {
     "profile that is a folder": (["--profile", "folder.toml"], "folder.toml"),
     "folder that is a file": (["--out", "file"], "file"),
     "unknown option": (["--fast"], "--fast"),
+    "rate too low for two samples": (["--duration", "1", "--rate", "0.1"], "fewer than two"),
     "no processes": (["--jobs", "0"], "--jobs"),
+    "fewer than no processes": (["--jobs", "-2"], "all cores, found -2"),
 }
 
 
@@ -72,6 +74,29 @@ def test_no_command_writes_over_what_it_reads(capsys, monkeypatch, tmp_path):
         "import . --format ros --out left_wide.yaml",
     ):
         assert "it is also the file that is read" in refused(words.split(), capsys, monkeypatch)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("calibrate data --out r/report.md --report r", "the file of another result"),
+        ("calibrate data --out a.json --json r/dataset.rrd --report r", "the file of another res"),
+        ("calibrate data --out r/UNFINISHED.txt --report r", "the file of another result"),
+        ("calibrate data --out a.json --report a.json", "a folder of other results"),
+        ("calibrate data --out a --report a/report", "a folder of other results"),
+        ("foveate --out f --json f/foveate.rrd", "the file of another result"),
+        ("foveate --out f --json f/depth.png", "the file of another result"),
+        ("track --out f --json f/track.rrd", "the file of another result"),
+    ],
+)
+def test_no_result_takes_the_place_of_another(words, said, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    assert f"it is also {said}" in refused(words.split(), capsys, monkeypatch)
+
+
+def test_an_import_of_a_whole_head_starts_from_none(capsys, monkeypatch):
+    words = "import a.yml --format opencv --start b.json --out c.json"
+    assert "leave --start out" in refused(words.split(), capsys, monkeypatch)
 
 
 @pytest.mark.parametrize("command", ["plan data", "budget --noise 0.1"])

@@ -89,15 +89,26 @@ def image(width: int = 32, height: int = 24) -> np.ndarray:
     [
         ({"images": {"third": image()}}, "an image of 'third'; the cameras described are left_w"),
         ({"images": {"left_wide": image(24, 32)}}, r"of shape \(32, 24, 3\); 32 x 24 pixels are d"),
-        ({"eye_angles": np.array([0, np.nan, 0, 0])}, "needs finite numbers; left_tilt is nan"),
-        ({"neck_angles": np.array([np.inf, 0, 0])}, "needs finite numbers; neck_.* is inf"),
-        ({"joint_time_s": np.nan}, "needs finite numbers; joint_time_s is nan"),
-        ({"time_s": 1.1}, "increase from row to row; time_s = 1.1 s follows 1.1 s"),
-        ({"joint_time_s": 0.9}, "joint_time_s = 0.9 s follows 1.2 s"),
+        ({"images": {"left_wide": image() / 255}}, "left_wide of float64; images are arrays of u"),
+        ({"images": {"left_wide": image()[..., 0].astype("i4")}}, "of int32; images are arrays"),
+        ({"images": {"left_wide": image().tolist()}}, "of list; images are arrays of uint8"),
+        ({"eye_angles": np.array([0, np.nan, 0, 0])}, "line 4: left_tilt is 'nan', not a finite"),
+        ({"neck_angles": np.array([np.inf, 0, 0])}, "line 4: neck_.* is 'inf', not a finite"),
+        ({"eye_angles": np.full(4, 30.0)}, "line 4: left_pan = 30.0 rad is more than a turn"),
+        ({"neck_angles": np.full(3, 0.1)}, "line 4: neck_.* has moved by 0.100 rad since line 3"),
+        ({"joint_time_s": np.nan}, "line 4: joint_time_s is 'nan'"),
+        ({"joint_time_s": 7.2}, "line 4: time_s and joint_time_s lie 5 s apart"),
+        ({"time_s": 1.1}, "line 4: time_s = 1.1 repeats that of line 3; time stamps increase"),
+        ({"joint_time_s": 0.9}, "line 4: joint_time_s = 0.9 is earlier than that of line 3"),
+        ({"time_s": 1e8, "joint_time_s": 1e8}, "time_s spans 1e.08 s"),
+        ({"placement": -1}, "line 4: placement is '-1'; expected blank or a whole number from 0"),
+        ({"placement": 1.5}, "line 4: placement is '1.5'; expected blank"),
+        ({"placement": "a"}, "line 4: placement is 'a'; expected blank"),
     ],
 )
 def test_what_could_not_be_read_back_is_not_written(tmp_path, change, said):
     *good, last = entries(3, np.random.default_rng(1))
+    last = replace(last, placement=change.pop("placement", 0))
     wrong = replace(last, frame=replace(last.frame, **change))
     with pytest.raises(VergenceError, match=said):
         write_dataset(tmp_path / "set", about(), [*good, wrong])
@@ -112,6 +123,9 @@ def test_poses_take_the_place_of_angles_and_are_read_back_exactly(tmp_path):
     write_dataset(folder, described, [DatasetRow(frame=e.frame, T_base_eye=t) for e, t in made])
     with pytest.raises(VergenceError, match=r"needs the poses of both eyes.*; found none"):
         write_dataset(tmp_path / "none", described, entries(1, rng))
+    scaled = replace(entries(1, rng)[0], T_base_eye=np.tile(np.diag([2.0, 2, 2, 1]), (2, 1, 1)))
+    with pytest.raises(VergenceError, match=r"line 2: left_T00 to .*: expected a rigid transform"):
+        write_dataset(tmp_path / "scaled", described, [scaled])
     dataset = load_dataset(folder)
     assert (dataset.T_base_eye == T).all()
     assert np.isnan(dataset.eye_angles).all()
@@ -139,6 +153,23 @@ def test_an_empty_folder_is_used(tmp_path):
     (tmp_path / "set").mkdir()
     write_dataset(tmp_path / "set", about(), entries(2, np.random.default_rng(0)))
     assert len(load_dataset(tmp_path / "set")) == 2
+
+
+def test_a_dataset_without_rows_is_not_written(tmp_path):
+    with pytest.raises(VergenceError, match="A dataset has one row or more; found none"):
+        write_dataset(tmp_path / "set", about(), [])
+    assert not (tmp_path / "set").exists()
+
+
+def test_images_of_16_bits_keep_their_levels(tmp_path):
+    row = entries(1, np.random.default_rng(1))[0]
+    deep = np.arange(768, dtype=np.uint16).reshape(24, 32)
+    deep[0, 0] = 1023
+    wide = replace(row, frame=replace(row.frame, images={"left_wide": deep}))
+    write_dataset(tmp_path / "set", about(), [wide])
+    read = load_dataset(tmp_path / "set").image("left_wide", 0)
+    assert read is not None
+    np.testing.assert_array_equal(read[..., 0], deep >> 2)
 
 
 def test_an_interrupted_recording_leaves_nothing_behind(tmp_path):

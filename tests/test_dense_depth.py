@@ -114,6 +114,20 @@ def test_a_depth_too_near_for_the_cameras_is_refused(pair: RectifiedPair):
         dense_depth(HEAD, JOINTS, pair, image, image, nearest_m=0.01)
 
 
+def test_joints_that_are_not_known_are_refused(pair: RectifiedPair, drawn):
+    with pytest.raises(VergenceError, match="rectified at known joints; found"):
+        dense_depth(HEAD, np.full(4, np.nan), pair, *drawn)
+
+
+def test_points_are_of_the_pair_that_the_depth_was_found_in(pair: RectifiedPair, drawn):
+    found = dense_depth(HEAD, JOINTS, pair, *drawn)
+    small = rectify(HEAD, JOINTS, size=(320, 240))
+    with pytest.raises(
+        VergenceError, match=r"shape \(240, 320\) and a depth of shape \(480, 640\)"
+    ):
+        point_cloud(small, found)
+
+
 def test_grey_images_have_the_depth_of_the_same_ones_in_colour(pair: RectifiedPair, drawn):
     grey = [cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in drawn]
     by_grey, by_colour = (dense_depth(HEAD, JOINTS, pair, *images) for images in (grey, drawn))
@@ -251,6 +265,8 @@ def test_depth_of_the_twin_by_a_calibration_of_another_head_is_refused(
     [
         (["--out", "x"], "found neither"),
         (["folder", "--twin", "--out", "x"], "found both"),
+        (["folder", "--out", "x", "--seed", "3"], "--seed is of the twin; found it with a dataset"),
+        (["folder", "--out", "x", "--profile", "paper"], "--profile is of the twin"),
         (["folder", "--out", "x"], "needs --calibration FILE"),
         (["--twin", "--pairs", "0", "--out", "x"], "Asked for 0 pairs"),
     ],

@@ -47,7 +47,10 @@ def test_ranges_lists_and_numbers_are_values(tmp_path: Path):
     ("text", "said"),
     [
         ("[designs]\nbaseline_mm = [5]", "designs.baseline_mm: values are from 10 to 1000"),
-        ("[designs]\nbaseline_mm = []", "designs.baseline_mm"),
+        (
+            "[designs]\nbaseline_mm = []",
+            "designs.baseline_mm: expected one value or more, found none",
+        ),
         ("[designs]\nbaseline = [60]", "designs.baseline: there is no such field"),
         ("[designs]\nviews = [20, 20.0]", "a value is there twice"),
         ("[prices]\nviews = [[10, 1], [10, 2]]", "values of views rise"),

@@ -196,6 +196,11 @@ def test_a_dataset_that_shows_nothing_is_refused(tmp_path):
         detect_target(load_dataset(tmp_path / "set"))
 
 
+def test_a_folder_is_no_dataset_yet():
+    with pytest.raises(VergenceError, match=r"detect_target takes a dataset.*; found 'folder'"):
+        detect_target("folder")  # pyright: ignore[reportArgumentType]
+
+
 def test_squares_counted_for_inner_corners_are_recognised(tmp_path):
     seen_dataset(tmp_path / "set", CHESSBOARD, 1)
     change_about(tmp_path / "set", {"board.columns": 7, "board.rows": 6})

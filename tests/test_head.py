@@ -126,6 +126,12 @@ def test_an_unknown_camera_and_a_missing_file_are_named(head: HeadCalibration, t
         load_head(tmp_path / "no.json")
 
 
+def test_only_a_head_is_saved(tmp_path: Path):
+    with pytest.raises(VergenceError, match=r"save_head takes a HeadCalibration.*; found None"):
+        save_head(None, tmp_path / "a.json")  # pyright: ignore[reportArgumentType]
+    assert not (tmp_path / "a.json").exists()
+
+
 @pytest.mark.parametrize(
     ("path", "value", "says"),
     [
@@ -136,6 +142,7 @@ def test_an_unknown_camera_and_a_missing_file_are_named(head: HeadCalibration, t
         (["cameras", "left_wide", "intrinsics", "width"], -1, "left_wide.intrinsics.width"),
         (["cameras", "left_wide", "eye"], "third", "left_wide.eye"),
         (["kinematics", "eyes", "left", 0, "gain"], "much", "kinematics.eyes.left.0.gain"),
+        (["kinematics", "eyes"], {"eyes": {}}, "kinematics.eyes: there is no field 'eyes' here"),
         (["format"], "other", "vergence-head-calibration-1"),
         (["surplus"], 1, "surplus"),
     ],
@@ -186,8 +193,10 @@ def test_a_void_calibration_is_read_only_where_that_is_asked_for(head, tmp_path:
 @pytest.mark.parametrize("text", [b"", b"{", b"[]", b"\xff\xfe", b"null"])
 def test_a_file_that_is_no_calibration_is_refused(tmp_path: Path, text: bytes):
     (tmp_path / "head.json").write_bytes(text)
-    with pytest.raises(VergenceError, match=r"head\.json is not a head calibration"):
+    with pytest.raises(VergenceError, match=r"head\.json is not a head calibration") as refused:
         load_head(tmp_path / "head.json")
+    found = {b"[]": "a list", b"null": "nothing"}.get(text, "")
+    assert f"expected fields by their names, found {found}" in str(refused.value) or not found
 
 
 def test_a_text_that_is_no_json_is_said_to_be_none(tmp_path: Path):

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from drawn_head import four_cameras
 from simulated_head import random_pan_tilt
 from vergence.errors import VergenceError
-from vergence.geometry.eye_motion import eye_linearised, eye_poses, eye_poses_with_jacobians
+from vergence.geometry.eye_motion import eye_linearised, eye_poses
 from vergence.geometry.kinematics import (
     EYES,
     Chain,
@@ -184,7 +184,6 @@ POINT = np.array([0.6, 0.0, 0.0])
         lambda joints: T_rcam_lcam(HEAD, joints),
         lambda joints: rebase(HEAD, np.eye(4), joints=joints),
         lambda joints: eye_poses(HEAD, joints),
-        lambda joints: eye_poses_with_jacobians(HEAD, joints, 1),
     ],
 )
 def test_readings_that_are_not_as_many_as_the_heads_are_refused(find, wrong):
@@ -198,7 +197,7 @@ def test_a_list_of_readings_serves_as_an_array_does():
     for find in (
         lambda joints: project_point(HEAD, "right_wide", joints, POINT),
         lambda joints: T_rcam_lcam(HEAD, joints),
-        lambda joints: eye_poses_with_jacobians(HEAD, joints, 1)[0],
+        lambda joints: eye_linearised(HEAD.kinematics, "left", joints)[0],
     ):
         np.testing.assert_array_equal(find(readings.tolist()), find(readings))
 

@@ -290,3 +290,35 @@ def test_general_poses_about_one_axis_are_named():
 def test_data_that_do_not_fit_are_refused(changes: dict, message: str):
     with pytest.raises(VergenceError, match=message):
         solve(replace(record(11), **changes))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"eye": np.full((20, 2), 15.0)}, "in radians; found 15, more than a turn"),
+        ({"eye": np.tile(np.diag([2.0, 2, 2, 1]), (20, 1, 1))}, "eye has a rotation part that is"),
+        ({"eye": 0.0}, r"or poses of shape \(N, 4, 4\), found \(\)"),
+        ({"points": POINTS[:, :2]}, r"finite points of shape \(K, 3\), found \(54, 2\)"),
+        ({"points": POINTS * np.nan}, "finite points of shape"),
+        ({"start": np.eye(3)}, "start is T_eye_cam, 4 x 4 finite numbers"),
+        ({"start": np.full((4, 4), np.nan)}, "start is T_eye_cam, 4 x 4 finite numbers"),
+        ({"start": np.diag([2.0, 2, 2, 1])}, "start has a rotation part that is no rotation"),
+        ({"joint_std": -1.0}, "joint_std is a standard deviation, 0 or more; found -1"),
+        ({"joint_std": (1e-3, np.nan)}, "joint_std is a standard deviation"),
+        ({"pixel_std_px": 0.0}, "pixel_std_px is above 0, found 0"),
+        ({"outlier": np.nan}, "outlier is above 0, found nan"),
+        ({"intrinsics_covariance": np.full((9, 9), np.nan)}, "9 x 9 finite numbers"),
+    ],
+)
+def test_arguments_that_cannot_be_are_refused(options: dict, message: str):
+    recording = record(11, views=20)
+    given = {"eye": recording.readings, "pixels": recording.pixels, "points": POINTS} | options
+    with pytest.raises(VergenceError, match=message):
+        refine_eye_camera(camera=LENS, **given)
+
+
+def test_lists_serve_as_arrays_do():
+    recording = record(11, views=6)
+    lists = (each.tolist() for each in (recording.readings, recording.pixels, POINTS))
+    found = refine_eye_camera(*lists, camera=LENS)  # pyright: ignore
+    np.testing.assert_allclose(found.T_eye_cam, recording.T_eye_cam, atol=1e-6)

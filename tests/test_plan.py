@@ -27,12 +27,15 @@ from vergence.accuracy.plan_workspace import fixating, largest_std, workspace
 from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
 from vergence.calibration.observations import Observations
 from vergence.commands import plan as command
+from vergence.commands.plan import _head_and_board
 from vergence.errors import VergenceError
+from vergence.geometry.board import Chessboard
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration, pair_names, save_head
 from vergence.geometry.parameters import without_offsets
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
+from vergence.progress import silent
 from vergence.stereo.uncertainty import calibration_covariance
 
 PIXEL_PX, JOINT_RAD = 0.1, 2e-3
@@ -232,7 +235,7 @@ def test_the_guide_to_plans_runs(calibrated, quick, tmp_path, monkeypatch, capsy
     ("options", "said"),
     [
         ([], "say it with --board COLUMNS ROWS SQUARE_M"),
-        (["--board", "9", "6", "30"], "the side of a square below 1 m, found 9 6 30"),
+        (["--board", "9", "6", "30"], "the side of a square up to 1 m, found 9 6 30"),
         (["--board", "9", "6", "0.03", "--views", "0"], "1 to 100 views"),
         (["--board", "9", "6", "0.03", "--seed", "-1"], "seed must be a whole number from 0"),
         (["--board", "9", "6", "0.03", "--limits-deg", "25", "20"], "one for each of left_pan"),
@@ -248,6 +251,12 @@ def test_wrong_options_end_in_a_sentence(
     with pytest.raises(SystemExit, match="2"):
         run(monkeypatch, "plan", tmp_path / "head.json", *options)
     assert said in capsys.readouterr().err
+
+
+def test_a_board_of_unknown_size_has_squares_of_1(tmp_path: Path):
+    save_head(plain_head(0.08, 400), tmp_path / "head.json")
+    _, board = _head_and_board(tmp_path / "head.json", (9, 6, 1.0), silent)
+    assert board == Chessboard(columns=9, rows=6, square_m=1.0)
 
 
 def test_a_head_that_states_no_covariance_or_has_one_eye_is_refused():

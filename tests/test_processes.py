@@ -158,8 +158,9 @@ def test_a_process_that_vanishes_is_reported():
 
 
 def test_no_process_at_all_is_refused():
-    with pytest.raises(VergenceError, match="-1 for all cores, found 0"):
-        process_count(0)
+    for jobs in (0, -2):
+        with pytest.raises(VergenceError, match=f"-1 for all cores, found {jobs}"):
+            process_count(jobs)
     assert process_count(3) == 3
     assert process_count(-1) >= 1
 

@@ -138,6 +138,21 @@ def test_views_that_do_not_overlap_are_refused(joints):
         rectify(head("radial-tangential"), np.array(joints))
 
 
+@pytest.mark.parametrize("pan", [1.4, -1.57])
+def test_a_pair_that_would_show_hardly_anything_is_refused(pan):
+    with pytest.raises(VergenceError, match=r"would show \d% of what both images show"):
+        rectify(head("radial-tangential"), np.array([pan, 0.0, pan, 0.0]))
+
+
+@pytest.mark.parametrize("pan", [0.0, 0.9])
+def test_fisheye_lenses_may_have_the_epipole_at_their_rim(pan):
+    lens = pinhole(640, 480, 215.0, (0.0,) * 4, model="fisheye")
+    made = four_cameras()
+    cameras = {name: replace(each, intrinsics=lens) for name, each in made.cameras.items()}
+    pair = rectify(replace(made, cameras=cameras), np.array([pan, 0.0, pan, 0.0]))
+    assert (pair.left.seen & pair.right.seen).mean() > 0.1
+
+
 @pytest.mark.parametrize("shape", [(3, 4), (7,), (), (5, 2, 4, 4), (4, 4)])
 def test_a_pair_is_rectified_at_one_posture(shape):
     with pytest.raises(VergenceError, match=r"readings left_pan.*found .* one posture"):
@@ -149,7 +164,11 @@ def test_a_pair_is_rectified_at_one_posture(shape):
     [
         ({"focal_px": 0.0}, "focal_px is above 0 pixels, found 0"),
         ({"focal_px": np.nan}, "focal_px is above 0 pixels, found nan"),
-        ({"size": (0, 480)}, r"1 pixel or more, found \(0, 480\)"),
+        ({"size": (0, 480)}, r"in whole pixels, such as \(640, 480\).*; found \(0, 480\)"),
+        ({"size": (640.5, 480)}, r"in whole pixels.*; found \(640.5, 480\)"),
+        ({"size": (640,)}, r"in whole pixels.*; found \(640,\)"),
+        ({"size": 640}, "in whole pixels.*; found 640"),
+        ({"size": (100_000, 100_000)}, "at most 20000 each and 50,000,000 together"),
         ({"joints": [0.0, np.nan, 0.0, 0.0]}, "rectified at known joints; found .*nan"),
     ],
     ids=str,
@@ -157,6 +176,13 @@ def test_a_pair_is_rectified_at_one_posture(shape):
 def test_what_no_camera_can_have_is_refused(wrong, said):
     with pytest.raises(VergenceError, match=said):
         rectify(four_cameras(), **{"joints": np.zeros(4)} | wrong)
+
+
+def test_an_image_may_be_a_list_and_of_types_that_opencv_lacks_is_refused():
+    pair = rectify(four_cameras(), [0.0, 0.0, 0.0, 0.0], size=(16, 12))
+    for image in (np.zeros((480, 640), bool), np.zeros((480, 640), int).tolist()):
+        with pytest.raises(VergenceError, match="found an array of"):
+            rectified_image(pair.left, image)  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize("shape", [(240, 320, 3), (480, 640, 3, 1), (640,)])

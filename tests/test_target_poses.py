@@ -212,9 +212,20 @@ def test_wrong_arguments_are_refused():
         adjust_target_poses(poses, readings[:, :3], eyes=EYES_OF)
     with pytest.raises(VergenceError, match=r"each of the 10 views, found shape \(9,\)"):
         adjust_target_poses(poses, readings, eyes=EYES_OF, placement=np.zeros(9, int))
-    covariance = dict.fromkeys(poses, -np.eye(6))
-    with pytest.raises(VergenceError, match="positive definite"):
-        adjust_target_poses(poses, readings, eyes=EYES_OF, covariance=covariance)
+    for wrong in (-np.eye(6), np.full((6, 6), np.nan), np.eye(6) + np.diag([np.nan], 5)):
+        covariance = dict.fromkeys(poses, wrong)
+        with pytest.raises(VergenceError, match="positive definite"):
+            adjust_target_poses(poses, readings, eyes=EYES_OF, covariance=covariance)
+    with pytest.raises(VergenceError, match="in radians; found 15, more than a turn"):
+        adjust_target_poses(poses, np.full((10, 4), 15.0), eyes=EYES_OF)
+    with pytest.raises(VergenceError, match="noise_factor is above 0, found -1"):
+        adjust_target_poses(poses, readings, eyes=EYES_OF, noise_factor=-1.0)
+    with pytest.raises(VergenceError, match="joint_std is a standard deviation"):
+        adjust_target_poses(poses, readings, eyes=EYES_OF, joint_std=np.nan)
+    unread = readings.copy()
+    unread[3] = np.nan
+    with pytest.raises(VergenceError, match="in view 3, but its joint reading is not finite"):
+        adjust_target_poses(poses, unread.tolist(), eyes=EYES_OF)  # pyright: ignore
     for T in poses.values():
         T[:8] = np.nan
     with pytest.raises(VergenceError, match="at least 3 poses"):

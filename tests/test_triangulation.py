@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from simulated_head import plain_head, point_in_camera, skewed_head
 from vergence.errors import VergenceError
+from vergence.gaze.foveation import gaze_angles
 from vergence.geometry.camera import pinhole, project
 from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base
 from vergence.geometry.kinematics import T_base_eye
@@ -118,6 +119,13 @@ def test_exchanged_cameras_and_a_head_of_one_eye_are_refused():
     for cameras in (("right_wide", "left_wide"), ("left_wide", "left_wide")):
         with pytest.raises(VergenceError, match="left eye and one of the right, in this order"):
             locate(head, **nothing, joints=np.zeros(4), cameras=cameras)
+    for names in ("left_wide", ("left_wide",), ()):
+        for use in (
+            lambda names=names: locate(head, **nothing, joints=np.zeros(4), cameras=names),
+            lambda names=names: rectify(head, np.zeros(4), cameras=names),
+        ):
+            with pytest.raises(VergenceError, match=r"cameras names two, one of the left eye and"):
+                use()
     alone = replace(head, cameras={"left_wide": head.cameras["left_wide"]})
     with pytest.raises(VergenceError, match="Stereo needs a camera in each eye"):
         locate(alone, **nothing, joints=np.zeros(4))
@@ -326,6 +334,50 @@ def test_readings_of_a_motor_before_a_gear_may_be_of_many_turns():
         project_point(head, "left_wide", np.degrees(motor), points)
 
 
+@pytest.mark.parametrize(
+    ("pose", "said"),
+    [
+        (np.diag([2.0, 2, 2, 1]), "a rotation part that is no rotation"),
+        (np.ones((4, 4)), "a rotation part that is no rotation"),
+        (np.eye(4) + np.eye(4)[[3]].T @ [[0.1, 0, 0, 0]], "a last row other than 0 0 0 1"),
+    ],
+)
+def test_measured_poses_that_are_not_rigid_are_refused(head: HeadCalibration, pose, said):
+    poses = np.stack([pose, np.eye(4)])
+    seen = {"left": np.full((1, 2), 300.0), "right": np.full((1, 2), 290.0)}
+    for use in (
+        lambda: locate(head, **seen, joints=poses),
+        lambda: locate(head, **seen, joints=poses[None], joint_time_s=[0.0]),
+        lambda: rectify(head, poses),
+        lambda: T_rcam_lcam(head, poses),
+    ):
+        with pytest.raises(VergenceError, match=f"joints has {said}"):
+            use()
+
+
+def test_points_and_postures_may_be_lists_and_other_shapes_are_named(head: HeadCalibration):
+    points, postures, neck = np.array([[0.6, 0.0, 0.1]] * 3), np.zeros((3, 4)), np.zeros((3, 3))
+    uses = {
+        "in_head": lambda p, j: in_head(head, p),
+        "in_body": lambda p, j: in_body(head, p, neck.tolist()),
+        "project_point": lambda p, j: project_point(head, "left_wide", j, p),
+        "gaze_angles": lambda p, j: gaze_angles(head, p, cameras=["left_wide", "right_wide"]),
+    }
+    for use in uses.values():
+        np.testing.assert_array_equal(
+            use(points.tolist(), postures.tolist()), use(points, postures)
+        )
+        with pytest.raises(
+            VergenceError, match=r"the shape \(..., 3\); found an array of \(3, 4\)"
+        ):
+            use(np.zeros((3, 4)), postures)
+    for name in ("in_body", "project_point"):
+        with pytest.raises(
+            VergenceError, match=r"Points of shape \(2, 3\) do not go with postures"
+        ):
+            uses[name](points[:2], postures)
+
+
 def test_the_head_frame_lies_half_a_baseline_to_the_right_of_the_left_eye():
     head = plain_head(0.09, 280.0)
     np.testing.assert_allclose(in_head(head, np.array([[1.0, 0, 0]])), [[1.0, 0.045, 0]])
@@ -384,7 +436,7 @@ def test_no_samples_give_no_points(head: HeadCalibration):
         ((4, 2), (5, 2), (4, 4), r"right of shape \(4, 2\), found \(5, 2\)"),
         ((4, 2), (4, 2), (3,), r"joints of shape \(4, 4\) or \(4,\) or .* found \(3,\)"),
         ((4, 2), (4, 2), (4, 7), r"joints of shape \(4, 4\) or \(4,\) or .* found \(4, 7\)"),
-        ((2,), (2,), (4,), r"left of shape \(2, 2\), found \(2,\)"),
+        ((2,), (2,), (4,), r"left of shape \(N, 2\), found \(2,\)"),
     ],
 )
 def test_wrong_shapes_are_named(head, left, right, eyes, says):

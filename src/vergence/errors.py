@@ -27,17 +27,31 @@ def explain(error: Exception) -> str:
     text = "it is nested too deeply" if isinstance(error, RecursionError) else str(error)
     if isinstance(error, ValidationError):
         first = error.errors()[0]
-        where = ".".join(str(step)[:60] for step in first["loc"])
+        steps, is_key = first["loc"], first["loc"][-1:] == ("[key]",)
+        where = ".".join(str(step)[:60] for step in (steps[:-2] if is_key else steps))
         said = first["msg"].removeprefix("Value error, ")
         if first["type"] == "missing" and isinstance(first["input"], Mapping):
             found = ", ".join(str(name)[:60] for name in list(first["input"])[:MOST_NAMES])
             said = f"this field is missing; found {found or 'none'}"
+        elif first["type"] in ("dataclass_type", "model_type", "dict_type"):
+            said = f"expected fields by their names, found {_kind(first['input'])}"
+        elif first["type"] == "too_short":
+            said = "expected one value or more, found none"
+        elif is_key:
+            said = f"there is no field {first['input']!r:.80} here"
         elif first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
             said = "there is no such field"
         elif first["type"] != "value_error" and isinstance(first["input"], str | int | float):
             said += f"; found {first['input']!r:.80}"
         text = (f"{where}: " if where else "") + said
     return " ".join(text[:MOST_CHARACTERS].split()).rstrip(".")
+
+
+def _kind(found: object) -> str:
+    """Return how a message calls what is no object with fields."""
+    if isinstance(found, list | tuple):
+        return "a list"
+    return "nothing" if found is None else f"{found!r:.80}"
 
 
 def check_seed(seed: int) -> None:

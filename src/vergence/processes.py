@@ -42,10 +42,12 @@ class Run(Protocol):
 def process_count(jobs: int) -> int:
     """Return how many processes are asked for; -1: as many as there are cores.
 
-    VergenceError if none is asked for.
+    VergenceError if none is asked for, or fewer.
     """
-    if jobs == 0:
-        raise VergenceError("--jobs takes a number of processes, or -1 for all cores, found 0.")
+    if jobs == 0 or jobs < -1:
+        raise VergenceError(
+            f"--jobs takes a number of processes, or -1 for all cores, found {jobs}."
+        )
     return joblib.effective_n_jobs(jobs)
 
 

@@ -64,20 +64,22 @@ def check_outputs(
         inputs: files that the same command reads.
 
     Raises:
-        VergenceError: a path cannot be written, two are the same, one of them is an input, or the
-            name of the figure does not end in .png.
+        VergenceError: a path cannot be written, two are the same, one of them is an input or the
+            folder, or the name of the figure does not end in .png.
     """
     if figure is not None and figure.suffix.lower() != ".png":
         raise VergenceError(f"A figure is a PNG file, whose name ends in .png; found {figure}.")
+    taken = {place: "the file that is read" for place in map(_place, inputs)}
     if folder is not None:
         _check_folder(folder)
-        outputs = (*outputs, *(folder / name for name in names))
-    taken = {place: "that is read" for place in map(_place, inputs)}
+        outputs = (*outputs, *(folder / name for name in (*names, UNFINISHED)))
+        place = _place(folder)
+        taken |= dict.fromkeys((place, *place.parents), "a folder of other results")
     for path in filter(None, (*outputs, figure)):
         place = _target(path)
         if place in taken:
-            raise VergenceError(f"Cannot write {path}: it is also the file {taken[place]}.")
-        taken[place] = "of another result"
+            raise VergenceError(f"Cannot write {path}: it is also {taken[place]}.")
+        taken[place] = "the file of another result"
 
 
 def _place(path: Path) -> Path:

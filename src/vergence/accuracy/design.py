@@ -6,13 +6,13 @@ Both eyes turn towards a point, and by the same angles off it. For an eye at e w
 left axis L and upward axis U, its camera c = e + a F, a point P at depth d = F (P - c) and image
 coordinates x, y in units of f, one pixel's errors and those of its readings obey
 
-    -(L + x F) dP = d (dx - x_pan dpan - x_tilt dtilt)   and likewise U, y        (1)
+    -(L + x F) dP = d (dx - x_pan dpan - x_tilt dtilt)   and likewise U, y        (a)
 
 where x_pan is how x changes when the eye turns about its pan axis. The four equations of both eyes
 are solved by least squares as in Eqs. 3-4 of the paper: dP = G r. With white noise, the mean
 square distance of the located point from the true one is a sum over sources,
 
-    E|dP|^2 = (s / f)^2 S_pixel + j^2 S_joint + (w t)^2 (S_joint + rho S_between)  (2)
+    E|dP|^2 = (s / f)^2 S_pixel + j^2 S_joint + (w t)^2 (S_joint + rho S_between)  (b)
 
 for pixel noise s [px], joint noise j [rad], eyes that turn with rms speed w [rad/s] in each joint
 and readings a time t late; rho is the correlation of the two eyes' speeds: 1 when they turn
@@ -36,7 +36,7 @@ Vec = tuple[Array, Array, Array]
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """What a unit of variance of each source adds to a point's mean square error; see Eq. 2."""
+    """What a unit of variance of each source adds to a point's mean square error; see Eq. b."""
 
     pixel: Array
     """(...) [m^2] by errors of 1 rad in each image coordinate: pixels over focal length."""
@@ -125,7 +125,7 @@ def mean_square(
     late_rad: ArrayLike = 0.0,
     correlation: float = 0.0,
 ) -> Array:
-    """Return Eq. 2 [m^2]: the mean square error of points by noise; all arguments broadcast.
+    """Return Eq. b [m^2]: the mean square error of points by noise; all arguments broadcast.
 
     late_rad is by how much a joint turns, rms, while its reading is late.
     """

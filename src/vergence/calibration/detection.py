@@ -52,8 +52,13 @@ def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observati
 
     Raises:
         VergenceError: images have another size than dataset.json states, two cameras gave the
-            same picture of the board, no image shows the board, or a motion has too few rows.
+            same picture of the board, no image shows the board, or a motion has too few rows; or
+            this is no dataset.
     """
+    if not isinstance(dataset, Dataset):
+        raise VergenceError(
+            f"detect_target takes a dataset, as of vg.load_dataset(folder); found {dataset!r:.80}."
+        )
     jobs = [
         (camera, row)
         for row in range(len(dataset))

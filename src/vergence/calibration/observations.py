@@ -14,9 +14,10 @@ from vergence.arrays import Array
 from vergence.data.timing import Timing, moved_readings
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board
+from vergence.geometry.camera import is_image_size
 from vergence.geometry.head import HeadCalibration, check_camera_name
 from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye
-from vergence.geometry.se3 import mean_pose
+from vergence.geometry.se3 import check_rigid, mean_pose
 
 
 @dataclass(frozen=True)
@@ -40,8 +41,9 @@ class Observations:
     """What the cameras saw of a board with K corners in V views, and what the joints read.
 
     Raises:
-        VergenceError: when made of arrays whose shapes do not fit, or of cameras without a size, or
-            with a name or an eye that a head cannot have.
+        VergenceError: when made of arrays whose shapes do not fit, of infinite corners, of poses
+            that are not rigid, or of cameras without a size, or with a name or an eye that a head
+            cannot have.
     """
 
     board: Board
@@ -72,6 +74,14 @@ class Observations:
     """What is odd in the data, though it may be right, and what was repaired."""
 
     def __post_init__(self) -> None:
+        arrays = {
+            "placement": np.asarray(self.placement),
+            "eye_angles": np.asarray(self.eye_angles, dtype=float),
+            "corners": {name: np.asarray(c, dtype=float) for name, c in self.corners.items()},
+        }
+        if self.T_base_eye is not None:
+            arrays["T_base_eye"] = np.asarray(self.T_base_eye, dtype=float)
+        vars(self).update(arrays)
         V, K = len(self.placement), self.board.columns * self.board.rows
         wanted: dict[str, tuple[np.ndarray, tuple[int, ...]]] = {
             "eye_angles": (self.eye_angles, (V, len(self.kinematics.readings)))
@@ -88,8 +98,13 @@ class Observations:
                     f"Observations of {V} views of {K} corners need {name} of shape {shape}, found "
                     f"{np.shape(array)}."
                 )
+        for name, corners in self.corners.items():
+            if np.isinf(corners).any():
+                raise VergenceError(
+                    f"Corners of {name} are finite pixels, or NaN where not seen; found infinity."
+                )
         if self.T_base_eye is not None:
-            check_rotations("T_base_eye", self.T_base_eye)
+            check_rigid("T_base_eye", self.T_base_eye)
         self._check_cameras()
 
     def _check_cameras(self) -> None:
@@ -101,12 +116,10 @@ class Observations:
             except ValueError as error:
                 why = str(error).rpartition(": ")[2]
                 raise VergenceError(f"corners has a camera {name!r:.80}; {why}.") from None
-            size = self.sizes.get(name)
-            whole = size is not None and len(size) == 2 and all(n > 0 and n == int(n) for n in size)
-            if not whole:
+            if not is_image_size(self.sizes.get(name)):
                 raise VergenceError(
                     f"sizes needs the width and height of {name}'s images [px], such as "
-                    f"(640, 480); found {size}."
+                    f"(640, 480); found {self.sizes.get(name)!r:.80}."
                 )
         for name, eye in self.eyes.items():
             if eye not in EYES:
@@ -152,17 +165,6 @@ class Observations:
             return replace(self, eye_angles=angles)
         poses = moved_readings(self.T_base_eye, self.timing, head.time_offset_s)
         return replace(self, T_base_eye=poses)
-
-
-def check_rotations(name: str, T: Array) -> None:
-    """Raise a VergenceError if a finite one of poses (..., 4, 4) has no rotation in it."""
-    R = T[np.isfinite(T).all(axis=(-2, -1))][:, :3, :3]
-    off = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(initial=0)
-    if off > 1e-6 or (np.linalg.det(R) < 0).any():
-        raise VergenceError(
-            f"{name} has a rotation part that is no rotation: of a quaternion that is not of "
-            "length 1, or of left-handed axes."
-        )
 
 
 def camera_eyes(observations: Observations) -> dict[str, Side]:

@@ -10,6 +10,7 @@ import tyro
 from vergence.cli.progress import progress_bars, say_if_unfinished
 from vergence.cli.tables import print_table
 from vergence.commands.invocation import invocation
+from vergence.errors import VergenceError
 from vergence.writing import check_outputs, write_json
 
 
@@ -44,12 +45,13 @@ def calibrate(
         json: JSON file of the accuracy alone.
     """
     from vergence.calibration.calibrate import calibrate as run
-    from vergence.commands.calibration_report import figures, write_report
+    from vergence.commands.calibration_report import RESULTS, figures, write_report
     from vergence.data.description import DESCRIPTION, FRAMES
     from vergence.data.reader import load_dataset
     from vergence.geometry.head import save_head
 
-    check_outputs(out, json, folder=report, inputs=[dataset / DESCRIPTION, dataset / FRAMES])
+    read = [dataset / DESCRIPTION, dataset / FRAMES]
+    check_outputs(out, json, folder=report, names=RESULTS, inputs=read)
     data = load_dataset(dataset)
     say_if_unfinished(report)
     with progress_bars() as progress:
@@ -173,6 +175,8 @@ def import_(
     from vergence.interchange import ros
     from vergence.interchange.formats import import_head
 
+    if format == "opencv" and start is not None:
+        raise VergenceError("opencv files hold the whole head; leave --start out.")
     read = ros.files(path) if format == "ros" else [path]
     check_outputs(out, inputs=[*read, start] if start else read)
     template = None if start is None else load_head(start)

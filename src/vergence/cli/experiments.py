@@ -168,7 +168,7 @@ def foveate(*, trials: int = 100, options: Options = DEFAULT) -> None:
     """
     from vergence.demos.foveate import foveate as run
 
-    _experiment("foveate", lambda *given: run(*given, trials=trials)[0], options)
+    _experiment("foveate", lambda *given: run(*given, trials=trials)[0], options, "depth.png")
 
 
 def track(*, seconds: float = 60.0, options: Options = DEFAULT) -> None:
@@ -202,9 +202,9 @@ def depth(
     out: Path,
     twin: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     calibration: Path | None = None,
-    profile: str = "paper",
-    scene: Scene = "room",
-    seed: int = 0,
+    profile: str | None = None,
+    scene: Scene | None = None,
+    seed: int | None = None,
     pairs: int = 20,
     geometry: Geometry = "joints",
 ) -> None:
@@ -215,15 +215,18 @@ def depth(
         out: Folder for depth.rrd, depth.json and report.md.
         twin: Use the twin, with its eyes in divergent motion, and state the error of the depth.
         calibration: JSON file that `vergence calibrate` wrote; the twin can do without.
-        profile: Error profile of the twin: ideal, paper, noise-only, or a TOML file.
-        scene: Scene that the twin looks at.
-        seed: Seed of everything random on the twin.
+        profile: Error profile of the twin: ideal, paper (default), noise-only, or a TOML file.
+        scene: Scene that the twin looks at; default: room.
+        seed: Seed of everything random on the twin; default: 0.
         pairs: Number of pairs; of a dataset at most so many.
         geometry: Rectify by the joint readings, or by these as corrected by what both eyes see.
     """
     if twin == (dataset is not None):
         found = "both" if twin else "neither"
         raise VergenceError(f"Depth is of a dataset or, with --twin, of the twin; found {found}.")
+    for name, value in (("profile", profile), ("scene", scene), ("seed", seed)):
+        if value is not None and not twin:
+            raise VergenceError(f"--{name} is of the twin; found it with a dataset.")
     # The twin, and with it OpenGL, only where it is asked for.
     from vergence.commands.depth import as_markdown
     from vergence.commands.depth import depth as of_dataset
@@ -237,9 +240,9 @@ def depth(
             done = of_twin(
                 out,
                 calibration=calibration,
-                profile=load_profile(profile),
-                scene=scene,
-                seed=seed,
+                profile=load_profile(profile or "paper"),
+                scene=scene or "room",
+                seed=seed or 0,
                 pairs=pairs,
                 geometry=geometry,
                 progress=progress,
@@ -263,14 +266,22 @@ def depth(
 
 
 def _experiment(
-    name: str, run: Callable[[Experiment, Progress], DataclassInstance], options: ExperimentOptions
+    name: str,
+    run: Callable[[Experiment, Progress], DataclassInstance],
+    options: ExperimentOptions,
+    *figures: str,
 ) -> None:
-    """Run an experiment, print and write its summary, and say how to view its recording."""
+    """Run an experiment, print and write its summary, and say how to view its recording.
+
+    Its folder gets a summary and a recording of its name, and figures.
+    """
     from vergence.demos.experiment import Experiment
     from vergence.twin.profile import load_profile
 
     profile = load_profile(options.profile)
-    check_outputs(options.json, folder=options.out, inputs=[Path(options.profile)])
+    results = f"{name}.json", f"{name}.rrd", *figures
+    read = [Path(options.profile)]
+    check_outputs(options.json, folder=options.out, names=results, inputs=read)
     say_if_unfinished(options.out)
     with progress_bars() as progress:
         settings = Experiment(profile, options.seed, options.scene, options.geometry, options.out)

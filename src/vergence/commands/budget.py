@@ -77,7 +77,10 @@ def run(
             f"{pixel_std_px:g}."
         )
     if not np.abs(np.array(points)).max(initial=0.0) <= MAX_M:
-        raise VergenceError(f"--at takes coordinates up to {MAX_M:g} m; found {points}.")
+        found = ", ".join(
+            " ".join(f"{x:g}" for x in point) for point in np.array(points).reshape(-1, 3)
+        )
+        raise VergenceError(f"--at takes coordinates up to {MAX_M:g} m; found {found}.")
     sources = sources_of(head, profile, pixel_std_px)
     if not sources and not states_covariance(head):
         raise VergenceError(

@@ -24,6 +24,8 @@ from vergence.viewer.dataset import record_dataset, rms_by_view
 from vergence.viewer.plots import calibration as plots
 from vergence.writing import markdown_table, results_folder, write_whole
 
+RESULTS = ("report.md", "dataset.rrd", "coverage.png", "residuals.png", "worst_views.png")
+"""Files of a report, some of which the paper's method does not make."""
 FAILURES_NAMED = 20
 SYSTEMATIC = 4.0
 """Standard errors of a mean residual from which it is marked; of a hundred cells one is beyond

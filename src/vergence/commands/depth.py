@@ -233,7 +233,8 @@ def as_markdown(done: Summary) -> str:
     lines = [
         "# Dense depth",
         "",
-        f"{done.pairs} pairs. {100 * done.matched:.0f} % of the rectified pixels have a depth, "
+        f"{done.pairs} {'pair' if done.pairs == 1 else 'pairs'}. "
+        f"{100 * done.matched:.0f} % of the rectified pixels have a depth, "
         f"{100 * done.textured:.0f} % one that texture determines well. At {RANGE_M[0]} to "
         f"{RANGE_M[1]} m the stated standard deviation of these is "
         f"{100 * done.median_relative_std:.1f} % in the median.",

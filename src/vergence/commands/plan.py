@@ -11,6 +11,7 @@ import numpy as np
 from vergence.accuracy.plan import Plan, plan
 from vergence.arrays import Array
 from vergence.calibration.calibrate import calibrate
+from vergence.data.description import MAX_SQUARE_M
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError, check_seed
 from vergence.geometry.board import Board, Chessboard, corner_points
@@ -88,9 +89,9 @@ def _head_and_board(
 
 def _chessboard(stated: tuple[int, int, float]) -> Chessboard:
     columns, rows, square_m = stated
-    if min(columns, rows) < 3 or max(columns, rows) > 100 or not 0 < square_m < 1:
+    if min(columns, rows) < 3 or max(columns, rows) > 100 or not 0 < square_m <= MAX_SQUARE_M:
         raise VergenceError(
-            "--board takes 3 to 100 inner corners each way and the side of a square below 1 m, "
+            "--board takes 3 to 100 inner corners each way and the side of a square up to 1 m, "
             f"found {columns} {rows} {square_m:g}."
         )
     return Chessboard(columns, rows, square_m)

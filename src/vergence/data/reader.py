@@ -74,7 +74,7 @@ def load_dataset(folder: str | Path) -> Dataset:
         raise VergenceError(f"There is no dataset folder {folder}.")
     for name in (DESCRIPTION, FRAMES):
         if not os.path.exists(folder / name):
-            raise VergenceError(f"There is no {name} in {folder}.")
+            raise VergenceError(f"There is no {name} in the folder {str(folder)!r}.")
     description = read_parsed(
         folder / DESCRIPTION,
         "a description of a dataset",
@@ -85,9 +85,9 @@ def load_dataset(folder: str | Path) -> Dataset:
     table = _read_table(folder / FRAMES)
     _check_columns(table, description)
     poses = description.eye_motion == "poses"
-    time_s, joint_time_s = _time_stamps(table)
-    eye_angles = _joint_angles(description, description.head_kinematics.readings, table)
-    neck_angles = _joint_angles(description, NECK_JOINTS, table)
+    time_s, joint_time_s = time_stamps(table)
+    eye_angles = joint_angles(description, description.head_kinematics.readings, table)
+    neck_angles = joint_angles(description, NECK_JOINTS, table)
     return Dataset(
         folder=folder,
         description=description,
@@ -95,9 +95,9 @@ def load_dataset(folder: str | Path) -> Dataset:
         time_s=time_s,
         joint_time_s=joint_time_s,
         eye_angles=np.full_like(eye_angles, np.nan) if poses else eye_angles,
-        T_base_eye=_eye_poses(description, table) if poses else None,
+        T_base_eye=eye_poses(description, table) if poses else None,
         neck_angles=neck_angles,
-        placement=_placements(neck_angles, table),
+        placement=placements(neck_angles, table),
         moving=table.whole_numbers(MOVING, 1) == 1,
         files=_image_files(folder, description, table),
         remarks=() if poses else _remarks(description, eye_angles, table),
@@ -113,8 +113,8 @@ def _description(content: Any) -> Description:
 
 
 @dataclass(frozen=True)
-class _Table:
-    """The N rows of frames.csv as text."""
+class Table:
+    """N rows of frames.csv as text, which are read or are to be written."""
 
     path: Path
     lines: tuple[int, ...]
@@ -154,7 +154,7 @@ def _number(text: str) -> float:
     return float(text) if len(text) <= MAX_DIGITS and NUMBER.fullmatch(text) else nan
 
 
-def _read_table(path: Path) -> _Table:
+def _read_table(path: Path) -> Table:
     """Read the rows that are not blank; editors leave blank lines at the end."""
     content = read_bytes(path, MAX_TABLE_BYTES)
     rows: dict[int, list[str]] = {}
@@ -186,10 +186,10 @@ def _read_table(path: Path) -> _Table:
     if not rows:
         raise VergenceError(f"{path} has no frames, only a header.")
     columns = zip(*rows.values(), strict=True)
-    return _Table(path, tuple(rows), dict(zip(header, columns, strict=True)))
+    return Table(path, tuple(rows), dict(zip(header, columns, strict=True)))
 
 
-def _check_columns(table: _Table, description: Description) -> None:
+def _check_columns(table: Table, description: Description) -> None:
     known, found = description.columns, table.columns
     for name in known:
         if name not in found and name != MOVING:
@@ -204,7 +204,7 @@ def _check_columns(table: _Table, description: Description) -> None:
             )
 
 
-def _time_stamps(table: _Table) -> tuple[Array, Array]:
+def time_stamps(table: Table) -> tuple[Array, Array]:
     """Return the time stamps of the images and of the joint readings, (N,) each [s]."""
     names = [TIME, JOINT_TIME]
     times = table.numbers(names)
@@ -243,7 +243,7 @@ def _unit(stamp: float) -> str:
     return units[int(np.clip(round(digits / 3), 1, 3)) - 1]
 
 
-def _joint_angles(description: Description, names: tuple[str, ...], table: _Table) -> Array:
+def joint_angles(description: Description, names: tuple[str, ...], table: Table) -> Array:
     """Return joint angles (N, n) [rad], signs applied; zeros for a joint without a column."""
     angles, sources = np.zeros((len(table.lines), len(names))), description.sources
     for n, name in enumerate(names):
@@ -276,7 +276,7 @@ def _is_angle(description: Description, name: str) -> bool:
     return all(abs(joint.readings.get(name, 1.0)) == 1 for joint in joints)
 
 
-def _placements(neck_angles: Array, table: _Table) -> np.ndarray:
+def placements(neck_angles: Array, table: Table) -> np.ndarray:
     """Return the placements (N,); rows without one get a number of their own."""
     stated = table.whole_numbers(PLACEMENT, 10**9)
     placement = np.where(stated < 0, stated.max() + np.cumsum(stated < 0), stated)
@@ -292,7 +292,7 @@ def _placements(neck_angles: Array, table: _Table) -> np.ndarray:
     return placement
 
 
-def _eye_poses(description: Description, table: _Table) -> Array:
+def eye_poses(description: Description, table: Table) -> Array:
     """Return T_base_eye (N, 2, 4, 4); the identity for an eye without cameras."""
     adapter = TypeAdapter(Transform)
     T = np.tile(np.eye(4), (len(table.lines), len(EYES), 1, 1))
@@ -308,7 +308,7 @@ def _eye_poses(description: Description, table: _Table) -> Array:
 
 
 def _image_files(
-    folder: Path, description: Description, table: _Table
+    folder: Path, description: Description, table: Table
 ) -> dict[str, tuple[str | None, ...]]:
     """Return the N image files of each camera, after checking that they exist in the folder."""
     root = folder.resolve()
@@ -337,7 +337,7 @@ def _image_files(
     }
 
 
-def _remarks(description: Description, eye_angles: Array, table: _Table) -> tuple[str, ...]:
+def _remarks(description: Description, eye_angles: Array, table: Table) -> tuple[str, ...]:
     """Return a sentence for each joint whose angles (N, r) look like another unit."""
     remarks, sources = [], description.sources
     for n, name in enumerate(description.head_kinematics.readings):

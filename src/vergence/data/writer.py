@@ -25,10 +25,15 @@ from vergence.data.description import (
     TIME,
     Description,
 )
+from vergence.data.reader import Table, eye_poses, joint_angles, placements, time_stamps
 from vergence.errors import VergenceError
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.neck import NECK_JOINTS
 from vergence.writing import check_new, whole_folder
+
+_Cells = dict[str, object]
+"""A row of frames.csv by column, without its images."""
+_Line = tuple[int, _Cells]
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,9 +69,9 @@ def write_dataset(
         beside: is called with the temporary folder after the last row, to write other files there.
 
     Raises:
-        VergenceError: the folder is not empty, or cannot be written; or a row has other cameras,
-            sizes of images or readings than the description, numbers that are not finite, or time
-            stamps that do not increase.
+        VergenceError: the folder is not empty, or cannot be written; there are no rows; a row has
+            other cameras, sizes of images or readings than the description, or images that are not
+            uint8 or uint16; or `load_dataset` would refuse a row.
     """
     folder = Path(folder)
     check_new(folder)
@@ -88,25 +93,32 @@ def _write_frames(folder: Path, description: Description, rows: Iterable[Dataset
     ):
         table = csv.DictWriter(file, description.columns, restval="", lineterminator="\n")
         table.writeheader()
-        before: Frame | None = None
+        before: _Line | None = None
+        first: dict[str, _Line] = {}  # of the file, and of each placement
         for number, row in enumerate(rows):
-            _check_times(row.frame, before)
             _check_images(description, row.frame)
-            before = row.frame
+            now = number + 2, _cells(description, row)
+            before = before or now
+            start = first.get(str(row.placement), before)
+            _check_lines(description, dict((first.setdefault("", now), start, before, now)))
+            first.setdefault(str(row.placement), now)
+            before = now
             images = {camera: f"images/{number:05d}_{camera}.png" for camera in row.frame.images}
-            table.writerow(_cells(description, row) | images)
+            table.writerow(now[1] | images)
             for camera, image in row.frame.images.items():
                 pending.append(pool.submit(_write_image, folder / images[camera], image))
             while len(pending) > 8 * workers:  # bounds the memory of images that wait
                 pending.popleft().result()
         for each in pending:
             each.result()
+    if before is None:
+        raise VergenceError("A dataset has one row or more; found none.")
 
 
-def _cells(description: Description, row: DatasetRow) -> dict[str, object]:
+def _cells(description: Description, row: DatasetRow) -> _Cells:
     """Return a row's cells by column, without its images."""
     frame = row.frame
-    cells: dict[str, object] = {
+    cells: _Cells = {
         TIME: float(frame.time_s),
         JOINT_TIME: float(frame.joint_time_s),
         PLACEMENT: row.placement,
@@ -129,38 +141,31 @@ def _cells(description: Description, row: DatasetRow) -> dict[str, object]:
         angle = joint.sign * angles[name]
         cells[joint.column] = float(np.degrees(angle) if joint.unit == "deg" else angle)
     if description.eye_motion == "poses":
-        if row.T_base_eye is None or row.T_base_eye.shape != (2, 4, 4):
-            found = "none" if row.T_base_eye is None else f"shape {row.T_base_eye.shape}"
+        if row.T_base_eye is None or np.shape(row.T_base_eye) != (2, 4, 4):
+            found = "none" if row.T_base_eye is None else f"shape {np.shape(row.T_base_eye)}"
             raise VergenceError(
                 f"The row at {frame.time_s:g} s needs the poses of both eyes, T_base_eye (2, 4, 4);"
                 f" found {found}."
             )
-        poses = row.T_base_eye[[EYES.index(eye) for eye in description.eyes]]
+        poses = np.asarray(row.T_base_eye)[[EYES.index(eye) for eye in description.eyes]]
         cells |= dict(zip(description.pose_columns, poses.ravel().tolist(), strict=True))
-    for column, value in cells.items():
-        if isinstance(value, float) and not np.isfinite(value):
-            raise VergenceError(
-                f"The row at {frame.time_s:g} s needs finite numbers; {column} is {value}."
-            )
     return cells
 
 
-def _check_times(frame: Frame, before: Frame | None) -> None:
-    """Raise a VergenceError if time stamps do not increase."""
-    if before is None:
-        return
-    for name, now, then in (
-        (TIME, frame.time_s, before.time_s),
-        (JOINT_TIME, frame.joint_time_s, before.joint_time_s),
-    ):
-        if now <= then:
-            raise VergenceError(
-                f"Time stamps increase from row to row; {name} = {now:g} s follows {then:g} s."
-            )
+def _check_lines(description: Description, lines: dict[int, _Cells]) -> None:
+    """Raise the VergenceError with which the reader would refuse lines of frames.csv."""
+    texts = [["" if cell is None else str(cell) for cell in row.values()] for row in lines.values()]
+    columns = dict(zip(next(iter(lines.values())), zip(*texts, strict=True), strict=True))
+    table = Table(Path(FRAMES), tuple(lines), columns)
+    time_stamps(table)
+    joint_angles(description, description.head_kinematics.readings, table)
+    placements(joint_angles(description, NECK_JOINTS, table), table)
+    if description.eye_motion == "poses":
+        eye_poses(description, table)
 
 
 def _check_images(description: Description, frame: Frame) -> None:
-    """Raise a VergenceError if images are of another camera or size than described."""
+    """Raise a VergenceError if images are of another camera, size or type than described."""
     where = f"The row at {frame.time_s:g} s has"
     for name, image in frame.images.items():
         if name not in description.cameras:
@@ -169,6 +174,11 @@ def _check_images(description: Description, frame: Frame) -> None:
                 f"{', '.join(description.cameras)}."
             )
         camera, shape = description.cameras[name], np.shape(image)
+        if getattr(image, "dtype", None) not in (np.uint8, np.uint16):
+            found = getattr(image, "dtype", type(image).__name__)
+            raise VergenceError(
+                f"{where} an image of {name} of {found}; images are arrays of uint8, or of uint16."
+            )
         if shape not in ((camera.height, camera.width), (camera.height, camera.width, 3)):
             raise VergenceError(
                 f"{where} an image of {name} of shape {shape}; {camera.width} x {camera.height} "

@@ -22,7 +22,7 @@ from vergence.gaze.roles import EyeCameras, default_roles
 from vergence.geometry.camera import normalise, project
 from vergence.geometry.head import HeadCalibration, T_narrow_wide
 from vergence.geometry.kinematics import Side
-from vergence.geometry.se3 import inverse, transform
+from vergence.geometry.se3 import checked_points, inverse, transform
 
 
 def wide_from_narrow(T_narrow_wide: Array, points_narrow: Array) -> Array:
@@ -115,8 +115,9 @@ def gaze_angles(
         Joint readings, as those of `readings_to`.
 
     Raises:
-        VergenceError: the head has no such camera.
+        VergenceError: the head has no such camera, or points are not (..., 3).
     """
+    points_lbase = checked_points(points_lbase)
     if cameras is None:
         cameras = [roles.narrow for roles in default_roles(calibration).values()]
     targets = {}

@@ -11,7 +11,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import field, replace
 from functools import cached_property
-from typing import Annotated
+from numbers import Integral
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import ConfigDict, Field
@@ -51,6 +52,16 @@ def check_image_size(width: int, height: int) -> None:
         raise ValueError(
             f"images have at most {MAX_IMAGE_AREA_PX:,} pixels, found {width} x {height}"
         )
+
+
+def is_image_size(size: Any) -> bool:
+    """Return whether this is a width and a height, in whole pixels, that an image may have."""
+    if np.shape(size) != (2,) or not all(isinstance(n, Integral) for n in size):
+        return False
+    width, height = map(int, size)
+    return 0 < min(width, height) <= max(width, height) <= MAX_IMAGE_PX and (
+        width * height <= MAX_IMAGE_AREA_PX
+    )
 
 
 def check_image_fits(name: str, camera: Camera, shape: Sequence[int], *, whose: str) -> None:

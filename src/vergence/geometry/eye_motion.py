@@ -30,9 +30,10 @@ from vergence.geometry.kinematics import (
     Kinematics,
     Side,
     T_base_eye,
+    check_turns,
     checked_readings,
 )
-from vergence.geometry.parameter_names import joint_names
+from vergence.geometry.se3 import check_rigid
 
 
 def eye_linearised(
@@ -99,6 +100,14 @@ def measured(joints: ArrayLike) -> bool:
     return np.shape(joints)[-3:] == (2, 4, 4)
 
 
+def check_joints(kinematics: Kinematics, joints: Array) -> None:
+    """Raise VergenceError for readings (..., r) in degrees, and for poses that are not rigid."""
+    if measured(joints):
+        check_rigid("joints", joints)
+    else:
+        check_turns(kinematics, joints)
+
+
 def eye_poses(head: HeadCalibration, joints: ArrayLike) -> Array:
     """Return T_base_eye (..., 2, 4, 4) of the left and the right eye at readings (..., r) [rad].
 
@@ -110,32 +119,6 @@ def eye_poses(head: HeadCalibration, joints: ArrayLike) -> Array:
         np.moveaxis(T_base_eye(head.kinematics, eye, joints), (-2, -1), (0, 1)) for eye in EYES
     ]
     return np.moveaxis(np.stack(first), (0, 1, 2), (-3, -2, -1))
-
-
-def eye_poses_with_jacobians(
-    head: HeadCalibration, joints: ArrayLike, n: int
-) -> tuple[Array, tuple[Array, Array], Array]:
-    """Return T_base_eye (n, 2, 4, 4), and its derivatives by axes and by readings.
-
-    The derivatives by the a errors of the joints (n, 6, a) are a pair, for the left and the right
-    eye, in the order of `parameter_names.joint_names`. Those by the r readings of the head, or by
-    the increments of both eyes' measured poses (r = 12), are (n, 2, 6, r). All are in the increment
-    of `se3.boxplus`. Readings are (n, r) or (r,) angles [rad], or (n, 2, 4, 4) or (2, 4, 4) poses.
-    VergenceError if they are neither.
-    """
-    if measured(joints):
-        by_pose = np.broadcast_to(np.eye(12).reshape(2, 6, 12), (n, 2, 6, 12))
-        left, right = (np.zeros((n, 6, len(joint_names(head.kinematics, eye)))) for eye in EYES)
-        return np.broadcast_to(joints, (n, 2, 4, 4)), (left, right), by_pose
-    readings = checked_readings(head.kinematics, joints)
-    angles = np.broadcast_to(readings, (n, readings.shape[-1]))
-    left, right = (eye_linearised(head.kinematics, eye, angles) for eye in EYES)
-    # Components first in memory, where eye_linearised has them.
-    T, by_readings = (
-        np.stack([each[k].transpose(1, 2, 0) for each in (left, right)]).transpose(3, 0, 1, 2)
-        for k in (0, 2)
-    )
-    return T, (left[1], right[1]), by_readings
 
 
 def eye_motions(head: HeadCalibration, joints: Array) -> tuple[EyeMotion, EyeMotion]:

@@ -303,12 +303,17 @@ def main_pair(calibration: HeadCalibration) -> tuple[str, str] | None:
 def pair_names(head: HeadCalibration, cameras: tuple[str, str] | None = None) -> tuple[str, str]:
     """Return the names of a camera of the left eye and one of the right; None: the main ones.
 
-    VergenceError if one of them is missing, or left and right are exchanged.
+    VergenceError if they are not two, one of them is missing, or left and right are exchanged.
     """
     pair = main_pair(head) if cameras is None else cameras
     if pair is None:
         raise VergenceError(
             f"Stereo needs a camera in each eye; this head has {', '.join(head.cameras)}."
+        )
+    if isinstance(pair, str) or len(pair) != 2:
+        raise VergenceError(
+            "cameras names two, one of the left eye and one of the right, such as "
+            f"{main_pair(head)}; found {pair!r:.80}."
         )
     left, right = pair
     eyes = head.camera(left).eye, head.camera(right).eye
@@ -353,8 +358,12 @@ def save_head(head: HeadCalibration, path: Path | str) -> None:
     """Write a calibration as JSON.
 
     Raises:
-        VergenceError: the file cannot be written.
+        VergenceError: the file cannot be written, or this is no calibration.
     """
+    if not isinstance(head, HeadCalibration):
+        raise VergenceError(
+            f"save_head takes a HeadCalibration, such as calibrate(...).head; found {head!r:.80}."
+        )
     write_json(head, Path(path))
 
 

@@ -33,7 +33,7 @@ from vergence.geometry.components import (
 from vergence.geometry.eye_motion import EyeMotion
 from vergence.geometry.head import HeadCalibration, MountedCamera
 from vergence.geometry.kinematics import Side, T_base_eye, check_turns
-from vergence.geometry.se3 import inverse
+from vergence.geometry.se3 import checked_points, inverse
 
 
 def project_point(head: HeadCalibration, camera: str, joints: Array, points: Array) -> Array:
@@ -50,12 +50,13 @@ def project_point(head: HeadCalibration, camera: str, joints: Array, points: Arr
         NaN for points that are not in front of the camera.
 
     Raises:
-        VergenceError: the head has no such camera, or the readings are not as many as the head has,
-            or not in radians.
+        VergenceError: the head has no such camera, the readings are not as many as the head has, or
+            not in radians, or the shapes do not fit.
     """
     mounted = head.camera(camera)
     T = T_base_eye(head.kinematics, mounted.eye, joints)
     check_turns(head.kinematics, np.asarray(joints, dtype=float))
+    points = checked_points(points, T.shape[:-2])
     return project_at(mounted, head.T_rbase_lbase, T, points[..., None, :])[..., 0, :]
 
 

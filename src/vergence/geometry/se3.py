@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from vergence.arrays import Array
+from vergence.errors import VergenceError
 
 
 def pose(R: ArrayLike | None = None, t: ArrayLike | None = None) -> Array:
@@ -101,3 +102,38 @@ def mean_pose(T: Array) -> Array:
     The rotation is the mean of the matrices, projected onto SO(3).
     """
     return pose(nearest_rotation(T[:, :3, :3].sum(axis=0)), np.median(T[:, :3, 3], axis=0))
+
+
+def check_rigid(name: str, T: Array) -> None:
+    """Raise a VergenceError if a finite one of poses (..., 4, 4) is not a rigid transform."""
+    known = T[np.isfinite(T).all(axis=(-2, -1))]
+    R = known[:, :3, :3]
+    off = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(initial=0)
+    if off > 1e-6 or (np.linalg.det(R) < 0).any():
+        raise VergenceError(
+            f"{name} has a rotation part that is no rotation: of a quaternion that is not of "
+            "length 1, or of left-handed axes."
+        )
+    if (np.abs(known[:, 3] - [0.0, 0.0, 0.0, 1.0]) > 1e-9).any():
+        raise VergenceError(
+            f"{name} has a last row other than 0 0 0 1: in a pose the translation is the last "
+            "column."
+        )
+
+
+def checked_points(points: ArrayLike, postures: tuple[int, ...] = ()) -> Array:
+    """Return points (..., 3) as an array.
+
+    VergenceError if they are others, or cannot be broadcast with postures of a leading shape.
+    """
+    found = np.asarray(points, dtype=float)
+    if found.shape[-1:] != (3,):
+        raise VergenceError(f"Points have the shape (..., 3); found an array of {found.shape}.")
+    try:
+        np.broadcast_shapes(found.shape[:-1], postures)
+    except ValueError:
+        raise VergenceError(
+            f"Points of shape {found.shape} do not go with postures of shape {postures}: there is "
+            "one posture, one point, or as many of both."
+        ) from None
+    return found

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
@@ -18,9 +18,10 @@ def export_head(head: HeadCalibration, path: Path | str, format_name: ExportForm
     """Write a head in another program's format; ros writes a folder, the others a file.
 
     Raises:
-        VergenceError: the head has a property for which the format has no field, or the path
-            cannot be written.
+        VergenceError: there is no such format, the head has a property for which it has no field,
+            or the path cannot be written.
     """
+    _check_format(format_name, get_args(ExportFormat))
     writers = {"kalibr": kalibr.save, "ros": ros.save, "opencv": opencv.save, "urdf": urdf.save}
     writers[format_name](head, Path(path))
 
@@ -37,8 +38,10 @@ def import_head(
         template: a head that supplies what the file does not hold; needed for kalibr and ros.
 
     Raises:
-        VergenceError: the file cannot be read, or a template is needed and there is none.
+        VergenceError: there is no such format, the file cannot be read, or a template is needed and
+            there is none.
     """
+    _check_format(format_name, get_args(ImportFormat))
     path = Path(path)
     if format_name == "opencv":
         return opencv.load(path)
@@ -51,3 +54,8 @@ def import_head(
     if format_name == "kalibr":
         return kalibr.update_head(kalibr.load(path), template)
     return with_intrinsics(template, ros.load(path))
+
+
+def _check_format(name: str, known: tuple[str, ...]) -> None:
+    if name not in known:
+        raise VergenceError(f"The format is one of {', '.join(known)}; found {name!r:.80}.")

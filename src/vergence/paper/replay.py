@@ -86,7 +86,7 @@ def sample_times(figure: Figure, duration_s: float | None, rate_hz: float | None
     are SAMPLES samples, whatever the duration.
     """
     duration = default_duration_s(figure.motion) if duration_s is None else duration_s
-    count = SAMPLES if rate_hz is None else max(2, round(duration * rate_hz))
+    count = SAMPLES if rate_hz is None else round(duration * rate_hz)
     # Whole milliseconds, since the physics steps in them.
     return np.round(np.arange(count) * duration / count, 3)
 

@@ -20,7 +20,12 @@ from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, states_noise
 from vergence.geometry.se3 import transform
 from vergence.stereo.depth_error import depth_error
-from vergence.stereo.rectification import RectifiedPair, rectified_image, rectified_points
+from vergence.stereo.rectification import (
+    RectifiedPair,
+    known_posture,
+    rectified_image,
+    rectified_points,
+)
 from vergence.stereo.uncertainty import LocatedPoints, locate
 from vergence.vision.exposure import grey_levels, of_equal_contrast
 
@@ -58,7 +63,7 @@ class DenseDepth:
 
 def dense_depth(
     head: HeadCalibration,
-    joints: Array,
+    joints: ArrayLike,
     pair: RectifiedPair,
     left: np.ndarray,
     right: np.ndarray,
@@ -84,9 +89,11 @@ def dense_depth(
             the head's accuracy and joint_std_rad.
 
     Raises:
-        VergenceError: the nearest depth is not positive, or its disparity exceeds the image; or an
-            image is missing, not uint8, or of another size than the calibration's.
+        VergenceError: the joints are not known ones of one posture; the nearest depth is not
+            positive, or its disparity exceeds the image; or an image is missing, not uint8, or of
+            another size than the calibration's.
     """
+    joints = known_posture(head, joints)
     width = pair.left.map_x.shape[1]
     scale = pair.matrix[0, 0] * pair.baseline_m
     if not nearest_m > 0 or scale / nearest_m > _LARGEST_DISPARITY_SHARE * width:
@@ -216,7 +223,15 @@ def _std_by_geometry(
 
 
 def point_cloud(pair: RectifiedPair, found: DenseDepth) -> tuple[Array, np.ndarray]:
-    """Return the matched points (N, 3) [m] in the left eye's base frame, and colours (N, 3)."""
+    """Return the matched points (N, 3) [m] in the left eye's base frame, and colours (N, 3).
+
+    VergenceError if the depth is not of the pair's size.
+    """
+    if found.disparity_px.shape != pair.left.map_x.shape:
+        raise VergenceError(
+            f"Points are of the pair that the depth was found in; found a pair of shape "
+            f"{pair.left.map_x.shape} and a depth of shape {found.disparity_px.shape}."
+        )
     v, u = np.nonzero(np.isfinite(found.disparity_px))
     pixels = np.stack([u, v], axis=-1).astype(float)
     points = rectified_points(pair, pixels, found.disparity_px[v, u])

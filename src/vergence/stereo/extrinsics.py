@@ -8,11 +8,12 @@ from functools import lru_cache, wraps
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
-from vergence.geometry.eye_motion import eye_poses, measured
+from vergence.geometry.eye_motion import check_joints, eye_poses
 from vergence.geometry.head import HeadCalibration, MountedCamera, pair_names
-from vergence.geometry.kinematics import T_base_eye, check_turns
+from vergence.geometry.kinematics import T_base_eye
 from vergence.geometry.projection import T_lbase_cam
 from vergence.geometry.se3 import inverse
 
@@ -60,7 +61,9 @@ def per_pair(
 
     @wraps(find)
     def found(head: HeadCalibration, cameras: Pair) -> Found:
-        return remembered(head, cameras if cameras is None else tuple(cameras))
+        if cameras is not None and not isinstance(cameras, str):  # a str is refused as it is
+            cameras = tuple(cameras)  # pyright: ignore[reportAssignmentType]: counted later
+        return remembered(head, cameras)
 
     return found
 
@@ -75,7 +78,7 @@ def stereo_cameras(
 
 
 def T_rcam_lcam(
-    head: HeadCalibration, joints: Array, *, cameras: tuple[str, str] | None = None
+    head: HeadCalibration, joints: ArrayLike, *, cameras: tuple[str, str] | None = None
 ) -> Array:
     """Return Eq. 11 (..., 4, 4) at joint readings (..., r) [rad], or eye poses (..., 2, 4, 4).
 
@@ -86,11 +89,12 @@ def T_rcam_lcam(
 
     Raises:
         VergenceError: the head has one eye only, has no such camera, left and right are exchanged,
-            or the joints are not as many as the head has, or not in radians.
+            or the joints are not as many as the head has, not in radians, or poses that are not
+            rigid.
     """
+    joints = np.asarray(joints, dtype=float)
     T = stereo_poses(head, joints, cameras=cameras)[1]
-    if not measured(joints):
-        check_turns(head.kinematics, np.asarray(joints, dtype=float))
+    check_joints(head.kinematics, joints)
     return T
 
 

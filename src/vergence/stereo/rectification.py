@@ -17,21 +17,35 @@ from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.geometry.camera import Camera, normalise, project
+from vergence.geometry.camera import (
+    MAX_IMAGE_AREA_PX,
+    MAX_IMAGE_PX,
+    Camera,
+    is_image_size,
+    normalise,
+    project,
+)
+from vergence.geometry.eye_motion import check_joints
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import checked_readings
 from vergence.geometry.lens import reach
-from vergence.geometry.se3 import inverse, pose
+from vergence.geometry.se3 import inverse, pose, transform
 from vergence.stereo.extrinsics import stereo_cameras, stereo_poses
 
 FOCAL_SHARE = 0.85
 """Focal length of the rectified cameras, of the real ones': eyes that diverge need a wider view."""
 LEAST_OVERLAP = 0.05
 """Share of the rows in which the views must overlap."""
+LEAST_SHOWN = 0.1
+"""Share of the points that both images show of which a pair must show as many. With an epipole
+in the images, the pair's plane is nearly along the rays, and hardly any of them reach it."""
 GRID_PX = 16
 """Distance of the pixels for which the map is computed."""
 MAP_ERROR_PX = 0.01
 """Largest error of the map between them."""
+_GRID = 24
+"""Rays along each axis of the image, and distances in baselines, for the share that is shown."""
+_DISTANCES = np.array([4.0, 16.0, 64.0, 1024.0])
 _OUTSIDE = -1e4
 """In a map: no pixel of the camera shows this direction."""
 
@@ -98,39 +112,44 @@ def rectify(
         focal_px: of the rectified cameras; None: FOCAL_SHARE of the real ones' mean.
 
     Raises:
-        VergenceError: the head has no such pair, the joints are not those of one posture, size or
-            focal length are not positive, or the two views do not overlap.
+        VergenceError: the head has no such pair, the joints are not known ones of one posture, size
+            or focal length are not positive, or the two views do not overlap or would show hardly
+            anything of what both images do.
     """
     left, right = stereo_cameras(head, cameras)
-    at = np.asarray(joints, dtype=float)
-    if at.shape != (2, 4, 4):
-        at = checked_readings(head.kinematics, at, one_posture=True)
-    if not np.isfinite(at).all():
-        raise VergenceError(f"A pair is rectified at known joints; found {at.ravel()}.")
+    at = known_posture(head, joints)
     if focal_px is not None and not 0 < focal_px < np.inf:
         raise VergenceError(f"focal_px is above 0 pixels, found {focal_px:g}.")
-    if size is not None and min(size) < 1:
-        raise VergenceError(f"size is a width and a height of 1 pixel or more, found {size}.")
+    if size is not None and not is_image_size(size):
+        raise VergenceError(
+            "size is a width and a height in whole pixels, such as (640, 480), at most "
+            f"{MAX_IMAGE_PX} each and {MAX_IMAGE_AREA_PX:,} together; found {size!r:.80}."
+        )
     T_lbase_lcam, T_rcam_lcam = stereo_poses(head, at, cameras=cameras)
     R_lcam_rcam, baseline = T_rcam_lcam[:3, :3].T, inverse(T_rcam_lcam)[:3, 3]
     axes = np.array([[0, 0, 1], R_lcam_rcam[:, 2]])  # of both cameras, in the left one
     R_rect_lcam = _orientation(baseline, axes.mean(axis=0))
     lenses = left.intrinsics, right.intrinsics
-    if focal_px is None:
-        focal_px = FOCAL_SHARE * float(np.mean([lens.matrix[[0, 1], [0, 1]] for lens in lenses]))
-    width, height = size or (lenses[0].width, lenses[0].height)
+    own_px = FOCAL_SHARE * float(np.mean([lens.matrix[[0, 1], [0, 1]] for lens in lenses]))
+    own_size = lenses[0].width, lenses[0].height
     looks = axes @ R_rect_lcam.T
     if (looks[:, 2] <= 0).any():
         raise _apart(cameras)
-    shift = focal_px * (looks[:, :2] / looks[:, 2:]).mean(axis=0)  # both views in the middle
-    cx, cy = (np.array([width, height]) - 1) / 2 - shift
-    matrix = np.array([[focal_px, 0, cx], [0, focal_px, cy], [0, 0, 1]])
+    matrix = _matrix(looks, focal_px or own_px, size or own_size)
     views = [
-        _view(lens, R, matrix, (width, height))
+        _view(lens, R, matrix, size or own_size)
         for lens, R in zip(lenses, (R_rect_lcam, R_rect_lcam @ R_lcam_rcam), strict=True)
     ]
     if _overlap(*views) < LEAST_OVERLAP:
         raise _apart(cameras)
+    whole = _matrix(looks, own_px, own_size)
+    shown = _share_shown(lenses, T_rcam_lcam, R_rect_lcam, whole, own_size)
+    if shown < LEAST_SHOWN:
+        raise VergenceError(
+            f"A rectified pair would show {shown:.0%} of what both images show at this posture, in "
+            "which an eye looks along the line from one camera to the other; rectify where both "
+            "look across it."
+        )
     return RectifiedPair(
         left=views[0],
         right=views[1],
@@ -138,6 +157,63 @@ def rectify(
         baseline_m=float(np.linalg.norm(baseline)),
         T_lbase_rect=T_lbase_lcam @ pose(R_rect_lcam.T),
     )
+
+
+def _matrix(looks: Array, focal_px: float, size: tuple[int, int]) -> Array:
+    """Return the matrix (3, 3) that puts both views, which look along (2, 3), in the middle."""
+    shift = focal_px * (looks[:, :2] / looks[:, 2:]).mean(axis=0)
+    cx, cy = (np.array(size) - 1) / 2 - shift
+    return np.array([[focal_px, 0, cx], [0, focal_px, cy], [0, 0, 1]])
+
+
+def _share_shown(
+    lenses: tuple[Camera, Camera],
+    T_rcam_lcam: Array,
+    R_rect_lcam: Array,
+    matrix: Array,
+    size: tuple[int, int],
+) -> float:
+    """Return the share of the points that both images show of which both rectified ones do too.
+
+    Of points on the rays of a grid of the left image's pixels; 1 where there are none.
+    """
+    left, right = lenses
+    u, v = (np.linspace(0, n - 1, _GRID) for n in (left.width, left.height))
+    xy = normalise(left, np.stack(np.meshgrid(u, v), axis=-1))
+    rays = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
+    baseline = inverse(T_rcam_lcam)[:3, 3]
+    points = rays * (np.linalg.norm(baseline) * _DISTANCES)[:, None, None, None]
+    both = _inside(right, transform(T_rcam_lcam, points))
+    shown = both.copy()
+    for centre in (np.zeros(3), baseline):
+        x, y, z = np.moveaxis((points - centre) @ R_rect_lcam.T @ matrix.T, -1, 0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u, v = x / z, y / z
+        shown &= (z > 0) & (u >= 0) & (u <= size[0] - 1) & (v >= 0) & (v <= size[1] - 1)
+    return float(shown.sum() / both.sum()) if both.any() else 1.0
+
+
+def _inside(camera: Camera, points_cam: Array) -> np.ndarray:
+    """Return (...,) whether an image shows points (..., 3) in frame cam."""
+    x, y, z = np.moveaxis(points_cam, -1, 0)
+    within = (z > 0) & (x * x + y * y < reach(camera.model, camera.coefficients) * z * z)
+    ends = np.array([camera.width, camera.height]) - 1
+    pixels = project(camera, points_cam)
+    return within & ((pixels >= 0) & (pixels <= ends)).all(axis=-1)
+
+
+def known_posture(head: HeadCalibration, joints: ArrayLike) -> Array:
+    """Return the readings (r,) [rad], or measured poses (2, 4, 4), of one posture as an array.
+
+    VergenceError if they are those of none, not all of them are known, or poses are not rigid.
+    """
+    at = np.asarray(joints, dtype=float)
+    if at.shape != (2, 4, 4):
+        at = checked_readings(head.kinematics, at, one_posture=True)
+    if not np.isfinite(at).all():
+        raise VergenceError(f"A pair is rectified at known joints; found {at.ravel()}.")
+    check_joints(head.kinematics, at)
+    return at
 
 
 def _orientation(baseline: Array, forward: Array) -> Array:
@@ -221,13 +297,17 @@ def rectified_image(view: RectifiedView, image: np.ndarray) -> np.ndarray:
     """Return the rectified image (H, W, ...) uint8 of a real one; 0 where it shows nothing.
 
     VergenceError if the image is not (height, width) or (height, width, channels) of the view's
-    camera.
+    camera, or of a type that OpenCV does not map.
     """
-    size = view.camera.height, view.camera.width
+    image, size = np.asarray(image), (view.camera.height, view.camera.width)
     if image.ndim not in (2, 3) or image.shape[:2] != size:
         raise VergenceError(
             f"This view rectifies images of {size[1]} x {size[0]} px, whose arrays are {size} or "
             f"{(*size, 3)}; found an array of shape {image.shape}."
+        )
+    if image.dtype not in (np.uint8, np.uint16, np.float32, np.float64):
+        raise VergenceError(
+            f"A view rectifies images of uint8, uint16 or floats; found an array of {image.dtype}."
         )
     return cv2.remap(image, view.map_x, view.map_y, cv2.INTER_LINEAR)
 

@@ -28,11 +28,11 @@ from vergence.geometry.components import (
     times,
     transposed,
 )
-from vergence.geometry.eye_motion import EyeMotion, eye_motions, measured
+from vergence.geometry.eye_motion import EyeMotion, check_joints, eye_motions
 from vergence.geometry.head import HeadCalibration, MountedCamera, T_body_base, T_head_base
-from vergence.geometry.kinematics import Kinematics, check_radians, check_turns
+from vergence.geometry.kinematics import Kinematics, check_radians
 from vergence.geometry.projection import camera_pose
-from vergence.geometry.se3 import transform
+from vergence.geometry.se3 import checked_points, transform
 from vergence.stereo.extrinsics import stereo_cameras
 
 CHUNK = 4096
@@ -250,10 +250,13 @@ def checked(
 ) -> tuple[Array, Array, Array]:
     """Return float arrays; VergenceError if they are not (N, 2), (N, 2) and readings.
 
-    These are angles (r,) or (N, r) in radians, or measured eye poses (2, 4, 4) or (N, 2, 4, 4).
+    These are angles (r,) or (N, r) in radians, or measured eye poses (2, 4, 4) or (N, 2, 4, 4),
+    which are rigid.
     """
     left, right, joints = (np.asarray(each, dtype=float) for each in (left, right, joints))
-    n, r = len(left) if left.ndim else 0, len(kinematics.readings)
+    if left.ndim != 2:
+        raise VergenceError(f"Locating points needs left of shape (N, 2), found {left.shape}.")
+    n, r = len(left), len(kinematics.readings)
     for name, array, shapes in (
         ("left", left, [(n, 2)]),
         ("right", right, [(n, 2)]),
@@ -264,14 +267,16 @@ def checked(
                 f"Locating {n} points needs {name} of shape {' or '.join(map(str, shapes))}, found "
                 f"{array.shape}."
             )
-    if not measured(joints):
-        check_turns(kinematics, joints)
+    check_joints(kinematics, joints)
     return left, right, joints
 
 
 def in_head(head: HeadCalibration, points_lbase: Array) -> Array:
-    """Map points (..., 3) [m] from the left eye's base frame into frame head."""
-    return transform(T_head_base(head, "left"), points_lbase)
+    """Map points (..., 3) [m] from the left eye's base frame into frame head.
+
+    VergenceError if they are not (..., 3).
+    """
+    return transform(T_head_base(head, "left"), checked_points(points_lbase))
 
 
 def in_body(head: HeadCalibration, points_lbase: Array, neck_angles: Array) -> Array:
@@ -280,8 +285,8 @@ def in_body(head: HeadCalibration, points_lbase: Array, neck_angles: Array) -> A
     The neck's angles (..., n) [rad] are in the order of its chain; leading dimensions broadcast.
 
     Raises:
-        VergenceError: the angles are not as many as the neck has joints, or not in radians; a neck
-            without joints takes `np.empty(0)`.
+        VergenceError: the angles are not as many as the neck has joints, or not in radians, or the
+            shapes do not fit; a neck without joints takes `np.empty(0)`.
     """
     angles = np.asarray(neck_angles, dtype=float)
     joints = len(head.neck.axes)
@@ -291,4 +296,5 @@ def in_body(head: HeadCalibration, points_lbase: Array, neck_angles: Array) -> A
             f"{angles.shape}."
         )
     check_radians(angles, "Angles of the neck")
-    return transform(T_body_base(head, "left", neck_angles), points_lbase)
+    points = checked_points(points_lbase, angles.shape[:-1])
+    return transform(T_body_base(head, "left", angles), points)

@@ -13,7 +13,7 @@ from vergence.arrays import Array
 from vergence.data.dataset import MAX_GAP_S
 from vergence.data.timing import Timing, moved_readings
 from vergence.errors import VergenceError
-from vergence.geometry.eye_motion import measured
+from vergence.geometry.eye_motion import check_joints, measured
 from vergence.geometry.head import (
     HeadCalibration,
     check_states_covariance,
@@ -95,9 +95,9 @@ def locate(
             polynomial through its neighbours. None: the eyes stood still.
 
     Raises:
-        VergenceError: shapes do not fit, readings are not in radians, noise is negative, time
-            stamps are not those of one motion, the head has no such camera, or left and right are
-            exchanged.
+        VergenceError: shapes do not fit, readings are not in radians, poses are not rigid, noise is
+            negative, time stamps are not those of one motion, the head has no such camera, or left
+            and right are exchanged.
     """
     if joint_time_s is not None:
         joints = _at_the_images(head, joints, joint_time_s)
@@ -163,6 +163,7 @@ def _at_the_images(head: HeadCalibration, joints: ArrayLike, joint_time_s: Array
             f"Time stamps of readings are finite; found {unknown} of {len(joint_time_s)} NaN or "
             "infinite; leave their points out."
         )
+    check_joints(head.kinematics, joints)
     steps = np.diff(joint_time_s)
     if (steps < 0).any() or (steps > MAX_GAP_S).any():
         raise VergenceError(

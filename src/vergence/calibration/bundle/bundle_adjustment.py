@@ -181,6 +181,16 @@ def bundle_adjust(
     )
 
 
+def check_noise(joint_std: float | tuple[float, float] | None, **above_zero: float | None) -> None:
+    """Raise VergenceError unless noise of readings is 0 or more, and named values are above 0."""
+    for name, value in above_zero.items():
+        if value is not None and not value > 0:
+            raise VergenceError(f"{name} is above 0, found {value:g}.")
+    levels = np.array([] if joint_std is None else joint_std)
+    if levels.size and not ((levels >= 0) & np.isfinite(levels)).all():
+        raise VergenceError(f"joint_std is a standard deviation, 0 or more; found {joint_std}.")
+
+
 def _noise_groups(
     problem: BundleProblem, kinematics: Kinematics, least_blocks: float
 ) -> np.ndarray:

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
 from vergence.calibration.bundle.bundle_adjustment import (
     BundleEstimate,
     bundle_adjust,
+    check_noise,
     covariance_of,
 )
 from vergence.calibration.bundle.solver import OUTLIER
@@ -21,10 +23,10 @@ from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, MountedCamera
-from vergence.geometry.kinematics import Joint, Kinematics, T_base_eye, pan_tilt
+from vergence.geometry.kinematics import Joint, Kinematics, T_base_eye, check_turns, pan_tilt
 from vergence.geometry.parameter_names import POSE, intrinsics_names
 from vergence.geometry.parameters import change_named, parameter_names
-from vergence.geometry.se3 import boxminus
+from vergence.geometry.se3 import boxminus, check_rigid
 from vergence.stereo.calibration_covariance import covariance_factor
 from vergence.vision.board_pose import board_poses
 
@@ -88,13 +90,18 @@ def refine_eye_camera(
         outlier: standard deviations beyond which a corner or a reading loses weight.
 
     Raises:
-        VergenceError: shapes do not fit, or Park and Martin's method has no answer.
+        VergenceError: shapes do not fit, numbers are not finite, readings are not in radians, poses
+            are not rigid, noise is not positive, or Park and Martin's method has no answer.
     """
     joints = pan_tilt("left") if joints is None else joints
     names = tuple(dict.fromkeys(name for joint in joints for name in joint.readings))
     # The left eye of a head that has no other.
     kinematics = Kinematics({"left": joints, "right": ()}, names)
-    _check(eye, pixels, points, len(names))
+    eye, pixels, points = (np.asarray(each, dtype=float) for each in (eye, pixels, points))
+    _check(eye, pixels, points, kinematics)
+    check_noise(joint_std, pixel_std_px=pixel_std_px, outlier=outlier)
+    if start is not None:
+        start = _checked_start(start)
     N, K = pixels.shape[:2]
     angles = eye if eye.ndim == 2 else _readings_of(eye, kinematics)
     if eye.ndim == 3 and angles is not None and isinstance(joint_std, tuple):
@@ -167,10 +174,11 @@ def _of_intrinsics(
     By differences along the principal axes of their covariance, one standard deviation each way.
     """
     names = [f"{_NAME}.{name}" for name in intrinsics_names(head.cameras[_NAME].intrinsics)]
-    if covariance.shape != (len(names), len(names)):
+    covariance = np.asarray(covariance, dtype=float)
+    if covariance.shape != (len(names), len(names)) or not np.isfinite(covariance).all():
         raise VergenceError(
-            f"The covariance of the intrinsics {', '.join(names)} is {len(names)} x {len(names)}, "
-            f"found {covariance.shape}."
+            f"The covariance of the intrinsics {', '.join(names)} is {len(names)} x {len(names)} "
+            f"finite numbers, found {covariance.shape}."
         )
     moves = covariance_factor(covariance).T
     found = np.zeros((len(POSE), len(POSE)))
@@ -194,15 +202,32 @@ def _readings_of(T: Array, kinematics: Kinematics) -> Array | None:
     return angles if np.abs(T_base_eye(kinematics, "left", angles) - T).max() < 1e-9 else None
 
 
-def _check(eye: Array, pixels: Array, points: Array, r: int) -> None:
-    N, K = len(eye), len(points)
+def _check(eye: Array, pixels: Array, points: Array, kinematics: Kinematics) -> None:
+    N, K = (len(each) if each.ndim else 0 for each in (eye, points))
+    r = len(kinematics.readings)
     if eye.shape not in ((N, r), (N, 4, 4)) or not np.isfinite(eye).all():
         raise VergenceError(
             f"refine_eye_camera needs finite readings of shape (N, {r}), or poses of shape "
             f"(N, 4, 4), found {eye.shape}."
         )
-    if pixels.shape != (N, K, 2) or points.shape != (K, 3):
+    if eye.ndim == 2:
+        check_turns(kinematics, eye)
+    else:
+        check_rigid("eye", eye)
+    if points.shape != (K, 3) or not np.isfinite(points).all():
+        raise VergenceError(
+            f"refine_eye_camera needs finite points of shape (K, 3), found {points.shape}."
+        )
+    if pixels.shape != (N, K, 2):
         raise VergenceError(
             f"refine_eye_camera needs pixels of shape ({N}, {K}, 2) for {N} views of {K} points, "
             f"found {pixels.shape}."
         )
+
+
+def _checked_start(start: ArrayLike) -> Array:
+    T = np.asarray(start, dtype=float)
+    if T.shape != (4, 4) or not np.isfinite(T).all():
+        raise VergenceError(f"start is T_eye_cam, 4 x 4 finite numbers; found {T.tolist()}.")
+    check_rigid("start", T)
+    return T

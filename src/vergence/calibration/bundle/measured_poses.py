@@ -9,6 +9,7 @@ adjustment stays, and the noise level of a corner [px] becomes a factor on the s
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -53,13 +54,13 @@ class MeasuredPoses:
 
 def whitening(covariance: Array) -> Array:
     """Return (..., 6, 6) of covariances (..., 6, 6); VergenceError if one is not positive."""
-    try:
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=float)
-    except np.linalg.LinAlgError:
-        raise VergenceError(
-            "The covariance of a measured pose is symmetric and positive definite, rotation [rad] "
-            "first and then translation [m]; found one that is not."
-        ) from None
+    with suppress(np.linalg.LinAlgError):
+        if np.isfinite(covariance).all():
+            return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=float)
+    raise VergenceError(
+        "The covariance of a measured pose is symmetric and positive definite, rotation [rad] "
+        "first and then translation [m]; found one that is not."
+    )
 
 
 def pose_errors(measured: MeasuredPoses, T_cam_target: Array) -> Array:

@@ -18,17 +18,18 @@ from vergence.arrays import Array
 from vergence.calibration.bundle.bundle_adjustment import (
     BundleEstimate,
     bundle_adjust,
+    check_noise,
     fixed_by_default,
 )
 from vergence.calibration.bundle.measured_poses import PoseObservations, whitening
-from vergence.calibration.observations import check_rotations, mean_placed
+from vergence.calibration.observations import mean_placed
 from vergence.calibration.sequential.hand_eye import robust_park_martin
 from vergence.errors import VergenceError
 from vergence.geometry.camera import pinhole
 from vergence.geometry.head import HeadCalibration, MountedCamera, main_pair
-from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye
+from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye, check_turns
 from vergence.geometry.parameter_names import intrinsics_names
-from vergence.geometry.se3 import inverse, mean_pose
+from vergence.geometry.se3 import check_rigid, inverse, mean_pose
 
 LEAST_POSES = 3
 """Fewest poses of a target at rest, from which a camera's place in its eye follows."""
@@ -99,14 +100,18 @@ def adjust_target_poses(
             the readings are exact.
 
     Raises:
-        VergenceError: shapes do not fit, the start is another head, or the motion does not
-            determine a start.
+        VergenceError: shapes do not fit, readings are not in radians, poses are not rigid, noise is
+            not positive, a reading that is needed is not finite, the start is another head, or the
+            motion does not determine a start.
     """
+    T_cam_target = {name: np.asarray(T, dtype=float) for name, T in T_cam_target.items()}
+    eye = np.asarray(eye, dtype=float)
+    check_noise(joint_std, noise_factor=noise_factor)
     if start is not None:
         _check_start(start, T_cam_target, eyes, kinematics)
         kinematics = start.kinematics
     kinematics = Kinematics() if kinematics is None else kinematics
-    views = len(eye)
+    views = len(eye) if eye.ndim else 0
     placement = np.zeros(views, dtype=int) if placement is None else np.asarray(placement)
     _check(T_cam_target, eye, eyes, kinematics, placement)
     measured_eyes = eye.ndim == 4
@@ -220,7 +225,7 @@ def _check(
     kinematics: Kinematics,
     placement: np.ndarray,
 ) -> None:
-    views, r = len(eye), len(kinematics.readings)
+    views, r = len(eye) if eye.ndim else 0, len(kinematics.readings)
     if not T_cam_target:
         raise VergenceError("There are no poses of a target: T_cam_target names no camera.")
     if eye.shape not in ((views, r), (views, 2, 4, 4)):
@@ -233,7 +238,9 @@ def _check(
             f"placement has a number for each of the {views} views, found shape {placement.shape}."
         )
     if eye.ndim == 4:
-        check_rotations("eye", eye)
+        check_rigid("eye", eye)
+    else:
+        check_turns(kinematics, eye)
     for name, T in T_cam_target.items():
         if T.shape != (views, 4, 4):
             raise VergenceError(
@@ -242,7 +249,7 @@ def _check(
             )
         if eyes.get(name) not in EYES:
             raise VergenceError(f"eyes does not say in which eye {name} sits, left or right.")
-        check_rotations(f"T_cam_target of {name}", T)
+        check_rigid(f"T_cam_target of {name}", T)
 
 
 def _check_start(
