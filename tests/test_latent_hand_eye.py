@@ -295,7 +295,7 @@ def test_data_that_do_not_fit_are_refused(changes: dict, message: str):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"eye": np.full((20, 2), 15.0)}, "in radians; found 15, more than a turn"),
+        ({"eye": np.full((20, 2), 15.0)}, "in radians; found a joint at 15, more than a turn"),
         ({"eye": np.tile(np.diag([2.0, 2, 2, 1]), (20, 1, 1))}, "eye has a rotation part that is"),
         ({"eye": 0.0}, r"or poses of shape \(N, 4, 4\), found \(\)"),
         ({"points": POINTS[:, :2]}, r"finite points of shape \(K, 3\), found \(54, 2\)"),

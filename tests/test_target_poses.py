@@ -216,7 +216,7 @@ def test_wrong_arguments_are_refused():
         covariance = dict.fromkeys(poses, wrong)
         with pytest.raises(VergenceError, match="positive definite"):
             adjust_target_poses(poses, readings, eyes=EYES_OF, covariance=covariance)
-    with pytest.raises(VergenceError, match="in radians; found 15, more than a turn"):
+    with pytest.raises(VergenceError, match="in radians; found a joint at 15, more than a turn"):
         adjust_target_poses(poses, np.full((10, 4), 15.0), eyes=EYES_OF)
     with pytest.raises(VergenceError, match="noise_factor is above 0, found -1"):
         adjust_target_poses(poses, readings, eyes=EYES_OF, noise_factor=-1.0)
