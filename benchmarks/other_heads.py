@@ -10,15 +10,8 @@ import numpy as np
 from simulated_head import random_head
 from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import (
-    AXIS_NAMES,
-    EYES,
-    Joint,
-    Kinematics,
-    Side,
-    change_joints,
-    joint_parameters,
-)
+from vergence.geometry.joints import Joint, change_joints, joint_parameters
+from vergence.geometry.kinematics import AXIS_NAMES, EYES, Kinematics, Side
 from vergence.geometry.se3 import pose, rotation
 
 _STD = {

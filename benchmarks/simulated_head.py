@@ -14,7 +14,8 @@ from scipy.stats import chi2
 from vergence.arrays import Array
 from vergence.geometry.camera import Camera, pinhole
 from vergence.geometry.head import R_EYE_CAM, HeadCalibration, MountedCamera, T_base_cam
-from vergence.geometry.kinematics import EYES, Joint, Kinematics, Side, pan_tilt
+from vergence.geometry.joints import Joint
+from vergence.geometry.kinematics import EYES, Kinematics, Side, pan_tilt
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.neck import Neck
 from vergence.geometry.parameter_names import POSE

@@ -48,7 +48,8 @@ from vergence.geometry.head import (
     MountedCamera,
     save_head,
 )
-from vergence.geometry.kinematics import Joint, Kinematics
+from vergence.geometry.joints import Joint
+from vergence.geometry.kinematics import Kinematics
 from vergence.geometry.neck import Neck
 
 EQUATIONS = read("docs/equations.md")

@@ -12,7 +12,8 @@ from vergence.commands.truth import Truth
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard
 from vergence.geometry.head import Accuracy, HeadCalibration
-from vergence.geometry.kinematics import EYE_JOINTS, EYES, Joint, Kinematics, Side
+from vergence.geometry.joints import Joint
+from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side
 from vergence.geometry.parameters import change_named, without_offsets
 from vergence.twin.profile import ErrorProfile
 from vergence.writing import write_json

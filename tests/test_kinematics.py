@@ -10,16 +10,14 @@ from drawn_head import four_cameras
 from simulated_head import random_pan_tilt
 from vergence.errors import VergenceError
 from vergence.geometry.eye_motion import eye_linearised, eye_poses
+from vergence.geometry.joints import Joint, change_joints, joint_parameters
 from vergence.geometry.kinematics import (
     EYES,
     Chain,
-    Joint,
     Kinematics,
     T_base_eye,
     chain_pose,
-    change_joints,
     eye_turn,
-    joint_parameters,
     pan_tilt,
     reading_kinds,
     readings_to_turn,

@@ -20,7 +20,8 @@ from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard
 from vergence.geometry.head import HeadCalibration, load_head, save_head
-from vergence.geometry.kinematics import EYE_JOINTS, EYES, Joint, Kinematics, Side, pan_tilt
+from vergence.geometry.joints import Joint
+from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side, pan_tilt
 from vergence.geometry.parameters import change_named
 from vergence.geometry.se3 import pose, rotation
 from vergence.self_calibration import recorded as recorded_self_calibration

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from simulated_head import unskewed_head
 from vergence.errors import VergenceError
 from vergence.geometry.head import Accuracy, T_base_cam, T_body_base, T_head_base
-from vergence.geometry.kinematics import EYE_JOINTS, EYES, Joint, Kinematics
+from vergence.geometry.joints import Joint
+from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics
 from vergence.geometry.neck import NECK_JOINTS, Neck, T_body_head
 from vergence.geometry.se3 import inverse, pose, rotation, rotvec
 from vergence.interchange import urdf

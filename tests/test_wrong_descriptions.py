@@ -12,7 +12,8 @@ from lens_monte_carlo import NOISE, recording
 from vergence.calibration.calibrate import calibrate
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
-from vergence.geometry.kinematics import EYES, Joint, Kinematics, Side
+from vergence.geometry.joints import Joint
+from vergence.geometry.kinematics import EYES, Kinematics, Side
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("two_folds")]
 

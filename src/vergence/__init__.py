@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from vergence.geometry.board import Charuco, Chessboard
     from vergence.geometry.camera import Camera
     from vergence.geometry.head import HeadCalibration, MountedCamera, load_head, save_head
-    from vergence.geometry.kinematics import Joint, Kinematics
+    from vergence.geometry.joints import Joint
+    from vergence.geometry.kinematics import Kinematics
     from vergence.geometry.projection import project_point
     from vergence.interchange.formats import export_head, import_head
     from vergence.stereo.dense_depth import DenseDepth, dense_depth, point_cloud
@@ -95,7 +96,8 @@ _HOMES = {
     "geometry.board": ("Charuco", "Chessboard"),
     "geometry.camera": ("Camera",),
     "geometry.head": ("HeadCalibration", "MountedCamera", "load_head", "save_head"),
-    "geometry.kinematics": ("Joint", "Kinematics"),
+    "geometry.joints": ("Joint",),
+    "geometry.kinematics": ("Kinematics",),
     "geometry.projection": ("project_point",),
     "interchange.formats": ("export_head", "import_head"),
     "stereo.dense_depth": ("DenseDepth", "dense_depth", "point_cloud"),

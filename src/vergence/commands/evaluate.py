@@ -13,7 +13,8 @@ from vergence.arrays import Array
 from vergence.commands.truth import Truth
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYES, Joint, Kinematics, Side
+from vergence.geometry.joints import Joint
+from vergence.geometry.kinematics import EYES, Kinematics, Side
 from vergence.geometry.parameters import boxminus, without_offsets
 from vergence.geometry.se3 import angle, inverse
 

@@ -15,15 +15,8 @@ from vergence.arrays import Vector3
 from vergence.geometry.board import Charuco, Chessboard
 from vergence.geometry.camera import MAX_IMAGE_PX, Camera, check_image_size
 from vergence.geometry.head import MAX_CAMERAS, check_camera_name
-from vergence.geometry.kinematics import (
-    AXIS_NAMES,
-    EYE_JOINTS,
-    EYES,
-    Joint,
-    Kinematics,
-    Side,
-    pan_tilt,
-)
+from vergence.geometry.joints import Joint
+from vergence.geometry.kinematics import AXIS_NAMES, EYE_JOINTS, EYES, Kinematics, Side, pan_tilt
 from vergence.geometry.neck import NECK_JOINTS
 
 DESCRIPTION, FRAMES = "dataset.json", "frames.csv"

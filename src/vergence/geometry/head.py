@@ -21,15 +21,8 @@ from pydantic.dataclasses import dataclass
 from vergence.arrays import Array, Matrix, Transform
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera
-from vergence.geometry.kinematics import (
-    EYES,
-    Joint,
-    Kinematics,
-    Side,
-    T_base_eye,
-    pan_tilt,
-    reading_kinds,
-)
+from vergence.geometry.joints import Joint
+from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye, pan_tilt, reading_kinds
 from vergence.geometry.neck import Neck, T_body_head
 from vergence.geometry.parameter_names import names_of
 from vergence.geometry.se3 import inverse, pose

@@ -2,7 +2,7 @@
 
 For each camera fx, fy, cx, cy [px], the coefficients of its lens model (see geometry.lens) and the
 6 increments of T_eye_cam; the 6 increments of T_rbase_lbase; for each eye the errors of its joints
-(`kinematics.joint_parameters`), such as left.pan_gain; the time offset [s]. Poses change by
+(`joints.joint_parameters`), such as left.pan_gain; the time offset [s]. Poses change by
 `se3.boxplus`: rotation [rad], then translation [m], along the axes of the frame they map into.
 """
 
@@ -19,7 +19,8 @@ from vergence.errors import VergenceError
 from vergence.geometry import se3
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, MountedCamera
-from vergence.geometry.kinematics import EYES, change_joints, joint_value
+from vergence.geometry.joints import change_joints, joint_value
+from vergence.geometry.kinematics import EYES
 from vergence.geometry.parameter_names import PINHOLE, POSE, names_of
 from vergence.geometry.se3 import inverse, pose, rotation
 

@@ -5,7 +5,7 @@ cameras:  by name  eye, image_width, image_height, camera_matrix (3x3),
                    numbers; rational: with 8; fisheye: cv2.fisheye.projectPoints),
                    distortion_coefficients (1xn), T_eye_cam (4x4)
 T_rbase_lbase (4x4)
-kinematics: readings, and for left and right by joint the fields of kinematics.Joint
+kinematics: readings, and for left and right by joint the fields of joints.Joint
 neck:     axes (nx3), points_m (nx3), head_m (1x3)
 time_offset_s
 """
@@ -26,7 +26,8 @@ from pydantic import BaseModel, BeforeValidator, Field, FiniteFloat
 
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, MountedCamera
-from vergence.geometry.kinematics import EYES, Joint, Kinematics, Side, pan_tilt
+from vergence.geometry.joints import Joint
+from vergence.geometry.kinematics import EYES, Kinematics, Side, pan_tilt
 from vergence.geometry.lens import CameraModel
 from vergence.geometry.neck import Neck
 from vergence.interchange.serialization import (

@@ -19,7 +19,8 @@ from vergence.errors import VergenceError
 from vergence.geometry.board import Charuco
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, MountedCamera, T_head_base, pair_names
-from vergence.geometry.kinematics import EYES, Joint, Kinematics, Side
+from vergence.geometry.joints import Joint
+from vergence.geometry.kinematics import EYES, Kinematics, Side
 from vergence.geometry.neck import NECK_JOINTS, Neck
 from vergence.geometry.se3 import pose, rotation
 from vergence.twin.profile import ErrorProfile, Lens

@@ -9,7 +9,8 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYE_JOINTS, EYES, Joint, Kinematics, Side
+from vergence.geometry.joints import Joint
+from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side
 from vergence.twin.profile import Joints
 
 

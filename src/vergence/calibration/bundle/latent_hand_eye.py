@@ -23,7 +23,8 @@ from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, MountedCamera
-from vergence.geometry.kinematics import Joint, Kinematics, T_base_eye, check_turns, pan_tilt
+from vergence.geometry.joints import Joint
+from vergence.geometry.kinematics import Kinematics, T_base_eye, check_turns, pan_tilt
 from vergence.geometry.parameter_names import POSE, intrinsics_names
 from vergence.geometry.parameters import change_named, parameter_names
 from vergence.geometry.se3 import boxminus, check_rigid

@@ -15,7 +15,8 @@ from vergence.arrays import Array
 from vergence.calibration.bundle.problem import BundleProblem, BundleState, head_size
 from vergence.calibration.bundle.solver import LinearProblem, NoiseLevels, factorise, project_onto
 from vergence.calibration.sequential.lens_prior import EQUIDISTANT
-from vergence.geometry.kinematics import EYES, joint_parameters
+from vergence.geometry.joints import joint_parameters
+from vergence.geometry.kinematics import EYES
 from vergence.geometry.lens import CameraModel
 
 ROTATION_RAD = 0.05

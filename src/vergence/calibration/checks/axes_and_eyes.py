@@ -10,7 +10,8 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYES, parallel_distance_m, straight_gaze
+from vergence.geometry.joints import parallel_distance_m
+from vergence.geometry.kinematics import EYES, straight_gaze
 from vergence.geometry.se3 import angle
 from vergence.stereo.extrinsics import stereo_cameras
 

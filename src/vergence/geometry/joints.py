@@ -1,0 +1,220 @@
+"""The revolute joints of an eye: their axes, how real ones differ from the design, their chain."""
+
+from __future__ import annotations
+
+from dataclasses import field
+from functools import lru_cache
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass
+
+from vergence.arrays import Array, Vector3, replace_unchecked
+from vergence.geometry import se3
+from vergence.geometry.chain import Chain
+from vergence.geometry.se3 import rotation
+
+_LARGEST = 1e3
+"""Largest gain, factor, offset [rad] or length [m] of a joint."""
+_Number = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST)]
+_Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,40}$")]
+ReadingName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_:()/ -]{0,60}$")]
+MAX_POINT_M = 5.0
+"""Farthest point on an eye's joint; one that is farther away was probably given in millimetres."""
+PARALLEL = 0.1
+"""Sine of the angle between successive axes below which they count as parallel."""
+
+
+@dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid", allow_inf_nan=False))
+class Joint:
+    """A revolute joint of an eye: as designed, and how the real one differs.
+
+    angle = gain * (sum of factor * reading) + offset. The common normal of two successive axes is
+    (own axis) x (axis before); along it, and about it, one axis may be off against the other
+    (Denavit and Hartenberg, 1955). That of parallel axes leads from the axis before to the own one;
+    such an axis may also be inclined in the plane of both, and slides with the one before (Hayati,
+    1983).
+    """
+
+    name: _Name
+    axis: Vector3
+    """Unit vector in the eye's base, with every joint at zero."""
+    readings: dict[ReadingName, _Number]
+    """By reading its factor."""
+    point_m: Vector3 = field(default_factory=lambda: np.zeros(3))
+    """A point on the axis, in the eye's base."""
+    gain: _Number = 1.0
+    offset_rad: _Number = 0.0
+    nonorthogonality_rad: _Number = 0.0
+    """Turn of the axis about the common normal; for a tilt behind a pan: out of the plane that is
+    perpendicular to the pan axis."""
+    axis_distance_m: _Number = 0.0
+    """Shift along the common normal, of this joint and all behind it; for a tilt behind a pan: how
+    far it lies ahead (+x) of the pan axis, which it should intersect."""
+    slide_m: _Number = 0.0
+    """Shift along the axis, of this joint and all behind it."""
+    inclination_rad: _Number = 0.0
+    """Turn of an axis, parallel to the one before, about (own axis) x (common normal), in their
+    plane."""
+
+    def __post_init__(self) -> None:
+        if abs(np.linalg.norm(self.axis) - 1) > 1e-6:
+            length = np.linalg.norm(self.axis)
+            raise ValueError(f"the axis of joint {self.name} is a unit vector, found {length:.6g}")
+        if np.abs(self.point_m).max() > MAX_POINT_M:
+            raise ValueError(f"point_m of joint {self.name} is in metres, found {self.point_m}")
+        if not any(self.readings.values()):
+            raise ValueError(f"no reading moves joint {self.name}")
+
+
+def _parallel(before: Joint, joint: Joint) -> bool:
+    """Return whether two successive axes are parallel."""
+    return _designed(*_lines(before, joint))[0]
+
+
+def parallel_distance_m(before: Joint, joint: Joint) -> float | None:
+    """Return how far a joint's axis is designed to be from the one before; None: not parallel."""
+    return float(np.linalg.norm(_between(before, joint))) if _parallel(before, joint) else None
+
+
+def _between(before: Joint, joint: Joint) -> Array:
+    """Return the vector (3,) [m] from a parallel axis before to that of a joint."""
+    return _off_axis(joint.point_m - before.point_m, joint.axis)
+
+
+def _off_axis(apart: Array, axis: Array) -> Array:
+    return apart - apart @ axis * axis
+
+
+def _normal(before: Joint, joint: Joint) -> Array:
+    """Return the unit vector (3,) of the common normal of two successive axes."""
+    return _designed(*_lines(before, joint))[1]
+
+
+_Numbers = tuple[float, ...]
+
+
+def _lines(before: Joint, joint: Joint) -> list[_Numbers]:
+    return [tuple(each.axis.tolist() + each.point_m.tolist()) for each in (before, joint)]
+
+
+@lru_cache(maxsize=256)
+def _designed(before: _Numbers, own: _Numbers) -> tuple[bool, Array]:
+    """Return whether two axes are parallel, and the unit vector (3,) of their common normal.
+
+    Given are directions and points. Remembered, since joints that an estimate changes many times a
+    second keep their design.
+    """
+    (first, start), (axis, point) = (np.reshape(each, (2, 3)) for each in (before, own))
+    normal = se3.cross(axis, first)
+    parallel = bool(np.linalg.norm(normal) < PARALLEL)
+    if parallel:
+        normal = _off_axis(point - start, axis)
+    length = np.linalg.norm(normal)
+    return parallel, normal / length if length > 0 else normal
+
+
+def _inclines_about(before: Joint, joint: Joint) -> Array:
+    """Return the unit vector (3,) about which a joint's inclination turns its axis."""
+    normal = _normal(before, joint)
+    return rotation(joint.nonorthogonality_rad * normal) @ se3.cross(joint.axis, normal)
+
+
+def eye_chain(joints: tuple[Joint, ...], readings: tuple[str, ...]) -> Chain:
+    """Return the chain of joints, with their errors, moved by readings of these names."""
+    n = len(joints)
+    axes, points, mixing = np.empty((n, 3)), np.empty((n, 3)), np.zeros((n, len(readings)))
+    shift = np.zeros(3)
+    for k, joint in enumerate(joints):
+        axes[k] = joint.axis
+        if k:
+            normal = _normal(joints[k - 1], joint)
+            if joint.nonorthogonality_rad:
+                axes[k] = rotation(joint.nonorthogonality_rad * normal) @ joint.axis
+            if joint.inclination_rad:
+                about = _inclines_about(joints[k - 1], joint)
+                axes[k] = rotation(joint.inclination_rad * about) @ axes[k]
+            shift = shift + joint.axis_distance_m * normal + joint.slide_m * joint.axis
+        points[k] = joint.point_m + shift
+        for name, factor in joint.readings.items():
+            mixing[k, readings.index(name)] = joint.gain * factor
+    offset = np.array([joint.offset_rad for joint in joints])
+    return Chain(axes, points, points[-1] if n else np.zeros(3), mixing, offset)
+
+
+def joint_parameters(joints: tuple[Joint, ...]) -> list[tuple[int, str]]:
+    """Return what may differ of joints from their design: the number of each joint, and a name.
+
+    Of a joint with several readings the factor of each takes the place of a gain of all. Slides of
+    the first and the last joint are left out: they shift the eye's base, and the cameras in the
+    eye; successive parallel axes have one slide. The first axis has no errors: it defines the base.
+    """
+    found, n = [], len(joints)
+    parallel = [0 < k < n and _parallel(joints[k - 1], joints[k]) for k in range(n + 1)]
+    for k in range(n):
+        several = list(joints[k].readings) if len(joints[k].readings) > 1 else []
+        found += [(k, f"factor_{name}") for name in several] or [(k, "gain")]
+        found.append((k, "offset_rad"))
+        if k:
+            found += [(k, "nonorthogonality_rad"), (k, "axis_distance_m")]
+        if parallel[k]:
+            found.append((k, "inclination_rad"))
+        elif k > 0 and parallel.index(False, k + 1) < n:
+            found.append((k, "slide_m"))
+    return found
+
+
+def joint_value(joint: Joint, name: str) -> float:
+    """Return one of the numbers that joint_parameters names."""
+    if name.startswith("factor_"):
+        return joint.readings[name.removeprefix("factor_")]
+    return getattr(joint, name)
+
+
+def change_joints(joints: tuple[Joint, ...], change: Array) -> tuple[Joint, ...]:
+    """Return joints whose errors are changed by (a,), in the order of joint_parameters.
+
+    ValueError if they change by more than any joint has.
+    """
+    if np.abs(change).max(initial=0.0) > _LARGEST:
+        raise ValueError(f"the numbers of a joint change by {_LARGEST:g} at most, found {change}")
+    own: list[dict[str, Any]] = [{"readings": dict(joint.readings)} for joint in joints]
+    for (k, name), value in zip(joint_parameters(joints), change.tolist(), strict=True):
+        into = own[k]["readings"] if name.startswith("factor_") else own[k]
+        into[name.removeprefix("factor_")] = joint_value(joints[k], name) + value
+    return tuple(replace_unchecked(joint, **new) for joint, new in zip(joints, own, strict=True))
+
+
+class JointError(NamedTuple):
+    """One of the errors of an eye's joints: of an angle, or of an axis."""
+
+    joint: int
+    mixing: list[tuple[int, float]]
+    """Readings that change an angle, and by how much: it is constant + mixing @ readings."""
+    constant: float
+    direction: list[float] | None
+    """Direction that an axis is turned about or shifted along."""
+    tilts: bool
+
+
+def joint_errors(joints: tuple[Joint, ...], names: tuple[str, ...]) -> tuple[JointError, ...]:
+    """Return the errors of joints in the order of joint_parameters."""
+    found = []
+    for k, name in joint_parameters(joints):
+        joint, mixing, direction = joints[k], {}, None
+        if name == "gain":
+            mixing = joint.readings
+        elif name.startswith("factor_"):
+            mixing = {name.removeprefix("factor_"): joint.gain}
+        elif name == "slide_m":
+            direction = joint.axis.tolist()
+        elif name == "inclination_rad":
+            direction = _inclines_about(joints[k - 1], joint).tolist()
+        elif name != "offset_rad":
+            direction = _normal(joints[k - 1], joint).tolist()
+        terms = [(names.index(one), float(factor)) for one, factor in mixing.items()]
+        constant = float(name == "offset_rad")
+        tilts = name in ("nonorthogonality_rad", "inclination_rad")
+        found.append(JointError(k, terms, constant, direction, tilts))
+    return tuple(found)
