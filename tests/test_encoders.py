@@ -1,5 +1,6 @@
 """Readings and images that do not belong together are never calibrated without a word."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from head_kinds import head_of
 from simulated_recording import POINTS, Noise, Recording, record
 from test_other_heads import recorded as recorded_of
 from vergence.calibration.calibrate import calibrate
@@ -16,8 +18,9 @@ from vergence.calibration.checks.encoders import check_encoders
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
+from vergence.geometry.joints import parallel_distance_m
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side, pan_tilt
-from vergence.geometry.parameters import boxminus
+from vergence.geometry.parameters import boxminus, change_named
 from vergence.geometry.se3 import pose, rotation
 from vergence.vision.board_pose import board_poses
 
@@ -206,6 +209,19 @@ def test_a_head_whose_eyes_are_not_side_by_side_is_doubted():
     (said,) = doubts(above)
     assert said.startswith("T_rbase_lbase puts the left eye 10 mm to the left of the right one,")
     assert doubts(truth) == []
+
+
+def test_parallel_axes_on_the_wrong_side_of_each_other_are_doubted():
+    """Of two tilts whose readings are exchanged, the second comes out behind the first."""
+    head = head_of("neck tilt, tilt, pan", np.random.default_rng(0))
+    neck, tilt, _ = head.kinematics.eyes["left"]
+    apart_m = parallel_distance_m(neck, tilt)
+    assert apart_m is not None
+    said, *_ = doubts(change_named(head, ["left.tilt_axis_distance_m"], np.array([-2 * apart_m])))
+    assert re.match(
+        "The tilt axis of the left eye stands .* mm on the other side of its neck_tilt axis", said
+    )
+    assert doubts(head) == []
 
 
 @given(st.integers(0, 10**6))

@@ -147,7 +147,7 @@ def test_features_are_tracked_to_postures_that_are_far_enough_and_new():
 @pytest.mark.slow
 def test_stated_covariances_are_true_where_features_are_tracked():
     nominal, of_head, degrees = head_of(1), 0.0, 0
-    for seed in range(12):
+    for seed in range(8):
         rng = np.random.default_rng(seed)
         state = begin(nominal)
         truth = drawn_head(state, rng)
@@ -156,7 +156,7 @@ def test_stated_covariances_are_true_where_features_are_tracked():
         of_head += squared_distance(state, truth)
         degrees += len(state.names)
     # Simulated features share no errors, for which the variance is inflated: distances are about
-    # two thirds, which twelve heads leave uncertain by a tenth of them.
+    # two thirds, which eight heads leave uncertain by an eighth of them.
     assert 0.45 < of_head / degrees < 1.3
 
 
