@@ -148,8 +148,9 @@ def test_a_time_between_frames_that_is_none_is_refused(elapsed_s):
 def test_readings_that_are_noisier_than_was_told_do_not_make_the_head_seem_better_known():
     told, wrongly = (learned(16, joint_std_deg=0.6, told_deg=deg) for deg in (0.6, 0.15))
     assert wrongly.joint_std_rad == pytest.approx(np.radians(0.6), rel=0.3)
-    stds = [np.sqrt(np.diag(state.covariance)) for state in (told, wrongly)]
-    assert np.median(stds[1] / stds[0]) == pytest.approx(1, abs=0.1)
+    variances = [np.diag(state.covariance) for state in (told, wrongly)]
+    # Where the first frames count by the noise that was told, the least ratio is 0.36.
+    assert (variances[1] / variances[0]).min() > 0.7
 
 
 def test_a_few_matches_report_no_change_however_well_they_fit_one():

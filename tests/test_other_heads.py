@@ -42,6 +42,12 @@ def recorded(
     return truth, record(truth, rng, how)
 
 
+def assert_within_stated(found: CalibrationResult, truth: HeadCalibration) -> None:
+    """Every parameter is right to four of its stated standard deviations."""
+    error, std = boxminus(found.head, truth), np.sqrt(np.diag(found.accuracy.covariance))
+    assert max(abs(error[n]) / s for n, s in zip(found.accuracy.parameters, std, strict=True)) < 4
+
+
 def assert_near(found: CalibrationResult, truth: HeadCalibration) -> None:
     for name, value in boxminus(found.head, truth).items():
         if "T_" in name:
@@ -123,9 +129,7 @@ def test_bases_of_measured_poses_may_stand_anywhere(turned_rad: float):
         T_base_eye=np.stack([T, T_rbase_lbase @ T], axis=1),
     )
     found = calibrate(seen)
-    std = np.sqrt(np.diag(found.accuracy.covariance))
-    error = boxminus(found.head, truth)
-    assert max(abs(error[n]) / s for n, s in zip(found.accuracy.parameters, std, strict=True)) < 4
+    assert_within_stated(found, truth)
     assert found.accuracy.void == ()
 
 
@@ -177,9 +181,7 @@ def test_eyes_may_see_one_board_at_rest_one_after_the_other():
     seen.corners["left_wide"][::2] = np.nan
     seen.corners["right_wide"][1::2] = np.nan
     found = calibrate(seen)
-    std = np.sqrt(np.diag(found.accuracy.covariance))
-    error = boxminus(found.head, truth)
-    assert max(abs(error[n]) / s for n, s in zip(found.accuracy.parameters, std, strict=True)) < 4
+    assert_within_stated(found, truth)
     assert found.accuracy.void == ()
     assert found.warnings[-1].startswith("There is no held-out error: no view shows the board to")
     with pytest.raises(VergenceError, match="no placement of the board is seen by both"):
