@@ -14,7 +14,7 @@ from vergence.self_calibration.sequence import (
     SeenGeometry,
     after_frame,
     initial_seen_geometry,
-    known_at,
+    just_before,
     update_geometry,
 )
 from vergence.self_calibration.state import (
@@ -52,7 +52,8 @@ class Comparison:
         """Locate the object in a sample, by its pixels (2,) in both images, at a time [s]."""
         left, right = self.states[SINGLE].cameras
         first = self_calibrate_frame(self.states[SINGLE], images[left], images[right], joints)
-        known = {LEARNED: known_at(self.learning, t), **self.states}
+        self.learning = just_before(self.learning, t)
+        known = {LEARNED: self.learning.known, **self.states}
         for method, state in known.items():
             seen = first
             if method != SINGLE:
@@ -63,7 +64,7 @@ class Comparison:
             self.points[method].append(found.xyz[0])
             self.stds[method].append(float(np.sqrt(found.covariance[0, 0, 0])))
             if method == LEARNED:
-                self.learning = after_frame(self.learning, seen, t, _NECK)
+                self.learning = after_frame(self.learning, seen, _NECK)
 
 
 def comparison(

@@ -273,6 +273,7 @@ def next_keyframe(
     left, right = seen.matches.left[fits], seen.matches.right[fits]
     return Keyframe(
         readings=seen.readings,
+        # Copies, since a driver may write the next images into the same arrays.
         images=None if seen.images is None else (seen.images[0].copy(), seen.images[1].copy()),
         joints=joints,
         covariance=C[P : P + r, P : P + r],

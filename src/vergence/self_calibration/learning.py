@@ -43,7 +43,7 @@ _CHANGES = (BUMP, UNCALIBRATED)
 """How far a bump, or an uncalibrated head, may be from what was known before a frame."""
 _CHANGE_MATCHES = 50.0
 """Matches of a frame that fit a change at least, and most of them: a few wrong ones always fit some
-head. Rooms show ten times as many."""
+head. Rooms show 370 and more."""
 _CHANGE_EVIDENCE = 2 * np.log(1e5)
 """Twice the logarithm of how much likelier a change must make the window: it is rare."""
 

@@ -47,7 +47,7 @@ class SeenGeometry:
     """What is known of a head after some frames."""
 
     known: SelfCalibration
-    """What persists, learned from all frames so far."""
+    """What persists at the latest frame: learned from all frames so far, with the drift since."""
     latest: FrameEstimate | None = None
     """Head and joint angles at the latest frame, with what was known before it; None: no frame."""
     time_s: float | None = None
@@ -98,8 +98,9 @@ def update_geometry(
     left, right = (frame.images[name] for name in cameras)
     before = _keyframe_while_neck_rests(before, frame.neck_angles)
     joints = frame.eye_angles if joints is None else joints
-    latest = self_calibrate_frame(known_at(before, frame.time_s), left, right, joints)
-    return after_frame(before, latest, frame.time_s, frame.neck_angles)
+    before = just_before(before, frame.time_s)
+    latest = self_calibrate_frame(before.known, left, right, joints)
+    return after_frame(before, latest, frame.neck_angles)
 
 
 def _keyframe_while_neck_rests(before: SeenGeometry, neck: Array) -> SeenGeometry:
@@ -110,38 +111,34 @@ def _keyframe_while_neck_rests(before: SeenGeometry, neck: Array) -> SeenGeometr
     return before if rests else replace(before, known=replace(before.known, keyframe=None))
 
 
-def known_at(before: SeenGeometry, time_s: float) -> SelfCalibration:
-    """Return what is known just before a frame at a time [s]: the head may have drifted since.
+def just_before(before: SeenGeometry, time_s: float) -> SeenGeometry:
+    """Return the geometry just before a frame at a time [s]: the head may have drifted meanwhile.
 
     VergenceError if the time is not finite.
     """
-    elapsed_s = 0.0 if before.learned_s is None else time_s - before.learned_s
-    return drifted(before.known, max(elapsed_s, 0.0))
+    elapsed_s = 0.0 if before.time_s is None else max(time_s - before.time_s, 0.0)
+    return replace(before, known=drifted(before.known, elapsed_s), time_s=time_s)
 
 
-def after_frame(
-    before: SeenGeometry, latest: FrameEstimate, time_s: float, neck: Array
-) -> SeenGeometry:
+def after_frame(before: SeenGeometry, latest: FrameEstimate, neck: Array) -> SeenGeometry:
     """Return the geometry after a frame that was estimated with what was known before it.
 
-    A frame in which too little was seen teaches nothing; the next that does counts for the time
-    since the last that did.
+    A frame in which too little was seen teaches nothing.
 
     Args:
-        before: after the frame before.
-        latest: the frame, of `frame.self_calibrate_frame` with `known_at`.
-        time_s: when it was taken [s].
+        before: `just_before` the frame.
+        latest: the frame, of `frame.self_calibrate_frame`.
         neck: (3,) readings of the neck [rad].
     """
-    known, joints = without_reports(before.known), latest.readings
-    if before.learned_s is None or before.learned_at is None:
+    known, time_s, joints = without_reports(before.known), before.time_s, latest.readings
+    if time_s is None or before.learned_s is None or before.learned_at is None:
         return SeenGeometry(known, latest, time_s, time_s, joints, neck)
     elapsed_s = time_s - before.learned_s
     at_rest = np.abs(joints - before.learned_at).max() < MOVED_RAD
     nothing_seen = latest.evidence is None
     if at_rest or nothing_seen or 0 < elapsed_s < LEARNING_S - _SLACK_S:
-        return replace(before, known=known, latest=latest, time_s=time_s)
-    learned = learn(known_at(before, time_s), latest)
+        return replace(before, known=known, latest=latest)
+    learned = learn(known, latest)
     key, last = learned.keyframe, known.keyframe
     same = key is not None and last is not None and key.images is last.images
     at_keyframe = before.keyframe_neck if same else neck
