@@ -7,6 +7,7 @@ of stereo pairs" (2000); the lens is undone by the map, so any lens model will d
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -143,7 +144,7 @@ def rectify(
     if _overlap(*views) < LEAST_OVERLAP:
         raise _apart(cameras)
     whole = _matrix(looks, own_px, own_size)
-    shown = _share_shown(lenses, T_rcam_lcam, R_rect_lcam, whole, own_size)
+    shown = _share_shown(views, T_rcam_lcam, whole, own_size)
     if shown < LEAST_SHOWN:
         raise VergenceError(
             f"A rectified pair would show {shown:.0%} of what both images show at this posture, in "
@@ -167,39 +168,28 @@ def _matrix(looks: Array, focal_px: float, size: tuple[int, int]) -> Array:
 
 
 def _share_shown(
-    lenses: tuple[Camera, Camera],
-    T_rcam_lcam: Array,
-    R_rect_lcam: Array,
-    matrix: Array,
-    size: tuple[int, int],
+    views: Sequence[RectifiedView], T_rcam_lcam: Array, matrix: Array, size: tuple[int, int]
 ) -> float:
     """Return the share of the points that both images show of which both rectified ones do too.
 
     Of points on the rays of a grid of the left image's pixels; 1 where there are none.
     """
-    left, right = lenses
+    left, right = (view.camera for view in views)
     u, v = (np.linspace(0, n - 1, _GRID) for n in (left.width, left.height))
-    xy = normalise(left, np.stack(np.meshgrid(u, v), axis=-1))
-    rays = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
-    baseline = inverse(T_rcam_lcam)[:3, 3]
-    points = rays * (np.linalg.norm(baseline) * _DISTANCES)[:, None, None, None]
-    both = _inside(right, transform(T_rcam_lcam, points))
+    here = np.stack(np.meshgrid(u, v), axis=-1)
+    distances = np.linalg.norm(T_rcam_lcam[:3, 3]) * _DISTANCES
+    points = _rays(left, here) * distances[:, None, None, None]
+    there = _pixels(right, transform(T_rcam_lcam, points))
+    both = _within(there, (right.width, right.height))
     shown = both.copy()
-    for centre in (np.zeros(3), baseline):
-        x, y, z = np.moveaxis((points - centre) @ R_rect_lcam.T @ matrix.T, -1, 0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            u, v = x / z, y / z
-        shown &= (z > 0) & (u >= 0) & (u <= size[0] - 1) & (v >= 0) & (v <= size[1] - 1)
+    for view, pixels in zip(views, (here, there), strict=True):
+        shown &= _within(_rectified(view, matrix, pixels), size)
     return float(shown.sum() / both.sum()) if both.any() else 1.0
 
 
-def _inside(camera: Camera, points_cam: Array) -> np.ndarray:
-    """Return (...,) whether an image shows points (..., 3) in frame cam."""
-    x, y, z = np.moveaxis(points_cam, -1, 0)
-    within = (z > 0) & (x * x + y * y < reach(camera.model, camera.coefficients) * z * z)
-    ends = np.array([camera.width, camera.height]) - 1
-    pixels = project(camera, points_cam)
-    return within & ((pixels >= 0) & (pixels <= ends)).all(axis=-1)
+def _within(pixels: Array, size: tuple[int, int]) -> np.ndarray:
+    """Return (...,) whether pixels (..., 2) are in an image of a width and a height."""
+    return np.asarray(((pixels >= 0) & (pixels <= np.array(size) - 1)).all(axis=-1))
 
 
 def known_posture(head: HeadCalibration, joints: ArrayLike) -> Array:
@@ -269,7 +259,13 @@ def _cubic(n: int) -> np.ndarray:
 
 def _where(camera: Camera, R_rect_cam: Array, matrix: Array, u: np.ndarray, v: np.ndarray) -> Array:
     """Return where (..., 2) in the real image rectified pixels are; _OUTSIDE: nowhere."""
-    rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(matrix).T @ R_rect_cam
+    return _pixels(
+        camera, np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(matrix).T @ R_rect_cam
+    )
+
+
+def _pixels(camera: Camera, rays: Array) -> Array:
+    """Return where (..., 2) an image shows points (..., 3) in frame cam; _OUTSIDE: nowhere."""
     x, y, z = np.moveaxis(rays, -1, 0)
     # Beyond its reach a lens model folds over.
     good = (z > 0) & (x * x + y * y < reach(camera.model, camera.coefficients) * z * z)
@@ -317,10 +313,19 @@ def rectified_pixels(pair: RectifiedPair, view: RectifiedView, pixels: Array) ->
 
     The difference of a point's columns, left minus right, is its disparity; its rows are the same.
     """
-    xy = normalise(view.camera, pixels)
-    rays = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1) @ view.R_rect_cam.T
+    return _rectified(view, pair.matrix, pixels)
+
+
+def _rectified(view: RectifiedView, matrix: Array, pixels: Array) -> Array:
+    rays = _rays(view.camera, pixels) @ view.R_rect_cam.T
     z = np.where(rays[..., 2:] > 0, rays[..., 2:], np.nan)
-    return (rays / z @ pair.matrix.T)[..., :2]
+    return (rays / z @ matrix.T)[..., :2]
+
+
+def _rays(camera: Camera, pixels: Array) -> Array:
+    """Return the points (..., 3) in frame cam at depth 1 that pixels (..., 2) show."""
+    xy = normalise(camera, pixels)
+    return np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
 
 
 def rectified_points(pair: RectifiedPair, pixels: Array, disparity: Array) -> Array:
