@@ -12,7 +12,7 @@ from vergence.geometry.camera import pinhole
 from vergence.geometry.components import components, pose_components, stacked
 from vergence.geometry.eye_motion import eye_linearised
 from vergence.geometry.head import HeadCalibration, MountedCamera
-from vergence.geometry.kinematics import Kinematics
+from vergence.geometry.kinematics import Kinematics, least_readings, turn_by_readings
 from vergence.geometry.projection import projected
 
 _UNIT_LENS = pinhole(1, 1, 1.0)  # its pixels are x/z and y/z
@@ -79,10 +79,9 @@ def _centre(
         cameras[name] = replace(calibration.camera(name), intrinsics=_UNIT_LENS)
         chain = kinematics.chains[cameras[name].eye]
         turns.append(turn - chain.offset_rad @ chain.axes)
-        maps.append((chain.axes.T @ chain.mixing)[:, used])
+        maps.append(turn_by_readings(chain)[:, used])
     readings = np.zeros((*usable.shape, len(kinematics.readings)))
-    start = np.concatenate(turns, axis=-1) @ np.linalg.pinv(np.concatenate(maps)).T
-    readings[..., used] = start
+    readings[..., used] = least_readings(np.concatenate(maps), np.concatenate(turns, axis=-1))
     reached = _CONVERGED if 2 * len(targets) <= len(used) else _COMPROMISE
     step = error = np.full(usable.shape, np.inf)[..., None]
     front = usable

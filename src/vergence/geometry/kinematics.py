@@ -160,13 +160,25 @@ def readings_to_turn(kinematics: Kinematics, turn: Array) -> Array:
     Along the axes of the head, to first order in the turn, and as nearly as the joints can without
     turning against each other about axes that are all but parallel.
     """
-    maps = [chain.axes.T @ chain.mixing for chain in kinematics.chains.values()]
-    by_reading = np.concatenate(maps)
+    maps = [turn_by_readings(chain) for chain in kinematics.chains.values()]
+    return least_readings(np.concatenate(maps), np.concatenate([turn, turn], axis=-1))
+
+
+def turn_by_readings(chain: Chain) -> Array:
+    """Return how readings turn an eye from where all joints are at zero (3, r), to first order."""
+    return chain.axes.T @ chain.mixing
+
+
+def least_readings(by_reading: Array, turn: Array) -> Array:
+    """Return the least readings (..., r) whose turns by_reading (n, r) come nearest to (..., n).
+
+    Nearest but for the directions of axes that are all but parallel, in which joints would turn
+    against each other.
+    """
     # By the turn that each reading makes, so that one before a gear counts as any other.
     size = np.linalg.norm(by_reading, axis=0)
     size[size == 0] = 1.0
-    inverse = np.linalg.pinv(by_reading / size, rcond=PARALLEL) / size[:, None]
-    return np.concatenate([turn, turn], axis=-1) @ inverse.T
+    return turn @ (np.linalg.pinv(by_reading / size, rcond=PARALLEL) / size[:, None]).T
 
 
 def eye_turn(kinematics: Kinematics, eye: Side, readings: Array) -> Array:
