@@ -236,7 +236,7 @@ def test_a_view_in_which_the_board_moved_is_named():
         middle = corners[20].mean(axis=0)
         corners[20] = (corners[20] - middle) @ turned + middle + [5, -8]
     said, *_ = bundle_adjust(start, observed, pixel_std_px=0.1, joint_std=1e-3).warnings
-    assert re.search(r"lost their weight: \d+ of them are in view 20, in which the board may", said)
+    assert re.search(r"lost their weight: \d+ of them are in view 20: the board may have", said)
 
 
 def test_an_estimate_without_a_minimum_ends_after_some_rounds_and_says_so(monkeypatch):
@@ -251,4 +251,4 @@ def test_an_estimate_without_a_minimum_ends_after_some_rounds_and_says_so(monkey
     _, observed, start = simulated(33, NOISY)
     (said,) = bundle_adjust(start, observed).void
     assert len(rounds) == adjustment.FAILURES
-    assert said.startswith("The estimate did not converge: no head as described fits the data;")
+    assert said.startswith("The estimate did not converge, as where no head of this description")

@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 
 import cv2
@@ -93,15 +94,15 @@ def _write_frames(folder: Path, description: Description, rows: Iterable[Dataset
     ):
         table = csv.DictWriter(file, description.columns, restval="", lineterminator="\n")
         table.writeheader()
-        before: _Line | None = None
-        first: dict[str, _Line] = {}  # of the file, and of each placement
+        first = before = None
+        of_placement: dict[str, _Line] = {}  # the first of each
         for number, row in enumerate(rows):
             _check_images(description, row.frame)
             now = number + 2, _cells(description, row)
-            before = before or now
-            start = first.get(str(row.placement), before)
-            _check_lines(description, dict((first.setdefault("", now), start, before, now)))
-            first.setdefault(str(row.placement), now)
+            first, before = first or now, before or now
+            same = of_placement.setdefault(str(row.placement), now)
+            # What the reader compares a row with: the first, the one before, and its placement's.
+            _check_lines(description, dict(sorted((first, same, before, now), key=itemgetter(0))))
             before = now
             images = {camera: f"images/{number:05d}_{camera}.png" for camera in row.frame.images}
             table.writerow(now[1] | images)

@@ -61,9 +61,7 @@ def per_pair(
 
     @wraps(find)
     def found(head: HeadCalibration, cameras: Pair) -> Found:
-        if cameras is not None and not isinstance(cameras, str):  # a str is refused as it is
-            cameras = tuple(cameras)  # pyright: ignore[reportAssignmentType]: counted later
-        return remembered(head, cameras)
+        return remembered(head, tuple(cameras) if isinstance(cameras, list) else cameras)
 
     return found
 

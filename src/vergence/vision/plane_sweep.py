@@ -44,7 +44,7 @@ def inverse_depths(
     others.
 
     Args:
-        first: (H, W) grey, uint8, with contrast over some `step_px`.
+        first: (H, W) grey, uint8, with contrast in the means over `step_px` pixels.
         second: the same, of about the same brightness and contrast.
         at: (N, 2) pixels of the first.
         focal: of both [px].

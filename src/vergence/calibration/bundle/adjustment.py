@@ -53,8 +53,9 @@ ROUGH_STEPS = 5
 ROUNDS = 40
 """Rounds of unknowns, noise and observability in turn, before an estimate has not converged."""
 FAILURES = 6
-"""Rounds without a minimum, after which the estimate has not converged. Where the data fit the head
-that is described there is none; where they do not, the next ones would take minutes."""
+"""Rounds without a minimum, after which the estimate has not converged. In 111 of 114 calibrations
+of the tests there was none, in the other three one, one and four; where the data do not fit the
+description, forty took minutes."""
 RELEASES = 2
 """How often fixed directions may be released again."""
 WEIGHINGS = 2

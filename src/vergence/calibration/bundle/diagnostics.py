@@ -35,8 +35,8 @@ NAMED = 0.3
 _WORDS = {f"r{axis}": f"rotation about {axis}" for axis in "xyz"}
 _WORDS |= {f"t{axis}": f"translation along {axis}" for axis in "xyz"}
 _UNCONVERGED = (
-    "The estimate did not converge: no head as described fits the data; check the description of "
-    "the joints, the order of their readings, and the size of the board."
+    "The estimate did not converge, as where no head of this description fits the data: check the "
+    "description of the joints, the order of their readings, and the size of the board."
 )
 
 
@@ -63,8 +63,8 @@ def warnings(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
         look = "look at the views with the largest residuals"
         if by_view.max() > lost / 2:
             look = (
-                f"{by_view.max():.0f} of them are in view {by_view.argmax()}, in which the board "
-                "may have moved, or its image be blurred"
+                f"{by_view.max():.0f} of them are in view {by_view.argmax()}: the board may have "
+                "moved, or the image may be blurred"
             )
         what, unit = "corners", f"{noise.pixel_px:.2g} px"
         if problem.measured is not None:
