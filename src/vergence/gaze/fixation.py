@@ -88,7 +88,8 @@ def _centre(
     for _ in range(_NEWTON_STEPS):
         found = [_off_centre(kinematics, cameras[name], readings, p) for name, p in points.items()]
         errors, jacobians, fronts = zip(*found, strict=True)
-        error, J = np.concatenate(errors, axis=-1), np.concatenate(jacobians, axis=-2)
+        error = np.concatenate(errors, axis=-1)
+        J: Array = np.concatenate(jacobians, axis=-2)
         step = _gauss_newton(J[..., used], error)
         now = readings[..., used]
         held = (np.abs(now) >= limits) & (now * step < 0)

@@ -14,6 +14,7 @@ Directions are given by x/z and y/z, so all models end at 90 degrees from the ax
 from __future__ import annotations
 
 import cmath
+from collections.abc import Iterable
 from functools import lru_cache
 from typing import Literal
 
@@ -117,6 +118,7 @@ def reach(model: CameraModel, k: Coefficients) -> float:
 
     Further out the lens folds over, or has a pole: pixels there belong to no direction.
     """
+    inverse: Iterable[complex]
     if model == "radial-tangential":
         k1, k2, _, _, k3 = k
         # Of 1 / r^2, where the slope is zero. Without k3, as most lenses are, a quadratic tells it,

@@ -121,6 +121,6 @@ def _reweighted(y: Array, A: Array, prior: Array, z: Array) -> Array:
     It begins at a change z.
     """
     for _ in range(_STEPS):
-        weighted = A * tukey_weights(y - A @ z)[:, None]
+        weighted: Array = A * tukey_weights(y - A @ z)[:, None]
         z = np.asarray(np.linalg.solve(weighted.T @ A + prior, weighted.T @ y), float)
     return z

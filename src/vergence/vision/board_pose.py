@@ -113,8 +113,9 @@ def refined_poses(camera: Camera, corners: Array, points: Array, T: Array) -> tu
 
     All views at once, by Levenberg and Marquardt's method; each has four corners or more.
     """
-    damping, lowest, best = np.full(len(T), 1e-6), np.full(len(T), np.inf), T
-    step = np.zeros((len(T), 6))
+    damping: Array = np.full(len(T), 1e-6)
+    lowest: Array = np.full(len(T), np.inf)
+    best, step = T, np.zeros((len(T), 6))
     kept: tuple[Array, Array] | None = None
     for _ in range(_REFINEMENTS):
         trial = boxplus(best, step)
@@ -122,7 +123,8 @@ def refined_poses(camera: Camera, corners: Array, points: Array, T: Array) -> tu
         cost = np.nan_to_num((errors**2).sum(axis=1), nan=np.inf)
         better = (cost <= lowest) & np.isfinite(cost)
         J_T = np.swapaxes(J, 1, 2)
-        H, g = J_T @ J, (J_T @ errors[..., None])[..., 0]
+        H: Array = J_T @ J
+        g: Array = (J_T @ errors[..., None])[..., 0]
         if kept is not None:
             H = np.where(better[:, None, None], H, kept[0])
             g = np.where(better[:, None], g, kept[1])

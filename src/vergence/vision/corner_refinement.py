@@ -191,9 +191,9 @@ def _fit_saddle_points(
     squares = np.stack([u * u, u * v, v * v], axis=-1)
     fit = np.linalg.pinv(np.concatenate([squares, strips, np.ones_like(strips[..., :1])], axis=-1))
     bent = strips + squares @ np.swapaxes(curvature, 1, 2)
-    refined = corners.copy()
-    step = np.zeros_like(corners)
-    asymmetry = np.zeros(len(corners))
+    refined: Array = corners.copy()
+    step: Array = np.zeros_like(corners)
+    asymmetry: Array = np.zeros(len(corners))
     for _ in range(ITERATIONS):
         at = (refined[:, None] + bent).transpose(2, 0, 1)[::-1]
         grey_levels = map_coordinates(spline, at, order=3, prefilter=False, mode="mirror")

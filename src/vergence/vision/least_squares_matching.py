@@ -230,11 +230,11 @@ def _positive_definite(matrices: np.ndarray) -> np.ndarray:
 
     Their eigenvalues would take three times as long.
     """
-    left = matrices.copy()
+    left: np.ndarray = matrices.copy()
     definite = np.ones(len(left), bool)
     for _ in range(left.shape[1]):
         pivot = left[:, :1, :1]
         definite &= pivot[:, 0, 0] > 0
-        row = left[:, :1, 1:] / np.where(definite[:, None, None], pivot, 1.0)
+        row: np.ndarray = left[:, :1, 1:] / np.where(definite[:, None, None], pivot, 1.0)
         left = left[:, 1:, 1:] - left[:, 1:, :1] @ row
     return definite
