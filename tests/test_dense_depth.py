@@ -19,7 +19,7 @@ from vergence.geometry.camera import normalise
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration, save_head
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics
-from vergence.geometry.se3 import inverse, transform
+from vergence.geometry.se3 import inverse, pose, transform
 from vergence.stereo.dense_depth import LEAST_STD_PX, dense_depth, point_cloud
 from vergence.stereo.rectification import RectifiedPair, rectify
 from vergence.twin import looking_around
@@ -112,6 +112,15 @@ def test_a_depth_too_near_for_the_cameras_is_refused(pair: RectifiedPair):
     image = np.zeros((480, 640, 3), np.uint8)
     with pytest.raises(VergenceError, match=r"nearest depth is from 0\.07 m"):
         dense_depth(HEAD, JOINTS, pair, image, image, nearest_m=0.01)
+
+
+def test_cameras_that_do_not_show_the_usual_nearest_depth_have_one_of_their_own():
+    apart = replace(HEAD, T_rbase_lbase=pose(t=[0.0, 0.6, 0.0]))
+    wide = rectify(apart, np.zeros(4))
+    image = np.zeros((480, 640, 3), np.uint8)
+    with pytest.raises(VergenceError, match=r"nearest depth is from 0\.45 m"):
+        dense_depth(apart, np.zeros(4), wide, image, image, nearest_m=0.3)
+    assert np.isnan(dense_depth(apart, np.zeros(4), wide, image, image).depth_m).all()
 
 
 def test_joints_that_are_not_known_are_refused(pair: RectifiedPair, drawn):
