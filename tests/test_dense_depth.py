@@ -216,6 +216,7 @@ def test_postures_that_cannot_be_rectified_are_left_out_of_the_depth_of_a_datase
     assert (done.pairs, done.left_out) == (1, 1)
     report = (tmp_path / "depth" / "report.md").read_text()
     assert "1 more cannot be rectified" in report
+    assert "None of these is at 0.5 to 1.5 m." in report
 
 
 def test_a_dataset_in_which_no_pair_can_be_rectified_is_refused(tmp_path):

@@ -264,7 +264,7 @@ def as_markdown(done: Summary) -> str:
         f"{done.pairs} {'pair' if done.pairs == 1 else 'pairs'}.{left_out * bool(done.left_out)} "
         f"{100 * done.matched:.0f} % of the rectified pixels have a depth, "
         f"{100 * done.textured:.0f} % one that texture determines well. "
-        f"{stated}",
+        f"{stated if np.isfinite(done.median_relative_std) else f'None of these is at {where}.'}",
         "",
     ]
     rows = [
