@@ -27,6 +27,7 @@ from vergence.geometry.se3 import pose, rotation
 from vergence.self_calibration import recorded as recorded_self_calibration
 from vergence.self_calibration.prior import MOVED, USUAL
 from vergence.self_calibration.recorded import self_calibrate_dataset
+from vergence.self_calibration.state import initial_self_calibration
 
 
 @pytest.fixture(scope="module")
@@ -131,6 +132,19 @@ def test_vergence_is_told_from_tilt_in_cameras_of_any_roll():
         for each in (np.zeros(4), joints)
     ]
     assert abs(at[1] - at[0]) == pytest.approx(0.07, abs=0.005)
+
+
+def test_changes_are_along_the_axes_of_the_standard_deviations_beside_them():
+    """Those of the bases and the eyes as they are, however far the offsets of the joints turn."""
+    eyes: dict[Side, tuple[Joint, ...]] = {
+        eye: pan_tilt(eye, pan_offset_rad=1.0, tilt_offset_rad=0.5) for eye in EYES
+    }
+    before = initial_self_calibration(replace(HEAD, kinematics=Kinematics(eyes)))
+    names = "T_rbase_lbase.ry", "left_wide.T_eye_cam.tx"
+    given = dict(zip(names, (0.01, 0.002), strict=True))
+    after = replace(before, head=change_named(before.head, names, np.array([0.01, 0.002])))
+    found = recorded_self_calibration._parameters(before, after)
+    assert all(each.change == pytest.approx(given.get(each.name, 0.0)) for each in found)
 
 
 def test_a_head_that_is_not_as_calibrated_is_learned_anew(recorded):

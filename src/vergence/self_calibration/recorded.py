@@ -12,7 +12,7 @@ from vergence.data.stereo_rows import stereo_rows
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, states_covariance
 from vergence.geometry.kinematics import straight_gaze
-from vergence.geometry.parameters import boxminus
+from vergence.geometry.parameters import change_between
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import rotvec
 from vergence.progress import Progress, silent
@@ -152,11 +152,11 @@ def _vergence(seen: FrameEstimate) -> float:
 
 
 def _parameters(before: SelfCalibration, after: SelfCalibration) -> tuple[LearnedParameter, ...]:
-    change = boxminus(after.head, before.head)
+    changes = change_between(after.head, before.head, before.names).tolist()
     stds = (np.sqrt(np.diag(state.covariance)) for state in (before, after))
     return tuple(
-        LearnedParameter(name, change[name], float(prior), float(std))
-        for name, prior, std in zip(before.names, *stds, strict=True)
+        LearnedParameter(name, change, float(prior), float(std))
+        for name, change, prior, std in zip(before.names, changes, *stds, strict=True)
     )
 
 
