@@ -141,7 +141,7 @@ def test_changes_are_along_the_axes_of_the_standard_deviations_beside_them():
     }
     before = initial_self_calibration(replace(HEAD, kinematics=Kinematics(eyes)))
     names = "T_rbase_lbase.ry", "left_wide.T_eye_cam.tx"
-    given = dict(zip(names, (0.01, 0.002), strict=True))
+    given: dict[str, float] = dict(zip(names, (0.01, 0.002), strict=True))
     after = replace(before, head=change_named(before.head, names, np.array([0.01, 0.002])))
     found = recorded_self_calibration._parameters(before, after)
     assert all(each.change == pytest.approx(given.get(each.name, 0.0)) for each in found)

@@ -21,6 +21,7 @@ from simulated_frames import (
     postures,
 )
 from simulated_matches import drawn_head, matches, room, squared_distance, turn_error_deg
+from vergence.errors import VergenceError
 from vergence.geometry.head import Accuracy, T_narrow_wide, load_head, save_head
 from vergence.geometry.parameter_names import PINHOLE
 from vergence.geometry.parameters import (
@@ -375,13 +376,14 @@ def test_the_first_frames_are_linearised_again_at_their_end_though_one_was_not_b
 
 
 def test_readings_without_stated_noise_are_given_the_usual_noise():
-    head = head_of(0)
-    for accuracy in (
-        Accuracy("paper", joint_std=(0.0,)),
-        Accuracy("bundle", joint_std=(1e-3, 1e-4), eye_motion="poses"),
-    ):
-        state = initial_self_calibration(replace(head, accuracy=accuracy))
-        assert state.joint_std_rad == pytest.approx(prior.JOINT_STD_RAD)
+    head = replace(head_of(0), accuracy=Accuracy("paper", joint_std=(0.0,)))
+    assert initial_self_calibration(head).joint_std_rad == pytest.approx(prior.JOINT_STD_RAD)
+
+
+def test_a_head_whose_joints_were_not_calibrated_is_refused():
+    measured = Accuracy("bundle", joint_std=(1e-3, 1e-4), eye_motion="poses")
+    with pytest.raises(VergenceError, match="nothing is known of its joints"):
+        initial_self_calibration(replace(head_of(0), accuracy=measured))
 
 
 def test_what_is_learned_from_a_void_calibration_is_void():

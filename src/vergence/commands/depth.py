@@ -141,8 +141,10 @@ def _moments(
     if refused[0] is not None and not chosen:
         raise refused[0]
 
+    before = initial_seen_geometry(head) if geometry == "seen" else None
+
     def read() -> Iterator[StereoImages]:
-        known = initial_seen_geometry(head) if geometry == "seen" else None
+        known = before
         for k in chosen if known is None else range(chosen[-1] + 1):
             frame = both.frame(k)
             known = None if known is None else update_geometry(known, frame)

@@ -206,7 +206,6 @@ def learned_head(state: SelfCalibration) -> HeadCalibration:
         covariance=np.asarray(block_diag(state.covariance, C), float),
         pixel_std_px=before.pixel_std_px if before else None,
         joint_std=(state.joint_std_rad,),
-        eye_motion=before.eye_motion if before else "pan-tilt",
         void=before.void if before else (),
     )
     return replace(state.head, accuracy=accuracy)
