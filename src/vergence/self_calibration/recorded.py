@@ -14,7 +14,6 @@ from vergence.geometry.head import HeadCalibration, states_covariance
 from vergence.geometry.kinematics import straight_gaze
 from vergence.geometry.parameters import change_between
 from vergence.geometry.projection import project_point
-from vergence.geometry.se3 import rotvec
 from vergence.progress import Progress, silent
 from vergence.self_calibration.keyframe import TURNED_RAD
 from vergence.self_calibration.learning import learned_head
@@ -146,9 +145,12 @@ def self_calibrate_dataset(
 
 
 def _vergence(seen: FrameEstimate) -> float:
-    """Return the angle [rad] about the left base's z axis between a frame's cameras."""
+    """Return the angle [rad] between a frame's optical axes, in the plane of the baseline."""
     left, right = camera_poses(seen.head, seen.joints, cameras=seen.cameras)
-    return float(rotvec(left[:3, :3] @ right[:3, :3].T)[2])
+    views, baseline = (left[:3, 2], right[:3, 2]), right[:3, 3] - left[:3, 3]
+    normal = np.cross(views[0] + views[1], baseline)
+    sine = np.cross(*views) @ normal / max(float(np.linalg.norm(normal)), 1e-12)
+    return float(np.arctan2(sine, views[0] @ views[1]))
 
 
 def _parameters(before: SelfCalibration, after: SelfCalibration) -> tuple[LearnedParameter, ...]:
