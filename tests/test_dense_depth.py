@@ -2,7 +2,9 @@
 
 import json
 import sys
+from collections.abc import Iterable
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -10,6 +12,8 @@ import pytest
 
 from drawn_head import four_cameras
 from vergence import cli
+from vergence.arrays import Array
+from vergence.commands.depth import depth as of_dataset
 from vergence.data.dataset import Frame
 from vergence.data.description import DatasetCamera, DatasetJoint, Description
 from vergence.data.writer import DatasetRow, write_dataset
@@ -19,7 +23,7 @@ from vergence.geometry.camera import normalise
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration, save_head
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics
-from vergence.geometry.se3 import inverse, transform
+from vergence.geometry.se3 import inverse, pose, transform
 from vergence.stereo.dense_depth import LEAST_STD_PX, dense_depth, point_cloud
 from vergence.stereo.rectification import RectifiedPair, rectify
 from vergence.twin import looking_around
@@ -114,6 +118,15 @@ def test_a_depth_too_near_for_the_cameras_is_refused(pair: RectifiedPair):
         dense_depth(HEAD, JOINTS, pair, image, image, nearest_m=0.01)
 
 
+def test_cameras_that_do_not_show_the_usual_nearest_depth_have_one_of_their_own():
+    apart = replace(HEAD, T_rbase_lbase=pose(t=[0.0, 0.6, 0.0]))
+    wide = rectify(apart, np.zeros(4))
+    image = np.zeros((480, 640, 3), np.uint8)
+    with pytest.raises(VergenceError, match=r"nearest depth is from 0\.45 m"):
+        dense_depth(apart, np.zeros(4), wide, image, image, nearest_m=0.3)
+    assert np.isnan(dense_depth(apart, np.zeros(4), wide, image, image).depth_m).all()
+
+
 def test_joints_that_are_not_known_are_refused(pair: RectifiedPair, drawn):
     with pytest.raises(VergenceError, match="rectified at known joints; found"):
         dense_depth(HEAD, np.full(4, np.nan), pair, *drawn)
@@ -167,24 +180,51 @@ def depth(monkeypatch: pytest.MonkeyPatch, *words: str) -> None:
     cli.main()
 
 
-def test_depth_of_a_real_heads_dataset_needs_no_twin(drawn, tmp_path):
-    images = dict(zip(("left_wide", "right_wide"), drawn, strict=True))
-    frame = Frame(0.0, 0.0, JOINTS, np.zeros(3), images)
+def write_recording(folder: Path, images: Iterable[np.ndarray], *postures: Array) -> None:
+    """Write a dataset with the same two images at postures (4,), and the calibration."""
+    named: dict[str, np.ndarray] = dict(zip(("left_wide", "right_wide"), images, strict=True))
     described = Description(
         cameras={f"{eye}_wide": DatasetCamera(eye=eye, width=640, height=480) for eye in EYES},
         board=Chessboard(columns=9, rows=6, square_m=0.03),
         joints={name: DatasetJoint(column=name, unit="rad") for name in EYE_JOINTS},
     )
-    write_dataset(tmp_path / "data", described, [DatasetRow(frame, 0, False)])
-    save_head(HEAD, tmp_path / "head.json")
+    frames = [Frame(k, k, each, np.zeros(3), named) for k, each in enumerate(postures)]
+    write_dataset(folder / "data", described, [DatasetRow(frame) for frame in frames])
+    save_head(HEAD, folder / "head.json")
+
+
+def test_depth_of_a_real_heads_dataset_needs_no_twin(drawn, tmp_path):
+    write_recording(tmp_path, drawn, JOINTS)
     done = without_mujoco(
         "depth", "data", "--calibration", "head.json", "--out", "depth", folder=tmp_path
     )
     assert done.returncode == 0, done.stderr
     found = json.loads((tmp_path / "depth" / "depth.json").read_text())
-    assert found["pairs"] == 1
+    assert (found["pairs"], found["left_out"]) == (1, 0)
     assert found["textured"] > 0.1
     assert found["joints"] is None
+
+
+APART = np.array([1.2, 0.0, -1.2, 0.0])
+
+
+def test_postures_that_cannot_be_rectified_are_left_out_of_the_depth_of_a_dataset(tmp_path):
+    dark = np.zeros((2, 480, 640, 3), np.uint8)
+    write_recording(tmp_path, dark, JOINTS, APART)
+    given = {"dataset": tmp_path / "data", "calibration": tmp_path / "head.json"}
+    done = of_dataset(tmp_path / "depth", **given)
+    assert (done.pairs, done.left_out) == (1, 1)
+    report = (tmp_path / "depth" / "report.md").read_text()
+    assert "1 more cannot be rectified" in report
+    assert "None of these is at 0.5 to 1.5 m." in report
+
+
+def test_a_dataset_in_which_no_pair_can_be_rectified_is_refused(tmp_path):
+    write_recording(tmp_path, np.zeros((2, 480, 640, 3), np.uint8), APART)
+    given = {"dataset": tmp_path / "data", "calibration": tmp_path / "head.json"}
+    with pytest.raises(VergenceError, match="do not overlap"):
+        of_dataset(tmp_path / "depth", **given)
+    assert not (tmp_path / "depth").exists()
 
 
 @pytest.mark.render

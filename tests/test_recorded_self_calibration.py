@@ -27,6 +27,7 @@ from vergence.geometry.se3 import pose, rotation
 from vergence.self_calibration import recorded as recorded_self_calibration
 from vergence.self_calibration.prior import MOVED, USUAL
 from vergence.self_calibration.recorded import self_calibrate_dataset
+from vergence.self_calibration.state import initial_self_calibration
 
 
 @pytest.fixture(scope="module")
@@ -118,19 +119,40 @@ def test_a_recording_in_which_one_eye_was_covered_returns_the_calibration(tmp_pa
     assert any("showed enough of the scene" in each for each in found.warnings)
 
 
-def test_vergence_is_told_from_tilt_in_cameras_of_any_roll():
-    joints = np.array([0.05, 0.1, -0.02, 0.1])
-    turns = {name: pose(rotation([0, 0, np.radians(90)])) for name in WIDE}
+@pytest.mark.parametrize("roll_deg", [(90, 90), (10, -170)])
+@pytest.mark.parametrize("beside", [True, False])
+def test_vergence_is_told_from_other_turns_in_cameras_of_any_roll(roll_deg, beside):
+    """Of eyes beside each other, and of such that stand one above the other."""
     cameras = {
-        name: replace(HEAD.camera(name), T_eye_cam=HEAD.camera(name).T_eye_cam @ turn)
-        for name, turn in turns.items()
+        name: replace(each, T_eye_cam=each.T_eye_cam @ pose(rotation([0, 0, np.radians(roll)])))
+        for roll, name in zip(roll_deg, WIDE, strict=True)
+        for each in [HEAD.camera(name)]
     }
-    seen = SimpleNamespace(head=replace(HEAD, cameras=cameras), cameras=WIDE)
-    at = [
-        recorded_self_calibration._vergence(cast("Any", SimpleNamespace(**vars(seen), joints=each)))
-        for each in (np.zeros(4), joints)
+    above = pose(t=[0.0, 0.0, 0.09])
+    head = replace(HEAD, cameras=cameras, T_rbase_lbase=HEAD.T_rbase_lbase if beside else above)
+    verging, alike = np.array([0.05, 0.1, -0.02, 0.1]), np.array([0.1, 0.05, 0.1, -0.02])
+    vergence = [
+        recorded_self_calibration._vergence(
+            cast("Any", SimpleNamespace(head=head, cameras=WIDE, joints=joints))
+        )
+        for joints in (np.zeros(4), verging, alike)
     ]
-    assert abs(at[1] - at[0]) == pytest.approx(0.07, abs=0.005)
+    changes = [0.07, 0.0] if beside else [0.0, 0.07]
+    for k, change in enumerate(changes, start=1):
+        assert abs(vergence[k] - vergence[0]) == pytest.approx(change, abs=0.005)
+
+
+def test_changes_are_along_the_axes_of_the_standard_deviations_beside_them():
+    """Those of the bases and the eyes as they are, however far the offsets of the joints turn."""
+    eyes: dict[Side, tuple[Joint, ...]] = {
+        eye: pan_tilt(eye, pan_offset_rad=1.0, tilt_offset_rad=0.5) for eye in EYES
+    }
+    before = initial_self_calibration(replace(HEAD, kinematics=Kinematics(eyes)))
+    names = "T_rbase_lbase.ry", "left_wide.T_eye_cam.tx"
+    given: dict[str, float] = dict(zip(names, (0.01, 0.002), strict=True))
+    after = replace(before, head=change_named(before.head, names, np.array([0.01, 0.002])))
+    found = recorded_self_calibration._parameters(before, after)
+    assert all(each.change == pytest.approx(given.get(each.name, 0.0)) for each in found)
 
 
 def test_a_head_that_is_not_as_calibrated_is_learned_anew(recorded):

@@ -21,7 +21,9 @@ from simulated_frames import (
     postures,
 )
 from simulated_matches import drawn_head, matches, room, squared_distance, turn_error_deg
-from vergence.geometry.head import Accuracy, load_head, save_head
+from vergence.errors import VergenceError
+from vergence.geometry.head import Accuracy, T_narrow_wide, load_head, save_head
+from vergence.geometry.parameter_names import PINHOLE
 from vergence.geometry.parameters import (
     boxplus,
     change_between,
@@ -30,6 +32,7 @@ from vergence.geometry.parameters import (
     parameter_values,
 )
 from vergence.geometry.projection import project_point
+from vergence.geometry.se3 import boxminus, pose, rotation
 from vergence.self_calibration import learning, prior
 from vergence.self_calibration.frame import from_matches, locate_seen
 from vergence.self_calibration.learning import learn, learned_head
@@ -38,6 +41,7 @@ from vergence.self_calibration.prior import USUAL
 from vergence.self_calibration.residuals import epipolar_residuals
 from vergence.self_calibration.state import initial_self_calibration
 from vergence.self_calibration.update import drifted
+from vergence.stereo.extrinsics import T_rcam_lcam, rebase
 from vergence.stereo.uncertainty import locate_jointly
 from vergence.vision.scene_features import Matches
 
@@ -258,6 +262,37 @@ def test_a_learned_head_is_a_calibration_with_its_accuracy(tmp_path):
 
 
 @pytest.mark.parametrize("stated", [True, False])
+def test_other_cameras_follow_the_main_one_of_their_eye(stated):
+    """They are screwed to it: what was wrong with its mounting is wrong with theirs."""
+    truth, rng, straight = four_cameras(), np.random.default_rng(0), np.zeros(4)
+    wrong = pose(rotation(np.radians([0.0, 0.0, 0.6])))
+    cameras = {
+        name: replace(each, T_eye_cam=wrong @ each.T_eye_cam) if each.eye == "left" else each
+        for name, each in truth.cameras.items()
+    }
+    head = replace(truth, cameras=cameras)
+    head = rebase(head, T_rcam_lcam(truth, straight), joints=straight)
+    if stated:
+        names = parameter_names(head)
+        C = np.diag(np.array([1.0 if name[-2:] in PINHOLE else 1e-6 for name in names]))
+        for axis in ("rx", "ry", "rz"):
+            both = [names.index(f"left_{lens}.T_eye_cam.{axis}") for lens in ("wide", "narrow")]
+            C[np.ix_(both, both)] += 1e-4
+            C[[names.index(f"T_rbase_lbase.{axis}")], [names.index(f"T_rbase_lbase.{axis}")]] = 1e-4
+        head = replace(head, accuracy=Accuracy("bundle", names, np.asarray(C, float)))
+    state = begin(head)
+    for angles in postures(6, rng):
+        seen = matches(truth, angles, room(200, rng), noise_px=NOISE_PX, rng=rng)
+        state = drifted(learn(state, from_matches(state, seen, angles)), 0.3)
+    learned = learned_head(state)
+    for name in ("left_wide", "left_narrow"):
+        mountings = (each.camera(name).T_eye_cam for each in (learned, truth))
+        assert np.linalg.norm(boxminus(*mountings)[:3]) < np.radians(0.15)
+    apart = (T_narrow_wide(each, "left") for each in (learned, truth))
+    assert np.linalg.norm(boxminus(*apart)[:3]) < np.radians(0.05)
+
+
+@pytest.mark.parametrize("stated", [True, False])
 def test_cameras_that_do_not_see_the_scene_stay_as_uncertain_as_they_were(stated):
     head = four_cameras()
     if stated:
@@ -280,10 +315,12 @@ def test_cameras_that_do_not_see_the_scene_stay_as_uncertain_as_they_were(stated
     pair = ("left_narrow", "right_narrow")
     left, right = (project_point(head, name, np.zeros(4), points) for name in pair)
     seen: dict[str, Any] = {"left": left, "right": right, "joints": np.zeros(4), "cameras": pair}
-    P = len(state.names)
+    others = [k for k, name in enumerate(state.names) if "narrow" not in name]
+    P = len(others)
     of_both = np.zeros((P + 4, P + 4))
-    of_both[:P, :P] = state.covariance
-    given: dict[str, Any] = {"parameters": state.names, "covariance": of_both, "pixel_std_px": 0.1}
+    of_both[:P, :P] = state.covariance[np.ix_(others, others)]
+    names = [state.names[k] for k in others]
+    given: dict[str, Any] = {"parameters": names, "covariance": of_both, "pixel_std_px": 0.1}
     taken_as_exact, learned = (
         locate_jointly(each, **seen, **given).covariance
         for each in (replace(head, accuracy=None), learned_head(state))
@@ -339,13 +376,14 @@ def test_the_first_frames_are_linearised_again_at_their_end_though_one_was_not_b
 
 
 def test_readings_without_stated_noise_are_given_the_usual_noise():
-    head = head_of(0)
-    for accuracy in (
-        Accuracy("paper", joint_std=(0.0,)),
-        Accuracy("bundle", joint_std=(1e-3, 1e-4), eye_motion="poses"),
-    ):
-        state = initial_self_calibration(replace(head, accuracy=accuracy))
-        assert state.joint_std_rad == pytest.approx(prior.JOINT_STD_RAD)
+    head = replace(head_of(0), accuracy=Accuracy("paper", joint_std=(0.0,)))
+    assert initial_self_calibration(head).joint_std_rad == pytest.approx(prior.JOINT_STD_RAD)
+
+
+def test_a_head_whose_joints_were_not_calibrated_is_refused():
+    measured = Accuracy("bundle", joint_std=(1e-3, 1e-4), eye_motion="poses")
+    with pytest.raises(VergenceError, match="nothing is known of its joints"):
+        initial_self_calibration(replace(head_of(0), accuracy=measured))
 
 
 def test_what_is_learned_from_a_void_calibration_is_void():

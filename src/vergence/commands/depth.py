@@ -73,6 +73,8 @@ class Summary:
     """What dense depth came to; written as JSON."""
 
     pairs: int
+    left_out: int
+    """Rows that were chosen too, but at whose postures the views cannot be rectified."""
     matched: float
     """Share of the rectified pixels that have a depth."""
     textured: float
@@ -109,14 +111,14 @@ def depth(
 
     Raises:
         VergenceError: an argument is out of range, the dataset or the calibration cannot be read or
-            has no stereo pair, or the folder cannot be written.
+            has no stereo pair that can be rectified, or the folder cannot be written.
     """
     check_pairs(pairs)
     check_outputs(folder=out, names=RESULTS, inputs=[calibration])
     head = load_head(calibration)
-    moments, count = _moments(dataset, head, pairs, geometry)
+    moments, count, left_out = _moments(dataset, head, pairs, geometry)
     found = ((moment, depth_of(moment, head)) for moment in moments)
-    return write_depth(out, head, found, count, progress=progress)
+    return write_depth(out, head, found, count, left_out=left_out, progress=progress)
 
 
 def check_pairs(pairs: int) -> None:
@@ -127,17 +129,24 @@ def check_pairs(pairs: int) -> None:
 
 def _moments(
     folder: Path, head: HeadCalibration, pairs: int, geometry: Geometry
-) -> tuple[Iterator[StereoImages], int]:
+) -> tuple[Iterator[StereoImages], int, int]:
+    """Return the moments of pairs, how many they are, and how many more cannot be rectified."""
     both = stereo_rows(load_dataset(folder), head)
     if geometry == "seen" and measured(both.joints):
         raise VergenceError(f"--geometry seen corrects joint readings; {folder} has poses.")
     left, right = both.cameras
-    chosen = np.unique(np.linspace(0, len(both) - 1, pairs).round().astype(int))
+    wanted = np.unique(np.linspace(0, len(both) - 1, pairs).round().astype(int))
+    refused = [_refused(head, both.joints[k]) for k in wanted]
+    chosen = [int(k) for k, error in zip(wanted, refused, strict=True) if error is None]
+    if refused[0] is not None and not chosen:
+        raise refused[0]
+
+    before = initial_seen_geometry(head) if geometry == "seen" else None
 
     def read() -> Iterator[StereoImages]:
-        known = initial_seen_geometry(head) if geometry == "seen" else None
+        known = before
         for k in chosen if known is None else range(chosen[-1] + 1):
-            frame = both.frame(int(k))
+            frame = both.frame(k)
             known = None if known is None else update_geometry(known, frame)
             if k in chosen:
                 time_s = frame.time_s - float(both.dataset.time_s[0])
@@ -145,7 +154,16 @@ def _moments(
                 seen = None if known is None else known.latest
                 yield StereoImages(time_s, both.joints[k], *images, seen=seen)
 
-    return read(), len(chosen)
+    return read(), len(chosen), len(wanted) - len(chosen)
+
+
+def _refused(head: HeadCalibration, joints: Array) -> VergenceError | None:
+    """Return why a pair cannot be rectified; None: it can."""
+    try:
+        rectify(head, joints)
+    except VergenceError as error:
+        return error
+    return None
 
 
 def depth_of(moment: StereoImages, head: HeadCalibration) -> PairDepth:
@@ -177,6 +195,7 @@ def write_depth(
     found: Iterable[tuple[StereoImages, PairDepth]],
     count: int,
     *,
+    left_out: int = 0,
     errors: Callable[[], dict[str, Errors | None]] = dict,
     progress: Progress = silent,
 ) -> Summary:
@@ -187,6 +206,7 @@ def write_depth(
         head: the calibration.
         found: pairs with their depths.
         count: how many they are.
+        left_out: how many more cannot be rectified.
         errors: is called after the last pair; by geometry, as in Summary, the errors of the depth.
         progress: is called after each pair.
 
@@ -216,6 +236,7 @@ def write_depth(
             relative = np.concatenate(stds)
             done = Summary(
                 pairs=count,
+                left_out=left_out,
                 matched=float(matched),
                 textured=float(textured),
                 median_relative_std=float(np.median(relative)) if relative.size else np.nan,
@@ -230,14 +251,22 @@ def write_depth(
 
 def as_markdown(done: Summary) -> str:
     """Return the report."""
+    where = f"{RANGE_M[0]} to {RANGE_M[1]} m"
+    left_out = (
+        f" {done.left_out} more cannot be rectified: the two views do not overlap, or an eye looks "
+        "along the line from one camera to the other."
+    )
+    stated = (
+        f"At {where} the stated standard deviation of these is "
+        f"{100 * done.median_relative_std:.1f} % in the median."
+    )
     lines = [
         "# Dense depth",
         "",
-        f"{done.pairs} {'pair' if done.pairs == 1 else 'pairs'}. "
+        f"{done.pairs} {'pair' if done.pairs == 1 else 'pairs'}.{left_out * bool(done.left_out)} "
         f"{100 * done.matched:.0f} % of the rectified pixels have a depth, "
-        f"{100 * done.textured:.0f} % one that texture determines well. At {RANGE_M[0]} to "
-        f"{RANGE_M[1]} m the stated standard deviation of these is "
-        f"{100 * done.median_relative_std:.1f} % in the median.",
+        f"{100 * done.textured:.0f} % one that texture determines well. "
+        f"{stated if np.isfinite(done.median_relative_std) else f'None of these is at {where}.'}",
         "",
     ]
     rows = [
@@ -260,6 +289,6 @@ def as_markdown(done: Summary) -> str:
             "geometry | median error [%] | wrong by a fifth [%] | others within two std [%] | "
             "rows, rms [px]"
         )
-        lines += [f"Errors at {RANGE_M[0]} to {RANGE_M[1]} m where there is texture:", ""]
+        lines += [f"Errors at {where} where there is texture:", ""]
         lines += [markdown_table(heading, rows), ""]
     return "\n".join(lines)

@@ -195,8 +195,8 @@ def _linearised_again(past: tuple[Past, ...], after: SelfCalibration) -> SelfCal
 def learned_head(state: SelfCalibration) -> HeadCalibration:
     """Return the learned head with its accuracy, to be saved and used as any calibration.
 
-    Cameras that self-calibration does not use, and the time offset, are as certain as they were
-    calibrated.
+    The time offset is as certain as it was calibrated and, where the calibration does not state its
+    covariance, so are the lenses of cameras that self-calibration does not use.
     """
     before = state.head.accuracy
     others, C = covariance_of_others(state.head, state.names)
@@ -206,7 +206,6 @@ def learned_head(state: SelfCalibration) -> HeadCalibration:
         covariance=np.asarray(block_diag(state.covariance, C), float),
         pixel_std_px=before.pixel_std_px if before else None,
         joint_std=(state.joint_std_rad,),
-        eye_motion=before.eye_motion if before else "pan-tilt",
         void=before.void if before else (),
     )
     return replace(state.head, accuracy=accuracy)

@@ -23,7 +23,7 @@ from vergence.geometry.camera import Camera, displaced_by_distortion, normalise,
 from vergence.geometry.head import HeadCalibration, stated_covariance, states_covariance
 from vergence.geometry.kinematics import EYES, straight_gaze
 from vergence.geometry.lens import COEFFICIENTS
-from vergence.geometry.parameter_names import PINHOLE, intrinsics_names
+from vergence.geometry.parameter_names import PINHOLE, POSE, intrinsics_names
 from vergence.geometry.parameters import (
     change_named,
     is_gain,
@@ -142,9 +142,13 @@ that are a millisecond late are that wrong while eyes turn by 50 degrees a secon
 
 
 def learned_names(head: HeadCalibration, cameras: tuple[str, str]) -> tuple[str, ...]:
-    """Return which parameters of a head can be wrong, and show in its main cameras."""
+    """Return which parameters of a head can be wrong, and show in its main cameras or follow them.
+
+    Other cameras are screwed to the same eyes: if they stayed where the calibration has them, they
+    would stand wrongly to those that are corrected.
+    """
     stated = head.accuracy.parameters if head.accuracy else ()
-    usual = {
+    shown = {
         f"{name}.{each}"
         for name in cameras
         for each in (PINHOLE if stated else intrinsics_names(head.camera(name).intrinsics))
@@ -152,10 +156,8 @@ def learned_names(head: HeadCalibration, cameras: tuple[str, str]) -> tuple[str,
 
     def wanted(name: str) -> bool:
         owner, _, rest = name.partition(".")
-        if owner in head.cameras:
-            own = owner in cameras and (rest.startswith("T_eye_cam") or name in usual)
-            return own or (owner in cameras and name in stated)
-        return name.startswith("T_rbase_lbase") or is_gain(name) or name in stated
+        pose = rest.startswith("T_eye_cam") or owner == "T_rbase_lbase"
+        return pose or is_gain(name) or name in shown or name in stated
 
     return tuple(n for n in parameter_names(head) if wanted(n) and n != "time_offset_s")
 
@@ -308,12 +310,32 @@ def _with_common(
     return shared
 
 
+def _with_followers(
+    head: HeadCalibration, names: tuple[str, ...], cameras: tuple[str, str], C: Array
+) -> Array:
+    """Return the covariance with other cameras that err with the main one of their eye.
+
+    Both saw one board, so that they turn to each other as little as the two eyes' cameras do; their
+    distance, which is by the focal lengths, errs as a mounting does.
+    """
+    follow, C = np.eye(len(names)), C.copy()
+    for name in set(head.cameras).difference(cameras):
+        main = cameras[EYES.index(head.camera(name).eye)]
+        own, its = ([names.index(f"{each}.T_eye_cam.{k}") for k in POSE] for each in (name, main))
+        C[own[:3], own[:3]] = USUAL.stereo_turn_rad**2
+        follow[own, its] = 1.0
+        apart = head.camera(name).T_eye_cam[:3, 3] - head.camera(main).T_eye_cam[:3, 3]
+        follow[np.ix_(own[3:], its[:3])] = -se3.hat(apart)
+    return follow @ C @ follow.T
+
+
 def _of_procedure(head: HeadCalibration, names: tuple[str, ...], cameras: tuple[str, str]) -> Array:
     """Return the covariance of a head whose T_rbase_lbase follows from static stereo (Eq. 10).
 
     Its error is that of the static stereo, and what the mountings' errors do to it.
     """
     C = _with_common(head, names, cameras, _with_fits(head, names))
+    C = _with_followers(head, names, cameras, C)
     base = [k for k, name in enumerate(names) if name.startswith("T_rbase_lbase")]
     zero = straight_gaze(head.kinematics)
     straight = T_rcam_lcam(head, zero, cameras=cameras)

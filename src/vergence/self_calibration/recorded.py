@@ -12,9 +12,8 @@ from vergence.data.stereo_rows import stereo_rows
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, states_covariance
 from vergence.geometry.kinematics import straight_gaze
-from vergence.geometry.parameters import boxminus
+from vergence.geometry.parameters import change_between
 from vergence.geometry.projection import project_point
-from vergence.geometry.se3 import rotvec
 from vergence.progress import Progress, silent
 from vergence.self_calibration.keyframe import TURNED_RAD
 from vergence.self_calibration.learning import learned_head
@@ -146,17 +145,20 @@ def self_calibrate_dataset(
 
 
 def _vergence(seen: FrameEstimate) -> float:
-    """Return the angle [rad] about the left base's z axis between a frame's cameras."""
+    """Return the angle [rad] between a frame's optical axes, in the plane of the baseline."""
     left, right = camera_poses(seen.head, seen.joints, cameras=seen.cameras)
-    return float(rotvec(left[:3, :3] @ right[:3, :3].T)[2])
+    views, baseline = (left[:3, 2], right[:3, 2]), right[:3, 3] - left[:3, 3]
+    normal = np.cross(views[0] + views[1], baseline)
+    sine = np.cross(*views) @ normal / max(float(np.linalg.norm(normal)), 1e-12)
+    return float(np.arctan2(sine, views[0] @ views[1]))
 
 
 def _parameters(before: SelfCalibration, after: SelfCalibration) -> tuple[LearnedParameter, ...]:
-    change = boxminus(after.head, before.head)
+    changes = change_between(after.head, before.head, before.names).tolist()
     stds = (np.sqrt(np.diag(state.covariance)) for state in (before, after))
     return tuple(
-        LearnedParameter(name, change[name], float(prior), float(std))
-        for name, prior, std in zip(before.names, *stds, strict=True)
+        LearnedParameter(name, change, float(prior), float(std))
+        for name, change, prior, std in zip(before.names, changes, *stds, strict=True)
     )
 
 

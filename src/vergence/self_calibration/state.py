@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, pair_names
 from vergence.self_calibration.match_noise import (
     EXPECTED_DESIGN_EFFECT,
@@ -166,12 +167,17 @@ def initial_self_calibration(
         fresh: whether it has just been calibrated, so that nothing has moved since.
 
     Raises:
-        VergenceError: the head has one eye.
+        VergenceError: the head has one eye, or was calibrated with measured eye poses.
     """
     pair = pair_names(head, cameras)
-    names = learned_names(head, pair)
     accuracy = head.accuracy
-    stated = accuracy.joint_std if accuracy and accuracy.eye_motion == "pan-tilt" else ()
+    if accuracy is not None and accuracy.eye_motion == "poses":
+        raise VergenceError(
+            "Self-calibration corrects joint readings; this head was calibrated with measured eye "
+            "poses, so that nothing is known of its joints."
+        )
+    names = learned_names(head, pair)
+    stated = accuracy.joint_std if accuracy else ()
     usual = float(np.sqrt(np.mean(np.square(stated)))) if any(stated) else float(JOINT_STD_RAD)
     C = prior_covariance(head, names, pair, fresh=fresh)
     std = max(usual, float(LEAST_JOINT_STD_RAD))

@@ -30,7 +30,7 @@ from vergence.stereo.uncertainty import LocatedPoints, locate
 from vergence.vision.exposure import grey_levels, of_equal_contrast
 
 NEAREST_M = 0.3
-"""Default least depth that is sought."""
+"""Least depth that is sought by default, where the cameras show it."""
 BLOCK_PX = 5
 """Side of the blocks that are compared."""
 NOISE_GREY = 3.0
@@ -69,7 +69,7 @@ def dense_depth(
     right: np.ndarray,
     *,
     cameras: tuple[str, str] | None = None,
-    nearest_m: float = NEAREST_M,
+    nearest_m: float | None = None,
     joint_std_rad: ArrayLike | None = None,
     located: Callable[..., LocatedPoints] | None = None,
 ) -> DenseDepth:
@@ -82,7 +82,8 @@ def dense_depth(
         left: (H, W, 3) RGB or (H, W) grey image of the pair's left camera, uint8.
         right: of its right one.
         cameras: the names of the two; None: the main ones.
-        nearest_m: least depth that is sought.
+        nearest_m: least depth that is sought; None: NEAREST_M, or that of a disparity of half the
+            width if this is more.
         joint_std_rad: noise of the readings, as in `uncertainty.locate`.
         located: a function that locates exact pixels, `left` and `right` (N, 2), such as
             `locate_seen` of a seen geometry: it says how well the geometry is known, in place of
@@ -96,10 +97,12 @@ def dense_depth(
     joints = known_posture(head, joints)
     width = pair.left.map_x.shape[1]
     scale = pair.matrix[0, 0] * pair.baseline_m
-    if not nearest_m > 0 or scale / nearest_m > _LARGEST_DISPARITY_SHARE * width:
-        least = scale / (_LARGEST_DISPARITY_SHARE * width)
+    least_m = scale / (_LARGEST_DISPARITY_SHARE * width)
+    if nearest_m is None:
+        nearest_m = max(NEAREST_M, least_m)
+    if not nearest_m >= least_m:
         raise VergenceError(
-            f"The nearest depth is from {least:.2g} m for these cameras, found {nearest_m:g} m."
+            f"The nearest depth is from {least_m:.2g} m for these cameras, found {nearest_m:g} m."
         )
     found = [
         rectified_image(view, _checked(image))

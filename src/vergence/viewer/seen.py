@@ -27,7 +27,7 @@ def learned_entities(known: SelfCalibration) -> dict[str, str]:
         owner, _, rest = name.partition(".")
         if name.endswith("gain"):
             found[name] = f"learned/gain/{owner}_{rest.removesuffix('_gain')}"
-        elif rest == "fx":
+        elif rest == "fx" and owner in known.cameras:
             found[name] = f"learned/focal/{owner}"
     return found
 
@@ -37,7 +37,7 @@ def log_seen_styles(rec: rr.RecordingStream, head: HeadCalibration, known: SelfC
     for name, entity in learned_entities(known).items():
         short = entity.rpartition("/")[2]
         colour = style.JOINT_COLOURS.get(short)
-        if name in (f"{camera}.fx" for camera in known.cameras):
+        if name.endswith(".fx"):
             colour = style.EYE_COLOURS[head.camera(short).eye][0]
         label = short.replace("_", " ")
         names = [label, f"{label} + std", f"{label} - std"]
