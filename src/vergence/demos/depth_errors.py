@@ -9,7 +9,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.commands.depth import RANGE_M, Errors
-from vergence.geometry.camera import normalise, project
+from vergence.geometry.camera import project, unproject
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.se3 import transform
 from vergence.stereo.dense_depth import DenseDepth
@@ -60,9 +60,7 @@ def _row_rms(pair: RectifiedPair, truth: Truth) -> float:
     left, right = (mounted.intrinsics for mounted in stereo_cameras(truth.head, None))
     v, u = np.mgrid[: left.height : _GRID_PX, : left.width : _GRID_PX]
     pixels = np.stack([u, v], axis=-1).reshape(-1, 2).astype(float)
-    xy = normalise(left, pixels)
-    points = np.concatenate([xy, np.ones((len(xy), 1))], axis=-1)
-    points *= truth.depth_m[v, u].reshape(-1, 1)
+    points = unproject(left, pixels) * truth.depth_m[v, u].reshape(-1, 1)
     _, T_rcam_lcam = stereo_poses(truth.head, truth.eye_angles)
     opposite = project(right, transform(T_rcam_lcam, points))
     inside = ((opposite >= 0) & (opposite <= [right.width - 1, right.height - 1])).all(axis=-1)

@@ -1,4 +1,4 @@
-"""Pinhole camera with distortion: project, normalise, and the Jacobians of both.
+"""Pinhole camera with distortion: from points to pixels and back, with derivatives.
 
 Frame `cam` is OpenCV's: x right, y down, z forward; pixel (0, 0) is the centre of the top-left
 pixel. The lens models are OpenCV's (see `geometry.lens`), so that both agree to the last digit;
@@ -195,11 +195,11 @@ def displaced_by_distortion(camera: Camera) -> Array:
 
     The square of the displacement, in the mean over the image.
     """
-    xy = normalise(camera, pixel_grid(camera))
-    xy = xy[np.isfinite(xy).all(axis=1)]
-    _, _, by_lens = project_jacobians(camera, np.column_stack([xy, np.ones(len(xy))]))
+    points = unproject(camera, pixel_grid(camera))
+    points = points[np.isfinite(points).all(axis=1)]
+    _, _, by_lens = project_jacobians(camera, points)
     J = by_lens[:, :, -len(COEFFICIENTS[camera.model]) :]
-    return np.einsum("nij,nik->jk", J, J) / len(xy)
+    return np.einsum("nij,nik->jk", J, J) / len(points)
 
 
 def pixel_grid(camera: Camera) -> Array:
@@ -218,6 +218,15 @@ def normalise(camera: Camera, pixels: Array) -> Array:
     """
     xy, _ = normalised_rows(camera, *components(np.moveaxis(pixels, -1, 0)))
     return np.ascontiguousarray(np.moveaxis(stacked(xy, pixels.shape[:-1]), 0, -1))
+
+
+def unproject(camera: Camera, pixels: Array) -> Array:
+    """Return the points (..., 3) in frame cam that pixels (..., 2) show at depth 1.
+
+    NaN where `normalise` gives NaN.
+    """
+    xy = normalise(camera, pixels)
+    return np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
 
 
 def normalised_rows(camera: Camera, u: Component, v: Component) -> tuple[Sequence[Component], Rows]:

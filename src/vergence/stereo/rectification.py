@@ -23,8 +23,8 @@ from vergence.geometry.camera import (
     MAX_IMAGE_PX,
     Camera,
     is_image_size,
-    normalise,
     project,
+    unproject,
 )
 from vergence.geometry.eye_motion import check_joints
 from vergence.geometry.head import HeadCalibration
@@ -178,7 +178,7 @@ def _share_shown(
     u, v = (np.linspace(0, n - 1, _GRID) for n in (left.width, left.height))
     here = np.stack(np.meshgrid(u, v), axis=-1)
     distances = np.linalg.norm(T_rcam_lcam[:3, 3]) * _DISTANCES
-    points = _rays(left, here) * distances[:, None, None, None]
+    points = unproject(left, here) * distances[:, None, None, None]
     there = _pixels(right, transform(T_rcam_lcam, points))
     both = _within(there, (right.width, right.height))
     shown = both.copy()
@@ -317,15 +317,9 @@ def rectified_pixels(pair: RectifiedPair, view: RectifiedView, pixels: Array) ->
 
 
 def _rectified(view: RectifiedView, matrix: Array, pixels: Array) -> Array:
-    rays = _rays(view.camera, pixels) @ view.R_rect_cam.T
+    rays = unproject(view.camera, pixels) @ view.R_rect_cam.T
     z = np.where(rays[..., 2:] > 0, rays[..., 2:], np.nan)
     return (rays / z @ matrix.T)[..., :2]
-
-
-def _rays(camera: Camera, pixels: Array) -> Array:
-    """Return the points (..., 3) in frame cam at depth 1 that pixels (..., 2) show."""
-    xy = normalise(camera, pixels)
-    return np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
 
 
 def rectified_points(pair: RectifiedPair, pixels: Array, disparity: Array) -> Array:
