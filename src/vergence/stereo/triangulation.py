@@ -122,23 +122,58 @@ def _intersect(
     poses: tuple[tuple[Rows, Vector], tuple[Rows, Vector]],
     variances: Array,
 ) -> tuple[Array, np.ndarray]:
-    """Return where the rays of pixels meet (3, N), and the status (N,).
+    """Return the points (3, N) where the rays of pixels meet, and the status (N,).
 
-    Rays of noisy pixels pass each other. The pixels are first moved onto the epipolar lines of each
-    other, by the least sum of squares relative to their variances (Sampson's correction, to first
-    order the maximum of the likelihood); then the rays meet in a point, by cross products.
+    Rays of noisy pixels pass each other; they are first corrected so that they meet.
 
     Args:
+        lenses: the left and the right camera.
         pixels: (N, 2) left and right, distortion included.
         poses: rotations and centres of the cameras in the frame of the points, by components.
         variances: (4, N or 1) of the pixels: left u, left v, right u, right v.
     """
     n, ((R_left, centre), (R_right, other)) = len(pixels[0]), poses
-    base, columns = minus(other, centre), (transposed(R_left), transposed(R_right))
+    base = minus(other, centre)
+    left, right = _coplanar_rays(lenses, pixels, (R_left, R_right), base, variances)
+    with ignoring_invalid(left[0]):
+        normal = cross(left, right)
+        size = dot(normal, normal)
+        # base = s left - r right: the cross product with one ray leaves the depth along the other.
+        depths = [quotient(dot(cross(base, ray), normal), size) for ray in (right, left)]
+        points = stacked([c + depths[0] * ray for c, ray in zip(centre, left, strict=True)], (n,))
+        parallel = size <= PARALLEL_RAD**2 * (dot(left, left) * dot(right, right))
+        together = left[0] + right[0]
+        unseen = together - together != 0  # NaN or infinite
+    status = np.zeros(n, dtype=int)
+    for where, what in (
+        ((depths[0] <= 0) | (depths[1] <= 0), Status.BEHIND),
+        (parallel, Status.PARALLEL),
+        (unseen, Status.NOT_SEEN),
+    ):
+        if anywhere(where):
+            status[where] = what
+            points[:, where] = np.nan
+    return points, status
+
+
+def _coplanar_rays(
+    lenses: tuple[Camera, Camera],
+    pixels: tuple[Array, Array],
+    rotations: tuple[Rows, Rows],
+    base: Vector,
+    variances: Array,
+) -> tuple[Vector, Vector]:
+    """Return the rays of pixels, by components, corrected so that each pair lies in one plane.
+
+    The pixels are moved onto each other's epipolar lines by the least sum of squares relative to
+    their variances: Sampson's correction, to first order the maximum of the likelihood. `base` is
+    the vector from the left to the right camera; other arguments are those of `_intersect`.
+    """
+    columns = transposed(rotations[0]), transposed(rotations[1])
     found = [
         normalised_rows(lens, *components(uv.T)) for lens, uv in zip(lenses, pixels, strict=True)
     ]
-    left, right = (times(poses[k][0], (*found[k][0], 1.0)) for k in (0, 1))
+    left, right = (times(rotations[k], (*found[k][0], 1.0)) for k in (0, 1))
     with ignoring_invalid(left[0]):
         # gap = left ray . (right ray x base), and its derivatives by the pixels.
         normals = cross(right, base), cross(base, left)
@@ -160,24 +195,7 @@ def _intersect(
             ]
             for k, (ray, (x, y)) in enumerate(zip((left, right), steps, strict=True))
         )
-        normal = cross(left, right)
-        size = dot(normal, normal)
-        # base = s left - r right, the one of (s, r) by its cross product with the other's ray.
-        depths = [quotient(dot(cross(base, ray), normal), size) for ray in (right, left)]
-        points = stacked([c + depths[0] * ray for c, ray in zip(centre, left, strict=True)], (n,))
-        parallel = size <= PARALLEL_RAD**2 * (dot(left, left) * dot(right, right))
-        together = left[0] + right[0]
-        unseen = together - together != 0  # NaN or infinite
-    status = np.zeros(n, dtype=int)
-    for where, what in (
-        ((depths[0] <= 0) | (depths[1] <= 0), Status.BEHIND),
-        (parallel, Status.PARALLEL),
-        (unseen, Status.NOT_SEEN),
-    ):
-        if anywhere(where):
-            status[where] = what
-            points[:, where] = np.nan
-    return points, status
+    return left, right
 
 
 def chunks(n: int) -> Iterator[slice]:
