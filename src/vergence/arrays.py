@@ -40,7 +40,7 @@ def _shaped(*shape: int | None) -> tuple[PlainValidator, PlainSerializer]:
 
 
 Vector3 = Annotated[Array, *_shaped(3)]
-Vector = Annotated[Array, *_shaped(None)]
+VectorN = Annotated[Array, *_shaped(None)]
 Vectors3 = Annotated[Array, *_shaped(None, 3)]
 Matrix3 = Annotated[Array, *_shaped(3, 3)]
 Matrix = Annotated[Array, *_shaped(None, None)]

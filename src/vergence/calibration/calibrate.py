@@ -34,8 +34,8 @@ from vergence.calibration.sequential.intrinsics import (
     lenses_of_the_paper,
 )
 from vergence.calibration.sequential.lens_choice import (
-    Lens,
     LensChoice,
+    LensOption,
     by_camera,
     choose_lenses,
 )
@@ -93,7 +93,7 @@ def calibrate(
     data: Dataset | Observations,
     *,
     method: Method = "bundle",
-    lens: Lens | Mapping[str, Lens] = "auto",
+    lens: LensOption | Mapping[str, LensOption] = "auto",
     progress: Progress = silent,
 ) -> CalibrationResult:
     """Calibrate a head, and predict each fold of its views from the others.
@@ -224,11 +224,11 @@ def _check_views(seen: Observations) -> None:
 def _lenses(
     seen: Observations,
     method: Method,
-    lens: Lens | Mapping[str, Lens],
+    lens: LensOption | Mapping[str, LensOption],
 ) -> dict[str, LensChoice]:
     """Return the lens model of every camera."""
     if method == "paper":
-        stated: dict[str, Lens] = {**lenses_of_the_paper(seen)}
+        stated: dict[str, LensOption] = {**lenses_of_the_paper(seen)}
         for name, each in by_camera(seen, lens).items():
             stated[name] = stated.get(name, each) if each == "auto" else each
         return choose_lenses(seen, stated)

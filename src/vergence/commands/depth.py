@@ -55,7 +55,7 @@ PairDepth = tuple[RectifiedPair, DenseDepth]
 
 
 @dataclass(frozen=True)
-class Errors:
+class DepthErrors:
     """Errors of depth at RANGE_M where there is texture, over all pairs."""
 
     median_relative: float
@@ -79,11 +79,11 @@ class Summary:
     """Share that has one which texture determines well."""
     median_relative_std: float
     """Stated standard deviation over depth, of textured pixels at RANGE_M."""
-    joints: Errors | None = None
+    joints: DepthErrors | None = None
     """By the calibration and the joint readings; None: the truth is not known."""
-    seen: Errors | None = None
+    seen: DepthErrors | None = None
     """By the geometry that both eyes see; None: it was not asked for, or the truth is not known."""
-    true_geometry: Errors | None = None
+    true_geometry: DepthErrors | None = None
     """By the true head and the true angles: what the matching itself leaves."""
 
 
@@ -177,7 +177,7 @@ def write_depth(
     found: Iterable[tuple[StereoImages, PairDepth]],
     count: int,
     *,
-    errors: Callable[[], dict[str, Errors | None]] = dict,
+    errors: Callable[[], dict[str, DepthErrors | None]] = dict,
     progress: Progress = silent,
 ) -> Summary:
     """Write a recording, a summary and a report of the depth of pairs, one after the other.

@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
-from vergence.arrays import Array, Matrix3, Vector
+from vergence.arrays import Array, Matrix3, VectorN
 from vergence.errors import VergenceError
 from vergence.geometry import lens
 from vergence.geometry.components import (
@@ -93,7 +93,7 @@ class Camera:
     """Image height [px]."""
     matrix: Matrix3
     """A of Eq. 2: [[alpha, gamma, u0], [0, beta, v0], [0, 0, 1]] [px]."""
-    distortion: Vector = field(default_factory=lambda: _UNDISTORTED)
+    distortion: VectorN = field(default_factory=lambda: _UNDISTORTED)
     """The coefficients of the lens model, in the order of `lens.COEFFICIENTS`; left out: zeros."""
     model: CameraModel = "radial-tangential"
     """The lens model; files of earlier versions, which do not state one, have this one."""
