@@ -21,7 +21,8 @@ from simulated_frames import (
     postures,
 )
 from simulated_matches import drawn_head, matches, room, squared_distance, turn_error_deg
-from vergence.geometry.head import Accuracy, load_head, save_head
+from vergence.geometry.head import load_head, save_head
+from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.parameters import (
     boxplus,
     change_between,

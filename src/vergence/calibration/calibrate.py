@@ -46,7 +46,8 @@ from vergence.calibration.summary import MISFIT_CAUSES, summary_lines
 from vergence.data.dataset import Dataset
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
-from vergence.geometry.head import Accuracy, HeadCalibration, HeldOut
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head_accuracy import Accuracy, HeldOut
 from vergence.progress import Progress, silent
 from vergence.vision.board_pose import LEAST_CORNERS, board_poses, seen_corners
 

@@ -6,13 +6,8 @@ import numpy as np
 
 from vergence.calibration.checks.axes_and_eyes import eye_shift
 from vergence.calibration.observations import Observations
-from vergence.geometry.head import (
-    Accuracy,
-    HeadCalibration,
-    T_head_base,
-    main_pair,
-    reading_stds,
-)
+from vergence.geometry.head import HeadCalibration, T_head_base, main_pair, reading_stds
+from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import readings_to_turn
 from vergence.geometry.parameters import without_offsets
 from vergence.geometry.projection import project_point

@@ -31,7 +31,8 @@ from vergence.calibration.bundle.problem import (
 from vergence.calibration.bundle.solver import OUTLIER
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
-from vergence.geometry.head import Accuracy, HeadCalibration, main_pair
+from vergence.geometry.head import HeadCalibration, main_pair
+from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import Kinematics, reading_kinds
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.parameter_names import POSE

@@ -25,7 +25,7 @@ from vergence.calibration.sequential.lens_prior import EQUIDISTANT
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
 from vergence.geometry.camera import Camera, displaced_by_distortion, pinhole
-from vergence.geometry.head import LensAccuracy
+from vergence.geometry.head_accuracy import LensAccuracy
 from vergence.geometry.lens import distort
 from vergence.geometry.parameter_names import PINHOLE
 from vergence.geometry.se3 import pose, rotation, transform

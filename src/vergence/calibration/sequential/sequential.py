@@ -30,13 +30,8 @@ from vergence.calibration.sequential.intrinsics import Intrinsics, LensModel, ca
 from vergence.calibration.sequential.static_stereo import calibrate_pair
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
-from vergence.geometry.head import (
-    Accuracy,
-    HeadCalibration,
-    MountedCamera,
-    main_camera,
-    main_pair,
-)
+from vergence.geometry.head import HeadCalibration, MountedCamera, main_camera, main_pair
+from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.neck import Neck
 from vergence.geometry.se3 import angle, inverse, mean_pose
