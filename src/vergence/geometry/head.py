@@ -168,6 +168,11 @@ def check_camera_name(name: str) -> None:
         )
 
 
+def cameras_of(calibration: HeadCalibration, eye: Side) -> list[str]:
+    """Return the names of an eye's cameras, in the order of the calibration."""
+    return [name for name, mounted in calibration.cameras.items() if mounted.eye == eye]
+
+
 def main_camera(names: Collection[str], eye: Side) -> str:
     """Return which of an eye's cameras it looks around with: its wide one, or else its first."""
     return f"{eye}_wide" if f"{eye}_wide" in names else next(iter(names))
@@ -175,11 +180,8 @@ def main_camera(names: Collection[str], eye: Side) -> str:
 
 def main_pair(calibration: HeadCalibration) -> tuple[str, str] | None:
     """Return the main camera of the left and of the right eye; None for a head of one eye."""
-    own = [
-        [name for name, mounted in calibration.cameras.items() if mounted.eye == eye]
-        for eye in EYES
-    ]
-    return (main_camera(own[0], "left"), main_camera(own[1], "right")) if all(own) else None
+    left, right = (cameras_of(calibration, eye) for eye in EYES)
+    return (main_camera(left, "left"), main_camera(right, "right")) if left and right else None
 
 
 def pair_names(head: HeadCalibration, cameras: tuple[str, str] | None = None) -> tuple[str, str]:
