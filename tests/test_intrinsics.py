@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 
 from vergence.calibration.observations import Observations
-from vergence.calibration.sequential.intrinsics import (
-    calibrate_camera,
-    fit_model,
-    free_intrinsics,
-)
+from vergence.calibration.sequential.intrinsics import calibrate_camera
 from vergence.calibration.sequential.lens_choice import best_lens, choose_lenses
 from vergence.calibration.sequential.lens_fit import (
     FOLDS,
@@ -18,6 +14,7 @@ from vergence.calibration.sequential.lens_fit import (
     held_out_squares,
     jackknife_covariance,
 )
+from vergence.calibration.sequential.lens_models import fit_model, free_intrinsics
 from vergence.calibration.sequential.lens_prior import EQUIDISTANT, lens_prior
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard, corner_points

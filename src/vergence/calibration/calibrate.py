@@ -31,7 +31,6 @@ from vergence.calibration.observations import Observations, camera_eyes, check_r
 from vergence.calibration.sequential.intrinsics import (
     LEAST_VIEWS,
     Intrinsics,
-    LensModel,
     calibrate_intrinsics,
     lenses_of_the_paper,
 )
@@ -41,6 +40,7 @@ from vergence.calibration.sequential.lens_choice import (
     by_camera,
     choose_lenses,
 )
+from vergence.calibration.sequential.lens_models import LensModel
 from vergence.calibration.sequential.sequential import SequentialCalibration, calibrate_sequentially
 from vergence.calibration.summary import MISFIT_CAUSES, summary_lines
 from vergence.data.dataset import Dataset

@@ -18,14 +18,14 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.observations import Observations
-from vergence.calibration.sequential.intrinsics import (
+from vergence.calibration.sequential.intrinsics import lenses_of_the_paper
+from vergence.calibration.sequential.lens_fit import ROUGH, LensFit, held_out_squares
+from vergence.calibration.sequential.lens_models import (
     FREE_COEFFICIENTS,
     LensModel,
     fit_model,
-    lenses_of_the_paper,
     pinhole_start,
 )
-from vergence.calibration.sequential.lens_fit import ROUGH, LensFit, held_out_squares
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
 from vergence.vision.board_pose import determines_pose, seen_corners

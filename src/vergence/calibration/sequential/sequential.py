@@ -26,7 +26,8 @@ from vergence.calibration.observations import (
     readable,
 )
 from vergence.calibration.sequential.hand_eye import park_martin
-from vergence.calibration.sequential.intrinsics import Intrinsics, LensModel, calibrate_intrinsics
+from vergence.calibration.sequential.intrinsics import Intrinsics, calibrate_intrinsics
+from vergence.calibration.sequential.lens_models import LensModel
 from vergence.calibration.sequential.static_stereo import calibrate_pair
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
