@@ -43,7 +43,7 @@ Pixels = Annotated[int, Field(gt=0, le=MAX_IMAGE_PX)]
 MAX_NUMBER = 1e12
 """Largest number in the matrix and the distortion; with larger ones projections overflow."""
 _GRID = 16
-"""Places along each axis of the image where a lens is looked at."""
+"""Pixels along each axis of the image in `pixel_grid`."""
 
 
 def check_image_size(width: int, height: int) -> None:
@@ -191,9 +191,9 @@ def projection_rows(
 
 
 def displaced_by_distortion(camera: Camera) -> Array:
-    """Return what coefficients of the distortion displace, (n, n) [px^2]: d' X d for a change d.
+    """Return X (n, n) [px^2]: how far pixels move when the n distortion coefficients change.
 
-    The square of the displacement, in the mean over the image.
+    A change d of the coefficients moves the pixels of the image by d^T X d in the mean square.
     """
     points = unproject(camera, pixel_grid(camera))
     points = points[np.isfinite(points).all(axis=1)]
@@ -232,8 +232,8 @@ def unproject(camera: Camera, pixels: Array) -> Array:
 def normalised_rows(camera: Camera, u: Component, v: Component) -> tuple[Sequence[Component], Rows]:
     """Return normalised coordinates (x/z, y/z) of pixels, and their slopes (2, 2), by components.
 
-    The slopes are the derivatives of the pixels by the normalised coordinates, to the precision to
-    which these were known before the last step, 1e-9.
+    The slopes are the derivatives of the pixels by the normalised coordinates. They are taken
+    before the last step of Newton's method, where the coordinates are known to 1e-9.
     """
     (fx, skew, cx), (_, fy, cy), _ = camera.matrix.tolist()
     wanted_y = (v - cy) / fy

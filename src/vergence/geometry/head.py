@@ -160,7 +160,7 @@ def reading_stds(head: HeadCalibration) -> Array:
 
 
 def check_camera_name(name: str) -> None:
-    """Raise ValueError if a camera cannot be called so, which is also the name of files."""
+    """Raise ValueError for a name that no camera can have: it is also used in names of files."""
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,63}", name) or name in EYES:
         raise ValueError(
             f"cameras.{name[:80]}: a camera's name begins with a letter, has letters, digits, - "
@@ -174,7 +174,7 @@ def cameras_of(calibration: HeadCalibration, eye: Side) -> list[str]:
 
 
 def main_camera(names: Collection[str], eye: Side) -> str:
-    """Return which of an eye's cameras it looks around with: its wide one, or else its first."""
+    """Return the main one of an eye's cameras (names): the wide one, or else the first."""
     return f"{eye}_wide" if f"{eye}_wide" in names else next(iter(names))
 
 

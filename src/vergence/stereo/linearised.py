@@ -168,10 +168,14 @@ def linearised_part(
 def _by_pixels(left: Rows, right: Rows, variances: Sequence[Component]) -> Rows:
     """Return the derivatives (3, 4) of a located point by its pixels.
 
-    Given are those of the pixels by the point (2, 3), and the four variances. Three pixel
-    coordinates make a point: both of the left image, and in the right one that along the epipolar
-    line. The fourth says by how much the rays miss each other, and the pixels share this in
-    proportion to their variances.
+    Three pixel coordinates determine a point: both of the left image, and in the right one that
+    along the epipolar line. The fourth says by how much the rays miss each other, and the pixels
+    share this in proportion to their variances.
+
+    Args:
+        left: (2, 3) derivatives of the left pixel by the point.
+        right: (2, 3) the same of the right one.
+        variances: (4) of left u, left v, right u, right v.
     """
     a, b = left
     along = cross(a, b)  # the left ray
