@@ -103,8 +103,8 @@ def depth(
         dataset: of which the depth is wanted.
         calibration: file of the head.
         pairs: number of pairs at most; they are evenly spaced.
-        geometry: of which the pairs are rectified. That which is seen is learned from all images of
-            the dataset until then.
+        geometry: by which the pairs are rectified; "seen" learns from all rows of the dataset up to
+            each pair.
         progress: is called after each pair.
 
     Raises:
@@ -187,7 +187,8 @@ def write_depth(
         head: the calibration.
         found: pairs with their depths.
         count: how many they are.
-        errors: is called after the last pair; by geometry, as in Summary, the errors of the depth.
+        errors: is called after the last pair; returns the errors of the depth by geometry, under
+            the names that Summary has for them.
         progress: is called after each pair.
 
     Raises:

@@ -63,8 +63,7 @@ def depth(
         scene: that it looks at.
         seed: of everything random.
         pairs: number of pairs.
-        geometry: of which the pairs are rectified. For that which is seen the twin looks around
-            first.
+        geometry: by which the pairs are rectified; for "seen" the twin looks around first.
         progress: is called after each pair.
 
     Raises:

@@ -38,7 +38,7 @@ from vergence.stereo.extrinsics import stereo_cameras
 CHUNK = 4096
 """Points at a time: their arrays stay in the processor's cache, and memory does not grow."""
 PARALLEL_RAD = 1e-12
-"""Angle between two rays that rounding errors make of none."""
+"""Angle between two rays up to which they count as parallel: what rounding errors make."""
 
 
 class Status(IntEnum):

@@ -130,7 +130,7 @@ def _or_stated(
     pixel_std_px: ArrayLike | None,
     joint_std_rad: ArrayLike | None,
 ) -> tuple[ArrayLike, ArrayLike]:
-    """Return the noise of pixels and readings, None: as the calibration states it, or none."""
+    """Return the noise of pixels and readings; None: as the calibration states it, 0 if not."""
     if pixel_std_px is None:
         pixel_std_px = (head.accuracy and head.accuracy.pixel_std_px) or 0.0
     if joint_std_rad is None:
