@@ -168,9 +168,9 @@ def check_camera_name(name: str) -> None:
         )
 
 
-def cameras_of(calibration: HeadCalibration, eye: Side) -> list[str]:
-    """Return the names of an eye's cameras, in the order of the calibration."""
-    return [name for name, mounted in calibration.cameras.items() if mounted.eye == eye]
+def cameras_of(head: HeadCalibration, eye: Side) -> list[str]:
+    """Return the names of an eye's cameras, in the order in which the head has them."""
+    return [name for name, mounted in head.cameras.items() if mounted.eye == eye]
 
 
 def main_camera(names: Collection[str], eye: Side) -> str:
@@ -178,9 +178,9 @@ def main_camera(names: Collection[str], eye: Side) -> str:
     return f"{eye}_wide" if f"{eye}_wide" in names else next(iter(names))
 
 
-def main_pair(calibration: HeadCalibration) -> tuple[str, str] | None:
+def main_pair(head: HeadCalibration) -> tuple[str, str] | None:
     """Return the main camera of the left and of the right eye; None for a head of one eye."""
-    left, right = (cameras_of(calibration, eye) for eye in EYES)
+    left, right = (cameras_of(head, eye) for eye in EYES)
     return (main_camera(left, "left"), main_camera(right, "right")) if left and right else None
 
 
@@ -209,32 +209,32 @@ def pair_names(head: HeadCalibration, cameras: tuple[str, str] | None = None) ->
     return left, right
 
 
-def T_head_base(calibration: HeadCalibration, eye: Side) -> Array:
+def T_head_base(head: HeadCalibration, eye: Side) -> Array:
     """Return the pose (4, 4) of an eye's base frame in frame head."""
-    T_lbase_rbase = inverse(calibration.T_rbase_lbase)
+    T_lbase_rbase = inverse(head.T_rbase_lbase)
     T_head_lbase = pose(t=-T_lbase_rbase[:3, 3] / 2)
     return T_head_lbase if eye == "left" else T_head_lbase @ T_lbase_rbase
 
 
-def T_base_cam(calibration: HeadCalibration, camera: str, joints: Array) -> Array:
+def T_base_cam(head: HeadCalibration, camera: str, joints: Array) -> Array:
     """Return poses (..., 4, 4) of a camera in its eye's base, at readings (..., r) of the head."""
-    mounted = calibration.camera(camera)
-    return T_base_eye(calibration.kinematics, mounted.eye, joints) @ mounted.T_eye_cam
+    mounted = head.camera(camera)
+    return T_base_eye(head.kinematics, mounted.eye, joints) @ mounted.T_eye_cam
 
 
-def T_body_base(calibration: HeadCalibration, eye: Side, neck_angles: Array) -> Array:
+def T_body_base(head: HeadCalibration, eye: Side, neck_angles: Array) -> Array:
     """Return poses (..., 4, 4) of an eye's base frame in frame body: T_be(neck) of Eq. 12.
 
     Of the angles [rad] the first n are used, n being the number of the chain's neck joints; those
     that follow, such as the eyes' in a posture (..., 7), are ignored.
     """
-    chain_angles = neck_angles[..., : len(calibration.neck.axes)]
-    return T_body_head(calibration.neck, chain_angles) @ T_head_base(calibration, eye)
+    chain_angles = neck_angles[..., : len(head.neck.axes)]
+    return T_body_head(head.neck, chain_angles) @ T_head_base(head, eye)
 
 
-def T_narrow_wide(calibration: HeadCalibration, eye: Side) -> Array:
+def T_narrow_wide(head: HeadCalibration, eye: Side) -> Array:
     """Return the pose (4, 4) of the wide camera in the narrow one: R_fp, t_fp of Sec. III."""
-    wide, narrow = (calibration.camera(f"{eye}_{lens}") for lens in ("wide", "narrow"))
+    wide, narrow = (head.camera(f"{eye}_{lens}") for lens in ("wide", "narrow"))
     return inverse(narrow.T_eye_cam) @ wide.T_eye_cam
 
 
