@@ -28,11 +28,11 @@ from vergence.geometry.parameters import camera_columns, parameter_names
 from vergence.geometry.projection import by_camera_columns, by_increments, projected
 from vergence.stereo.extrinsics import per_pair, stereo_cameras
 from vergence.stereo.triangulation import (
-    checked,
-    of_part,
+    checked_arguments,
+    intersect_rays,
+    joints_of_part,
+    noise_of_part,
     pixel_variances,
-    postures,
-    rays_meet,
 )
 
 
@@ -115,7 +115,7 @@ def linearised(
 
     Pixels count equally. Arguments and errors are those of `locate`.
     """
-    left, right, joints = checked(left, right, joints, head.kinematics)
+    left, right, joints = checked_arguments(left, right, joints, head.kinematics)
     return linearised_part(head, (left, right), joints, cameras, pixel_variances(1.0, len(left)))
 
 
@@ -133,10 +133,10 @@ def linearised_part(
 
     Variances are those of `triangulation.pixel_variances`.
     """
-    pixels, joints = (pixels[0][part], pixels[1][part]), postures(joints, part)
-    variances = of_part(variances, part)
+    pixels, joints = (pixels[0][part], pixels[1][part]), joints_of_part(joints, part)
+    variances = noise_of_part(variances, part)
     pair, eyes = stereo_cameras(head, cameras), eye_motions(head, joints)
-    points, status = rays_meet(pair, head.T_rbase_lbase, eyes, pixels, variances)
+    points, status = intersect_rays(pair, head.T_rbase_lbase, eyes, pixels, variances)
     shape, point = status.shape, components(points)
     rows = [
         projected(mounted, head.T_rbase_lbase, eye.R, eye.t, point, parameters=parameters)

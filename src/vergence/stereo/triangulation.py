@@ -78,61 +78,47 @@ def triangulate_at(
         Points (N, 3) [m], NaN where the status is not OK, and the status (N,).
 
     Raises:
-        VergenceError: shapes do not fit, or the head has no such pair of cameras.
+        VergenceError: shapes do not fit, readings are not in radians, poses are not rigid, the
+            noise is negative, or the head has no such pair of cameras.
     """
-    left, right, joints = checked(left, right, joints, head.kinematics)
+    left, right, joints = checked_arguments(left, right, joints, head.kinematics)
     pair, n = stereo_cameras(head, cameras), len(left)
     variances = pixel_variances(pixel_std_px, n)
 
     def find(part: slice) -> tuple[Array, np.ndarray]:
-        eyes, pixels = eye_motions(head, postures(joints, part)), (left[part], right[part])
-        points, status = rays_meet(pair, head.T_rbase_lbase, eyes, pixels, of_part(variances, part))
+        eyes, pixels = eye_motions(head, joints_of_part(joints, part)), (left[part], right[part])
+        points, status = intersect_rays(
+            pair, head.T_rbase_lbase, eyes, pixels, noise_of_part(variances, part)
+        )
         return points.T, status
 
     points, status = in_chunks(n, find)
     return points, status
 
 
-def rays_meet(
+def intersect_rays(
     pair: tuple[MountedCamera, MountedCamera],
     T_rbase_lbase: Array,
     eyes: tuple[EyeMotion, EyeMotion],
     pixels: tuple[Array, Array],
     variances: Array,
 ) -> tuple[Array, np.ndarray]:
-    """Return points (3, N) in the left eye's base frame, and their status (N,).
-
-    Args:
-        pair: a left and a right camera.
-        eyes: their poses.
-        pixels: (N, 2) left and right.
-        variances: (4, N or 1) of the pixels: left u, left v, right u, right v.
-    """
-    lenses = pair[0].intrinsics, pair[1].intrinsics
-    left, right = (
-        camera_pose(mounted, T_rbase_lbase, eye.R, eye.t)
-        for mounted, eye in zip(pair, eyes, strict=True)
-    )
-    return _intersect(lenses, pixels, (left, right), variances)
-
-
-def _intersect(
-    lenses: tuple[Camera, Camera],
-    pixels: tuple[Array, Array],
-    poses: tuple[tuple[Rows, Vector], tuple[Rows, Vector]],
-    variances: Array,
-) -> tuple[Array, np.ndarray]:
-    """Return the points (3, N) where the rays of pixels meet, and the status (N,).
+    """Return points (3, N) in the left eye's base frame, where rays of pixels meet; status (N,).
 
     Rays of noisy pixels pass each other; they are first corrected so that they meet.
 
     Args:
-        lenses: the left and the right camera.
+        pair: a left and a right camera.
+        T_rbase_lbase: (4, 4) of the head.
+        eyes: poses of the eyes.
         pixels: (N, 2) left and right, distortion included.
-        poses: rotations and centres of the cameras in the frame of the points, by components.
         variances: (4, N or 1) of the pixels: left u, left v, right u, right v.
     """
-    n, ((R_left, centre), (R_right, other)) = len(pixels[0]), poses
+    (R_left, centre), (R_right, other) = (
+        camera_pose(mounted, T_rbase_lbase, eye.R, eye.t)
+        for mounted, eye in zip(pair, eyes, strict=True)
+    )
+    lenses, n = (pair[0].intrinsics, pair[1].intrinsics), len(pixels[0])
     base = minus(other, centre)
     left, right = _coplanar_rays(lenses, pixels, (R_left, R_right), base, variances)
     with ignoring_invalid(left[0]):
@@ -166,8 +152,14 @@ def _coplanar_rays(
     """Return the rays of pixels, by components, corrected so that each pair lies in one plane.
 
     The pixels are moved onto each other's epipolar lines by the least sum of squares relative to
-    their variances: Sampson's correction, to first order the maximum of the likelihood. `base` is
-    the vector from the left to the right camera; other arguments are those of `_intersect`.
+    their variances: Sampson's correction, to first order the maximum of the likelihood.
+
+    Args:
+        lenses: of the left and the right camera.
+        pixels: (N, 2) left and right, distortion included.
+        rotations: of the cameras, in the frame in which the rays are returned.
+        base: the vector from the left to the right camera, in this frame.
+        variances: (4, N or 1) of the pixels: left u, left v, right u, right v.
     """
     columns = transposed(rotations[0]), transposed(rotations[1])
     found = [
@@ -218,7 +210,7 @@ def in_chunks(n: int, find: Callable[[slice], tuple[Array, ...]]) -> tuple[Array
     return found
 
 
-def postures(joints: Array, part: slice) -> Array:
+def joints_of_part(joints: Array, part: slice) -> Array:
     """Return the readings, or measured poses, of a chunk: (n, r) or (n, 2, 4, 4); n may be 1."""
     return joints[None] if joints.ndim in (1, 3) else joints[part]
 
@@ -258,12 +250,12 @@ def pixel_variances(pixel_std_px: ArrayLike, n: int) -> Array:
     return np.where((std > 0).all(axis=0), std * std, 1.0)
 
 
-def of_part(noise: Array, part: slice) -> Array:
+def noise_of_part(noise: Array, part: slice) -> Array:
     """Return the noise (..., n) of a chunk; (..., 1) is that of all points."""
     return noise if noise.shape[-1] == 1 else noise[..., part]
 
 
-def checked(
+def checked_arguments(
     left: Array, right: Array, joints: Array, kinematics: Kinematics
 ) -> tuple[Array, Array, Array]:
     """Return float arrays; VergenceError if they are not (N, 2), (N, 2) and readings.
