@@ -25,7 +25,7 @@ import tyro
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.geometry import se3
-from vergence.geometry.camera import Camera, normalise, project
+from vergence.geometry.camera import Camera, project, unproject
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named
 from vergence.paper.comparison import learned_around
@@ -149,8 +149,7 @@ def chessboard(truth: HeadCalibration) -> Callable[[Sample], Images]:
 def rays_within_pixels(camera: Camera) -> Array:
     """Return rays (N, 3) evenly spread over each pixel, by rows of the finer image."""
     u, v = ((np.arange(FINER * n) + 0.5) / FINER - 0.5 for n in (camera.width, camera.height))
-    xy = normalise(camera, np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
-    return np.column_stack([xy, np.ones(len(xy))])
+    return unproject(camera, np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
 
 
 def mean_within_pixels(values: Array, size: tuple[int, ...]) -> Array:

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.geometry.camera import Camera, normalise, pinhole, project
+from vergence.geometry.camera import Camera, normalise, pinhole, project, unproject
 from vergence.geometry.se3 import inverse, transform
 
 WIDE = pinhole(640, 480, 280.0, (-0.12, 0.02, 0.0005, -0.0005, 0.0))
@@ -104,7 +104,7 @@ def _bounds(
 
 def at(camera: Camera, pixel: tuple[float, float], depth_m: float) -> Array:
     """Return the point (3,) [m] in frame cam at a depth that is seen at a pixel."""
-    return np.array([*normalise(camera, np.array(pixel)), 1.0]) * depth_m
+    return unproject(camera, np.array(pixel)) * depth_m
 
 
 def smooth_picture(side: int, seed: int = 0) -> np.ndarray:

@@ -102,12 +102,12 @@ def shift_gaze(twin: Twin, settings: GazeSettings, run: int, places_head: Array)
     run_gaze(head, settings, state, EACH_S * len(places_head) - 0.05, watch=keep)
     time, error, angle = np.array(times), np.array(errors), np.array(angles)
     return [
-        _judged(settings.limits, time, error, angle, k, _angle(places_head[k - 1], places_head[k]))
+        judged(settings.limits, time, error, angle, k, _angle(places_head[k - 1], places_head[k]))
         for k in range(1, len(places_head))
     ]
 
 
-def _judged(
+def judged(
     limits: JointLimits, time: Array, error: Array, angle: Array, number: int, angle_rad: float
 ) -> Shift:
     """Return the result for one object, from the time series of the whole run."""

@@ -32,7 +32,7 @@ from simulated_recording import inside_image, observe
 from vergence.calibration.calibrate import CalibrationResult, calibrate
 from vergence.calibration.detection import SYSTEMATIC_PX
 from vergence.calibration.observations import Observations
-from vergence.calibration.sequential.lens_choice import Lens
+from vergence.calibration.sequential.lens_choice import LensOption
 from vergence.calibration.summary import verdict
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera
@@ -165,7 +165,7 @@ def main() -> None:
         for seed in range(given.seed, given.seed + given.heads):
             rng = np.random.default_rng([seed, KINDS.index(kind)])
             head = head_of(kind, rng)
-            lens: Lens = "rational" if kind == "rational" else "auto"
+            lens: LensOption = "rational" if kind == "rational" else "auto"
             kept = None if given.found is None else given.found / f"{kind}, {seed}.npz"
             observed = recorded(head, rng, images=given.images, kept=kept)
             try:

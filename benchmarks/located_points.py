@@ -26,7 +26,7 @@ import tyro
 import vergence as vg
 from simulated_head import random_head
 from vergence.arrays import Array
-from vergence.geometry.head import Accuracy
+from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.parameters import parameter_names
 from vergence.geometry.projection import project_point
 

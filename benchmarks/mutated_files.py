@@ -39,7 +39,8 @@ from vergence.data.reader import load_dataset
 from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard
-from vergence.geometry.head import Accuracy, HeadCalibration, load_head, save_head
+from vergence.geometry.head import HeadCalibration, load_head, save_head
+from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import EYE_JOINTS
 from vergence.geometry.parameters import parameter_values
 from vergence.interchange.formats import ExportFormat, export_head, import_head

@@ -6,7 +6,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry import se3
-from vergence.geometry.camera import normalise, project
+from vergence.geometry.camera import project, unproject
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.lens import reach
@@ -109,8 +109,8 @@ def tracked_features(
         apart = project_point(truth, name, then, points)[None] - pixels[:, None]
         nearest = np.nan_to_num(np.linalg.norm(apart, axis=2), nan=np.inf).argmin(axis=1)
         depth = transform(inverse(T_then), points[nearest])[:, 2:]
-        rays = np.concatenate([normalise(camera, pixels), np.ones((len(pixels), 1))], axis=1)
-        later = project(camera, transform(inverse(T_now) @ T_then, rays * depth))
+        there = transform(inverse(T_now) @ T_then, unproject(camera, pixels) * depth)
+        later = project(camera, there)
         seen = np.flatnonzero(((later > 0) & (later < [camera.width, camera.height])).all(axis=1))
         noise = rng.normal(0, noise_px, (len(seen), 2))
         C = np.tile(max(noise_px, 0.02) ** 2 * np.eye(2), (len(seen), 1, 1))

@@ -22,7 +22,8 @@ from vergence.calibration.observations import Observations
 from vergence.data.dataset import Dataset
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
-from vergence.geometry.head import HeadCalibration, HeldOut
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head_accuracy import HeldOut
 from vergence.geometry.parameters import boxminus
 from vergence.vision.board_detection import detect_board
 from vergence.vision.board_pose import board_poses

@@ -22,7 +22,8 @@ from vergence.calibration.observations import Observations
 from vergence.data.dataset import Dataset
 from vergence.data.description import pose_columns
 from vergence.data.reader import load_dataset
-from vergence.geometry.head import Accuracy, load_head, main_pair, save_head
+from vergence.geometry.head import load_head, main_pair, save_head
+from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Side
 from vergence.interchange import kalibr
 

@@ -192,7 +192,7 @@ def test_every_option_of_the_help_is_known(capsys, monkeypatch):
         shown = set(re.findall(r"(?<!\S)--[a-z]+(?:-[a-z]+)*", capsys.readouterr().out)) - {
             "--help"
         }
-        assert shown == set(cli._options(command))
+        assert shown == set(cli.options_of(command))
 
 
 def test_the_version_is_that_of_the_package(capsys, monkeypatch):

@@ -18,7 +18,8 @@ from vergence.calibration.checks.cross_validation import (
 )
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
-from vergence.geometry.head import Accuracy, HeadCalibration, HeldOut
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head_accuracy import Accuracy, HeldOut
 from vergence.geometry.parameters import change_named
 
 HEAD = plain_head(0.075, 280.0, camera_m=((0.02, 0, 0), (0.02, 0, 0)))

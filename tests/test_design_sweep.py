@@ -148,7 +148,7 @@ def test_a_sweep_that_was_stopped_goes_on_without_doing_finished_work_again(
 def test_finished_work_that_is_no_array_of_floats_is_computed_again(kind: str, tmp_path: Path):
     file, numbers = tmp_path / "chunk.npy", np.arange(6.0).reshape(2, 3)
     np.save(file, numbers)
-    np.testing.assert_array_equal(command._read(file, (2, 3)), numbers)
+    np.testing.assert_array_equal(command.read_chunk(file, (2, 3)), numbers)
     if kind == "pipe":
         file.unlink()
         os.mkfifo(file)
@@ -159,7 +159,7 @@ def test_finished_work_that_is_no_array_of_floats_is_computed_again(kind: str, t
             np.savez(opened, numbers)
     else:
         np.save(file, numbers.astype(str if kind == "text" else complex))
-    assert command._read(file, (2, 3)) is None
+    assert command.read_chunk(file, (2, 3)) is None
 
 
 def test_processes_that_compute_do_not_wait_for_what_draws():

@@ -41,13 +41,8 @@ from vergence.data.dataset import Frame
 from vergence.data.description import Description
 from vergence.data.reader import load_dataset
 from vergence.geometry.camera import Camera
-from vergence.geometry.head import (
-    Accuracy,
-    HeadCalibration,
-    HeldOut,
-    MountedCamera,
-    save_head,
-)
+from vergence.geometry.head import HeadCalibration, MountedCamera, save_head
+from vergence.geometry.head_accuracy import Accuracy, HeldOut
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import Kinematics
 from vergence.geometry.neck import Neck

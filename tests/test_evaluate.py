@@ -11,7 +11,8 @@ from vergence.commands.evaluate import as_text, evaluate
 from vergence.commands.truth import Truth
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard
-from vergence.geometry.head import Accuracy, HeadCalibration
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side
 from vergence.geometry.parameters import change_named, without_offsets

@@ -6,7 +6,7 @@ On the twin: test_track.py, and by many: benchmarks/gaze_shifts.py.
 import numpy as np
 import pytest
 
-from gaze_shifts import ANGLE_RAD, DISTANCE_M, EACH_S, _judged, number_at, objects
+from gaze_shifts import ANGLE_RAD, DISTANCE_M, EACH_S, judged, number_at, objects
 from vergence.arrays import Array
 from vergence.gaze.commands import JointLimits
 
@@ -38,7 +38,7 @@ def test_the_error_counts_once_the_object_is_reached_and_while_the_neck_turns():
     errors: Array = 1.0 + 399.0 * (TIME < EACH_S + 0.35)  # reached after four frames
     errors[np.isclose(TIME, EACH_S + 0.8)] = 12.0  # the neck is turning
     errors[np.isclose(TIME, EACH_S + 2.0)] = 30.0  # it is not
-    found = _judged(JointLimits(), TIME, errors, turning_until(EACH_S + 1.0), 1, 0.7)
+    found = judged(JointLimits(), TIME, errors, turning_until(EACH_S + 1.0), 1, 0.7)
     assert found.reached_s == pytest.approx(0.4)
     assert found.turning_px == 12.0
     assert found.turning_frames == 7
@@ -48,7 +48,7 @@ def test_the_error_counts_once_the_object_is_reached_and_while_the_neck_turns():
 
 
 def test_an_object_that_is_never_reached_is_reported():
-    found = _judged(JointLimits(), TIME, np.full(len(TIME), 50.0), turning_until(4.0), 1, 0.7)
+    found = judged(JointLimits(), TIME, np.full(len(TIME), 50.0), turning_until(4.0), 1, 0.7)
     assert found.reached_s == np.inf
     assert found.turning_frames == 0
     assert found.final_px == 50.0
@@ -57,7 +57,7 @@ def test_an_object_that_is_never_reached_is_reported():
 def test_a_joint_beyond_its_range_is_found():
     angles = STILL.copy()
     angles[-3, 3] = JointLimits().range_rad[3, 1] + 0.01
-    found = _judged(JointLimits(), TIME, np.zeros(len(TIME)), angles, 1, 0.7)
+    found = judged(JointLimits(), TIME, np.zeros(len(TIME)), angles, 1, 0.7)
     assert found.beyond_rad == pytest.approx(0.01)
 
 

@@ -11,7 +11,6 @@ from simulated_head import plain_head, skewed_head
 from vergence.errors import VergenceError
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import (
-    Accuracy,
     HeadCalibration,
     T_base_cam,
     T_body_base,
@@ -23,6 +22,7 @@ from vergence.geometry.head import (
     stated_covariance,
     states_covariance,
 )
+from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.neck import Neck
 from vergence.geometry.parameters import parameter_names
 from vergence.geometry.se3 import inverse, transform

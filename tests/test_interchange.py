@@ -13,7 +13,8 @@ from pydantic import TypeAdapter, ValidationError
 from simulated_head import skewed_head, unskewed_head
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, project
-from vergence.geometry.head import Accuracy, HeadCalibration
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.lens import CameraModel
 from vergence.geometry.neck import Neck
 from vergence.interchange import kalibr, opencv, ros

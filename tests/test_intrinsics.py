@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 
 from vergence.calibration.observations import Observations
-from vergence.calibration.sequential.intrinsics import (
-    calibrate_camera,
-    fit_model,
-    free_intrinsics,
-)
+from vergence.calibration.sequential.intrinsics import calibrate_camera
 from vergence.calibration.sequential.lens_choice import best_lens, choose_lenses
 from vergence.calibration.sequential.lens_fit import (
     FOLDS,
@@ -18,10 +14,11 @@ from vergence.calibration.sequential.lens_fit import (
     held_out_squares,
     jackknife_covariance,
 )
+from vergence.calibration.sequential.lens_models import fit_model, free_intrinsics
 from vergence.calibration.sequential.lens_prior import EQUIDISTANT, lens_prior
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard, corner_points
-from vergence.geometry.camera import Camera, normalise, pinhole, pixel_grid, project
+from vergence.geometry.camera import Camera, normalise, pinhole, pixel_grid, project, unproject
 from vergence.geometry.parameters import lens_vector
 from vergence.geometry.se3 import pose, rotation, transform
 from vergence.vision.board_pose import (
@@ -104,7 +101,7 @@ def test_the_residual_is_the_noise_and_the_stated_deviations_are_true(model):
     camera = lens(rng) if model == "none" else lens(rng, 0, 1, 2, 3)
     exact = views(camera, boards(12, rng))
     grid = pixel_grid(camera)
-    rays = np.column_stack([normalise(camera, grid), np.ones(len(grid))])
+    rays = unproject(camera, grid)
     off, stated = [], []
     for _ in range(20):
         noisy = exact + rng.normal(0, 0.2, exact.shape)
@@ -157,7 +154,7 @@ def test_what_a_bent_board_does_to_a_lens_is_stated_but_for_its_focal_length():
         found = calibrate_camera(noisy, POINTS, size=SIZE, lens_model="radial-tangential")
         centre = found.camera.matrix[:2, 2] - camera.matrix[:2, 2]
         grid = pixel_grid(camera)
-        rays = np.column_stack([normalise(camera, grid), np.ones(len(grid))])
+        rays = unproject(camera, grid)
         shown = project(replace(camera, distortion=found.camera.distortion), rays) - grid
         off.append([np.linalg.norm(centre), np.sqrt((shown**2).sum(axis=1).mean())])
         stated.append([np.sqrt(2) * found.accuracy.centre_px, found.accuracy.distortion_px])

@@ -15,6 +15,7 @@ from vergence.geometry.camera import (
     project,
     project_jacobians,
     undistort,
+    unproject,
 )
 from vergence.geometry.lens import COEFFICIENTS, CameraModel, reach
 from vergence.geometry.parameter_names import intrinsics_names
@@ -43,7 +44,7 @@ def in_view(camera: Camera, rng: np.random.Generator) -> np.ndarray:
     pixels = rng.uniform([0, 0], [639, 479], (30, 2))
     pixels[:4] = [[0, 0], [639, 0], [0, 479], [639, 479]]
     pixels[4] = camera.matrix[:2, 2]
-    points = np.concatenate([normalise(camera, pixels), np.ones((30, 1))], axis=1)
+    points = unproject(camera, pixels)
     points = points[np.isfinite(points).all(axis=1)]
     return points * rng.uniform(0.2, 3, (len(points), 1))
 
@@ -71,8 +72,17 @@ def test_normalise_undoes_project_out_to_the_corners(seed: int, model: CameraMod
     xy = normalise(camera, pixels)
     expected = points[:, :2] / points[:, 2:]
     np.testing.assert_allclose(xy, expected, rtol=1e-9, atol=1e-12)
-    again = project(camera, np.concatenate([xy, np.ones((len(xy), 1))], axis=1))
-    np.testing.assert_allclose(again, pixels, atol=1e-9)
+
+
+@given(seeds, models)
+def test_an_unprojected_pixel_is_a_point_at_depth_1_that_projects_to_it(seed, model: CameraModel):
+    rng = np.random.default_rng(seed)
+    camera = random_lens(model, rng)
+    pixels = project(camera, in_view(camera, rng))
+    points = unproject(camera, pixels)
+    assert (points[:, 2] == 1).all()
+    np.testing.assert_allclose(project(camera, points), pixels, atol=1e-9)
+    np.testing.assert_allclose(unproject(camera, pixels[0]), points[0], rtol=1e-9, atol=1e-12)
 
 
 @given(seeds, models)

@@ -11,7 +11,8 @@ from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.calibration.summary import DISTANCES_M, point_accuracy
 from vergence.geometry.eye_motion import eye_poses
-from vergence.geometry.head import Accuracy, HeadCalibration
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.parameters import parameter_names
 from vergence.geometry.projection import project_point

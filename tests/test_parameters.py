@@ -11,7 +11,8 @@ from pydantic import TypeAdapter
 from simulated_head import plain_head, skewed_head
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.geometry.head import Accuracy, HeadCalibration, T_base_cam
+from vergence.geometry.head import HeadCalibration, T_base_cam
+from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.parameters import (
     boxminus,
     boxplus,

@@ -27,7 +27,7 @@ from vergence.accuracy.plan_workspace import fixating, largest_std, workspace
 from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
 from vergence.calibration.observations import Observations
 from vergence.commands import plan as command
-from vergence.commands.plan import _head_and_board
+from vergence.commands.plan import head_and_board
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard
 from vergence.geometry.eye_motion import eye_poses
@@ -255,7 +255,7 @@ def test_wrong_options_end_in_a_sentence(
 
 def test_a_board_of_unknown_size_has_squares_of_1(tmp_path: Path):
     save_head(plain_head(0.08, 400), tmp_path / "head.json")
-    _, board = _head_and_board(tmp_path / "head.json", (9, 6, 1.0), silent)
+    _, board = head_and_board(tmp_path / "head.json", (9, 6, 1.0), silent)
     assert board == Chessboard(columns=9, rows=6, square_m=1.0)
 
 

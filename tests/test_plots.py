@@ -81,7 +81,7 @@ def test_parallel_motion_is_left_of_divergent_motion_and_rows_share_their_scale(
 
 def test_the_table_states_the_papers_numbers_and_ours():
     result_ = result(9)
-    columns = plots._cells(result_.figure, result_.statistics)
+    columns = plots.table_cells(result_.figure, result_.statistics)
     assert columns[1][1:] == ["1109 ± 102", "17 ± 11", "1 ± 7"]
     mean_mm, std_mm = 1e3 * result_.statistics.mean_m[0], 1e3 * result_.statistics.std_m[0]
     assert columns[2][1] == f"{mean_mm:.1f} ± {std_mm:.1f}"
@@ -92,7 +92,7 @@ def test_a_figure_that_located_nothing_says_so(tmp_path: Path):
     nothing = result(6, dropped=SAMPLES)
     paper_figures(tmp_path / "figures.png", [nothing])
     assert (tmp_path / "figures.png").exists()
-    assert plots._cells(nothing.figure, nothing.statistics)[2][1:] == ["not located"] * 3
+    assert plots.table_cells(nothing.figure, nothing.statistics)[2][1:] == ["not located"] * 3
 
 
 def test_the_folder_holds_the_picture_and_nothing_else(tmp_path: Path):

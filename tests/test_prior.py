@@ -9,7 +9,7 @@ from head_kinds import KINDS
 from head_kinds import head_of as head_of_kind
 from simulated_frames import CAMERAS, begin, head_of
 from vergence.geometry.camera import normalise, project
-from vergence.geometry.head import Accuracy, LensAccuracy
+from vergence.geometry.head_accuracy import Accuracy, LensAccuracy
 from vergence.geometry.kinematics import EYES, straight_gaze
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.parameters import change_named, parameter_names

@@ -22,7 +22,8 @@ from simulated_frames import (
 )
 from simulated_matches import drawn_head, matches, room, squared_distance, turn_error_deg
 from vergence.errors import VergenceError
-from vergence.geometry.head import Accuracy, T_narrow_wide, load_head, save_head
+from vergence.geometry.head import T_narrow_wide, load_head, save_head
+from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.parameter_names import PINHOLE
 from vergence.geometry.parameters import (
     boxplus,

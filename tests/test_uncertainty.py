@@ -14,7 +14,8 @@ from test_triangulation import random_samples
 from vergence.errors import VergenceError
 from vergence.geometry.camera import project
 from vergence.geometry.eye_motion import eye_poses
-from vergence.geometry.head import Accuracy, HeadCalibration
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import boxplus, rotation

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from simulated_head import unskewed_head
 from vergence.errors import VergenceError
-from vergence.geometry.head import Accuracy, T_base_cam, T_body_base, T_head_base
+from vergence.geometry.head import T_base_cam, T_body_base, T_head_base
+from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics
 from vergence.geometry.neck import NECK_JOINTS, Neck, T_body_head

@@ -40,7 +40,7 @@ def _shaped(*shape: int | None) -> tuple[PlainValidator, PlainSerializer]:
 
 
 Vector3 = Annotated[Array, *_shaped(3)]
-Vector = Annotated[Array, *_shaped(None)]
+VectorN = Annotated[Array, *_shaped(None)]
 Vectors3 = Annotated[Array, *_shaped(None, 3)]
 Matrix3 = Annotated[Array, *_shaped(3, 3)]
 Matrix = Annotated[Array, *_shaped(None, None)]
@@ -54,6 +54,7 @@ _EYE, _LAST_ROW = np.eye(3), np.array([0.0, 0.0, 0.0, 1.0])
 
 
 def _rigid(array: Array) -> Array:
+    """Return a (4, 4) array; ValueError if it is not a rigid transform in metres."""
     # Determinant and root in plain numbers: estimates make poses many times a second.
     R = array[:3, :3]
     possible = np.abs(R).max() < 1.1  # far larger numbers would overflow below
@@ -106,9 +107,9 @@ def replace_unchecked(instance: _Instance, **changes: Any) -> _Instance:
 
 
 def scatter_add(values: Array, places: tuple[np.ndarray, ...], shape: tuple[int, ...]) -> Array:
-    """Return an array of a shape with all values at their places in it; those at the same add up.
+    """Return an array of a shape that holds each value at its place; values at one place add up.
 
-    The places are indices that are broadcast to the values.
+    The places are indices, one array for each dimension of the shape, that broadcast to the values.
     """
     # np.add.at takes six times as long.
     flat = np.ravel_multi_index(np.broadcast_arrays(*places), shape)

@@ -22,7 +22,8 @@ class VergenceError(Exception):
 def explain(error: Exception) -> str:
     """Return what an error found in a file, in one line without a full stop.
 
-    Of pydantic's errors it is the first, with the path of its field: `joints.left_pan.unit: ...`.
+    Of several pydantic errors it is the first one, with the path of its field:
+    `joints.left_pan.unit: ...`.
     """
     text = "it is nested too deeply" if isinstance(error, RecursionError) else str(error)
     if isinstance(error, ValidationError):
@@ -48,7 +49,7 @@ def explain(error: Exception) -> str:
 
 
 def _kind(found: object) -> str:
-    """Return how a message calls what is no object with fields."""
+    """Return what a message calls a value that should have been an object with fields."""
     if isinstance(found, list | tuple):
         return "a list"
     return "nothing" if found is None else f"{found!r:.80}"

@@ -124,9 +124,9 @@ def _noticing_its_end() -> Iterator[None]:
 
 
 def _start(workers: list[tuple[SpawnProcess, Connection]], count: int) -> None:
-    """Start processes that wait for tasks, until there are so many.
+    """Start processes that wait for tasks, until there are `count` of them.
 
-    They inherit that signals wait, until they are ready for them.
+    They inherit that signals are blocked, and let them through once they can handle them.
     """
     resource_tracker.ensure_running()  # else it would start with them, and let signals through
     signal.pthread_sigmask(signal.SIG_BLOCK, _STOP)
@@ -141,7 +141,7 @@ def _start(workers: list[tuple[SpawnProcess, Connection]], count: int) -> None:
 
 
 def _work(link: Connection, threads: int) -> None:
-    """Do tasks until the other end is closed, with so many threads of OpenCV."""
+    """Do tasks until the other end of the link is closed; OpenCV uses a number of threads."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever started this process ends it
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _STOP)

@@ -78,6 +78,11 @@ def read_parsed(
         raise VergenceError(f"{path} is not {what}: {explain(error)}.") from None
 
 
+def read_json(path: Path, kind: type[T], what: str) -> T:
+    """Read a dataclass from JSON; `what` and errors are those of `read_parsed`."""
+    return read_parsed(path, what, TypeAdapter(kind).validate_python, parse_json)
+
+
 def parse_json(text: str) -> Any:
     """Parse JSON; ValueError for NaN and infinity, repeated keys, and numbers without end."""
     try:
@@ -122,8 +127,3 @@ def _finite(text: str) -> float:
     if not abs(value) < float("inf"):
         raise ValueError(f"{text} is not a finite number")
     return value
-
-
-def read_json(path: Path, kind: type[T], what: str) -> T:
-    """Read a dataclass from JSON; `what` and errors are those of `read_parsed`."""
-    return read_parsed(path, what, TypeAdapter(kind).validate_python, parse_json)

@@ -197,7 +197,10 @@ def _white(seen: Linearised, source: Source) -> Array:
 def _of_calibration(
     head: HeadCalibration, names: tuple[str, ...], by_head: Array
 ) -> dict[str, Array]:
-    """Return by group of parameters, and of all, changes (3, q, T) by q unit errors; or nothing."""
+    """Return by group of parameters changes (3, q, T) of the point by q independent unit errors.
+
+    All parameters together are the group CALIBRATION. Empty where no covariance is stated.
+    """
     if not states_covariance(head):
         return {}
     rows, C = stated_covariance(head, names)
@@ -211,7 +214,7 @@ def _of_calibration(
 
 
 def group_of(parameter: str) -> str:
-    """Return to which group of sources a parameter of a head belongs."""
+    """Return the group of sources that a parameter of a head belongs to."""
     if is_gain(parameter):
         return "gains"
     return next((group for group, ends in GROUPS if parameter.endswith(ends)), "axes of the eyes")

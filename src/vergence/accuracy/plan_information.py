@@ -17,7 +17,8 @@ from vergence.calibration.bundle.initial_state import initial_state
 from vergence.calibration.bundle.problem import head_size, jacobians
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board
-from vergence.geometry.head import Accuracy, HeadCalibration, check_states_covariance
+from vergence.geometry.head import HeadCalibration, check_states_covariance
+from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.parameter_names import POSE
 from vergence.geometry.parameters import parameter_names
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal, get_args
+from functools import partial
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -29,22 +30,24 @@ from vergence.calibration.detection import detect_target
 from vergence.calibration.observations import Observations, camera_eyes, check_readings
 from vergence.calibration.sequential.intrinsics import (
     LEAST_VIEWS,
-    LensModel,
+    Intrinsics,
     calibrate_intrinsics,
     lenses_of_the_paper,
 )
 from vergence.calibration.sequential.lens_choice import (
-    Lens,
     LensChoice,
+    LensOption,
     by_camera,
     choose_lenses,
 )
+from vergence.calibration.sequential.lens_models import LensModel
 from vergence.calibration.sequential.sequential import SequentialCalibration, calibrate_sequentially
 from vergence.calibration.summary import MISFIT_CAUSES, summary_lines
 from vergence.data.dataset import Dataset
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
-from vergence.geometry.head import Accuracy, HeadCalibration, HeldOut
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head_accuracy import Accuracy, HeldOut
 from vergence.progress import Progress, silent
 from vergence.vision.board_pose import LEAST_CORNERS, board_poses, seen_corners
 
@@ -93,7 +96,7 @@ def calibrate(
     data: Dataset | Observations,
     *,
     method: Method = "bundle",
-    lens: Lens | Mapping[str, Lens] = "auto",
+    lens: LensOption | Mapping[str, LensOption] = "auto",
     progress: Progress = silent,
 ) -> CalibrationResult:
     """Calibrate a head, and predict each fold of its views from the others.
@@ -111,6 +114,49 @@ def calibrate(
         VergenceError: the data are too poor for any answer, or contradict themselves; or an
             argument is none of these.
     """
+    data = _observed(data, method, progress)
+    progress("calibrating", 0, 3)
+    views = _checked_views(data, method, lens)
+    observations, T_cam_target = views.observations, views.T_cam_target
+    seen, T_rest = _at_rest(observations, T_cam_target)
+    start = calibrate_sequentially(seen, intrinsics=views.intrinsics, T_cam_target=T_rest)
+    progress("calibrating", 1, 3)
+    estimate, preferred = None, ()
+    if method == "bundle":
+        estimate = bundle_adjust(start.head, observations, T_cam_target=T_cam_target)
+        estimate, preferred = predicting_better(start.head, observations, T_cam_target, estimate)
+    progress("calibrating", 2, 3)
+    validated = _cross_validated(observations, partial(_calibrate_part, views, estimate))
+    progress("calibrating", 3, 3)
+    found = start if estimate is None else estimate
+    exchanged, unknown = (), ()
+    if estimate is not None:
+        exchanged, unknown = exchanged_readings(observations, found.head, estimate.T_base_eye)
+    void = (*exchanged, *found.accuracy.void, *validated.contradictions)
+    accuracy = replace(
+        found.accuracy,
+        eye_motion="pan-tilt" if observations.T_base_eye is None else "poses",
+        held_out=validated.held_out,
+        void=(*void, *_impossible_geometry(views, found)),
+        warnings=(*_warnings(views, found), *validated.doubts),
+    )
+    remarks = (
+        *observations.remarks,
+        *board_flips.remarks(views.renumbered),
+        *preferred,
+        *unknown,
+    )
+    return CalibrationResult(
+        replace(found.head, accuracy=accuracy),
+        replace(observations, remarks=remarks),
+        start,
+        estimate,
+        views.lenses,
+    )
+
+
+def _observed(data: Dataset | Observations, method: Method, progress: Progress) -> Observations:
+    """Return the observations, sought in the images of a dataset; errors are those of calibrate."""
     if not isinstance(data, (Dataset, Observations)):
         raise VergenceError(
             "calibrate takes a dataset, as of vg.load_dataset(folder), or observations; found "
@@ -118,94 +164,62 @@ def calibrate(
         )
     if method not in get_args(Method):
         raise VergenceError(f"method is {' or '.join(get_args(Method))}, found {method!r}.")
-    if isinstance(data, Dataset):
-        if data.moving.all():
-            raise VergenceError(
-                f"{data.folder} has moving rows only; the calibration starts from views in which "
-                "the eyes stand still."
-            )
-        data = detect_target(data, progress=progress)
-    progress("calibrating", 0, 3)
+    if isinstance(data, Observations):
+        return data
+    if data.moving.all():
+        raise VergenceError(
+            f"{data.folder} has moving rows only; the calibration starts from views in which "
+            "the eyes stand still."
+        )
+    return detect_target(data, progress=progress)
+
+
+@dataclass(frozen=True, eq=False)
+class _CheckedViews:
+    """Observations that no check has refused, and what the checks found on the way."""
+
+    renumbered: board_flips.Renumbered
+    """The observations, in which each placement's boards are numbered from the same end."""
+    lenses: dict[str, LensChoice]
+    """By camera."""
+    intrinsics: Mapping[str, Intrinsics]
+    """By camera, from the views at rest."""
+    pose_warnings: tuple[str, ...]
+    """On measured eye poses that were left out."""
+
+    @property
+    def observations(self) -> Observations:
+        return self.renumbered.observations
+
+    @property
+    def T_cam_target(self) -> Mapping[str, Array]:
+        """By camera: (V, 4, 4) poses of the board, NaN where not known."""
+        return self.renumbered.T_cam_target
+
+
+def _checked_views(
+    data: Observations, method: Method, lens: LensOption | Mapping[str, LensOption]
+) -> _CheckedViews:
+    """Return the views after all checks that precede a calibration: VergenceError if one fails."""
     seen = data.take(data.at_rest)
     _check_views(seen)
     if method == "bundle":  # the paper's steps need the readings of some views only
         check_readings(data)
     lenses = _lenses(seen, method, lens)
-    models: dict[str, LensModel] = {name: choice.model for name, choice in lenses.items()}
-    intrinsics = calibrate_intrinsics(seen, lenses=models)
+    intrinsics = calibrate_intrinsics(seen, lenses=_models(lenses))
     points = corner_points(data.board)
     # Once for each image: all that follows asks for these.
     T_cam_target = {
         name: board_poses(each.camera, data.corners[name], points)
         for name, each in intrinsics.items()
     }
-    encoders.check_encoders(seen, _take(T_cam_target, data.at_rest))
-    check_axis_order(seen, _take(T_cam_target, data.at_rest))
+    _, T_rest = _at_rest(data, T_cam_target)
+    encoders.check_encoders(seen, T_rest)
+    check_axis_order(seen, T_rest)
     posed = check_pose_readings(data, T_cam_target)
     renumbered = board_flips.number_alike(posed.observations, T_cam_target)
-    observations, T_cam_target = renumbered.observations, renumbered.T_cam_target
-    seen, T_rest = observations.take(data.at_rest), _take(T_cam_target, data.at_rest)
-    excitation.check_excitation(seen, T_rest)
-    start = calibrate_sequentially(seen, intrinsics=intrinsics, T_cam_target=T_rest)
-    progress("calibrating", 1, 3)
-    if method == "paper":
-        estimate, choice, std = None, (), {}
-        head, accuracy = start.head, start.accuracy
-        focal_std = {name: each.focal_std_px for name, each in intrinsics.items()}
-    else:
-        estimate = bundle_adjust(start.head, observations, T_cam_target=T_cam_target)
-        estimate, choice = predicting_better(start.head, observations, T_cam_target, estimate)
-        head, accuracy = estimate.head, estimate.accuracy
-        std = dict(zip(estimate.parameters, np.sqrt(np.diag(estimate.covariance)), strict=True))
-        focal_std = {name: (std[f"{name}.fx"], std[f"{name}.fy"]) for name in head.cameras}
-    progress("calibrating", 2, 3)
-
-    def of_part(rows: np.ndarray) -> PartCalibration:
-        if estimate is not None:
-            return bundle_of_part(estimate, observations, T_cam_target, rows)
-        part = observations.take(rows)
-        at_rest = part.take(part.at_rest)
-        found = calibrate_sequentially(at_rest, lenses=models).head
-        return PartCalibration(found, placed_boards(found, part, _take(T_cam_target, rows)), 1.0)
-
-    at_the_edge = ()
-    if estimate is not None:
-        at_the_edge = edge_warnings(head, observations.corners, estimate.residuals_px)
-    checked, doubts, contradictions = _cross_validated(observations, of_part)
-    progress("calibrating", 3, 3)
-    exchanged, unknown = (), ()
-    if estimate is not None:
-        exchanged, unknown = exchanged_readings(observations, head, estimate.T_base_eye)
-    void = (*exchanged, *accuracy.void, *contradictions)
-    odd_baseline = []
-    measured_poses = observations.T_base_eye is not None
-    if not measured_poses:  # whose bases may stand anywhere, as those of two arms do
-        void += tuple(axes_and_eyes.doubts(head, std))
-        odd_baseline = axes_and_eyes.odd_baseline(head)
-    warnings = (
-        *posed.warnings,
-        *odd_baseline,
-        *board_flips.warnings(renumbered),
-        *excitation.doubts(observations, T_cam_target, head, focal_std),
-        *accuracy.warnings,
-        *at_the_edge,
-        *doubts,
-    )
-    accuracy = replace(
-        accuracy,
-        eye_motion="poses" if measured_poses else "pan-tilt",
-        held_out=checked,
-        void=void,
-        warnings=warnings,
-    )
-    remarks = (*observations.remarks, *board_flips.remarks(renumbered), *choice, *unknown)
-    return CalibrationResult(
-        replace(head, accuracy=accuracy),
-        replace(observations, remarks=remarks),
-        start,
-        estimate,
-        lenses,
-    )
+    excitation.check_excitation(*_at_rest(renumbered.observations, renumbered.T_cam_target))
+    return _CheckedViews(renumbered, lenses, intrinsics, posed.warnings)
 
 
 def _check_views(seen: Observations) -> None:
@@ -224,47 +238,83 @@ def _check_views(seen: Observations) -> None:
 def _lenses(
     seen: Observations,
     method: Method,
-    lens: Lens | Mapping[str, Lens],
+    lens: LensOption | Mapping[str, LensOption],
 ) -> dict[str, LensChoice]:
     """Return the lens model of every camera."""
     if method == "paper":
-        stated: dict[str, Lens] = {**lenses_of_the_paper(seen)}
+        stated: dict[str, LensOption] = {**lenses_of_the_paper(seen)}
         for name, each in by_camera(seen, lens).items():
             stated[name] = stated.get(name, each) if each == "auto" else each
         return choose_lenses(seen, stated)
     return choose_lenses(seen, lens)
 
 
+def _models(lenses: Mapping[str, LensChoice]) -> dict[str, LensModel]:
+    return {name: choice.model for name, choice in lenses.items()}
+
+
 def _take(T_cam_target: Mapping[str, Array], rows: np.ndarray) -> dict[str, Array]:
     return {name: T[rows] for name, T in T_cam_target.items()}
 
 
+def _at_rest(
+    observations: Observations, T_cam_target: Mapping[str, Array]
+) -> tuple[Observations, dict[str, Array]]:
+    """Return the views in which the eyes stand still, and the board's poses in them."""
+    rows = observations.at_rest
+    return observations.take(rows), _take(T_cam_target, rows)
+
+
+def _calibrate_part(
+    views: _CheckedViews, estimate: BundleEstimate | None, rows: np.ndarray
+) -> PartCalibration:
+    """Return the calibration from some of the views (V,) by the same method; None: the paper's."""
+    if estimate is not None:
+        return bundle_of_part(estimate, views.observations, views.T_cam_target, rows)
+    part = views.observations.take(rows)
+    at_rest = part.take(part.at_rest)
+    head = calibrate_sequentially(at_rest, lenses=_models(views.lenses)).head
+    return PartCalibration(head, placed_boards(head, part, _take(views.T_cam_target, rows)), 1.0)
+
+
+class _Validation(NamedTuple):
+    """What cross-validation found."""
+
+    held_out: HeldOut | None
+    doubts: tuple[str, ...] = ()
+    """What is doubtful, among it why there is no held-out error."""
+    contradictions: tuple[str, ...] = ()
+    """Why the result must not be used."""
+
+
 def _cross_validated(
     observations: Observations, of_part: Callable[[np.ndarray], PartCalibration]
-) -> tuple[HeldOut | None, tuple[str, ...], tuple[str, ...]]:
-    """Return the held-out error, or why there is none; doubts; and what voids the result."""
+) -> _Validation:
+    """Predict each fold of the views from a calibration by the others, of `of_part`."""
     try:
         found = held_out(observations, calibrate_folds(observations, of_part))
     except VergenceError as error:
-        return None, (f"There is no held-out error: {error}",), ()
+        return _Validation(None, (f"There is no held-out error: {error}",))
     if not found.transfer_views and len(set(camera_eyes(observations).values())) > 1:
-        return found, ("There is no held-out error: no view shows the board to both eyes.",), ()
+        return _Validation(
+            found, ("There is no held-out error: no view shows the board to both eyes.",)
+        )
     contradictions = _misfit(found)
     ratio = found.jackknife_ratio
     if ratio is None or ratio <= LARGEST_JACKKNIFE_RATIO:
-        return found, (), contradictions
+        return _Validation(found, contradictions=contradictions)
     said = f"Calibrations from parts of the views differ {ratio:.1f} times as much as stated: "
     views, few = len(observations.placement), ""
     if views < EACH_BELOW:
         few = f", or record more: {views} views are so few that parts of them determine too little"
     if ratio > VOID_RATIO:
         said += f"they contradict each other; look for views with wrong readings{few}."
-        return found, (), (said, *contradictions)
+        return _Validation(found, contradictions=(said, *contradictions))
     said += (
         "true errors are larger than the stated ones by as much at least; look for errors that "
         f"corners share (a board that bends, blur){few}."
     )
-    return found, (said,), contradictions
+    return _Validation(found, (said,), contradictions)
 
 
 def _misfit(checked: HeldOut) -> tuple[str, ...]:
@@ -276,3 +326,45 @@ def _misfit(checked: HeldOut) -> tuple[str, ...]:
         return ()
     said = f"Held-out points are {ratio:.1f} times as wrong as the noise explains; {MISFIT_CAUSES}."
     return (said,)
+
+
+def _impossible_geometry(
+    views: _CheckedViews, found: SequentialCalibration | BundleEstimate
+) -> list[str]:
+    """Return sentences on axes and eyes that the calibration puts where none can be.
+
+    Bases of measured poses may stand anywhere, as those of two arms do.
+    """
+    if views.observations.T_base_eye is not None:
+        return []
+    return axes_and_eyes.doubts(found.head, _stds(found))
+
+
+def _warnings(
+    views: _CheckedViews, found: SequentialCalibration | BundleEstimate
+) -> tuple[str, ...]:
+    """Return what the data could not determine, and what is odd in the result."""
+    observations, head = views.observations, found.head
+    odd_baseline, at_the_edge = [], ()
+    if observations.T_base_eye is None:
+        odd_baseline = axes_and_eyes.odd_baseline(head)
+    focal_std = {name: each.focal_std_px for name, each in views.intrinsics.items()}
+    if isinstance(found, BundleEstimate):
+        std = _stds(found)
+        focal_std = {name: (std[f"{name}.fx"], std[f"{name}.fy"]) for name in head.cameras}
+        at_the_edge = edge_warnings(head, observations.corners, found.residuals_px)
+    return (
+        *views.pose_warnings,
+        *odd_baseline,
+        *board_flips.warnings(views.renumbered),
+        *excitation.doubts(observations, views.T_cam_target, head, focal_std),
+        *found.accuracy.warnings,
+        *at_the_edge,
+    )
+
+
+def _stds(found: SequentialCalibration | BundleEstimate) -> dict[str, float]:
+    """Return the stated standard deviations by parameter; the paper's method states none."""
+    if not isinstance(found, BundleEstimate):
+        return {}
+    return dict(zip(found.parameters, np.sqrt(np.diag(found.covariance)).tolist(), strict=True))

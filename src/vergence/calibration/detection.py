@@ -40,11 +40,16 @@ _PROBES = 4  # images on which other boards are tried when none was found
 
 @dataclass(frozen=True, eq=False)
 class _Detection:
+    """What was found in one image."""
+
     camera: str
     row: int
     corners: Array | None
+    """(K, 2) [px]; None: the board was not found."""
     reason: str
+    """Why it was not found."""
     digest: bytes = b""
+    """Of the picture, by which repeated ones are recognised."""
 
 
 def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observations:
@@ -182,7 +187,7 @@ def _without_repeats(dataset: Dataset, seen: list[_Detection]) -> list[_Detectio
 
 
 def _nothing_found(dataset: Dataset, seen: list[_Detection]) -> str:
-    """Return the sentence for a board that is in no image, with the usual cause if it is that."""
+    """Return the sentence for a board that no image shows, with the cause if it is a usual one."""
     board = dataset.description.board
     stated = f"{board.columns} x {board.rows} inner corners"
     reasons = [each.reason for each in seen]

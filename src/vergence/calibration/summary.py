@@ -6,13 +6,8 @@ import numpy as np
 
 from vergence.calibration.checks.axes_and_eyes import eye_shift
 from vergence.calibration.observations import Observations
-from vergence.geometry.head import (
-    Accuracy,
-    HeadCalibration,
-    T_head_base,
-    main_pair,
-    reading_stds,
-)
+from vergence.geometry.head import HeadCalibration, T_head_base, main_pair, reading_stds
+from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import readings_to_turn
 from vergence.geometry.parameters import without_offsets
 from vergence.geometry.projection import project_point
@@ -26,7 +21,8 @@ the ten views or more of a usual fold set it stays below by far."""
 MISFIT_CAUSES = "look for backlash, a board that moved or bends, and time stamps of moving eyes"
 """What is to be done about such an error."""
 PART = 1 / 3
-"""Share of the noise of a reading that a calibration may add: it makes a twentieth of the whole."""
+"""Largest error that a calibration may add, relative to that of a reading's noise: the two together
+are then a twentieth larger than the noise alone."""
 SMALL = 0.002
 """Error of a point, relative to its distance, that is small whatever the noise of a reading."""
 MOST_REMARKS = 2
@@ -34,7 +30,7 @@ MOST_REMARKS = 2
 DISTANCES_M = (0.3, 0.6, 1.0)
 """Distances of the points whose accuracy is stated: the range of a hand, and beyond."""
 _TURNS_RAD = 0.2
-"""Gaze directions of the motion over which it is stated, from straight ahead."""
+"""Angle from straight ahead of the gaze directions over which that accuracy is stated."""
 
 
 def verdict(accuracy: Accuracy, head: HeadCalibration) -> tuple[str, str]:

@@ -62,7 +62,7 @@ def _check(arguments: list[str]) -> None:
             f"There is no command {name!r}; there are {', '.join(COMMANDS)}. "
             f"See {invocation('vergence', '--help')}."
         )
-    known = _options(COMMANDS[name])
+    known = options_of(COMMANDS[name])
     for argument in arguments[1:]:
         option = argument.partition("=")[0].replace("_", "-")
         if option.startswith("--") and option not in (*known, "--help"):
@@ -72,7 +72,7 @@ def _check(arguments: list[str]) -> None:
             )
 
 
-def _options(command: Callable[..., None]) -> list[str]:
+def options_of(command: Callable[..., None]) -> list[str]:
     """Return the options of a command, with those that experiments have in common."""
     parameters = signature(command).parameters.values()
     names = [each.name for each in parameters if each.kind is Parameter.KEYWORD_ONLY]

@@ -218,7 +218,7 @@ def depth(
         profile: Error profile of the twin: ideal, paper (default), noise-only, or a TOML file.
         scene: Scene that the twin looks at; default: room.
         seed: Seed of everything random on the twin; default: 0.
-        pairs: Number of pairs; of a dataset at most so many.
+        pairs: Number of pairs; from a dataset, at most this many.
         geometry: Rectify by the joint readings, or by these as corrected by what both eyes see.
     """
     if twin == (dataset is not None):

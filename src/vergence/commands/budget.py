@@ -192,8 +192,9 @@ def _nonzero(errors: dict[str, float]) -> dict[str, float]:
 
 
 HEADING = ("source", "x", "y", "z", "x, parallel", "shared")
-"""Standard deviations [mm]: what differs between samples, and what of it in x parallel motion
-leaves, blank for a head that has none; what all samples share, x, y and z."""
+"""Standard deviations [mm]: of what differs between samples, in x, y and z; of the same in x in
+parallel motion, blank for a head that has no such motion; of what all samples share, in x, y and z.
+"""
 
 
 def table(found: Budgets, k: int) -> list[tuple[str, ...]]:

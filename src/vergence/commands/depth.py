@@ -55,7 +55,7 @@ PairDepth = tuple[RectifiedPair, DenseDepth]
 
 
 @dataclass(frozen=True)
-class Errors:
+class DepthErrors:
     """Errors of depth at RANGE_M where there is texture, over all pairs."""
 
     median_relative: float
@@ -81,11 +81,11 @@ class Summary:
     """Share that has one which texture determines well."""
     median_relative_std: float
     """Stated standard deviation over depth, of textured pixels at RANGE_M."""
-    joints: Errors | None = None
+    joints: DepthErrors | None = None
     """By the calibration and the joint readings; None: the truth is not known."""
-    seen: Errors | None = None
+    seen: DepthErrors | None = None
     """By the geometry that both eyes see; None: it was not asked for, or the truth is not known."""
-    true_geometry: Errors | None = None
+    true_geometry: DepthErrors | None = None
     """By the true head and the true angles: what the matching itself leaves."""
 
 
@@ -105,8 +105,8 @@ def depth(
         dataset: of which the depth is wanted.
         calibration: file of the head.
         pairs: number of pairs at most; they are evenly spaced.
-        geometry: of which the pairs are rectified. That which is seen is learned from all images of
-            the dataset until then.
+        geometry: by which the pairs are rectified; "seen" learns from all rows of the dataset up to
+            each pair.
         progress: is called after each pair.
 
     Raises:
@@ -196,7 +196,7 @@ def write_depth(
     count: int,
     *,
     left_out: int = 0,
-    errors: Callable[[], dict[str, Errors | None]] = dict,
+    errors: Callable[[], dict[str, DepthErrors | None]] = dict,
     progress: Progress = silent,
 ) -> Summary:
     """Write a recording, a summary and a report of the depth of pairs, one after the other.
@@ -207,7 +207,8 @@ def write_depth(
         found: pairs with their depths.
         count: how many they are.
         left_out: how many more cannot be rectified.
-        errors: is called after the last pair; by geometry, as in Summary, the errors of the depth.
+        errors: is called after the last pair; returns the errors of the depth by geometry, under
+            the names that Summary has for them.
         progress: is called after each pair.
 
     Raises:

@@ -48,7 +48,7 @@ def sweep(
     """Return a sweep, whose chunks are read from a folder or else computed and written there."""
     each = list(chunks(settings))
     files = [folder / f"{digest(chunk)}.npy" for chunk in each]
-    kept = [_read(file, chunk_shape(chunk)) for file, chunk in zip(files, each, strict=True)]
+    kept = [read_chunk(file, chunk_shape(chunk)) for file, chunk in zip(files, each, strict=True)]
     found = {k: known for k, known in enumerate(kept) if known is not None}
     missing = [(k, each[k]) for k in range(len(each)) if k not in found]
     progress("sweeping designs", len(found), len(each))
@@ -67,7 +67,7 @@ def digest(chunk: DesignSettings) -> str:
     return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
 
 
-def _read(file: Path, shape: tuple[int, ...]) -> Array | None:
+def read_chunk(file: Path, shape: tuple[int, ...]) -> Array | None:
     """Return what an earlier run has written; None if there are no floats of this shape."""
     try:
         content = read_bytes(file, HEADER_BYTES + 8 * math.prod(shape))

@@ -39,7 +39,7 @@ def run(
     that kind, its calibration is void, or an option is not possible.
     """
     _check(views, limits_deg, distances_m, seed)
-    head, shown = _head_and_board(source, board, progress)
+    head, shown = head_and_board(source, board, progress)
     return plan(
         head,
         shown,
@@ -68,9 +68,10 @@ def _check(
             )
 
 
-def _head_and_board(
+def head_and_board(
     source: Path, stated: tuple[int, int, float] | None, progress: Progress
 ) -> tuple[HeadCalibration, Board]:
+    """Return the calibration and the board of a source; arguments and errors are those of `run`."""
     if os.path.isdir(source):
         data = load_dataset(source)
         board = data.description.board if stated is None else _chessboard(stated)

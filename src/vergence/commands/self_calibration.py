@@ -17,7 +17,7 @@ _MOST_NAMED = 6
 
 
 def _unit(name: str) -> tuple[str, float]:
-    """Return the unit in which a parameter is printed, and how many there are in its own unit."""
+    """Return the unit in which a parameter is printed, and the factor from its own unit to it."""
     last = name.rpartition(".")[2]
     if last in ("fx", "fy", "cx", "cy"):
         return "px", 1.0

@@ -102,6 +102,17 @@ class Description:
     format: Literal["vergence-dataset-1"] = "vergence-dataset-1"
 
     def __post_init__(self) -> None:
+        self._check_cameras()
+        self._check_board()
+        for name in self.joints:
+            if name not in JOINTS:
+                raise ValueError(f"joints.{name}: expected one of {', '.join(JOINTS)}")
+        self._check_kinematics()
+        self._check_pan_and_tilt()
+        self._check_columns()
+        _ = self.head_kinematics  # its joints are checked when they are made
+
+    def _check_cameras(self) -> None:
         if not 1 <= len(self.cameras) <= MAX_CAMERAS:
             found = f"found {len(self.cameras)}" if self.cameras else "cameras is empty"
             raise ValueError(f"a dataset has 1 to {MAX_CAMERAS} cameras; {found}")
@@ -120,6 +131,8 @@ class Description:
                     f"cameras.{name} has images of {camera.width} x {camera.height}, but its "
                     f"intrinsics are of {known.width} x {known.height}"
                 )
+
+    def _check_board(self) -> None:
         if self.board.square_m > MAX_SQUARE_M:
             raise ValueError(
                 f"board.square_m is {self.board.square_m} m; the side of a square is given in "
@@ -132,10 +145,9 @@ class Description:
                 "board.columns and board.rows count inner corners, 3 to 100 each; found "
                 f"{columns} x {rows}"
             )
-        for name in self.joints:
-            if name not in JOINTS:
-                raise ValueError(f"joints.{name}: expected one of {', '.join(JOINTS)}")
-        self._check_kinematics()
+
+    def _check_pan_and_tilt(self) -> None:
+        """Check that `joints` has pan and tilt of the eyes that need them, and of no others."""
         for name in EYE_JOINTS:
             if self.eye_motion == "poses" and name in self.joints:
                 raise ValueError(f"eye_motion is poses, but joints has {name}; give one of the two")
@@ -144,6 +156,9 @@ class Description:
                 raise ValueError(f"kinematics is given, and joints.{name} too; give one of the two")
             if needed and self.kinematics is None and name not in self.joints:
                 raise ValueError(f"joints.{name} is missing; that eye has a camera")
+
+    def _check_columns(self) -> None:
+        """Check that no camera and no joint has the name of another column."""
         reserved = {TIME, JOINT_TIME, PLACEMENT, MOVING, *self.pose_columns}
         if clash := reserved & set(self.cameras):
             raise ValueError(f"no camera can be called {min(clash)}, which is another column")
@@ -153,7 +168,6 @@ class Description:
                     f"joints.{name}.column is {joint.column!r}, which is not the name of a column "
                     "of joint readings"
                 )
-        _ = self.head_kinematics  # its joints are checked when they are made
 
     def _check_kinematics(self) -> None:
         if self.kinematics is None:

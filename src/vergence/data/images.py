@@ -49,5 +49,5 @@ def filled_bits(image: np.ndarray) -> int:
 
 
 def eight_bits(image: np.ndarray, bits: int) -> np.ndarray:
-    """Return an image, of which so many bits are filled, as uint8; what is brighter is white."""
+    """Return an image that fills a number of bits as uint8; brighter values become white."""
     return np.minimum(image >> (bits - 8), 255).astype(np.uint8)

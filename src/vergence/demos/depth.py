@@ -25,7 +25,7 @@ from vergence.commands.depth import (
     depth_of,
     write_depth,
 )
-from vergence.demos.depth_errors import Truth, depth_errors, summed
+from vergence.demos.depth_errors import DepthTruth, depth_errors, summed
 from vergence.demos.experiment import learned_from_room
 from vergence.geometry.head import HeadCalibration, load_head, pair_names
 from vergence.geometry.neck import NECK_JOINTS
@@ -63,8 +63,7 @@ def depth(
         scene: that it looks at.
         seed: of everything random.
         pairs: number of pairs.
-        geometry: of which the pairs are rectified. For that which is seen the twin looks around
-            first.
+        geometry: by which the pairs are rectified; for "seen" the twin looks around first.
         progress: is called after each pair.
 
     Raises:
@@ -102,7 +101,7 @@ def _twin(
 
 def _moments(
     twin: Twin, pairs: int, looks: HeadCalibration | None
-) -> Iterator[tuple[StereoImages, Truth]]:
+) -> Iterator[tuple[StereoImages, DepthTruth]]:
     """Yield pairs; where a head is given, with the geometry that it sees."""
     left, right = pair_names(twin.truth)
     geometry = None if looks is None else learned_from_room(twin, initial_seen_geometry(looks))
@@ -120,11 +119,11 @@ def _moments(
             right=frame.images[right],
             seen=None if geometry is None else geometry.latest,
         )
-        yield moment, Truth(twin.truth, angles, twin.true_depth(left))
+        yield moment, DepthTruth(twin.truth, angles, twin.true_depth(left))
 
 
 def _compared(
-    moments: Iterator[tuple[StereoImages, Truth]],
+    moments: Iterator[tuple[StereoImages, DepthTruth]],
     head: HeadCalibration,
     joint_std_rad: float | None,
     errors: dict[str, list[tuple[Array, Array, float]]],

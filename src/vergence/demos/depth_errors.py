@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.commands.depth import RANGE_M, Errors
-from vergence.geometry.camera import normalise, project
+from vergence.commands.depth import RANGE_M, DepthErrors
+from vergence.geometry.camera import project, unproject
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.se3 import transform
 from vergence.stereo.dense_depth import DenseDepth
@@ -21,8 +21,8 @@ _WRONG = 0.2  # relative error of depth beyond which a pixel counts as wrong, no
 
 
 @dataclass(frozen=True, eq=False)
-class Truth:
-    """What the twin knows."""
+class DepthTruth:
+    """What the twin knows of a pair: the head, its angles and the depth of every pixel."""
 
     head: HeadCalibration
     eye_angles: Array
@@ -32,7 +32,7 @@ class Truth:
 
 
 def depth_errors(
-    pair: RectifiedPair, found: DenseDepth, truth: Truth
+    pair: RectifiedPair, found: DenseDepth, truth: DepthTruth
 ) -> tuple[Array, Array, float]:
     """Return relative errors (N,), the same over the stated std (N,), and the rows' error [px].
 
@@ -55,14 +55,12 @@ def depth_errors(
     return error_m / true_m[near], error_m / found.std_m[near], _row_rms(pair, truth)
 
 
-def _row_rms(pair: RectifiedPair, truth: Truth) -> float:
+def _row_rms(pair: RectifiedPair, truth: DepthTruth) -> float:
     """Return the root mean square [px] of the difference of a true point's rows in the pair."""
     left, right = (mounted.intrinsics for mounted in stereo_cameras(truth.head, None))
     v, u = np.mgrid[: left.height : _GRID_PX, : left.width : _GRID_PX]
     pixels = np.stack([u, v], axis=-1).reshape(-1, 2).astype(float)
-    xy = normalise(left, pixels)
-    points = np.concatenate([xy, np.ones((len(xy), 1))], axis=-1)
-    points *= truth.depth_m[v, u].reshape(-1, 1)
+    points = unproject(left, pixels) * truth.depth_m[v, u].reshape(-1, 1)
     _, T_rcam_lcam = stereo_poses(truth.head, truth.eye_angles)
     opposite = project(right, transform(T_rcam_lcam, points))
     inside = ((opposite >= 0) & (opposite <= [right.width - 1, right.height - 1])).all(axis=-1)
@@ -73,12 +71,12 @@ def _row_rms(pair: RectifiedPair, truth: Truth) -> float:
     return float(np.sqrt(np.nanmean((rows[0] - rows[1]) ** 2)))
 
 
-def summed(found: list[tuple[Array, Array, float]]) -> Errors:
+def summed(found: list[tuple[Array, Array, float]]) -> DepthErrors:
     """Return the statistics of what `depth_errors` found of one pair or more."""
     relative, standardised = (np.concatenate([each[k] for each in found]) for k in (0, 1))
     wrong = np.abs(relative) > _WRONG
     within = np.abs(standardised[~wrong]) < 2
-    return Errors(
+    return DepthErrors(
         median_relative=float(np.median(np.abs(relative))) if relative.size else np.nan,
         wrong=float(wrong.mean()) if relative.size else np.nan,
         within_two_std=float(within.mean()) if within.size else np.nan,

@@ -20,7 +20,7 @@ from vergence.twin.head import Twin
 from vergence.twin.simulated_robot import FRAME_S, foveal_errors
 from vergence.viewer.gaze import Moment, log_gaze_frame, log_gaze_series, log_gaze_styles, moment
 from vergence.viewer.gaze_layout import gaze_blueprint
-from vergence.viewer.opening import log_report, recording_file
+from vergence.viewer.opening import Recording, log_report, recording_file
 from vergence.viewer.seen import log_seen_styles
 from vergence.writing import results_folder
 
@@ -75,77 +75,91 @@ def recorded(
     head = settings.calibration
     seen = settings.geometry == "seen"
     layout = gaze_blueprint(title, head, reach_m=reach_m, speed=speed, hand=hand, seen=seen)
-    moments: list[Moment] = []
-    lanes_before: Mapping[str, str] = {}
-    count = 0
     file = out / f"{name}.rrd"
     with (
         results_folder(out),
         recording_file(file, title, layout, head, visual_geoms(twin.model)) as rec,
     ):
-        before_s, began_s = -np.inf, 0.0
+        recorder = _Recorder(rec, twin, settings)
+        yield recorder.watch, report
+        recorder.record_series()
+        log_report(rec, "\n".join(report))
 
-        def record_series() -> None:
-            nonlocal lanes_before
-            log_gaze_series(
-                rec,
-                moments,
-                eyes=tuple(settings.eyes),
-                joints=settings.joints,
-                first=count - len(moments),
-                lanes=lanes_before,
-            )
-            if moments:
-                lanes_before = moments[-1].lanes
-            moments.clear()
 
-        def watch(
-            state: GazeState, frame: Frame | None, lanes: Mapping[str, str], hand: Array | None
-        ) -> None:
-            nonlocal before_s, began_s, count
-            if frame is None:
-                return
-            if frame.time_s < before_s:  # the next run
-                began_s += before_s + FRAME_S
-            before_s, time_s = frame.time_s, began_s + frame.time_s
-            T_body_lbase = T_body_base(head, "left", frame.neck_angles)
-            if not count:
-                log_gaze_styles(rec, head, twin.T_world_lbase() @ inverse(T_body_lbase))
-                if state.geometry is not None:
-                    log_seen_styles(rec, head, state.geometry.known)
-            poses = twin.body_poses()
-            hidden = poses["object"][2, 3] < 0  # below the floor
-            where = np.full(3, np.nan) if hidden else twin.true_object()
-            eyes = twin.true_angles()[EYE_READINGS]
-            log_gaze_frame(
-                rec,
+class _Recorder:
+    """Records frame after frame, and their curves SERIES frames at a time."""
+
+    def __init__(self, rec: Recording, twin: Twin, settings: GazeSettings):
+        self._rec, self._twin, self._settings = rec, twin, settings
+        self._count = 0  # frames so far, of all runs
+        self._moments: list[Moment] = []  # those whose curves are not recorded yet
+        self._lanes_before: Mapping[str, str] = {}
+        # Time of the latest frame in its run, and of the beginning of that run on the timeline.
+        self._before_s, self._began_s = -np.inf, 0.0
+
+    def watch(
+        self, state: GazeState, frame: Frame | None, lanes: Mapping[str, str], hand: Array | None
+    ) -> None:
+        """Record a state and its frame: see `Watch`."""
+        if frame is None:
+            return
+        rec, twin, settings = self._rec, self._twin, self._settings
+        head = settings.calibration
+        time_s = self._on_timeline(frame)
+        T_body_lbase = T_body_base(head, "left", frame.neck_angles)
+        if not self._count:
+            log_gaze_styles(rec, head, twin.T_world_lbase() @ inverse(T_body_lbase))
+            if state.geometry is not None:
+                log_seen_styles(rec, head, state.geometry.known)
+        poses = twin.body_poses()
+        hidden = poses["object"][2, 3] < 0  # below the floor
+        where = np.full(3, np.nan) if hidden else twin.true_object()
+        eyes = twin.true_angles()[EYE_READINGS]
+        unknown_px = np.full(len(settings.eyes), np.nan)
+        log_gaze_frame(
+            rec,
+            settings,
+            state,
+            frame,
+            time_s=time_s,
+            index=self._count,
+            pictures=len(frame.images) == len(head.cameras),
+            body_poses=poses,
+            truth={name: project_point(twin.truth, name, eyes, where) for name in frame.images},
+        )
+        self._moments.append(
+            moment(
                 settings,
                 state,
                 frame,
-                time_s=time_s,
-                index=count,
-                pictures=len(frame.images) == len(head.cameras),
-                body_poses=poses,
-                truth={name: project_point(twin.truth, name, eyes, where) for name in frame.images},
+                time_s,
+                lanes=lanes,
+                truth=transform(T_body_lbase, where),
+                errors_px=unknown_px if hidden else foveal_errors(twin, settings),
+                hand=hand,
             )
-            moments.append(
-                moment(
-                    settings,
-                    state,
-                    frame,
-                    time_s,
-                    lanes=lanes,
-                    truth=transform(T_body_lbase, where),
-                    errors_px=np.full(len(settings.eyes), np.nan)
-                    if hidden
-                    else foveal_errors(twin, settings),
-                    hand=hand,
-                )
-            )
-            count += 1
-            if len(moments) == SERIES:
-                record_series()
+        )
+        self._count += 1
+        if len(self._moments) == SERIES:
+            self.record_series()
 
-        yield watch, report
-        record_series()
-        log_report(rec, "\n".join(report))
+    def _on_timeline(self, frame: Frame) -> float:
+        """Return the time of a frame [s] on the timeline of all runs."""
+        if frame.time_s < self._before_s:  # the next run
+            self._began_s += self._before_s + FRAME_S
+        self._before_s = frame.time_s
+        return self._began_s + frame.time_s
+
+    def record_series(self) -> None:
+        """Record the curves of the frames since the last time."""
+        log_gaze_series(
+            self._rec,
+            self._moments,
+            eyes=tuple(self._settings.eyes),
+            joints=self._settings.joints,
+            first=self._count - len(self._moments),
+            lanes=self._lanes_before,
+        )
+        if self._moments:
+            self._lanes_before = self._moments[-1].lanes
+        self._moments.clear()

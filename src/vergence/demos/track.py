@@ -117,10 +117,9 @@ def follow(
     head by time [s]. From `hidden_s` on it is hidden for HIDDEN_S; None: it is not hidden. The
     geometry is what is known of it before. `watch` is called with every state and its frame.
     """
-    ends = -np.inf if hidden_s is None else hidden_s + HIDDEN_S
 
     def path(time_s: float) -> Array | None:
-        if hidden_s is not None and hidden_s <= time_s < ends:
+        if hidden_s is not None and hidden_s <= time_s < hidden_s + HIDDEN_S:
             return None
         return path_head(time_s)
 
@@ -145,11 +144,24 @@ def follow(
     at_rest = np.zeros(len(settings.joints))
     state = initial_gaze_state(settings, at_rest, head.now_s(), geometry=geometry)
     run_gaze(head, settings, state, seconds - FRAME_S, watch=keep)
-    table = np.array(rows, float).reshape(-1, 7)
+    return _statistics(np.array(rows, float).reshape(-1, 7), seconds, hidden_s)
+
+
+def _statistics(table: Array, seconds: float, hidden_s: float | None) -> Summary:
+    """Return the statistics of a run.
+
+    Args:
+        table: (N, 7) of the frames that count: time [s]; whether the object is in both narrow
+            images; its distances from their centres [px]; and squared errors [m^2] of the track,
+            of the single frame and of the wide images, NaN where there is no estimate.
+        seconds: length of the run.
+        hidden_s: time from which the object was hidden for HIDDEN_S; None: it was not.
+    """
     time, seen = table[:, 0], table[:, 1] == 1
     fused, single, wide = (column[np.isfinite(column)] for column in table[:, 4:].T)
     if not seen.any() or not len(fused):
         return Summary(seconds, len(time), 0.0, np.inf, np.inf, np.inf, np.inf, False)
+    ends = -np.inf if hidden_s is None else hidden_s + HIDDEN_S
     back = seen[(time >= ends) & (time < ends + 1.0)]
     return Summary(
         seconds=seconds,

@@ -19,7 +19,7 @@ from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.gaze.fixation import readings_to
 from vergence.gaze.roles import EyeCameras, default_roles
-from vergence.geometry.camera import normalise, project
+from vergence.geometry.camera import project, unproject
 from vergence.geometry.head import HeadCalibration, T_narrow_wide
 from vergence.geometry.kinematics import Side
 from vergence.geometry.se3 import checked_points, inverse, transform
@@ -91,9 +91,8 @@ def foveal_miss(
         VergenceError: a depth is not above 0, or the eye does not have both cameras.
     """
     wide, narrow = (calibration.camera(f"{eye}_{lens}").intrinsics for lens in ("wide", "narrow"))
-    xy = normalise(wide, ideal_wide_pixel(calibration, eye, believed_m))
-    depth = np.broadcast_to(np.asarray(depth_m, dtype=float), xy.shape[:-1])[..., None]
-    ray = np.concatenate([xy, np.ones_like(depth)], axis=-1)
+    ray = unproject(wide, ideal_wide_pixel(calibration, eye, believed_m))
+    depth = np.broadcast_to(np.asarray(depth_m, dtype=float), ray.shape[:-1])[..., None]
     T = T_narrow_wide(calibration, eye)
     seen = project(narrow, ray @ T[:3, :3].T + T[:3, 3] / depth)  # scaled by 1 / depth
     return seen - narrow.matrix[:2, 2]

@@ -13,7 +13,7 @@ from vergence.errors import VergenceError
 from vergence.gaze.commands import EYE_READINGS, NECK, commanded
 from vergence.gaze.kalman import InnovationRatio, Track, begin, fuse, predict, update_ratio
 from vergence.gaze.state import GazeSettings, GazeState
-from vergence.geometry.camera import Camera, check_image_fits, normalise
+from vergence.geometry.camera import Camera, check_image_fits, unproject
 from vergence.geometry.head import T_base_cam, T_body_base
 from vergence.geometry.kinematics import EYES, Side, checked_readings
 from vergence.geometry.neck import NECK_JOINTS
@@ -183,9 +183,9 @@ def rays_to(settings: GazeSettings, state: GazeState, posture: Array) -> Rays:
         if view is None:
             continue
         name, seen = view
-        xy = normalise(settings.calibration.camera(name).intrinsics, seen.pixel)
+        ray = unproject(settings.calibration.camera(name).intrinsics, seen.pixel)
         T = T_base_cam(settings.calibration, name, posture[EYE_READINGS])
-        rays[eye] = T[:3, 3], T[:3, :3] @ np.array([*xy, 1.0])
+        rays[eye] = T[:3, 3], T[:3, :3] @ ray
     return rays
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from vergence.errors import VergenceError
-from vergence.geometry.head import HeadCalibration, main_camera
+from vergence.geometry.head import HeadCalibration, cameras_of, main_camera
 from vergence.geometry.kinematics import EYES, Side
 
 
@@ -33,11 +33,6 @@ def default_roles(calibration: HeadCalibration) -> dict[Side, EyeCameras]:
             wide, narrow = main_camera(own, eye), f"{eye}_narrow"
             roles[eye] = EyeCameras(wide=wide, narrow=narrow if narrow in own else wide)
     return roles
-
-
-def cameras_of(calibration: HeadCalibration, eye: Side) -> list[str]:
-    """Return the names of an eye's cameras, in the order of the calibration."""
-    return [name for name, mounted in calibration.cameras.items() if mounted.eye == eye]
 
 
 def check_roles(calibration: HeadCalibration, roles: Mapping[Side, EyeCameras]) -> None:

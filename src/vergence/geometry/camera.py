@@ -1,4 +1,4 @@
-"""Pinhole camera with distortion: project, normalise, and the Jacobians of both.
+"""Pinhole camera with distortion: from points to pixels and back, with derivatives.
 
 Frame `cam` is OpenCV's: x right, y down, z forward; pixel (0, 0) is the centre of the top-left
 pixel. The lens models are OpenCV's (see `geometry.lens`), so that both agree to the last digit;
@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
-from vergence.arrays import Array, Matrix3, Vector
+from vergence.arrays import Array, Matrix3, VectorN
 from vergence.errors import VergenceError
 from vergence.geometry import lens
 from vergence.geometry.components import (
@@ -43,7 +43,7 @@ Pixels = Annotated[int, Field(gt=0, le=MAX_IMAGE_PX)]
 MAX_NUMBER = 1e12
 """Largest number in the matrix and the distortion; with larger ones projections overflow."""
 _GRID = 16
-"""Places along each axis of the image where a lens is looked at."""
+"""Pixels along each axis of the image in `pixel_grid`."""
 
 
 def check_image_size(width: int, height: int) -> None:
@@ -93,7 +93,7 @@ class Camera:
     """Image height [px]."""
     matrix: Matrix3
     """A of Eq. 2: [[alpha, gamma, u0], [0, beta, v0], [0, 0, 1]] [px]."""
-    distortion: Vector = field(default_factory=lambda: _UNDISTORTED)
+    distortion: VectorN = field(default_factory=lambda: _UNDISTORTED)
     """The coefficients of the lens model, in the order of `lens.COEFFICIENTS`; left out: zeros."""
     model: CameraModel = "radial-tangential"
     """The lens model; files of earlier versions, which do not state one, have this one."""
@@ -191,15 +191,15 @@ def projection_rows(
 
 
 def displaced_by_distortion(camera: Camera) -> Array:
-    """Return what coefficients of the distortion displace, (n, n) [px^2]: d' X d for a change d.
+    """Return X (n, n) [px^2]: how far pixels move when the n distortion coefficients change.
 
-    The square of the displacement, in the mean over the image.
+    A change d of the coefficients moves the pixels of the image by d^T X d in the mean square.
     """
-    xy = normalise(camera, pixel_grid(camera))
-    xy = xy[np.isfinite(xy).all(axis=1)]
-    _, _, by_lens = project_jacobians(camera, np.column_stack([xy, np.ones(len(xy))]))
+    points = unproject(camera, pixel_grid(camera))
+    points = points[np.isfinite(points).all(axis=1)]
+    _, _, by_lens = project_jacobians(camera, points)
     J = by_lens[:, :, -len(COEFFICIENTS[camera.model]) :]
-    return np.einsum("nij,nik->jk", J, J) / len(xy)
+    return np.einsum("nij,nik->jk", J, J) / len(points)
 
 
 def pixel_grid(camera: Camera) -> Array:
@@ -220,11 +220,20 @@ def normalise(camera: Camera, pixels: Array) -> Array:
     return np.ascontiguousarray(np.moveaxis(stacked(xy, pixels.shape[:-1]), 0, -1))
 
 
+def unproject(camera: Camera, pixels: Array) -> Array:
+    """Return the points (..., 3) in frame cam that pixels (..., 2) show at depth 1.
+
+    NaN where `normalise` gives NaN.
+    """
+    xy = normalise(camera, pixels)
+    return np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
+
+
 def normalised_rows(camera: Camera, u: Component, v: Component) -> tuple[Sequence[Component], Rows]:
     """Return normalised coordinates (x/z, y/z) of pixels, and their slopes (2, 2), by components.
 
-    The slopes are the derivatives of the pixels by the normalised coordinates, to the precision to
-    which these were known before the last step, 1e-9.
+    The slopes are the derivatives of the pixels by the normalised coordinates. They are taken
+    before the last step of Newton's method, where the coordinates are known to 1e-9.
     """
     (fx, skew, cx), (_, fy, cy), _ = camera.matrix.tolist()
     wanted_y = (v - cy) / fy

@@ -58,7 +58,7 @@ class Chain:
 
     @cached_property
     def nonzero(self) -> list[tuple[int, int, float]]:
-        """What of the mixing is not zero: joint, reading, factor."""
+        """The entries of the mixing that are not zero: (joint, reading, factor)."""
         return [(k, *each) for k, turn in enumerate(self.turns) for each in turn.mixing]
 
 
@@ -114,7 +114,7 @@ def batch_first(array: Array) -> Array:
 
 
 def joint_frames(chain: Chain, readings: Sequence[Component]) -> tuple[list[Rows], list[Vector]]:
-    """Return the n + 1 rotations and places of the joints, each before its turn, and of the end."""
+    """Return n + 1 rotations and origins: of each joint before it turns, and of the chain's end."""
     R: list[Rows] = [[row[:3] for row in _ONE[:3]]]
     t: list[Vector] = [(chain.points_m[0] if len(chain.axes) else chain.end_m).tolist()]
     for joint in chain.turns:

@@ -1,8 +1,8 @@
 """Vectors and matrices by components, each of them a number or an array of one shape.
 
 numpy is fast on long rows, slow on many small matrices, and slower than Python on single numbers.
-What is written by components serves a million points and the one of a step of control alike, and a
-posture that many points share has numbers where the points have arrays.
+Code that is written by components serves a million points as well as the single one of a control
+step, and a posture that many points share is made of numbers where the points are arrays.
 """
 
 from __future__ import annotations

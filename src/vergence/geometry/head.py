@@ -7,20 +7,20 @@ the left eye's base frame (x forward, y left, z up).
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import field
 from inspect import signature
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
-from pydantic import AliasChoices, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import ConfigDict, model_validator
 from pydantic.dataclasses import dataclass
 
-from vergence.arrays import Array, Matrix, Transform
+from vergence.arrays import Array, Transform
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera
+from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye, pan_tilt, reading_kinds
 from vergence.geometry.neck import Neck, T_body_head
@@ -37,9 +37,6 @@ WIDE = ("left_wide", "right_wide")
 """The wide cameras of the paper's head, by which it locates points."""
 _FINITE = ConfigDict(extra="forbid", allow_inf_nan=False)
 MAX_CAMERAS = 64
-SMALLEST_VARIANCE = 1e-60
-"""Smallest variance of an estimated parameter; numbers far from one would overflow where variances
-are compared."""
 MAX_TIME_OFFSET_S = 10.0
 
 
@@ -51,114 +48,6 @@ class MountedCamera:
     intrinsics: Camera
     T_eye_cam: Transform
     """Pose of the camera in the eye: T_ec of the paper."""
-
-
-@dataclass(frozen=True, eq=False, config=_FINITE)
-class HeldOut:
-    """How well views were predicted that the calibration had not seen."""
-
-    folds: int
-    """Into how many parts the views were divided; each was predicted from the others."""
-    transfer_views: int
-    """Views that both eyes saw."""
-    transfer_px: float | None
-    """Root mean square distance of corners from where the board's pose in the other eye, the
-    joint readings and the calibration put them; None: no such view."""
-    point_views: int
-    """Views of a board at rest that other views show too."""
-    point_mm: float | None
-    """Root mean square distance of triangulated corners from where the other views put them."""
-    expected_mm: float | None
-    """What point_mm should be by the stated noise and covariance; None: these are not stated."""
-    distance_m: float | None
-    """Mean distance of these corners from the left eye."""
-    jackknife_ratio: Annotated[
-        float | None, Field(validation_alias=AliasChoices("jackknife_ratio", "scatter"))
-    ] = None
-    """Standard deviation of the parameters by the jackknife over the folds, relative to the stated
-    one; 1 where the noise model is right. Files of version 0.1 call it scatter."""
-    prediction_px: float | None = None
-    """Root mean square distance of corners from where the view's reading, the calibration and the
-    board, as other views of its placement show it, put them; None: there is no such view."""
-
-
-def _method_of_version_0_1(name: str) -> str:
-    return "bundle" if name == "refined" else name
-
-
-def _names_of_version_0_1(names: Any) -> Any:
-    """Return the names with those of the axes' geometry as the joint's that they belong to."""
-    if not isinstance(names, (list, tuple)):
-        return names
-    old = {f"{eye}.{name}" for eye in EYES for name in ("nonorthogonality_rad", "axis_distance_m")}
-    return tuple(name.replace(".", ".tilt_") if name in old else name for name in names)
-
-
-@dataclass(frozen=True, config=_FINITE)
-class LensAccuracy:
-    """Standard deviations of a fitted lens, by the errors of corners and by how the views differ.
-
-    What all views of a board have in common is not in them: its bend makes the focal length wrong.
-    """
-
-    focal: Annotated[float, Field(ge=0)]
-    """Of the focal length, relative to it."""
-    centre_px: Annotated[float, Field(ge=0)]
-    """Of one coordinate of the principal point."""
-    distortion_px: Annotated[float, Field(ge=0)]
-    """Root mean square over the image, of what the coefficients of the distortion displace; 0 where
-    none was fitted."""
-
-
-@dataclass(frozen=True, eq=False, config=_FINITE)
-class Accuracy:
-    """How well a calibration is known; see docs/calibration.md."""
-
-    method: Annotated[Literal["bundle", "paper"], BeforeValidator(_method_of_version_0_1)]
-    """Bundle adjustment, or the paper's steps alone."""
-    parameters: Annotated[tuple[str, ...], BeforeValidator(_names_of_version_0_1)] = ()
-    """Names of what was estimated, such as left_wide.fx, left_wide.T_eye_cam.rx, left.pan_gain;
-    px, rad, m, s. Empty for the paper's method, which states no covariance."""
-    covariance: Matrix = field(default_factory=lambda: np.empty((0, 0)))
-    """In the order of parameters. Poses change by the increment of `se3.boxplus`."""
-    pixel_std_px: Annotated[float, Field(ge=0)] | None = None
-    """Noise of one coordinate of a corner."""
-    joint_std: tuple[Annotated[float, Field(ge=0)], ...] = ()
-    """Noise of the readings [rad]: of all, or of each kind (`kinematics.reading_kinds`), such as
-    pan and tilt; for eyes whose poses are given, rotation [rad] and translation [m]."""
-    eye_motion: Literal["pan-tilt", "poses"] = "pan-tilt"
-    """Whether the eyes were read as angles or as poses."""
-    held_out: HeldOut | None = None
-    void: tuple[str, ...] = ()
-    """Why the calibration must not be used; empty: it may be."""
-    warnings: tuple[str, ...] = ()
-    """What the data could not determine, and what to record instead."""
-    lenses: dict[str, LensAccuracy] = field(default_factory=dict)
-    """By camera, where there is no covariance: how well the views of the board determined it."""
-
-    def __post_init__(self) -> None:
-        n, C = len(self.parameters), self.covariance
-        if C.shape != (n, n):
-            raise ValueError(
-                f"covariance has a row and a column for each of {n} parameters, found "
-                f"{C.shape[0]} x {C.shape[1]} numbers"
-            )
-        if len(set(self.parameters)) < n:
-            name, _ = Counter(self.parameters).most_common(1)[0]
-            raise ValueError(f"parameters has {name!r} twice")
-        possible = (np.diag(C) > SMALLEST_VARIANCE) & (np.diag(C) < 1 / SMALLEST_VARIANCE)
-        if not possible.all():
-            name = self.parameters[int(np.argmin(possible))]
-            raise ValueError(f"the variance of {name!r} is not positive, or not possible")
-        if np.abs(C).max(initial=0.0) > 1 / SMALLEST_VARIANCE:
-            raise ValueError(f"covariance has the number {np.abs(C).max():g}")
-        if n:
-            std = np.sqrt(np.diag(C))
-            correlation = C / std / std[:, None]
-            if np.abs(correlation - correlation.T).max() > 1e-6:
-                raise ValueError("covariance is not symmetric")
-            if np.linalg.eigvalsh(correlation)[0] < -1e-6 * n:
-                raise ValueError("covariance is not positive semidefinite")
 
 
 @dataclass(frozen=True, eq=False, config=_FINITE)
@@ -271,7 +160,7 @@ def reading_stds(head: HeadCalibration) -> Array:
 
 
 def check_camera_name(name: str) -> None:
-    """Raise ValueError if a camera cannot be called so, which is also the name of files."""
+    """Raise ValueError for a name that no camera can have: it is also used in names of files."""
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,63}", name) or name in EYES:
         raise ValueError(
             f"cameras.{name[:80]}: a camera's name begins with a letter, has letters, digits, - "
@@ -279,18 +168,20 @@ def check_camera_name(name: str) -> None:
         )
 
 
+def cameras_of(head: HeadCalibration, eye: Side) -> list[str]:
+    """Return the names of an eye's cameras, in the order in which the head has them."""
+    return [name for name, mounted in head.cameras.items() if mounted.eye == eye]
+
+
 def main_camera(names: Collection[str], eye: Side) -> str:
-    """Return which of an eye's cameras it looks around with: its wide one, or else its first."""
+    """Return the main one of an eye's cameras (names): the wide one, or else the first."""
     return f"{eye}_wide" if f"{eye}_wide" in names else next(iter(names))
 
 
-def main_pair(calibration: HeadCalibration) -> tuple[str, str] | None:
+def main_pair(head: HeadCalibration) -> tuple[str, str] | None:
     """Return the main camera of the left and of the right eye; None for a head of one eye."""
-    own = [
-        [name for name, mounted in calibration.cameras.items() if mounted.eye == eye]
-        for eye in EYES
-    ]
-    return (main_camera(own[0], "left"), main_camera(own[1], "right")) if all(own) else None
+    left, right = (cameras_of(head, eye) for eye in EYES)
+    return (main_camera(left, "left"), main_camera(right, "right")) if left and right else None
 
 
 def pair_names(head: HeadCalibration, cameras: tuple[str, str] | None = None) -> tuple[str, str]:
@@ -318,32 +209,32 @@ def pair_names(head: HeadCalibration, cameras: tuple[str, str] | None = None) ->
     return left, right
 
 
-def T_head_base(calibration: HeadCalibration, eye: Side) -> Array:
+def T_head_base(head: HeadCalibration, eye: Side) -> Array:
     """Return the pose (4, 4) of an eye's base frame in frame head."""
-    T_lbase_rbase = inverse(calibration.T_rbase_lbase)
+    T_lbase_rbase = inverse(head.T_rbase_lbase)
     T_head_lbase = pose(t=-T_lbase_rbase[:3, 3] / 2)
     return T_head_lbase if eye == "left" else T_head_lbase @ T_lbase_rbase
 
 
-def T_base_cam(calibration: HeadCalibration, camera: str, joints: Array) -> Array:
+def T_base_cam(head: HeadCalibration, camera: str, joints: Array) -> Array:
     """Return poses (..., 4, 4) of a camera in its eye's base, at readings (..., r) of the head."""
-    mounted = calibration.camera(camera)
-    return T_base_eye(calibration.kinematics, mounted.eye, joints) @ mounted.T_eye_cam
+    mounted = head.camera(camera)
+    return T_base_eye(head.kinematics, mounted.eye, joints) @ mounted.T_eye_cam
 
 
-def T_body_base(calibration: HeadCalibration, eye: Side, neck_angles: Array) -> Array:
+def T_body_base(head: HeadCalibration, eye: Side, neck_angles: Array) -> Array:
     """Return poses (..., 4, 4) of an eye's base frame in frame body: T_be(neck) of Eq. 12.
 
     Of the angles [rad] the first n are used, n being the number of the chain's neck joints; those
     that follow, such as the eyes' in a posture (..., 7), are ignored.
     """
-    chain_angles = neck_angles[..., : len(calibration.neck.axes)]
-    return T_body_head(calibration.neck, chain_angles) @ T_head_base(calibration, eye)
+    chain_angles = neck_angles[..., : len(head.neck.axes)]
+    return T_body_head(head.neck, chain_angles) @ T_head_base(head, eye)
 
 
-def T_narrow_wide(calibration: HeadCalibration, eye: Side) -> Array:
+def T_narrow_wide(head: HeadCalibration, eye: Side) -> Array:
     """Return the pose (4, 4) of the wide camera in the narrow one: R_fp, t_fp of Sec. III."""
-    wide, narrow = (calibration.camera(f"{eye}_{lens}") for lens in ("wide", "narrow"))
+    wide, narrow = (head.camera(f"{eye}_{lens}") for lens in ("wide", "narrow"))
     return inverse(narrow.T_eye_cam) @ wide.T_eye_cam
 
 

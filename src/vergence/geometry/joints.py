@@ -31,17 +31,17 @@ class Joint:
     """A revolute joint of an eye: as designed, and how the real one differs.
 
     angle = gain * (sum of factor * reading) + offset. The common normal of two successive axes is
-    (own axis) x (axis before); along it, and about it, one axis may be off against the other
-    (Denavit and Hartenberg, 1955). That of parallel axes leads from the axis before to the own one;
-    such an axis may also be inclined in the plane of both, and slides with the one before (Hayati,
-    1983).
+    (own axis) x (axis before); along it and about it, one axis may be misplaced relative to the
+    other (Denavit and Hartenberg, 1955). The common normal of parallel axes points from the axis
+    before to the own one; such an axis may also be inclined in the plane of the two, and has its
+    slide in common with the axis before (Hayati, 1983).
     """
 
     name: _Name
     axis: Vector3
     """Unit vector in the eye's base, with every joint at zero."""
     readings: dict[ReadingName, _Number]
-    """By reading its factor."""
+    """The factor of each reading that moves the joint, by the name of the reading."""
     point_m: Vector3 = field(default_factory=lambda: np.zeros(3))
     """A point on the axis, in the eye's base."""
     gain: _Number = 1.0
@@ -103,8 +103,8 @@ def _lines(before: Joint, joint: Joint) -> list[_Numbers]:
 def _designed(before: _Numbers, own: _Numbers) -> tuple[bool, Array]:
     """Return whether two axes are parallel, and the unit vector (3,) of their common normal.
 
-    Given are directions and points. Remembered, since joints that an estimate changes many times a
-    second keep their design.
+    Each axis is six numbers: its direction and a point on it. Cached, since an estimate changes
+    joints many times a second, but never their design.
     """
     (first, start), (axis, point) = (np.reshape(each, (2, 3)) for each in (before, own))
     normal = se3.cross(axis, first)
@@ -144,11 +144,12 @@ def eye_chain(joints: tuple[Joint, ...], readings: tuple[str, ...]) -> Chain:
 
 
 def joint_parameters(joints: tuple[Joint, ...]) -> list[tuple[int, str]]:
-    """Return what may differ of joints from their design: the number of each joint, and a name.
+    """Return the parameters by which joints may differ from their design: (joint's number, name).
 
-    Of a joint with several readings the factor of each takes the place of a gain of all. Slides of
-    the first and the last joint are left out: they shift the eye's base, and the cameras in the
-    eye; successive parallel axes have one slide. The first axis has no errors: it defines the base.
+    A joint with several readings has a factor for each of them in place of one gain. Slides of the
+    first and the last joint are left out, since they only shift the eye's base, or the cameras in
+    the eye; successive parallel axes have one slide. The first axis has no errors: it defines the
+    base.
     """
     found, n = [], len(joints)
     parallel = [0 < k < n and _parallel(joints[k - 1], joints[k]) for k in range(n + 1)]
@@ -191,7 +192,8 @@ class JointError(NamedTuple):
 
     joint: int
     mixing: list[tuple[int, float]]
-    """Readings that change an angle, and by how much: it is constant + mixing @ readings."""
+    """(reading, factor) pairs of an error of an angle, whose derivative by the error is
+    constant + sum of factor * reading."""
     constant: float
     direction: list[float] | None
     """Direction that an axis is turned about or shifted along."""

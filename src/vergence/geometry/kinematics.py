@@ -100,12 +100,12 @@ class Kinematics:
 
     @cached_property
     def parameters(self) -> Mapping[Side, list[tuple[int, str]]]:
-        """By eye what may differ of its joints: see joint_parameters."""
+        """By eye the parameters by which its joints may differ from the design, in order."""
         return {eye: joint_parameters(self.eyes[eye]) for eye in EYES}
 
     @cached_property
     def errors(self) -> Mapping[Side, tuple[JointError, ...]]:
-        """By eye what may differ of its joints, in the order of joint_parameters."""
+        """By eye the same parameters, with what each does to an angle or an axis."""
         return {eye: joint_errors(self.eyes[eye], self.readings) for eye in EYES}
 
     def used(self, eye: Side) -> list[int]:
@@ -138,7 +138,7 @@ def _check_joints(whose: str, joints: tuple[Joint, ...], readings: tuple[str, ..
 
 
 def reading_kinds(kinematics: Kinematics) -> list[int]:
-    """Return (r,) of what kind each reading is: those of a kind have noise of one level.
+    """Return the kind (r,) of each reading; readings of one kind have the same level of noise.
 
     The nth reading of the left eye alone is of one kind with the nth of the right eye alone, such
     as pan with pan; a reading that moves both eyes is of a kind of its own.
@@ -170,10 +170,13 @@ def turn_by_readings(chain: Chain) -> Array:
 
 
 def least_readings(by_reading: Array, turn: Array) -> Array:
-    """Return the least readings (..., r) whose turns by_reading (n, r) come nearest to (..., n).
+    """Return the smallest readings (..., r) for which by_reading @ readings is nearest to a turn.
 
-    Nearest but for the directions of axes that are all but parallel, in which joints would turn
-    against each other.
+    Directions that nearly parallel axes reach only by turning far against each other do not count.
+
+    Args:
+        by_reading: (n, r) turn that each reading makes.
+        turn: (..., n) wanted turns.
     """
     # By the turn that each reading makes, so that one before a gear counts as any other.
     size = np.linalg.norm(by_reading, axis=0)

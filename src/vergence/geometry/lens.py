@@ -114,15 +114,15 @@ def by_coefficients(
 
 @lru_cache(maxsize=1024)
 def reach(model: CameraModel, k: Coefficients) -> float:
-    """Return x^2 + y^2 up to which the radius in the image rises; infinity: up to 90 degrees.
+    """Return the x^2 + y^2 up to which the radius in the image grows; infinity: up to 90 degrees.
 
-    Further out the lens folds over, or has a pole: pixels there belong to no direction.
+    Beyond it the lens model folds over or has a pole, and pixels belong to no direction.
     """
     inverse: Iterable[complex]
     if model == "radial-tangential":
         k1, k2, _, _, k3 = k
-        # Of 1 / r^2, where the slope is zero. Without k3, as most lenses are, a quadratic tells it,
-        # far faster: estimates change lenses many times a second.
+        # Solved for 1 / r^2, where the slope of the radius is zero. Most lenses have no k3, and the
+        # equation is quadratic: far faster, and estimates change lenses many times a second.
         root = cmath.sqrt(2.25 * k1 * k1 - 5 * k2)
         inverse = (
             np.roots([1, 3 * k1, 5 * k2, 7 * k3]) if k3 else [-1.5 * k1 + root, -1.5 * k1 - root]
@@ -163,10 +163,10 @@ def _table(model: CameraModel, k: Coefficients) -> tuple[Array, Array]:
 
 
 def first_guess(model: CameraModel, k: Coefficients, x: Array, y: Array) -> tuple[Array, Array]:
-    """Return about the undistorted coordinates of distorted x, y, for Newton's method.
+    """Return undistorted coordinates of distorted x, y, near enough for Newton's method to start.
 
-    NaN for a fisheye lens where no direction before the camera has this radius; there the result is
-    exact.
+    For a fisheye lens they are exact, and NaN where no direction in front of the camera has this
+    radius.
     """
     if model == "radial-tangential":
         k1, k2, _, _, k3 = k

@@ -1,7 +1,7 @@
-"""A point before the head becomes a pixel of one of its cameras: the one place for it.
+"""The one place where a point in front of the head becomes a pixel of one of its cameras.
 
-`pixel = lens(T_cam_eye T_eye_base(joints) T_base_lbase p_lbase)`, for one point, for many, for a
-board, with the derivatives by all that a calibration estimates; and where the camera stands. Points
+`pixel = lens(T_cam_eye T_eye_base(joints) T_base_lbase p_lbase)`, for one point, for many or for a
+board, with the derivatives by all that a calibration estimates; and the pose of the camera. Points
 are in the left eye's base frame.
 """
 
@@ -74,10 +74,11 @@ def project_at(
 def _through(
     mounted: MountedCamera, T_rbase_lbase: Array, R: Rows, t: Vector, point: Vector
 ) -> tuple[Vector, Vector, Vector, Vector]:
-    """Return a point in four steps from the left eye's base to the camera.
+    """Return a point at four stages on its way from the left eye's base to frame cam.
 
-    In the axes of the camera's eye base; from the eye's origin, in that base; from the camera,
-    along the axes of the eye; and in frame cam. The pose of the eye in its base is R, t.
+    From the left base's origin and from the eye's origin, both along the axes of the base of the
+    camera's eye; from the camera, along the axes of the eye; and in frame cam. The pose of the eye
+    in its base is R, t.
     """
     turned = point
     if mounted.eye == "right":
@@ -170,10 +171,11 @@ def projected(
 
 
 def _by_increment(by_point: Rows, arm: Vector) -> Rows:
-    """Return derivatives (2, 6) by the pose of a frame in which a fixed point is looked at.
+    """Return derivatives (2, 6) by the pose of a frame, of a pixel that shows a fixed point in it.
 
-    Given are those by the point (2, 3) and the point from the frame's origin, along the axes of the
-    increment.
+    Args:
+        by_point: (2, 3) derivatives by the point, along the axes of the increment.
+        arm: (3) the point from the frame's origin, along the same axes.
     """
     return [[*cross(row, arm), -row[0], -row[1], -row[2]] for row in by_point]
 
@@ -181,8 +183,10 @@ def _by_increment(by_point: Rows, arm: Vector) -> Rows:
 def by_pose_of_points(by_point: Array, turned: Array) -> Array:
     """Return derivatives (M, K, 2, 6) by the pose of a body to which the points are fixed.
 
-    Given are those by the points (M, K, 2, 3), and the points from the body's origin (M, K, 3),
-    along the axes of the frame that its pose maps into.
+    Args:
+        by_point: (M, K, 2, 3) derivatives by the points.
+        turned: (M, K, 3) the points from the body's origin, along the axes of the frame that its
+            pose maps into.
     """
     return np.concatenate([se3.cross(turned[:, :, None], by_point), by_point], axis=-1)
 
@@ -210,8 +214,10 @@ def by_camera_columns(
 ) -> list[tuple[Component, Component]]:
     """Return derivatives of u and v in the order of `parameters.camera_columns`.
 
-    Given are those of a camera's pixel, the motion of its eye, and the derivatives of u and v by
-    the angles of its joints, of `by_increments`.
+    Args:
+        own: the camera's pixel and its derivatives.
+        eye: the motion of its eye.
+        by_angles: derivatives of u and v by the angles of the eye's joints, of `by_increments`.
     """
     columns = [
         pair

@@ -17,7 +17,13 @@ from pydantic import BaseModel, FiniteFloat, PositiveInt, TypeAdapter
 from vergence.arrays import Array, Transform
 from vergence.errors import VergenceError, explain
 from vergence.geometry.camera import Camera
-from vergence.geometry.head import HeadCalibration, T_base_cam, T_head_base, main_camera
+from vergence.geometry.head import (
+    HeadCalibration,
+    T_base_cam,
+    T_head_base,
+    cameras_of,
+    main_camera,
+)
 from vergence.geometry.kinematics import EYES, straight_gaze
 from vergence.geometry.lens import CameraModel
 from vergence.geometry.se3 import inverse
@@ -134,8 +140,7 @@ def update_head(chain: Camchain, template: HeadCalibration) -> HeadCalibration:
     cameras, main = dict(head.cameras), {}
     for eye in EYES:
         if any(cameras[name].eye == eye for name in chain):
-            own = [name for name, mounted in cameras.items() if mounted.eye == eye]
-            main[eye] = main_camera(own, eye)
+            main[eye] = main_camera(cameras_of(head, eye), eye)
     if absent := set(main.values()) - set(chain):
         raise VergenceError(
             f"The poses of a camchain are taken from that of each eye's main camera, but it has "

@@ -70,9 +70,13 @@ class Comparison:
 def comparison(
     head: HeadCalibration, twin: Twin, learning: SeenGeometry, *, floor: bool
 ) -> Comparison:
-    """Return a comparison for a calibration, with what was learned so far.
+    """Return a comparison for a calibration, before its first sample.
 
-    floor: also with the true head, for evaluation.
+    Args:
+        head: the calibration.
+        twin: the head whose truth the floor is given.
+        learning: what was learned so far.
+        floor: whether to compare also with the true head, for evaluation.
     """
     states = {SINGLE: _before(head).known}
     if floor:

@@ -93,7 +93,7 @@ def _panel(axes: Axes, result: Replay) -> None:
     axes.add_artist(_table(axes, figure, result.statistics))
 
 
-def _cells(figure: Figure, statistics: Statistics) -> list[list[str]]:
+def table_cells(figure: Figure, statistics: Statistics) -> list[list[str]]:
     """Return the table's columns: axes, mean ± std in the paper and here, ratio of the two std."""
     columns = [["", "x = depth", "y", "z"], ["paper [mm]"], ["here [mm]"], ["std here / paper"]]
     for k in range(3):
@@ -111,7 +111,7 @@ def _cells(figure: Figure, statistics: Statistics) -> list[list[str]]:
 def _table(axes: Axes, figure: Figure, statistics: Statistics) -> Artist:
     """Return the table, midway between the curve of x and the others, where it hides neither."""
     packed: list[Artist] = []
-    for column in _cells(figure, statistics):
+    for column in table_cells(figure, statistics):
         cells: list[Artist] = [
             TextArea(text.replace("-", "\N{MINUS SIGN}"), textprops={"color": colour, **_STYLE})
             for text, colour in zip(column, ["0.25", *_COLOURS], strict=True)

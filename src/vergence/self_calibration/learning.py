@@ -14,7 +14,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import block_diag
 
-from vergence.geometry.head import Accuracy, HeadCalibration
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.parameters import change_between, change_named
 from vergence.self_calibration.frame import from_matches
 from vergence.self_calibration.keyframe import track_keyframe, worth_tracking

@@ -1,7 +1,7 @@
-"""Depth of every pixel of a rectified pair, by OpenCV's semi-global matcher, and how well known.
+"""The depth of every pixel of a rectified pair, and how well it is known.
 
-Matching: Hirschmueller, "Stereo processing by semiglobal matching and mutual information" (2008),
-as cv2.StereoSGBM has it. The standard deviation has two parts: what texture leaves open, and what
+The matcher is OpenCV's cv2.StereoSGBM: Hirschmueller, "Stereo processing by semiglobal matching and
+mutual information" (2008). The standard deviation has two parts: what texture leaves open, and what
 the calibration and the joint readings do.
 """
 

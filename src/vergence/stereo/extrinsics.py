@@ -53,9 +53,9 @@ def stereo_extrinsics(
 def per_pair(
     find: Callable[[HeadCalibration, Pair], Found],
 ) -> Callable[[HeadCalibration, Pair], Found]:
-    """Return a function that remembers what it found of a head and two cameras, or the main ones.
+    """Return a function of a head and a pair of cameras that caches what it found.
 
-    Their names may come as a list, which could not be remembered.
+    The names of the cameras may come as a list, which a cache cannot take as a key.
     """
     remembered = lru_cache(maxsize=64)(find)
 

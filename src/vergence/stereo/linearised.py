@@ -28,11 +28,11 @@ from vergence.geometry.parameters import camera_columns, parameter_names
 from vergence.geometry.projection import by_camera_columns, by_increments, projected
 from vergence.stereo.extrinsics import per_pair, stereo_cameras
 from vergence.stereo.triangulation import (
-    checked,
-    of_part,
+    checked_arguments,
+    intersect_rays,
+    joints_of_part,
+    noise_of_part,
     pixel_variances,
-    postures,
-    rays_meet,
 )
 
 
@@ -115,7 +115,7 @@ def linearised(
 
     Pixels count equally. Arguments and errors are those of `locate`.
     """
-    left, right, joints = checked(left, right, joints, head.kinematics)
+    left, right, joints = checked_arguments(left, right, joints, head.kinematics)
     return linearised_part(head, (left, right), joints, cameras, pixel_variances(1.0, len(left)))
 
 
@@ -133,10 +133,10 @@ def linearised_part(
 
     Variances are those of `triangulation.pixel_variances`.
     """
-    pixels, joints = (pixels[0][part], pixels[1][part]), postures(joints, part)
-    variances = of_part(variances, part)
+    pixels, joints = (pixels[0][part], pixels[1][part]), joints_of_part(joints, part)
+    variances = noise_of_part(variances, part)
     pair, eyes = stereo_cameras(head, cameras), eye_motions(head, joints)
-    points, status = rays_meet(pair, head.T_rbase_lbase, eyes, pixels, variances)
+    points, status = intersect_rays(pair, head.T_rbase_lbase, eyes, pixels, variances)
     shape, point = status.shape, components(points)
     rows = [
         projected(mounted, head.T_rbase_lbase, eye.R, eye.t, point, parameters=parameters)
@@ -168,10 +168,14 @@ def linearised_part(
 def _by_pixels(left: Rows, right: Rows, variances: Sequence[Component]) -> Rows:
     """Return the derivatives (3, 4) of a located point by its pixels.
 
-    Given are those of the pixels by the point (2, 3), and the four variances. Three pixel
-    coordinates make a point: both of the left image, and in the right one that along the epipolar
-    line. The fourth says by how much the rays miss each other, and the pixels share this in
-    proportion to their variances.
+    Three pixel coordinates determine a point: both of the left image, and in the right one that
+    along the epipolar line. The fourth says by how much the rays miss each other, and the pixels
+    share this in proportion to their variances.
+
+    Args:
+        left: (2, 3) derivatives of the left pixel by the point.
+        right: (2, 3) the same of the right one.
+        variances: (4) of left u, left v, right u, right v.
     """
     a, b = left
     along = cross(a, b)  # the left ray

@@ -23,8 +23,8 @@ from vergence.geometry.camera import (
     MAX_IMAGE_PX,
     Camera,
     is_image_size,
-    normalise,
     project,
+    unproject,
 )
 from vergence.geometry.eye_motion import check_joints
 from vergence.geometry.head import HeadCalibration
@@ -34,12 +34,13 @@ from vergence.geometry.se3 import inverse, pose, transform
 from vergence.stereo.extrinsics import stereo_cameras, stereo_poses
 
 FOCAL_SHARE = 0.85
-"""Focal length of the rectified cameras, of the real ones': eyes that diverge need a wider view."""
+"""Focal length of the rectified cameras, relative to the mean of the real ones: eyes that diverge
+need a wider view."""
 LEAST_OVERLAP = 0.05
 """Share of the rows in which the views must overlap."""
 LEAST_SHOWN = 0.1
-"""Share of the points that both images show of which a pair must show as many. With an epipole
-in the images, the pair's plane is nearly along the rays, and hardly any of them reach it."""
+"""Least share that a pair must show of the points that both images show. With an epipole in the
+images, the pair's plane is nearly along the rays, and hardly any of them reach it."""
 GRID_PX = 16
 """Distance of the pixels for which the map is computed."""
 MAP_ERROR_PX = 0.01
@@ -178,7 +179,7 @@ def _share_shown(
     u, v = (np.linspace(0, n - 1, _GRID) for n in (left.width, left.height))
     here = np.stack(np.meshgrid(u, v), axis=-1)
     distances = np.linalg.norm(T_rcam_lcam[:3, 3]) * _DISTANCES
-    points = _rays(left, here) * distances[:, None, None, None]
+    points = unproject(left, here) * distances[:, None, None, None]
     there = _pixels(right, transform(T_rcam_lcam, points))
     both = _within(there, (right.width, right.height))
     shown = both.copy()
@@ -195,7 +196,8 @@ def _within(pixels: Array, size: tuple[int, int]) -> np.ndarray:
 def known_posture(head: HeadCalibration, joints: ArrayLike) -> Array:
     """Return the readings (r,) [rad], or measured poses (2, 4, 4), of one posture as an array.
 
-    VergenceError if they are those of none, not all of them are known, or poses are not rigid.
+    VergenceError if they are not those of one posture, one of them is not known, or poses are not
+    rigid.
     """
     at = np.asarray(joints, dtype=float)
     if at.shape != (2, 4, 4):
@@ -240,7 +242,7 @@ def _view(camera: Camera, R_rect_cam: Array, matrix: Array, size: tuple[int, int
 
 
 def _nodes(n: int) -> int:
-    """Return how many nodes n pixels need, and a fourth difference."""
+    """Return how many nodes n pixels need: at least the five of a fourth difference."""
     return max(-(-n // GRID_PX) + 3, 5)
 
 
@@ -317,15 +319,9 @@ def rectified_pixels(pair: RectifiedPair, view: RectifiedView, pixels: Array) ->
 
 
 def _rectified(view: RectifiedView, matrix: Array, pixels: Array) -> Array:
-    rays = _rays(view.camera, pixels) @ view.R_rect_cam.T
+    rays = unproject(view.camera, pixels) @ view.R_rect_cam.T
     z = np.where(rays[..., 2:] > 0, rays[..., 2:], np.nan)
     return (rays / z @ matrix.T)[..., :2]
-
-
-def _rays(camera: Camera, pixels: Array) -> Array:
-    """Return the points (..., 3) in frame cam at depth 1 that pixels (..., 2) show."""
-    xy = normalise(camera, pixels)
-    return np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
 
 
 def rectified_points(pair: RectifiedPair, pixels: Array, disparity: Array) -> Array:

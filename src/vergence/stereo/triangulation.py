@@ -38,7 +38,7 @@ from vergence.stereo.extrinsics import stereo_cameras
 CHUNK = 4096
 """Points at a time: their arrays stay in the processor's cache, and memory does not grow."""
 PARALLEL_RAD = 1e-12
-"""Angle between two rays that rounding errors make of none."""
+"""Angle between two rays up to which they count as parallel: what rounding errors make."""
 
 
 class Status(IntEnum):
@@ -78,67 +78,94 @@ def triangulate_at(
         Points (N, 3) [m], NaN where the status is not OK, and the status (N,).
 
     Raises:
-        VergenceError: shapes do not fit, or the head has no such pair of cameras.
+        VergenceError: shapes do not fit, readings are not in radians, poses are not rigid, the
+            noise is negative, or the head has no such pair of cameras.
     """
-    left, right, joints = checked(left, right, joints, head.kinematics)
+    left, right, joints = checked_arguments(left, right, joints, head.kinematics)
     pair, n = stereo_cameras(head, cameras), len(left)
     variances = pixel_variances(pixel_std_px, n)
 
     def find(part: slice) -> tuple[Array, np.ndarray]:
-        eyes, pixels = eye_motions(head, postures(joints, part)), (left[part], right[part])
-        points, status = rays_meet(pair, head.T_rbase_lbase, eyes, pixels, of_part(variances, part))
+        eyes, pixels = eye_motions(head, joints_of_part(joints, part)), (left[part], right[part])
+        points, status = intersect_rays(
+            pair, head.T_rbase_lbase, eyes, pixels, noise_of_part(variances, part)
+        )
         return points.T, status
 
     points, status = in_chunks(n, find)
     return points, status
 
 
-def rays_meet(
+def intersect_rays(
     pair: tuple[MountedCamera, MountedCamera],
     T_rbase_lbase: Array,
     eyes: tuple[EyeMotion, EyeMotion],
     pixels: tuple[Array, Array],
     variances: Array,
 ) -> tuple[Array, np.ndarray]:
-    """Return points (3, N) in the left eye's base frame, and their status (N,).
+    """Return points (3, N) in the left eye's base frame, where rays of pixels meet; status (N,).
+
+    Rays of noisy pixels pass each other; they are first corrected so that they meet.
 
     Args:
         pair: a left and a right camera.
-        eyes: their poses.
-        pixels: (N, 2) left and right.
+        T_rbase_lbase: (4, 4) of the head.
+        eyes: poses of the eyes.
+        pixels: (N, 2) left and right, distortion included.
         variances: (4, N or 1) of the pixels: left u, left v, right u, right v.
     """
-    lenses = pair[0].intrinsics, pair[1].intrinsics
-    left, right = (
+    (R_left, centre), (R_right, other) = (
         camera_pose(mounted, T_rbase_lbase, eye.R, eye.t)
         for mounted, eye in zip(pair, eyes, strict=True)
     )
-    return _intersect(lenses, pixels, (left, right), variances)
+    lenses, n = (pair[0].intrinsics, pair[1].intrinsics), len(pixels[0])
+    base = minus(other, centre)
+    left, right = _coplanar_rays(lenses, pixels, (R_left, R_right), base, variances)
+    with ignoring_invalid(left[0]):
+        normal = cross(left, right)
+        size = dot(normal, normal)
+        # base = s left - r right: the cross product with one ray leaves the depth along the other.
+        depths = [quotient(dot(cross(base, ray), normal), size) for ray in (right, left)]
+        points = stacked([c + depths[0] * ray for c, ray in zip(centre, left, strict=True)], (n,))
+        parallel = size <= PARALLEL_RAD**2 * (dot(left, left) * dot(right, right))
+        together = left[0] + right[0]
+        unseen = together - together != 0  # NaN or infinite
+    status = np.zeros(n, dtype=int)
+    for where, what in (
+        ((depths[0] <= 0) | (depths[1] <= 0), Status.BEHIND),
+        (parallel, Status.PARALLEL),
+        (unseen, Status.NOT_SEEN),
+    ):
+        if anywhere(where):
+            status[where] = what
+            points[:, where] = np.nan
+    return points, status
 
 
-def _intersect(
+def _coplanar_rays(
     lenses: tuple[Camera, Camera],
     pixels: tuple[Array, Array],
-    poses: tuple[tuple[Rows, Vector], tuple[Rows, Vector]],
+    rotations: tuple[Rows, Rows],
+    base: Vector,
     variances: Array,
-) -> tuple[Array, np.ndarray]:
-    """Return where the rays of pixels meet (3, N), and the status (N,).
+) -> tuple[Vector, Vector]:
+    """Return the rays of pixels, by components, corrected so that each pair lies in one plane.
 
-    Rays of noisy pixels pass each other. The pixels are first moved onto the epipolar lines of each
-    other, by the least sum of squares relative to their variances (Sampson's correction, to first
-    order the maximum of the likelihood); then the rays meet in a point, by cross products.
+    The pixels are moved onto each other's epipolar lines by the least sum of squares relative to
+    their variances: Sampson's correction, to first order the maximum of the likelihood.
 
     Args:
+        lenses: of the left and the right camera.
         pixels: (N, 2) left and right, distortion included.
-        poses: rotations and centres of the cameras in the frame of the points, by components.
+        rotations: of the cameras, in the frame in which the rays are returned.
+        base: the vector from the left to the right camera, in this frame.
         variances: (4, N or 1) of the pixels: left u, left v, right u, right v.
     """
-    n, ((R_left, centre), (R_right, other)) = len(pixels[0]), poses
-    base, columns = minus(other, centre), (transposed(R_left), transposed(R_right))
+    columns = transposed(rotations[0]), transposed(rotations[1])
     found = [
         normalised_rows(lens, *components(uv.T)) for lens, uv in zip(lenses, pixels, strict=True)
     ]
-    left, right = (times(poses[k][0], (*found[k][0], 1.0)) for k in (0, 1))
+    left, right = (times(rotations[k], (*found[k][0], 1.0)) for k in (0, 1))
     with ignoring_invalid(left[0]):
         # gap = left ray . (right ray x base), and its derivatives by the pixels.
         normals = cross(right, base), cross(base, left)
@@ -160,24 +187,7 @@ def _intersect(
             ]
             for k, (ray, (x, y)) in enumerate(zip((left, right), steps, strict=True))
         )
-        normal = cross(left, right)
-        size = dot(normal, normal)
-        # base = s left - r right, the one of (s, r) by its cross product with the other's ray.
-        depths = [quotient(dot(cross(base, ray), normal), size) for ray in (right, left)]
-        points = stacked([c + depths[0] * ray for c, ray in zip(centre, left, strict=True)], (n,))
-        parallel = size <= PARALLEL_RAD**2 * (dot(left, left) * dot(right, right))
-        together = left[0] + right[0]
-        unseen = together - together != 0  # NaN or infinite
-    status = np.zeros(n, dtype=int)
-    for where, what in (
-        ((depths[0] <= 0) | (depths[1] <= 0), Status.BEHIND),
-        (parallel, Status.PARALLEL),
-        (unseen, Status.NOT_SEEN),
-    ):
-        if anywhere(where):
-            status[where] = what
-            points[:, where] = np.nan
-    return points, status
+    return left, right
 
 
 def chunks(n: int) -> Iterator[slice]:
@@ -200,7 +210,7 @@ def in_chunks(n: int, find: Callable[[slice], tuple[Array, ...]]) -> tuple[Array
     return found
 
 
-def postures(joints: Array, part: slice) -> Array:
+def joints_of_part(joints: Array, part: slice) -> Array:
     """Return the readings, or measured poses, of a chunk: (n, r) or (n, 2, 4, 4); n may be 1."""
     return joints[None] if joints.ndim in (1, 3) else joints[part]
 
@@ -240,12 +250,12 @@ def pixel_variances(pixel_std_px: ArrayLike, n: int) -> Array:
     return np.where((std > 0).all(axis=0), std * std, 1.0)
 
 
-def of_part(noise: Array, part: slice) -> Array:
+def noise_of_part(noise: Array, part: slice) -> Array:
     """Return the noise (..., n) of a chunk; (..., 1) is that of all points."""
     return noise if noise.shape[-1] == 1 else noise[..., part]
 
 
-def checked(
+def checked_arguments(
     left: Array, right: Array, joints: Array, kinematics: Kinematics
 ) -> tuple[Array, Array, Array]:
     """Return float arrays; VergenceError if they are not (N, 2), (N, 2) and readings.

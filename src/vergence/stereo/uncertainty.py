@@ -33,11 +33,11 @@ from vergence.stereo.linearised import (
     pair_parameters,
 )
 from vergence.stereo.triangulation import (
-    checked,
+    checked_arguments,
     chunks,
     in_chunks,
+    noise_of_part,
     noise_rows,
-    of_part,
     pixel_noise,
     pixel_variances,
     triangulate_at,
@@ -101,7 +101,7 @@ def locate(
     """
     if joint_time_s is not None:
         joints = _at_the_images(head, joints, joint_time_s)
-    left, right, joints = checked(left, right, joints, head.kinematics)
+    left, right, joints = checked_arguments(left, right, joints, head.kinematics)
     known, n = pair_covariance(head, cameras), len(left)
     if not states_noise(head) and pixel_std_px is None and joint_std_rad is None:
         points, status = triangulate_at(
@@ -130,7 +130,7 @@ def _or_stated(
     pixel_std_px: ArrayLike | None,
     joint_std_rad: ArrayLike | None,
 ) -> tuple[ArrayLike, ArrayLike]:
-    """Return the noise of pixels and readings, None: as the calibration states it, or none."""
+    """Return the noise of pixels and readings; None: as the calibration states it, 0 if not."""
     if pixel_std_px is None:
         pixel_std_px = (head.accuracy and head.accuracy.pixel_std_px) or 0.0
     if joint_std_rad is None:
@@ -229,7 +229,7 @@ def combination(
     caller nor the calibration states is taken as none. VergenceError also if there are not as many
     weights as points.
     """
-    left, right, joints = checked(left, right, joints, head.kinematics)
+    left, right, joints = checked_arguments(left, right, joints, head.kinematics)
     factor, n = pair_factor(head, cameras), len(left)
     weights = np.asarray(weights, dtype=float)
     if weights.shape != (n,):
@@ -281,7 +281,7 @@ def locate_jointly(
     parameters counts too, as if it were independent. Other arguments and errors are those of
     `locate`.
     """
-    left, right, joints = checked(left, right, joints, head.kinematics)
+    left, right, joints = checked_arguments(left, right, joints, head.kinematics)
     n, P, names = len(left), len(parameters), pair_parameters(head, cameras)
     noise, variances = pixel_noise(pixel_std_px, n), pixel_variances(pixel_std_px, n)
     mine = [k for k, name in enumerate(parameters) if name in names]
@@ -298,7 +298,7 @@ def locate_jointly(
         own, rest = own.transpose(2, 0, 1), by_head[:, beside].transpose(2, 0, 1)
         of_rest = rest @ C @ rest.swapaxes(1, 2)
         of_head = own[..., :P] @ covariance[:P, :P] @ own[..., :P].swapaxes(1, 2)
-        whole = _squares(seen.by_pixels * of_part(noise, part))
+        whole = _squares(seen.by_pixels * noise_of_part(noise, part))
         whole += own @ covariance @ own.swapaxes(1, 2)
         return seen.points.T, whole + of_rest, seen.status, of_head + of_rest
 
@@ -327,7 +327,7 @@ def locate_both(
     joints, n = np.asarray(joints, dtype=float), len(left[0])
     noise, points, changes = _noise(head, joints, n, pixel_std_px, joint_std_rad), [], []
     for own in zip(left, right, strict=True):
-        u_l, u_r, readings = checked(*own, joints, head.kinematics)
+        u_l, u_r, readings = checked_arguments(*own, joints, head.kinematics)
         given = head, (u_l, u_r), readings, cameras, pixel_variances(pixel_std_px, n)
         seen = linearised_part(*given, parameters=False)
         points.append(seen.points.T)
@@ -370,7 +370,9 @@ def _by_noise(
     seen: Linearised, noise: tuple[Array, Array], part: slice = slice(None)
 ) -> tuple[Array, Array]:
     """Return changes (3, 4, n) and (3, r, n) of points by one standard deviation of each."""
-    return seen.by_pixels * of_part(noise[0], part), seen.by_readings * of_part(noise[1], part)
+    return seen.by_pixels * noise_of_part(noise[0], part), seen.by_readings * noise_of_part(
+        noise[1], part
+    )
 
 
 def noise_of_readings(joint_std: ArrayLike, count: int, n: int) -> Array:

@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from vergence.calibration.sequential.intrinsics import LensModel
+from vergence.calibration.sequential.lens_models import LensModel
 from vergence.errors import VergenceError
 from vergence.reading import parse_toml, read_parsed
 

@@ -36,8 +36,8 @@ def play(angles: Array, width: float, start: Array | None = None) -> Array:
 def sensor_columns(kinematics: Kinematics) -> list[int]:
     """Return (r,) which of a profile's four sensors, in the order of EYE_JOINTS, reads each joint.
 
-    Of a head with other joints: the one of the first eye that the reading moves, and of pan or tilt
-    as the axis of the joint is nearer to z or to y.
+    On a head with other joints it is a sensor of the first eye that the reading moves: pan if the
+    axis of the joint is nearer to z than to y, else tilt.
     """
     found = []
     for r, name in enumerate(kinematics.readings):
@@ -53,7 +53,8 @@ def sensor_columns(kinematics: Kinematics) -> list[int]:
 def with_sensor_errors(kinematics: Kinematics, gain: Array, offset: Array) -> Kinematics:
     """Return joints that take readings for angles gain * reading + offset, both (r,).
 
-    A joint of several readings takes the mean of their gains, by what each adds to its angle.
+    A joint of several readings takes the mean of their gains, weighted by what each adds to its
+    angle.
     """
     eyes: dict[Side, tuple[Joint, ...]] = {}
     for eye, joints in kinematics.eyes.items():

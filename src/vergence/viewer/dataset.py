@@ -26,7 +26,7 @@ from vergence.calibration.bundle.bundle_adjustment import BundleEstimate
 from vergence.calibration.calibrate import CalibrationResult
 from vergence.data.dataset import Dataset
 from vergence.geometry.board import Board, corner_points
-from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head import HeadCalibration, cameras_of
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.projection import T_lbase_eye
 from vergence.progress import Progress, silent
@@ -141,7 +141,7 @@ def _log_styles(rec: rr.RecordingStream, head: HeadCalibration, dataset: Dataset
         f"joints/{joint}": style.JOINT_COLOURS.get(joint) or next(others) for joint in joints
     }
     for eye in EYES:
-        own = [f"residual/{name}" for name, mounted in head.cameras.items() if mounted.eye == eye]
+        own = [f"residual/{name}" for name in cameras_of(head, eye)]
         colours |= zip(own, 9 * style.EYE_COLOURS[eye], strict=False)
     for entity, colour in colours.items():
         name = entity.partition("/")[2].replace("_", " ")

@@ -10,7 +10,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from vergence.arrays import Array
-from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head import HeadCalibration, cameras_of
 from vergence.geometry.kinematics import EYES
 from vergence.viewer import style
 
@@ -111,10 +111,7 @@ def camera_views(head: HeadCalibration, *, marks: str) -> rrb.Grid:
         return float(camera.matrix[0, 0] / camera.width)
 
     views, entities = [], camera_entities(head)
-    own = [
-        sorted((n for n, mounted in head.cameras.items() if mounted.eye == eye), key=narrowness)
-        for eye in EYES
-    ]
+    own = [sorted(cameras_of(head, eye), key=narrowness) for eye in EYES]
     for name in filter(None, chain.from_iterable(zip_longest(*own))):
         camera = head.camera(name).intrinsics
         bounds = rrb.VisualBounds2D(x_range=(0, camera.width), y_range=(0, camera.height))

@@ -21,7 +21,8 @@ from vergence.writing import whole_file
 if TYPE_CHECKING:  # the twin, and with it mujoco, is not needed to record a real head
     from vergence.twin.appearance import VisualGeom
 
-
+Recording = rr.RecordingStream
+"""A recording that is being written, for rooms that do not import rerun."""
 _BATCHES = rr.ChunkBatcherConfig(flush_tick=10.0)
 """Rows of an entity that come within ten seconds are stored together: for each batch rerun keeps a
 record in memory, and at every frame these would add up to 25 kB."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -112,26 +113,9 @@ def adjust(
         VergenceError: there are more unknowns than data.
     """
     groups = int(group.max()) + 1
-    given = np.array([pixel_std_px is not None] + [joint_std is not None] * groups)
-    pixel = max(_median_level(problem, start), 0.1) if pixel_std_px is None else pixel_std_px
-    joint = np.full(groups, GENEROUS_JOINT) if joint_std is None else joint_std
-    noise = NoiseLevels(np.array([pixel, *joint]), group, outlier)
-    basis, linear = whole_basis(problem, start), _linear(problem, start, noise)
-    left = redundancy(project_onto(linear, basis), noise)
-    if pixel_std_px is None and joint_std is None and (left[1:] < FEW_LEFT).any():
-        # The corners are better than the start, and then say more of the readings.
-        rough, _, linear = minimise(problem, start, noise, basis, iterations=ROUGH_STEPS)
-        pixel = min(pixel, max(_median_level(problem, rough), 0.1))
-        noise = replace(noise, levels=np.array([pixel, *joint]))
-        left = redundancy(project_onto(linear, basis), noise)
-    if left[0] < 1:
-        raise VergenceError(
-            f"There are {linear.count:.0f} corner coordinates for more unknowns than that; "
-            "record more views of the board."
-        )
-    assumed = ~given[1:] & (left[1:] < 1)
-    given[1:] |= assumed
-    noise = replace(noise, levels=np.array([pixel, *np.where(assumed, USUAL_JOINT, joint)]))
+    basis = whole_basis(problem, start)
+    first = _first_noise(problem, start, basis, group, pixel_std_px, joint_std, outlier)
+    noise, linear = first.noise, first.linear
     state, seen, log_variance = start, None, np.zeros(1 + groups)
     agreed, converged, restarted, releases, failures = False, False, False, 0, 0
     weighings = 0 if np.isfinite(outlier) else WEIGHINGS
@@ -140,10 +124,12 @@ def adjust(
         failures += not converged
         problem = refit_trajectory(problem, state)
         # The level depends on the inliers and they on it: keep half of the corners among them.
-        least = 0.0 if given[0] else 0.8 * _median_level(problem, state)
+        least = 0.0 if first.fixed[0] else 0.8 * _median_level(problem, state)
         noise = replace(noise, levels=np.maximum(noise.levels, [least] + [0.0] * groups))
         linear = _linear(problem, state, noise, known=linear)
-        estimated, log_variance, rest = estimate_noise(project_onto(linear, basis), noise, given)
+        estimated, log_variance, rest = estimate_noise(
+            project_onto(linear, basis), noise, first.fixed
+        )
         change = np.abs(np.log(estimated.levels / noise.levels)).max()
         well = estimated.joint < TRUST_ENCODER * image_levels(linear, noise)[group]
         problem = replace(problem, trust_encoder=problem.trust_encoder | well)
@@ -174,18 +160,70 @@ def adjust(
     certain = observe(problem, state, linear, replace(noise, levels=noise.levels * factor))
     c = head_size(problem)
     return Adjusted(
-        state,
-        noise,
-        replace(seen, covariance=certain.covariance + systematic[:c, :c]),
-        problem.seen.sum(axis=1) - linear.weights[0].sum(axis=1),
-        np.where(linear.weights[1] > 0, 0.0, joint_errors(problem, state)),
-        assumed,
-        np.full(groups, joint_std is not None),
-        left[1:],
-        converged and agreed,
-        systematic_px,
-        restricted_cost(project_onto(linear, seen.basis), noise),
+        state=state,
+        noise=noise,
+        observability=replace(seen, covariance=certain.covariance + systematic[:c, :c]),
+        outliers=problem.seen.sum(axis=1) - linear.weights[0].sum(axis=1),
+        lost_readings=np.where(linear.weights[1] > 0, 0.0, joint_errors(problem, state)),
+        assumed=first.assumed,
+        given=np.full(groups, joint_std is not None),
+        redundancy=first.redundancy,
+        converged=converged and agreed,
+        systematic_px=systematic_px,
+        cost=restricted_cost(project_onto(linear, seen.basis), noise),
     )
+
+
+class _FirstNoise(NamedTuple):
+    """The noise with which an adjustment begins."""
+
+    noise: NoiseLevels
+    linear: LinearProblem
+    """The problem linearised near the start."""
+    fixed: np.ndarray
+    """(1 + groups,) which levels are given or assumed, and are not estimated."""
+    assumed: np.ndarray
+    """(groups,) as Adjusted has it."""
+    redundancy: Array
+    """(groups,) as Adjusted has it."""
+
+
+def _first_noise(
+    problem: BundleProblem,
+    start: BundleState,
+    basis: Array,
+    group: np.ndarray,
+    pixel_std_px: float | None,
+    joint_std: Array | None,
+    outlier: float,
+) -> _FirstNoise:
+    """Return first levels of noise, and which of them the data cannot determine.
+
+    The basis (G, F) has the free directions of the shared unknowns. Other arguments and errors are
+    those of `adjust`.
+    """
+    groups = int(group.max()) + 1
+    fixed = np.array([pixel_std_px is not None] + [joint_std is not None] * groups)
+    pixel = max(_median_level(problem, start), 0.1) if pixel_std_px is None else pixel_std_px
+    joint = np.full(groups, GENEROUS_JOINT) if joint_std is None else joint_std
+    noise = NoiseLevels(np.array([pixel, *joint]), group, outlier)
+    linear = _linear(problem, start, noise)
+    left = redundancy(project_onto(linear, basis), noise)
+    if pixel_std_px is None and joint_std is None and (left[1:] < FEW_LEFT).any():
+        # The corners are better than the start, and then say more of the readings.
+        rough, _, linear = minimise(problem, start, noise, basis, iterations=ROUGH_STEPS)
+        pixel = min(pixel, max(_median_level(problem, rough), 0.1))
+        noise = replace(noise, levels=np.array([pixel, *joint]))
+        left = redundancy(project_onto(linear, basis), noise)
+    if left[0] < 1:
+        raise VergenceError(
+            f"There are {linear.count:.0f} corner coordinates for more unknowns than that; "
+            "record more views of the board."
+        )
+    assumed = ~fixed[1:] & (left[1:] < 1)
+    fixed[1:] |= assumed
+    levels = np.array([pixel, *np.where(assumed, USUAL_JOINT, joint)])
+    return _FirstNoise(replace(noise, levels=levels), linear, fixed, assumed, left[1:])
 
 
 def _linear(

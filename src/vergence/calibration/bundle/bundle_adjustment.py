@@ -23,6 +23,7 @@ from vergence.calibration.bundle.initial_state import initial_state
 from vergence.calibration.bundle.measured_poses import PoseObservations
 from vergence.calibration.bundle.problem import (
     BundleProblem,
+    BundleState,
     corner_errors,
     detection_eyes,
     eye_poses,
@@ -30,7 +31,8 @@ from vergence.calibration.bundle.problem import (
 from vergence.calibration.bundle.solver import OUTLIER
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
-from vergence.geometry.head import Accuracy, HeadCalibration, main_pair
+from vergence.geometry.head import HeadCalibration, main_pair
+from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import Kinematics, reading_kinds
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.parameter_names import POSE
@@ -153,14 +155,6 @@ def bundle_adjust(
     T_base_eye = np.full((len(observations.placement), 2, 4, 4), np.nan)
     views = problem.block_view[problem.block]
     T_base_eye[views, detection_eyes(problem)] = eye_poses(problem, found.state)
-    left_out = _left_out(problem, observations)
-    errors = np.where(problem.seen[..., None], corner_errors(problem, found.state), np.nan)
-    residuals = {}
-    for c, name in enumerate(problem.cameras):
-        mine = problem.camera == c
-        if mine.any():
-            residuals[name] = np.full((len(T_base_eye), *errors.shape[1:]), np.nan)
-            residuals[name][views[mine]] = errors[mine]
     return BundleEstimate(
         head=replace(found.state.head, neck=start.neck),
         parameters=problem.parameters,
@@ -170,15 +164,27 @@ def bundle_adjust(
         T_lbase_target=dict(zip(numbers.tolist(), found.state.T_lbase_target, strict=True)),
         board_scale=found.state.board_scale,
         T_base_eye=T_base_eye,
-        residuals_px=residuals,
+        residuals_px=_residuals(problem, found.state, len(T_base_eye)),
         void=diagnostics.void(problem, found),
         warnings=(
-            *left_out,
+            *_left_out(problem, observations),
             *diagnostics.contradicting_views(problem),
             *diagnostics.warnings(problem, found),
         ),
         cost=found.cost,
     )
+
+
+def _residuals(problem: BundleProblem, state: BundleState, views: int) -> dict[str, Array]:
+    """Return by camera the errors (V, K, 2) of its corners; NaN where not seen."""
+    errors = np.where(problem.seen[..., None], corner_errors(problem, state), np.nan)
+    found = {}
+    for c, name in enumerate(problem.cameras):
+        mine = problem.camera == c
+        if mine.any():
+            found[name] = np.full((views, *errors.shape[1:]), np.nan)
+            found[name][problem.block_view[problem.block[mine]]] = errors[mine]
+    return found
 
 
 def check_noise(joint_std: float | tuple[float, float] | None, **above_zero: float | None) -> None:

@@ -28,7 +28,7 @@ FEW = 6
 """Degrees of freedom below which an estimated noise level is heavy-tailed, and the covariance
 optimistic."""
 MOST_NAMED = 3
-"""Readings that lost their weight are named so far."""
+"""Most readings that lost their weight and are named one by one; the rest are counted."""
 NAMED = 0.3
 """A direction's components of this size, relative to the largest, are named."""
 

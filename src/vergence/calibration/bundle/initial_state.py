@@ -13,7 +13,7 @@ from vergence.calibration.bundle.measured_poses import PAIRS, MeasuredPoses, Pos
 from vergence.calibration.bundle.problem import BundleProblem, BundleState, corner_errors, eye_poses
 from vergence.calibration.observations import Observations, missing_reading
 from vergence.calibration.sequential.lens_prior import lens_prior
-from vergence.data.timing import TRAJECTORY_DEGREE, stencil
+from vergence.data.timing import TRAJECTORY_DEGREE, Stencil, stencil
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
 from vergence.geometry.head import HeadCalibration
@@ -61,21 +61,8 @@ def initial_state(
     useful = detected.placed.any(axis=0)
     numbers = np.unique(observations.placement[useful])
     camera, view = np.nonzero(seen.any(axis=2) & np.isin(observations.placement, numbers))
+    blocks = _blocks(start.kinematics, observations, view, eye[camera])
     measured = observations.T_base_eye
-    columns = _latent_columns(start.kinematics, sorted(set(eye[camera].tolist())))
-    alone = measured is not None or len(columns) == len(EYES)
-    whose = eye[camera] if alone else np.zeros(len(camera), dtype=np.intp)
-    pairs, block = np.unique(np.stack([view, whose], axis=1), axis=0, return_inverse=True)
-    block_view, block_eye = pairs.T
-    reading, block_columns, finite = _readings(observations, pairs, columns)
-    if not finite.all():
-        v, e = pairs[~finite][0]
-        raise missing_reading(EYES[e] if alone else None, int(v))
-    around = None
-    if observations.timing is not None:
-        run = observations.timing.run[block_view]  # a motion of one eye, not of both
-        time_s = observations.timing.time_s[block_view]
-        around = stencil(time_s, np.where(run > 0, 2 * run - block_eye, 0))
     blind = [name for c, name in enumerate(cameras) if c not in camera]
     blind += [side for e, side in enumerate(EYES) if e not in eye[camera]]
     free = _free(start, fixed, blind, angles=measured is None)
@@ -90,19 +77,19 @@ def initial_state(
         parameters=parameter_names(start),
         eye=eye,
         camera=camera,
-        block=block.ravel(),
+        block=blocks.of_detection,
         placement=np.searchsorted(numbers, observations.placement[view]),
         pixels=np.where(seen[..., None], detected.pixels, 0.0)[camera, view],
         seen=seen[camera, view],
         points=detected.points,
         noise_scale=np.ones(len(camera)),
-        block_view=block_view,
-        block_columns=block_columns,
-        reading=reading,
-        around=around,
-        trajectory_coefficients=np.zeros((*reading.shape, TRAJECTORY_DEGREE)),
-        trust_encoder=np.zeros(reading.shape[1], dtype=bool),
-        T_base_eye_read=None if measured is None else measured[block_view, block_eye],
+        block_view=blocks.view,
+        block_columns=blocks.columns,
+        reading=blocks.reading,
+        around=_neighbours(observations, blocks),
+        trajectory_coefficients=np.zeros((*blocks.reading.shape, TRAJECTORY_DEGREE)),
+        trust_encoder=np.zeros(blocks.reading.shape[1], dtype=bool),
+        T_base_eye_read=None if measured is None else measured[blocks.view, blocks.eye],
         systematic_px=observations.systematic_px,
         free=np.array(free + [True] * (len(POSE) * len(numbers)) + [sized]),
         assumed=np.array(
@@ -117,9 +104,54 @@ def initial_state(
     state = BundleState(
         head=replace(start, time_offset_s=offset_s, accuracy=None),
         T_lbase_target=np.tile(np.eye(4), (len(numbers), 1, 1)),
-        latent=reading,
+        latent=blocks.reading,
     )
     return *_place_boards(problem, state, found), numbers
+
+
+class _Blocks(NamedTuple):
+    """The B blocks of latent unknowns: see `problem`."""
+
+    of_detection: np.ndarray
+    """(M,) the block of each detection."""
+    view: np.ndarray
+    """(B,)."""
+    eye: np.ndarray
+    """(B,) 0 or 1; 0 where a block is of both eyes."""
+    reading: Array
+    """(B, n)."""
+    columns: np.ndarray
+    """(B, n) which of the head's readings these are."""
+
+
+def _blocks(
+    kinematics: Kinematics,
+    observations: Observations | PoseObservations,
+    view: np.ndarray,
+    eye: np.ndarray,
+) -> _Blocks:
+    """Return the blocks that M detections, in views (M,) and by eyes (M,), belong to.
+
+    VergenceError if a reading that is needed is not finite.
+    """
+    columns = _latent_columns(kinematics, sorted(set(eye.tolist())))
+    alone = observations.T_base_eye is not None or len(columns) == len(EYES)
+    whose = eye if alone else np.zeros(len(eye), dtype=np.intp)
+    pairs, block = np.unique(np.stack([view, whose], axis=1), axis=0, return_inverse=True)
+    reading, block_columns, finite = _readings(observations, pairs, columns)
+    if not finite.all():
+        v, e = pairs[~finite][0]
+        raise missing_reading(EYES[e] if alone else None, int(v))
+    return _Blocks(block.ravel(), pairs[:, 0], pairs[:, 1], reading, block_columns)
+
+
+def _neighbours(observations: Observations | PoseObservations, blocks: _Blocks) -> Stencil | None:
+    """Return the neighbours of each block in time; None: the eyes stood still in all views."""
+    if observations.timing is None:
+        return None
+    run = observations.timing.run[blocks.view]  # a motion of one eye, not of both
+    time_s = observations.timing.time_s[blocks.view]
+    return stencil(time_s, np.where(run > 0, 2 * run - blocks.eye, 0))
 
 
 def _readings(

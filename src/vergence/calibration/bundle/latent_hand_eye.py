@@ -103,7 +103,6 @@ def refine_eye_camera(
     check_noise(joint_std, pixel_std_px=pixel_std_px, outlier=outlier)
     if start is not None:
         start = _checked_start(start)
-    N, K = pixels.shape[:2]
     angles = eye if eye.ndim == 2 else _readings_of(eye, kinematics)
     if eye.ndim == 3 and angles is not None and isinstance(joint_std, tuple):
         joint_std = joint_std[0]
@@ -112,15 +111,6 @@ def refine_eye_camera(
     if start is None:
         known = np.isfinite(T_cam_target).all(axis=(1, 2))
         start = robust_park_martin(T_read[known], T_cam_target[known])
-    observations = Observations(
-        board=Chessboard(columns=K, rows=1, square_m=1.0),  # counts corners; `points` places them
-        placement=np.zeros(N, dtype=int),
-        eye_angles=np.full((N, len(names)), np.nan) if angles is None else angles,
-        corners={_NAME: pixels},
-        sizes={_NAME: (camera.width, camera.height)},
-        kinematics=kinematics,
-        T_base_eye=np.stack([eye, eye], axis=1) if angles is None else None,
-    )
     head = HeadCalibration(
         cameras={_NAME: MountedCamera(eye="left", intrinsics=camera, T_eye_cam=start)},
         T_rbase_lbase=np.eye(4),
@@ -128,7 +118,7 @@ def refine_eye_camera(
     )
     adjust = partial(
         bundle_adjust,
-        observations=observations,
+        observations=_observations(pixels, camera, kinematics, angles, T_read),
         points=points,
         fixed=[name for name in parameter_names(head) if ".T_eye_cam." not in name],
         own_levels_from=np.inf,
@@ -159,6 +149,26 @@ def refine_eye_camera(
         joint_std=found.joint_std,
         void=found.void,
         warnings=warnings,
+    )
+
+
+def _observations(
+    pixels: Array, camera: Camera, kinematics: Kinematics, angles: Array | None, T_read: Array
+) -> Observations:
+    """Return N views (N, K, 2) of one board at rest by a camera called _NAME in the left eye.
+
+    The eye's motion is given by angles (N, r) or, where they are None, by poses T_read (N, 4, 4).
+    """
+    N, K = pixels.shape[:2]
+    unknown = np.full((N, len(kinematics.readings)), np.nan)
+    return Observations(
+        board=Chessboard(columns=K, rows=1, square_m=1.0),  # counts corners; `points` places them
+        placement=np.zeros(N, dtype=int),
+        eye_angles=unknown if angles is None else angles,
+        corners={_NAME: pixels},
+        sizes={_NAME: (camera.width, camera.height)},
+        kinematics=kinematics,
+        T_base_eye=np.stack([T_read, T_read], axis=1) if angles is None else None,
     )
 
 

@@ -28,7 +28,9 @@ USUAL_BASELINE_M = 0.02, 0.5
 def doubts(head: HeadCalibration, std: Mapping[str, float] | None = None) -> list[str]:
     """Return sentences on axes and eyes that a calibration puts where none can be.
 
-    std: stated standard deviations of the head's parameters, by name.
+    Args:
+        head: the calibration.
+        std: stated standard deviations of its parameters, by name; None: none are stated.
     """
     said = _exchanged_axes(head, std or {})
     if len({mounted.eye for mounted in head.cameras.values()}) < 2:

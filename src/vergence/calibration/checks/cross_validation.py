@@ -16,7 +16,8 @@ from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
 from vergence.geometry.camera import project
-from vergence.geometry.head import HeadCalibration, HeldOut, main_pair, states_covariance
+from vergence.geometry.head import HeadCalibration, main_pair, states_covariance
+from vergence.geometry.head_accuracy import HeldOut
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.parameters import boxminus
 from vergence.geometry.projection import project_at

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.geometry.camera import Camera, normalise, project_jacobians
+from vergence.geometry.camera import Camera, project_jacobians, unproject
 from vergence.geometry.head import HeadCalibration, stated_covariance, states_covariance
 from vergence.geometry.parameter_names import intrinsics_names
 from vergence.geometry.se3 import cross
@@ -153,9 +153,8 @@ def _by_ray(camera: Camera, pixels: Array) -> Array:
 
 def unit_rays(camera: Camera, pixels: Array) -> Array:
     """Return unit vectors (N, 3) in frame cam towards what is seen at pixels (N, 2)."""
-    xy = normalise(camera, pixels)
-    ray = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
-    return ray / np.linalg.norm(ray, axis=1, keepdims=True)
+    rays = unproject(camera, pixels)
+    return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 
 def edge_warnings(

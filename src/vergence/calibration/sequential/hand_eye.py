@@ -13,8 +13,8 @@ from vergence.errors import VergenceError
 from vergence.geometry.se3 import inverse, nearest_rotation, pose, rotvec
 
 AGREE_RAD = 0.1
-"""Views agree that put the board within this of each other: far beyond any joint noise, far below
-what one wrong view does to the closed form."""
+"""Views agree if they put the board within this angle of each other: far beyond any joint noise,
+and far below what one wrong view does to the closed form."""
 DRAWS, SAMPLE = 100, 4
 """Random draws, and the views of each; with a third of the views wrong, one draw in five has good
 ones only."""

@@ -18,19 +18,19 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.observations import Observations
-from vergence.calibration.sequential.intrinsics import (
+from vergence.calibration.sequential.intrinsics import lenses_of_the_paper
+from vergence.calibration.sequential.lens_fit import ROUGH, LensFit, held_out_squares
+from vergence.calibration.sequential.lens_models import (
     FREE_COEFFICIENTS,
     LensModel,
     fit_model,
-    lenses_of_the_paper,
     pinhole_start,
 )
-from vergence.calibration.sequential.lens_fit import ROUGH, LensFit, held_out_squares
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
 from vergence.vision.board_pose import determines_pose, seen_corners
 
-Lens = LensModel | Literal["auto"]
+LensOption = LensModel | Literal["auto"]
 """What may be stated of a camera; auto: the model that predicts held-out images best."""
 CANDIDATES: tuple[LensModel, ...] = (
     "none",
@@ -73,7 +73,7 @@ class LensChoice:
 
 
 def choose_lenses(
-    observations: Observations, lens: Lens | Mapping[str, Lens] = "auto"
+    observations: Observations, lens: LensOption | Mapping[str, LensOption] = "auto"
 ) -> dict[str, LensChoice]:
     """Return the lens model of every camera.
 
@@ -96,10 +96,12 @@ def choose_lenses(
     return choices
 
 
-def by_camera(observations: Observations, lens: Lens | Mapping[str, Lens]) -> dict[str, Lens]:
+def by_camera(
+    observations: Observations, lens: LensOption | Mapping[str, LensOption]
+) -> dict[str, LensOption]:
     """Return what is stated of each camera's lens; errors are those of choose_lenses."""
     names = list(observations.corners)
-    stated: dict[str, Lens] = dict.fromkeys(names, lens if isinstance(lens, str) else "auto")
+    stated: dict[str, LensOption] = dict.fromkeys(names, lens if isinstance(lens, str) else "auto")
     if not isinstance(lens, str):
         unknown = sorted(set(lens) - set(names))
         if unknown:

@@ -84,7 +84,7 @@ def fit_lens(
         raise ValueError("the start of a lens shows a corner behind the camera")
 
     def cost(state: _Linear, lens: Camera) -> float:
-        """Return the sum of squares, raised as the prior says: its logarithm is a likelihood's."""
+        """Return the sum of squares, raised by the prior: count log(cost) is -2 log posterior."""
         return float((state[0] ** 2).sum() * np.exp(lens_prior(lens)[0] / count))
 
     T = T_cam_target

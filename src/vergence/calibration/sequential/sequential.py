@@ -26,18 +26,15 @@ from vergence.calibration.observations import (
     readable,
 )
 from vergence.calibration.sequential.hand_eye import park_martin
-from vergence.calibration.sequential.intrinsics import Intrinsics, LensModel, calibrate_intrinsics
+from vergence.calibration.sequential.intrinsics import Intrinsics, calibrate_intrinsics
+from vergence.calibration.sequential.lens_models import LensModel
 from vergence.calibration.sequential.static_stereo import calibrate_pair
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
-from vergence.geometry.head import (
-    Accuracy,
-    HeadCalibration,
-    MountedCamera,
-    main_camera,
-    main_pair,
-)
-from vergence.geometry.kinematics import EYES
+from vergence.geometry.camera import Camera
+from vergence.geometry.head import HeadCalibration, MountedCamera, main_camera, main_pair
+from vergence.geometry.head_accuracy import Accuracy
+from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.neck import Neck
 from vergence.geometry.se3 import angle, inverse, mean_pose
 from vergence.stereo.extrinsics import base_extrinsics
@@ -103,32 +100,14 @@ def calibrate_sequentially(
             name: board_poses(camera, observations.corners[name], points)
             for name, camera in cameras.items()
         }
-    T_base_eye, eyes = observations.eye_poses(), camera_eyes(observations)
+    eyes = camera_eyes(observations)
     mounted: dict[str, MountedCamera] = {}
     eye_views: dict[str, int] = {}
-    for k, eye in enumerate(EYES):
-        own = [name for name in cameras if eyes[name] == eye]
-        if not own:
-            continue
-        main = main_camera(own, eye)
-        rows = most_seen_board(observations, T_cam_target[main])
-        if not len(rows):
-            raise VergenceError(f"The board was never found in the images of {main}.")
-        lost = rows[~readable(observations, eye)[rows]]
-        if len(lost):
-            raise missing_reading(eye, int(lost[0]))
-        T_eye_main = park_martin(T_base_eye[rows, k], T_cam_target[main][rows])
-        eye_views[eye] = len(rows)
-        mounted[main] = MountedCamera(eye=eye, intrinsics=cameras[main], T_eye_cam=T_eye_main)
-        for name in own:
-            if name != main:
-                both = observations.corners[main], observations.corners[name]
-                T_name_main, _ = calibrate_pair(
-                    *both, points, cameras[main], cameras[name], names=(main, name)
-                )
-                mounted[name] = MountedCamera(
-                    eye=eye, intrinsics=cameras[name], T_eye_cam=T_eye_main @ inverse(T_name_main)
-                )
+    for eye in EYES:
+        own = {name: camera for name, camera in cameras.items() if eyes[name] == eye}
+        if own:
+            found, eye_views[eye] = _mounted(observations, eye, own, T_cam_target, points)
+            mounted |= found
     head = HeadCalibration(
         cameras=mounted,
         T_rbase_lbase=np.eye(4),
@@ -141,6 +120,41 @@ def calibrate_sequentially(
     T_rbase_lbase, rms, count = _between_the_eyes(observations, head, T_cam_target, points)
     head = replace(head, T_rbase_lbase=T_rbase_lbase)
     return SequentialCalibration(head, intrinsics, rms, count, eye_views)
+
+
+def _mounted(
+    observations: Observations,
+    eye: Side,
+    cameras: Mapping[str, Camera],
+    T_cam_target: Mapping[str, Array],
+    points: Array,
+) -> tuple[dict[str, MountedCamera], int]:
+    """Return an eye's cameras with their T_eye_cam, and in how many views the main one was placed.
+
+    The main camera is placed by hand-eye calibration, the others relative to it.
+    """
+    main = main_camera(cameras, eye)
+    rows = most_seen_board(observations, T_cam_target[main])
+    if not len(rows):
+        raise VergenceError(f"The board was never found in the images of {main}.")
+    lost = rows[~readable(observations, eye)[rows]]
+    if len(lost):
+        raise missing_reading(eye, int(lost[0]))
+    T_base_eye = observations.eye_poses()[rows, EYES.index(eye)]
+    T_eye_main = park_martin(T_base_eye, T_cam_target[main][rows])
+    T_eye_cam = {main: T_eye_main}
+    for name in cameras:
+        if name != main:
+            both = observations.corners[main], observations.corners[name]
+            T_name_main, _ = calibrate_pair(
+                *both, points, cameras[main], cameras[name], names=(main, name)
+            )
+            T_eye_cam[name] = T_eye_main @ inverse(T_name_main)
+    mounted = {
+        name: MountedCamera(eye=eye, intrinsics=cameras[name], T_eye_cam=T)
+        for name, T in T_eye_cam.items()
+    }
+    return mounted, len(rows)
 
 
 def _between_the_eyes(

@@ -7,7 +7,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.sequential.hand_eye import agreeing_rotations
-from vergence.calibration.sequential.intrinsics import CRITERIA, repeatable
+from vergence.calibration.sequential.lens_models import CRITERIA, repeatable
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, normalise, undistort
 from vergence.geometry.se3 import inverse, mean_pose, pose

@@ -1,0 +1,127 @@
+"""How well the calibration of a head is known: what its file states of its accuracy."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import field
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import AliasChoices, BeforeValidator, ConfigDict, Field
+from pydantic.dataclasses import dataclass
+
+from vergence.arrays import Matrix
+from vergence.geometry.kinematics import EYES
+
+_FINITE = ConfigDict(extra="forbid", allow_inf_nan=False)
+SMALLEST_VARIANCE = 1e-60
+"""Smallest variance of an estimated parameter; numbers far from one would overflow where variances
+are compared."""
+
+
+@dataclass(frozen=True, eq=False, config=_FINITE)
+class HeldOut:
+    """How well views were predicted that the calibration had not seen."""
+
+    folds: int
+    """Into how many parts the views were divided; each was predicted from the others."""
+    transfer_views: int
+    """Views that both eyes saw."""
+    transfer_px: float | None
+    """Root mean square distance of corners from where the board's pose in the other eye, the
+    joint readings and the calibration put them; None: no such view."""
+    point_views: int
+    """Views of a board at rest that other views show too."""
+    point_mm: float | None
+    """Root mean square distance of triangulated corners from where the other views put them."""
+    expected_mm: float | None
+    """What point_mm should be by the stated noise and covariance; None: these are not stated."""
+    distance_m: float | None
+    """Mean distance of these corners from the left eye."""
+    jackknife_ratio: Annotated[
+        float | None, Field(validation_alias=AliasChoices("jackknife_ratio", "scatter"))
+    ] = None
+    """Standard deviation of the parameters by the jackknife over the folds, relative to the stated
+    one; 1 where the noise model is right. Files of version 0.1 call it scatter."""
+    prediction_px: float | None = None
+    """Root mean square distance of corners from where the view's reading, the calibration and the
+    board, as other views of its placement show it, put them; None: there is no such view."""
+
+
+def _method_of_version_0_1(name: str) -> str:
+    return "bundle" if name == "refined" else name
+
+
+def _names_of_version_0_1(names: Any) -> Any:
+    """Return the names with those of the axes' geometry as the joint's that they belong to."""
+    if not isinstance(names, (list, tuple)):
+        return names
+    old = {f"{eye}.{name}" for eye in EYES for name in ("nonorthogonality_rad", "axis_distance_m")}
+    return tuple(name.replace(".", ".tilt_") if name in old else name for name in names)
+
+
+@dataclass(frozen=True, config=_FINITE)
+class LensAccuracy:
+    """Standard deviations of a fitted lens, by the errors of corners and by how the views differ.
+
+    What all views of a board have in common is not in them: its bend makes the focal length wrong.
+    """
+
+    focal: Annotated[float, Field(ge=0)]
+    """Of the focal length, relative to it."""
+    centre_px: Annotated[float, Field(ge=0)]
+    """Of one coordinate of the principal point."""
+    distortion_px: Annotated[float, Field(ge=0)]
+    """Root mean square over the image, of what the coefficients of the distortion displace; 0 where
+    none was fitted."""
+
+
+@dataclass(frozen=True, eq=False, config=_FINITE)
+class Accuracy:
+    """How well a calibration is known; see docs/calibration.md."""
+
+    method: Annotated[Literal["bundle", "paper"], BeforeValidator(_method_of_version_0_1)]
+    """Bundle adjustment, or the paper's steps alone."""
+    parameters: Annotated[tuple[str, ...], BeforeValidator(_names_of_version_0_1)] = ()
+    """Names of what was estimated, such as left_wide.fx, left_wide.T_eye_cam.rx, left.pan_gain;
+    px, rad, m, s. Empty for the paper's method, which states no covariance."""
+    covariance: Matrix = field(default_factory=lambda: np.empty((0, 0)))
+    """In the order of parameters. Poses change by the increment of `se3.boxplus`."""
+    pixel_std_px: Annotated[float, Field(ge=0)] | None = None
+    """Noise of one coordinate of a corner."""
+    joint_std: tuple[Annotated[float, Field(ge=0)], ...] = ()
+    """Noise of the readings [rad]: of all, or of each kind (`kinematics.reading_kinds`), such as
+    pan and tilt; for eyes whose poses are given, rotation [rad] and translation [m]."""
+    eye_motion: Literal["pan-tilt", "poses"] = "pan-tilt"
+    """Whether the eyes were read as angles or as poses."""
+    held_out: HeldOut | None = None
+    void: tuple[str, ...] = ()
+    """Why the calibration must not be used; empty: it may be."""
+    warnings: tuple[str, ...] = ()
+    """What the data could not determine, and what to record instead."""
+    lenses: dict[str, LensAccuracy] = field(default_factory=dict)
+    """By camera, where there is no covariance: how well the views of the board determined it."""
+
+    def __post_init__(self) -> None:
+        n, C = len(self.parameters), self.covariance
+        if C.shape != (n, n):
+            raise ValueError(
+                f"covariance has a row and a column for each of {n} parameters, found "
+                f"{C.shape[0]} x {C.shape[1]} numbers"
+            )
+        if len(set(self.parameters)) < n:
+            name, _ = Counter(self.parameters).most_common(1)[0]
+            raise ValueError(f"parameters has {name!r} twice")
+        possible = (np.diag(C) > SMALLEST_VARIANCE) & (np.diag(C) < 1 / SMALLEST_VARIANCE)
+        if not possible.all():
+            name = self.parameters[int(np.argmin(possible))]
+            raise ValueError(f"the variance of {name!r} is not positive, or not possible")
+        if np.abs(C).max(initial=0.0) > 1 / SMALLEST_VARIANCE:
+            raise ValueError(f"covariance has the number {np.abs(C).max():g}")
+        if n:
+            std = np.sqrt(np.diag(C))
+            correlation = C / std / std[:, None]
+            if np.abs(correlation - correlation.T).max() > 1e-6:
+                raise ValueError("covariance is not symmetric")
+            if np.linalg.eigvalsh(correlation)[0] < -1e-6 * n:
+                raise ValueError("covariance is not positive semidefinite")
