@@ -21,12 +21,12 @@ from vergence.accuracy.motions import eye_angles
 from vergence.geometry.head import HeadCalibration
 from vergence.self_calibration.frame import from_matches, self_calibrate_frame
 from vergence.self_calibration.learning import learn
-from vergence.self_calibration.prior import UNCALIBRATED, tolerance_covariance
 from vergence.self_calibration.state import (
     FrameEstimate,
     SelfCalibration,
     initial_self_calibration,
 )
+from vergence.self_calibration.tolerances import UNCALIBRATED, tolerance_covariance
 from vergence.self_calibration.update import drifted
 from vergence.twin.head import Twin
 from vergence.twin.looking_around import LOOK_STEP_S, look_around

@@ -20,8 +20,8 @@ from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named
 from vergence.self_calibration.frame import from_matches
 from vergence.self_calibration.learning import learn
-from vergence.self_calibration.prior import UNCALIBRATED, tolerance_covariance
 from vergence.self_calibration.state import SelfCalibration
+from vergence.self_calibration.tolerances import UNCALIBRATED, tolerance_covariance
 from vergence.self_calibration.update import drifted, evidence_about
 
 

@@ -25,9 +25,9 @@ from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side, pan
 from vergence.geometry.parameters import change_named
 from vergence.geometry.se3 import pose, rotation
 from vergence.self_calibration import recorded as recorded_self_calibration
-from vergence.self_calibration.prior import MOVED, USUAL
 from vergence.self_calibration.recorded import self_calibrate_dataset
 from vergence.self_calibration.state import initial_self_calibration
+from vergence.self_calibration.tolerances import MOVED, USUAL
 
 
 @pytest.fixture(scope="module")

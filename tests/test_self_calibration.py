@@ -38,9 +38,9 @@ from vergence.self_calibration import learning, prior
 from vergence.self_calibration.frame import from_matches, locate_seen
 from vergence.self_calibration.learning import learn, learned_head
 from vergence.self_calibration.match_noise import Recurrence, aged, recurrence_inflation, with_frame
-from vergence.self_calibration.prior import USUAL
 from vergence.self_calibration.residuals import epipolar_residuals
 from vergence.self_calibration.state import initial_self_calibration
+from vergence.self_calibration.tolerances import USUAL
 from vergence.self_calibration.update import drifted
 from vergence.stereo.extrinsics import T_rcam_lcam, rebase
 from vergence.stereo.uncertainty import locate_jointly

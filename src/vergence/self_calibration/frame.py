@@ -23,7 +23,6 @@ from vergence.geometry.kinematics import checked_readings
 from vergence.geometry.parameters import change_named, named_columns
 from vergence.self_calibration.keyframe import by_each_eye, track_keyframe
 from vergence.self_calibration.match_noise import recurrence_inflation
-from vergence.self_calibration.prior import UNCALIBRATED, tolerance_covariance
 from vergence.self_calibration.residuals import epipolar_residuals
 from vergence.self_calibration.robust_fit import FEWEST, GATE, LINEAR_RAD, MOST, robust_fit
 from vergence.self_calibration.state import (
@@ -32,6 +31,7 @@ from vergence.self_calibration.state import (
     SelfCalibration,
     Status,
 )
+from vergence.self_calibration.tolerances import UNCALIBRATED, tolerance_covariance
 from vergence.stereo.extrinsics import T_rcam_lcam
 from vergence.stereo.uncertainty import LocatedPoints, locate_jointly
 from vergence.vision.exposure import grey_levels

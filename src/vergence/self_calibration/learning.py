@@ -19,13 +19,7 @@ from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.parameters import change_between, change_named
 from vergence.self_calibration.frame import from_matches
 from vergence.self_calibration.keyframe import track_keyframe, worth_tracking
-from vergence.self_calibration.prior import (
-    BUMP,
-    UNCALIBRATED,
-    Tolerance,
-    covariance_of_others,
-    tolerance_covariance,
-)
+from vergence.self_calibration.prior import covariance_of_others
 from vergence.self_calibration.robust_fit import MOST
 from vergence.self_calibration.state import (
     FrameEstimate,
@@ -33,6 +27,12 @@ from vergence.self_calibration.state import (
     Past,
     SelfCalibration,
     TrackedFeatures,
+)
+from vergence.self_calibration.tolerances import (
+    BUMP,
+    UNCALIBRATED,
+    Tolerance,
+    tolerance_covariance,
 )
 from vergence.self_calibration.update import drifted, evidence_about, log_likelihood, updated
 

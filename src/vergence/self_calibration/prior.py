@@ -11,15 +11,13 @@ the head has just been calibrated.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import replace
 
 import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry import se3
-from vergence.geometry.camera import Camera, displaced_by_distortion, normalise, pixel_grid
+from vergence.geometry.camera import pixel_grid, unproject
 from vergence.geometry.head import HeadCalibration, stated_covariance, states_covariance
 from vergence.geometry.kinematics import EYES, straight_gaze
 from vergence.geometry.lens import COEFFICIENTS
@@ -33,89 +31,16 @@ from vergence.geometry.parameters import (
 )
 from vergence.geometry.projection import project_point
 from vergence.self_calibration.residuals import epipolar_residuals
+from vergence.self_calibration.tolerances import MOVED, USUAL, tolerance_covariance
 from vergence.stereo.extrinsics import T_rcam_lcam, camera_poses
 
-
-@dataclass(frozen=True)
-class Tolerance:
-    """Standard deviations of each kind of parameter; lengths in m, angles in rad. 0: exact."""
-
-    focal: float = 0.0
-    """Relative; of both focal lengths of a camera together."""
-    aspect: float = 0.0
-    """Relative; of each focal length by itself."""
-    centre_px: float = 0.0
-    lens_px: float = 0.0
-    """Root mean square over the image of what wrong coefficients of the lens displace."""
-    turn_rad: float = 0.0
-    """Turn of a mounting about each axis."""
-    shift_m: float = 0.0
-    stereo_turn_rad: float = 0.0
-    """Turn of the cameras to each other at straight gaze, or of the bases."""
-    stereo_shift_m: float = 0.0
-    epipolar_px: float = 0.0
-    """Root mean square over the image of how far points lie from their epipolar lines at straight
-    gaze, by wrong lenses and poses together. 0: whatever these make it."""
-    gain: float = 0.0
-    """Relative; of a joint with several readings, of the factor of each."""
-
-
-USUAL = Tolerance(
-    focal=0.02,
-    aspect=1e-4,
-    centre_px=0.2,
-    lens_px=0.1,
-    turn_rad=np.radians(0.5),
-    shift_m=3e-3,
-    stereo_turn_rad=np.radians(0.3),
-    stereo_shift_m=2e-4,
-    epipolar_px=0.3,
-    gain=0.03,
-)
-"""What a calibration that does not state its covariance may be wrong by."""
 _COMMON = 0.5
-"""Share of that variance which both eyes have in common: their lenses and encoders are of one make,
-and one board is shown to both. With a half, neither eyes that have nothing in common nor such that
-are wrong alike are out of proportion."""
-MOVED = Tolerance(
-    focal=0.002,
-    aspect=1e-4,
-    centre_px=0.3,
-    turn_rad=np.radians(0.1),
-    shift_m=1e-4,
-    stereo_turn_rad=np.radians(0.03),
-    stereo_shift_m=5e-5,
-    gain=0.002,
-)
-"""Since the calibration: transport, temperature, screws."""
+"""Share of the usual variance which both eyes have in common: their lenses and encoders are of one
+make, and one board is shown to both. With a half, neither eyes that have nothing in common nor such
+that are wrong alike are out of proportion."""
 _LEFT = 1e-6
-"""Share of that variance that is left right after it: a covariance may state none of what the
-calibration held fixed."""
-DRIFT = Tolerance(
-    focal=1e-4,
-    centre_px=0.01,
-    turn_rad=np.radians(0.03),
-    shift_m=1e-5,
-    stereo_turn_rad=np.radians(0.003),
-    stereo_shift_m=5e-6,
-    gain=1e-4,
-)
-"""A random walk, in one minute of running."""
-BUMP = Tolerance(
-    turn_rad=np.radians(1.5),
-    shift_m=1e-3,
-)
-"""What a camera that something has hit may have moved by."""
-UNCALIBRATED = Tolerance(
-    focal=0.02,
-    centre_px=5.0,
-    turn_rad=np.radians(1.5),
-    shift_m=3e-3,
-    stereo_turn_rad=np.radians(1.0),
-    stereo_shift_m=1e-3,
-    gain=0.05,
-)
-"""What a head may be wrong by that is known from its drawing only, or is not as calibrated."""
+"""Share of the variance of MOVED that is left right after a calibration, whose covariance may state
+none of what it held fixed."""
 _BASELINES_AWAY = 5.0, 20.0
 """Depths at which boards are shown, in baselines."""
 _BEYOND_FIT = 2.0
@@ -129,11 +54,6 @@ determines them, however well it fits."""
 _SHOWN_BY_LINES = 4
 """How many errors of a pair displace points from their epipolar lines at straight gaze, each with
 another pattern over the image: pitch, roll, vergence, and the ratio of the focal lengths."""
-_LEAST_FACTOR = 0.1
-"""Of a reading in a joint's angle, for its tolerance: zero may be wrong too."""
-_LARGEST_COEFFICIENT = 0.01
-"""Standard deviation of any combination of a lens's coefficients: some of a rational lens show
-nothing, and would change by more than is linear."""
 JOINT_STD_RAD = np.radians(0.2)
 """Noise of readings that nobody states, until it is estimated."""
 LEAST_JOINT_STD_RAD = np.radians(0.05)
@@ -193,29 +113,6 @@ def covariance_of_others(
     return others, _with_fits(head, others)
 
 
-def tolerance_covariance(
-    head: HeadCalibration, names: tuple[str, ...], tolerance: Tolerance
-) -> Array:
-    """Return the covariance (P, P) of parameters that are wrong by tolerances."""
-    relative, focal, factors = _relative_covariance(tuple(head.cameras), names, tolerance)
-    scale = np.ones(len(names))
-    for k, camera, axis in focal:
-        scale[k] = head.camera(camera).intrinsics.matrix[axis, axis]
-    values = parameter_values(head) if factors else {}
-    for k in factors:
-        scale[k] = max(abs(values[names[k]] or 0.0), _LEAST_FACTOR)
-    C = relative * scale * scale[:, None]
-    if not tolerance.lens_px:
-        return C
-    for name, mounted in head.cameras.items():
-        lens = [f"{name}.{each}" for each in COEFFICIENTS[mounted.intrinsics.model]]
-        own = [k for k, each in enumerate(names) if each in lens]
-        if own:
-            free = [lens.index(names[k]) for k in own]
-            C[np.ix_(own, own)] = _of_lens(mounted.intrinsics, free, tolerance.lens_px)
-    return C
-
-
 def _with_fits(head: HeadCalibration, names: tuple[str, ...]) -> Array:
     """Return the covariance (P, P) by usual tolerances, of lenses by how well they were fitted.
 
@@ -232,53 +129,6 @@ def _with_fits(head: HeadCalibration, names: tuple[str, ...]) -> Array:
         own = [k for k, name in enumerate(names) if name.startswith(f"{camera}.")]
         C[np.ix_(own, own)] = tolerance_covariance(head, names, tolerance)[np.ix_(own, own)]
     return C
-
-
-def _of_lens(camera: Camera, free: Sequence[int], lens_px: float) -> Array:
-    """Return the covariance (n, n) of coefficients of a lens, which displace its image by so much.
-
-    Root mean square over the image; each coefficient by itself is less certain than all together.
-    """
-    shown = len(free) * displaced_by_distortion(camera)[np.ix_(free, free)] / lens_px**2
-    whole = shown + np.eye(len(free)) / _LARGEST_COEFFICIENT**2
-    return np.asarray(np.linalg.inv(whole), float)
-
-
-@lru_cache(maxsize=64)
-def _relative_covariance(
-    cameras: tuple[str, ...], names: tuple[str, ...], tolerance: Tolerance
-) -> tuple[Array, list[tuple[int, str, int]], list[int]]:
-    """Return the covariance (P, P), of what is relative to its value so, and which that is.
-
-    Of each focal length its place, its camera, and 0 for fx or 1 for fy; and the places of the
-    factors of joints with several readings. Without coefficients of lenses, which are wrong
-    together: see `_of_lens`.
-    """
-    C = np.diag([_std(cameras, name, tolerance) ** 2 for name in names])
-    focal = []
-    for k, name in enumerate(names):
-        owner, _, rest = name.partition(".")
-        if owner in cameras and rest in ("fx", "fy"):
-            focal.append((k, owner, ("fx", "fy").index(rest)))
-        if rest == "fx" and f"{owner}.fy" in names:
-            other = names.index(f"{owner}.fy")
-            C[k, other] = C[other, k] = tolerance.focal**2
-    factors = [k for k, name in enumerate(names) if is_gain(name) and not name.endswith("_gain")]
-    return C, focal, factors
-
-
-def _std(cameras: tuple[str, ...], name: str, tolerance: Tolerance) -> float:
-    owner, _, rest = name.partition(".")
-    last = rest.rpartition(".")[2]
-    if owner in cameras and not rest.startswith("T_eye_cam"):
-        both = float(np.hypot(tolerance.focal, tolerance.aspect))
-        of_lens = {"fx": both, "fy": both, "cx": tolerance.centre_px, "cy": tolerance.centre_px}
-        return of_lens.get(rest, 0.0)
-    if owner in cameras:
-        return tolerance.turn_rad if last[0] == "r" else tolerance.shift_m
-    if owner == "T_rbase_lbase":
-        return tolerance.stereo_turn_rad if last[0] == "r" else tolerance.stereo_shift_m
-    return tolerance.gain if is_gain(name) else 0.0
 
 
 def _with_common(
@@ -319,7 +169,7 @@ def _with_followers(
     distance, which is by the focal lengths, errs as a mounting does.
     """
     follow, C = np.eye(len(names)), C.copy()
-    for name in set(head.cameras).difference(cameras):
+    for name in (each for each in head.cameras if each not in cameras):
         main = cameras[EYES.index(head.camera(name).eye)]
         own, its = ([names.index(f"{each}.T_eye_cam.{k}") for k in POSE] for each in (name, main))
         C[own[:3], own[:3]] = USUAL.stereo_turn_rad**2
@@ -387,8 +237,7 @@ def _by_epipolar_lines(
     baseline = float(np.linalg.norm(T_right[:3, 3] - T_left[:3, 3]))
     left = np.tile(pixel_grid(lenses[0]), (len(_BASELINES_AWAY), 1))
     depths = np.repeat(_BASELINES_AWAY, len(left) // len(_BASELINES_AWAY)) * baseline
-    rays = np.column_stack([normalise(lenses[0], left), np.ones(len(left))])
-    points = se3.transform(T_left, rays * depths[:, None])
+    points = se3.transform(T_left, unproject(lenses[0], left) * depths[:, None])
     right = project_point(head, cameras[1], straight, points)
     edge = np.array([lenses[1].width, lenses[1].height]) - 1
     both = ((right >= 0) & (right <= edge)).all(axis=1)  # NaN: not seen

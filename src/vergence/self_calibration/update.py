@@ -18,13 +18,13 @@ from vergence.geometry.parameters import change_between, change_named
 from vergence.self_calibration.frame import prior_of
 from vergence.self_calibration.keyframe import next_keyframe, prior_information, with_motion
 from vergence.self_calibration.match_noise import aged, with_frame
-from vergence.self_calibration.prior import DRIFT, tolerance_covariance
 from vergence.self_calibration.state import (
     Evidence,
     FrameEstimate,
     SelfCalibration,
     TrackedFeatures,
 )
+from vergence.self_calibration.tolerances import DRIFT, tolerance_covariance
 
 _PACE = 0.1
 """Share of a frame in the running means of how much matches err."""
