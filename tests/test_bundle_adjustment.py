@@ -239,6 +239,16 @@ def test_a_view_in_which_the_board_moved_is_named():
     assert re.search(r"lost their weight: \d+ of them are in view 20: the board may have", said)
 
 
+def test_noise_that_is_given_may_be_far_below_the_errors_of_the_start():
+    """As that of a part of the views, which starts with boards where single readings put them."""
+    noise = Noise(pixel_px=0.01, joint_rad=0.01)
+    head, observed, start = simulated(34, noise)
+    observed = observed.take(np.arange(12, 40))  # two boards, each in many views
+    found = bundle_adjust(start, observed, pixel_std_px=0.01, joint_std=0.01)
+    assert not found.void
+    assert_within_stated(found, head)
+
+
 def test_an_estimate_without_a_minimum_ends_after_some_rounds_and_says_so(monkeypatch):
     rounds = []
 

@@ -113,7 +113,8 @@ def adjust(
     """
     groups = int(group.max()) + 1
     given = np.array([pixel_std_px is not None] + [joint_std is not None] * groups)
-    pixel = max(_median_level(problem, start), 0.1) if pixel_std_px is None else pixel_std_px
+    # At a noise below what the start is off by, all corners would pass for outliers.
+    pixel = max(_median_level(problem, start), 0.1 if pixel_std_px is None else pixel_std_px)
     joint = np.full(groups, GENEROUS_JOINT) if joint_std is None else joint_std
     noise = NoiseLevels(np.array([pixel, *joint]), group, outlier)
     basis, linear = whole_basis(problem, start), _linear(problem, start, noise)
@@ -131,6 +132,7 @@ def adjust(
         )
     assumed = ~given[1:] & (left[1:] < 1)
     given[1:] |= assumed
+    pixel = pixel if pixel_std_px is None else pixel_std_px
     noise = replace(noise, levels=np.array([pixel, *np.where(assumed, USUAL_JOINT, joint)]))
     state, seen, log_variance = start, None, np.zeros(1 + groups)
     agreed, converged, restarted, releases, failures = False, False, False, 0, 0
