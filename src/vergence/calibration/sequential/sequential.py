@@ -25,7 +25,7 @@ from vergence.calibration.observations import (
     most_seen_board,
     readable,
 )
-from vergence.calibration.sequential.hand_eye import park_martin
+from vergence.calibration.sequential.hand_eye import robust_park_martin
 from vergence.calibration.sequential.intrinsics import Intrinsics, LensModel, calibrate_intrinsics
 from vergence.calibration.sequential.static_stereo import calibrate_pair
 from vergence.errors import VergenceError
@@ -117,7 +117,7 @@ def calibrate_sequentially(
         lost = rows[~readable(observations, eye)[rows]]
         if len(lost):
             raise missing_reading(eye, int(lost[0]))
-        T_eye_main = park_martin(T_base_eye[rows, k], T_cam_target[main][rows])
+        T_eye_main = robust_park_martin(T_base_eye[rows, k], T_cam_target[main][rows])
         eye_views[eye] = len(rows)
         mounted[main] = MountedCamera(eye=eye, intrinsics=cameras[main], T_eye_cam=T_eye_main)
         for name in own:
