@@ -224,6 +224,20 @@ def test_parallel_axes_on_the_wrong_side_of_each_other_are_doubted():
     assert doubts(head) == []
 
 
+def test_readings_that_were_lost_do_not_pass_for_a_wrong_description():
+    truth, seen = recorded(2)
+    angles, poses = seen.eye_angles.copy(), board_poses_of(truth, seen)
+    angles[[-10, -3]] = 2.5
+    check_encoders(with_readings(seen, angles), poses)
+
+
+def test_a_view_of_another_board_does_not_pass_for_a_wrong_description():
+    truth, seen = recorded(2)
+    placement = seen.placement.copy()
+    placement[5] = placement[-1]
+    check_encoders(replace(seen, placement=placement), board_poses_of(truth, seen))
+
+
 @given(st.integers(0, 10**6))
 @settings(max_examples=10)
 def test_good_readings_are_never_refused(seed: int):

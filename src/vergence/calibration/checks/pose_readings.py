@@ -16,7 +16,12 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.checks import board_flips
-from vergence.calibration.checks.encoders import LEAST_VIEWS_AT_REST
+from vergence.calibration.checks.encoders import (
+    LEAST_VIEWS_AT_REST,
+    OUTLIER,
+    OUTLIER_RAD,
+    OUTLIERS,
+)
 from vergence.calibration.observations import Observations, camera_eyes, most_seen_board
 from vergence.calibration.sequential.hand_eye import robust_park_martin
 from vergence.errors import VergenceError
@@ -31,10 +36,6 @@ LEAST_MISFIT_RAD = np.radians(0.3)
 """Misfit, in the median, below which no other explanation is looked for."""
 BETTER = 1 / 3
 """Largest misfit of an explanation, as a part of the misfit of the poses as they are."""
-OUTLIER, OUTLIER_RAD = 6.0, np.radians(1.0)
-"""A view contradicts the others that differs by this many times the median, and by this angle."""
-OUTLIERS = 0.25
-"""Part of the views that may do so; more say that the poses as a whole are in doubt."""
 UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254, "kilometres": 1e3}
 UNIT_WITHIN = 0.1
 """Relative difference up to which a ratio of lengths is taken for one of these units."""
