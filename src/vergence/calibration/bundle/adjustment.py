@@ -147,7 +147,7 @@ def adjust(
         linear = _linear(problem, state, noise, known=linear)
         estimated, log_variance, rest = estimate_noise(project_onto(linear, basis), noise, given)
         change = np.abs(np.log(estimated.levels / noise.levels)).max()
-        well = estimated.joint < TRUST_ENCODER * image_levels(linear, noise)[group]
+        well = estimated.joint < TRUST_ENCODER * image_levels(linear, estimated)[group]
         problem = replace(problem, trust_encoder=problem.trust_encoder | well)
         noise, before = estimated, 0 if seen is None else len(seen.fixed)
         linear = _linear(problem, state, noise, known=linear)
