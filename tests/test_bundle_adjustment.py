@@ -249,6 +249,23 @@ def test_noise_that_is_given_may_be_far_below_the_errors_of_the_start():
     assert_within_stated(found, head)
 
 
+@pytest.mark.parametrize(("apart_s", "late"), [(0.0, ""), (-0.01, "left"), (0.01, "right")])
+def test_images_of_both_eyes_that_are_not_of_one_moment_are_noticed(apart_s: float, late: str):
+    head, observed, _ = simulated(35, NOISY, OFFSET_S)
+    _, other, _ = simulated(35, NOISY, OFFSET_S + apart_s)
+    pair = {"left_wide": observed, "right_wide": other}
+    head = replace(head, cameras={name: head.cameras[name] for name in pair})
+    seen = replace(observed, corners={name: each.corners[name] for name, each in pair.items()})
+    fixed = set(parameter_names(head)) - {"time_offset_s"}
+    found = bundle_adjust(replace(head, time_offset_s=0.0), seen, fixed=fixed)
+    said = [each for each in found.warnings if each.startswith("Images of the")]
+    assert len(said) == (late != "")
+    for sentence in said:
+        match = re.match(rf"Images of the {late} eye show its joints about ([\d.]+) ms", sentence)
+        assert match is not None
+        assert float(match[1]) == pytest.approx(10, abs=1.5)
+
+
 def test_an_estimate_without_a_minimum_ends_after_some_rounds_and_says_so(monkeypatch):
     rounds = []
 
