@@ -171,7 +171,9 @@ def _misfits(T_eye: Array, T_cam_target: Array) -> Array:
 def _what_they_are(T_eye: Array, T_cam: Array, misfit: float) -> str:
     """Return the likeliest mistake in poses that misfit [rad]; empty: none explains it."""
     tried = {
-        "they are inverted (T_eye_base instead of T_base_eye), or their rotations transposed": (
+        # Of quaternions whose numbers are read in the other order come inverse turns of other axes.
+        "they are inverted (T_eye_base instead of T_base_eye), or their rotations transposed, or "
+        "made of quaternions in another order (x, y, z, w or w, x, y, z)": (
             inverse(T_eye),
             T_cam,
         ),
@@ -203,6 +205,8 @@ def _wrong_unit(name: str, eye: str, T_eye: Array, T_cam: Array) -> str:
         (unit for unit, metres in UNITS.items() if abs(scale / metres - 1) < UNIT_WITHIN), None
     )
     cause = f"they are in {unit}; give metres" if unit else "check their unit, and board.square_m"
+    if scale < 0:
+        cause = "their coordinates are left-handed, or their translations point the other way"
     return (
         f"By the images of {name}, a length of 1 in the poses of the {eye} eye measures "
         f"{scale:.4g} m: {cause}."
