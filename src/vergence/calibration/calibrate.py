@@ -25,6 +25,7 @@ from vergence.calibration.checks.part_calibration import (
     predicting_better,
 )
 from vergence.calibration.checks.pose_readings import check_axis_order, check_pose_readings
+from vergence.calibration.checks.stray_corners import without_strays
 from vergence.calibration.detection import detect_target
 from vergence.calibration.observations import Observations, camera_eyes, check_readings
 from vergence.calibration.sequential.intrinsics import (
@@ -125,6 +126,7 @@ def calibrate(
                 "the eyes stand still."
             )
         data = detect_target(data, progress=progress)
+    data = without_strays(data)
     progress("calibrating", 0, 3)
     seen = data.take(data.at_rest)
     _check_views(seen)
