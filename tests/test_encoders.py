@@ -9,10 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from head_kinds import head_of
+from simulated_head import plain_head
 from simulated_recording import POINTS, Noise, Recording, record
 from test_other_heads import recorded as recorded_of
 from vergence.calibration.calibrate import calibrate
-from vergence.calibration.checks.axes_and_eyes import doubts
+from vergence.calibration.checks.axes_and_eyes import doubts, odd_baseline
 from vergence.calibration.checks.board_flips import turn_boards
 from vergence.calibration.checks.encoders import check_encoders
 from vergence.calibration.observations import Observations
@@ -209,6 +210,11 @@ def test_a_head_whose_eyes_are_not_side_by_side_is_doubted():
     (said,) = doubts(above)
     assert said.startswith("T_rbase_lbase puts the left eye 10 mm to the left of the right one,")
     assert doubts(truth) == []
+
+
+def test_eyes_that_are_a_metre_apart_are_said_to_be_in_plain_numbers():
+    (said,) = odd_baseline(plain_head(1.0, 300.0))
+    assert said.startswith("The eyes came out 1000.0 mm apart")
 
 
 def test_parallel_axes_on_the_wrong_side_of_each_other_are_doubted():
