@@ -167,7 +167,7 @@ def _explained(readings: Array, turn: Array) -> np.ndarray:
     it no weight, and names it.
     """
     away = np.abs(readings - np.median(readings, axis=0))
-    away = (away / np.maximum(np.median(away, axis=0), 1e-9)).max(axis=1)
+    away = (away / np.maximum(np.median(away, axis=0), 1e-9)).max(axis=1, initial=0.0)
     everything = np.ones(len(turn), dtype=bool)
     # A wild reading may bend the fit to itself, which then starts without the largest ones.
     without = _left_over(readings, turn, away <= np.quantile(away, 1 - OUTLIERS))
