@@ -239,6 +239,33 @@ def test_a_view_in_which_the_board_moved_is_named():
     assert re.search(r"lost their weight: \d+ of them are in view 20: the board may have", said)
 
 
+def test_noise_that_is_given_may_be_far_below_the_errors_of_the_start():
+    """As that of a part of the views, which starts with boards where single readings put them."""
+    noise = Noise(pixel_px=0.01, joint_rad=0.01)
+    head, observed, start = simulated(34, noise)
+    observed = observed.take(np.arange(12, 40))  # two boards, each in many views
+    found = bundle_adjust(start, observed, pixel_std_px=0.01, joint_std=0.01)
+    assert not found.void
+    assert_within_stated(found, head)
+
+
+@pytest.mark.parametrize(("apart_s", "late"), [(0.0, ""), (-0.01, "left"), (0.01, "right")])
+def test_images_of_both_eyes_that_are_not_of_one_moment_are_noticed(apart_s: float, late: str):
+    head, observed, _ = simulated(35, NOISY, OFFSET_S)
+    _, other, _ = simulated(35, NOISY, OFFSET_S + apart_s)
+    pair = {"left_wide": observed, "right_wide": other}
+    head = replace(head, cameras={name: head.cameras[name] for name in pair})
+    seen = replace(observed, corners={name: each.corners[name] for name, each in pair.items()})
+    fixed = set(parameter_names(head)) - {"time_offset_s"}
+    found = bundle_adjust(replace(head, time_offset_s=0.0), seen, fixed=fixed)
+    said = [each for each in found.warnings if each.startswith("Images of the")]
+    assert len(said) == (late != "")
+    for sentence in said:
+        match = re.match(rf"Images of the {late} eye show its joints about ([\d.]+) ms", sentence)
+        assert match is not None
+        assert float(match[1]) == pytest.approx(10, abs=1.5)
+
+
 def test_an_estimate_without_a_minimum_ends_after_some_rounds_and_says_so(monkeypatch):
     rounds = []
 

@@ -66,6 +66,15 @@ def test_a_result_holds_all_that_led_to_it(recorded, found: CalibrationResult):
     assert len(lines) <= 10
 
 
+def test_stray_corners_are_left_out_and_counted(recorded):
+    _, seen = recorded
+    corners = {name: each.copy() for name, each in seen.corners.items()}
+    corners["left_wide"][::3, 20] += 40.0
+    found = calibrate(replace(seen, corners=corners), method="paper")
+    assert any("left out: 12 in 12 images of left_wide." in s for s in found.observations.remarks)
+    assert found.start.intrinsics["left_wide"].rms_px < 0.2
+
+
 def test_the_paper_s_method_does_without_bundle_adjustment(recorded, monkeypatch):
     def refuse(*_args: object, **_named: object) -> None:
         raise AssertionError("bundle adjustment was asked for")

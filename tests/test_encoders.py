@@ -9,10 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from head_kinds import head_of
+from simulated_head import plain_head
 from simulated_recording import POINTS, Noise, Recording, record
 from test_other_heads import recorded as recorded_of
 from vergence.calibration.calibrate import calibrate
-from vergence.calibration.checks.axes_and_eyes import doubts
+from vergence.calibration.checks.axes_and_eyes import doubts, odd_baseline
 from vergence.calibration.checks.board_flips import turn_boards
 from vergence.calibration.checks.encoders import check_encoders
 from vergence.calibration.observations import Observations
@@ -211,6 +212,11 @@ def test_a_head_whose_eyes_are_not_side_by_side_is_doubted():
     assert doubts(truth) == []
 
 
+def test_eyes_that_are_a_metre_apart_are_said_to_be_in_plain_numbers():
+    (said,) = odd_baseline(plain_head(1.0, 300.0))
+    assert said.startswith("The eyes came out 1000.0 mm apart")
+
+
 def test_parallel_axes_on_the_wrong_side_of_each_other_are_doubted():
     """Of two tilts whose readings are exchanged, the second comes out behind the first."""
     head = head_of("neck tilt, tilt, pan", np.random.default_rng(0))
@@ -222,6 +228,20 @@ def test_parallel_axes_on_the_wrong_side_of_each_other_are_doubted():
         "The tilt axis of the left eye stands .* mm on the other side of its neck_tilt axis", said
     )
     assert doubts(head) == []
+
+
+def test_readings_that_were_lost_do_not_pass_for_a_wrong_description():
+    truth, seen = recorded(2)
+    angles, poses = seen.eye_angles.copy(), board_poses_of(truth, seen)
+    angles[[-10, -3]] = 2.5
+    check_encoders(with_readings(seen, angles), poses)
+
+
+def test_a_view_of_another_board_does_not_pass_for_a_wrong_description():
+    truth, seen = recorded(2)
+    placement = seen.placement.copy()
+    placement[5] = placement[-1]
+    check_encoders(replace(seen, placement=placement), board_poses_of(truth, seen))
 
 
 @given(st.integers(0, 10**6))

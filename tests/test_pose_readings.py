@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from simulated_recording import BOARD, POINTS, as_poses
 from test_other_heads import assert_near, on_an_arm, recorded
@@ -38,6 +39,13 @@ def scaled(metre: float) -> Callable[[np.ndarray], np.ndarray]:
     return change
 
 
+def quaternions(T: np.ndarray, shift: int) -> np.ndarray:
+    """Return poses made of quaternions that are read in another order."""
+    numbers = Rotation.from_matrix(T[..., :3, :3].reshape(-1, 3, 3)).as_quat()
+    turned = Rotation.from_quat(np.roll(numbers, shift, axis=1)).as_matrix()
+    return pose(turned.reshape(T[..., :3, :3].shape), T[..., :3, 3])
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [
@@ -47,6 +55,9 @@ def scaled(metre: float) -> Callable[[np.ndarray], np.ndarray]:
         (lambda T: np.random.default_rng(0).permutation(T), "not of this eye or not of these"),
         (scaled(1e3), "they are in millimetres; give metres"),
         (scaled(100), "they are in centimetres"),
+        (scaled(-1), "left-handed, or their translations point the other way"),
+        (lambda T: quaternions(T, 1), "quaternions in another order"),
+        (lambda T: quaternions(T, -1), "quaternions in another order"),
         (scaled(1.5), "measures 0.66.* m: check their unit, and board.square_m"),
     ],
 )

@@ -78,6 +78,14 @@ def test_exact_data_give_the_head(exact, as_measured_poses: bool):
     assert max(each.focal for each in found.accuracy.lenses.values()) < 1e-6
 
 
+def test_one_wild_reading_does_not_spoil_where_a_camera_sits(exact):
+    truth, observed = exact
+    angles = observed.eye_angles.copy()
+    angles[-3, 1] = 2.5
+    found = calibrate_sequentially(only(replace(observed, eye_angles=angles), "left_wide"))
+    assert_same(found.head.cameras["left_wide"].T_eye_cam, truth.cameras["left_wide"].T_eye_cam)
+
+
 def test_measured_poses_that_shift_without_turning_are_no_straight_gaze():
     truth, observed = recorded()
     away = pose(t=np.random.default_rng(1).normal(0, 0.02, (len(observed.placement), 3)))

@@ -83,6 +83,8 @@ def test_offsets_are_found_to_half_a_millisecond_and_gains_to_a_thousandth(offse
     assert np.abs(found.gains[0]).max() < 1e-3
     assert abs(found.offset[0]) < 4 * found.offset[1]
     assert (np.abs(found.gains[0]) < 4 * found.gains[1]).all()
+    # Nor are the readings at the ends of the motion held against a course through readings.
+    assert not any("lost its weight" in said for said in found.warnings)
 
 
 def turning(t: Array) -> Array:

@@ -26,6 +26,7 @@ from vergence.calibration.checks.part_calibration import (
     predicting_better,
 )
 from vergence.calibration.checks.pose_readings import check_axis_order, check_pose_readings
+from vergence.calibration.checks.stray_corners import without_strays
 from vergence.calibration.detection import detect_target
 from vergence.calibration.observations import Observations, camera_eyes, check_readings
 from vergence.calibration.sequential.intrinsics import (
@@ -114,7 +115,7 @@ def calibrate(
         VergenceError: the data are too poor for any answer, or contradict themselves; or an
             argument is none of these.
     """
-    data = _observed(data, method, progress)
+    data = without_strays(_observed(data, method, progress))
     progress("calibrating", 0, 3)
     views = _checked_views(data, method, lens)
     observations, T_cam_target = views.observations, views.T_cam_target

@@ -131,7 +131,7 @@ def adjust(
             project_onto(linear, basis), noise, first.fixed
         )
         change = np.abs(np.log(estimated.levels / noise.levels)).max()
-        well = estimated.joint < TRUST_ENCODER * image_levels(linear, noise)[group]
+        well = estimated.joint < TRUST_ENCODER * image_levels(linear, estimated)[group]
         problem = replace(problem, trust_encoder=problem.trust_encoder | well)
         noise, before = estimated, 0 if seen is None else len(seen.fixed)
         linear = _linear(problem, state, noise, known=linear)
@@ -204,7 +204,8 @@ def _first_noise(
     """
     groups = int(group.max()) + 1
     fixed = np.array([pixel_std_px is not None] + [joint_std is not None] * groups)
-    pixel = max(_median_level(problem, start), 0.1) if pixel_std_px is None else pixel_std_px
+    # At a noise below what the start is off by, all corners would pass for outliers.
+    pixel = max(_median_level(problem, start), 0.1 if pixel_std_px is None else pixel_std_px)
     joint = np.full(groups, GENEROUS_JOINT) if joint_std is None else joint_std
     noise = NoiseLevels(np.array([pixel, *joint]), group, outlier)
     linear = _linear(problem, start, noise)
@@ -222,6 +223,7 @@ def _first_noise(
         )
     assumed = ~fixed[1:] & (left[1:] < 1)
     fixed[1:] |= assumed
+    pixel = pixel if pixel_std_px is None else pixel_std_px
     levels = np.array([pixel, *np.where(assumed, USUAL_JOINT, joint)])
     return _FirstNoise(replace(noise, levels=levels), linear, fixed, assumed, left[1:])
 

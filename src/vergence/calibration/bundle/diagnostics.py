@@ -10,7 +10,10 @@ from vergence.calibration.bundle.problem import (
     BundleProblem,
     detection_eyes,
     eye_poses,
+    joint_errors,
+    joint_rates,
     latent_readings,
+    refit_trajectory,
 )
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.lens import COEFFICIENTS
@@ -27,6 +30,10 @@ SENSE = 6.0
 FEW = 6
 """Degrees of freedom below which an estimated noise level is heavy-tailed, and the covariance
 optimistic."""
+SURE = 5.0
+"""Standard deviations from which the images of one eye are later than those of the other."""
+LEAST_APART_S = 0.001
+"""Time between them of which is spoken: 0.06 degrees at a rad/s."""
 MOST_NAMED = 3
 """Most readings that lost their weight and are named one by one; the rest are counted."""
 NAMED = 0.3
@@ -74,6 +81,7 @@ def warnings(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
             f"{unit} and lost their weight: {look}."
         )
     said += _lost_readings(problem, found)
+    said += _apart_in_time(problem, found)
     systematic = max(found.systematic_px)
     if systematic > noise.pixel_px:  # the boards' poses may pass it on: the worst camera is named
         whose = _of_camera(problem, found.systematic_px.index(systematic))
@@ -125,6 +133,35 @@ def _lost_readings(problem: BundleProblem, found: Adjusted) -> list[str]:
         rest = f"{len(said) - MOST_NAMED} more readings lost their weight."
         said = [*said[:MOST_NAMED], rest]
     return said
+
+
+def _apart_in_time(problem: BundleProblem, found: Adjusted) -> list[str]:
+    """Return a sentence if the images of both eyes are not of one moment, as one offset takes them.
+
+    What is left of a reading then grows with the eye's velocity: by how much, by weighted least
+    squares, is by how much later than the offset the images of that eye are.
+    """
+    own, e = np.unique(np.stack([problem.block, detection_eyes(problem)]), axis=1)
+    if problem.around is None or (np.diff(own) == 0).any() or len(np.unique(e)) < 2:
+        return []  # at rest, one eye, or readings that move both
+    moving = refit_trajectory(problem, found.state)
+    weight = (found.lost_readings == 0) / found.noise.joint**2
+    rate = joint_rates(moving, found.state)
+    errors = joint_errors(moving, found.state)
+    information, late = (
+        np.bincount(e, (weight * rate * each).sum(axis=1)) for each in (rate, errors)
+    )
+    if not (information > 0).all():
+        return []
+    apart = float(np.diff(late / information)[0])
+    if abs(apart) < max(SURE * np.sqrt((1 / information).sum()), LEAST_APART_S):
+        return []
+    late_eye, other = EYES[::-1] if apart > 0 else EYES
+    return [
+        f"Images of the {late_eye} eye show its joints about {1e3 * abs(apart):.2g} ms later after "
+        f"their reading than those of the {other} eye, but one time offset stands for both: "
+        "trigger all cameras and read all joints at one moment, or leave moving rows out."
+    ]
 
 
 def void(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:

@@ -75,7 +75,7 @@ def odd_baseline(head: HeadCalibration) -> list[str]:
     if least <= baseline <= most:
         return []
     return [
-        f"The eyes came out {1e3 * baseline:.3g} mm apart: if they are not, the board's squares "
+        f"The eyes came out {1e3 * baseline:.1f} mm apart: if they are not, the board's squares "
         "have another size than the dataset says."
     ]
 

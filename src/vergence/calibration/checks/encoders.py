@@ -19,7 +19,7 @@ from vergence.calibration.checks import board_flips
 from vergence.calibration.observations import Observations, camera_eyes, most_seen_board
 from vergence.errors import VergenceError
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side
-from vergence.geometry.se3 import inverse, nearest_rotation, rotvec
+from vergence.geometry.se3 import angle, inverse, nearest_rotation, rotvec
 
 LEAST_VIEWS_AT_REST = 6
 """Fewest views of a board at rest that say something about readings or measured poses."""
@@ -33,6 +33,10 @@ LOST = 0.5
 """Part below which readings are not of this eye, or not of these moments."""
 MOST_NOISE_RAD = np.radians(3.0)
 """Root mean square of unexplained turns that no noise of readings makes."""
+OUTLIER, OUTLIER_RAD = 6.0, np.radians(1.0)
+"""A view contradicts the others that differs by this many times the median, and by this angle."""
+OUTLIERS = 0.25
+"""Part of the views that may do so; more say that readings or poses as a whole are in doubt."""
 IDLE = 0.05
 """Part of the turns' variance below which a reading has no part in them."""
 LEAST_BASELINE_M = 1e-3
@@ -127,8 +131,9 @@ def _turns(seen: Observations, name: str, e: int, T_cam_target: Array) -> _Turns
     if len(rows) < LEAST_VIEWS_AT_REST or not seen.kinematics.used(EYES[e]):
         return None
     R = board_flips.nearest(T_cam_target[rows, :3, :3], seen.board)
+    middle = R[angle(R[:, None] @ np.swapaxes(R, 1, 2)).sum(axis=1).argmin()]
     # A camera that turns by T sees a board at rest turn by its inverse.
-    turn = rotvec(R[:1] @ np.swapaxes(R, 1, 2))
+    turn = rotvec(middle @ np.swapaxes(R, 1, 2))
     turn = turn - turn.mean(axis=0)
     if np.linalg.svd(turn, compute_uv=False)[1] < LEAST_SPREAD_RAD * np.sqrt(len(turn)):
         return None
@@ -138,9 +143,11 @@ def _turns(seen: Observations, name: str, e: int, T_cam_target: Array) -> _Turns
 
 
 def _fit(kinematics: Kinematics, eye: Side, readings: Array, turn: Array) -> _Fit:
-    """Return how readings (N, r) of an eye explain turns (N, 3)."""
+    """Return how readings (N, r) of an eye explain turns (N, 3), but for those of a few views."""
     chain, used = kinematics.chains[eye], kinematics.used(eye)
-    read = readings[:, used] - readings[:, used].mean(axis=0)
+    kept = _explained(readings[:, used], turn)
+    read, turn = readings[kept][:, used], turn[kept]
+    read, turn = read - read.mean(axis=0), turn - turn.mean(axis=0)
     w = np.linalg.lstsq(read, turn, rcond=None)[0]
     d = chain.mixing[:, used].T @ chain.axes
     left = ((turn - read @ w) ** 2).sum() / (turn**2).sum()
@@ -151,6 +158,33 @@ def _fit(kinematics: Kinematics, eye: Side, readings: Array, turn: Array) -> _Fi
     names = [kinematics.readings[r] for r in used]
     left_rad = float(np.sqrt(((turn - read @ w) ** 2).sum(axis=1).mean()))
     return _Fit(names, gains, 1 - float(left), left_rad, read.std(axis=0), R)
+
+
+def _explained(readings: Array, turn: Array) -> np.ndarray:
+    """Return (N,) of bool: without the few views, if any, whose turns readings explain least.
+
+    A reading that was lost, or a board that moved, is a matter of its view: bundle adjustment gives
+    it no weight, and names it.
+    """
+    away = np.abs(readings - np.median(readings, axis=0))
+    away = (away / np.maximum(np.median(away, axis=0), 1e-9)).max(axis=1, initial=0.0)
+    everything = np.ones(len(turn), dtype=bool)
+    # A wild reading may bend the fit to itself, which then starts without the largest ones.
+    without = _left_over(readings, turn, away <= np.quantile(away, 1 - OUTLIERS))
+    off = _left_over(readings, turn, everything)
+    off = without if np.median(without) < np.median(off) / 2 else off
+    few = off > max(OUTLIER * np.median(off), OUTLIER_RAD)
+    return ~few if few.mean() <= OUTLIERS else everything
+
+
+def _left_over(readings: Array, turn: Array, kept: np.ndarray) -> Array:
+    """Return (N,) what a fit to those that fit best leaves of turns [rad], starting from `kept`."""
+    rows, off = np.column_stack([readings, np.ones(len(readings))]), np.zeros(len(turn))
+    for _ in range(10):  # each lowers the sum of squares over the part that is kept
+        w = np.linalg.lstsq(rows[kept], turn[kept], rcond=None)[0]
+        off = np.linalg.norm(turn - rows @ w, axis=1)
+        kept = off <= np.quantile(off, 1 - OUTLIERS)
+    return off
 
 
 def _between_the_eyes(found: Mapping[int, _Turns], poses: Mapping[str, Array]) -> dict[int, Array]:

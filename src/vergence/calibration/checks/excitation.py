@@ -123,7 +123,7 @@ def doubts(
         part = max(fx / K[0, 0], fy / K[1, 1])
         if part > FOCAL_PART:
             said.append(
-                f"{name}.fx and fy: hardly observable, known to {100 * part:.2g} %; record more "
+                f"{name}.fx and fy: hardly observable, known to {100 * part:.1f} %; record more "
                 f"views, and {SLANT}."
             )
     alike = []

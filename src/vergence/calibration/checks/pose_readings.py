@@ -16,7 +16,12 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.checks import board_flips
-from vergence.calibration.checks.encoders import LEAST_VIEWS_AT_REST
+from vergence.calibration.checks.encoders import (
+    LEAST_VIEWS_AT_REST,
+    OUTLIER,
+    OUTLIER_RAD,
+    OUTLIERS,
+)
 from vergence.calibration.observations import Observations, camera_eyes, most_seen_board
 from vergence.calibration.sequential.hand_eye import robust_park_martin
 from vergence.errors import VergenceError
@@ -31,10 +36,6 @@ LEAST_MISFIT_RAD = np.radians(0.3)
 """Misfit, in the median, below which no other explanation is looked for."""
 BETTER = 1 / 3
 """Largest misfit of an explanation, as a part of the misfit of the poses as they are."""
-OUTLIER, OUTLIER_RAD = 6.0, np.radians(1.0)
-"""A view contradicts the others that differs by this many times the median, and by this angle."""
-OUTLIERS = 0.25
-"""Part of the views that may do so; more say that the poses as a whole are in doubt."""
 UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254, "kilometres": 1e3}
 UNIT_WITHIN = 0.1
 """Relative difference up to which a ratio of lengths is taken for one of these units."""
@@ -170,7 +171,9 @@ def _misfits(T_eye: Array, T_cam_target: Array) -> Array:
 def _what_they_are(T_eye: Array, T_cam: Array, misfit: float) -> str:
     """Return the likeliest mistake in poses that misfit [rad]; empty: none explains it."""
     tried = {
-        "they are inverted (T_eye_base instead of T_base_eye), or their rotations transposed": (
+        # Of quaternions whose numbers are read in the other order come inverse turns of other axes.
+        "they are inverted (T_eye_base instead of T_base_eye), or their rotations transposed, or "
+        "made of quaternions in another order (x, y, z, w or w, x, y, z)": (
             inverse(T_eye),
             T_cam,
         ),
@@ -202,6 +205,8 @@ def _wrong_unit(name: str, eye: str, T_eye: Array, T_cam: Array) -> str:
         (unit for unit, metres in UNITS.items() if abs(scale / metres - 1) < UNIT_WITHIN), None
     )
     cause = f"they are in {unit}; give metres" if unit else "check their unit, and board.square_m"
+    if scale < 0:
+        cause = "their coordinates are left-handed, or their translations point the other way"
     return (
         f"By the images of {name}, a length of 1 in the poses of the {eye} eye measures "
         f"{scale:.4g} m: {cause}."

@@ -25,7 +25,7 @@ from vergence.calibration.observations import (
     most_seen_board,
     readable,
 )
-from vergence.calibration.sequential.hand_eye import park_martin
+from vergence.calibration.sequential.hand_eye import robust_park_martin
 from vergence.calibration.sequential.intrinsics import Intrinsics, calibrate_intrinsics
 from vergence.calibration.sequential.lens_models import LensModel
 from vergence.calibration.sequential.static_stereo import calibrate_pair
@@ -141,7 +141,7 @@ def _mounted(
     if len(lost):
         raise missing_reading(eye, int(lost[0]))
     T_base_eye = observations.eye_poses()[rows, EYES.index(eye)]
-    T_eye_main = park_martin(T_base_eye, T_cam_target[main][rows])
+    T_eye_main = robust_park_martin(T_base_eye, T_cam_target[main][rows])
     T_eye_cam = {main: T_eye_main}
     for name in cameras:
         if name != main:

@@ -1,0 +1,83 @@
+"""Corners that are not where their neighbours in the image say: of a reflection, or another corner.
+
+A board's corners lie evenly on it, and nearly so in a small part of any image. A lens need not be
+known, so that such corners are left out before they spoil its fit, which is least squares.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.calibration.observations import Observations
+
+LEAST = 0.2
+"""Distance from where the neighbours say, in sides of a square in the image, below which no corner
+is called stray: slant and lens make half as much. Smaller errors bundle adjustment finds."""
+TYPICAL = 6.0
+"""The same in units of what is typical of the image."""
+CLEAR = 3.0
+"""The same in units of how far neighbours disagree: where a lens bends most, they do."""
+
+
+def without_strays(observations: Observations) -> Observations:
+    """Return the observations without stray corners, and with a remark where there were any."""
+    board, corners, said = observations.board, {}, []
+    for name, found in observations.corners.items():
+        stray = strays(found.reshape(len(found), board.rows, board.columns, 2))
+        stray = stray.reshape(found.shape[:2])
+        corners[name] = np.where(stray[..., None], np.nan, found)
+        if stray.any():
+            said.append(f"{stray.sum()} in {stray.any(axis=1).sum()} images of {name}")
+    if not said:
+        return observations
+    remark = f"Corners not where their neighbours say, and left out: {'; '.join(said)}."
+    return replace(observations, corners=corners, remarks=(*observations.remarks, remark))
+
+
+def strays(grid: Array) -> np.ndarray:
+    """Return (V, rows, columns) of bool: which corners (V, rows, columns, 2) [px] are stray."""
+    stray = np.zeros(grid.shape[:3], dtype=bool)
+    for _ in range(3):  # good corners beside stray ones are acquitted
+        expected, apart, side = _by_neighbours(np.where(stray[..., None], np.nan, grid))
+        off = np.linalg.norm(grid - expected, axis=-1)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # images without corners
+            typical = np.nanmedian(off, axis=(1, 2))
+        least = np.maximum(LEAST * side, TYPICAL * typical)[:, None, None]
+        far = off > np.maximum(least, CLEAR * apart)
+        stray = far | (stray & np.isnan(expected[..., 0]))
+    return stray
+
+
+def _by_neighbours(grid: Array) -> tuple[Array, Array, Array]:
+    """Return where neighbours put each corner (V, rows, columns, 2) [px].
+
+    It is the median of what pairs of them say along rows and columns, NaN of fewer than two. Also
+    how far these disagree (V, rows, columns), and the side of a square (V,), in pixels.
+    """
+    padded = np.pad(grid, ((0, 0), (2, 2), (2, 2), (0, 0)), constant_values=np.nan)
+    rows, columns = grid.shape[1:3]
+
+    def moved(j: int, i: int) -> Array:
+        return padded[:, 2 + j : 2 + j + rows, 2 + i : 2 + i + columns]
+
+    said, sides = [], []
+    for j, i in ((0, 1), (1, 0)):
+        before, after = moved(-j, -i), moved(j, i)
+        said += [
+            (before + after) / 2,
+            2 * before - moved(-2 * j, -2 * i),
+            2 * after - moved(2 * j, 2 * i),
+        ]
+        sides.append(np.linalg.norm(after - grid, axis=-1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # corners without neighbours
+        expected = np.nanmedian(said, axis=0)
+        apart = np.nanmedian(np.linalg.norm(said - expected, axis=-1), axis=0)
+        side = np.nanmedian(sides, axis=(0, 2, 3))
+    enough = np.isfinite(said).all(axis=-1).sum(axis=0) >= 2
+    return np.where(enough[..., None], expected, np.nan), apart, side

@@ -1,0 +1,49 @@
+"""Corners that are not where their neighbours say are found, and no others."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from simulated_head import random_head
+from simulated_recording import Noise, Recording, record
+from vergence.calibration.checks.stray_corners import without_strays
+from vergence.calibration.observations import Observations
+from vergence.calibration.sequential.intrinsics import calibrate_intrinsics
+from vergence.calibration.sequential.lens_choice import choose_lenses
+from vergence.geometry.camera import pinhole
+
+SHARE = 0.02
+
+
+def recorded(*, fisheye: bool = False) -> Observations:
+    rng = np.random.default_rng(3)
+    head = random_head(rng, lenses=("wide",))
+    if fisheye:
+        lens = pinhole(640, 480, 640 / np.radians(160), model="fisheye")
+        cameras = {name: replace(m, intrinsics=lens) for name, m in head.cameras.items()}
+        head = replace(head, cameras=cameras)
+    return record(head, rng, Recording(noise=Noise(pixel_px=0.3)))
+
+
+@pytest.mark.parametrize("fisheye", [False, True])
+def test_good_corners_stay(fisheye: bool):
+    seen = recorded(fisheye=fisheye)
+    assert without_strays(seen) is seen
+
+
+def test_stray_corners_are_left_out_before_they_spoil_the_lens():
+    seen, rng = recorded(), np.random.default_rng(0)
+    spoilt = {name: corners.copy() for name, corners in seen.corners.items()}
+    for corners in spoilt.values():
+        stray = rng.random(corners.shape[:2]) < SHARE
+        corners[stray] += rng.choice([-30, 30], (stray.sum(), 2))
+    found = without_strays(replace(seen, corners=spoilt))
+    for name, corners in seen.corners.items():
+        good = (spoilt[name] == corners).all(axis=-1)
+        assert np.isfinite(found.corners[name][good]).all()
+    (said,) = found.remarks
+    assert said.startswith("Corners not where their neighbours say, and left out: ")
+    assert {each.model for each in choose_lenses(found).values()} == {"radial-tangential"}
+    lenses = calibrate_intrinsics(found)
+    assert all(each.rms_px < 1 for each in lenses.values())
