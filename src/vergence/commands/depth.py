@@ -33,6 +33,7 @@ from vergence.writing import check_outputs, markdown_table, results_folder, writ
 RANGE_M = (0.5, 1.5)
 """Distances at which accuracy is stated."""
 MOST_PAIRS = 1000
+TITLE = "# Dense depth"
 RESULTS = ("depth.rrd", "depth.json", "report.md")
 """Files in the folder of the results."""
 
@@ -112,7 +113,7 @@ def depth(
             has no stereo pair, or the folder cannot be written.
     """
     check_pairs(pairs)
-    check_outputs(folder=out, names=RESULTS, inputs=[calibration])
+    check_outputs(folder=out, names=RESULTS, title=TITLE, inputs=[calibration])
     head = load_head(calibration)
     moments, count = _moments(dataset, head, pairs, geometry)
     found = ((moment, depth_of(moment, head)) for moment in moments)
@@ -231,7 +232,7 @@ def write_depth(
 def as_markdown(done: Summary) -> str:
     """Return the report."""
     lines = [
-        "# Dense depth",
+        TITLE,
         "",
         f"{done.pairs} {'pair' if done.pairs == 1 else 'pairs'}. "
         f"{100 * done.matched:.0f} % of the rectified pixels have a depth, "
