@@ -139,6 +139,12 @@ def test_an_empty_name_does_not_stand_for_the_folder_one_is_in(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("demo", ["foveate", "track", "grasp"])
+def test_a_seed_is_refused_before_progress_is_shown(demo, capsys, monkeypatch):
+    text = refused([demo, "--seed", "-1"], capsys, monkeypatch)
+    assert text == "vergence: The seed must be a whole number from 0, found -1.\n"
+
+
 def test_an_import_of_a_whole_head_starts_from_none(capsys, monkeypatch):
     words = "import a.yml --format opencv --start b.json --out c.json"
     assert "leave --start out" in refused(words.split(), capsys, monkeypatch)
