@@ -28,7 +28,8 @@ def main() -> None:
             point = vg.locate(
                 head, left=left[None], right=right[None], joints=frame.eye_angles
             ).xyz[0]
-            print(f"vergence {2 * turn:+.2f} rad: error {np.round(1e3 * (point - OBJECT_M), 1)} mm")
+            x, y, z = 1e3 * (point - OBJECT_M)
+            print(f"vergence {2 * turn:+.2f} rad: error {x:z.1f}, {y:z.1f}, {z:z.1f} mm")
 
 
 if __name__ == "__main__":

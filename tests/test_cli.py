@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -36,7 +37,7 @@ BAD_ARGUMENTS = {
 }
 
 
-def refused(arguments: list[str], capsys: pytest.CaptureFixture, monkeypatch) -> str:
+def refused(arguments: Sequence[str], capsys: pytest.CaptureFixture, monkeypatch) -> str:
     """Return what is printed when a command line is refused."""
     monkeypatch.setattr(sys, "argv", ["vergence", *arguments])
     with pytest.raises(SystemExit, match="2"):
@@ -92,6 +93,56 @@ def test_no_command_writes_over_what_it_reads(capsys, monkeypatch, tmp_path):
 def test_no_result_takes_the_place_of_another(words, said, capsys, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     assert f"it is also {said}" in refused(words.split(), capsys, monkeypatch)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "calibrate data --out a.json --report r",
+        "design --out r --jobs 1",
+        "depth data --calibration head.json --out r",
+        "depth --twin --out r",
+        "reproduce --out r",
+    ],
+)
+def test_the_report_of_another_command_is_not_lost(words, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    Path("r").mkdir()
+    Path("r/report.md").write_text("# Our laboratory\n")
+    said = refused(words.split(), capsys, monkeypatch)
+    assert "r/report.md is the report of something else" in said
+    assert "it begins with '# Our laboratory'" in said
+
+
+@pytest.mark.parametrize("name", ["report.md", "fig06.rrd", "calibration-2.8mm.json"])
+def test_a_folder_in_the_place_of_a_figures_result_is_refused_before_the_work(
+    name, capsys, monkeypatch, tmp_path
+):
+    (tmp_path / name).mkdir()
+    said = refused(["reproduce", "--out", str(tmp_path)], capsys, monkeypatch)
+    assert f"{name}: Is a directory" in said
+
+
+@pytest.mark.parametrize(
+    ("words", "option"),
+    [
+        (["design", "--jobs", "1", "--out", ""], "--out"),
+        (["budget", "--noise", "0.1", "--json="], "--json"),
+        (["export", "", "--format", "ros", "--out", "r"], "export"),
+    ],
+)
+def test_an_empty_name_does_not_stand_for_the_folder_one_is_in(
+    words: list[str], option: str, capsys, monkeypatch, tmp_path
+):
+    monkeypatch.chdir(tmp_path)
+    assert f"The value after {option} is empty" in refused(words, capsys, monkeypatch)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("demo", ["foveate", "track", "grasp"])
+def test_a_seed_is_refused_before_progress_is_shown(demo, capsys, monkeypatch):
+    text = refused([demo, "--seed", "-1"], capsys, monkeypatch)
+    assert text == "vergence: The seed must be a whole number from 0, found -1.\n"
 
 
 def test_an_import_of_a_whole_head_starts_from_none(capsys, monkeypatch):

@@ -30,6 +30,7 @@ from vergence.arrays import Array
 from vergence.commands import design_chunks as command
 from vergence.commands.design_chunks import sweep
 from vergence.errors import VergenceError
+from vergence.viewer.plots import design as picture
 
 SMALL = DesignSettings.model_validate(
     {
@@ -90,6 +91,21 @@ def test_the_cheapest_design_is_that_of_all_that_are_accurate_enough(swept):
     assert order == sorted(order)
     assert cheapest(swept, 1e-6, 0.5) == []
     assert worst[most_accurate(swept, 0.5)] == worst.min()
+
+
+def test_pictures_have_plain_numbers_units_and_no_point_at_the_edge(swept, tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(picture, "save", lambda canvas, path: drawn.append(canvas))
+    place = cheapest(swept, 1.0, 0.5)[0]
+    picture.draw_design(tmp_path / "d.png", swept, place, 5e-3, 0.5)
+    picture.draw_axes(tmp_path / "p.png", swept, place, 0.5)
+    for canvas in drawn:
+        canvas.draw_without_rendering()
+    ticks = [text.get_text() for axes in drawn[0].axes for text in axes.get_yticklabels()]
+    assert not [text for text in ticks if "$" in text]
+    assert drawn[1].axes[0].get_xlabel() == "baseline [mm]"
+    for axes in drawn[1].axes:
+        assert max(axes.lines[0].get_ydata()) < 0.95 * axes.get_ylim()[1]
 
 
 def test_points_that_no_image_holds_are_left_out():

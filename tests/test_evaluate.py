@@ -95,3 +95,13 @@ def test_the_joints_of_an_eye_that_was_not_calibrated_do_not_count(head):
     one = replace(head, cameras=left, kinematics=alone, time_offset_s=0.01)
     found = evaluate(one, truth_of(head))
     assert set(found.cameras) == {"left_wide", "left_narrow"}
+
+
+def test_the_table_stays_in_line_under_long_names_of_cameras(head):
+    def renamed(head: HeadCalibration) -> HeadCalibration:
+        cameras = {f"{name}_that_was_bought_later": c for name, c in head.cameras.items()}
+        return replace(head, cameras=cameras, accuracy=None)
+
+    text = as_text(evaluate(renamed(head), truth_of(renamed(head))))
+    title, *rows = text.splitlines()[: 1 + len(head.cameras)]
+    assert {len(row) for row in rows} == {len(title)}

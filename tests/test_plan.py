@@ -5,6 +5,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from vergence.accuracy.plan import Plan, choose, plan
 from vergence.accuracy.plan_information import gained, information, linearised_views, stated
 from vergence.accuracy.plan_views import (
     MARGIN_PX,
+    Views,
     admissible_views,
     as_seen,
     held_whole,
@@ -34,9 +36,10 @@ from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration, pair_names, save_head
 from vergence.geometry.parameters import without_offsets
 from vergence.geometry.projection import project_point
-from vergence.geometry.se3 import inverse, transform
+from vergence.geometry.se3 import inverse, pose, transform
 from vergence.progress import silent
 from vergence.stereo.uncertainty import calibration_covariance
+from vergence.viewer.plots import plan as picture
 
 PIXEL_PX, JOINT_RAD = 0.1, 2e-3
 NOISE = {"pixel_std_px": PIXEL_PX, "joint_std": JOINT_RAD}
@@ -206,6 +209,37 @@ def test_the_command_prints_a_plan_and_writes_figure_and_json(
     middle = transform(T, np.array([4, 2.5, 0]) * BOARD.square_m)
     left_eye = inverse(calibrated.T_rbase_lbase)[:3, 3] / 2  # the head is midway
     np.testing.assert_allclose(first["board_centre_head_m"], middle - left_eye, atol=1e-12)
+
+
+def plan_of_one_view(head: HeadCalibration) -> Plan:
+    """Return a plan as far as it is shown."""
+    T_lbase_target = pose(t=[0.5, 0.0, 0.0])
+    found = SimpleNamespace(
+        head=head,
+        board=BOARD,
+        views=Views(T_lbase_target[None], np.full((1, 4), -1e-9), np.zeros(1, int)),
+        workspace=SimpleNamespace(points=np.array([[0.3, 0.1, 0.0], [1.0, -0.1, 0.1]])),
+        steps_m=np.array([1e-3]),
+        before_m=np.array([2e-3]),
+        after_m=np.array([1e-3]),
+    )
+    return cast("Plan", found)
+
+
+def test_an_angle_that_rounds_to_zero_has_no_sign(truth):
+    assert "| 0.0 0.0 0.0 0.0 |" in command.as_text(plan_of_one_view(truth))
+
+
+def test_the_legend_of_the_picture_stands_beside_the_maps(truth, tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(picture, "save", lambda canvas, path: drawn.append(canvas))
+    picture.draw_plan(tmp_path / "p.png", plan_of_one_view(truth))
+    drawn[0].draw_without_rendering()
+    legends = [axes.get_legend() for axes in drawn[0].axes if axes.get_legend()]
+    assert len(legends) == 1
+    place = legends[0].get_window_extent()
+    assert drawn[0].bbox.contains(place.x1, place.y1)
+    assert not any(axes.get_window_extent().overlaps(place) for axes in drawn[0].axes)
 
 
 def test_a_dataset_is_calibrated_first_and_states_its_board(

@@ -26,6 +26,7 @@ from vergence.errors import VergenceError, explain
 if sys.platform != "win32":
     import fcntl
 
+REPORT = "report.md"
 UNFINISHED = "UNFINISHED.txt"
 """Stands in a folder of results while they are being written, and after a run that was stopped."""
 
@@ -50,6 +51,7 @@ def check_outputs(
     figure: Path | None = None,
     folder: Path | None = None,
     names: Iterable[str] = (),
+    title: str = "",
     inputs: Iterable[Path] = (),
 ) -> None:
     """Check before any work that files can be written, and a folder of results.
@@ -61,11 +63,13 @@ def check_outputs(
         figure: another one, a picture in PNG.
         folder: of the results.
         names: of files that are written into the folder.
+        title: with which the folder's report.md begins; one of something else would be lost.
         inputs: files that the same command reads.
 
     Raises:
         VergenceError: a path cannot be written, two are the same, one of them is an input or the
-            folder, or the name of the figure does not end in .png.
+            folder, the folder has the report of something else, or the name of the figure does not
+            end in .png.
     """
     if figure is not None and figure.suffix.lower() != ".png":
         raise VergenceError(f"A figure is a PNG file, whose name ends in .png; found {figure}.")
@@ -80,6 +84,20 @@ def check_outputs(
         if place in taken:
             raise VergenceError(f"Cannot write {path}: it is also {taken[place]}.")
         taken[place] = "the file of another result"
+    if folder is not None and title:
+        _check_report(folder / REPORT, title)
+
+
+def _check_report(path: Path, title: str) -> None:
+    if not path.exists():
+        return
+    with path.open(encoding="utf-8", errors="replace") as file:
+        found = file.readline(80).strip()
+    if not found.startswith(title):
+        raise VergenceError(
+            f"{path} is the report of something else, and would be lost: it begins with {found!r}, "
+            f"not with {title!r}. Name another folder, or remove that file."
+        )
 
 
 def _place(path: Path) -> Path:

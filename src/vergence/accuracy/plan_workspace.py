@@ -83,8 +83,8 @@ def fixating(
     if not seen.all():
         x, y, z = points[seen.argmin()]
         raise VergenceError(
-            f"The eyes cannot both see the point ({x:.2f}, {y:.2f}, {z:.2f}) m from the left eye "
-            "within the limits of their joints; allow them more, or name larger distances."
+            f"The eyes cannot both see the point ({x:z.2f}, {y:z.2f}, {z:z.2f}) m from the left "
+            "eye within the limits of their joints; allow them more, or name larger distances."
         )
     return joints
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 import signal
@@ -63,7 +64,12 @@ def _check(arguments: list[str]) -> None:
             f"See {invocation('vergence', '--help')}."
         )
     known = options_of(COMMANDS[name])
-    for argument in arguments[1:]:
+    for before, argument in itertools.pairwise(arguments):
+        if not argument or (argument.startswith("--") and argument.endswith("=")):
+            raise VergenceError(
+                f"The value after {(argument or before).rstrip('=')} is empty; a name or a number "
+                f"belongs there. See {invocation('vergence', name, '--help')}."
+            )
         option = argument.partition("=")[0].replace("_", "-")
         if option.startswith("--") and option not in (*known, "--help"):
             raise VergenceError(

@@ -98,7 +98,7 @@ def design(
         jobs: Processes on this machine; -1: one for each core.
         cluster: Address of a Dask scheduler, which then does the work: tcp://HOST:PORT.
     """
-    from vergence.commands.design import RESULTS, chosen_settings, run, sentences
+    from vergence.commands.design import RESULTS, TITLE, chosen_settings, run, sentences
 
     given = {
         "baseline_mm": baseline_mm,
@@ -110,7 +110,7 @@ def design(
         "pixel_noise_px": pixel_noise_px,
         "delay_ms": delay_ms,
     }
-    check_outputs(folder=out, names=RESULTS, inputs=[settings] if settings else [])
+    check_outputs(folder=out, names=RESULTS, title=TITLE, inputs=[settings] if settings else [])
     swept = chosen_settings(settings, given, accuracy_mm=accuracy_mm, at_m=at_m, jobs=jobs)
     with progress_bars() as progress:
         found = run(

@@ -45,13 +45,13 @@ def calibrate(
         json: JSON file of the accuracy alone.
     """
     from vergence.calibration.calibrate import calibrate as run
-    from vergence.commands.calibration_report import RESULTS, figures, write_report
+    from vergence.commands.calibration_report import RESULTS, TITLE, figures, write_report
     from vergence.data.description import DESCRIPTION, FRAMES
     from vergence.data.reader import load_dataset
     from vergence.geometry.head import save_head
 
     read = [dataset / DESCRIPTION, dataset / FRAMES]
-    check_outputs(out, json, folder=report, names=RESULTS, inputs=read)
+    check_outputs(out, json, folder=report, names=RESULTS, title=TITLE, inputs=read)
     data = load_dataset(dataset)
     say_if_unfinished(report)
     with progress_bars() as progress:

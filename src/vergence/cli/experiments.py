@@ -150,7 +150,7 @@ class ExperimentOptions:
     geometry: Geometry = "joints"
     """Locate objects by the joint readings, or by these as corrected by what both eyes see."""
     out: Path | None = None
-    """Folder for the results of each trial, and for a recording of the run."""
+    """Folder for the summary as JSON, and for a recording of the run."""
     json: Path | None = None
     """JSON file of the summary."""
 

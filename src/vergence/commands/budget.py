@@ -217,7 +217,7 @@ def table(found: Budgets, k: int) -> list[tuple[str, ...]]:
 
 
 def _mm(value: float) -> str:
-    return f"{1e3 * value + 0.0:.2f}"
+    return f"{1e3 * value:z.2f}"
 
 
 def advice(found: Budgets, k: int) -> str:
@@ -230,7 +230,7 @@ def advice(found: Budgets, k: int) -> str:
     if total > 1e3 * FIRST_ORDER * np.linalg.norm(own.point_m):
         said += (
             f" That is more than {100 * FIRST_ORDER:.0f} % of its distance, too much for a budget, "
-            "which is of first order: take it for a lower bound."
+            "which is of first order: the true error may be larger or smaller."
         )
     return said
 

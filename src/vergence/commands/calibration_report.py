@@ -24,6 +24,7 @@ from vergence.viewer.dataset import record_dataset, rms_by_view
 from vergence.viewer.plots import calibration as plots
 from vergence.writing import markdown_table, results_folder, write_whole
 
+TITLE = "# Calibration"
 RESULTS = ("report.md", "dataset.rrd", "coverage.png", "residuals.png", "worst_views.png")
 """Files of a report, some of which the paper's method does not make."""
 FAILURES_NAMED = 20
@@ -147,7 +148,7 @@ def as_markdown(result: CalibrationResult, dataset: Dataset) -> str:
         images += [f"- {failure}" for failure in failures[:FAILURES_NAMED]]
         if len(failures) > FAILURES_NAMED:
             images.append(f"- and {len(failures) - FAILURES_NAMED} more, all in the JSON file")
-    lines = ["# Calibration", "", *(f"{line}  " for line in result.summary().splitlines())]
+    lines = [TITLE, "", *(f"{line}  " for line in result.summary().splitlines())]
     for heading, section in (
         ("Warnings", [f"- {line}" for line in said] or ["None."]),
         ("Accuracy of points", _points(result)),

@@ -33,6 +33,7 @@ from vergence.writing import check_outputs, markdown_table, results_folder, writ
 RANGE_M = (0.5, 1.5)
 """Distances at which accuracy is stated."""
 MOST_PAIRS = 1000
+TITLE = "# Dense depth"
 RESULTS = ("depth.rrd", "depth.json", "report.md")
 """Files in the folder of the results."""
 
@@ -114,7 +115,7 @@ def depth(
             has no stereo pair that can be rectified, or the folder cannot be written.
     """
     check_pairs(pairs)
-    check_outputs(folder=out, names=RESULTS, inputs=[calibration])
+    check_outputs(folder=out, names=RESULTS, title=TITLE, inputs=[calibration])
     head = load_head(calibration)
     moments, count, left_out = _moments(dataset, head, pairs, geometry)
     found = ((moment, depth_of(moment, head)) for moment in moments)
@@ -262,7 +263,7 @@ def as_markdown(done: Summary) -> str:
         f"{100 * done.median_relative_std:.1f} % in the median."
     )
     lines = [
-        "# Dense depth",
+        TITLE,
         "",
         f"{done.pairs} {'pair' if done.pairs == 1 else 'pairs'}.{left_out * bool(done.left_out)} "
         f"{100 * done.matched:.0f} % of the rectified pixels have a depth, "

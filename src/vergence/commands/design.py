@@ -31,6 +31,7 @@ from vergence.writing import markdown_table, results_folder, whole_file, write_j
 LARGEST = 1_000_000
 """Limit of the accuracy [mm] and of the distance [m] that may be wanted."""
 CHUNKS = "chunks"
+TITLE = "# Design of a head"
 RESULTS = ("sweep.npz", "design.png", "properties.png", "design.json", "report.md")
 """Files in the folder of the results, besides the chunks."""
 
@@ -139,7 +140,7 @@ def summary(
 
 def as_markdown(found: dict[str, Any]) -> str:
     """Return the report."""
-    lines = ["# Design of a head", "", *sentences(found), ""]
+    lines = [TITLE, "", *sentences(found), ""]
     heading = " | ".join(name.replace("_", " ") for name in (*AXES, "cost", "worst_mm"))
     designs = found["cheapest"] or [found["shown"]]
     rows = [[f"{each[name]:g}" for name in (*AXES, "cost")] for each in designs]

@@ -167,14 +167,15 @@ def _regions(
 
 def as_text(evaluation: Evaluation) -> str:
     """Return a short table of the errors, and how many confidence regions contain the truth."""
-    lines = [f"{'':<16}{'rotation [deg]':>15}{'translation [mm]':>18}{'focal [%]':>11}"]
+    width = max(map(len, ("T_rbase_lbase  ", *evaluation.cameras))) + 1
+    lines = [f"{'':<{width}}{'rotation [deg]':>15}{'translation [mm]':>18}{'focal [%]':>11}"]
     for name, error in evaluation.cameras.items():
         lines.append(
-            f"{name:<16}{error.rotation_deg:15.4f}{error.translation_mm:18.3f}"
+            f"{name:<{width}}{error.rotation_deg:15.4f}{error.translation_mm:18.3f}"
             f"{error.focal_percent:11.3f}"
         )
     lines.append(
-        f"{'T_rbase_lbase':<16}{evaluation.base_rotation_deg:15.4f}"
+        f"{'T_rbase_lbase':<{width}}{evaluation.base_rotation_deg:15.4f}"
         f"{evaluation.base_translation_mm:18.3f}"
     )
     if evaluation.regions:
@@ -183,7 +184,7 @@ def as_text(evaluation: Evaluation) -> str:
         lines.append(f"95 % regions that hold the truth: {held} of {len(evaluation.regions)}")
         if lost:
             lines.append(f"outside: {', '.join(lost)}")
-        lines.append(f"error of the time offset: {evaluation.time_offset_ms:.3f} ms")
+        lines.append(f"error of the time offset: {evaluation.time_offset_ms:z.3f} ms")
     else:
         lines.append("This calibration states no accuracy of its own.")
     return "\n".join(lines)

@@ -107,9 +107,9 @@ def as_text(found: Plan) -> str:
         rows.append(
             (
                 str(k + 1),
-                "as before" if same else " ".join(f"{x:.3f}" for x in centres[k]),
-                "" if same else " ".join(f"{x:.2f}" for x in normals[k]),
-                " ".join(f"{angle:.1f}" for angle in np.degrees(joints)),
+                "as before" if same else " ".join(f"{x:z.3f}" for x in centres[k]),
+                "" if same else " ".join(f"{x:z.2f}" for x in normals[k]),
+                " ".join(f"{angle:z.1f}" for angle in np.degrees(joints)),
                 f"{1e3 * found.steps_m[k]:.2f}",
             )
         )

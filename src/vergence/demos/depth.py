@@ -17,6 +17,7 @@ from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.commands.depth import (
     RESULTS,
+    TITLE,
     PairDepth,
     StereoImages,
     Summary,
@@ -71,7 +72,9 @@ def depth(
             head, or the folder cannot be written.
     """
     check_pairs(pairs)
-    check_outputs(folder=out, names=RESULTS, inputs=[calibration] if calibration else [])
+    check_outputs(
+        folder=out, names=RESULTS, title=TITLE, inputs=[calibration] if calibration else []
+    )
     given = None if calibration is None else load_head(calibration)
     errors: dict[str, list[tuple[Array, Array, float]]] = defaultdict(list)
     with _twin(profile, scene, seed, given) as (twin, head, joint_std):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.errors import VergenceError
+from vergence.errors import VergenceError, check_seed
 from vergence.gaze.state import GazeSettings
 from vergence.self_calibration.sequence import (
     Geometry,
@@ -48,6 +48,9 @@ class Experiment:
     learns from trial to trial."""
     out: Path | None = None
     """Folder for the summary as JSON, and for a recording; None: nothing is written."""
+
+    def __post_init__(self) -> None:
+        check_seed(self.seed)
 
 
 def check_trials(trials: int) -> None:

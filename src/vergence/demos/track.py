@@ -218,6 +218,7 @@ def track(experiment: Experiment, progress: Progress = silent, *, seconds: float
         known = initial_geometry(twin, settings)
         arguments = twin, settings, 1, path, seconds
         found = follow(*arguments, hidden_s=hidden_s, geometry=known, watch=both)
+        progress("track, seconds", int(seconds), int(seconds))
         report += as_markdown(found, hidden_s)
         write_summary(out, "track", found)
     return found

@@ -21,6 +21,8 @@ from vergence.twin.profile import ErrorProfile, Joints
 from vergence.twin.sensors import read
 from vergence.writing import markdown_table
 
+TITLE = "# Figs. 6-11"
+
 
 @dataclass(frozen=True, eq=False)
 class Reproduction:
@@ -90,7 +92,7 @@ def report(done: Reproduction) -> str:
     profile = done.profile
     replays = [done.replays[number] for number in sorted(done.replays)]
     parts = [
-        f"# Figs. 6-11, error profile `{profile.name}`, seed {done.seed}",
+        f"{TITLE}, error profile `{profile.name}`, seed {done.seed}",
         f"{profile.description} {_fitted_line(profile)}",
         "All numbers come from rendered images. Positions in metres from the left eye's rotation "
         "centre, x forward (depth), y left, z up; `paper` is what the paper's captions print.",

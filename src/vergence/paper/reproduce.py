@@ -20,7 +20,7 @@ from vergence.paper.figures import FIGURES, Figure
 from vergence.paper.plots import paper_figures
 from vergence.paper.recording import figure_recording, log_results
 from vergence.paper.replay import Replay, chosen, replay, sample_times, summaries, summary
-from vergence.paper.report import Reproduction, figure_report, report
+from vergence.paper.report import TITLE, Reproduction, figure_report, report
 from vergence.processes import process_count, processes
 from vergence.progress import Progress, silent
 from vergence.self_calibration.learning import learned_head
@@ -37,6 +37,14 @@ from vergence.viewer.seen import log_learned, log_matches
 from vergence.writing import check_outputs, results_folder, write_json, write_whole
 
 Method = Literal["paper", "self-calibrated"]
+RESULTS = (
+    "figures.png",
+    "statistics.json",
+    "report.md",
+    *(f"fig{number:02d}.rrd" for number in FIGURES),
+    *sorted({f"calibration-{figure.lens}.json" for figure in FIGURES.values()}),
+)
+"""Files in the folder of the results, besides learned heads."""
 _LOOKING = 100
 """Number of the run in which the learned head first looks around; those of figures are theirs."""
 SAMPLES_WITH_IMAGES = 160
@@ -227,7 +235,7 @@ def check(
                 "less than 1 ms apart, or fewer than two; ask for a longer or slower run."
             )
     process_count(jobs)
-    check_outputs(folder=out)
+    check_outputs(folder=out, names=RESULTS, title=TITLE)
     return chosen
 
 

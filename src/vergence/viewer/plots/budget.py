@@ -23,7 +23,11 @@ def draw_budget(budgets: Sequence[Budget], title: str) -> Canvas:
     Full bars differ between samples, pale ones are shared by all. Along the axis lengths are
     standard deviations: they add up as squares, not as lengths.
     """
-    canvas, all_axes = panels(len(budgets), f"Error budget, {title}", columns=min(2, len(budgets)))
+    canvas, all_axes = panels(
+        len(budgets),
+        f"Error budget, {title}; pale: what all samples share",
+        columns=min(2, len(budgets)),
+    )
     for axes, one in zip(all_axes, budgets, strict=True):
         parts = [*one.parts, one.total]
         places = np.arange(len(parts))[::-1]
@@ -37,7 +41,7 @@ def draw_budget(budgets: Sequence[Budget], title: str) -> Canvas:
             axes.barh(at, spread, height, color=colour, label=["x = depth", "y", "z"][k])
         axes.set_yticks(places, [part.name for part in parts], fontsize=9)
         x, y, z = one.point_m
-        axes.set_title(f"at ({x:.3f}, {y:.3f}, {z:.3f}) m", fontsize=11, loc="left")
+        axes.set_title(f"at ({x:g}, {y:g}, {z:g}) m", fontsize=11, loc="left")
         axes.set_xlabel("standard deviation [mm]")
         axes.legend(fontsize=9, frameon=False)
         axes.grid(axis="x", color="0.9", linewidth=0.6)

@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure as Canvas
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from vergence.viewer.style import AXIS_COLOURS, html
 from vergence.writing import whole_file
@@ -31,6 +33,13 @@ def panels(count: int, title: str, *, columns: int = 2) -> tuple[Canvas, list[Ax
     for spare in axes[count:]:
         spare.set_visible(False)
     return canvas, axes[:count]
+
+
+def plain_log(axis: Axis) -> None:
+    """Make an axis logarithmic with ticks at 1, 2 and 5 times powers of ten, in plain numbers."""
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
 
 
 def image_frame(axes: Axes, size: tuple[int, int]) -> None:

@@ -8,11 +8,13 @@ import numpy as np
 
 from vergence.accuracy.design_settings import AXES
 from vergence.accuracy.design_sweep import Sweep, at_distance, by_source, values_of
-from vergence.viewer.plots.canvas import BLUE, GREEN, RED, panels, save
+from vergence.viewer.plots.canvas import BLUE, GREEN, RED, panels, plain_log, save
 
 MAP_STEPS = 41
 LEVELS = (0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500)
 """Levels of the map's contours [mm]."""
+UNITS = ("mm", "px", "deg", "ms")
+"""At the end of the name of a property."""
 CURVES = 7
 """Baselines that are drawn at most."""
 
@@ -60,6 +62,8 @@ def draw_design(
     front.set(yscale="log", xlabel="cost", ylabel=f"worst error at {distance_m:g} m [mm]")
     front.set_title("accuracy by cost", fontsize=11, loc="left")
     front.legend(fontsize=8, frameon=False)
+    for axis in (curves.xaxis, curves.yaxis, front.yaxis):
+        plain_log(axis)
     for axes in (above, curves, front):
         axes.grid(color="0.9", linewidth=0.6)
     save(canvas, path)
@@ -77,6 +81,10 @@ def draw_axes(path: Path, sweep: Sweep, place: tuple[int, ...], distance_m: floa
         order = np.argsort(values)
         axes.plot(values[order], line[order], ".-", color=BLUE)
         axes.plot(values[place[k]], line[place[k]], "o", color=GREEN)
-        axes.set(xlabel=name.replace("_", " "), ylabel="[mm]", ylim=(0, None))
+        what, _, unit = name.rpartition("_")
+        label = f"{what.replace('_', ' ')} [{unit}]" if unit in UNITS else name.replace("_", " ")
+        axes.axhline(0, alpha=0)  # the margin is a part of the height above zero
+        axes.margins(y=0.08)
+        axes.set(xlabel=label, ylabel="[mm]", ylim=(0, None))
         axes.grid(color="0.9", linewidth=0.6)
     save(canvas, path)

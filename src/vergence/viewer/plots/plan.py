@@ -31,7 +31,7 @@ def draw_plan(path: Path, plan: Plan) -> None:
         axes.set(xlabel=f"{AXES[a]} [m]", ylabel=f"{AXES[b]} [m]", aspect="equal")
         axes.grid(color="0.9", linewidth=0.6)
     above.invert_xaxis()  # y, to the left
-    above.legend(fontsize=9, frameon=False)
+    side.legend(fontsize=9, frameon=False, loc="lower left", bbox_to_anchor=(0, 1.08))
     largest = 1e3 * np.array([plan.before_m.max(), *plan.steps_m])
     curve.plot(np.arange(len(largest)), largest, ".-", color=BLUE)
     curve.set_title("largest standard deviation of a point, by the calibration", fontsize=11)
