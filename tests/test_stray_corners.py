@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lens_monte_carlo import lens_head, recording
 from simulated_head import random_head
 from simulated_recording import Noise, Recording, record
 from vergence.calibration.checks.stray_corners import without_strays
@@ -29,6 +30,12 @@ def recorded(*, fisheye: bool = False) -> Observations:
 @pytest.mark.parametrize("fisheye", [False, True])
 def test_good_corners_stay(fisheye: bool):
     seen = recorded(fisheye=fisheye)
+    assert without_strays(seen) is seen
+
+
+def test_the_bent_corners_at_the_edge_of_an_image_stay():
+    rng = np.random.default_rng(2)
+    seen = recording(lens_head("k3", rng), rng)
     assert without_strays(seen) is seen
 
 

@@ -14,9 +14,10 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.observations import Observations
 
-LEAST = 0.2
+LEAST = 0.4
 """Distance from where the neighbours say, in sides of a square in the image, below which no corner
-is called stray: slant and lens make half as much. Smaller errors bundle adjustment finds."""
+is called stray: at the edge of an image lenses with k3 make 0.3, and those corners tell most of k3.
+Smaller errors bundle adjustment finds."""
 TYPICAL = 6.0
 """The same in units of what is typical of the image."""
 CLEAR = 3.0
