@@ -14,10 +14,10 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.observations import Observations
 
-LEAST = 0.4
+LEAST = 0.35
 """Distance from where the neighbours say, in sides of a square in the image, below which no corner
-is called stray: at the edge of an image lenses with k3 make 0.3, and those corners tell most of k3.
-Smaller errors bundle adjustment finds."""
+is called stray: lenses with k3 make nearly as much at the edge of an image, and those corners tell
+most of k3. Smaller errors bundle adjustment finds."""
 TYPICAL = 6.0
 """The same in units of what is typical of the image."""
 CLEAR = 3.0
@@ -48,7 +48,7 @@ def strays(grid: Array) -> np.ndarray:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # images without corners
             typical = np.nanmedian(off, axis=(1, 2))
-        least = np.maximum(LEAST * side, TYPICAL * typical)[:, None, None]
+        least = np.maximum(LEAST * side, TYPICAL * typical[:, None, None])
         far = off > np.maximum(least, CLEAR * apart)
         stray = far | (stray & np.isnan(expected[..., 0]))
     return stray
@@ -58,7 +58,8 @@ def _by_neighbours(grid: Array) -> tuple[Array, Array, Array]:
     """Return where neighbours put each corner (V, rows, columns, 2) [px].
 
     It is the median of what pairs of them say along rows and columns, NaN of fewer than two. Also
-    how far these disagree (V, rows, columns), and the side of a square (V,), in pixels.
+    how far these disagree, and the side of a square there or, if more, in most of the image: both
+    (V, rows, columns) [px].
     """
     padded = np.pad(grid, ((0, 0), (2, 2), (2, 2), (0, 0)), constant_values=np.nan)
     rows, columns = grid.shape[1:3]
@@ -74,11 +75,12 @@ def _by_neighbours(grid: Array) -> tuple[Array, Array, Array]:
             2 * before - moved(-2 * j, -2 * i),
             2 * after - moved(2 * j, 2 * i),
         ]
-        sides.append(np.linalg.norm(after - grid, axis=-1))
+        sides += [np.linalg.norm(beside - grid, axis=-1) for beside in (before, after)]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # corners without neighbours
         expected = np.nanmedian(said, axis=0)
         apart = np.nanmedian(np.linalg.norm(said - expected, axis=-1), axis=0)
-        side = np.nanmedian(sides, axis=(0, 2, 3))
+        whole = np.nanmedian(sides, axis=(0, 2, 3), keepdims=True)[0]
+        side = np.fmax(np.nanmedian(sides, axis=0), whole)
     enough = np.isfinite(said).all(axis=-1).sum(axis=0) >= 2
     return np.where(enough[..., None], expected, np.nan), apart, side
