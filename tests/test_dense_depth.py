@@ -36,11 +36,17 @@ HEAD = four_cameras()
 JOINTS = np.array([0.06, 0.03, -0.05, 0.02])
 NORMAL, DISTANCE_M = np.array([0.9, 0.3, 0.3]) / np.linalg.norm([0.9, 0.3, 0.3]), 0.8
 """A plane in the left eye's base frame: NORMAL . p = DISTANCE_M."""
+STEEP, STEEP_DISTANCE_M = np.array([0.35, 0.93, 0.1]) / np.linalg.norm([0.35, 0.93, 0.1]), 0.4
+"""Another one, seen under a small angle."""
 
 
 @pytest.fixture(scope="module")
 def drawn() -> tuple[np.ndarray, np.ndarray]:
-    """The wide images of the plane, textured on one half (left of y = 0), with noise."""
+    return drawn_plane(NORMAL, DISTANCE_M)
+
+
+def drawn_plane(normal: Array, distance_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the wide images of a plane, textured on one half (left of y = 0), with noise."""
     rng = np.random.default_rng(0)
     frequencies = rng.normal(size=(24, 3))
     frequencies *= (rng.uniform(60, 220, 24) / np.linalg.norm(frequencies, axis=1))[:, None]
@@ -54,9 +60,9 @@ def drawn() -> tuple[np.ndarray, np.ndarray]:
         xy = normalise(mounted.intrinsics, np.stack([u, v], axis=-1))
         rays = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
         T_lbase_cam = T @ mounted.T_eye_cam
-        along = rays @ (NORMAL @ T_lbase_cam[:3, :3])
+        along = rays @ (normal @ T_lbase_cam[:3, :3])
         points = transform(
-            T_lbase_cam, rays * ((DISTANCE_M - NORMAL @ T_lbase_cam[:3, 3]) / along)[..., None]
+            T_lbase_cam, rays * ((distance_m - normal @ T_lbase_cam[:3, 3]) / along)[..., None]
         )
         grey = 120 + 30 * np.cos(points @ frequencies.T + phases).sum(axis=-1) / np.sqrt(12)
         grey = np.where(points[..., 1] > 0, grey, 120)
@@ -65,12 +71,14 @@ def drawn() -> tuple[np.ndarray, np.ndarray]:
     return images[0], images[1]
 
 
-def true_depth(pair: RectifiedPair) -> np.ndarray:
-    """Return the plane's depth (H, W) in the left rectified camera."""
+def true_depth(
+    pair: RectifiedPair, normal: Array = NORMAL, distance_m: float = DISTANCE_M
+) -> np.ndarray:
+    """Return a plane's depth (H, W) in the left rectified camera."""
     u, v = np.meshgrid(np.arange(640.0), np.arange(480.0))
     rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(pair.matrix).T
-    n = NORMAL @ pair.T_lbase_rect[:3, :3]
-    return (DISTANCE_M - NORMAL @ pair.T_lbase_rect[:3, 3]) / (rays @ n)
+    n = normal @ pair.T_lbase_rect[:3, :3]
+    return (distance_m - normal @ pair.T_lbase_rect[:3, 3]) / (rays @ n)
 
 
 @pytest.fixture(scope="module")
@@ -91,6 +99,15 @@ def test_depth_of_a_slanted_plane_is_right_and_its_deviation_true(pair: Rectifie
     points, colours = point_cloud(pair, found)
     assert len(points) == len(colours) == np.isfinite(found.depth_m).sum()
     assert np.median(np.abs(points @ NORMAL - DISTANCE_M)) < 0.01
+
+
+def test_the_deviation_is_true_of_a_surface_that_is_seen_under_a_small_angle(pair: RectifiedPair):
+    found = dense_depth(HEAD, JOINTS, pair, *drawn_plane(STEEP, STEEP_DISTANCE_M))
+    truth = true_depth(pair, STEEP, STEEP_DISTANCE_M)
+    seen = found.textured & (truth > 0.3) & (truth < 2)
+    error = (found.depth_m - truth)[seen]
+    assert len(error) > 20_000
+    assert (np.abs(error) < 2 * found.std_m[seen]).mean() > 0.9
 
 
 def test_a_blank_half_is_not_called_textured_and_its_deviation_is_large(pair: RectifiedPair, drawn):

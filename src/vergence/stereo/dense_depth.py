@@ -1,8 +1,9 @@
 """The depth of every pixel of a rectified pair, and how well it is known.
 
 The matcher is OpenCV's cv2.StereoSGBM: Hirschmueller, "Stereo processing by semiglobal matching and
-mutual information" (2008). The standard deviation has two parts: what texture leaves open, and what
-the calibration and the joint readings do.
+mutual information" (2008). The standard deviation has three parts: what texture leaves open, how
+much the depth of a slanted surface changes within a block, and what the calibration and the joint
+readings leave open.
 """
 
 from __future__ import annotations
@@ -39,6 +40,11 @@ LEAST_STD_PX = 0.15
 """Standard deviation of a disparity where texture is strong: the matcher's own interpolation."""
 TEXTURED_PX = 0.4
 """Standard deviation by texture up to which a pixel counts as textured."""
+_SLOPE_PX = 9
+"""Side of the square that shows how slanted a surface is: about two blocks, since one has few
+disparities of its own."""
+_STEEPEST = 1.0
+"""Change of the disparity per pixel, from which the right image no longer shows a surface."""
 _SMOOTH = 8, 32  # of the squared block: OpenCV's advice for P1 and P2
 _GRID_PX = 32  # the calibration's part changes slowly over the image
 _LARGEST_DISPARITY_SHARE = 0.5  # of the image's width
@@ -130,7 +136,7 @@ def dense_depth(
             joint_std_rad=joint_std_rad,
         )
     by_geometry = _std_by_geometry(pair, disparity, located)
-    std_px = np.hypot(by_texture, by_geometry)
+    std_px = np.sqrt(by_texture**2 + _std_by_slope(disparity) ** 2 + by_geometry**2)
     return DenseDepth(
         disparity_px=disparity,
         depth_m=depth,
@@ -187,6 +193,26 @@ def _std_by_texture(grey: np.ndarray) -> Array:
     slope = cv2.Scharr(grey, cv2.CV_32F, 1, 0) / 32
     energy = cv2.boxFilter(slope * slope, -1, (BLOCK_PX, BLOCK_PX), normalize=False)
     return np.sqrt(LEAST_STD_PX**2 + 2 * NOISE_GREY**2 / np.maximum(energy.astype(float), 1e-6))
+
+
+def _std_by_slope(disparity: Array) -> Array:
+    """Return by how much a block's disparity may be of another part of it than its middle (H, W).
+
+    A block is matched where it has texture, which may be half a block to one side: with rendered
+    images of rooms, errors on surfaces of all slants are then as large as stated.
+    """
+    width = disparity.shape[1]
+    seen, u = np.isfinite(disparity).astype(float), np.arange(width) - width / 2
+    d = np.nan_to_num(disparity)
+    n, sum_u, sum_d, sum_uu, sum_ud = (
+        cv2.boxFilter(
+            each, -1, (_SLOPE_PX, _SLOPE_PX), normalize=False, borderType=cv2.BORDER_CONSTANT
+        )
+        for each in (seen, seen * u, d, seen * u * u, d * u)
+    )
+    # A line by least squares; zero where a single column was matched.
+    slope = (n * sum_ud - sum_u * sum_d) / np.maximum(n * sum_uu - sum_u**2, 1.0)
+    return BLOCK_PX / 2 * np.minimum(np.abs(slope), _STEEPEST)
 
 
 def _std_by_geometry(
