@@ -9,6 +9,8 @@ BIN := .venv/bin
 # Python keeps its bytecode even where the environment forbids it: else each of the many processes
 # would compile all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
+# More room for young objects saves the type checker a seventh of its time.
+export NODE_OPTIONS = --max-semi-space-size=128
 
 .PHONY: figures view test check docs clean
 
