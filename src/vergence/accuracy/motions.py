@@ -12,6 +12,11 @@ Motion = Literal["parallel", "divergent"]
 AMPLITUDE_RAD = 0.25
 PERIOD_S = {"parallel": 6 * np.pi, "divergent": 60 * np.pi}
 """Combined period of all joints: the least common multiple of their periods."""
+_SLOWED = {
+    "parallel": np.array([1.0, 1.5, 1.0, 1.5]),
+    "divergent": np.array([1.0, 1.5, 2.0, 2.5]),
+}
+"""By what the time is divided in the cosine of each joint."""
 
 
 def eye_angles(motion: Motion, time_s: Array) -> Array:
@@ -19,6 +24,4 @@ def eye_angles(motion: Motion, time_s: Array) -> Array:
 
     Parallel: both eyes by Eq. 22. Divergent: the left eye by Eq. 22, the right by Eq. 23.
     """
-    eq22 = AMPLITUDE_RAD * np.cos(np.stack([time_s, time_s / 1.5], axis=-1))
-    eq23 = AMPLITUDE_RAD * np.cos(np.stack([time_s / 2, time_s / 2.5], axis=-1))
-    return np.concatenate([eq22, eq22 if motion == "parallel" else eq23], axis=-1)
+    return AMPLITUDE_RAD * np.cos(time_s[..., None] / _SLOWED[motion])

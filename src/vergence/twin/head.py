@@ -135,6 +135,7 @@ class Twin:
         width = np.radians(self.profile.joints.backlash_deg)
         wanted_at = command if callable(command) else lambda _: command
         last: Array | None = None
+        model, data, ctrl, driven = self.model, self._data, self._data.ctrl, self._actuators
         while (left := round((until_s - self._data.time) * 1000)) > 0:
             past = round(self._data.time * 1000) % _TICK_STEPS  # [ms] since it was asked
             begin = self._data.time - past / 1000
@@ -143,8 +144,8 @@ class Twin:
             part = np.arange(past, min(past + left, _TICK_STEPS))[:, None] / _TICK_STEPS
             wanted = (1 - part) * first + part * last
             for controls in wanted @ self._mixing.T:
-                self._data.ctrl[self._actuators] = controls
-                mujoco.mj_step(self.model, self._data)
+                ctrl[driven] = controls
+                mujoco.mj_step(model, data)
             angles = self._posture()
             sensed = play(angles[None], width, self._sensed[-1])[0] if width else angles
             latest = (self._times, self._data.time), (self._true, angles), (self._sensed, sensed)
