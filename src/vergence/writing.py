@@ -89,10 +89,13 @@ def check_outputs(
 
 
 def _check_report(path: Path, title: str) -> None:
-    if not path.exists():
+    try:
+        with path.open(encoding="utf-8", errors="replace") as file:
+            found = file.readline(80).strip()
+    except FileNotFoundError:
         return
-    with path.open(encoding="utf-8", errors="replace") as file:
-        found = file.readline(80).strip()
+    except OSError as error:
+        raise VergenceError(f"Cannot read {path}: {error.strerror}.") from error
     if not found.startswith(title):
         raise VergenceError(
             f"{path} is the report of something else, and would be lost: it begins with {found!r}, "

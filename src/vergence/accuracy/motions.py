@@ -12,16 +12,16 @@ Motion = Literal["parallel", "divergent"]
 AMPLITUDE_RAD = 0.25
 PERIOD_S = {"parallel": 6 * np.pi, "divergent": 60 * np.pi}
 """Combined period of all joints: the least common multiple of their periods."""
-_SLOWED = {
+_TIME_DIVISORS = {
     "parallel": np.array([1.0, 1.5, 1.0, 1.5]),
     "divergent": np.array([1.0, 1.5, 2.0, 2.5]),
 }
-"""By what the time is divided in the cosine of each joint."""
+"""By joint, in the order of EYE_JOINTS: cos(t), cos(t / 1.5) and so on, of Eqs. 22 and 23."""
 
 
 def eye_angles(motion: Motion, time_s: Array) -> Array:
-    """Return (N, 4) joint angles [rad], in the order of EYE_JOINTS, at (N,) times.
+    """Return joint angles (..., 4) [rad], in the order of EYE_JOINTS, at times (...,) [s].
 
     Parallel: both eyes by Eq. 22. Divergent: the left eye by Eq. 22, the right by Eq. 23.
     """
-    return AMPLITUDE_RAD * np.cos(time_s[..., None] / _SLOWED[motion])
+    return AMPLITUDE_RAD * np.cos(time_s[..., None] / _TIME_DIVISORS[motion])

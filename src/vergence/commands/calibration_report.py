@@ -22,10 +22,10 @@ from vergence.geometry.se3 import rotvec
 from vergence.progress import Progress, silent
 from vergence.viewer.dataset import record_dataset, rms_by_view
 from vergence.viewer.plots import calibration as plots
-from vergence.writing import markdown_table, results_folder, write_whole
+from vergence.writing import REPORT, markdown_table, results_folder, write_whole
 
 TITLE = "# Calibration"
-RESULTS = ("report.md", "dataset.rrd", "coverage.png", "residuals.png", "worst_views.png")
+RESULTS = (REPORT, "dataset.rrd", "coverage.png", "residuals.png", "worst_views.png")
 """Files of a report, some of which the paper's method does not make."""
 FAILURES_NAMED = 20
 SYSTEMATIC = 4.0
@@ -114,7 +114,7 @@ def _write_report(
         plots.views(folder / "worst_views.png", shown)
     text = as_markdown(result, dataset)
     record_dataset(folder / "dataset.rrd", dataset, result, report=text, progress=progress)
-    write_whole(folder / "report.md", text)
+    write_whole(folder / REPORT, text)
 
 
 def worst(result: CalibrationResult) -> list[tuple[float, str, int]]:

@@ -28,13 +28,20 @@ from vergence.stereo.rectification import RectifiedPair, rectify
 from vergence.stereo.uncertainty import LocatedPoints
 from vergence.viewer.depth import depth_recording, log_depth
 from vergence.viewer.opening import log_report
-from vergence.writing import check_outputs, markdown_table, results_folder, write_json, write_whole
+from vergence.writing import (
+    REPORT,
+    check_outputs,
+    markdown_table,
+    results_folder,
+    write_json,
+    write_whole,
+)
 
 RANGE_M = (0.5, 1.5)
 """Distances at which accuracy is stated."""
 MOST_PAIRS = 1000
 TITLE = "# Dense depth"
-RESULTS = ("depth.rrd", "depth.json", "report.md")
+RESULTS = ("depth.rrd", "depth.json", REPORT)
 """Files in the folder of the results."""
 
 
@@ -247,28 +254,30 @@ def write_depth(
             report = as_markdown(done)
             log_report(rec, report)
         write_json(done, out / "depth.json")
-        write_whole(out / "report.md", report)
+        write_whole(out / REPORT, report)
     return done
 
 
 def as_markdown(done: Summary) -> str:
     """Return the report."""
     where = f"{RANGE_M[0]} to {RANGE_M[1]} m"
-    left_out = (
-        f" {done.left_out} more cannot be rectified: the two views do not overlap, or an eye looks "
-        "along the line from one camera to the other."
-    )
-    stated = (
-        f"At {where} the stated standard deviation of these is "
-        f"{100 * done.median_relative_std:.1f} % in the median."
-    )
+    left_out, stated = "", f"None of these is at {where}."
+    if done.left_out:
+        left_out = (
+            f" {done.left_out} more cannot be rectified: the two views do not overlap, or an eye "
+            "looks along the line from one camera to the other."
+        )
+    if np.isfinite(done.median_relative_std):
+        stated = (
+            f"At {where} the stated standard deviation of these is "
+            f"{100 * done.median_relative_std:.1f} % in the median."
+        )
     lines = [
         TITLE,
         "",
-        f"{done.pairs} {'pair' if done.pairs == 1 else 'pairs'}.{left_out * bool(done.left_out)} "
+        f"{done.pairs} {'pair' if done.pairs == 1 else 'pairs'}.{left_out} "
         f"{100 * done.matched:.0f} % of the rectified pixels have a depth, "
-        f"{100 * done.textured:.0f} % one that texture determines well. "
-        f"{stated if np.isfinite(done.median_relative_std) else f'None of these is at {where}.'}",
+        f"{100 * done.textured:.0f} % one that texture determines well. {stated}",
         "",
     ]
     rows = [

@@ -26,13 +26,20 @@ from vergence.errors import VergenceError, explain
 from vergence.processes import process_count
 from vergence.progress import Progress, silent
 from vergence.viewer.plots.design import draw_axes, draw_design
-from vergence.writing import markdown_table, results_folder, whole_file, write_json, write_whole
+from vergence.writing import (
+    REPORT,
+    markdown_table,
+    results_folder,
+    whole_file,
+    write_json,
+    write_whole,
+)
 
 LARGEST = 1_000_000
 """Limit of the accuracy [mm] and of the distance [m] that may be wanted."""
 CHUNKS = "chunks"
 TITLE = "# Design of a head"
-RESULTS = ("sweep.npz", "design.png", "properties.png", "design.json", "report.md")
+RESULTS = ("sweep.npz", "design.png", "properties.png", "design.json", REPORT)
 """Files in the folder of the results, besides the chunks."""
 
 
@@ -104,7 +111,7 @@ def run(
         draw_design(out / "design.png", swept, shown, accuracy_m, distance_m)
         draw_axes(out / "properties.png", swept, shown, distance_m)
         write_json(found, out / "design.json")
-        write_whole(out / "report.md", as_markdown(found))
+        write_whole(out / REPORT, as_markdown(found))
     return found
 
 

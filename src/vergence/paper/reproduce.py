@@ -34,13 +34,13 @@ from vergence.twin.scene.room import Scene
 from vergence.viewer.frame import log_frame
 from vergence.viewer.opening import log_report
 from vergence.viewer.seen import log_learned, log_matches
-from vergence.writing import check_outputs, results_folder, write_json, write_whole
+from vergence.writing import REPORT, check_outputs, results_folder, write_json, write_whole
 
 Method = Literal["paper", "self-calibrated"]
 RESULTS = (
     "figures.png",
     "statistics.json",
-    "report.md",
+    REPORT,
     *(f"fig{number:02d}.rrd" for number in FIGURES),
     *sorted({f"calibration-{figure.lens}.json" for figure in FIGURES.values()}),
 )
@@ -297,4 +297,4 @@ def _write(out: Path, done: Reproduction) -> None:
             for method in methods
         }
     write_json(results, out / "statistics.json")
-    write_whole(out / "report.md", report(done))
+    write_whole(out / REPORT, report(done))

@@ -163,10 +163,11 @@ def _with_common(
 def _with_followers(
     head: HeadCalibration, names: tuple[str, ...], cameras: tuple[str, str], C: Array
 ) -> Array:
-    """Return the covariance with other cameras that err with the main one of their eye.
+    """Return the covariance in which other cameras err with the main one of their eye.
 
-    Both saw one board, so that they turn to each other as little as the two eyes' cameras do; their
-    distance, which is by the focal lengths, errs as a mounting does.
+    They are screwed to the same eye, and saw the same board: to each other they turn as little as
+    the cameras of the two eyes do. How far they are apart is known less well, since wrong focal
+    lengths look like distances: their shift has the tolerance of a mounting.
     """
     follow, C = np.eye(len(names)), C.copy()
     for name in (each for each in head.cameras if each not in cameras):

@@ -119,9 +119,10 @@ def tolerance_covariance(
 
 
 def _of_lens(camera: Camera, free: Sequence[int], lens_px: float) -> Array:
-    """Return the covariance (n, n) of coefficients of a lens, which displace its image by so much.
+    """Return the covariance (n, n) of some coefficients of a lens (free: which of them).
 
-    Root mean square over the image; each coefficient by itself is less certain than all together.
+    Together they displace the image by lens_px, root mean square over the image; each by itself is
+    less certain.
     """
     shown = len(free) * displaced_by_distortion(camera)[np.ix_(free, free)] / lens_px**2
     whole = shown + np.eye(len(free)) / _LARGEST_COEFFICIENT**2
@@ -132,11 +133,14 @@ def _of_lens(camera: Camera, free: Sequence[int], lens_px: float) -> Array:
 def _relative_covariance(
     cameras: tuple[str, ...], names: tuple[str, ...], tolerance: Tolerance
 ) -> tuple[Array, list[tuple[int, str, int]], list[int]]:
-    """Return the covariance (P, P), of what is relative to its value so, and which that is.
+    """Return the covariance (P, P) before it is scaled, and which parameters are to be scaled.
 
-    Of each focal length its place, its camera, and 0 for fx or 1 for fy; and the places of the
-    factors of joints with several readings. Without coefficients of lenses, which are wrong
-    together: see `_of_lens`.
+    Errors of focal lengths, and of the factors of joints with several readings, are relative to
+    their values, so that their variances are to be multiplied by the squares of these.
+
+    Returns:
+        The covariance, without coefficients of lenses (see `_of_lens`); of each focal length its
+        row, its camera, and 0 for fx or 1 for fy; and the rows of the factors.
     """
     C = np.diag([_std(cameras, name, tolerance) ** 2 for name in names])
     focal = []

@@ -44,7 +44,8 @@ _SLOPE_PX = 9
 """Side of the square that shows how slanted a surface is: about two blocks, since one has few
 disparities of its own."""
 _STEEPEST = 1.0
-"""Change of the disparity per pixel, from which the right image no longer shows a surface."""
+"""Largest change of the disparity per pixel that is counted: beyond it, edges of nearer things are
+taken for surfaces."""
 _SMOOTH = 8, 32  # of the squared block: OpenCV's advice for P1 and P2
 _GRID_PX = 32  # the calibration's part changes slowly over the image
 _LARGEST_DISPARITY_SHARE = 0.5  # of the image's width
@@ -196,10 +197,12 @@ def _std_by_texture(grey: np.ndarray) -> Array:
 
 
 def _std_by_slope(disparity: Array) -> Array:
-    """Return by how much a block's disparity may be of another part of it than its middle (H, W).
+    """Return the standard deviation (H, W) [px] that the slant of a surface adds to a disparity.
 
-    A block is matched where it has texture, which may be half a block to one side: with rendered
-    images of rooms, errors on surfaces of all slants are then as large as stated.
+    A block is matched where it has texture, which may be half a block beside its middle. In
+    rendered rooms, of the pixels of surfaces whose disparity changes by up to 0.12 px per pixel 88
+    to 94 % lie within two deviations, of steeper ones 81 %, and from 0.25 px on 58 %: the matcher
+    flattens these, so that their slope is underestimated.
     """
     width = disparity.shape[1]
     seen, u = np.isfinite(disparity).astype(float), np.arange(width) - width / 2

@@ -370,9 +370,8 @@ def _by_noise(
     seen: Linearised, noise: tuple[Array, Array], part: slice = slice(None)
 ) -> tuple[Array, Array]:
     """Return changes (3, 4, n) and (3, r, n) of points by one standard deviation of each."""
-    return seen.by_pixels * noise_of_part(noise[0], part), seen.by_readings * noise_of_part(
-        noise[1], part
-    )
+    of_pixels, of_readings = (noise_of_part(each, part) for each in noise)
+    return seen.by_pixels * of_pixels, seen.by_readings * of_readings
 
 
 def noise_of_readings(joint_std: ArrayLike, count: int, n: int) -> Array:

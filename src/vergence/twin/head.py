@@ -76,9 +76,9 @@ class Twin:
         The same seed gives the same head, whatever the lens. A board replaces the scene's
         chessboard, a card the red sphere that is its object. The eyes have two joints each or
         more; by default pan, then tilt. Oversampling is that of images that are distorted; None:
-        OVERSAMPLING of the renderer times FINENESS of the scene. VergenceError if there
-        is no OpenGL, the model or the scene cannot be loaded, the eyes have fewer joints, or the
-        seed is negative.
+        OVERSAMPLING of the renderer times FINENESS of the scene. VergenceError if there is no
+        OpenGL, the model or the scene cannot be loaded, the eyes have fewer joints, or the seed is
+        negative.
         """
         check_seed(seed)
         self.profile = profile

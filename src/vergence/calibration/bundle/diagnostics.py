@@ -31,9 +31,10 @@ FEW = 6
 """Degrees of freedom below which an estimated noise level is heavy-tailed, and the covariance
 optimistic."""
 SURE = 5.0
-"""Standard deviations from which the images of one eye are later than those of the other."""
+"""Standard deviations from which the images of one eye are later than those of the other: far more
+than noise makes in any recording."""
 LEAST_APART_S = 0.001
-"""Time between them of which is spoken: 0.06 degrees at a rad/s."""
+"""Least such time that is worth a warning: 0.06 degrees at a rad/s."""
 MOST_NAMED = 3
 """Most readings that lost their weight and are named one by one; the rest are counted."""
 NAMED = 0.3
@@ -136,10 +137,10 @@ def _lost_readings(problem: BundleProblem, found: Adjusted) -> list[str]:
 
 
 def _apart_in_time(problem: BundleProblem, found: Adjusted) -> list[str]:
-    """Return a sentence if the images of both eyes are not of one moment, as one offset takes them.
+    """Return a sentence if one time offset does not fit the images of both eyes.
 
-    What is left of a reading then grows with the eye's velocity: by how much, by weighted least
-    squares, is by how much later than the offset the images of that eye are.
+    The errors of the readings are then proportional to the eye's velocity. The factor, by weighted
+    least squares, is by how much later than the offset the images of that eye are.
     """
     own, e = np.unique(np.stack([problem.block, detection_eyes(problem)]), axis=1)
     if problem.around is None or (np.diff(own) == 0).any() or len(np.unique(e)) < 2:
@@ -158,8 +159,9 @@ def _apart_in_time(problem: BundleProblem, found: Adjusted) -> list[str]:
         return []
     late_eye, other = EYES[::-1] if apart > 0 else EYES
     return [
-        f"Images of the {late_eye} eye show its joints about {1e3 * abs(apart):.2g} ms later after "
-        f"their reading than those of the {other} eye, but one time offset stands for both: "
+        f"Images of the {late_eye} eye lag behind its joint readings by about "
+        f"{1e3 * abs(apart):.2g} ms more than those of the {other} eye, but one time offset stands "
+        "for both: "
         "trigger all cameras and read all joints at one moment, or leave moving rows out."
     ]
 

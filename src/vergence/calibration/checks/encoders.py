@@ -131,6 +131,7 @@ def _turns(seen: Observations, name: str, e: int, T_cam_target: Array) -> _Turns
     if len(rows) < LEAST_VIEWS_AT_REST or not seen.kinematics.used(EYES[e]):
         return None
     R = board_flips.nearest(T_cam_target[rows, :3, :3], seen.board)
+    # From the view in the middle of all: the first one may be a wrong one.
     middle = R[angle(R[:, None] @ np.swapaxes(R, 1, 2)).sum(axis=1).argmin()]
     # A camera that turns by T sees a board at rest turn by its inverse.
     turn = rotvec(middle @ np.swapaxes(R, 1, 2))

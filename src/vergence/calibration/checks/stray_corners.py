@@ -42,7 +42,7 @@ def without_strays(observations: Observations) -> Observations:
 def strays(grid: Array) -> np.ndarray:
     """Return (V, rows, columns) of bool: which corners (V, rows, columns, 2) [px] are stray."""
     stray = np.zeros(grid.shape[:3], dtype=bool)
-    for _ in range(3):  # good corners beside stray ones are acquitted
+    for _ in range(3):  # corners beside stray ones may turn out to be good
         expected, apart, side = _by_neighbours(np.where(stray[..., None], np.nan, grid))
         off = np.linalg.norm(grid - expected, axis=-1)
         with warnings.catch_warnings():
