@@ -1,7 +1,6 @@
 """Self-calibration from matches: exact on exact data, true to its covariance, never fooled."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from drawn_head import four_cameras
 from head_kinds import KINDS
 from head_kinds import head_of as head_of_kind
 from simulated_frames import (
@@ -22,9 +20,7 @@ from simulated_frames import (
 )
 from simulated_matches import drawn_head, matches, room, squared_distance, turn_error_deg
 from vergence.errors import VergenceError
-from vergence.geometry.head import T_narrow_wide, load_head, save_head
 from vergence.geometry.head_accuracy import Accuracy
-from vergence.geometry.parameter_names import PINHOLE
 from vergence.geometry.parameters import (
     boxplus,
     change_between,
@@ -33,17 +29,14 @@ from vergence.geometry.parameters import (
     parameter_values,
 )
 from vergence.geometry.projection import project_point
-from vergence.geometry.se3 import boxminus, pose, rotation
 from vergence.self_calibration import learning, prior
 from vergence.self_calibration.frame import from_matches, locate_seen
-from vergence.self_calibration.learning import learn, learned_head
+from vergence.self_calibration.learning import learn
 from vergence.self_calibration.match_noise import Recurrence, aged, recurrence_inflation, with_frame
 from vergence.self_calibration.residuals import epipolar_residuals
 from vergence.self_calibration.state import initial_self_calibration
 from vergence.self_calibration.tolerances import USUAL
 from vergence.self_calibration.update import drifted
-from vergence.stereo.extrinsics import T_rcam_lcam, rebase
-from vergence.stereo.uncertainty import locate_jointly
 from vergence.vision.scene_features import Matches
 
 
@@ -249,88 +242,6 @@ def test_heads_of_every_kind_are_learned(kind):
     assert np.mean(errors_deg[5:]) < np.degrees(JOINT_STD_RAD) / 2
 
 
-def test_a_learned_head_is_a_calibration_with_its_accuracy(tmp_path):
-    head, rng = head_of(0), np.random.default_rng(0)
-    state = begin(head)
-    for angles in postures(3, rng):
-        seen = matches(head, angles, room(300, rng), noise_px=NOISE_PX, rng=rng)
-        state = drifted(learn(state, from_matches(state, seen, angles)), 0.3)
-    save_head(learned_head(state), tmp_path / "learned.json")
-    again = load_head(tmp_path / "learned.json")
-    assert again.accuracy is not None
-    np.testing.assert_allclose(again.accuracy.covariance, state.covariance, rtol=1e-9)
-    assert initial_self_calibration(again).names == state.names
-
-
-@pytest.mark.parametrize("stated", [True, False])
-def test_other_cameras_follow_the_main_one_of_their_eye(stated):
-    """They are screwed to it: what was wrong with its mounting is wrong with theirs."""
-    truth, rng, straight = four_cameras(), np.random.default_rng(0), np.zeros(4)
-    wrong = pose(rotation(np.radians([0.0, 0.0, 0.6])))
-    cameras = {
-        name: replace(each, T_eye_cam=wrong @ each.T_eye_cam) if each.eye == "left" else each
-        for name, each in truth.cameras.items()
-    }
-    head = replace(truth, cameras=cameras)
-    head = rebase(head, T_rcam_lcam(truth, straight), joints=straight)
-    if stated:
-        names = parameter_names(head)
-        C = np.diag(np.array([1.0 if name[-2:] in PINHOLE else 1e-6 for name in names]))
-        for axis in ("rx", "ry", "rz"):
-            both = [names.index(f"left_{lens}.T_eye_cam.{axis}") for lens in ("wide", "narrow")]
-            C[np.ix_(both, both)] += 1e-4
-            C[[names.index(f"T_rbase_lbase.{axis}")], [names.index(f"T_rbase_lbase.{axis}")]] = 1e-4
-        head = replace(head, accuracy=Accuracy("bundle", names, np.asarray(C, float)))
-    state = begin(head)
-    for angles in postures(6, rng):
-        seen = matches(truth, angles, room(200, rng), noise_px=NOISE_PX, rng=rng)
-        state = drifted(learn(state, from_matches(state, seen, angles)), 0.3)
-    learned = learned_head(state)
-    for name in ("left_wide", "left_narrow"):
-        mountings = (each.camera(name).T_eye_cam for each in (learned, truth))
-        assert np.linalg.norm(boxminus(*mountings)[:3]) < np.radians(0.15)
-    apart = (T_narrow_wide(each, "left") for each in (learned, truth))
-    assert np.linalg.norm(boxminus(*apart)[:3]) < np.radians(0.05)
-
-
-@pytest.mark.parametrize("stated", [True, False])
-def test_cameras_that_do_not_see_the_scene_stay_as_uncertain_as_they_were(stated):
-    head = four_cameras()
-    if stated:
-        names = parameter_names(head)
-        std = 1e-3 * (1 + np.arange(len(names)))
-        head = replace(head, accuracy=Accuracy("bundle", names, np.diag(std**2)))
-    state = initial_self_calibration(head)
-    learned = learned_head(state).accuracy
-    assert learned is not None
-    own = [k for k, n in enumerate(learned.parameters) if n.startswith("left_narrow.")]
-    assert len(own) == len([n for n in parameter_names(head) if n.startswith("left_narrow.")])
-    stds = dict(zip(learned.parameters, np.sqrt(np.diag(learned.covariance)), strict=True))
-    if stated:
-        assert set(learned.parameters) == set(parameter_names(head))
-        expected = dict(zip(parameter_names(head), 1e-3 * (1 + np.arange(len(stds))), strict=True))
-        assert all(stds[n] == pytest.approx(expected[n]) for n in expected if n not in state.names)
-    else:
-        assert stds["left_narrow.cx"] == pytest.approx(USUAL.centre_px)
-    points = np.array([[0.6, -0.03, 0.0], [0.8, 0.02, 0.05]])
-    pair = ("left_narrow", "right_narrow")
-    left, right = (project_point(head, name, np.zeros(4), points) for name in pair)
-    seen: dict[str, Any] = {"left": left, "right": right, "joints": np.zeros(4), "cameras": pair}
-    others = [k for k, name in enumerate(state.names) if "narrow" not in name]
-    P = len(others)
-    of_both = np.zeros((P + 4, P + 4))
-    of_both[:P, :P] = state.covariance[np.ix_(others, others)]
-    names = [state.names[k] for k in others]
-    given: dict[str, Any] = {"parameters": names, "covariance": of_both, "pixel_std_px": 0.1}
-    taken_as_exact, learned = (
-        locate_jointly(each, **seen, **given).covariance
-        for each in (replace(head, accuracy=None), learned_head(state))
-    )
-    least, *_, most = np.linalg.eigvalsh(learned - taken_as_exact).T
-    assert (least > -1e-12).all()
-    assert (most > 1e-8).all()  # 0.1 mm and more
-
-
 def test_a_vergence_that_is_counted_wrongly_is_learned_without_a_stated_covariance():
     """Joints with several readings have a factor of each in place of a gain."""
     rng = np.random.default_rng(4)
@@ -385,13 +296,6 @@ def test_a_head_whose_joints_were_not_calibrated_is_refused():
     measured = Accuracy("bundle", joint_std=(1e-3, 1e-4), eye_motion="poses")
     with pytest.raises(VergenceError, match="nothing is known of its joints"):
         initial_self_calibration(replace(head_of(0), accuracy=measured))
-
-
-def test_what_is_learned_from_a_void_calibration_is_void():
-    void = replace(head_of(0), accuracy=Accuracy("bundle", void=("Readings contradict.",)))
-    learned = learned_head(begin(void))
-    assert learned.accuracy is not None
-    assert learned.accuracy.void == ("Readings contradict.",)
 
 
 def test_a_frame_counts_by_what_its_posture_adds():
