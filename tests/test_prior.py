@@ -17,7 +17,7 @@ from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import transform
 from vergence.self_calibration.residuals import epipolar_residuals
 from vergence.self_calibration.state import SelfCalibration, initial_self_calibration
-from vergence.stereo.extrinsics import camera_poses
+from vergence.stereo.extrinsics import T_rcam_lcam, camera_poses
 
 
 @pytest.mark.parametrize("kind", ["pan, tilt", "k3", "rational", "fisheye"])
@@ -137,7 +137,9 @@ def test_epipolar_lines_of_a_calibration_without_covariance_fit_to_a_third_of_a_
     squares = []
     for change in rng.multivariate_normal(np.zeros(len(state.names)), state.covariance, 100):
         changed = change_named(head, state.names, change)
-        found = epipolar_residuals(changed, straight, left, right, state.cameras)
+        lenses = tuple(changed.camera(name).intrinsics for name in state.cameras)
+        T = T_rcam_lcam(changed, straight, cameras=state.cameras)
+        found = epipolar_residuals(lenses, T, left, right)
         squares.append((found.residuals**2).mean())
     assert np.sqrt(np.mean(squares)) == pytest.approx(0.3, rel=0.3)
 

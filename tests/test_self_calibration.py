@@ -33,11 +33,18 @@ from vergence.self_calibration import learning, prior
 from vergence.self_calibration.frame import from_matches, locate_seen
 from vergence.self_calibration.learning import learn
 from vergence.self_calibration.match_noise import Recurrence, aged, recurrence_inflation, with_frame
-from vergence.self_calibration.residuals import epipolar_residuals
+from vergence.self_calibration.residuals import epipolar_residuals, pair_coordinates
 from vergence.self_calibration.state import initial_self_calibration
 from vergence.self_calibration.tolerances import USUAL
 from vergence.self_calibration.update import drifted
+from vergence.stereo.extrinsics import T_rcam_lcam
 from vergence.vision.scene_features import Matches
+
+
+def pair_of(head, angles):
+    """Return the lenses of the main cameras, and T_rcam_lcam."""
+    lenses = tuple(head.camera(name).intrinsics for name in CAMERAS)
+    return lenses, T_rcam_lcam(head, angles, cameras=CAMERAS)
 
 
 @given(st.integers(0, 1000))
@@ -45,7 +52,7 @@ def test_matches_of_the_true_geometry_have_no_residual(seed):
     head, rng = head_of(seed), np.random.default_rng(seed)
     angles = postures(1, rng)[0]
     seen = matches(head, angles, room(200, rng), noise_px=0.0, rng=rng)
-    found = epipolar_residuals(head, angles, seen.left, seen.right, CAMERAS)
+    found = epipolar_residuals(*pair_of(head, angles), seen.left, seen.right)
     np.testing.assert_allclose(found.residuals, 0, atol=1e-8)
     np.testing.assert_allclose(np.linalg.norm(found.normals, axis=1), 1)
 
@@ -58,15 +65,16 @@ def test_residuals_change_as_their_derivatives_say(seed):
 
     def residuals(change: np.ndarray, turned: np.ndarray) -> np.ndarray:
         changed = boxplus(head, change)
-        found = epipolar_residuals(changed, angles + turned, seen.left, seen.right, CAMERAS)
-        return found.residuals
+        pair = pair_of(changed, angles + turned)
+        return epipolar_residuals(*pair, seen.left, seen.right).residuals
 
-    found = epipolar_residuals(head, angles, seen.left, seen.right, CAMERAS)
+    found = epipolar_residuals(*pair_of(head, angles), seen.left, seen.right)
     names, step = parameter_names(head), 1e-6
     change, turn = rng.normal(0, 1, len(names)), rng.normal(0, 1, 4)
     ends = [residuals(h * change, h * turn) for h in (-step, step)]
     slope = -(ends[1] - ends[0]) / (2 * step)  # the derivatives are of what is predicted
-    expected = found.by_parameters @ change + found.by_readings @ turn
+    pair = pair_coordinates(head, names, angles, CAMERAS)
+    expected = found.by_coordinates @ pair.by_unknowns @ [*change, *turn]
     np.testing.assert_allclose(slope, expected, rtol=1e-4, atol=1e-3)
 
 

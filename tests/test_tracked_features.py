@@ -17,7 +17,6 @@ from simulated_frames import (
     postures,
 )
 from simulated_matches import drawn_head, matches, room, squared_distance, tracked_features
-from vergence.geometry.camera import normalise
 from vergence.geometry.parameters import boxminus, boxplus, parameter_names
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
@@ -25,7 +24,7 @@ from vergence.self_calibration.frame import from_matches
 from vergence.self_calibration.keyframe import TURNED_RAD, by_each_eye, worth_tracking
 from vergence.self_calibration.learning import learn, learn_tracked
 from vergence.self_calibration.match_noise import Recurrence
-from vergence.self_calibration.residuals import motion_residuals
+from vergence.self_calibration.residuals import motion_coordinates, motion_residuals
 from vergence.self_calibration.state import TrackedFeatures
 from vergence.self_calibration.update import drifted
 from vergence.stereo.extrinsics import camera_poses
@@ -48,23 +47,16 @@ def motion_of(head, then, now, points, change=None, turned=(0.0, 0.0)):
         in_camera = [transform(inverse(T[k]), points) for T in poses]
         # Beyond its reach a lens folds back into the image.
         ahead = [p[:, 2] > 1.5 * np.linalg.norm(p[:, :2], axis=1) for p in in_camera]
-        near, T = ahead[0] & ahead[1], poses[0][k]
+        near = ahead[0] & ahead[1]
         earlier, later = (project_point(head, camera, j, points) for j in (then, now))
-        # A changed geometry sees the point as far along the ray as the unchanged one.
-        rays = points - T[:3, 3]
-        T_changed = camera_poses(changed, then + turned[0], cameras=CAMERAS)[k]
-        xy = normalise(changed.camera(camera).intrinsics, earlier)
-        changed_rays = np.column_stack([xy, np.ones(len(xy))]) @ T_changed[:3, :3].T
-        along = np.einsum("ni,ni->n", rays, points - T_changed[:3, 3])
-        depths = along / np.einsum("ni,ni->n", rays, changed_rays)
+        moments = np.stack([then + turned[0], now + turned[1]])
+        T_then, T_now = camera_poses(changed, moments, cameras=CAMERAS)[:, k]
         found = motion_residuals(
-            changed,
-            camera,
-            before=then + turned[0],
-            now=now + turned[1],
+            changed.camera(camera).intrinsics,
+            inverse(T_now) @ T_then,
             earlier=earlier[near],
             later=later[near],
-            depths_m=depths[near],
+            depths_m=in_camera[0][near, 2],
         )
         yield camera, found
 
@@ -80,10 +72,11 @@ def test_residuals_of_tracked_features_change_as_their_derivatives_say(seed):
         [found.residuals for _, found in motion_of(head, then, now, points, h * change, h * turns)]
         for h in (-step, step)
     ]
-    for (_, found), low, high in zip(motion_of(head, then, now, points), *ends, strict=True):
+    names = parameter_names(head)
+    for (camera, found), low, high in zip(motion_of(head, then, now, points), *ends, strict=True):
         slope = -(high - low) / (2 * step)  # the derivatives are of what is predicted
-        expected = found.by_parameters @ change + found.by_before @ turns[0]
-        expected += found.by_now @ turns[1]
+        by_unknowns = motion_coordinates(head, names, then, now, camera).by_unknowns
+        expected = found.by_coordinates @ by_unknowns @ [*change, *turns[1], *turns[0]]
         np.testing.assert_allclose(slope, expected, rtol=1e-4, atol=2e-3)
 
 

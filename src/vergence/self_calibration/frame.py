@@ -20,11 +20,18 @@ from vergence.errors import VergenceError
 from vergence.geometry.camera import check_image_fits
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import checked_readings
-from vergence.geometry.parameters import change_named, named_columns
+from vergence.geometry.parameters import change_named
 from vergence.self_calibration.keyframe import by_each_eye, track_keyframe
 from vergence.self_calibration.match_noise import recurrence_inflation
-from vergence.self_calibration.residuals import epipolar_residuals
-from vergence.self_calibration.robust_fit import FEWEST, GATE, LINEAR_RAD, MOST, robust_fit
+from vergence.self_calibration.residuals import epipolar_residuals, pair_coordinates
+from vergence.self_calibration.robust_fit import (
+    FEWEST,
+    GATE,
+    LINEAR_RAD,
+    MOST,
+    Linearised,
+    robust_fit,
+)
 from vergence.self_calibration.state import (
     Evidence,
     FrameEstimate,
@@ -159,7 +166,7 @@ def _fit(
     def linear(z: Array) -> bool:
         return bool(np.abs(z[P:]).max() < LINEAR_RAD)
 
-    def linearised(z: Array, some: np.ndarray) -> tuple[Array, Array]:
+    def linearised(z: Array, some: np.ndarray) -> Linearised:
         those = Matches(matches.left[some], matches.right[some], matches.covariance[some])
         return _whitened(state, *_changed(state, joints, z), those)
 
@@ -228,17 +235,17 @@ def _changed(state: SelfCalibration, joints: Array, z: Array) -> tuple[HeadCalib
 
 def _whitened(
     state: SelfCalibration, head: HeadCalibration, joints: Array, matches: Matches
-) -> tuple[Array, Array]:
-    """Return residuals (N,) and derivatives (N, P + r), in standard deviations of the matches."""
-    found = epipolar_residuals(head, joints, matches.left, matches.right, state.cameras)
-    columns = named_columns(head, state.names)
-    n = found.normals[:, 2:]
+) -> Linearised:
+    """Return residuals of N matches in their standard deviations; unknowns are P + r."""
+    pair = pair_coordinates(head, state.names, joints, state.cameras)
+    lenses = head.camera(state.cameras[0]).intrinsics, head.camera(state.cameras[1]).intrinsics
+    found = epipolar_residuals(lenses, pair.T_second_first, matches.left, matches.right)
+    A, n = found.by_coordinates, found.normals[:, 2:]
     std = state.match_scale * np.sqrt(np.einsum("ni,nij,nj->n", n, matches.covariance, n))
-    A = np.concatenate([found.by_parameters[:, columns], found.by_readings], axis=1)
     good = np.isfinite(found.residuals) & np.isfinite(A).all(axis=1)
     good &= (std > 0) & (np.linalg.norm(n, axis=1) > _LEAST_SHOWN)
     y = np.where(good, found.residuals / std, 1e3)
-    return y, np.where(good[:, None], A / std[:, None], 0.0)
+    return Linearised(y, np.where(good[:, None], A / std[:, None], 0.0), pair.by_unknowns)
 
 
 def locate_seen(

@@ -13,15 +13,28 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.special import chdtri
 
 from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.parameters import change_named, named_columns
+from vergence.geometry.parameters import change_named
 from vergence.geometry.se3 import inverse
 from vergence.self_calibration.match_noise import EXPECTED_DESIGN_EFFECT, recurrence_inflation
-from vergence.self_calibration.residuals import depths_of_matches, motion_residuals
-from vergence.self_calibration.robust_fit import FEWEST, GATE, INLIER, LINEAR_RAD, MOST, robust_fit
+from vergence.self_calibration.residuals import (
+    depths_of_matches,
+    motion_coordinates,
+    motion_residuals,
+)
+from vergence.self_calibration.robust_fit import (
+    FEWEST,
+    GATE,
+    INLIER,
+    LINEAR_RAD,
+    MOST,
+    Linearised,
+    robust_fit,
+)
 from vergence.self_calibration.state import (
     Evidence,
     FrameEstimate,
@@ -29,7 +42,7 @@ from vergence.self_calibration.state import (
     SelfCalibration,
     TrackedFeatures,
 )
-from vergence.stereo.extrinsics import camera_poses
+from vergence.stereo.extrinsics import T_rcam_lcam, camera_poses
 from vergence.vision.scene_features import track_features
 
 TURNED_RAD = float(np.radians(8.0))
@@ -186,9 +199,10 @@ def _fit(
     def linear(z: Array) -> bool:
         return bool(np.abs(z[P:K]).max() < LINEAR_RAD and abs(z[K]) < _LINEAR_DEPTH)
 
-    def linearised(z: Array, some: np.ndarray) -> tuple[Array, Array]:
-        y, A = _whitened(state, seen, tracked, k, about + z[:K], float(z[K]))
-        return y[some], A[some]
+    def linearised(z: Array, some: np.ndarray) -> Linearised:
+        found = _whitened(state, seen, tracked, k, about + z[:K], float(z[K]))
+        y, A = found.residuals[some], found.by_coordinates[some]
+        return Linearised(y, A, found.by_unknowns)
 
     change, weights, says = robust_fit(
         linearised,
@@ -211,8 +225,8 @@ def _whitened(
     k: int,
     change: Array,
     deeper: float,
-) -> tuple[Array, Array]:
-    """Return residuals (2 N,) and derivatives (2 N, K + 1), in standard deviations of the matches.
+) -> Linearised:
+    """Return residuals (2 N,) in standard deviations of the matches; unknowns are K + 1.
 
     After a change (K,), and with all depths larger by so many of their standard deviations, which
     is the last unknown.
@@ -220,21 +234,18 @@ def _whitened(
     assert state.keyframe is not None
     P, r = len(state.names), len(seen.readings)
     head = change_named(state.head, state.names, change[:P])
-    matches = tracked.matches[k]
+    matches, camera = tracked.matches[k], state.cameras[k]
+    before, now = state.keyframe.joints + change[P + r :], seen.readings + change[P : P + r]
+    coordinates = motion_coordinates(head, state.names, before, now, camera)
     found = motion_residuals(
-        head,
-        state.cameras[k],
-        before=state.keyframe.joints + change[P + r :],
-        now=seen.readings + change[P : P + r],
+        head.camera(camera).intrinsics,
+        coordinates.T_second_first,
         earlier=matches.left,
         later=matches.right,
         depths_m=tracked.depths_m[k] * np.exp(_COMMON_DEPTH_STD * deeper),
     )
-    columns = named_columns(head, state.names)
     deeper_all = _COMMON_DEPTH_STD * found.by_depth[..., None]
-    A = np.concatenate(
-        [found.by_parameters[:, :, columns], found.by_now, found.by_before, deeper_all], axis=2
-    )
+    A = np.concatenate([found.by_coordinates, deeper_all], axis=2)
     by_depth = _DEPTH_STD * found.by_depth
     whole = np.concatenate([A, found.residuals[..., None]], axis=2)
     good = np.asarray(np.isfinite(whole).all(axis=(1, 2)))
@@ -243,7 +254,8 @@ def _whitened(
     whiten = np.linalg.inv(np.linalg.cholesky(C))
     y = np.where(good[:, None], (whiten @ found.residuals[..., None])[..., 0], 1e3)
     A = np.where(good[:, None, None], whiten @ A, 0.0)
-    return y.reshape(-1), A.reshape(-1, A.shape[-1])
+    by_unknowns = np.asarray(block_diag(coordinates.by_unknowns, 1.0), float)
+    return Linearised(y.reshape(-1), A.reshape(-1, A.shape[-1]), by_unknowns)
 
 
 def next_keyframe(
@@ -271,6 +283,7 @@ def next_keyframe(
     fits = np.flatnonzero(seen.weights > INLIER)  # in rows of the image: from all of its parts
     fits = fits[np.linspace(0, len(fits), min(len(fits), _FEATURES), endpoint=False, dtype=int)]
     left, right = seen.matches.left[fits], seen.matches.right[fits]
+    lenses = head.camera(state.cameras[0]).intrinsics, head.camera(state.cameras[1]).intrinsics
     return Keyframe(
         readings=seen.readings,
         # Copies, since a driver may write the next images into the same arrays.
@@ -279,5 +292,7 @@ def next_keyframe(
         covariance=C[P : P + r, P : P + r],
         with_head=C[:P, P : P + r],
         pixels=(left, right),
-        depths_m=depths_of_matches(head, joints, left, right, state.cameras),
+        depths_m=depths_of_matches(
+            lenses, T_rcam_lcam(head, joints, cameras=state.cameras), left, right
+        ),
     )

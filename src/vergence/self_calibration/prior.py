@@ -17,22 +17,18 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry import se3
-from vergence.geometry.camera import pixel_grid, unproject
+from vergence.geometry.camera import pixel_grid, project, unproject
 from vergence.geometry.head import HeadCalibration, stated_covariance, states_covariance
 from vergence.geometry.kinematics import EYES, straight_gaze
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.parameter_names import PINHOLE, POSE, intrinsics_names
 from vergence.geometry.parameters import (
-    change_named,
     is_gain,
-    named_columns,
     parameter_names,
     parameter_values,
 )
-from vergence.geometry.projection import project_point
-from vergence.self_calibration.residuals import epipolar_residuals
+from vergence.self_calibration.residuals import epipolar_residuals, pair_coordinates
 from vergence.self_calibration.tolerances import MOVED, USUAL, tolerance_covariance
-from vergence.stereo.extrinsics import T_rcam_lcam, camera_poses
 
 _COMMON = 0.5
 """Share of the usual variance which both eyes have in common: their lenses and encoders are of one
@@ -189,15 +185,7 @@ def _of_procedure(head: HeadCalibration, names: tuple[str, ...], cameras: tuple[
     C = _with_followers(head, names, cameras, C)
     base = [k for k, name in enumerate(names) if name.startswith("T_rbase_lbase")]
     zero = straight_gaze(head.kinematics)
-    straight = T_rcam_lcam(head, zero, cameras=cameras)
-    step = 1e-6
-    by = np.zeros((6, len(names)))
-    for k, name in enumerate(names):
-        ends = [
-            T_rcam_lcam(change_named(head, [name], np.array([h])), zero, cameras=cameras)
-            for h in (-step, step)
-        ]
-        by[:, k] = (se3.boxminus(ends[1], straight) - se3.boxminus(ends[0], straight)) / (2 * step)
+    by = pair_coordinates(head, names, zero, cameras).by_unknowns[-len(POSE) :, : len(names)]
     # stereo = by_base base + by_rest rest, with a stereo that does not depend on the rest.
     back = np.linalg.inv(by[:, base])
     mixing = np.eye(len(names))
@@ -233,14 +221,14 @@ def _by_epipolar_lines(
     Of points all over the image that both cameras see; N is 0 if there are none.
     """
     straight = straight_gaze(head.kinematics)
-    T_left, T_right = camera_poses(head, straight, cameras=cameras)
-    lenses = [head.camera(name).intrinsics for name in cameras]
-    baseline = float(np.linalg.norm(T_right[:3, 3] - T_left[:3, 3]))
+    lenses = head.camera(cameras[0]).intrinsics, head.camera(cameras[1]).intrinsics
+    pair = pair_coordinates(head, names, straight, cameras)
+    baseline = float(np.linalg.norm(pair.T_second_first[:3, 3]))
     left = np.tile(pixel_grid(lenses[0]), (len(_BASELINES_AWAY), 1))
     depths = np.repeat(_BASELINES_AWAY, len(left) // len(_BASELINES_AWAY)) * baseline
-    points = se3.transform(T_left, unproject(lenses[0], left) * depths[:, None])
-    right = project_point(head, cameras[1], straight, points)
+    points = unproject(lenses[0], left) * depths[:, None]
+    right = project(lenses[1], se3.transform(pair.T_second_first, points))
     edge = np.array([lenses[1].width, lenses[1].height]) - 1
     both = ((right >= 0) & (right <= edge)).all(axis=1)  # NaN: not seen
-    found = epipolar_residuals(head, straight, left[both], right[both], cameras)
-    return found.by_parameters[:, named_columns(head, names)]
+    found = epipolar_residuals(lenses, pair.T_second_first, left[both], right[both])
+    return found.by_coordinates @ pair.by_unknowns[:, : len(names)]

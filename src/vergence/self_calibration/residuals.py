@@ -1,4 +1,4 @@
-"""Residuals of matched pixels, and their derivatives by the head and its readings.
+"""Residuals of matched pixels, and their derivatives by lenses and by how two cameras stand.
 
 Between the eyes: a match is four numbers (left u, v, right u, v) that depend on a point (3) and on
 the geometry. The one combination of them that no displacement of the point changes is the residual:
@@ -10,43 +10,53 @@ focal lengths.
 Over time, in one eye: a camera that turns with its eye is displaced by millimetres, so that a point
 of about known depth tells both coordinates of its later pixel. They show how far the eye has
 turned, and with it focal length, mounting and gains, in any motion.
+
+Either depends on the geometry through a few coordinates only, those of one or two lenses and the
+increments of one pose; how these change with the head and its joints is the same for all matches.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.geometry.camera import normalised_rows
+from vergence.geometry.camera import Camera, normalised_rows, projection_rows
+from vergence.geometry.camera_motion import camera_motion, relative_motion
 from vergence.geometry.components import (
-    Component,
     Rows,
     Vector,
     components,
     cross,
     dot,
     minus,
+    plus,
+    pose_components,
     quotient,
     stacked,
     times,
     transposed,
 )
-from vergence.geometry.eye_motion import EyeMotion, eye_motion, eye_motions
-from vergence.geometry.head import HeadCalibration, MountedCamera
-from vergence.geometry.parameters import camera_columns, parameter_names
-from vergence.geometry.projection import (
-    by_camera_columns,
-    by_increments,
-    camera_pose,
-    projected,
-)
-from vergence.stereo.extrinsics import stereo_cameras
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.parameter_names import intrinsics_names
+from vergence.geometry.parameters import camera_columns, named_columns
 
 _FARTHEST_M = 50.0
 """Noise makes far points infinitely far, or puts them behind the head; they are taken as here."""
 _NEAREST_M = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Coordinates:
+    """What the pixels of a scene depend on at one moment or two: lenses, and one pose."""
+
+    T_second_first: Array
+    """(4, 4) how one camera stands to the other, or now to where it stood."""
+    by_unknowns: Array
+    """(k, K) of the intrinsics of each lens, and of the six increments of this pose, by the named
+    parameters of a head and the readings."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,10 +67,8 @@ class EpipolarResiduals:
     """(N,) [px], measured minus predicted; NaN where a pixel has no direction."""
     normals: Array
     """(N, 4) unit vectors: residuals change so with left u, v, right u, v."""
-    by_parameters: Array
-    """(N, P) of the predicted ones by the parameters of the head, as in `parameter_names`."""
-    by_readings: Array
-    """(N, r) of the predicted ones by the readings."""
+    by_coordinates: Array
+    """(N, k) of the predicted ones, by the `pair_coordinates`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,162 +77,151 @@ class MotionResiduals:
 
     residuals: Array
     """(N, 2) [px], measured minus predicted; NaN where a pixel has no direction."""
-    by_parameters: Array
-    """(N, 2, P) of the predicted ones by the parameters of the head, as in `parameter_names`."""
-    by_before: Array
-    """(N, 2, r) of the predicted ones by the earlier readings."""
-    by_now: Array
-    """(N, 2, r) of the predicted ones by the later readings."""
+    by_coordinates: Array
+    """(N, 2, k) of the predicted ones, by the `motion_coordinates`."""
     by_depth: Array
     """(N, 2) of the predicted ones by the relative change of the depth."""
 
 
-def epipolar_residuals(
-    head: HeadCalibration, joints: Array, left: Array, right: Array, cameras: tuple[str, str]
-) -> EpipolarResiduals:
-    """Return the residuals of matches: (N, 2) pixels in two cameras, at readings (r,) [rad]."""
-    pair, eyes = stereo_cameras(head, cameras), eye_motions(head, joints[None])
-    seen = components(left.T), components(right.T)
-    point = _points(pair, head.T_rbase_lbase, eyes, seen)
-    both = [
-        projected(mounted, head.T_rbase_lbase, eye.R, eye.t, point)
-        for mounted, eye in zip(pair, eyes, strict=True)
+def pair_coordinates(
+    head: HeadCalibration, names: tuple[str, ...], joints: Array, cameras: tuple[str, str]
+) -> Coordinates:
+    """Return what a pair of images depends on: both lenses, and T_rcam_lcam.
+
+    By named parameters (P) of the head and the readings (r,) [rad], which are K = P + r.
+    """
+    left, right = (camera_motion(head, name, joints) for name in cameras)
+    motion = relative_motion(left, right)
+    by_readings = (motion.by_first + motion.by_second,)
+    return _coordinates(
+        head, names, cameras, motion.T_second_first, motion.by_parameters, by_readings
+    )
+
+
+def motion_coordinates(
+    head: HeadCalibration, names: tuple[str, ...], before: Array, now: Array, camera: str
+) -> Coordinates:
+    """Return what two images of one camera depend on: its lens, and T_now_before.
+
+    By named parameters (P) of the head, the readings (r,) now and those before [rad], which are
+    K = P + 2 r.
+    """
+    motion = relative_motion(*(camera_motion(head, camera, joints) for joints in (before, now)))
+    by_readings = motion.by_second, motion.by_first
+    return _coordinates(
+        head, names, (camera,), motion.T_second_first, motion.by_parameters, by_readings
+    )
+
+
+def _coordinates(
+    head: HeadCalibration,
+    names: tuple[str, ...],
+    cameras: Sequence[str],
+    T: Array,
+    by_parameters: Array,
+    by_readings: Sequence[Array],
+) -> Coordinates:
+    columns = named_columns(head, names)
+    of_pose = np.concatenate([by_parameters[:, columns], *by_readings], axis=1)
+    rows = [
+        camera_columns(head, name)[: len(intrinsics_names(head.camera(name).intrinsics))]
+        for name in cameras
     ]
-    normals, n = _normals(both[0].by_point, both[1].by_point), len(left)
-    residuals, by_readings = np.zeros(n), np.zeros((len(joints), n))
-    by_parameters = np.zeros((len(parameter_names(head)), n))
-    for k, (own, eye) in enumerate(zip(both, eyes, strict=True)):
+    of_lenses = np.zeros((sum(map(len, rows)), of_pose.shape[1]))
+    of_lenses[:, : len(columns)] = np.concatenate(rows)[:, None] == columns
+    return Coordinates(T, np.concatenate([of_lenses, of_pose]))
+
+
+def epipolar_residuals(
+    lenses: tuple[Camera, Camera], T_rcam_lcam: Array, left: Array, right: Array
+) -> EpipolarResiduals:
+    """Return the residuals of matches: pixels (N, 2) in two cameras at T_rcam_lcam (4, 4)."""
+    (R, t), n = pose_components(T_rcam_lcam), len(left)
+    seen = components(left.T), components(right.T)
+    point = _points(lenses, (R, t), seen)
+    turned = times(R, point)
+    first, second = (
+        projection_rows(lens, each)
+        for lens, each in zip(lenses, (point, plus(turned, t)), strict=True)
+    )
+    back = transposed(R)
+    normals = _normals(first[1], [times(back, row) for row in second[1]])
+    residuals, columns = np.zeros(n), []
+    for k, (pixel, _, by_lens) in enumerate((first, second)):
         a, b = normals[2 * k : 2 * k + 2]
-        (u, v), (own_u, own_v) = seen[k], own.pixel
-        residuals += a * (u - own_u) + b * (v - own_v)
-        by_angles = by_increments(own.by_T_base_eye, eye.by_angles)
-        pairs = by_camera_columns(own, eye, by_angles)
-        for column, (u, v) in zip(camera_columns(head, cameras[k]), pairs, strict=True):
-            by_parameters[column] += a * u + b * v
-        for joint, reading, factor in eye.angle_by_readings:
-            u, v = by_angles[joint]
-            by_readings[reading] += factor * (a * u + b * v)
-    return EpipolarResiduals(residuals, stacked(normals, (n,)).T, by_parameters.T, by_readings.T)
+        residuals += a * (seen[k][0] - pixel[0]) + b * (seen[k][1] - pixel[1])
+        columns += [a * u + b * v for u, v in zip(*by_lens, strict=True)]
+    a, b = normals[2:]
+    by_point = [a * u + b * v for u, v in zip(*second[1], strict=True)]
+    columns += [*cross(turned, by_point), *by_point]
+    return EpipolarResiduals(residuals, stacked(normals, (n,)).T, stacked(columns, (n,)).T)
 
 
 def motion_residuals(
-    head: HeadCalibration,
-    camera: str,
-    *,
-    before: Array,
-    now: Array,
-    earlier: Array,
-    later: Array,
-    depths_m: Array,
+    lens: Camera, T_now_before: Array, *, earlier: Array, later: Array, depths_m: Array
 ) -> MotionResiduals:
     """Return the residuals of points that a camera saw before and sees now.
 
     Args:
-        head: with this camera.
-        camera: its name.
-        before: (r,) readings then [rad].
-        now: (r,) readings now [rad].
+        lens: of the camera.
+        T_now_before: (4, 4) of it.
         earlier: (N, 2) pixels then.
         later: (N, 2) pixels now.
         depths_m: (N,) of the points along the optical axis, then.
     """
-    mounted, T_rbase_lbase, n = head.camera(camera), head.T_rbase_lbase, len(earlier)
-    moments = [
-        eye_motion(head.kinematics, mounted.eye, joints.tolist()) for joints in (before, now)
-    ]
-    centre, ray = _ray(mounted, T_rbase_lbase, moments[0], components(earlier.T))
+    (R, t), shape = pose_components(T_now_before), (len(earlier),)
+    (x, y), ((a, b), (c, d)) = normalised_rows(lens, *components(earlier.T))
     (depth,) = components(depths_m[None])
-    point = [c + depth * each for c, each in zip(centre, ray, strict=True)]
-    both = [projected(mounted, T_rbase_lbase, eye.R, eye.t, point) for eye in moments]
-    by_angles = [
-        by_increments(own.by_T_base_eye, eye.by_angles)
-        for own, eye in zip(both, moments, strict=True)
-    ]
-    # The point follows what the earlier pixel demands, at its depth along the ray.
-    a, b = both[0].by_point
-    by_u, by_v = cross(b, ray), cross(ray, a)
-    det = dot(a, by_u)
-    (uu, uv), (vu, vv) = (
-        (quotient(dot(row, by_u), det), quotient(dot(row, by_v), det)) for row in both[1].by_point
-    )
-
-    def by_earlier(u: Component, v: Component) -> tuple[Component, Component]:
-        return uu * u + uv * v, vu * u + vv * v
-
-    by_parameters = np.zeros((len(parameter_names(head)), 2, n))
-    then, later_on = (
-        by_camera_columns(own, eye, each)
-        for own, eye, each in zip(both, moments, by_angles, strict=True)
-    )
-    for column, of_then, (u, v) in zip(camera_columns(head, camera), then, later_on, strict=True):
-        lost_u, lost_v = by_earlier(*of_then)
-        by_parameters[column, 0], by_parameters[column, 1] = u - lost_u, v - lost_v
-    by_before, by_now = np.zeros((2, len(now), 2, n))
-    for joint, reading, factor in moments[0].angle_by_readings:
-        for k in (0, 1):
-            by_before[reading, k] -= factor * by_earlier(*by_angles[0][joint])[k]
-            by_now[reading, k] += factor * by_angles[1][joint][k]
-    by_depth = [depth * dot(row, ray) for row in both[1].by_point]
+    point = depth * x, depth * y, depth
+    turned = times(R, point)
+    _, _, by_lens_then = projection_rows(lens, point)
+    pixel, by_point, by_lens = projection_rows(lens, plus(turned, t))
+    # The point follows what the earlier pixel demands, at its depth.
+    det = a * d - b * c
+    along_x, along_y, _ = transposed(R)
+    columns = []
+    for row, own in zip(by_point, by_lens, strict=True):
+        by_x, by_y = (quotient(depth * dot(row, axis), det) for axis in (along_x, along_y))
+        by_u, by_v = by_x * d - by_y * c, by_y * a - by_x * b
+        of_lens = [now - by_u * u - by_v * v for now, u, v in zip(own, *by_lens_then, strict=True)]
+        columns.append([*of_lens, *cross(turned, row), *row])
     return MotionResiduals(
-        residuals=later - stacked(both[1].pixel, (n,)).T,
-        by_parameters=by_parameters.transpose(2, 1, 0),
-        by_before=by_before.transpose(2, 1, 0),
-        by_now=by_now.transpose(2, 1, 0),
-        by_depth=stacked(by_depth, (n,)).T,
+        residuals=later - stacked(pixel, shape).T,
+        by_coordinates=stacked(columns, shape, 2).transpose(2, 0, 1),
+        by_depth=stacked([dot(row, turned) for row in by_point], shape).T,
     )
 
 
 def depths_of_matches(
-    head: HeadCalibration, joints: Array, left: Array, right: Array, cameras: tuple[str, str]
+    lenses: tuple[Camera, Camera], T_rcam_lcam: Array, left: Array, right: Array
 ) -> tuple[Array, Array]:
     """Return how far the points of matches are along the optical axes of both cameras, (N,) [m]."""
-    pair, eyes = stereo_cameras(head, cameras), eye_motions(head, joints[None])
-    seen = components(left.T), components(right.T)
-    point = _points(pair, head.T_rbase_lbase, eyes, seen)
-    depths = []
-    for mounted, eye in zip(pair, eyes, strict=True):
-        R, centre = camera_pose(mounted, head.T_rbase_lbase, eye.R, eye.t)
-        depths.append(np.maximum(dot(minus(point, centre), transposed(R)[2]), _NEAREST_M))
+    R, t = pose_components(T_rcam_lcam)
+    point = _points(lenses, (R, t), (components(left.T), components(right.T)))
+    depths = [np.maximum(p[2], _NEAREST_M) for p in (point, plus(times(R, point), t))]
     first, second = stacked(depths, (len(left),))
     return first, second
 
 
-def _ray(
-    mounted: MountedCamera, T_rbase_lbase: Array, eye: EyeMotion, pixel: Vector
-) -> tuple[Vector, Vector]:
-    """Return the centre of a camera, and the ray of a pixel with depth 1 along the optical axis.
-
-    In the left eye's base, by components.
-    """
-    R, centre = camera_pose(mounted, T_rbase_lbase, eye.R, eye.t)
-    (x, y), _ = normalised_rows(mounted.intrinsics, *pixel)
-    return centre, times(R, (x, y, 1.0))
-
-
 def _points(
-    pair: tuple[MountedCamera, MountedCamera],
-    T_rbase_lbase: Array,
-    eyes: tuple[EyeMotion, EyeMotion],
-    seen: tuple[Vector, Vector],
+    lenses: tuple[Camera, Camera], T_rcam_lcam: tuple[Rows, Vector], seen: tuple[Vector, Vector]
 ) -> Vector:
     """Return the point midway between the rays of both pixels where they are nearest.
 
-    In the left eye's base, by components.
+    In the left camera, by components.
     """
-    (centre, left), (other, right) = (
-        _ray(mounted, T_rbase_lbase, eye, pixel)
-        for mounted, eye, pixel in zip(pair, eyes, seen, strict=True)
+    back = transposed(T_rcam_lcam[0])
+    (x, y), (x_right, y_right) = (
+        normalised_rows(lens, *pixel)[0] for lens, pixel in zip(lenses, seen, strict=True)
     )
-    between = minus(other, centre)
+    left, right = (x, y, 1.0), times(back, (x_right, y_right, 1.0))
+    other = minus((0.0, 0.0, 0.0), times(back, T_rcam_lcam[1]))
     ll, lr, rr = dot(left, left), dot(left, right), dot(right, right)
-    lb, rb = dot(left, between), dot(right, between)
+    lb, rb = dot(left, other), dot(right, other)
     sine2 = np.maximum(ll * rr - lr * lr, 1e-12)
     depths = (rr * lb - lr * rb) / sine2, (lr * lb - ll * rb) / sine2
     near, far = (np.where(z > 0, np.clip(z, _NEAREST_M, _FARTHEST_M), _FARTHEST_M) for z in depths)
-    return [
-        (c + near * a + d + far * b) / 2
-        for c, d, a, b in zip(centre, other, left, right, strict=True)
-    ]
+    return [(near * a + d + far * b) / 2 for d, a, b in zip(other, left, right, strict=True)]
 
 
 def _normals(left: Rows, right: Rows) -> Vector:

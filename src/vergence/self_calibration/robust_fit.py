@@ -5,11 +5,15 @@ three residuals each starts a reweighted fit with a fixed scale. This is done wi
 first; where that fit ended all are linearised, and fitted in the same way. Where they are linear up
 to there, all are linearised at once. What the residuals say is kept apart from the prior, as normal
 equations.
+
+Residuals depend on the unknowns through fewer coordinates: those of two lenses and of one pose, of
+a head with many joints and mountings. The fit is made in these, with the prior that they have.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -43,8 +47,20 @@ LINEAR_RAD = 0.005
 most, with focal lengths up to 800 px."""
 
 
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """n residuals after a change of the K unknowns, and their derivatives there."""
+
+    residuals: Array
+    """(n,) [standard deviations]"""
+    by_coordinates: Array
+    """(n, k) with the sign of what is predicted, by the coordinates that they depend on."""
+    by_unknowns: Array
+    """(k, K) of these coordinates."""
+
+
 def robust_fit(
-    linearised: Callable[[Array, np.ndarray], tuple[Array, Array]],
+    linearised: Callable[[Array, np.ndarray], Linearised],
     C: Array,
     *,
     pixels: Array,
@@ -56,8 +72,7 @@ def robust_fit(
     """Return the change (K,) that residuals and prior give, weights (N,), and what residuals say.
 
     Args:
-        linearised: returns residuals (n,) [standard deviations] of some (n,) of the pixels, after a
-            change (K,), and their derivatives (n, K) there, with the sign of what is predicted.
+        linearised: returns the residuals of some (n,) of the pixels after a change (K,).
         C: (K, K) prior covariance of the change.
         pixels: (N, 2) where the residuals are in the image.
         match_scale: noise that the standard deviations assume, relative to what windows tell.
@@ -66,37 +81,45 @@ def robust_fit(
         linear: whether residuals are linear enough up to a change (K,), so that they need not be
             linearised again there; None: they never are.
     """
-    first, prior = np.zeros(len(C)), np.asarray(np.linalg.inv(C), float)
-    everyone = np.arange(len(pixels))
+    everyone, first = np.arange(len(pixels)), np.zeros(len(C))
     few = np.linspace(0, len(pixels), min(len(pixels), _FIRST), endpoint=False, dtype=int)
-    y, A = linearised(first, few if linear is None else everyone)
+    found = linearised(first, few if linear is None else everyone)
     started = slice(None) if linear is None else few
-    own = np.asarray(np.linalg.inv(C[fixed:, fixed:]), float) if fixed else prior
-    start = _best_hypothesis(y[started], A[started, fixed:], C[fixed:, fixed:])
-    first[fixed:] = _reweighted(y[started], A[started, fixed:], own, start)
+    y, A, M = found.residuals, found.by_coordinates, found.by_unknowns
+    free = M[:, fixed:] @ C[fixed:, fixed:]
+    S = free @ M[:, fixed:].T
+    start = _best_hypothesis(y[started], A[started], S)
+    first[fixed:] = _reweighted(y[started], A[started], S, start) @ free
     if linear is None or not linear(first):
-        y, A = linearised(first, everyone)
-        y = y + A @ first  # of the linear model about no change
-    z = _reweighted(y, A, prior, first)
-    weights, scale2 = tukey_weights(y - A @ z), noise_variance(y - A @ z)
-    normal = (y - A @ z) / np.sqrt(scale2)
+        found = linearised(first, everyone)
+        y, A, M = found.residuals, found.by_coordinates, found.by_unknowns
+        y = y + A @ (M @ first)  # of the linear model about no change
+    S = M @ C @ M.T
+    w = S @ _reweighted(y, A, S, M @ first)
+    weights, scale2 = tukey_weights(y - A @ w), noise_variance(y - A @ w)
+    normal = (y - A @ w) / np.sqrt(scale2)
     inflation, blocks = design_effect(normal, pixels, expected_design_effect)
     weighted = A * (weights / (scale2 * inflation))[:, None]
-    information, vector = weighted.T @ A, weighted.T @ y
-    z = np.asarray(np.linalg.solve(information + prior, vector), float)
+    N, b = weighted.T @ A, weighted.T @ y
+    pull = _pull(N, b, S)
+    w = S @ pull
     scale = float(np.sqrt(scale2)) * match_scale
     inliers = float((weights > INLIER).sum())
     # What no change of the geometry explains is not known to be noise of another scale.
-    misfit = float(tukey_loss(y - A @ z).sum()) / expected_design_effect
-    misfit += float(2 * vector @ z - z @ information @ z)
+    misfit = float(tukey_loss(y - A @ w).sum()) / expected_design_effect
+    misfit += float(2 * b @ w - w @ N @ w)
+    information, vector = M.T @ N @ M, M.T @ b
     says = Evidence(information, vector, inliers, scale, inflation, blocks, misfit)
-    return z, weights, says
+    return C @ (M.T @ pull), weights, says
 
 
-def _best_hypothesis(y: Array, A: Array, C: Array) -> Array:
-    """Return the change (K,) by three residuals and the prior that most others agree with."""
-    AC = A @ C
-    G = AC @ A.T
+def _best_hypothesis(y: Array, A: Array, S: Array) -> Array:
+    """Return the change (k,) by three residuals and the prior that most others agree with.
+
+    S (k, k) is the prior covariance of the coordinates.
+    """
+    AS = A @ S
+    G = AS @ A.T
     triples = _triples(len(y))
     G3 = G[triples[:, :, None], triples[:, None, :]]
     pull = np.linalg.solve(G3 + np.eye(3), y[triples][..., None])[..., 0]
@@ -106,7 +129,7 @@ def _best_hypothesis(y: Array, A: Array, C: Array) -> Array:
     prior = np.einsum("hi,hij,hj->h", pull, G3, pull)
     cost = np.minimum((y - predicted) ** 2, CUT**2).sum(axis=1) + prior
     best = int(cost.argmin())
-    return pull[best] @ AC[triples[best]]
+    return pull[best] @ AS[triples[best]]
 
 
 @lru_cache(maxsize=64)
@@ -115,12 +138,23 @@ def _triples(residuals: int) -> np.ndarray:
     return np.random.default_rng(0).integers(0, residuals, (_HYPOTHESES, 3))
 
 
-def _reweighted(y: Array, A: Array, prior: Array, z: Array) -> Array:
-    """Return the change (K,) by iteratively reweighted least squares with the prior's information.
+def _reweighted(y: Array, A: Array, S: Array, w: Array) -> Array:
+    """Return the `_pull` (k,) of iteratively reweighted least squares, which begin at a change w.
 
-    It begins at a change z.
+    S (k, k) is the prior covariance of the coordinates.
     """
+    pull = np.zeros(len(S))
     for _ in range(_STEPS):
-        weighted: Array = A * tukey_weights(y - A @ z)[:, None]
-        z = np.asarray(np.linalg.solve(weighted.T @ A + prior, weighted.T @ y), float)
-    return z
+        weighted: Array = A * tukey_weights(y - A @ w)[:, None]
+        pull = _pull(weighted.T @ A, weighted.T @ y, S)
+        w = S @ pull
+    return pull
+
+
+def _pull(N: Array, b: Array, S: Array) -> Array:
+    """Return (k,) by which normal equations and a prior covariance (k, k) change coordinates.
+
+    They change by S times it, and unknowns by their own covariance with the coordinates times it.
+    Unlike the inverse of S it exists if the prior does not leave every coordinate free.
+    """
+    return np.asarray(np.linalg.solve(np.eye(len(S)) + N @ S, b), float)
