@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields
+from functools import cache
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
@@ -99,11 +100,14 @@ def replace_unchecked(instance: _Instance, **changes: Any) -> _Instance:
     for value in changes.values():
         if isinstance(value, np.ndarray):
             value.setflags(write=False)
-    vars(changed).update(
-        (each.name, changes.get(each.name, getattr(instance, each.name)))
-        for each in fields(instance)  # pyright: ignore
-    )
+    own = vars(instance)  # also has what was cached, which would be wrong
+    vars(changed).update({name: own[name] for name in _field_names(type(instance))} | changes)
     return changed
+
+
+@cache
+def _field_names(kind: type) -> tuple[str, ...]:
+    return tuple(each.name for each in fields(kind))
 
 
 def scatter_add(values: Array, places: tuple[np.ndarray, ...], shape: tuple[int, ...]) -> Array:

@@ -17,7 +17,7 @@ import numpy as np
 from vergence.arrays import Array, replace_unchecked
 from vergence.errors import VergenceError
 from vergence.geometry import se3
-from vergence.geometry.camera import Camera
+from vergence.geometry.camera import MAX_NUMBER, MIN_FOCAL_PX, Camera
 from vergence.geometry.head import HeadCalibration, MountedCamera
 from vergence.geometry.joints import change_joints, joint_value
 from vergence.geometry.kinematics import EYES
@@ -86,7 +86,9 @@ def lens_of_vector(camera: Camera, values: Array) -> Camera:
     """Return a camera with other values (n,); ValueError if a focal length is not positive."""
     fx, fy, cx, cy, *distortion = values
     matrix = np.array([[fx, camera.matrix[0, 1], cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    return replace(camera, matrix=matrix, distortion=np.array(distortion))
+    new = {"matrix": matrix, "distortion": np.array(distortion)}
+    possible = min(fx, fy) >= MIN_FOCAL_PX and np.abs(values).max() <= MAX_NUMBER
+    return replace_unchecked(camera, **new) if possible else replace(camera, **new)  # says why not
 
 
 def boxplus(head: HeadCalibration, change: Array) -> HeadCalibration:
@@ -116,13 +118,10 @@ def boxplus(head: HeadCalibration, change: Array) -> HeadCalibration:
         count = len(head.kinematics.parameters[eye])
         eyes[eye] = change_joints(head.kinematics.eyes[eye], rest[:count])
         rest = rest[count:]
-    return replace(
-        head,
-        cameras=cameras,
-        T_rbase_lbase=T[-1],
-        kinematics=replace_unchecked(head.kinematics, eyes=eyes),
-        time_offset_s=head.time_offset_s + float(rest[0]),
-    )
+    kinematics = replace_unchecked(head.kinematics, eyes=eyes)
+    changed = replace_unchecked(head, cameras=cameras, T_rbase_lbase=T[-1], kinematics=kinematics)
+    later = float(rest[0])
+    return replace(changed, time_offset_s=head.time_offset_s + later) if later else changed
 
 
 def change_named(head: HeadCalibration, names: Sequence[str], change: Array) -> HeadCalibration:

@@ -218,31 +218,32 @@ def relief_around(at: Array, displaced: Array) -> Array:
         return np.zeros(len(at))
     tree = KDTree(at, balanced_tree=False, compact_nodes=False)  # is used but once
     far, which = tree.query(at, k=_NEIGHBOURS + 1, distance_upper_bound=_NEIGHBOUR_PX)
-    far = np.asarray(far)[:, 1:]
+    # Neighbours first: sums over them are then of long rows.
+    far, which = (np.ascontiguousarray(np.asarray(each).T[1:]) for each in (far, which))
     near = np.isfinite(far)
-    which = np.where(near, np.asarray(which)[:, 1:], 0)
-    x, y = np.moveaxis((at[which] - at[:, None]) / _SURFACE_PX, -1, 0)
+    which = np.where(near, which, 0)
+    x, y = ((each[which] - each) / _SURFACE_PX for each in at.T)
     weights = np.where(near, 1 / (1 + (far / _SURFACE_PX) ** 2), 0.0)
-    values = displaced[which] - displaced[:, None]
+    values = displaced[which] - displaced
     apart = values - _planes(x, y, weights, values)[0]
-    weights[np.arange(len(at)), (np.abs(apart) * near).argmax(axis=1)] = 0
+    weights[(np.abs(apart) * near).argmax(axis=0), np.arange(len(at))] = 0
     plane, here = _planes(x, y, weights, values)
-    square = (weights * (values - plane) ** 2).sum(axis=1) + here**2
-    return np.sqrt(square / (weights.sum(axis=1) + 1))
+    square = (weights * (values - plane) ** 2).sum(axis=0) + here**2
+    return np.sqrt(square / (weights.sum(axis=0) + 1))
 
 
 def _planes(x: Array, y: Array, weights: Array, values: Array) -> tuple[Array, Array]:
-    """Return planes fitted to values (N, k): at their k places (N, k), and in the middle (N,)."""
+    """Return planes fitted to values (k, N): at their k places (k, N), and in the middle (N,)."""
     wx, wy = weights * x, weights * y
-    one, to_x, to_y = weights.sum(axis=1), wx.sum(axis=1), wy.sum(axis=1)
-    xx, xy, yy = ((a * b).sum(axis=1) for a, b in ((wx, x), (wx, y), (wy, y)))
-    right = [(each * values).sum(axis=1) for each in (weights, wx, wy)]
+    one, to_x, to_y = weights.sum(axis=0), wx.sum(axis=0), wy.sum(axis=0)
+    xx, xy, yy = ((a * b).sum(axis=0) for a, b in ((wx, x), (wx, y), (wy, y)))
+    right = [(each * values).sum(axis=0) for each in (weights, wx, wy)]
     # Of neighbours on one line, the flattest.
     a, b, c = (one + 1e-3, to_x, to_y), (to_x, xx + 1e-3, xy), (to_y, xy, yy + 1e-3)
     columns = transposed((cross(b, c), cross(c, a), cross(a, b)))
     det = dot(a, [column[0] for column in columns])
     here, by_x, by_y = (dot(column, right) / det for column in columns)
-    return here[:, None] + by_x[:, None] * x + by_y[:, None] * y, here
+    return here + by_x * x + by_y * y, here
 
 
 def _best_of_cells(view: np.ndarray, inside: np.ndarray) -> Array:
@@ -260,7 +261,7 @@ def _best_of_cells(view: np.ndarray, inside: np.ndarray) -> Array:
     at, best = _strongest(smaller, wanted_px)
     if not len(at):
         return at
-    weak, strong = np.quantile(best, [0.05, 0.95])
+    weak, strong = np.sort(best)[[len(best) // 20, -1 - len(best) // 20]]
     least = min(_ABOVE_NOISE * weak, _BELOW_TEXTURE * strong)
     textured = np.count_nonzero(best > least) / len(best)
     at, best = _strongest(smaller, wanted_px * np.sqrt(textured))

@@ -14,7 +14,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.geometry.camera import Camera, pixel_rows
 from vergence.geometry.components import times
-from vergence.geometry.se3 import rotation, rotvec
+from vergence.geometry.se3 import nearest_rotation
 from vergence.vision.exposure import grey_levels
 from vergence.vision.least_squares_matching import WINDOW_PX
 
@@ -53,7 +53,7 @@ def turned_views(
     the first camera's image, and have the mean of both focal lengths.
     """
     # Each camera turns half of the way.
-    R_second_view = rotation(rotvec(T_second_first[:3, :3]) / 2)
+    R_second_view = nearest_rotation(np.eye(3) + T_second_first[:3, :3])
     focal = (cameras[0].matrix[0, 0] + cameras[1].matrix[0, 0]) / 2
     size = cameras[0].width, cameras[0].height
     middle = (np.array(size) - 1) / 2
