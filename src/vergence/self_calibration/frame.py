@@ -238,8 +238,7 @@ def _whitened(
 ) -> Linearised:
     """Return residuals of N matches in their standard deviations; unknowns are P + r."""
     pair = pair_coordinates(head, state.names, joints, state.cameras)
-    lenses = head.camera(state.cameras[0]).intrinsics, head.camera(state.cameras[1]).intrinsics
-    found = epipolar_residuals(lenses, pair.T_second_first, matches.left, matches.right)
+    found = epipolar_residuals(pair.lenses, pair.T_second_first, matches.left, matches.right)
     A, n = found.by_coordinates, found.normals[:, 2:]
     std = state.match_scale * np.sqrt(np.einsum("ni,nij,nj->n", n, matches.covariance, n))
     good = np.isfinite(found.residuals) & np.isfinite(A).all(axis=1)

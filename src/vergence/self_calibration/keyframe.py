@@ -234,11 +234,11 @@ def _whitened(
     assert state.keyframe is not None
     P, r = len(state.names), len(seen.readings)
     head = change_named(state.head, state.names, change[:P])
-    matches, camera = tracked.matches[k], state.cameras[k]
+    matches = tracked.matches[k]
     before, now = state.keyframe.joints + change[P + r :], seen.readings + change[P : P + r]
-    coordinates = motion_coordinates(head, state.names, before, now, camera)
+    coordinates = motion_coordinates(head, state.names, before, now, state.cameras[k])
     found = motion_residuals(
-        head.camera(camera).intrinsics,
+        coordinates.lenses[0],
         coordinates.T_second_first,
         earlier=matches.left,
         later=matches.right,
@@ -283,7 +283,7 @@ def next_keyframe(
     fits = np.flatnonzero(seen.weights > INLIER)  # in rows of the image: from all of its parts
     fits = fits[np.linspace(0, len(fits), min(len(fits), _FEATURES), endpoint=False, dtype=int)]
     left, right = seen.matches.left[fits], seen.matches.right[fits]
-    lenses = head.camera(state.cameras[0]).intrinsics, head.camera(state.cameras[1]).intrinsics
+    lenses = [head.camera(name).intrinsics for name in state.cameras]
     return Keyframe(
         readings=seen.readings,
         # Copies, since a driver may write the next images into the same arrays.

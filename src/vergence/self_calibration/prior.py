@@ -221,8 +221,8 @@ def _by_epipolar_lines(
     Of points all over the image that both cameras see; N is 0 if there are none.
     """
     straight = straight_gaze(head.kinematics)
-    lenses = head.camera(cameras[0]).intrinsics, head.camera(cameras[1]).intrinsics
     pair = pair_coordinates(head, names, straight, cameras)
+    lenses = pair.lenses
     baseline = float(np.linalg.norm(pair.T_second_first[:3, 3]))
     left = np.tile(pixel_grid(lenses[0]), (len(_BASELINES_AWAY), 1))
     depths = np.repeat(_BASELINES_AWAY, len(left) // len(_BASELINES_AWAY)) * baseline

@@ -24,7 +24,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry.camera import Camera, normalised_rows, projection_rows
-from vergence.geometry.camera_motion import camera_motion, relative_motion
+from vergence.geometry.camera_motion import RelativeMotion, camera_motion, relative_motion
 from vergence.geometry.components import (
     Rows,
     Vector,
@@ -52,6 +52,8 @@ _NEAREST_M = 0.02
 class Coordinates:
     """What the pixels of a scene depend on at one moment or two: lenses, and one pose."""
 
+    lenses: tuple[Camera, ...]
+    """Of the left and the right camera, or of the only one."""
     T_second_first: Array
     """(4, 4) how one camera stands to the other, or now to where it stood."""
     by_unknowns: Array
@@ -92,10 +94,7 @@ def pair_coordinates(
     """
     left, right = (camera_motion(head, name, joints) for name in cameras)
     motion = relative_motion(left, right)
-    by_readings = (motion.by_first + motion.by_second,)
-    return _coordinates(
-        head, names, cameras, motion.T_second_first, motion.by_parameters, by_readings
-    )
+    return _coordinates(head, names, cameras, motion, [motion.by_first + motion.by_second])
 
 
 def motion_coordinates(
@@ -107,33 +106,30 @@ def motion_coordinates(
     K = P + 2 r.
     """
     motion = relative_motion(*(camera_motion(head, camera, joints) for joints in (before, now)))
-    by_readings = motion.by_second, motion.by_first
-    return _coordinates(
-        head, names, (camera,), motion.T_second_first, motion.by_parameters, by_readings
-    )
+    return _coordinates(head, names, (camera,), motion, [motion.by_second, motion.by_first])
 
 
 def _coordinates(
     head: HeadCalibration,
     names: tuple[str, ...],
     cameras: Sequence[str],
-    T: Array,
-    by_parameters: Array,
+    motion: RelativeMotion,
     by_readings: Sequence[Array],
 ) -> Coordinates:
     columns = named_columns(head, names)
-    of_pose = np.concatenate([by_parameters[:, columns], *by_readings], axis=1)
+    of_pose = np.concatenate([motion.by_parameters[:, columns], *by_readings], axis=1)
     rows = [
         camera_columns(head, name)[: len(intrinsics_names(head.camera(name).intrinsics))]
         for name in cameras
     ]
     of_lenses = np.zeros((sum(map(len, rows)), of_pose.shape[1]))
     of_lenses[:, : len(columns)] = np.concatenate(rows)[:, None] == columns
-    return Coordinates(T, np.concatenate([of_lenses, of_pose]))
+    lenses = tuple(head.camera(name).intrinsics for name in cameras)
+    return Coordinates(lenses, motion.T_second_first, np.concatenate([of_lenses, of_pose]))
 
 
 def epipolar_residuals(
-    lenses: tuple[Camera, Camera], T_rcam_lcam: Array, left: Array, right: Array
+    lenses: Sequence[Camera], T_rcam_lcam: Array, left: Array, right: Array
 ) -> EpipolarResiduals:
     """Return the residuals of matches: pixels (N, 2) in two cameras at T_rcam_lcam (4, 4)."""
     (R, t), n = pose_components(T_rcam_lcam), len(left)
@@ -193,7 +189,7 @@ def motion_residuals(
 
 
 def depths_of_matches(
-    lenses: tuple[Camera, Camera], T_rcam_lcam: Array, left: Array, right: Array
+    lenses: Sequence[Camera], T_rcam_lcam: Array, left: Array, right: Array
 ) -> tuple[Array, Array]:
     """Return how far the points of matches are along the optical axes of both cameras, (N,) [m]."""
     R, t = pose_components(T_rcam_lcam)
@@ -204,7 +200,7 @@ def depths_of_matches(
 
 
 def _points(
-    lenses: tuple[Camera, Camera], T_rcam_lcam: tuple[Rows, Vector], seen: tuple[Vector, Vector]
+    lenses: Sequence[Camera], T_rcam_lcam: tuple[Rows, Vector], seen: tuple[Vector, Vector]
 ) -> Vector:
     """Return the point midway between the rays of both pixels where they are nearest.
 
