@@ -1,12 +1,14 @@
-"""Pinhole pictures of a compiled model, of several sizes, in one OpenGL context.
+"""Pinhole pictures of compiled models, of several sizes, in one OpenGL context for each thread.
 
-`mujoco.Renderer` opens a context for each size, and in each of them Mesa compiles its shaders anew:
-0.3 to 0.4 s of processor time, as much as a dozen pictures take.
+`mujoco.Renderer` opens a context for each model and size, and in each of them Mesa compiles its
+shaders anew: 0.3 to 0.4 s of processor time, as much as a dozen pictures take.
 """
 
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
+import atexit
+import threading
 from collections.abc import Iterable
 from typing import NamedTuple
 
@@ -16,6 +18,7 @@ import numpy as np
 from vergence.arrays import Array
 
 _MOST_GEOMS = 10_000
+_opened = threading.local()
 _HIDDEN = ("SKYBOX", "HAZE", "SHADOW", "REFLECTION")  # the room is closed: they are not visible
 
 
@@ -43,7 +46,7 @@ class Offscreen:
         self._option, self._view = mujoco.MjvOption(), mujoco.MjvCamera()
         self._view.type = mujoco.mjtCamera.mjCAMERA_FIXED
         self._buffers: dict[Format, mujoco.MjrContext] = {}
-        self._opengl = mujoco.GLContext(1, 1)  # of no matter: each buffer has its own size
+        self._opengl = _context()
         size, quality = model.vis.global_, model.vis.quality
         before = size.offwidth, size.offheight, quality.offsamples
         try:
@@ -94,12 +97,20 @@ class Offscreen:
         mujoco.mjr_readPixels(colours, nearness, whole, buffer)
 
     def close(self) -> None:
-        """Release OpenGL's resources."""
+        """Release what the pictures take; the context stays, for the next model."""
         self._opengl.make_current()
         for buffer in self._buffers.values():
             buffer.free()
         self._buffers.clear()
-        self._opengl.free()
+
+
+def _context() -> mujoco.GLContext:
+    """Return the OpenGL context of this thread, which is open until the thread ends."""
+    if not hasattr(_opened, "context"):
+        _opened.context = mujoco.GLContext(1, 1)  # of no matter: each buffer has its own size
+        if threading.current_thread() is threading.main_thread():
+            atexit.register(_opened.context.free)  # before the backend closes the display
+    return _opened.context
 
 
 def _buffer(model: mujoco.MjModel) -> mujoco.MjrContext:
