@@ -24,7 +24,7 @@ from vergence.vision.least_squares_matching import REACH, WINDOW_PX, match_windo
 from vergence.vision.plane_sweep import inverse_depths, step_px
 from vergence.vision.turned_views import TurnedViews, on_map, turned_views, whole_windows
 
-_FEATURES = 900
+_FEATURES = 1000
 """About how many are sought, however large the part is that both eyes see and that has texture.
 They are spread evenly: taking more where contrast is high, or where features tell most of the turn
 between the eyes, would let a near thing with a repeated pattern outvote the rest."""
@@ -270,15 +270,18 @@ def _best_of_cells(view: np.ndarray, inside: np.ndarray) -> Array:
 
 def _strongest(values: np.ndarray, side_px: float) -> tuple[Array, np.ndarray]:
     """Return where (N, 2) the largest positive value of each cell is, and these values (N,)."""
-    side = min(max(round(float(side_px)), _SMALLEST_CELL_PX // 2), _LARGEST_CELL_PX // 2)
-    rows, columns = (n // side for n in values.shape)
-    cells = values[: rows * side, : columns * side]
-    cells = cells.reshape(rows, side, columns, side).swapaxes(1, 2)
+    side = min(max(float(side_px), _SMALLEST_CELL_PX / 2), _LARGEST_CELL_PX / 2)
+    # Whole pixels, and about as many as wanted: squares may be a third too large or too small.
+    height = round(side)
+    width = round(side**2 / height)
+    rows, columns = values.shape[0] // height, values.shape[1] // width
+    cells = values[: rows * height, : columns * width]
+    cells = cells.reshape(rows, height, columns, width).swapaxes(1, 2)
     cells = cells.reshape(rows, columns, -1)
     largest, best = cells.max(axis=-1), cells.argmax(axis=-1)
     row, column = np.nonzero(largest > 0)
-    down, across = np.divmod(best[row, column], side)
-    at = np.stack([column * side + across, row * side + down], axis=-1).astype(float)
+    down, across = np.divmod(best[row, column], width)
+    at = np.stack([column * width + across, row * height + down], axis=-1).astype(float)
     return at, largest[row, column]
 
 
