@@ -86,6 +86,7 @@ def robust_fit(
     found = linearised(first, few if linear is None else everyone)
     started = slice(None) if linear is None else few
     y, A, M = found.residuals, found.by_coordinates, found.by_unknowns
+    # S is the prior covariance of the coordinates, w a change of them.
     free = M[:, fixed:] @ C[fixed:, fixed:]
     S = free @ M[:, fixed:].T
     start = _best_hypothesis(y[started], A[started], S)
@@ -154,7 +155,8 @@ def _reweighted(y: Array, A: Array, S: Array, w: Array) -> Array:
 def _pull(N: Array, b: Array, S: Array) -> Array:
     """Return (k,) by which normal equations and a prior covariance (k, k) change coordinates.
 
-    They change by S times it, and unknowns by their own covariance with the coordinates times it.
-    Unlike the inverse of S it exists if the prior does not leave every coordinate free.
+    Coordinates change by S times it, and the unknowns by their prior covariance with the
+    coordinates times it. It exists even where the prior holds some of them fixed, so that S has no
+    inverse.
     """
     return np.asarray(np.linalg.solve(np.eye(len(S)) + N @ S, b), float)
