@@ -105,8 +105,8 @@ def calibrate(
         data: a dataset, in whose images the board is then sought; or the observations of one's own
             detector.
         method: the paper's steps alone, or bundle adjustment, which starts from them.
-        lens: lens model of all cameras, or by camera; "auto": the one that predicts held-out images
-            best or, for the paper's method, the paper's: radial-tangential, and none for the narrow
+        lens: lens model of all cameras, or by camera; "auto": the one that its images speak
+            for or, for the paper's method, the paper's: radial-tangential, and none for the narrow
             cameras.
         progress: see vergence.progress.
 
