@@ -8,7 +8,7 @@ import pytest
 
 from board_flips import count, flips, rolled, squared
 from simulated_head import random_head
-from simulated_recording import Noise, Recording, record
+from simulated_recording import Noise, Recording, as_poses, record
 from vergence.arrays import Array
 from vergence.calibration.checks import flip_evidence
 from vergence.calibration.checks.board_flips import (
@@ -109,6 +109,41 @@ def test_boards_that_one_view_leaves_open_are_named():
     (said,) = warnings(found)
     assert "is not clear" in said
     assert "view 0 of left_wide; view 0 of right_wide" in said
+
+
+ONE_PLACEMENT = [
+    replace(POOR, straight=0, orientations=views, alike=False) for views in (3, 4, 5, 8, 12)
+]
+
+
+@pytest.mark.parametrize("recording", ONE_PLACEMENT, ids=lambda each: each.orientations)
+def test_a_board_at_one_place_is_not_doubted(recording: Recording):
+    for seed in range(20, 25):
+        truth, views = seen(seed, recording)
+        found = number_alike(views, rough_poses(truth, views))
+        assert not any(each.any() for each in found.turns.values())
+        assert warnings(found) == ()
+
+
+@pytest.mark.parametrize("recording", ONE_PLACEMENT, ids=lambda each: each.orientations)
+def test_a_board_at_one_place_that_one_camera_numbers_from_the_other_end_is_turned(
+    recording: Recording,
+):
+    for seed in range(20, 25):
+        truth, views = seen(seed, recording)
+        upside_down = {"right_wide": np.ones(len(views.placement), int)}
+        bad = turn_boards(views, upside_down)
+        found = number_alike(bad, rough_poses(truth, bad))
+        shared = [each.astype(bool) for each in found.turns.values() if each.any()]
+        assert warnings(found) == ()
+        np.testing.assert_array_equal(shared, [np.ones(len(views.placement), bool)])
+
+
+def test_bases_of_measured_poses_tell_nothing_of_a_board_at_one_place():
+    truth, views = seen(20, ONE_PLACEMENT[-1])
+    views = as_poses(views)
+    (said,) = warnings(number_alike(views, rough_poses(truth, views)))
+    assert "is not clear" in said
 
 
 def votes(

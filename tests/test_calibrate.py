@@ -127,17 +127,12 @@ def test_a_calibration_that_predicts_held_out_points_far_too_badly_is_void(recor
 
 @pytest.mark.usefixtures("two_folds")
 @pytest.mark.parametrize("ratio", [3.0, 11.0])
-def test_parts_of_few_views_that_differ_are_not_blamed_on_errors_alone(
-    recorded, monkeypatch, ratio
-):
+def test_parts_of_the_views_that_differ_are_doubted_or_void(recorded, monkeypatch, ratio):
     differing = HeldOut(12, 12, 0.1, 0, None, None, None, jackknife_ratio=ratio)
     monkeypatch.setattr(calibrate_module, "held_out", lambda *_: differing)
-    observed = recorded[1]
-    for views, few in ((observed.take(np.arange(36) % 3 == 0), True), (observed, False)):
-        found = calibrate(views)
-        (said,) = (each for each in found.warnings if f"differ {ratio} times as much" in each)
-        assert (said in found.accuracy.void) == (ratio > 10)
-        assert ("or record more: 12 views" in said) == few
+    found = calibrate(recorded[1])
+    (said,) = (each for each in found.warnings if f"differ {ratio} times as much" in each)
+    assert (said in found.accuracy.void) == (ratio > 10)
 
 
 @pytest.mark.usefixtures("two_folds")

@@ -244,7 +244,7 @@ def test_the_denominator_that_is_assumed_is_an_equidistant_lens():
 
 
 @pytest.mark.parametrize("model", ["none", "radial-tangential", "radial-tangential-k3", "fisheye"])
-def test_the_lens_that_is_true_predicts_held_out_views_best(model):
+def test_the_lens_that_is_true_is_chosen(model):
     rng = np.random.default_rng(6)
     plain = {"none": (), "radial-tangential": (-0.1, 0.01, 1e-3, -1e-3, 0.0)}
     camera = LENSES.get(model) or pinhole(640, 480, 400.0, plain[model] or None)
@@ -256,6 +256,31 @@ def test_the_lens_that_is_true_predicts_held_out_views_best(model):
     assert choice.held_out_px[model] == pytest.approx(0.1, rel=0.07)
     again = best_lens(corners, POINTS, size=SIZE, otherwise="k1")
     assert again == choice
+
+
+FEW_VIEWS = range(10, 16)
+
+
+def chosen(corners: np.ndarray, rng: np.random.Generator) -> str:
+    """Return the model that is chosen for a camera by exact corners, with large noise."""
+    noisy = corners + rng.normal(0, 0.3, corners.shape)
+    return best_lens(noisy, POINTS, size=SIZE, otherwise="k1").model
+
+
+def test_few_views_of_a_usual_lens_are_no_evidence_of_another_one():
+    rng, found = np.random.default_rng(11), []
+    for n in np.repeat(FEW_VIEWS, 8):
+        seen = views(lens(rng, 0, 1, 2, 3), boards(n, rng))
+        inside = ((seen > 0) & (seen < SIZE)).all(axis=-1, keepdims=True)
+        found.append(chosen(np.where(inside, seen, np.nan), rng))
+    assert found == ["radial-tangential"] * len(found)
+
+
+def test_few_views_of_the_whole_image_show_a_fisheye():
+    rng = np.random.default_rng(12)
+    fisheye = LENSES["fisheye"]
+    found = [chosen(scattered(fisheye, n, rng), rng) for n in np.repeat(FEW_VIEWS, 3)]
+    assert found == ["fisheye"] * len(found)
 
 
 def test_the_held_out_error_is_that_of_fits_without_the_views():

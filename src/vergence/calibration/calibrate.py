@@ -13,7 +13,6 @@ from vergence.arrays import Array
 from vergence.calibration.bundle.bundle_adjustment import BundleEstimate, bundle_adjust
 from vergence.calibration.checks import axes_and_eyes, board_flips, encoders, excitation
 from vergence.calibration.checks.cross_validation import (
-    EACH_BELOW,
     PartCalibration,
     calibrate_folds,
     held_out,
@@ -106,8 +105,8 @@ def calibrate(
         data: a dataset, in whose images the board is then sought; or the observations of one's own
             detector.
         method: the paper's steps alone, or bundle adjustment, which starts from them.
-        lens: lens model of all cameras, or by camera; "auto": the one that predicts held-out images
-            best or, for the paper's method, the paper's: radial-tangential, and none for the narrow
+        lens: lens model of all cameras, or by camera; "auto": the one that its images speak
+            for or, for the paper's method, the paper's: radial-tangential, and none for the narrow
             cameras.
         progress: see vergence.progress.
 
@@ -127,9 +126,10 @@ def calibrate(
         estimate = bundle_adjust(start.head, observations, T_cam_target=T_cam_target)
         estimate, preferred = predicting_better(start.head, observations, T_cam_target, estimate)
     progress("calibrating", 2, 3)
-    validated = _cross_validated(observations, partial(_calibrate_part, views, estimate))
-    progress("calibrating", 3, 3)
     found = start if estimate is None else estimate
+    whole = replace(found.head, accuracy=found.accuracy)
+    validated = _cross_validated(observations, whole, partial(_calibrate_part, views, estimate))
+    progress("calibrating", 3, 3)
     exchanged, unknown = (), ()
     if estimate is not None:
         exchanged, unknown = exchanged_readings(observations, found.head, estimate.T_base_eye)
@@ -289,11 +289,13 @@ class _Validation(NamedTuple):
 
 
 def _cross_validated(
-    observations: Observations, of_part: Callable[[np.ndarray], PartCalibration]
+    observations: Observations,
+    whole: HeadCalibration,
+    of_part: Callable[[np.ndarray], PartCalibration],
 ) -> _Validation:
     """Predict each fold of the views from a calibration by the others, of `of_part`."""
     try:
-        found = held_out(observations, calibrate_folds(observations, of_part))
+        found = held_out(observations, calibrate_folds(observations, of_part), whole)
     except VergenceError as error:
         return _Validation(None, (f"There is no held-out error: {error}",))
     if not found.transfer_views and len(set(camera_eyes(observations).values())) > 1:
@@ -305,15 +307,12 @@ def _cross_validated(
     if ratio is None or ratio <= LARGEST_JACKKNIFE_RATIO:
         return _Validation(found, contradictions=contradictions)
     said = f"Calibrations from parts of the views differ {ratio:.1f} times as much as stated: "
-    views, few = len(observations.placement), ""
-    if views < EACH_BELOW:
-        few = f", or record more: {views} views are so few that parts of them determine too little"
     if ratio > VOID_RATIO:
-        said += f"they contradict each other; look for views with wrong readings{few}."
+        said += "they contradict each other; look for views with wrong readings."
         return _Validation(found, contradictions=(said, *contradictions))
     said += (
         "true errors are larger than the stated ones by as much at least; look for errors that "
-        f"corners share (a board that bends, blur){few}."
+        "corners share (a board that bends, blur)."
     )
     return _Validation(found, (said,), contradictions)
 

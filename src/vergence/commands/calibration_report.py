@@ -214,9 +214,9 @@ def _lenses(result: CalibrationResult) -> list[str]:
             )
         )
     lines = [
-        "Where the model was not stated it is the one that predicts views best that its fit had",
-        "not seen, or a simpler one that is worse by no more than the difference's standard error.",
-        "Errors are of one coordinate of a corner, root mean square.",
+        "Where the model was not stated it is the one of the best Bayesian information criterion.",
+        "Errors are of one coordinate of a corner in views that the fit had not seen, root mean",
+        "square.",
         "",
         markdown_table("camera | lens model | held out [px] | runner-up, held out [px]", rows),
     ]

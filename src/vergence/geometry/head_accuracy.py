@@ -41,8 +41,8 @@ class HeldOut:
     jackknife_ratio: Annotated[
         float | None, Field(validation_alias=AliasChoices("jackknife_ratio", "scatter"))
     ] = None
-    """Standard deviation of the parameters by the jackknife over the folds, relative to the stated
-    one; 1 where the noise model is right. Files of version 0.1 call it scatter."""
+    """By how much the calibrations of the folds differ from that of all views, relative to what is
+    stated; 1 where the noise model is right. Files of version 0.1 call it scatter."""
     prediction_px: float | None = None
     """Root mean square distance of corners from where the view's reading, the calibration and the
     board, as other views of its placement show it, put them; None: there is no such view."""

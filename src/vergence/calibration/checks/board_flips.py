@@ -6,7 +6,9 @@ half a turn about its normal (a square one by any quarter). One image cannot tel
 - the eye's turn between two views of a board at rest is known from the joint readings, and a wrong
   half turn is far more than that;
 - cameras that see the board at the same moment, or at the same place, are related by a rotation
-  that all views share, and a wrong half turn does not fit it.
+  that all views share, and a wrong half turn does not fit it;
+- where the readings tell how two cameras are mounted, that rotation is the one between the bases of
+  their eyes, which is far less than a half turn. So one placement suffices.
 
 Only the board's rotation is used, and of the lenses only preliminary intrinsics, for which a turn
 of a whole view is no matter. How the cameras are mounted need not be known. If all images of one
@@ -23,6 +25,7 @@ from itertools import combinations
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.calibration.checks.axes_and_eyes import MOST_TURNED_DEG
 from vergence.calibration.checks.flip_evidence import (
     PRIOR,
     SPREAD_RAD,
@@ -41,6 +44,11 @@ from vergence.geometry.se3 import angle, nearest_rotation, pose, rotation, rotve
 
 CLEAR = 10.0
 """Evidence [nats] below which a view is left as it is, and named."""
+MOST_TURNED_RAD = np.radians(MOST_TURNED_DEG)
+"""Between the bases of the eyes, by the joint readings, and between the base of one eye as two of
+its cameras put it: farther than bases are apart, and half as far as the least turn of a board."""
+LEAST_MOUNTING_VIEWS = 3
+"""Of a board at rest, from which the eye's camera can be placed: two turns about two axes."""
 LEAST_SPREAD_RAD = 0.03
 """Root mean square motion about the second axis, from which the eye's camera can be placed."""
 
@@ -97,7 +105,7 @@ def number_alike(observations: Observations, T_cam_target: Mapping[str, Array]) 
         name: _consistent(observations.placement, T, T_base_eye[:, EYES.index(eyes[name])], R)
         for name, T in T_cam_target.items()
     }
-    _together(cameras, eyes, R)
+    _together(cameras, eyes, R, parallel_bases=observations.T_base_eye is None)
     for name, seen in cameras.items():
         turns[name][seen.view] = np.where(seen.unclear, 0, seen.turns)
         unclear[name][seen.view] = seen.unclear
@@ -199,7 +207,7 @@ def _consistent(
 
 def _mounting(R_base_eye: Array, R_cam_target: Array) -> Array | None:
     """Return R_eye_cam (3, 3) by views of one placement, or None where they move too little."""
-    if len(R_base_eye) < 4:
+    if len(R_base_eye) < LEAST_MOUNTING_VIEWS:
         return None
     motion = rotvec(np.swapaxes(R_base_eye[:1], 1, 2) @ R_base_eye)
     spread = np.linalg.svd(motion - motion.mean(axis=0), compute_uv=False) / np.sqrt(len(motion))
@@ -211,14 +219,27 @@ def _mounting(R_base_eye: Array, R_cam_target: Array) -> Array | None:
         return None
 
 
-def _together(cameras: Mapping[str, _CameraViews], eyes: Mapping[str, str], R: Array) -> None:
-    """Change the turns of whole placements in a camera so that the cameras agree."""
+def _together(
+    cameras: Mapping[str, _CameraViews],
+    eyes: Mapping[str, str],
+    R: Array,
+    *,
+    parallel_bases: bool,
+) -> None:
+    """Change the turns of whole placements in a camera so that the cameras agree.
+
+    Bases are parallel where the joints of both eyes turn about the head's axes.
+    """
     n = len(R)
     votes: dict[int, dict[tuple[str, str], Array]] = {}
     for a, b in combinations(cameras, 2):
-        placement, links = _links(cameras[a], cameras[b], R, same_eye=eyes[a] == eyes[b])
+        same_eye = eyes[a] == eyes[b]
+        placement, links = _links(cameras[a], cameras[b], R, same_eye=same_eye)
         if len(placement):
-            for p, cost in zip(placement, costs_of_turns(*links, R), strict=True):
+            mounted = cameras[a].R_base_cam is not None and cameras[b].R_base_cam is not None
+            most_rad = MOST_TURNED_RAD if mounted and (same_eye or parallel_bases) else np.pi
+            costs = costs_of_turns(*links, R, most_rad=most_rad)
+            for p, cost in zip(placement, costs, strict=True):
                 pairs = votes.setdefault(int(p), {})
                 pairs[a, b] = pairs.get((a, b), np.zeros(n)) + cost
     upright = {name: seen.R_cam_target[:, :, 0].mean(axis=0) for name, seen in cameras.items()}

@@ -101,8 +101,13 @@ def predicted_squares(observations: Observations, parts: Sequence[PartCalibratio
     return found
 
 
-def held_out(observations: Observations, parts: Sequence[PartCalibration]) -> HeldOut:
-    """Predict each fold of the views from its calibration, one of `calibrate_folds`."""
+def held_out(
+    observations: Observations, parts: Sequence[PartCalibration], whole: HeadCalibration
+) -> HeldOut:
+    """Predict each fold of the views from its calibration, one of `calibrate_folds`.
+
+    `whole` is the calibration from all views, with its accuracy.
+    """
     number, heads = folds(observations.placement), [part.head for part in parts]
     squares, corners = predicted_squares(observations, parts).sum(axis=0)
     pixels, points, expected, distances = [], [], [], []
@@ -130,30 +135,35 @@ def held_out(observations: Observations, parts: Sequence[PartCalibration]) -> He
         point_mm=_rms(points, 1e3),
         expected_mm=_rms(expected, 1e3),
         distance_m=float(np.concatenate(distances).mean()) if distances else None,
-        jackknife_ratio=jackknife_ratio(heads),
+        jackknife_ratio=jackknife_ratio(whole, heads),
     )
 
 
-def jackknife_ratio(heads: Sequence[HeadCalibration]) -> float | None:
-    """Return the jackknife's standard deviation of the parameters over the stated one.
+def jackknife_ratio(whole: HeadCalibration, parts: Sequence[HeadCalibration]) -> float | None:
+    """Return how much more calibrations from parts differ from the whole than is stated.
 
-    The jackknife over k folds: the standard deviation of a parameter is that among calibrations
-    without one fold each, times (k - 1) / sqrt(k). It does not depend on the noise model: where the
-    errors of a view's corners are not independent it exceeds the stated one. None where no
-    covariance is stated.
+    A ratio of standard deviations, by all parameters; it does not depend on the noise model: where
+    the errors of a view's corners are not independent it exceeds one. None where no covariance is
+    stated.
+
+    A calibration without some views differs from that of all by the information of these views:
+    the covariance of the difference is its own covariance minus that of the whole. With many views
+    both are nearly the same, and the sum over k folds of their differences is k / (k - 1) times the
+    covariance of the whole: the usual jackknife. With few views the rest may know much less than
+    the whole does, and differ by as much, although nothing is wrong.
     """
-    accuracy = heads[0].accuracy
-    if accuracy is None or not accuracy.parameters:
+    accuracies = [head.accuracy for head in (whole, *parts)]
+    stated = [dict(zip(a.parameters, np.diag(a.covariance), strict=True)) for a in accuracies if a]
+    names = [name for name in (stated or [{}])[0] if all(name in each for each in stated)]
+    if not names:
         return None
-    names = set.intersection(*(set(h.accuracy.parameters if h.accuracy else ()) for h in heads))
-    rows = [i for i, name in enumerate(accuracy.parameters) if name in names]
-    away = [boxminus(head, heads[0]) for head in heads]
-    values = np.array([[each[accuracy.parameters[i]] for i in rows] for each in away])
-    k = len(heads)
-    variance = (k - 1) / k * ((values - values.mean(axis=0)) ** 2).sum(axis=0)
-    # What is stated is that of k - 1 of k folds.
-    stated_variance = np.diag(accuracy.covariance)[rows] * (k - 1) / k
-    return float(np.sqrt((variance / stated_variance).mean()))
+    variance, *of_parts = ([each[name] for name in names] for each in stated)
+    k = len(parts)
+    less_known = np.sum(of_parts, axis=0) - k * np.array(variance)
+    expected = np.maximum(less_known, k / (k - 1) * np.array(variance))
+    away = [boxminus(part, whole) for part in parts]
+    differ = np.square([[each[name] for name in names] for each in away]).sum(axis=0)
+    return float(np.sqrt((differ / expected).mean()))
 
 
 def _rms(errors: list[Array], unit: float = 1.0) -> float | None:

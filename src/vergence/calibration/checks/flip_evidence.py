@@ -77,7 +77,9 @@ def synchronised(off: Array) -> tuple[np.ndarray, Array]:
     return (turns - np.bincount(turns, minlength=n).argmax()) % n, evidence
 
 
-def costs_of_turns(R_a: Array, R_b: Array, slack: Array, weight: Array, R: Array) -> Array:
+def costs_of_turns(
+    R_a: Array, R_b: Array, slack: Array, weight: Array, R: Array, *, most_rad: float
+) -> Array:
     """Return (L, n) what it costs to turn the board of camera b by k more than that of a.
 
     The rotation between the cameras is unknown: each link offers n of them. A link's cost is that
@@ -89,17 +91,20 @@ def costs_of_turns(R_a: Array, R_b: Array, slack: Array, weight: Array, R: Array
         slack: (L,) how far that may be wrong because the eyes were not straight [rad].
         weight: (L,) how many views it would take for a link to be wrong.
         R: (n, 3, 3) turns of the board.
+        most_rad: angle of Y, as far as it is known; pi: nothing is known of it.
     """
     L, n = len(R_a), len(R)
     between = np.einsum("lab,nbc,ldc->lnad", R_b, R, R_a, optimize=True)
     offering = np.unique(np.linspace(0, L - 1, MOST_OFFERS).astype(int))
     offers = between[offering].reshape(-1, 9)
+    too_far = angle_of(offers @ np.eye(3).ravel()) - most_rad
     off = angle_of(offers @ between.reshape(-1, 9).T).reshape(len(offers), L, n)
     allowed = np.repeat(slack[offering], n)[:, None] + slack
     cost = cost_of(np.maximum(off - allowed[..., None], 0.0))
     turned = np.arange(n) > 0
     least = (cost + PRIOR * weight[:, None] * turned).min(axis=2)
-    total = least.sum(axis=1)[:, None, None] - least[..., None] + cost
+    least_total = least.sum(axis=1) + cost_of(np.maximum(too_far, 0.0))
+    total = least_total[:, None, None] - least[..., None] + cost
     found = total.min(axis=0)
     return found - found.min(axis=1, keepdims=True)
 
@@ -107,8 +112,10 @@ def costs_of_turns(R_a: Array, R_b: Array, slack: Array, weight: Array, R: Array
 def agreed_shifts(own: Array, pairs: Mapping[tuple[int, int], Array]) -> tuple[np.ndarray, float]:
     """Return the shifts (C,) of the boards of C cameras that cost least, and the evidence [nats].
 
-    The evidence is what the next best cost more. Nothing depends on one shift of all cameras: only
-    what differs by more is another answer. Of more than MOST_TRIED shifts not all are tried.
+    The evidence is what the next best cost more in pairs of cameras: `own` only decides between
+    equals, as all views of a camera that hangs upside down are turned together. Nothing depends on
+    one shift of all cameras: only what differs by more is another answer. Of more than MOST_TRIED
+    shifts not all are tried.
 
     Args:
         own: (C, n) what each shift of one camera's boards costs by itself.
@@ -121,8 +128,9 @@ def agreed_shifts(own: Array, pairs: Mapping[tuple[int, int], Array]) -> tuple[n
     totals = _totals(shifts, own, pairs)
     best = int(totals.argmin())
     change = (shifts - shifts[best]) % n
-    others = totals[(change != change[:, :1]).any(axis=1)]
-    return shifts[best], float(others.min() - totals[best])
+    between = _totals(shifts, np.zeros_like(own), pairs)
+    others = between[(change != change[:, :1]).any(axis=1)]
+    return shifts[best], float(others.min() - between[best])
 
 
 def _totals(shifts: np.ndarray, own: Array, pairs: Mapping[tuple[int, int], Array]) -> Array:
@@ -162,7 +170,9 @@ def _agreed_by_parts(
     moves = np.concatenate([k * np.array(moved) for k in range(1, n)])
     partial = ~np.array(moved * (n - 1)).all(axis=1)
     while True:
-        totals = _totals(np.vstack([shifts, (shifts + moves) % n]), own, pairs)
+        tried = np.vstack([shifts, (shifts + moves) % n])
+        totals = _totals(tried, own, pairs)
         if totals[1:].min() >= totals[0]:
-            return shifts, float(totals[1:][partial].min() - totals[0])
+            in_pairs = _totals(tried, np.zeros_like(own), pairs)
+            return shifts, float(in_pairs[1:][partial].min() - in_pairs[0])
         shifts = (shifts + moves[totals[1:].argmin()]) % n

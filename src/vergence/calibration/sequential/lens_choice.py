@@ -1,10 +1,10 @@
-"""Which lens model each camera gets: as stated, or the one that predicts held-out images best.
+"""Which lens model each camera gets: as stated, or the one that its images speak for.
 
-Every candidate is fitted to the views of one camera, and each view is predicted by the lens of
-the others: only the board's pose is fitted in it. The model of least error wins, unless a simpler
-one is worse by no more than the standard error of the difference, view by view, or two of them if
-the winner is a fisheye. A rational lens is taken only where it is stated: it contains so many
-others that the data of a usual recording seldom tell it from them.
+Every candidate is fitted to the views of one camera, and the model of the best Bayesian information
+criterion is taken: the likelihood of the fit, less what each coefficient raises it by chance. A
+fisheye has to be better than the usual models beyond doubt. A rational lens is taken only where it
+is stated: it contains so many others that the data of a usual recording seldom tell it from them.
+How well each candidate predicts held-out images is reported beside.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from vergence.geometry.board import corner_points
 from vergence.vision.board_pose import determines_pose, seen_corners
 
 LensOption = LensModel | Literal["auto"]
-"""What may be stated of a camera; auto: the model that predicts held-out images best."""
+"""What may be stated of a camera; auto: the model that the images speak for."""
 CANDIDATES: tuple[LensModel, ...] = (
     "none",
     "radial-tangential",
@@ -43,15 +43,12 @@ CHOICE_VIEWS = 10
 """Fewest views of a camera for a choice; with fewer the paper's model is taken."""
 MOST_VIEWS = 60
 """More views, spread over the recording, would not change the choice, and take time."""
-MARGIN: dict[LensModel, float] = {"fisheye": 2.0}
-"""Standard errors by which a model must predict better than a simpler one, where not one: it does
-not contain the usual models, which fit mild lenses nearly as well."""
-BY_CHANCE = 10.0
-"""Sum of squares, in variances of a corner, by which a model may always predict better by chance:
-about three standard errors of one of its coefficients."""
-MOST_VARIANCES = 25.0
-"""Sum of squares, in variances of a corner, by which no model predicts better by chance. Where a
-few views at the edge make all the difference, its standard error is as large as itself."""
+MARGIN: dict[LensModel, float] = {"fisheye": 10.0}
+"""By how much the criterion of a model must be better than that of an earlier one, where not by
+anything: ten is very strong evidence (Kass and Raftery). A fisheye does not contain the usual
+models, is seldom the true one, and is fitted to mild lenses nearly as well."""
+LEAST_ERROR_PX = 1e-3
+"""Error of a coordinate below which a fit counts as no better: no corner is known as well."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +117,7 @@ def by_camera(
 def best_lens(
     corners: Array, points: Array, *, size: tuple[int, int], otherwise: LensModel
 ) -> LensChoice:
-    """Return the lens model that predicts held-out views of a board best.
+    """Return the lens model that views of a board speak for.
 
     Args:
         corners: (V, K, 2) pixels; NaN where not seen.
@@ -139,20 +136,25 @@ def best_lens(
     squares = {model: each for model, each in squares.items() if np.isfinite(each).all()}
     if not squares:
         return LensChoice(otherwise)
-    count = 2 * np.count_nonzero(seen_corners(corners))
+    count = 2 * int(np.count_nonzero(seen_corners(corners)))
     held_out: dict[LensModel, float] = {
         model: float(np.sqrt(each.sum() / count)) for model, each in squares.items()
     }
-    best = min(squares, key=lambda model: squares[model].sum())
+    criterion: dict[LensModel, float] = {
+        model: _criterion(model, fits[model], count) for model in squares
+    }
+    best = min(criterion, key=lambda model: criterion[model])
+    enough = criterion[best] + MARGIN.get(best, 0.0)
+    return LensChoice(next(m for m in criterion if criterion[m] <= enough), held_out)
 
-    def worse_by_chance(model: LensModel) -> bool:
-        worse = squares[model] - squares[best]
-        certain = MARGIN.get(best, 1.0) * np.sqrt(len(worse)) * worse.std()
-        variance = held_out[best] ** 2
-        likely = min(certain, MOST_VARIANCES * variance)
-        return bool(worse.sum() <= max(likely, BY_CHANCE * variance))
 
-    return LensChoice(next(filter(worse_by_chance, squares)), held_out)
+def _criterion(model: LensModel, fit: LensFit, count: int) -> float:
+    """Return the Bayesian information criterion of a fit to `count` coordinates of corners.
+
+    But for what all models share: the noise, whose level is unknown, and the boards' poses.
+    """
+    mean_square = fit.sum_squares / count + LEAST_ERROR_PX**2
+    return float(count * np.log(mean_square) + FREE_COEFFICIENTS[model] * np.log(count))
 
 
 def _fits(corners: Array, points: Array, size: tuple[int, int]) -> dict[LensModel, LensFit]:
