@@ -276,6 +276,19 @@ def test_few_views_of_a_usual_lens_are_no_evidence_of_another_one():
     assert found == ["radial-tangential"] * len(found)
 
 
+def test_a_bent_board_makes_no_fisheye_of_a_lens_without_distortion():
+    """By 0.5 mm; k3 comes in by the criterion alone, a fisheye in most by held-out views alone."""
+    rng, found = np.random.default_rng(13), []
+    away = ((POINTS - POINTS.mean(axis=0)) ** 2).sum(axis=1)
+    bent = POINTS + np.outer(0.5e-3 * away / away.max(), [0, 0, 1])
+    for _ in range(16):
+        camera = pinhole(*SIZE, rng.uniform(350, 900))
+        seen = project(camera, transform(boards(20, rng)[:, None], bent))
+        noisy = seen + rng.normal(0, 0.05, seen.shape)
+        found.append(best_lens(noisy, POINTS, size=SIZE, otherwise="k1").model)
+    assert set(found) <= {"none", "radial-tangential"}
+
+
 def test_few_views_of_the_whole_image_show_a_fisheye():
     rng = np.random.default_rng(12)
     fisheye = LENSES["fisheye"]

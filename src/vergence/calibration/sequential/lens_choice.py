@@ -1,10 +1,11 @@
 """Which lens model each camera gets: as stated, or the one that its images speak for.
 
 Every candidate is fitted to the views of one camera, and the model of the best Bayesian information
-criterion is taken: the likelihood of the fit, less what each coefficient raises it by chance. A
-fisheye has to be better than the usual models beyond doubt. A rational lens is taken only where it
-is stated: it contains so many others that the data of a usual recording seldom tell it from them.
-How well each candidate predicts held-out images is reported beside.
+criterion is taken: the likelihood of the fit, less what each coefficient raises it by chance. Where
+corners share errors these too raise it; so a usual model gives way to a simpler one that predicts
+held-out views as well. A fisheye has to be better than the usual models beyond doubt. A rational
+lens is taken only where it is stated: it contains so many others that the data of a usual recording
+seldom tell it from them.
 """
 
 from __future__ import annotations
@@ -145,7 +146,10 @@ def best_lens(
     }
     best = min(criterion, key=lambda model: criterion[model])
     enough = criterion[best] + MARGIN.get(best, 0.0)
-    return LensChoice(next(m for m in criterion if criterion[m] <= enough), held_out)
+    chosen = next(m for m in criterion if criterion[m] <= enough)
+    if chosen != "fisheye":  # whose place among the usual models is none
+        chosen = min(list(held_out)[: list(held_out).index(chosen) + 1], key=lambda m: held_out[m])
+    return LensChoice(chosen, held_out)
 
 
 def _criterion(model: LensModel, fit: LensFit, count: int) -> float:
