@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from vergence.arguments import explained_fields
 from vergence.arrays import Array
 from vergence.data.timing import Timing, moved_readings
 from vergence.errors import VergenceError
@@ -36,6 +37,7 @@ class DetectionFailure:
         return f"line {self.line}, {self.file}: {self.reason}"
 
 
+@explained_fields
 @dataclass(frozen=True, eq=False)
 class Observations:
     """What the cameras saw of a board with K corners in V views, and what the joints read.
@@ -82,6 +84,13 @@ class Observations:
         if self.T_base_eye is not None:
             arrays["T_base_eye"] = np.asarray(self.T_base_eye, dtype=float)
         vars(self).update(arrays)
+        numbers = self.placement
+        whole = numbers.dtype.kind in "biuf" and (numbers == np.round(numbers)).all()
+        if numbers.ndim != 1 or not whole:
+            raise VergenceError(
+                "placement is a whole number for each view, the same where the board stayed in "
+                f"its place; found {numbers!r:.80}."
+            )
         V, K = len(self.placement), self.board.columns * self.board.rows
         wanted: dict[str, tuple[np.ndarray, tuple[int, ...]]] = {
             "eye_angles": (self.eye_angles, (V, len(self.kinematics.readings)))

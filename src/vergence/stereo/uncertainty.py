@@ -227,7 +227,7 @@ def combination(
     of the calibration are always shared. Points that cannot be located must have weight zero, or
     the result is NaN. Other arguments and errors are those of `locate`; noise that neither the
     caller nor the calibration states is taken as none. VergenceError also if there are not as many
-    weights as points.
+    weights as points, or one is not finite.
     """
     left, right, joints = checked_arguments(left, right, joints, head.kinematics)
     factor, n = pair_factor(head, cameras), len(left)
@@ -235,6 +235,11 @@ def combination(
     if weights.shape != (n,):
         raise VergenceError(
             f"A combination of {n} points has {n} weights; found an array of shape {weights.shape}."
+        )
+    if not np.isfinite(weights).all():
+        raise VergenceError(
+            "Weights of a combination are finite, 0 for points that do not count; found "
+            f"{weights[~np.isfinite(weights)][0]:g}."
         )
     pixel_std_px, joint_std_rad = _or_stated(head, joints, pixel_std_px, joint_std_rad)
     noise, one = _noise(head, joints, n, pixel_std_px, joint_std_rad), joints.ndim in (1, 3)
