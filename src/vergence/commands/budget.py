@@ -62,9 +62,9 @@ def run(
         pixel_std_px: noise of a pixel coordinate; None: the calibration's, or of the twin's object.
 
     Raises:
-        VergenceError: there is nothing that could be wrong, a point is not seen or too far away,
-            the noise is negative, the motion is none of this head, or the head was calibrated
-            with measured eye poses.
+        VergenceError: there is nothing that could be wrong, a point is not seen, or so far away
+            that the head cannot tell it apart from infinity, the noise is negative, the motion is
+            none of this head, or the head was calibrated with measured eye poses.
     """
     if head.accuracy is not None and head.accuracy.eye_motion == "poses":
         raise VergenceError(
@@ -99,7 +99,24 @@ def run(
     for name in motions:
         joints, rates = motion_of(name, head)
         found[name] = budget(head, np.array(points), joints=joints, rates=rates, sources=sources)
+    for own in found[motion]:
+        _check_finite_distance(own)
     return Budgets(motion, found[motion], found.get("parallel"))
+
+
+def _check_finite_distance(found: Budget) -> None:
+    """Raise VergenceError for a point as uncertain as it is far away.
+
+    Within one standard deviation its rays may be parallel then, so that any distance would do.
+    """
+    distance, std = np.linalg.norm(found.point_m), np.linalg.norm(found.total.std_m)
+    if not std < distance:
+        # The error of depth grows with the square of the distance.
+        x, y, z = found.point_m
+        raise VergenceError(
+            f"--at {x:g} {y:g} {z:g} is too far away: with these errors the head cannot tell "
+            f"points beyond about {distance**2 / std:.2g} m apart from ones at infinity."
+        )
 
 
 def motion_of(name: str, head: HeadCalibration) -> tuple[Array, Array]:
