@@ -131,7 +131,7 @@ def detect_or_explain(grey: np.ndarray, board: Board) -> tuple[Array | None, str
         return None, _why_not(grey)
     count = int(np.isfinite(corners).all(axis=1).sum())
     if count < LEAST_CORNERS:
-        return None, f"only {count} corners of the board are seen; {LEAST_CORNERS} are needed"
+        return None, f"of the board's corners {count} can be seen; {LEAST_CORNERS} are needed"
     return corners, ""
 
 

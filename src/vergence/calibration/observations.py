@@ -13,7 +13,7 @@ import numpy as np
 from vergence.arguments import explained_fields
 from vergence.arrays import Array
 from vergence.data.timing import Timing, moved_readings
-from vergence.errors import VergenceError
+from vergence.errors import VergenceError, counted
 from vergence.geometry.board import Board
 from vergence.geometry.camera import is_image_size
 from vergence.geometry.head import HeadCalibration, check_camera_name
@@ -104,8 +104,8 @@ class Observations:
         for name, (array, shape) in wanted.items():
             if np.shape(array) != shape:
                 raise VergenceError(
-                    f"Observations of {V} views of {K} corners need {name} of shape {shape}, found "
-                    f"{np.shape(array)}."
+                    f"Observations of {counted(V, 'view')} of {counted(K, 'corner')} need {name} "
+                    f"of shape {shape}, found {np.shape(array)}."
                 )
         for name, corners in self.corners.items():
             if np.isinf(corners).any():

@@ -15,7 +15,7 @@ from vergence.accuracy.motions import PERIOD_S, eye_angles
 from vergence.arrays import MAX_M, Array
 from vergence.data.reader import load_dataset
 from vergence.data.stereo_rows import check_readings
-from vergence.errors import VergenceError
+from vergence.errors import VergenceError, counted
 from vergence.geometry.head import HeadCalibration, pair_names, reading_stds, states_covariance
 from vergence.geometry.kinematics import EYE_JOINTS
 from vergence.geometry.parameters import boxminus
@@ -136,7 +136,8 @@ def motion_of(name: str, head: HeadCalibration) -> tuple[Array, Array]:
     data = load_dataset(name)
     if data.T_base_eye is not None or len(data.eye_angles) < 2:
         raise VergenceError(
-            f"The motion of {name} is not one of joints: it has {len(data.eye_angles)} rows"
+            f"The motion of {name} is not one of joints: it has "
+            + counted(len(data.eye_angles), "row")
             + (" of measured eye poses." if data.T_base_eye is not None else ".")
         )
     check_readings(data, head)

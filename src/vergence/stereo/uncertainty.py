@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from vergence.arrays import Array
 from vergence.data.dataset import MAX_GAP_S
 from vergence.data.timing import Timing, moved_readings
-from vergence.errors import VergenceError
+from vergence.errors import VergenceError, counted
 from vergence.geometry.eye_motion import check_joints, measured
 from vergence.geometry.head import (
     HeadCalibration,
@@ -234,7 +234,8 @@ def combination(
     weights = np.asarray(weights, dtype=float)
     if weights.shape != (n,):
         raise VergenceError(
-            f"A combination of {n} points has {n} weights; found an array of shape {weights.shape}."
+            f"A combination of {counted(n, 'point')} has a weight for each; found an array of "
+            f"shape {weights.shape}."
         )
     if not np.isfinite(weights).all():
         raise VergenceError(
