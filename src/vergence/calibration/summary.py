@@ -125,7 +125,8 @@ def summary_lines(head: HeadCalibration, observations: Observations) -> list[str
     found = sum(int(seen_corners(c).any(axis=1).sum()) for c in corners.values())
     lines = [
         f"{word}: {counted(len(corners), 'camera')}, "
-        f"{counted(len(observations.placement), 'view')}, the board found in {found} of {counted(found + lost, 'image')}.{apart}"
+        f"{counted(len(observations.placement), 'view')}, the board found in {found} of "
+        f"{counted(found + lost, 'image')}.{apart}"
     ]
     if accuracy.pixel_std_px is not None:
         degrees = [f"{np.degrees(s):.3f}" for s in accuracy.joint_std]

@@ -197,7 +197,7 @@ def _warnings(head: HeadCalibration, frames: int, seen: int) -> list[str]:
         )
     if seen < (1 - _MOST_UNSEEN) * frames:
         found.append(
-            f"Only {seen} of {counted(frames, 'frame')} showed how the cameras stand to each other; "
-            "in the others the prior stands, in part or wholly."
+            f"Only {seen} of {counted(frames, 'frame')} showed how the cameras stand to each "
+            "other; in the others the prior stands, in part or wholly."
         )
     return found

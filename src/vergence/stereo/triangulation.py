@@ -274,8 +274,8 @@ def checked_arguments(
     ):
         if array.shape not in shapes:
             raise VergenceError(
-                f"Locating {counted(n, 'point')} needs {name} of shape {' or '.join(map(str, shapes))}, "
-                f"found {array.shape}."
+                f"Locating {counted(n, 'point')} needs {name} of shape "
+                f"{' or '.join(map(str, shapes))}, found {array.shape}."
             )
     check_joints(kinematics, joints)
     return left, right, joints

@@ -245,8 +245,8 @@ def _check(
     for name, T in T_cam_target.items():
         if T.shape != (views, 4, 4):
             raise VergenceError(
-                f"Poses of a target in {counted(views, 'view')} are ({views}, 4, 4) for each camera, "
-                f"found {T.shape} for {name}."
+                f"Poses of a target in {counted(views, 'view')} are ({views}, 4, 4) for each "
+                f"camera, found {T.shape} for {name}."
             )
         if eyes.get(name) not in EYES:
             raise VergenceError(f"eyes does not say in which eye {name} sits, left or right.")
