@@ -26,6 +26,8 @@ def explain(error: Exception) -> str:
     `joints.left_pan.unit: ...`.
     """
     text = "it is nested too deeply" if isinstance(error, RecursionError) else str(error)
+    if isinstance(error, UnicodeDecodeError):
+        text = f"it is not text in UTF-8, see byte {error.start}"
     if isinstance(error, ValidationError):
         first = error.errors()[0]
         steps, is_key = first["loc"], first["loc"][-1:] == ("[key]",)
