@@ -12,6 +12,7 @@ import pytest
 import vergence as vg
 from recordings import small_dataset
 from simulated_head import plain_head
+from vergence.gaze.state import GazeSettings
 from vergence.geometry.camera import pinhole
 from vergence.interchange import kalibr
 
@@ -132,6 +133,12 @@ def test_a_path_in_place_of_a_head_is_told_how_to_become_one():
         'in_head: head is a HeadCalibration, such as vg.load_head("head.json") or '
         "vg.calibrate(data).head; found 'head.json'."
     )
+
+
+@pytest.mark.parametrize("calibration", ["head.json", None])
+def test_a_gaze_without_a_head_says_what_it_needs(calibration: Any):
+    with pytest.raises(vg.VergenceError, match="GazeSettings: calibration is a HeadCalibration, "):
+        GazeSettings(calibration=calibration)
 
 
 def test_a_missing_argument_and_an_error_of_another_cause_stay_what_they_are():
