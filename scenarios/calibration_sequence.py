@@ -20,6 +20,14 @@ SHOWN = 6  # views of the fixed board in the picture, as many as in the paper's 
 
 
 def main(out: Path = OUT, profile: str = "ideal", lens: Lens = "2.8mm", seed: int = 0) -> None:
+    """Calibrate the twin by the paper's method, and print by how much each camera is off.
+
+    Args:
+        out: Folder for calibration.json and a picture of the sequence.
+        profile: Error profile: ideal, paper, noise-only, or a TOML file.
+        lens: Focal length of the wide cameras.
+        seed: Seed of everything random.
+    """
     out.mkdir(parents=True, exist_ok=True)
     with Twin(load_profile(profile), seed=seed, lens=lens) as twin:
         found = paper_calibration(twin, seed)

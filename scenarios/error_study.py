@@ -385,4 +385,4 @@ def main(out: Path = Path("runs/error_study"), seed: int = 0, check: Path | None
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    tyro.cli(main, config=(tyro.conf.DisallowNone,))

@@ -29,6 +29,16 @@ def main(
     duration: float | None = None,
     rate: float | None = None,
 ) -> None:
+    """Replay one of the paper's three experiments, with parallel and with divergent eye motion.
+
+    Args:
+        pair: near: Figs. 6 and 7, far: Figs. 8 and 9, longer-lens: Figs. 10 and 11.
+        out: Folder for recordings, plots, report and statistics; default: runs/ and the pair.
+        profile: Error profile: ideal, paper, noise-only, or a TOML file.
+        seed: Seed of everything random.
+        duration: Length of each figure [s]; default: its full combined period, at least 60 s.
+        rate: Samples per second [Hz]; default: 640 samples per figure.
+    """
     figures = FIGURES[pair]
     done = reproduce(
         out or Path("runs") / pair,
@@ -46,4 +56,4 @@ def main(
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    tyro.cli(main, config=(tyro.conf.DisallowNone,))

@@ -23,7 +23,14 @@ OUT = Path("runs")
 def foveate(
     out: Path = OUT / "foveate", profile: str = "ideal", seed: int = 0, trials: int = 20
 ) -> None:
-    """Turn the eyes to objects that appear, until both narrow images are centred on them."""
+    """Turn the eyes to objects that appear, until both narrow images are centred on them.
+
+    Args:
+        out: Folder for the summary as JSON, and for a recording.
+        profile: Error profile: ideal, paper, noise-only, or a TOML file.
+        seed: Seed of everything random.
+        trials: Number of objects; the first ten are recorded.
+    """
     found, _ = run_foveate(Experiment(load_profile(profile), seed, out=out), trials=trials)
     print(f"distance from the centre: median {found.median_px:.2f} px, 95 % {found.p95_px:.2f} px")
     print(f"95 % within {SETTLED_PX:.0f} px after {found.settle_s_p95} s; lost: {found.lost}")
@@ -32,7 +39,14 @@ def foveate(
 def track(
     out: Path = OUT / "track", profile: str = "paper", seed: int = 0, seconds: float = 20.0
 ) -> None:
-    """Follow an object that moves and is hidden once, and estimate its position."""
+    """Follow an object that moves and is hidden once, and estimate its position.
+
+    Args:
+        out: Folder for the summary as JSON, and for a recording.
+        profile: Error profile: ideal, paper, noise-only, or a TOML file.
+        seed: Seed of everything random.
+        seconds: Length of the run [s].
+    """
     found = run_track(Experiment(load_profile(profile), seed, out=out), seconds=seconds)
     print(f"in both narrow images in {found.in_both:.1%} of {found.frames} frames")
     print(f"distance from their centres: {found.rms_px:.1f} px rms")
@@ -46,7 +60,14 @@ def track(
 def grasp(
     out: Path = OUT / "grasp", profile: str = "paper", seed: int = 0, trials: int = 3
 ) -> None:
-    """Grasp an object that a person holds out (Fig. 12)."""
+    """Grasp an object that a person holds out (Fig. 12).
+
+    Args:
+        out: Folder for the summary as JSON, and for a recording.
+        profile: Error profile: ideal, paper, noise-only, or a TOML file.
+        seed: Seed of everything random.
+        trials: Number of objects.
+    """
     found, _ = run_grasp(Experiment(load_profile(profile), seed, out=out), trials=trials)
     print(f"closed within {1e3 * WITHIN_M:.0f} mm of the centre: {found.within:.0%} of {trials}")
     for d in found.by_distance:

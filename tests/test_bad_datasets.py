@@ -132,7 +132,7 @@ def test_a_missing_column_is_named(folder, column):
         (b"time_s,\xff\n", "is not a CSV file of frames"),
         (b'time_s\n"1', "is not a CSV file of frames"),
         (b"time_s,joint_time_s\n", "has no frames, only a header"),
-        (b"time_s,joint_time_s\n1\n", "line 2: found 1 fields for 2 columns"),
+        (b"time_s,joint_time_s\n1\n", "line 2: found 1 field for 2 columns"),
     ],
 )
 def test_a_table_that_is_none_is_refused(folder, content, sentence):

@@ -1,6 +1,7 @@
 """The error budget: its parts against moved heads, what cancels, and the command."""
 
 import json
+import re
 import sys
 from dataclasses import replace
 
@@ -220,9 +221,20 @@ def test_the_table_of_a_budget_names_its_unit(monkeypatch, capsys):
 
 def test_a_budget_beyond_first_order_says_so():
     noise = {"motion": "parallel", "profile": None, "pixel_std_px": 0.5}
-    near, far = (run(HEAD, points=scale * POINT[None], **noise) for scale in (1, 30))
+    near, far = (run(HEAD, points=scale * POINT[None], **noise) for scale in (1, 20))
     assert "may be larger or smaller" not in advice(near, 0)
     assert "may be larger or smaller" in advice(far, 0)
+
+
+def test_a_point_that_cannot_be_told_apart_from_infinity_is_refused_with_the_limit():
+    noise = {"motion": "parallel", "profile": None, "pixel_std_px": 0.5}
+    for scale in (100, 1e6):
+        with pytest.raises(VergenceError, match=r"points beyond about (\d+) m apart") as refused:
+            run(HEAD, points=scale * POINT[None], **noise)
+    # sqrt(2) * 0.5 px of disparity at 280 px and 92 mm: 36 m, less with eyes that look aside.
+    limit = float(re.findall(r"about (\d+) m", str(refused.value))[0])
+    assert 25 < limit < 40
+    run(HEAD, points=0.9 * limit * POINT[None] / np.linalg.norm(POINT), **noise)
 
 
 def test_a_part_that_rounds_to_zero_has_no_sign():

@@ -105,7 +105,7 @@ def test_an_impossible_profile_is_refused_by_the_field(sound_files, text):
     [
         ({"camera_model": "omni"}, "camera_model"),
         ({"distortion_model": "fov"}, "distortion_model"),
-        ({"distortion_coeffs": "[0.1]"}, "distortion_coeffs has 1 numbers"),
+        ({"distortion_coeffs": "[0.1]"}, "distortion_coeffs has 1 number;"),
         ({"intrinsics": "[1, 2, 3]"}, "intrinsics"),
         ({"intrinsics": "[-300, 300, 320, 240]"}, "focal lengths"),
         ({"resolution": "[640]"}, "resolution"),

@@ -15,6 +15,7 @@ from simulated_head import plain_head, random_head, rough_start
 from simulated_recording import BOARD, EXACT, Recording, joined, record
 from test_kinematics import shared_tilt
 from vergence import cli
+from vergence.accuracy import plan_information
 from vergence.accuracy.plan import Plan, choose, plan
 from vergence.accuracy.plan_information import gained, information, linearised_views, stated
 from vergence.accuracy.plan_views import (
@@ -34,7 +35,7 @@ from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration, pair_names, save_head
-from vergence.geometry.parameters import without_offsets
+from vergence.geometry.parameters import parameter_names, without_offsets
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, pose, transform
 from vergence.progress import silent
@@ -91,6 +92,32 @@ def test_a_board_behind_or_beside_the_head_is_not_held(truth):
     behind = views.T_lbase_target.copy()
     behind[:, 0, 3] *= -1
     assert not held_whole(truth, BOARD, replace(views, T_lbase_target=behind)).any()
+
+
+def test_a_board_is_held_whole_where_the_image_has_all_its_corners(truth):
+    rng = np.random.default_rng(3)
+    board = replace(BOARD, columns=30, rows=20, square_m=0.012)
+    held = admissible_views(truth, board, LIMITS, rng, places=20, gazes=1)
+    joints = held.joints + rng.uniform(-0.3, 0.3, held.joints.shape)
+    views = replace(held, joints=joints)  # some of which lose a part of the board
+    expected = []
+    for name, uv in seen_by(truth, board, views).items():
+        lens = truth.cameras[name].intrinsics
+        last = np.array([lens.width, lens.height]) - 1 - MARGIN_PX
+        expected.append(((uv > MARGIN_PX) & (uv < last)).all(axis=(1, 2)))
+    assert 0.1 < np.mean(expected) < 0.9
+    np.testing.assert_array_equal(held_whole(truth, board, views), np.stack(expected, axis=1))
+
+
+def test_views_of_a_large_board_are_linearised_in_parts(truth, monkeypatch):
+    """Together their derivatives might take more memory than there is."""
+    views = admissible_views(truth, BOARD, LIMITS, np.random.default_rng(1), places=3, gazes=2)
+    names = parameter_names(truth)[:8]
+    together = linearised_views(truth, BOARD, views, names, np.ones(8))
+    monkeypatch.setattr(plan_information, "CORNERS_AT_A_TIME", 2 * BOARD.columns * BOARD.rows)
+    in_parts = linearised_views(truth, BOARD, views, names, np.ones(8))
+    for name, value in vars(together).items():
+        np.testing.assert_allclose(getattr(in_parts, name), value, rtol=1e-9, atol=1e-6)
 
 
 @pytest.mark.parametrize("kinematics", [None, shared_tilt()], ids=["pan-tilt", "shared tilt"])

@@ -210,7 +210,7 @@ def test_wrong_arguments_are_refused():
         adjust_target_poses(poses, readings, eyes={"left_wide": "left"})
     with pytest.raises(VergenceError, match=r"eye is \(10, 4\) readings"):
         adjust_target_poses(poses, readings[:, :3], eyes=EYES_OF)
-    with pytest.raises(VergenceError, match=r"each of the 10 views, found shape \(9,\)"):
+    with pytest.raises(VergenceError, match=r"each of 10 views, found shape \(9,\)"):
         adjust_target_poses(poses, readings, eyes=EYES_OF, placement=np.zeros(9, int))
     for wrong in (-np.eye(6), np.full((6, 6), np.nan), np.eye(6) + np.diag([np.nan], 5)):
         covariance = dict.fromkeys(poses, wrong)

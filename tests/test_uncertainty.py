@@ -79,7 +79,7 @@ def test_a_combination_has_a_weight_for_each_point():
     head = skewed_head(rng)
     _, eyes, left, right = random_samples(head, rng, 3)
     for weights in (np.ones(2), np.ones((3, 1)), 1.0):
-        with pytest.raises(VergenceError, match="3 points has 3 weights; found an array of shape"):
+        with pytest.raises(VergenceError, match="3 points has a weight for each; found an array"):
             combination(head, weights=weights, left=left, right=right, joints=eyes)
 
 

@@ -91,6 +91,12 @@ def limits_rad(joint: ElementTree.Element) -> tuple[float, float]:
     return float(limit.get("lower", "nan")), float(limit.get("upper", "nan"))
 
 
+def test_no_number_of_a_urdf_is_a_negative_zero(tmp_path):
+    urdf.save(unskewed_head(0), tmp_path / "head.urdf")
+    assert "-0.0 " not in (text := (tmp_path / "head.urdf").read_text())
+    assert '-0.0"' not in text
+
+
 def test_joints_are_limited_and_readings_by_as_much_as_moves_a_joint_so_far(tmp_path):
     """Behind a gear a motor turns farther than the eye; of two factors the larger one limits."""
     up, left = np.eye(3)[[2, 1]]

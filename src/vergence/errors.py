@@ -1,5 +1,5 @@
-"""The one exception for whatever a user can mend, the text of errors found in files, and the check
-of a seed, which commands of several rooms take.
+"""The one exception for whatever a user can mend, the text of errors found in files, the words for
+numbers of things, and the check of a seed, which commands of several rooms take.
 """
 
 from collections.abc import Mapping
@@ -26,6 +26,8 @@ def explain(error: Exception) -> str:
     `joints.left_pan.unit: ...`.
     """
     text = "it is nested too deeply" if isinstance(error, RecursionError) else str(error)
+    if isinstance(error, UnicodeDecodeError):
+        text = f"it is not text in UTF-8, see byte {error.start}"
     if isinstance(error, ValidationError):
         first = error.errors()[0]
         steps, is_key = first["loc"], first["loc"][-1:] == ("[key]",)
@@ -53,6 +55,11 @@ def _kind(found: object) -> str:
     if isinstance(found, list | tuple):
         return "a list"
     return "nothing" if found is None else f"{found!r:.80}"
+
+
+def counted(number: int, singular: str, plural: str = "") -> str:
+    """Return a number with the word for what it counts: 1 frame, 2 frames, 1,200 frames."""
+    return f"{number:,} {singular if number == 1 else plural or singular + 's'}"
 
 
 def check_seed(seed: int) -> None:

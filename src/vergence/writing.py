@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import json
+import math
 import os
 import shutil
 import stat
@@ -344,9 +346,26 @@ def write_json(value: Any, path: Path) -> None:
     write_whole(path, as_json(value))
 
 
-def as_json(value: Any) -> str:
-    """Return a dataclass or a dictionary as JSON; NaN and infinity are null."""
-    return TypeAdapter(type(value)).dump_json(value, indent=1).decode() + "\n"
+def as_json(value: Any, digits: int | None = None) -> str:
+    """Return a dataclass or a dictionary as JSON; NaN and infinity are null.
+
+    Numbers have so many significant digits; None: as many as they have.
+    """
+    adapter: TypeAdapter[Any] = TypeAdapter(type(value))
+    if digits is None:
+        return adapter.dump_json(value, indent=1).decode() + "\n"
+    return json.dumps(_rounded(adapter.dump_python(value, mode="json"), digits), indent=1) + "\n"
+
+
+def _rounded(value: Any, digits: int) -> Any:
+    """Return plain values, their numbers rounded to significant digits."""
+    if isinstance(value, dict):
+        return {name: _rounded(each, digits) for name, each in value.items()}
+    if isinstance(value, list):
+        return [_rounded(each, digits) for each in value]
+    if isinstance(value, float):
+        return float(f"{value:.{digits}g}") if math.isfinite(value) else None
+    return value
 
 
 def markdown_table(heading: str, rows: Iterable[Sequence[object]]) -> str:

@@ -49,7 +49,9 @@ def _within(least: float, most: float) -> AfterValidator:
             raise ValueError("a value is there twice")
         for value in values:
             if not least <= value <= most:
-                raise ValueError(f"values are from {least:g} to {most:g}, found {value:g}")
+                raise ValueError(
+                    f"values are from {least:,.12g} to {most:,.12g}, found {value:,.12g}"
+                )
         return values
 
     return AfterValidator(check)

@@ -91,6 +91,7 @@ def plan(
     """
     accuracy, known = stated(head)
     pair = pair_names(head)
+    progress("choosing views", 0, views)  # candidates of a large board take a while
     limits = _checked(head, limits_rad)
     points = workspace(head, pair, limits, names=known.names, distances_m=distances_m)
     rng = np.random.default_rng(seed)

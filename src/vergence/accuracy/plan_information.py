@@ -24,6 +24,9 @@ from vergence.geometry.parameters import parameter_names
 
 LEAST_JOINT_STD = 1e-6
 """Least noise of a reading [rad]: a calibration may call joints exact."""
+CORNERS_AT_A_TIME = 20_000
+"""Corners of views that are linearised together: their derivatives take some 50 MB for each camera,
+where all views of a board of 10,000 corners would take gigabytes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +91,23 @@ def linearised_views(
 
     The p parameters that are estimated have names, and units `scale` (p,).
     """
+    at_a_time = max(1, CORNERS_AT_A_TIME // (board.columns * board.rows))
+    starts = range(0, len(views.place), at_a_time)
+    parts = [
+        _linearised_part(head, board, views.take(np.s_[start : start + at_a_time]), names, scale)
+        for start in starts
+    ]
+    whole, across, latent, columns = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("whole", "across", "latent", "columns")
+    )
+    view = [part.view + start for part, start in zip(parts, starts, strict=True)]
+    return LinearViews(whole, across, latent, columns, np.concatenate(view))
+
+
+def _linearised_part(
+    head: HeadCalibration, board: Board, views: Views, names: tuple[str, ...], scale: Array
+) -> LinearViews:
     apart = Views(views.T_lbase_target, views.joints, np.arange(len(views.place)))
     fixed = set(parameter_names(head)) - set(names)
     problem, state, _ = initial_state(

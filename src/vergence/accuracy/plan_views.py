@@ -42,15 +42,18 @@ class Views:
     place: np.ndarray
     """(V,) of int: views with the same number have the board at the same place."""
 
-    def take(self, rows: np.ndarray) -> Views:
+    def take(self, rows: np.ndarray | slice) -> Views:
         """Return some of the views."""
         return Views(self.T_lbase_target[rows], self.joints[rows], self.place[rows])
 
 
 def held_whole(head: HeadCalibration, board: Board, views: Views) -> np.ndarray:
     """Return (V, C) of bool: which of the C cameras of a head hold the whole board in V views."""
-    corners = corner_points(board)
-    pixels, held = seen_by(head, board, views), []
+    # What holds all corners of the outline holds those inside too; large boards have many.
+    corners = corner_points(board).reshape(board.rows, board.columns, 3)
+    edges = corners[0], corners[-1], corners[1:-1, 0], corners[1:-1, -1]
+    corners = np.concatenate(edges)
+    pixels, held = _pixels(head, corners, views), []
     for name, T in T_cam_target(head, views).items():
         lens = head.cameras[name].intrinsics
         x, y, z = np.moveaxis(transform(T[:, None], corners), -1, 0)
@@ -64,7 +67,12 @@ def held_whole(head: HeadCalibration, board: Board, views: Views) -> np.ndarray:
 
 def seen_by(head: HeadCalibration, board: Board, views: Views) -> dict[str, Array]:
     """Return by camera the pixels (V, K, 2) of the corners, in the image or not."""
-    points = transform(views.T_lbase_target[:, None], corner_points(board))
+    return _pixels(head, corner_points(board), views)
+
+
+def _pixels(head: HeadCalibration, corners: Array, views: Views) -> dict[str, Array]:
+    """Return by camera the pixels (V, K, 2) of points (K, 3) [m] in frame target."""
+    points = transform(views.T_lbase_target[:, None], corners)
     T = eye_poses(head, views.joints)
     return {
         name: project_at(mounted, head.T_rbase_lbase, T[:, EYES.index(mounted.eye)], points)

@@ -18,7 +18,7 @@ from vergence.calibration.observations import DetectionFailure, Observations
 from vergence.data.dataset import Dataset, runs
 from vergence.data.images import UNREADABLE
 from vergence.data.timing import Timing
-from vergence.errors import VergenceError
+from vergence.errors import VergenceError, counted
 from vergence.geometry.board import DICTIONARIES, Board, Chessboard
 from vergence.progress import Progress, silent
 from vergence.vision.board_detection import detect_board
@@ -131,7 +131,9 @@ def detect_or_explain(grey: np.ndarray, board: Board) -> tuple[Array | None, str
         return None, _why_not(grey)
     count = int(np.isfinite(corners).all(axis=1).sum())
     if count < LEAST_CORNERS:
-        return None, f"only {count} corners of the board are seen; {LEAST_CORNERS} are needed"
+        return None, (
+            f"only {counted(count, 'corner')} of the board can be seen; {LEAST_CORNERS} are needed"
+        )
     return corners, ""
 
 

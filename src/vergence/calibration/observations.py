@@ -10,9 +10,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from vergence.arguments import explained_fields
 from vergence.arrays import Array
 from vergence.data.timing import Timing, moved_readings
-from vergence.errors import VergenceError
+from vergence.errors import VergenceError, counted
 from vergence.geometry.board import Board
 from vergence.geometry.camera import is_image_size
 from vergence.geometry.head import HeadCalibration, check_camera_name
@@ -36,6 +37,7 @@ class DetectionFailure:
         return f"line {self.line}, {self.file}: {self.reason}"
 
 
+@explained_fields
 @dataclass(frozen=True, eq=False)
 class Observations:
     """What the cameras saw of a board with K corners in V views, and what the joints read.
@@ -82,6 +84,13 @@ class Observations:
         if self.T_base_eye is not None:
             arrays["T_base_eye"] = np.asarray(self.T_base_eye, dtype=float)
         vars(self).update(arrays)
+        numbers = self.placement
+        whole = numbers.dtype.kind in "biuf" and (numbers == np.round(numbers)).all()
+        if numbers.ndim != 1 or not whole:
+            raise VergenceError(
+                "placement is a whole number for each view, the same where the board stayed in "
+                f"its place; found {numbers!r:.80}."
+            )
         V, K = len(self.placement), self.board.columns * self.board.rows
         wanted: dict[str, tuple[np.ndarray, tuple[int, ...]]] = {
             "eye_angles": (self.eye_angles, (V, len(self.kinematics.readings)))
@@ -95,8 +104,8 @@ class Observations:
         for name, (array, shape) in wanted.items():
             if np.shape(array) != shape:
                 raise VergenceError(
-                    f"Observations of {V} views of {K} corners need {name} of shape {shape}, found "
-                    f"{np.shape(array)}."
+                    f"Observations of {counted(V, 'view')} of {counted(K, 'corner')} need {name} "
+                    f"of shape {shape}, found {np.shape(array)}."
                 )
         for name, corners in self.corners.items():
             if np.isinf(corners).any():

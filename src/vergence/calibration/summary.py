@@ -6,6 +6,7 @@ import numpy as np
 
 from vergence.calibration.checks.axes_and_eyes import eye_shift
 from vergence.calibration.observations import Observations
+from vergence.errors import counted
 from vergence.geometry.head import HeadCalibration, T_head_base, main_pair, reading_stds
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import readings_to_turn
@@ -123,8 +124,9 @@ def summary_lines(head: HeadCalibration, observations: Observations) -> list[str
         apart = f" The eyes are {1e3 * np.linalg.norm(eye_shift(head)):.1f} mm apart."
     found = sum(int(seen_corners(c).any(axis=1).sum()) for c in corners.values())
     lines = [
-        f"{word}: {len(corners)} camera{'s' * (len(corners) > 1)}, {len(observations.placement)} "
-        f"views, the board found in {found} of {found + lost} images.{apart}"
+        f"{word}: {counted(len(corners), 'camera')}, "
+        f"{counted(len(observations.placement), 'view')}, the board found in {found} of "
+        f"{counted(found + lost, 'image')}.{apart}"
     ]
     if accuracy.pixel_std_px is not None:
         degrees = [f"{np.degrees(s):.3f}" for s in accuracy.joint_std]
@@ -141,7 +143,7 @@ def summary_lines(head: HeadCalibration, observations: Observations) -> list[str
     if checked is not None and checked.transfer_px is not None:
         lines.append(
             f"Held out: a corner carried from eye to eye is off by {checked.transfer_px:.2f} px "
-            f"({checked.transfer_views} views, {checked.folds} folds)."
+            f"({counted(checked.transfer_views, 'view')}, {checked.folds} folds)."
         )
     if checked is not None and checked.point_mm is not None:
         expected = checked.expected_mm

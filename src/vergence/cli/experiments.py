@@ -157,6 +157,8 @@ class ExperimentOptions:
 
 Options = Annotated[ExperimentOptions, tyro.conf.arg(name="")]
 DEFAULT = ExperimentOptions()
+PRINTED_DIGITS = 4
+"""Significant digits of a printed summary: trials leave less. The files have all digits."""
 
 
 def foveate(*, trials: int = 100, options: Options = DEFAULT) -> None:
@@ -288,7 +290,7 @@ def _experiment(
         found = run(settings, progress)
     if options.json is not None:
         write_json(found, options.json)
-    print(as_json(found), end="")
+    print(as_json(found, PRINTED_DIGITS), end="")
     if options.out is not None:
         typed = invocation("rerun", options.out / f"{name}.rrd")
         print(f"To view the recording: {typed}", file=sys.stderr)

@@ -15,7 +15,7 @@ from vergence.accuracy.motions import PERIOD_S, eye_angles
 from vergence.arrays import MAX_M, Array
 from vergence.data.reader import load_dataset
 from vergence.data.stereo_rows import check_readings
-from vergence.errors import VergenceError
+from vergence.errors import VergenceError, counted
 from vergence.geometry.head import HeadCalibration, pair_names, reading_stds, states_covariance
 from vergence.geometry.kinematics import EYE_JOINTS
 from vergence.geometry.parameters import boxminus
@@ -62,9 +62,9 @@ def run(
         pixel_std_px: noise of a pixel coordinate; None: the calibration's, or of the twin's object.
 
     Raises:
-        VergenceError: there is nothing that could be wrong, a point is not seen or too far away,
-            the noise is negative, the motion is none of this head, or the head was calibrated
-            with measured eye poses.
+        VergenceError: there is nothing that could be wrong, a point is not seen, or so far away
+            that the head cannot tell it apart from infinity, the noise is negative, the motion is
+            none of this head, or the head was calibrated with measured eye poses.
     """
     if head.accuracy is not None and head.accuracy.eye_motion == "poses":
         raise VergenceError(
@@ -99,7 +99,24 @@ def run(
     for name in motions:
         joints, rates = motion_of(name, head)
         found[name] = budget(head, np.array(points), joints=joints, rates=rates, sources=sources)
+    for own in found[motion]:
+        _check_finite_distance(own)
     return Budgets(motion, found[motion], found.get("parallel"))
+
+
+def _check_finite_distance(found: Budget) -> None:
+    """Raise VergenceError for a point as uncertain as it is far away.
+
+    Within one standard deviation its rays may be parallel then, so that any distance would do.
+    """
+    distance, std = np.linalg.norm(found.point_m), np.linalg.norm(found.total.std_m)
+    if not std < distance:
+        # The error of depth grows with the square of the distance.
+        x, y, z = found.point_m
+        raise VergenceError(
+            f"--at {x:g} {y:g} {z:g} is too far away: with these errors the head cannot tell "
+            f"points beyond about {distance**2 / std:.2g} m apart from ones at infinity."
+        )
 
 
 def motion_of(name: str, head: HeadCalibration) -> tuple[Array, Array]:
@@ -119,7 +136,8 @@ def motion_of(name: str, head: HeadCalibration) -> tuple[Array, Array]:
     data = load_dataset(name)
     if data.T_base_eye is not None or len(data.eye_angles) < 2:
         raise VergenceError(
-            f"The motion of {name} is not one of joints: it has {len(data.eye_angles)} rows"
+            f"The motion of {name} is not one of joints: it has "
+            + counted(len(data.eye_angles), "row")
             + (" of measured eye poses." if data.T_base_eye is not None else ".")
         )
     check_readings(data, head)

@@ -14,7 +14,7 @@ from vergence.calibration.checks.lens_map import lens_maps
 from vergence.calibration.summary import point_accuracy, verdict
 from vergence.commands.plan import as_text
 from vergence.data.dataset import Dataset
-from vergence.errors import VergenceError
+from vergence.errors import VergenceError, counted
 from vergence.geometry.head import main_pair
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.parameters import parameter_values
@@ -144,7 +144,7 @@ def as_markdown(result: CalibrationResult, dataset: Dataset) -> str:
         images += [markdown_table("worst views | camera | residual [px]", rows), ""]
     failures = result.observations.failures
     if failures:
-        images += [f"{len(failures)} images gave no corners:", ""]
+        images += [f"{counted(len(failures), 'image')} gave no corners:", ""]
         images += [f"- {failure}" for failure in failures[:FAILURES_NAMED]]
         if len(failures) > FAILURES_NAMED:
             images.append(f"- and {len(failures) - FAILURES_NAMED} more, all in the JSON file")

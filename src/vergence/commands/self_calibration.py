@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from vergence.errors import counted
 from vergence.self_calibration.recorded import (
     OBSERVED,
     LearnedParameter,
@@ -44,8 +45,8 @@ def table(found: RecordedSelfCalibration) -> list[tuple[str, ...]]:
 def sentences(found: RecordedSelfCalibration) -> list[str]:
     """Return sentences about the recording as a whole, its warnings last."""
     lines = [
-        f"{found.frames} frames, of which {found.seen} showed how the cameras stand to each other "
-        f"and {found.learned} taught what persists; noise of the readings "
+        f"{counted(found.frames, 'frame')}, of which {found.seen} showed how the cameras stand to "
+        f"each other and {found.learned} taught what persists; noise of the readings "
         f"{np.degrees(found.joint_std_rad):.3f} degrees."
     ]
     hidden = [each for each in found.parameters if each.verdict == "not observed"]

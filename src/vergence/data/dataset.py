@@ -23,7 +23,7 @@ from vergence.data.images import (
     filled_bits,
     image_size,
 )
-from vergence.errors import VergenceError
+from vergence.errors import VergenceError, counted
 from vergence.reading import read_bytes
 
 
@@ -76,7 +76,7 @@ class Dataset:
         return len(self.time_s)
 
     def __repr__(self) -> str:
-        return f"<Dataset {self.folder}: {len(self)} frames of {', '.join(self.files)}>"
+        return f"<Dataset {self.folder}: {counted(len(self), 'frame')} of {', '.join(self.files)}>"
 
     def image(self, camera: str, row: int) -> np.ndarray | None:
         """Return an image (H, W, 3) uint8, RGB; None where the camera has none in this row.

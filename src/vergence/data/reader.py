@@ -30,7 +30,7 @@ from vergence.data.description import (
     Description,
     pose_columns,
 )
-from vergence.errors import VergenceError, explain
+from vergence.errors import VergenceError, counted, explain
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.neck import NECK_JOINTS
 from vergence.reading import MAX_DIGITS, parse_json, read_bytes, read_parsed
@@ -181,7 +181,8 @@ def _read_table(path: Path) -> Table:
     for line, cells in rows.items():
         if len(cells) != len(header):
             raise VergenceError(
-                f"{path}, line {line}: found {len(cells)} fields for {len(header)} columns."
+                f"{path}, line {line}: found {counted(len(cells), 'field')} for "
+                f"{counted(len(header), 'column')}."
             )
     if not rows:
         raise VergenceError(f"{path} has no frames, only a header.")

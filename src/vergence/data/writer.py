@@ -97,6 +97,8 @@ def _write_frames(folder: Path, description: Description, rows: Iterable[Dataset
         first = before = None
         of_placement: dict[str, _Line] = {}  # the first of each
         for number, row in enumerate(rows):
+            if not isinstance(row, DatasetRow):
+                raise VergenceError(f"Row {number} is not a DatasetRow; found {row!r:.80}.")
             _check_images(description, row.frame)
             now = number + 2, _cells(description, row)
             first, before = first or now, before or now

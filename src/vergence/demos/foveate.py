@@ -24,6 +24,7 @@ from vergence.demos.experiment import (
     write_summary,
 )
 from vergence.demos.recording import recorded
+from vergence.errors import counted
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.state import GazePhase, GazeSettings, GazeState, initial_gaze_state
 from vergence.progress import Progress, silent
@@ -223,5 +224,5 @@ def as_markdown(trials: list[Trial]) -> list[str]:
         )
         for number, trial in enumerate(trials, start=1)
     ]
-    about = f"The first {len(trials)} objects, each for {WITHIN_S} s."
+    about = f"The first {counted(len(trials), 'object')}, each for {WITHIN_S} s."
     return [about, "", markdown_table(columns, rows)]

@@ -24,6 +24,7 @@ from vergence.demos.experiment import (
     write_summary,
 )
 from vergence.demos.recording import recorded
+from vergence.errors import counted
 from vergence.progress import Progress, silent
 from vergence.reach.controller import run_reach
 from vergence.reach.state import ReachPhase, ReachSettings, ReachState, initial_reach_state
@@ -213,7 +214,7 @@ def as_markdown(found: Summary) -> list[str]:
     """Return the lines of a report."""
     lines = [
         f"The hand closed within {1e3 * WITHIN_M:.0f} mm of the object's centre in "
-        f"{found.within:.0%} of {found.trials} trials.",
+        f"{found.within:.0%} of {counted(found.trials, 'trial')}.",
         "",
     ]
     if found.median_mm is not None and found.unaided_median_mm is not None:

@@ -119,6 +119,11 @@ def gaze_angles(
     points_lbase = checked_points(points_lbase)
     if cameras is None:
         cameras = [roles.narrow for roles in default_roles(calibration).values()]
+    if isinstance(cameras, str) or not len(cameras):
+        raise VergenceError(
+            f"cameras are names of one or more, such as {[*calibration.cameras][:1]}; found "
+            f"{cameras!r:.80}."
+        )
     targets = {}
     for name in cameras:
         right = calibration.camera(name).eye == "right"

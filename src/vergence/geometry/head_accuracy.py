@@ -11,6 +11,7 @@ from pydantic import AliasChoices, BeforeValidator, ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Matrix
+from vergence.errors import counted
 from vergence.geometry.kinematics import EYES
 
 _FINITE = ConfigDict(extra="forbid", allow_inf_nan=False)
@@ -106,7 +107,7 @@ class Accuracy:
         n, C = len(self.parameters), self.covariance
         if C.shape != (n, n):
             raise ValueError(
-                f"covariance has a row and a column for each of {n} parameters, found "
+                f"covariance has a row and a column for each of {counted(n, 'parameter')}, found "
                 f"{C.shape[0]} x {C.shape[1]} numbers"
             )
         if len(set(self.parameters)) < n:

@@ -9,6 +9,7 @@ from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import MAX_M, Array, Vector3, Vectors3
+from vergence.errors import counted
 from vergence.geometry.chain import Chain, chain_pose
 from vergence.geometry.kinematics import MAX_JOINTS
 
@@ -34,8 +35,9 @@ class Neck:
     def __post_init__(self) -> None:
         if len(self.axes) != len(self.points_m):
             raise ValueError(
-                f"a neck has a point on each axis, found {len(self.axes)} axes and "
-                f"{len(self.points_m)} points"
+                f"a neck has a point on each axis, found "
+                f"{counted(len(self.axes), 'axis', 'axes')} and "
+                f"{counted(len(self.points_m), 'point')}"
             )
         if len(self.axes) > MAX_JOINTS:
             raise ValueError(f"a neck has at most {MAX_JOINTS} joints, found {len(self.axes)}")

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import BaseModel, FiniteFloat, PositiveInt, TypeAdapter
 
 from vergence.arrays import Array, Transform
-from vergence.errors import VergenceError, explain
+from vergence.errors import VergenceError, counted, explain
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import (
     HeadCalibration,
@@ -46,7 +46,8 @@ class _Cam(BaseModel):
         count = 0 if self.distortion_model == "none" else 4
         if len(self.distortion_coeffs) != count:
             raise ValueError(
-                f"distortion_coeffs has {len(self.distortion_coeffs)} numbers; "
+                f"distortion_coeffs has "
+                f"{counted(len(self.distortion_coeffs), 'number')}; "
                 f"{self.distortion_model} has {count}"
             )
         fx, fy, cx, cy = self.intrinsics

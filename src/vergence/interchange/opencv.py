@@ -12,6 +12,7 @@ time_offset_s
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, fields
@@ -158,7 +159,8 @@ def load(path: Path) -> HeadCalibration:
     It does not use cv2.FileStorage, whose parser can end the process on a damaged file.
     VergenceError if the file is missing, cannot be read, or a field is not valid.
     """
-    _check_suffix(path)
+    if os.path.isfile(path):  # else the missing file is named below
+        _check_suffix(path)
     parsers = {".xml": _parse_xml, ".json": parse_json}
     what = "a head in a file of OpenCV's FileStorage"
     return read(path, what, _head, parsers.get(path.suffix, _parse_yaml))

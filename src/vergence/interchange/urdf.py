@@ -175,5 +175,5 @@ def _rpy(R: Array) -> tuple[float, float, float]:
 
 
 def _text(*values: float) -> str:
-    """Return numbers so that they read back exactly."""
-    return " ".join(repr(float(value)) for value in values)
+    """Return numbers so that they read back exactly, a negative zero without its sign."""
+    return " ".join(repr(float(value) + 0.0) for value in values)

@@ -9,7 +9,7 @@ import numpy as np
 
 from vergence.data.dataset import Dataset
 from vergence.data.stereo_rows import stereo_rows
-from vergence.errors import VergenceError
+from vergence.errors import VergenceError, counted
 from vergence.geometry.head import HeadCalibration, states_covariance
 from vergence.geometry.kinematics import straight_gaze
 from vergence.geometry.parameters import change_between
@@ -197,7 +197,7 @@ def _warnings(head: HeadCalibration, frames: int, seen: int) -> list[str]:
         )
     if seen < (1 - _MOST_UNSEEN) * frames:
         found.append(
-            f"Only {seen} of {frames} frames showed how the cameras stand to each other; in the "
-            "others the prior stands, in part or wholly."
+            f"Only {seen} of {counted(frames, 'frame')} showed how the cameras stand to each "
+            "other; in the others the prior stands, in part or wholly."
         )
     return found

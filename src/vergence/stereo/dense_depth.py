@@ -21,6 +21,7 @@ from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, states_noise
 from vergence.geometry.se3 import transform
 from vergence.stereo.depth_error import depth_error
+from vergence.stereo.extrinsics import stereo_cameras
 from vergence.stereo.rectification import (
     RectifiedPair,
     known_posture,
@@ -98,16 +99,17 @@ def dense_depth(
 
     Raises:
         VergenceError: the joints are not known ones of one posture; the nearest depth is not
-            positive, or its disparity exceeds the image; or an image is missing, not uint8, or of
-            another size than the calibration's.
+            positive, or its disparity exceeds the image; there are no such cameras; or an image is
+            missing, not uint8, or of another size than the calibration's.
     """
     joints = known_posture(head, joints)
+    stereo_cameras(head, cameras)  # refuses others, also where they are not needed below
     width = pair.left.map_x.shape[1]
     scale = pair.matrix[0, 0] * pair.baseline_m
     least_m = scale / (_LARGEST_DISPARITY_SHARE * width)
     if nearest_m is None:
         nearest_m = max(NEAREST_M, least_m)
-    if not nearest_m >= least_m:
+    if not least_m <= nearest_m < np.inf:
         raise VergenceError(
             f"The nearest depth is from {least_m:.2g} m for these cameras, found {nearest_m:g} m."
         )

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
-from vergence.errors import VergenceError
+from vergence.errors import VergenceError, counted
 from vergence.geometry.camera import Camera, normalised_rows
 from vergence.geometry.components import (
     Rows,
@@ -274,8 +274,8 @@ def checked_arguments(
     ):
         if array.shape not in shapes:
             raise VergenceError(
-                f"Locating {n} points needs {name} of shape {' or '.join(map(str, shapes))}, found "
-                f"{array.shape}."
+                f"Locating {counted(n, 'point')} needs {name} of shape "
+                f"{' or '.join(map(str, shapes))}, found {array.shape}."
             )
     check_joints(kinematics, joints)
     return left, right, joints
@@ -302,8 +302,8 @@ def in_body(head: HeadCalibration, points_lbase: Array, neck_angles: Array) -> A
     joints = len(head.neck.axes)
     if angles.shape[-1:] != (joints,):
         raise VergenceError(
-            f"The neck of this head has {joints} joints; found an array of angles of shape "
-            f"{angles.shape}."
+            f"The neck of this head has {counted(joints, 'joint')}; found an array of angles "
+            f"of shape {angles.shape}."
         )
     check_radians(angles, "Angles of the neck")
     points = checked_points(points_lbase, angles.shape[:-1])

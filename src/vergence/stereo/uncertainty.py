@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from vergence.arrays import Array
 from vergence.data.dataset import MAX_GAP_S
 from vergence.data.timing import Timing, moved_readings
-from vergence.errors import VergenceError
+from vergence.errors import VergenceError, counted
 from vergence.geometry.eye_motion import check_joints, measured
 from vergence.geometry.head import (
     HeadCalibration,
@@ -227,14 +227,20 @@ def combination(
     of the calibration are always shared. Points that cannot be located must have weight zero, or
     the result is NaN. Other arguments and errors are those of `locate`; noise that neither the
     caller nor the calibration states is taken as none. VergenceError also if there are not as many
-    weights as points.
+    weights as points, or one is not finite.
     """
     left, right, joints = checked_arguments(left, right, joints, head.kinematics)
     factor, n = pair_factor(head, cameras), len(left)
     weights = np.asarray(weights, dtype=float)
     if weights.shape != (n,):
         raise VergenceError(
-            f"A combination of {n} points has {n} weights; found an array of shape {weights.shape}."
+            f"A combination of {counted(n, 'point')} has a weight for each; found an array of "
+            f"shape {weights.shape}."
+        )
+    if not np.isfinite(weights).all():
+        raise VergenceError(
+            "Weights of a combination are finite, 0 for points that do not count; found "
+            f"{weights[~np.isfinite(weights)][0]:g}."
         )
     pixel_std_px, joint_std_rad = _or_stated(head, joints, pixel_std_px, joint_std_rad)
     noise, one = _noise(head, joints, n, pixel_std_px, joint_std_rad), joints.ndim in (1, 3)

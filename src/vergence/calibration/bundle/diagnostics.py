@@ -15,6 +15,7 @@ from vergence.calibration.bundle.problem import (
     latent_readings,
     refit_trajectory,
 )
+from vergence.errors import counted
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.se3 import rotvec
@@ -131,7 +132,7 @@ def _lost_readings(problem: BundleProblem, found: Adjusted) -> list[str]:
         ]
     said = [f"View {problem.block_view[b]}: {what}, and lost its weight." for b, what in lost]
     if len(said) > MOST_NAMED:
-        rest = f"{len(said) - MOST_NAMED} more readings lost their weight."
+        rest = f"{counted(len(said) - MOST_NAMED, 'more reading')} lost their weight."
         said = [*said[:MOST_NAMED], rest]
     return said
 

@@ -19,7 +19,7 @@ from vergence.calibration.bundle.bundle_adjustment import (
 from vergence.calibration.bundle.solver import OUTLIER
 from vergence.calibration.observations import Observations
 from vergence.calibration.sequential.hand_eye import robust_park_martin
-from vergence.errors import VergenceError
+from vergence.errors import VergenceError, counted
 from vergence.geometry.board import Chessboard
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, MountedCamera
@@ -231,7 +231,8 @@ def _check(eye: Array, pixels: Array, points: Array, kinematics: Kinematics) -> 
         )
     if pixels.shape != (N, K, 2):
         raise VergenceError(
-            f"refine_eye_camera needs pixels of shape ({N}, {K}, 2) for {N} views of {K} points, "
+            f"refine_eye_camera needs pixels of shape ({N}, {K}, 2) for {counted(N, 'view')} of "
+            f"{counted(K, 'point')}, "
             f"found {pixels.shape}."
         )
 

@@ -24,7 +24,7 @@ from vergence.calibration.bundle.bundle_adjustment import (
 from vergence.calibration.bundle.measured_poses import PoseObservations, whitening
 from vergence.calibration.observations import mean_placed
 from vergence.calibration.sequential.hand_eye import robust_park_martin
-from vergence.errors import VergenceError
+from vergence.errors import VergenceError, counted
 from vergence.geometry.camera import pinhole
 from vergence.geometry.head import HeadCalibration, MountedCamera, main_pair
 from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye, check_turns
@@ -235,7 +235,8 @@ def _check(
         )
     if placement.shape != (views,):
         raise VergenceError(
-            f"placement has a number for each of the {views} views, found shape {placement.shape}."
+            f"placement has a number for each of {counted(views, 'view')}, found shape "
+            f"{placement.shape}."
         )
     if eye.ndim == 4:
         check_rigid("eye", eye)
@@ -244,8 +245,8 @@ def _check(
     for name, T in T_cam_target.items():
         if T.shape != (views, 4, 4):
             raise VergenceError(
-                f"Poses of a target in {views} views are ({views}, 4, 4) for each camera, found "
-                f"{T.shape} for {name}."
+                f"Poses of a target in {counted(views, 'view')} are ({views}, 4, 4) for each "
+                f"camera, found {T.shape} for {name}."
             )
         if eyes.get(name) not in EYES:
             raise VergenceError(f"eyes does not say in which eye {name} sits, left or right.")

@@ -13,6 +13,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.observations import Observations
+from vergence.errors import counted
 
 LEAST = 0.35
 """Distance from where the neighbours say, in sides of a square in the image, below which no corner
@@ -31,8 +32,9 @@ def without_strays(observations: Observations) -> Observations:
         stray = strays(found.reshape(len(found), board.rows, board.columns, 2))
         stray = stray.reshape(found.shape[:2])
         corners[name] = np.where(stray[..., None], np.nan, found)
-        if stray.any():
-            said.append(f"{stray.sum()} in {stray.any(axis=1).sum()} images of {name}")
+        images = int(stray.any(axis=1).sum())
+        if images:
+            said.append(f"{stray.sum()} in {counted(images, 'image')} of {name}")
     if not said:
         return observations
     remark = f"Corners not where their neighbours say, and left out: {'; '.join(said)}."

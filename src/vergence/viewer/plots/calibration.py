@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from vergence.arrays import Array
+from vergence.errors import counted
 from vergence.viewer.plots.canvas import BLUE, GREEN, RED, image_frame, panels, save
 
 
@@ -34,7 +35,7 @@ def coverage(
         axes.plot(*pixels.reshape(-1, 2).T, ".", markersize=1.5, color=BLUE)
         image_frame(axes, sizes[name])
         seen = int(np.isfinite(pixels[..., 0]).sum(axis=1).astype(bool).sum())
-        axes.set_title(f"{name}, {seen} views", fontsize=11, loc="left")
+        axes.set_title(f"{name}, {counted(seen, 'view')}", fontsize=11, loc="left")
     for axes, (eye, angles) in zip(grid[len(corners) :], eye_angles.items(), strict=True):
         axes.plot(*np.degrees(angles).T, ".", markersize=5, color=RED)
         axes.set(xlabel="pan [deg]", ylabel="tilt [deg], positive down")
