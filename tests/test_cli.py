@@ -235,29 +235,6 @@ def test_an_unknown_option_is_answered_with_the_known_ones(arguments, known, cap
     assert f"vergence {arguments[0]} --help" in text
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("plan head.json --views x", "--views takes a whole number; found x. See "),
-        (
-            "plan head.json --board 9 6",
-            "--board takes 3 numbers, the first 2 of them whole; fo",
-        ),
-        ("plan head.json --limits-deg 20 y", "--limits-deg takes numbers; found 20 y. See "),
-        ("budget --at 1 2", "--at takes 3 numbers; found 1 2. See "),
-        ("budget --at 1 2 3 --at 1", "--at takes 3 numbers; found 1. See "),
-        ("foveate --trials=1.5", "--trials takes a whole number; found 1.5. See "),
-        ("track --scene hall", "--scene takes one of room, sparse, moving; found hall. See "),
-        ("calibrate data --out c.json --lens", "--lens takes one of auto, none, k1, k1k2"),
-        ("reproduce --figures 6 seven", "--figures takes whole numbers; found 6 seven. See "),
-    ],
-)
-def test_a_value_of_a_wrong_kind_ends_in_a_sentence(words, said, capsys, monkeypatch):
-    text = refused(words.split(), capsys, monkeypatch)
-    assert text.startswith(f"vergence: {said}")
-    assert text.count("\n") == 1
-
-
 def test_a_missing_file_of_opencv_is_missing_whatever_its_suffix(capsys, monkeypatch):
     words = ["import", "nosuch", "--format", "opencv", "--out", "x.json"]
     assert "Cannot read nosuch: No such file" in refused(words, capsys, monkeypatch)

@@ -83,6 +83,14 @@ def test_a_combination_has_a_weight_for_each_point():
             combination(head, weights=weights, left=left, right=right, joints=eyes)
 
 
+@pytest.mark.parametrize("weight", [np.nan, np.inf])
+def test_weights_of_a_combination_are_finite(weight: float):
+    head = plain_head(0.09, 280.0)
+    pixels = np.array([[320.0, 240.0]])
+    with pytest.raises(VergenceError, match="Weights of a combination are finite"):
+        combination(head, weights=[weight], left=pixels, right=pixels, joints=np.zeros(4))
+
+
 @pytest.mark.parametrize("noise_px", [0.0, 0.1])
 def test_an_offset_in_time_costs_moving_eyes_nothing_once_it_is_calibrated(noise_px: float):
     """At 30 Hz and 0.5 Hz, with readings 40 ms before the images."""

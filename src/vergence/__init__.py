@@ -8,7 +8,6 @@ the import itself costs nothing. The twin is `vergence.twin`, recordings and fig
 from __future__ import annotations
 
 from importlib import import_module
-from types import FunctionType
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.2.0"
@@ -111,16 +110,10 @@ _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public name when it is first used.
-
-    Functions are given what says of an argument that it is of a wrong kind.
-    """
+    """Load a public name when it is first used."""
     if name not in _HOME_OF:
         raise AttributeError(f"module 'vergence' has no attribute {name!r}")
     value = getattr(import_module(f"vergence.{_HOME_OF[name]}"), name)
-    if isinstance(value, FunctionType):
-        value = import_module("vergence.arguments").explained(value)
-        value.__module__ = "vergence"  # where pickle finds this one
     globals()[name] = value  # found without asking from now on
     return value
 

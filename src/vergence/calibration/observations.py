@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from vergence.arguments import explained_fields
 from vergence.arrays import Array
 from vergence.data.timing import Timing, moved_readings
 from vergence.errors import VergenceError, counted
@@ -37,7 +36,6 @@ class DetectionFailure:
         return f"line {self.line}, {self.file}: {self.reason}"
 
 
-@explained_fields
 @dataclass(frozen=True, eq=False)
 class Observations:
     """What the cameras saw of a board with K corners in V views, and what the joints read.

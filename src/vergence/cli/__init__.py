@@ -8,8 +8,8 @@ import re
 import signal
 import sys
 from collections.abc import Callable
-from inspect import getdoc, signature
-from typing import Any, get_type_hints
+from dataclasses import fields
+from inspect import Parameter, getdoc, signature
 
 import tyro
 
@@ -25,7 +25,6 @@ from vergence.cli.experiments import (
     reproduce,
     track,
 )
-from vergence.cli.values import check_values
 from vergence.commands.invocation import invocation
 from vergence.errors import VergenceError
 from vergence.writing import finished_files
@@ -77,18 +76,15 @@ def _check(arguments: list[str]) -> None:
                 f"{name} has no option {argument!r}; it has {', '.join(known)}. "
                 f"See {invocation('vergence', name, '--help')}."
             )
-    if "-h" not in arguments and "--help" not in arguments:
-        check_values(arguments[1:], known, invocation("vergence", name, "--help"))
 
 
-def options_of(command: Callable[..., None]) -> dict[str, Any]:
-    """Return the options of a command and their types, with those that experiments share."""
+def options_of(command: Callable[..., None]) -> list[str]:
+    """Return the options of a command, with those that experiments have in common."""
     parameters = signature(command).parameters.values()
-    hints = get_type_hints(command)
-    kinds = {each.name: hints[each.name] for each in parameters if each.kind is each.KEYWORD_ONLY}
-    if kinds.pop("options", None):
-        kinds |= get_type_hints(ExperimentOptions)
-    return {f"--{name.replace('_', '-')}": kind for name, kind in kinds.items()}
+    names = [each.name for each in parameters if each.kind is Parameter.KEYWORD_ONLY]
+    if names[-1] == "options":
+        names[-1:] = [field.name for field in fields(ExperimentOptions)]
+    return [f"--{name.replace('_', '-')}" for name in names]
 
 
 def main() -> None:

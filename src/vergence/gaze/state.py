@@ -10,7 +10,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence.arguments import explained_fields
 from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.gaze.commands import HeadCommand, JointLimits, hold
@@ -37,7 +36,6 @@ class GazePhase(StrEnum):
     """The object has not been seen for a while: the eyes wait where it went, then search."""
 
 
-@explained_fields
 @dataclass(frozen=True, eq=False)
 class GazeSettings:
     """The head, what it looks at, and the parameters of its gaze controller.
