@@ -11,7 +11,13 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.bundle.bundle_adjustment import BundleEstimate, bundle_adjust
-from vergence.calibration.checks import axes_and_eyes, board_flips, encoders, excitation
+from vergence.calibration.checks import (
+    axes_and_eyes,
+    board_flips,
+    board_shape,
+    encoders,
+    excitation,
+)
 from vergence.calibration.checks.cross_validation import (
     PartCalibration,
     calibrate_folds,
@@ -357,6 +363,7 @@ def _warnings(
         *views.pose_warnings,
         *odd_baseline,
         *board_flips.warnings(views.renumbered),
+        *board_shape.warnings(*_at_rest(observations, views.T_cam_target), views.intrinsics),
         *excitation.doubts(observations, views.T_cam_target, head, focal_std),
         *found.accuracy.warnings,
         *at_the_edge,

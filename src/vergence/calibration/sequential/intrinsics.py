@@ -45,6 +45,8 @@ class Intrinsics:
     """What Zhang's method gives for one camera."""
 
     camera: Camera
+    free: np.ndarray
+    """(n,) indices of the intrinsics that were fitted, in the order of intrinsics_names."""
     rms_px: float
     """Root mean square of the distance between corners and their reprojections."""
     views: int
@@ -156,4 +158,4 @@ def _checked(
     # Of few views the jackknife knows little; they err by as much as their corners at least.
     of_focal, centre_px, distortion_px = np.max(stated, axis=0).tolist()
     accuracy = LensAccuracy(focal=of_focal, centre_px=centre_px, distortion_px=distortion_px)
-    return Intrinsics(camera, rms, len(corners), (fx_std, fy_std), accuracy)
+    return Intrinsics(camera, free, rms, len(corners), (fx_std, fy_std), accuracy)

@@ -1,0 +1,71 @@
+"""A board whose squares are not square is named, by how much; a good one is not doubted."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import simulated_recording
+from simulated_head import random_head
+from simulated_recording import POINTS, Noise, Recording, record
+from vergence.calibration.calibrate import calibrate
+from vergence.calibration.checks.board_shape import stretch, warnings
+from vergence.calibration.observations import Observations
+from vergence.calibration.sequential.intrinsics import calibrate_intrinsics
+from vergence.geometry.board import corner_points
+from vergence.vision.board_pose import board_poses
+
+USUAL = Recording(straight=15, orientations=30, alike=False)
+
+
+def seen(seed: int, monkeypatch, high: float, how: Recording = USUAL) -> Observations:
+    """Return a recording of a board whose squares are higher than wide by a factor."""
+    rng = np.random.default_rng(seed)
+    head = random_head(rng)
+    monkeypatch.setattr(simulated_recording, "POINTS", POINTS * [1, high, 1])
+    return record(head, rng, how)
+
+
+def checked(views: Observations):
+    """Return the arguments of the check."""
+    lenses, points = calibrate_intrinsics(views), corner_points(views.board)
+    poses = {n: board_poses(each.camera, views.corners[n], points) for n, each in lenses.items()}
+    return views, poses, lenses
+
+
+@pytest.mark.parametrize("high", [0.997, 1.001, 1.003])
+def test_a_stretched_board_is_found_out_and_by_how_much(high: float, monkeypatch):
+    for seed in range(4):
+        views = checked(seen(seed, monkeypatch, high))
+        value, std = stretch(*views)
+        assert value == pytest.approx(high - 1, abs=4 * std)
+        assert std < 4e-4
+        if abs(high - 1) > 0.002:
+            (said,) = warnings(*views)
+            assert re.search(r"are 0\.\d\d % (higher|lower) than wide", said)
+            assert ("higher" in said) == (high > 1)
+
+
+def test_corners_without_noise_show_the_stretch_exactly(monkeypatch):
+    exact = replace(USUAL, noise=Noise())
+    assert stretch(*checked(seen(1, monkeypatch, 1.003, exact)))[0] == pytest.approx(3e-3, rel=0.02)
+
+
+def test_a_good_board_is_not_doubted(monkeypatch):
+    for seed in range(20):
+        views = checked(seen(seed, monkeypatch, 1.0))
+        assert warnings(*views) == ()
+
+
+def test_few_views_tell_nothing_of_the_board(monkeypatch):
+    few = Recording(straight=5, orientations=0)
+    views = checked(seen(2, monkeypatch, 1.003, few))
+    assert stretch(*views) == (0.0, np.inf)
+    assert warnings(*views) == ()
+
+
+def test_a_calibration_by_a_stretched_board_is_doubted(monkeypatch):
+    found = calibrate(seen(3, monkeypatch, 1.003))
+    assert any("The squares of the board are" in said for said in found.warnings)
+    assert found.summary().startswith("DOUBTFUL")
