@@ -53,7 +53,7 @@ def test_corners_without_noise_show_the_stretch_exactly(monkeypatch):
 
 
 def test_a_good_board_is_not_doubted(monkeypatch):
-    for seed in range(20):
+    for seed in range(10):
         views = checked(seen(seed, monkeypatch, 1.0))
         assert warnings(*views) == ()
 

@@ -123,7 +123,7 @@ def test_parts_that_differ_as_stated_have_a_jackknife_ratio_of_one(information: 
     assert jackknife_ratio(HEAD, [HEAD] * 5) is None  # states no covariance
 
 
-@pytest.mark.parametrize("seed", [1, 7])  # those of the first ten that were void before
+@pytest.mark.parametrize("seed", [7])  # of the first ten it was void before, as 1 was
 def test_parts_of_few_views_need_not_agree_better_than_these_views_allow(seed: int):
     rng = np.random.default_rng([seed, 3, 3])
     head = random_head(rng, lenses=["wide"])

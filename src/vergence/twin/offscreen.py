@@ -10,7 +10,7 @@ from __future__ import annotations
 import atexit
 import threading
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -104,7 +104,7 @@ class Offscreen:
         self._buffers.clear()
 
 
-def _context() -> mujoco.GLContext:
+def _context() -> Any:  # the class depends on the backend
     """Return the OpenGL context of this thread, which is open until the thread ends."""
     if not hasattr(_opened, "context"):
         _opened.context = mujoco.GLContext(1, 1)  # of no matter: each buffer has its own size

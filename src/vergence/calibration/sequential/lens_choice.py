@@ -146,10 +146,11 @@ def best_lens(
     }
     best = min(criterion, key=lambda model: criterion[model])
     enough = criterion[best] + MARGIN.get(best, 0.0)
-    chosen = next(m for m in criterion if criterion[m] <= enough)
-    if chosen != "fisheye":  # whose place among the usual models is none
-        chosen = min(list(held_out)[: list(held_out).index(chosen) + 1], key=lambda m: held_out[m])
-    return LensChoice(chosen, held_out)
+    models = list(criterion)
+    number = next(k for k, model in enumerate(models) if criterion[model] <= enough)
+    if models[number] == "fisheye":  # which contains none of the usual models
+        return LensChoice("fisheye", held_out)
+    return LensChoice(min(models[: number + 1], key=lambda m: held_out[m]), held_out)
 
 
 def _criterion(model: LensModel, fit: LensFit, count: int) -> float:
