@@ -123,9 +123,8 @@ def test_parts_that_differ_as_stated_have_a_jackknife_ratio_of_one(information: 
     assert jackknife_ratio(HEAD, [HEAD] * 5) is None  # states no covariance
 
 
-@pytest.mark.parametrize("seed", [7])  # of the first ten it was void before, as 1 was
-def test_parts_of_few_views_need_not_agree_better_than_these_views_allow(seed: int):
-    rng = np.random.default_rng([seed, 3, 3])
+def test_parts_of_few_views_need_not_agree_better_than_these_views_allow():
+    rng = np.random.default_rng([7, 3, 3])  # compared with what the whole knows, it would be void
     head = random_head(rng, lenses=["wide"])
     few = Recording(straight=3, orientations=3, alike=False)
     found = calibrate(record(head, rng, few)).accuracy

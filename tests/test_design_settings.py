@@ -113,10 +113,10 @@ def test_the_command_writes_a_report_with_the_cheapest_head(tmp_path, monkeypatc
         (["--at-m", "-1"], "--at-m takes a number above 0"),
         (["--accuracy-mm", "2000000"], "below 1,000,000, found 2e+06"),
         (["--jobs", "0"], "--jobs takes a number of processes"),
-        (["--focal-px", "5"], "--focal-px: values are from 50 to 10,000, found 5"),
+        (["--focal-px", "5"], "designs.focal_px: values are from 50 to 10,000, found 5"),
         (
             ["--counts-per-turn", "-5"],
-            "--counts-per-turn: values are from 0 to 4,294,967,296, fo",
+            "designs.counts_per_turn: values are from 0 to 4,294,967,296, fo",
         ),
         (["missing.toml"], "missing.toml"),
     ],

@@ -111,9 +111,9 @@ def calibrate(
         data: a dataset, in whose images the board is then sought; or the observations of one's own
             detector.
         method: the paper's steps alone, or bundle adjustment, which starts from them.
-        lens: lens model of all cameras, or by camera; "auto": the one that its images speak
-            for or, for the paper's method, the paper's: radial-tangential, and none for the narrow
-            cameras.
+        lens: lens model of all cameras, or by camera; "auto": selected for each by how well it fits
+            and predicts its views or, for the paper's method, the paper's: radial-tangential, and
+            none for the narrow cameras.
         progress: see vergence.progress.
 
     Raises:

@@ -40,8 +40,8 @@ def calibrate(
         out: JSON file of the calibration.
         report: Folder for report.md, its pictures and a recording of the dataset.
         method: Bundle adjustment, which starts from the paper's steps, or these steps alone.
-        lens: Lens model of all cameras; auto: for each the one that its images speak for or, with
-            the paper's method, radial-tangential, and none for narrow cameras.
+        lens: Lens model of all cameras; auto: selected for each by how well it fits and predicts
+            its views or, with the paper's method, radial-tangential, and none for narrow cameras.
         json: JSON file of the accuracy alone.
     """
     from vergence.calibration.calibrate import calibrate as run

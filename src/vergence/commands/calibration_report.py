@@ -214,9 +214,9 @@ def _lenses(result: CalibrationResult) -> list[str]:
             )
         )
     lines = [
-        "Where the model was not stated it is the one of the best Bayesian information criterion.",
-        "Errors are of one coordinate of a corner in views that the fit had not seen, root mean",
-        "square.",
+        "Where the model was not stated it was selected by the Bayesian information criterion,",
+        "in favour of simpler models that predict held-out views as well. Errors are of one",
+        "coordinate of a corner in such views, root mean square.",
         "",
         markdown_table("camera | lens model | held out [px] | runner-up, held out [px]", rows),
     ]

@@ -5,7 +5,6 @@ Its chunks are computed by `design_chunks`.
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -72,12 +71,7 @@ def chosen_settings(
     try:
         return DesignSettings.model_validate(chosen)
     except ValidationError as error:
-        said = explain(error)
-        for name, values in given.items():
-            if values is not None:
-                option = f"--{name.replace('_', '-')}"
-                said = re.sub(rf"designs\.{name}(\.\d+)?:", f"{option}:", said)
-        raise VergenceError(f"These designs cannot be compared: {said}.") from None
+        raise VergenceError(f"These designs cannot be compared: {explain(error)}.") from None
 
 
 def run(

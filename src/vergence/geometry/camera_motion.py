@@ -12,12 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.geometry.eye_motion import eye_motion
+from vergence.geometry.eye_motion import eye_linearised
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameter_names import POSE
 from vergence.geometry.parameters import camera_columns, parameter_names
 from vergence.geometry.projection import T_lbase_cam
-from vergence.geometry.se3 import hat, inverse, pose
+from vergence.geometry.se3 import hat, inverse
+
+_UNIT = np.eye(len(POSE))
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,51 +51,38 @@ class RelativeMotion:
 def camera_motion(head: HeadCalibration, camera: str, joints: Array) -> CameraMotion:
     """Return the pose of a camera of a head at readings (r,) [rad], and its derivatives."""
     mounted = head.camera(camera)
-    eye = eye_motion(head.kinematics, mounted.eye, joints.tolist())
-    T_base_eye = pose(eye.R, eye.t)
+    T_base_eye, by_errors, by_readings = eye_linearised(head.kinematics, mounted.eye, joints)
     R, arm = T_base_eye[:3, :3], T_base_eye[:3, :3] @ mounted.T_eye_cam[:3, 3]
-    by_angles = np.array(eye.by_angles).reshape(-1, len(POSE)).T
-    by_readings = np.zeros((len(POSE), len(joints)))
-    for joint, reading, factor in eye.angle_by_readings:
-        by_readings[:, reading] += factor * by_angles[:, joint]
-    by_errors = [
-        np.array(change) if joint is None else by_angles[:, joint] * change
-        for joint, change in eye.by_errors
-    ]
-    of_eye = np.column_stack([*by_errors, by_readings])
+    of_eye = np.concatenate([by_errors, by_readings], axis=1)
     of_eye[3:] -= hat(arm) @ of_eye[:3]  # it turns the camera about the eye's origin
-    of_base, mounting = np.zeros((2, len(POSE), len(POSE)))
-    mounting[:3, :3] = mounting[3:, 3:] = R
-    T = T_lbase_cam(mounted, head.T_rbase_lbase, T_base_eye)
+    mounting, of_base = _rotated(R, _UNIT), np.zeros_like(_UNIT)
     if mounted.eye == "right":
         back = head.T_rbase_lbase[:3, :3].T
-        from_left = T_base_eye[:3, 3] + arm - head.T_rbase_lbase[:3, 3]
-        of_base[:3, :3] = of_base[3:, 3:] = -back
-        of_base[3:, :3] = back @ hat(from_left)
-        of_eye, mounting = (
-            np.concatenate([back @ each[:3], back @ each[3:]]) for each in (of_eye, mounting)
-        )
+        of_base = -_UNIT
+        of_base[3:, :3] = hat(T_base_eye[:3, 3] + arm - head.T_rbase_lbase[:3, 3])
+        of_base, mounting, of_eye = (_rotated(back, each) for each in (of_base, mounting, of_eye))
+    errors = by_errors.shape[1]
     by_parameters = np.zeros((len(POSE), len(parameter_names(head))))
     # The first columns of a camera are those of its lens.
-    moving = camera_columns(head, camera)[-2 * len(POSE) - len(by_errors) :]
-    by_parameters[:, moving] = np.column_stack([mounting, of_base, of_eye[:, : len(by_errors)]])
-    return CameraMotion(T, by_parameters, of_eye[:, len(by_errors) :])
+    moving = camera_columns(head, camera)[-2 * len(POSE) - errors :]
+    by_parameters[:, moving] = np.concatenate([mounting, of_base, of_eye[:, :errors]], axis=1)
+    T = T_lbase_cam(mounted, head.T_rbase_lbase, T_base_eye)
+    return CameraMotion(T, by_parameters, of_eye[:, errors:])
+
+
+def _rotated(R: Array, increments: Array) -> Array:
+    """Return increments (6, n) along other axes, by the rotation (3, 3) that maps into these."""
+    return np.concatenate([R @ increments[:3], R @ increments[3:]])
 
 
 def relative_motion(first: CameraMotion, second: CameraMotion) -> RelativeMotion:
     """Return how the first camera stands to the second; of the two eyes, Eq. 11 linearised."""
     back = second.T_lbase_cam[:3, :3].T
-    between = hat(first.T_lbase_cam[:3, 3] - second.T_lbase_cam[:3, 3])
-
-    def of_first(by: Array) -> Array:
-        return np.concatenate([back @ by[:3], back @ by[3:]])
-
-    def of_second(by: Array) -> Array:
-        return np.concatenate([-back @ by[:3], back @ (between @ by[:3] - by[3:])])
-
+    turned = -_UNIT  # what the second camera's increments do to the first, seen from it
+    turned[3:, :3] = hat(first.T_lbase_cam[:3, 3] - second.T_lbase_cam[:3, 3])
     return RelativeMotion(
         inverse(second.T_lbase_cam) @ first.T_lbase_cam,
-        of_first(first.by_parameters) + of_second(second.by_parameters),
-        of_first(first.by_readings),
-        of_second(second.by_readings),
+        _rotated(back, first.by_parameters + turned @ second.by_parameters),
+        _rotated(back, first.by_readings),
+        _rotated(back, turned @ second.by_readings),
     )

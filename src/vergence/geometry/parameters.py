@@ -14,7 +14,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from vergence.arrays import Array, replace_unchecked
+from vergence.arrays import MAX_M, Array, replace_unchecked
 from vergence.errors import VergenceError
 from vergence.geometry import se3
 from vergence.geometry.camera import MAX_NUMBER, MIN_FOCAL_PX, Camera
@@ -108,6 +108,8 @@ def boxplus(head: HeadCalibration, change: Array) -> HeadCalibration:
     between, rest = change[first : first + len(POSE)], change[first + len(POSE) :]
     T = np.stack([*(head.cameras[name].T_eye_cam for name in moved), head.T_rbase_lbase])
     T = se3.boxplus(T, np.stack([*(own[-len(POSE) :] for own in moved.values()), between]))
+    if np.abs(T[:, :3, 3]).max() > MAX_M:
+        raise ValueError(f"translations are at most {MAX_M:g} m, found one that is larger")
     cameras = dict(head.cameras)
     for T_eye_cam, (name, own) in zip(T[:-1], moved.items(), strict=True):
         lens = cameras[name].intrinsics

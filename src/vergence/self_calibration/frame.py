@@ -29,7 +29,7 @@ from vergence.self_calibration.robust_fit import (
     GATE,
     LINEAR_RAD,
     MOST,
-    Linearised,
+    LinearisedResiduals,
     robust_fit,
 )
 from vergence.self_calibration.state import (
@@ -166,7 +166,7 @@ def _fit(
     def linear(z: Array) -> bool:
         return bool(np.abs(z[P:]).max() < LINEAR_RAD)
 
-    def linearised(z: Array, some: np.ndarray) -> Linearised:
+    def linearised(z: Array, some: np.ndarray) -> LinearisedResiduals:
         those = Matches(matches.left[some], matches.right[some], matches.covariance[some])
         return _whitened(state, *_changed(state, joints, z), those)
 
@@ -235,7 +235,7 @@ def _changed(state: SelfCalibration, joints: Array, z: Array) -> tuple[HeadCalib
 
 def _whitened(
     state: SelfCalibration, head: HeadCalibration, joints: Array, matches: Matches
-) -> Linearised:
+) -> LinearisedResiduals:
     """Return residuals of N matches in their standard deviations; unknowns are P + r."""
     pair = pair_coordinates(head, state.names, joints, state.cameras)
     found = epipolar_residuals(pair.lenses, pair.T_second_first, matches.left, matches.right)
@@ -244,7 +244,7 @@ def _whitened(
     good = np.isfinite(found.residuals) & np.isfinite(A).all(axis=1)
     good &= (std > 0) & (np.linalg.norm(n, axis=1) > _LEAST_SHOWN)
     y = np.where(good, found.residuals / std, 1e3)
-    return Linearised(y, np.where(good[:, None], A / std[:, None], 0.0), pair.by_unknowns)
+    return LinearisedResiduals(y, np.where(good[:, None], A / std[:, None], 0.0), pair.by_unknowns)
 
 
 def locate_seen(

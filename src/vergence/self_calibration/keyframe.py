@@ -32,7 +32,7 @@ from vergence.self_calibration.robust_fit import (
     INLIER,
     LINEAR_RAD,
     MOST,
-    Linearised,
+    LinearisedResiduals,
     robust_fit,
 )
 from vergence.self_calibration.state import (
@@ -199,10 +199,10 @@ def _fit(
     def linear(z: Array) -> bool:
         return bool(np.abs(z[P:K]).max() < LINEAR_RAD and abs(z[K]) < _LINEAR_DEPTH)
 
-    def linearised(z: Array, some: np.ndarray) -> Linearised:
+    def linearised(z: Array, some: np.ndarray) -> LinearisedResiduals:
         found = _whitened(state, seen, tracked, k, about + z[:K], float(z[K]))
         y, A = found.residuals[some], found.by_coordinates[some]
-        return Linearised(y, A, found.by_unknowns)
+        return LinearisedResiduals(y, A, found.by_unknowns)
 
     change, weights, says = robust_fit(
         linearised,
@@ -225,7 +225,7 @@ def _whitened(
     k: int,
     change: Array,
     deeper: float,
-) -> Linearised:
+) -> LinearisedResiduals:
     """Return residuals (2 N,) in standard deviations of the matches; unknowns are K + 1.
 
     After a change (K,), and with all depths larger by so many of their standard deviations, which
@@ -255,7 +255,7 @@ def _whitened(
     y = np.where(good[:, None], (whiten @ found.residuals[..., None])[..., 0], 1e3)
     A = np.where(good[:, None, None], whiten @ A, 0.0)
     by_unknowns = np.asarray(block_diag(coordinates.by_unknowns, 1.0), float)
-    return Linearised(y.reshape(-1), A.reshape(-1, A.shape[-1]), by_unknowns)
+    return LinearisedResiduals(y.reshape(-1), A.reshape(-1, A.shape[-1]), by_unknowns)
 
 
 def next_keyframe(

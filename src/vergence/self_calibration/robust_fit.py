@@ -48,7 +48,7 @@ most, with focal lengths up to 800 px."""
 
 
 @dataclass(frozen=True, eq=False)
-class Linearised:
+class LinearisedResiduals:
     """n residuals after a change of the K unknowns, and their derivatives there."""
 
     residuals: Array
@@ -60,7 +60,7 @@ class Linearised:
 
 
 def robust_fit(
-    linearised: Callable[[Array, np.ndarray], Linearised],
+    linearised: Callable[[Array, np.ndarray], LinearisedResiduals],
     C: Array,
     *,
     pixels: Array,

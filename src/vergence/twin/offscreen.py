@@ -19,6 +19,7 @@ from vergence.arrays import Array
 
 _MOST_GEOMS = 10_000
 _opened = threading.local()
+"""The OpenGL context of each thread, which belongs to it."""
 _HIDDEN = ("SKYBOX", "HAZE", "SHADOW", "REFLECTION")  # the room is closed: they are not visible
 
 

@@ -143,8 +143,8 @@ def jackknife_ratio(whole: HeadCalibration, parts: Sequence[HeadCalibration]) ->
     """Return how much more calibrations from parts differ from the whole than is stated.
 
     A ratio of standard deviations, by all parameters; it does not depend on the noise model: where
-    the errors of a view's corners are not independent it exceeds one. None where no covariance is
-    stated.
+    the errors of a view's corners are not independent it exceeds one. None where one of them states
+    no covariance, or there are fewer than two parts.
 
     A calibration without some views differs from that of all by the information of these views:
     the covariance of the difference is its own covariance minus that of the whole. With many views
@@ -152,10 +152,12 @@ def jackknife_ratio(whole: HeadCalibration, parts: Sequence[HeadCalibration]) ->
     covariance of the whole: the usual jackknife. With few views the rest may know much less than
     the whole does, and differ by as much, although nothing is wrong.
     """
-    accuracies = [head.accuracy for head in (whole, *parts)]
-    stated = [dict(zip(a.parameters, np.diag(a.covariance), strict=True)) for a in accuracies if a]
-    names = [name for name in (stated or [{}])[0] if all(name in each for each in stated)]
-    if not names:
+    stated = [
+        dict(zip(a.parameters, np.diag(a.covariance), strict=True)) if a else {}
+        for a in (head.accuracy for head in (whole, *parts))
+    ]
+    names = [name for name in stated[0] if all(name in each for each in stated)]
+    if not names or len(parts) < 2:
         return None
     variance, *of_parts = ([each[name] for name in names] for each in stated)
     k = len(parts)

@@ -1,4 +1,4 @@
-"""Which lens model each camera gets: as stated, or the one that its images speak for.
+"""Which lens model each camera gets: as stated, or selected by how well it fits and predicts views.
 
 Every candidate is fitted to the views of one camera, and the model of the best Bayesian information
 criterion is taken: the likelihood of the fit, less what each coefficient raises it by chance. Where
@@ -32,7 +32,7 @@ from vergence.geometry.board import corner_points
 from vergence.vision.board_pose import determines_pose, seen_corners
 
 LensOption = LensModel | Literal["auto"]
-"""What may be stated of a camera; auto: the model that the images speak for."""
+"""What may be stated of a camera; auto: selected by `best_lens`."""
 CANDIDATES: tuple[LensModel, ...] = (
     "none",
     "radial-tangential",
@@ -118,7 +118,7 @@ def by_camera(
 def best_lens(
     corners: Array, points: Array, *, size: tuple[int, int], otherwise: LensModel
 ) -> LensChoice:
-    """Return the lens model that views of a board speak for.
+    """Return the lens model that fits and predicts views of a board best, for its coefficients.
 
     Args:
         corners: (V, K, 2) pixels; NaN where not seen.
