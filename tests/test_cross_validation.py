@@ -121,6 +121,8 @@ def test_parts_that_differ_as_stated_have_a_jackknife_ratio_of_one(information: 
         squares.append(ratio**2)
     assert np.sqrt(np.mean(squares)) == pytest.approx(1, abs=0.15)
     assert jackknife_ratio(HEAD, [HEAD] * 5) is None  # states no covariance
+    assert jackknife_ratio(head, [head, HEAD]) is None  # nor does one of the parts
+    assert jackknife_ratio(head, [head]) is None
 
 
 def test_parts_of_few_views_need_not_agree_better_than_these_views_allow():

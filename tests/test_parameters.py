@@ -87,6 +87,9 @@ def test_a_changed_head_is_valid_though_it_is_not_checked_anew(seed: int):
     [
         ("left_wide.fx", -1e4, "focal lengths are positive"),
         ("left.pan_gain", -1e4, "change by 1000 at most"),
+        ("right_wide.T_eye_cam.ty", 1e7, "translations are at most 1e\\+06 m"),
+        ("T_rbase_lbase.tx", -1e7, "translations are at most 1e\\+06 m"),
+        ("left_wide.k1", 1e13, "matrix and distortion are below"),
         ("right_wide.T_eye_cam.tx", np.nan, "found NaN or infinity"),
         ("left.pan_gain", np.inf, "found NaN or infinity"),
     ],
