@@ -197,7 +197,9 @@ def _matched(views: TurnedViews, at: Array, depths_m: Array | None) -> tuple[Mat
     covariance = by_view @ matched.covariance @ np.swapaxes(by_view, 1, 2)
     good = matched.good & (np.linalg.eigvalsh(covariance)[:, 1] < _LARGEST_STD_PX**2)
     covariance += ((_ACROSS * relief) ** 2)[:, None, None] * np.eye(2)
-    matches = Matches(on_map(views.maps[0], at[good])[0], pixels[good], covariance[good])
+    column, row = at[good].astype(int).T
+    left = np.stack([each[row, column] for each in views.maps[0]], axis=-1).astype(float)
+    matches = Matches(left, pixels[good], covariance[good])
     return matches, kept[good]
 
 
@@ -258,31 +260,32 @@ def _best_of_cells(view: np.ndarray, inside: np.ndarray) -> Array:
     whole = whole_windows(inside)
     smaller[~whole] = 0
     wanted_px = np.sqrt(np.count_nonzero(whole) / _FEATURES)
-    at, best = _strongest(smaller, wanted_px)
-    if not len(at):
-        return at
-    weak, strong = np.sort(best)[[len(best) // 20, -1 - len(best) // 20]]
+    best = _cells(smaller, wanted_px).max(axis=1).max(axis=-1)
+    best = np.sort(best[best > 0])
+    if not len(best):
+        return np.empty((0, 2))
+    weak, strong = best[[len(best) // 20, -1 - len(best) // 20]]
     least = min(_ABOVE_NOISE * weak, _BELOW_TEXTURE * strong)
     textured = np.count_nonzero(best > least) / len(best)
-    at, best = _strongest(smaller, wanted_px * np.sqrt(textured))
-    return 2 * at[best > least]
+    cells = _cells(smaller, wanted_px * np.sqrt(textured))
+    rows, height, columns, width = cells.shape
+    cells = cells.swapaxes(1, 2).reshape(rows, columns, -1)
+    largest = cells.argmax(axis=-1)
+    row, column = np.nonzero(cells.max(axis=-1) > least)
+    down, across = np.divmod(largest[row, column], width)
+    at = np.stack([column * width + across, row * height + down], axis=-1).astype(float)
+    return 2 * at
 
 
-def _strongest(values: np.ndarray, side_px: float) -> tuple[Array, np.ndarray]:
-    """Return where (N, 2) the largest positive value of each cell is, and these values (N,)."""
+def _cells(values: np.ndarray, side_px: float) -> np.ndarray:
+    """Return values (H, W) by cells of about a side: (rows, height, columns, width)."""
     side = min(max(float(side_px), _SMALLEST_CELL_PX / 2), _LARGEST_CELL_PX / 2)
     # Whole pixels, and about as many as wanted: squares may be a third too large or too small.
     height = round(side)
     width = round(side**2 / height)
     rows, columns = values.shape[0] // height, values.shape[1] // width
-    cells = values[: rows * height, : columns * width]
-    cells = cells.reshape(rows, height, columns, width).swapaxes(1, 2)
-    cells = cells.reshape(rows, columns, -1)
-    largest, best = cells.max(axis=-1), cells.argmax(axis=-1)
-    row, column = np.nonzero(largest > 0)
-    down, across = np.divmod(best[row, column], width)
-    at = np.stack([column * width + across, row * height + down], axis=-1).astype(float)
-    return at, largest[row, column]
+    whole = values[: rows * height, : columns * width]
+    return whole.reshape(rows, height, columns, width)
 
 
 def _track_far(
