@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import fields
 from inspect import Parameter, getdoc, signature
+from typing import Annotated, Any, get_type_hints
 
 import tyro
 
@@ -44,8 +45,23 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "grasp": grasp,
     "depth": depth,
 }
-for _command in COMMANDS.values():  # tyro would keep the line breaks in what is said of an option
+
+
+def _say_no_none(described: Any, names: list[str]) -> None:
+    """Leave "(default: None)" out of the help of options whose text says what none means."""
+    hints = get_type_hints(described, include_extras=True)
+    silent = tyro.conf.arg(help_behavior_hint="")
+    described.__annotations__ |= {name: Annotated[hints[name], silent] for name in names}
+
+
+for _command in COMMANDS.values():
+    # tyro would keep the line breaks in what is said of an option
     _command.__doc__ = re.sub(r"\n {8}", " ", getdoc(_command) or "")
+    _parameters = signature(_command).parameters.values()
+    _say_no_none(_command, [each.name for each in _parameters if each.default is None])
+_say_no_none(
+    ExperimentOptions, [each.name for each in fields(ExperimentOptions) if each.default is None]
+)
 
 
 def _check(arguments: list[str]) -> None:

@@ -150,7 +150,7 @@ class ExperimentOptions:
     geometry: Geometry = "joints"
     """Locate objects by the joint readings, or by these as corrected by what both eyes see."""
     out: Path | None = None
-    """Folder for the summary as JSON, and for a recording of the run."""
+    """Folder for the summary as JSON and a recording; left out: the summary is only printed."""
     json: Path | None = None
     """JSON file of the summary."""
 
@@ -177,7 +177,7 @@ def track(*, seconds: float = 60.0, options: Options = DEFAULT) -> None:
     """Track a moving object, which is hidden once, with both narrow cameras.
 
     Args:
-        seconds: Length of the run [s].
+        seconds: Length of the run, 3 to 3600 [s].
         options: Common options.
     """
     from vergence.demos.track import track as run
