@@ -110,10 +110,11 @@ def record(
         profile: Error profile: ideal, paper, noise-only, or a TOML file.
         scene: What the head looks at.
         seed: Seed of everything random.
-        frames: Number of frames with the eyes at rest.
+        frames: Number of frames with the eyes at rest, 12 or more.
         lens: Focal length of the wide cameras.
         target: Kind of calibration board.
-        moving: Number of frames that follow, at 30 Hz, with moving eyes and the board at rest.
+        moving: Number of frames that follow, at 30 Hz, with moving eyes and the board at rest: 0,
+            or 3 or more.
         kinematics: JSON file with the eyes' joints, `kinematics` and `readings` as in dataset.json;
             default: pan, then tilt.
     """
