@@ -110,6 +110,7 @@ def main() -> None:
         tyro.extras.subcommand_cli_from_dict(
             COMMANDS,
             prog=invocation("vergence"),
-            description="Active 3-D vision: calibration, stereo and gaze control, and a twin.",
+            description="Active 3-D vision: calibration, stereo and gaze control, and a twin. "
+            "`vergence --version` prints the version.",
             config=(tyro.conf.DisallowNone,),
         )
