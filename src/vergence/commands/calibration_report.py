@@ -215,9 +215,9 @@ def _lenses(result: CalibrationResult) -> list[str]:
         )
     lines = [
         "Models are selected by the Bayesian information criterion, in favour of simpler ones that",
-        "predict held-out views as well; not where the model was stated, or fewer than ten views",
-        "show the board. Errors are of one coordinate of a corner in held-out views, root mean",
-        "square.",
+        "predict held-out views as well; not with the paper's method, where a model was stated, or",
+        "where fewer than ten views show the board. Errors are of one coordinate of a corner in",
+        "held-out views, root mean square.",
         "",
         markdown_table("camera | lens model | held out [px] | runner-up, held out [px]", rows),
     ]
