@@ -8,11 +8,11 @@ cameras rolled by any angle), 4 to 18 boards at straight gaze, boards for the na
 three boards at rest before moving eyes, a tenth of the images without a board, joint noise to 0.3
 degrees, pixel noise to 0.3 px, and boards numbered from the wrong end in up to a third of the
 views: in all images of a view, or image by image. Every fourth board is square, and may be turned
-by any quarter. `number_alike` is given
-the corners, the readings, and the poses of the boards by the lenses that Zhang's method finds.
+by any quarter. `number_alike` is given the corners, the readings, and the poses of the boards by
+the lenses that Zhang's method finds.
 
 A placement of which all images are turned alike is right: nothing but the pose of the board depends
-on it. So an image counts as wrong that differs from most others of its placement. Exits with 1 if
+on it. So an image that differs from most others of its placement counts as wrong. Exits with 1 if
 an image stays wrong or is turned without need.
 """
 

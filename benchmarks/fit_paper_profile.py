@@ -4,9 +4,8 @@ The whole chain - calibration sequence, paper's calibration, replay - runs at po
 several heads, drawn from seeds of their own. Gauss-Newton then moves the six numbers until
 log(our std / paper's std) is small: its sixth power is summed, so that the largest deviations
 count most, and depth counts half as much again. A mean depth error beyond 1.1 of our standard
-deviations costs too. The form - which six sources - was chosen
-beforehand among sets of four out of nineteen sources, besides baseline and noise, with all six
-figures in view.
+deviations costs too. The form - which six sources - was chosen beforehand among sets of four out of
+nineteen sources, besides baseline and noise, with all six figures in view.
 
     python benchmarks/fit_paper_profile.py [--steps 8]
 

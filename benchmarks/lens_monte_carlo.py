@@ -1,10 +1,10 @@
 """Whether stated regions hold the truth out to the corners of the image, for every kind of lens.
 
 Simulated heads whose wide cameras have radial-tangential lenses with k3, rational or fisheye lenses
-see boards all over their images; each head is calibrated with the lens model chosen by held-out
-views, or with one that is stated. At pixels of a grid out to the corners, the stated 95 % region
-of where a direction is projected is compared with the truth (up to a turn of the camera,
-which its mounting makes up for), and the held-out error with the stated one.
+see boards all over their images; each head is calibrated with lens models chosen as `vergence
+calibrate` chooses them, or with one that is stated. At pixels of a grid out to the corners, the
+stated 95 % region of where a direction is projected is compared with the truth (up to a turn of the
+camera, which its mounting makes up for), and the held-out error with the stated one.
 
     python benchmarks/lens_monte_carlo.py --lens k3 --heads 25
 """

@@ -1,8 +1,8 @@
 """How soon self-calibration learns a head of which only the drawing is known.
 
 Divergent motion, ten pairs a second. Simulated matches of a room: true heads are drawn by the
-tolerances of a drawing (`prior.UNCALIBRATED`); the noise of the readings is not given. Rendered:
-the twin as it was built, with the errors of a profile, looks around for 10 s.
+tolerances of a drawing (`tolerances.UNCALIBRATED`); the noise of the readings is not given.
+Rendered: the twin as it was built, with the errors of a profile, looks around for 10 s.
 
     python benchmarks/uncalibrated_head.py [--heads 20]
     python benchmarks/uncalibrated_head.py --rendered-images [--heads 4] [--profile paper]

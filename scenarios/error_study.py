@@ -19,6 +19,8 @@ import tyro
 from scipy.optimize import least_squares
 
 from vergence.arrays import Array
+from vergence.cli.endings import plain_ending
+from vergence.errors import check_seed
 from vergence.paper.error_model import (
     PAPER_MM,
     TABLE_CAMERA_MM,
@@ -31,6 +33,7 @@ from vergence.paper.error_model import (
 )
 from vergence.paper.figures import FIGURES
 from vergence.progress import Progress, silent
+from vergence.reading import read_parsed
 from vergence.viewer.plots.canvas import BLUE, GREEN, RED, panels, save
 from vergence.writing import markdown_table, results_folder, write_whole
 
@@ -362,14 +365,15 @@ NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
 
 
 def main(out: Path = Path("runs/error_study"), seed: int = 0, check: Path | None = None) -> None:
-    """Run the study.
+    """Print what the paper's eighteen standard deviations can support, as tables in Markdown.
 
     Args:
         out: Folder for tables.md and spreads.png.
         seed: Seed of the sampled noise.
         check: A document that must have all of the tables; exit code 1 if it has not.
     """
-    document = check.read_text(encoding="utf-8") if check else None
+    check_seed(seed)
+    document = read_parsed(check, "a document", str, str) if check else None
 
     def show(task: str, done: int, total: int) -> None:
         print(f"{task}: {done} of {total}", flush=True)
@@ -385,4 +389,5 @@ def main(out: Path = Path("runs/error_study"), seed: int = 0, check: Path | None
 
 
 if __name__ == "__main__":
-    tyro.cli(main, config=(tyro.conf.DisallowNone,))
+    with plain_ending("error_study"):
+        tyro.cli(main, config=(tyro.conf.DisallowNone,))

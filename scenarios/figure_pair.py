@@ -14,6 +14,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from vergence.cli.endings import plain_ending
 from vergence.paper.reproduce import reproduce
 from vergence.twin.profile import load_profile
 
@@ -56,4 +57,5 @@ def main(
 
 
 if __name__ == "__main__":
-    tyro.cli(main, config=(tyro.conf.DisallowNone,))
+    with plain_ending("figure_pair"):
+        tyro.cli(main, config=(tyro.conf.DisallowNone,))

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import tyro
 
+from vergence.cli.endings import plain_ending
 from vergence.demos.experiment import Experiment
 from vergence.demos.foveate import SETTLED_PX
 from vergence.demos.foveate import foveate as run_foveate
@@ -33,7 +34,7 @@ def foveate(
     """
     found, _ = run_foveate(Experiment(load_profile(profile), seed, out=out), trials=trials)
     print(f"distance from the centre: median {found.median_px:.2f} px, 95 % {found.p95_px:.2f} px")
-    print(f"95 % within {SETTLED_PX:.0f} px after {found.settle_s_p95} s; lost: {found.lost}")
+    print(f"95 % within {SETTLED_PX:.0f} px after {found.settle_s_p95:.2f} s; lost: {found.lost}")
 
 
 def track(
@@ -78,4 +79,5 @@ def grasp(
 
 
 if __name__ == "__main__":
-    tyro.extras.subcommand_cli_from_dict({"foveate": foveate, "track": track, "grasp": grasp})
+    with plain_ending("gaze_demos"):
+        tyro.extras.subcommand_cli_from_dict({"foveate": foveate, "track": track, "grasp": grasp})

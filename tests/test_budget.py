@@ -22,7 +22,7 @@ from vergence.geometry.head import HeadCalibration, save_head
 from vergence.geometry.parameters import boxplus, change_named, parameter_names
 from vergence.geometry.projection import project_point
 from vergence.stereo.triangulation import triangulate_at
-from vergence.twin.profile import ByHand, ErrorProfile, Joints, load_profile
+from vergence.twin.profile import ByHand, CalibrationProcedure, ErrorProfile, Joints, load_profile
 from without_mujoco import without_mujoco
 
 HEAD = plain_head(0.092, 280.0, camera_m=((0.02, 0.001, 0.01), (0.02, -0.001, 0.01)))
@@ -260,14 +260,18 @@ def test_a_profile_gives_sources_that_the_papers_method_does_not_find():
     of_lens = [source for source in sources_of(HEAD, both, None) if "focal" in source.name]
     assert [source.errors["left_wide.fx"] for source in of_lens] == [pytest.approx(2.8)]
     bundle = replace(HEAD, accuracy=replace(stated(HEAD).accuracy, method="bundle"))
-    sensors = ErrorProfile(joints=Joints(noise_deg=0.1, gain_percent=(1, 1, 1, 1), delay_ms=5))
+    sensors = ErrorProfile(
+        joints=Joints(noise_deg=0.1, gain_percent=(1, 1, 1, 1), delay_ms=5),
+        calibration=CalibrationProcedure(square_percent=1.0),
+    )
     common = {"points": POINT[None], "motion": "parallel", "pixel_std_px": None}
     parts = [
         [part.name for part in run(head, profile=sensors, **common).budgets[0].parts]
         for head in (HEAD, bundle)
     ]
-    assert "delay" in parts[0]
-    assert "delay" not in parts[1]
+    assert {"gains of the joints", "delay"} <= set(parts[0])
+    assert not {"gains of the joints", "delay"} & set(parts[1])
+    assert all("size of the board" in own for own in parts)  # no view of joint heads shows it
 
 
 def test_the_command_writes_a_table_json_and_a_figure(tmp_path, monkeypatch, capsys):

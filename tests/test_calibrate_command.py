@@ -75,6 +75,7 @@ def test_a_recorded_head_is_calibrated_and_evaluated(recorded, tmp_path, monkeyp
     text = (report / "report.md").read_text()
     assert text.splitlines()[2].startswith(stated["verdict"])
     assert "mm after these views (predicted)" in text
+    assert "| left_narrow | none | not compared |  |" in text  # fewer than ten views
 
 
 @pytest.mark.parametrize(

@@ -245,10 +245,10 @@ def test_every_option_of_the_help_is_known(capsys, monkeypatch):
         monkeypatch.setattr(sys, "argv", ["vergence", name, "--help"])
         with pytest.raises(SystemExit, match="0"):
             cli.main()
-        shown = set(re.findall(r"(?<!\S)--[a-z]+(?:-[a-z]+)*", capsys.readouterr().out)) - {
-            "--help"
-        }
+        text = capsys.readouterr().out
+        shown = set(re.findall(r"(?<!\S)--[a-z]+(?:-[a-z]+)*", text)) - {"--help"}
         assert shown == set(cli.options_of(command))
+        assert "None" not in text  # what no value means, the sentence before says
 
 
 def test_the_version_is_that_of_the_package(capsys, monkeypatch):

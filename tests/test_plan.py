@@ -272,11 +272,19 @@ def test_the_legend_of_the_picture_stands_beside_the_maps(truth, tmp_path, monke
 def test_a_dataset_is_calibrated_first_and_states_its_board(
     calibrated, quick, tmp_path, monkeypatch, capsys
 ):
-    data = SimpleNamespace(description=SimpleNamespace(board=BOARD))
+    kinematics = calibrated.kinematics
+    data = SimpleNamespace(description=SimpleNamespace(board=BOARD, head_kinematics=kinematics))
     monkeypatch.setattr(command, "load_dataset", lambda folder: data)
     result = SimpleNamespace(head=calibrated, accuracy=calibrated.accuracy)
-    monkeypatch.setattr(command, "calibrate", lambda given, **_: result if given is data else None)
+    begun = []
+    monkeypatch.setattr(command, "calibrate", lambda given, **_: begun.append(given) or result)
+    with pytest.raises(SystemExit, match="2"):
+        run(monkeypatch, "plan", tmp_path, "--limits-deg", 20, 10)
+    said = "vergence: Limits are one for each of left_pan, left_tilt, right_pan, right_tilt, or one"
+    assert capsys.readouterr().err.startswith(said)
+    assert not begun
     run(monkeypatch, "plan", tmp_path, "--views", 2)
+    assert begun == [data]
     of_dataset = capsys.readouterr().out
     save_head(calibrated, tmp_path / "head.json")
     run(monkeypatch, "plan", tmp_path / "head.json", "--views", 2, "--board", 9, 6, 0.03)

@@ -39,6 +39,32 @@ def test_scenario_runs_and_prints_its_result(command, tmp_path, monkeypatch, cap
     assert re.search(expected, capsys.readouterr().out)
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("calibration_sequence.py --profile perfect", "ideal, noise-only, paper"),
+        ("error_study.py --check missing.md", "Cannot read missing.md"),
+        ("error_study.py --seed -1", "The seed must be"),
+        ("figure_pair.py far --profile perfect", "ideal, noise-only, paper"),
+        ("figure_pair.py far --duration -1", "duration"),
+        ("gaze_demos.py foveate --profile perfect", "ideal, noise-only, paper"),
+        ("gaze_demos.py track --seed -1", "The seed must be"),
+    ],
+)
+def test_a_mistake_ends_a_scenario_in_a_sentence(
+    words: str, said: str, tmp_path, monkeypatch, capsys
+):
+    script, *arguments = words.split()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", [script, *arguments])
+    with pytest.raises(SystemExit, match="2"):
+        runpy.run_path(str(ROOT / "scenarios" / script), run_name="__main__")
+    error = capsys.readouterr().err
+    assert error.startswith(f"{script.removesuffix('.py')}: ")
+    assert said in error
+    assert error.count("\n") == 1
+
+
 @pytest.mark.usefixtures("coarse_images")
 def test_the_benchmark_prints_its_ratio(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["replay.py", "--samples", "2", "--rounds", "1"])

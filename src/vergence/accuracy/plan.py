@@ -91,8 +91,8 @@ def plan(
     """
     accuracy, known = stated(head)
     pair = pair_names(head)
+    limits = checked_limits(head.kinematics.readings, limits_rad)
     progress("choosing views", 0, views)  # candidates of a large board take a while
-    limits = _checked(head, limits_rad)
     points = workspace(head, pair, limits, names=known.names, distances_m=distances_m)
     rng = np.random.default_rng(seed)
     places, gazes = candidates
@@ -114,9 +114,9 @@ def plan(
     )
 
 
-def _checked(head: HeadCalibration, limits_rad: ArrayLike) -> Array:
-    """Return limits (r,); VergenceError if they are not one for each reading or for all."""
-    limits, names = np.asarray(limits_rad, dtype=float), head.kinematics.readings
+def checked_limits(names: tuple[str, ...], limits_rad: ArrayLike) -> Array:
+    """Return limits (r,); VergenceError if they are not one for each of the readings or for all."""
+    limits = np.asarray(limits_rad, dtype=float)
     if limits.size not in (1, len(names)):
         raise VergenceError(
             f"Limits are one for each of {', '.join(names)}, or one for all; found {limits.size}."

@@ -5,17 +5,18 @@ from __future__ import annotations
 import itertools
 import os
 import re
-import signal
 import sys
 from collections.abc import Callable
 from dataclasses import fields
 from inspect import Parameter, getdoc, signature
+from typing import Annotated, Any, get_type_hints
 
 import tyro
 
 from vergence import __version__
 from vergence.cli.accuracy import budget, design, plan
 from vergence.cli.calibration import calibrate, evaluate, export, import_, self_calibrate
+from vergence.cli.endings import plain_ending
 from vergence.cli.experiments import (
     ExperimentOptions,
     depth,
@@ -27,11 +28,6 @@ from vergence.cli.experiments import (
 )
 from vergence.commands.invocation import invocation
 from vergence.errors import VergenceError
-from vergence.writing import finished_files
-
-FILES_NAMED = 10
-"""Most files that a stopped command names of those that it has finished."""
-
 
 COMMANDS: dict[str, Callable[..., None]] = {
     "reproduce": reproduce,
@@ -49,8 +45,23 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "grasp": grasp,
     "depth": depth,
 }
-for _command in COMMANDS.values():  # tyro would keep the line breaks in what is said of an option
+
+
+def _say_no_none(described: Any, names: list[str]) -> None:
+    """Leave "(default: None)" out of the help of options whose text says what none means."""
+    hints = get_type_hints(described, include_extras=True)
+    silent = tyro.conf.arg(help_behavior_hint="")
+    described.__annotations__ |= {name: Annotated[hints[name], silent] for name in names}
+
+
+for _command in COMMANDS.values():
+    # tyro would keep the line breaks in what is said of an option
     _command.__doc__ = re.sub(r"\n {8}", " ", getdoc(_command) or "")
+    _parameters = signature(_command).parameters.values()
+    _say_no_none(_command, [each.name for each in _parameters if each.default is None])
+_say_no_none(
+    ExperimentOptions, [each.name for each in fields(ExperimentOptions) if each.default is None]
+)
 
 
 def _check(arguments: list[str]) -> None:
@@ -94,34 +105,12 @@ def main() -> None:
         return
     # The matrices are small: threads of linear algebra would wait for each other. Before numpy.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    try:
-        signal.signal(signal.SIGINT, _stop)
-        signal.signal(signal.SIGTERM, _stop)
+    with plain_ending("vergence"):
         _check(sys.argv[1:])
-        try:
-            tyro.extras.subcommand_cli_from_dict(
-                COMMANDS,
-                prog=invocation("vergence"),
-                description="Active 3-D vision: calibration, stereo and gaze control, and a twin.",
-                config=(tyro.conf.DisallowNone,),
-            )
-        finally:
-            sys.stdout.flush()
-    except VergenceError as error:
-        print(f"vergence: {error}", file=sys.stderr)
-        raise SystemExit(2) from None
-    except BrokenPipeError:  # whoever read the output has seen enough, such as `head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise SystemExit(128 + signal.SIGPIPE) from None
-    except KeyboardInterrupt as stop:
-        done = finished_files()
-        files = " ".join(map(str, done[-FILES_NAMED:]))
-        files += f" and {len(done) - FILES_NAMED} more" if len(done) > FILES_NAMED else ""
-        kept = f"finished before: {files}" if files else "nothing was written"
-        print(f"vergence: stopped; {kept}.", file=sys.stderr)
-        raise SystemExit(128 + (stop.args[0] if stop.args else signal.SIGINT)) from None
-
-
-def _stop(number: int, frame: object) -> None:
-    """End as Ctrl-C does."""
-    raise KeyboardInterrupt(number)
+        tyro.extras.subcommand_cli_from_dict(
+            COMMANDS,
+            prog=invocation("vergence"),
+            description="Active 3-D vision: calibration, stereo and gaze control, and a twin. "
+            "`vergence --version` prints the version.",
+            config=(tyro.conf.DisallowNone,),
+        )

@@ -87,7 +87,7 @@ def design(
         out: Folder of the results; a run that was stopped goes on from what is there.
         accuracy_mm: Accuracy that is wanted: rms error, in the worst direction and posture.
         at_m: Distance of the points for which it is wanted.
-        baseline_mm: Distances of the eyes to try.
+        baseline_mm: Distances between the eyes to try.
         focal_px: Focal lengths to try.
         square_mm: Sides of a square of the calibration board to try.
         views: Numbers of calibration views to try.

@@ -110,10 +110,11 @@ def record(
         profile: Error profile: ideal, paper, noise-only, or a TOML file.
         scene: What the head looks at.
         seed: Seed of everything random.
-        frames: Number of frames with the eyes at rest.
+        frames: Number of frames with the eyes at rest, 12 or more.
         lens: Focal length of the wide cameras.
         target: Kind of calibration board.
-        moving: Number of frames that follow, at 30 Hz, with moving eyes and the board at rest.
+        moving: Number of frames that follow, at 30 Hz, with moving eyes and the board at rest: 0,
+            or 3 or more.
         kinematics: JSON file with the eyes' joints, `kinematics` and `readings` as in dataset.json;
             default: pan, then tilt.
     """
@@ -150,7 +151,7 @@ class ExperimentOptions:
     geometry: Geometry = "joints"
     """Locate objects by the joint readings, or by these as corrected by what both eyes see."""
     out: Path | None = None
-    """Folder for the summary as JSON, and for a recording of the run."""
+    """Folder for the summary as JSON and a recording; left out: the summary is only printed."""
     json: Path | None = None
     """JSON file of the summary."""
 
@@ -177,7 +178,7 @@ def track(*, seconds: float = 60.0, options: Options = DEFAULT) -> None:
     """Track a moving object, which is hidden once, with both narrow cameras.
 
     Args:
-        seconds: Length of the run [s].
+        seconds: Length of the run, 3 to 3600 [s].
         options: Common options.
     """
     from vergence.demos.track import track as run

@@ -171,7 +171,9 @@ def sources_of(
     # The twin needs OpenGL, which a real head's budget can do without.
     from vergence.twin.calibration_errors import inject_calibration_error
 
-    known = {} if estimated else _known_of_sensors(head, profile)
+    known = _known_of_the_board(head, profile)
+    if not estimated:
+        known |= _known_of_sensors(head, profile)
     focal = head.camera(pair_names(head)[0]).intrinsics.matrix[0, 0]
     lens: Lens = "4.0mm" if focal > LONG_LENS_PX else "2.8mm"
     of_lens = "focal_percent_40" if lens == "4.0mm" else "focal_percent_28"
@@ -196,13 +198,17 @@ def _known_of_sensors(head: HeadCalibration, profile: ErrorProfile) -> dict[str,
     without = profile.joints.model_copy(update={"offset_deg": (0.0,) * 4})
     gains = boxminus(replace(head, accuracy=None), with_sensors(head, without))
     known = {"gains of the joints": {n: e for n, e in gains.items() if n.endswith("_gain")}}
-    known["delay"] = {TIME_OFFSET: -1e-3 * profile.joints.delay_ms}
+    return known | {"delay": {TIME_OFFSET: -1e-3 * profile.joints.delay_ms}}
+
+
+def _known_of_the_board(
+    head: HeadCalibration, profile: ErrorProfile
+) -> dict[str, dict[str, float]]:
+    """Return what a wrong side of the squares makes, which no method finds, as sources_of does."""
     larger = 1 / (1 + profile.calibration.square_percent / 100) - 1
     shift = larger * head.T_rbase_lbase[:3, 3]
-    known["size of the board"] = {
-        f"T_rbase_lbase.t{axis}": float(value) for axis, value in zip("xyz", shift, strict=True)
-    }
-    return known
+    of_axes = zip("xyz", shift.tolist(), strict=True)
+    return {"size of the board": {f"T_rbase_lbase.t{axis}": value for axis, value in of_axes}}
 
 
 def _nonzero(errors: dict[str, float]) -> dict[str, float]:

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from vergence.accuracy.plan import Plan, plan
+from vergence.accuracy.plan import LIMIT_RAD, Plan, checked_limits, plan
 from vergence.arrays import Array
 from vergence.calibration.calibrate import calibrate
 from vergence.data.description import MAX_SQUARE_M
@@ -39,12 +40,13 @@ def run(
     that kind, its calibration is void, or an option is not possible.
     """
     _check(views, limits_deg, distances_m, seed)
-    head, shown = head_and_board(source, board, progress)
+    limits_rad = np.radians(limits_deg)
+    head, shown = head_and_board(source, board, progress, limits_rad=limits_rad)
     return plan(
         head,
         shown,
         views=views,
-        limits_rad=np.radians(limits_deg),
+        limits_rad=limits_rad,
         distances_m=distances_m,
         seed=seed,
         progress=progress,
@@ -69,11 +71,16 @@ def _check(
 
 
 def head_and_board(
-    source: Path, stated: tuple[int, int, float] | None, progress: Progress
+    source: Path,
+    stated: tuple[int, int, float] | None,
+    progress: Progress,
+    *,
+    limits_rad: ArrayLike = LIMIT_RAD,
 ) -> tuple[HeadCalibration, Board]:
     """Return the calibration and the board of a source; arguments and errors are those of `run`."""
     if os.path.isdir(source):
         data = load_dataset(source)
+        checked_limits(data.description.head_kinematics.readings, limits_rad)  # before the work
         board = data.description.board if stated is None else _chessboard(stated)
         found = calibrate(data, progress=progress)
         if found.accuracy.void:
