@@ -97,6 +97,16 @@ def test_eyes_that_moved_alike_do_not_tell_whether_their_readings_are_exchanged(
         assert f"Note: {found.observations.remarks[-1]}" in found.summary().splitlines()
 
 
+def test_boards_that_one_eye_numbers_from_the_other_end_are_no_exchanged_eyes():
+    truth, _ = recorded()
+    seen = record(truth, np.random.default_rng(0), replace(GOOD, straight=0))
+    for name in seen.corners:
+        from_the_other_end = turn_boards(seen, {name: np.ones(len(seen.placement), int)})
+        found = calibrate(from_the_other_end, method="paper").head
+        off = boxminus(found, truth)
+        assert max(abs(off[f"T_rbase_lbase.{axis}"]) for axis in ("tx", "ty", "tz")) < 0.004
+
+
 def test_the_order_in_which_cameras_are_listed_does_not_matter():
     truth, _ = recorded()
     over = pose(rotation([0, 0, np.pi]))
