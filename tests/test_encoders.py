@@ -19,7 +19,7 @@ from vergence.calibration.checks.encoders import check_encoders
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.joints import parallel_distance_m
+from vergence.geometry.joints import Joint, parallel_distance_m
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side, pan_tilt
 from vergence.geometry.parameters import boxminus, change_named
 from vergence.geometry.se3 import pose, rotation
@@ -153,7 +153,9 @@ def test_an_eye_may_be_the_only_one_that_has_joints(side: Side):
 def test_a_camera_in_an_eye_without_joints_is_refused_in_words():
     _, seen = recorded()
     kinematics = Kinematics({"left": pan_tilt("left"), "right": ()})
-    assert "All eye motions share one axis" in refusal(replace(seen, kinematics=kinematics))
+    said = refusal(replace(seen, kinematics=kinematics))
+    assert "right_wide.T_eye_cam rotation and translation: not observable; the right eye has" in said
+    assert "has no joint by `kinematics`; describe the joints of what carries it, or leave" in said
 
 
 RAD = np.radians(1)
@@ -219,6 +221,17 @@ def test_a_head_whose_eyes_are_not_side_by_side_is_doubted():
     (said,) = doubts(above)
     assert said.startswith("T_rbase_lbase puts the left eye 10 mm to the left of the right one,")
     assert doubts(truth) == []
+
+
+def test_an_eye_that_only_the_neck_moves_is_not_doubted_for_where_its_joints_are():
+    head = head_of("neck tilt, tilt, pan", np.random.default_rng(0))
+    kinematics, right = head.kinematics, head.cameras["right_wide"]
+    neck = kinematics.eyes["right"][:1]
+    eyes: dict[Side, tuple[Joint, ...]] = {**kinematics.eyes, "right": neck}
+    right = replace(right, T_eye_cam=pose(t=-neck[-1].point_m) @ right.T_eye_cam)
+    cameras = {**head.cameras, "right_wide": right}
+    head = replace(head, kinematics=replace(kinematics, eyes=eyes), cameras=cameras)
+    assert doubts(head) == []
 
 
 def test_eyes_that_are_a_metre_apart_are_said_to_be_in_plain_numbers():
