@@ -154,7 +154,9 @@ def test_a_camera_in_an_eye_without_joints_is_refused_in_words():
     _, seen = recorded()
     kinematics = Kinematics({"left": pan_tilt("left"), "right": ()})
     said = refusal(replace(seen, kinematics=kinematics))
-    assert "right_wide.T_eye_cam rotation and translation: not observable; the right eye has" in said
+    assert (
+        "right_wide.T_eye_cam rotation and translation: not observable; the right eye has" in said
+    )
     assert "has no joint by `kinematics`; describe the joints of what carries it, or leave" in said
 
 

@@ -62,8 +62,11 @@ def eye_shift(head: HeadCalibration) -> Array:
     kinematics = head.kinematics
     T_lbase_leye, T_rbase_reye = eye_poses(head, straight_gaze(kinematics))
     as_one = set(kinematics.used("left")) == set(kinematics.used("right"))
-    ends = [joints[-1].point_m if joints else np.zeros(3) for joints in kinematics.eyes.values()]
-    if as_one or not np.array_equal(*ends):
+    left_end, right_end = (
+        joints[-1].point_m if joints else np.zeros(3)
+        for joints in (kinematics.eyes[eye] for eye in EYES)
+    )
+    if as_one or not np.array_equal(left_end, right_end):
         # A pair that turns as one, or joints elsewhere: the eyes are where their cameras are.
         T_lbase_leye, T_rbase_reye = T_lbase_leye @ left.T_eye_cam, T_rbase_reye @ right.T_eye_cam
     return (head.T_rbase_lbase @ T_lbase_leye)[:3, 3] - T_rbase_reye[:3, 3]
