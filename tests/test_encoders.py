@@ -19,7 +19,7 @@ from vergence.calibration.checks.encoders import check_encoders
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.joints import parallel_distance_m
+from vergence.geometry.joints import Joint, parallel_distance_m
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side, pan_tilt
 from vergence.geometry.parameters import boxminus, change_named
 from vergence.geometry.se3 import pose, rotation
@@ -97,6 +97,16 @@ def test_eyes_that_moved_alike_do_not_tell_whether_their_readings_are_exchanged(
         assert f"Note: {found.observations.remarks[-1]}" in found.summary().splitlines()
 
 
+def test_boards_that_one_eye_numbers_from_the_other_end_are_no_exchanged_eyes():
+    truth, _ = recorded()
+    seen = record(truth, np.random.default_rng(0), replace(GOOD, straight=0))
+    for name in seen.corners:
+        from_the_other_end = turn_boards(seen, {name: np.ones(len(seen.placement), int)})
+        found = calibrate(from_the_other_end, method="paper").head
+        off = boxminus(found, truth)
+        assert max(abs(off[f"T_rbase_lbase.{axis}"]) for axis in ("tx", "ty", "tz")) < 0.004
+
+
 def test_the_order_in_which_cameras_are_listed_does_not_matter():
     truth, _ = recorded()
     over = pose(rotation([0, 0, np.pi]))
@@ -143,7 +153,11 @@ def test_an_eye_may_be_the_only_one_that_has_joints(side: Side):
 def test_a_camera_in_an_eye_without_joints_is_refused_in_words():
     _, seen = recorded()
     kinematics = Kinematics({"left": pan_tilt("left"), "right": ()})
-    assert "All eye motions share one axis" in refusal(replace(seen, kinematics=kinematics))
+    said = refusal(replace(seen, kinematics=kinematics))
+    assert (
+        "right_wide.T_eye_cam rotation and translation: not observable; the right eye has" in said
+    )
+    assert "has no joint by `kinematics`; describe the joints of what carries it, or leave" in said
 
 
 RAD = np.radians(1)
@@ -209,6 +223,17 @@ def test_a_head_whose_eyes_are_not_side_by_side_is_doubted():
     (said,) = doubts(above)
     assert said.startswith("T_rbase_lbase puts the left eye 10 mm to the left of the right one,")
     assert doubts(truth) == []
+
+
+def test_an_eye_that_only_the_neck_moves_is_not_doubted_for_where_its_joints_are():
+    head = head_of("neck tilt, tilt, pan", np.random.default_rng(0))
+    kinematics, right = head.kinematics, head.cameras["right_wide"]
+    neck = kinematics.eyes["right"][:1]
+    eyes: dict[Side, tuple[Joint, ...]] = {**kinematics.eyes, "right": neck}
+    right = replace(right, T_eye_cam=pose(t=-neck[-1].point_m) @ right.T_eye_cam)
+    cameras = {**head.cameras, "right_wide": right}
+    head = replace(head, kinematics=replace(kinematics, eyes=eyes), cameras=cameras)
+    assert doubts(head) == []
 
 
 def test_eyes_that_are_a_metre_apart_are_said_to_be_in_plain_numbers():

@@ -20,7 +20,10 @@ from simulated_frames import (
 )
 from simulated_matches import drawn_head, matches, room, squared_distance, turn_error_deg
 from vergence.errors import VergenceError
+from vergence.geometry.head import reading_stds
 from vergence.geometry.head_accuracy import Accuracy
+from vergence.geometry.joints import Joint
+from vergence.geometry.kinematics import Side
 from vergence.geometry.parameters import (
     boxplus,
     change_between,
@@ -31,7 +34,7 @@ from vergence.geometry.parameters import (
 from vergence.geometry.projection import project_point
 from vergence.self_calibration import learning, prior
 from vergence.self_calibration.frame import from_matches, locate_seen
-from vergence.self_calibration.learning import learn
+from vergence.self_calibration.learning import learn, learned_head
 from vergence.self_calibration.match_noise import Recurrence, aged, recurrence_inflation, with_frame
 from vergence.self_calibration.residuals import epipolar_residuals, pair_coordinates
 from vergence.self_calibration.state import initial_self_calibration
@@ -248,6 +251,35 @@ def test_heads_of_every_kind_are_learned(kind):
     assert squared_distance(state, truth) < chi2.isf(1e-4, len(state.names))
     # Half of what readings are wrong by: of 88 drawn heads 0.018 in the mean, 0.062 at most.
     assert np.mean(errors_deg[5:]) < np.degrees(JOINT_STD_RAD) / 2
+
+
+def test_readings_before_a_gear_teach_what_those_behind_it_do():
+    head, gear = head_of(0), 100.0
+    eyes: dict[Side, tuple[Joint, ...]] = {
+        eye: tuple(
+            replace(joint, readings=dict.fromkeys(joint.readings, 1 / gear)) for joint in joints
+        )
+        for eye, joints in head.kinematics.eyes.items()
+    }
+    before_it = replace(head, kinematics=replace(head.kinematics, eyes=eyes))
+    learned = []
+    for each, factor in ((head, 1.0), (before_it, gear)):
+        state, rng = begin(each), np.random.default_rng(0)
+        truth, points = drawn_head(begin(head), rng), room(300, rng)
+        for angles in postures(5, rng):
+            read = factor * (angles + rng.normal(0, JOINT_STD_RAD, 4))
+            seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
+            state = drifted(learn(state, from_matches(state, seen, read)), 0.3)
+        learned.append(state)
+    one, other = learned
+    std = np.sqrt(np.diag(one.covariance))
+    values, others = (parameter_values(each.head) for each in learned)
+    for name, scale in zip(one.names, std, strict=True):
+        value = values[name]
+        assert value is None or abs(others[name] - value) < 1e-3 * scale
+    np.testing.assert_allclose(np.sqrt(np.diag(other.covariance)), std, rtol=1e-3)
+    stds = [reading_stds(learned_head(each)) for each in learned]
+    np.testing.assert_allclose(stds[1], gear * stds[0], rtol=1e-3)
 
 
 def test_a_vergence_that_is_counted_wrongly_is_learned_without_a_stated_covariance():

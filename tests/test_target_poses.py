@@ -137,6 +137,29 @@ def test_a_start_of_another_head_is_refused():
         adjust_target_poses(poses, readings, eyes=dict.fromkeys(poses, "left"), start=head)
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_poses_that_stay_the_same_while_the_eye_turns_are_refused(noise: float):
+    rng = np.random.default_rng(3)
+    head = head_of("pan, tilt", rng)
+    poses, readings = measured(head, rng)
+    V = len(readings)
+    poses["right_wide"] = boxplus(poses["right_wide"][0], rng.normal(0, noise, (V, 6)))
+    for start, placement in ((head, None), (head, np.arange(V)), (None, None)):
+        with pytest.raises(VergenceError, match=r"right_wide turn by .* measurement stuck"):
+            adjust_target_poses(poses, readings, eyes=EYES_OF, start=start, placement=placement)
+
+
+def test_an_eye_may_rest_before_a_target():
+    rng = np.random.default_rng(3)
+    head = head_of("pan, tilt", rng)
+    poses, readings = measured(head, rng)
+    poses["right_wide"] = np.tile(poses["right_wide"][:1], (len(readings), 1, 1))
+    readings[:, 2:] = readings[0, 2:]
+    covariance = dict.fromkeys(poses, NOISE)
+    found = adjust_target_poses(poses, readings, eyes=EYES_OF, covariance=covariance, start=head)
+    assert np.abs(off(found, head)).max() < 1e-5
+
+
 def test_noisy_poses_give_the_stated_error():
     inside = []
     for seed in range(6):

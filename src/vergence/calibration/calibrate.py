@@ -220,12 +220,13 @@ def _checked_views(
         name: board_poses(each.camera, data.corners[name], points)
         for name, each in intrinsics.items()
     }
-    _, T_rest = _at_rest(data, T_cam_target)
-    encoders.check_encoders(seen, T_rest)
-    check_axis_order(seen, T_rest)
     posed = check_pose_readings(data, T_cam_target)
     renumbered = board_flips.number_alike(posed.observations, T_cam_target)
-    excitation.check_excitation(*_at_rest(renumbered.observations, renumbered.T_cam_target))
+    at_rest = _at_rest(renumbered.observations, renumbered.T_cam_target)
+    # Of boards that one eye numbers from the other end the cameras seem to stand elsewhere.
+    encoders.check_encoders(*at_rest)
+    check_axis_order(*at_rest)
+    excitation.check_excitation(*at_rest)
     return _CheckedViews(renumbered, lenses, intrinsics, posed.warnings)
 
 

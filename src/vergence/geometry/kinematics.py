@@ -108,6 +108,16 @@ class Kinematics:
         """By eye the same parameters, with what each does to an angle or an axis."""
         return {eye: joint_errors(self.eyes[eye], self.readings) for eye in EYES}
 
+    @cached_property
+    def factors(self) -> Array:
+        """(r,) by how much each reading turns the joint that it turns most; 1: as far as it says.
+
+        Far from 1 are readings of motors before a gear. Gains are not counted.
+        """
+        joints = [joint for eye in EYES for joint in self.eyes[eye]]
+        turns = [[abs(joint.readings.get(name, 0.0)) for joint in joints] for name in self.readings]
+        return np.array([max(each, default=0.0) or 1.0 for each in turns])
+
     def used(self, eye: Side) -> list[int]:
         """Return which of the readings move an eye, in the order of the joints that they move."""
         mixing = self.chains[eye].mixing != 0

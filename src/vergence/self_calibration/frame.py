@@ -161,10 +161,10 @@ def _fit(
 ) -> tuple[Array, Array, Evidence]:
     """Return the change (K,) that matches and prior give, weights (N,), and what matches say."""
 
-    P = len(state.names)
+    P, factors = len(state.names), state.head.kinematics.factors
 
     def linear(z: Array) -> bool:
-        return bool(np.abs(z[P:]).max() < LINEAR_RAD)
+        return bool(np.abs(factors * z[P:]).max() < LINEAR_RAD)
 
     def linearised(z: Array, some: np.ndarray) -> LinearisedResiduals:
         those = Matches(matches.left[some], matches.right[some], matches.covariance[some])
@@ -191,8 +191,9 @@ def _beyond_known(state: SelfCalibration, says: Evidence, joints: Array) -> tupl
     N, b = says.information, says.vector
     if state.recurrence is None:
         return N, b
-    inflation, P = recurrence_inflation(state.recurrence, joints), len(state.names)
-    of_joints = N[P:, P:] + np.eye(len(joints)) / state.joint_std_rad**2
+    posture = state.head.kinematics.factors * joints
+    inflation, P = recurrence_inflation(state.recurrence, posture), len(state.names)
+    of_joints = N[P:, P:] + np.diag(state.reading_std_rad**-2.0)
     follows = np.linalg.solve(of_joints, N[P:, :P]).T
     information, vector = N.copy(), b.copy()
     known = 1 - 1 / inflation
@@ -206,7 +207,7 @@ def prior_of(state: SelfCalibration, readings: int) -> Array:
     P = len(state.names)
     C = np.zeros((P + readings, P + readings))
     C[:P, :P] = state.covariance
-    C[P:, P:] = state.joint_std_rad**2 * np.eye(readings)
+    C[P:, P:] = np.diag(state.reading_std_rad**2)
     return C
 
 

@@ -78,7 +78,8 @@ def worth_tracking(state: SelfCalibration, seen: FrameEstimate) -> bool:
     key = state.keyframe
     if key is None or _turned_rad(key, seen) < TURNED_RAD:
         return False
-    return recurrence_inflation(state.recurrence, seen.readings) < _LARGEST_INFLATION
+    posture = state.head.kinematics.factors * seen.readings
+    return recurrence_inflation(state.recurrence, posture) < _LARGEST_INFLATION
 
 
 def track_keyframe(state: SelfCalibration, seen: FrameEstimate) -> TrackedFeatures | None:
@@ -144,12 +145,12 @@ def prior_information(state: SelfCalibration, readings: int) -> Array:
     N = np.zeros((K, K))
     lasting = np.r_[:P, P + readings : K]
     N[np.ix_(lasting, lasting)] = (known + known.T) / 2
-    N[P : P + readings, P : P + readings] = np.eye(readings) / state.joint_std_rad**2
+    N[P : P + readings, P : P + readings] = np.diag(state.reading_std_rad**-2.0)
     return N
 
 
 def _turned_rad(key: Keyframe, seen: FrameEstimate) -> float:
-    return float(np.abs(seen.readings - key.readings).max())
+    return float(np.abs(seen.head.kinematics.factors * (seen.readings - key.readings)).max())
 
 
 def with_motion(
@@ -193,11 +194,11 @@ def _fit(
 ) -> tuple[Array, Array, Evidence]:
     """Return what features of camera k say about changes from those (K,) that are believed."""
     matches, K, P = tracked.matches[k], len(C), len(state.names)
-    with_depth = np.eye(K + 1)
+    with_depth, factors = np.eye(K + 1), np.tile(state.head.kinematics.factors, 2)
     with_depth[:K, :K] = C
 
     def linear(z: Array) -> bool:
-        return bool(np.abs(z[P:K]).max() < LINEAR_RAD and abs(z[K]) < _LINEAR_DEPTH)
+        return bool(np.abs(factors * z[P:K]).max() < LINEAR_RAD and abs(z[K]) < _LINEAR_DEPTH)
 
     def linearised(z: Array, some: np.ndarray) -> LinearisedResiduals:
         found = _whitened(state, seen, tracked, k, about + z[:K], float(z[K]))

@@ -16,6 +16,7 @@ from scipy.linalg import block_diag
 
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.head_accuracy import Accuracy
+from vergence.geometry.kinematics import reading_kinds
 from vergence.geometry.parameters import change_between, change_named
 from vergence.self_calibration.frame import from_matches
 from vergence.self_calibration.keyframe import track_keyframe, worth_tracking
@@ -193,6 +194,15 @@ def _linearised_again(past: tuple[Past, ...], after: SelfCalibration) -> SelfCal
     )
 
 
+def _stds_by_kind(state: SelfCalibration) -> tuple[float, ...]:
+    """Return the noise of each kind of reading [rad]; one for all, where that is the same."""
+    stds = state.reading_std_rad
+    kinds = np.array(reading_kinds(state.head.kinematics))
+    if np.ptp(stds) == 0:
+        return (float(stds[0]),)
+    return tuple(float(stds[kinds == kind].mean()) for kind in range(kinds.max() + 1))
+
+
 def learned_head(state: SelfCalibration) -> HeadCalibration:
     """Return the learned head with its accuracy, to be saved and used as any calibration.
 
@@ -206,7 +216,7 @@ def learned_head(state: SelfCalibration) -> HeadCalibration:
         parameters=(*state.names, *others),
         covariance=np.asarray(block_diag(state.covariance, C), float),
         pixel_std_px=before.pixel_std_px if before else None,
-        joint_std=(state.joint_std_rad,),
+        joint_std=_stds_by_kind(state),
         void=before.void if before else (),
     )
     return replace(state.head, accuracy=accuracy)

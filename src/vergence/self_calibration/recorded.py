@@ -68,7 +68,7 @@ class RecordedSelfCalibration:
     """Standard deviation of the depth of a point 1 m straight ahead, by the calibration alone,
     before and after; None: it is not in front of both cameras."""
     joint_std_rad: float
-    """Noise of a reading, as estimated."""
+    """Noise of a reading, times its factor, as estimated."""
     fresh: bool
     """Whether nothing was taken to have moved since the calibration."""
     warnings: tuple[str, ...]
@@ -112,11 +112,12 @@ def self_calibrate_dataset(
         if geometry.learned_s == frame.time_s:
             changes += _changes(geometry.known, frame.time_s - dataset.time_s[0])
         progress(task, k + 1, len(chosen))
-    turned_rad = float(np.ptp(both.joints[chosen], axis=0).max())
+    joints = both.joints[chosen] * head.kinematics.factors
+    turned_rad = float(np.ptp(joints, axis=0).max())
     known = geometry.known
     warnings = list(_warnings(head, len(chosen), seen)) + changes
     if not known.frames:
-        moved = np.abs(both.joints[chosen] - both.joints[chosen[0]]).max() >= MOVED_RAD
+        moved = np.abs(joints - joints[0]).max() >= MOVED_RAD
         reason = (
             "No frame after the first showed enough of the scene to both eyes"
             if moved

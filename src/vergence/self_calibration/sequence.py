@@ -134,7 +134,8 @@ def after_frame(before: SeenGeometry, latest: FrameEstimate, neck: Array) -> See
     if time_s is None or before.learned_s is None or before.learned_at is None:
         return SeenGeometry(known, latest, time_s, time_s, joints, neck)
     elapsed_s = time_s - before.learned_s
-    at_rest = np.abs(joints - before.learned_at).max() < MOVED_RAD
+    turned = known.head.kinematics.factors * (joints - before.learned_at)
+    at_rest = np.abs(turned).max() < MOVED_RAD
     nothing_seen = latest.evidence is None
     if at_rest or nothing_seen or 0 < elapsed_s < LEARNING_S - _SLACK_S:
         return replace(before, known=known, latest=latest)

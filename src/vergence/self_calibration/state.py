@@ -9,7 +9,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.geometry.head import HeadCalibration, pair_names
+from vergence.geometry.head import HeadCalibration, pair_names, reading_stds
 from vergence.self_calibration.match_noise import (
     EXPECTED_DESIGN_EFFECT,
     EXPECTED_MATCH_SCALE,
@@ -39,7 +39,7 @@ class SelfCalibration:
     covariance: Array
     """(P, P) of them."""
     joint_std_rad: float
-    """Noise of a reading."""
+    """Noise of a reading, times its factor: of the joint that it turns."""
     match_scale: float
     """Noise of the matches, relative to what their contrast tells."""
     design_effect: float = EXPECTED_DESIGN_EFFECT
@@ -63,6 +63,11 @@ class SelfCalibration:
     """The last frames, by which a change is told from noise; all of the first ones."""
     keyframe: Keyframe | None = None
     """From which features are tracked; None: there is none yet, or none that can be believed."""
+
+    @property
+    def reading_std_rad(self) -> Array:
+        """(r,) noise of each reading."""
+        return self.joint_std_rad / self.head.kinematics.factors
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,8 +182,8 @@ def initial_self_calibration(
             "poses, so that nothing is known of its joints."
         )
     names = learned_names(head, pair)
-    stated = accuracy.joint_std if accuracy else ()
-    usual = float(np.sqrt(np.mean(np.square(stated)))) if any(stated) else float(JOINT_STD_RAD)
+    stated = reading_stds(head) * head.kinematics.factors
+    usual = float(np.sqrt(np.mean(np.square(stated)))) if stated.any() else float(JOINT_STD_RAD)
     C = prior_covariance(head, names, pair, fresh=fresh)
     std = max(usual, float(LEAST_JOINT_STD_RAD))
     return SelfCalibration(head, pair, names, C, std, EXPECTED_MATCH_SCALE)

@@ -46,8 +46,8 @@ def updated(
         says: what its matches say about the state's head.
         tracked: features of an earlier frame that were found in it.
     """
-    P = len(state.names)
-    recurrence, inflation = with_frame(state.recurrence, seen.readings, says.blocks)
+    P, factors = len(state.names), state.head.kinematics.factors
+    recurrence, inflation = with_frame(state.recurrence, factors * seen.readings, says.blocks)
     evidence = _weakened(says, inflation)
     known = len(evidence.vector)
     N = prior_information(state, known - P)
@@ -105,7 +105,7 @@ def _weakened(evidence: Evidence, inflation: float) -> Evidence:
 
 
 def _joint_variance(state: SelfCalibration, evidence: Evidence) -> tuple[float, float]:
-    """Return the variance [rad^2] of a reading after a frame, and how many readings it is from.
+    """Return the variance [rad^2] of a joint after a frame, and how many readings it is from.
 
     Each direction of the joints' space that the images determine is a sample, weighted by how well
     they do.
@@ -115,6 +115,8 @@ def _joint_variance(state: SelfCalibration, evidence: Evidence) -> tuple[float, 
     head = N[:P, :P] + np.linalg.inv(state.covariance)
     follows = np.linalg.solve(head, N[:P, P:]).T
     H, h = N[P:, P:] - follows @ N[:P, P:], b[P:] - follows @ b[:P]
+    per_reading = 1 / state.head.kinematics.factors  # the joints' space, not that of motors
+    H, h = H * per_reading * per_reading[:, None], h * per_reading
     values, directions = np.linalg.eigh((H + H.T) / 2)
     sure = values > 1e-9 * values[-1]
     noise = 1 / values[sure]

@@ -29,12 +29,16 @@ from vergence.geometry.camera import pinhole
 from vergence.geometry.head import HeadCalibration, MountedCamera, main_pair
 from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye, check_turns
 from vergence.geometry.parameter_names import intrinsics_names
-from vergence.geometry.se3 import check_rigid, inverse, mean_pose
+from vergence.geometry.se3 import angle, check_rigid, inverse, mean_pose
 
 LEAST_POSES = 3
 """Fewest poses of a target at rest, from which a camera's place in its eye follows."""
 _UNIT_RAD = 1e-3
 """Unit of rotation in which errors of poses are counted where no covariance is given."""
+STUCK = 0.1
+"""Part of an eye's turns that poses of a target show at least; less are of a device that hangs."""
+AT_REST_RAD = 1e-6
+"""Turn of an eye up to which it rests, but for how numbers are rounded."""
 _LEVERS_M = 1e-2, 1e1
 """Between these the ratio of the noise of translation to that of rotation [m/rad] is sought."""
 
@@ -101,8 +105,8 @@ def adjust_target_poses(
 
     Raises:
         VergenceError: shapes do not fit, readings are not in radians, poses are not rigid, noise is
-            not positive, a reading that is needed is not finite, the start is another head, or the
-            motion does not determine a start.
+            not positive, a reading that is needed is not finite, the start is another head, poses
+            stay the same while the eye turns, or the motion does not determine a start.
     """
     T_cam_target = {name: np.asarray(T, dtype=float) for name, T in T_cam_target.items()}
     eye = np.asarray(eye, dtype=float)
@@ -114,11 +118,11 @@ def adjust_target_poses(
     views = len(eye) if eye.ndim else 0
     placement = np.zeros(views, dtype=int) if placement is None else np.asarray(placement)
     _check(T_cam_target, eye, eyes, kinematics, placement)
-    measured_eyes = eye.ndim == 4
+    measured_eyes, read = eye.ndim == 4, eye
+    if not measured_eyes:
+        read = np.stack([T_base_eye(kinematics, side, eye) for side in EYES], axis=1)
+    _check_not_stuck(T_cam_target, read, eyes)
     if start is None:
-        read = eye
-        if not measured_eyes:
-            read = np.stack([T_base_eye(kinematics, side, eye) for side in EYES], axis=1)
         start = _start(T_cam_target, read, placement, eyes, kinematics)
     kept = {
         f"{name}.{each}"
@@ -251,6 +255,29 @@ def _check(
         if eyes.get(name) not in EYES:
             raise VergenceError(f"eyes does not say in which eye {name} sits, left or right.")
         check_rigid(f"T_cam_target of {name}", T)
+
+
+def _check_not_stuck(
+    T_cam_target: Mapping[str, Array], eye_poses: Array, eyes: Mapping[str, Side]
+) -> None:
+    """Raise a VergenceError if poses of a target hardly turn where the eye does."""
+    for name, T in T_cam_target.items():
+        own = eye_poses[:, EYES.index(eyes[name])]
+        known = _measured(T) & _measured(own)
+        if not known.any():
+            continue
+        turned, by_eye = (_median_turn(each[known]) for each in (T, own))
+        if by_eye > AT_REST_RAD and turned < STUCK * by_eye:
+            raise VergenceError(
+                f"The poses of the target by {name} turn by {np.degrees(turned):.2g} degrees in "
+                f"the median, its eye by {np.degrees(by_eye):.2g}: is the measurement stuck, or "
+                "does the target move with the eye?"
+            )
+
+
+def _median_turn(T: Array) -> float:
+    """Return the median angle [rad] between poses (N, 4, 4) and their mean."""
+    return float(np.median(angle((inverse(mean_pose(T)) @ T)[:, :3, :3])))
 
 
 def _check_start(

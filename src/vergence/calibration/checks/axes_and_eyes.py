@@ -59,10 +59,15 @@ def eye_shift(head: HeadCalibration) -> Array:
     Along the axes of the right eye's base; the length is the baseline.
     """
     left, right = stereo_cameras(head, None)
-    joints = straight_gaze(head.kinematics)
-    T_lbase_leye, T_rbase_reye = eye_poses(head, joints)
-    if set(head.kinematics.used("left")) == set(head.kinematics.used("right")):
-        # A pair that turns as one: its eyes are where its cameras are.
+    kinematics = head.kinematics
+    T_lbase_leye, T_rbase_reye = eye_poses(head, straight_gaze(kinematics))
+    as_one = set(kinematics.used("left")) == set(kinematics.used("right"))
+    left_end, right_end = (
+        joints[-1].point_m if joints else np.zeros(3)
+        for joints in (kinematics.eyes[eye] for eye in EYES)
+    )
+    if as_one or not np.array_equal(left_end, right_end):
+        # A pair that turns as one, or joints elsewhere: the eyes are where their cameras are.
         T_lbase_leye, T_rbase_reye = T_lbase_leye @ left.T_eye_cam, T_rbase_reye @ right.T_eye_cam
     return (head.T_rbase_lbase @ T_lbase_leye)[:3, 3] - T_rbase_reye[:3, 3]
 

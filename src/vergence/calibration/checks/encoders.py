@@ -92,7 +92,8 @@ class _Turns:
 def check_encoders(seen: Observations, T_cam_target: Mapping[str, Array]) -> None:
     """Refuse readings at rest that the images contradict: VergenceError says what they seem to be.
 
-    T_cam_target has by camera the poses (V, 4, 4) of the board, NaN where not known.
+    T_cam_target has by camera the poses (V, 4, 4) of the board, NaN where not known. How far the
+    cameras are apart is known where the boards of a placement are numbered alike.
     """
     if seen.T_base_eye is not None:
         return
@@ -199,7 +200,7 @@ def _between_the_eyes(found: Mapping[int, _Turns], poses: Mapping[str, Array]) -
     T = T[np.isfinite(T).all(axis=(1, 2))]
     if not len(T):
         return {}
-    # Boards numbered from the wrong end move the camera, but not in most views.
+    # A board that is still numbered from the wrong end moves the camera, but not in most views.
     in_left = np.median(-inverse(T)[:, :3, 3], axis=0)
     in_right = np.median(T[:, :3, 3], axis=0)
     if min(np.linalg.norm(in_left), np.linalg.norm(in_right)) < LEAST_BASELINE_M:

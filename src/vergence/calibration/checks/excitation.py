@@ -67,7 +67,10 @@ def _lacking(seen: Observations, name: str, e: int, spread: Array, rows: np.ndar
     joints, mixing = seen.kinematics.eyes[EYES[e]], seen.kinematics.chains[EYES[e]].mixing
     all_joints = " and ".join(joint.name for joint in joints)
     motion = (seen.eye_angles[rows] @ mixing.T).std(axis=0) if len(rows) else np.ones(len(joints))
-    if len(rows) < 3:
+    if seen.T_base_eye is None and not joints:
+        what, why = everything, f"{whose} has no joint by `kinematics`"
+        advice = "describe the joints of what carries it, or leave the camera out"
+    elif len(rows) < 3:
         times = ("no view", "one view only", "two views only")[len(rows)]
         what, why = everything, f"{whose} sees a board at rest in {times}"
         advice = f"let it look at one from 20 angles or more, and move {all_joints} {ADVISED}"
