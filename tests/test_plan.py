@@ -16,7 +16,7 @@ from simulated_recording import BOARD, EXACT, Recording, joined, record
 from test_kinematics import shared_tilt
 from vergence import cli
 from vergence.accuracy import plan_information
-from vergence.accuracy.plan import Plan, choose, plan
+from vergence.accuracy.plan import Plan, choose, largest_readings, plan
 from vergence.accuracy.plan_information import gained, information, linearised_views, stated
 from vergence.accuracy.plan_views import (
     MARGIN_PX,
@@ -152,6 +152,17 @@ def test_the_eyes_fixate_the_workspace_and_its_covariance_is_that_of_located_poi
     # Only weights between the four equations differ.
     wanted = np.sqrt(np.linalg.eigvalsh(covariance)[:, -1])
     np.testing.assert_allclose(found[inside], wanted[inside], rtol=1e-3)
+
+
+def test_joints_before_which_there_is_a_gear_turn_as_far_as_others(truth):
+    eyes = {
+        eye: tuple(replace(j, readings=dict.fromkeys(j.readings, 0.01)) for j in joints)
+        for eye, joints in truth.kinematics.eyes.items()
+    }
+    geared = replace(truth.kinematics, eyes=eyes)
+    np.testing.assert_allclose(largest_readings(truth.kinematics, LIMITS), LIMITS)
+    np.testing.assert_allclose(largest_readings(geared, LIMITS), 100 * LIMITS)
+    assert largest_readings(geared, 0.1) == pytest.approx(np.full(4, 10.0))
 
 
 def test_points_out_of_the_eyes_reach_are_refused(truth):

@@ -27,10 +27,11 @@ from vergence.calibration.summary import DISTANCES_M
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board
 from vergence.geometry.head import HeadCalibration, pair_names, reading_stds
+from vergence.geometry.kinematics import Kinematics
 from vergence.progress import Progress, silent
 
 LIMIT_RAD = 0.35
-"""Largest reading of a joint: 20 degrees. Many heads can do more; boards are then hard to hold."""
+"""Largest turn of a joint: 20 degrees. Many heads can do more; boards are then hard to hold."""
 PLACES, GAZES = 40, 12
 """Candidates: places of the board, and directions of gaze at each."""
 LEAST_PX = 1e-3
@@ -79,7 +80,8 @@ def plan(
         head: a calibration that states its covariance.
         board: that will be shown.
         views: how many to plan.
-        limits_rad: the largest readings, to either side: (r,), or one for all.
+        limits_rad: the largest turns of the joints, to either side: (r,) of what each reading
+            turns, or one for all.
         distances_m: of the points from the middle of the head.
         candidates: how many places of the board are tried, and directions of gaze at each.
         seed: of the candidates, which are random.
@@ -91,7 +93,7 @@ def plan(
     """
     accuracy, known = stated(head)
     pair = pair_names(head)
-    limits = checked_limits(head.kinematics.readings, limits_rad)
+    limits = largest_readings(head.kinematics, limits_rad)
     progress("choosing views", 0, views)  # candidates of a large board take a while
     points = workspace(head, pair, limits, names=known.names, distances_m=distances_m)
     rng = np.random.default_rng(seed)
@@ -114,14 +116,17 @@ def plan(
     )
 
 
-def checked_limits(names: tuple[str, ...], limits_rad: ArrayLike) -> Array:
-    """Return limits (r,); VergenceError if they are not one for each of the readings or for all."""
-    limits = np.asarray(limits_rad, dtype=float)
+def largest_readings(kinematics: Kinematics, limits_rad: ArrayLike) -> Array:
+    """Return the largest readings (r,) [rad] with joints within limits.
+
+    VergenceError if these are not one for each of the readings, or for all.
+    """
+    names, limits = kinematics.readings, np.asarray(limits_rad, dtype=float)
     if limits.size not in (1, len(names)):
         raise VergenceError(
             f"Limits are one for each of {', '.join(names)}, or one for all; found {limits.size}."
         )
-    return np.broadcast_to(limits.ravel(), len(names))
+    return limits.ravel() / kinematics.factors
 
 
 def choose(

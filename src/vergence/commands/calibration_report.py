@@ -187,7 +187,8 @@ def _points(result: CalibrationResult) -> list[str]:
 
 def _next_views(result: CalibrationResult) -> list[str]:
     """Return a short plan, for eyes that move as far as they have in this recording."""
-    reached = np.nan_to_num(np.abs(result.observations.eye_angles)).max(axis=0)
+    readings = np.nan_to_num(np.abs(result.observations.eye_angles)).max(axis=0)
+    reached = readings * result.head.kinematics.factors
     try:
         found = plan(
             result.head,

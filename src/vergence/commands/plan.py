@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence.accuracy.plan import LIMIT_RAD, Plan, checked_limits, plan
+from vergence.accuracy.plan import LIMIT_RAD, Plan, largest_readings, plan
 from vergence.arrays import Array
 from vergence.calibration.calibrate import calibrate
 from vergence.data.description import MAX_SQUARE_M
@@ -80,7 +80,7 @@ def head_and_board(
     """Return the calibration and the board of a source; arguments and errors are those of `run`."""
     if os.path.isdir(source):
         data = load_dataset(source)
-        checked_limits(data.description.head_kinematics.readings, limits_rad)  # before the work
+        largest_readings(data.description.head_kinematics, limits_rad)  # before the work
         board = data.description.board if stated is None else _chessboard(stated)
         found = calibrate(data, progress=progress)
         if found.accuracy.void:
