@@ -17,7 +17,7 @@ from recordings import (
     write_dataset,
     write_table,
 )  # fmt: skip
-from vergence.data import reader
+from vergence.data import table
 from vergence.data.dataset import runs
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
@@ -142,7 +142,7 @@ def test_columns_of_ones_own_begin_with_an_underscore(folder):
 
 
 def test_a_table_has_as_many_rows_as_are_allowed(folder, monkeypatch):
-    monkeypatch.setattr(reader, "MAX_ROWS", 3)
+    monkeypatch.setattr(table, "MAX_ROWS", 3)
     write_table(folder, rows(3))
     load_dataset(folder)
     write_table(folder, rows(4))

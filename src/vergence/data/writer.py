@@ -26,7 +26,7 @@ from vergence.data.description import (
     TIME,
     Description,
 )
-from vergence.data.reader import Table, eye_poses, joint_angles, placements, time_stamps
+from vergence.data.table import Table, eye_poses, joint_angles, placements, time_stamps
 from vergence.errors import VergenceError
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.neck import NECK_JOINTS
