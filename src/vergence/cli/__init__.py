@@ -47,7 +47,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
 }
 
 
-def _say_no_none(described: Any, names: list[str]) -> None:
+def _hide_default_none(described: Any, names: list[str]) -> None:
     """Leave "(default: None)" out of the help of options whose text says what none means."""
     hints = get_type_hints(described, include_extras=True)
     silent = tyro.conf.arg(help_behavior_hint="")
@@ -58,8 +58,8 @@ for _command in COMMANDS.values():
     # tyro would keep the line breaks in what is said of an option
     _command.__doc__ = re.sub(r"\n {8}", " ", getdoc(_command) or "")
     _parameters = signature(_command).parameters.values()
-    _say_no_none(_command, [each.name for each in _parameters if each.default is None])
-_say_no_none(
+    _hide_default_none(_command, [each.name for each in _parameters if each.default is None])
+_hide_default_none(
     ExperimentOptions, [each.name for each in fields(ExperimentOptions) if each.default is None]
 )
 

@@ -73,7 +73,7 @@ class Recurrence:
     """How far the errors of matches recur where the eyes stood before."""
 
     joints: Array
-    """(n, r) readings of past frames [rad]."""
+    """(n, r) readings of past frames [rad], times `Kinematics.factors`."""
     ages_s: Array
     """(n,) how long ago they were."""
     blocks: np.ndarray
@@ -144,7 +144,7 @@ def recurrence_inflation(before: Recurrence | None, joints: Array) -> float:
 
     Args:
         before: of the frames before, as old as they are now; None: there was none.
-        joints: (r,) readings of the frame [rad].
+        joints: (r,) readings of the frame [rad], times `Kinematics.factors`.
     """
     return 1.0 if before is None else _inflation(before, _added(before, joints))
 
@@ -176,7 +176,7 @@ def with_frame(before: Recurrence | None, joints: Array, blocks: Array) -> tuple
 
     Args:
         before: of the frames before, as old as they are now; None: there was none.
-        joints: (r,) readings [rad].
+        joints: (r,) readings [rad], times `Kinematics.factors`.
         blocks: (B,) of `design_effect`.
     """
     unit = (blocks / max(float(np.linalg.norm(blocks)), 1e-9)).astype(np.float32)[None]

@@ -35,9 +35,10 @@ LEAST_POSES = 3
 """Fewest poses of a target at rest, from which a camera's place in its eye follows."""
 _UNIT_RAD = 1e-3
 """Unit of rotation in which errors of poses are counted where no covariance is given."""
-STUCK = 0.1
-"""Part of an eye's turns that poses of a target show at least; less are of a device that hangs."""
-AT_REST_RAD = 1e-6
+_STUCK = 0.1
+"""Share of an eye's turn by which poses of a target at rest turn at least: of true poses it is
+about one, and less by this much only where the measurement does not follow."""
+_AT_REST_RAD = 1e-6
 """Turn of an eye up to which it rests, but for how numbers are rounded."""
 _LEVERS_M = 1e-2, 1e1
 """Between these the ratio of the noise of translation to that of rotation [m/rad] is sought."""
@@ -267,7 +268,7 @@ def _check_not_stuck(
         if not known.any():
             continue
         turned, by_eye = (_median_turn(each[known]) for each in (T, own))
-        if by_eye > AT_REST_RAD and turned < STUCK * by_eye:
+        if by_eye > _AT_REST_RAD and turned < _STUCK * by_eye:
             raise VergenceError(
                 f"The poses of the target by {name} turn by {np.degrees(turned):.2g} degrees in "
                 f"the median, its eye by {np.degrees(by_eye):.2g}: is the measurement stuck, or "
