@@ -30,7 +30,8 @@ before it, and the core does not import it.
 """
 CORE = ROOMS[: ROOMS.index("vergence") + 1]
 CALIBRATION = (
-    "observations", "sequential", "detection", "bundle", "checks", "summary", "calibrate",
+    "observations", "sequential", "detection", "bundle", "checks", "summary", "checked_views",
+    "validation", "calibrate",
 )  # fmt: skip
 """The same order inside the largest room; modules and subfolders that it lacks do not matter."""
 
