@@ -4,9 +4,9 @@
 
 Rendered images of the paper's figures, made worse before anything is matched: contrast, exposure
 and blur, parts that are covered, a repeated pattern at a near depth, wrong matches, eyes that
-expose one after the other. The object's pixels are those of the good images, so that the geometry
-alone makes the difference. `learned` has seen 5 s of good images before, and goes on learning from
-bad ones.
+expose one after the other, JPEG, dust, a lens that is out of focus. The object's pixels are those
+of the good images, so that the geometry alone makes the difference. `learned` has seen 5 s of good
+images before, and goes on learning from bad ones.
 
 Printed is the standard deviation of depth over that of the joints (below 1: steadier; bar 1.05),
 and of single frames the mean squared error of the cameras' turn to each other over its stated
@@ -15,17 +15,29 @@ variance (3 degrees of freedom, each counts one third).
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import tyro
 
+from degraded import (
+    CAMERAS,
+    Sample,
+    apart,
+    blurred,
+    chessboard,
+    compressed,
+    contrast,
+    covered,
+    darker,
+    dusty,
+    quarter,
+    unfocused,
+)
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.geometry import se3
-from vergence.geometry.camera import Camera, project, unproject
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named
 from vergence.paper.comparison import learned_around
@@ -48,113 +60,7 @@ from vergence.twin.profile import load_profile
 from vergence.twin.sensors import with_sensors
 from vergence.vision.sphere import STD_PX, find_sphere
 
-CAMERAS = ("left_wide", "right_wide")
 APART_S = 0.005
-NEAR_M, SQUARE_M = 0.6, 0.02
-FINER = 3
-"""Rays along each side of a pixel, of which the near chessboard's grey levels are the mean."""
-Images = tuple[np.ndarray, np.ndarray]
-
-
-@dataclass(frozen=True, eq=False)
-class Sample:
-    """A pair of images of a figure."""
-
-    images: Images
-    """(H, W) grey."""
-    later: np.ndarray
-    """(H, W) the right image, 5 ms later."""
-    joints: Array
-    """(4,) readings."""
-    pixels: tuple[Array, Array]
-    """(2,) the object in both."""
-    T_rcam_lcam: Array
-    """The truth."""
-
-
-def contrast(share: float) -> Callable[[Sample], Images]:
-    """Return what takes contrast away; the noise of the sensor (one grey level) comes after."""
-
-    def change(sample: Sample) -> Images:
-        rng = np.random.default_rng(int(sample.joints[0] * 1e9) % 2**32)
-        both = []
-        for image in sample.images:
-            smooth = cv2.GaussianBlur(image, (0, 0), 0.6).astype(float)
-            faint = 128 + share * (smooth - 128) + rng.normal(0, 1.0, image.shape)
-            both.append(np.clip(np.round(faint), 0, 255).astype(np.uint8))
-        return both[0], both[1]
-
-    return change
-
-
-def quarter(sample: Sample) -> Images:
-    """Show the upper left quarter of the left image, and grey elsewhere."""
-    left = np.full_like(sample.images[0], 128)
-    h, w = left.shape
-    left[: h // 2, : w // 2] = sample.images[0][: h // 2, : w // 2]
-    return left, sample.images[1]
-
-
-def covered(sample: Sample) -> Images:
-    """Show nothing to the right eye."""
-    return sample.images[0], np.full_like(sample.images[1], 20)
-
-
-def darker(sample: Sample) -> Images:
-    """Expose the right eye for 0.6 times as long."""
-    return sample.images[0], np.round(0.6 * sample.images[1].astype(float)).astype(np.uint8)
-
-
-def blurred(sample: Sample) -> Images:
-    """Blur along rows, 5 px."""
-    row = np.full((1, 5), 0.2)
-    left, right = (cv2.filter2D(image, -1, row) for image in sample.images)
-    return left, right
-
-
-def apart(sample: Sample) -> Images:
-    """Expose the right eye 5 ms later."""
-    return sample.images[0], sample.later
-
-
-def chessboard(truth: HeadCalibration) -> Callable[[Sample], Images]:
-    """Return what covers a quarter of the left view by a near chessboard, as the cameras show it.
-
-    It is fixed to the left eye, 0.6 m ahead.
-    """
-
-    cameras = [truth.camera(name).intrinsics for name in CAMERAS]
-    rays = [rays_within_pixels(camera) for camera in cameras]
-
-    def change(sample: Sample) -> Images:
-        both = []
-        for k, image in enumerate(sample.images):
-            T = np.eye(4) if k == 0 else se3.inverse(sample.T_rcam_lcam)
-            turned, centre = rays[k] @ T[:3, :3].T, T[:3, 3]
-            hit = centre + turned * ((NEAR_M - centre[2]) / turned[:, 2])[:, None]
-            left = project(cameras[0], hit)
-            middle = np.array(image.shape[::-1]) / 2
-            inside = np.asarray(((left > 0) & (left < middle)).all(axis=1), float)
-            dark = (np.floor(hit[:, :2] / SQUARE_M).astype(int).sum(axis=1) % 2) == 0
-            share, board = (
-                mean_within_pixels(each, image.shape)
-                for each in (inside, inside * np.where(dark, 40.0, 210.0))
-            )
-            both.append(np.round(board + (1 - share) * image).astype(np.uint8))
-        return both[0], both[1]
-
-    return change
-
-
-def rays_within_pixels(camera: Camera) -> Array:
-    """Return rays (N, 3) evenly spread over each pixel, by rows of the finer image."""
-    u, v = ((np.arange(FINER * n) + 0.5) / FINER - 0.5 for n in (camera.width, camera.height))
-    return unproject(camera, np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
-
-
-def mean_within_pixels(values: Array, size: tuple[int, ...]) -> Array:
-    """Return the means (H, W) of values (N,) at the rays of rays_within_pixels."""
-    return values.reshape(size[0], FINER, size[1], FINER).mean(axis=(1, 3))
 
 
 def mismatched(state: SelfCalibration, sample: Sample) -> FrameEstimate:
@@ -244,8 +150,9 @@ def report(
     figure: int,
     samples: list[Sample],
     learned: SelfCalibration,
+    chosen: tuple[str, ...],
 ) -> None:
-    """Print a line for each way in which images are bad."""
+    """Print a line for each of the chosen ways in which images are bad; none chosen: for all."""
     ways = {
         "good": lambda s: s.images,
         "quarter of the view": quarter,
@@ -257,9 +164,13 @@ def report(
         "right eye 0.6 as bright": darker,
         "motion blur 5 px": blurred,
         "5 ms apart": apart,
+        "JPEG of quality 50": compressed,
+        "dust": dusty,
+        "right eye out of focus": unfocused,
     }
     step_s = default_duration_s(FIGURES[figure].motion) / len(samples)
-    for name, change in ways.items():
+    for name in chosen or ways:
+        change = ways[name]
         single, after, share, distance = compare(
             samples, initial_self_calibration(head, fresh=True), learned, change, step_s
         )
@@ -271,13 +182,19 @@ def report(
         )
 
 
-def main(figures: tuple[int, ...] = (6, 8, 9, 10, 11), samples: int = 40, seed: int = 0) -> None:
+def main(
+    figures: tuple[int, ...] = (6, 8, 9, 10, 11),
+    samples: int = 40,
+    seed: int = 0,
+    ways: tuple[str, ...] = (),
+) -> None:
     """Print how steady depth stays.
 
     Args:
         figures: of the paper.
         samples: of each.
         seed: of the twin.
+        ways: names, as printed, of those in which images are bad; none: all.
     """
     profile = load_profile("paper")
     for lens in ("2.8mm", "4.0mm"):
@@ -292,7 +209,7 @@ def main(figures: tuple[int, ...] = (6, 8, 9, 10, 11), samples: int = 40, seed: 
             truth = with_sensors(twin.truth, twin.profile.joints)
             for figure in numbers:
                 taken_now = taken(twin, head, truth, figure, samples)
-                report(head, truth, figure, taken_now, learned)
+                report(head, truth, figure, taken_now, learned, ways)
 
 
 if __name__ == "__main__":
