@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from recordings import held, picture
-from vergence.geometry.board import Chessboard
+from vergence.geometry.board import Charuco, Chessboard
 from vergence.vision import board_detection
 from vergence.vision.board_detection import detect_board
 from vergence.vision.chessboard_checks import ends_inside, goes_on, is_chequered, is_grid
@@ -66,3 +66,9 @@ def test_whatever_part_of_a_board_opencv_finds_is_refused(name: str, monkeypatch
     monkeypatch.setattr(board_detection.cv2, "findChessboardCornersSB", lambda *_, **__: found)
     rows, columns = part.shape[:2]
     assert detect_board(IMAGE, Chessboard(columns, rows, 0.03)) is None
+
+
+def test_squares_with_markers_are_no_chessboard():
+    board = Charuco(9, 7, 0.03, 0.022, "DICT_4X4_50")
+    image, truth = picture(board, held(0, shift=20, square_px=22), SIZE)
+    assert not is_chequered(image, truth.reshape(6, 8, 2))

@@ -1,5 +1,6 @@
 """Finding the board in a dataset: what is found is right, what fails has its reason."""
 
+import json
 import os
 import shutil
 from dataclasses import replace
@@ -284,8 +285,22 @@ def test_a_chessboard_of_other_counts_is_named_by_its_own(tmp_path, change):
         detect_target(load_dataset(tmp_path / "set"))
 
 
+@pytest.mark.parametrize(("there", "described"), [(CHARUCO, CHESSBOARD), (CHESSBOARD, CHARUCO)])
+def test_a_board_of_the_other_kind_is_named(tmp_path, there, described):
+    seen_dataset(tmp_path / "set", there, 1)
+    about = description(described, (280, 240))
+    (tmp_path / "set" / "dataset.json").write_text(json.dumps(about))
+    said = {
+        "charuco": "set board.kind to charuco, board.dictionary to DICT_4X4_50, board.squares_x to "
+        "6, board.squares_y to 5",
+        "chessboard": "set board.kind to chessboard, board.columns to 6 and board.rows to 5",
+    }
+    with pytest.raises(VergenceError, match=said[there.kind]):
+        detect_target(load_dataset(tmp_path / "set"))
+
+
 def test_a_chessboard_that_the_image_cuts_off_is_called_that_and_not_a_smaller_one(tmp_path):
-    table, size = rows(3), (280, 240)
+    table, size = rows(1), (280, 240)
     names = [row[c] for row in table for c in ("left_wide", "right_wide") if row[c]]
     images = {
         name: picture(CHESSBOARD, held(k, shift=105), size)[0] for k, name in enumerate(names)

@@ -92,3 +92,16 @@ def test_one_marker_has_no_neighbours():
     assert alone.ids.shape == alone.steps.shape == (0, 2)
     assert not contradicts(alone, BOARD)
     assert board_of(alone, BOARD) is None
+
+
+def test_markers_that_their_mirror_images_are_taken_for_contradict_the_board():
+    """Some have mirror images that are other markers; they stand apart from each other."""
+    board = Charuco(
+        squares_x=8, squares_y=6, square_m=0.03, marker_m=0.022, dictionary="DICT_4X4_50"
+    )
+    image, _ = picture(board, held(0, shift=20, square_px=22), SIZE)
+    mirrored = np.ascontiguousarray(image[:, ::-1])
+    pairs = pairs_of(mirrored, board)
+    assert len(pairs.ids) > 0
+    assert contradicts(pairs, board)
+    assert detect_board(mirrored, board) is None

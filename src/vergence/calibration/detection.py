@@ -80,7 +80,6 @@ def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observati
             progress(task, len(found), len(jobs))
     found = _without_repeats(dataset, found)
     _check_described(dataset, found)
-    _check_not_mirrored(dataset, found)
     board, cameras = dataset.description.board, dataset.description.cameras
     shape = (len(dataset), board.columns * board.rows, 2)
     corners = {name: np.full(shape, np.nan) for name in dataset.files}
@@ -187,12 +186,14 @@ def _without_repeats(dataset: Dataset, seen: list[_Detection]) -> list[_Detectio
 
 
 def _check_described(dataset: Dataset, found: list[_Detection]) -> None:
-    """Raise a VergenceError if no image shows the board, or most of those with markers another.
+    """Raise a VergenceError if no image shows the board, or more show another one.
 
     Then the board is described wrongly: some views of some of its markers agree with the
     description by chance.
     """
     seen = sum(each.corners is not None for each in found)
+    if seen:
+        _check_not_mirrored(dataset, found)
     if seen > sum(each.reason == ANOTHER for each in found):
         return
     images = _probes(dataset, [each for each in found if each.corners is None])

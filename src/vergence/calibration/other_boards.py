@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -24,6 +24,8 @@ from vergence.vision.marker_layout import (
     read_markers,
 )
 
+_MARKERS = 200
+"""Of each family that are sought: enough for a board of 20 x 20 squares."""
 ANOTHER = "another board is there than the one described"
 
 
@@ -94,6 +96,32 @@ def _largest_grid(grey: np.ndarray) -> np.ndarray | None:
 def _other_chessboards(
     images: Sequence[np.ndarray], board: Chessboard
 ) -> Iterator[tuple[Board, str]]:
+    """Yield boards with markers, in which OpenCV sees parts of a chessboard, and other counts."""
+    with suppress(ValueError):  # of more squares than the family has markers
+        like = Charuco(
+            squares_x=board.columns + 1,
+            squares_y=board.rows + 1,
+            square_m=board.square_m,
+            marker_m=0.75 * board.square_m,  # as most are; it matters for few markers only
+            dictionary="DICT_4X4_1000",
+        )
+        for other in _charucos(images[:2], _of_each_family(like).values()):
+            yield (
+                other,
+                "a ChArUco board is there: set board.kind to charuco, board.dictionary to "
+                f"{other.dictionary}, board.squares_x to {other.squares_x}, board.squares_y to "
+                f"{other.squares_y}, and board.marker_m to the side of a marker",
+            )
+    for other in _chessboards(images, board):
+        yield (
+            other,
+            f"one of {other.columns} x {other.rows} is there: set board.columns to {other.columns} "
+            f"and board.rows to {other.rows}; they count the corners inside the board, not its "
+            "squares",
+        )
+
+
+def _chessboards(images: Sequence[np.ndarray], board: Chessboard) -> Iterator[Chessboard]:
     """Yield the chessboards that end inside of an image, the most frequent first."""
     sizes: Counter[tuple[int, ...]] = Counter()
     for image in images:
@@ -101,45 +129,55 @@ def _other_chessboards(
         if grid is not None and ends_inside(grid, image.shape):
             sizes[tuple(sorted(grid.shape[:2], reverse=board.columns >= board.rows))] += 1
     for (columns, rows), _ in sizes.most_common():
-        yield (
-            replace(board, columns=columns, rows=rows),
-            f"one of {columns} x {rows} is there: set board.columns to {columns} and board.rows to "
-            f"{rows}; they count the corners inside the board, not its squares",
-        )
+        yield replace(board, columns=columns, rows=rows)
 
 
 def _other_charucos(images: Sequence[np.ndarray], board: Charuco) -> Iterator[tuple[Board, str]]:
-    """Yield boards on which the markers in images lie as they do there."""
+    """Yield boards on which the markers in images lie as they do there, and those without any."""
+    boards = _of_each_family(board) | {_family(board.dictionary): board}
+    for other in _charucos(images, boards.values()):
+        if other != board:
+            yield other, _advice(board, other)
+    plain = Chessboard(board.columns, board.rows, board.square_m)
+    for other in (plain, *_chessboards(images, plain)):
+        yield (
+            other,
+            "a chessboard without markers is there: set board.kind to chessboard, board.columns to "
+            f"{other.columns} and board.rows to {other.rows}",
+        )
+
+
+def _charucos(images: Sequence[np.ndarray], boards: Iterable[Charuco]) -> Iterator[Charuco]:
+    """Yield for each board the one of the same family on which markers lie as in images (H, W)."""
     large = [upsampled(image)[0] for image in images]
-    for described in _with_other_markers(board):
+    for board in boards:
         pairs = [
-            marker_pairs(*read_markers(each, described.dictionary), described) for each in large
+            marker_pairs(*read_markers(each, board.dictionary, _MARKERS), board) for each in large
         ]
         together = MarkerPairs(
             np.concatenate([each.ids for each in pairs]),
             np.concatenate([each.steps for each in pairs]),
         )
-        other = board_of(together, described)
-        if other is not None and other != board:
-            yield other, _advice(board, other)
+        other = board_of(together, board)
+        if other is not None:
+            yield other
 
 
-def _with_other_markers(board: Charuco) -> list[Charuco]:
-    """Return a board, and the same with markers of each other family.
+def _of_each_family(board: Charuco) -> dict[str, Charuco]:
+    """Return by family of markers a board like this one.
 
-    Of DICT_4X4_50, DICT_4X4_100 and so on it is the smallest that has enough markers: the larger
-    ones begin with the same, and take long to search.
+    Of DICT_4X4_50, DICT_4X4_100 and so on it has the smallest with enough markers: the larger ones
+    begin with the same.
     """
-
-    def family(name: str) -> str:
-        return re.sub(r"_\d+$", "", name)
-
-    boards = {family(board.dictionary): board}
+    boards: dict[str, Charuco] = {}
     for name in sorted(DICTIONARIES, key=lambda name: len(marker_family(name).bytesList)):
-        if family(name) not in boards:
-            with suppress(ValueError):  # of those with too few markers
-                boards[family(name)] = replace(board, dictionary=name)
-    return list(boards.values())
+        with suppress(ValueError):  # of those with too few markers
+            boards.setdefault(_family(name), replace(board, dictionary=name))
+    return boards
+
+
+def _family(dictionary: str) -> str:
+    return re.sub(r"_\d+$", "", dictionary)
 
 
 def _advice(board: Charuco, other: Charuco) -> str:

@@ -19,11 +19,15 @@ from scipy.spatial import KDTree
 from vergence.geometry.board import Charuco, marker_family
 
 _NEAREST = 9
-"""Markers beside each that are looked at: its four neighbours, and those that were misread."""
+"""Markers that are looked at for each: itself, its four neighbours, and some that are none."""
 _TOLERANCE = 0.35
 """Of a neighbour's place, in squares: perspective and small markers make 0.2 of it."""
 _MOST_SIDES = 2.1
 """Sides of a marker in that of a square, at most: two squares are more."""
+_AS_NEAR = 1.5
+"""Distance of a neighbour over that of the nearest one: the next but one is twice as far."""
+_FAR_TOLERANCE = 0.35
+"""Of the place of one that is farther away, as a part of the distance."""
 _MOST_SQUARES = 100
 _LEAST_PAIRS = 6
 _CLEAR_SHARE = 0.8
@@ -33,12 +37,12 @@ of a small board spoils a tenth. Of a board with one square more in a row half a
 
 @dataclass(frozen=True, eq=False)
 class MarkerPairs:
-    """Pairs of markers whose squares touch at a corner."""
+    """Pairs of markers whose squares touch at a corner, or of the nearest ones that were read."""
 
     ids: np.ndarray
     """(P, 2) of int: numbers of the first and the second marker."""
     steps: np.ndarray
-    """(P, 2) of int: squares along x and y from the first to the second, each 1 or -1."""
+    """(P, 2) squares along x and y from the first to the second, about 1 or -1 if they touch."""
 
 
 def marker_pairs(quads: Sequence[np.ndarray], ids: np.ndarray, board: Charuco) -> MarkerPairs:
@@ -57,20 +61,31 @@ def marker_pairs(quads: Sequence[np.ndarray], ids: np.ndarray, board: Charuco) -
     offsets = np.einsum(
         "pij,pj->pi", np.linalg.pinv(sides)[first], (centres[second] - centres[first])
     )
-    largest = np.abs(offsets).max(axis=1)
+    by_marker = np.abs(offsets).max(axis=1).reshape(near.shape[0], -1)
+    nearest = by_marker.min(axis=1)
     # The nearest is a square away, whatever part of it a marker fills, unless many were not read.
-    square = float(np.median(largest.reshape(near.shape[0], -1).min(axis=1)))
+    square = float(np.median(nearest))
     square = square if square < _MOST_SIDES else board.square_m / board.marker_m
-    steps = np.sign(offsets)
-    beside = (np.abs(offsets / square - steps) < _TOLERANCE).all(axis=1)
-    return MarkerPairs(
-        np.stack([ids[first], ids[second]], axis=1)[beside], steps[beside].astype(int)
+    steps, length = offsets / square, by_marker.ravel() / square
+    beside = length < _AS_NEAR * nearest[first] / square
+    # What is a neighbour's distance away but not in the place of one is not on the board.
+    off = np.abs(steps - np.sign(steps)).max(axis=1)
+    beside &= (off < _TOLERANCE) | (length > _AS_NEAR)
+    return MarkerPairs(np.stack([ids[first], ids[second]], axis=1)[beside], steps[beside])
+
+
+def read_markers(
+    grey: np.ndarray, dictionary: str, most: int | None = None
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """Return corners (4, 2) [px] and numbers (N,) of the markers of a family in an image (H, W).
+
+    Of its first ones, which boards have, where `most` limits the time that large families take.
+    """
+    family = marker_family(dictionary)
+    first = cv2.aruco.Dictionary(
+        family.bytesList[:most], family.markerSize, family.maxCorrectionBits
     )
-
-
-def read_markers(grey: np.ndarray, dictionary: str) -> tuple[list[np.ndarray], np.ndarray]:
-    """Return corners (4, 2) [px] and numbers (N,) of the markers of a family in an image (H, W)."""
-    quads, ids, _ = cv2.aruco.ArucoDetector(marker_family(dictionary)).detectMarkers(grey)
+    quads, ids, _ = cv2.aruco.ArucoDetector(first).detectMarkers(grey)
     numbers = np.empty(0, int) if ids is None else np.asarray(ids, int).ravel()
     return [np.reshape(quad, (4, 2)) for quad in quads], numbers
 
@@ -121,7 +136,8 @@ def board_of(pairs: MarkerPairs, board: Charuco) -> Charuco | None:
 def _nearest_to(board: Charuco, squares_x: int, begins_white: bool, rows: int) -> Charuco | None:
     """Return the board with these squares that differs least from the one described."""
     likely = [board.squares_y] * (squares_x == board.squares_x)
-    likely += [board.squares_x] * (squares_x == board.squares_y)
+    exchanged = squares_x == board.squares_y and rows >= board.squares_x - 1
+    likely += [board.squares_x] * exchanged  # the last row may be out of sight
     for squares_y in (*likely, rows, rows + 1, 3):
         for legacy in (board.legacy, not board.legacy):
             with suppress(ValueError):  # of more markers than the dictionary has
@@ -142,5 +158,7 @@ def _agreement(pairs: MarkerPairs, squares: np.ndarray) -> tuple[int, int]:
     """Return how many pairs the squares (M, 2) of markers agree with, and how many they tell of."""
     known = (pairs.ids < len(squares)).all(axis=1)
     first, second = pairs.ids[known].T
-    agree = (squares[second] - squares[first] == pairs.steps[known]).all(axis=1)
+    steps = pairs.steps[known]
+    off = np.abs(squares[second] - squares[first] - steps).max(axis=1)
+    agree = off < np.maximum(1, _FAR_TOLERANCE * np.abs(steps).max(axis=1))
     return int(agree.sum()), int(known.sum())
