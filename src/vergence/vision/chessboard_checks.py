@@ -70,10 +70,12 @@ def is_chequered(grey: np.ndarray, grid: Array) -> bool:
     Those between every second corner do not, though they lie evenly as well, and those with markers
     do not in all places. Only neighbours are compared: the light may fall off over the board.
     """
-    if abs(np.median(_alternation(grey, grid, (0.5, 0.5)))) < _CLEAR * contrast(grey, grid):
+    steps = np.array([_alternation(grey, grid, at) for at in product(_PLACES, _PLACES)])
+    medians = np.median(steps, axis=1)
+    clear = _CLEAR * contrast(grey, grid)
+    if not ((medians > clear).all() or (medians < -clear).all()):
         return False
-    steps = np.concatenate([_alternation(grey, grid, at) for at in product(_PLACES, _PLACES)])
-    return bool(max((steps > 0).mean(), (steps < 0).mean()) > _ALTERNATING)
+    return bool((steps * np.sign(medians[0]) > 0).mean() > _ALTERNATING)
 
 
 def _alternation(grey: np.ndarray, grid: Array, at: tuple[float, float]) -> Array:
