@@ -108,7 +108,7 @@ def test_images_of_16_bits_after_one_of_8_are_reduced_by_their_own(tmp_path):
     shallow, deep = np.full((24, 32), 100, np.uint8), np.full((24, 32), 100 * 257, np.uint16)
     deep[0, 0] = 65535
     first, second = table
-    images = {first["left_wide"]: shallow, first["right_wide"]: shallow}
+    images: dict[str, np.ndarray] = {first["left_wide"]: shallow, first["right_wide"]: shallow}
     images |= {second["left_wide"]: deep}
     write_dataset(tmp_path / "set", table, description(), images)
     dataset = load_dataset(tmp_path / "set")
