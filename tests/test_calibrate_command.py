@@ -221,7 +221,13 @@ def test_other_heads_go_all_the_way_from_a_folder_to_a_report(
     write_folder(tmp_path / "set", seen, eyes)
     # Corners as if they had been found.
     monkeypatch.setattr(calibrate_module, "detect_target", lambda *_, **__: seen)
-    monkeypatch.setattr(Dataset, "image", lambda *_: np.zeros((480, 640, 3), np.uint8))
+    blank = np.zeros((480, 640, 3), np.uint8)
+    seen.corners["port"][0] = np.nan  # of a damaged file, which the report does without
+    monkeypatch.setattr(
+        Dataset,
+        "readable_image",
+        lambda _, name, row: None if (name, row) == ("port", 0) else blank,
+    )
     out, report = tmp_path / "head.json", tmp_path / "report"
     run(monkeypatch, "calibrate", tmp_path / "set", "--out", out, "--report", report)
     printed = capsys.readouterr().out

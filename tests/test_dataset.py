@@ -103,6 +103,21 @@ def test_all_16_bit_images_of_a_camera_are_reduced_alike(tmp_path, bits, brighte
     assert dataset.image("left_wide", 2)[0, 0, 0] == min(255, 5000 >> ((bits or 10) - 8))
 
 
+def test_images_of_16_bits_after_one_of_8_are_reduced_by_their_own(tmp_path):
+    table = rows(2)
+    shallow, deep = np.full((24, 32), 100, np.uint8), np.full((24, 32), 100 * 257, np.uint16)
+    deep[0, 0] = 65535
+    first, second = table
+    images: dict[str, np.ndarray] = {first["left_wide"]: shallow, first["right_wide"]: shallow}
+    images |= {second["left_wide"]: deep}
+    write_dataset(tmp_path / "set", table, description(), images)
+    dataset = load_dataset(tmp_path / "set")
+    for row in range(2):
+        image = dataset.image("left_wide", row)
+        assert image is not None
+        assert image[5, 5].tolist() == [100] * 3
+
+
 def test_units_signs_and_columns_are_those_of_the_head(folder):
     change_about(
         folder,

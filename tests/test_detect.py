@@ -1,5 +1,6 @@
 """Finding the board in a dataset: what is found is right, what fails has its reason."""
 
+import json
 import os
 import shutil
 from dataclasses import replace
@@ -219,6 +220,95 @@ def test_a_charuco_board_that_is_described_wrongly_is_recognised(tmp_path, chang
     board = Charuco(5, 7, 0.03, 0.022, "DICT_5X5_50")
     seen_dataset(tmp_path / "set", board, 1)
     change_about(tmp_path / "set", change)
+    with pytest.raises(VergenceError, match=said):
+        detect_target(load_dataset(tmp_path / "set"))
+
+
+@pytest.mark.parametrize(
+    ("there", "described", "said"),
+    [
+        ({}, {"squares_x": 8}, "set board.squares_x to 6 and board.squares_y to 5"),
+        ({}, {"squares_x": 7}, "set board.squares_x to 6 and board.squares_y to 5"),
+        ({"squares_y": 6}, {"legacy": True}, "of the other pattern is there: set board.legacy to"),
+        (
+            {"squares_y": 6, "legacy": True, "dictionary": "DICT_5X5_50"},
+            {"squares_x": 5, "legacy": False, "dictionary": "DICT_4X4_50"},
+            "set board.dictionary to DICT_5X5_.*, set board.squares_x to 6 and board.squares_y to "
+            "6, set board.legacy to true",
+        ),
+    ],
+)
+def test_a_charuco_board_is_known_by_how_its_markers_stand(tmp_path, there, described, said):
+    board = replace(CHARUCO, **there)
+    seen_dataset(tmp_path / "set", board, 2)
+    change_about(tmp_path / "set", {f"board.{name}": value for name, value in described.items()})
+    with pytest.raises(VergenceError, match=said):
+        detect_target(load_dataset(tmp_path / "set"))
+
+
+def test_a_few_markers_that_fit_a_wrong_description_do_not_pass_for_a_board(tmp_path, monkeypatch):
+    """Of the rows nearest to the first one, those of a board with a square more are the same."""
+    seen_dataset(tmp_path / "set", CHARUCO, 3)
+    first, _ = picture(CHARUCO, held(0), (280, 240))
+    real = detection.detect_or_explain
+
+    def by_chance(grey: np.ndarray, board: Charuco):
+        if (grey == first).all() and board != CHARUCO:
+            return real(grey, CHARUCO)
+        return real(grey, board)
+
+    monkeypatch.setattr(detection, "detect_or_explain", by_chance)
+    change_about(tmp_path / "set", {"board.squares_x": 7})
+    said = r"Only 1 of 5 images of .* shows .* 6 x 4 .* \(another board is there .*set board\.squar"
+    with pytest.raises(VergenceError, match=said):
+        detect_target(load_dataset(tmp_path / "set"))
+
+
+@pytest.mark.parametrize("eyes", [("left",), ("left", "right")])
+def test_mirrored_images_are_named(folder, eyes):
+    for path in (folder / "images").iterdir():
+        if path.name.startswith(eyes):
+            image = cv2.imread(str(path))
+            assert image is not None
+            assert cv2.imwrite(str(path), image[:, ::-1])
+    where = "left_wide" if eyes == ("left",) else ".*set"
+    said = rf"No image of {where} shows a charuco .*; its mirror image is there: store the images"
+    with pytest.raises(VergenceError, match=said):
+        detect_target(load_dataset(folder))
+
+
+@pytest.mark.parametrize("change", [{"columns": 9, "rows": 8}, {"columns": 4, "rows": 4}])
+def test_a_chessboard_of_other_counts_is_named_by_its_own(tmp_path, change):
+    seen_dataset(tmp_path / "set", CHESSBOARD, 1)
+    change_about(tmp_path / "set", {f"board.{name}": value for name, value in change.items()})
+    with pytest.raises(VergenceError, match=r"6 x 5 is there: set board.columns to 6 and .* to 5"):
+        detect_target(load_dataset(tmp_path / "set"))
+
+
+@pytest.mark.parametrize(("there", "described"), [(CHARUCO, CHESSBOARD), (CHESSBOARD, CHARUCO)])
+def test_a_board_of_the_other_kind_is_named(tmp_path, there, described):
+    seen_dataset(tmp_path / "set", there, 1)
+    about = description(described, (280, 240))
+    (tmp_path / "set" / "dataset.json").write_text(json.dumps(about))
+    said = {
+        "charuco": "set board.kind to charuco, board.dictionary to DICT_4X4_50, board.squares_x to "
+        "6, board.squares_y to 5",
+        "chessboard": "set board.kind to chessboard, board.columns to 6 and board.rows to 5",
+    }
+    with pytest.raises(VergenceError, match=said[there.kind]):
+        detect_target(load_dataset(tmp_path / "set"))
+
+
+def test_a_chessboard_that_the_image_cuts_off_is_called_that_and_not_a_smaller_one(tmp_path):
+    table, size = rows(1), (280, 240)
+    names = [row[c] for row in table for c in ("left_wide", "right_wide") if row[c]]
+    images = {
+        name: picture(CHESSBOARD, held(k, shift=105), size)[0] for k, name in enumerate(names)
+    }
+    write_dataset(tmp_path / "set", table, description(CHESSBOARD, size), images)
+    said = (
+        r"only \d x \d of its 6 x 5 corners were found.*as a whole.*; check board in dataset\.json"
+    )
     with pytest.raises(VergenceError, match=said):
         detect_target(load_dataset(tmp_path / "set"))
 

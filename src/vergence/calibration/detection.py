@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import product
 
 import cv2
 import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.observations import DetectionFailure, Observations
+from vergence.calibration.other_boards import ANOTHER, mirrored, other_board, why_not_found
 from vergence.data.dataset import Dataset, runs
 from vergence.data.images import UNREADABLE
 from vergence.data.timing import Timing
 from vergence.errors import VergenceError, counted
-from vergence.geometry.board import DICTIONARIES, Board, Chessboard
+from vergence.geometry.board import Board
 from vergence.progress import Progress, silent
 from vergence.vision.board_detection import detect_board
 from vergence.vision.board_pose import LEAST_CORNERS
@@ -57,8 +55,8 @@ def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observati
 
     Raises:
         VergenceError: images have another size than dataset.json states, two cameras gave the
-            same picture of the board, no image shows the board, or a motion has too few rows; or
-            this is no dataset.
+            same picture of the board, no image shows the board, or most show another one, all
+            images of a camera are mirrored, or a motion has too few rows; or this is no dataset.
     """
     if not isinstance(dataset, Dataset):
         raise VergenceError(
@@ -81,8 +79,7 @@ def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observati
             found.append(each)
             progress(task, len(found), len(jobs))
     found = _without_repeats(dataset, found)
-    if all(each.corners is None for each in found):
-        raise VergenceError(_nothing_found(dataset, found))
+    _check_described(dataset, found)
     board, cameras = dataset.description.board, dataset.description.cameras
     shape = (len(dataset), board.columns * board.rows, 2)
     corners = {name: np.full(shape, np.nan) for name in dataset.files}
@@ -128,7 +125,7 @@ def detect_or_explain(grey: np.ndarray, board: Board) -> tuple[Array | None, str
     except cv2.error as error:  # images of a few pixels, for example
         return None, f"OpenCV cannot look for the board ({error.err})"
     if corners is None:
-        return None, _why_not(grey)
+        return None, _why_not(grey, board)
     count = int(np.isfinite(corners).all(axis=1).sum())
     if count < LEAST_CORNERS:
         return None, (
@@ -137,7 +134,7 @@ def detect_or_explain(grey: np.ndarray, board: Board) -> tuple[Array | None, str
     return corners, ""
 
 
-def _why_not(grey: np.ndarray) -> str:
+def _why_not(grey: np.ndarray, board: Board) -> str:
     if min(grey.shape) < 3:
         return "the image is too small"
     low, middle, high = np.percentile(grey, [2, 50, 98])
@@ -147,7 +144,7 @@ def _why_not(grey: np.ndarray) -> str:
         return "the image is overexposed"
     if min(_steepness(grey), _steepness(grey.T)) < BLURRED:
         return "the board was not found; the image is blurred"
-    return "the board was not found"
+    return why_not_found(grey, board)
 
 
 def _steepness(grey: np.ndarray) -> float:
@@ -188,50 +185,51 @@ def _without_repeats(dataset: Dataset, seen: list[_Detection]) -> list[_Detectio
     return kept
 
 
-def _nothing_found(dataset: Dataset, seen: list[_Detection]) -> str:
-    """Return the sentence for a board that no image shows, with the cause if it is a usual one."""
+def _check_described(dataset: Dataset, found: list[_Detection]) -> None:
+    """Raise a VergenceError if no image shows the board, or more show another one.
+
+    Then the board is described wrongly: some views of some of its markers agree with the
+    description by chance.
+    """
+    seen = sum(each.corners is not None for each in found)
+    if seen:
+        _check_not_mirrored(dataset, found)
+    if seen > sum(each.reason == ANOTHER for each in found):
+        return
+    images = _probes(dataset, [each for each in found if each.corners is None])
     board = dataset.description.board
-    stated = f"{board.columns} x {board.rows} inner corners"
-    reasons = [each.reason for each in seen]
-    common = max(set(reasons), key=reasons.count)
-    sentence = f"No image of {dataset.folder} shows a {board.kind} of {stated} ({common})"
-    probes = [
-        image
-        for each in seen[:: max(1, len(seen) // _PROBES)]
+    cause = mirrored(images, board) or other_board(images, board)
+    raise VergenceError(
+        f"{_shown(dataset, found, str(dataset.folder))}; {cause or 'check board in dataset.json'}."
+    )
+
+
+def _check_not_mirrored(dataset: Dataset, found: list[_Detection]) -> None:
+    """Raise a VergenceError if all images of a camera that never sees the board are mirrored."""
+    for camera in dataset.files:
+        own = [each for each in found if each.camera == camera]
+        if own and all(each.corners is None for each in own):
+            cause = mirrored(_probes(dataset, own), dataset.description.board)
+            if cause is not None:
+                raise VergenceError(f"{_shown(dataset, own, camera)}; {cause}.")
+
+
+def _shown(dataset: Dataset, found: list[_Detection], where: str) -> str:
+    """Return the sentence for a board that no image shows, or few, with the usual reason."""
+    board = dataset.description.board
+    reasons = [each.reason for each in found if each.corners is None]
+    seen = len(found) - len(reasons)
+    who = f"Only {seen} of {len(found)} images" if seen else "No image"
+    return (
+        f"{who} of {where} {'show' if seen > 1 else 'shows'} a {board.kind} of "
+        f"{board.columns} x {board.rows} inner corners ({max(set(reasons), key=reasons.count)})"
+    )
+
+
+def _probes(dataset: Dataset, missed: list[_Detection]) -> list[np.ndarray]:
+    """Return a few of the images (H, W) in which no board was found."""
+    return [
+        cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+        for each in missed[:: max(1, len(missed) // _PROBES)]
         if (image := dataset.readable_image(each.camera, each.row)) is not None
     ]
-    for other, advice in _other_descriptions(board):
-        for image in probes:
-            corners, _ = detect_or_explain(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), other)
-            if corners is not None:
-                return f"{sentence}; one {advice}."
-    return f"{sentence}; check board in dataset.json."
-
-
-def _other_descriptions(board: Board) -> Iterator[tuple[Board, str]]:
-    """Yield boards that are described as this one by mistake, and what to say of them."""
-    if isinstance(board, Chessboard):
-        for more in product((-1, 0, 1), repeat=2):
-            columns, rows = board.columns + more[0], board.rows + more[1]
-            if any(more) and min(columns, rows) >= 3:
-                yield (
-                    Chessboard(columns, rows, board.square_m),
-                    f"of {columns} x {rows} is there: board.columns and board.rows count the "
-                    "corners inside the board, not its squares",
-                )
-        return
-    yield (
-        replace(board, squares_x=board.squares_y, squares_y=board.squares_x),
-        f"of {board.squares_y} x {board.squares_x} squares is there: exchange board.squares_x and "
-        "board.squares_y",
-    )
-    yield (
-        replace(board, legacy=not board.legacy),
-        f"of the other pattern is there: set board.legacy to {str(not board.legacy).lower()}",
-    )
-    for dictionary in DICTIONARIES:
-        with suppress(ValueError):  # of those with too few markers
-            yield (
-                replace(board, dictionary=dictionary),
-                f"with other markers is there: set board.dictionary to {dictionary}",
-            )

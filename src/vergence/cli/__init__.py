@@ -105,6 +105,8 @@ def main() -> None:
         return
     # The matrices are small: threads of linear algebra would wait for each other. Before numpy.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # A damaged image is named in the report; OpenCV would print lines of its own source besides.
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     with plain_ending("vergence"):
         _check(sys.argv[1:])
         tyro.extras.subcommand_cli_from_dict(

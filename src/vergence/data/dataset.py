@@ -83,36 +83,40 @@ class Dataset:
 
         VergenceError if the file cannot be read, or its size differs from dataset.json.
         """
-        if self.files[camera][row] is None:
-            return None
-        image = self.readable_image(camera, row)
-        if image is None:
-            name = self.files[camera][row]
+        image, name = self.readable_image(camera, row), self.files[camera][row]
+        if image is None and name is not None:
             raise VergenceError(f"{self.where(row)}: {camera}: {name} {UNREADABLE}.")
         return image
 
     def readable_image(self, camera: str, row: int) -> np.ndarray | None:
-        """Return the image of a row that has one; None where the file is not a readable image.
+        """Return an image as `image` does, but None too where the file is not a readable image.
 
         VergenceError if the file cannot be opened, or if by its header its size differs from
         dataset.json.
         """
+        if self.files[camera][row] is None:
+            return None
         image = self._decoded(camera, row)
         if image is None or image.dtype == np.uint8:
             return image
+        if camera not in self._bits:
+            self._bits[camera] = self._filled_bits(camera)
         return eight_bits(image, self._bits[camera])
 
     @cached_property
-    def _bits(self) -> Mapping[str, int]:
-        """By camera: how many bits of its images are filled, as stated or by the first of them."""
-        found = {}
-        for camera, files in self.files.items():
-            rows = (k for k, name in enumerate(files) if name is not None)
-            images = (self._decoded(camera, k) for k in rows)
-            first = next((image for image in images if image is not None), None)
-            guess = 8 if first is None else filled_bits(first)
-            found[camera] = self.description.cameras[camera].bits or guess
-        return found
+    def _bits(self) -> dict[str, int]:
+        """By camera with images of 16 bits, how many of them are filled; complete as asked for."""
+        return {}
+
+    def _filled_bits(self, camera: str) -> int:
+        """Return how many bits a camera fills, as stated or by its first image of 16 bits."""
+        stated = self.description.cameras[camera].bits
+        if stated is not None:
+            return stated
+        rows = (k for k, name in enumerate(self.files[camera]) if name is not None)
+        images = (self._decoded(camera, k) for k in rows)
+        deep = (image for image in images if image is not None and image.dtype != np.uint8)
+        return filled_bits(next(deep))
 
     def _decoded(self, camera: str, row: int) -> np.ndarray | None:
         path = self.folder / str(self.files[camera][row])

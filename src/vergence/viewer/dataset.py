@@ -57,8 +57,8 @@ def record_dataset(
 ) -> None:
     """Write a recording of a dataset, of its calibration and of the report, which is markdown.
 
-    Without bundle adjustment only images and corners are recorded. VergenceError if the file cannot
-    be written, or an image cannot be read.
+    Without bundle adjustment only images and corners are recorded; images that cannot be read are
+    left out. VergenceError if the file cannot be written.
     """
     head, estimate = result.head, result.estimate
     typical = 1.0 if estimate is None else max(estimate.pixel_std_px, 1e-6)
@@ -85,7 +85,7 @@ def record_dataset(
                 corners = result.observations.corners[name][row]
                 errors = None if estimate is None else estimate.residuals_px.get(name)
                 offset = None if errors is None else magnified * errors[row]
-                _log_image(rec, entity, dataset.image(name, row), corners, offset)
+                _log_image(rec, entity, dataset.readable_image(name, row), corners, offset)
             progress("writing the report", row + 1, len(dataset))
         _log_series(rec, dataset, estimate, time_s)
         log_report(rec, report)

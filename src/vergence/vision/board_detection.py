@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry.board import Board, Charuco, Chessboard, corner_points, opencv_board
+from vergence.vision.chessboard_checks import (
+    contrast,
+    goes_on,
+    is_chequered,
+    is_grid,
+    square_levels,
+)
 from vergence.vision.corner_refinement import (
     HALF_WIDTH_PX,
     adjacent_sides,
@@ -14,6 +23,7 @@ from vergence.vision.corner_refinement import (
     refine_corners,
 )
 from vergence.vision.exposure import grey_levels
+from vergence.vision.marker_layout import contradicts, marker_pairs
 
 CLEARANCE_FRACTION = 0.4
 """Part of the distance to the nearest other edge along which a corner's edges are sampled. With
@@ -58,7 +68,7 @@ def _detect_chessboard(grey: np.ndarray, board: Chessboard) -> Array | None:
     # OpenCV's oldest method takes a twentieth of the time, misses every tenth board, and errs by
     # more than a pixel at a few corners of inclined ones, which then cannot be refined.
     found, corners = cv2.findChessboardCorners(grey, size, flags=0)
-    if found and _contrast(grey, corners) > MIN_CONTRAST:
+    if found and contrast(grey, corners) > MIN_CONTRAST:
         refined = _refined(grey, corners, board)
         if refined is not None and np.isfinite(refined).all():
             return refined
@@ -70,25 +80,20 @@ def _detect_chessboard(grey: np.ndarray, board: Chessboard) -> Array | None:
     return _refined(grey, corners, board) if found and corners is not None else None
 
 
-def _contrast(grey: np.ndarray, corners: np.ndarray) -> float:
-    """Return how many grey levels black and white squares differ by, within detected corners."""
-    corners = corners.reshape(-1, 2).astype(int)
-    (left, top), (right, bottom) = np.maximum(corners.min(axis=0), 0), corners.max(axis=0)
-    box = grey[top : bottom + 1, left : right + 1]
-    return float(np.ptp(np.percentile(box[::2, ::2], [10, 90])))
-
-
 def _refined(grey: np.ndarray, detected: np.ndarray, board: Chessboard) -> Array | None:
     """Return the refined corners (N, 2) of a board that OpenCV detected; None: it is another."""
     grid = detected.reshape(board.rows, board.columns, 2).astype(float)
     quarters = (0, 1, 2, 3) if board.rows == board.columns else (0, 2)
-    grid = _numbered(grey, [np.rot90(grid, quarter) for quarter in quarters])
+    grid = rough = _numbered(grey, [np.rot90(grid, quarter) for quarter in quarters])
     distances = edge_distances(grid)
     grid = np.where(distances[..., None] < MIN_CLEARANCE_PX, np.nan, grid)
     grid = refine_corners(grey, grid, CLEARANCE_FRACTION * distances)
     border = grid[0], grid[-1], grid[:, 0], grid[:, -1]
     if any(np.isnan(line).all() for line in border):
         return None  # the board's outline was taken for a row; its other end is outside the image
+    known = np.where(np.isnan(grid), rough, grid)  # single rough ones are off by pixels
+    if not is_grid(grid) or not is_chequered(grey, known) or goes_on(grey, known):
+        return None
     return grid.reshape(-1, 2)
 
 
@@ -97,16 +102,15 @@ def _detect_charuco(grey: np.ndarray, board: Charuco) -> Array | None:
     parameters.minMarkers = 1  # next to a corner; corners that are no saddle points go below
     parameters.tryRefineMarkers = True
     detector = cv2.aruco.CharucoDetector(opencv_board(board), parameters)
-    # Markers of 15 px, as in a wide image at arm's length, are read twice as often if upsampled.
-    scale = 2 if grey.size < MAX_UPSAMPLED_PX else 1
-    large = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
-    found, numbers, _, _ = detector.detectBoard(large)
+    large, scale = upsampled(grey)
+    found, numbers, quads, ids = detector.detectBoard(large)
+    ids = np.empty(0, int) if ids is None else np.asarray(ids, int).ravel()
+    if contradicts(marker_pairs(quads, ids, board), board):
+        return None
     if found is None:  # OpenCV gives up on a board if a marker of its family is read elsewhere
-        corners_px, ids = _markers_of_one_plane(large, board)
+        quads, ids = _markers_of_one_plane(quads, ids, board)
         if len(ids):
-            found, numbers, _, _ = detector.detectBoard(
-                large, markerCorners=corners_px, markerIds=ids
-            )
+            found, numbers, _, _ = detector.detectBoard(large, markerCorners=quads, markerIds=ids)
     if found is None or numbers is None or not len(numbers):
         return None
     corners = np.full((board.rows * board.columns, 2), np.nan)
@@ -126,25 +130,34 @@ def _detect_charuco(grey: np.ndarray, board: Charuco) -> Array | None:
     return corners if np.isfinite(corners).any() else None
 
 
-def _markers_of_one_plane(grey: np.ndarray, board: Charuco) -> tuple[list[np.ndarray], np.ndarray]:
-    """Return corners and numbers of the markers that lie as on the board: others were misread.
+def upsampled(grey: np.ndarray) -> tuple[np.ndarray, int]:
+    """Return an image as markers are read in it, and how many times as large it is.
+
+    Markers of 15 px, as in a wide image at arm's length, are read twice as often if upsampled.
+    """
+    scale = 2 if grey.size < MAX_UPSAMPLED_PX else 1
+    return cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC), scale
+
+
+def _markers_of_one_plane(
+    quads: Sequence[np.ndarray], ids: np.ndarray, board: Charuco
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """Return those of the markers read that lie as on the board: others were misread.
 
     The tolerance, half a marker, is for distortion.
     """
     drawn = opencv_board(board)
-    corners, found, _ = cv2.aruco.ArucoDetector(drawn.getDictionary()).detectMarkers(grey)
-    ids = np.empty(0, int) if found is None else np.asarray(found, int).ravel()
     numbers = np.asarray(drawn.getIds(), int).ravel()
     known = np.flatnonzero(np.isin(ids, numbers))
     if len(known) < 6:
         return [], ids[:0]
     centres = np.array([np.mean(quad, axis=0)[:2] for quad in drawn.getObjPoints()])
     on_board = centres[np.argmax(ids[known, None] == numbers, axis=1)]
-    quads = np.array([corners[int(k)].reshape(4, 2) for k in known])
-    side = float(np.median(np.linalg.norm(np.diff(quads, axis=1), axis=-1)))
-    _, inside = cv2.findHomography(on_board, quads.mean(axis=1), cv2.RANSAC, 0.5 * side)
+    read = np.array([quads[int(k)].reshape(4, 2) for k in known])
+    side = float(np.median(np.linalg.norm(np.diff(read, axis=1), axis=-1)))
+    _, inside = cv2.findHomography(on_board, read.mean(axis=1), cv2.RANSAC, 0.5 * side)
     good = known[:0] if inside is None else known[np.asarray(inside, bool).ravel()]
-    return [corners[int(k)] for k in good], ids[good].astype(np.int32)
+    return [quads[int(k)] for k in good], ids[good].astype(np.int32)
 
 
 def _shortest_diagonals(grid: Array) -> Array:
@@ -181,9 +194,7 @@ def _numbered(grey: np.ndarray, turned: list[Array]) -> Array:
 
 def _first_square_is_white(grey: np.ndarray, grid: Array) -> bool:
     """Return whether squares of the first one's colour are brighter on average than the others."""
-    centres = (grid[:-1, :-1] + grid[:-1, 1:] + grid[1:, :-1] + grid[1:, 1:]) / 4
-    column, row = np.round(centres).astype(int).transpose(2, 0, 1)
-    values = grey[row, column].astype(float)
+    values = square_levels(grey, grid)
     j, i = np.indices(values.shape)
     like_first = (i + j) % 2 == 0  # the square inside the first corner is like the one outside
     return bool(values[like_first].mean() > values[~like_first].mean())
