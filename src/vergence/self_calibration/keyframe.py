@@ -193,7 +193,7 @@ def _at_head(state: SelfCalibration, at: HeadCalibration, N: Array, b: Array) ->
     P = len(state.names)
     to_head = change_between(at, state.head, state.names)
     joints = np.linalg.solve(N[P:, P:], b[P:] - N[P:, :P] @ to_head)
-    return np.concatenate([to_head, joints])
+    return np.asarray(np.concatenate([to_head, joints]), float)
 
 
 def _fit(
