@@ -15,7 +15,7 @@ from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.self_calibration.state import Keyframe, SelfCalibration, TrackedFeatures
 from vergence.stereo.extrinsics import T_rcam_lcam, camera_poses
-from vergence.vision.scene_features import Matches
+from vergence.vision.matching.scene_features import Matches
 
 ROOM_M = ((0.5, 4.0), (-2.5, 2.5), (-1.2, 1.2))
 """Where its points are: x ahead, y to the left, z up from the left eye."""

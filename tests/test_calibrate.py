@@ -9,8 +9,10 @@ import pytest
 
 import vergence.calibration.bundle.initial_state as initial_state
 import vergence.calibration.calibrate as calibrate_module
+import vergence.calibration.checked_views as checked_views
 import vergence.calibration.checks.cross_validation as cross_validation
 import vergence.calibration.sequential.sequential as sequential
+import vergence.calibration.validation as validation
 from recordings import JOINTS, description, picture, write_dataset
 from simulated_head import plain_head, random_head
 from simulated_recording import BOARD, EXACT, POINTS, Noise, Recording, record
@@ -100,11 +102,9 @@ def test_the_board_s_pose_is_found_once_in_each_image(recorded, method: Method, 
             solved.update(image.tobytes() for image in corners if np.isfinite(image).any())
         return board_poses(camera, corners, points)  # type: ignore[arg-type]
 
-    for module in (calibrate_module, cross_validation, initial_state, sequential):
+    for module in (checked_views, cross_validation, initial_state, sequential):
         monkeypatch.setattr(module, "board_poses", counted)
-    monkeypatch.setattr(
-        calibrate_module, "calibrate_folds", lambda *_: ended.append(True) or _nothing()
-    )
+    monkeypatch.setattr(validation, "calibrate_folds", lambda *_: ended.append(True) or _nothing())
     calibrate(recorded[1], method=method)
     images = sum(np.isfinite(c).any(axis=(1, 2)).sum() for c in recorded[1].corners.values())
     assert ended
@@ -119,7 +119,7 @@ def _nothing() -> None:
 @pytest.mark.usefixtures("two_folds")
 def test_a_calibration_that_predicts_held_out_points_far_too_badly_is_void(recorded, monkeypatch):
     wrong = HeldOut(5, 30, 0.1, 30, point_mm=12.0, expected_mm=2.0, distance_m=0.5)
-    monkeypatch.setattr(calibrate_module, "held_out", lambda *_: wrong)
+    monkeypatch.setattr(validation, "held_out", lambda *_: wrong)
     found = calibrate(recorded[1])
     assert found.summary().startswith("VOID")
     assert "6.0 times as wrong as the noise explains" in found.accuracy.void[0]
@@ -129,7 +129,7 @@ def test_a_calibration_that_predicts_held_out_points_far_too_badly_is_void(recor
 @pytest.mark.parametrize("ratio", [3.0, 11.0])
 def test_parts_of_the_views_that_differ_are_doubted_or_void(recorded, monkeypatch, ratio):
     differing = HeldOut(12, 12, 0.1, 0, None, None, None, jackknife_ratio=ratio)
-    monkeypatch.setattr(calibrate_module, "held_out", lambda *_: differing)
+    monkeypatch.setattr(validation, "held_out", lambda *_: differing)
     found = calibrate(recorded[1])
     (said,) = (each for each in found.warnings if f"differ {ratio} times as much" in each)
     assert (said in found.accuracy.void) == (ratio > 10)
@@ -138,7 +138,7 @@ def test_parts_of_the_views_that_differ_are_doubted_or_void(recorded, monkeypatc
 @pytest.mark.usefixtures("two_folds")
 def test_boards_numbered_from_the_wrong_end_are_renumbered_and_named(recorded, found, monkeypatch):
     observed = recorded[1]
-    monkeypatch.setattr(calibrate_module, "held_out", lambda *_: _nothing())
+    monkeypatch.setattr(validation, "held_out", lambda *_: _nothing())
     turns = {"left_wide": np.isin(np.arange(36), [3, 20]).astype(int)}
     again = calibrate(turn_boards(observed, turns))
     remark = "Numbered from the wrong end, and turned: views 3, 20 of left_wide."

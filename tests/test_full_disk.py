@@ -17,7 +17,8 @@ from vergence.demos import grasp, track
 from vergence.geometry.head import save_head
 from vergence.interchange.formats import export_head
 from vergence.twin.profile import load_profile
-from vergence.writing import UNFINISHED, write_json
+from vergence.writable import UNFINISHED
+from vergence.writing import write_json
 
 OLD = "what was there before\n"
 

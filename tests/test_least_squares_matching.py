@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vergence.arrays import Array
-from vergence.vision.least_squares_matching import Matched, match_windows
+from vergence.vision.matching.least_squares_matching import Matched, match_windows
 
 SIZE = 240, 320
 AT = np.stack(np.meshgrid(np.arange(30.0, 300, 20), np.arange(30.0, 220, 20)), -1).reshape(-1, 2)

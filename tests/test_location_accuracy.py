@@ -19,9 +19,10 @@ from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import boxplus as moved
 from vergence.geometry.se3 import inverse
 from vergence.paper.figures import FIGURES, Figure
+from vergence.stereo.combination import combination
 from vergence.stereo.depth_error import depth_error, disparity_error, predicted_depth_std
 from vergence.stereo.triangulation import triangulate_at
-from vergence.stereo.uncertainty import combination, locate
+from vergence.stereo.uncertainty import locate
 
 N = 100_000
 FOCAL_PX = {"2.8mm": 280.0, "4.0mm": 400.0}

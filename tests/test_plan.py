@@ -35,6 +35,7 @@ from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration, pair_names, save_head
+from vergence.geometry.kinematics import EYES
 from vergence.geometry.parameters import parameter_names, without_offsets
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, pose, transform
@@ -284,7 +285,9 @@ def test_a_dataset_is_calibrated_first_and_states_its_board(
     calibrated, quick, tmp_path, monkeypatch, capsys
 ):
     kinematics = calibrated.kinematics
-    data = SimpleNamespace(description=SimpleNamespace(board=BOARD, head_kinematics=kinematics))
+    cameras = {eye: SimpleNamespace(eye=eye) for eye in EYES}
+    about = SimpleNamespace(board=BOARD, head_kinematics=kinematics, cameras=cameras)
+    data = SimpleNamespace(description=about, T_base_eye=None)
     monkeypatch.setattr(command, "load_dataset", lambda folder: data)
     result = SimpleNamespace(head=calibrated, accuracy=calibrated.accuracy)
     begun = []
@@ -300,6 +303,26 @@ def test_a_dataset_is_calibrated_first_and_states_its_board(
     save_head(calibrated, tmp_path / "head.json")
     run(monkeypatch, "plan", tmp_path / "head.json", "--views", 2, "--board", 9, 6, 0.03)
     assert capsys.readouterr().out == of_dataset
+
+
+@pytest.mark.parametrize(
+    ("eyes", "poses", "said"),
+    [
+        (("left", "right"), np.eye(4), "which joint readings to take; my_head has measured eye"),
+        (("left", "left"), None, "points that both eyes see; my_head has cam_0, cam_1."),
+    ],
+)
+def test_a_dataset_for_which_nothing_can_be_planned_is_not_calibrated(
+    eyes, poses, said, tmp_path, monkeypatch, capsys
+):
+    cameras = {f"cam_{k}": SimpleNamespace(eye=eye) for k, eye in enumerate(eyes)}
+    about = SimpleNamespace(cameras=cameras, board=BOARD)
+    data = SimpleNamespace(description=about, T_base_eye=poses, folder="my_head")
+    monkeypatch.setattr(command, "load_dataset", lambda folder: data)
+    monkeypatch.setattr(command, "calibrate", None)
+    with pytest.raises(SystemExit, match="2"):
+        run(monkeypatch, "plan", tmp_path)
+    assert said in capsys.readouterr().err
 
 
 def test_the_guide_to_plans_runs(calibrated, quick, tmp_path, monkeypatch, capsys):

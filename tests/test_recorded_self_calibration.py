@@ -13,6 +13,7 @@ import pytest
 from moving_frames import GAIN, HEAD, WIDE, frame, frames, one_eyed, turn_error
 from vergence import cli
 from vergence.arrays import Array
+from vergence.commands.self_calibration import sentences
 from vergence.data.dataset import Frame
 from vergence.data.description import DatasetCamera, DatasetJoint, Description
 from vergence.data.reader import load_dataset
@@ -69,6 +70,8 @@ def test_a_recording_says_what_it_shows_and_claims_no_more(recorded, monkeypatch
     assert "states no covariance" in said
     assert "observed" in said
     assert "Depth of a point 1 m straight ahead" in said
+    assert "(assumed)" not in said
+    assert "by what was learned" in said
     for name, each in found["parameters"].items():
         std = float(np.sqrt(learned.accuracy.covariance.diagonal()[
             learned.accuracy.parameters.index(name)
@@ -104,6 +107,9 @@ def test_eyes_that_do_not_move_show_nothing_that_persists(tmp_path, moving):
     assert found.head is HEAD
     assert {each.verdict for each in found.parameters} == {"not observed"}
     assert any("did not move" in each for each in found.warnings)
+    said = " ".join(sentences(found))
+    assert "(assumed)" in said
+    assert "by what was learned" not in said
 
 
 def test_a_recording_in_which_one_eye_was_covered_returns_the_calibration(tmp_path, moving):

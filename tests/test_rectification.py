@@ -17,12 +17,12 @@ from vergence.geometry.lens import reach
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, pose, rotation, transform
 from vergence.stereo.rectification import (
-    MAP_ERROR_PX,
     rectified_image,
     rectified_pixels,
     rectified_points,
     rectify,
 )
+from vergence.stereo.rectified_map import MAP_ERROR_PX
 
 LENSES = {
     "radial-tangential": pinhole(640, 480, 280.0, (-0.12, 0.02, 0.001, -0.0005, 0.0)),

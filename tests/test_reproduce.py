@@ -23,7 +23,7 @@ from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import Shot, plan
 from vergence.twin.model import FOCAL_MM, as_built_head, nominal_head
 from vergence.twin.profile import Lens, load_profile
-from vergence.writing import UNFINISHED
+from vergence.writable import UNFINISHED
 
 PAPER_STD = np.array([figure.std_m for figure in FIGURES.values()])
 

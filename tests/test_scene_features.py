@@ -9,8 +9,8 @@ import pytest
 from vergence.arrays import Array
 from vergence.geometry.camera import normalise, pinhole, project
 from vergence.geometry.se3 import pose, rotation
-from vergence.vision import scene_features
-from vergence.vision.scene_features import (
+from vergence.vision.matching import scene_features
+from vergence.vision.matching.scene_features import (
     Matches,
     match_scene,
     relief_around,

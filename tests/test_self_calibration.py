@@ -41,7 +41,7 @@ from vergence.self_calibration.state import initial_self_calibration
 from vergence.self_calibration.tolerances import USUAL
 from vergence.self_calibration.update import drifted
 from vergence.stereo.extrinsics import T_rcam_lcam
-from vergence.vision.scene_features import Matches
+from vergence.vision.matching.scene_features import Matches
 
 
 def pair_of(head, angles):

@@ -12,15 +12,11 @@ from vergence.gaze.foveation import gaze_angles
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.neck import Neck
 from vergence.geometry.projection import project_point
+from vergence.stereo.combination import locate_both
 from vergence.stereo.extrinsics import T_rcam_lcam, base_extrinsics, stereo_extrinsics
 from vergence.stereo.rectification import rectify
 from vergence.stereo.triangulation import in_body, in_head, triangulate_at
-from vergence.stereo.uncertainty import (
-    calibration_covariance,
-    locate,
-    locate_both,
-    locate_with_covariance,
-)
+from vergence.stereo.uncertainty import calibration_covariance, locate, locate_with_covariance
 
 
 @pytest.fixture

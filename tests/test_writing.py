@@ -18,10 +18,9 @@ from vergence import writing
 from vergence.errors import VergenceError
 from vergence.geometry.head import load_head
 from vergence.interchange.formats import import_head
+from vergence.writable import UNFINISHED, check_outputs
 from vergence.writing import (
-    UNFINISHED,
     as_json,
-    check_outputs,
     finished_files,
     results_folder,
     unfinished,

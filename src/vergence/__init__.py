@@ -30,11 +30,12 @@ if TYPE_CHECKING:
     from vergence.geometry.kinematics import Kinematics
     from vergence.geometry.projection import project_point
     from vergence.interchange.formats import export_head, import_head
+    from vergence.stereo.combination import combination
     from vergence.stereo.dense_depth import DenseDepth, dense_depth, point_cloud
     from vergence.stereo.extrinsics import T_rcam_lcam
     from vergence.stereo.rectification import RectifiedPair, rectified_image, rectify
     from vergence.stereo.triangulation import Status, in_body, in_head
-    from vergence.stereo.uncertainty import LocatedPoints, combination, locate
+    from vergence.stereo.uncertainty import LocatedPoints, locate
 
 __all__ = [
     "CalibrationResult",
@@ -100,11 +101,12 @@ _HOMES = {
     "geometry.kinematics": ("Kinematics",),
     "geometry.projection": ("project_point",),
     "interchange.formats": ("export_head", "import_head"),
+    "stereo.combination": ("combination",),
     "stereo.dense_depth": ("DenseDepth", "dense_depth", "point_cloud"),
     "stereo.extrinsics": ("T_rcam_lcam",),
     "stereo.rectification": ("RectifiedPair", "rectified_image", "rectify"),
     "stereo.triangulation": ("Status", "in_body", "in_head"),
-    "stereo.uncertainty": ("LocatedPoints", "combination", "locate"),
+    "stereo.uncertainty": ("LocatedPoints", "locate"),
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 

@@ -2,7 +2,7 @@
 numbers of things, and the check of a seed, which commands of several rooms take.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from pydantic import ValidationError
 
@@ -60,6 +60,11 @@ def _kind(found: object) -> str:
 def counted(number: int, singular: str, plural: str = "") -> str:
     """Return a number with the word for what it counts: 1 frame, 2 frames, 1,200 frames."""
     return f"{number:,} {singular if number == 1 else plural or singular + 's'}"
+
+
+def listed(words: Sequence[str]) -> str:
+    """Return words as a list in a sentence: a, b and c."""
+    return " and ".join(filter(None, (", ".join(words[:-1]), *words[-1:])))
 
 
 def check_seed(seed: int) -> None:

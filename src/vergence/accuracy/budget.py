@@ -20,8 +20,7 @@ from vergence.geometry.parameters import is_gain, parameter_names
 from vergence.geometry.projection import project_point
 from vergence.stereo.calibration_covariance import covariance_factor
 from vergence.stereo.linearised import Linearised, by_head_parameters, linearised, pair_parameters
-from vergence.stereo.triangulation import pixel_noise
-from vergence.stereo.uncertainty import noise_of_readings
+from vergence.stereo.measurement_noise import noise_of_readings, pixel_noise
 
 TIME_OFFSET = "time_offset_s"
 CALIBRATION = "the calibration"

@@ -28,6 +28,8 @@ CORNERS_AT_A_TIME = 20_000
 """Corners of views that are linearised together: their derivatives take some 50 MB for each camera,
 where all views of a board of 10,000 corners would take gigabytes."""
 
+OF_READINGS = "A plan says which joint readings to take;"
+
 
 @dataclass(frozen=True, eq=False)
 class Knowledge:
@@ -54,10 +56,7 @@ def stated(head: HeadCalibration) -> tuple[Accuracy, Knowledge]:
     accuracy = head.accuracy
     assert accuracy is not None
     if accuracy.eye_motion == "poses":
-        raise VergenceError(
-            "A plan says which joint readings to take; this head was calibrated with measured "
-            "eye poses."
-        )
+        raise VergenceError(f"{OF_READINGS} this head was calibrated with measured eye poses.")
     scale = np.sqrt(np.diag(accuracy.covariance))
     correlation = accuracy.covariance / np.outer(scale, scale)
     information: Array = np.linalg.inv(correlation).astype(float)

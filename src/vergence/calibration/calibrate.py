@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Literal, NamedTuple, get_args
+from typing import get_args
 
 import numpy as np
 
-from vergence.arrays import Array
 from vergence.calibration.bundle.bundle_adjustment import BundleEstimate, bundle_adjust
-from vergence.calibration.checks import (
-    axes_and_eyes,
-    board_flips,
-    board_shape,
-    encoders,
-    excitation,
-)
-from vergence.calibration.checks.cross_validation import (
-    PartCalibration,
-    calibrate_folds,
-    held_out,
-)
+from vergence.calibration.checked_views import CheckedViews, Method, checked_views
+from vergence.calibration.checks import axes_and_eyes, board_flips, board_shape, excitation
+from vergence.calibration.checks.cross_validation import PartCalibration
 from vergence.calibration.checks.exchanged_readings import exchanged_readings
 from vergence.calibration.checks.lens_map import edge_warnings
 from vergence.calibration.checks.part_calibration import (
@@ -30,41 +20,18 @@ from vergence.calibration.checks.part_calibration import (
     placed_boards,
     predicting_better,
 )
-from vergence.calibration.checks.pose_readings import check_axis_order, check_pose_readings
 from vergence.calibration.checks.stray_corners import without_strays
 from vergence.calibration.detection import detect_target
-from vergence.calibration.observations import Observations, camera_eyes, check_readings
-from vergence.calibration.sequential.intrinsics import (
-    LEAST_VIEWS,
-    Intrinsics,
-    calibrate_intrinsics,
-    lenses_of_the_paper,
-)
-from vergence.calibration.sequential.lens_choice import (
-    LensChoice,
-    LensOption,
-    by_camera,
-    choose_lenses,
-)
-from vergence.calibration.sequential.lens_models import LensModel
+from vergence.calibration.observations import Observations
+from vergence.calibration.sequential.lens_choice import LensChoice, LensOption
 from vergence.calibration.sequential.sequential import SequentialCalibration, calibrate_sequentially
-from vergence.calibration.summary import MISFIT_CAUSES, summary_lines
+from vergence.calibration.summary import summary_lines
+from vergence.calibration.validation import cross_validated
 from vergence.data.dataset import Dataset
 from vergence.errors import VergenceError
-from vergence.geometry.board import corner_points
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.head_accuracy import Accuracy, HeldOut
+from vergence.geometry.head_accuracy import Accuracy
 from vergence.progress import Progress, silent
-from vergence.vision.board_pose import LEAST_CORNERS, board_poses, seen_corners
-
-Method = Literal["bundle", "paper"]
-LARGEST_JACKKNIFE_RATIO = 2.0
-"""Ratio of standard deviations from which the stated ones are called too small. The folds determine
-it to about a tenth."""
-VOID_RATIO = 10.0
-"""The same, from which the result must not be used."""
-VOID_MISFIT = 5.0
-"""Held-out error, as a multiple of what the noise explains, from which it must not be used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,9 +89,9 @@ def calibrate(
     """
     data = without_strays(_observed(data, method, progress))
     progress("calibrating", 0, 3)
-    views = _checked_views(data, method, lens)
+    views = checked_views(data, method, lens)
     observations, T_cam_target = views.observations, views.T_cam_target
-    seen, T_rest = _at_rest(observations, T_cam_target)
+    seen, T_rest = views.at_rest
     start = calibrate_sequentially(seen, intrinsics=views.intrinsics, T_cam_target=T_rest)
     progress("calibrating", 1, 3)
     estimate, preferred = None, ()
@@ -134,7 +101,7 @@ def calibrate(
     progress("calibrating", 2, 3)
     found = start if estimate is None else estimate
     whole = replace(found.head, accuracy=found.accuracy)
-    validated = _cross_validated(observations, whole, partial(_calibrate_part, views, estimate))
+    validated = cross_validated(observations, whole, partial(_calibrate_part, views, estimate))
     progress("calibrating", 3, 3)
     exchanged, unknown = (), ()
     if estimate is not None:
@@ -181,162 +148,19 @@ def _observed(data: Dataset | Observations, method: Method, progress: Progress) 
     return detect_target(data, progress=progress)
 
 
-@dataclass(frozen=True, eq=False)
-class _CheckedViews:
-    """Observations that no check has refused, and what the checks found on the way."""
-
-    renumbered: board_flips.Renumbered
-    """The observations, in which each placement's boards are numbered from the same end."""
-    lenses: dict[str, LensChoice]
-    """By camera."""
-    intrinsics: Mapping[str, Intrinsics]
-    """By camera, from the views at rest."""
-    pose_warnings: tuple[str, ...]
-    """On measured eye poses that were left out."""
-
-    @property
-    def observations(self) -> Observations:
-        return self.renumbered.observations
-
-    @property
-    def T_cam_target(self) -> Mapping[str, Array]:
-        """By camera: (V, 4, 4) poses of the board, NaN where not known."""
-        return self.renumbered.T_cam_target
-
-
-def _checked_views(
-    data: Observations, method: Method, lens: LensOption | Mapping[str, LensOption]
-) -> _CheckedViews:
-    """Return the views after all checks that precede a calibration: VergenceError if one fails."""
-    seen = data.take(data.at_rest)
-    _check_views(seen)
-    if method == "bundle":  # the paper's steps need the readings of some views only
-        check_readings(data)
-    lenses = _lenses(seen, method, lens)
-    intrinsics = calibrate_intrinsics(seen, lenses=_models(lenses))
-    points = corner_points(data.board)
-    # Once for each image: all that follows asks for these.
-    T_cam_target = {
-        name: board_poses(each.camera, data.corners[name], points)
-        for name, each in intrinsics.items()
-    }
-    posed = check_pose_readings(data, T_cam_target)
-    renumbered = board_flips.number_alike(posed.observations, T_cam_target)
-    at_rest = _at_rest(renumbered.observations, renumbered.T_cam_target)
-    # Of boards that one eye numbers from the other end the cameras seem to stand elsewhere.
-    encoders.check_encoders(*at_rest)
-    check_axis_order(*at_rest)
-    excitation.check_excitation(*at_rest)
-    return _CheckedViews(renumbered, lenses, intrinsics, posed.warnings)
-
-
-def _check_views(seen: Observations) -> None:
-    """Raise a VergenceError for a camera of no known eye, or that shows the board too seldom."""
-    camera_eyes(seen)
-    for name, corners in seen.corners.items():
-        enough = int((seen_corners(corners).sum(axis=1) >= LEAST_CORNERS).sum())
-        if enough < LEAST_VIEWS:
-            raise VergenceError(
-                f"{name} shows the board in {enough} images at rest: fx, fy and T_eye_cam "
-                f"are not observable; record at least {LEAST_VIEWS}, better 10, at different "
-                "distances and slants."
-            )
-
-
-def _lenses(
-    seen: Observations,
-    method: Method,
-    lens: LensOption | Mapping[str, LensOption],
-) -> dict[str, LensChoice]:
-    """Return the lens model of every camera."""
-    if method == "paper":
-        stated: dict[str, LensOption] = {**lenses_of_the_paper(seen)}
-        for name, each in by_camera(seen, lens).items():
-            stated[name] = stated.get(name, each) if each == "auto" else each
-        return choose_lenses(seen, stated)
-    return choose_lenses(seen, lens)
-
-
-def _models(lenses: Mapping[str, LensChoice]) -> dict[str, LensModel]:
-    return {name: choice.model for name, choice in lenses.items()}
-
-
-def _take(T_cam_target: Mapping[str, Array], rows: np.ndarray) -> dict[str, Array]:
-    return {name: T[rows] for name, T in T_cam_target.items()}
-
-
-def _at_rest(
-    observations: Observations, T_cam_target: Mapping[str, Array]
-) -> tuple[Observations, dict[str, Array]]:
-    """Return the views in which the eyes stand still, and the board's poses in them."""
-    rows = observations.at_rest
-    return observations.take(rows), _take(T_cam_target, rows)
-
-
 def _calibrate_part(
-    views: _CheckedViews, estimate: BundleEstimate | None, rows: np.ndarray
+    views: CheckedViews, estimate: BundleEstimate | None, rows: np.ndarray
 ) -> PartCalibration:
     """Return the calibration from some of the views (V,) by the same method; None: the paper's."""
     if estimate is not None:
         return bundle_of_part(estimate, views.observations, views.T_cam_target, rows)
-    part = views.observations.take(rows)
-    at_rest = part.take(part.at_rest)
-    head = calibrate_sequentially(at_rest, lenses=_models(views.lenses)).head
-    return PartCalibration(head, placed_boards(head, part, _take(views.T_cam_target, rows)), 1.0)
-
-
-class _Validation(NamedTuple):
-    """What cross-validation found."""
-
-    held_out: HeldOut | None
-    doubts: tuple[str, ...] = ()
-    """What is doubtful, among it why there is no held-out error."""
-    contradictions: tuple[str, ...] = ()
-    """Why the result must not be used."""
-
-
-def _cross_validated(
-    observations: Observations,
-    whole: HeadCalibration,
-    of_part: Callable[[np.ndarray], PartCalibration],
-) -> _Validation:
-    """Predict each fold of the views from a calibration by the others, of `of_part`."""
-    try:
-        found = held_out(observations, calibrate_folds(observations, of_part), whole)
-    except VergenceError as error:
-        return _Validation(None, (f"There is no held-out error: {error}",))
-    if not found.transfer_views and len(set(camera_eyes(observations).values())) > 1:
-        return _Validation(
-            found, ("There is no held-out error: no view shows the board to both eyes.",)
-        )
-    contradictions = _misfit(found)
-    ratio = found.jackknife_ratio
-    if ratio is None or ratio <= LARGEST_JACKKNIFE_RATIO:
-        return _Validation(found, contradictions=contradictions)
-    said = f"Calibrations from parts of the views differ {ratio:.1f} times as much as stated: "
-    if ratio > VOID_RATIO:
-        said += "they contradict each other; look for views with wrong readings."
-        return _Validation(found, contradictions=(said, *contradictions))
-    said += (
-        "true errors are larger than the stated ones by as much at least; look for errors that "
-        "corners share (a board that bends, blur)."
-    )
-    return _Validation(found, (said,), contradictions)
-
-
-def _misfit(checked: HeldOut) -> tuple[str, ...]:
-    """Return a sentence if held-out points are too wrong for the calibration to be used."""
-    if checked.point_mm is None or checked.expected_mm is None:
-        return ()
-    ratio = checked.point_mm / checked.expected_mm
-    if ratio < VOID_MISFIT:
-        return ()
-    said = f"Held-out points are {ratio:.1f} times as wrong as the noise explains; {MISFIT_CAUSES}."
-    return (said,)
+    part, T_part = views.take(rows)
+    head = calibrate_sequentially(part.take(part.at_rest), lenses=views.models).head
+    return PartCalibration(head, placed_boards(head, part, T_part), 1.0)
 
 
 def _impossible_geometry(
-    views: _CheckedViews, found: SequentialCalibration | BundleEstimate
+    views: CheckedViews, found: SequentialCalibration | BundleEstimate
 ) -> list[str]:
     """Return sentences on axes and eyes that the calibration puts where none can be.
 
@@ -348,7 +172,7 @@ def _impossible_geometry(
 
 
 def _warnings(
-    views: _CheckedViews, found: SequentialCalibration | BundleEstimate
+    views: CheckedViews, found: SequentialCalibration | BundleEstimate
 ) -> tuple[str, ...]:
     """Return what the data could not determine, and what is odd in the result."""
     observations, head = views.observations, found.head
@@ -364,7 +188,7 @@ def _warnings(
         *views.pose_warnings,
         *odd_baseline,
         *board_flips.warnings(views.renumbered),
-        *board_shape.warnings(*_at_rest(observations, views.T_cam_target), views.intrinsics),
+        *board_shape.warnings(*views.at_rest, views.intrinsics),
         *excitation.doubts(observations, views.T_cam_target, head, focal_std),
         *found.accuracy.warnings,
         *at_the_edge,

@@ -9,7 +9,8 @@ import tyro
 
 from vergence.cli.progress import progress_bars
 from vergence.cli.tables import print_table
-from vergence.writing import check_outputs, write_json
+from vergence.writable import check_outputs
+from vergence.writing import write_json
 
 
 def plan(

@@ -11,7 +11,8 @@ from vergence.cli.progress import progress_bars, say_if_unfinished
 from vergence.cli.tables import print_table
 from vergence.commands.invocation import invocation
 from vergence.errors import VergenceError
-from vergence.writing import check_outputs, write_json
+from vergence.writable import check_outputs
+from vergence.writing import write_json
 
 
 def calibrate(

@@ -13,7 +13,8 @@ import tyro
 from vergence.cli.progress import progress_bars, say_if_unfinished
 from vergence.commands.invocation import invocation
 from vergence.errors import VergenceError
-from vergence.writing import as_json, check_outputs, write_json
+from vergence.writable import check_outputs
+from vergence.writing import as_json, write_json
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

@@ -22,7 +22,8 @@ from vergence.geometry.se3 import rotvec
 from vergence.progress import Progress, silent
 from vergence.viewer.dataset import record_dataset, rms_by_view
 from vergence.viewer.plots import calibration as plots
-from vergence.writing import REPORT, markdown_table, results_folder, write_whole
+from vergence.writable import REPORT
+from vergence.writing import markdown_table, results_folder, write_whole
 
 TITLE = "# Calibration"
 RESULTS = (REPORT, "dataset.rrd", "coverage.png", "residuals.png", "worst_views.png")

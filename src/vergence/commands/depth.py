@@ -28,14 +28,8 @@ from vergence.stereo.rectification import RectifiedPair, rectify
 from vergence.stereo.uncertainty import LocatedPoints
 from vergence.viewer.depth import depth_recording, log_depth
 from vergence.viewer.opening import log_report
-from vergence.writing import (
-    REPORT,
-    check_outputs,
-    markdown_table,
-    results_folder,
-    write_json,
-    write_whole,
-)
+from vergence.writable import REPORT, check_outputs
+from vergence.writing import markdown_table, results_folder, write_json, write_whole
 
 RANGE_M = (0.5, 1.5)
 """Distances at which accuracy is stated."""

@@ -26,14 +26,8 @@ from vergence.errors import VergenceError, explain
 from vergence.processes import process_count
 from vergence.progress import Progress, silent
 from vergence.viewer.plots.design import draw_axes, draw_design
-from vergence.writing import (
-    REPORT,
-    markdown_table,
-    results_folder,
-    whole_file,
-    write_json,
-    write_whole,
-)
+from vergence.writable import REPORT
+from vergence.writing import markdown_table, results_folder, whole_file, write_json, write_whole
 
 LARGEST = 1_000_000
 """Limit of the accuracy [mm] and of the distance [m] that may be wanted."""

@@ -10,13 +10,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence.accuracy.plan import LIMIT_RAD, Plan, largest_readings, plan
+from vergence.accuracy.plan_information import OF_READINGS
 from vergence.arrays import Array
 from vergence.calibration.calibrate import calibrate
+from vergence.data.dataset import Dataset
 from vergence.data.description import MAX_SQUARE_M
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError, check_seed
 from vergence.geometry.board import Board, Chessboard, corner_points
 from vergence.geometry.head import HeadCalibration, T_head_base, load_head
+from vergence.geometry.kinematics import EYES
 from vergence.geometry.se3 import transform
 from vergence.progress import Progress, silent
 from vergence.writing import markdown_table
@@ -80,7 +83,7 @@ def head_and_board(
     """Return the calibration and the board of a source; arguments and errors are those of `run`."""
     if os.path.isdir(source):
         data = load_dataset(source)
-        largest_readings(data.description.head_kinematics, limits_rad)  # before the work
+        _check_before_the_work(data, limits_rad)
         board = data.description.board if stated is None else _chessboard(stated)
         found = calibrate(data, progress=progress)
         if found.accuracy.void:
@@ -93,6 +96,18 @@ def head_and_board(
             "SQUARE_M, such as --board 9 6 0.03, or name the folder of the dataset."
         )
     return head, _chessboard(stated)
+
+
+def _check_before_the_work(data: Dataset, limits_rad: ArrayLike) -> None:
+    """Raise a VergenceError if no calibration of a dataset could be planned for."""
+    if data.T_base_eye is not None:
+        raise VergenceError(f"{OF_READINGS} {data.folder} has measured eye poses.")
+    cameras = data.description.cameras
+    if len({camera.eye for camera in cameras.values()}) < len(EYES):
+        raise VergenceError(
+            f"A plan is for points that both eyes see; {data.folder} has {', '.join(cameras)}."
+        )
+    largest_readings(data.description.head_kinematics, limits_rad)
 
 
 def _chessboard(stated: tuple[int, int, float]) -> Chessboard:

@@ -46,7 +46,8 @@ from vergence.twin.profile import ErrorProfile, Lens
 from vergence.twin.renderer import FINE
 from vergence.twin.scene.room import Scene
 from vergence.twin.sensors import with_sensors
-from vergence.writing import as_json, check_new
+from vergence.writable import check_new
+from vergence.writing import as_json
 
 Target = Literal["chessboard", "charuco"]
 

@@ -44,10 +44,11 @@ def table(found: RecordedSelfCalibration) -> list[tuple[str, ...]]:
 
 def sentences(found: RecordedSelfCalibration) -> list[str]:
     """Return sentences about the recording as a whole, its warnings last."""
+    source = "" if found.learned else " (assumed)"
     lines = [
         f"{counted(found.frames, 'frame')}, of which {found.seen} showed how the cameras stand to "
         f"each other and {found.learned} taught what persists; noise of the readings "
-        f"{np.degrees(found.joint_std_rad):.3f} degrees."
+        f"{np.degrees(found.joint_std_rad):.3f} degrees{source}."
     ]
     hidden = [each for each in found.parameters if each.verdict == "not observed"]
     if len(hidden) == len(found.parameters):
@@ -57,9 +58,10 @@ def sentences(found: RecordedSelfCalibration) -> list[str]:
     if found.depth_std_m is not None:
         before, after = (1e3 * std for std in found.depth_std_m)
         moved = "" if found.fresh else " and what may have moved since"
+        learned = f", {after:.3g} mm by what was learned" if found.learned else ""
         lines.append(
             f"Depth of a point 1 m straight ahead: std {before:.3g} mm by the "
-            f"calibration{moved}, {after:.3g} mm by what was learned."
+            f"calibration{moved}{learned}."
         )
     return [*lines, *(f"Warning: {each}" for each in found.warnings)]
 

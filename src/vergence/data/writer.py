@@ -30,7 +30,8 @@ from vergence.data.table import Table, eye_poses, joint_angles, placements, time
 from vergence.errors import VergenceError
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.neck import NECK_JOINTS
-from vergence.writing import check_new, whole_folder
+from vergence.writable import check_new
+from vergence.writing import whole_folder
 
 _Cells = dict[str, object]
 """A row of frames.csv by column, without its images."""

@@ -38,7 +38,7 @@ from vergence.twin.model import check_calibration_of
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.scene.room import Scene
 from vergence.twin.simulated_robot import calibrate_twin
-from vergence.writing import check_outputs
+from vergence.writable import check_outputs
 
 STEP_S = 9.0
 """Time between two pairs of the divergent motion: no divisor of its periods."""

@@ -23,7 +23,8 @@ from vergence.interchange.serialization import (
     read,
     write_yaml,
 )
-from vergence.writing import UNFINISHED, results_folder, unfinished
+from vergence.writable import UNFINISHED
+from vergence.writing import results_folder, unfinished
 
 _NAMES: dict[CameraModel, str] = {
     "radial-tangential": "plumb_bob",

@@ -34,7 +34,8 @@ from vergence.twin.scene.room import Scene
 from vergence.viewer.frame import log_frame
 from vergence.viewer.opening import log_report
 from vergence.viewer.seen import log_learned, log_matches
-from vergence.writing import REPORT, check_outputs, results_folder, write_json, write_whole
+from vergence.writable import REPORT, check_outputs
+from vergence.writing import results_folder, write_json, write_whole
 
 Method = Literal["paper", "self-calibrated"]
 RESULTS = (

@@ -37,7 +37,7 @@ from vergence.reach.state import (
     ReachState,
     target_covariance,
 )
-from vergence.stereo.uncertainty import locate_both
+from vergence.stereo.combination import locate_both
 from vergence.vision.detector import Detection
 
 _CLOSING = (ReachPhase.CLOSE, ReachPhase.HELD)

@@ -42,7 +42,7 @@ from vergence.self_calibration.tolerances import UNCALIBRATED, tolerance_covaria
 from vergence.stereo.extrinsics import T_rcam_lcam
 from vergence.stereo.uncertainty import LocatedPoints, locate_jointly
 from vergence.vision.exposure import grey_levels
-from vergence.vision.scene_features import Matches, match_scene
+from vergence.vision.matching.scene_features import Matches, match_scene
 
 _GATE_OF_FEW = 1e-3
 """Probability by chance of a change that is not believed where most matches contradict each other;

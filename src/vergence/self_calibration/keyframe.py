@@ -43,7 +43,7 @@ from vergence.self_calibration.state import (
     TrackedFeatures,
 )
 from vergence.stereo.extrinsics import T_rcam_lcam, camera_poses
-from vergence.vision.scene_features import track_features
+from vergence.vision.matching.scene_features import track_features
 
 TURNED_RAD = float(np.radians(8.0))
 """Least change of a reading since the keyframe, from which is learned: with 4 or 12 degrees depth

@@ -68,7 +68,7 @@ class RecordedSelfCalibration:
     """Standard deviation of the depth of a point 1 m straight ahead, by the calibration alone,
     before and after; None: it is not in front of both cameras."""
     joint_std_rad: float
-    """Noise of a reading, times its factor, as estimated."""
+    """Noise of a reading, times its factor, as estimated; as assumed if nothing was learned."""
     fresh: bool
     """Whether nothing was taken to have moved since the calibration."""
     warnings: tuple[str, ...]

@@ -21,7 +21,7 @@ from vergence.self_calibration.prior import (
     learned_names,
     prior_covariance,
 )
-from vergence.vision.scene_features import Matches
+from vergence.vision.matching.scene_features import Matches
 
 Status = Literal["seen", "little seen", "contradiction"]
 

@@ -27,13 +27,8 @@ from vergence.geometry.head import HeadCalibration, pair_names
 from vergence.geometry.parameters import camera_columns, parameter_names
 from vergence.geometry.projection import by_camera_columns, by_increments, projected
 from vergence.stereo.extrinsics import per_pair, stereo_cameras
-from vergence.stereo.triangulation import (
-    checked_arguments,
-    intersect_rays,
-    joints_of_part,
-    noise_of_part,
-    pixel_variances,
-)
+from vergence.stereo.measurement_noise import noise_of_part, pixel_variances
+from vergence.stereo.triangulation import checked_arguments, intersect_rays, joints_of_part
 
 
 @per_pair
@@ -103,6 +98,19 @@ def by_head_parameters(
     return total
 
 
+def by_noise(
+    seen: Linearised, noise: tuple[Array, Array], part: slice = slice(None)
+) -> tuple[Array, Array]:
+    """Return changes (3, 4, n) and (3, r, n) of points by one standard deviation of each."""
+    of_pixels, of_readings = (noise_of_part(each, part) for each in noise)
+    return seen.by_pixels * of_pixels, seen.by_readings * of_readings
+
+
+def covariances_of(changes: Array) -> Array:
+    """Return covariances (n, 3, 3) of changes (3, K, n) by K independent standard deviations."""
+    return np.einsum("ikn,jkn->nij", changes, changes)
+
+
 def linearised(
     head: HeadCalibration,
     *,
@@ -131,7 +139,7 @@ def linearised_part(
 ) -> Linearised:
     """Locate some of N points; `parameters`: whether derivatives by the head's are wanted too.
 
-    Variances are those of `triangulation.pixel_variances`.
+    Variances are those of `measurement_noise.pixel_variances`.
     """
     pixels, joints = (pixels[0][part], pixels[1][part]), joints_of_part(joints, part)
     variances = noise_of_part(variances, part)

@@ -9,11 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import cv2
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
@@ -23,15 +21,14 @@ from vergence.geometry.camera import (
     MAX_IMAGE_PX,
     Camera,
     is_image_size,
-    project,
     unproject,
 )
 from vergence.geometry.eye_motion import check_joints
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import checked_readings
-from vergence.geometry.lens import reach
 from vergence.geometry.se3 import inverse, pose, transform
 from vergence.stereo.extrinsics import stereo_cameras, stereo_poses
+from vergence.stereo.rectified_map import pixels_of_rays, rectified_map
 
 FOCAL_SHARE = 0.85
 """Focal length of the rectified cameras, relative to the mean of the real ones: eyes that diverge
@@ -41,15 +38,9 @@ LEAST_OVERLAP = 0.05
 LEAST_SHOWN = 0.1
 """Least share that a pair must show of the points that both images show. With an epipole in the
 images, the pair's plane is nearly along the rays, and hardly any of them reach it."""
-GRID_PX = 16
-"""Distance of the pixels for which the map is computed."""
-MAP_ERROR_PX = 0.01
-"""Largest error of the map between them."""
 _GRID = 24
 """Rays along each axis of the image, and distances in baselines, for the share that is shown."""
 _DISTANCES = np.array([4.0, 16.0, 64.0, 1024.0])
-_OUTSIDE = -1e4
-"""In a map: no pixel of the camera shows this direction."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +130,7 @@ def rectify(
         raise _apart(cameras)
     matrix = _matrix(looks, focal_px or own_px, size or own_size)
     views = [
-        _view(lens, R, matrix, size or own_size)
+        RectifiedView(lens, R, *rectified_map(lens, R, matrix, size or own_size))
         for lens, R in zip(lenses, (R_rect_lcam, R_rect_lcam @ R_lcam_rcam), strict=True)
     ]
     if _overlap(*views) < LEAST_OVERLAP:
@@ -180,7 +171,7 @@ def _share_shown(
     here = np.stack(np.meshgrid(u, v), axis=-1)
     distances = np.linalg.norm(T_rcam_lcam[:3, 3]) * _DISTANCES
     points = unproject(left, here) * distances[:, None, None, None]
-    there = _pixels(right, transform(T_rcam_lcam, points))
+    there = pixels_of_rays(right, transform(T_rcam_lcam, points))
     both = _within(there, (right.width, right.height))
     shown = both.copy()
     for view, pixels in zip(views, (here, there), strict=True):
@@ -214,65 +205,6 @@ def _orientation(baseline: Array, forward: Array) -> Array:
     y = np.cross(forward, x)
     y /= max(float(np.linalg.norm(y)), 1e-12)
     return np.stack([x, y, np.cross(x, y)])
-
-
-def _view(camera: Camera, R_rect_cam: Array, matrix: Array, size: tuple[int, int]) -> RectifiedView:
-    """Return a view whose map is exact every GRID_PX, and between by cubics through four points.
-
-    Where these would miss by more than MAP_ERROR_PX, as fourth differences tell, every pixel is
-    projected: at the ends of a view, and where a lens is near its limit.
-    """
-    nodes = [np.arange(-1, _nodes(n) - 1) * float(GRID_PX) for n in size]
-    coarse = _where(camera, R_rect_cam, matrix, *np.meshgrid(*nodes))
-    rough = np.zeros(coarse.shape[:2], bool)
-    for axis in (0, 1):
-        # A cubic's largest error in the middle one of three intervals is 3/128 of the difference.
-        missed = np.abs(np.diff(coarse, 4, axis=axis)).max(axis=-1) * (3 / 128)
-        inside = [slice(None), slice(None)]
-        inside[axis] = slice(2, -2)
-        rough[tuple(inside)] |= missed > MAP_ERROR_PX / 2
-    cells = sliding_window_view(rough, (4, 4)).any(axis=(-1, -2))
-    across, down = (_cubic(n) for n in size)
-    planes = np.moveaxis(coarse, -1, 0).astype(np.float32)
-    map_x, map_y = (down @ plane @ across.T for plane in planes)
-    v, u = np.nonzero(np.kron(cells, np.ones((GRID_PX, GRID_PX), bool))[: size[1], : size[0]])
-    if len(u):
-        map_x[v, u], map_y[v, u] = _where(camera, R_rect_cam, matrix, u, v).T
-    return RectifiedView(camera, R_rect_cam, map_x, map_y)
-
-
-def _nodes(n: int) -> int:
-    """Return how many nodes n pixels need: at least the five of a fourth difference."""
-    return max(-(-n // GRID_PX) + 3, 5)
-
-
-@lru_cache(maxsize=8)
-def _cubic(n: int) -> np.ndarray:
-    """Return weights (n, m) of the nodes at -GRID_PX, 0, GRID_PX, ... for n pixels."""
-    cell, t = np.divmod(np.arange(n), GRID_PX)
-    t = t / GRID_PX
-    weights = np.zeros((n, _nodes(n)), np.float32)
-    four = np.array([-1, 0, 1, 2])
-    for k, at in enumerate(four):
-        others = four[four != at]
-        weights[np.arange(n), cell + k] = np.prod([(t - x) / (at - x) for x in others], axis=0)
-    return weights
-
-
-def _where(camera: Camera, R_rect_cam: Array, matrix: Array, u: np.ndarray, v: np.ndarray) -> Array:
-    """Return where (..., 2) in the real image rectified pixels are; _OUTSIDE: nowhere."""
-    return _pixels(
-        camera, np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(matrix).T @ R_rect_cam
-    )
-
-
-def _pixels(camera: Camera, rays: Array) -> Array:
-    """Return where (..., 2) an image shows points (..., 3) in frame cam; _OUTSIDE: nowhere."""
-    x, y, z = np.moveaxis(rays, -1, 0)
-    # Beyond its reach a lens model folds over.
-    good = (z > 0) & (x * x + y * y < reach(camera.model, camera.coefficients) * z * z)
-    pixels = project(camera, np.where(good[..., None], rays, [0.0, 0.0, 1.0]))
-    return np.where(good[..., None], pixels, _OUTSIDE).clip(_OUTSIDE, -_OUTSIDE)
 
 
 def _overlap(left: RectifiedView, right: RectifiedView) -> float:

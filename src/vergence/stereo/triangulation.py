@@ -34,6 +34,7 @@ from vergence.geometry.kinematics import Kinematics, check_radians
 from vergence.geometry.projection import camera_pose
 from vergence.geometry.se3 import checked_points, transform
 from vergence.stereo.extrinsics import stereo_cameras
+from vergence.stereo.measurement_noise import noise_of_part, pixel_variances
 
 CHUNK = 4096
 """Points at a time: their arrays stay in the processor's cache, and memory does not grow."""
@@ -213,46 +214,6 @@ def in_chunks(n: int, find: Callable[[slice], tuple[Array, ...]]) -> tuple[Array
 def joints_of_part(joints: Array, part: slice) -> Array:
     """Return the readings, or measured poses, of a chunk: (n, r) or (n, 2, 4, 4); n may be 1."""
     return joints[None] if joints.ndim in (1, 3) else joints[part]
-
-
-def noise_rows(std: ArrayLike, count: int, n: int, name: str) -> Array:
-    """Return standard deviations (count, n or 1) of n measurements of `count` numbers each.
-
-    From a number, (count,) or (n, count); VergenceError if they are neither, or one is negative.
-    """
-    stds = np.asarray(std, dtype=float)
-    if stds.shape not in ((), (count,), (n, count)):
-        raise VergenceError(
-            f"{name} is a number or an array of shape ({count},) or ({n}, {count}); found one of "
-            f"shape {stds.shape}."
-        )
-    # Of many points some may have none: NaN, where they are not seen.
-    wrong = (stds < 0) | (~np.isfinite(stds) & (stds.ndim < 2))
-    if wrong.any():
-        raise VergenceError(
-            f"{name} is a standard deviation, 0 or more; found {stds[wrong].flat[0]:g}."
-        )
-    return stds.reshape(-1, count).T if stds.ndim else stds.repeat(count)[:, None]
-
-
-def pixel_noise(pixel_std_px: ArrayLike, n: int) -> Array:
-    """Return standard deviations (4, n or 1) of pixels; arguments and errors: `noise_rows`."""
-    return noise_rows(pixel_std_px, 4, n, "pixel_std_px")
-
-
-def pixel_variances(pixel_std_px: ArrayLike, n: int) -> Array:
-    """Return variances (4, n or 1) of pixels, as weights of a triangulation.
-
-    In the order left u, left v, right u, right v. Ones for points some of whose noise is zero or
-    unknown: with an exact pixel there are no ratios. Errors are those of `noise_rows`.
-    """
-    std = pixel_noise(pixel_std_px, n)
-    return np.where((std > 0).all(axis=0), std * std, 1.0)
-
-
-def noise_of_part(noise: Array, part: slice) -> Array:
-    """Return the noise (..., n) of a chunk; (..., 1) is that of all points."""
-    return noise if noise.shape[-1] == 1 else noise[..., part]
 
 
 def checked_arguments(

@@ -12,36 +12,33 @@ from numpy.typing import ArrayLike
 from vergence.arrays import Array
 from vergence.data.dataset import MAX_GAP_S
 from vergence.data.timing import Timing, moved_readings
-from vergence.errors import VergenceError, counted
+from vergence.errors import VergenceError
 from vergence.geometry.eye_motion import check_joints, measured
 from vergence.geometry.head import (
     HeadCalibration,
     check_states_covariance,
-    reading_stds,
     stated_covariance,
     states_noise,
 )
 from vergence.stereo.calibration_covariance import (
     covariance_of_calibration,
     pair_covariance,
-    pair_factor,
 )
 from vergence.stereo.linearised import (
-    Linearised,
     by_head_parameters,
+    by_noise,
+    covariances_of,
     linearised_part,
     pair_parameters,
 )
-from vergence.stereo.triangulation import (
-    checked_arguments,
-    chunks,
-    in_chunks,
+from vergence.stereo.measurement_noise import (
+    given_or_stated,
+    measurement_noise,
     noise_of_part,
-    noise_rows,
     pixel_noise,
     pixel_variances,
-    triangulate_at,
 )
+from vergence.stereo.triangulation import checked_arguments, in_chunks, triangulate_at
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,45 +105,20 @@ def locate(
             head, left=left, right=right, joints=joints, cameras=cameras
         )
         return LocatedPoints(points, np.full((n, 3, 3), np.nan), status, np.zeros((n, 3, 3)))
-    pixel_std_px, joint_std_rad = _or_stated(head, joints, pixel_std_px, joint_std_rad)
-    noise = _noise(head, joints, n, pixel_std_px, joint_std_rad)
+    pixel_std_px, joint_std_rad = given_or_stated(head, joints, pixel_std_px, joint_std_rad)
+    noise = measurement_noise(head, joints, n, pixel_std_px, joint_std_rad)
     given = head, (left, right), joints, cameras, pixel_variances(pixel_std_px, n)
 
     def find(part: slice) -> tuple[Array, ...]:
         seen = linearised_part(*given, part=part, parameters=known is not None)
-        by_pixels, by_readings = _by_noise(seen, noise, part)
-        covariance = _squares(by_pixels) + _squares(by_readings)
+        by_pixels, by_readings = by_noise(seen, noise, part)
+        covariance = covariances_of(by_pixels) + covariances_of(by_readings)
         if known is None:
             return seen.points.T, covariance, seen.status, np.zeros_like(covariance)
         shared = covariance_of_calibration(seen, known)
         return seen.points.T, covariance + shared, seen.status, shared
 
     return LocatedPoints(*in_chunks(n, find))
-
-
-def _or_stated(
-    head: HeadCalibration,
-    joints: Array,
-    pixel_std_px: ArrayLike | None,
-    joint_std_rad: ArrayLike | None,
-) -> tuple[ArrayLike, ArrayLike]:
-    """Return the noise of pixels and readings; None: as the calibration states it, 0 if not."""
-    if pixel_std_px is None:
-        pixel_std_px = (head.accuracy and head.accuracy.pixel_std_px) or 0.0
-    if joint_std_rad is None:
-        joint_std_rad = stated_reading_stds(head, joints)
-    return pixel_std_px, joint_std_rad
-
-
-def stated_reading_stds(head: HeadCalibration, joints: Array) -> Array:
-    """Return the stated noise of readings (r,) [rad], or of measured poses (2,) [rad], [m]."""
-    if measured(joints):
-        levels = head.accuracy.joint_std if head.accuracy else ()
-        return np.resize(levels or (0.0,), 2)
-    return _reading_stds(head)
-
-
-_reading_stds = lru_cache(maxsize=64)(reading_stds)
 
 
 def _at_the_images(head: HeadCalibration, joints: ArrayLike, joint_time_s: ArrayLike) -> Array:
@@ -209,66 +181,6 @@ def _exact(head: HeadCalibration) -> HeadCalibration:
     return replace(head, accuracy=None)
 
 
-def combination(
-    head: HeadCalibration,
-    *,
-    weights: Array,
-    left: Array,
-    right: Array,
-    joints: Array,
-    cameras: tuple[str, str] | None = None,
-    pixel_std_px: ArrayLike | None = None,
-    joint_std_rad: ArrayLike | None = None,
-) -> tuple[Array, Array]:
-    """Return the sum (3,) [m] of points times weights (N,), and its covariance (3, 3) [m^2].
-
-    With weights 1/N an average, with 1 and -1 a difference. Errors of pixels are each point's own;
-    those of readings are too, but are shared by all points where one posture serves all; and those
-    of the calibration are always shared. Points that cannot be located must have weight zero, or
-    the result is NaN. Other arguments and errors are those of `locate`; noise that neither the
-    caller nor the calibration states is taken as none. VergenceError also if there are not as many
-    weights as points, or one is not finite.
-    """
-    left, right, joints = checked_arguments(left, right, joints, head.kinematics)
-    factor, n = pair_factor(head, cameras), len(left)
-    weights = np.asarray(weights, dtype=float)
-    if weights.shape != (n,):
-        raise VergenceError(
-            f"A combination of {counted(n, 'point')} has a weight for each; found an array of "
-            f"shape {weights.shape}."
-        )
-    if not np.isfinite(weights).all():
-        raise VergenceError(
-            "Weights of a combination are finite, 0 for points that do not count; found "
-            f"{weights[~np.isfinite(weights)][0]:g}."
-        )
-    pixel_std_px, joint_std_rad = _or_stated(head, joints, pixel_std_px, joint_std_rad)
-    noise, one = _noise(head, joints, n, pixel_std_px, joint_std_rad), joints.ndim in (1, 3)
-    given = head, (left, right), joints, cameras, pixel_variances(pixel_std_px, n)
-    total, covariance = np.zeros(3), np.zeros((3, 3))
-    by_readings, by_head = np.zeros((3, len(noise[1]))), np.zeros((3, len(factor)))
-    for part in chunks(n):
-        seen = linearised_part(*given, part=part)
-        own = weights[part]
-        points, by_pixels, by_reading, by_parameter = (
-            np.where(own == 0, 0.0, each) * own
-            for each in (
-                seen.points,
-                *_by_noise(seen, noise, part),
-                by_head_parameters(head, cameras, seen),
-            )
-        )
-        total += points.sum(axis=-1)
-        covariance += _squares(by_pixels).sum(axis=0)
-        if not one:
-            covariance += _squares(by_reading).sum(axis=0)
-        by_readings = by_readings + one * by_reading.sum(axis=-1)
-        by_head = by_head + by_parameter.sum(axis=-1)
-    for shared in (by_readings, by_head @ factor):
-        covariance += shared @ shared.T
-    return total, covariance
-
-
 def locate_jointly(
     head: HeadCalibration,
     *,
@@ -304,42 +216,11 @@ def locate_jointly(
         own, rest = own.transpose(2, 0, 1), by_head[:, beside].transpose(2, 0, 1)
         of_rest = rest @ C @ rest.swapaxes(1, 2)
         of_head = own[..., :P] @ covariance[:P, :P] @ own[..., :P].swapaxes(1, 2)
-        whole = _squares(seen.by_pixels * noise_of_part(noise, part))
+        whole = covariances_of(seen.by_pixels * noise_of_part(noise, part))
         whole += own @ covariance @ own.swapaxes(1, 2)
         return seen.points.T, whole + of_rest, seen.status, of_head + of_rest
 
     return LocatedPoints(*in_chunks(n, find))
-
-
-def locate_both(
-    head: HeadCalibration,
-    *,
-    left: tuple[Array, Array],
-    right: tuple[Array, Array],
-    joints: Array,
-    pixel_std_px: ArrayLike,
-    joint_std_rad: ArrayLike,
-    cameras: tuple[str, str] | None = None,
-) -> tuple[Array, Array, Array]:
-    """Return two points that are seen together, and the covariance of their difference.
-
-    Both are seen by the same cameras at the same readings, so that an error of the readings is in
-    both, and cancels as far as the two are near each other. The calibration is taken as exact.
-
-    `left` and `right` have the pixels (N, 2) of points a and of points b; other arguments and
-    errors are those of `locate`. Returns points a and b (N, 3) [m], and covariances (N, 3, 3) [m^2]
-    of a - b, in the left eye's base frame; NaN where a point cannot be located.
-    """
-    joints, n = np.asarray(joints, dtype=float), len(left[0])
-    noise, points, changes = _noise(head, joints, n, pixel_std_px, joint_std_rad), [], []
-    for own in zip(left, right, strict=True):
-        u_l, u_r, readings = checked_arguments(*own, joints, head.kinematics)
-        given = head, (u_l, u_r), readings, cameras, pixel_variances(pixel_std_px, n)
-        seen = linearised_part(*given, parameters=False)
-        points.append(seen.points.T)
-        changes.append(_by_noise(seen, noise))
-    (a_px, a_rad), (b_px, b_rad) = changes
-    return *points, _squares(a_px) + _squares(b_px) + _squares(a_rad - b_rad)
 
 
 def calibration_covariance(
@@ -357,35 +238,3 @@ def calibration_covariance(
     check_states_covariance(head)
     found = locate(head, left=left, right=right, joints=joints, cameras=cameras)
     return np.where(np.isnan(found.covariance), np.nan, found.calibration_covariance)
-
-
-def _squares(changes: Array) -> Array:
-    """Return covariances (n, 3, 3) of changes (3, K, n) by K independent standard deviations."""
-    return np.einsum("ikn,jkn->nij", changes, changes)
-
-
-def _noise(
-    head: HeadCalibration, joints: Array, n: int, pixel_std_px: ArrayLike, joint_std_rad: ArrayLike
-) -> tuple[Array, Array]:
-    """Return standard deviations (4, n or 1) of pixels and (r, n or 1) of readings or poses."""
-    count = 12 if measured(joints) else len(head.kinematics.readings)
-    return pixel_noise(pixel_std_px, n), noise_of_readings(joint_std_rad, count, n)
-
-
-def _by_noise(
-    seen: Linearised, noise: tuple[Array, Array], part: slice = slice(None)
-) -> tuple[Array, Array]:
-    """Return changes (3, 4, n) and (3, r, n) of points by one standard deviation of each."""
-    of_pixels, of_readings = (noise_of_part(each, part) for each in noise)
-    return seen.by_pixels * of_pixels, seen.by_readings * of_readings
-
-
-def noise_of_readings(joint_std: ArrayLike, count: int, n: int) -> Array:
-    """Return standard deviations (r, n or 1) of readings; of poses from rotation, translation.
-
-    From a number, (r,) or (n, r), or for measured poses (count 12) the two numbers of `locate`.
-    Errors are those of `noise_rows`.
-    """
-    if count == 12 and np.shape(joint_std) == (2,):
-        return noise_rows(np.tile(np.repeat(joint_std, 3), 2), count, n, "joint_std_rad")
-    return noise_rows(joint_std, count, n, "joint_std_rad")

@@ -1,1 +1,1 @@
-"""What is found in images: corners of calibration boards and coloured spheres."""
+"""What is found in images: corners of boards, spheres, markers, templates, features of a scene."""

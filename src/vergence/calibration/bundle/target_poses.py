@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
-from itertools import zip_longest
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -22,24 +21,25 @@ from vergence.calibration.bundle.bundle_adjustment import (
     fixed_by_default,
 )
 from vergence.calibration.bundle.measured_poses import PoseObservations, whitening
+from vergence.calibration.bundle.target_pose_checks import (
+    check_not_stuck,
+    check_start,
+    check_target_poses,
+    measured_rows,
+)
 from vergence.calibration.observations import mean_placed
 from vergence.calibration.sequential.hand_eye import robust_park_martin
-from vergence.errors import VergenceError, counted
+from vergence.errors import VergenceError
 from vergence.geometry.camera import pinhole
 from vergence.geometry.head import HeadCalibration, MountedCamera, main_pair
-from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye, check_turns
+from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye
 from vergence.geometry.parameter_names import intrinsics_names
-from vergence.geometry.se3 import angle, check_rigid, inverse, mean_pose
+from vergence.geometry.se3 import inverse, mean_pose
 
 LEAST_POSES = 3
 """Fewest poses of a target at rest, from which a camera's place in its eye follows."""
 _UNIT_RAD = 1e-3
 """Unit of rotation in which errors of poses are counted where no covariance is given."""
-_STUCK = 0.1
-"""Share of an eye's turn by which poses of a target at rest turn at least: of true poses it is
-about one, and less by this much only where the measurement does not follow."""
-_AT_REST_RAD = 1e-6
-"""Turn of an eye up to which it rests, but for how numbers are rounded."""
 _LEVERS_M = 1e-2, 1e1
 """Between these the ratio of the noise of translation to that of rotation [m/rad] is sought."""
 
@@ -113,16 +113,16 @@ def adjust_target_poses(
     eye = np.asarray(eye, dtype=float)
     check_noise(joint_std, noise_factor=noise_factor)
     if start is not None:
-        _check_start(start, T_cam_target, eyes, kinematics)
+        check_start(start, T_cam_target, eyes, kinematics)
         kinematics = start.kinematics
     kinematics = Kinematics() if kinematics is None else kinematics
     views = len(eye) if eye.ndim else 0
     placement = np.zeros(views, dtype=int) if placement is None else np.asarray(placement)
-    _check(T_cam_target, eye, eyes, kinematics, placement)
+    check_target_poses(T_cam_target, eye, eyes, kinematics, placement)
     measured_eyes, read = eye.ndim == 4, eye
     if not measured_eyes:
         read = np.stack([T_base_eye(kinematics, side, eye) for side in EYES], axis=1)
-    _check_not_stuck(T_cam_target, read, eyes)
+    check_not_stuck(T_cam_target, read, eyes)
     if start is None:
         start = _start(T_cam_target, read, placement, eyes, kinematics)
     kept = {
@@ -183,11 +183,6 @@ def _with_noise(
     return _result(found, (rotation_std, rotation_std * float(np.exp(best.x))), 1.0)
 
 
-def _measured(T: Array) -> np.ndarray:
-    """Return (V,) which of poses (V, 4, 4) are finite."""
-    return np.asarray(np.isfinite(T).all(axis=(1, 2)))
-
-
 def _whitening(covariance: Mapping[str, Array], name: str, T_cam_target: Array) -> Array:
     if name not in covariance:
         raise VergenceError(f"covariance has none for the poses of {name}.")
@@ -198,7 +193,7 @@ def _whitening(covariance: Mapping[str, Array], name: str, T_cam_target: Array) 
             f"{given.shape}."
         )
     if given.ndim == 3:
-        given = np.where(_measured(T_cam_target)[:, None, None], given, np.eye(6))
+        given = np.where(measured_rows(T_cam_target)[:, None, None], given, np.eye(6))
     return whitening(given)
 
 
@@ -223,102 +218,6 @@ def _result(
     )
 
 
-def _check(
-    T_cam_target: Mapping[str, Array],
-    eye: Array,
-    eyes: Mapping[str, Side],
-    kinematics: Kinematics,
-    placement: np.ndarray,
-) -> None:
-    views, r = len(eye) if eye.ndim else 0, len(kinematics.readings)
-    if not T_cam_target:
-        raise VergenceError("There are no poses of a target: T_cam_target names no camera.")
-    if eye.shape not in ((views, r), (views, 2, 4, 4)):
-        raise VergenceError(
-            f"eye is ({views}, {r}) readings, or ({views}, 2, 4, 4) poses of both eyes, found "
-            f"{eye.shape}."
-        )
-    if placement.shape != (views,):
-        raise VergenceError(
-            f"placement has a number for each of {counted(views, 'view')}, found shape "
-            f"{placement.shape}."
-        )
-    if eye.ndim == 4:
-        check_rigid("eye", eye)
-    else:
-        check_turns(kinematics, eye)
-    for name, T in T_cam_target.items():
-        if T.shape != (views, 4, 4):
-            raise VergenceError(
-                f"Poses of a target in {counted(views, 'view')} are ({views}, 4, 4) for each "
-                f"camera, found {T.shape} for {name}."
-            )
-        if eyes.get(name) not in EYES:
-            raise VergenceError(f"eyes does not say in which eye {name} sits, left or right.")
-        check_rigid(f"T_cam_target of {name}", T)
-
-
-def _check_not_stuck(
-    T_cam_target: Mapping[str, Array], eye_poses: Array, eyes: Mapping[str, Side]
-) -> None:
-    """Raise a VergenceError if poses of a target hardly turn where the eye does."""
-    for name, T in T_cam_target.items():
-        own = eye_poses[:, EYES.index(eyes[name])]
-        known = _measured(T) & _measured(own)
-        if not known.any():
-            continue
-        turned, by_eye = (_median_turn(each[known]) for each in (T, own))
-        if by_eye > _AT_REST_RAD and turned < _STUCK * by_eye:
-            raise VergenceError(
-                f"The poses of the target by {name} turn by {np.degrees(turned):.2g} degrees in "
-                f"the median, its eye by {np.degrees(by_eye):.2g}: is the measurement stuck, or "
-                "does the target move with the eye?"
-            )
-
-
-def _median_turn(T: Array) -> float:
-    """Return the median angle [rad] between poses (N, 4, 4) and their mean."""
-    return float(np.median(angle((inverse(mean_pose(T)) @ T)[:, :3, :3])))
-
-
-def _check_start(
-    start: HeadCalibration,
-    T_cam_target: Mapping[str, Array],
-    eyes: Mapping[str, Side],
-    kinematics: Kinematics | None,
-) -> None:
-    """Raise a VergenceError if a start is of another head than what was measured."""
-    for name in T_cam_target:
-        if name not in start.cameras:
-            raise VergenceError(
-                f"There are poses of a target by {name}; start has the cameras "
-                f"{', '.join(start.cameras)}."
-            )
-        own = start.cameras[name].eye
-        if eyes.get(name, own) != own:
-            raise VergenceError(f"{name} sits in the {own} eye of start, not in the {eyes[name]}.")
-    if kinematics is not None and not _same_design(kinematics, start.kinematics):
-        raise VergenceError(
-            "kinematics and start.kinematics describe different joints or readings; leave "
-            "kinematics out."
-        )
-
-
-def _same_design(a: Kinematics, b: Kinematics) -> bool:
-    """Return whether joints and readings are the same, but for what a calibration changes."""
-    if a.readings != b.readings:
-        return False
-    pairs = [pair for eye in EYES for pair in zip_longest(a.eyes[eye], b.eyes[eye])]
-    return all(
-        one is not None
-        and other is not None
-        and (one.name, set(one.readings)) == (other.name, set(other.readings))
-        and np.allclose(one.axis, other.axis)
-        and np.allclose(one.point_m, other.point_m)
-        for one, other in pairs
-    )
-
-
 def _start(
     T_cam_target: Mapping[str, Array],
     eye_poses: Array,
@@ -331,7 +230,7 @@ def _start(
     for name, T in T_cam_target.items():
         eye = eyes[name]
         own = eye_poses[:, EYES.index(eye)]
-        known = _measured(T) & _measured(own)
+        known = measured_rows(T) & measured_rows(own)
         numbers, counts = np.unique(placement[known], return_counts=True)
         if not len(numbers) or counts.max() < LEAST_POSES:
             raise VergenceError(
@@ -349,7 +248,7 @@ def _start(
         return head
     left, right = pair
     both = seen[right] @ inverse(seen[left])
-    known = _measured(both)
+    known = measured_rows(both)
     if not known.any():
         raise VergenceError(
             f"T_rbase_lbase is not observable: no placement has poses by both {left} and {right}."

@@ -17,10 +17,11 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.checks import board_flips
 from vergence.calibration.checks.axes_and_eyes import ASIDE, not_beside
+from vergence.calibration.checks.reading_fit import ReadingFit, fit_readings
 from vergence.calibration.observations import Observations, camera_eyes, most_seen_board
-from vergence.errors import VergenceError
+from vergence.errors import VergenceError, listed
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side
-from vergence.geometry.se3 import angle, inverse, nearest_rotation, rotvec
+from vergence.geometry.se3 import angle, inverse, rotvec
 
 LEAST_VIEWS_AT_REST = 6
 """Fewest views of a board at rest that say something about readings or measured poses."""
@@ -34,10 +35,6 @@ LOST = 0.5
 """Part below which readings are not of this eye, or not of these moments."""
 MOST_NOISE_RAD = np.radians(3.0)
 """Root mean square of unexplained turns that no noise of readings makes."""
-OUTLIER, OUTLIER_RAD = 6.0, np.radians(1.0)
-"""A view contradicts the others that differs by this many times the median, and by this angle."""
-OUTLIERS = 0.25
-"""Part of the views that may do so; more say that readings or poses as a whole are in doubt."""
 IDLE = 0.05
 """Part of the turns' variance below which a reading has no part in them."""
 LEAST_BASELINE_M = 1e-3
@@ -47,31 +44,6 @@ DEAD = 0.03
 GAINS = (0.6, 1.6)
 """Least and largest gain of a joint that is calibrated; others mean another unit or joint."""
 DEGREES_PER_RAD = np.degrees(1.0)
-AHEAD = 0.3
-"""Cosine of the angle between a camera's axis and the eye's x axis, at least: some look aside."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    """How the u readings of an eye explain the turns of a camera before a board at rest."""
-
-    names: list[str]
-    """Names of the readings."""
-    gains: Array
-    """(u,) of each: by what factor w_r is R_cam_eye d_r."""
-    explained: float
-    """Part of the turns' variance that the readings explain."""
-    left_rad: float
-    """Root mean square of what they leave."""
-    moved: Array
-    """(u,) standard deviations of the readings [rad]."""
-    R_cam_eye: Array
-    """(3, 3) how the eye stands in frame cam, for the axes to be where the images show them."""
-
-    @property
-    def possible(self) -> bool:
-        """Whether the camera looks out of its eye, and all readings count as described."""
-        return bool(self.R_cam_eye[2, 0] > AHEAD and (self.gains > 0).all())
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,9 +52,9 @@ class _Turns:
 
     camera: str
     views: int
-    own: _Fit
+    own: ReadingFit
     """By the readings of the camera's own eye."""
-    other: _Fit
+    other: ReadingFit
     """By those of the other eye."""
     readings: Array
     """(N, r) of the head."""
@@ -141,53 +113,8 @@ def _turns(seen: Observations, name: str, e: int, T_cam_target: Array) -> _Turns
     if np.linalg.svd(turn, compute_uv=False)[1] < LEAST_SPREAD_RAD * np.sqrt(len(turn)):
         return None
     readings = seen.eye_angles[rows]
-    own, other = (_fit(seen.kinematics, EYES[eye], readings, turn) for eye in (e, 1 - e))
+    own, other = (fit_readings(seen.kinematics, EYES[eye], readings, turn) for eye in (e, 1 - e))
     return _Turns(name, len(rows), own, other, readings, turn)
-
-
-def _fit(kinematics: Kinematics, eye: Side, readings: Array, turn: Array) -> _Fit:
-    """Return how readings (N, r) of an eye explain turns (N, 3), but for those of a few views."""
-    chain, used = kinematics.chains[eye], kinematics.used(eye)
-    kept = _explained(readings[:, used], turn)
-    read, turn = readings[kept][:, used], turn[kept]
-    read, turn = read - read.mean(axis=0), turn - turn.mean(axis=0)
-    w = np.linalg.lstsq(read, turn, rcond=None)[0]
-    d = chain.mixing[:, used].T @ chain.axes
-    left = ((turn - read @ w) ** 2).sum() / (turn**2).sum()
-    # The rotation that takes the described axes best to where the images show them.
-    lengths = [np.linalg.norm(each, axis=1, keepdims=True) for each in (w, d)]
-    R = nearest_rotation((w / np.maximum(lengths[0], 1e-12)).T @ (d / lengths[1]))
-    gains = (w * (d @ R.T)).sum(axis=1) / lengths[1][:, 0] ** 2
-    names = [kinematics.readings[r] for r in used]
-    left_rad = float(np.sqrt(((turn - read @ w) ** 2).sum(axis=1).mean()))
-    return _Fit(names, gains, 1 - float(left), left_rad, read.std(axis=0), R)
-
-
-def _explained(readings: Array, turn: Array) -> np.ndarray:
-    """Return (N,) of bool: without the few views, if any, whose turns readings explain least.
-
-    A reading that was lost, or a board that moved, is a matter of its view: bundle adjustment gives
-    it no weight, and names it.
-    """
-    away = np.abs(readings - np.median(readings, axis=0))
-    away = (away / np.maximum(np.median(away, axis=0), 1e-9)).max(axis=1, initial=0.0)
-    everything = np.ones(len(turn), dtype=bool)
-    # A wild reading may bend the fit to itself, which then starts without the largest ones.
-    without = _left_over(readings, turn, away <= np.quantile(away, 1 - OUTLIERS))
-    off = _left_over(readings, turn, everything)
-    off = without if np.median(without) < np.median(off) / 2 else off
-    few = off > max(OUTLIER * np.median(off), OUTLIER_RAD)
-    return ~few if few.mean() <= OUTLIERS else everything
-
-
-def _left_over(readings: Array, turn: Array, kept: np.ndarray) -> Array:
-    """Return (N,) what a fit to those that fit best leaves of turns [rad], starting from `kept`."""
-    rows, off = np.column_stack([readings, np.ones(len(readings))]), np.zeros(len(turn))
-    for _ in range(10):  # each lowers the sum of squares over the part that is kept
-        w = np.linalg.lstsq(rows[kept], turn[kept], rcond=None)[0]
-        off = np.linalg.norm(turn - rows @ w, axis=1)
-        kept = off <= np.quantile(off, 1 - OUTLIERS)
-    return off
 
 
 def _between_the_eyes(found: Mapping[int, _Turns], poses: Mapping[str, Array]) -> dict[int, Array]:
@@ -275,7 +202,7 @@ def _contradictions(
         if idle is not None:
             why = f"those of {idle} have no part in it; check its column"
         return [
-            f"The readings of {' and '.join(fit.names)} explain {100 * max(fit.explained, 0):.0f} "
+            f"The readings of {listed(fit.names)} explain {100 * max(fit.explained, 0):.0f} "
             f"% of the turns that {turns.camera} makes before a board at rest: {why}."
         ]
     if fit.explained < EXPLAINED:
@@ -305,7 +232,8 @@ def _without_part(kinematics: Kinematics, turns: _Turns, eye: Side) -> str | Non
     for r in kinematics.used(eye):
         readings = turns.readings.copy()
         readings[:, r] = 0.0
-        if turns.own.explained - _fit(kinematics, eye, readings, turns.turn).explained < IDLE:
+        without = fit_readings(kinematics, eye, readings, turns.turn)
+        if turns.own.explained - without.explained < IDLE:
             idle.append(kinematics.readings[r])
     return idle[0] if len(idle) == 1 else None
 
@@ -331,7 +259,7 @@ def _what_explains(
         else:
             readings[:, [a, b]] = readings[:, [b, a]]
             what = f"{names[0]} and {names[1]} are exchanged"
-        fit = _fit(kinematics, eye, readings, turns.turn)
+        fit = fit_readings(kinematics, eye, readings, turns.turn)
         if fit.possible and GAINS[0] < fit.gains.min() <= fit.gains.max() < GAINS[1]:
             found.append((float(fit.R_cam_eye[:, 1] @ y), what))
     if not found:

@@ -12,9 +12,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.bundle.diagnostics import ADVISED
+from vergence.calibration.bundle.eye_motion_diagnostics import ADVISED
 from vergence.calibration.observations import Observations, camera_eyes, most_seen_board
-from vergence.errors import VergenceError
+from vergence.errors import VergenceError, listed
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.se3 import rotvec
@@ -65,7 +65,7 @@ def _lacking(seen: Observations, name: str, e: int, spread: Array, rows: np.ndar
     whose, everything = f"the {EYES[e]} eye", "rotation and translation"
     only = f"by {spread[1]:.2g} rad only before a board at rest"
     joints, mixing = seen.kinematics.eyes[EYES[e]], seen.kinematics.chains[EYES[e]].mixing
-    all_joints = " and ".join(joint.name for joint in joints)
+    all_joints = listed([joint.name for joint in joints])
     motion = (seen.eye_angles[rows] @ mixing.T).std(axis=0) if len(rows) else np.ones(len(joints))
     if seen.T_base_eye is None and not joints:
         what, why = everything, f"{whose} has no joint by `kinematics`"

@@ -16,12 +16,8 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.checks import board_flips
-from vergence.calibration.checks.encoders import (
-    LEAST_VIEWS_AT_REST,
-    OUTLIER,
-    OUTLIER_RAD,
-    OUTLIERS,
-)
+from vergence.calibration.checks.encoders import LEAST_VIEWS_AT_REST
+from vergence.calibration.checks.reading_fit import OUTLIER, OUTLIER_RAD, OUTLIERS
 from vergence.calibration.observations import Observations, camera_eyes, most_seen_board
 from vergence.calibration.sequential.hand_eye import robust_park_martin
 from vergence.errors import VergenceError

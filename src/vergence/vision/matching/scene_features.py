@@ -14,27 +14,19 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.spatial import KDTree
 
 from vergence.arrays import Array
 from vergence.geometry.camera import Camera, half_size, normalise
-from vergence.geometry.components import cross, dot, transposed
 from vergence.vision.exposure import NEARBY_PX, grey_levels, of_equal_contrast
-from vergence.vision.least_squares_matching import REACH, WINDOW_PX, match_windows
-from vergence.vision.plane_sweep import inverse_depths, step_px
-from vergence.vision.turned_views import TurnedViews, on_map, turned_views, whole_windows
+from vergence.vision.matching.feature_selection import best_of_cells
+from vergence.vision.matching.least_squares_matching import REACH, WINDOW_PX, match_windows
+from vergence.vision.matching.plane_sweep import inverse_depths, step_px
+from vergence.vision.matching.relief import relief_around
+from vergence.vision.matching.turned_views import TurnedViews, on_map, turned_views, whole_windows
 
-_FEATURES = 1000
-"""About how many are sought, however large the part is that both eyes see and that has texture.
-They are spread evenly: taking more where contrast is high, or where features tell most of the turn
-between the eyes, would let a near thing with a repeated pattern outvote the rest."""
-_ABOVE_NOISE, _BELOW_TEXTURE = 10.0, 0.03
-"""Cells have no texture whose squared gradients are below both: so many times those of the weakest
-twentieth, which show noise alone if any do, and this share of those of the strongest."""
 _FEW = 150
 """Matches below which images of half the size are tried. Rooms give 370 and more, also with plain
 walls."""
-_SMALLEST_CELL_PX, _LARGEST_CELL_PX = 6, 24
 _WINDOW_PX = 9
 """OpenCV's tracker takes eight columns at a time: 11 px take half as long again, for 4 % more."""
 _LEVELS = 3
@@ -51,12 +43,6 @@ _LEAST_FORWARD = 0.1
 """Least component of a ray along the optical axis: others are beside any view."""
 _LARGEST_STD_PX = 0.7
 """Largest standard deviation of a match that is kept: others are not worth their time."""
-_NEIGHBOURS = 8
-_NEIGHBOUR_PX = 40.0
-"""Neighbours of a match that show the surface around it: how many, and how near they are. With
-twelve depth is as steady."""
-_SURFACE_PX = 15.0
-"""Distance at which a neighbour counts half: a window's width."""
 _LARGEST_RELIEF_PX = 0.4
 _ACROSS = 0.2
 """Share of the relief that windows take for a displacement across the epipolar line; fitted by eye
@@ -107,7 +93,7 @@ def _between_eyes(
 ) -> Matches:
     """Return what images with their cameras show alike, at their own scale."""
     views = turned_views((left[0], right[0]), (left[1], right[1]), T_rcam_lcam)
-    return _matched(views, _best_of_cells(views.first, views.inside), None)[0]
+    return _matched(views, best_of_cells(views.first, views.inside), None)[0]
 
 
 def _half_size(image: np.ndarray, camera: Camera) -> tuple[np.ndarray, Camera]:
@@ -201,91 +187,6 @@ def _matched(views: TurnedViews, at: Array, depths_m: Array | None) -> tuple[Mat
     left = np.stack([each[row, column] for each in views.maps[0]], axis=-1).astype(float)
     matches = Matches(left, pixels[good], covariance[good])
     return matches, kept[good]
-
-
-def relief_around(at: Array, displaced: Array) -> Array:
-    """Return how far from plane the scene is around windows (N,) [px], as neighbours show.
-
-    At a depth discontinuity an edge of the nearer surface and one of the farther often meet in a
-    T-junction, which is no point of the scene, and seems to be displaced across the epipolar line;
-    relief in a window is taken in part for such a displacement. A window cannot tell; its
-    neighbours do: by how much, root mean square, they and it are displaced otherwise than a plane
-    through them would be. The neighbour that fits worst does not count, since it may be wrong.
-
-    Args:
-        at: (N, 2) middles of the windows [px].
-        displaced: (N,) how far they are displaced along the epipolar line [px].
-    """
-    if len(at) <= _NEIGHBOURS:
-        return np.zeros(len(at))
-    tree = KDTree(at, balanced_tree=False, compact_nodes=False)  # is used but once
-    far, which = tree.query(at, k=_NEIGHBOURS + 1, distance_upper_bound=_NEIGHBOUR_PX)
-    # Neighbours first: sums over them are then of long rows.
-    far, which = (np.ascontiguousarray(np.asarray(each).T[1:]) for each in (far, which))
-    near = np.isfinite(far)
-    which = np.where(near, which, 0)
-    x, y = ((each[which] - each) / _SURFACE_PX for each in at.T)
-    weights = np.where(near, 1 / (1 + (far / _SURFACE_PX) ** 2), 0.0)
-    values = displaced[which] - displaced
-    apart = values - _planes(x, y, weights, values)[0]
-    weights[(np.abs(apart) * near).argmax(axis=0), np.arange(len(at))] = 0
-    plane, here = _planes(x, y, weights, values)
-    square = (weights * (values - plane) ** 2).sum(axis=0) + here**2
-    return np.sqrt(square / (weights.sum(axis=0) + 1))
-
-
-def _planes(x: Array, y: Array, weights: Array, values: Array) -> tuple[Array, Array]:
-    """Return planes fitted to values (k, N): at their k places (k, N), and in the middle (N,)."""
-    wx, wy = weights * x, weights * y
-    one, to_x, to_y = weights.sum(axis=0), wx.sum(axis=0), wy.sum(axis=0)
-    xx, xy, yy = ((a * b).sum(axis=0) for a, b in ((wx, x), (wx, y), (wy, y)))
-    right = [(each * values).sum(axis=0) for each in (weights, wx, wy)]
-    # Of neighbours on one line, the flattest.
-    a, b, c = (one + 1e-3, to_x, to_y), (to_x, xx + 1e-3, xy), (to_y, xy, yy + 1e-3)
-    columns = transposed((cross(b, c), cross(c, a), cross(a, b)))
-    det = dot(a, [column[0] for column in columns])
-    here, by_x, by_y = (dot(column, right) / det for column in columns)
-    return here + by_x * x + by_y * y, here
-
-
-def _best_of_cells(view: np.ndarray, inside: np.ndarray) -> Array:
-    """Return pixels (N, 2), one of each cell: where a window determines both directions best.
-
-    By the smaller eigenvalue of its structure tensor (Shi and Tomasi). Of every second pixel,
-    `inside` says whether both eyes see it. Plain walls have no features, and leave theirs to the
-    rest, whose cells are the smaller.
-    """
-    half = cv2.pyrDown(view)  # near enough, and much faster
-    smaller = cv2.cornerMinEigenVal(half, WINDOW_PX // 2, ksize=3)
-    whole = whole_windows(inside)
-    smaller[~whole] = 0
-    wanted_px = np.sqrt(np.count_nonzero(whole) / _FEATURES)
-    best = _cells(smaller, wanted_px).max(axis=1).max(axis=-1)
-    best = np.sort(best[best > 0])
-    if not len(best):
-        return np.empty((0, 2))
-    weak, strong = best[[len(best) // 20, -1 - len(best) // 20]]
-    least = min(_ABOVE_NOISE * weak, _BELOW_TEXTURE * strong)
-    textured = np.count_nonzero(best > least) / len(best)
-    cells = _cells(smaller, wanted_px * np.sqrt(textured))
-    rows, height, columns, width = cells.shape
-    cells = cells.swapaxes(1, 2).reshape(rows, columns, -1)
-    largest = cells.argmax(axis=-1)
-    row, column = np.nonzero(cells.max(axis=-1) > least)
-    down, across = np.divmod(largest[row, column], width)
-    at = np.stack([column * width + across, row * height + down], axis=-1).astype(float)
-    return 2 * at
-
-
-def _cells(values: np.ndarray, side_px: float) -> np.ndarray:
-    """Return values (H, W) by cells of about a side: (rows, height, columns, width)."""
-    side = min(max(float(side_px), _SMALLEST_CELL_PX / 2), _LARGEST_CELL_PX / 2)
-    # Whole pixels, and about as many as wanted: squares may be a third too large or too small.
-    height = round(side)
-    width = round(side**2 / height)
-    rows, columns = values.shape[0] // height, values.shape[1] // width
-    whole = values[: rows * height, : columns * width]
-    return whole.reshape(rows, height, columns, width)
 
 
 def _track_far(

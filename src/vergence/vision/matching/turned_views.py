@@ -16,7 +16,7 @@ from vergence.geometry.camera import Camera, pixel_rows
 from vergence.geometry.components import times
 from vergence.geometry.se3 import nearest_rotation
 from vergence.vision.exposure import grey_levels
-from vergence.vision.least_squares_matching import WINDOW_PX
+from vergence.vision.matching.least_squares_matching import WINDOW_PX
 
 _MAP_STEP_PX = 8
 

@@ -1,0 +1,1 @@
+"""Features of a scene, matched between two images."""
