@@ -19,6 +19,8 @@ from vergence.arrays import Array
 from vergence.commands.budget import Budgets, advice, as_plain, motion_of, run, sources_of, table
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, save_head
+from vergence.geometry.joints import Joint
+from vergence.geometry.kinematics import Kinematics, Side
 from vergence.geometry.parameters import boxplus, change_named, parameter_names
 from vergence.geometry.projection import project_point
 from vergence.stereo.triangulation import triangulate_at
@@ -190,6 +192,21 @@ def test_motions_of_pan_and_tilt_are_refused_for_heads_with_other_readings():
     said = r"'divergent' is of the readings .* has tilt, left_pan, right_pan\. .* dataset"
     with pytest.raises(VergenceError, match=said):
         run(head, points=POINT[None], motion="divergent", profile=None, pixel_std_px=0.1)
+
+
+def test_motions_and_noise_of_a_profile_are_those_of_the_joints_behind_a_gear():
+    eyes: dict[Side, tuple[Joint, ...]] = {
+        eye: tuple(replace(joint, readings={f"{eye}_{joint.name}": 0.01}) for joint in own)
+        for eye, own in HEAD.kinematics.eyes.items()
+    }
+    geared, profile = replace(HEAD, kinematics=Kinematics(eyes)), load_profile("noise-only")
+    for name in ("parallel", "divergent"):
+        direct, before = (
+            run(head, points=POINT[None], motion=name, profile=profile, pixel_std_px=0.1)
+            for head in (HEAD, geared)
+        )
+        total, expected = before.budgets[0].total, direct.budgets[0].total
+        np.testing.assert_allclose(total.std_m, expected.std_m, rtol=1e-6)
 
 
 def test_a_head_with_other_joints_has_no_parallel_motion():

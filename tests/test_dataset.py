@@ -268,6 +268,10 @@ def test_readings_before_a_gear_are_neither_wrapped_nor_limited(folder):
     np.testing.assert_allclose(np.degrees(dataset.eye_angles[:, 0]), [170, 190, 730])
     np.testing.assert_allclose(np.degrees(dataset.eye_angles[:, 1]), -1)
     assert dataset.remarks == ()
+    gear["version"] = 1
+    change_about(folder, described)
+    with pytest.raises(VergenceError, match="a turn; if it is of a motor before a gear, give its"):
+        load_dataset(folder)
 
 
 @pytest.mark.parametrize(

@@ -69,6 +69,26 @@ def test_exchanged_images_are_told_from_exchanged_readings():
     assert "left and right are exchanged in the images and joint readings" in both
 
 
+def test_eyes_above_each_other_are_those_of_a_head_on_its_side():
+    """Else they look like eyes whose images or readings are mistaken for others."""
+    truth, _ = recorded()
+    above = replace(truth, T_rbase_lbase=pose(t=[0.0, -0.002, 0.08]))
+    seen = record(above, np.random.default_rng(0), GOOD)
+    said = refusal(seen)
+    assert said.startswith("By the images left_wide stands ")
+    assert re.search(
+        r"7\d mm above: .* describe by `kinematics` a head that lies on its side", said
+    )
+    on_side = {"pan": np.array([0.0, 1.0, 0.0]), "tilt": np.array([0.0, 0.0, -1.0])}
+    eyes: dict[Side, tuple[Joint, ...]] = {
+        eye: tuple(replace(joint, axis=on_side[joint.name]) for joint in pan_tilt(eye))
+        for eye in EYES
+    }
+    found = calibrate(replace(seen, kinematics=Kinematics(eyes)), method="paper")
+    assert found.accuracy.void == ()
+    np.testing.assert_allclose(found.head.T_rbase_lbase[:3, 3], [0, 0.08, 0.002], atol=0.003)
+
+
 def test_exchanged_images_are_noticed_where_the_eyes_moved_alike():
     _, seen = recorded()
     said = refusal(exchanged_images(seen))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulated_head import point_in_camera, skewed_head
+from simulated_head import plain_head, point_in_camera, skewed_head
 from vergence.errors import VergenceError
 from vergence.gaze.fixation import readings_to
 from vergence.gaze.foveation import (
@@ -17,7 +17,8 @@ from vergence.gaze.foveation import (
 )
 from vergence.geometry.camera import pinhole
 from vergence.geometry.head import HeadCalibration, T_narrow_wide
-from vergence.geometry.kinematics import EYES
+from vergence.geometry.joints import Joint
+from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, pose, transform
 from vergence.stereo.depth_error import depth_error
@@ -164,6 +165,29 @@ def test_gaze_angles_centre_a_point_in_both_eyes_exactly(seed: int, lens):
 def test_eyes_converge_on_what_is_near():
     near, far = gaze_angles(head(2), np.array([[0.3, -0.04, 0], [3.0, -0.04, 0]]))
     assert near[0] - near[2] < far[0] - far[2]  # left pans right, right pans left
+
+
+def test_a_point_is_centred_though_the_error_before_the_last_step_was_not_small_yet():
+    """A camera ahead of its axes comes nearer to a point by more than it turns."""
+    mounted = {"camera_m": ((0.02, 0.01, 0.01),) * 2, "mounting_deg": ((2.0, 1.0, -3.0),) * 2}
+    made = plain_head(0.1, 300.0, **mounted)
+    for point in ([0.108, 0.031, 0.041], [0.103, 0.022, 0.018], [0.1, -0.002, 0.011]):
+        angles = readings_to(made, {"left_wide": np.array(point)})
+        assert np.isfinite(angles[:2]).all()
+
+
+def test_motors_before_a_gear_turn_as_often_as_the_gear_asks():
+    made = head(0)
+    eyes: dict[Side, tuple[Joint, ...]] = {
+        eye: tuple(
+            replace(joint, readings={name: 0.005 for name in joint.readings}) for joint in joints
+        )
+        for eye, joints in made.kinematics.eyes.items()
+    }
+    geared = replace(made, kinematics=replace(made.kinematics, eyes=eyes))
+    points = np.array([[0.5, 0.2, 0.3], [0.4, -0.3, -0.1], [2.0, 0.0, 0.1]])
+    turns = gaze_angles(geared, points)
+    np.testing.assert_allclose(turns, gaze_angles(made, points) / 0.005, rtol=1e-6)
 
 
 def test_points_that_no_gaze_centres_are_nan_and_leave_the_others_alone():

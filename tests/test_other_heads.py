@@ -19,6 +19,8 @@ from vergence.calibration.calibrate import CalibrationResult, calibrate
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, main_pair
+from vergence.geometry.joints import Joint
+from vergence.geometry.kinematics import Kinematics, Side
 from vergence.geometry.parameters import (
     boxminus,
     change_named,
@@ -227,3 +229,27 @@ def test_points_of_a_head_with_a_shared_tilt_are_located_within_their_regions():
     found = calibrate(recording(truth, rng))
     inside = list(points(found.head, truth, rng))
     assert np.mean(inside) > 0.6
+
+
+def test_a_reading_before_a_gear_has_a_noise_of_its_own_in_few_views_too():
+    """With the level of another reading it would pass for exact, and the other for noise."""
+    truth, seen = recorded(3, how=Recording(straight=8, orientations=4, alike=False))
+    gears = {"pan": 1.0, "tilt": 0.01}
+    eyes: dict[Side, tuple[Joint, ...]] = {
+        eye: tuple(
+            replace(joint, readings={f"{eye}_{joint.name}": gears[joint.name]}) for joint in own
+        )
+        for eye, own in seen.kinematics.eyes.items()
+    }
+    read = seen.eye_angles / np.array([*gears.values()] * 2)
+    geared = replace(seen, kinematics=Kinematics(eyes), eye_angles=read)
+    direct, before = (
+        bundle_adjust(replace(truth, kinematics=each.kinematics), each) for each in (seen, geared)
+    )
+    for name in ("left_wide.T_eye_cam.rx", "T_rbase_lbase.ry", "left.pan_gain"):
+        std, expected = (
+            np.sqrt(each.covariance[k, k])
+            for each in (before, direct)
+            for k in [each.parameters.index(name)]
+        )
+        assert std == pytest.approx(expected, rel=0.3), name

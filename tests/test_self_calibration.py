@@ -327,6 +327,25 @@ def test_the_first_frames_are_linearised_again_at_their_end_though_one_was_not_b
     assert found == [2, 4, 7]
 
 
+def test_a_head_that_is_known_better_than_it_drifts_stays_where_it_is_known():
+    """What was known before the first frames says little of a head that has drifted since."""
+    rng, head = np.random.default_rng(2), head_of(2)
+    stated = begin(head)
+    tight = Accuracy("bundle", parameters=stated.names, covariance=1e-4 * stated.covariance)
+    fresh = initial_self_calibration(replace(head, accuracy=tight), fresh=True)
+    state = replace(fresh, match_scale=1.0)
+    truth, points = drawn_head(state, rng), room(300, rng)
+    for angles in postures(16, rng):
+        readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
+        seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
+        state = drifted(learn(state, from_matches(state, seen, readings)), 0.3)
+    assert squared_distance(state, truth) < chi2.isf(1e-3, len(state.names))
+    # By what it was known, and not by what it drifts meanwhile.
+    assert squared_distance(replace(state, covariance=fresh.covariance), truth) < 4 * len(
+        state.names
+    )
+
+
 def test_readings_without_stated_noise_are_given_the_usual_noise():
     head = replace(head_of(0), accuracy=Accuracy("paper", joint_std=(0.0,)))
     assert initial_self_calibration(head).joint_std_rad == pytest.approx(prior.JOINT_STD_RAD)

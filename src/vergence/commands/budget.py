@@ -126,7 +126,8 @@ def motion_of(name: str, head: HeadCalibration) -> tuple[Array, Array]:
     """
     if name in PERIOD_S:
         time_s = np.arange(SAMPLES) * PERIOD_S[name] / SAMPLES
-        joints = eye_angles("parallel" if name == "parallel" else "divergent", time_s)
+        turns = eye_angles("parallel" if name == "parallel" else "divergent", time_s)
+        joints = turns / head.kinematics.factors  # readings, which may be those before a gear
         return joints, np.gradient(joints, time_s, axis=0)
     if not os.path.isdir(name):
         raise VergenceError(
@@ -166,8 +167,8 @@ def sources_of(
         ("steps of the encoders", step / np.sqrt(12)),
         ("backlash", np.radians(joints.backlash_deg) / 2),  # the sensor lags by half of it
     ):
-        if std:
-            sources.append(Source(name, joint_std_rad=float(std)))
+        if std:  # of a joint; readings may be those before a gear
+            sources.append(Source(name, joint_std_rad=std / head.kinematics.factors))
     # The twin needs OpenGL, which a real head's budget can do without.
     from vergence.twin.calibration_errors import inject_calibration_error
 

@@ -198,10 +198,14 @@ def joint_angles(description: Description, names: tuple[str, ...], table: Table)
         angles[:, n] = turned - np.where(beyond, 2 * np.pi * np.sign(turned), 0.0)
         for k in np.flatnonzero(np.abs(angles[:, n]) > np.pi).tolist():
             where = "joints" if name in description.joints else "readings"
-            advice = f'; if it is in degrees, set {where}.{name}.unit to "deg"'
+            advice = []
+            if joint.unit == "rad":
+                advice.append(f'if it is in degrees, set {where}.{name}.unit to "deg"')
+            if where == "readings":
+                advice.append("if it is of a motor before a gear, give its factor in kinematics")
             raise VergenceError(
                 f"{table.where(k)}: {joint.column} = {table.columns[joint.column][k]} {joint.unit} "
-                f"is more than a turn{advice if joint.unit == 'rad' else ''}."
+                f"{'; '.join(['is more than a turn', *advice])}."
             )
     return angles
 

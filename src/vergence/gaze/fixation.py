@@ -17,7 +17,8 @@ from vergence.geometry.projection import projected
 
 _UNIT_LENS = pinhole(1, 1, 1.0)  # its pixels are x/z and y/z
 _NEWTON_STEPS = 20
-_CONVERGED = 1e-8  # of x/z and y/z, and of a reading: the next step of Newton's method squares it
+_CONVERGED = 1e-8  # of x/z and y/z, and of a joint: the next step of Newton's method squares it
+_LARGEST_STEP_RAD = 0.5  # of a joint
 _COMPROMISE = 0.1  # of x/z and y/z, where eyes that share a joint cannot both be centred
 
 
@@ -80,11 +81,11 @@ def _centre(
         chain = kinematics.chains[cameras[name].eye]
         turns.append(turn - chain.offset_rad @ chain.axes)
         maps.append(turn_by_readings(chain)[:, used])
+    factors = kinematics.factors[used]  # steps are those of joints, also before a gear
     readings = np.zeros((*usable.shape, len(kinematics.readings)))
     readings[..., used] = least_readings(np.concatenate(maps), np.concatenate(turns, axis=-1))
     reached = _CONVERGED if 2 * len(targets) <= len(used) else _COMPROMISE
-    step = error = np.full(usable.shape, np.inf)[..., None]
-    front = usable
+    settled, front = np.zeros(usable.shape, dtype=bool), usable
     for _ in range(_NEWTON_STEPS):
         found = [_off_centre(kinematics, cameras[name], readings, p) for name, p in points.items()]
         errors, jacobians, fronts = zip(*found, strict=True)
@@ -96,11 +97,16 @@ def _centre(
         if held.any():  # joints that rest against a limit leave the others to do the best
             free = np.where(held[..., None, :], 0.0, J[..., used])
             step = np.where(held, 0.0, _gauss_newton(free, error))
-        readings[..., used] = np.clip(now - np.clip(step, -0.5, 0.5), -limits, limits)
+        turn = np.clip(factors * step, -_LARGEST_STEP_RAD, _LARGEST_STEP_RAD)
+        readings[..., used] = np.clip(now - turn / factors, -limits, limits)
         front = np.concatenate(fronts, axis=-1).all(axis=-1)
-        if ((np.abs(step) < _CONVERGED).all(axis=-1) | ~front).all():
+        small, near = (
+            (np.abs(turn) < _CONVERGED).all(axis=-1),
+            (np.abs(error) < reached).all(axis=-1),
+        )
+        settled = small & near  # the error is the one before this step
+        if (settled | (small & held.any(axis=-1)) | ~front).all():
             break
-    settled = (np.abs(step) < _CONVERGED).all(axis=-1) & (np.abs(error) < reached).all(axis=-1)
     good = usable & front & (settled | np.isfinite(limits).any())
     return np.where(good[..., None], readings[..., used], np.nan)
 

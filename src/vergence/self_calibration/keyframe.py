@@ -18,7 +18,7 @@ from scipy.special import chdtri
 
 from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.parameters import change_named
+from vergence.geometry.parameters import change_between, change_named
 from vergence.geometry.se3 import inverse
 from vergence.self_calibration.match_noise import EXPECTED_DESIGN_EFFECT, recurrence_inflation
 from vergence.self_calibration.residuals import (
@@ -160,12 +160,15 @@ def with_motion(
     inflation: float,
     N: Array,
     b: Array,
+    *,
+    at: HeadCalibration | None = None,
 ) -> tuple[Array, Array]:
     """Return normal equations (K, K) and (K,) with what tracked features say, where it fits.
 
     Unknown are changes of the P parameters, of the present readings (r) and of the keyframe's
     joints (r). What the features say counts less by the variance inflation of the frame, and not
-    at all if they are of another keyframe than the state's.
+    at all if they are of another keyframe than the state's. Residuals are linearised at a head
+    that is nearly right or, without one, where the frame itself would have it.
     """
     if state.keyframe is None or not np.array_equal(tracked.readings, state.keyframe.readings):
         return N, b
@@ -173,8 +176,9 @@ def with_motion(
         if len(tracked.depths_m[k]) < FEWEST:
             continue
         C = np.asarray(np.linalg.inv(N), float)
-        about = C @ b
-        change, weights, says = _fit(state, seen, tracked, k, about, C)
+        about = C @ b if at is None else _at_head(state, at, N, b)
+        fixed = 0 if at is None else len(state.names)
+        change, weights, says = _fit(state, seen, tracked, k, about, C, fixed)
         posterior = np.linalg.inv(N + says.information)
         observed = float(np.trace(posterior @ says.information))
         believed = float(change @ N @ change) < chdtri(max(observed, 1.0), GATE)
@@ -184,6 +188,14 @@ def with_motion(
     return N, b
 
 
+def _at_head(state: SelfCalibration, at: HeadCalibration, N: Array, b: Array) -> Array:
+    """Return the changes (K,) to a head, with the joints that it makes likeliest."""
+    P = len(state.names)
+    to_head = change_between(at, state.head, state.names)
+    joints = np.linalg.solve(N[P:, P:], b[P:] - N[P:, :P] @ to_head)
+    return np.asarray(np.concatenate([to_head, joints]), float)
+
+
 def _fit(
     state: SelfCalibration,
     seen: FrameEstimate,
@@ -191,8 +203,12 @@ def _fit(
     k: int,
     about: Array,
     C: Array,
+    fixed: int,
 ) -> tuple[Array, Array, Evidence]:
-    """Return what features of camera k say about changes from those (K,) that are believed."""
+    """Return what features of camera k say about changes from those (K,) that are believed.
+
+    The first ones, as many as are fixed, stay where residuals are linearised again.
+    """
     matches, K, P = tracked.matches[k], len(C), len(state.names)
     with_depth, factors = np.eye(K + 1), np.tile(state.head.kinematics.factors, 2)
     with_depth[:K, :K] = C
@@ -211,6 +227,7 @@ def _fit(
         pixels=np.repeat(matches.left, 2, axis=0),
         match_scale=state.match_scale,
         expected_design_effect=EXPECTED_DESIGN_EFFECT,
+        fixed=fixed,
         linear=linear if state.settled else None,
     )
     N, b = says.information / _SHARED, says.vector / _SHARED

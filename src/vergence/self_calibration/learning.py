@@ -17,7 +17,6 @@ from scipy.linalg import block_diag
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import reading_kinds
-from vergence.geometry.parameters import change_between, change_named
 from vergence.self_calibration.frame import from_matches
 from vergence.self_calibration.keyframe import track_keyframe, worth_tracking
 from vergence.self_calibration.prior import covariance_of_others
@@ -168,7 +167,7 @@ def _estimated_again(
         seen = replace(seen, evidence=evidence)
         again.append(_remembered(state, seen, each.tracked))
         likelihood += again[-1].likelihoods[0]
-        state = updated(state, seen, evidence, each.tracked)
+        state = updated(state, seen, evidence, each.tracked, at=at)
     return replace(state, past=tuple(again)), likelihood
 
 
@@ -179,19 +178,12 @@ def _linearised_again(past: tuple[Past, ...], after: SelfCalibration) -> SelfCal
     far from where the head is found to be would else seem to tell more than they do, and so would
     readings that are noisier than was expected.
     """
-    before, names = past[0].state, after.names
-    known = replace(before, head=after.head, joint_std_rad=after.joint_std_rad)
-    recentred = replace(past[0], state=known)
-    again, likelihood = _estimated_again((recentred, *past[1:]), at=after.head)
+    before = past[0].state
+    known = replace(before, joint_std_rad=after.joint_std_rad)
+    again, likelihood = _estimated_again((replace(past[0], state=known), *past[1:]), at=after.head)
     if not np.isfinite(likelihood):
         return after
-    apart = change_between(before.head, after.head, names)
-    pull = np.linalg.solve(before.covariance, apart)
-    return replace(
-        again,
-        head=change_named(again.head, names, again.covariance @ pull),
-        past=(replace(again.past[0], state=before), *again.past[1:]),
-    )
+    return replace(again, past=(replace(again.past[0], state=before), *again.past[1:]))
 
 
 def _stds_by_kind(state: SelfCalibration) -> tuple[float, ...]:

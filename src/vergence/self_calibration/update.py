@@ -37,6 +37,8 @@ def updated(
     seen: FrameEstimate,
     says: Evidence,
     tracked: TrackedFeatures | None,
+    *,
+    at: HeadCalibration | None = None,
 ) -> SelfCalibration:
     """Return the state after a frame that is believed.
 
@@ -45,6 +47,8 @@ def updated(
         seen: the frame.
         says: what its matches say about the state's head.
         tracked: features of an earlier frame that were found in it.
+        at: a head that is nearly right, at which what they say is linearised; None: where the frame
+            itself would have it.
     """
     P, factors = len(state.names), state.head.kinematics.factors
     recurrence, inflation = with_frame(state.recurrence, factors * seen.readings, says.blocks)
@@ -55,10 +59,13 @@ def updated(
     b = np.zeros(len(N))
     b[:known] = evidence.vector
     if tracked is not None:
-        N, b = with_motion(state, seen, tracked, inflation, N, b)
+        N, b = with_motion(state, seen, tracked, inflation, N, b, at=at)
     C = np.asarray(np.linalg.inv(N), float)
     change = C @ b
-    head = change_named(state.head, state.names, change[:P])
+    about, of_head = state.head, change[:P]
+    if at is not None:  # turns add up exactly along the axes of one head
+        about, of_head = at, change_between(state.head, at, state.names) + of_head
+    head = change_named(about, state.names, of_head)
     variance, weight = _joint_variance(state, evidence)
     return replace(
         state,

@@ -206,7 +206,8 @@ def _first_noise(
     fixed = np.array([pixel_std_px is not None] + [joint_std is not None] * groups)
     # At a noise below what the start is off by, all corners would pass for outliers.
     pixel = max(_median_level(problem, start), 0.1 if pixel_std_px is None else pixel_std_px)
-    joint = np.full(groups, GENEROUS_JOINT) if joint_std is None else joint_std
+    turned = _turned_by(problem, start, group)
+    joint = GENEROUS_JOINT / turned if joint_std is None else joint_std
     noise = NoiseLevels(np.array([pixel, *joint]), group, outlier)
     linear = _linear(problem, start, noise)
     left = redundancy(project_onto(linear, basis), noise)
@@ -224,8 +225,17 @@ def _first_noise(
     assumed = ~fixed[1:] & (left[1:] < 1)
     fixed[1:] |= assumed
     pixel = pixel if pixel_std_px is None else pixel_std_px
-    levels = np.array([pixel, *np.where(assumed, USUAL_JOINT, joint)])
+    levels = np.array([pixel, *np.where(assumed, USUAL_JOINT / turned, joint)])
     return _FirstNoise(replace(noise, levels=levels), linear, fixed, assumed, left[1:])
+
+
+def _turned_by(problem: BundleProblem, start: BundleState, group: np.ndarray) -> Array:
+    """Return (groups,) by how much the readings of each group turn a joint: see `factors`."""
+    groups = int(group.max()) + 1
+    if problem.T_base_eye_read is not None:
+        return np.ones(groups)
+    turned = start.head.kinematics.factors[problem.block_columns[0]]
+    return np.array([turned[group == k].max() for k in range(groups)])
 
 
 def _linear(

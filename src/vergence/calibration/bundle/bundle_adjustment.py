@@ -43,6 +43,9 @@ EXACT = 1e-8
 OWN_LEVELS = 40
 """Eyes times views from which each kind of reading has a noise of its own: it is then known to
 about a tenth."""
+GEARED = 3.0
+"""Ratio of the factors of readings from which one of them stands before a gear, so that its noise
+is of another size. Vergence, of which an eye turns by a half, does not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,12 +205,14 @@ def _noise_groups(
 ) -> np.ndarray:
     """Return (n,) the group of each latent unknown, whose readings have noise of one level.
 
-    From some number of blocks on each kind of reading is a group, below it all are one. Of measured
-    poses rotations are one, and translations another.
+    From some number of blocks on each kind of reading is a group, below it all are one, unless some
+    stand before a gear, or another one, than others. Of measured poses rotations are one, and
+    translations another.
     """
     if problem.T_base_eye_read is not None:
         return np.array([0, 0, 0, 1, 1, 1])
-    if len(problem.reading) < least_blocks:
+    few = len(problem.reading) < least_blocks
+    if few and kinematics.factors.max() < GEARED * kinematics.factors.min():
         return np.zeros(problem.reading.shape[1], dtype=int)
     kinds = np.array(reading_kinds(kinematics))[problem.block_columns[0]]
     return np.unique(kinds, return_inverse=True)[1]

@@ -76,11 +76,15 @@ def warnings(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
     said += _apart_in_time(problem, found)
     systematic = max(found.systematic_px)
     if systematic > noise.pixel_px:  # the boards' poses may pass it on: the worst camera is named
-        whose = _of_camera(problem, found.systematic_px.index(systematic))
+        worst = found.systematic_px.index(systematic)
+        whose = _of_camera(problem, worst)
+        lens = found.state.head.cameras[problem.cameras[worst]].intrinsics
+        # The one model that is never taken by itself.
+        other = "" if lens.model == "rational" else ", which may be of the kind `--lens rational`"
         said.append(
             f"All images{whose} have a systematic error of {systematic:.2g} px, more than the "
             f"noise of single corners ({noise.pixel_px:.2g} px): the lens departs from its "
-            "model, or the board is not flat; look at the residuals over the image."
+            f"model{other}, or the board is not flat; look at the residuals over the image."
         )
     return tuple(dict.fromkeys(said))  # pan and tilt may share one
 

@@ -44,13 +44,25 @@ def doubts(head: HeadCalibration, std: Mapping[str, float] | None = None) -> lis
         )
     t = eye_shift(head)
     if t[1] < ASIDE * np.linalg.norm(t):
-        ahead, aside, above = 1e3 * t
-        said.append(
-            f"T_rbase_lbase puts the left eye {aside:.0f} mm to the left of the right one, "
-            f"{ahead:.0f} mm ahead of it and {above:.0f} mm above: check which images and readings "
-            "are left and right, and the signs of the joints."
-        )
+        said.append(not_beside("T_rbase_lbase puts the left eye", "the right one", t))
     return said
+
+
+def not_beside(left: str, right: str, shift: Array) -> str:
+    """Return a sentence on a left eye that does not stand to the left of the right one.
+
+    Args:
+        left: what is said of the left one, up to where it stands.
+        right: name of the other.
+        shift: (3,) from the right to the left one [m], along the axes of the head.
+    """
+    ahead, aside, above = 1e3 * shift
+    return (
+        f"{left} {aside:.0f} mm to the left of {right}, {ahead:.0f} mm ahead of it and {above:.0f} "
+        "mm above: check which images and readings are left and right, and the signs of the "
+        "joints; if one eye does stand above the other, describe by `kinematics` a head that lies "
+        "on its side (docs/other_joints.md)."
+    )
 
 
 def eye_shift(head: HeadCalibration) -> Array:

@@ -16,6 +16,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.checks import board_flips
+from vergence.calibration.checks.axes_and_eyes import ASIDE, not_beside
 from vergence.calibration.checks.reading_fit import ReadingFit, fit_readings
 from vergence.calibration.observations import Observations, camera_eyes, most_seen_board
 from vergence.errors import VergenceError, listed
@@ -84,7 +85,7 @@ def check_encoders(seen: Observations, T_cam_target: Mapping[str, Array]) -> Non
             found[e] = turns
     between = _between_the_eyes(found, T_cam_target)
     to_left = {e: t / np.linalg.norm(t) for e, t in between.items()}
-    said = _exchanged(found, to_left)
+    said = _exchanged(found, between)
     if not said:
         said = [
             sentence
@@ -138,7 +139,7 @@ def _between_the_eyes(found: Mapping[int, _Turns], poses: Mapping[str, Array]) -
     return {0: in_left, 1: in_right}
 
 
-def _exchanged(found: Mapping[int, _Turns], to_left: Mapping[int, Array]) -> list[str]:
+def _exchanged(found: Mapping[int, _Turns], between: Mapping[int, Array]) -> list[str]:
     """Return a sentence if left and right are exchanged, and what of them."""
     if len(found) < 2:
         return []
@@ -150,12 +151,14 @@ def _exchanged(found: Mapping[int, _Turns], to_left: Mapping[int, Array]) -> lis
     fits = [found[e].own if follows_own else found[e].other for e in (0, 1)]
     if not all(fit.possible for fit in fits):
         return []  # one joint alone counts the other way: of that speaks _contradictions
-    aside = None  # how far the left eye's camera stands to the left of the right one's
-    if to_left:
-        aside = float(fits[1].R_cam_eye[:, 1] @ to_left[1])
+    # From the right eye's camera to the left one's, and how far it stands to the left.
+    shift = between[1] @ fits[1].R_cam_eye if between else None
+    aside = None if shift is None else float(shift[1])
     if follows_own:
-        if aside is None or aside > 0:
+        if shift is None or shift[1] > 0:
             return []
+        if shift[1] > -ASIDE * np.linalg.norm(shift):
+            return [not_beside(f"By the images {left} stands", right, shift)]
         what = "images and joint readings"
         if follows_other:
             what = f"images, or {what},"
