@@ -255,7 +255,10 @@ def _what_explains(
         if a == b:
             readings[:, a] *= -1
             table = "joints" if set(kinematics.readings) <= set(EYE_JOINTS) else "readings"
-            what = f"{names[0]} counts the other way; set {table}.{names[0]}.sign to its opposite"
+            what = (
+                f"{names[0]} counts the other way; set {table}.{names[0]}.sign to its opposite "
+                "(unless the images are mirrored)"
+            )
         else:
             readings[:, [a, b]] = readings[:, [b, a]]
             what = f"{names[0]} and {names[1]} are exchanged"
