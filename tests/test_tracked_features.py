@@ -21,9 +21,10 @@ from vergence.geometry.parameters import boxminus, boxplus, parameter_names
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.self_calibration.frame import from_matches
-from vergence.self_calibration.keyframe import TURNED_RAD, by_each_eye, worth_tracking
+from vergence.self_calibration.keyframe import TURNED_RAD, worth_tracking
 from vergence.self_calibration.learning import learn, learn_tracked
 from vergence.self_calibration.match_noise import Recurrence
+from vergence.self_calibration.motion_evidence import by_each_eye
 from vergence.self_calibration.residuals import motion_coordinates, motion_residuals
 from vergence.self_calibration.state import TrackedFeatures
 from vergence.self_calibration.update import drifted

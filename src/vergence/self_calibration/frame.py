@@ -21,8 +21,9 @@ from vergence.geometry.camera import check_image_fits
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import checked_readings
 from vergence.geometry.parameters import change_named
-from vergence.self_calibration.keyframe import by_each_eye, track_keyframe
+from vergence.self_calibration.keyframe import track_keyframe
 from vergence.self_calibration.match_noise import recurrence_inflation
+from vergence.self_calibration.motion_evidence import by_each_eye
 from vergence.self_calibration.residuals import epipolar_residuals, pair_coordinates
 from vergence.self_calibration.robust_fit import (
     FEWEST,

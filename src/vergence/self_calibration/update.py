@@ -16,8 +16,9 @@ from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_between, change_named
 from vergence.self_calibration.frame import prior_of
-from vergence.self_calibration.keyframe import next_keyframe, prior_information, with_motion
+from vergence.self_calibration.keyframe import next_keyframe
 from vergence.self_calibration.match_noise import aged, with_frame
+from vergence.self_calibration.motion_evidence import prior_information, with_motion
 from vergence.self_calibration.state import (
     Evidence,
     FrameEstimate,
