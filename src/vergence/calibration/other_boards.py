@@ -96,7 +96,7 @@ def _largest_grid(grey: np.ndarray) -> np.ndarray | None:
 def _other_chessboards(
     images: Sequence[np.ndarray], board: Chessboard
 ) -> Iterator[tuple[Board, str]]:
-    """Yield boards with markers, in which OpenCV sees parts of a chessboard, and other counts."""
+    """Yield ChArUco boards, of which OpenCV sees parts, then chessboards; and what to set."""
     with suppress(ValueError):  # of more squares than the family has markers
         like = Charuco(
             squares_x=board.columns + 1,
@@ -133,7 +133,7 @@ def _chessboards(images: Sequence[np.ndarray], board: Chessboard) -> Iterator[Ch
 
 
 def _other_charucos(images: Sequence[np.ndarray], board: Charuco) -> Iterator[tuple[Board, str]]:
-    """Yield boards on which the markers in images lie as they do there, and those without any."""
+    """Yield ChArUco boards with markers as in images (H, W), then chessboards; and what to set."""
     boards = _of_each_family(board) | {_family(board.dictionary): board}
     for other in _charucos(images, boards.values()):
         if other != board:
