@@ -37,6 +37,17 @@ def test_a_part_of_a_board_goes_on(name: str):
     assert goes_on(255 - IMAGE, part)
 
 
+@pytest.mark.parametrize("name", PARTS)
+def test_a_part_of_a_board_whose_outermost_squares_are_narrow_goes_on(name: str):
+    along, down = GRID[0, 1] - GRID[0, 0], GRID[1, 0] - GRID[0, 0]
+    ends = zip(GRID[[0, 0, -1, -1], [0, -1, -1, 0]], (-1, 1, 1, -1), (-1, -1, 1, 1), strict=True)
+    outline = np.array([corner + 0.4 * (x * along + y * down) for corner, x, y in ends])
+    shown = cv2.fillConvexPoly(np.zeros_like(IMAGE), np.round(outline).astype(int), 1)
+    narrow = np.where(shown, IMAGE, IMAGE.max())
+    assert goes_on(narrow, PARTS[name])
+    assert not goes_on(narrow, GRID)
+
+
 def test_a_board_that_an_image_cuts_off_does_not_end_inside():
     assert not ends_inside(GRID[:, :5], IMAGE[:, : int(GRID[:, 4, 0].max()) + 10].shape)
 

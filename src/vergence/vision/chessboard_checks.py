@@ -21,6 +21,8 @@ _ALTERNATING = 0.9
 """Part of the neighbouring squares that differ as they should; a reflection may cover others."""
 _PLACES = 0.2, 0.35, 0.5, 0.65, 0.8
 """Where squares are looked at, as parts of their sides: some are on the black frames of markers."""
+_NARROW = 0.5
+"""Least width of the outermost squares, in squares: that of many printed boards."""
 _CLEAR = 0.25
 """Part of the contrast of squares by which a grey level is white or black, not between them."""
 
@@ -107,9 +109,10 @@ def ends_inside(grid: Array, shape: tuple[int, ...]) -> bool:
 def _goes_on_above(grey: np.ndarray, grid: Array) -> bool:
     height, width = grey.shape
     values, seen = [], []
-    for squares in (0.5, 1.5):  # centres of the outermost squares, and of those beyond
+    # Near the corners, since the outermost squares of many boards are narrower than the others.
+    for squares in (_NARROW / 2, 1 + _NARROW / 2):
         corners = _beyond(grid, squares)
-        ends = _beyond(corners, 0.5), _beyond(corners[::-1], 0.5)
+        ends = _beyond(corners, _NARROW / 2), _beyond(corners[::-1], _NARROW / 2)
         centres = np.vstack([ends[0], (corners[1:] + corners[:-1]) / 2, ends[1]])
         column, row = np.round(centres).astype(int).T
         inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
