@@ -100,11 +100,8 @@ def _centre(
         turn = np.clip(factors * step, -_LARGEST_STEP_RAD, _LARGEST_STEP_RAD)
         readings[..., used] = np.clip(now - turn / factors, -limits, limits)
         front = np.concatenate(fronts, axis=-1).all(axis=-1)
-        small, near = (
-            (np.abs(turn) < _CONVERGED).all(axis=-1),
-            (np.abs(error) < reached).all(axis=-1),
-        )
-        settled = small & near  # the error is the one before this step
+        small = (np.abs(turn) < _CONVERGED).all(axis=-1)
+        settled = small & (np.abs(error) < reached).all(axis=-1)  # the error before this step
         if (settled | (small & held.any(axis=-1)) | ~front).all():
             break
     good = usable & front & (settled | np.isfinite(limits).any())

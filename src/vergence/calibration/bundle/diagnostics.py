@@ -80,7 +80,7 @@ def warnings(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
         whose = _of_camera(problem, worst)
         lens = found.state.head.cameras[problem.cameras[worst]].intrinsics
         # The one model that is never taken by itself.
-        other = "" if lens.model == "rational" else ", which may be of the kind `--lens rational`"
+        other = "" if lens.model == "rational" else " (try `--lens rational`)"
         said.append(
             f"All images{whose} have a systematic error of {systematic:.2g} px, more than the "
             f"noise of single corners ({noise.pixel_px:.2g} px): the lens departs from its "
