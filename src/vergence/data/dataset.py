@@ -105,7 +105,7 @@ class Dataset:
 
     @cached_property
     def _bits(self) -> dict[str, int]:
-        """By camera with images of 16 bits, how many of them are filled; complete as asked for."""
+        """By camera, how many bits of its images of 16 bits are filled: a cache."""
         return {}
 
     def _filled_bits(self, camera: str) -> int:
