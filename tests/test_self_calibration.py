@@ -30,6 +30,7 @@ from vergence.geometry.parameters import (
     change_named,
     parameter_names,
     parameter_values,
+    redundant_offsets,
 )
 from vergence.geometry.projection import project_point
 from vergence.self_calibration import learning, prior
@@ -302,6 +303,33 @@ def test_a_vergence_that_is_counted_wrongly_is_learned_without_a_stated_covarian
     std = np.sqrt(np.diag(state.covariance))[rows]
     assert (np.abs(error) < 4 * std).all()
     assert (std < 0.9 * 0.5 * USUAL.gain).all()
+
+
+@pytest.mark.parametrize("kind", ["pan, tilt", "version and vergence", "pan, tilt, roll"])
+def test_axes_that_are_off_are_learned_without_a_stated_covariance(kind):
+    """The paper's method has axes as designed: their errors must not pass for others."""
+    rng = np.random.default_rng(7)
+    head = replace(head_of_kind(kind, rng), accuracy=None)
+    state, points = initial_self_calibration(head), room(500, rng)
+    stds = {
+        "nonorthogonality_rad": USUAL.axis_turn_rad,
+        "axis_distance_m": USUAL.axis_shift_m,
+        "offset_rad": USUAL.offset_rad,
+    }
+    shown = set(parameter_names(head)) - redundant_offsets(head.kinematics)
+    wrong = {n: std for n in shown for end, std in stds.items() if n.endswith(f"_{end}")}
+    assert wrong.keys() <= set(state.names)
+    truth = change_named(head, list(wrong), rng.choice([-1.5, 1.5], len(wrong)) * [*wrong.values()])
+    readings = len(head.kinematics.readings)
+    for angles in rng.uniform(-0.35, 0.35, (30, readings)):
+        given = angles + rng.normal(0, JOINT_STD_RAD, readings)
+        seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng, cameras=state.cameras)
+        state = drifted(learn(state, from_matches(state, seen, given)), 0.3)
+    error = change_between(truth, state.head, state.names)
+    std = np.sqrt(np.diag(state.covariance))
+    assert (np.abs(error) < 4 * std).all()
+    turns = [state.names.index(n) for n in wrong if n.endswith("_nonorthogonality_rad")]
+    assert (std[turns] < 0.8 * USUAL.axis_turn_rad).any()
 
 
 def test_the_first_frames_are_linearised_again_at_their_end_though_one_was_not_believed(

@@ -20,7 +20,7 @@ from vergence.geometry import se3
 from vergence.geometry.camera import MAX_NUMBER, MIN_FOCAL_PX, Camera
 from vergence.geometry.head import HeadCalibration, MountedCamera
 from vergence.geometry.joints import change_joints, joint_value
-from vergence.geometry.kinematics import EYES
+from vergence.geometry.kinematics import EYES, Kinematics
 from vergence.geometry.parameter_names import PINHOLE, POSE, names_of
 from vergence.geometry.se3 import inverse, pose, rotation
 
@@ -192,6 +192,16 @@ def _vector(head: HeadCalibration) -> Array:
         for k, name in head.kinematics.parameters[eye]
     ]
     return np.concatenate([*own, pose, axes, [head.time_offset_s]])
+
+
+def redundant_offsets(kinematics: Kinematics) -> set[str]:
+    """Return the names of offsets that no image shows: see `without_offsets`."""
+    return {
+        f"{eye}.{joints[k].name}_offset_rad"
+        for eye, joints in kinematics.eyes.items()
+        for k in (0, -1)
+        if joints
+    }
 
 
 def without_offsets(head: HeadCalibration) -> HeadCalibration:

@@ -26,6 +26,7 @@ from vergence.geometry.parameters import (
     is_gain,
     parameter_names,
     parameter_values,
+    redundant_offsets,
 )
 from vergence.self_calibration.residuals import epipolar_residuals, pair_coordinates
 from vergence.self_calibration.tolerances import MOVED, USUAL, tolerance_covariance
@@ -73,9 +74,11 @@ def learned_names(head: HeadCalibration, cameras: tuple[str, str]) -> tuple[str,
     def wanted(name: str) -> bool:
         owner, _, rest = name.partition(".")
         pose = rest.startswith("T_eye_cam") or owner == "T_rbase_lbase"
-        return pose or is_gain(name) or name in shown or name in stated
+        of_joint = is_gain(name) or (not stated and owner in EYES)
+        return pose or of_joint or name in shown or name in stated
 
-    return tuple(n for n in parameter_names(head) if wanted(n) and n != "time_offset_s")
+    never = {"time_offset_s"} | redundant_offsets(head.kinematics).difference(stated)
+    return tuple(n for n in parameter_names(head) if wanted(n) and n not in never)
 
 
 def prior_covariance(

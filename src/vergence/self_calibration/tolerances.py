@@ -37,6 +37,11 @@ class Tolerance:
     gaze, by wrong lenses and poses together. 0: whatever these make it."""
     gain: float = 0.0
     """Relative; of a joint with several readings, of the factor of each."""
+    offset_rad: float = 0.0
+    """Of a joint between the first and the last of an eye."""
+    axis_turn_rad: float = 0.0
+    """Turn of a joint's axis to the one before, about each direction in which it may err."""
+    axis_shift_m: float = 0.0
 
 
 USUAL = Tolerance(
@@ -50,6 +55,9 @@ USUAL = Tolerance(
     stereo_shift_m=2e-4,
     epipolar_px=0.3,
     gain=0.03,
+    offset_rad=np.radians(0.5),
+    axis_turn_rad=np.radians(0.3),
+    axis_shift_m=1e-3,
 )
 """What a calibration that does not state its covariance may be wrong by."""
 MOVED = Tolerance(
@@ -86,6 +94,9 @@ UNCALIBRATED = Tolerance(
     stereo_turn_rad=np.radians(1.0),
     stereo_shift_m=1e-3,
     gain=0.05,
+    offset_rad=np.radians(1.0),
+    axis_turn_rad=np.radians(0.3),
+    axis_shift_m=1e-3,
 )
 """What a head may be wrong by that is known from its drawing only, or is not as calibrated."""
 _LEAST_FACTOR = 0.1
@@ -166,4 +177,13 @@ def _std(cameras: tuple[str, ...], name: str, tolerance: Tolerance) -> float:
         return tolerance.turn_rad if last[0] == "r" else tolerance.shift_m
     if owner == "T_rbase_lbase":
         return tolerance.stereo_turn_rad if last[0] == "r" else tolerance.stereo_shift_m
-    return tolerance.gain if is_gain(name) else 0.0
+    if is_gain(name):
+        return tolerance.gain
+    of_joint = {
+        "offset_rad": tolerance.offset_rad,
+        "nonorthogonality_rad": tolerance.axis_turn_rad,
+        "inclination_rad": tolerance.axis_turn_rad,
+        "axis_distance_m": tolerance.axis_shift_m,
+        "slide_m": tolerance.axis_shift_m,
+    }
+    return next((std for end, std in of_joint.items() if rest.endswith(f"_{end}")), 0.0)

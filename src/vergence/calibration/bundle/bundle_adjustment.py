@@ -36,7 +36,7 @@ from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import Kinematics, reading_kinds
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.parameter_names import POSE
-from vergence.geometry.parameters import parameter_names
+from vergence.geometry.parameters import parameter_names, redundant_offsets
 
 EXACT = 1e-8
 """Joint noise [rad or m] that stands for exact readings."""
@@ -248,12 +248,7 @@ def fixed_by_default(start: HeadCalibration, *, timed: bool) -> set[str]:
     - The time offset, where the eyes stood still.
     - Where the other eye is, for a head of one eye.
     """
-    fixed = {
-        f"{eye}.{joints[k].name}_offset_rad"
-        for eye, joints in start.kinematics.eyes.items()
-        for k in (0, -1)
-        if joints
-    }
+    fixed = redundant_offsets(start.kinematics)
     for camera, mounted in start.cameras.items():
         lens = mounted.intrinsics
         values = zip(COEFFICIENTS[lens.model], lens.distortion, strict=True)
