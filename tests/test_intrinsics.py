@@ -243,7 +243,7 @@ def test_the_denominator_that_is_assumed_is_an_equidistant_lens():
     np.testing.assert_allclose(r * numerator / (1 + powers @ EQUIDISTANT), np.arctan(r), atol=0.006)
 
 
-@pytest.mark.parametrize("model", ["none", "radial-tangential", "radial-tangential-k3", "fisheye"])
+@pytest.mark.parametrize("model", ["none", "radial-tangential", *LENSES])
 def test_the_lens_that_is_true_is_chosen(model):
     rng = np.random.default_rng(6)
     plain = {"none": (), "radial-tangential": (-0.1, 0.01, 1e-3, -1e-3, 0.0)}

@@ -78,13 +78,10 @@ def warnings(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
     if systematic > noise.pixel_px:  # the boards' poses may pass it on: the worst camera is named
         worst = found.systematic_px.index(systematic)
         whose = _of_camera(problem, worst)
-        lens = found.state.head.cameras[problem.cameras[worst]].intrinsics
-        # The one model that is never taken by itself.
-        other = "" if lens.model == "rational" else " (try `--lens rational`)"
         said.append(
             f"All images{whose} have a systematic error of {systematic:.2g} px, more than the "
             f"noise of single corners ({noise.pixel_px:.2g} px): the lens departs from its "
-            f"model{other}, or the board is not flat; look at the residuals over the image."
+            "model, or the board is not flat; look at the residuals over the image."
         )
     return tuple(dict.fromkeys(said))  # pan and tilt may share one
 
