@@ -46,6 +46,9 @@ def test_systematic_errors_are_named_by_camera_and_independent_ones_are_not(head
     (said,) = (warning for warning in spoilt.warnings if "systematic error" in warning)
     assert said.startswith("All images of left_wide have a systematic error of ")
     assert "the lens departs from its model" in said
+    assert plain.systematic_px == {}
+    assert 0.2 < spoilt.systematic_px["left_wide"] < 1.0
+    assert spoilt.accuracy.systematic_px == spoilt.systematic_px
 
 
 def test_systematic_errors_make_the_stated_accuracy_of_that_camera_worse_and_true(heads):

@@ -102,6 +102,9 @@ class Accuracy:
     """What the data could not determine, and what to record instead."""
     lenses: dict[str, LensAccuracy] = field(default_factory=dict)
     """By camera, where there is no covariance: how well the views of the board determined it."""
+    systematic_px: dict[str, Annotated[float, Field(ge=0)]] = field(default_factory=dict)
+    """By camera, where they show: errors of the corners that are smooth over the image and the
+    same in all views, since the lens is not as its model; rms of one coordinate."""
 
     def __post_init__(self) -> None:
         n, C = len(self.parameters), self.covariance

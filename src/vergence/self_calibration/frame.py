@@ -242,11 +242,15 @@ def _whitened(
     pair = pair_coordinates(head, state.names, joints, state.cameras)
     found = epipolar_residuals(pair.lenses, pair.T_second_first, matches.left, matches.right)
     A, n = found.by_coordinates, found.normals[:, 2:]
-    std = state.match_scale * np.sqrt(np.einsum("ni,nij,nj->n", n, matches.covariance, n))
+    random = state.match_scale**2 * np.einsum("ni,nij,nj->n", n, matches.covariance, n)
+    systematic = found.normals**2 @ np.repeat(np.square(state.systematic_px), 2)
+    std = np.sqrt(random + systematic)
     good = np.isfinite(found.residuals) & np.isfinite(A).all(axis=1)
     good &= (std > 0) & (np.linalg.norm(n, axis=1) > _LEAST_SHOWN)
     y = np.where(good, found.residuals / std, 1e3)
-    return LinearisedResiduals(y, np.where(good[:, None], A / std[:, None], 0.0), pair.by_unknowns)
+    A = np.where(good[:, None], A / std[:, None], 0.0)
+    share = float(np.median(systematic[good] / std[good] ** 2)) if good.any() else 0.0
+    return LinearisedResiduals(y, A, pair.by_unknowns, share)
 
 
 def locate_seen(

@@ -5,6 +5,9 @@ alike in several windows. So errors are taken as independent from one block of t
 only. How much the correlation within inflates variances is measured from the residuals (the design
 effect of clusters). And eyes that come back to a posture see the same windows with the same errors
 again, however much later: how far these recur is measured too, and a frame counts by what it adds.
+
+Where lenses are not as their models, errors are smooth over the image and the same in all frames.
+Residuals hardly show them; how large they are is known from the calibration.
 """
 
 from __future__ import annotations
@@ -47,6 +50,9 @@ _FADING_S = 600.0
 is learned again. In nine rendered minutes errors recurred as within seconds. With two minutes
 instead of ten, squared Mahalanobis distances of what these had taught were 1.2 to 1.4 times as
 large. What all frames have taught fades as fast."""
+_FIELD_PARTS = 15.0
+"""How many independent parts the systematic errors of a lens have in an image: functions of two
+coordinates up to the fourth degree, as their size is estimated with."""
 _EVERYWHERE = 0.005
 """Correlation of errors at any two postures: rendered matches have mean residuals of some
 thousandths of a pixel that many frames hardly average out, and that pull in the same few directions
@@ -83,6 +89,8 @@ class Recurrence:
     independent: float = 0.0
     """How many independent frames would tell as much as all of them, if those at different postures
     had no errors in common."""
+    everywhere: float = _EVERYWHERE
+    """Correlation of the errors of two frames at any two postures."""
 
 
 def tukey_weights(y: Array) -> Array:
@@ -130,6 +138,16 @@ def design_effect(y: Array, pixels: Array, expected: float) -> tuple[float, Arra
     return max(mean, _LEAST_DESIGN_EFFECT), sums
 
 
+def systematic_inflation(weights: Array, share: float) -> float:
+    """Return what the systematic errors of lenses add to the variance inflation of residuals (N,).
+
+    Args:
+        weights: (N,) of the residuals.
+        share: of their variance that is systematic.
+    """
+    return share * float(weights.sum()) / _FIELD_PARTS
+
+
 def aged(before: Recurrence, elapsed_s: float) -> Recurrence:
     """Return the recurrence some time later, after which a frame comes."""
     independent = before.independent * float(np.exp(-elapsed_s / _FADING_S))
@@ -151,7 +169,7 @@ def recurrence_inflation(before: Recurrence | None, joints: Array) -> float:
 
 def _inflation(before: Recurrence, added: float) -> float:
     """Return the variance inflation of a frame by how many independent ones it adds."""
-    n, c = before.independent, _EVERYWHERE
+    n, c = before.independent, before.everywhere
     return (1 + c * (n - 1)) * (1 + c * (n + added - 1)) / (added * (1 - c))
 
 
@@ -171,17 +189,22 @@ def _added(before: Recurrence, joints: Array) -> float:
     return float(max(1 - weights.sum(), _LEAST_NEW) ** 2 / (1 - weights @ k))
 
 
-def with_frame(before: Recurrence | None, joints: Array, blocks: Array) -> tuple[Recurrence, float]:
+def with_frame(
+    before: Recurrence | None, joints: Array, blocks: Array, systematic: float = 0.0
+) -> tuple[Recurrence, float]:
     """Return the recurrence after a frame, and the frame's `recurrence_inflation`.
 
     Args:
         before: of the frames before, as old as they are now; None: there was none.
         joints: (r,) readings [rad], times `Kinematics.factors`.
         blocks: (B,) of `design_effect`.
+        systematic: share of the variance of what the frame tells that is by systematic errors.
     """
+    everywhere = systematic + (1 - systematic) * _EVERYWHERE
     unit = (blocks / max(float(np.linalg.norm(blocks)), 1e-9)).astype(np.float32)[None]
     if before is None:
-        return Recurrence(joints[None], np.zeros(1), unit, independent=1.0), 1.0
+        first = Recurrence(joints[None], np.zeros(1), unit, independent=1.0, everywhere=everywhere)
+        return first, 1.0
     near = _kernel(_apart(before.joints, joints), before.ages_s)
     weight = float(near @ near)
     measured = float(near @ (before.blocks @ unit[0])) / max(weight, 1e-9)
@@ -194,6 +217,7 @@ def with_frame(before: Recurrence | None, joints: Array, blocks: Array) -> tuple
         blocks=np.concatenate([before.blocks, unit])[-_REMEMBERED:],
         correlation=min(max(c, 0.0), _MOST_RECURRENCE),
         independent=before.independent + added,
+        everywhere=before.everywhere + _PACE * (everywhere - before.everywhere),
     )
     return after, _inflation(before, added)
 

@@ -23,6 +23,7 @@ from vergence.self_calibration.match_noise import (
     CUT,
     design_effect,
     noise_variance,
+    systematic_inflation,
     tukey_loss,
     tukey_weights,
 )
@@ -57,6 +58,8 @@ class LinearisedResiduals:
     """(n, k) with the sign of what is predicted, by the coordinates that they depend on."""
     by_unknowns: Array
     """(k, K) of these coordinates."""
+    systematic: float = 0.0
+    """Share of the residuals' variance that is by systematic errors of the lenses."""
 
 
 def robust_fit(
@@ -100,17 +103,20 @@ def robust_fit(
     weights, scale2 = tukey_weights(y - A @ w), noise_variance(y - A @ w)
     normal = (y - A @ w) / np.sqrt(scale2)
     inflation, blocks = design_effect(normal, pixels, expected_design_effect)
-    weighted = A * (weights / (scale2 * inflation))[:, None]
+    # Residuals do not show what of a smooth error the unknowns have absorbed.
+    noise, field = scale2 * inflation, systematic_inflation(weights, found.systematic)
+    weighted = A * (weights / (noise + field))[:, None]
     N, b = weighted.T @ A, weighted.T @ y
     pull = _pull(N, b, S)
     w = S @ pull
-    scale = float(np.sqrt(scale2)) * match_scale
+    scale = float(np.sqrt(scale2 / (1 - found.systematic))) * match_scale
     inliers = float((weights > INLIER).sum())
     # What no change of the geometry explains is not known to be noise of another scale.
     misfit = float(tukey_loss(y - A @ w).sum()) / expected_design_effect
     misfit += float(2 * b @ w - w @ N @ w)
     information, vector = M.T @ N @ M, M.T @ b
-    says = Evidence(information, vector, inliers, scale, inflation, blocks, misfit)
+    systematic = field / (noise + field)
+    says = Evidence(information, vector, inliers, scale, inflation, blocks, systematic, misfit)
     return C @ (M.T @ pull), weights, says
 
 

@@ -42,6 +42,8 @@ class SelfCalibration:
     """Noise of a reading, times its factor: of the joint that it turns."""
     match_scale: float
     """Noise of the matches, relative to what their contrast tells."""
+    systematic_px: tuple[float, float] = (0.0, 0.0)
+    """Systematic errors of the two lenses, rms of one coordinate: of `Accuracy.systematic_px`."""
     design_effect: float = EXPECTED_DESIGN_EFFECT
     """Variance inflation by errors that neighbouring matches share."""
     recurrence: Recurrence | None = None
@@ -86,6 +88,8 @@ class Evidence:
     """Variance inflation by errors that neighbouring matches share."""
     blocks: Array
     """(B,) sums of residuals in blocks of the left image, of `match_noise.design_effect`."""
+    systematic: float
+    """Share of the variance of what they say that is by systematic errors of the lenses."""
     misfit: float
     """Twice the negative logarithm of the likelihood of no change, up to a constant of the
     matches."""
@@ -186,4 +190,6 @@ def initial_self_calibration(
     usual = float(np.sqrt(np.mean(np.square(stated)))) if stated.any() else float(JOINT_STD_RAD)
     C = prior_covariance(head, names, pair, fresh=fresh)
     std = max(usual, float(LEAST_JOINT_STD_RAD))
-    return SelfCalibration(head, pair, names, C, std, EXPECTED_MATCH_SCALE)
+    systematic = accuracy.systematic_px if accuracy else {}
+    left, right = (systematic.get(name, 0.0) for name in pair)
+    return SelfCalibration(head, pair, names, C, std, EXPECTED_MATCH_SCALE, (left, right))

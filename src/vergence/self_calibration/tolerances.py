@@ -56,8 +56,8 @@ USUAL = Tolerance(
     epipolar_px=0.3,
     gain=0.03,
     offset_rad=np.radians(0.5),
-    axis_turn_rad=np.radians(0.3),
-    axis_shift_m=1e-3,
+    axis_turn_rad=np.radians(0.1),
+    axis_shift_m=3e-4,
 )
 """What a calibration that does not state its covariance may be wrong by."""
 MOVED = Tolerance(

@@ -52,7 +52,9 @@ def updated(
             itself would have it.
     """
     P, factors = len(state.names), state.head.kinematics.factors
-    recurrence, inflation = with_frame(state.recurrence, factors * seen.readings, says.blocks)
+    recurrence, inflation = with_frame(
+        state.recurrence, factors * seen.readings, says.blocks, says.systematic
+    )
     evidence = _weakened(says, inflation)
     known = len(evidence.vector)
     N = prior_information(state, known - P)

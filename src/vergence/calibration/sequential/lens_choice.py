@@ -149,8 +149,10 @@ def best_lens(
     criterion: dict[LensModel, float] = {
         model: _criterion(model, fits[model], count) for model in squares
     }
-    chosen = _choice(criterion, held_out)
-    error = {model: float(np.hypot(px, LEAST_ERROR_PX)) for model, px in held_out.items()}
+    chosen: LensModel = _choice(criterion, held_out)
+    error: dict[LensModel, float] = {
+        model: float(np.hypot(px, LEAST_ERROR_PX)) for model, px in held_out.items()
+    }
     if error.get("rational", np.inf) < RATIONAL_ERROR * error[chosen]:
         chosen = "rational"
     return LensChoice(chosen, held_out)
@@ -158,7 +160,7 @@ def best_lens(
 
 def _choice(criterion: Mapping[LensModel, float], held_out: Mapping[LensModel, float]) -> LensModel:
     """Return the model that is taken of those that are simpler than a rational lens."""
-    models = [model for model in criterion if model != "rational"]
+    models: list[LensModel] = [model for model in criterion if model != "rational"]
     best = min(models, key=lambda model: criterion[model])
     enough = criterion[best] + MARGIN.get(best, 0.0)
     number = next(k for k, model in enumerate(models) if criterion[model] <= enough)
