@@ -154,6 +154,25 @@ def test_stated_covariances_are_true_where_features_are_tracked():
     assert 0.45 < of_head / degrees < 1.3
 
 
+def test_a_feature_of_unknown_depth_leaves_what_the_others_tell():
+    head, rng = head_of(0), np.random.default_rng(0)
+    points, state = room(400, rng), begin(head)
+    then, now = np.zeros(4), np.array([0.2, 0.0, 0.2, 0.0])
+    seen = from_matches(state, matches(head, then, points, noise_px=NOISE_PX, rng=rng), then)
+    state = drifted(learn(state, seen), 0.5)
+    assert state.keyframe is not None
+    seen = from_matches(state, matches(head, now, points, noise_px=NOISE_PX, rng=rng), now)
+    tracked = tracked_features(
+        head, state.keyframe, then=then, now=now, points=points, noise_px=NOISE_PX, rng=rng
+    )
+    left, right = (np.append(np.nan, depths[1:]) for depths in tracked.depths_m)
+    lost = replace(tracked, depths_m=(left, right))
+    whole, without, nothing = (learn_tracked(state, seen, t) for t in (tracked, lost, None))
+    stds = [np.sqrt(np.diag(each.covariance)) for each in (whole, without, nothing)]
+    np.testing.assert_allclose(stds[1], stds[0], rtol=0.02)
+    assert (stds[2] > 1.2 * stds[0]).any()
+
+
 def test_features_that_moved_by_themselves_teach_nothing():
     head, rng = head_of(0), np.random.default_rng(0)
     points, state = room(400, rng), begin(head)

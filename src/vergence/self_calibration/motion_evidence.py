@@ -199,12 +199,13 @@ def _whitened(
     whole = np.concatenate([A, found.residuals[..., None]], axis=2)
     good = np.asarray(np.isfinite(whole).all(axis=(1, 2)))
     C = state.match_scale**2 * matches.covariance + np.einsum("ni,nj->nij", by_depth, by_depth)
-    systematic = 2 * state.systematic_px[k] ** 2  # then and now, in two places of the image
-    share = systematic / (systematic + float(np.median(np.trace(C, axis1=1, axis2=2))) / 2)
-    C = C + systematic * np.eye(2)
     C[~good] = np.eye(2)
+    systematic = 2 * state.systematic_px[k] ** 2  # then and now, in two places of the image
+    random = float(np.median(C[:, 0, 0] + C[:, 1, 1])) / 2
+    C += systematic * np.eye(2)
     whiten = np.linalg.inv(np.linalg.cholesky(C))
     y = np.where(good[:, None], (whiten @ found.residuals[..., None])[..., 0], 1e3)
     A = np.where(good[:, None, None], whiten @ A, 0.0)
     by_unknowns = np.asarray(block_diag(coordinates.by_unknowns, 1.0), float)
+    share = systematic / (systematic + random)
     return LinearisedResiduals(y.reshape(-1), A.reshape(-1, A.shape[-1]), by_unknowns, share)

@@ -51,8 +51,10 @@ anything: ten is very strong evidence (Kass and Raftery). A fisheye does not con
 models, is seldom the true one, and is fitted to mild lenses nearly as well."""
 RATIONAL_ERROR = 0.995
 """Held-out error of a rational lens, relative to that of the model that would be taken else, up to
-which it is taken. Of 468 simulated cameras with other lenses - bent boards, errors that an image
-shares and outliers among them - it was at least 0.999."""
+which it is taken. Of 1044 simulated cameras with other lenses - bent boards, errors that an image
+shares and outliers among them - three were then given a rational one, all of bent boards; of 192
+with rational lenses and such boards 35 were.
+"""
 LEAST_ERROR_PX = 1e-3
 """Error of a coordinate below which a fit counts as no better: no corner is known as well."""
 
