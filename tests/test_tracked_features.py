@@ -26,7 +26,7 @@ from vergence.self_calibration.learning import learn, learn_tracked
 from vergence.self_calibration.match_noise import Recurrence
 from vergence.self_calibration.motion_evidence import by_each_eye
 from vergence.self_calibration.residuals import motion_coordinates, motion_residuals
-from vergence.self_calibration.state import TrackedFeatures
+from vergence.self_calibration.state import FrameEstimate, SelfCalibration, TrackedFeatures
 from vergence.self_calibration.update import drifted
 from vergence.stereo.extrinsics import camera_poses
 
@@ -154,7 +154,11 @@ def test_stated_covariances_are_true_where_features_are_tracked():
     assert 0.45 < of_head / degrees < 1.3
 
 
-def test_a_feature_of_unknown_depth_leaves_what_the_others_tell():
+def turned_once(wrong_rad: float = 0.0) -> tuple[SelfCalibration, FrameEstimate, TrackedFeatures]:
+    """Return the state after a frame, the next one, and features that were tracked to it.
+
+    These are where they would be if both eyes had turned by some more.
+    """
     head, rng = head_of(0), np.random.default_rng(0)
     points, state = room(400, rng), begin(head)
     then, now = np.zeros(4), np.array([0.2, 0.0, 0.2, 0.0])
@@ -163,8 +167,19 @@ def test_a_feature_of_unknown_depth_leaves_what_the_others_tell():
     assert state.keyframe is not None
     seen = from_matches(state, matches(head, now, points, noise_px=NOISE_PX, rng=rng), now)
     tracked = tracked_features(
-        head, state.keyframe, then=then, now=now, points=points, noise_px=NOISE_PX, rng=rng
+        head,
+        state.keyframe,
+        then=then,
+        now=now + wrong_rad,
+        points=points,
+        noise_px=NOISE_PX,
+        rng=rng,
     )
+    return state, seen, tracked
+
+
+def test_a_feature_of_unknown_depth_leaves_what_the_others_tell():
+    state, seen, tracked = turned_once()
     left, right = (np.append(np.nan, depths[1:]) for depths in tracked.depths_m)
     lost = replace(tracked, depths_m=(left, right))
     whole, without, nothing = (learn_tracked(state, seen, t) for t in (tracked, lost, None))
@@ -174,17 +189,7 @@ def test_a_feature_of_unknown_depth_leaves_what_the_others_tell():
 
 
 def test_features_that_moved_by_themselves_teach_nothing():
-    head, rng = head_of(0), np.random.default_rng(0)
-    points, state = room(400, rng), begin(head)
-    then, now = np.zeros(4), np.array([0.2, 0.0, 0.2, 0.0])
-    seen = from_matches(state, matches(head, then, points, noise_px=NOISE_PX, rng=rng), then)
-    state = drifted(learn(state, seen), 0.5)
-    assert state.keyframe is not None
-    seen = from_matches(state, matches(head, now, points, noise_px=NOISE_PX, rng=rng), now)
-    turned = now + np.radians(3) * np.array([1, 1, 1, 1])
-    wrong = tracked_features(
-        head, state.keyframe, then=then, now=turned, points=points, noise_px=NOISE_PX, rng=rng
-    )
+    state, seen, wrong = turned_once(np.radians(3))
     without, with_wrong = (learn_tracked(state, seen, each) for each in (None, wrong))
     np.testing.assert_array_equal(with_wrong.covariance, without.covariance)
 
