@@ -3,10 +3,11 @@
 A calibration that states its covariance brings it along. One that does not, such as that of the
 paper's method, is given the errors that such procedures usually have, in the quantities that they
 measure: lenses, mountings, gains, and the pose of the cameras to each other at straight gaze,
-which is known far better than the mountings. There points lie near their epipolar lines, since both
-cameras saw the same board, whatever each parameter may be wrong by; and a board that is bent makes
-both focal lengths wrong alike, but not their ratio. What has moved since is added to both, unless
-the head has just been calibrated.
+which is known far better than the mountings. The axes of the joints, which they take to be as
+designed, may be off too. At straight gaze points lie near their epipolar lines, since both cameras
+saw the same board, whatever each parameter may be wrong by; and a board that is bent makes both
+focal lengths wrong alike, but not their ratio. What has moved since is added to both, unless the
+head has just been calibrated.
 """
 
 from __future__ import annotations

@@ -94,11 +94,12 @@ UNCALIBRATED = Tolerance(
     stereo_turn_rad=np.radians(1.0),
     stereo_shift_m=1e-3,
     gain=0.05,
-    offset_rad=np.radians(1.0),
-    axis_turn_rad=np.radians(0.3),
-    axis_shift_m=1e-3,
+    offset_rad=USUAL.offset_rad,
+    axis_turn_rad=USUAL.axis_turn_rad,
+    axis_shift_m=USUAL.axis_shift_m,
 )
-"""What a head may be wrong by that is known from its drawing only, or is not as calibrated."""
+"""What a head may be wrong by that is known from its drawing only, or is not as calibrated. What
+the paper's method leaves as designed, it leaves as wrong as the drawing has it."""
 _LEAST_FACTOR = 0.1
 """Of a reading in a joint's angle, for its tolerance: zero may be wrong too."""
 _LARGEST_COEFFICIENT = 0.01

@@ -4,8 +4,8 @@ Every candidate is fitted to the views of one camera, and the model of the best 
 criterion is taken: the likelihood of the fit, less what each coefficient raises it by chance. Where
 corners share errors these too raise it; so a usual model gives way to a simpler one that predicts
 held-out views as well. A fisheye has to be better than the usual models beyond doubt. A rational
-lens nearly contains all of them, and fits what is no lens too, such as a bent board: it has to
-predict held-out views far better than the model that would be taken else.
+lens nearly contains all of them, so that its likelihood says little: it has to predict held-out
+views better than the model that would be taken else.
 """
 
 from __future__ import annotations
@@ -53,8 +53,7 @@ RATIONAL_ERROR = 0.995
 """Held-out error of a rational lens, relative to that of the model that would be taken else, up to
 which it is taken. Of 1044 simulated cameras with other lenses - bent boards, errors that an image
 shares and outliers among them - three were then given a rational one, all of bent boards; of 192
-with rational lenses and such boards 35 were.
-"""
+with rational lenses, such boards among them, 35 were."""
 LEAST_ERROR_PX = 1e-3
 """Error of a coordinate below which a fit counts as no better: no corner is known as well."""
 
@@ -142,15 +141,15 @@ def best_lens(
     fits = _fits(corners, points, size)
     squares: dict[LensModel, Array] = {model: held_out_squares(fit) for model, fit in fits.items()}
     squares = {model: each for model, each in squares.items() if np.isfinite(each).all()}
-    if not squares.keys() - {"rational"}:
-        return LensChoice(otherwise)
     count = 2 * int(np.count_nonzero(seen_corners(corners)))
     held_out: dict[LensModel, float] = {
         model: float(np.sqrt(each.sum() / count)) for model, each in squares.items()
     }
     criterion: dict[LensModel, float] = {
-        model: _criterion(model, fits[model], count) for model in squares
+        model: _criterion(model, fits[model], count) for model in squares if model != "rational"
     }
+    if not criterion:
+        return LensChoice(otherwise)
     chosen: LensModel = _choice(criterion, held_out)
     error: dict[LensModel, float] = {
         model: float(np.hypot(px, LEAST_ERROR_PX)) for model, px in held_out.items()
@@ -161,8 +160,8 @@ def best_lens(
 
 
 def _choice(criterion: Mapping[LensModel, float], held_out: Mapping[LensModel, float]) -> LensModel:
-    """Return the model that is taken of those that are simpler than a rational lens."""
-    models: list[LensModel] = [model for model in criterion if model != "rational"]
+    """Return the model that is taken of those with a criterion, the simplest first."""
+    models = list(criterion)
     best = min(models, key=lambda model: criterion[model])
     enough = criterion[best] + MARGIN.get(best, 0.0)
     number = next(k for k, model in enumerate(models) if criterion[model] <= enough)

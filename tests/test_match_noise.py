@@ -1,0 +1,113 @@
+"""How matches err: in common with their neighbours, and with the frames before."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import chi2
+
+from simulated_frames import CAMERAS, JOINT_STD_RAD, NOISE_PX, begin, head_of, postures
+from simulated_matches import matches, room, squared_distance
+from vergence.geometry.head_accuracy import Accuracy
+from vergence.self_calibration.frame import from_matches
+from vergence.self_calibration.learning import learn
+from vergence.self_calibration.match_noise import Recurrence, aged, recurrence_inflation, with_frame
+from vergence.self_calibration.update import drifted
+from vergence.vision.matching.scene_features import Matches
+
+
+def block_errors(seen: Matches, rng: np.random.Generator) -> Matches:
+    """Return matches whose errors are half their own, half those of all in a block of 64 px."""
+    column, row = (seen.left // 64).astype(int).T
+    shared = rng.normal(0, NOISE_PX, (100, 2))[10 * row + column]
+    return replace(seen, right=seen.right + shared)
+
+
+def test_a_covariance_counts_errors_that_neighbouring_matches_share():
+    head, points = head_of(0), room(900, np.random.default_rng(0))
+    state = replace(begin(head), joint_std_rad=np.radians(0.5))
+    state = replace(state, covariance=1e-12 * state.covariance)
+    names, stds, squares = state.names, [], []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        angles = postures(1, rng)[0]
+        seen = matches(head, angles, points, noise_px=NOISE_PX, rng=rng)
+        readings = angles + rng.normal(0, state.joint_std_rad, 4)
+        found = from_matches(state, block_errors(seen, rng), readings)
+        error = (found.joints - angles)[[0, 2]] @ [1, -1]
+        own = found.covariance[len(names) :, len(names) :][np.ix_([0, 2], [0, 2])]
+        stds.append(np.sqrt([1, -1] @ own @ [1, -1]))
+        squares.append((error / stds[-1]) ** 2)
+        assert found.evidence is not None
+        assert found.evidence.design_effect > 1.5
+    low, high = chi2.interval(0.999, len(squares))
+    assert low < sum(squares) < high
+
+
+def bent(pixels: np.ndarray) -> np.ndarray:
+    """Return what a lens (N, 2) [px] departs from its model by: 0.2 px, smooth over the image."""
+    x, y = pixels[:, 0] / 320 - 1, pixels[:, 1] / 240 - 1
+    return 0.4 * np.column_stack([np.cos(4 * x) * y, np.sin(3 * y) * np.cos(2 * x)])
+
+
+def test_a_lens_that_departs_from_its_model_as_stated_makes_nothing_too_certain():
+    rng, distances = np.random.default_rng(5), []
+    head, points = head_of(3), room(500, rng)
+    for stated in ({}, {CAMERAS[0]: 0.2}):
+        accuracy = Accuracy("paper", systematic_px=stated)
+        state = begin(replace(head, accuracy=accuracy))
+        for angles in postures(24, rng):
+            readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
+            seen = matches(head, angles, points, noise_px=NOISE_PX, rng=rng)
+            seen = replace(seen, left=seen.left + bent(seen.left))
+            state = drifted(learn(state, from_matches(state, seen, readings)), 0.3)
+        distances.append(squared_distance(state, head))
+    assert distances[0] > chi2.isf(1e-9, len(state.names))
+    assert distances[1] < len(state.names)
+
+
+def test_a_frame_counts_by_what_its_posture_adds():
+    """At one posture n frames tell as much as n / (1 + c (n - 1)) independent ones."""
+    joints, blocks = np.zeros(4), np.ones(8)
+    before, told, c, everywhere = None, 0.0, 0.3, 0.005
+    for n in range(1, 6):
+        told += 1 / recurrence_inflation(before, joints)
+        assert told == pytest.approx(n / (1 + (c + everywhere) * (n - 1)))
+        # Of what is not in common at any posture.
+        after, inflation = with_frame(before, joints, blocks)
+        assert inflation == recurrence_inflation(before, joints)
+        before = replace(after, correlation=c / (1 - everywhere))
+    # Elsewhere, or much later, all but what frames have in common at any posture is new.
+    K = (1 - c - everywhere) * np.eye(6) + c + everywhere
+    K[5, :5] = K[:5, 5] = everywhere
+    new = 1 / (np.linalg.solve(K, np.ones(6)).sum() - told)
+    assert 1 < new < 1.2
+    elsewhere = joints + np.radians(60)
+    assert recurrence_inflation(before, elsewhere) == pytest.approx(new, abs=1e-3)
+    assert recurrence_inflation(aged(before, 7200.0), joints) == pytest.approx(1, abs=1e-3)
+
+
+@pytest.mark.parametrize("systematic", [0.0, 0.3])
+def test_no_number_of_frames_tells_more_than_what_they_have_in_common_allows(systematic):
+    told, before, rng = 0.0, None, np.random.default_rng(0)
+    everywhere = systematic + (1 - systematic) * 0.005
+    for joints in rng.uniform(-100, 100, (1000, 4)):  # postures without a common neighbour
+        told += 1 / recurrence_inflation(before, joints)
+        before, _ = with_frame(before, joints, np.ones(8), systematic)
+    assert told == pytest.approx(1000 / (1 + everywhere * 999), rel=1e-6)
+    assert told < 1 / everywhere
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    n=st.integers(1, 100),
+    apart_deg=st.floats(0.01, 60),
+    correlation=st.floats(0, 0.95),
+)
+def test_no_frame_tells_more_than_one_that_shares_no_errors(seed, n, apart_deg, correlation):
+    rng = np.random.default_rng(seed)
+    joints = np.radians(apart_deg) * rng.normal(size=(n + 1, 4))
+    before = Recurrence(joints[1:], rng.uniform(0, 1200, n), np.ones((n, 4)), correlation)
+    assert recurrence_inflation(aged(before, rng.uniform(0, 10)), joints[0]) >= 1 - 1e-9
