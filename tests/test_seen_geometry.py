@@ -107,6 +107,11 @@ def test_a_frame_that_showed_nothing_does_not_keep_the_next_from_teaching(moving
     [
         (lambda f: replace(f, images={}), "the frame has images of no camera"),
         (lambda f: replace(f, images={n: i[::2] for n, i in f.images.items()}), "640 x 240 px"),
+        (lambda f: replace(f, images=dict.fromkeys(f.images)), "one of them is None"),
+        (lambda f: replace(f, images={n: i / 255 for n, i in f.images.items()}), "of float64"),
+        (lambda f: replace(f, time_s=np.nan), "found nan"),
+        (lambda f: replace(f, neck_angles=np.zeros(0)), r"neck_yaw \[rad\].*shape \(0,\)"),
+        (lambda f: replace(f, neck_angles=np.full(3, np.nan)), "nan"),
         (lambda f: replace(f, eye_angles=np.zeros(2)), r"readings left_pan.*shape \(2,\)"),
         (lambda f: replace(f, eye_angles=np.full(4, np.nan)), "leave out frames without readings"),
     ],
@@ -217,5 +222,5 @@ def test_a_change_is_reported_once(moving):
 
 def test_a_frame_without_a_time_is_refused(moving):
     geometry = update_geometry(initial_seen_geometry(HEAD), moving[0][1])
-    with pytest.raises(VergenceError, match="found nan s"):
+    with pytest.raises(VergenceError, match="found nan"):
         update_geometry(geometry, replace(moving[1][1], time_s=np.nan))

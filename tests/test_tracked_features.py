@@ -17,6 +17,7 @@ from simulated_frames import (
     postures,
 )
 from simulated_matches import drawn_head, matches, room, squared_distance, tracked_features
+from vergence.geometry.camera import pinhole, unproject
 from vergence.geometry.parameters import boxminus, boxplus, parameter_names
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
@@ -29,6 +30,7 @@ from vergence.self_calibration.residuals import motion_coordinates, motion_resid
 from vergence.self_calibration.state import FrameEstimate, SelfCalibration, TrackedFeatures
 from vergence.self_calibration.update import drifted
 from vergence.stereo.extrinsics import camera_poses
+from vergence.vision.matching.scene_features import Matches
 
 
 @given(st.integers(0, 1000))
@@ -260,6 +262,41 @@ def test_an_eye_that_sees_alone_still_tells_how_far_it_has_turned():
     low, high = chi2.interval(0.999, 2 * 20)
     # The noise of the readings is assumed to be a third larger than it is, and still so after one.
     assert low * (JOINT_STD_RAD / np.radians(0.2)) ** 2 < distance < high
+
+
+@pytest.mark.parametrize("count", [149, 150])
+def test_any_number_of_features_tells_the_tilt_of_narrow_eyes(count):
+    """Of half of the residuals, with which a fit starts, some are along v whatever their number."""
+    errors_rad = []
+    for seed in range(5):
+        rng, head = np.random.default_rng(seed), head_of(seed)
+        lens = pinhole(640, 480, 2500)
+        narrow = {n: replace(c, intrinsics=lens) for n, c in head.cameras.items()}
+        head = replace(head, cameras=narrow)
+        state, then = begin(head), np.zeros(4)
+        now = np.array([0.0014, 0.0007, 0.0014, 0.0007])
+        pixels, depths = rng.uniform(5, 475, (4000, 2)), rng.uniform(1, 4, (4000, 1))
+        rays = unproject(head.camera(CAMERAS[0]).intrinsics, pixels)
+        points = transform(camera_poses(head, then, cameras=CAMERAS)[0], rays * depths)
+        known = matches(head, then, points, noise_px=NOISE_PX, rng=rng)
+        state = learn_tracked(state, from_matches(state, known, then), None)
+        key = state.keyframe
+        assert key is not None
+        tracked = tracked_features(
+            head, key, then=then, now=now, points=points, noise_px=NOISE_PX, rng=rng
+        )
+        which = [np.resize(np.arange(len(m.left)), count) for m in tracked.matches]
+        left, right = (
+            Matches(m.left[k], m.right[k] + rng.normal(0, 0.01, (count, 2)), m.covariance[k])
+            for m, k in zip(tracked.matches, which, strict=True)
+        )
+        at = (tracked.depths_m[0][which[0]], tracked.depths_m[1][which[1]])
+        nothing = matches(head, now, np.empty((0, 3)), noise_px=NOISE_PX, rng=rng)
+        readings = now + np.radians([0.2, -0.4, -0.2, 0.4])
+        seen = from_matches(state, nothing, readings)
+        found = by_each_eye(state, seen, TrackedFeatures(tracked.readings, (left, right), at))
+        errors_rad.append(((found.joints - now) - (key.joints - then))[[1, 3]])
+    assert np.degrees(np.sqrt(np.mean(np.square(errors_rad)))) < 0.15
 
 
 def test_the_keyframe_outlives_frames_that_show_nothing():

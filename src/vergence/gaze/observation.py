@@ -16,7 +16,7 @@ from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.camera import Camera, check_image_fits, unproject
 from vergence.geometry.head import T_base_cam, T_body_base
 from vergence.geometry.kinematics import EYES, Side, checked_readings
-from vergence.geometry.neck import NECK_JOINTS
+from vergence.geometry.neck import checked_neck_angles
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.uncertainty import locate_with_covariance
 from vergence.vision.detector import Detection, Detector
@@ -119,14 +119,8 @@ def _seen_by_another(
 
 def _readings(settings: GazeSettings, frame: Frame) -> Array:
     """Return a frame's readings (j,) [rad]; VergenceError if they are not those of this head."""
-    if np.shape(frame.neck_angles) != (len(NECK_JOINTS),):
-        raise VergenceError(
-            f"A frame has the {len(NECK_JOINTS)} neck angles {', '.join(NECK_JOINTS)}; found an "
-            f"array of shape {np.shape(frame.neck_angles)}. Joints that the head does not have "
-            "read zero."
-        )
     eyes = checked_readings(settings.calibration.kinematics, frame.eye_angles, one_posture=True)
-    return np.concatenate([frame.neck_angles, eyes])
+    return np.concatenate([checked_neck_angles(frame.neck_angles), eyes])
 
 
 def readings_at_image(settings: GazeSettings, state: GazeState, frame: Frame) -> Array:

@@ -17,8 +17,8 @@ from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.head import T_body_base
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.se3 import transform
+from vergence.self_calibration.frame import locate_seen
 from vergence.self_calibration.sequence import update_geometry
-from vergence.stereo.uncertainty import locate_jointly
 from vergence.vision.detector import Detection
 
 
@@ -45,13 +45,10 @@ def see_position(settings: GazeSettings, state: GazeState, frame: Frame | None) 
     if found is None:
         return predict_track(settings, state, frame)
     cameras, left, right = found
-    where = locate_jointly(
-        seen.head,
+    where = locate_seen(
+        seen,
         left=left.pixel[None],
         right=right.pixel[None],
-        joints=seen.joints,
-        parameters=seen.names,
-        covariance=seen.covariance,
         pixel_std_px=np.repeat([left.std_px, right.std_px], 2),
         cameras=cameras,
     )

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import field
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import MAX_M, Array, Vector3, Vectors3
-from vergence.errors import counted
+from vergence.errors import VergenceError, counted
 from vergence.geometry.chain import Chain, chain_pose
 from vergence.geometry.kinematics import MAX_JOINTS
 
@@ -47,6 +48,18 @@ class Neck:
         lengths = np.linalg.norm(self.axes, axis=1)
         if (np.abs(lengths - 1) > 1e-6).any():
             raise ValueError(f"axes are unit vectors, found one of length {lengths.max():.6g}")
+
+
+def checked_neck_angles(angles: ArrayLike) -> Array:
+    """Return the neck angles (3,) [rad] of a frame; VergenceError if they are something else."""
+    angles = np.asarray(angles, float)
+    if angles.shape != (len(NECK_JOINTS),) or not np.isfinite(angles).all():
+        raise VergenceError(
+            f"A frame has the {len(NECK_JOINTS)} neck angles {', '.join(NECK_JOINTS)} [rad], all "
+            f"finite; found an array of shape {angles.shape}: {angles.tolist()}. Joints that the "
+            "head does not have read zero."
+        )
+    return angles
 
 
 def T_body_head(neck: Neck, angles: Array) -> Array:

@@ -33,16 +33,11 @@ from vergence.self_calibration.robust_fit import (
     LinearisedResiduals,
     robust_fit,
 )
-from vergence.self_calibration.state import (
-    Evidence,
-    FrameEstimate,
-    SelfCalibration,
-    Status,
-)
+from vergence.self_calibration.state import Evidence, FrameEstimate, SelfCalibration
 from vergence.self_calibration.tolerances import UNCALIBRATED, tolerance_covariance
 from vergence.stereo.extrinsics import T_rcam_lcam
 from vergence.stereo.uncertainty import LocatedPoints, locate_jointly
-from vergence.vision.exposure import grey_levels
+from vergence.vision.exposure import checked_image, grey_levels
 from vergence.vision.matching.scene_features import Matches, match_scene
 
 _GATE_OF_FEW = 1e-3
@@ -69,10 +64,11 @@ def self_calibrate_frame(
         joints: (r,) readings [rad].
 
     Raises:
-        VergenceError: an image is not of the calibration's size, or the readings are not as many
-            as the head has, not finite, or not in radians.
+        VergenceError: an image is missing, not uint8, or not of the calibration's size, or the
+            readings are not as many as the head has, not finite, or not in radians.
     """
     cameras = [state.head.camera(name).intrinsics for name in state.cameras]
+    left, right = (checked_image(image, "Self-calibration") for image in (left, right))
     for name, lens, image in zip(state.cameras, cameras, (left, right), strict=True):
         check_image_fits(name, lens, image.shape, whose="the frame's")
     joints = checked_readings(state.head.kinematics, joints, one_posture=True)
@@ -118,9 +114,21 @@ def from_matches(
 def _from_matches(
     state: SelfCalibration, matches: Matches, joints: Array, at_head: bool
 ) -> FrameEstimate:
-    C = prior_of(state, len(joints))
+    C = state.before_frame
+    unseen = FrameEstimate(
+        head=state.head,
+        cameras=state.cameras,
+        joints=joints,
+        readings=joints,
+        names=state.names,
+        covariance=C,
+        matches=matches,
+        weights=np.zeros(len(matches.left)),
+        status="little seen",
+        evidence=None,
+    )
     if len(matches.left) < FEWEST:
-        return _unseen(state, matches, joints, C, "little seen")
+        return unseen
     z, weights, evidence = _fit(state, matches, joints, C, at_head)
     if evidence.inliers < MOST * len(weights):
         # Either much is matched wrongly, or the head is far from what is known.
@@ -129,28 +137,23 @@ def _from_matches(
         far[:P, :P] += tolerance_covariance(state.head, state.names, UNCALIBRATED)
         _, other_weights, other = _fit(state, matches, joints, far)
         if other.inliers > max(FEWEST, MOST * len(weights), 1.3 * evidence.inliers):
-            seen = _unseen(state, matches, joints, C, "contradiction")
-            return replace(seen, weights=other_weights, evidence=other)
+            return replace(unseen, status="contradiction", weights=other_weights, evidence=other)
     if evidence.inliers < max(FEWEST, _LEAST_SHARE * len(weights)):
-        return replace(_unseen(state, matches, joints, C, "little seen"), weights=weights)
+        return replace(unseen, weights=weights)
     prior = np.linalg.inv(C)
     posterior = np.linalg.inv(evidence.information + prior)
     observed = float(np.trace(posterior @ evidence.information))
     gate = GATE if evidence.inliers > MOST * len(weights) else _GATE_OF_FEW
     if float(z @ prior @ z) > chdtri(max(observed, 1.0), gate):
-        seen = _unseen(state, matches, joints, C, "contradiction")
-        return replace(seen, weights=weights, evidence=evidence)
+        return replace(unseen, status="contradiction", weights=weights, evidence=evidence)
     information, vector = _beyond_known(state, evidence, joints)
     covariance = np.asarray(np.linalg.inv(information + prior), float)
     head, now = _changed(state, joints, covariance @ vector)
-    return FrameEstimate(
+    return replace(
+        unseen,
         head=head,
-        cameras=state.cameras,
         joints=now,
-        readings=joints,
-        names=state.names,
         covariance=covariance,
-        matches=matches,
         weights=weights,
         status="seen" if observed > _LITTLE else "little seen",
         evidence=evidence,
@@ -175,7 +178,6 @@ def _fit(
         linearised,
         C,
         pixels=matches.left,
-        match_scale=state.match_scale,
         expected_design_effect=state.design_effect,
         fixed=P if at_head else 0,
         linear=linear if state.settled else None,
@@ -203,33 +205,6 @@ def _beyond_known(state: SelfCalibration, says: Evidence, joints: Array) -> tupl
     return information, vector
 
 
-def prior_of(state: SelfCalibration, readings: int) -> Array:
-    """Return the covariance (K, K) of the parameters and of the errors of readings."""
-    P = len(state.names)
-    C = np.zeros((P + readings, P + readings))
-    C[:P, :P] = state.covariance
-    C[P:, P:] = np.diag(state.reading_std_rad**2)
-    return C
-
-
-def _unseen(
-    state: SelfCalibration, matches: Matches, joints: Array, C: Array, status: Status
-) -> FrameEstimate:
-    """Return the prior."""
-    return FrameEstimate(
-        head=state.head,
-        cameras=state.cameras,
-        joints=joints,
-        readings=joints,
-        names=state.names,
-        covariance=C,
-        matches=matches,
-        weights=np.zeros(len(matches.left)),
-        status=status,
-        evidence=None,
-    )
-
-
 def _changed(state: SelfCalibration, joints: Array, z: Array) -> tuple[HeadCalibration, Array]:
     P = len(state.names)
     return change_named(state.head, state.names, z[:P]), joints + z[P:]
@@ -254,12 +229,18 @@ def _whitened(
 
 
 def locate_seen(
-    seen: FrameEstimate, *, left: Array, right: Array, pixel_std_px: ArrayLike
+    seen: FrameEstimate,
+    *,
+    left: Array,
+    right: Array,
+    pixel_std_px: ArrayLike,
+    cameras: tuple[str, str] | None = None,
 ) -> LocatedPoints:
     """Return where points are that both eyes see at the moment of a self-calibrated frame.
 
-    Pixels are (N, 2) in the left and the right camera; the covariance has what the frame leaves
-    open of the head and the joints. Other arguments and errors are those of `uncertainty.locate`.
+    Pixels are (N, 2) in the left and the right camera, by default those that see the geometry; the
+    covariance has what the frame leaves open of the head and the joints. Other arguments and errors
+    are those of `uncertainty.locate`.
     """
     return locate_jointly(
         seen.head,
@@ -269,5 +250,5 @@ def locate_seen(
         parameters=seen.names,
         covariance=seen.covariance,
         pixel_std_px=pixel_std_px,
-        cameras=seen.cameras,
+        cameras=cameras or seen.cameras,
     )

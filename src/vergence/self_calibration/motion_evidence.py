@@ -55,7 +55,7 @@ def by_each_eye(
         tracked: features of the keyframe that were found in it.
     """
     P, r = len(state.names), len(seen.readings)
-    prior = prior_information(state, r)
+    prior = prior_information(state)
     N, b = with_motion(state, seen, tracked, 1.0, prior, np.zeros(len(prior)))
     if N is prior:
         return seen
@@ -69,19 +69,14 @@ def by_each_eye(
     )
 
 
-def prior_information(state: SelfCalibration, readings: int) -> Array:
+def prior_information(state: SelfCalibration) -> Array:
     """Return what is known before a frame (K, K): of head, readings and the keyframe's joints."""
-    P, key = len(state.names), state.keyframe
-    if key is None:
-        known, K = np.linalg.inv(state.covariance), P + readings
-    else:
-        C = np.block([[state.covariance, key.with_head], [key.with_head.T, key.covariance]])
-        known, K = np.linalg.inv(C), P + readings + len(key.joints)
-    N = np.zeros((K, K))
-    lasting = np.r_[:P, P + readings : K]
-    N[np.ix_(lasting, lasting)] = (known + known.T) / 2
-    N[P : P + readings, P : P + readings] = np.diag(state.reading_std_rad**-2.0)
-    return N
+    C, key = state.before_frame, state.keyframe
+    if key is not None:
+        shared = np.concatenate([key.with_head, np.zeros_like(key.covariance)])
+        C = np.block([[C, shared], [shared.T, key.covariance]])
+    N = np.asarray(np.linalg.inv(C), float)
+    return (N + N.T) / 2
 
 
 def with_motion(
@@ -155,8 +150,7 @@ def _fit(
     change, weights, says = robust_fit(
         linearised,
         with_depth,
-        pixels=np.repeat(matches.left, 2, axis=0),
-        match_scale=state.match_scale,
+        pixels=np.tile(matches.left, (2, 1)),
         expected_design_effect=EXPECTED_DESIGN_EFFECT,
         fixed=fixed,
         linear=linear if state.settled else None,
@@ -175,7 +169,7 @@ def _whitened(
     change: Array,
     deeper: float,
 ) -> LinearisedResiduals:
-    """Return residuals (2 N,) in standard deviations of the matches; unknowns are K + 1.
+    """Return residuals (2 N,), all u before all v, in standard deviations; unknowns are K + 1.
 
     After a change (K,), and with all depths larger by so many of their standard deviations, which
     is the last unknown.
@@ -208,4 +202,5 @@ def _whitened(
     A = np.where(good[:, None, None], whiten @ A, 0.0)
     by_unknowns = np.asarray(block_diag(coordinates.by_unknowns, 1.0), float)
     share = systematic / (systematic + random)
-    return LinearisedResiduals(y.reshape(-1), A.reshape(-1, A.shape[-1]), by_unknowns, share)
+    A = A.swapaxes(0, 1).reshape(-1, A.shape[-1])
+    return LinearisedResiduals(y.T.reshape(-1), A, by_unknowns, share)

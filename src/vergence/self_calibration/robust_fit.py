@@ -67,7 +67,6 @@ def robust_fit(
     C: Array,
     *,
     pixels: Array,
-    match_scale: float,
     expected_design_effect: float,
     fixed: int = 0,
     linear: Callable[[Array], bool] | None = None,
@@ -78,7 +77,6 @@ def robust_fit(
         linearised: returns the residuals of some (n,) of the pixels after a change (K,).
         C: (K, K) prior covariance of the change.
         pixels: (N, 2) where the residuals are in the image.
-        match_scale: noise that the standard deviations assume, relative to what windows tell.
         expected_design_effect: before the residuals are seen.
         fixed: how many of the first unknowns stay at zero where residuals are linearised again.
         linear: whether residuals are linear enough up to a change (K,), so that they need not be
@@ -109,7 +107,7 @@ def robust_fit(
     N, b = weighted.T @ A, weighted.T @ y
     pull = _pull(N, b, S)
     w = S @ pull
-    scale = float(np.sqrt(scale2 / (1 - found.systematic))) * match_scale
+    scale = float(np.sqrt(scale2 / (1 - found.systematic)))
     inliers = float((weights > INLIER).sum())
     # What no change of the geometry explains is not known to be noise of another scale.
     misfit = float(tukey_loss(y - A @ w).sum()) / expected_design_effect

@@ -17,6 +17,7 @@ from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
+from vergence.geometry.neck import checked_neck_angles
 from vergence.self_calibration.frame import self_calibrate_frame
 from vergence.self_calibration.learning import learn, without_reports
 from vergence.self_calibration.state import (
@@ -85,8 +86,8 @@ def update_geometry(
         joints: (r,) readings at the moment of the images [rad]; None: the frame's.
 
     Raises:
-        VergenceError: an image is missing, or the time is not finite; others are those of
-            `frame.self_calibrate_frame`.
+        VergenceError: an image is missing, or the time or the angles of the neck are not finite;
+            others are those of `frame.self_calibrate_frame`.
     """
     cameras = before.known.cameras
     for name in cameras:
@@ -96,11 +97,12 @@ def update_geometry(
                 f"{', '.join(frame.images) or 'no camera'}."
             )
     left, right = (frame.images[name] for name in cameras)
-    before = _keyframe_while_neck_rests(before, frame.neck_angles)
+    neck = checked_neck_angles(frame.neck_angles)
+    before = _keyframe_while_neck_rests(before, neck)
     joints = frame.eye_angles if joints is None else joints
     before = just_before(before, frame.time_s)
     latest = self_calibrate_frame(before.known, left, right, joints)
-    return after_frame(before, latest, frame.neck_angles)
+    return after_frame(before, latest, neck)
 
 
 def _keyframe_while_neck_rests(before: SeenGeometry, neck: Array) -> SeenGeometry:
@@ -116,6 +118,8 @@ def just_before(before: SeenGeometry, time_s: float) -> SeenGeometry:
 
     VergenceError if the time is not finite.
     """
+    if not np.isfinite(time_s):
+        raise VergenceError(f"The time of a frame is a finite number of seconds; found {time_s:g}.")
     elapsed_s = 0.0 if before.time_s is None else max(time_s - before.time_s, 0.0)
     return replace(before, known=drifted(before.known, elapsed_s), time_s=time_s)
 

@@ -71,6 +71,14 @@ class SelfCalibration:
         """(r,) noise of each reading."""
         return self.joint_std_rad / self.head.kinematics.factors
 
+    @property
+    def before_frame(self) -> Array:
+        """(K, K) covariance of the P parameters and of the errors of r readings."""
+        P, stds = len(self.names), self.reading_std_rad
+        C = np.zeros(2 * (P + len(stds),))
+        C[:P, :P], C[P:, P:] = self.covariance, np.diag(stds**2)
+        return C
+
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
@@ -83,7 +91,7 @@ class Evidence:
     inliers: float
     """How many matches fit."""
     match_scale: float
-    """Noise of the matches, relative to what their contrast tells."""
+    """Noise of the matches, relative to what the state assumes of them."""
     design_effect: float
     """Variance inflation by errors that neighbouring matches share."""
     blocks: Array
@@ -176,7 +184,8 @@ def initial_self_calibration(
         fresh: whether it has just been calibrated, so that nothing has moved since.
 
     Raises:
-        VergenceError: the head has one eye, or was calibrated with measured eye poses.
+        VergenceError: the head has one eye, no joint readings, or was calibrated with measured eye
+            poses.
     """
     pair = pair_names(head, cameras)
     accuracy = head.accuracy
@@ -184,6 +193,10 @@ def initial_self_calibration(
         raise VergenceError(
             "Self-calibration corrects joint readings; this head was calibrated with measured eye "
             "poses, so that nothing is known of its joints."
+        )
+    if not head.kinematics.readings:
+        raise VergenceError(
+            "Self-calibration follows eyes that move by their joint readings; this head has none."
         )
     names = learned_names(head, pair)
     stated = reading_stds(head) * head.kinematics.factors

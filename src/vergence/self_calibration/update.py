@@ -12,10 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_between, change_named
-from vergence.self_calibration.frame import prior_of
 from vergence.self_calibration.keyframe import next_keyframe
 from vergence.self_calibration.match_noise import aged, with_frame
 from vergence.self_calibration.motion_evidence import prior_information, with_motion
@@ -55,12 +55,12 @@ def updated(
     recurrence, inflation = with_frame(
         state.recurrence, factors * seen.readings, says.blocks, says.systematic
     )
-    evidence = _weakened(says, inflation)
-    known = len(evidence.vector)
-    N = prior_information(state, known - P)
-    N[:known, :known] += evidence.information
+    # Only what it says beyond the frames before, whose errors it shares.
+    information, vector = says.information / inflation, says.vector / inflation
+    N, known = prior_information(state), len(vector)
+    N[:known, :known] += information
     b = np.zeros(len(N))
-    b[:known] = evidence.vector
+    b[:known] = vector
     if tracked is not None:
         N, b = with_motion(state, seen, tracked, inflation, N, b, at=at)
     C = np.asarray(np.linalg.inv(N), float)
@@ -69,14 +69,14 @@ def updated(
     if at is not None:  # turns add up exactly along the axes of one head
         about, of_head = at, change_between(state.head, at, state.names) + of_head
     head = change_named(about, state.names, of_head)
-    variance, weight = _joint_variance(state, evidence)
+    variance, weight = _joint_variance(state, information, vector)
     return replace(
         state,
         head=head,
         covariance=(C[:P, :P] + C[:P, :P].T) / 2,
         recurrence=recurrence,
-        match_scale=state.match_scale + _PACE * (evidence.match_scale - state.match_scale),
-        design_effect=state.design_effect + _PACE * (evidence.design_effect - state.design_effect),
+        match_scale=state.match_scale * (1 + _PACE * (says.match_scale - 1)),
+        design_effect=state.design_effect + _PACE * (says.design_effect - state.design_effect),
         joint_std_rad=float(np.sqrt(variance)),
         joint_weight=weight,
         frames=state.frames + 1,
@@ -104,24 +104,13 @@ def drifted(state: SelfCalibration, elapsed_s: float) -> SelfCalibration:
     )
 
 
-def _weakened(evidence: Evidence, inflation: float) -> Evidence:
-    """Return what a frame says beyond the frames before, whose errors it shares."""
-    return replace(
-        evidence,
-        information=evidence.information / inflation,
-        vector=evidence.vector / inflation,
-        misfit=evidence.misfit / inflation,
-    )
-
-
-def _joint_variance(state: SelfCalibration, evidence: Evidence) -> tuple[float, float]:
+def _joint_variance(state: SelfCalibration, N: Array, b: Array) -> tuple[float, float]:
     """Return the variance [rad^2] of a joint after a frame, and how many readings it is from.
 
     Each direction of the joints' space that the images determine is a sample, weighted by how well
     they do.
     """
     P = len(state.names)
-    N, b = evidence.information, evidence.vector
     head = N[:P, :P] + np.linalg.inv(state.covariance)
     follows = np.linalg.solve(head, N[:P, P:]).T
     H, h = N[P:, P:] - follows @ N[:P, P:], b[P:] - follows @ b[:P]
@@ -144,7 +133,7 @@ def log_likelihood(state: SelfCalibration, seen: FrameEstimate) -> float:
     # In full, unlike in `updated`: errors that recur were there when the state was learned, so that
     # they do not look like a change.
     says = seen.evidence
-    C = prior_of(state, len(seen.readings))
+    C = state.before_frame
     added = np.eye(len(C)) + says.information @ C
     _, log_det = np.linalg.slogdet(added)
     pull = float(says.vector @ C @ np.linalg.solve(added, says.vector))

@@ -29,7 +29,7 @@ from vergence.stereo.rectification import (
     rectified_points,
 )
 from vergence.stereo.uncertainty import LocatedPoints, locate
-from vergence.vision.exposure import grey_levels, of_equal_contrast
+from vergence.vision.exposure import checked_image, grey_levels, of_equal_contrast
 
 NEAREST_M = 0.3
 """Least depth that is sought by default, where the cameras show it."""
@@ -114,7 +114,7 @@ def dense_depth(
             f"The nearest depth is from {least_m:.2g} m for these cameras, found {nearest_m:g} m."
         )
     found = [
-        rectified_image(view, _checked(image))
+        rectified_image(view, checked_image(image, "Dense depth"))
         for view, image in ((pair.left, left), (pair.right, right))
     ]
     grey = [grey_levels(each) for each in found]
@@ -147,18 +147,6 @@ def dense_depth(
         textured=np.isfinite(depth) & (by_texture <= TEXTURED_PX),
         image=colour,
     )
-
-
-def _checked(image: np.ndarray) -> np.ndarray:
-    if image is None:  # as cv2.imread answers
-        raise VergenceError("Dense depth is of two images; one of them is None: it was not read.")
-    image = np.asarray(image)
-    if image.dtype != np.uint8 or (image.ndim == 3 and image.shape[2] not in (1, 3)):
-        raise VergenceError(
-            "Dense depth is of RGB (H, W, 3) or grey (H, W) images of uint8; found an array of "
-            f"shape {image.shape} of {image.dtype}."
-        )
-    return image
 
 
 def _match(left: np.ndarray, right: np.ndarray, largest_px: float) -> Array:

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.errors import VergenceError
 
 NEARBY_PX = 31
 """Side of the square of which the mean is taken: twice that of a window that is matched."""
@@ -21,6 +22,19 @@ _PARTS = 10
 """Along the width of an image."""
 _SMALLEST_PART_PX = 8
 _MIDDLE = 128
+
+
+def checked_image(image: np.ndarray, what: str) -> np.ndarray:
+    """Return an image (H, W), (H, W, 1) or (H, W, 3) uint8; VergenceError if it is none."""
+    if image is None:  # as cv2.imread answers
+        raise VergenceError(f"{what} is of two images; one of them is None: it was not read.")
+    image = np.asarray(image)
+    if image.dtype != np.uint8 or image.shape[2:] not in ((), (1,), (3,)) or image.ndim < 2:
+        raise VergenceError(
+            f"{what} is of RGB (H, W, 3) or grey (H, W) images of uint8; found an array of shape "
+            f"{image.shape} of {image.dtype}."
+        )
+    return image
 
 
 def grey_levels(image: np.ndarray) -> np.ndarray:
