@@ -1,5 +1,7 @@
 """Joint angles to poses: signs, order, imperfect axes, the neck."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,6 +14,7 @@ from vergence.errors import VergenceError
 from vergence.geometry.eye_motion import eye_linearised, eye_poses
 from vergence.geometry.joints import Joint, change_joints, joint_parameters
 from vergence.geometry.kinematics import (
+    EYE_JOINTS,
     EYES,
     Chain,
     Kinematics,
@@ -230,6 +233,22 @@ def test_readings_that_eyes_share_have_kinds_of_their_own():
     assert reading_kinds(Kinematics()) == [0, 1, 0, 1]
     assert reading_kinds(shared_tilt()) == [1, 0, 0]
     assert reading_kinds(version_and_vergence()) == [0, 1, 2]
+
+
+def test_readings_of_one_kind_turn_joints_that_are_built_alike():
+    pan, tilt = pan_tilt("right")
+    turned_round = Kinematics({"left": pan_tilt("left"), "right": (tilt, pan)})
+    assert reading_kinds(turned_round) == [0, 1, 0, 1]
+    geared = tuple(
+        replace(joint, readings={name: 0.01 for name in joint.readings})
+        for joint in pan_tilt("left")
+    )
+    assert reading_kinds(Kinematics({"left": geared, "right": (pan, tilt)})) == [0, 1, 2, 3]
+    roll = Joint(name="roll", axis=FORWARD, readings={"right_roll": 1.0})
+    three = Kinematics(
+        {"left": pan_tilt("left"), "right": (tilt, roll, pan)}, (*EYE_JOINTS, "right_roll")
+    )
+    assert reading_kinds(three) == [0, 1, 0, 1, 2]
 
 
 def test_straight_gaze_is_every_reading_at_zero():

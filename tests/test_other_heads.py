@@ -14,7 +14,7 @@ from other_heads import KINDS, other_head
 from simulated_head import as_designed, random_head
 from simulated_recording import BOARD, POINTS, Noise, Recording, as_poses, record
 from test_sequential import only, some_cameras
-from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
+from vergence.calibration.bundle.bundle_adjustment import BundleEstimate, bundle_adjust
 from vergence.calibration.calibrate import CalibrationResult, calibrate
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
@@ -223,6 +223,24 @@ def test_readings_that_eyes_share_have_one_noise_and_true_regions(kind: str):
     assert 0.6 < np.sqrt(np.mean(np.square(scores))) < 1.4
 
 
+def test_eyes_that_share_readings_may_see_boards_one_after_the_other():
+    """A board shows one eye's sum of version and vergence only, and no noise of each."""
+    rng = np.random.default_rng(3)
+    truth = without_offsets(other_head("version and vergence", rng))
+    seen = recording(truth, rng)
+    seen.corners["left_wide"][::2] = np.nan
+    seen.corners["right_wide"][1::2] = np.nan
+    found = bundle_adjust(nearby(truth, rng), seen)
+    assert found.joint_std == pytest.approx([np.radians(0.05)], rel=0.35)
+    few = replace(
+        seen,
+        eye_angles=seen.eye_angles[:24],
+        placement=seen.placement[:24],
+        corners={name: each[:24] for name, each in seen.corners.items()},
+    )
+    assert np.isfinite(bundle_adjust(nearby(truth, rng), few).covariance).all()
+
+
 def test_points_of_a_head_with_a_shared_tilt_are_located_within_their_regions():
     rng = np.random.default_rng(4)
     truth = without_offsets(other_head("shared tilt, pan", rng))
@@ -243,6 +261,27 @@ def test_a_reading_before_a_gear_has_a_noise_of_its_own_in_few_views_too():
     }
     read = seen.eye_angles / np.array([*gears.values()] * 2)
     geared = replace(seen, kinematics=Kinematics(eyes), eye_angles=read)
+    assert_told_alike(truth, seen, geared)
+
+
+def test_an_eye_before_gears_has_noises_of_its_own():
+    truth, seen = recorded(4)
+    gear = np.array([0.01, 0.01, 1.0, 1.0])
+    left = tuple(
+        replace(joint, readings=dict.fromkeys(joint.readings, 0.01))
+        for joint in seen.kinematics.eyes["left"]
+    )
+    kinematics = replace(seen.kinematics, eyes={**seen.kinematics.eyes, "left": left})
+    geared = replace(seen, kinematics=kinematics, eye_angles=seen.eye_angles / gear)
+    found = assert_told_alike(truth, seen, geared)
+    expected = np.radians(0.05) / gear
+    assert found.joint_std == pytest.approx(expected.tolist(), rel=0.35)
+
+
+def assert_told_alike(
+    truth: HeadCalibration, seen: Observations, geared: Observations
+) -> BundleEstimate:
+    """Return the estimate with gears, which is as certain as that without."""
     direct, before = (
         bundle_adjust(replace(truth, kinematics=each.kinematics), each) for each in (seen, geared)
     )
@@ -253,3 +292,4 @@ def test_a_reading_before_a_gear_has_a_noise_of_its_own_in_few_views_too():
             for k in [each.parameters.index(name)]
         )
         assert std == pytest.approx(expected, rel=0.3), name
+    return before

@@ -349,6 +349,20 @@ def test_readings_without_stated_noise_are_given_the_usual_noise():
     assert initial_self_calibration(head).joint_std_rad == pytest.approx(prior.JOINT_STD_RAD)
 
 
+def test_readings_keep_the_ratio_of_noise_with_which_they_were_calibrated():
+    stated = np.radians([0.04, 0.1])
+    head = replace(head_of(0), accuracy=Accuracy("bundle", joint_std=tuple(stated)))
+    state, rng = initial_self_calibration(head), np.random.default_rng(0)
+    np.testing.assert_allclose(state.reading_std_rad, np.tile(stated, 2), rtol=1e-9)
+    truth, points = drawn_head(state, rng), room(300, rng)
+    for angles in postures(16, rng):
+        readings = angles + rng.normal(0, np.tile(2 * stated, 2))
+        seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
+        state = drifted(learn(state, from_matches(state, seen, readings)), 0.3)
+    np.testing.assert_allclose(state.reading_std_rad, np.tile(2 * stated, 2), rtol=0.3)
+    np.testing.assert_allclose(learned_head(state).accuracy.joint_std, 2 * stated, rtol=0.3)
+
+
 def test_a_head_whose_joints_were_not_calibrated_is_refused():
     measured = Accuracy("bundle", joint_std=(1e-3, 1e-4), eye_motion="poses")
     with pytest.raises(VergenceError, match="nothing is known of its joints"):

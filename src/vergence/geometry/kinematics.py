@@ -40,6 +40,11 @@ AXIS_NAMES = {"pan": (0.0, 0.0, 1.0), "tilt": (0.0, 1.0, 0.0), "roll": (1.0, 0.0
 """The axes of a head that stands upright: up, to the left, ahead."""
 MAX_JOINTS = 20
 """Most joints of a chain, and readings of a head."""
+GEARED = 3.0
+"""Ratio of the factors of readings from which one of them stands before a gear, so that its noise
+is of another size. Vergence, of which an eye turns by a half, does not."""
+_SAME_AXIS = 0.9
+"""Cosine of the angle between axes of joints of the two eyes that are built alike."""
 LEAST_APART_M = 1e-3
 """Distance of parallel axes below which they count as one."""
 
@@ -150,18 +155,38 @@ def _check_joints(whose: str, joints: tuple[Joint, ...], readings: tuple[str, ..
 def reading_kinds(kinematics: Kinematics) -> list[int]:
     """Return the kind (r,) of each reading; readings of one kind have the same level of noise.
 
-    The nth reading of the left eye alone is of one kind with the nth of the right eye alone, such
-    as pan with pan; a reading that moves both eyes is of a kind of its own.
+    A reading of the left eye alone is of one kind with one of the right eye alone if the joints
+    that they turn have parallel axes, such as pan with pan, and no gear is before one of them only.
+    All others are of a kind of their own.
     """
     left, right = (kinematics.used(eye) for eye in EYES)
     kinds = [-1] * len(kinematics.readings)
-    for one, other in ((left, right), (right, left)):
-        for n, reading in enumerate(r for r in one if r not in other):
-            kinds[reading] = n
-    alone = max(kinds, default=-1) + 1
+    alone = [reading for reading in left if reading not in right]
+    for kind, reading in enumerate(alone):
+        kinds[reading] = kind
+    others = len(alone)
+    for reading in (r for r in right if r not in left):
+        like = next((r for r in alone if _alike(kinematics, r, reading)), None)
+        if like is None:
+            kinds[reading], others = others, others + 1
+        else:
+            kinds[reading] = kinds[like]
+            alone.remove(like)
     for n, reading in enumerate(r for r in left if r in right):
-        kinds[reading] = alone + n
+        kinds[reading] = others + n
     return kinds
+
+
+def _alike(kinematics: Kinematics, left: int, right: int) -> bool:
+    """Return whether readings of the left and of the right eye turn joints of one make."""
+    factors = kinematics.factors[[left, right]]
+    if factors.max() >= GEARED * factors.min():
+        return False
+    axes = []
+    for eye, reading in zip(EYES, (left, right), strict=True):
+        chain = kinematics.chains[eye]
+        axes.append(chain.axes[np.abs(chain.mixing[:, reading]).argmax()])
+    return bool(abs(axes[0] @ axes[1]) > _SAME_AXIS)
 
 
 def readings_to_turn(kinematics: Kinematics, turn: Array) -> Array:

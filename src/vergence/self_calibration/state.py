@@ -23,6 +23,8 @@ from vergence.self_calibration.prior import (
 )
 from vergence.vision.matching.scene_features import Matches
 
+_LEAST_RATIO = 0.1
+"""Noise of a reading, relative to the others', that is assumed at least: none is exact."""
 Status = Literal["seen", "little seen", "contradiction"]
 
 
@@ -39,7 +41,9 @@ class SelfCalibration:
     covariance: Array
     """(P, P) of them."""
     joint_std_rad: float
-    """Noise of a reading, times its factor: of the joint that it turns."""
+    """Noise of the readings, times their factors: of the joints that they turn; rms."""
+    noise_ratios: Array
+    """(r,) of each reading's noise to that, as the calibration has them; it does not change."""
     match_scale: float
     """Noise of the matches, relative to what their contrast tells."""
     systematic_px: tuple[float, float] = (0.0, 0.0)
@@ -69,7 +73,7 @@ class SelfCalibration:
     @property
     def reading_std_rad(self) -> Array:
         """(r,) noise of each reading."""
-        return self.joint_std_rad / self.head.kinematics.factors
+        return self.joint_std_rad * self.noise_ratios
 
     @property
     def before_frame(self) -> Array:
@@ -199,10 +203,21 @@ def initial_self_calibration(
             "Self-calibration follows eyes that move by their joint readings; this head has none."
         )
     names = learned_names(head, pair)
-    stated = reading_stds(head) * head.kinematics.factors
-    usual = float(np.sqrt(np.mean(np.square(stated)))) if stated.any() else float(JOINT_STD_RAD)
-    C = prior_covariance(head, names, pair, fresh=fresh)
-    std = max(usual, float(LEAST_JOINT_STD_RAD))
+    factors = head.kinematics.factors
+    stds = reading_stds(head) * factors
+    if not stds.any():
+        stds = np.full(len(factors), JOINT_STD_RAD)
+    std = float(np.sqrt(np.mean(stds**2)))
+    ratios = np.maximum(stds / std, _LEAST_RATIO) / factors
     systematic = accuracy.systematic_px if accuracy else {}
     left, right = (systematic.get(name, 0.0) for name in pair)
-    return SelfCalibration(head, pair, names, C, std, EXPECTED_MATCH_SCALE, (left, right))
+    return SelfCalibration(
+        head=head,
+        cameras=pair,
+        names=names,
+        covariance=prior_covariance(head, names, pair, fresh=fresh),
+        joint_std_rad=max(std, float(LEAST_JOINT_STD_RAD)),
+        noise_ratios=ratios,
+        match_scale=EXPECTED_MATCH_SCALE,
+        systematic_px=(left, right),
+    )

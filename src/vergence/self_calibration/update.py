@@ -105,17 +105,17 @@ def drifted(state: SelfCalibration, elapsed_s: float) -> SelfCalibration:
 
 
 def _joint_variance(state: SelfCalibration, N: Array, b: Array) -> tuple[float, float]:
-    """Return the variance [rad^2] of a joint after a frame, and how many readings it is from.
+    """Return the variance [rad^2] of the readings after a frame, and how many of them it is from.
 
-    Each direction of the joints' space that the images determine is a sample, weighted by how well
-    they do.
+    Each direction that the images determine, in a space where all readings have the same noise, is
+    a sample, weighted by how well they do.
     """
     P = len(state.names)
     head = N[:P, :P] + np.linalg.inv(state.covariance)
     follows = np.linalg.solve(head, N[:P, P:]).T
     H, h = N[P:, P:] - follows @ N[:P, P:], b[P:] - follows @ b[:P]
-    per_reading = 1 / state.head.kinematics.factors  # the joints' space, not that of motors
-    H, h = H * per_reading * per_reading[:, None], h * per_reading
+    ratios = state.noise_ratios
+    H, h = H * ratios * ratios[:, None], h * ratios
     values, directions = np.linalg.eigh((H + H.T) / 2)
     sure = values > 1e-9 * values[-1]
     noise = 1 / values[sure]

@@ -33,7 +33,7 @@ from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, main_pair
 from vergence.geometry.head_accuracy import Accuracy
-from vergence.geometry.kinematics import Kinematics, reading_kinds
+from vergence.geometry.kinematics import EYES, GEARED, Kinematics, reading_kinds
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.parameter_names import POSE
 from vergence.geometry.parameters import parameter_names, redundant_offsets
@@ -46,9 +46,6 @@ EXACT = 1e-8
 OWN_LEVELS = 40
 """Eyes times views from which each kind of reading has a noise of its own: it is then known to
 about a tenth."""
-GEARED = 3.0
-"""Ratio of the factors of readings from which one of them stands before a gear, so that its noise
-is of another size. Vergence, of which an eye turns by a half, does not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,12 +215,15 @@ def _noise_groups(
     """Return (n,) the group of each latent unknown, whose readings have noise of one level.
 
     From some number of blocks on each kind of reading is a group, below it all are one, unless some
-    stand before a gear, or another one, than others. Of measured poses rotations are one, and
-    translations another.
+    stand before a gear, or another one, than others. Where a reading moves both eyes, such as their
+    vergence, one eye shows a sum of readings only: such blocks do not count. Of measured poses
+    rotations are one, and translations another.
     """
     if problem.T_base_eye_read is not None:
         return np.array([0, 0, 0, 1, 1, 1])
-    few = len(problem.reading) < least_blocks
+    seen_by = [problem.block[problem.eye[problem.camera] == e] for e in range(len(EYES))]
+    shared = set(kinematics.used("left")) & set(kinematics.used("right"))
+    few = len(np.intersect1d(*seen_by) if shared else problem.reading) < least_blocks
     if few and kinematics.factors.max() < GEARED * kinematics.factors.min():
         return np.zeros(problem.reading.shape[1], dtype=int)
     kinds = np.array(reading_kinds(kinematics))[problem.block_columns[0]]

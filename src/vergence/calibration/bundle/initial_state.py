@@ -17,7 +17,7 @@ from vergence.data.timing import TRAJECTORY_DEGREE, Stencil, stencil
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYES, Kinematics
+from vergence.geometry.kinematics import EYES, Kinematics, reading_kinds
 from vergence.geometry.parameter_names import POSE, joint_names
 from vergence.geometry.parameters import parameter_names
 from vergence.geometry.se3 import angle, inverse
@@ -241,12 +241,14 @@ def _measured_poses(start: HeadCalibration, observations: PoseObservations) -> _
 def _latent_columns(kinematics: Kinematics, eyes: list[int]) -> list[list[int]]:
     """Return which readings are latent in the blocks of the left eye and in those of the right.
 
-    One list, for blocks of both eyes, where some reading moves both or their numbers differ.
+    In the order of their kinds, so that those of the two eyes have noise of the same levels. One
+    list, for blocks of both eyes, where some reading moves both or their kinds differ.
     """
-    own = [kinematics.used(eye) if e in eyes else [] for e, eye in enumerate(EYES)]
+    kinds = reading_kinds(kinematics)
+    own = [sorted(kinematics.used(eye), key=kinds.__getitem__) for eye in EYES]
     if len(eyes) == 1:
         return [own[eyes[0]]] * 2
-    if len(own[0]) == len(own[1]) and not set(own[0]) & set(own[1]):
+    if not set(own[0]) & set(own[1]) and [kinds[k] for k in own[0]] == [kinds[k] for k in own[1]]:
         return own
     return [sorted({*own[0], *own[1]})]
 

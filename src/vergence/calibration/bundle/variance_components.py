@@ -117,13 +117,17 @@ def image_noise_scales(squares: Array, counts: Array) -> Array:
 
 
 def image_levels(linear: LinearProblem, noise: NoiseLevels) -> Array:
-    """Return (groups,) how well one image determines the joints [rad]: the best of each group."""
+    """Return (groups,) how well one image determines the joints [rad]: the best of each group.
+
+    Where an image shows a sum of readings only: how well it determines one if the others are known.
+    """
     # An eye of a block may see no board, or have lost all its corners as outliers.
     n = linear.ll.shape[1]
-    unseen = linear.ll[:, np.arange(n), np.arange(n)] == 0
+    diagonal = linear.ll[:, np.arange(n), np.arange(n)]
+    unseen = diagonal == 0
     matrix = linear.ll + unseen[..., None] * np.eye(n)
     known = np.linalg.cond(matrix) < 1e12
-    alone = np.full(unseen.shape, np.inf)
+    alone = 1 / np.where(unseen, 1.0, diagonal)
     alone[known] = np.linalg.inv(matrix[known])[:, np.arange(n), np.arange(n)]
     alone[unseen] = np.inf
     typical = [
