@@ -20,7 +20,7 @@ from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named
 from vergence.self_calibration.frame import from_matches
 from vergence.self_calibration.learning import learn
-from vergence.self_calibration.state import SelfCalibration
+from vergence.self_calibration.state import Origin, SelfCalibration
 from vergence.self_calibration.tolerances import UNCALIBRATED, tolerance_covariance
 from vergence.self_calibration.update import drifted, evidence_about
 
@@ -76,6 +76,28 @@ def test_a_head_that_is_not_as_calibrated_is_reported_and_learned(seed):
     assert reported[0] < 6
     assert max(errors) > 0.5
     assert max(errors[8:]) < 0.1
+    assert squared_distance(state, truth) < chi2.isf(1e-4, len(state.names))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_gains_beyond_what_is_stated_are_reported_and_learned(seed):
+    """By a tenth of a degree in a posture: few frames show no more than noise of the readings."""
+    rng, state = np.random.default_rng(seed), begin(head_of(seed))
+    gains = [k for k, name in enumerate(state.names) if name.endswith("_gain")]
+    C = 0.01 * state.covariance
+    C[np.ix_(gains, gains)] = 1e-3**2 * np.eye(len(gains))
+    state = replace(state, covariance=C, origin=Origin(state.head, C))
+    truth = change_named(
+        drawn_head(state, rng), [state.names[k] for k in gains], rng.choice([-0.02, 0.02], 4)
+    )
+    points, reported = room(500, rng), []
+    for k, angles in enumerate(postures(70, rng)):
+        readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
+        seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
+        state = drifted(learn(state, from_matches(state, seen, readings)), 0.3)
+        reported += [k] * state.uncalibrated
+    assert len(reported) == 1
     assert squared_distance(state, truth) < chi2.isf(1e-4, len(state.names))
 
 

@@ -4,7 +4,7 @@ Frame after frame goes through the filter of `update`. The first ones are linear
 one head, when more is known. A camera that was bumped, or a head that is not as it was calibrated,
 shows in a few frames together: when mountings that turned, or a head that is hardly known, explain
 them far better than noise does, the head is estimated again from where these frames began, with
-these free.
+these free. What shows in many frames only, such as gains, shows in the sum of what was learned.
 """
 
 from __future__ import annotations
@@ -22,8 +22,10 @@ from vergence.self_calibration.keyframe import track_keyframe, worth_tracking
 from vergence.self_calibration.prior import covariance_of_others
 from vergence.self_calibration.robust_fit import MOST
 from vergence.self_calibration.state import (
+    JOINT_WEIGHT,
     FrameEstimate,
     Keyframe,
+    Origin,
     Past,
     SelfCalibration,
     TrackedFeatures,
@@ -34,7 +36,13 @@ from vergence.self_calibration.tolerances import (
     Tolerance,
     tolerance_covariance,
 )
-from vergence.self_calibration.update import drifted, evidence_about, log_likelihood, updated
+from vergence.self_calibration.update import (
+    change_exceeds_prior,
+    drifted,
+    evidence_about,
+    log_likelihood,
+    updated,
+)
 
 _WINDOW = 3
 """Frames that are examined together for a change of the head; two at least."""
@@ -77,7 +85,22 @@ def learn_tracked(
     if seen.status == "contradiction":
         return replace(state, past=past, keyframe=None)
     learned = replace(updated(state, seen, seen.evidence, tracked), past=past)
-    return learned if state.settled else _settling(learned)
+    linear = state.settled or len(_believed(past)) in _LINEARISED_AGAIN
+    learned = learned if state.settled else _settling(learned)
+    return _begun_anew(learned) if linear and change_exceeds_prior(learned) else learned
+
+
+def _begun_anew(state: SelfCalibration) -> SelfCalibration:
+    """Return what is known of a head that is as uncertain as one known from its drawing."""
+    return replace(
+        _freed(state, UNCALIBRATED),
+        recurrence=None,
+        joint_weight=JOINT_WEIGHT,
+        past=(),
+        keyframe=None,
+        settled=False,
+        uncalibrated=True,
+    )
 
 
 def without_reports(state: SelfCalibration) -> SelfCalibration:
@@ -98,20 +121,24 @@ def _remembered(
 
 def _freed(state: SelfCalibration, tolerance: Tolerance) -> SelfCalibration:
     """Return what is known of a head that may have changed."""
-    free = tolerance_covariance(state.head, state.names, tolerance)
-    return replace(state, covariance=state.covariance + free)
+    C = state.covariance + tolerance_covariance(state.head, state.names, tolerance)
+    return replace(state, covariance=C, origin=Origin(state.head, C))
 
 
 def _settling(state: SelfCalibration) -> SelfCalibration:
     """Return the state after one of the first frames, at times with all of them linearised anew."""
     past = state.past
     settled = len(past) >= _LINEARISED_AGAIN[-1]
-    believed = tuple(each for each in past if each.seen.status != "contradiction")
+    believed = _believed(past)
     if settled or len(believed) in _LINEARISED_AGAIN:
         again = _linearised_again(believed, state)
         state = replace(again, keyframe=_same_keyframe(state.keyframe, again.keyframe))
         past = state.past
     return replace(state, settled=settled, past=past[-_WINDOW:] if settled else past)
+
+
+def _believed(past: tuple[Past, ...]) -> tuple[Past, ...]:
+    return tuple(each for each in past if each.seen.status != "contradiction")
 
 
 def _same_keyframe(before: Keyframe | None, again: Keyframe | None) -> Keyframe | None:

@@ -179,7 +179,7 @@ def _changes(known: SelfCalibration, time_s: float) -> list[str]:
     """Return warnings of what the last frame, at a time since the first, showed to have changed."""
     when = f"{time_s:.1f} s after the first row"
     if known.bumped:
-        return [f"A camera turned {when}; which of the two, the images do not tell."]
+        return [f"A camera turned, at the latest {when}; the images do not tell which of the two."]
     if known.uncalibrated:
         return [
             "The head is farther from its calibration than the stated covariance allows, as the "

@@ -23,9 +23,20 @@ from vergence.self_calibration.prior import (
 )
 from vergence.vision.matching.scene_features import Matches
 
+JOINT_WEIGHT = 5.0
+"""How many readings what is assumed of their noise counts for."""
 _LEAST_RATIO = 0.1
 """Noise of a reading, relative to the others', that is assumed at least: none is exact."""
 Status = Literal["seen", "little seen", "contradiction"]
+
+
+@dataclass(frozen=True, eq=False)
+class Origin:
+    """What was known of a head before it was learned, or when it was last found to have changed."""
+
+    head: HeadCalibration
+    covariance: Array
+    """(P, P) with what it may have drifted since."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +51,8 @@ class SelfCalibration:
     """The P parameters that may be wrong, as in `parameters.parameter_names`."""
     covariance: Array
     """(P, P) of them."""
+    origin: Origin
+    """From where it was learned."""
     joint_std_rad: float
     """Noise of the readings, times their factors: of the joints that they turn; rms."""
     noise_ratios: Array
@@ -52,7 +65,7 @@ class SelfCalibration:
     """Variance inflation by errors that neighbouring matches share."""
     recurrence: Recurrence | None = None
     """How far errors recur where the eyes stood before; None: no frame was learned."""
-    joint_weight: float = 5.0
+    joint_weight: float = JOINT_WEIGHT
     """How many readings their noise would be estimated from, to be as well known."""
     frames: int = 0
     """From which it was learned."""
@@ -211,11 +224,13 @@ def initial_self_calibration(
     ratios = np.maximum(stds / std, _LEAST_RATIO) / factors
     systematic = accuracy.systematic_px if accuracy else {}
     left, right = (systematic.get(name, 0.0) for name in pair)
+    C = prior_covariance(head, names, pair, fresh=fresh)
     return SelfCalibration(
         head=head,
         cameras=pair,
         names=names,
-        covariance=prior_covariance(head, names, pair, fresh=fresh),
+        covariance=C,
+        origin=Origin(head, C),
         joint_std_rad=max(std, float(LEAST_JOINT_STD_RAD)),
         noise_ratios=ratios,
         match_scale=EXPECTED_MATCH_SCALE,

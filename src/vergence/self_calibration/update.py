@@ -11,6 +11,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.special import chdtri
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
@@ -19,6 +21,7 @@ from vergence.geometry.parameters import change_between, change_named
 from vergence.self_calibration.keyframe import next_keyframe
 from vergence.self_calibration.match_noise import aged, with_frame
 from vergence.self_calibration.motion_evidence import prior_information, with_motion
+from vergence.self_calibration.robust_fit import GATE
 from vergence.self_calibration.state import (
     Evidence,
     FrameEstimate,
@@ -31,6 +34,8 @@ _PACE = 0.1
 """Share of a frame in the running means of how much matches err."""
 _LONGEST_MEMORY = 4000.0
 """Readings from which their noise is estimated."""
+_LEARNED = 0.02
+"""Share of a variance that is gone where something was learned."""
 
 
 def updated(
@@ -99,6 +104,7 @@ def drifted(state: SelfCalibration, elapsed_s: float) -> SelfCalibration:
     return replace(
         state,
         covariance=state.covariance + drift,
+        origin=replace(state.origin, covariance=state.origin.covariance + drift),
         recurrence=None if state.recurrence is None else aged(state.recurrence, elapsed_s),
         time_s=state.time_s + elapsed_s,
     )
@@ -125,6 +131,24 @@ def _joint_variance(state: SelfCalibration, N: Array, b: Array) -> tuple[float, 
     weight = state.joint_weight + float(weights.sum())
     variance = (state.joint_weight * expected + float(weights @ samples)) / weight
     return max(variance, 1e-2 * expected), min(weight, _LONGEST_MEMORY)
+
+
+def change_exceeds_prior(state: SelfCalibration) -> bool:
+    """Return whether what was learned is farther from where it began than chance explains.
+
+    A head that is learned changes by the square of what was known less what is known still. Many
+    frames show a change that is too small for a few, such as that of a gain.
+    """
+    before = state.origin
+    change = change_between(state.head, before.head, state.names)
+    root = np.linalg.cholesky(before.covariance)
+    left = solve_triangular(root, state.covariance, lower=True)
+    left = solve_triangular(root, left.T, lower=True)  # of a variance of one before
+    values, directions = np.linalg.eigh((left + left.T) / 2)
+    learned = values < 1 - _LEARNED
+    moved = directions[:, learned].T @ solve_triangular(root, change, lower=True)
+    distance = float((moved**2 / (1 - values[learned])).sum())
+    return distance > chdtri(max(float(learned.sum()), 1.0), GATE)
 
 
 def log_likelihood(state: SelfCalibration, seen: FrameEstimate) -> float:
