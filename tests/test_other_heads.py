@@ -241,6 +241,22 @@ def test_eyes_that_share_readings_may_see_boards_one_after_the_other():
     assert np.isfinite(bundle_adjust(nearby(truth, rng), few).covariance).all()
 
 
+def test_joints_that_are_described_in_another_order_are_doubted():
+    """Tilt, pan and roll in place of pan, tilt and roll differ by the square of the angles only."""
+    rng = np.random.default_rng(5)
+    truth = without_offsets(other_head("pan, tilt, roll", rng))
+    seen = recording(truth, rng)
+    first, second, third = seen.kinematics.eyes["right"]
+    eyes: dict[Side, tuple[Joint, ...]] = {
+        "left": seen.kinematics.eyes["left"],
+        "right": (second, first, third),
+    }
+    otherwise = Kinematics(eyes, seen.kinematics.readings)
+    found = calibrate(replace(seen, kinematics=otherwise))
+    assert any("the order of the joints" in each for each in found.warnings)
+    assert not any("the order of the joints" in each for each in calibrate(seen).warnings)
+
+
 def test_points_of_a_head_with_a_shared_tilt_are_located_within_their_regions():
     rng = np.random.default_rng(4)
     truth = without_offsets(other_head("shared tilt, pan", rng))

@@ -26,6 +26,11 @@ SURE = 5.0
 than noise makes in any recording."""
 LEAST_APART_S = 0.001
 """Least such time that is worth a warning: 0.06 degrees at a rad/s."""
+LOST, LOST_IN_ONE_VIEW = 0.05, 0.01
+"""Share of corners without weight that is reported, where they are scattered over the views, which
+robust weights deal with, and where most of them are in one view."""
+NOISY, NOISY_RAD = 5.0, np.radians(0.2)
+"""Ratio of the noise of readings to that of all others, and noise, from which they are doubted."""
 MOST_NAMED = 3
 """Most readings that lost their weight and are named one by one; the rest are counted."""
 NAMED = 0.3
@@ -42,7 +47,7 @@ _UNCONVERGED = (
 def warnings(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
     """Return a sentence for everything that the reader of a result must know."""
     noise = found.noise
-    said = _unobservable(problem, found)
+    said = _noisy_readings(problem, found) + _unobservable(problem, found)
     said += [
         f"The noise of {what} cannot be estimated from these views; {level:g} {unit} was assumed: "
         "let the eyes look at each board from several angles."
@@ -57,10 +62,11 @@ def warnings(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
         for redundancy in found.redundancy[~found.assumed & ~found.given & (found.redundancy < FEW)]
     ]
     corners, lost = int(np.count_nonzero(problem.seen)), int(found.outliers.sum())
-    if lost > 0.01 * corners:
-        by_view = np.bincount(problem.block_view[problem.block], found.outliers)
+    by_view = np.bincount(problem.block_view[problem.block], found.outliers)
+    in_one_view = by_view.max() > lost / 2
+    if lost > (LOST_IN_ONE_VIEW if in_one_view else LOST) * corners:
         look = "look at the views with the largest residuals"
-        if by_view.max() > lost / 2:
+        if in_one_view:
             look = (
                 f"{by_view.max():.0f} of them are in view {by_view.argmax()}: the board may have "
                 "moved, or the image may be blurred"
@@ -91,6 +97,31 @@ def _kinds_of_noise(problem: BundleProblem, found: Adjusted) -> list[tuple[str, 
     if problem.T_base_eye_read is not None:
         return [("the eyes' measured rotations", "rad"), ("their measured places", "m")]
     return [("the joint readings", "rad")] * len(found.assumed)
+
+
+def _noisy_readings(problem: BundleProblem, found: Adjusted) -> list[str]:
+    """Return a sentence on readings that are far noisier than all others, relative to their joints.
+
+    Joints in another order than described turn like noise: by the square of the angles.
+    """
+    if problem.T_base_eye_read is not None:
+        return []
+    kinematics, group = found.state.head.kinematics, found.noise.group
+    kinds = [problem.block_columns[:, group == k] for k in range(int(group.max()) + 1)]
+    turned = [
+        level * kinematics.factors[kind].max()
+        for level, kind in zip(found.noise.levels[1:], kinds, strict=True)
+    ]
+    worst = int(np.argmax(turned))
+    others = max((turned[k] for k in range(len(turned)) if k != worst), default=np.inf)
+    if turned[worst] < max(NOISY * others, NOISY_RAD):
+        return []
+    names = listed([kinematics.readings[r] for r in np.unique(kinds[worst])])
+    return [
+        f"The noise of {names} is {np.degrees(turned[worst]):.2g} degrees of a joint, that of "
+        f"other readings {np.degrees(others):.2g} at most: check the encoder, and in `kinematics` "
+        "the order of the joints of each eye and their axes."
+    ]
 
 
 def _lost_readings(problem: BundleProblem, found: Adjusted) -> list[str]:
