@@ -12,7 +12,7 @@ from head_kinds import points
 from lens_monte_carlo import recording
 from other_heads import KINDS, other_head
 from simulated_head import as_designed, random_head
-from simulated_recording import BOARD, POINTS, Noise, Recording, as_poses, record
+from simulated_recording import BOARD, POINTS, Noise, Recording, as_poses, facing, observe, record
 from test_sequential import only, some_cameras
 from vergence.calibration.bundle.bundle_adjustment import BundleEstimate, bundle_adjust
 from vergence.calibration.calibrate import CalibrationResult, calibrate
@@ -185,7 +185,7 @@ def test_eyes_may_see_one_board_at_rest_one_after_the_other():
     found = calibrate(seen)
     assert_within_stated(found, truth)
     assert found.accuracy.void == ()
-    assert found.warnings[-1].startswith("There is no held-out error: no view shows the board to")
+    assert found.warnings[-1].startswith("There is no held-out error of points: no view shows")
     with pytest.raises(VergenceError, match="no placement of the board is seen by both"):
         calibrate(replace(seen, placement=2 * seen.placement + np.arange(len(seen.placement)) % 2))
 
@@ -257,6 +257,37 @@ def test_joints_that_are_described_in_another_order_are_doubted():
     assert not any("the order of the joints" in each for each in calibrate(seen).warnings)
 
 
+@pytest.mark.parametrize(("kind", "still"), [("pan, tilt, roll", 2), ("version and vergence", 1)])
+def test_a_joint_that_never_moved_is_not_called_wrong(kind: str, still: int):
+    rng = np.random.default_rng(1)
+    truth = without_offsets(other_head(kind, rng))
+    straight, turned = 12, 30
+    angles = np.zeros((straight + turned, len(truth.kinematics.readings)))
+    angles[straight:] = rng.uniform(-0.2, 0.2, (turned, angles.shape[1]))
+    angles[:, still] = 0.0
+    centres = np.column_stack([np.ones(13), rng.uniform(-0.1, 0.1, (13, 2)) - [0.04, 0.0]])
+    boards = facing(rng.uniform(0.45, 0.7, (13, 1)) * centres, rng.uniform(-0.5, 0.5, (13, 3)))
+    placement = np.minimum(np.arange(straight + turned), straight)
+    seen = observe(
+        truth,
+        rng,
+        Noise(0.1, np.radians(0.05)),
+        placement=placement,
+        T_lbase_target=boards[placement],
+        joints=angles,
+    )
+    found = calibrate(seen)
+    said = " ".join((*found.accuracy.void, *found.warnings))
+    assert "not observable" in said
+
+
+def test_an_eye_that_sees_nothing_needs_no_readings():
+    _, seen = recorded(3)
+    seen.corners["left_wide"][[2, 3, 20, 21]] = np.nan
+    seen.eye_angles[[2, 3, 20, 21], :2] = np.nan
+    assert calibrate(seen).accuracy.void == ()
+
+
 def test_points_of_a_head_with_a_shared_tilt_are_located_within_their_regions():
     rng = np.random.default_rng(4)
     truth = without_offsets(other_head("shared tilt, pan", rng))
@@ -290,6 +321,11 @@ def test_an_eye_before_gears_has_noises_of_its_own():
     kinematics = replace(seen.kinematics, eyes={**seen.kinematics.eyes, "left": left})
     geared = replace(seen, kinematics=kinematics, eye_angles=seen.eye_angles / gear)
     found = assert_told_alike(truth, seen, geared)
+    held_out = [calibrate(each).accuracy.held_out for each in (seen, geared)]
+    assert held_out[0] is not None
+    assert held_out[1] is not None
+    assert held_out[1].prediction_px == pytest.approx(held_out[0].prediction_px, rel=0.02)
+    assert held_out[1].expected_mm == pytest.approx(held_out[0].expected_mm, rel=0.1)
     expected = np.radians(0.05) / gear
     assert found.joint_std == pytest.approx(expected.tolist(), rel=0.35)
 

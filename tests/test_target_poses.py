@@ -19,7 +19,7 @@ from vergence.calibration.bundle.measured_poses import (
 from vergence.calibration.bundle.target_poses import TargetPoseEstimate, adjust_target_poses
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, T_base_cam
-from vergence.geometry.kinematics import Side, T_base_eye
+from vergence.geometry.kinematics import EYES, Side, T_base_eye
 from vergence.geometry.parameters import boxminus, without_offsets
 from vergence.geometry.se3 import boxplus, inverse
 
@@ -253,3 +253,13 @@ def test_wrong_arguments_are_refused():
         T[:8] = np.nan
     with pytest.raises(VergenceError, match="at least 3 poses"):
         adjust_target_poses(poses, readings, eyes=EYES_OF)
+
+
+def test_eye_poses_that_are_one_row_late_are_void_and_no_traceback():
+    """Hardly a residual of the eyes' poses is left, and the information on their noise is nil."""
+    rng = np.random.default_rng(0)
+    head = head_of("pan, tilt", rng)
+    poses, readings = measured(head, rng, pose_std=(0.003, 0.0006), joint_std=0.002, views=40)
+    eyes = np.stack([T_base_eye(head.kinematics, each, readings) for each in EYES], axis=1)
+    found = adjust_target_poses(poses, np.roll(eyes, 1, axis=0), eyes=EYES_OF)
+    assert found.void

@@ -14,7 +14,6 @@ from vergence.calibration.checked_views import CheckedViews, Method, checked_vie
 from vergence.calibration.checks import axes_and_eyes, board_flips, board_shape, excitation
 from vergence.calibration.checks.cross_validation import PartCalibration
 from vergence.calibration.checks.exchanged_readings import exchanged_readings
-from vergence.calibration.checks.lens_map import edge_warnings
 from vergence.calibration.checks.part_calibration import (
     bundle_of_part,
     placed_boards,
@@ -176,14 +175,13 @@ def _warnings(
 ) -> tuple[str, ...]:
     """Return what the data could not determine, and what is odd in the result."""
     observations, head = views.observations, found.head
-    odd_baseline, at_the_edge = [], ()
+    odd_baseline = []
     if observations.T_base_eye is None:
         odd_baseline = axes_and_eyes.odd_baseline(head)
     focal_std = {name: each.focal_std_px for name, each in views.intrinsics.items()}
     if isinstance(found, BundleEstimate):
         std = _stds(found)
         focal_std = {name: (std[f"{name}.fx"], std[f"{name}.fy"]) for name in head.cameras}
-        at_the_edge = edge_warnings(head, observations.corners, found.residuals_px)
     return (
         *views.pose_warnings,
         *odd_baseline,
@@ -191,7 +189,6 @@ def _warnings(
         *board_shape.warnings(*views.at_rest, views.intrinsics),
         *excitation.doubts(observations, views.T_cam_target, head, focal_std),
         *found.accuracy.warnings,
-        *at_the_edge,
     )
 
 

@@ -49,7 +49,7 @@ def cross_validated(
         return Validation(None, (f"There is no held-out error: {error}",))
     if not found.transfer_views and len(set(camera_eyes(observations).values())) > 1:
         return Validation(
-            found, ("There is no held-out error: no view shows the board to both eyes.",)
+            found, ("There is no held-out error of points: no view shows the board to both eyes.",)
         )
     contradictions = _misfit(found)
     ratio = found.jackknife_ratio

@@ -11,7 +11,7 @@ See `problem` for the unknowns, `solver` for the steps, `variance_components` fo
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -107,7 +107,7 @@ def bundle_adjust(
     points: Array | None = None,
     fixed: Collection[str] | None = None,
     pixel_std_px: float | None = None,
-    joint_std: float | tuple[float, float] | None = None,
+    joint_std: float | Sequence[float] | None = None,
     own_levels_from: float = OWN_LEVELS,
     outlier: float = OUTLIER,
 ) -> BundleEstimate:
@@ -139,11 +139,6 @@ def bundle_adjust(
             f"There is no parameter {min(unknown)!r} to fix; there are, for example, "
             "left_wide.fx, left_wide.T_eye_cam.rx, left.pan_gain and time_offset_s."
         )
-    if observations.T_base_eye is None and isinstance(joint_std, tuple):
-        raise VergenceError(
-            f"joint_std of joint readings is one number [rad], found {joint_std}; two, of rotation "
-            "[rad] and translation [m], are for measured eye poses."
-        )
     problem, state, numbers = initial_state(
         start,
         observations,
@@ -151,11 +146,16 @@ def bundle_adjust(
         points=points,
         T_cam_target=T_cam_target,
     )
-    least_blocks = own_levels_from if joint_std is None else np.inf
+    given = None if joint_std is None else np.maximum(np.atleast_1d(joint_std), EXACT)
+    least_blocks = own_levels_from if given is None else np.inf if len(given) == 1 else 0
     group = _noise_groups(problem, start.kinematics, least_blocks)
-    levels = None
-    if joint_std is not None:
-        levels = np.broadcast_to(np.maximum(joint_std, EXACT), (group.max() + 1,))
+    groups = int(group.max()) + 1
+    if given is not None and len(given) not in (1, groups):
+        raise VergenceError(
+            f"joint_std is one number, or {groups}, as many as these readings have kinds; found "
+            f"{joint_std}."
+        )
+    levels = None if given is None else np.broadcast_to(given, groups)
     found = adjust(
         problem, state, group, pixel_std_px=pixel_std_px, joint_std=levels, outlier=outlier
     )

@@ -87,7 +87,8 @@ def warnings(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
         said.append(
             f"All images{whose} have a systematic error of {systematic:.2g} px, more than the "
             f"noise of single corners ({noise.pixel_px:.2g} px): the lens departs from its "
-            "model, or the board is not flat; look at the residuals over the image."
+            "model, which a richer one may follow (--lens), or the board is not flat; look at the "
+            "residuals over the image."
         )
     return tuple(dict.fromkeys(said))  # pan and tilt may share one
 

@@ -76,9 +76,10 @@ def estimate_noise(
         value, score, information, left = trial
         if change < 1e-4:
             break
-    information = information + 1e-12 * np.eye(len(s))
     variance = np.zeros(len(s))
-    variance[~fixed] = np.diag(np.linalg.inv(information[np.ix_(~fixed, ~fixed)]))
+    values, vectors = np.linalg.eigh(information[np.ix_(~fixed, ~fixed)])
+    # A group with hardly a residual left has an information that is rounding, of either sign.
+    variance[~fixed] = (vectors**2 / np.maximum(values, 1e-12)).sum(axis=1)
     return replace(noise, levels=np.exp(s / 2)), variance, left
 
 

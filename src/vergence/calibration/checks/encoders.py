@@ -39,8 +39,6 @@ IDLE = 0.05
 """Part of the turns' variance below which a reading has no part in them."""
 LEAST_BASELINE_M = 1e-3
 """Between the cameras of two eyes."""
-DEAD = 0.03
-"""Part of the other joint's motion, below which a reading does not change."""
 GAINS = (0.6, 1.6)
 """Least and largest gain of a joint that is calibrated; others mean another unit or joint."""
 DEGREES_PER_RAD = np.degrees(1.0)
@@ -188,7 +186,7 @@ def _contradictions(
     known, and the camera is taken to stand upright.
     """
     fit = turns.own
-    if fit.explained < EXPLAINED and fit.moved.min() < DEAD * fit.moved.max():
+    if fit.explained < EXPLAINED and fit.at_rest.any():
         return [
             f"The readings of {fit.names[int(fit.moved.argmin())]} hardly change "
             f"({fit.moved.min():.2g} rad), though {turns.camera} turns about that axis too before "

@@ -42,7 +42,7 @@ def exchanged_readings(
     swapped[:, [*used[0], *used[1]]] = readings[:, [*used[1], *used[0]]]
     errors, differences, unknowns = [], [], 1
     for e, eye in enumerate(EYES):
-        rows = np.isfinite(T_base_eye[:, e]).all((1, 2))
+        rows = np.isfinite(T_base_eye[:, e]).all((1, 2)) & np.isfinite(readings).all(axis=1)
         T_read, _, by_readings = eye_linearised(head.kinematics, eye, readings[rows])
         T_swapped, *_ = eye_linearised(head.kinematics, eye, swapped[rows])
         # What offsets and gains of the joints explain is not looked at.

@@ -20,15 +20,8 @@ from vergence.geometry.se3 import cross
 
 COLUMNS, ROWS = 12, 9
 """Cells of the map: squares in an image of 4 : 3."""
-MIDDLE, EDGE = 0.5, 0.75
-"""Distances from the image's middle, relative to that of its corners: inside the first is the
-middle, outside the second the edge."""
-COMPARED_VIEWS = 5
-"""Fewest views with corners at the edge, and in the middle, for the two to be compared."""
-LARGER = 1.25
-"""Ratio of residuals at the edge and in the middle that is called larger ..."""
-CERTAIN = 4.0
-"""... if it exceeds one by as many standard errors."""
+EDGE = 0.75
+"""Distance from the image's middle, relative to that of its nearer border."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,44 +148,3 @@ def unit_rays(camera: Camera, pixels: Array) -> Array:
     """Return unit vectors (N, 3) in frame cam towards what is seen at pixels (N, 2)."""
     rays = unproject(camera, pixels)
     return rays / np.linalg.norm(rays, axis=1, keepdims=True)
-
-
-def edge_warnings(
-    head: HeadCalibration, corners: Mapping[str, Array], residuals_px: Mapping[str, Array]
-) -> tuple[str, ...]:
-    """Return a sentence for each camera whose residuals are larger at the edge than in the middle.
-
-    Arguments are those of lens_maps.
-    """
-    said = []
-    for name, residuals in residuals_px.items():
-        camera = head.cameras[name].intrinsics
-        middle = np.array([camera.width - 1, camera.height - 1]) / 2
-        away = np.linalg.norm((corners[name] - middle) / np.linalg.norm(middle), axis=-1)
-        squares = (residuals**2).sum(axis=-1) / 2
-        with np.errstate(invalid="ignore"):
-            rings = [_by_view(squares, away < MIDDLE), _by_view(squares, away > EDGE)]
-        if any((count > 0).sum() < COMPARED_VIEWS for _, count in rings):
-            continue
-        (inner, inner_error), (outer, outer_error) = (_mean_square(*ring) for ring in rings)
-        error = np.hypot(outer_error, LARGER**2 * inner_error)
-        if outer - LARGER**2 * inner > 0 and outer - inner > CERTAIN * error:
-            said.append(
-                f"Residuals of {name} grow towards the edge of its image: {np.sqrt(outer):.2g} px "
-                f"there, {np.sqrt(inner):.2g} px in the middle; its lens model does not hold at "
-                "the edge: choose a richer one (--lens), record more boards at the edge, and look "
-                "at the map of the lens."
-            )
-    return tuple(said)
-
-
-def _by_view(squares: Array, mine: np.ndarray) -> tuple[Array, np.ndarray]:
-    """Return sums (V,) of squares (V, K) that are mine, and how many these are."""
-    used = mine & np.isfinite(squares)
-    return np.where(used, squares, 0.0).sum(axis=1), used.sum(axis=1)
-
-
-def _mean_square(total: Array, count: np.ndarray) -> tuple[float, float]:
-    """Return the mean of squares and its standard error; a view's corners err together."""
-    mean = total.sum() / count.sum()
-    return float(mean), float(np.sqrt(((total - mean * count) ** 2).sum()) / count.sum())

@@ -79,14 +79,12 @@ def bundle_of_part(
 ) -> PartCalibration:
     """Return the calibration from a part of the views (V,), at the noise that all of them show."""
     part, levels = observations.take(rows), estimate.joint_std
-    # One level for all joints is given; the folds are hardly the worse for it.
-    mean = float(np.sqrt(np.mean(np.square(levels))))
     found = bundle_adjust(
         estimate.head,
         part,
         T_cam_target={name: T[rows] for name, T in T_cam_target.items()},
         pixel_std_px=estimate.pixel_std_px,
-        joint_std=mean if part.T_base_eye is None else (levels[0], levels[-1]),
+        joint_std=levels,
     )
     head = replace(found.head, accuracy=replace(found.accuracy, joint_std=levels))
     return PartCalibration(head, found.T_lbase_target, found.board_scale)

@@ -14,6 +14,8 @@ OUTLIER, OUTLIER_RAD = 6.0, np.radians(1.0)
 """A view contradicts the others that differs by this many times the median, and by this angle."""
 OUTLIERS = 0.25
 """Part of the views that may do so; more say that readings or poses as a whole are in doubt."""
+AT_REST = 0.1
+"""Part of the largest turn by a reading, below which another says nothing of its own gain."""
 AHEAD = 0.3
 """Cosine of the angle between a camera's axis and the eye's x axis, at least: some look aside."""
 
@@ -32,6 +34,8 @@ class ReadingFit:
     """Root mean square of what they leave."""
     moved: Array
     """(u,) standard deviations of the readings [rad]."""
+    at_rest: np.ndarray
+    """(u,) of bool: which readings moved too little to tell their gain, which is then 1."""
     R_cam_eye: Array
     """(3, 3) how the eye stands in frame cam, for the axes to be where the images show them."""
 
@@ -52,11 +56,17 @@ def fit_readings(kinematics: Kinematics, eye: Side, readings: Array, turn: Array
     left = ((turn - read @ w) ** 2).sum() / (turn**2).sum()
     # The rotation that takes the described axes best to where the images show them.
     lengths = [np.linalg.norm(each, axis=1, keepdims=True) for each in (w, d)]
+    moved = read.std(axis=0)
+    # By the description, and by the images: one alone may be of another unit.
+    turned = moved * np.column_stack([lengths[1][:, 0], lengths[0][:, 0]]).T
+    at_rest = (turned < AT_REST * turned.max(axis=1, initial=0.0)[:, None]).all(axis=0)
+    w[at_rest] = 0.0
     R = nearest_rotation((w / np.maximum(lengths[0], 1e-12)).T @ (d / lengths[1]))
-    gains = (w * (d @ R.T)).sum(axis=1) / lengths[1][:, 0] ** 2
+    gains = np.where(at_rest, 1.0, (w * (d @ R.T)).sum(axis=1) / lengths[1][:, 0] ** 2)
     names = [kinematics.readings[r] for r in used]
-    left_rad = float(np.sqrt(((turn - read @ w) ** 2).sum(axis=1).mean()))
-    return ReadingFit(names, gains, 1 - float(left), left_rad, read.std(axis=0), R)
+    off = turn - read @ w
+    left_rad = float(np.sqrt((off**2).sum(axis=1).mean()))
+    return ReadingFit(names, gains, 1 - float(left), left_rad, moved, at_rest, R)
 
 
 def _explained(readings: Array, turn: Array) -> np.ndarray:

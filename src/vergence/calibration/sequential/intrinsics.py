@@ -16,9 +16,7 @@ from vergence.calibration.sequential.lens_fit import (
     without_poses,
 )
 from vergence.calibration.sequential.lens_models import (
-    BY_OPENCV,
     LensModel,
-    by_opencv,
     fit_model,
     free_intrinsics,
 )
@@ -95,9 +93,6 @@ def calibrate_camera(
 ) -> Intrinsics:
     """Fit a camera to views of a flat board.
 
-    Models that OpenCV fits are exact to what its single precision allows, the others to double
-    precision.
-
     Args:
         corners: (V, K, 2) pixels; NaN where a corner was not seen.
         points: (K, 3) the board's corners in frame target.
@@ -124,12 +119,6 @@ def calibrate_camera(
 def _fitted(
     corners: Array, points: Array, size: tuple[int, int], lens_model: LensModel
 ) -> Intrinsics:
-    if lens_model in BY_OPENCV:
-        try:
-            camera, poses, rms = by_opencv(corners, points, size, lens_model)
-            return _checked(camera, poses, rms, corners, points, lens_model)
-        except (cv2.error, ValueError, np.linalg.LinAlgError, VergenceError):
-            pass  # a board on one line of corners, or found slanted the other way
     corners = corners[determines_pose(points, seen_corners(corners))]
     if len(corners) < LEAST_VIEWS:
         raise VergenceError(_NOT_OBSERVABLE)

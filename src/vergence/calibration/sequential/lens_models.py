@@ -1,7 +1,7 @@
 """The lens models that can be fitted to views of a board, and their fits.
 
-OpenCV fits the simplest models, in single precision. `fit_model` fits all of them in double
-precision, from a start that is near the truth or from one that it seeks.
+`fit_model` fits them in double precision, from a start that is near the truth or from one that it
+seeks.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from vergence.calibration.sequential.lens_prior import EQUIDISTANT
 from vergence.geometry.camera import Camera, pinhole
 from vergence.geometry.lens import distort
 from vergence.geometry.parameter_names import PINHOLE
-from vergence.geometry.se3 import pose, rotation, transform
+from vergence.geometry.se3 import transform
 from vergence.vision.board_pose import (
     board_poses,
     refined_poses,
@@ -40,14 +40,6 @@ LensModel = Literal[
 """Which distortion is fitted: none, k1, k1 and k2, (k1, k2, p1, p2), the same and k3, or all of the
 rational (8) or the fisheye (4) model of geometry.lens."""
 
-_K1, _K2, _K3 = cv2.CALIB_FIX_K1, cv2.CALIB_FIX_K2, cv2.CALIB_FIX_K3
-BY_OPENCV: dict[LensModel, int] = {
-    "none": _K1 | _K2 | _K3 | cv2.CALIB_ZERO_TANGENT_DIST,
-    "k1": _K2 | _K3 | cv2.CALIB_ZERO_TANGENT_DIST,
-    "k1k2": _K3 | cv2.CALIB_ZERO_TANGENT_DIST,
-    "radial-tangential": _K3,
-}
-"""The models that OpenCV fits, and its flags for it; the others start from one of these."""
 FREE_COEFFICIENTS: dict[LensModel, int] = {
     "none": 0,
     "k1": 1,
@@ -77,34 +69,6 @@ def repeatable() -> Iterator[None]:
         yield
     finally:
         cv2.setNumThreads(threads)
-
-
-def by_opencv(
-    corners: Array, points: Array, size: tuple[int, int], lens_model: LensModel
-) -> tuple[Camera, Array, float]:
-    """Return a camera, its boards' poses (V, 4, 4) and the RMS residual [px], as OpenCV fits them.
-
-    All views show four corners or more. cv2.error or ValueError: the fit leads to no camera.
-    """
-    seen = seen_corners(corners)
-    with repeatable():
-        rms, matrix, distortion, rvecs, tvecs = cv2.calibrateCamera(
-            [points[each].astype(np.float32) for each in seen],
-            [view[each].astype(np.float32) for view, each in zip(corners, seen, strict=True)],
-            size,
-            np.eye(3),  # only the type of these two is used: no guess is given
-            np.zeros(5),
-            flags=BY_OPENCV[lens_model],
-            criteria=CRITERIA,
-        )
-    camera = Camera(
-        width=size[0],
-        height=size[1],
-        matrix=np.asarray(matrix, float),
-        distortion=np.asarray(distortion, float).ravel()[:5],
-    )
-    poses = pose(rotation(np.array(rvecs).reshape(-1, 3)), np.array(tvecs).reshape(-1, 3))
-    return camera, poses, float(rms)
 
 
 Start = tuple[Camera, Array]
@@ -195,8 +159,8 @@ def _fit_from(
         if start is None:
             start = pinhole_start(corners, points, size)
             if start is None:
-                start = by_opencv(corners, points, size, "radial-tangential")[:2]
-            elif lens_model == "radial-tangential-k3":
+                raise ValueError("no pinhole camera shows these boards")
+            if lens_model == "radial-tangential-k3":
                 before = _fit_from("radial-tangential", start, corners, points, size, ROUGH)
                 start = before.camera, before.T_cam_target
         k = np.zeros(5)
