@@ -16,7 +16,7 @@ from vergence.calibration.bundle.measured_poses import (
     pose_jacobians,
     whitened,
 )
-from vergence.calibration.bundle.target_poses import TargetPoseEstimate, adjust_target_poses
+from vergence.calibration.target_poses import TargetPoseEstimate, adjust_target_poses
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, T_base_cam
 from vergence.geometry.kinematics import EYES, Side, T_base_eye
@@ -262,4 +262,15 @@ def test_eye_poses_that_are_one_row_late_are_void_and_no_traceback():
     poses, readings = measured(head, rng, pose_std=(0.003, 0.0006), joint_std=0.002, views=40)
     eyes = np.stack([T_base_eye(head.kinematics, each, readings) for each in EYES], axis=1)
     found = adjust_target_poses(poses, np.roll(eyes, 1, axis=0), eyes=EYES_OF)
+    assert found.void
+
+
+@pytest.mark.parametrize("order", [[1, 0, 2, 3], [2, 3, 0, 1], [1, 0, 3, 2]])
+def test_readings_in_another_order_are_void(order):
+    rng = np.random.default_rng(0)
+    head = head_of("pan, tilt", rng)
+    poses, readings = measured(head, rng, pose_std=(0.003, 0.0006), joint_std=0.002)
+    found = adjust_target_poses(
+        poses, readings[:, order], eyes=EYES_OF, covariance=dict.fromkeys(poses, NOISE)
+    )
     assert found.void

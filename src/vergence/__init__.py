@@ -14,10 +14,10 @@ __version__ = "0.2.0"
 
 if TYPE_CHECKING:
     from vergence.calibration.bundle.latent_hand_eye import refine_eye_camera
-    from vergence.calibration.bundle.target_poses import adjust_target_poses
     from vergence.calibration.calibrate import CalibrationResult, calibrate
     from vergence.calibration.detection import detect_target
     from vergence.calibration.observations import Observations
+    from vergence.calibration.target_poses import adjust_target_poses
     from vergence.data.dataset import Dataset, Frame
     from vergence.data.reader import load_dataset
     from vergence.data.writer import write_dataset
@@ -85,7 +85,7 @@ bytes(31 << 20)
 
 _HOMES = {
     "calibration.bundle.latent_hand_eye": ("refine_eye_camera",),
-    "calibration.bundle.target_poses": ("adjust_target_poses",),
+    "calibration.target_poses": ("adjust_target_poses",),
     "calibration.calibrate": ("CalibrationResult", "calibrate"),
     "calibration.detection": ("detect_target",),
     "calibration.observations": ("Observations",),

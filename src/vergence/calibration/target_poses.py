@@ -27,6 +27,7 @@ from vergence.calibration.bundle.target_pose_checks import (
     check_target_poses,
     measured_rows,
 )
+from vergence.calibration.checks import axes_and_eyes
 from vergence.calibration.observations import mean_placed
 from vergence.calibration.sequential.hand_eye import robust_park_martin
 from vergence.errors import VergenceError
@@ -200,6 +201,8 @@ def _whitening(covariance: Mapping[str, Array], name: str, T_cam_target: Array) 
 def _result(
     found: BundleEstimate, pose_std: tuple[float, float] | None, factor: float
 ) -> TargetPoseEstimate:
+    stds = np.sqrt(np.diag(found.covariance)).tolist()
+    doubts = axes_and_eyes.doubts(found.head, dict(zip(found.parameters, stds, strict=True)))
     return TargetPoseEstimate(
         head=found.head,
         parameters=found.parameters,
@@ -213,7 +216,7 @@ def _result(
             name: each.reshape(-1, 6) / (found.pixel_std_px if pose_std else 1.0)
             for name, each in found.residuals_px.items()
         },
-        void=found.void,
+        void=(*found.void, *doubts),
         warnings=found.warnings,
     )
 
