@@ -10,13 +10,18 @@ from vergence.vision.matching.least_squares_matching import WINDOW_PX
 from vergence.vision.matching.turned_views import whole_windows
 
 _FEATURES = 1000
-"""About how many are sought, however large the part is that both eyes see and that has texture.
+"""About how many are sought, however large the part is that both eyes see and that has texture; in
+images of more than 0.6 megapixels the largest cells are more. Of neighbouring cells many lie within
+4 px of each other. Without the weaker ones, a third of all, single frames are as good within 9 % in
+12 % less time, but what is learned in 5 s is up to a fifth worse.
 They are spread evenly: taking more where contrast is high, or where features tell most of the turn
 between the eyes, would let a near thing with a repeated pattern outvote the rest."""
 _ABOVE_NOISE, _BELOW_TEXTURE = 10.0, 0.03
 """Cells have no texture whose squared gradients are below both: so many times those of the weakest
 twentieth, which show noise alone if any do, and this share of those of the strongest."""
 _SMALLEST_CELL_PX, _LARGEST_CELL_PX = 6, 24
+"""Smaller ones would hold windows that are all but the same; larger ones would leave too few
+neighbours by which the relief around a feature is judged (`relief`)."""
 
 
 def best_of_cells(view: np.ndarray, inside: np.ndarray) -> Array:
