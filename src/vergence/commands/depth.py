@@ -17,10 +17,14 @@ from vergence.arrays import Array
 from vergence.data.reader import load_dataset
 from vergence.data.stereo_rows import stereo_rows
 from vergence.errors import VergenceError
+from vergence.geometry.camera import unproject
 from vergence.geometry.eye_motion import measured
-from vergence.geometry.head import HeadCalibration, load_head
+from vergence.geometry.head import HeadCalibration, load_head, reading_stds
+from vergence.geometry.se3 import pose
 from vergence.progress import Progress, silent
 from vergence.self_calibration.frame import locate_seen
+from vergence.self_calibration.prior import JOINT_STD_RAD
+from vergence.self_calibration.robust_fit import FEWEST
 from vergence.self_calibration.sequence import Geometry, initial_seen_geometry, update_geometry
 from vergence.self_calibration.state import FrameEstimate
 from vergence.stereo.dense_depth import DenseDepth, dense_depth
@@ -28,12 +32,17 @@ from vergence.stereo.rectification import RectifiedPair, rectify
 from vergence.stereo.uncertainty import LocatedPoints
 from vergence.viewer.depth import depth_recording, log_depth
 from vergence.viewer.opening import log_report
+from vergence.vision.matching.scene_features import match_scene
 from vergence.writable import REPORT, check_outputs
 from vergence.writing import markdown_table, results_folder, write_json, write_whole
 
 RANGE_M = (0.5, 1.5)
 """Distances at which accuracy is stated."""
 MOST_PAIRS = 1000
+_DOUBTED = 6.0
+"""Difference of the rows in the median, relative to the noise of readings, from which a calibration
+is doubted. The noise alone makes a difference of about one."""
+_LEAST_DOUBTED_RAD = np.radians(0.1)
 TITLE = "# Dense depth"
 RESULTS = ("depth.rrd", "depth.json", REPORT)
 """Files in the folder of the results."""
@@ -83,6 +92,11 @@ class Summary:
     """Share that has one which texture determines well."""
     median_relative_std: float
     """Stated standard deviation over depth, of textured pixels at RANGE_M."""
+    row_difference_px: float
+    """By how much the rows of a matched feature differ in the rectified images, in the median of
+    the features and of the pairs; NaN: none showed enough of them."""
+    doubt: str | None
+    """Why the calibration is doubted; None: it is not."""
     joints: DepthErrors | None = None
     """By the calibration and the joint readings; None: the truth is not known."""
     seen: DepthErrors | None = None
@@ -216,7 +230,7 @@ def write_depth(
     Raises:
         VergenceError: the folder cannot be written.
     """
-    shares, stds = [], []
+    shares, stds, rows = [], [], []
     progress("dense depth, pairs", 0, count)
     with results_folder(out):
         with depth_recording(out / "depth.rrd", head) as rec:
@@ -224,6 +238,7 @@ def write_depth(
                 near = dense.textured & (dense.depth_m > RANGE_M[0]) & (dense.depth_m < RANGE_M[1])
                 stds.append(dense.std_m[near] / dense.depth_m[near])
                 shares.append((np.isfinite(dense.depth_m).mean(), dense.textured.mean()))
+                rows.append(_row_difference_rad(moment, pair))
                 log_depth(
                     rec,
                     head if moment.seen is None else moment.seen.head,
@@ -236,13 +251,16 @@ def write_depth(
                 )
                 progress("dense depth, pairs", k + 1, count)
             matched, textured = np.mean(shares, axis=0)
-            relative = np.concatenate(stds)
+            relative, known = np.concatenate(stds), np.isfinite(rows)
+            apart_rad = float(np.median(np.array(rows)[known])) if known.any() else np.nan
             done = Summary(
                 pairs=count,
                 left_out=left_out,
                 matched=float(matched),
                 textured=float(textured),
                 median_relative_std=float(np.median(relative)) if relative.size else np.nan,
+                row_difference_px=apart_rad * float(pair.matrix[0, 0]),
+                doubt=_doubt(head, apart_rad),
                 **errors(),
             )
             report = as_markdown(done)
@@ -250,6 +268,45 @@ def write_depth(
         write_json(done, out / "depth.json")
         write_whole(out / REPORT, report)
     return done
+
+
+def _row_difference_rad(moment: StereoImages, pair: RectifiedPair) -> float:
+    """Return how far features are above their row, in the median [rad]; NaN: too few are matched.
+
+    The search for them allows for a geometry that is wrong by some degrees.
+    """
+    views = pair.left, pair.right
+    R_lrect_lcam, R_rrect_rcam = (view.R_rect_cam for view in views)
+    matches = match_scene(
+        moment.left,
+        moment.right,
+        left_camera=pair.left.camera,
+        right_camera=pair.right.camera,
+        T_rcam_lcam=pose(
+            R_rrect_rcam.T @ R_lrect_lcam, -R_rrect_rcam.T @ np.array([pair.baseline_m, 0, 0])
+        ),
+    )
+    if len(matches.left) < FEWEST:
+        return np.nan
+    rays = [
+        unproject(view.camera, pixels) @ view.R_rect_cam.T
+        for view, pixels in zip(views, (matches.left, matches.right), strict=True)
+    ]
+    above = [np.arctan2(each[:, 1], each[:, 2]) for each in rays]
+    return float(np.nanmedian(np.abs(above[1] - above[0])))
+
+
+def _doubt(head: HeadCalibration, apart_rad: float) -> str | None:
+    """Return why a calibration is doubted whose rows are so far apart in the median; None: not."""
+    stated = reading_stds(head) * head.kinematics.factors
+    noise_rad = np.sqrt(np.mean(stated**2)) if stated.any() else JOINT_STD_RAD
+    if not apart_rad > max(_DOUBTED * noise_rad, _LEAST_DOUBTED_RAD):
+        return None
+    return (
+        f"A feature is {np.degrees(apart_rad):.2g} degrees beside its row in the median: the "
+        "calibration is of another head, a camera has turned since, or images and readings are not "
+        "of the same moments. The depths are wrong by far more than is stated."
+    )
 
 
 def as_markdown(done: Summary) -> str:
@@ -273,7 +330,13 @@ def as_markdown(done: Summary) -> str:
         f"{100 * done.matched:.0f} % of the rectified pixels have a depth, "
         f"{100 * done.textured:.0f} % one that texture determines well. {stated}",
         "",
+        f"Rows of a feature differ by {done.row_difference_px:.2g} px in the median."
+        if np.isfinite(done.row_difference_px)
+        else "Too few features are matched to compare the rows of the two images.",
+        "",
     ]
+    if done.doubt is not None:
+        lines += [f"Warning: {done.doubt}", ""]
     rows = [
         (
             name,

@@ -196,7 +196,12 @@ def _warnings(head: HeadCalibration, frames: int, seen: int) -> list[str]:
             "The calibration states no covariance: the usual errors of such a procedure are "
             "assumed in its place."
         )
-    if seen < (1 - _MOST_UNSEEN) * frames:
+    if seen == 0:
+        found.append(
+            "No frame agrees with the calibration: it may be of another head, or images and "
+            "readings are not of the same moments. In all of them the prior stands."
+        )
+    elif seen < (1 - _MOST_UNSEEN) * frames:
         found.append(
             f"Only {seen} of {counted(frames, 'frame')} showed how the cameras stand to each "
             "other; in the others the prior stands, in part or wholly."
