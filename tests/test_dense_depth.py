@@ -22,6 +22,7 @@ from vergence.geometry.board import Chessboard
 from vergence.geometry.camera import normalise
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration, save_head
+from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics
 from vergence.geometry.parameters import change_named
 from vergence.geometry.se3 import inverse, pose, transform
@@ -227,12 +228,13 @@ def test_depth_of_a_real_heads_dataset_needs_no_twin(drawn, tmp_path):
 
 def test_rows_show_that_a_calibration_is_of_another_head(drawn, tmp_path):
     write_recording(tmp_path, drawn, JOINTS)
-    turned = change_named(HEAD, ["left_wide.T_eye_cam.rx"], np.radians([2.0]))
-    save_head(turned, tmp_path / "other.json")
+    turned = change_named(HEAD, ["left_wide.T_eye_cam.ry"], np.radians([0.5]))
+    accuracy = Accuracy("bundle", joint_std=(np.radians(0.02),))
+    save_head(replace(turned, accuracy=accuracy), tmp_path / "other.json")
     given = {"dataset": tmp_path / "data", "calibration": tmp_path / "other.json"}
     done = of_dataset(tmp_path / "depth", **given)
     assert done.doubt is not None
-    assert done.doubt.startswith("A feature is 2 degrees beside its row")
+    assert done.doubt.startswith("A feature is 0.51 degrees beside its row")
     assert "Warning: A feature is" in (tmp_path / "depth" / "report.md").read_text()
 
 
