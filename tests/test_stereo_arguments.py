@@ -24,6 +24,16 @@ def head() -> HeadCalibration:
     return skewed_head(np.random.default_rng(0))
 
 
+def test_a_path_in_place_of_a_head_is_refused():
+    pixels = np.zeros((1, 2))
+    for use in (
+        lambda head: locate(head, left=pixels, right=pixels, joints=np.zeros(4)),
+        lambda head: rectify(head, np.zeros(4)),
+    ):
+        with pytest.raises(VergenceError, match=r"such as of load_head\(path\); found 'head.json'"):
+            use("head.json")
+
+
 @pytest.mark.parametrize(
     "function",
     [

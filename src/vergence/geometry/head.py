@@ -187,8 +187,13 @@ def main_pair(head: HeadCalibration) -> tuple[str, str] | None:
 def pair_names(head: HeadCalibration, cameras: tuple[str, str] | None = None) -> tuple[str, str]:
     """Return the names of a camera of the left eye and one of the right; None: the main ones.
 
-    VergenceError if they are not two, one of them is missing, or left and right are exchanged.
+    VergenceError if they are not two, one of them is missing, left and right are exchanged, or the
+    head is something else, such as a path.
     """
+    if not isinstance(head, HeadCalibration):
+        raise VergenceError(
+            f"A head is a HeadCalibration, such as of load_head(path); found {head!r:.80}."
+        )
     pair = main_pair(head) if cameras is None else cameras
     if pair is None:
         raise VergenceError(

@@ -17,6 +17,7 @@ from vergence.geometry.eye_motion import check_joints, measured
 from vergence.geometry.head import (
     HeadCalibration,
     check_states_covariance,
+    pair_names,
     stated_covariance,
     states_noise,
 )
@@ -96,6 +97,7 @@ def locate(
             negative, time stamps are not those of one motion, the head has no such camera, or left
             and right are exchanged.
     """
+    cameras = pair_names(head, cameras)
     if joint_time_s is not None:
         joints = _at_the_images(head, joints, joint_time_s)
     left, right, joints = checked_arguments(left, right, joints, head.kinematics)
