@@ -21,8 +21,6 @@ PRIOR = float(np.log(2.0))
 """Against a view being turned: at most a third of the views are."""
 MOST_OFFERS = 100
 """Views of which each says how the others, or two cameras, are related; more find nothing new."""
-MOST_TRIED = 4096
-"""Shifts of the cameras that are all tried: those of 12 cameras, of 6 where a board is square."""
 
 
 def angles_apart(R_cam_target: Array, R_base_eye: Array, R: Array) -> Array:
@@ -114,38 +112,13 @@ def agreed_shifts(own: Array, pairs: Mapping[tuple[int, int], Array]) -> tuple[n
 
     The evidence is what the next best cost more in pairs of cameras: `own` only decides between
     equals, as all views of a camera that hangs upside down are turned together. Nothing depends on
-    one shift of all cameras: only what differs by more is another answer. Of more than MOST_TRIED
-    shifts not all are tried.
+    one shift of all cameras: only what differs by more is another answer. Groups of cameras are
+    joined, the clearest first; then whole groups are shifted as long as that costs less, and the
+    next best is that of one group.
 
     Args:
         own: (C, n) what each shift of one camera's boards costs by itself.
         pairs: by cameras a and b (n,) what it costs to shift those of b by k more than those of a.
-    """
-    C, n = own.shape
-    if n**C > MOST_TRIED:
-        return _agreed_by_parts(own, pairs)
-    shifts = np.indices((n,) * C).reshape(C, -1).T
-    totals = _totals(shifts, own, pairs)
-    best = int(totals.argmin())
-    change = (shifts - shifts[best]) % n
-    between = _totals(shifts, np.zeros_like(own), pairs)
-    others = between[(change != change[:, :1]).any(axis=1)]
-    return shifts[best], float(others.min() - between[best])
-
-
-def _totals(shifts: np.ndarray, own: Array, pairs: Mapping[tuple[int, int], Array]) -> Array:
-    """Return (M,) what shifts (M, C) cost."""
-    n = own.shape[1]
-    alone = own[np.arange(len(own)), shifts].sum(axis=1)
-    return alone + sum(cost[(shifts[:, b] - shifts[:, a]) % n] for (a, b), cost in pairs.items())
-
-
-def _agreed_by_parts(
-    own: Array, pairs: Mapping[tuple[int, int], Array]
-) -> tuple[np.ndarray, float]:
-    """Return what agreed_shifts does: groups of cameras are joined, the clearest first.
-
-    Then whole groups are shifted as long as that costs less. The next best is that of one group.
     """
     C, n = own.shape
     back = -np.arange(n) % n
@@ -176,3 +149,10 @@ def _agreed_by_parts(
             in_pairs = _totals(tried, np.zeros_like(own), pairs)
             return shifts, float(in_pairs[1:][partial].min() - in_pairs[0])
         shifts = (shifts + moves[totals[1:].argmin()]) % n
+
+
+def _totals(shifts: np.ndarray, own: Array, pairs: Mapping[tuple[int, int], Array]) -> Array:
+    """Return (M,) what shifts (M, C) cost."""
+    n = own.shape[1]
+    alone = own[np.arange(len(own)), shifts].sum(axis=1)
+    return alone + sum(cost[(shifts[:, b] - shifts[:, a]) % n] for (a, b), cost in pairs.items())
