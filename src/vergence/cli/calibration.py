@@ -12,7 +12,7 @@ from vergence.cli.tables import print_table
 from vergence.commands.invocation import invocation
 from vergence.errors import VergenceError
 from vergence.writable import check_outputs
-from vergence.writing import write_json
+from vergence.writing import results_folder, write_json
 
 
 def calibrate(
@@ -57,7 +57,7 @@ def calibrate(
     check_outputs(out, beside, json, folder=report, names=RESULTS, title=TITLE, inputs=read)
     data = load_dataset(dataset)
     say_if_unfinished(report)
-    with progress_bars() as progress:
+    with progress_bars() as progress, results_folder(report):
         result = run(data, method=method, lens=lens, progress=progress)
         written = beside if result.accuracy.void and out.exists() else out
         save_head(result.head, written)
