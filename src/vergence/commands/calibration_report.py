@@ -181,14 +181,14 @@ def _points(result: CalibrationResult) -> list[str]:
 
 def _next_views(result: CalibrationResult) -> list[str]:
     """Return a short plan, for eyes that move as far as they have in this recording."""
-    readings = np.nan_to_num(np.abs(result.observations.eye_angles)).max(axis=0)
-    reached = readings * result.head.kinematics.factors
+    reached = np.nan_to_num(np.abs(result.observations.eye_angles)).max(axis=0)
+    least = LEAST_LIMIT_RAD / result.head.kinematics.factors
     try:
         found = plan(
             result.head,
             result.observations.board,
             views=NEXT_VIEWS,
-            limits_rad=np.maximum(reached, LEAST_LIMIT_RAD),
+            limits_rad=np.maximum(reached, least),
             candidates=NEXT_CANDIDATES,
         )
     except VergenceError as error:
