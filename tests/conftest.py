@@ -110,7 +110,7 @@ def true_calibration(monkeypatch: pytest.MonkeyPatch) -> None:
     from vergence.demos import experiment
     from vergence.gaze.state import GazeSettings
 
-    def given(twin, seed: int) -> GazeSettings:
+    def given(twin, seed: int, progress: object) -> GazeSettings:
         joint_std_rad = np.hypot(5e-5, np.radians(twin.profile.joints.noise_deg))
         return GazeSettings(calibration=twin.truth, joint_std_rad=float(joint_std_rad))
 

@@ -21,6 +21,7 @@ from vergence.calibration.calibrate import CalibrationResult, Method, calibrate
 from vergence.calibration.checks.board_flips import turn_boards
 from vergence.calibration.detection import SYSTEMATIC_PX
 from vergence.calibration.observations import Observations
+from vergence.calibration.summary import summary_lines, verdict
 from vergence.data.dataset import Dataset
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
@@ -123,6 +124,29 @@ def test_a_calibration_that_predicts_held_out_points_far_too_badly_is_void(recor
     found = calibrate(recorded[1])
     assert found.summary().startswith("VOID")
     assert "6.0 times as wrong as the noise explains" in found.accuracy.void[0]
+
+
+@pytest.mark.parametrize(("expected_mm", "checks"), [(40.0, True), (60.0, False), (5000.0, False)])
+def test_held_out_points_check_nothing_where_noise_explains_a_tenth_of_the_distance(
+    found, expected_mm, checks
+):
+    held = HeldOut(12, 12, 0.1, 12, point_mm=4.0, expected_mm=expected_mm, distance_m=0.5)
+    word, following = verdict(replace(found.accuracy, warnings=(), held_out=held), found.head)
+    assert (f"noise explains errors of {expected_mm:.0f} mm at 0.50 m" in following) != checks
+    assert checks or word == "DOUBTFUL"
+
+
+def test_the_noise_of_readings_is_said_of_each_kind(found):
+    head, observed = found.head, found.observations
+    for levels, said in (
+        ((0.003,), "0.172 degrees in all readings"),
+        (
+            (0.003, 0.004),
+            "0.172 degrees in left_pan and right_pan, 0.229 degrees in left_tilt and right_tilt",
+        ),
+    ):
+        stated = replace(head, accuracy=replace(found.accuracy, joint_std=levels))
+        assert summary_lines(stated, observed)[1].endswith(f" px in corners, {said}.")
 
 
 @pytest.mark.usefixtures("two_folds")

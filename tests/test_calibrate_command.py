@@ -6,11 +6,12 @@ import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from recordings import description, write_dataset
+from recordings import description, small_dataset, write_dataset
 from rrd import read_series
 from simulated_head import plain_head
 from simulated_recording import BOARD, as_poses
@@ -22,7 +23,7 @@ from vergence.calibration.observations import Observations
 from vergence.data.dataset import Dataset
 from vergence.data.description import pose_columns
 from vergence.data.reader import load_dataset
-from vergence.geometry.head import load_head, main_pair, save_head
+from vergence.geometry.head import HeadCalibration, load_head, main_pair, save_head
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Side
 from vergence.interchange import kalibr
@@ -109,6 +110,37 @@ def test_a_void_calibration_is_not_used(words, tmp_path, monkeypatch, capsys):
     said = capsys.readouterr().err
     assert said == "vergence: The calibration void.json is VOID: The estimate did not converge.\n"
     assert [path.name for path in tmp_path.iterdir()] == ["void.json"]
+
+
+@pytest.fixture
+def voided(tmp_path, monkeypatch) -> HeadCalibration:
+    """Calibrations of the dataset `set` in the current folder come out void, for two reasons."""
+    monkeypatch.chdir(tmp_path)
+    small_dataset(tmp_path / "set")
+    accuracy = Accuracy("bundle", void=("The estimate did not converge.", "And another reason."))
+    head = replace(plain_head(0.08, 310.0), accuracy=accuracy)
+    said = {"accuracy": accuracy, "warnings": accuracy.void, "summary": lambda: "VOID: of a test"}
+    result = SimpleNamespace(head=head, **said)
+    monkeypatch.setattr(calibrate_module, "calibrate", lambda *_, **__: result)
+    return head
+
+
+def test_a_void_calibration_does_not_replace_one_that_is_there(voided, monkeypatch, capsys):
+    save_head(plain_head(0.07, 300.0), "keep.json")
+    before = Path("keep.json").read_bytes()
+    run(monkeypatch, "calibrate", "set", "--out", "keep.json")
+    assert "Wrote keep.void.json; keep.json is as it was." in capsys.readouterr().out
+    assert Path("keep.json").read_bytes() == before
+    beside = load_head("keep.void.json", allow_void=True)
+    np.testing.assert_array_equal(beside.T_rbase_lbase, voided.T_rbase_lbase)
+    run(monkeypatch, "calibrate", "set", "--out", "new.json")
+    assert "Wrote new.json.\n" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("voided")
+def test_how_to_read_all_warnings_is_said_where_no_report_was_asked_for(monkeypatch, capsys):
+    run(monkeypatch, "calibrate", "set", "--out", "a.json")
+    assert "To read all 2 warnings, add --report FOLDER.\n" in capsys.readouterr().out
 
 
 def _check_recording(path: Path, folder: Path, stated: dict) -> None:

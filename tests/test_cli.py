@@ -114,6 +114,31 @@ def test_the_report_of_another_command_is_not_lost(words, capsys, monkeypatch, t
     assert "it begins with '# Our laboratory'" in said
 
 
+@pytest.mark.parametrize(
+    ("words", "there", "said"),
+    [
+        ("calibrate set --out a.json --report r", "dataset.json", "r is a dataset"),
+        ("calibrate set --out a.json --report r", "foveate.rrd", "r is results of foveate"),
+        ("depth set --calibration head.json --out r", "track.rrd", "r is results of track"),
+        ("export head.json --format ros --out r", "dataset.json", "r is a dataset"),
+        ("foveate --out r", "dataset.rrd", "r is a report of calibrate"),
+        ("track --out r", "statistics.json", "r is results of reproduce"),
+        ("reproduce --out r", "design.json", "r is results of design"),
+        ("design --out r", "depth.rrd", "r is results of depth"),
+    ],
+)
+def test_results_do_not_go_into_a_dataset_or_among_those_of_another_command(
+    words, there, said, capsys, monkeypatch, tmp_path
+):
+    monkeypatch.chdir(tmp_path)
+    save_head(plain_head(0.09, 280.0), "head.json")
+    Path("r").mkdir()
+    Path("r", there).touch()
+    text = refused(words.split(), capsys, monkeypatch)
+    assert f"{said}, since it has {there}" in text
+    assert [path.name for path in Path("r").iterdir()] == [there]
+
+
 @pytest.mark.parametrize("name", ["report.md", "fig06.rrd", "calibration-2.8mm.json"])
 def test_a_folder_in_the_place_of_a_figures_result_is_refused_before_the_work(
     name, capsys, monkeypatch, tmp_path

@@ -136,9 +136,16 @@ def folder(tmp_path):
     return tmp_path / "set"
 
 
-def test_an_unreadable_image_fails_alone(folder):
-    (folder / "images" / "left_2.png").write_bytes(b"\x89PNG and no more")
+@pytest.mark.parametrize("kept", [0.01, 0.5])
+def test_an_unreadable_image_fails_alone_and_is_named_in_a_remark(folder, kept, capfd):
+    image = folder / "images" / "left_2.png"
+    content = image.read_bytes()
+    image.write_bytes(content[: int(kept * len(content))])
     found = detect_target(load_dataset(folder))
+    assert capfd.readouterr().err == ""  # nothing of libpng's own
+    where = f"{folder / 'frames.csv'}, line 4: left_wide: images/left_2.png"
+    said = f"{where} {UNREADABLE}; leave the cell empty where there is no image."
+    assert found.remarks[0] == said
     assert [(f.row, f.line, f.camera) for f in found.failures] == [(2, 4, "left_wide")]
     assert str(found.failures[0]) == f"line 4, images/left_2.png: the file {UNREADABLE}"
     assert np.isfinite(found.corners["right_wide"][2]).all()

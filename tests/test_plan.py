@@ -35,7 +35,7 @@ from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration, pair_names, save_head
-from vergence.geometry.kinematics import EYES
+from vergence.geometry.kinematics import EYES, Kinematics
 from vergence.geometry.parameters import parameter_names, without_offsets
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, pose, transform
@@ -155,15 +155,26 @@ def test_the_eyes_fixate_the_workspace_and_its_covariance_is_that_of_located_poi
     np.testing.assert_allclose(found[inside], wanted[inside], rtol=1e-3)
 
 
-def test_joints_before_which_there_is_a_gear_turn_as_far_as_others(truth):
+def geared(kinematics: Kinematics, factor: float) -> Kinematics:
+    """Return joints of which each reading counts by a factor."""
     eyes = {
-        eye: tuple(replace(j, readings=dict.fromkeys(j.readings, 0.01)) for j in joints)
-        for eye, joints in truth.kinematics.eyes.items()
+        eye: tuple(replace(j, readings=dict.fromkeys(j.readings, factor)) for j in joints)
+        for eye, joints in kinematics.eyes.items()
     }
-    geared = replace(truth.kinematics, eyes=eyes)
-    np.testing.assert_allclose(largest_readings(truth.kinematics, LIMITS), LIMITS)
-    np.testing.assert_allclose(largest_readings(geared, LIMITS), 100 * LIMITS)
-    assert largest_readings(geared, 0.1) == pytest.approx(np.full(4, 10.0))
+    return replace(kinematics, eyes=eyes)
+
+
+def test_joints_before_which_there_is_a_gear_turn_as_far_as_others(truth):
+    np.testing.assert_allclose(largest_readings(truth.kinematics, 0.1), np.full(4, 0.1))
+    assert largest_readings(geared(truth.kinematics, 0.01), 0.1) == pytest.approx(np.full(4, 10.0))
+
+
+def test_limits_of_each_reading_are_those_of_the_planned_readings(calibrated):
+    head = replace(calibrated, kinematics=geared(calibrated.kinematics, 0.5))
+    limits = 1.5 * LIMITS
+    found = plan(head, BOARD, views=3, limits_rad=limits, candidates=(6, 3))
+    assert (np.abs(found.views.joints) <= limits).all()
+    assert (np.abs(found.workspace.joints) <= limits + 1e-9).all()
 
 
 def test_points_out_of_the_eyes_reach_are_refused(truth):

@@ -3,6 +3,7 @@
 import json
 import re
 import runpy
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from rrd import read_series
 from vergence.arrays import Array
+from vergence.demos import experiment
 from vergence.demos import track as module
 from vergence.demos.experiment import Experiment
 from vergence.demos.track import SPEED_M_S, follow, smooth_path, track
@@ -17,6 +19,8 @@ from vergence.errors import VergenceError
 from vergence.gaze.commands import JointLimits
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.state import GazeSettings, initial_gaze_state
+from vergence.progress import Progress
+from vergence.twin import simulated_robot
 from vergence.twin.head import Twin
 from vergence.twin.model import nominal_head
 from vergence.twin.profile import ErrorProfile, load_profile
@@ -108,6 +112,19 @@ def test_the_scenario_shows_that_the_narrow_images_beat_the_wide_ones(
     assert found["wide_rms_m"] > ratio * found["single_frame_rms_m"]
     times, _ = read_series(tmp_path / "track.rrd", "/position/x")
     np.testing.assert_allclose(times, FRAME_S * np.arange(67), atol=1e-9)
+
+
+def test_the_calibration_before_a_run_says_how_far_it_is(monkeypatch: pytest.MonkeyPatch):
+    def views(twin: object, seed: int, *, progress: Progress) -> None:
+        progress("calibration views", 0, 102)
+        raise VergenceError("No more is needed.")
+
+    monkeypatch.setattr(simulated_robot, "paper_calibration", views)
+    monkeypatch.setattr(experiment, "Twin", lambda *_, **__: nullcontext())
+    said = []
+    with pytest.raises(VergenceError, match="No more"):
+        track(Experiment(ErrorProfile()), lambda *step: said.append(step))
+    assert said == [("calibrating, 2.8mm lens", 0, 102)]
 
 
 @pytest.mark.parametrize(("seconds", "seed"), [(0.0, 0), (1e9, 0), (10.0, -1)])

@@ -14,7 +14,10 @@ from PIL import Image
 from rerun.chunk import RrdReader
 
 from mutated_files import stated_head
-from vergence import writing
+from recordings import small_dataset
+from vergence import cli, writing
+from vergence.calibration import calibrate
+from vergence.demos import depth, experiment
 from vergence.errors import VergenceError
 from vergence.geometry.head import load_head
 from vergence.interchange.formats import import_head
@@ -104,6 +107,12 @@ def test_what_a_killed_process_leaves_is_told_from_what_another_is_writing(tmp_p
     assert temporaries(tmp_path) == []
 
 
+def test_a_folder_that_a_failed_run_made_for_nothing_is_gone(tmp_path):
+    with pytest.raises(KeyboardInterrupt), results_folder(tmp_path / "results"):
+        raise KeyboardInterrupt
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize("wrote", [False, True])
 def test_a_folder_is_marked_if_a_run_that_failed_had_written_there(tmp_path, wrote):
     with pytest.raises(KeyboardInterrupt), results_folder(tmp_path):  # noqa: PT012
@@ -115,6 +124,24 @@ def test_a_folder_is_marked_if_a_run_that_failed_had_written_there(tmp_path, wro
     with results_folder(tmp_path):
         pass
     assert not unfinished(tmp_path)
+
+
+@pytest.mark.render  # which the import of a demo needs
+@pytest.mark.parametrize(
+    "words", ["foveate", "track", "grasp", "depth --twin", "calibrate set --out a.json"]
+)
+def test_a_second_command_into_a_folder_is_refused_before_its_work(
+    words, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    small_dataset(tmp_path / "set")
+    for module, work in ((experiment, "Twin"), (depth, "Twin"), (calibrate, "calibrate")):
+        monkeypatch.setattr(module, work, None)
+    option = "--report" if words.startswith("calibrate") else "--out"
+    monkeypatch.setattr(sys, "argv", ["vergence", *words.split(), option, "r"])
+    with results_folder(Path("r")), pytest.raises(SystemExit, match="2"):
+        cli.main()
+    assert "Another process is writing results into r; wait for it" in capsys.readouterr().err
 
 
 def test_a_link_stays_a_link_and_leads_to_what_was_written(tmp_path):
@@ -211,7 +238,7 @@ def test_a_stopped_command_says_what_it_had_finished(tmp_path, number):
     _, said = process.communicate()
     assert process.returncode in (128 + number, -signal.SIGINT), said
     assert said.strip().splitlines()[-1] == "vergence: stopped; nothing was written."
-    assert list(out.iterdir()) == []
+    assert not out.exists()
 
 
 def test_a_run_stopped_while_it_marks_its_folder_leaves_no_mark(tmp_path, monkeypatch):

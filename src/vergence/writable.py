@@ -6,7 +6,7 @@ import contextlib
 import errno
 import os
 import stat
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
 from vergence.errors import VergenceError, explain
@@ -14,6 +14,19 @@ from vergence.errors import VergenceError, explain
 REPORT = "report.md"
 UNFINISHED = "UNFINISHED.txt"
 """Stands in a folder of results while they are being written, and after a run that was stopped."""
+
+
+OWNED = {
+    "dataset.json": "a dataset",
+    "dataset.rrd": "a report of calibrate",
+    "depth.rrd": "results of depth",
+    "design.json": "results of design",
+    "foveate.rrd": "results of foveate",
+    "grasp.rrd": "results of grasp",
+    "statistics.json": "results of reproduce",
+    "track.rrd": "results of track",
+}
+"""Files by which a folder is known to be of one command alone, and what it is then."""
 
 
 def check_outputs(
@@ -38,12 +51,13 @@ def check_outputs(
 
     Raises:
         VergenceError: a path cannot be written, two are the same, one of them is an input or the
-            folder, the folder has the report of something else, or the name of the figure does not
-            end in .png.
+            folder, the folder is a dataset, has the results of another command or the report of
+            something else, or the name of the figure does not end in .png.
     """
     if figure is not None and figure.suffix.lower() != ".png":
         raise VergenceError(f"A figure is a PNG file, whose name ends in .png; found {figure}.")
     taken = {place: "the file that is read" for place in map(_place, inputs)}
+    names = tuple(names)
     if folder is not None:
         check_folder(folder)
         outputs = (*outputs, *(folder / name for name in (*names, UNFINISHED)))
@@ -54,8 +68,10 @@ def check_outputs(
         if place in taken:
             raise VergenceError(f"Cannot write {path}: it is also {taken[place]}.")
         taken[place] = "the file of another result"
-    if folder is not None and title:
-        _check_report(folder / REPORT, title)
+    if folder is not None:
+        _check_owner(folder, names)
+        if title:
+            _check_report(folder / REPORT, title)
 
 
 def check_new(folder: Path) -> None:
@@ -69,6 +85,15 @@ def check_new(folder: Path) -> None:
         raise VergenceError(
             f"{folder} already exists and is not empty; name another folder, or remove it."
         )
+
+
+def _check_owner(folder: Path, names: Collection[str]) -> None:
+    for name, what in OWNED.items():
+        if name not in names and os.path.exists(folder / name):
+            raise VergenceError(
+                f"{folder} is {what}, since it has {name}: other results do not go into it. Name "
+                "another folder."
+            )
 
 
 def _check_report(path: Path, title: str) -> None:

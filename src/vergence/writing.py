@@ -167,16 +167,20 @@ def unfinished(folder: Path) -> bool:
 
 
 @contextmanager
-def results_folder(folder: Path) -> Iterator[None]:
-    """Mark a folder of results as unfinished until a `with` block ends well.
+def results_folder(folder: Path | None) -> Iterator[None]:
+    """Mark a folder of results as unfinished until a `with` block ends well; None: there is none.
 
     A block that raises leaves the mark if it has written anything there: results of two runs may
     stand side by side then. VergenceError if the folder cannot be written, or another process is
-    writing into it.
+    writing into it: the block has the whole work in it, so that this shows before.
     """
+    if folder is None:
+        yield
+        return
     check_folder(folder)
     mark, before, ours = folder / UNFINISHED, len(_finished), True
     try:
+        new = not folder.exists()
         folder.mkdir(parents=True, exist_ok=True)
         known = mark.exists()
         handle = -1
@@ -196,6 +200,9 @@ def results_folder(folder: Path) -> Iterator[None]:
             written = any(path.parent == folder for path in _finished[before:])
             if ours and not known and not written:
                 mark.unlink(missing_ok=True)
+                if new:
+                    with contextlib.suppress(OSError):  # it is not empty
+                        folder.rmdir()
             raise
         finally:
             if handle >= 0:

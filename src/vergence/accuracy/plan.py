@@ -80,8 +80,8 @@ def plan(
         head: a calibration that states its covariance.
         board: that will be shown.
         views: how many to plan.
-        limits_rad: the largest turns of the joints, to either side: (r,) of what each reading
-            turns, or one for all.
+        limits_rad: to either side, one number: how far each reading may turn its joint; or (r,) the
+            largest value of each reading, which differs before a gear.
         distances_m: of the points from the middle of the head.
         candidates: how many places of the board are tried, and directions of gaze at each.
         seed: of the candidates, which are random.
@@ -117,16 +117,18 @@ def plan(
 
 
 def largest_readings(kinematics: Kinematics, limits_rad: ArrayLike) -> Array:
-    """Return the largest readings (r,) [rad] with joints within limits.
+    """Return the largest readings (r,) [rad] within limits, which are those of `plan`.
 
     VergenceError if these are not one for each of the readings, or for all.
     """
     names, limits = kinematics.readings, np.asarray(limits_rad, dtype=float)
-    if limits.size not in (1, len(names)):
+    if limits.ndim == 0:
+        return limits / kinematics.factors
+    if limits.shape != (len(names),):
         raise VergenceError(
             f"Limits are one for each of {', '.join(names)}, or one for all; found {limits.size}."
         )
-    return limits.ravel() / kinematics.factors
+    return limits
 
 
 def choose(

@@ -33,6 +33,7 @@ SYSTEMATIC_PX = 0.002
 """Systematic error of the detector, smooth over the image: assumed. It was at most 0.0011 px in
 each of 28 cameras, on boards that were rendered, or drawn before lenses of several kinds; cameras
 that nobody drew may do worse, and the intrinsics absorb most of this error."""
+DAMAGED = f"the file {UNREADABLE}"
 _PROBES = 4  # images on which other boards are tried when none was found
 
 
@@ -105,14 +106,30 @@ def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observati
         T_base_eye=dataset.T_base_eye,
         systematic_px=SYSTEMATIC_PX,
         failures=tuple(failures),
-        remarks=(*dataset.remarks, *blind),
+        remarks=(*_unreadable(dataset, found), *dataset.remarks, *blind),
     )
+
+
+def _unreadable(dataset: Dataset, found: list[_Detection]) -> list[str]:
+    """Return a sentence on files that are no images; one of them does not spoil a long recording.
+
+    Those that are missing or of another size have been refused.
+    """
+    bad = [each for each in found if each.reason == DAMAGED]
+    if not bad:
+        return []
+    first = bad[0]
+    others = f", and so are {len(bad) - 1} more of its images" if len(bad) > 1 else ""
+    return [
+        f"{dataset.where(first.row)}: {first.camera}: {dataset.files[first.camera][first.row]} "
+        f"{UNREADABLE}{others}; leave the cell empty where there is no image."
+    ]
 
 
 def _detect(dataset: Dataset, camera: str, row: int) -> _Detection:
     image = dataset.readable_image(camera, row)
     if image is None:
-        return _Detection(camera, row, None, f"the file {UNREADABLE}")
+        return _Detection(camera, row, None, DAMAGED)
     digest = hashlib.blake2b(image.tobytes(), digest_size=16).digest()
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     return _Detection(camera, row, *detect_or_explain(grey, dataset.description.board), digest)

@@ -6,10 +6,10 @@ import numpy as np
 
 from vergence.calibration.checks.axes_and_eyes import eye_shift
 from vergence.calibration.observations import Observations
-from vergence.errors import counted
+from vergence.errors import counted, listed
 from vergence.geometry.head import HeadCalibration, T_head_base, main_pair, reading_stds
 from vergence.geometry.head_accuracy import Accuracy
-from vergence.geometry.kinematics import readings_to_turn
+from vergence.geometry.kinematics import reading_kinds, readings_to_turn
 from vergence.geometry.parameters import without_offsets
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
@@ -19,6 +19,9 @@ from vergence.vision.board_pose import seen_corners
 POOR_FIT = 1.5
 """Held-out error, as a multiple of what the noise explains, from which something is amiss; with
 the ten views or more of a usual fold set it stays below by far."""
+LARGEST_EXPECTED = 0.1
+"""Error that noise explains, relative to the distance, from which held-out points check nothing:
+hardly any calibration would contradict it."""
 MISFIT_CAUSES = "look for backlash, a board that moved or bends, and time stamps of moving eyes"
 """What is to be done about such an error."""
 PART = 1 / 3
@@ -52,6 +55,13 @@ def verdict(accuracy: Accuracy, head: HeadCalibration) -> tuple[str, str]:
     checked = accuracy.held_out
     assert checked is not None
     if checked.point_mm is not None and checked.expected_mm is not None:
+        if checked.expected_mm > LARGEST_EXPECTED * 1e3 * (checked.distance_m or np.inf):
+            return (
+                "DOUBTFUL",
+                "Next: record more views in which both eyes see the board (`vergence plan` says "
+                f"which); held-out points check nothing, since noise explains errors of "
+                f"{checked.expected_mm:.0f} mm at {checked.distance_m:.2f} m.",
+            )
         ratio = checked.point_mm / checked.expected_mm
         if ratio > POOR_FIT:
             return (
@@ -129,28 +139,26 @@ def summary_lines(head: HeadCalibration, observations: Observations) -> list[str
         f"{counted(found + lost, 'image')}.{apart}"
     ]
     if accuracy.pixel_std_px is not None:
-        degrees = [f"{np.degrees(s):.3f}" for s in accuracy.joint_std]
-        of_eyes = f"{' and '.join(degrees)} degrees in readings"
-        if accuracy.eye_motion == "poses":
-            of_eyes = f"{degrees[0]} degrees and {1e3 * accuracy.joint_std[1]:.3f} mm in eye poses"
-        lines.append(f"Noise: {accuracy.pixel_std_px:.3f} px in corners, {of_eyes}.")
+        lines.append(f"Noise: {accuracy.pixel_std_px:.3f} px in corners, {_reading_noise(head)}.")
     checked = accuracy.held_out
     if checked is not None and checked.prediction_px is not None:
+        read = "eye poses" if accuracy.eye_motion == "poses" else "joint readings"
         lines.append(
-            f"Held out: a corner is off by {checked.prediction_px:.2f} px from where its view's "
-            f"reading puts it ({checked.folds} folds)."
+            f"Held-out views: the {read} predict corners to {checked.prediction_px:.2f} px "
+            f"({checked.folds} folds)."
         )
     if checked is not None and checked.transfer_px is not None:
         lines.append(
-            f"Held out: a corner carried from eye to eye is off by {checked.transfer_px:.2f} px "
-            f"({counted(checked.transfer_views, 'view')}, {checked.folds} folds)."
+            f"Held-out views: corners of one eye's image, carried to the other's, are off by "
+            f"{checked.transfer_px:.2f} px ({counted(checked.transfer_views, 'view')}, "
+            f"{checked.folds} folds)."
         )
     if checked is not None and checked.point_mm is not None:
         expected = checked.expected_mm
-        noise = "" if expected is None else f"; the noise explains {expected:.2f} mm"
+        noise = "" if expected is None else f"; noise explains {expected:.2f} mm"
         lines.append(
-            f"Held out: a point at {checked.distance_m:.2f} m is off by {checked.point_mm:.2f} mm"
-            f"{noise}."
+            f"Held-out views: points located at {checked.distance_m:.2f} m are off by "
+            f"{checked.point_mm:.2f} mm{noise}."
         )
     table = point_accuracy(head)
     if table:
@@ -158,10 +166,30 @@ def summary_lines(head: HeadCalibration, observations: Observations) -> list[str
         shown = {distance for distance, *_ in table}
         unseen = " or ".join(f"{distance:g}" for distance in DISTANCES_M if distance not in shown)
         beyond = f"; not both eyes see a point at {unseen} m" if unseen else ""
-        lines.append(f"Of this the calibration itself adds (1 std): {parts}{beyond}.")
+        lines.append(f"Error of a point by the calibration alone (1 std): {parts}{beyond}.")
     said = len(accuracy.void) + len(accuracy.warnings)
     if said > 1:
-        lines.append(f"{said} warnings, listed in the report.")
+        lines.append(f"{said} warnings; the first is below, the report lists all.")
     lines += [f"Note: {remark}" for remark in observations.remarks[:MOST_REMARKS]]
     lines.append(following)
     return lines
+
+
+def _reading_noise(head: HeadCalibration) -> str:
+    """Return the stated noise of the readings, by kind, in words."""
+    accuracy = head.accuracy
+    assert accuracy is not None
+    degrees, last = np.degrees(accuracy.joint_std), len(accuracy.joint_std) - 1
+    if accuracy.eye_motion == "poses":
+        return f"{degrees[0]:.3f} degrees and {1e3 * accuracy.joint_std[1]:.3f} mm in eye poses"
+    if last == 0:
+        return f"{degrees[0]:.3f} degrees in all readings"
+    kinds = [min(kind, last) for kind in reading_kinds(head.kinematics)]
+    of_kind = [
+        [name for name, kind in zip(head.kinematics.readings, kinds, strict=True) if kind == k]
+        for k in range(last + 1)
+    ]
+    return ", ".join(
+        f"{each:.3f} degrees in {listed(names)}"
+        for each, names in zip(degrees, of_kind, strict=True)
+    )

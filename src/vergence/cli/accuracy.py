@@ -32,8 +32,8 @@ def plan(
         views: Number of views to plan.
         board: Inner corners in a row and in a column, and side of a square [m]; default: the
             dataset's.
-        limits_deg: Largest turns of the joints, to either side: one for all, or one for each
-            reading (usually left pan, left tilt, right pan, right tilt).
+        limits_deg: To either side, one number for all: how far each reading may turn its joint; or
+            the largest value of each reading (usually left pan, left tilt, right pan, right tilt).
         distances: Distances of the points that are to be accurate, from the middle of the head [m].
         seed: Seed of the candidates, which are random.
         figure: PNG file of the board's places and of the accuracy after each view.

@@ -12,7 +12,7 @@ from vergence.cli.tables import print_table
 from vergence.commands.invocation import invocation
 from vergence.errors import VergenceError
 from vergence.writable import check_outputs
-from vergence.writing import write_json
+from vergence.writing import results_folder, write_json
 
 
 def calibrate(
@@ -38,7 +38,8 @@ def calibrate(
 
     Args:
         dataset: Folder with dataset.json, frames.csv and images.
-        out: JSON file of the calibration.
+        out: JSON file of the calibration. A VOID one does not replace a file that is there: it goes
+            beside it, into NAME.void.json.
         report: Folder for report.md, its pictures and a recording of the dataset.
         method: Bundle adjustment, which starts from the paper's steps, or these steps alone.
         lens: Lens model of all cameras; auto: selected for each by how well it fits and predicts
@@ -52,17 +53,22 @@ def calibrate(
     from vergence.geometry.head import save_head
 
     read = [dataset / DESCRIPTION, dataset / FRAMES]
-    check_outputs(out, json, folder=report, names=RESULTS, title=TITLE, inputs=read)
+    beside = out.with_name(f"{out.stem}.void{out.suffix}")
+    check_outputs(out, beside, json, folder=report, names=RESULTS, title=TITLE, inputs=read)
     data = load_dataset(dataset)
     say_if_unfinished(report)
-    with progress_bars() as progress:
+    with progress_bars() as progress, results_folder(report):
         result = run(data, method=method, lens=lens, progress=progress)
-        save_head(result.head, out)
+        written = beside if result.accuracy.void and out.exists() else out
+        save_head(result.head, written)
         if json is not None:
             write_json(figures(result), json)
         if report is not None:
             write_report(result, data, report, progress=progress)
-    print(f"{result.summary()}\nWrote {out}.")
+    kept = f"; {out} is as it was" if written != out else ""
+    print(f"{result.summary()}\nWrote {written}{kept}.")
+    if report is None and len(result.warnings) > 1:
+        print(f"To read all {len(result.warnings)} warnings, add --report FOLDER.")
     if report is not None:
         print(f"To view the images: {invocation('rerun', report / 'dataset.rrd')}")
 

@@ -23,7 +23,7 @@ from vergence.progress import Progress, silent
 from vergence.viewer.dataset import record_dataset, rms_by_view
 from vergence.viewer.plots import calibration as plots
 from vergence.writable import REPORT
-from vergence.writing import markdown_table, results_folder, write_whole
+from vergence.writing import markdown_table, write_whole
 
 TITLE = "# Calibration"
 RESULTS = (REPORT, "dataset.rrd", "coverage.png", "residuals.png", "worst_views.png")
@@ -81,17 +81,10 @@ def _stds(result: CalibrationResult) -> dict[str, float]:
 def write_report(
     result: CalibrationResult, dataset: Dataset, folder: Path, *, progress: Progress = silent
 ) -> None:
-    """Write report.md, its pictures and the recording dataset.rrd into a folder.
+    """Write report.md, its pictures and the recording dataset.rrd into a `results_folder`.
 
     VergenceError if they cannot be written, or an image cannot be read.
     """
-    with results_folder(folder):
-        _write_report(result, dataset, folder, progress)
-
-
-def _write_report(
-    result: CalibrationResult, dataset: Dataset, folder: Path, progress: Progress
-) -> None:
     progress("writing the report", 0, len(dataset))
     seen = result.observations
     axes = np.moveaxis(seen.eye_poses()[..., :3, 0], 1, 0)  # the eyes' own x, which looks ahead
@@ -188,14 +181,14 @@ def _points(result: CalibrationResult) -> list[str]:
 
 def _next_views(result: CalibrationResult) -> list[str]:
     """Return a short plan, for eyes that move as far as they have in this recording."""
-    readings = np.nan_to_num(np.abs(result.observations.eye_angles)).max(axis=0)
-    reached = readings * result.head.kinematics.factors
+    reached = np.nan_to_num(np.abs(result.observations.eye_angles)).max(axis=0)
+    least = LEAST_LIMIT_RAD / result.head.kinematics.factors
     try:
         found = plan(
             result.head,
             result.observations.board,
             views=NEXT_VIEWS,
-            limits_rad=np.maximum(reached, LEAST_LIMIT_RAD),
+            limits_rad=np.maximum(reached, least),
             candidates=NEXT_CANDIDATES,
         )
     except VergenceError as error:

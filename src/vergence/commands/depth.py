@@ -134,7 +134,8 @@ def depth(
     head = load_head(calibration)
     moments, count, left_out = _moments(dataset, head, pairs, geometry)
     found = ((moment, depth_of(moment, head)) for moment in moments)
-    return write_depth(out, head, found, count, left_out=left_out, progress=progress)
+    with results_folder(out):
+        return write_depth(out, head, found, count, left_out=left_out, progress=progress)
 
 
 def check_pairs(pairs: int) -> None:
@@ -218,7 +219,7 @@ def write_depth(
     """Write a recording, a summary and a report of the depth of pairs, one after the other.
 
     Args:
-        out: folder of depth.rrd, depth.json and report.md.
+        out: folder of depth.rrd, depth.json and report.md, a `results_folder`.
         head: the calibration.
         found: pairs with their depths.
         count: how many they are.
@@ -232,41 +233,40 @@ def write_depth(
     """
     shares, stds, rows = [], [], []
     progress("dense depth, pairs", 0, count)
-    with results_folder(out):
-        with depth_recording(out / "depth.rrd", head) as rec:
-            for k, (moment, (pair, dense)) in enumerate(found):
-                near = dense.textured & (dense.depth_m > RANGE_M[0]) & (dense.depth_m < RANGE_M[1])
-                stds.append(dense.std_m[near] / dense.depth_m[near])
-                shares.append((np.isfinite(dense.depth_m).mean(), dense.textured.mean()))
-                rows.append(_row_difference_rad(moment, pair))
-                log_depth(
-                    rec,
-                    head if moment.seen is None else moment.seen.head,
-                    time_s=moment.time_s,
-                    index=k,
-                    joints=moment.joints if moment.seen is None else moment.seen.joints,
-                    pair=pair,
-                    right=moment.right,
-                    found=dense,
-                )
-                progress("dense depth, pairs", k + 1, count)
-            matched, textured = np.mean(shares, axis=0)
-            relative, known = np.concatenate(stds), np.isfinite(rows)
-            apart_rad = float(np.median(np.array(rows)[known])) if known.any() else np.nan
-            done = Summary(
-                pairs=count,
-                left_out=left_out,
-                matched=float(matched),
-                textured=float(textured),
-                median_relative_std=float(np.median(relative)) if relative.size else np.nan,
-                row_difference_px=apart_rad * float(pair.matrix[0, 0]),
-                doubt=_doubt(head, apart_rad),
-                **errors(),
+    with depth_recording(out / "depth.rrd", head) as rec:
+        for k, (moment, (pair, dense)) in enumerate(found):
+            near = dense.textured & (dense.depth_m > RANGE_M[0]) & (dense.depth_m < RANGE_M[1])
+            stds.append(dense.std_m[near] / dense.depth_m[near])
+            shares.append((np.isfinite(dense.depth_m).mean(), dense.textured.mean()))
+            rows.append(_row_difference_rad(moment, pair))
+            log_depth(
+                rec,
+                head if moment.seen is None else moment.seen.head,
+                time_s=moment.time_s,
+                index=k,
+                joints=moment.joints if moment.seen is None else moment.seen.joints,
+                pair=pair,
+                right=moment.right,
+                found=dense,
             )
-            report = as_markdown(done)
-            log_report(rec, report)
-        write_json(done, out / "depth.json")
-        write_whole(out / REPORT, report)
+            progress("dense depth, pairs", k + 1, count)
+        matched, textured = np.mean(shares, axis=0)
+        relative, known = np.concatenate(stds), np.isfinite(rows)
+        apart_rad = float(np.median(np.array(rows)[known])) if known.any() else np.nan
+        done = Summary(
+            pairs=count,
+            left_out=left_out,
+            matched=float(matched),
+            textured=float(textured),
+            median_relative_std=float(np.median(relative)) if relative.size else np.nan,
+            row_difference_px=apart_rad * float(pair.matrix[0, 0]),
+            doubt=_doubt(head, apart_rad),
+            **errors(),
+        )
+        report = as_markdown(done)
+        log_report(rec, report)
+    write_json(done, out / "depth.json")
+    write_whole(out / REPORT, report)
     return done
 
 

@@ -25,6 +25,8 @@ from vergence.progress import Progress, silent
 from vergence.writing import markdown_table
 
 MOST_VIEWS = 100
+MOST_DEG = 1_000_000
+"""Largest limit of a reading: motors before a gear turn far."""
 
 
 def run(
@@ -43,7 +45,7 @@ def run(
     that kind, its calibration is void, or an option is not possible.
     """
     _check(views, limits_deg, distances_m, seed)
-    limits_rad = np.radians(limits_deg)
+    limits_rad = np.radians(limits_deg if len(limits_deg) > 1 else limits_deg[0])
     head, shown = head_and_board(source, board, progress, limits_rad=limits_rad)
     return plan(
         head,
@@ -63,13 +65,13 @@ def _check(
     if not 1 <= views <= MOST_VIEWS:
         raise VergenceError(f"A plan has 1 to {MOST_VIEWS} views, found --views {views}.")
     for name, values, most, unit in (
-        ("--limits-deg", limits_deg, 90, "degrees"),
+        ("--limits-deg", limits_deg, 90 if len(limits_deg) == 1 else MOST_DEG, "degrees"),
         ("--distances", distances_m, 100, "m"),
     ):
         if not values or not all(0 < value <= most for value in values):
             found = " ".join(f"{value:g}" for value in values) or "none"
             raise VergenceError(
-                f"{name} takes numbers above 0 and up to {most} {unit}, found {found}."
+                f"{name} takes numbers above 0 and up to {most:,} {unit}, found {found}."
             )
 
 

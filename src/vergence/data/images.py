@@ -30,6 +30,8 @@ def decode_image(content: bytes, size: tuple[int, int]) -> np.ndarray | None:
 
     uint8, or uint16 for an image of which a pixel has 16 bits.
     """
+    if not _is_whole(content):
+        return None
     try:
         # As the sensor was read out: an EXIF orientation would turn the pixel coordinates.
         flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
@@ -41,6 +43,21 @@ def decode_image(content: bytes, size: tuple[int, int]) -> np.ndarray | None:
     if image.dtype not in (np.uint8, np.uint16):
         return None
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+
+
+def _is_whole(content: bytes) -> bool:
+    """Return whether the checksums of an image file are right, where its format has any.
+
+    libpng would print a line of its own on standard error for a PNG file that is cut off.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with Image.open(BytesIO(content), formats=IMAGE_FORMATS) as image:
+                image.verify()
+    except Exception:  # as in image_size
+        return False
+    return True
 
 
 def filled_bits(image: np.ndarray) -> int:

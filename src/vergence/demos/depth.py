@@ -39,6 +39,7 @@ from vergence.twin.profile import ErrorProfile
 from vergence.twin.scene.room import Scene
 from vergence.twin.simulated_robot import calibrate_twin
 from vergence.writable import check_outputs
+from vergence.writing import results_folder
 
 STEP_S = 9.0
 """Time between two pairs of the divergent motion: no divisor of its periods."""
@@ -65,7 +66,7 @@ def depth(
         seed: of everything random.
         pairs: number of pairs.
         geometry: by which the pairs are rectified; for "seen" the twin looks around first.
-        progress: is called after each pair.
+        progress: is called after each view of a calibration and each pair.
 
     Raises:
         VergenceError: an argument is out of range, the calibration cannot be read or is of another
@@ -77,7 +78,10 @@ def depth(
     )
     given = None if calibration is None else load_head(calibration)
     errors: dict[str, list[tuple[Array, Array, float]]] = defaultdict(list)
-    with _twin(profile, scene, seed, given) as (twin, head, joint_std):
+    with (
+        results_folder(out),
+        _twin(profile, scene, seed, given, progress) as (twin, head, joint_std),
+    ):
         moments = _moments(twin, pairs, head if geometry == "seen" else None)
         return write_depth(
             out,
@@ -91,14 +95,18 @@ def depth(
 
 @contextmanager
 def _twin(
-    profile: ErrorProfile, scene: Scene, seed: int, given: HeadCalibration | None
+    profile: ErrorProfile,
+    scene: Scene,
+    seed: int,
+    given: HeadCalibration | None,
+    progress: Progress,
 ) -> Iterator[tuple[Twin, HeadCalibration, float | None]]:
     with Twin(profile, seed=seed, scene=scene) as twin:
         if given is not None:
             check_calibration_of(twin.truth, given)
             yield twin, given, None
         else:
-            settings = calibrate_twin(twin, seed)
+            settings = calibrate_twin(twin, seed, progress)
             yield twin, settings.calibration, settings.joint_std_rad
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.errors import VergenceError, check_seed
 from vergence.gaze.state import GazeSettings
+from vergence.progress import Progress
 from vergence.self_calibration.sequence import (
     Geometry,
     SeenGeometry,
@@ -24,7 +25,7 @@ from vergence.twin.looking_around import look_around
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.scene.room import Scene
 from vergence.twin.simulated_robot import calibrate_twin
-from vergence.writing import write_json
+from vergence.writing import results_folder, write_json
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -65,10 +66,18 @@ def p95(values: Sequence[float] | Array) -> float:
 
 
 @contextmanager
-def calibrated_twin(experiment: Experiment) -> Iterator[tuple[Twin, GazeSettings]]:
-    """Give a `with` block a calibrated twin, and the settings of its gaze controller."""
-    with Twin(experiment.profile, seed=experiment.seed, scene=experiment.scene) as twin:
-        settings = calibrate_twin(twin, experiment.seed)
+def calibrated_twin(
+    experiment: Experiment, progress: Progress
+) -> Iterator[tuple[Twin, GazeSettings]]:
+    """Give a `with` block a calibrated twin, and the settings of its gaze controller.
+
+    The folder of results is marked as unfinished from before the calibration until the block ends.
+    """
+    with (
+        results_folder(experiment.out),
+        Twin(experiment.profile, seed=experiment.seed, scene=experiment.scene) as twin,
+    ):
+        settings = calibrate_twin(twin, experiment.seed, progress)
         yield twin, replace(settings, geometry=experiment.geometry)
 
 

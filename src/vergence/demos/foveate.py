@@ -181,14 +181,14 @@ def foveate(
     check_trials(trials)
     made: list[Trial] = []
     seed, out = experiment.seed, experiment.out
-    progress("foveate, trials", 0, trials)
     with (
-        calibrated_twin(experiment) as (twin, settings),
+        calibrated_twin(experiment, progress) as (twin, settings),
         recorded(out, "foveate", twin, settings, seed=seed, reach_m=DEPTH_M[1], speed=PLAYBACK) as (
             watch,
             report,
         ),
     ):
+        progress("foveate, trials", 0, trials)
         if out is not None:
             depth(out / "depth.png", settings.calibration)
         free = partial(unoccluded, twin, margin_m=OBJECT_M)

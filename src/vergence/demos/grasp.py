@@ -185,14 +185,14 @@ def grasp(
     check_trials(trials)
     made: list[Trial] = []
     seed, out = experiment.seed, experiment.out
-    progress("grasp, trials", 0, trials)
     with (
-        calibrated_twin(experiment) as (twin, gaze),
+        calibrated_twin(experiment, progress) as (twin, gaze),
         recorded(out, "grasp", twin, gaze, seed=seed, reach_m=FAR_M[0], speed=0.5, hand=True) as (
             watch,
             report,
         ),
     ):
+        progress("grasp, trials", 0, trials)
         settings = ReachSettings(gaze=gaze)
 
         def record(state: ReachState, frame: Frame | None) -> None:

@@ -22,7 +22,6 @@ from vergence.viewer.gaze import Moment, log_gaze_frame, log_gaze_series, log_ga
 from vergence.viewer.gaze_layout import gaze_blueprint
 from vergence.viewer.opening import Recording, log_report, recording_file
 from vergence.viewer.seen import log_seen_styles
-from vergence.writing import results_folder
 
 SERIES = 1000
 """Number of frames whose curves are recorded at once, so that a long run needs no more memory."""
@@ -45,8 +44,6 @@ def recorded(
     hand: bool = False,
 ) -> Iterator[tuple[Watch, list[str]]]:
     """Record in a `with` block what a function is called with, to `name`.rrd in a folder.
-
-    The folder is marked as unfinished until the block ends well.
 
     Several runs, each with its time from zero, follow each other on one timeline. Images are
     recorded of the frames that have those of all cameras. Without a folder nothing is recorded.
@@ -76,10 +73,7 @@ def recorded(
     seen = settings.geometry == "seen"
     layout = gaze_blueprint(title, head, reach_m=reach_m, speed=speed, hand=hand, seen=seen)
     file = out / f"{name}.rrd"
-    with (
-        results_folder(out),
-        recording_file(file, title, layout, head, visual_geoms(twin.model)) as rec,
-    ):
+    with recording_file(file, title, layout, head, visual_geoms(twin.model)) as rec:
         recorder = _Recorder(rec, twin, settings)
         yield recorder.watch, report
         recorder.record_series()

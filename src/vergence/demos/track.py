@@ -205,7 +205,7 @@ def track(experiment: Experiment, progress: Progress = silent, *, seconds: float
         raise VergenceError(f"A run takes {SHORTEST_S:.0f} to {LONGEST_S:.0f} s, found {seconds}.")
     seed, out = experiment.seed, experiment.out
     with (
-        calibrated_twin(experiment) as (twin, settings),
+        calibrated_twin(experiment, progress) as (twin, settings),
         recorded(out, "track", twin, settings, seed=seed, reach_m=DEPTH_M[1]) as (record, report),
     ):
         hidden_s = float(np.random.default_rng([seed, 7]).uniform(0.3, 0.6)) * seconds

@@ -28,6 +28,7 @@ from vergence.geometry.kinematics import EYE_JOINTS, Kinematics
 from vergence.geometry.neck import NECK_JOINTS
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
+from vergence.progress import Progress, silent
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration
 from vergence.twin.hand import SimulatedHand
@@ -40,12 +41,15 @@ _REST_READINGS = 30
 """Readings at rest of each joint, from which the noise of all four is known to 7 %."""
 
 
-def calibrate_twin(twin: Twin, seed: int) -> GazeSettings:
+def calibrate_twin(twin: Twin, seed: int, progress: Progress = silent) -> GazeSettings:
     """Calibrate the twin by the paper's method, and return the settings of a gaze controller.
 
-    The twin must have 2.8 mm lenses. The seed is that of the board's poses.
+    The twin must have 2.8 mm lenses. The seed is that of the board's poses; progress is called
+    after each view.
     """
-    found = paper_calibration(twin, seed)
+    found = paper_calibration(
+        twin, seed, progress=lambda _, done, total: progress("calibrating, 2.8mm lens", done, total)
+    )
     head = inject_calibration_error(found.head, twin.profile.by_hand, "2.8mm")
     twin.restart(0)
     # A real driver can measure this too: the standard deviation of the readings at rest.
