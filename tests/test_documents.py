@@ -179,6 +179,28 @@ def test_the_reader_of_datasets_that_the_document_prints_reads_the_dataset_that_
     assert f"{dataset.eye_angles[2, 0]:.4f}" in lines[2]
 
 
+def test_the_guide_to_recording_writes_a_dataset(tmp_path, monkeypatch):
+    grey = np.full((480, 640), 90, np.uint8)
+    reads = iter(range(1000))
+    angles = [np.zeros(4)]
+
+    def read(names: Sequence[str]) -> Frame | None:
+        k = next(reads)
+        return None if k == 1 else Frame(k, k, angles[-1], np.zeros(3), dict.fromkeys(names, grey))
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("builtins.input", lambda _: "")
+    postures = [np.array([0.1, -0.2, 0.05, -0.2]), np.array([-0.1, 0.1, -0.2, 0.1])]
+    code = next(block.text for block in blocks("docs/dataset.md") if "DatasetRow" in block.text)
+    head = SimpleNamespace(read=read)
+    exec(code, {"head": head, "postures": postures, "move_to": angles.append})
+    dataset = load_dataset("my_recording")
+    assert dataset.remarks == ()
+    assert len(set(dataset.placement[:15])) == 15
+    assert list(dataset.placement[15:]) == [0, 0]
+    np.testing.assert_allclose(dataset.eye_angles[15:], postures)
+
+
 @pytest.mark.parametrize("document", DOCUMENTS)
 def test_json_and_toml_in_documents_are_valid(document: str):
     for block in blocks(document):
