@@ -21,6 +21,7 @@ import tyro
 from pydantic import TypeAdapter
 
 import make_map
+import moving_frames
 import site_pages
 import vergence
 from documents import (
@@ -294,6 +295,31 @@ def test_the_guide_to_drivers_moves_a_head(tmp_path, monkeypatch, capsys):
     assert "fixation at [" in capsys.readouterr().out
     assert moved[-1]["left_pan"] > 0.05
     np.testing.assert_allclose(moved[-1]["left_tilt"], -drawn.posture(drawn.time_s)[4], atol=1e-3)
+
+
+@pytest.mark.slow
+def test_the_guide_to_self_calibration_runs(tmp_path, monkeypatch):
+    save_head(moving_frames.HEAD, tmp_path / "head.json")
+    monkeypatch.chdir(tmp_path)
+    ((_, frame),) = moving_frames.frames(1)
+    pixels = np.array([[320.0, 240.0]])
+    names: dict[str, Any] = {
+        **{"frame": frame, "joints": frame.eye_angles, "elapsed_s": 0.3},
+        **{f"{eye}_image": frame.images[f"{eye}_wide"] for eye in ("left", "right")},
+        **{"left_pixels": pixels, "right_pixels": pixels},
+    }
+    by_frame, by_pair = (
+        block.text
+        for block in blocks("docs/self_calibration.md")
+        if block.language == "python" and "load_dataset" not in block.text
+    )
+    exec(by_frame, names)
+    assert names["seen"].status == "seen"
+    assert vergence.load_head("learned.json").accuracy is not None
+    first = names["points"].xyz
+    exec(by_pair, names)
+    np.testing.assert_allclose(names["points"].xyz, first, rtol=1e-3)
+    assert names["state"].frames == 1
 
 
 def test_every_field_of_the_calibration_file_and_of_the_truth_is_documented():
