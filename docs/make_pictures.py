@@ -1,11 +1,10 @@
 """Make the pictures of the documents from the results of runs.
 
     vergence reproduce --out runs/paper
-    vergence reproduce --compare --figures 6 7 --out runs/compared
     vergence foveate --trials 10 --profile paper --out runs/foveate
-    vergence design --out runs/design
-    python docs/make_pictures.py --paper runs/paper --compared runs/compared
-    python docs/make_pictures.py --gaze runs/foveate --design runs/design --scenes
+    vergence design --accuracy-mm 5 --at-m 0.5 --out runs/design
+    python docs/make_pictures.py --paper runs/paper --gaze runs/foveate --design runs/design
+    python docs/make_pictures.py --compared runs/compared --scenes
 
 Screenshots are taken by rerun's viewer without a display, which needs a Vulkan driver (Debian:
 apt-get install mesa-vulkan-drivers).
@@ -22,7 +21,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure as Canvas
 from rerun.experimental import ViewerClient  # experimental: its names change between versions
+
+from vergence.twin.scene.room import Scene
+from vergence.viewer.plots.canvas import BLUE, panels, plain_log, save
 
 IMAGES = Path(__file__).parent / "images"
 MOST_BYTES = 250_000
@@ -30,6 +34,16 @@ MOMENT_S = 20.3
 """Moment of the screenshot of Fig. 6, at which all four cameras see the object."""
 GAZE_S = 1.16
 """Moment of the screenshot of foveate, at which the third object is nearly centred."""
+COMPARED_S, COMPARED_HZ = 60.0, 4.0
+"""Length and rate of the replays in which self-calibration is compared."""
+SCENES: dict[Scene, str] = {
+    "room": "room",
+    "sparse": "sparse: plain walls",
+    "moving": "moving: an object passes",
+}
+"""Scenes of the twin that are shown, and their titles."""
+DEPTH_M = (0.3, 5.0)
+"""Ends of the scale of colours of depth."""
 PORT = 9987
 
 
@@ -78,8 +92,40 @@ def of_paper(run: Path) -> None:
 
 
 def of_comparison(run: Path) -> None:
-    """Make the picture of a run of `vergence reproduce --compare` of two figures."""
-    write_small(IMAGES / "self_calibration.png", shrink(picture(run / "figures.png"), 1200))
+    """Replay Figs. 6 and 7 into a folder, and draw by how much depth is wrong, by method."""
+    from vergence.paper.comparison import LEARNED, SINGLE
+    from vergence.paper.reproduce import reproduce
+    from vergence.twin.profile import load_profile
+
+    done = reproduce(
+        run,
+        figures=(6, 7),
+        profile=load_profile("paper"),
+        seed=0,
+        duration_s=COMPARED_S,
+        rate_hz=COMPARED_HZ,
+        compare=True,
+        jobs=-1,
+    )
+    canvas, all_axes = panels(2, "Error of the depth of a fixed object while the eyes move")
+    for axes, (_, replay) in zip(all_axes, sorted(done.replays.items()), strict=True):
+        true_m, time_s = replay.figure.mean_m[0], replay.measurements.time_s
+        estimates = {
+            "joint readings": (replay.points, BLUE, 0.8),
+            "single frames": (replay.others[SINGLE].points, "darkorange", 1.1),
+            "learned": (replay.others[LEARNED].points, "black", 1.4),
+        }
+        for name, (points, colour, width) in estimates.items():
+            error_mm = 1e3 * (points[:, 0] - true_m)
+            label = f"{name}: std {np.nanstd(error_mm, ddof=1):.1f} mm"
+            axes.plot(time_s, error_mm, color=colour, linewidth=width, label=label)
+        axes.set_title(f"{replay.figure.title}, object at {true_m:.2f} m", fontsize=11, loc="left")
+        axes.set(xlabel="time [s]", ylabel="error of depth [mm]", ylim=(-75, 75))
+        axes.legend(fontsize=9, frameon=False, loc="upper right")
+        axes.grid(color="0.9", linewidth=0.6)
+        axes.margins(x=0)
+    save(canvas, run / "errors.png")
+    write_small(IMAGES / "self_calibration.png", picture(run / "errors.png"))
 
 
 def of_gaze(run: Path) -> None:
@@ -94,7 +140,7 @@ def of_design(run: Path) -> None:
 
 
 def of_scenes() -> None:
-    """Make the pictures of the scenes, and of a rectified pair with its disparities."""
+    """Make the pictures of the scenes, and of a rectified pair with its depth."""
     from vergence.accuracy.motions import eye_angles
     from vergence.stereo.dense_depth import dense_depth
     from vergence.stereo.rectification import rectified_image, rectify
@@ -105,7 +151,7 @@ def of_scenes() -> None:
     posture = straight_neck(eye_angles("divergent", np.array(18.0)))
     cameras = ("left_wide", "right_wide")
     seen = []
-    for scene in ("room", "sparse", "moving"):
+    for scene in SCENES:
         with Twin(load_profile("paper"), scene=scene) as twin:
             twin.place_object(np.array([0.43, -0.02, -0.08]))
             twin.advance(0.5, straight_neck(np.zeros(4)))
@@ -117,12 +163,40 @@ def of_scenes() -> None:
             pair = rectify(twin.truth, angles)
             left, right = (images[name] for name in cameras)
             found = dense_depth(twin.truth, angles, pair, left, right)
-            grey = np.nan_to_num(5 * found.disparity_px).clip(0, 255).astype(np.uint8)
-            shown = cv2.applyColorMap(grey, cv2.COLORMAP_TURBO)[..., ::-1]
-            shown[grey == 0] = 0
-            views = [found.image, rectified_image(pair.right, right), shown]
-            write_small(IMAGES / "dense_depth.png", shrink(np.hstack(views)[..., ::-1], 1200))
-    write_small(IMAGES / "scenes.png", shrink(np.hstack(seen)[..., ::-1], 1200))
+            draw_depth(found.image, rectified_image(pair.right, right), found.depth_m)
+    canvas, all_axes = panels(3, "The left wide camera's view", columns=3)
+    for axes, image, title in zip(all_axes, seen, SCENES.values(), strict=True):
+        axes.imshow(image)
+        axes.set_title(title, fontsize=11, loc="left")
+        axes.set_axis_off()
+    save_picture(canvas, "scenes.png")
+
+
+def draw_depth(left: np.ndarray, right: np.ndarray, depth_m: np.ndarray) -> None:
+    """Draw a rectified pair and the depth (H, W) [m] of its left view, with a scale of colours."""
+    canvas, (first, second, third) = panels(3, "A rectified pair, and its depth", columns=3)
+    for axes, image, title in (
+        (first, left, "left, rectified"),
+        (second, right, "right, rectified"),
+    ):
+        axes.imshow(image, cmap="gray")
+        axes.set_title(title, fontsize=11, loc="left")
+    nearest, farthest = DEPTH_M
+    colours = LogNorm(nearest, farthest)
+    shown = third.imshow(depth_m, cmap="turbo_r", norm=colours)
+    third.set_facecolor("black")
+    third.set_title("depth (black: none)", fontsize=11, loc="left")
+    scale = canvas.colorbar(shown, ax=third, label="depth [m]", shrink=0.8)
+    plain_log(scale.ax.yaxis)
+    for axes in (first, second, third):
+        axes.set(xticks=[], yticks=[])
+    save_picture(canvas, "dense_depth.png")
+
+
+def save_picture(canvas: Canvas, name: str) -> None:
+    """Write a canvas among the pictures of the documents."""
+    save(canvas, IMAGES / name)
+    write_small(IMAGES / name, picture(IMAGES / name))
 
 
 def picture(path: Path) -> np.ndarray:
@@ -136,7 +210,7 @@ def picture(path: Path) -> np.ndarray:
 def main() -> None:
     parser = argparse.ArgumentParser(description="Make the pictures of the documents.")
     parser.add_argument("--paper", type=Path, help="folder that `vergence reproduce` wrote")
-    parser.add_argument("--compared", type=Path, help="folder of `vergence reproduce --compare`")
+    parser.add_argument("--compared", type=Path, help="folder into which two figures are replayed")
     parser.add_argument("--gaze", type=Path, help="folder that `vergence foveate` wrote")
     parser.add_argument("--design", type=Path, help="folder that `vergence design` wrote")
     parser.add_argument("--scenes", action="store_true", help="render the scenes, too")

@@ -21,6 +21,7 @@ import tyro
 from pydantic import TypeAdapter
 
 import make_map
+import moving_frames
 import site_pages
 import vergence
 from documents import (
@@ -179,6 +180,28 @@ def test_the_reader_of_datasets_that_the_document_prints_reads_the_dataset_that_
     assert f"{dataset.eye_angles[2, 0]:.4f}" in lines[2]
 
 
+def test_the_guide_to_recording_writes_a_dataset(tmp_path, monkeypatch):
+    grey = np.full((480, 640), 90, np.uint8)
+    reads = iter(range(1000))
+    angles = [np.zeros(4)]
+
+    def read(names: Sequence[str]) -> Frame | None:
+        k = next(reads)
+        return None if k == 1 else Frame(k, k, angles[-1], np.zeros(3), dict.fromkeys(names, grey))
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("builtins.input", lambda _: "")
+    postures = [np.array([0.1, -0.2, 0.05, -0.2]), np.array([-0.1, 0.1, -0.2, 0.1])]
+    code = next(block.text for block in blocks("docs/dataset.md") if "DatasetRow" in block.text)
+    head = SimpleNamespace(read=read)
+    exec(code, {"head": head, "postures": postures, "move_to": angles.append})
+    dataset = load_dataset("my_recording")
+    assert dataset.remarks == ()
+    assert len(set(dataset.placement[:15])) == 15
+    assert list(dataset.placement[15:]) == [0, 0]
+    np.testing.assert_allclose(dataset.eye_angles[15:], postures)
+
+
 @pytest.mark.parametrize("document", DOCUMENTS)
 def test_json_and_toml_in_documents_are_valid(document: str):
     for block in blocks(document):
@@ -272,6 +295,31 @@ def test_the_guide_to_drivers_moves_a_head(tmp_path, monkeypatch, capsys):
     assert "fixation at [" in capsys.readouterr().out
     assert moved[-1]["left_pan"] > 0.05
     np.testing.assert_allclose(moved[-1]["left_tilt"], -drawn.posture(drawn.time_s)[4], atol=1e-3)
+
+
+@pytest.mark.slow
+def test_the_guide_to_self_calibration_runs(tmp_path, monkeypatch):
+    save_head(moving_frames.HEAD, tmp_path / "head.json")
+    monkeypatch.chdir(tmp_path)
+    ((_, frame),) = moving_frames.frames(1)
+    pixels = np.array([[320.0, 240.0]])
+    names: dict[str, Any] = {
+        **{"frame": frame, "joints": frame.eye_angles, "elapsed_s": 0.3},
+        **{f"{eye}_image": frame.images[f"{eye}_wide"] for eye in ("left", "right")},
+        **{"left_pixels": pixels, "right_pixels": pixels},
+    }
+    by_frame, by_pair = (
+        block.text
+        for block in blocks("docs/self_calibration.md")
+        if block.language == "python" and "load_dataset" not in block.text
+    )
+    exec(by_frame, names)
+    assert names["seen"].status == "seen"
+    assert vergence.load_head("learned.json").accuracy is not None
+    first = names["points"].xyz
+    exec(by_pair, names)
+    np.testing.assert_allclose(names["points"].xyz, first, rtol=1e-3)
+    assert names["state"].frames == 1
 
 
 def test_every_field_of_the_calibration_file_and_of_the_truth_is_documented():
