@@ -35,8 +35,9 @@ REFERENCE = {
 CONTENTS = {
     "Guides": (
         *("using_a_calibration", "depth", "dataset", "other_joints", "calibration"),
-        *("self_calibration", "self_calibration_accuracy", "gaze", "gaze_accuracy", "own_detector", "own_driver"),
-        *("reproduction", "accuracy", "error_study", "design_and_plan"),
+        *("self_calibration", "self_calibration_accuracy", "gaze", "gaze_accuracy"),
+        *("own_detector", "own_driver", "reproduction"),
+        *("accuracy", "error_study", "design_and_plan"),
     ),
     "Reference": (
         *(name.removesuffix(".md") for name in REFERENCE),
