@@ -39,6 +39,10 @@ def read_bytes(path: Path, most_bytes: int) -> bytes:
             if not stat.S_ISREG(os.fstat(handle).st_mode):
                 raise VergenceError(f"Cannot read {path}: it is not a regular file.")
             content = file.read(most_bytes + 1)
+    except IsADirectoryError:
+        raise VergenceError(
+            f"Cannot read {path}: it is a folder, and a file is to be read; name one in it."
+        ) from None
     except OSError as error:
         raise VergenceError(f"Cannot read {path}: {error.strerror}.") from error
     except ValueError:
