@@ -145,7 +145,7 @@ def test_a_folder_in_the_place_of_a_figures_result_is_refused_before_the_work(
 ):
     (tmp_path / name).mkdir()
     said = refused(["reproduce", "--out", str(tmp_path)], capsys, monkeypatch)
-    assert f"{name}: Is a directory" in said
+    assert f"{name}: it is a folder, and a file is to be written" in said
 
 
 @pytest.mark.parametrize(
@@ -232,6 +232,37 @@ def test_a_reader_that_stops_reading_ends_the_command_without_a_word():
         process.stdout.close()
         assert process.stderr.read() == b""
     assert process.returncode == 141
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("track --seconds 60s", "Error parsing --seconds: expected a number without a unit, found"),
+        ("foveate --trials 2.5", "Error parsing --trials: expected a whole number, found '2.5'"),
+        ("depth --twin --out r --seed a", "Error parsing --seed: expected a whole number, found"),
+        ("design --views 9 many", "Error parsing --views: expected a number without a unit, found"),
+        ("plan a.json --board 9 6", "Missing value for argument '--board'. Expected 3 values."),
+        ("plan a.json --board 9 6 x", "expected a number without a unit, found 'x'"),
+        ("evaluate a.json ds --truth b", "evaluate does not take 'ds': it is one argument too man"),
+    ],
+)
+def test_a_value_that_is_none_is_answered_in_words(words, said, capsys, monkeypatch):
+    text = refused(words.split(), capsys, monkeypatch)
+    assert said in text
+    assert "[bold]" not in text
+    assert f"vergence {words.split()[0]} --help" in text
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no device that is full")
+def test_an_output_that_is_full_ends_in_a_sentence(tmp_path):
+    save_head(plain_head(0.09, 280.0), tmp_path / "a.json")
+    typed = [sys.executable, "-m", "vergence", "budget", "--calibration", tmp_path / "a.json"]
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [*typed, "--noise", "0.1"], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+    said = "vergence: Cannot write to standard output: No space left on device.\n"
+    assert (done.returncode, done.stderr) == (2, said)
 
 
 def test_an_unknown_command_is_answered_with_the_known_ones(capsys, monkeypatch):

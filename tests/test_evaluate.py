@@ -1,5 +1,6 @@
 """Errors against the truth: named, standardised, and none that is a choice of convention."""
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,11 +8,12 @@ import numpy as np
 import pytest
 
 from simulated_head import skewed_head
+from vergence import cli
 from vergence.commands.evaluate import as_text, evaluate
 from vergence.commands.truth import Truth
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard
-from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head import HeadCalibration, save_head
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side
@@ -65,6 +67,27 @@ def test_errors_are_counted_in_their_standard_deviations(head):
     assert found.regions["T_rbase_lbase"].holds_truth
     assert found.cameras["left_wide"].translation_mm == pytest.approx(0.5)
     assert "outside: left_wide\n" in as_text(found)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("head.json", "--truth", "ds"), "and ds is a folder: give ds/truth.json."),
+        (("truth.json", "--truth", "head.json"), "truth.json is a truth, not a calibration; were"),
+        (("ds", "--truth", "truth.json"), "Cannot read ds: it is a folder, and a file is to be"),
+    ],
+)
+def test_files_that_are_exchanged_or_folders_are_answered_with_what_to_give(
+    head, words, said, tmp_path: Path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    Path("ds").mkdir()
+    save_head(head, "head.json")
+    write_json(truth_of(head), Path("truth.json"))
+    monkeypatch.setattr(sys, "argv", ["vergence", "evaluate", *words])
+    with pytest.raises(SystemExit, match="2"):
+        cli.main()
+    assert said in capsys.readouterr().err
 
 
 def test_a_truth_of_another_head_is_refused(head):

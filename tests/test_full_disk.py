@@ -183,7 +183,7 @@ def test_a_disk_that_fills_leaves_the_old_results(
     ("path", "says"),
     [
         ("file/a.json", "Not a directory"),
-        ("folder", "Is a directory"),
+        ("folder", "it is a folder"),
         ("/dev/null", "it is not a regular file"),
         ("circle", "circle"),
         ("x" * 300, "File name too long"),

@@ -106,7 +106,7 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path):
     with pytest.raises(VergenceError, match=r"Cannot read .*none\.toml: No such file"):
         load_profile(str(tmp_path / "none.toml"))
     (tmp_path / "folder.toml").mkdir()
-    with pytest.raises(VergenceError, match="Is a directory"):
+    with pytest.raises(VergenceError, match="it is a folder"):
         load_profile(str(tmp_path / "folder.toml"))
 
 

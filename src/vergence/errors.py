@@ -2,9 +2,11 @@
 numbers of things, and the check of a seed, which commands of several rooms take.
 """
 
+import difflib
 from collections.abc import Mapping, Sequence
+from typing import Any
 
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 MOST_CHARACTERS = 1000
 """Longest message about a file that is passed on: a parser may cite the whole line."""
@@ -19,11 +21,12 @@ class VergenceError(Exception):
     """
 
 
-def explain(error: Exception) -> str:
+def explain(error: Exception, kind: Any = None) -> str:
     """Return what an error found in a file, in one line without a full stop.
 
     Of several pydantic errors it is the first one, with the path of its field:
-    `joints.left_pan.unit: ...`.
+    `joints.left_pan.unit: ...`. The fields that there are beside an unknown one are those of a
+    type, which was to be made; None: they are not said.
     """
     text = "it is nested too deeply" if isinstance(error, RecursionError) else str(error)
     if isinstance(error, UnicodeDecodeError):
@@ -43,11 +46,51 @@ def explain(error: Exception) -> str:
         elif is_key:
             said = f"there is no field {first['input']!r:.80} here"
         elif first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
-            said = "there is no such field"
+            said = "there is no such field" + _suggestion(str(steps[-1]), _fields(kind, steps[:-1]))
+        elif first["type"] in ("tuple_type", "list_type"):
+            said = f"expected a list, found {_kind(first['input'])}"
         elif first["type"] != "value_error" and isinstance(first["input"], str | int | float):
             said += f"; found {first['input']!r:.80}"
         text = (f"{where}: " if where else "") + said
     return " ".join(text[:MOST_CHARACTERS].split()).rstrip(".")
+
+
+def _suggestion(unknown: str, fields: Sequence[str]) -> str:
+    """Return what may have been meant by a field that is unknown, or all that there are."""
+    near = difflib.get_close_matches(unknown, fields, n=1)
+    if near:
+        return f"; perhaps {near[0]} is meant"
+    return f"; there are {', '.join(fields)}" if fields else ""
+
+
+def _fields(kind: Any, steps: Sequence[int | str]) -> list[str]:
+    """Return the fields of the objects to which a path of steps leads in a type, by its schema."""
+    if kind is None:
+        return []
+    whole = TypeAdapter(kind).json_schema()
+    here = _alternatives(whole, whole)
+    for step in steps:
+        below = [
+            inner
+            for each in here
+            for inner in (
+                each.get("properties", {}).get(step),
+                each.get("additionalProperties"),
+                each.get("items"),
+            )
+            if isinstance(inner, dict)
+        ]
+        if below:  # else the step names one of several kinds of object
+            here = [each for inner in below for each in _alternatives(inner, whole)]
+    return list(dict.fromkeys(name for each in here for name in each.get("properties", {})))
+
+
+def _alternatives(schema: dict[str, Any], whole: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the schemas that one stands for: those of a reference or of a choice."""
+    if "$ref" in schema:
+        return _alternatives(whole["$defs"][schema["$ref"].rpartition("/")[2]], whole)
+    choices = schema.get("anyOf", schema.get("oneOf", []))
+    return [each for inner in choices for each in _alternatives(inner, whole)] or [schema]
 
 
 def _kind(found: object) -> str:

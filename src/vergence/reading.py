@@ -15,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 
 from vergence.errors import VergenceError, explain
 
@@ -39,6 +39,10 @@ def read_bytes(path: Path, most_bytes: int) -> bytes:
             if not stat.S_ISREG(os.fstat(handle).st_mode):
                 raise VergenceError(f"Cannot read {path}: it is not a regular file.")
             content = file.read(most_bytes + 1)
+    except IsADirectoryError:
+        raise VergenceError(
+            f"Cannot read {path}: it is a folder, and a file is to be read; name one in it."
+        ) from None
     except OSError as error:
         raise VergenceError(f"Cannot read {path}: {error.strerror}.") from error
     except ValueError:
@@ -80,7 +84,15 @@ def read_parsed(
 
 def read_json(path: Path, kind: type[T], what: str) -> T:
     """Read a dataclass from JSON; `what` and errors are those of `read_parsed`."""
-    return read_parsed(path, what, TypeAdapter(kind).validate_python, parse_json)
+    return read_parsed(path, what, lambda content: validated(content, kind), parse_json)
+
+
+def validated(content: Any, kind: type[T]) -> T:
+    """Return parsed content as a type of pydantic's; ValueError says what is not valid in it."""
+    try:
+        return TypeAdapter(kind).validate_python(content)
+    except ValidationError as error:
+        raise ValueError(explain(error, kind)) from None
 
 
 def parse_json(text: str) -> Any:

@@ -126,7 +126,10 @@ def writable_file(path: Path) -> Path:
         with contextlib.suppress(FileNotFoundError):
             mode = target.stat().st_mode
             if stat.S_ISDIR(mode):
-                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+                raise VergenceError(
+                    f"Cannot write {path}: it is a folder, and a file is to be written; name one "
+                    "in it or beside it."
+                )
             if not stat.S_ISREG(mode):
                 raise VergenceError(f"Cannot write {path}: it is not a regular file.")
         _check_writable(target.parent)

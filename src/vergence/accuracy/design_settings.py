@@ -15,7 +15,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from vergence.arrays import Array
 from vergence.geometry.camera import Pixels
-from vergence.reading import parse_json, parse_toml, read_parsed
+from vergence.reading import parse_json, parse_toml, read_parsed, validated
 
 MAX_BYTES = 2**16
 MAX_DESIGNS = 50_000_000
@@ -57,6 +57,13 @@ def _within(least: float, most: float) -> AfterValidator:
     return AfterValidator(check)
 
 
+def _whole(values: tuple[float, ...]) -> tuple[float, ...]:
+    for value in values:
+        if not value.is_integer():
+            raise ValueError(f"values are whole numbers, found {value:,.12g}")
+    return values
+
+
 Values = Annotated[
     tuple[float, ...], BeforeValidator(_values), Field(min_length=1, max_length=1000)
 ]
@@ -71,7 +78,7 @@ class Designs(_Section):
     """Focal length of the cameras that locate points."""
     square_mm: Annotated[Values, _within(1, 500)] = (20.0, 30.0)
     """Side of a square of the calibration board."""
-    views: Annotated[Values, _within(5, 10_000)] = (20.0, 40.0, 80.0)
+    views: Annotated[Values, _within(5, 10_000), AfterValidator(_whole)] = (20.0, 40.0, 80.0)
     """Views of the board by both eyes that are calibrated with."""
     counts_per_turn: Annotated[Values, _within(0, 2**32)] = (4096.0, 16384.0, 65536.0)
     """Resolution of the encoders; 0: no steps."""
@@ -123,7 +130,16 @@ class Workspace(_Section):
     """Noise of one coordinate of a corner of the board: corners are found better than objects."""
 
 
-Price = Annotated[tuple[tuple[float, float], ...], Field(min_length=1)]
+def _pairs(value: Any) -> Any:
+    lists = list, tuple
+    if isinstance(value, lists) and all(isinstance(p, lists) and len(p) == 2 for p in value):
+        return value
+    raise ValueError(
+        f"prices are pairs of a value and its price, as [[20, 5], [30, 10]], found {value!r:.80}"
+    )
+
+
+Price = Annotated[tuple[tuple[float, float], ...], BeforeValidator(_pairs), Field(min_length=1)]
 """Pairs of a value and its price; between values the price is interpolated, beyond the ends it
 stays."""
 
@@ -198,4 +214,10 @@ def load_settings(path: Path) -> DesignSettings:
     """
     parse = parse_json if path.suffix.lower() == ".json" else parse_toml
     what = "a description of designs (see docs/design_and_plan.md)"
-    return read_parsed(path, what, DesignSettings.model_validate, parse, most_bytes=MAX_BYTES)
+    return read_parsed(
+        path,
+        what,
+        lambda content: validated(content, DesignSettings),
+        parse,
+        most_bytes=MAX_BYTES,
+    )

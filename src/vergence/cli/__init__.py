@@ -8,6 +8,7 @@ import re
 import sys
 from collections.abc import Callable
 from dataclasses import fields
+from functools import partial, wraps
 from inspect import Parameter, getdoc, signature
 from typing import Annotated, Any, get_type_hints
 
@@ -26,9 +27,11 @@ from vergence.cli.experiments import (
     reproduce,
     track,
 )
+from vergence.cli.numbers import NUMBERS
 from vergence.commands.invocation import invocation
 from vergence.errors import VergenceError
 
+CONFIG = (tyro.conf.DisallowNone,)
 COMMANDS: dict[str, Callable[..., None]] = {
     "reproduce": reproduce,
     "record": record,
@@ -89,6 +92,33 @@ def _check(arguments: list[str]) -> None:
             )
 
 
+def _bound(name: str, arguments: list[str]) -> Callable[[], None]:
+    """Return a command with the values of its options; exit or VergenceError where they are wrong.
+
+    tyro would only list what is one argument too many, and would do so as an option.
+    """
+    command = COMMANDS[name]
+
+    @wraps(command)
+    def bind(*values: Any, **options: Any) -> Callable[[], None]:
+        return partial(command, *values, **options)
+
+    bound, surplus = tyro.cli(
+        bind,
+        prog=invocation("vergence", name),
+        args=arguments,
+        config=CONFIG,
+        registry=NUMBERS,
+        return_unknown_args=True,
+    )
+    if surplus:
+        raise VergenceError(
+            f"{name} does not take {surplus[0]!r}: it is one argument too many. "
+            f"See {invocation('vergence', name, '--help')}."
+        )
+    return bound
+
+
 def options_of(command: Callable[..., None]) -> list[str]:
     """Return the options of a command, with those that experiments have in common."""
     parameters = signature(command).parameters.values()
@@ -108,11 +138,15 @@ def main() -> None:
     # A damaged image is named in the report; OpenCV would print lines of its own source besides.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     with plain_ending("vergence"):
-        _check(sys.argv[1:])
+        arguments = sys.argv[1:]
+        _check(arguments)
+        if arguments and arguments[0] in COMMANDS:
+            _bound(arguments[0], arguments[1:])()
+            return
         tyro.extras.subcommand_cli_from_dict(
             COMMANDS,
             prog=invocation("vergence"),
             description="Active 3-D vision: calibration, stereo and gaze control, and a twin. "
             "`vergence --version` prints the version.",
-            config=(tyro.conf.DisallowNone,),
+            config=CONFIG,
         )

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import tyro
 
+from vergence.cli.numbers import Board
 from vergence.cli.progress import progress_bars
 from vergence.cli.tables import print_table
 from vergence.writable import check_outputs
@@ -18,7 +19,7 @@ def plan(
     /,
     *,
     views: int = 10,
-    board: tuple[int, int, float] | None = None,
+    board: Board = None,
     limits_deg: tuple[float, ...] = (20.0,),
     distances: tuple[float, ...] = (0.3, 0.6, 1.0),
     seed: int = 0,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -125,10 +126,20 @@ def evaluate(
     """
     from vergence.commands.evaluate import as_text
     from vergence.commands.evaluate import evaluate as run
-    from vergence.commands.truth import load
+    from vergence.commands.truth import is_truth, load
     from vergence.geometry.head import load_head
 
     check_outputs(json, inputs=[calibration, truth])
+    if os.path.isdir(truth):
+        raise VergenceError(
+            f"--truth is a file that `vergence record` writes into a dataset, and {truth} is a "
+            f"folder: give {truth / 'truth.json'}."
+        )
+    if is_truth(calibration):
+        raise VergenceError(
+            f"{calibration} is a truth, not a calibration; were the two exchanged? Give the file "
+            "of the calibration first, and that of the truth after --truth."
+        )
     found = run(load_head(calibration, allow_void=True), load(truth))
     if json is not None:
         write_json(found, json)

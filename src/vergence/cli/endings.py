@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
@@ -38,6 +39,12 @@ def plain_ending(program: str) -> Iterator[None]:
     except BrokenPipeError:  # whoever read the output has seen enough, such as `head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(128 + signal.SIGPIPE) from None
+    except OSError as error:
+        if error.errno != errno.ENOSPC or error.filename is not None:  # no file has been named
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        print(f"{program}: Cannot write to standard output: {error.strerror}.", file=sys.stderr)
+        raise SystemExit(2) from None
     except KeyboardInterrupt as stop:
         done = finished_files()
         files = " ".join(map(str, done[-FILES_NAMED:]))

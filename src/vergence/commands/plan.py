@@ -45,7 +45,7 @@ def run(
     that kind, its calibration is void, or an option is not possible.
     """
     _check(views, limits_deg, distances_m, seed)
-    limits_rad = np.radians(limits_deg if len(limits_deg) > 1 else limits_deg[0])
+    limits_rad = np.radians(limits_deg[0] if len(limits_deg) == 1 else limits_deg)
     head, shown = head_and_board(source, board, progress, limits_rad=limits_rad)
     return plan(
         head,

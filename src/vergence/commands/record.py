@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import ConfigDict, TypeAdapter
+from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Array
@@ -27,7 +27,7 @@ from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Side
 from vergence.geometry.neck import NECK_JOINTS
 from vergence.progress import Progress, silent
-from vergence.reading import parse_json, read_parsed
+from vergence.reading import parse_json, read_parsed, validated
 from vergence.twin.calibration_sequence import (
     BOARD,
     NARROW_VIEWS,
@@ -248,7 +248,7 @@ def _description(lens: Lens, board: Board, note: str, kinematics: Path | None) -
         return Description(cameras=cameras, board=board, joints=eyes | neck, note=note)
 
     def build(content: object) -> Description:
-        stated = TypeAdapter(StatedJoints).validate_python(content)
+        stated = validated(content, StatedJoints)
         return Description(
             cameras=cameras,
             board=board,

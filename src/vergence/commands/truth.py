@@ -12,6 +12,7 @@ from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Matrix, Transform
+from vergence.errors import VergenceError
 from vergence.geometry.board import Charuco, Chessboard
 from vergence.geometry.head import HeadCalibration
 from vergence.reading import read_json
@@ -43,3 +44,12 @@ class Truth:
 def load(path: Path) -> Truth:
     """Read a truth.json; errors are those of `read_json`."""
     return read_json(path, Truth, TRUTH)
+
+
+def is_truth(path: Path) -> bool:
+    """Return whether a file can be read as a truth.json."""
+    try:
+        load(path)
+    except VergenceError:
+        return False
+    return True

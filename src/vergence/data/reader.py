@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
 
 from vergence.arrays import Array
 from vergence.data.dataset import Dataset
@@ -26,9 +25,9 @@ from vergence.data.table import (
     read_table,
     time_stamps,
 )
-from vergence.errors import VergenceError, explain
+from vergence.errors import VergenceError
 from vergence.geometry.neck import NECK_JOINTS
-from vergence.reading import parse_json, read_parsed
+from vergence.reading import parse_json, read_parsed, validated
 
 MAX_EYE_RAD = 1.2
 """Larger angles of an eye are implausible: probably degrees that were declared as radians."""
@@ -84,9 +83,9 @@ def load_dataset(folder: str | Path) -> Dataset:
 
 def _description(content: Any) -> Description:
     try:
-        return TypeAdapter(Description).validate_python(content)
-    except ValidationError as error:
-        reason = re.sub(r"^board\.(chessboard|charuco)", "board", explain(error))
+        return validated(content, Description)
+    except ValueError as error:
+        reason = re.sub(r"^board\.(chessboard|charuco)", "board", str(error))
         raise ValueError(reason) from None
 
 

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from vergence.calibration.sequential.lens_models import LensModel
 from vergence.errors import VergenceError
-from vergence.reading import parse_toml, read_parsed
+from vergence.reading import parse_toml, read_parsed, validated
 
 Lens = Literal["2.8mm", "4.0mm"]
 """Focal length of the wide cameras."""
@@ -169,7 +169,7 @@ def load_profile(name_or_file: str) -> ErrorProfile:
     return read_parsed(
         Path(name_or_file),
         "an error profile",
-        ErrorProfile.model_validate,
+        lambda content: validated(content, ErrorProfile),
         parse_toml,
         most_bytes=MAX_BYTES,
     )
