@@ -9,8 +9,7 @@ frames at once (`log_gaze_series`). In addition to the entities of every recordi
     /gaze_error/left, right         true distance of the object from the narrow image's centre [px]
     /position/x, y, z, true_x, ...  estimate and truth [m], in frame body
     /error/fused, by_one_frame      distance of the estimates from the truth [mm]
-    /error/by_joints                the same of one frame by the joints alone, where the geometry is
-                                    seen; see `viewer.seen` for what is recorded of it
+    /error/by_joints                by the joints alone, where the geometry is seen (`viewer.seen`)
     /hand/distance                  distance of the hand, by its encoders, from the object [mm]
     /eyes/<joint>, command_<joint>  readings and commands of the eyes [rad]
     /neck/<joint>, command_<joint>  readings and commands of the neck [rad]
