@@ -163,7 +163,8 @@ def best_of_all(own: Array, pairs: Mapping[tuple[int, int], Array]) -> tuple[np.
     """Return the best of all shifts (C,), and what the next best costs more in pairs of cameras."""
     C, n = own.shape
     shifts = np.indices((n,) * C).reshape(C, -1).T
-    between = sum(cost[(shifts[:, b] - shifts[:, a]) % n] for (a, b), cost in pairs.items())
+    each = [cost[(shifts[:, b] - shifts[:, a]) % n] for (a, b), cost in pairs.items()]
+    between = np.sum(each, axis=0)
     best = int((between + own[np.arange(C), shifts].sum(axis=1)).argmin())
     change = (shifts - shifts[best]) % n
     others = between[(change != change[:, :1]).any(axis=1)]

@@ -222,7 +222,7 @@ def test_depth_of_a_real_heads_dataset_needs_no_twin(drawn, tmp_path):
     assert (found["pairs"], found["left_out"]) == (1, 0)
     assert found["textured"] > 0.1
     assert found["joints"] is None
-    assert found["row_difference_px"] < 0.1
+    assert found["row_difference_deg"] < 0.02
     assert found["doubt"] is None
 
 
@@ -234,8 +234,8 @@ def test_rows_show_that_a_calibration_is_of_another_head(drawn, tmp_path):
     given = {"dataset": tmp_path / "data", "calibration": tmp_path / "other.json"}
     done = of_dataset(tmp_path / "depth", **given)
     assert done.doubt is not None
-    assert done.doubt.startswith("A feature is 0.51 degrees beside its row")
-    assert "Warning: A feature is" in (tmp_path / "depth" / "report.md").read_text()
+    assert done.doubt.startswith("Features are 0.51 degrees beside their rows")
+    assert "Warning: Features are" in (tmp_path / "depth" / "report.md").read_text()
 
 
 APART = np.array([1.2, 0.0, -1.2, 0.0])

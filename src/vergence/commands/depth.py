@@ -92,7 +92,7 @@ class Summary:
     """Share that has one which texture determines well."""
     median_relative_std: float
     """Stated standard deviation over depth, of textured pixels at RANGE_M."""
-    row_difference_px: float
+    row_difference_deg: float
     """By how much the rows of a matched feature differ in the rectified images, in the median of
     the features and of the pairs; NaN: none showed enough of them."""
     doubt: str | None
@@ -259,7 +259,7 @@ def write_depth(
             matched=float(matched),
             textured=float(textured),
             median_relative_std=float(np.median(relative)) if relative.size else np.nan,
-            row_difference_px=apart_rad * float(pair.matrix[0, 0]),
+            row_difference_deg=float(np.degrees(apart_rad)),
             doubt=_doubt(head, apart_rad),
             **errors(),
         )
@@ -303,9 +303,9 @@ def _doubt(head: HeadCalibration, apart_rad: float) -> str | None:
     if not apart_rad > max(_DOUBTED * noise_rad, _LEAST_DOUBTED_RAD):
         return None
     return (
-        f"A feature is {np.degrees(apart_rad):.2g} degrees beside its row in the median: the "
-        "calibration is of another head, a camera has turned since, or images and readings are not "
-        "of the same moments. The depths are wrong by far more than is stated."
+        f"Features are {np.degrees(apart_rad):.2g} degrees beside their rows: the calibration is "
+        "of another head, a camera has turned since, or images and readings are not of the same "
+        "moments. The depths are wrong by far more than is stated."
     )
 
 
@@ -330,8 +330,8 @@ def as_markdown(done: Summary) -> str:
         f"{100 * done.matched:.0f} % of the rectified pixels have a depth, "
         f"{100 * done.textured:.0f} % one that texture determines well. {stated}",
         "",
-        f"Rows of a feature differ by {done.row_difference_px:.2g} px in the median."
-        if np.isfinite(done.row_difference_px)
+        f"A feature is {done.row_difference_deg:.2g} degrees beside its row in the median."
+        if np.isfinite(done.row_difference_deg)
         else "Too few features are matched to compare the rows of the two images.",
         "",
     ]

@@ -221,9 +221,11 @@ def _noise_groups(
     """
     if problem.T_base_eye_read is not None:
         return np.array([0, 0, 0, 1, 1, 1])
-    seen_by = [problem.block[problem.eye[problem.camera] == e] for e in range(len(EYES))]
-    shared = set(kinematics.used("left")) & set(kinematics.used("right"))
-    few = len(np.intersect1d(*seen_by) if shared else problem.reading) < least_blocks
+    blocks = len(problem.reading)
+    if set(kinematics.used("left")) & set(kinematics.used("right")):
+        left, right = (problem.block[problem.eye[problem.camera] == e] for e in range(len(EYES)))
+        blocks = len(np.intersect1d(left, right))
+    few = blocks < least_blocks
     if few and kinematics.factors.max() < GEARED * kinematics.factors.min():
         return np.zeros(problem.reading.shape[1], dtype=int)
     kinds = np.array(reading_kinds(kinematics))[problem.block_columns[0]]
