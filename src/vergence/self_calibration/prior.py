@@ -42,11 +42,11 @@ none of what it held fixed."""
 _BASELINES_AWAY = 5.0, 20.0
 """Depths at which boards are shown, in baselines."""
 _BEYOND_FIT = 2.0
-"""By how much more than its fit to a board states a lens errs for the features of a scene, whose
-errors are others than those of corners. Fitted by `benchmarks/single_frames.py`: of 12 rendered
-heads (2.8 mm lens) the squared Mahalanobis distance of the cameras' turn is 1.76, 1.37, 1.16 and
-0.96 per degree of freedom with factors of 1, 1.5, 2 and 3; of 6 heads with the 4.0 mm lens 0.93
-with 2."""
+"""By how much more than its fit to a board states a lens is taken to err. The fits themselves are
+right: it makes up for matches that tell less than is estimated. Fitted by
+`benchmarks/single_frames.py`: of 12 rendered heads (2.8 mm lens) the squared Mahalanobis distance
+of the cameras' turn is 1.76, 1.37, 1.16 and 0.96 per degree of freedom with factors of 1, 1.5, 2
+and 3; of 6 heads with the 4.0 mm lens 0.93 with 2."""
 _LEAST_LENS_PX = 1e-3
 """Standard deviation of a principal point, and of what coefficients displace, below which no board
 determines them, however well it fits."""
