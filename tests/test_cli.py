@@ -11,6 +11,7 @@ import pytest
 
 from simulated_head import plain_head
 from vergence import __version__, cli
+from vergence.cli.endings import plain_ending
 from vergence.commands.invocation import invocation
 from vergence.geometry.head import save_head
 
@@ -263,6 +264,14 @@ def test_an_output_that_is_full_ends_in_a_sentence(tmp_path):
         )
     said = "vergence: Cannot write to standard output: No space left on device.\n"
     assert (done.returncode, done.stderr) == (2, said)
+
+
+def test_a_stopped_command_says_the_note_of_its_work_in_place_of_files(capsys):
+    stop = KeyboardInterrupt()
+    stop.add_note("2 of 4 parts finished")
+    with pytest.raises(SystemExit, match="130"), plain_ending("vergence"):
+        raise stop
+    assert capsys.readouterr().err == "vergence: stopped; 2 of 4 parts finished.\n"
 
 
 def test_an_unknown_command_is_answered_with_the_known_ones(capsys, monkeypatch):

@@ -133,8 +133,10 @@ def test_a_sweep_that_was_stopped_goes_on_without_doing_finished_work_again(
         return compute_chunk(chunk)
 
     monkeypatch.setattr(command, "compute_chunk", stopped_after_two)
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt) as stop:
         sweep(SMALL, tmp_path)
+    said = "2 of 4 parts finished; the same command goes on from there"
+    assert stop.value.__notes__ == [said]
     kept = sorted(tmp_path.glob("*.npy"))
     assert len(kept) == 2
     kept[0].write_bytes(kept[0].read_bytes()[:100])  # as no write of ours leaves a file

@@ -67,6 +67,10 @@ def test_a_recording_says_what_it_shows_and_claims_no_more(recorded, monkeypatch
     assert learned.accuracy is not None
     assert (found["frames"], found["seen"], found["learned"]) == (10, 10, 9)
     assert found["depth_std_m"][1] < found["depth_std_m"][0] / 2
+    counts = (
+        "10 frames: 10 determined the relative pose of the cameras, and 9 updated the parameters"
+    )
+    assert counts in said
     assert "states no covariance" in said
     assert "observed" in said
     assert "Depth of a point 1 m straight ahead" in said

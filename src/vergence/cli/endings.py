@@ -21,7 +21,7 @@ def plain_ending(program: str) -> Iterator[None]:
     """Run a program whose user sees no tracebacks.
 
     A mistake of the user ends in one sentence and exit code 2; Ctrl-C and SIGTERM end it with the
-    names of the files that were finished.
+    names of the files that were finished, or with the note that was added to the interrupt.
 
     Args:
         program: its name, with which the sentence begins.
@@ -50,6 +50,7 @@ def plain_ending(program: str) -> Iterator[None]:
         files = " ".join(map(str, done[-FILES_NAMED:]))
         files += f" and {len(done) - FILES_NAMED} more" if len(done) > FILES_NAMED else ""
         kept = f"finished before: {files}" if files else "nothing was written"
+        kept = next(iter(getattr(stop, "__notes__", ())), kept)
         print(f"{program}: stopped; {kept}.", file=sys.stderr)
         raise SystemExit(128 + (stop.args[0] if stop.args else signal.SIGINT)) from None
 

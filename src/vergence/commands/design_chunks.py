@@ -53,11 +53,17 @@ def sweep(
     missing = [(k, each[k]) for k in range(len(each)) if k not in found]
     progress("sweeping designs", len(found), len(each))
     if missing:
-        for k, values in _computed(missing, jobs, cluster):
-            with whole_file(files[k]) as part, part.open("wb") as file:
-                np.save(file, values)
-            found[k] = values
-            progress("sweeping designs", len(found), len(each))
+        try:
+            for k, values in _computed(missing, jobs, cluster):
+                with whole_file(files[k]) as part, part.open("wb") as file:
+                    np.save(file, values)
+                found[k] = values
+                progress("sweeping designs", len(found), len(each))
+        except KeyboardInterrupt as stop:  # the names of their files would say nothing
+            stop.add_note(
+                f"{len(found)} of {len(each)} parts finished; the same command goes on from there"
+            )
+            raise
     return assemble(settings, [found[k] for k in range(len(each))])
 
 

@@ -46,8 +46,8 @@ def sentences(found: RecordedSelfCalibration) -> list[str]:
     """Return sentences about the recording as a whole, its warnings last."""
     source = "" if found.learned else " (assumed)"
     lines = [
-        f"{counted(found.frames, 'frame')}, of which {found.seen} showed how the cameras stand to "
-        f"each other and {found.learned} taught what persists; noise of the readings "
+        f"{counted(found.frames, 'frame')}: {found.seen} determined the relative pose of the "
+        f"cameras, and {found.learned} updated the parameters; noise of the readings "
         f"{np.degrees(found.joint_std_rad):.3f} degrees{source}."
     ]
     hidden = [each for each in found.parameters if each.verdict == "not observed"]

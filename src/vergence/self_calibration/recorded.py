@@ -61,9 +61,9 @@ class RecordedSelfCalibration:
     frames: int
     """Rows that were used."""
     seen: int
-    """Frames that showed how the cameras stand to each other."""
+    """Frames that determined the relative pose of the cameras by themselves."""
     learned: int
-    """Frames from which was learned."""
+    """Frames that updated the parameters, some of which may not be among `seen`."""
     depth_std_m: tuple[float, float] | None
     """Standard deviation of the depth of a point 1 m straight ahead, by the calibration alone,
     before and after; None: it is not in front of both cameras."""
@@ -203,7 +203,7 @@ def _warnings(head: HeadCalibration, frames: int, seen: int) -> list[str]:
         )
     elif seen < (1 - _MOST_UNSEEN) * frames:
         found.append(
-            f"Only {seen} of {counted(frames, 'frame')} showed how the cameras stand to each "
-            "other; in the others the prior stands, in part or wholly."
+            f"Only {seen} of {counted(frames, 'frame')} determined the relative pose of the "
+            "cameras; in the others it comes from the prior, in part or wholly."
         )
     return found
