@@ -292,6 +292,15 @@ def test_a_chessboard_of_other_counts_is_named_by_its_own(tmp_path, change):
         detect_target(load_dataset(tmp_path / "set"))
 
 
+def test_a_few_images_tell_that_another_board_was_shown(tmp_path):
+    seen_dataset(tmp_path / "set", CHESSBOARD, 20)
+    change_about(tmp_path / "set", {"board.columns": 9, "board.rows": 8})
+    counts = []
+    with pytest.raises(VergenceError, match=r"of 13 all over it, .* set board.columns to 6"):
+        detect_target(load_dataset(tmp_path / "set"), progress=lambda *each: counts.append(each))
+    assert counts[-1][1:] == (13, 39)
+
+
 @pytest.mark.parametrize(("there", "described"), [(CHARUCO, CHESSBOARD), (CHESSBOARD, CHARUCO)])
 def test_a_board_of_the_other_kind_is_named(tmp_path, there, described):
     seen_dataset(tmp_path / "set", there, 1)

@@ -35,6 +35,9 @@ each of 28 cameras, on boards that were rendered, or drawn before lenses of seve
 that nobody drew may do worse, and the intrinsics absorb most of this error."""
 DAMAGED = f"the file {UNREADABLE}"
 _PROBES = 4  # images on which other boards are tried when none was found
+_FIRST = 12
+"""Images, spread over the recording, that are searched first: where none shows the board, and half
+of the probes another one, the rest is not, which would take half a second an image."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,11 +77,19 @@ def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observati
     timing = Timing(dataset.joint_time_s, runs(dataset)) if dataset.moving.any() else None
     task = "finding the board"
     progress(task, 0, len(jobs))
+    first = jobs[:: max(1, len(jobs) // _FIRST)]
+    rest = [job for job in jobs if job not in first]
     found: list[_Detection] = []
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for each in pool.map(lambda job: _detect(dataset, *job), jobs):  # errors cancel the rest
-            found.append(each)
-            progress(task, len(found), len(jobs))
+        for part in (first, rest):
+            # An error cancels the rest.
+            for each in pool.map(lambda job: _detect(dataset, *job), part):
+                found.append(each)
+                progress(task, len(found), len(jobs))
+            if part is first and rest:
+                _check_first(dataset, found)
+    order = {job: k for k, job in enumerate(jobs)}
+    found.sort(key=lambda each: order[each.camera, each.row])
     found = _without_repeats(dataset, found)
     _check_described(dataset, found)
     board, cameras = dataset.description.board, dataset.description.cameras
@@ -200,6 +211,17 @@ def _without_repeats(dataset: Dataset, seen: list[_Detection]) -> list[_Detectio
             each = replace(each, corners=None, reason=f"the same picture as in line {line}")
         kept.append(each)
     return kept
+
+
+def _check_first(dataset: Dataset, found: list[_Detection]) -> None:
+    """Raise a VergenceError if none of the first images shows the board, and half another one."""
+    if any(each.corners is not None for each in found):
+        return
+    images = _probes(dataset, found)
+    cause = other_board(images, dataset.description.board, least=len(images) // 2)
+    if cause is not None:
+        where = f"{dataset.folder}, of {len(found)} all over it,"
+        raise VergenceError(f"{_shown(dataset, found, where)}; {cause}.")
 
 
 def _check_described(dataset: Dataset, found: list[_Detection]) -> None:

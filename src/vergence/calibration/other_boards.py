@@ -50,15 +50,18 @@ def why_not_found(grey: np.ndarray, board: Board) -> str:
     )
 
 
-def other_board(images: Sequence[np.ndarray], board: Board) -> str | None:
-    """Return what board images (H, W) show instead, and what to set; None: none that is known."""
+def other_board(images: Sequence[np.ndarray], board: Board, *, least: int = 1) -> str | None:
+    """Return what board images (H, W) show instead, and what to set; None: none that is known.
+
+    At least so many of them show it.
+    """
     candidates: Iterator[tuple[Board, str]]
     if isinstance(board, Charuco):
         candidates = _other_charucos(images, board)
     else:
         candidates = _other_chessboards(images, board)
     for other, advice in candidates:
-        if any(_is_seen(image, other) for image in images):
+        if sum(_is_seen(image, other) for image in images) >= max(least, 1):
             return advice
     return None
 
