@@ -60,7 +60,7 @@ def test_what_is_no_file_of_reasonable_size_is_refused(sound_files, name):
         (link_to("/dev/tty0"), f"not a regular file|{leads_out}|Cannot read|no such file"),
         (link_to("nowhere"), "No such file|no such file|There is no"),
         (lambda path: path.symlink_to(path.name), "Too many|There is no|not a possible file name"),
-        (Path.mkdir, "directory|regular file|no such file"),
+        (Path.mkdir, "a folder|directory|regular file|no such file"),
         (sparse, "too large"),
     ):
         assert re.search(says, sentence(kind, change)), change

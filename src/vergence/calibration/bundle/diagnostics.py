@@ -26,7 +26,7 @@ SURE = 5.0
 than noise makes in any recording."""
 LEAST_APART_S = 0.001
 """Least such time that is worth a warning: 0.06 degrees at a rad/s."""
-LOST, LOST_IN_ONE_VIEW = 0.05, 0.01
+LOST, LOST_IN_ONE_VIEW = 0.02, 0.01
 """Share of corners without weight that is reported, where they are scattered over the views, which
 robust weights deal with, and where most of them are in one view."""
 NOISY, NOISY_RAD = 5.0, np.radians(0.2)

@@ -104,7 +104,12 @@ def refine_eye_camera(
     if start is not None:
         start = _checked_start(start)
     angles = eye if eye.ndim == 2 else _readings_of(eye, kinematics)
-    if eye.ndim == 3 and angles is not None and isinstance(joint_std, tuple):
+    if angles is not None and isinstance(joint_std, tuple):
+        if eye.ndim == 2:
+            raise VergenceError(
+                f"joint_std of joint readings is one number [rad], found {joint_std}; two, of "
+                "rotation [rad] and translation [m], are for measured eye poses."
+            )
         joint_std = joint_std[0]
     T_read = eye if angles is None else T_base_eye(kinematics, "left", angles)
     T_cam_target = board_poses(camera, pixels, points)
