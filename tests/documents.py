@@ -78,3 +78,8 @@ def anchors(document: str) -> set[str]:
     headings = re.findall(r"^#{1,6} (.*)$", prose(document), re.MULTILINE)
     plain = [re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading) for heading in headings]
     return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in plain}
+
+
+def first(document: str, language: str) -> str:
+    """Return the first block of a language in a document."""
+    return next(block.text for block in blocks(document) if block.language == language)

@@ -6,22 +6,15 @@ import functools
 import importlib
 import json
 import re
-import sys
 import tomllib
-from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
-import cv2
-import numpy as np
 import pytest
 import tyro
-from pydantic import TypeAdapter
 
 import make_map
-import moving_frames
 import site_pages
 import vergence
 from documents import (
@@ -30,19 +23,16 @@ from documents import (
     anchors,
     blocks,
     commands,
+    first,
     inline_commands,
     links,
     prose,
     read,
-)  # fmt: skip
-from drawn_card import smooth_picture
-from drawn_head import DrawnHead, four_cameras, point_at
+)
 from vergence import cli
-from vergence.data.dataset import Frame
-from vergence.data.description import Description
 from vergence.data.reader import load_dataset
 from vergence.geometry.camera import Camera
-from vergence.geometry.head import HeadCalibration, MountedCamera, save_head
+from vergence.geometry.head import HeadCalibration, MountedCamera
 from vergence.geometry.head_accuracy import Accuracy, HeldOut
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import Kinematics
@@ -56,11 +46,6 @@ PYTHON = [
     for k, block in enumerate(blocks(document))
     if block.language == "python"
 ]
-
-
-def first(document: str, language: str) -> str:
-    """Return the first block of a language in a document."""
-    return next(block.text for block in blocks(document) if block.language == language)
 
 
 @pytest.mark.parametrize("cited", sorted(set(re.findall(r"`(test_\w+\.py::test_\w+)`", EQUATIONS))))
@@ -180,28 +165,6 @@ def test_the_reader_of_datasets_that_the_document_prints_reads_the_dataset_that_
     assert f"{dataset.eye_angles[2, 0]:.4f}" in lines[2]
 
 
-def test_the_guide_to_recording_writes_a_dataset(tmp_path, monkeypatch):
-    grey = np.full((480, 640), 90, np.uint8)
-    reads = iter(range(1000))
-    angles = [np.zeros(4)]
-
-    def read(names: Sequence[str]) -> Frame | None:
-        k = next(reads)
-        return None if k == 1 else Frame(k, k, angles[-1], np.zeros(3), dict.fromkeys(names, grey))
-
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("builtins.input", lambda _: "")
-    postures = [np.array([0.1, -0.2, 0.05, -0.2]), np.array([-0.1, 0.1, -0.2, 0.1])]
-    code = next(block.text for block in blocks("docs/dataset.md") if "DatasetRow" in block.text)
-    head = SimpleNamespace(read=read)
-    exec(code, {"head": head, "postures": postures, "move_to": angles.append})
-    dataset = load_dataset("my_recording")
-    assert dataset.remarks == ()
-    assert len(set(dataset.placement[:15])) == 15
-    assert list(dataset.placement[15:]) == [0, 0]
-    np.testing.assert_allclose(dataset.eye_angles[15:], postures)
-
-
 @pytest.mark.parametrize("document", DOCUMENTS)
 def test_json_and_toml_in_documents_are_valid(document: str):
     for block in blocks(document):
@@ -224,102 +187,6 @@ def test_the_calibration_file_that_is_printed_can_be_read(tmp_path):
     (tmp_path / "head.json").write_text(text)
     head = vergence.load_head(tmp_path / "head.json")
     assert set(head.cameras) == {"left_wide"}
-
-
-def run_blocks(document: str, names: dict[str, Any]) -> dict[str, Any]:
-    """Run the blocks of Python of a document, as one program."""
-    for block in blocks(document):
-        if block.language == "python":
-            exec(compile(block.text, document, "exec"), names)
-    return names
-
-
-def test_the_guide_to_detectors_runs(tmp_path, monkeypatch, capsys):
-    save_head(four_cameras(), tmp_path / "head.json")
-    picture = np.repeat(smooth_picture(60)[..., None], 3, axis=-1)
-    cv2.imwrite(str(tmp_path / "mug.png"), picture)
-    table = np.full((480, 640, 3), 90, np.uint8)
-    table[200:260, 300:360] = picture
-    cv2.imwrite(str(tmp_path / "table.png"), table)
-    monkeypatch.chdir(tmp_path)
-    names = run_blocks("docs/own_detector.md", {})
-    np.testing.assert_allclose(names["found"].pixel, [329.5, 229.5], atol=0.3)
-    assert names["bright_spot"](np.zeros((480, 640, 3), np.uint8), None, None) is None
-    printed = capsys.readouterr().out
-    assert "looking at mug with ('left_wide', 'right_wide', 'left_narrow'" in printed
-    assert "No object is called 'cup'" in printed
-    assert "centred in ('left_wide', 'right_wide')" in printed
-
-
-def test_the_guide_to_other_joints_describes_and_uses_them(tmp_path, monkeypatch, capsys):
-    described, version = (
-        json.loads(block.text)
-        for block in blocks("docs/other_joints.md")
-        if block.language == "json"
-    )
-    adapter = TypeAdapter(Description)
-    shared = adapter.validate_python(described).head_kinematics
-    assert shared.used("left") == [0, 1]
-    assert shared.used("right") == [0, 2]
-    readings = {name: {"unit": "rad"} for name in ("version", "vergence", "tilt")}
-    described |= {"kinematics": version, "readings": readings}
-    assert adapter.validate_python(described).head_kinematics.readings == tuple(readings)
-    save_head(four_cameras(), tmp_path / "calibration.json")
-    monkeypatch.chdir(tmp_path)
-    names = run_blocks("docs/other_joints.md", {})
-    np.testing.assert_allclose(names["points"].xyz, [[0.6, -0.04, 0.1]], atol=1e-9)
-    assert "(3,) [[ 0.6" in capsys.readouterr().out
-
-
-def test_the_guide_to_drivers_moves_a_head(tmp_path, monkeypatch, capsys):
-    """The stand-in for motors and cameras is a drawn head, whose tilt encoders count upwards."""
-    drawn = DrawnHead(lambda _: point_at(10, 5, 0.6))
-    sign = {"left_pan": 1, "left_tilt": -1, "right_pan": 1, "right_tilt": -1}
-    moved: list[dict[str, float]] = []
-
-    def grab(names: Sequence[str], timeout_s: float) -> Frame | None:
-        drawn.commands.append(driver["head"].sent)
-        driver["head"].renew_setpoints()
-        return drawn.read(names)
-
-    def angles_rad() -> dict[str, float]:
-        angles = np.zeros(4) if drawn.last is None else drawn.last.eye_angles
-        return {name: sign[name] * angle for name, angle in zip(sign, angles, strict=True)}
-
-    bus = SimpleNamespace(time_s=drawn.now_s, angles_rad=angles_rad, move_to=moved.append)
-    driver: dict[str, Any] = {"bus": bus, "cameras": SimpleNamespace(grab=grab)}
-    save_head(four_cameras(), tmp_path / "head.json")
-    monkeypatch.chdir(tmp_path)
-    run_blocks("docs/own_driver.md", driver)
-    assert drawn.errors_px(drawn.time_s).max() < 0.5
-    assert "fixation at [" in capsys.readouterr().out
-    assert moved[-1]["left_pan"] > 0.05
-    np.testing.assert_allclose(moved[-1]["left_tilt"], -drawn.posture(drawn.time_s)[4], atol=1e-3)
-
-
-@pytest.mark.slow
-def test_the_guide_to_self_calibration_runs(tmp_path, monkeypatch):
-    save_head(moving_frames.HEAD, tmp_path / "head.json")
-    monkeypatch.chdir(tmp_path)
-    ((_, frame),) = moving_frames.frames(1)
-    pixels = np.array([[320.0, 240.0]])
-    names: dict[str, Any] = {
-        **{"frame": frame, "joints": frame.eye_angles, "elapsed_s": 0.3},
-        **{f"{eye}_image": frame.images[f"{eye}_wide"] for eye in ("left", "right")},
-        **{"left_pixels": pixels, "right_pixels": pixels},
-    }
-    by_frame, by_pair = (
-        block.text
-        for block in blocks("docs/self_calibration.md")
-        if block.language == "python" and "load_dataset" not in block.text
-    )
-    exec(by_frame, names)
-    assert names["seen"].status == "seen"
-    assert vergence.load_head("learned.json").accuracy is not None
-    first = names["points"].xyz
-    exec(by_pair, names)
-    np.testing.assert_allclose(names["points"].xyz, first, rtol=1e-3)
-    assert names["state"].frames == 1
 
 
 def test_every_field_of_the_calibration_file_and_of_the_truth_is_documented():
@@ -368,73 +235,3 @@ def test_the_site_contains_every_document():
 def test_links_of_a_page_of_the_site_lead_to_pages_and_no_source_files():
     text = "[a](docs/gaze.md#x) [b](src/vergence/cli/__init__.py) ![c](docs/images/gaze.png)"
     assert site_pages.relink(text, "README.md") == "[a](gaze.md#x) b ![c](images/gaze.png)"
-
-
-@pytest.mark.usefixtures("coarse_images", "two_folds")
-@pytest.mark.render
-def test_the_program_on_the_first_screen_finds_where_points_are(tmp_path, monkeypatch, capsys):
-    from vergence.commands.truth import TRUTH, load
-
-    monkeypatch.chdir(tmp_path)
-    record = ["vergence", "record", "--out", "my_head", "--frames", "20"]
-    monkeypatch.setattr(sys, "argv", record)
-    cli.main()
-    truth = load(Path("my_head") / TRUTH).head
-    there = np.array([[0.5, -0.05, 0.02], [0.7, 0.1, -0.05]])
-    angles = np.array([0.05, -0.02, 0.1, -0.02])
-    left, right = (
-        vergence.project_point(truth, f"{eye}_wide", angles, there) for eye in ("left", "right")
-    )
-    names: dict[str, Any] = {"uv_left": left, "uv_right": right, "angles": angles}
-    code = first("README.md", "python")
-    assert '"my_head/"' in code
-    exec(compile(code, "README.md", "exec"), names)
-    points = names["points"]
-    assert (points.status == vergence.Status.OK).all()
-    error = points.xyz - there
-    distance = np.einsum("ni,nij,nj->n", error, np.linalg.inv(points.covariance), error)
-    assert (distance < 25).all()  # five standard deviations
-    assert np.abs(error).max() < 0.02
-    assert (tmp_path / "head.json").exists()
-    assert capsys.readouterr().out.strip()
-
-
-def test_the_guide_to_dense_depth_runs(tmp_path, monkeypatch):
-    vergence.save_head(four_cameras(), tmp_path / "head.json")
-    monkeypatch.chdir(tmp_path)
-    names: dict[str, Any] = {}
-    for block in blocks("docs/depth.md"):
-        if block.language == "python":
-            exec(compile(block.text, "depth.md", "exec"), names)
-    assert names["found"].depth_m.shape == names["left"].shape[:2] == (480, 640)
-    assert not names["found"].textured.any()  # the images of the guide are black
-
-
-def test_the_guide_to_using_a_calibration_runs(tmp_path, monkeypatch, capsys):
-    text = first("docs/calibration_file.md", "json")
-    head = json.loads(text)
-    left = head["cameras"]["left_wide"]
-    narrow = json.loads(json.dumps(left))
-    narrow["intrinsics"]["matrix"] = [[1200.0, 0, 319.5], [0, 1200.0, 239.5], [0, 0, 1]]
-    narrow["intrinsics"]["distortion"] = [0.0] * 5
-    head["cameras"] = {
-        f"{eye}_{lens}": {**camera, "eye": eye}
-        for eye in ("left", "right")
-        for lens, camera in (("wide", left), ("narrow", narrow))
-    }
-    head["accuracy"] = {
-        **{"method": "bundle", "parameters": ["left_wide.fx"], "covariance": [[0.01]]},
-        **{"pixel_std_px": 0.1, "joint_std": [0.001]},
-    }
-    (tmp_path / "head.json").write_text(json.dumps(head))
-    monkeypatch.chdir(tmp_path)
-    names: dict[str, Any] = {}
-    for block in blocks("docs/using_a_calibration.md"):
-        if block.language == "python":
-            exec(compile(block.text, "using_a_calibration.md", "exec"), names)
-    assert (names["points"].status == vergence.Status.OK).all()
-    assert (names["narrow"].status == vergence.Status.OK).all()
-    np.testing.assert_allclose(names["xyz_head"][:, 0], [0.6, 0.72], atol=0.01)
-    printed = capsys.readouterr().out
-    assert printed.count("depth") == 2
-    assert "nan" not in printed
