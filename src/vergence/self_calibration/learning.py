@@ -50,7 +50,7 @@ _LINEARISED_AGAIN = (4, 8, 16, 32, 64)
 """Numbers of first frames, after which all of them are linearised again; then they are dropped."""
 _TESTED = 8
 """How many frames, after the first ones, are learned between tests of what they have shown
-together: it shows in many, and a test takes 0.7 ms."""
+together: it shows in many, and a test takes 0.9 ms."""
 _CHANGES = (BUMP, UNCALIBRATED)
 """How far a bump, or an uncalibrated head, may be from what was known before a frame."""
 _CHANGE_MATCHES = 50.0

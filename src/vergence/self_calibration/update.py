@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.special import chdtri
 
 from vergence.arrays import Array
@@ -35,7 +34,9 @@ _PACE = 0.1
 _LONGEST_MEMORY = 4000.0
 """Readings from which their noise is estimated."""
 _LEARNED = 0.02
-"""Share of a variance that is gone where something was learned."""
+"""Share of a variance that is gone where something was learned; less is hardly more than drift."""
+_FIXED = 1e-12
+"""Variance of a combination, relative to its parameters', below which it does not change."""
 
 
 def updated(
@@ -141,12 +142,14 @@ def change_exceeds_prior(state: SelfCalibration) -> bool:
     """
     before = state.origin
     change = change_between(state.head, before.head, state.names)
-    root = np.linalg.cholesky(before.covariance)
-    left = solve_triangular(root, state.covariance, lower=True)
-    left = solve_triangular(root, left.T, lower=True)  # of a variance of one before
+    std = np.sqrt(np.diag(before.covariance))
+    size, axes = np.linalg.eigh(before.covariance / std / std[:, None])
+    # To a variance of one before; a calibration may hold combinations fixed, up to rounding.
+    whiten = axes.T / std / np.sqrt(np.maximum(size, _FIXED))[:, None]
+    left = whiten @ state.covariance @ whiten.T
     values, directions = np.linalg.eigh((left + left.T) / 2)
     learned = values < 1 - _LEARNED
-    moved = directions[:, learned].T @ solve_triangular(root, change, lower=True)
+    moved = directions[:, learned].T @ (whiten @ change)
     distance = float((moved**2 / (1 - values[learned])).sum())
     return distance > chdtri(max(float(learned.sum()), 1.0), GATE)
 

@@ -122,8 +122,9 @@ def bundle_adjust(
         points: (K, 3) corners in frame target [m]; None: those of the board.
         fixed: names of parameters that keep their start; None: fixed_by_default.
         pixel_std_px: noise of one coordinate of a corner; None: estimated.
-        joint_std: noise of the readings, [rad] or, for poses, ([rad], [m]); None: estimated; 0:
-            the readings are exact.
+        joint_std: noise of the readings [rad], one number or one of each kind (see
+            `kinematics.reading_kinds`), or, for poses, ([rad], [m]); None: estimated; 0: the
+            readings are exact.
         own_levels_from: eyes times views from which each kind of reading has a noise of its own.
         outlier: standard deviations beyond which a corner or a reading loses weight.
 

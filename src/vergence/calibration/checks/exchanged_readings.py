@@ -39,10 +39,11 @@ def exchanged_readings(
         return (), ()
     readings = observations.at_image_times(head).eye_angles
     swapped = readings.copy()
+    complete = np.isfinite(readings[:, [*used[0], *used[1]]]).all(axis=1)
     swapped[:, [*used[0], *used[1]]] = readings[:, [*used[1], *used[0]]]
     errors, differences, unknowns = [], [], 1
     for e, eye in enumerate(EYES):
-        rows = np.isfinite(T_base_eye[:, e]).all((1, 2)) & np.isfinite(readings).all(axis=1)
+        rows = np.isfinite(T_base_eye[:, e]).all((1, 2)) & complete
         T_read, _, by_readings = eye_linearised(head.kinematics, eye, readings[rows])
         T_swapped, *_ = eye_linearised(head.kinematics, eye, swapped[rows])
         # What offsets and gains of the joints explain is not looked at.

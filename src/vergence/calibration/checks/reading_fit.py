@@ -58,7 +58,7 @@ def fit_readings(kinematics: Kinematics, eye: Side, readings: Array, turn: Array
     lengths = [np.linalg.norm(each, axis=1, keepdims=True) for each in (w, d)]
     moved = read.std(axis=0)
     # By the description, and by the images: one alone may be of another unit.
-    turned = moved * np.column_stack([lengths[1][:, 0], lengths[0][:, 0]]).T
+    turned = moved * np.array([lengths[1][:, 0], lengths[0][:, 0]])
     at_rest = (turned < AT_REST * turned.max(axis=1, initial=0.0)[:, None]).all(axis=0)
     w[at_rest] = 0.0
     R = nearest_rotation((w / np.maximum(lengths[0], 1e-12)).T @ (d / lengths[1]))

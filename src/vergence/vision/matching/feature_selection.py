@@ -13,7 +13,7 @@ _FEATURES = 1000
 """About how many are sought, however large the part is that both eyes see and that has texture; in
 images of more than 0.6 megapixels the largest cells are more. Of neighbouring cells many lie within
 4 px of each other. Without the weaker ones, a third of all, single frames are as good within 9 % in
-12 % less time, but what is learned in 5 s is up to a fifth worse.
+12 % less time, but what is learned in 5 s is up to a fifth worse in Fig. 6.
 They are spread evenly: taking more where contrast is high, or where features tell most of the turn
 between the eyes, would let a near thing with a repeated pattern outvote the rest."""
 _ABOVE_NOISE, _BELOW_TEXTURE = 10.0, 0.03
