@@ -21,7 +21,7 @@ from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, save_head
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import Kinematics, Side
-from vergence.geometry.parameters import boxplus, change_named, parameter_names
+from vergence.geometry.parameters import boxplus, change_named, is_gain, parameter_names
 from vergence.geometry.projection import project_point
 from vergence.stereo.triangulation import triangulate_at
 from vergence.twin.profile import ByHand, CalibrationProcedure, ErrorProfile, Joints, load_profile
@@ -183,8 +183,10 @@ def test_a_head_calibrated_with_measured_eye_poses_has_no_budget():
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_profiles_errors_are_sources_for_heads_with_any_joints(kind: str):
     head = other_head(kind, np.random.default_rng(0))
-    names = [source.name for source in sources_of(head, load_profile("paper"), None)]
-    assert names[-1] == "shift of the mountings, by hand"
+    sources = {source.name: source for source in sources_of(head, load_profile("paper"), None)}
+    assert list(sources)[-1] == "shift of the mountings, by hand"
+    gains = {name for name in parameter_names(head) if is_gain(name)}
+    assert set(sources["gains of the joints"].errors) == gains
 
 
 def test_motions_of_pan_and_tilt_are_refused_for_heads_with_other_readings():

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from other_heads import other_head
 from simulated_head import skewed_head
 from vergence import cli
 from vergence.commands.evaluate import as_text, evaluate
@@ -17,7 +18,7 @@ from vergence.geometry.head import HeadCalibration, save_head
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side
-from vergence.geometry.parameters import change_named, without_offsets
+from vergence.geometry.parameters import change_named, parameter_names, without_offsets
 from vergence.twin.profile import ErrorProfile
 from vergence.writing import write_json
 
@@ -109,6 +110,13 @@ def test_a_truth_with_other_joints_is_refused(head):
     other = Kinematics(eyes)
     with pytest.raises(VergenceError, match=r"its joints are left pan about .* left tilt about"):
         evaluate(replace(head, kinematics=other), truth_of(head))
+
+
+def test_factors_of_several_readings_are_estimated_and_no_other_joints():
+    head = other_head("version and vergence", np.random.default_rng(3))
+    name = next(name for name in parameter_names(head) if "_factor_" in name)
+    found = evaluate(change_named(head, (name,), np.array([1e-4])), truth_of(head))
+    assert found.parameters[name].error == pytest.approx(1e-4)
 
 
 def test_the_joints_of_an_eye_that_was_not_calibrated_do_not_count(head):

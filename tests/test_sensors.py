@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from other_heads import KINDS, other_head
+from vergence.geometry.kinematics import EYES, T_base_eye
 from vergence.twin.profile import Joints
-from vergence.twin.sensors import play, read
+from vergence.twin.sensors import play, read, with_sensor_errors
 
 
 @pytest.fixture
@@ -40,6 +42,16 @@ def test_readings_are_whole_counts(rng: np.random.Generator):
     step = 2 * np.pi / 4096
     assert np.abs(readings - ANGLES).max() <= step / 2 + 1e-15
     assert (readings - ANGLES).std() == pytest.approx(step / np.sqrt(12), rel=0.03)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_joints_that_undo_the_sensors_give_the_true_poses(kind: str, rng: np.random.Generator):
+    kinematics = other_head(kind, rng).kinematics
+    angles, gain, offset = rng.normal([[0.0], [1.0], [0.0]], 0.1, (3, len(kinematics.readings)))
+    known = with_sensor_errors(kinematics, 1 / gain, -offset / gain)
+    for eye in EYES:
+        expected = T_base_eye(kinematics, eye, angles)
+        np.testing.assert_allclose(T_base_eye(known, eye, gain * angles + offset), expected)
 
 
 def test_the_same_seed_gives_the_same_readings():

@@ -30,7 +30,6 @@ GROUPS = (
     ("distortion", tuple(f".{k}{n}" for k in "kp" for n in range(1, 7))),
     ("mountings", tuple(f".T_eye_cam.{axis}" for axis in ("rx", "ry", "rz", "tx", "ty", "tz"))),
     ("base", tuple(f"T_rbase_lbase.{axis}" for axis in ("rx", "ry", "rz", "tx", "ty", "tz"))),
-    ("gains", ("_gain",)),
     ("time offset", (TIME_OFFSET,)),
 )
 """Groups of a calibration's parameters, by how their names end; others are the axes of the eyes."""

@@ -18,7 +18,7 @@ from vergence.data.stereo_rows import check_readings
 from vergence.errors import VergenceError, counted
 from vergence.geometry.head import HeadCalibration, pair_names, reading_stds, states_covariance
 from vergence.geometry.kinematics import EYE_JOINTS
-from vergence.geometry.parameters import boxminus
+from vergence.geometry.parameters import boxminus, is_gain
 
 if TYPE_CHECKING:
     from vergence.twin.profile import ErrorProfile, Lens
@@ -198,7 +198,7 @@ def _known_of_sensors(head: HeadCalibration, profile: ErrorProfile) -> dict[str,
 
     without = profile.joints.model_copy(update={"offset_deg": (0.0,) * 4})
     gains = boxminus(replace(head, accuracy=None), with_sensors(head, without))
-    known = {"gains of the joints": {n: e for n, e in gains.items() if n.endswith("_gain")}}
+    known = {"gains of the joints": {n: e for n, e in gains.items() if is_gain(n)}}
     return known | {"delay": {TIME_OFFSET: -1e-3 * profile.joints.delay_ms}}
 
 

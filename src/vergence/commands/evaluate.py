@@ -14,7 +14,7 @@ from vergence.commands.truth import Truth
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.joints import Joint
-from vergence.geometry.kinematics import EYES, Kinematics, Side
+from vergence.geometry.kinematics import EYES, Kinematics, Side, same_design
 from vergence.geometry.parameters import boxminus, without_offsets
 from vergence.geometry.se3 import angle, inverse
 
@@ -88,13 +88,12 @@ def evaluate(head: HeadCalibration, truth: Truth) -> Evaluation:
             f"{', '.join(truth.head.cameras)}."
         )
     eyes: set[Side] = {mounted.eye for mounted in head.cameras.values()}
-    joints, true_joints = (_joints(each, eyes) for each in (head, truth.head))
-    if joints != true_joints:
-        raise VergenceError(
-            f"The truth is of another head: its joints are {true_joints}, those of the calibration "
-            f"{joints}."
-        )
     known = truth.head.kinematics
+    if not same_design(known, head.kinematics, eyes):
+        raise VergenceError(
+            f"The truth is of another head: its joints are {_joints(known, eyes)}, those of the "
+            f"calibration {_joints(head.kinematics, eyes)}."
+        )
     same: dict[Side, tuple[Joint, ...]] = {
         eye: (known if eye in eyes else head.kinematics).eyes[eye] for eye in EYES
     }
@@ -122,12 +121,12 @@ def evaluate(head: HeadCalibration, truth: Truth) -> Evaluation:
     )
 
 
-def _joints(head: HeadCalibration, eyes: Collection[Side]) -> str:
-    """Return the joints of some eyes of a head as designed, in words."""
+def _joints(kinematics: Kinematics, eyes: Collection[Side]) -> str:
+    """Return the joints of some eyes in words."""
     return ", ".join(
         f"{eye} {joint.name} about {' '.join(f'{x:.3g}' for x in joint.axis)} by "
         + " and ".join(f"{factor:g} {reading}" for reading, factor in joint.readings.items())
-        for eye, joints in head.kinematics.eyes.items()
+        for eye, joints in kinematics.eyes.items()
         if eye in eyes
         for joint in joints
     )

@@ -30,7 +30,8 @@ PARALLEL = 0.1
 class Joint:
     """A revolute joint of an eye: as designed, and how the real one differs.
 
-    angle = gain * (sum of factor * reading) + offset. The common normal of two successive axes is
+    angle = gain * (sum of factor * reading) + offset; with several readings the gain is 1, since
+    their factors are calibrated in its place. The common normal of two successive axes is
     (own axis) x (axis before); along it and about it, one axis may be misplaced relative to the
     other (Denavit and Hartenberg, 1955). The common normal of parallel axes points from the axis
     before to the own one; such an axis may also be inclined in the plane of the two, and has its
@@ -66,6 +67,11 @@ class Joint:
             raise ValueError(f"point_m of joint {self.name} is in metres, found {self.point_m}")
         if not any(self.readings.values()):
             raise ValueError(f"no reading moves joint {self.name}")
+        if len(self.readings) > 1 and self.gain != 1:
+            raise ValueError(
+                f"joint {self.name} has {len(self.readings)} readings, whose factors take the "
+                f"place of a gain; found a gain of {self.gain:g}: multiply the factors by it"
+            )
 
 
 def _parallel(before: Joint, joint: Joint) -> bool:

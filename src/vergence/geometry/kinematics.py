@@ -7,10 +7,10 @@ linear combination of readings. The default of an eye is the paper's: pan, a rig
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import field
 from functools import cached_property
-from itertools import pairwise
+from itertools import pairwise, zip_longest
 from typing import Literal
 
 import numpy as np
@@ -150,6 +150,19 @@ def _check_joints(whose: str, joints: tuple[Joint, ...], readings: tuple[str, ..
                 f"joints {before.name} and {joint.name} of the {whose} have the same axis; give "
                 "one joint with the readings of both, or by `point_m` where each axis is"
             )
+
+
+def same_design(a: Kinematics, b: Kinematics, eyes: Collection[Side] = EYES) -> bool:
+    """Return whether the joints of some eyes are the same, but for what a calibration changes."""
+    pairs = [pair for eye in eyes for pair in zip_longest(a.eyes[eye], b.eyes[eye])]
+    return all(
+        one is not None
+        and other is not None
+        and (one.name, set(one.readings)) == (other.name, set(other.readings))
+        and np.allclose(one.axis, other.axis)
+        and np.allclose(one.point_m, other.point_m)
+        for one, other in pairs
+    )
 
 
 def reading_kinds(kinematics: Kinematics) -> list[int]:

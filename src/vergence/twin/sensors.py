@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -51,21 +51,23 @@ def sensor_columns(kinematics: Kinematics) -> list[int]:
 
 
 def with_sensor_errors(kinematics: Kinematics, gain: Array, offset: Array) -> Kinematics:
-    """Return joints that take readings for angles gain * reading + offset, both (r,).
-
-    A joint of several readings takes the mean of their gains, weighted by what each adds to its
-    angle.
-    """
+    """Return joints that take readings for angles gain * reading + offset, both (r,)."""
+    gains = dict(zip(kinematics.readings, gain.tolist(), strict=True))
     eyes: dict[Side, tuple[Joint, ...]] = {}
     for eye, joints in kinematics.eyes.items():
-        mixing = kinematics.chains[eye].mixing
-        share = np.abs(mixing) / np.abs(mixing).sum(axis=1, keepdims=True)
-        errors = zip(joints, share @ gain, mixing @ offset, strict=True)
+        turns = (kinematics.chains[eye].mixing @ offset).tolist()
         eyes[eye] = tuple(
-            replace(joint, gain=joint.gain * float(factor), offset_rad=float(turn))
-            for joint, factor, turn in errors
+            replace(_scaled(joint, gains), offset_rad=joint.offset_rad + turn)
+            for joint, turn in zip(joints, turns, strict=True)
         )
     return replace(kinematics, eyes=eyes)
+
+
+def _scaled(joint: Joint, gains: Mapping[str, float]) -> Joint:
+    """Return a joint whose readings are multiplied by gains."""
+    if len(joint.readings) == 1:
+        return replace(joint, gain=joint.gain * gains[next(iter(joint.readings))])
+    return replace(joint, readings={name: f * gains[name] for name, f in joint.readings.items()})
 
 
 def gains_and_offsets(joints: Joints, columns: Sequence[int]) -> tuple[Array, Array]:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import zip_longest
 
 import numpy as np
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError, counted
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYES, Kinematics, Side, check_turns
+from vergence.geometry.kinematics import EYES, Kinematics, Side, check_turns, same_design
 from vergence.geometry.se3 import angle, check_rigid, inverse, mean_pose
 
 _STUCK = 0.1
@@ -99,23 +98,11 @@ def check_start(
         own = start.cameras[name].eye
         if eyes.get(name, own) != own:
             raise VergenceError(f"{name} sits in the {own} eye of start, not in the {eyes[name]}.")
-    if kinematics is not None and not _same_design(kinematics, start.kinematics):
+    if kinematics is not None and not (
+        kinematics.readings == start.kinematics.readings
+        and same_design(kinematics, start.kinematics)
+    ):
         raise VergenceError(
             "kinematics and start.kinematics describe different joints or readings; leave "
             "kinematics out."
         )
-
-
-def _same_design(a: Kinematics, b: Kinematics) -> bool:
-    """Return whether joints and readings are the same, but for what a calibration changes."""
-    if a.readings != b.readings:
-        return False
-    pairs = [pair for eye in EYES for pair in zip_longest(a.eyes[eye], b.eyes[eye])]
-    return all(
-        one is not None
-        and other is not None
-        and (one.name, set(one.readings)) == (other.name, set(other.readings))
-        and np.allclose(one.axis, other.axis)
-        and np.allclose(one.point_m, other.point_m)
-        for one, other in pairs
-    )
