@@ -162,7 +162,7 @@ def of_scenes() -> None:
             images, angles = twin.capture(cameras).images, twin.true_angles()[3:]
             pair = rectify(twin.truth, angles)
             left, right = (images[name] for name in cameras)
-            found = dense_depth(twin.truth, angles, pair, left, right)
+            found = dense_depth(pair, left, right)
             draw_depth(found.image, rectified_image(pair.right, right), found.depth_m)
     canvas, all_axes = panels(3, "The left wide camera's view", columns=3)
     for axes, image, title in zip(all_axes, seen, SCENES.values(), strict=True):

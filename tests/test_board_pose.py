@@ -1,5 +1,7 @@
 """Where a board stands before a camera of known intrinsics."""
 
+from dataclasses import replace
+
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -17,6 +19,14 @@ def test_exact_corners_give_the_exact_poses(seed: int):
     rng = np.random.default_rng(seed)
     camera, T = lens(rng, 0, 1, 2, 3), boards(5, rng)
     np.testing.assert_allclose(board_poses(camera, views(camera, T), POINTS), T, atol=SOLVE_PNP)
+
+
+def test_skew_is_no_slant_of_the_board():
+    rng = np.random.default_rng(0)
+    camera, T = lens(rng, 0, 1, 2, 3), boards(5, rng)
+    matrix = camera.matrix + np.array([[0.0, 20.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    skewed = replace(camera, matrix=matrix)
+    np.testing.assert_allclose(board_poses(skewed, views(skewed, T), POINTS), T, atol=SOLVE_PNP)
 
 
 def test_a_pose_needs_six_corners_that_are_not_in_one_row():

@@ -18,6 +18,7 @@ from vergence.accuracy.motions import PERIOD_S, eye_angles
 from vergence.arrays import Array
 from vergence.commands.budget import Budgets, advice, as_plain, motion_of, run, sources_of, table
 from vergence.errors import VergenceError
+from vergence.geometry.camera import pinhole
 from vergence.geometry.head import HeadCalibration, save_head
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import Kinematics, Side
@@ -254,6 +255,19 @@ def test_a_point_that_cannot_be_told_apart_from_infinity_is_refused_with_the_lim
     limit = float(re.findall(r"about (\d+) m", str(refused.value))[0])
     assert 25 < limit < 40
     run(HEAD, points=0.9 * limit * POINT[None] / np.linalg.norm(POINT), **noise)
+
+
+def test_a_point_that_folds_back_into_the_image_is_not_seen():
+    lens = pinhole(640, 480, 280.0, (-0.3, 0.0, 0.0, 0.0, 0.0))  # folds over at 46 degrees
+    cameras = {n: replace(c, intrinsics=lens) for n, c in HEAD.cameras.items()}
+    with pytest.raises(VergenceError, match="in both images in 0 of"):
+        budget(
+            replace(HEAD, cameras=cameras),
+            np.array([[0.4, 0.72, 0.0]]),
+            joints=np.zeros((5, 4)),
+            rates=np.zeros((5, 4)),
+            sources=[Source("pixels", pixel_std_px=0.1)],
+        )
 
 
 def test_a_part_that_rounds_to_zero_has_no_sign():

@@ -89,7 +89,7 @@ def pair() -> RectifiedPair:
 
 
 def test_depth_of_a_slanted_plane_is_right_and_its_deviation_true(pair: RectifiedPair, drawn):
-    found = dense_depth(HEAD, JOINTS, pair, *drawn)
+    found = dense_depth(pair, *drawn)
     error = (found.depth_m - true_depth(pair))[found.textured]
     truth = true_depth(pair)[found.textured]
     assert len(error) > 20_000
@@ -104,7 +104,7 @@ def test_depth_of_a_slanted_plane_is_right_and_its_deviation_true(pair: Rectifie
 
 
 def test_the_deviation_is_true_of_a_surface_that_is_seen_under_a_small_angle(pair: RectifiedPair):
-    found = dense_depth(HEAD, JOINTS, pair, *drawn_plane(STEEP, STEEP_DISTANCE_M))
+    found = dense_depth(pair, *drawn_plane(STEEP, STEEP_DISTANCE_M))
     truth = true_depth(pair, STEEP, STEEP_DISTANCE_M)
     seen = found.textured & (truth > 0.3) & (truth < 2)
     error = (found.depth_m - truth)[seen]
@@ -113,7 +113,7 @@ def test_the_deviation_is_true_of_a_surface_that_is_seen_under_a_small_angle(pai
 
 
 def test_a_blank_half_is_not_called_textured_and_its_deviation_is_large(pair: RectifiedPair, drawn):
-    found = dense_depth(HEAD, JOINTS, pair, *drawn)
+    found = dense_depth(pair, *drawn)
     points, _ = point_cloud(pair, found)
     v, u = np.nonzero(np.isfinite(found.depth_m))
     blank = points[:, 1] < -0.05
@@ -124,9 +124,7 @@ def test_a_blank_half_is_not_called_textured_and_its_deviation_is_large(pair: Re
 
 
 def test_noise_of_the_joints_widens_the_deviation(pair: RectifiedPair, drawn):
-    exact, noisy = (
-        dense_depth(HEAD, JOINTS, pair, *drawn, joint_std_rad=std) for std in (None, 5e-3)
-    )
+    exact, noisy = (dense_depth(pair, *drawn, joint_std_rad=std) for std in (None, 5e-3))
     np.testing.assert_array_equal(exact.depth_m, noisy.depth_m)
     assert np.nanmedian(noisy.std_m[noisy.textured] / exact.std_m[noisy.textured]) > 2
 
@@ -134,7 +132,7 @@ def test_noise_of_the_joints_widens_the_deviation(pair: RectifiedPair, drawn):
 def test_a_depth_too_near_for_the_cameras_is_refused(pair: RectifiedPair):
     image = np.zeros((480, 640, 3), np.uint8)
     with pytest.raises(VergenceError, match=r"nearest depth is from 0\.07 m"):
-        dense_depth(HEAD, JOINTS, pair, image, image, nearest_m=0.01)
+        dense_depth(pair, image, image, nearest_m=0.01)
 
 
 def test_cameras_that_do_not_show_the_usual_nearest_depth_have_one_of_their_own():
@@ -142,17 +140,12 @@ def test_cameras_that_do_not_show_the_usual_nearest_depth_have_one_of_their_own(
     wide = rectify(apart, np.zeros(4))
     image = np.zeros((480, 640, 3), np.uint8)
     with pytest.raises(VergenceError, match=r"nearest depth is from 0\.45 m"):
-        dense_depth(apart, np.zeros(4), wide, image, image, nearest_m=0.3)
-    assert np.isnan(dense_depth(apart, np.zeros(4), wide, image, image).depth_m).all()
-
-
-def test_joints_that_are_not_known_are_refused(pair: RectifiedPair, drawn):
-    with pytest.raises(VergenceError, match="rectified at known joints; found"):
-        dense_depth(HEAD, np.full(4, np.nan), pair, *drawn)
+        dense_depth(wide, image, image, nearest_m=0.3)
+    assert np.isnan(dense_depth(wide, image, image).depth_m).all()
 
 
 def test_points_are_of_the_pair_that_the_depth_was_found_in(pair: RectifiedPair, drawn):
-    found = dense_depth(HEAD, JOINTS, pair, *drawn)
+    found = dense_depth(pair, *drawn)
     small = rectify(HEAD, JOINTS, size=(320, 240))
     with pytest.raises(
         VergenceError, match=r"shape \(240, 320\) and a depth of shape \(480, 640\)"
@@ -162,7 +155,7 @@ def test_points_are_of_the_pair_that_the_depth_was_found_in(pair: RectifiedPair,
 
 def test_grey_images_have_the_depth_of_the_same_ones_in_colour(pair: RectifiedPair, drawn):
     grey = [cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in drawn]
-    by_grey, by_colour = (dense_depth(HEAD, JOINTS, pair, *images) for images in (grey, drawn))
+    by_grey, by_colour = (dense_depth(pair, *images) for images in (grey, drawn))
     np.testing.assert_array_equal(by_grey.disparity_px, by_colour.disparity_px)
     np.testing.assert_array_equal(by_grey.image, by_colour.image)
 
@@ -170,7 +163,7 @@ def test_grey_images_have_the_depth_of_the_same_ones_in_colour(pair: RectifiedPa
 def test_depth_does_not_depend_on_how_the_eyes_expose(pair: RectifiedPair, drawn):
     left, right = drawn
     darker = np.round(0.6 * right.astype(float)).astype(np.uint8)
-    alike, found = (dense_depth(HEAD, JOINTS, pair, left, each) for each in (right, darker))
+    alike, found = (dense_depth(pair, left, each) for each in (right, darker))
     both = np.isfinite(alike.depth_m) & alike.textured & np.isfinite(found.depth_m)
     assert both.sum() > 0.98 * (np.isfinite(alike.depth_m) & alike.textured).sum()
     assert np.median(np.abs(found.depth_m / alike.depth_m - 1)[both]) < 0.005
@@ -186,12 +179,12 @@ def test_depth_does_not_depend_on_how_the_eyes_expose(pair: RectifiedPair, drawn
 )
 def test_images_that_do_not_fit_the_calibration_are_refused(pair, drawn, shape, dtype, said):
     with pytest.raises(VergenceError, match=said):
-        dense_depth(HEAD, JOINTS, pair, drawn[0], np.zeros(shape, dtype))
+        dense_depth(pair, drawn[0], np.zeros(shape, dtype))
 
 
 def test_an_image_that_was_not_read_is_refused(pair, drawn):
     with pytest.raises(VergenceError, match="one of them is None: it was not read"):
-        dense_depth(HEAD, JOINTS, pair, drawn[0], None)  # pyright: ignore[reportArgumentType]
+        dense_depth(pair, drawn[0], None)  # pyright: ignore[reportArgumentType]
 
 
 def depth(monkeypatch: pytest.MonkeyPatch, *words: str) -> None:

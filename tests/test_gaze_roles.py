@@ -206,6 +206,8 @@ def test_settings_without_something_to_look_at_are_refused():
         GazeSettings(calibration=HEAD, objects={})
     with pytest.raises(VergenceError, match=r"detector of 'cup' must be a function.*found str"):
         GazeSettings(calibration=HEAD, objects={"cup": "cup.png"})  # type: ignore[dict-item]
+    with pytest.raises(VergenceError, match="geometry is 'joints' or 'seen', found 'images'"):
+        GazeSettings(calibration=HEAD, geometry="images")  # type: ignore[arg-type]
 
 
 def test_a_neck_that_the_calibration_does_not_describe_cannot_share():

@@ -15,6 +15,7 @@ from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, project
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.head_accuracy import Accuracy
+from vergence.geometry.kinematics import Kinematics
 from vergence.geometry.lens import CameraModel
 from vergence.geometry.neck import Neck
 from vergence.interchange import kalibr, opencv, ros
@@ -41,6 +42,12 @@ def test_a_head_survives_opencv_to_the_last_digit(tmp_path, suffix, neck):
     head = replace(with_k3(unskewed_head(1), 0.0123456789), time_offset_s=0.0321, neck=neck)
     opencv.save(head, tmp_path / f"head{suffix}")
     assert numbers(opencv.load(tmp_path / f"head{suffix}")) == numbers(head)
+
+
+def test_a_head_without_joints_survives_opencv(tmp_path):
+    rigid = replace(unskewed_head(1), kinematics=Kinematics({"left": (), "right": ()}, ()))
+    opencv.save(rigid, tmp_path / "head.yml")
+    assert numbers(opencv.load(tmp_path / "head.yml")) == numbers(rigid)
 
 
 def assert_opencv_projects(matrix: np.ndarray, distortion: np.ndarray, camera: Camera) -> None:

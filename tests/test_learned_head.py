@@ -40,6 +40,7 @@ def test_a_learned_head_is_a_calibration_with_its_accuracy(tmp_path):
     save_head(learned_head(state), tmp_path / "learned.json")
     again = load_head(tmp_path / "learned.json")
     assert again.accuracy is not None
+    assert again.accuracy.method == "self-calibration"
     np.testing.assert_allclose(again.accuracy.covariance, state.covariance, rtol=1e-9)
     assert initial_self_calibration(again).names == state.names
 

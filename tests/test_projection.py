@@ -13,12 +13,13 @@ from simulated_recording import two_boards
 from vergence.arrays import Array
 from vergence.calibration.bundle.initial_state import initial_state
 from vergence.calibration.bundle.problem import corner_errors, jacobians, retract
-from vergence.geometry.camera import project
+from vergence.geometry.camera import pinhole, project
 from vergence.geometry.head import MountedCamera
 from vergence.geometry.kinematics import T_base_eye
 from vergence.geometry.parameters import lens_of_vector, lens_vector
 from vergence.geometry.projection import project_at, project_point, project_with_jacobians
-from vergence.geometry.se3 import boxplus
+from vergence.geometry.se3 import boxplus, transform
+from vergence.stereo.extrinsics import camera_poses
 
 CAMERAS = ("left_wide", "right_wide", "left_narrow", "right_narrow")
 seeds = st.integers(0, 2**32 - 1)
@@ -53,6 +54,17 @@ def test_one_point_many_points_and_boards_have_the_same_pixels(name: str):
         (project_point(head, name, joints, boards[3, 8])[3], pixels[3, 8]),
     ):
         np.testing.assert_allclose(found, expected, atol=1e-11)
+
+
+def test_a_point_beyond_the_reach_of_a_lens_has_no_pixel():
+    lens = pinhole(640, 480, 280.0, (-0.3, 0.0, 0.0, 0.0, 0.0))  # folds over at 46 degrees
+    head = skewed_head(np.random.default_rng(0))
+    cameras = {n: replace(c, intrinsics=lens) for n, c in head.cameras.items()}
+    head, angles = replace(head, cameras=cameras), np.radians([[30.0], [60.0]])
+    in_camera = np.concatenate([np.sin(angles), 0 * angles, np.cos(angles)], axis=1)
+    poses, _ = camera_poses(head, np.zeros(4), cameras=("left_wide", "right_wide"))
+    pixels = project_point(head, "left_wide", np.zeros(4), transform(poses, in_camera))
+    np.testing.assert_array_equal(np.isnan(pixels).all(axis=1), [False, True])
 
 
 def slope(function, n: int, step: float) -> Array:

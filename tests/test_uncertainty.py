@@ -16,7 +16,7 @@ from vergence.geometry.camera import project
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.head_accuracy import Accuracy
-from vergence.geometry.kinematics import EYES
+from vergence.geometry.kinematics import EYES, Kinematics
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import boxplus, rotation
 from vergence.stereo.combination import combination, locate_both
@@ -309,6 +309,19 @@ def test_the_covariance_of_a_difference_leaves_out_what_is_shared():
     found = np.cov((a - b).T)
     np.testing.assert_allclose(found, stated, atol=0.03 * np.trace(stated))
     assert np.trace(found) < 0.1 * np.trace(np.cov(a.T))
+
+
+def test_a_head_without_joints_locates_with_covariance():
+    moving, pair = plain_head(0.09, 300.0), ("left_wide", "right_wide")
+    rigid = replace(moving, kinematics=Kinematics({"left": (), "right": ()}, ()))
+    point = np.array([[0.6, -0.04, 0.1]])
+    found, expected = (
+        locate(head, left=left, right=right, joints=joints, pixel_std_px=0.1, joint_std_rad=0.0)
+        for head, joints in ((rigid, np.zeros(0)), (moving, np.zeros(4)))
+        for left, right in [[project_point(head, name, joints, point) for name in pair]]
+    )
+    np.testing.assert_allclose(found.xyz, point, atol=1e-9)
+    np.testing.assert_allclose(found.covariance, expected.covariance)
 
 
 def test_names_of_cameras_may_come_as_a_list():

@@ -14,10 +14,10 @@ from vergence.arrays import Array
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board, corner_points
+from vergence.geometry.camera import in_reach
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration, pair_names
 from vergence.geometry.kinematics import EYES
-from vergence.geometry.lens import reach
 from vergence.geometry.projection import T_lbase_cam, project_at
 from vergence.geometry.se3 import inverse, pose, rotation, transform
 
@@ -56,9 +56,7 @@ def held_whole(head: HeadCalibration, board: Board, views: Views) -> np.ndarray:
     pixels, held = _pixels(head, corners, views), []
     for name, T in T_cam_target(head, views).items():
         lens = head.cameras[name].intrinsics
-        x, y, z = np.moveaxis(transform(T[:, None], corners), -1, 0)
-        # Beyond its reach a lens model folds over, and shows what no camera would see.
-        straight = (z > 0) & (x**2 + y**2 < reach(lens.model, tuple(lens.distortion)) * z**2)
+        straight = in_reach(lens, *np.moveaxis(transform(T[:, None], corners), -1, 0))
         low, high = MARGIN_PX, np.array([lens.width, lens.height]) - 1 - MARGIN_PX
         inside = ((pixels[name] > low) & (pixels[name] < high)).all(axis=-1)
         held.append((inside & straight).all(axis=1))

@@ -152,7 +152,7 @@ def sources_of(
 ) -> list[Source]:
     """Return white noise, and the errors that a profile is known to make."""
     accuracy = head.accuracy
-    estimated = accuracy is not None and accuracy.method == "bundle"
+    estimated = accuracy is not None and accuracy.method != "paper"
     if pixel_std_px is None:
         stated = accuracy.pixel_std_px if accuracy else None
         pixel_std_px = OBJECT_NOISE_PX if profile else stated

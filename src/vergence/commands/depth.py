@@ -202,7 +202,7 @@ def depth_by(
 ) -> PairDepth:
     """Return the depth of a pair by a head and joints; options are those of `dense_depth`."""
     pair, images = rectify(head, joints), (moment.left, moment.right)
-    found = dense_depth(head, joints, pair, *images, joint_std_rad=joint_std_rad, located=located)
+    found = dense_depth(pair, *images, joint_std_rad=joint_std_rad, located=located)
     return pair, found
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
+from typing import get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -110,6 +111,11 @@ class GazeSettings:
             raise VergenceError(
                 f"The limits are those of {', '.join(self.limits.joints)}, but the joints of this "
                 f"head are {', '.join(self.joints)}: give `joint_limits(..., joints=...)`."
+            )
+        if self.geometry not in get_args(Geometry):
+            raise VergenceError(
+                f"The geometry is {' or '.join(map(repr, get_args(Geometry)))}, found "
+                f"{self.geometry!r}."
             )
         if self.geometry == "seen" and len(self.eyes) < len(EYES):
             raise VergenceError(

@@ -161,6 +161,14 @@ def project_jacobians(camera: Camera, points_cam: Array) -> tuple[Array, Array, 
     return np.moveaxis(stacked(pixels, shape), 0, -1), by_point, by_lens
 
 
+def in_reach(camera: Camera, x: Component, y: Component, z: Component) -> Component:
+    """Return whether points (x, y, z) in frame cam are in front of a camera and before its reach.
+
+    Beyond it a lens model folds over, and shows what no camera would see; see `lens.reach`.
+    """
+    return (z > 0) & (x * x + y * y < lens.reach(camera.model, camera.coefficients) * (z * z))
+
+
 def projection_rows(
     camera: Camera, point: Sequence[Component], *, intrinsics: bool = True
 ) -> tuple[Sequence[Component], Rows, Rows]:

@@ -81,8 +81,10 @@ class LensAccuracy:
 class Accuracy:
     """How well a calibration is known; see docs/calibration.md."""
 
-    method: Annotated[Literal["bundle", "paper"], BeforeValidator(_method_of_version_0_1)]
-    """Bundle adjustment, or the paper's steps alone."""
+    method: Annotated[
+        Literal["bundle", "paper", "self-calibration"], BeforeValidator(_method_of_version_0_1)
+    ]
+    """Bundle adjustment, the paper's steps alone, or either as corrected by what the eyes saw."""
     parameters: Annotated[tuple[str, ...], BeforeValidator(_names_of_version_0_1)] = ()
     """Names of what was estimated, such as left_wide.fx, left_wide.T_eye_cam.rx, left.pan_gain;
     px, rad, m, s. Empty for the paper's method, which states no covariance."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry import se3
-from vergence.geometry.camera import pixel_rows, projection_rows
+from vergence.geometry.camera import in_reach, pixel_rows, projection_rows
 from vergence.geometry.components import (
     Component,
     Rows,
@@ -29,6 +29,7 @@ from vergence.geometry.components import (
     stacked,
     times,
     transposed,
+    where,
 )
 from vergence.geometry.eye_motion import EyeMotion
 from vergence.geometry.head import HeadCalibration, MountedCamera
@@ -47,7 +48,8 @@ def project_point(head: HeadCalibration, camera: str, joints: Array, points: Arr
             of the joints.
 
     Returns:
-        NaN for points that are not in front of the camera.
+        NaN for points that are not in front of the camera, or beyond the reach of its lens model,
+        where this folds over.
 
     Raises:
         VergenceError: the head has no such camera, the readings are not as many as the head has, or
@@ -57,18 +59,29 @@ def project_point(head: HeadCalibration, camera: str, joints: Array, points: Arr
     T = T_base_eye(head.kinematics, mounted.eye, joints)
     check_turns(head.kinematics, np.asarray(joints, dtype=float))
     points = checked_points(points, T.shape[:-2])
-    return project_at(mounted, head.T_rbase_lbase, T, points[..., None, :])[..., 0, :]
+    in_camera, shape = _in_camera(mounted, head.T_rbase_lbase, T, points)
+    shown = in_reach(mounted.intrinsics, *in_camera)
+    pixel = [where(shown, each) for each in pixel_rows(mounted.intrinsics, in_camera)]
+    return np.moveaxis(stacked(pixel, shape), 0, -1)
 
 
 def project_at(
     mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array, points: Array
 ) -> Array:
     """Return pixels (..., K, 2) of points (..., K, 3) [m] in the left eye's base, by eye poses."""
-    T, p = T_base_eye[..., None, :, :], np.moveaxis(points, -1, 0)
-    shape = np.broadcast_shapes(T.shape[:-2], p.shape[1:])
-    R, t = pose_components(T)
-    in_camera = _through(mounted, T_rbase_lbase, R, t, components(p))[-1]
+    T = T_base_eye[..., None, :, :]
+    in_camera, shape = _in_camera(mounted, T_rbase_lbase, T, points)
     return np.moveaxis(stacked(pixel_rows(mounted.intrinsics, in_camera), shape), 0, -1)
+
+
+def _in_camera(
+    mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array, points: Array
+) -> tuple[Vector, tuple[int, ...]]:
+    """Return points (..., 3) [m] of the left eye's base in frame cam, by components, and (...)."""
+    R, t = pose_components(T_base_eye)
+    point = components(np.moveaxis(points, -1, 0))
+    shape = np.broadcast_shapes(T_base_eye.shape[:-2], points.shape[:-1])
+    return _through(mounted, T_rbase_lbase, R, t, point)[-1], shape
 
 
 def _through(

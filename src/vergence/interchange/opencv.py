@@ -187,7 +187,7 @@ def _kinematics(found: _Head) -> Kinematics:
             if lacking := known.symmetric_difference(found.axes.get(eye, {})):
                 raise ValueError(f"axes.{eye}.{min(lacking)} is missing, or not known")
         return Kinematics({eye: pan_tilt(eye, **found.axes[eye]) for eye in EYES})
-    names = tuple(found.kinematics.readings.split(","))
+    names = tuple(filter(None, found.kinematics.readings.split(",")))
     eyes: dict[Side, tuple[Joint, ...]] = {}
     for eye in EYES:
         eyes[eye] = tuple(

@@ -236,7 +236,7 @@ def learned_head(state: SelfCalibration) -> HeadCalibration:
     before = state.head.accuracy
     others, C = covariance_of_others(state.head, state.names)
     accuracy = Accuracy(
-        method="bundle",
+        method="self-calibration",
         parameters=(*state.names, *others),
         covariance=np.asarray(block_diag(state.covariance, C), float),
         pixel_std_px=before.pixel_std_px if before else None,

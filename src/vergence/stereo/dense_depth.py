@@ -18,13 +18,11 @@ from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.geometry.head import HeadCalibration, states_noise
+from vergence.geometry.head import states_noise
 from vergence.geometry.se3 import transform
 from vergence.stereo.depth_error import depth_error
-from vergence.stereo.extrinsics import stereo_cameras
 from vergence.stereo.rectification import (
     RectifiedPair,
-    known_posture,
     rectified_image,
     rectified_points,
 )
@@ -70,13 +68,10 @@ class DenseDepth:
 
 
 def dense_depth(
-    head: HeadCalibration,
-    joints: ArrayLike,
     pair: RectifiedPair,
     left: np.ndarray,
     right: np.ndarray,
     *,
-    cameras: tuple[str, str] | None = None,
     nearest_m: float | None = None,
     joint_std_rad: ArrayLike | None = None,
     located: Callable[..., LocatedPoints] | None = None,
@@ -84,12 +79,10 @@ def dense_depth(
     """Return the depth of the pixels of a left image.
 
     Args:
-        head: of which the pair was made; its accuracy, where it has one, enters into the std.
-        joints: the readings that the pair was made of.
-        pair: how to rectify the images.
+        pair: how to rectify the images; the accuracy of its head, where it has one, enters into
+            the std.
         left: (H, W, 3) RGB or (H, W) grey image of the pair's left camera, uint8.
         right: of its right one.
-        cameras: the names of the two; None: the main ones.
         nearest_m: least depth that is sought; None: NEAREST_M, or that of a disparity of half the
             width if this is more.
         joint_std_rad: noise of the readings, as in `uncertainty.locate`.
@@ -98,12 +91,9 @@ def dense_depth(
             the head's accuracy and joint_std_rad.
 
     Raises:
-        VergenceError: the joints are not known ones of one posture; the nearest depth is not
-            positive, or its disparity exceeds the image; there are no such cameras; or an image is
-            missing, not uint8, or of another size than the calibration's.
+        VergenceError: the nearest depth is not positive, or its disparity exceeds the image; or an
+            image is missing, not uint8, or of another size than the calibration's.
     """
-    joints = known_posture(head, joints)
-    stereo_cameras(head, cameras)  # refuses others, also where they are not needed below
     width = pair.left.map_x.shape[1]
     scale = pair.matrix[0, 0] * pair.baseline_m
     least_m = scale / (_LARGEST_DISPARITY_SHARE * width)
@@ -129,12 +119,12 @@ def dense_depth(
     pixels = np.stack([u, v], axis=-1).astype(float)
     depth = rectified_points(pair, pixels, disparity)[..., 2]
     by_texture = _std_by_texture(grey[0])
-    if located is None and (states_noise(head) or joint_std_rad is not None):
+    if located is None and (states_noise(pair.head) or joint_std_rad is not None):
         located = partial(
             locate,
-            head,
-            joints=joints,
-            cameras=cameras,
+            pair.head,
+            joints=pair.joints,
+            cameras=pair.cameras,
             pixel_std_px=0.0,
             joint_std_rad=joint_std_rad,
         )

@@ -66,7 +66,7 @@ def noise_rows(std: ArrayLike, count: int, n: int, name: str) -> Array:
         raise VergenceError(
             f"{name} is a standard deviation, 0 or more; found {stds[wrong].flat[0]:g}."
         )
-    return stds.reshape(-1, count).T if stds.ndim else stds.repeat(count)[:, None]
+    return np.atleast_2d(stds).T if stds.ndim else stds.repeat(count)[:, None]
 
 
 def pixel_noise(pixel_std_px: ArrayLike, n: int) -> Array:

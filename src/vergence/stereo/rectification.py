@@ -24,7 +24,7 @@ from vergence.geometry.camera import (
     unproject,
 )
 from vergence.geometry.eye_motion import check_joints
-from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head import HeadCalibration, pair_names
 from vergence.geometry.kinematics import checked_readings
 from vergence.geometry.se3 import inverse, pose, transform
 from vergence.stereo.extrinsics import stereo_cameras, stereo_poses
@@ -69,6 +69,12 @@ class RectifiedView:
 class RectifiedPair:
     """Two views by pinhole cameras that differ by a shift along their x axis alone."""
 
+    head: HeadCalibration
+    """By which images are rectified."""
+    joints: Array
+    """Readings (r,) [rad], or measured poses (2, 4, 4) of both eyes, at which they are."""
+    cameras: tuple[str, str]
+    """Names of the left and the right one."""
     left: RectifiedView
     right: RectifiedView
     matrix: Array
@@ -110,7 +116,7 @@ def rectify(
             anything of what both images do.
     """
     left, right = stereo_cameras(head, cameras)
-    at = known_posture(head, joints)
+    at = _known_posture(head, joints)
     if focal_px is not None and not 0 < focal_px < np.inf:
         raise VergenceError(f"focal_px is above 0 pixels, found {focal_px:g}.")
     if size is not None and not is_image_size(size):
@@ -144,6 +150,9 @@ def rectify(
             "look across it."
         )
     return RectifiedPair(
+        head=head,
+        joints=at,
+        cameras=pair_names(head, cameras),
         left=views[0],
         right=views[1],
         matrix=matrix,
@@ -184,7 +193,7 @@ def _within(pixels: Array, size: tuple[int, int]) -> np.ndarray:
     return np.asarray(((pixels >= 0) & (pixels <= np.array(size) - 1)).all(axis=-1))
 
 
-def known_posture(head: HeadCalibration, joints: ArrayLike) -> Array:
+def _known_posture(head: HeadCalibration, joints: ArrayLike) -> Array:
     """Return the readings (r,) [rad], or measured poses (2, 4, 4), of one posture as an array.
 
     VergenceError if they are not those of one posture, one of them is not known, or poses are not

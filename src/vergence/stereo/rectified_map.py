@@ -11,8 +11,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from vergence.arrays import Array
-from vergence.geometry.camera import Camera, project
-from vergence.geometry.lens import reach
+from vergence.geometry.camera import Camera, in_reach, project
 
 GRID_PX = 16
 """Distance of the pixels for which the map is computed."""
@@ -77,8 +76,6 @@ def _where(camera: Camera, R_rect_cam: Array, matrix: Array, u: np.ndarray, v: n
 
 def pixels_of_rays(camera: Camera, rays: Array) -> Array:
     """Return where (..., 2) an image shows points (..., 3) in frame cam; _OUTSIDE: nowhere."""
-    x, y, z = np.moveaxis(rays, -1, 0)
-    # Beyond its reach a lens model folds over.
-    good = (z > 0) & (x * x + y * y < reach(camera.model, camera.coefficients) * z * z)
+    good = in_reach(camera, *np.moveaxis(rays, -1, 0))
     pixels = project(camera, np.where(good[..., None], rays, [0.0, 0.0, 1.0]))
     return np.where(good[..., None], pixels, _OUTSIDE).clip(_OUTSIDE, -_OUTSIDE)

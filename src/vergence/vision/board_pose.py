@@ -39,8 +39,8 @@ def board_poses(camera: Camera, corners: Array, points: Array) -> Array:
 
     Corners are pixels (V, K, 2), NaN where not seen, of points (K, 3) in frame target [m].
     """
-    if camera.model == "fisheye":
-        return _fisheye_poses(camera, corners, points)
+    if camera.model == "fisheye" or camera.matrix[0, 1]:
+        return _poses_by_directions(camera, corners, points)
     poses = np.full((len(corners), 4, 4), np.nan)
     seen = seen_corners(corners)
     for v in np.flatnonzero(determines_pose(points, seen)):
@@ -52,8 +52,8 @@ def board_poses(camera: Camera, corners: Array, points: Array) -> Array:
     return poses
 
 
-def _fisheye_poses(camera: Camera, corners: Array, points: Array) -> Array:
-    """Return what board_poses does, for a lens that OpenCV's solvePnP does not know.
+def _poses_by_directions(camera: Camera, corners: Array, points: Array) -> Array:
+    """Return what board_poses does, for fisheye lenses and skew, which solvePnP does not know.
 
     The poses by directions are the start; by pixels, all views at once, they are refined.
     """
