@@ -40,7 +40,7 @@ from vergence.arrays import Array
 from vergence.geometry import se3
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named
-from vergence.paper.comparison import learned_around
+from vergence.paper.comparison import before_looking
 from vergence.paper.figures import FIGURES, default_duration_s
 from vergence.self_calibration.frame import from_matches, locate_seen, self_calibrate_frame
 from vergence.self_calibration.learning import learn
@@ -55,7 +55,7 @@ from vergence.stereo.triangulation import triangulate_at
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration, straight_neck
 from vergence.twin.head import Twin
-from vergence.twin.looking_around import LOOK_S
+from vergence.twin.looking_around import LOOK_S, learn_by_looking
 from vergence.twin.profile import load_profile
 from vergence.twin.sensors import with_sensors
 from vergence.vision.sphere import STD_PX, find_sphere
@@ -204,7 +204,7 @@ def main(
         with Twin(profile, seed=seed, lens=lens) as twin:
             found = paper_calibration(twin, seed)
             head = inject_calibration_error(found.head, profile.by_hand, lens)
-            learned = learned_around(head, twin, 100).known
+            learned = learn_by_looking(twin, before_looking(head), run=100).known
             print(f"{lens}: {LOOK_S:.0f} s of good images seen")
             truth = with_sensors(twin.truth, twin.profile.joints)
             for figure in numbers:

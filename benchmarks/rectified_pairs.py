@@ -24,12 +24,13 @@ import tyro
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.demos.depth import STEP_S, depth
-from vergence.demos.experiment import learned_from_room
+from vergence.demos.experiment import LOOKING
 from vergence.geometry.head import HeadCalibration
 from vergence.self_calibration.sequence import initial_seen_geometry, update_geometry
 from vergence.stereo.rectification import rectified_image, rectify
 from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Twin
+from vergence.twin.looking_around import learn_by_looking
 from vergence.twin.profile import load_profile
 from vergence.twin.simulated_robot import calibrate_twin
 
@@ -69,7 +70,7 @@ def main(
     times: list[float] = []
     with Twin(load_profile(profile), seed=seed, scene=scene) as twin:
         head = calibrate_twin(twin, seed).calibration
-        geometry = learned_from_room(twin, initial_seen_geometry(head))
+        geometry = learn_by_looking(twin, initial_seen_geometry(head), run=LOOKING)
         twin.restart(1)
         for k in range(pairs):
             posture = straight_neck(eye_angles("divergent", np.array(STEP_S * k)))

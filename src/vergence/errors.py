@@ -25,8 +25,8 @@ def explain(error: Exception, kind: Any = None) -> str:
     """Return what an error found in a file, in one line without a full stop.
 
     Of several pydantic errors it is the first one, with the path of its field:
-    `joints.left_pan.unit: ...`. The fields that there are beside an unknown one are those of a
-    type, which was to be made; None: they are not said.
+    `joints.left_pan.unit: ...`. `kind` is the type that was to be read, whose fields are suggested
+    in place of an unknown one; None: none are.
     """
     text = "it is nested too deeply" if isinstance(error, RecursionError) else str(error)
     if isinstance(error, UnicodeDecodeError):

@@ -54,8 +54,8 @@ class Part:
 
     name: str
     spread_m: Array
-    """(3,) what differs from sample to sample. Of what the parts have in common (see Budget), the
-    root of the variance with its sign."""
+    """(3,) what differs from sample to sample. What correlated parts have in common (see Budget)
+    may have a negative variance v: sign(v) sqrt(|v|)."""
     shared_m: Array
     """(3,) what all samples of the motion have in common; zero for white noise."""
 

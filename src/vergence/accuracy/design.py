@@ -29,6 +29,7 @@ from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
 from vergence.geometry.components import dot, plus
+from vergence.geometry.kinematics import pan_tilt_along
 
 Vec = tuple[Array, Array, Array]
 """x, y, z; in three arrays, since most of the time goes into memory."""
@@ -64,11 +65,11 @@ def gaze_at(baseline_m: Array, point: Array) -> tuple[Array, Array, Array, Array
     Points are from the middle between the eyes.
     """
     x, y, z = point[..., 0], point[..., 1], point[..., 2]
-    angles = []
-    for side in (0.5, -0.5):
-        aside = y - side * baseline_m
-        angles += [np.arctan2(aside, x), -np.arctan2(z, np.hypot(x, aside))]
-    return angles[0], angles[1], angles[2], angles[3]
+    left, right = (
+        pan_tilt_along(np.stack(np.broadcast_arrays(x, y - side * baseline_m, z), axis=-1))
+        for side in (0.5, -0.5)
+    )
+    return left[..., 0], left[..., 1], right[..., 0], right[..., 1]
 
 
 def sensitivity(

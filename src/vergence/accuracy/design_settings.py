@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from vergence.arrays import Array
-from vergence.geometry.camera import Pixels
+from vergence.geometry.camera import ImageSide
 from vergence.reading import parse_json, parse_toml, read_parsed, validated
 
 MAX_BYTES = 2**16
@@ -122,7 +122,7 @@ class Workspace(_Section):
     """Correlation of the two eyes' speeds: 1 when they turn together, -1 when opposite."""
     camera_ahead_mm: Annotated[float, Field(ge=-200, le=200)] = 20.0
     """By how much a camera sits ahead of its eye's rotation centre."""
-    image_px: tuple[Pixels, Pixels] = (640, 480)
+    image_px: tuple[ImageSide, ImageSide] = (640, 480)
     """Width and height of the images."""
     board: tuple[Annotated[int, Field(ge=3, le=100)], Annotated[int, Field(ge=3, le=100)]] = (9, 6)
     """Inner corners of the board in a row and in a column."""

@@ -35,7 +35,7 @@ class Sweep:
     """Root mean square error of a point at a distance, in the worst direction and posture; NaN
     where the images do not hold such points in any."""
     mean_m: Array
-    """The same over all directions and postures."""
+    """Root mean square error over all directions and postures."""
     cost: Array
     """Without the dimension of distances."""
 

@@ -17,7 +17,7 @@ from vergence.geometry.board import Board
 from vergence.geometry.camera import is_image_size
 from vergence.geometry.head import HeadCalibration, check_camera_name
 from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye
-from vergence.geometry.se3 import check_rigid, mean_pose
+from vergence.geometry.se3 import check_rigid, inverse, known_poses, mean_pose
 
 
 @dataclass(frozen=True)
@@ -212,23 +212,35 @@ def check_readings(observations: Observations) -> None:
 def readable(observations: Observations, eye: Side) -> np.ndarray:
     """Return (V,) of bool: in which views all joint readings, or the pose, of an eye are known."""
     if observations.T_base_eye is not None:
-        finite = np.isfinite(observations.T_base_eye[:, EYES.index(eye)]).all(axis=(1, 2))
+        finite = known_poses(observations.T_base_eye[:, EYES.index(eye)])
     else:
         used = observations.kinematics.used(eye)
         finite = np.isfinite(observations.eye_angles[:, used]).all(axis=1)
     return np.asarray(finite)
 
 
-def most_seen_board(observations: Observations, T_cam_target: Array) -> np.ndarray:
-    """Return the views (N,) of the placement that a camera sees most often, perhaps none.
+def most_seen(placement: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Return the views (N,) of the placement with the most of those that are known, perhaps none.
 
-    T_cam_target are the board's poses (V, 4, 4) in the camera, NaN where not known.
+    Args:
+        placement: (V,) its number in each view.
+        known: (V,) of bool.
     """
-    known = np.flatnonzero(np.isfinite(T_cam_target).all(axis=(1, 2)))
-    if not len(known):
-        return known
-    numbers, counts = np.unique(observations.placement[known], return_counts=True)
-    return known[observations.placement[known] == numbers[counts.argmax()]]
+    views = np.flatnonzero(known)
+    if not len(views):
+        return views
+    numbers, counts = np.unique(placement[views], return_counts=True)
+    return views[placement[views] == numbers[counts.argmax()]]
+
+
+def base_by_boards(T_lbase_target: Array, T_rbase_target: Array) -> Array | None:
+    """Return T_rbase_lbase (4, 4) by boards that both eyes have placed; None: there is none.
+
+    The boards' poses (V, 4, 4) in both bases are those of `mean_placed`.
+    """
+    between = T_rbase_target @ inverse(T_lbase_target)
+    known = known_poses(between)
+    return mean_pose(between[known]) if known.any() else None
 
 
 def mean_placed(T_base_target: Array, placement: np.ndarray) -> Array:
@@ -236,7 +248,7 @@ def mean_placed(T_base_target: Array, placement: np.ndarray) -> Array:
 
     It is the mean of the poses that are not NaN, and NaN where all of them are.
     """
-    known = np.isfinite(T_base_target).all(axis=(1, 2))
+    known = known_poses(T_base_target)
     mean = np.full_like(T_base_target, np.nan)
     for each in np.unique(placement[known]):
         mean[placement == each] = mean_pose(T_base_target[known & (placement == each)])

@@ -25,17 +25,16 @@ from vergence.calibration.bundle.target_pose_checks import (
     check_not_stuck,
     check_start,
     check_target_poses,
-    measured_rows,
 )
 from vergence.calibration.checks import axes_and_eyes
-from vergence.calibration.observations import mean_placed
+from vergence.calibration.observations import base_by_boards, mean_placed, most_seen
 from vergence.calibration.sequential.hand_eye import robust_park_martin
 from vergence.errors import VergenceError
 from vergence.geometry.camera import pinhole
 from vergence.geometry.head import HeadCalibration, MountedCamera, main_pair
 from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye
 from vergence.geometry.parameter_names import intrinsics_names
-from vergence.geometry.se3 import inverse, mean_pose
+from vergence.geometry.se3 import known_poses
 
 LEAST_POSES = 3
 """Fewest poses of a target at rest, from which a camera's place in its eye follows."""
@@ -194,7 +193,7 @@ def _whitening(covariance: Mapping[str, Array], name: str, T_cam_target: Array) 
             f"{given.shape}."
         )
     if given.ndim == 3:
-        given = np.where(measured_rows(T_cam_target)[:, None, None], given, np.eye(6))
+        given = np.where(known_poses(T_cam_target)[:, None, None], given, np.eye(6))
     return whitening(given)
 
 
@@ -233,14 +232,13 @@ def _start(
     for name, T in T_cam_target.items():
         eye = eyes[name]
         own = eye_poses[:, EYES.index(eye)]
-        known = measured_rows(T) & measured_rows(own)
-        numbers, counts = np.unique(placement[known], return_counts=True)
-        if not len(numbers) or counts.max() < LEAST_POSES:
+        known = known_poses(T) & known_poses(own)
+        rows = most_seen(placement, known)
+        if len(rows) < LEAST_POSES:
             raise VergenceError(
                 f"{name} needs at least {LEAST_POSES} poses of a target at rest, at different "
                 "readings."
             )
-        rows = known & (placement == numbers[counts.argmax()])
         T_eye_cam = robust_park_martin(own[rows], T[rows])
         # Poses have no pixels: a lens of one stands where a head needs one.
         mounted[name] = MountedCamera(eye=eye, intrinsics=pinhole(1, 1, 1.0), T_eye_cam=T_eye_cam)
@@ -250,10 +248,9 @@ def _start(
     if pair is None:
         return head
     left, right = pair
-    both = seen[right] @ inverse(seen[left])
-    known = measured_rows(both)
-    if not known.any():
+    T_rbase_lbase = base_by_boards(seen[left], seen[right])
+    if T_rbase_lbase is None:
         raise VergenceError(
             f"T_rbase_lbase is not observable: no placement has poses by both {left} and {right}."
         )
-    return replace(head, T_rbase_lbase=mean_pose(both[known]))
+    return replace(head, T_rbase_lbase=T_rbase_lbase)

@@ -22,7 +22,7 @@ LARGEST_JACKKNIFE_RATIO = 2.0
 """Ratio of standard deviations from which the stated ones are called too small. The folds determine
 it to about a tenth."""
 VOID_RATIO = 10.0
-"""The same, from which the result must not be used."""
+"""Ratio of standard deviations from which the result must not be used."""
 VOID_MISFIT = 5.0
 """Held-out error, as a multiple of what the noise explains, from which it must not be used."""
 

@@ -40,7 +40,7 @@ def plan(
         figure: PNG file of the board's places and of the accuracy after each view.
         json: JSON file of the plan.
     """
-    from vergence.commands.plan import as_text, figures, run
+    from vergence.commands.plan import as_plain, as_text, run
     from vergence.data.description import DESCRIPTION, FRAMES
     from vergence.viewer.plots.plan import draw_plan
 
@@ -57,7 +57,7 @@ def plan(
         )
     print(as_text(found))
     if json is not None:
-        write_json(figures(found), json)
+        write_json(as_plain(found), json)
     if figure is not None:
         draw_plan(figure, found)
 

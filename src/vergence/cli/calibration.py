@@ -48,7 +48,7 @@ def calibrate(
         json: JSON file of the accuracy alone.
     """
     from vergence.calibration.calibrate import calibrate as run
-    from vergence.commands.calibration_report import RESULTS, TITLE, figures, write_report
+    from vergence.commands.calibration_report import RESULTS, TITLE, as_plain, write_report
     from vergence.data.description import DESCRIPTION, FRAMES
     from vergence.data.reader import load_dataset
     from vergence.geometry.head import save_head
@@ -63,7 +63,7 @@ def calibrate(
         written = beside if result.accuracy.void and out.exists() else out
         save_head(result.head, written)
         if json is not None:
-            write_json(figures(result), json)
+            write_json(as_plain(result), json)
         if report is not None:
             write_report(result, data, report, progress=progress)
     kept = f"; {out} is as it was" if written != out else ""

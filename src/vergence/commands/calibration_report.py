@@ -16,7 +16,7 @@ from vergence.commands.plan import as_text
 from vergence.data.dataset import Dataset
 from vergence.errors import VergenceError, counted
 from vergence.geometry.head import main_pair
-from vergence.geometry.kinematics import EYES
+from vergence.geometry.kinematics import EYES, pan_tilt_along
 from vergence.geometry.parameters import parameter_values
 from vergence.geometry.se3 import rotvec
 from vergence.progress import Progress, silent
@@ -39,8 +39,8 @@ LEAST_LIMIT_RAD = 0.17
 """To which eyes may turn in a plan, though they have not in the recording."""
 
 
-def figures(result: CalibrationResult) -> dict[str, Any]:
-    """Return the accuracy in figures, for programs."""
+def as_plain(result: CalibrationResult) -> dict[str, Any]:
+    """Return the accuracy as plain values, for JSON."""
     accuracy = result.accuracy
     word, following = verdict(accuracy, result.head)
     checked = accuracy.held_out
@@ -87,11 +87,8 @@ def write_report(
     """
     progress("writing the report", 0, len(dataset))
     seen = result.observations
-    axes = np.moveaxis(seen.eye_poses()[..., :3, 0], 1, 0)  # the eyes' own x, which looks ahead
-    angles = {
-        eye: np.stack([np.arctan2(y, x), -np.arctan2(z, np.hypot(x, y))], axis=-1)
-        for eye, (x, y, z) in zip(EYES, np.moveaxis(axes, -1, 1), strict=True)
-    }
+    looking = seen.eye_poses()[..., :3, 0]  # the eyes' own x, which looks ahead
+    angles = dict(zip(EYES, np.moveaxis(pan_tilt_along(looking), 1, 0), strict=True))
     eyes = {eye: angles[eye] for eye in dataset.description.eyes}
     plots.coverage(folder / "coverage.png", seen.corners, seen.sizes, eyes)
     if result.estimate is not None:
@@ -165,7 +162,7 @@ def _points(result: CalibrationResult) -> list[str]:
             "with joint readings."
         ]
     lines = [
-        "Standard deviation of a point ahead, located with the wide cameras, while the gaze goes",
+        "Standard deviation of a point ahead, located with the main cameras, while the gaze goes",
         "round by 0.2 rad: what the calibration adds, the same for every reading at these angles,",
         "and what the noise of one reading and its pixels adds.",
         "",

@@ -159,8 +159,8 @@ def board_places(found: Plan) -> tuple[Array, Array]:
     return transform(T, corner_points(found.board).mean(axis=0)), -T[:, :3, 2]
 
 
-def figures(found: Plan) -> dict[str, Any]:
-    """Return a plan for programs."""
+def as_plain(found: Plan) -> dict[str, Any]:
+    """Return a plan as plain values, for JSON."""
     centres, normals = board_places(found)
     return {
         "readings": list(found.head.kinematics.readings),

@@ -27,13 +27,14 @@ from vergence.commands.depth import (
     write_depth,
 )
 from vergence.demos.depth_errors import DepthTruth, depth_errors, summed
-from vergence.demos.experiment import learned_from_room
+from vergence.demos.experiment import LOOKING
 from vergence.geometry.head import HeadCalibration, load_head, pair_names
 from vergence.geometry.neck import NECK_JOINTS
 from vergence.progress import Progress, silent
 from vergence.self_calibration.sequence import Geometry, initial_seen_geometry, update_geometry
 from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Twin
+from vergence.twin.looking_around import learn_by_looking
 from vergence.twin.model import check_calibration_of
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.scene.room import Scene
@@ -115,7 +116,9 @@ def _moments(
 ) -> Iterator[tuple[StereoImages, DepthTruth]]:
     """Yield pairs; where a head is given, with the geometry that it sees."""
     left, right = pair_names(twin.truth)
-    geometry = None if looks is None else learned_from_room(twin, initial_seen_geometry(looks))
+    geometry = None
+    if looks is not None:
+        geometry = learn_by_looking(twin, initial_seen_geometry(looks), run=LOOKING)
     twin.restart(1)
     for k in range(pairs):
         posture = straight_neck(eye_angles("divergent", np.array(STEP_S * k)))

@@ -26,7 +26,7 @@ class DepthTruth:
 
     head: HeadCalibration
     eye_angles: Array
-    """(4,) [rad]."""
+    """(r,) [rad]."""
     depth_m: Array
     """(H, W) along the optical axis of the left camera."""
 

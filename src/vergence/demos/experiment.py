@@ -18,10 +18,9 @@ from vergence.self_calibration.sequence import (
     Geometry,
     SeenGeometry,
     initial_seen_geometry,
-    update_geometry,
 )
 from vergence.twin.head import Twin
-from vergence.twin.looking_around import look_around
+from vergence.twin.looking_around import learn_by_looking
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.scene.room import Scene
 from vergence.twin.simulated_robot import calibrate_twin
@@ -30,7 +29,7 @@ from vergence.writing import results_folder, write_json
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-_LOOKING = 100_000
+LOOKING = 100_000
 """Number of the run in which the twin looks around first, beyond those of trials."""
 
 
@@ -81,21 +80,13 @@ def calibrated_twin(
         yield twin, replace(settings, geometry=experiment.geometry)
 
 
-def learned_from_room(twin: Twin, geometry: SeenGeometry) -> SeenGeometry:
-    """Return the geometry after the twin has looked around its room."""
-    for frame in look_around(twin, geometry.known.cameras, run=_LOOKING):
-        geometry = update_geometry(geometry, frame)
-    return geometry
-
-
 def initial_geometry(twin: Twin, settings: GazeSettings) -> SeenGeometry | None:
     """Return the geometry with which a demo begins; None: the gaze goes by the joints."""
     if settings.geometry == "joints":
         return None
     left, right = settings.wide
-    return learned_from_room(
-        twin, initial_seen_geometry(settings.calibration, cameras=(left, right))
-    )
+    geometry = initial_seen_geometry(settings.calibration, cameras=(left, right))
+    return learn_by_looking(twin, geometry, run=LOOKING)
 
 
 def write_summary(out: Path | None, name: str, summary: DataclassInstance) -> None:

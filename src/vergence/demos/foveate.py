@@ -57,7 +57,7 @@ class Summary:
     median_px: float
     """Median over trials of the final error of the worse eye."""
     p95_px: float
-    """95 % quantile of the same."""
+    """95 % quantile of this error."""
     settle_s_p95: float | None
     """95 % quantile of the time from the appearance until both eyes stay within SETTLED_PX; None:
     more than 5 % of the trials do not settle."""

@@ -61,7 +61,7 @@ class Trial:
     miss_m: float
     """Distance of the closed hand's centre from the object's; infinity: it did not close."""
     unaided_m: float
-    """The same for a hand that moves by its encoders to where the eyes see the object."""
+    """Distance from it of a hand that moves by its encoders to where the eyes see the object."""
     samples: tuple[DepthSample, ...]
     """Depth errors of the eyes, frame by frame until the fingers began to close."""
     geometry: SeenGeometry | None = None
@@ -80,9 +80,9 @@ class Summary:
     median_mm: float | None
     """Median distance from the object's centre, over the trials in which it closed."""
     p95_mm: float | None
-    """95 % quantile of the same."""
+    """95 % quantile of this distance."""
     worst_mm: float | None
-    """Greatest of the same."""
+    """Greatest of these distances."""
     unaided_median_mm: float | None
     """Median distance of a hand that moves by its encoders alone, at the same moments."""
     seconds_p95: float

@@ -56,7 +56,8 @@ _KEPT = 15
 _SEARCH_RAD = np.array(
     [(0, 0), (0.5, 0), (-0.5, 0), (-0.5, 0.3), (0.5, 0.3), (0.5, -0.3), (-0.5, -0.3)]
 )
-"""Pan and tilt of the directions in which a search looks, in this order."""
+"""Pan and tilt of the goals of a search, in this order; a neck that shares in it pans as far again.
+"""
 
 
 def run_gaze(

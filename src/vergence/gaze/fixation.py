@@ -12,7 +12,12 @@ from vergence.geometry.camera import pinhole
 from vergence.geometry.components import components, pose_components, stacked
 from vergence.geometry.eye_motion import eye_linearised
 from vergence.geometry.head import HeadCalibration, MountedCamera
-from vergence.geometry.kinematics import Kinematics, least_readings, turn_by_readings
+from vergence.geometry.kinematics import (
+    Kinematics,
+    least_readings,
+    pan_tilt_along,
+    turn_by_readings,
+)
 from vergence.geometry.projection import projected
 
 _UNIT_LENS = pinhole(1, 1, 1.0)  # its pixels are x/z and y/z
@@ -75,8 +80,8 @@ def _centre(
         here = np.isfinite(p).all(axis=-1) & (p[..., :2] != 0).any(axis=-1)
         usable = usable & here
         points[name] = np.where(here[..., None], p, [1.0, 0, 0])
-        x, y, z = np.moveaxis(points[name], -1, 0)
-        turn = np.stack([0 * x, -np.arctan2(z, np.hypot(x, y)), np.arctan2(y, x)], axis=-1)
+        pan, tilt = np.moveaxis(pan_tilt_along(points[name]), -1, 0)
+        turn = np.stack([0 * pan, tilt, pan], axis=-1)
         cameras[name] = replace(calibration.camera(name), intrinsics=_UNIT_LENS)
         chain = kinematics.chains[cameras[name].eye]
         turns.append(turn - chain.offset_rad @ chain.axes)

@@ -63,9 +63,10 @@ def ideal_wide_pixel(
     names = cameras or EyeCameras(wide=f"{eye}_wide", narrow=f"{eye}_narrow")
     wide, narrow = calibration.camera(names.wide), calibration.camera(names.narrow)
     depth = np.asarray(depth_m, dtype=float)
-    if not (depth > 0).all():
+    wrong = ~(depth > 0)
+    if wrong.any():
         raise VergenceError(
-            f"A depth must be above 0 m, infinity included; found {np.min(depth):g} m or NaN."
+            f"A depth must be above 0 m, infinity included; found {depth[wrong].flat[0]:g} m."
         )
     # A point of the axis is z e_3 in the narrow camera and z r - R_fp^T t_fp in the wide one, with
     # r the third column of R_fp^T. Division by z leaves its projection and admits 1 / z = 0.

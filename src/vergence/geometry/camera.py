@@ -38,7 +38,7 @@ MAX_IMAGE_PX = 20_000
 MAX_IMAGE_AREA_PX = 50_000_000
 """Width times height; decoding an image of this size takes 300 MB."""
 MIN_FOCAL_PX = 1e-6
-Pixels = Annotated[int, Field(gt=0, le=MAX_IMAGE_PX)]
+ImageSide = Annotated[int, Field(gt=0, le=MAX_IMAGE_PX)]
 """The width or height of an image."""
 MAX_NUMBER = 1e12
 """Largest number in the matrix and the distortion; with larger ones projections overflow."""
@@ -87,9 +87,9 @@ _UNDISTORTED = np.zeros(0)  # as many zeros as the lens model has coefficients
 class Camera:
     """Intrinsic parameters of one camera; ValueError where they are not possible."""
 
-    width: Pixels
+    width: ImageSide
     """Image width [px]."""
-    height: Pixels
+    height: ImageSide
     """Image height [px]."""
     matrix: Matrix3
     """A of Eq. 2: [[alpha, gamma, u0], [0, beta, v0], [0, 0, 1]] [px]."""

@@ -104,9 +104,14 @@ def mean_pose(T: Array) -> Array:
     return pose(nearest_rotation(T[:, :3, :3].sum(axis=0)), np.median(T[:, :3, 3], axis=0))
 
 
+def known_poses(T: Array) -> np.ndarray:
+    """Return (...,) of bool: which of poses (..., 4, 4) are finite."""
+    return np.asarray(np.isfinite(T).all(axis=(-2, -1)))
+
+
 def check_rigid(name: str, T: Array) -> None:
     """Raise a VergenceError if a finite one of poses (..., 4, 4) is not a rigid transform."""
-    known = T[np.isfinite(T).all(axis=(-2, -1))]
+    known = T[known_poses(T)]
     R = known[:, :3, :3]
     off = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(initial=0)
     if off > 1e-6 or (np.linalg.det(R) < 0).any():

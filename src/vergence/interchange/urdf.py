@@ -31,7 +31,7 @@ LIMIT_RAD = 1.5708
 """A quarter turn each way, of a joint of an eye and so of what a reading adds to it. URDF requires
 limits, and a calibration holds none."""
 EFFORT, VELOCITY = 100.0, 100.0
-"""The same of torque and speed: large enough to have no effect."""
+"""Limits of torque and speed, required too: large enough to have no effect."""
 
 T_LINK_OPTICAL = pose(R_EYE_CAM)
 """From frame cam to a camera's link, which looks along x with z up (REP 103)."""

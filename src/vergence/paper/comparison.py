@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,14 +15,12 @@ from vergence.self_calibration.sequence import (
     after_frame,
     initial_seen_geometry,
     just_before,
-    update_geometry,
 )
 from vergence.self_calibration.state import (
     SelfCalibration,
     initial_self_calibration,
 )
 from vergence.twin.head import Twin
-from vergence.twin.looking_around import look_around, look_times
 from vergence.twin.sensors import with_sensors
 from vergence.vision.sphere import STD_PX
 
@@ -78,7 +76,7 @@ def comparison(
         learning: what was learned so far.
         floor: whether to compare also with the true head, for evaluation.
     """
-    states = {SINGLE: _before(head).known}
+    states = {SINGLE: before_looking(head).known}
     if floor:
         known = initial_self_calibration(with_sensors(twin.truth, twin.profile.joints))
         states[FLOOR] = replace(known, covariance=known.covariance * _KNOWN)
@@ -88,20 +86,6 @@ def comparison(
     )
 
 
-def learned_around(
-    head: HeadCalibration, twin: Twin, run: int, progress: Callable[[int, int], None] | None = None
-) -> SeenGeometry:
-    """Return what is learned of a head that looks around; see `looking_around.look_around`.
-
-    The progress is called with how many frames of how many are done.
-    """
-    learning, total = _before(head), len(look_times())
-    for done, frame in enumerate(look_around(twin, learning.known.cameras, run=run), start=1):
-        learning = update_geometry(learning, frame)
-        if progress is not None:
-            progress(done, total)
-    return learning
-
-
-def _before(head: HeadCalibration) -> SeenGeometry:
+def before_looking(head: HeadCalibration) -> SeenGeometry:
+    """Return what is known of a head before its first frame."""
     return initial_seen_geometry(head, fresh=True)  # the twin was calibrated for this

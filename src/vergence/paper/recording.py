@@ -15,7 +15,7 @@ from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYE_JOINTS
 from vergence.paper.figures import Figure
-from vergence.paper.replay import Replay, summary
+from vergence.paper.replay import Replay, as_plain
 from vergence.self_calibration.state import SelfCalibration
 from vergence.twin.appearance import VisualGeom
 from vergence.viewer import style
@@ -122,7 +122,7 @@ def log_results(
         rec.send_columns(entity, times, rr.Points3D.columns(positions=points))
     rays = rr.LineStrips3D.columns(strips=list(lines_of_sight(head, points, eye_angles[good])))
     rec.send_columns("world/left_base/rays", times, rays)
-    values: dict[str, Any] = {"figure": figure.number, **summary(result)}
+    values: dict[str, Any] = {"figure": figure.number, **as_plain(figure, result.statistics)}
     rec.send_property("statistics", rr.AnyValues(**values))
 
 

@@ -205,12 +205,8 @@ def describe(points: Array) -> Statistics:
     return Statistics(mean, std, len(good), len(points) - len(good))
 
 
-def summary(result: Replay) -> dict[str, list[float] | int]:
+def as_plain(figure: Figure, ours: Statistics) -> dict[str, Any]:
     """Return a figure's results and the paper's beside them, as plain values for JSON."""
-    return _plain(result.figure, result.statistics)
-
-
-def _plain(figure: Figure, ours: Statistics) -> dict[str, Any]:
     return {
         "paper_mean_m": list(figure.mean_m),
         "paper_std_m": list(figure.std_m),
@@ -233,8 +229,8 @@ def chosen(result: Replay, method: str) -> Replay:
 
 
 def summaries(result: Replay) -> dict[str, dict[str, Any]]:
-    """Return what `summary` does for each method that was compared; empty: none was."""
+    """Return what `as_plain` does for each method that was compared; empty: none was."""
     others = {name: each.statistics for name, each in result.others.items()}
     if others and PAPER not in others:
         others = {PAPER: result.statistics, **others}
-    return {method: _plain(result.figure, each) for method, each in others.items()}
+    return {method: as_plain(result.figure, each) for method, each in others.items()}

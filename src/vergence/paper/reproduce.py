@@ -15,11 +15,11 @@ from vergence.calibration.sequential.sequential import SequentialCalibration
 from vergence.data.dataset import Frame
 from vergence.errors import VergenceError, check_seed
 from vergence.geometry.head import HeadCalibration, save_head
-from vergence.paper.comparison import LEARNED, PAPER, Comparison, comparison, learned_around
+from vergence.paper.comparison import LEARNED, PAPER, Comparison, before_looking, comparison
 from vergence.paper.figures import FIGURES, Figure
 from vergence.paper.plots import paper_figures
 from vergence.paper.recording import figure_recording, log_results
-from vergence.paper.replay import Replay, chosen, replay, sample_times, summaries, summary
+from vergence.paper.replay import Replay, as_plain, chosen, replay, sample_times, summaries
 from vergence.paper.report import TITLE, Reproduction, figure_report, report
 from vergence.processes import process_count, processes
 from vergence.progress import Progress, silent
@@ -29,6 +29,7 @@ from vergence.twin.appearance import visual_geoms
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration
 from vergence.twin.head import Twin
+from vergence.twin.looking_around import learn_by_looking
 from vergence.twin.profile import ErrorProfile, Lens
 from vergence.twin.scene.room import Scene
 from vergence.viewer.frame import log_frame
@@ -168,8 +169,12 @@ def _prepare(
         head = inject_calibration_error(found.head, settings.profile.by_hand, lens)
         learning = None
         if settings.learns:
-            looked = partial(progress, f"looking around, {lens} lens")
-            learning = learned_around(head, twin, _LOOKING, looked)
+            learning = learn_by_looking(
+                twin,
+                before_looking(head),
+                run=_LOOKING,
+                progress=lambda task, *done: progress(f"{task}, {lens} lens", *done),
+            )
     save_head(found.head, settings.out / f"calibration-{lens}.json")
     yield lens, found, head, learning
 
@@ -288,7 +293,10 @@ def _write(out: Path, done: Reproduction) -> None:
         "profile": done.profile.name,
         "fitted_parameters": len(done.profile.fitted),
         "seed": done.seed,
-        "figures": {str(number): summary(done.replays[number]) for number in sorted(done.replays)},
+        "figures": {
+            str(number): as_plain(each.figure, each.statistics)
+            for number, each in sorted(done.replays.items())
+        },
     }
     by_figure = {str(n): summaries(done.replays[n]) for n in sorted(done.replays)}
     methods = dict.fromkeys(method for each in by_figure.values() for method in each)

@@ -9,6 +9,8 @@ import numpy as np
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
+from vergence.progress import Progress, silent
+from vergence.self_calibration.sequence import SeenGeometry, update_geometry
 from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Twin
 
@@ -36,3 +38,14 @@ def look_around(twin: Twin, cameras: Sequence[str], *, run: int) -> Iterator[Fra
     for time_s in look_times():
         twin.advance(round(_SETTLE_S + time_s, 3), command)
         yield twin.capture(cameras)
+
+
+def learn_by_looking(
+    twin: Twin, geometry: SeenGeometry, *, run: int, progress: Progress = silent
+) -> SeenGeometry:
+    """Return the geometry after the twin has looked around; see `look_around`."""
+    total = len(look_times())
+    for done, frame in enumerate(look_around(twin, geometry.known.cameras, run=run), start=1):
+        geometry = update_geometry(geometry, frame)
+        progress("looking around", done, total)
+    return geometry

@@ -170,12 +170,12 @@ def as_built_head(nominal: HeadCalibration, profile: ErrorProfile, seed: int) ->
     return replace(nominal, cameras=cameras, T_rbase_lbase=T_rbase_lbase, kinematics=kinematics)
 
 
-def check_calibration_of(twin: HeadCalibration, calibration: HeadCalibration) -> None:
+def check_calibration_of(truth: HeadCalibration, calibration: HeadCalibration) -> None:
     """Raise VergenceError if a calibration cannot be that of the twin, which is the as-built head.
 
     By the baseline and the focal lengths of the main pair, the cameras and the readings.
     """
-    found = _other_parts(twin, calibration) or _other_sizes(twin, calibration)
+    found = _other_parts(truth, calibration) or _other_sizes(truth, calibration)
     if found:
         raise VergenceError(
             f"This calibration is of another head than the twin: {found}. Give the --profile and "

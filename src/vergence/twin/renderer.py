@@ -27,8 +27,8 @@ OVERSAMPLING = 1.5
 """Oversampling along each axis of an image of the room that is distorted afterwards: interpolation
 between pixels of the camera's own size would shift corners by 0.01 px, in every image alike."""
 FINE = 3.0
-"""The same for recorded datasets: corners of a board in wide images are then off by 0.005 px, not
-0.02, and a picture takes three times as long."""
+"""Oversampling of recorded datasets: corners of a board in wide images are then off by 0.005 px,
+not 0.02, and a picture takes three times as long."""
 _WINDOW_PX = 128
 """Side of the part of such an image that is rendered anew, multisampled: the one with the object,
 whose outline would else be stepped, which displaces a sphere of 5 px in radius by 0.04 px. To

@@ -145,7 +145,7 @@ class SimulatedHead:
         return self.twin.capture(cameras)
 
     def _servo(self, time_s: float) -> Array:
-        """Return the angles (7,) [rad] that the simulated joints are sent to at a time."""
+        """Return the angles (j,) [rad] that the simulated joints are sent to at a time."""
         wanted = setpoint(self._command, time_s)
         wanted[EYE_READINGS] = (wanted[EYE_READINGS] - self._offset) / self._gain
         return wanted

@@ -10,10 +10,8 @@ import rerun as rr
 from scipy.spatial.transform import Rotation
 
 from vergence.arrays import Array
-from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.projection import T_lbase_cam
-from vergence.stereo.extrinsics import stereo_cameras
+from vergence.stereo.extrinsics import camera_poses
 from vergence.viewer import style
 from vergence.viewer.layout import camera_entities
 
@@ -135,9 +133,5 @@ def lines_of_sight(head: HeadCalibration, points: Array, eye_angles: Array) -> A
 
     Points (N, 3) [m] are in the left eye's base frame, as the result; `eye_angles` (N, r) [rad].
     """
-    pair, poses = stereo_cameras(head, None), eye_poses(head, eye_angles)
-    left, right = (
-        T_lbase_cam(mounted, head.T_rbase_lbase, poses[:, k])[:, :3, 3]
-        for k, mounted in enumerate(pair)
-    )
+    left, right = np.moveaxis(camera_poses(head, eye_angles)[..., :3, 3], 1, 0)
     return np.stack([left, points, right], axis=1)

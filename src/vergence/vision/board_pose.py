@@ -8,7 +8,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.geometry.camera import Camera, normalise, project_jacobians
 from vergence.geometry.projection import by_pose_of_points
-from vergence.geometry.se3 import boxplus, pose, rotation
+from vergence.geometry.se3 import boxplus, known_poses, pose, rotation
 
 LEAST_CORNERS = 6
 """Fewer do not say where a board is."""
@@ -60,7 +60,7 @@ def _poses_by_directions(camera: Camera, corners: Array, points: Array) -> Array
     xy = normalise(camera, corners)
     plain = Camera(camera.width, camera.height, np.eye(3))
     poses = board_poses(plain, xy, points)
-    known = np.isfinite(poses).all(axis=(1, 2))
+    known = known_poses(poses)
     if known.any():
         reached = np.where(np.isfinite(xy), corners, np.nan)
         poses[known], _ = refined_poses(camera, reached[known], points, poses[known])

@@ -155,7 +155,7 @@ def _squares(squares_x: int, begins_white: bool, last: int) -> np.ndarray:
 
 
 def _agreement(pairs: MarkerPairs, squares: np.ndarray) -> tuple[int, int]:
-    """Return how many pairs the squares (M, 2) of markers agree with, and how many they tell of."""
+    """Return how many pairs agree with the squares (M, 2) of markers, and how many are compared."""
     known = (pairs.ids < len(squares)).all(axis=1)
     first, second = pairs.ids[known].T
     steps = pairs.steps[known]

@@ -48,9 +48,10 @@ TRUST_ENCODER = 2.0
 give the eyes' trajectory in time. At it they hold the latent angles to a fifth, and offsets of
 0.1 s still settle."""
 FEW_LEFT = 6
-"""Readings left over at the start, below which it is asked whether better corners leave more."""
+"""Redundancy of the readings at the start, below which it is computed again after a few steps."""
 ROUGH_STEPS = 5
-"""Steps of the minimiser before that is judged again: they lead away from a poor start."""
+"""Steps of the minimiser before the redundancy is computed again: they lead away from a poor start.
+"""
 ROUNDS = 40
 """Rounds of unknowns, noise and observability in turn, before an estimate has not converged."""
 FAILURES = 6

@@ -20,7 +20,7 @@ from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES, Kinematics, reading_kinds
 from vergence.geometry.parameter_names import POSE, joint_names
 from vergence.geometry.parameters import parameter_names
-from vergence.geometry.se3 import angle, inverse
+from vergence.geometry.se3 import angle, inverse, known_poses
 from vergence.vision.board_pose import LEAST_CORNERS, board_poses, determines_pose, seen_corners
 
 CANDIDATES = 12
@@ -164,7 +164,7 @@ def _readings(
     """
     view, eye = pairs.T
     if observations.T_base_eye is not None:
-        finite = np.isfinite(observations.T_base_eye[view, eye]).all(axis=(1, 2))
+        finite = known_poses(observations.T_base_eye[view, eye])
         zeros = np.zeros((len(pairs), len(POSE)))
         return zeros, zeros.astype(np.intp), np.asarray(finite)
     block_columns = np.array(columns, dtype=np.intp)[eye]
@@ -274,7 +274,7 @@ def _place_boards(
     T_base_lbase = np.where(right[:, None, None], state.head.T_rbase_lbase, np.eye(4))
     T_base_cam = eye_poses(problem, state) @ mounts[problem.camera]
     found = inverse(T_base_lbase) @ T_base_cam @ T_cam_target
-    known = np.isfinite(found).all(axis=(1, 2))
+    known = known_poses(found)
     offers = [np.flatnonzero(known & (problem.placement == p)) for p in range(placements)]
     if not placements or not all(len(offer) for offer in offers):
         raise VergenceError(

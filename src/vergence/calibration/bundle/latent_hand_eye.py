@@ -27,7 +27,7 @@ from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import Kinematics, T_base_eye, check_turns, pan_tilt
 from vergence.geometry.parameter_names import POSE, intrinsics_names
 from vergence.geometry.parameters import change_named, parameter_names
-from vergence.geometry.se3 import boxminus, check_rigid
+from vergence.geometry.se3 import boxminus, check_rigid, known_poses
 from vergence.stereo.calibration_covariance import covariance_factor
 from vergence.vision.board_pose import board_poses
 
@@ -114,7 +114,7 @@ def refine_eye_camera(
     T_read = eye if angles is None else T_base_eye(kinematics, "left", angles)
     T_cam_target = board_poses(camera, pixels, points)
     if start is None:
-        known = np.isfinite(T_cam_target).all(axis=(1, 2))
+        known = known_poses(T_cam_target)
         start = robust_park_martin(T_read[known], T_cam_target[known])
     head = HeadCalibration(
         cameras={_NAME: MountedCamera(eye="left", intrinsics=camera, T_eye_cam=start)},

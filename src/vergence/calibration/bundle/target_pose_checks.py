@@ -10,18 +10,13 @@ from vergence.arrays import Array
 from vergence.errors import VergenceError, counted
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES, Kinematics, Side, check_turns, same_design
-from vergence.geometry.se3 import angle, check_rigid, inverse, mean_pose
+from vergence.geometry.se3 import angle, check_rigid, inverse, known_poses, mean_pose
 
 _STUCK = 0.1
 """Share of an eye's turn by which poses of a target at rest turn at least: of true poses it is
 about one, and less by this much only where the measurement does not follow."""
 _AT_REST_RAD = 1e-6
 """Turn of an eye up to which it rests, but for how numbers are rounded."""
-
-
-def measured_rows(T: Array) -> np.ndarray:
-    """Return (V,) which of poses (V, 4, 4) are finite."""
-    return np.asarray(np.isfinite(T).all(axis=(1, 2)))
 
 
 def check_target_poses(
@@ -65,7 +60,7 @@ def check_not_stuck(
     """Raise a VergenceError if poses of a target hardly turn where the eye does."""
     for name, T in T_cam_target.items():
         own = eye_poses[:, EYES.index(eyes[name])]
-        known = measured_rows(T) & measured_rows(own)
+        known = known_poses(T) & known_poses(own)
         if not known.any():
             continue
         turned, by_eye = (_median_turn(each[known]) for each in (T, own))

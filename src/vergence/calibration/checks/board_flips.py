@@ -40,7 +40,7 @@ from vergence.calibration.sequential.hand_eye import robust_park_martin
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board, Charuco, corner_points
 from vergence.geometry.kinematics import EYES
-from vergence.geometry.se3 import angle, nearest_rotation, pose, rotation, rotvec
+from vergence.geometry.se3 import angle, known_poses, nearest_rotation, pose, rotation, rotvec
 
 CLEAR = 10.0
 """Evidence [nats] below which a view is left as it is, and named."""
@@ -165,7 +165,8 @@ def _about(chosen: Mapping[str, np.ndarray], sentence: str) -> tuple[str, ...]:
     for name, mask in chosen.items():
         rows = np.flatnonzero(mask)
         if len(rows):
-            parts.append(f"view{'s'[: len(rows) > 1]} {', '.join(map(str, rows))} of {name}")
+            views = "view" if len(rows) == 1 else "views"
+            parts.append(f"{views} {', '.join(map(str, rows))} of {name}")
     return (sentence.format("; ".join(parts)),) if parts else ()
 
 
@@ -179,7 +180,7 @@ def _consistent(
     placement: np.ndarray, T_cam_target: Array, T_base_eye: Array, R: Array
 ) -> _CameraViews:
     """Return a camera's views with turns that make each placement agree with the readings."""
-    usable = np.isfinite(T_cam_target).all(axis=(1, 2)) & np.isfinite(T_base_eye).all(axis=(1, 2))
+    usable = known_poses(T_cam_target) & known_poses(T_base_eye)
     view = np.flatnonzero(usable)
     R_cam_target, R_base_eye = T_cam_target[view, :3, :3], T_base_eye[view, :3, :3]
     groups = [np.flatnonzero(placement[view] == p) for p in np.unique(placement[view])]

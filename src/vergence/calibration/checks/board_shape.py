@@ -20,6 +20,7 @@ from vergence.calibration.sequential.lens_fit import (
     without_poses,
 )
 from vergence.geometry.board import corner_points
+from vergence.geometry.se3 import known_poses
 from vergence.vision.board_pose import board_errors, determines_pose, seen_corners
 
 LEAST_VIEWS = 6
@@ -46,7 +47,7 @@ def stretch(
     points, found = corner_points(observations.board), []
     for name, each in intrinsics.items():
         corners, T = observations.corners[name], T_cam_target[name]
-        usable = determines_pose(points, seen_corners(corners)) & np.isfinite(T).all(axis=(1, 2))
+        usable = determines_pose(points, seen_corners(corners)) & known_poses(T)
         found.append(_stretch_of_camera(each, T[usable], corners[usable], points))
     values, stds = np.array(found).reshape(-1, 2).T
     information = (1 / stds**2).sum()

@@ -18,10 +18,10 @@ from vergence.arrays import Array
 from vergence.calibration.checks import board_flips
 from vergence.calibration.checks.axes_and_eyes import ASIDE, not_beside
 from vergence.calibration.checks.reading_fit import ReadingFit, fit_readings
-from vergence.calibration.observations import Observations, camera_eyes, most_seen_board
+from vergence.calibration.observations import Observations, camera_eyes, most_seen
 from vergence.errors import VergenceError, listed
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side
-from vergence.geometry.se3 import angle, inverse, rotvec
+from vergence.geometry.se3 import angle, inverse, known_poses, rotvec
 
 LEAST_VIEWS_AT_REST = 6
 """Fewest views of a board at rest that say something about readings or measured poses."""
@@ -99,7 +99,7 @@ def _turns(seen: Observations, name: str, e: int, T_cam_target: Array) -> _Turns
 
     None too of an eye without joints, since no readings are to explain its turns.
     """
-    rows = most_seen_board(seen, T_cam_target)
+    rows = most_seen(seen.placement, known_poses(T_cam_target))
     if len(rows) < LEAST_VIEWS_AT_REST or not seen.kinematics.used(EYES[e]):
         return None
     R = board_flips.nearest(T_cam_target[rows, :3, :3], seen.board)
@@ -123,7 +123,7 @@ def _between_the_eyes(found: Mapping[int, _Turns], poses: Mapping[str, Array]) -
     if len(found) < 2:
         return {}
     T = poses[found[1].camera] @ inverse(poses[found[0].camera])
-    T = T[np.isfinite(T).all(axis=(1, 2))]
+    T = T[known_poses(T)]
     if not len(T):
         return {}
     # A board that is still numbered from the wrong end moves the camera, but not in most views.

@@ -13,11 +13,11 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.bundle.eye_motion_diagnostics import ADVISED
-from vergence.calibration.observations import Observations, camera_eyes, most_seen_board
+from vergence.calibration.observations import Observations, camera_eyes, most_seen
 from vergence.errors import VergenceError, listed
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES
-from vergence.geometry.se3 import rotvec
+from vergence.geometry.se3 import known_poses, rotvec
 
 LEAST_MOTION_RAD = 0.01
 """Root mean square turn of an eye about its second axis, below which nothing is calibrated: with a
@@ -27,7 +27,7 @@ ONE_ANGLE_RAD = 0.1
 FOCAL_PART = 0.004
 """Standard deviation of a focal length, relative to it, that deserves a warning."""
 FOCAL_SURE = 1e-4
-"""The same, at which nothing is doubtful."""
+"""Standard deviation of a focal length, relative to it, at which nothing is doubtful."""
 SLANT = "slant the board by 20 to 40 degrees, in different directions"
 
 
@@ -42,7 +42,7 @@ def check_excitation(seen: Observations, T_cam_target: Mapping[str, Array]) -> N
         found = {}
         for name, T in T_cam_target.items():
             if eyes[name] == eye:
-                rows = most_seen_board(seen, T)
+                rows = most_seen(seen.placement, known_poses(T))
                 R = T[rows, :3, :3]
                 found[name] = (_spread(rotvec(R @ R[:1].swapaxes(1, 2)))[0], rows)
         if found:

@@ -20,7 +20,7 @@ from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.projection import T_lbase_cam
-from vergence.geometry.se3 import mean_pose
+from vergence.geometry.se3 import known_poses, mean_pose
 
 BOARD_SIZE_REMARK = 0.001
 """Relative error of the board's size from which it is spoken of."""
@@ -104,7 +104,7 @@ def placed_boards(
             if name in T_cam_target
         ]
         T = np.concatenate(views)
-        T = T[np.isfinite(T).all(axis=(1, 2))]
+        T = T[known_poses(T)]
         if len(T):
             found[int(number)] = mean_pose(T)
     return found

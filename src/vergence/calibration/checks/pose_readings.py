@@ -18,11 +18,11 @@ from vergence.arrays import Array
 from vergence.calibration.checks import board_flips
 from vergence.calibration.checks.encoders import LEAST_VIEWS_AT_REST
 from vergence.calibration.checks.reading_fit import OUTLIER, OUTLIER_RAD, OUTLIERS
-from vergence.calibration.observations import Observations, camera_eyes, most_seen_board
+from vergence.calibration.observations import Observations, camera_eyes, most_seen
 from vergence.calibration.sequential.hand_eye import robust_park_martin
 from vergence.errors import VergenceError
 from vergence.geometry.kinematics import EYES, Side
-from vergence.geometry.se3 import angle, inverse, pose, rotation
+from vergence.geometry.se3 import angle, inverse, known_poses, pose, rotation
 
 LEAST_TURN_RAD = 0.03
 """Median turn between views, below which noise says as much as the poses."""
@@ -64,9 +64,9 @@ def check_pose_readings(seen: Observations, T_cam_target: Mapping[str, Array]) -
     left_out: set[tuple[Side, int]] = set()
     for name, eye in eyes.items():
         at_rest = np.where(seen.at_rest[:, None, None], T_cam_target[name], np.nan)
-        rows = most_seen_board(seen, at_rest)
+        rows = most_seen(seen.placement, known_poses(at_rest))
         T_eye, T_cam = seen.T_base_eye[rows, EYES.index(eye)], at_rest[rows]
-        known = np.isfinite(T_eye).all(axis=(1, 2))
+        known = known_poses(T_eye)
         rows, T_eye, T_cam = rows[known], T_eye[known], T_cam[known]
         if len(rows) < LEAST_VIEWS_AT_REST:
             continue
@@ -114,7 +114,7 @@ def check_axis_order(seen: Observations, T_cam_target: Mapping[str, Array]) -> N
     if seen.T_base_eye is not None:
         return
     for name, eye in camera_eyes(seen).items():
-        rows = most_seen_board(seen, T_cam_target[name])
+        rows = most_seen(seen.placement, known_poses(T_cam_target[name]))
         joints, chain = seen.kinematics.eyes[eye], seen.kinematics.chains[eye]
         angles = seen.eye_angles[rows] @ chain.mixing.T
         if len(rows) < LEAST_VIEWS_AT_REST or not np.isfinite(angles).all():

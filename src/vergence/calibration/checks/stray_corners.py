@@ -20,9 +20,10 @@ LEAST = 0.35
 is called stray: lenses with k3 make nearly as much at the edge of an image, and those corners tell
 most of k3. Smaller errors bundle adjustment finds."""
 TYPICAL = 6.0
-"""The same in units of what is typical of the image."""
+"""Least distance of a stray corner from there, in units of what is typical of the image."""
 CLEAR = 3.0
-"""The same in units of how far neighbours disagree: where a lens bends most, they do."""
+"""Least distance of a stray corner from there, in units of how far neighbours disagree: where a
+lens bends most, they do."""
 
 
 def without_strays(observations: Observations) -> Observations:

@@ -46,9 +46,9 @@ CHOICE_VIEWS = 10
 MOST_VIEWS = 60
 """More views, spread over the recording, would not change the choice, and take time."""
 MARGIN: dict[LensModel, float] = {"fisheye": 10.0}
-"""By how much the criterion of a model must be better than that of an earlier one, where not by
-anything: ten is very strong evidence (Kass and Raftery). A fisheye does not contain the usual
-models, is seldom the true one, and is fitted to mild lenses nearly as well."""
+"""By how much the criterion of a model must be better than that of an earlier one; 0 for models
+that are not listed. Ten is very strong evidence (Kass and Raftery). A fisheye does not contain the
+usual models, is seldom the true one, and is fitted to mild lenses nearly as well."""
 RATIONAL_ERROR = 0.995
 """Held-out error of a rational lens, relative to that of the model that would be taken else, up to
 which it is taken. Of 1044 simulated cameras with other lenses - bent boards, errors that an image

@@ -23,7 +23,7 @@ ITERATIONS = 60
 NEGLIGIBLE_GAIN = 1e-10
 """Predicted decrease of the sum of squares, relative to it, from which a fit has converged."""
 ROUGH = 1e-6
-"""The same where a fit is compared with others."""
+"""Predicted decrease at which a fit stops that is only compared with others."""
 FOLDS = 5
 """Parts of the views, each predicted by a lens from the others."""
 EXACT_PX2 = 1e-20

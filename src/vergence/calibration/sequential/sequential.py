@@ -19,10 +19,11 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.observations import (
     Observations,
+    base_by_boards,
     camera_eyes,
     mean_placed,
     missing_reading,
-    most_seen_board,
+    most_seen,
     readable,
 )
 from vergence.calibration.sequential.hand_eye import robust_park_martin
@@ -36,7 +37,7 @@ from vergence.geometry.head import HeadCalibration, MountedCamera, main_camera, 
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.neck import Neck
-from vergence.geometry.se3 import angle, inverse, mean_pose
+from vergence.geometry.se3 import angle, inverse, known_poses, mean_pose
 from vergence.stereo.extrinsics import base_extrinsics
 from vergence.vision.board_pose import LEAST_CORNERS, board_poses, seen_corners
 
@@ -134,7 +135,7 @@ def _mounted(
     The main camera is placed by hand-eye calibration, the others relative to it.
     """
     main = main_camera(cameras, eye)
-    rows = most_seen_board(observations, T_cam_target[main])
+    rows = most_seen(observations.placement, known_poses(T_cam_target[main]))
     if not len(rows):
         raise VergenceError(f"The board was never found in the images of {main}.")
     lost = rows[~readable(observations, eye)[rows]]
@@ -174,8 +175,7 @@ def _between_the_eyes(
     corners_l, corners_r = observations.corners[left], observations.corners[right]
     both = (seen_corners(corners_l) & seen_corners(corners_r)).sum(axis=1) >= LEAST_CORNERS
     T_l, T_r = np.moveaxis(observations.eye_poses(), 1, 0)
-    readable = np.isfinite(T_l).all(axis=(1, 2)) & np.isfinite(T_r).all(axis=(1, 2))
-    straight = both & readable
+    straight = both & known_poses(T_l) & known_poses(T_r)
     for T in (T_l, T_r):
         straight[straight] &= angle(T[straight, :3, :3]) < STRAIGHT_RAD
     if observations.T_base_eye is not None and straight.any():
@@ -202,15 +202,14 @@ def _between_the_eyes(
         mean_placed(T_read @ mounted[name].T_eye_cam @ T_cam_target[name], observations.placement)
         for T_read, name in ((T_l, left), (T_r, right))
     )
-    between = T_rbase_target @ inverse(T_lbase_target)
-    known = np.isfinite(between).all(axis=(1, 2))
-    if not known.any():
+    between = base_by_boards(T_lbase_target, T_rbase_target)
+    if between is None:
         raise VergenceError(
             "T_rbase_lbase is not observable: no placement of the board is seen by both "
             f"{left} and {right}, in one view or in several, with {LEAST_CORNERS} corners that are "
             "not all on one line; hold it where both eyes see it."
         )
-    return mean_pose(between[known]), None, 0
+    return between, None, 0
 
 
 def _stand_still(T: Array) -> bool:

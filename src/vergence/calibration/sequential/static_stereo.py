@@ -10,7 +10,7 @@ from vergence.calibration.sequential.hand_eye import agreeing_rotations
 from vergence.calibration.sequential.lens_models import CRITERIA, repeatable
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, normalise, undistort
-from vergence.geometry.se3 import inverse, mean_pose, pose
+from vergence.geometry.se3 import inverse, known_poses, mean_pose, pose
 from vergence.vision.board_pose import LEAST_CORNERS, board_poses, seen_corners
 
 WIDEST = 2.0
@@ -44,7 +44,7 @@ def calibrate_pair(
     Raises:
         VergenceError: no view shows six common corners that are not on one line.
     """
-    # OpenCV's function does not know the one, and fails far from the axis of the other.
+    # stereoCalibrate has no fisheye model, and fails far from the axis of a rational lens.
     wide = bool({"fisheye", "rational"} & {a.model, b.model})
     if wide:
         corners_a, a = _undistorted(corners_a, a)
@@ -58,7 +58,7 @@ def calibrate_pair(
         for camera, corners in ((a, corners_a), (b, corners_b))
     )
     between = T_b @ inverse(T_a)
-    known = np.flatnonzero(np.isfinite(between).all(axis=(1, 2)))
+    known = np.flatnonzero(known_poses(between))
     if not len(known):
         raise VergenceError(
             f"The pose between {' and '.join(names)} needs views in which both see "

@@ -33,8 +33,8 @@ _LEVELS = 3
 _EXPECTED_DEPTH_M = 1.5
 """Where tracking starts to search; from there its pyramid reaches 50 px at best."""
 _FAR_PX = 12.0
-"""Distance from there, from which what the plane sweep says counts. Of features that are 20 px from
-there, trackers without it lose two fifths."""
+"""Distance from this start to what the plane sweep predicts, from which that is tried too. Of
+features that are 20 px from the start, trackers without it lose two fifths."""
 _SWEPT_MEAN = 4
 """Side of the square of which the mean is taken for the sweep, in pixels of its small images: as in
 images of 640 px, where it is the same as for tracking."""
