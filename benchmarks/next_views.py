@@ -80,7 +80,7 @@ def run(config: Config, number: int) -> Outcome:
     first = record(truth, rng, how)
     head = calibrated(rough_start(truth, rng), first)
     found = plan(head, BOARD, views=config.views, limits_rad=LIMITS_RAD, seed=number)
-    places = len(np.unique(found.views.place))
+    places = len(np.unique(found.views.placement))
     apart = admissible_views(head, BOARD, LIMITS_RAD, rng, places=config.views, gazes=1)
     gazes = -(-config.views // places)
     gathered = admissible_views(head, BOARD, LIMITS_RAD, rng, places=places, gazes=gazes)
@@ -117,7 +117,7 @@ def calibrated(
 
 def recorded(truth: HeadCalibration, views: Views, rng: np.random.Generator) -> Observations:
     """Return what is recorded of views by someone who places the board by hand."""
-    _, number = np.unique(views.place, return_inverse=True)
+    _, number = np.unique(views.placement, return_inverse=True)
     off = rng.normal(size=(number.max() + 1, 6)) * np.repeat([OFF_RAD, OFF_M], 3)
     return observe(
         truth,

@@ -97,8 +97,8 @@ def test_pictures_have_plain_numbers_units_and_no_point_at_the_edge(swept, tmp_p
     drawn = []
     monkeypatch.setattr(picture, "save", lambda canvas, path: drawn.append(canvas))
     place = cheapest(swept, 1.0, 0.5)[0]
-    picture.draw_design(tmp_path / "d.png", swept, place, 5e-3, 0.5)
-    picture.draw_axes(tmp_path / "p.png", swept, place, 0.5)
+    picture.save_design(tmp_path / "d.png", swept, place, 5e-3, 0.5)
+    picture.save_properties(tmp_path / "p.png", swept, place, 0.5)
     for canvas in drawn:
         canvas.draw_without_rendering()
     ticks = [text.get_text() for axes in drawn[0].axes for text in axes.get_yticklabels()]

@@ -73,7 +73,7 @@ def planned(calibrated: HeadCalibration) -> Plan:
 
 def test_admissible_views_show_the_whole_board_before_both_main_cameras_within_the_limits(truth):
     views = admissible_views(truth, BOARD, LIMITS, np.random.default_rng(0), places=6, gazes=4)
-    assert len(views.place) == 24
+    assert len(views.placement) == 24
     assert (np.abs(views.joints) <= LIMITS).all()
     assert held_whole(truth, BOARD, views).all()
     for name, uv in seen_by(truth, BOARD, views).items():
@@ -131,7 +131,7 @@ def test_the_information_of_views_is_that_of_bundle_adjustment(truth, kinematics
     names = estimate.accuracy.parameters
     scale = np.sqrt(np.diag(estimate.accuracy.covariance))
     linear = linearised_views(head, BOARD, views, names, scale)
-    N = gained(information(linear, PIXEL_PX, np.full(len(limits), JOINT_RAD)), views.place)
+    N = gained(information(linear, PIXEL_PX, np.full(len(limits), JOINT_RAD)), views.placement)
     correlation = estimate.accuracy.covariance / np.outer(scale, scale)
     # Bundle adjustment adds the least systematic errors that it can tell from none.
     np.testing.assert_allclose(np.linalg.inv(N), correlation, atol=5e-3)
@@ -225,7 +225,7 @@ def test_two_views_of_one_place_tell_more_than_the_place_costs(truth):
     names = estimate.accuracy.parameters
     linear = linearised_views(truth, BOARD, views, names, np.ones(len(names)))
     N = information(linear, PIXEL_PX, np.full(4, JOINT_RAD))
-    apart, together = gained(N, np.arange(4)), gained(N, views.place)
+    apart, together = gained(N, np.arange(4)), gained(N, views.placement)
     assert np.linalg.eigvalsh(together - apart)[0] > -1e-6 * np.abs(together).max()
     assert np.trace(together) > np.trace(apart)
 
@@ -283,7 +283,7 @@ def test_an_angle_that_rounds_to_zero_has_no_sign(truth):
 def test_the_legend_of_the_picture_stands_beside_the_maps(truth, tmp_path, monkeypatch):
     drawn = []
     monkeypatch.setattr(picture, "save", lambda canvas, path: drawn.append(canvas))
-    picture.draw_plan(tmp_path / "p.png", plan_of_one_view(truth))
+    picture.save_plan(tmp_path / "p.png", plan_of_one_view(truth))
     drawn[0].draw_without_rendering()
     legends = [axes.get_legend() for axes in drawn[0].axes if axes.get_legend()]
     assert len(legends) == 1

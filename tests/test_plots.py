@@ -11,12 +11,12 @@ from simulated_twin import observe_points
 from vergence.errors import VergenceError
 from vergence.paper import plots
 from vergence.paper.figures import FIGURES, default_duration_s
-from vergence.paper.plots import draw, paper_figures
+from vergence.paper.plots import draw_figures, save_figures
 from vergence.paper.replay import Estimates, Replay, estimate
 from vergence.stereo.depth_error import depth_error
 from vergence.twin.model import nominal_head
 from vergence.twin.profile import ErrorProfile, Joints
-from vergence.viewer.plots.foveation import WRONG_M, by_disparity, draw_depth, miss_px
+from vergence.viewer.plots.foveation import WRONG_M, by_disparity, draw_foveation, miss_px
 
 SAMPLES = 200
 NOISY = ErrorProfile(joints=Joints(noise_deg=0.1))
@@ -35,7 +35,7 @@ def result(number: int, *, dropped: int = 3) -> Replay:
 @pytest.mark.parametrize("numbers", [tuple(FIGURES), (8,), (9, 8), (6, 10), (6, 9)])
 def test_each_figure_has_a_panel_with_its_estimates(numbers: tuple[int, ...]):
     results = {number: result(number) for number in numbers}
-    panels = [axes for axes in draw(list(results.values())).axes if axes.get_visible()]
+    panels = [axes for axes in draw_figures(list(results.values())).axes if axes.get_visible()]
     titles = [axes.get_title(loc="left") for axes in panels]
     assert titles == [FIGURES[number].title for number in sorted(numbers)]
     for axes, number in zip(panels, sorted(numbers), strict=True):
@@ -58,7 +58,7 @@ def test_where_methods_are_compared_the_legend_hides_no_curve():
         stds = np.zeros(len(own.points))
         return replace(own, others={"learned": Estimates(own.points, stds, own.statistics)})
 
-    canvas = draw([compared(number) for number in (8, 9)])
+    canvas = draw_figures([compared(number) for number in (8, 9)])
     canvas.draw_without_rendering()
     for axes in canvas.axes:
         legend = axes.get_legend()
@@ -69,7 +69,7 @@ def test_where_methods_are_compared_the_legend_hides_no_curve():
 
 @pytest.mark.slow
 def test_parallel_motion_is_left_of_divergent_motion_and_rows_share_their_scale():
-    canvas = draw([result(number) for number in FIGURES])
+    canvas = draw_figures([result(number) for number in FIGURES])
     canvas.draw_without_rendering()  # places the panels
     places = {axes.get_title(loc="left"): axes for axes in canvas.axes}
     for parallel in (6, 8, 10):
@@ -90,7 +90,7 @@ def test_the_table_states_the_papers_numbers_and_ours():
 
 def test_a_figure_that_located_nothing_says_so(tmp_path: Path):
     nothing = result(6, dropped=SAMPLES)
-    paper_figures(tmp_path / "figures.png", [nothing])
+    save_figures(tmp_path / "figures.png", [nothing])
     assert (tmp_path / "figures.png").exists()
     assert plots.table_cells(nothing.figure, nothing.statistics)[2][1:] == ["not located"] * 3
 
@@ -98,7 +98,7 @@ def test_a_figure_that_located_nothing_says_so(tmp_path: Path):
 def test_the_folder_holds_the_picture_and_nothing_else(tmp_path: Path):
     path, images = tmp_path / "new" / "figures.png", []
     for _ in range(2):
-        paper_figures(path, [result(6)])
+        save_figures(path, [result(6)])
         images.append(cv2.imread(str(path)))
     assert images[0] is not None
     np.testing.assert_array_equal(*images)
@@ -108,13 +108,13 @@ def test_the_folder_holds_the_picture_and_nothing_else(tmp_path: Path):
 def test_a_path_that_cannot_be_written_is_one_sentence(tmp_path: Path):
     (tmp_path / "figures.png").mkdir()
     with pytest.raises(VergenceError, match=r"^Cannot write .*figures\.png: .*\.$"):
-        paper_figures(tmp_path / "figures.png", [result(6)])
+        save_figures(tmp_path / "figures.png", [result(6)])
     assert [path.name for path in tmp_path.iterdir()] == ["figures.png"]
 
 
 def test_the_cost_of_depth_is_drawn_as_computed():
     head = nominal_head("2.8mm")
-    converge, cost, disparity = draw_depth(head).axes
+    converge, cost, disparity = draw_foveation(head).axes
     assert [line.get_label() for line in converge.lines] == ["left eye", "right eye"]
     assert len(disparity.lines) == 3
     for line, wrong_m in zip(cost.lines, WRONG_M, strict=True):

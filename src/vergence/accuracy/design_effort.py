@@ -105,7 +105,7 @@ def calibration_mean_square(
     moved = point_by_parameters(head, WIDE, points_m, joints)[..., columns].reshape(-1, len(names))
     found = []
     for std in joint_std_rad:
-        total = gained(information(linear, corner_std_px, np.full(4, std)), views.place)
+        total = gained(information(linear, corner_std_px, np.full(4, std)), views.placement)
         scale = 1 / np.sqrt(np.diag(total))
         L = np.linalg.cholesky(np.linalg.inv(total * np.outer(scale, scale)))
         spread = moved @ (scale[:, None] * L)

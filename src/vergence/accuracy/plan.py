@@ -102,11 +102,12 @@ def plan(
     linear = linearised_views(head, board, tried, known.names, known.scale)
     N = information(linear, accuracy.pixel_std_px or LEAST_PX, reading_stds(head))
     by_scaled = points.by_parameters * known.scale
-    chosen = choose(known.information, N, tried.place, by_scaled, views, progress)
-    chosen = chosen[np.argsort(tried.place[chosen], kind="stable")]
+    chosen = choose(known.information, N, tried.placement, by_scaled, views, progress)
+    chosen = chosen[np.argsort(tried.placement[chosen], kind="stable")]
     taken = tried.take(chosen)
     steps = [
-        known.information + gained(N[chosen[: k + 1]], taken.place[: k + 1]) for k in range(views)
+        known.information + gained(N[chosen[: k + 1]], taken.placement[: k + 1])
+        for k in range(views)
     ]
     covariances: Array = np.linalg.inv(np.array([known.information, *steps])).astype(float)
     std = largest_std(by_scaled, covariances)

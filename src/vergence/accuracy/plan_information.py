@@ -91,7 +91,7 @@ def linearised_views(
     The p parameters that are estimated have names, and units `scale` (p,).
     """
     at_a_time = max(1, CORNERS_AT_A_TIME // (board.columns * board.rows))
-    starts = range(0, len(views.place), at_a_time)
+    starts = range(0, len(views.placement), at_a_time)
     parts = [
         _linearised_part(head, board, views.take(np.s_[start : start + at_a_time]), names, scale)
         for start in starts
@@ -107,13 +107,13 @@ def linearised_views(
 def _linearised_part(
     head: HeadCalibration, board: Board, views: Views, names: tuple[str, ...], scale: Array
 ) -> LinearViews:
-    apart = Views(views.T_lbase_target, views.joints, np.arange(len(views.place)))
+    apart = Views(views.T_lbase_target, views.joints, np.arange(len(views.placement)))
     fixed = set(parameter_names(head)) - set(names)
     problem, state, _ = initial_state(
         head, as_seen(head, board, apart), fixed=fixed, T_cam_target=T_cam_target(head, apart)
     )
     shared, index, by_latent = jacobians(problem, state)
-    c, (B, n), V = head_size(problem), problem.reading.shape, len(views.place)
+    c, (B, n), V = head_size(problem), problem.reading.shape, len(views.placement)
     # Each view's place has the same six columns after those of the head; the board's size is known.
     of_size = index == len(problem.free) - 1
     index = np.where(of_size, 0, np.where(index < c, index, c + (index - c) % len(POSE)))

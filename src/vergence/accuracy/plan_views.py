@@ -39,12 +39,12 @@ class Views:
     """(V, 4, 4) where the board stands."""
     joints: Array
     """(V, r) readings of the eyes' joints [rad]."""
-    place: np.ndarray
+    placement: np.ndarray
     """(V,) of int: views with the same number have the board at the same place."""
 
     def take(self, rows: np.ndarray | slice) -> Views:
         """Return some of the views."""
-        return Views(self.T_lbase_target[rows], self.joints[rows], self.place[rows])
+        return Views(self.T_lbase_target[rows], self.joints[rows], self.placement[rows])
 
 
 def held_whole(head: HeadCalibration, board: Board, views: Views) -> np.ndarray:
@@ -120,7 +120,7 @@ def admissible_views(
     return Views(
         np.concatenate([each.T_lbase_target for each in found]),
         np.concatenate([each.joints for each in found]),
-        np.concatenate([each.place for each in found]),
+        np.concatenate([each.placement for each in found]),
     )
 
 
@@ -153,7 +153,7 @@ def as_seen(head: HeadCalibration, board: Board, views: Views) -> Observations:
         sizes[name] = (lens.width, lens.height)
     return Observations(
         board=board,
-        placement=views.place,
+        placement=views.placement,
         eye_angles=views.joints,
         corners=corners,
         sizes=sizes,

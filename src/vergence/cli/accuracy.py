@@ -42,7 +42,7 @@ def plan(
     """
     from vergence.commands.plan import as_plain, as_text, run
     from vergence.data.description import DESCRIPTION, FRAMES
-    from vergence.viewer.plots.plan import draw_plan
+    from vergence.viewer.plots.plan import save_plan
 
     check_outputs(json, figure=figure, inputs=[source, source / DESCRIPTION, source / FRAMES])
     with progress_bars() as progress:
@@ -59,7 +59,7 @@ def plan(
     if json is not None:
         write_json(as_plain(found), json)
     if figure is not None:
-        draw_plan(figure, found)
+        save_plan(figure, found)
 
 
 def design(
@@ -181,9 +181,9 @@ def budget(
     if json is not None:
         write_json(as_plain(found), json)
     if figure is not None:
-        from vergence.viewer.plots.budget import budget_figure
+        from vergence.viewer.plots.budget import save_budget
 
-        budget_figure(figure, found.budgets, f"{motion} motion")
+        save_budget(figure, found.budgets, f"{motion} motion")
     for k, own in enumerate(found.budgets):
         x, y, z = own.point_m
         title = f"({x:g}, {y:g}, {z:g}) m, {motion} motion: 1 std [mm]"

@@ -90,19 +90,19 @@ def write_report(
     looking = seen.eye_poses()[..., :3, 0]  # the eyes' own x, which looks ahead
     angles = dict(zip(EYES, np.moveaxis(pan_tilt_along(looking), 1, 0), strict=True))
     eyes = {eye: angles[eye] for eye in dataset.description.eyes}
-    plots.coverage(folder / "coverage.png", seen.corners, seen.sizes, eyes)
+    plots.save_coverage(folder / "coverage.png", seen.corners, seen.sizes, eyes)
     if result.estimate is not None:
         errors = result.estimate.residuals_px
         corners = {name: seen.corners[name] for name in errors}
         of_camera = {name: angles[result.head.cameras[name].eye] for name in errors}
-        plots.residuals(folder / "residuals.png", corners, errors, seen.sizes, of_camera)
+        plots.save_residuals(folder / "residuals.png", corners, errors, seen.sizes, of_camera)
         shown = {}
         for size, name, row in worst(result)[:WORST_SHOWN]:
             image = dataset.image(name, row)
             if image is not None:
                 title = f"line {dataset.lines[row]}, {name}: rms {size:.3f} px"
                 shown[title] = (image, seen.corners[name][row], errors[name][row])
-        plots.views(folder / "worst_views.png", shown)
+        plots.save_views(folder / "worst_views.png", shown)
     text = as_markdown(result, dataset)
     record_dataset(folder / "dataset.rrd", dataset, result, report=text, progress=progress)
     write_whole(folder / REPORT, text)

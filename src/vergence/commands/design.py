@@ -25,7 +25,7 @@ from vergence.commands.design_chunks import sweep
 from vergence.errors import VergenceError, explain
 from vergence.processes import process_count
 from vergence.progress import Progress, silent
-from vergence.viewer.plots.design import draw_axes, draw_design
+from vergence.viewer.plots.design import save_design, save_properties
 from vergence.writable import REPORT
 from vergence.writing import markdown_table, results_folder, whole_file, write_json, write_whole
 
@@ -102,8 +102,8 @@ def run(
         arrays["distances_m"] = np.array(settings.workspace.distances_m)
         with whole_file(out / "sweep.npz") as part, part.open("wb") as file:
             np.savez(file, **arrays)  # pyright: ignore[reportArgumentType]
-        draw_design(out / "design.png", swept, shown, accuracy_m, distance_m)
-        draw_axes(out / "properties.png", swept, shown, distance_m)
+        save_design(out / "design.png", swept, shown, accuracy_m, distance_m)
+        save_properties(out / "properties.png", swept, shown, distance_m)
         write_json(found, out / "design.json")
         write_whole(out / REPORT, as_markdown(found))
     return found

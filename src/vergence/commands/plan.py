@@ -127,7 +127,7 @@ def as_text(found: Plan) -> str:
     centres, normals = board_places(found)
     rows = []
     for k, joints in enumerate(found.views.joints):
-        same = k > 0 and found.views.place[k] == found.views.place[k - 1]
+        same = k > 0 and found.views.placement[k] == found.views.placement[k - 1]
         rows.append(
             (
                 str(k + 1),
@@ -174,7 +174,7 @@ def as_plain(found: Plan) -> dict[str, Any]:
                 "largest_std_m": float(std),
             }
             for place, centre, normal, T, joints, std in zip(
-                np.unique(found.views.place, return_inverse=True)[1],
+                np.unique(found.views.placement, return_inverse=True)[1],
                 centres,
                 normals,
                 found.views.T_lbase_target,

@@ -31,7 +31,7 @@ from vergence.progress import Progress, silent
 from vergence.self_calibration.sequence import SeenGeometry
 from vergence.twin.head import Twin
 from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors, unoccluded
-from vergence.viewer.plots.foveation import depth
+from vergence.viewer.plots.foveation import save_foveation
 from vergence.writing import markdown_table
 
 WITHIN_S = 0.5
@@ -190,7 +190,7 @@ def foveate(
     ):
         progress("foveate, trials", 0, trials)
         if out is not None:
-            depth(out / "depth.png", settings.calibration)
+            save_foveation(out / "depth.png", settings.calibration)
         free = partial(unoccluded, twin, margin_m=OBJECT_M)
 
         def record(state: GazeState, frame: Frame | None) -> None:

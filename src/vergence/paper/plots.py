@@ -27,12 +27,12 @@ _LEGEND = 0.25
 _STYLE: dict[str, Any] = {"fontsize": 12}
 
 
-def paper_figures(path: Path, results: Sequence[Replay]) -> None:
+def save_figures(path: Path, results: Sequence[Replay]) -> None:
     """Draw figures into a PNG file, as `draw` does."""
-    save(draw(results), path)
+    save(draw_figures(results), path)
 
 
-def draw(results: Sequence[Replay]) -> Canvas:
+def draw_figures(results: Sequence[Replay]) -> Canvas:
     """Draw figures as the paper does: estimated positions over time.
 
     Panels of a row have the same scale, so that parallel and divergent motion can be compared.

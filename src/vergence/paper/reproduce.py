@@ -17,7 +17,7 @@ from vergence.errors import VergenceError, check_seed
 from vergence.geometry.head import HeadCalibration, save_head
 from vergence.paper.comparison import LEARNED, PAPER, Comparison, before_looking, comparison
 from vergence.paper.figures import FIGURES, Figure
-from vergence.paper.plots import paper_figures
+from vergence.paper.plots import save_figures
 from vergence.paper.recording import figure_recording, log_results
 from vergence.paper.replay import Replay, as_plain, chosen, replay, sample_times, summaries
 from vergence.paper.report import TITLE, Reproduction, figure_report, report
@@ -127,7 +127,7 @@ def reproduce(
             _replay_all(settings, wanted, done, process_count(jobs), progress)
         finally:
             if done.replays:
-                paper_figures(out / "figures.png", list(done.replays.values()))
+                save_figures(out / "figures.png", list(done.replays.values()))
     return done
 
 

@@ -81,9 +81,8 @@ def _contrast_ratio(first: np.ndarray, second: np.ndarray, both: np.ndarray) -> 
     if not counted.any():
         return 1.0
     ratios = np.sqrt(squares[0][counted] / squares[1][counted])
-    order = np.argsort(ratios)
-    reached = np.cumsum(weights[counted][order])
-    return float(ratios[order][np.searchsorted(reached, reached[-1] / 2)])
+    median = np.quantile(ratios, 0.5, weights=weights[counted], method="inverted_cdf")
+    return float(median)
 
 
 def _means(image: np.ndarray, part: int) -> Array:

@@ -28,10 +28,6 @@ EDGE = 0.75
 class LensMap:
     """What is known of a camera in each cell of its image; ROWS from the top, COLUMNS."""
 
-    u: Array
-    """(COLUMNS,) middles of the cells [px]."""
-    v: Array
-    """(ROWS,) [px]."""
     std_px: Array
     """(ROWS, COLUMNS) standard deviation of the pixel of a direction, by the lens (root mean square
     of its coordinates); NaN where it reaches none, or where no covariance is stated."""
@@ -84,8 +80,6 @@ def _map(head: HeadCalibration, name: str, corners: Array, residuals: Array) -> 
         squares = np.bincount(cell, ((off - mean[cell]) ** 2).sum(axis=1), cells)
         error = np.sqrt(squares / (2 * (count - 1) * count))
     return LensMap(
-        u=u,
-        v=v,
         std_px=std,
         corners=count.reshape(ROWS, COLUMNS),
         residual_px=mean.reshape(ROWS, COLUMNS, 2),

@@ -12,7 +12,7 @@ from vergence.accuracy.budget import Budget
 from vergence.viewer.plots.canvas import BLUE, GREEN, RED, panels, save
 
 
-def budget_figure(path: Path, budgets: Sequence[Budget], title: str) -> None:
+def save_budget(path: Path, budgets: Sequence[Budget], title: str) -> None:
     """Draw the bars of `draw_budget` into a PNG file."""
     save(draw_budget(budgets, title), path)
 

@@ -13,7 +13,7 @@ from vergence.errors import counted
 from vergence.viewer.plots.canvas import BLUE, GREEN, RED, image_frame, panels, save
 
 
-def coverage(
+def save_coverage(
     path: Path,
     corners: Mapping[str, Array],
     sizes: Mapping[str, tuple[int, int]],
@@ -45,7 +45,7 @@ def coverage(
     save(canvas, path)
 
 
-def residuals(
+def save_residuals(
     path: Path,
     corners: Mapping[str, Array],
     errors: Mapping[str, Array],
@@ -86,7 +86,7 @@ def residuals(
     save(canvas, path)
 
 
-def views(path: Path, shown: Mapping[str, tuple[np.ndarray, Array, Array]]) -> None:
+def save_views(path: Path, shown: Mapping[str, tuple[np.ndarray, Array, Array]]) -> None:
     """Draw images with corners (K, 2), and residuals (K, 2) [px] as arrows, magnified 100 times."""
     canvas, grid = panels(len(shown), "The worst views; arrows: residuals x 100")
     for axes, (title, (image, corners, errors)) in zip(grid, shown.items(), strict=True):

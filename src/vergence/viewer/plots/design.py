@@ -19,7 +19,7 @@ CURVES = 7
 """Baselines that are drawn at most."""
 
 
-def draw_design(
+def save_design(
     path: Path, sweep: Sweep, place: tuple[int, ...], accuracy_m: float, distance_m: float
 ) -> None:
     """Draw the map of a design from above, its curves by baseline, and the front of costs."""
@@ -69,7 +69,7 @@ def draw_design(
     save(canvas, path)
 
 
-def draw_axes(path: Path, sweep: Sweep, place: tuple[int, ...], distance_m: float) -> None:
+def save_properties(path: Path, sweep: Sweep, place: tuple[int, ...], distance_m: float) -> None:
     """Draw how accuracy follows from one property at a time, the others being the design's."""
     canvas, all_axes = panels(
         len(AXES), f"Worst error at {distance_m:g} m by one property at a time", columns=4

@@ -24,12 +24,12 @@ WRONG_PX = (0.5, 1.0, 2.0)
 _SHADES = ("#8fb4f0", "#4a7fe0", "#12389b")
 
 
-def depth(path: Path, calibration: HeadCalibration) -> None:
-    """Draw the plots of `draw_depth` into a PNG file."""
-    save(draw_depth(calibration), path)
+def save_foveation(path: Path, calibration: HeadCalibration) -> None:
+    """Draw the plots of `draw_foveation` into a PNG file."""
+    save(draw_foveation(calibration), path)
 
 
-def draw_depth(calibration: HeadCalibration) -> Canvas:
+def draw_foveation(calibration: HeadCalibration) -> Canvas:
     """Draw how the ideal wide pixel converges with depth, and what errors of depth cost."""
     canvas, (converge, cost, disparity) = panels(
         3, "Where to hold an object in the wide image so that it falls on the fovea", columns=3

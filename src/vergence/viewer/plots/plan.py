@@ -15,7 +15,7 @@ from vergence.viewer.plots.canvas import BLUE, GREEN, RED, panels, save
 AXES = "xyz"
 
 
-def draw_plan(path: Path, plan: Plan) -> None:
+def save_plan(path: Path, plan: Plan) -> None:
     """Draw a plan into a PNG file."""
     canvas, (above, side, curve) = panels(3, "Views to record next", columns=3)
     T = T_head_base(plan.head, "left")
