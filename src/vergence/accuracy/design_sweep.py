@@ -57,12 +57,6 @@ def located_points(settings: DesignSettings) -> tuple[Array, Array]:
     return points, np.radians(where.off_deg)[off.ravel()]
 
 
-def combinations(settings: DesignSettings) -> int:
-    """Return how many (design, point, posture) a sweep computes."""
-    points, _ = located_points(settings)
-    return int(costs(settings).size * points.shape[0] * points.shape[1])
-
-
 def chunk_shape(settings: DesignSettings) -> tuple[int, ...]:
     """Return the shape of what compute_chunk returns."""
     own = (len(getattr(settings.designs, name)) for name in AXES[len(CHUNK_AXES) :])

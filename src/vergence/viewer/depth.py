@@ -13,8 +13,7 @@ The world is the left eye's base frame.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import cv2
@@ -40,11 +39,11 @@ POINTS = 30_000
 """About how many points of a pair are drawn."""
 
 
-@contextmanager
-def depth_recording(path: Path, head: HeadCalibration) -> Iterator[rr.RecordingStream]:
+def depth_recording(
+    path: Path, head: HeadCalibration
+) -> AbstractContextManager[rr.RecordingStream]:
     """Record dense depth in a `with` block, as `recording_file` does."""
-    with recording_file(path, "depth", _blueprint(), head, ()) as rec:
-        yield rec
+    return recording_file(path, "depth", _blueprint(), head, ())
 
 
 def log_depth(
