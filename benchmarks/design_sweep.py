@@ -28,7 +28,7 @@ from simulated_recording import BOARD, Noise, Recording, record
 from vergence.accuracy.design import gaze_at
 from vergence.accuracy.design_effort import calibration_mean_square, designed_head
 from vergence.accuracy.design_settings import DesignSettings, chunks
-from vergence.accuracy.design_sweep import combinations, compute_chunk, located_points
+from vergence.accuracy.design_sweep import compute_chunk, costs, located_points
 from vergence.accuracy.plan_workspace import point_by_parameters
 from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
 from vergence.commands.design_chunks import sweep
@@ -51,7 +51,8 @@ class Config:
 def speed(repeats: int) -> float:
     """Print combinations a second, and return those of all cores."""
     settings = DesignSettings()
-    count = combinations(settings)
+    points, _ = located_points(settings)
+    count = costs(settings).size * points[..., 0].size
     started = time.process_time()
     for chunk in chunks(settings):
         compute_chunk(chunk)

@@ -58,6 +58,8 @@ class Recording:
     """If so, but for differences of this standard deviation."""
     gaze_rad: tuple[float, float] = (0.0, 0.0)
     """Pan and tilt of both eyes before the boards of which each stands elsewhere."""
+    gaze_spread_rad: float = 0.0
+    """By how much the readings before these boards differ from that, at most."""
     slant_rad: tuple[float, float] | None = None
     """One slant for all boards; None: each its own, up to 0.6 rad."""
     noise: Noise = Noise(pixel_px=0.1, joint_rad=np.radians(0.1))
@@ -195,6 +197,8 @@ def record(
     if how.apart_rad:
         other = other + rng.normal(0, how.apart_rad, other.shape)
     ahead = np.tile(how.gaze_rad, (still, 2))
+    if how.gaze_spread_rad:
+        ahead = ahead + rng.uniform(-how.gaze_spread_rad, how.gaze_spread_rad, ahead.shape)
     slants = rng.uniform(-0.6, 0.6, (still + 1, 2))
     if how.slant_rad is not None:
         slants[:] = how.slant_rad

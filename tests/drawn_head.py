@@ -1,4 +1,4 @@
-"""A head that follows its set points exactly and draws its own images: gaze without MuJoCo."""
+"""A head that follows its set points, exactly by default, and draws its images: no MuJoCo."""
 
 from collections.abc import Callable, Sequence
 
@@ -7,7 +7,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.gaze.commands import EYE_READINGS, NECK, HeadCommand, JointLimits, hold, setpoint
+from vergence.gaze.commands import EYE_READINGS, NECK, HeadCommand, JointLimits, commanded, hold
 from vergence.gaze.foveation import gaze_angles
 from vergence.geometry.camera import pinhole, project
 from vergence.geometry.head import HeadCalibration, MountedCamera, T_base_cam, T_body_base
@@ -57,10 +57,13 @@ class DrawnHead:
         joint_noise_rad: float = 0.0,
         joint_gain: float = 1.0,
         joint_lag_s: float = 0.0,
+        servo_lag_s: float = 0.0,
+        period_s: float = PERIOD_S,
     ):
         self.calibration, self.path = four_cameras(), path
         self.latency_s, self.dropped, self.repeated = latency_s, dropped, repeated
         self.stuck, self.joint_lag_s = stuck, joint_lag_s
+        self.servo_lag_s, self.period_s = servo_lag_s, period_s
         self.noise, self.gain = joint_noise_rad, joint_gain
         self.commands: list[HeadCommand] = [hold(np.zeros(7), JointLimits(), -1.0)]
         self.number, self.time_s = -1, 0.0
@@ -76,14 +79,17 @@ class DrawnHead:
 
     def posture(self, time_s: float) -> Array:
         """Return the true joint angles (7,) [rad]; NaN in `stuck` means free."""
-        in_force = [command for command in self.commands if command.time_s <= time_s]
-        angles = setpoint(in_force[-1], time_s)
+        angles = commanded(self.commands, time_s)
+        if self.servo_lag_s:  # of the first order
+            ages = np.linspace(0, 5, 51)
+            sent = [commanded(self.commands, time_s - self.servo_lag_s * age) for age in ages]
+            angles = np.average(sent, axis=0, weights=np.exp(-ages))
         held = self.stuck(time_s)
         return angles if held is None else np.where(np.isnan(held), angles, held)
 
     def read(self, cameras: Sequence[str]) -> Frame | None:
         self.number += 1
-        image_s = self.number * PERIOD_S
+        image_s = self.number * self.period_s
         self.time_s = image_s + self.latency_s
         if self.dropped(self.number):
             return None

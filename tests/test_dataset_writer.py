@@ -1,5 +1,6 @@
 """Datasets that are written: what stands there is what was meant, or nothing is."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -113,6 +114,40 @@ def test_what_could_not_be_read_back_is_not_written(tmp_path, change, said):
     with pytest.raises(VergenceError, match=said):
         write_dataset(tmp_path / "set", about(), [*good, wrong])
     assert not (tmp_path / "set").exists()
+
+
+def test_images_are_those_of_their_row_though_the_driver_uses_one_array_again(tmp_path):
+    made = entries(40, np.random.default_rng(1))
+    buffer = {name: np.zeros((24, 32), np.uint8) for name in ("left_wide", "right_wide")}
+
+    def driver() -> Iterator[DatasetRow]:
+        for k, row in enumerate(made):
+            for image in buffer.values():
+                image[:] = k
+            images = {name: buffer[name] for name in row.frame.images}
+            yield replace(row, frame=replace(row.frame, images=images))
+
+    write_dataset(tmp_path / "set", about(), driver())
+    dataset = load_dataset(tmp_path / "set")
+    for k in range(len(made)):
+        image = dataset.image("left_wide", k)
+        assert image is not None
+        assert (image == k).all()
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"time_s": None}, r"time stamps of a row are numbers; found \(None, "),
+        ({"eye_angles": [0.1, "x", 0.0, 0.0]}, "readings of a row are numbers; found .*'x'"),
+    ],
+)
+def test_what_are_no_numbers_is_refused(tmp_path, changed, said: str):
+    (row,) = entries(1, np.random.default_rng(1))
+    with pytest.raises(VergenceError, match=said):
+        write_dataset(
+            tmp_path / "set", about(), [replace(row, frame=replace(row.frame, **changed))]
+        )
 
 
 def test_poses_take_the_place_of_angles_and_are_read_back_exactly(tmp_path):

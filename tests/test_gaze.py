@@ -9,6 +9,7 @@ import pytest
 from drawn_head import DrawnHead, four_cameras, point_at, straight_to
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
+from vergence.errors import VergenceError
 from vergence.gaze.commands import (
     EYE_READINGS,
     HEAD_JOINTS,
@@ -20,6 +21,8 @@ from vergence.gaze.commands import (
 from vergence.gaze.controller import run_gaze, step_gaze
 from vergence.gaze.observation import posture_at_image
 from vergence.gaze.state import GazePhase, GazeSettings, GazeState, initial_gaze_state
+from vergence.geometry.camera import Camera
+from vergence.vision.detector import Detection
 
 SETTINGS = GazeSettings(calibration=four_cameras())
 
@@ -51,7 +54,7 @@ def run(head: DrawnHead, seconds: float, settings: GazeSettings = SETTINGS) -> R
 
     begin = initial_gaze_state(settings, np.zeros(7), 0.0)
     run_gaze(head, settings, begin, seconds, watch=keep)
-    times = np.arange(len(states)) / 30
+    times = np.arange(len(states)) * head.period_s
     return Run(head, states, times, np.array([head.errors_px(t) for t in times]))
 
 
@@ -119,6 +122,60 @@ def test_readings_that_are_older_than_the_image_are_carried_to_it():
         if state.measured is not None
     ]
     assert np.median(errors) < 2e-3
+
+
+@pytest.mark.parametrize("servo_lag_s", [0.005, 0.02, 0.05])
+def test_joints_that_lag_behind_their_set_points_come_to_rest(servo_lag_s: float):
+    target = point_at(12, -8, 0.8)
+    head = DrawnHead(lambda _: target, latency_s=0.06, servo_lag_s=servo_lag_s)
+    done = run(head, 1.5, replace(SETTINGS, servo_lag_s=servo_lag_s))
+    assert done.after(1.0).max() < 0.5
+
+
+def test_a_lag_of_which_the_controller_knows_nothing_makes_no_object_move():
+    target = point_at(12, -8, 0.8)
+    done = run(DrawnHead(lambda _: target, latency_s=0.03, servo_lag_s=0.01), 1.5)
+    assert done.after(1.0).max() < 0.5
+
+
+def test_frames_that_come_fast_and_late_are_used_at_their_time():
+    """More commands are sent than half a second of them at the rate of a video."""
+    target = point_at(12, -8, 0.8)
+    done = run(DrawnHead(lambda _: target, latency_s=0.15, period_s=1 / 150), 1.2)
+    assert done.after(0.8).max() < 0.5
+
+
+def test_rays_of_two_eyes_that_do_not_meet_are_followed_at_the_assumed_depth():
+    head = DrawnHead(lambda _: point_at(0, 0, 0.6))
+    frame = head.read(SETTINGS.cameras)
+    assert frame is not None
+
+    def apart(image: np.ndarray, camera: Camera, near: Array | None) -> Detection:
+        left = image is frame.images["left_wide"] or image is frame.images["left_narrow"]
+        return Detection(np.array([100.0 if left else 540.0, 240.0]), 0.1)
+
+    settings = replace(SETTINGS, objects={"sphere": apart})
+    state = step_gaze(settings, initial_gaze_state(settings, np.zeros(7), 0.0), frame, 0.0)
+    assert state.phase is GazePhase.SACCADE
+    assert state.measured is None
+    assert np.isfinite(state.command.goal).all()
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"time_s": np.nan}, "Time stamps are finite; found nan s of the images"),
+        ({"joint_time_s": -1000.0}, "by one clock, .* found 0.0+ s of the images and -1000.0+ s"),
+        ({"time_s": 1000.0, "joint_time_s": 1000.0}, "stamped 1000.000 s after now"),
+        ({"images": {"left_wide": None}}, "image of left_wide is None"),
+    ],
+)
+def test_time_stamps_of_another_clock_and_missing_images_are_named(changed, said: str):
+    frame = DrawnHead(lambda _: point_at(0, 0, 0.6)).read(SETTINGS.cameras)
+    assert frame is not None
+    state = initial_gaze_state(SETTINGS, np.zeros(7), 0.0)
+    with pytest.raises(VergenceError, match=said):
+        step_gaze(SETTINGS, state, replace(frame, **changed), 0.0)
 
 
 def test_repeated_and_missing_frames_are_tolerated():

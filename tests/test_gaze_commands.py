@@ -39,6 +39,13 @@ def test_set_points_keep_ranges_and_speeds(start, goal, rate, time_s):
     assert (now <= np.maximum(upper, start - reach) + 1e-12).all()
 
 
+def test_a_goal_that_moves_too_fast_is_followed_at_the_speed_of_the_joints():
+    fast = command(goal=-0.3, rate=100.0)
+    now = np.array([setpoint(fast, t) for t in np.linspace(1, 1.15, 301)])
+    speed = np.abs(np.diff(now, axis=0)) / (0.15 / 300)
+    assert (speed.max(axis=0) <= LIMITS.speed_rad_s + 1e-9).all()
+
+
 def test_a_goal_is_reached_and_followed_until_no_further_command_comes():
     moving = command(goal=0.1, rate=0.5)
     np.testing.assert_allclose(setpoint(moving, 1.05), 0.125)

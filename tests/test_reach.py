@@ -14,6 +14,7 @@ from vergence.gaze.state import GazeSettings
 from vergence.geometry.se3 import pose, rotation
 from vergence.reach.controller import run_reach, step_reach
 from vergence.reach.state import (
+    HandReading,
     ReachPhase,
     ReachSettings,
     ReachState,
@@ -175,6 +176,22 @@ def test_a_hand_that_closed_on_nothing_opens_again():
         phases.append(state.phase)
     assert phases[0] is ReachPhase.HELD
     assert ReachPhase.SERVO in phases
+
+
+def test_a_pose_of_the_hand_that_is_not_finite_is_left_out_and_the_others_are_kept():
+    head = DrawnHeadWithHand(still, home=SETTINGS.home)
+    state, _ = run(head, 0.5)
+    T = np.eye(4)
+    moments = head.now_s() + np.array([0.1, 0.2])
+    for time_s, x in zip(moments, (0.3, 0.4), strict=True):
+        T[0, 3] = x  # a driver that uses one array again
+        state = step_reach(SETTINGS, state, None, HandReading(time_s, T), time_s)
+    lost = HandReading(moments[1] + 0.1, np.full((4, 4), np.nan))
+    after = step_reach(SETTINGS, state, None, lost, moments[1] + 0.1)
+    assert np.isfinite(after.command.goal).all()
+    assert [each.T_body_hand[0, 3] for each in after.readings[-2:]] == [0.3, 0.4]
+    with pytest.raises(VergenceError, match=r"pose \(4, 4\); found shape \(3,\)"):
+        step_reach(SETTINGS, state, None, HandReading(1e3, np.zeros(3)), 1e3)
 
 
 def test_a_detector_of_markers_that_answers_wrongly_is_named():

@@ -139,6 +139,14 @@ def test_without_straight_gaze_the_eyes_are_related_by_boards_that_both_see():
     assert_same(found.head.T_rbase_lbase, truth.T_rbase_lbase)
 
 
+def test_straight_gaze_that_varies_is_taken_as_it_was_read():
+    rng = np.random.default_rng(2)
+    truth = random_head(rng, lenses=("wide",), perfect_axes=True)
+    observed = record(truth, rng, Recording(gaze_spread_rad=0.034, noise=EXACT))
+    found = calibrate_sequentially(observed)
+    assert_same(found.head.T_rbase_lbase, truth.T_rbase_lbase)
+
+
 def test_eyes_that_see_a_board_at_rest_one_after_the_other_are_related_by_it():
     rng = np.random.default_rng(2)
     truth = random_head(rng, lenses=("wide",), perfect_axes=True)

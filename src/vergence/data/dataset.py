@@ -100,7 +100,7 @@ class Dataset:
         if image is None or image.dtype == np.uint8:
             return image
         if camera not in self._bits:
-            self._bits[camera] = self._filled_bits(camera)
+            self._bits[camera] = self._filled_bits(camera, image)
         return eight_bits(image, self._bits[camera])
 
     @cached_property
@@ -108,15 +108,18 @@ class Dataset:
         """By camera, how many bits of its images of 16 bits are filled: a cache."""
         return {}
 
-    def _filled_bits(self, camera: str) -> int:
-        """Return how many bits a camera fills, as stated or by its first image of 16 bits."""
+    def _filled_bits(self, camera: str, image: np.ndarray) -> int:
+        """Return how many bits a camera fills, as stated or by images over the whole recording.
+
+        By one of 16 bits, and others, of which the first may be dark.
+        """
         stated = self.description.cameras[camera].bits
         if stated is not None:
             return stated
-        rows = (k for k, name in enumerate(self.files[camera]) if name is not None)
-        images = (self._decoded(camera, k) for k in rows)
-        deep = (image for image in images if image is not None and image.dtype != np.uint8)
-        return filled_bits(next(deep))
+        rows = [k for k, name in enumerate(self.files[camera]) if name is not None]
+        images = (self._decoded(camera, k) for k in rows[:: 1 + len(rows) // _BRIGHTEST_OF])
+        deep = [each for each in images if each is not None and each.dtype != np.uint8]
+        return max(map(filled_bits, (image, *deep)))
 
     def _decoded(self, camera: str, row: int) -> np.ndarray | None:
         path = self.folder / str(self.files[camera][row])
@@ -146,6 +149,8 @@ class Dataset:
         return f"{self.folder / FRAMES}, line {self.lines[row]}"
 
 
+_BRIGHTEST_OF = 12
+"""Images over a recording by which it is guessed how many bits a camera fills."""
 MAX_GAP_S = 0.2
 """Longest time between successive rows of one motion."""
 

@@ -100,8 +100,8 @@ def _write_frames(folder: Path, description: Description, rows: Iterable[Dataset
         for number, row in enumerate(rows):
             if not isinstance(row, DatasetRow):
                 raise VergenceError(f"Row {number} is not a DatasetRow; found {row!r:.80}.")
-            _check_images(description, row.frame)
             now = number + 2, _cells(description, row)
+            _check_images(description, row.frame)
             first, before = first or now, before or now
             same = of_placement.setdefault(str(row.placement), now)
             # What the reader compares a row with: the first, the one before, and its placement's.
@@ -110,7 +110,9 @@ def _write_frames(folder: Path, description: Description, rows: Iterable[Dataset
             images = {camera: f"images/{number:05d}_{camera}.png" for camera in row.frame.images}
             table.writerow(now[1] | images)
             for camera, image in row.frame.images.items():
-                pending.append(pool.submit(_write_image, folder / images[camera], image))
+                # A copy, since a driver may write its next image into the same array.
+                own = np.array(image)
+                pending.append(pool.submit(_write_image, folder / images[camera], own))
             while len(pending) > 8 * workers:  # bounds the memory of images that wait
                 pending.popleft().result()
         for each in pending:
@@ -122,9 +124,10 @@ def _write_frames(folder: Path, description: Description, rows: Iterable[Dataset
 def _cells(description: Description, row: DatasetRow) -> _Cells:
     """Return a row's cells by column, without its images."""
     frame = row.frame
+    time_s, joint_time_s = _numbers("time stamps", (frame.time_s, frame.joint_time_s)).tolist()
     cells: _Cells = {
-        TIME: float(frame.time_s),
-        JOINT_TIME: float(frame.joint_time_s),
+        TIME: time_s,
+        JOINT_TIME: joint_time_s,
         PLACEMENT: row.placement,
         MOVING: int(row.moving),
     }
@@ -135,10 +138,10 @@ def _cells(description: Description, row: DatasetRow) -> _Cells:
     ):
         if np.shape(found) != (len(names),):
             raise VergenceError(
-                f"The row at {frame.time_s:g} s needs the readings {', '.join(names)}; found an "
+                f"The row at {time_s:g} s needs the readings {', '.join(names)}; found an "
                 f"array of shape {np.shape(found)}."
             )
-        angles |= dict(zip(names, found, strict=True))
+        angles |= dict(zip(names, _numbers("readings", found).tolist(), strict=True))
     for name, joint in description.sources.items():
         if name not in angles:
             continue  # it shares its column with another
@@ -148,12 +151,22 @@ def _cells(description: Description, row: DatasetRow) -> _Cells:
         if row.T_base_eye is None or np.shape(row.T_base_eye) != (2, 4, 4):
             found = "none" if row.T_base_eye is None else f"shape {np.shape(row.T_base_eye)}"
             raise VergenceError(
-                f"The row at {frame.time_s:g} s needs the poses of both eyes, T_base_eye (2, 4, 4);"
+                f"The row at {time_s:g} s needs the poses of both eyes, T_base_eye (2, 4, 4);"
                 f" found {found}."
             )
         poses = np.asarray(row.T_base_eye)[[EYES.index(eye) for eye in description.eyes]]
         cells |= dict(zip(description.pose_columns, poses.ravel().tolist(), strict=True))
     return cells
+
+
+def _numbers(what: str, found: object) -> Array:
+    """Return numbers as an array; VergenceError: there is something else."""
+    try:
+        if None in np.asarray(found, object):
+            raise TypeError
+        return np.array(found, float)
+    except (TypeError, ValueError):
+        raise VergenceError(f"The {what} of a row are numbers; found {found!r:.80}.") from None
 
 
 def _check_lines(description: Description, lines: dict[int, _Cells]) -> None:

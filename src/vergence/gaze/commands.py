@@ -123,9 +123,10 @@ def setpoint(command: HeadCommand, time_s: float) -> Array:
     A joint that starts beyond its range comes back to it at its speed.
     """
     elapsed = max(time_s - command.time_s, 0.0)
-    goal = command.goal + command.rate * min(elapsed, HOLD_S)
+    speed = command.limits.speed_rad_s
+    goal = command.goal + np.clip(command.rate, -speed, speed) * min(elapsed, HOLD_S)
     goal = np.clip(goal, *command.limits.setpoint_range_rad.T)
-    reach = command.limits.speed_rad_s * elapsed
+    reach = speed * elapsed
     return command.start + np.clip(goal - command.start, -reach, reach)
 
 

@@ -37,6 +37,7 @@ from vergence.gaze.kalman import Track
 from vergence.gaze.observation import (
     Rays,
     aim_by_one_eye,
+    check_times,
     detect_object,
     is_central,
     measure,
@@ -51,8 +52,8 @@ from vergence.geometry.se3 import inverse, transform
 
 _RATE_STEP_S = 1e-3
 """Time over which the rate of the angles to the object is taken as a difference."""
-_KEPT = 15
-"""Commands that are kept beside the latest one: half a second of them."""
+_KEPT_S = 0.5
+"""For how long commands are kept: images that are older are of no use."""
 _SEARCH_RAD = np.array(
     [(0, 0), (0.5, 0), (-0.5, 0), (-0.5, 0.3), (0.5, 0.3), (0.5, -0.3), (-0.5, -0.3)]
 )
@@ -88,11 +89,16 @@ def step_gaze(
         state: the present one.
         frame: the latest; None, a repeated frame or an older one counts as no new frame.
         now_s: time from which the command can take effect, not before the frame's time stamp.
+
+    Raises:
+        VergenceError: what the frame has is not of this head, as `observation.detect_object` says;
+            or its time stamps are not finite, of different clocks, or of another one than now_s.
     """
     if frame is None or frame.time_s <= state.frame_s:
         if not isinstance(state.target, str):
             return state  # images do not tell where a given point is
         return _without_detection(settings, state, now_s)
+    check_times(frame, now_s)
     state = detect_object(settings, state, frame)
     if frame.time_s < state.landing_s:
         return replace(state, cameras=settings.cameras)
@@ -132,7 +138,7 @@ def _follow(
         eyes_now = gaze_angles(calibration, aim_now, cameras=settings.narrow)
         state = _turn_neck(settings, state, eyes_now, now_s)
     moments = np.array([image_s, now_s, now_s + _RATE_STEP_S])
-    velocity = aim.velocity * _is_moving(settings, aim)
+    velocity = aim.velocity * _is_moving(settings, state)
     points = aim.position + (moments - image_s)[:, None] * velocity
     necks = np.stack([neck_then, neck_now, neck_now + _RATE_STEP_S * state.neck_rate])
     left = _in_left_base(settings, points, necks)
@@ -193,7 +199,7 @@ def _move_eyes(
     elif not foveal or (goal < lower).any() or (goal > upper).any():  # until the neck follows
         phase = GazePhase.SACCADE
     else:
-        moving = state.aim is not None and _is_moving(settings, state.aim)
+        moving = _is_moving(settings, state)
         phase = GazePhase.PURSUIT if moving else GazePhase.FIXATION
     command = HeadCommand(
         now_s,
@@ -223,11 +229,22 @@ def _move_eyes(
 
 def _send(state: GazeState, command: HeadCommand, **changes: Any) -> GazeState:
     """Return the state with a new command in force, and with other changed fields."""
-    return replace(state, commands=(*state.commands[-_KEPT:], command), **changes)
+    *older, latest = state.commands
+    kept = [each for each in older if each.time_s > command.time_s - _KEPT_S]
+    return replace(state, commands=(*kept, latest, command), **changes)
 
 
-def _is_moving(settings: GazeSettings, track: Track) -> bool:
-    """Return whether a tracked point moves across the line of sight from frame body's origin."""
+def _is_moving(settings: GazeSettings, state: GazeState) -> bool:
+    """Return whether the object moves across the line of sight from frame body's origin.
+
+    By the commands and, where it is tracked by readings, by these too: joints that lag behind their
+    set points make an object at rest seem to move, and to follow it would keep them moving.
+    """
+    tracks = [track for track in (state.aim, state.track) if track is not None]
+    return bool(tracks) and all(_moves(settings, track) for track in tracks)
+
+
+def _moves(settings: GazeSettings, track: Track) -> bool:
     distance = np.linalg.norm(track.position)
     across = np.linalg.norm(np.cross(track.position / distance, track.velocity))
     return bool(across > settings.moving_rad_s * distance)

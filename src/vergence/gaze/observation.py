@@ -9,6 +9,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
+from vergence.data.table import MAX_DELAY_S
 from vergence.errors import VergenceError
 from vergence.gaze.commands import EYE_READINGS, NECK, commanded
 from vergence.gaze.kalman import InnovationRatio, Track, begin, fuse, predict, update_ratio
@@ -24,6 +25,31 @@ from vergence.vision.detector import Detection, Detector
 Rays = Mapping[Side, tuple[Array, Array]]
 """By eye that sees the object: origin (3,) [m] and direction (3,) of the ray to it, in the eye's
 base frame."""
+
+
+_LAGUERRE = np.polynomial.laguerre.laggauss(12)
+"""Nodes and weights of the integral of exp(-x) f(x) from 0 to infinity."""
+
+
+def check_times(frame: Frame, now_s: float) -> None:
+    """Raise VergenceError if time stamps are not finite, or not of the clock that now_s is of."""
+    image_s, joint_s = frame.time_s, frame.joint_time_s
+    if not np.isfinite(np.array([image_s, joint_s, now_s], float)).all():
+        raise VergenceError(
+            f"Time stamps are finite; found {image_s} s of the images and {joint_s} s of the joint "
+            f"readings, at {now_s} s."
+        )
+    if abs(image_s - joint_s) > MAX_DELAY_S:
+        raise VergenceError(
+            "Images and joint readings are stamped by one clock, and differ by at most "
+            f"{MAX_DELAY_S:g} s; found {image_s:.6f} s of the images and {joint_s:.6f} s of the "
+            "readings."
+        )
+    if image_s > now_s + MAX_DELAY_S:
+        raise VergenceError(
+            f"The frame is stamped {image_s - now_s:.3f} s after now; the driver's clock "
+            "(`now_s`) is the one that stamps its frames."
+        )
 
 
 def detect_object(settings: GazeSettings, state: GazeState, frame: Frame) -> GazeState:
@@ -89,6 +115,8 @@ def detect(
     by the name of its target in the message, returns something else than a `Detector` does.
     """
     image, intrinsics = frame.images[camera], settings.calibration.camera(camera).intrinsics
+    if image is None:
+        raise VergenceError(f"The image of {camera} is None; leave out cameras that gave none.")
     check_image_fits(camera, intrinsics, image.shape, whose="the frame's")
     found = detector(image, intrinsics, near)
     if found is None:
@@ -147,7 +175,11 @@ def posture_at_image(settings: GazeSettings, state: GazeState, frame: Frame) -> 
     """
     use_reading = np.isin(settings.joints, state.stuck)
     use_reading[NECK] = True
-    sent = commanded(state.commands, frame.time_s)
+    # A lag of the first order: past set points, weighted by exp(-age / lag).
+    sent = sum(
+        weight * commanded(state.commands, frame.time_s - settings.servo_lag_s * age)
+        for age, weight in zip(*_LAGUERRE, strict=True)
+    )
     return np.where(use_reading, readings_at_image(settings, state, frame), sent)
 
 
@@ -241,13 +273,15 @@ def aim_by_one_eye(
 ) -> GazeState:
     """Return the state with an aim at an assumed depth, where only one eye sees the object.
 
-    An aim that lies near that eye's ray is kept, because its depth is known better. Once both
-    eyes see the object, the measurement replaces the assumption. On a head that uses one eye the
-    assumption is all there is: its direction is fused over time, so that a motion is followed.
+    It is assumed also where there is no aim yet and the rays of both do not meet, as to a thing
+    that is far away, or to two things. An aim that lies near that eye's ray is kept, because its
+    depth is known better. Once both eyes see the object, the measurement replaces the assumption.
+    On a head that uses one eye the assumption is all there is: its direction is fused over time, so
+    that a motion is followed.
     """
-    if len(rays) != 1:
+    if len(rays) > 1 and state.aim is not None:
         return state
-    ((eye, (centre, ray)),) = rays.items()
+    eye, (centre, ray) = next(iter(rays.items()))
     T_body_eye = T_body_base(settings.calibration, eye, posture)
     ray = ray / np.linalg.norm(ray)
     if len(settings.eyes) == 1:

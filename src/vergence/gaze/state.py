@@ -53,12 +53,15 @@ class GazeSettings:
     is not moved, and not used."""
     geometry: Geometry = "joints"
     """What tells how the eyes stand when the object is located: the joint readings, or these and
-    the calibration as corrected by what both wide images show. Steering is the same."""
+    the calibration as corrected by what both wide images show. Steering is the same, but for when
+    an object counts as moving."""
     limits: JointLimits = field(default_factory=JointLimits)
     use_neck: bool = False
     """Whether the neck shares in a gaze shift."""
     joint_std_rad: float = 1e-3
     """Standard deviation of a joint reading, with all errors that the two eyes do not share."""
+    servo_lag_s: float = 0.0
+    """Time constant with which the eyes follow their set points; up to 5 ms it may be left at 0."""
     command_std_rad: float = 2e-4
     """Standard deviation of a joint angle about its set point."""
     motion: MotionModel = field(default_factory=MotionModel)
@@ -111,6 +114,10 @@ class GazeSettings:
             raise VergenceError(
                 f"The limits are those of {', '.join(self.limits.joints)}, but the joints of this "
                 f"head are {', '.join(self.joints)}: give `joint_limits(..., joints=...)`."
+            )
+        if not 0 <= self.servo_lag_s < np.inf:
+            raise VergenceError(
+                f"servo_lag_s is a time of 0 s or more, found {self.servo_lag_s:g} s."
             )
         if self.geometry not in get_args(Geometry):
             raise VergenceError(

@@ -52,7 +52,7 @@ class Neck:
 
 def checked_neck_angles(angles: ArrayLike) -> Array:
     """Return the neck angles (3,) [rad] of a frame; VergenceError if they are something else."""
-    angles = np.asarray(angles, float)
+    angles = np.array(angles, float)  # a copy, since a driver may write the next into the array
     if angles.shape != (len(NECK_JOINTS),) or not np.isfinite(angles).all():
         raise VergenceError(
             f"A frame has the {len(NECK_JOINTS)} neck angles {', '.join(NECK_JOINTS)} [rad], all "

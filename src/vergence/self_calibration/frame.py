@@ -71,7 +71,8 @@ def self_calibrate_frame(
     left, right = (checked_image(image, "Self-calibration") for image in (left, right))
     for name, lens, image in zip(state.cameras, cameras, (left, right), strict=True):
         check_image_fits(name, lens, image.shape, whose="the frame's")
-    joints = checked_readings(state.head.kinematics, joints, one_posture=True)
+    # A copy, since a driver may write its next readings into the same array.
+    joints = checked_readings(state.head.kinematics, joints, one_posture=True).copy()
     if not np.isfinite(joints).all():
         raise VergenceError(
             "Self-calibration corrects the readings of the moment of the images; found "

