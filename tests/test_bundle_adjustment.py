@@ -6,8 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulated_head import probability, rough_start, skewed_head
-from simulated_recording import EXACT, POINTS, Noise, two_boards
+from simulated_head import probability, random_head, rough_start, skewed_head
+from simulated_recording import (
+    EXACT,
+    POINTS,
+    Noise,
+    moving_recording,
+    still_recording,
+    two_boards,
+)
 from vergence.arrays import Array
 from vergence.calibration.bundle import adjustment
 from vergence.calibration.bundle.bundle_adjustment import (
@@ -20,7 +27,7 @@ from vergence.calibration.bundle.solver import minimise
 from vergence.calibration.observations import Observations
 from vergence.data.timing import Timing
 from vergence.errors import VergenceError
-from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head import HeadCalibration, pixel_stds
 from vergence.geometry.parameters import boxminus, parameter_names, without_offsets
 from vergence.vision.board_pose import board_poses
 
@@ -247,6 +254,48 @@ def test_noise_that_is_given_may_be_far_below_the_errors_of_the_start():
     found = bundle_adjust(start, observed, pixel_std_px=0.01, joint_std=0.01)
     assert not found.void
     assert_within_stated(found, head)
+
+
+def test_cameras_that_differ_in_noise_have_levels_of_their_own():
+    _, observed, start = simulated(36, NOISY)
+    rng = np.random.default_rng(0)
+    corners = dict(observed.corners)
+    for name in ("right_wide", "right_narrow"):
+        corners[name] = corners[name] + rng.normal(0, 0.4, corners[name].shape)
+    found = bundle_adjust(start, replace(observed, corners=corners))
+    for name, expected in (("left_wide", 0.1), ("right_wide", np.hypot(0.1, 0.4))):
+        assert found.camera_std_px[name] == pytest.approx(expected, rel=0.1)
+    stated = replace(found.head, accuracy=found.accuracy)
+    std = pixel_stds(stated, ("left_wide", "right_wide"))
+    np.testing.assert_allclose(std, np.repeat([0.1, np.hypot(0.1, 0.4)], 2), rtol=0.1)
+    assert 0.1 < found.pixel_std_px < 0.4
+
+
+@pytest.mark.slow
+def test_a_board_that_moving_eyes_see_now_and_then_tells_the_time_offset():
+    rng = np.random.default_rng(1)
+    head = random_head(rng, lenses=("wide",))
+    times_s = np.arange(150) / 30
+    phase = rng.uniform(0, 2 * np.pi, 4)
+
+    def gaze(time_s: Array) -> Array:
+        return 0.2 * np.sin(np.multiply.outer(time_s, [3.0, 4.1, 3.3, 4.6]) + phase)
+
+    still = still_recording(
+        head, rng, NOISY, wide_views=12, narrow_views=0, orientations=20, spread_rad=0.25
+    )
+    observed = moving_recording(
+        head, rng, NOISY, still, times_s=times_s, gaze=gaze, time_offset_s=0.02
+    )
+    hidden = np.arange(150) % 30 >= 2  # two rows a second show the board
+    for corners in observed.corners.values():
+        corners[-150:][hidden] = np.nan
+    found = bundle_adjust(rough_start(head, rng), observed)
+    row = found.parameters.index("time_offset_s")
+    std = float(stated_std(found)[row])
+    assert std < 2e-3
+    assert abs(found.head.time_offset_s - 0.02) < 3.5 * std
+    assert max(found.joint_std) < 1.3 * NOISY.joint_rad
 
 
 @pytest.mark.parametrize(("apart_s", "late"), [(0.0, ""), (-0.01, "left"), (0.01, "right")])

@@ -7,7 +7,13 @@ import numpy as np
 from vergence.calibration.checks.axes_and_eyes import eye_shift
 from vergence.calibration.observations import Observations
 from vergence.errors import counted, listed
-from vergence.geometry.head import HeadCalibration, T_head_base, main_pair, reading_stds
+from vergence.geometry.head import (
+    HeadCalibration,
+    T_head_base,
+    main_pair,
+    pixel_stds,
+    reading_stds,
+)
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import reading_kinds, readings_to_turn
 from vergence.geometry.parameters import without_offsets
@@ -111,7 +117,7 @@ def point_accuracy(head: HeadCalibration) -> list[tuple[float, float, float]]:
             left=left,
             right=right,
             joints=joints,
-            pixel_std_px=accuracy.pixel_std_px or 0.0,
+            pixel_std_px=pixel_stds(head, pair),
             joint_std_rad=reading_stds(head),
         )
         by_head, by_reading = (

@@ -16,7 +16,13 @@ from vergence.arrays import MAX_M, Array
 from vergence.data.reader import load_dataset
 from vergence.data.stereo_rows import check_readings
 from vergence.errors import VergenceError, counted
-from vergence.geometry.head import HeadCalibration, pair_names, reading_stds, states_covariance
+from vergence.geometry.head import (
+    HeadCalibration,
+    pair_names,
+    pixel_stds,
+    reading_stds,
+    states_covariance,
+)
 from vergence.geometry.kinematics import EYE_JOINTS
 from vergence.geometry.parameters import boxminus, is_gain
 
@@ -148,15 +154,14 @@ def motion_of(name: str, head: HeadCalibration) -> tuple[Array, Array]:
 
 
 def sources_of(
-    head: HeadCalibration, profile: ErrorProfile | None, pixel_std_px: float | None
+    head: HeadCalibration, profile: ErrorProfile | None, pixel_std_px: float | Array | None
 ) -> list[Source]:
     """Return white noise, and the errors that a profile is known to make."""
     accuracy = head.accuracy
     estimated = accuracy is not None and accuracy.method != "paper"
     if pixel_std_px is None:
-        stated = accuracy.pixel_std_px if accuracy else None
-        pixel_std_px = OBJECT_NOISE_PX if profile else stated
-    sources = [Source("pixel noise", pixel_std_px=pixel_std_px)] if pixel_std_px else []
+        pixel_std_px = OBJECT_NOISE_PX if profile else pixel_stds(head, None)
+    sources = [Source("pixel noise", pixel_std_px=pixel_std_px)] * bool(np.any(pixel_std_px))
     if profile is None:
         stds = reading_stds(head)
         return sources + [Source("joint noise", joint_std_rad=stds)] * bool(stds.any())

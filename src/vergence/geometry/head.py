@@ -150,6 +150,18 @@ def stated_covariance(head: HeadCalibration, names: Sequence[str]) -> tuple[np.n
     return stated, head.accuracy.covariance[np.ix_(rows, rows)]
 
 
+def pixel_stds(head: HeadCalibration, cameras: tuple[str, str] | None) -> Array:
+    """Return the stated noise of left u, left v, right u, right v (4,) [px]; 0: none is stated.
+
+    VergenceError if the head has no such pair of cameras.
+    """
+    pair, accuracy = pair_names(head, cameras), head.accuracy
+    if accuracy is None:
+        return np.zeros(4)
+    typical = accuracy.pixel_std_px or 0.0
+    return np.repeat([accuracy.camera_std_px.get(name, typical) for name in pair], 2)
+
+
 def reading_stds(head: HeadCalibration) -> Array:
     """Return the stated noise of each reading (r,) [rad], 0 where none is stated."""
     accuracy, kinds = head.accuracy, reading_kinds(head.kinematics)

@@ -240,6 +240,7 @@ def learned_head(state: SelfCalibration) -> HeadCalibration:
         parameters=(*state.names, *others),
         covariance=np.asarray(block_diag(state.covariance, C), float),
         pixel_std_px=before.pixel_std_px if before else None,
+        camera_std_px=before.camera_std_px if before else {},
         joint_std=_stds_by_kind(state),
         void=before.void if before else (),
         systematic_px=before.systematic_px if before else {},

@@ -47,7 +47,9 @@ def combination(
             "Weights of a combination are finite, 0 for points that do not count; found "
             f"{weights[~np.isfinite(weights)][0]:g}."
         )
-    pixel_std_px, joint_std_rad = given_or_stated(head, joints, pixel_std_px, joint_std_rad)
+    pixel_std_px, joint_std_rad = given_or_stated(
+        head, joints, pixel_std_px, joint_std_rad, cameras
+    )
     noise = measurement_noise(head, joints, n, pixel_std_px, joint_std_rad)
     one = joints.ndim in (1, 3)
     given = head, (left, right), joints, cameras, pixel_variances(pixel_std_px, n)

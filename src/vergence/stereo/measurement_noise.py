@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.eye_motion import measured
-from vergence.geometry.head import HeadCalibration, reading_stds
+from vergence.geometry.head import HeadCalibration, pixel_stds, reading_stds
 
 
 def measurement_noise(
@@ -29,10 +29,11 @@ def given_or_stated(
     joints: Array,
     pixel_std_px: ArrayLike | None,
     joint_std_rad: ArrayLike | None,
+    cameras: tuple[str, str] | None,
 ) -> tuple[ArrayLike, ArrayLike]:
     """Return the noise of pixels and readings; None: as the calibration states it, 0 if not."""
     if pixel_std_px is None:
-        pixel_std_px = (head.accuracy and head.accuracy.pixel_std_px) or 0.0
+        pixel_std_px = pixel_stds(head, cameras)
     if joint_std_rad is None:
         joint_std_rad = stated_reading_stds(head, joints)
     return pixel_std_px, joint_std_rad

@@ -107,7 +107,9 @@ def locate(
             head, left=left, right=right, joints=joints, cameras=cameras
         )
         return LocatedPoints(points, np.full((n, 3, 3), np.nan), status, np.zeros((n, 3, 3)))
-    pixel_std_px, joint_std_rad = given_or_stated(head, joints, pixel_std_px, joint_std_rad)
+    pixel_std_px, joint_std_rad = given_or_stated(
+        head, joints, pixel_std_px, joint_std_rad, cameras
+    )
     noise = measurement_noise(head, joints, n, pixel_std_px, joint_std_rad)
     given = head, (left, right), joints, cameras, pixel_variances(pixel_std_px, n)
 

@@ -84,6 +84,8 @@ class Adjusted:
     redundancy: Array
     """(groups,) how many more readings there are than the fit takes, for a generous noise."""
     converged: bool
+    camera_px: tuple[float, ...]
+    """By camera: noise of one coordinate of a corner, rms over its images [px]."""
     systematic_px: tuple[float, ...]
     """By camera: systematic errors of corners, rms of one coordinate [px]."""
     cost: float
@@ -170,6 +172,10 @@ def adjust(
         given=np.full(groups, joint_std is not None),
         redundancy=first.redundancy,
         converged=converged and agreed,
+        camera_px=tuple(
+            noise.pixel_px * float(np.sqrt(np.mean(own**2))) if len(own) else noise.pixel_px
+            for own in (problem.noise_scale[problem.camera == c] for c in range(len(problem.eye)))
+        ),
         systematic_px=systematic_px,
         cost=restricted_cost(project_onto(linear, seen.basis), noise),
     )

@@ -11,6 +11,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.bundle.measured_poses import PAIRS, MeasuredPoses, PoseObservations
 from vergence.calibration.bundle.problem import BundleProblem, BundleState, corner_errors, eye_poses
+from vergence.calibration.bundle.read_motion import ReadMotion, read_motion
 from vergence.calibration.observations import Observations, missing_reading
 from vergence.calibration.sequential.lens_prior import lens_prior
 from vergence.data.timing import TRAJECTORY_DEGREE, Stencil, stencil
@@ -62,6 +63,7 @@ def initial_state(
     numbers = np.unique(observations.placement[useful])
     camera, view = np.nonzero(seen.any(axis=2) & np.isin(observations.placement, numbers))
     blocks = _blocks(start.kinematics, observations, view, eye[camera])
+    around = _neighbours(observations, blocks)
     measured = observations.T_base_eye
     blind = [name for c, name in enumerate(cameras) if c not in camera]
     blind += [side for e, side in enumerate(EYES) if e not in eye[camera]]
@@ -86,8 +88,9 @@ def initial_state(
         block_view=blocks.view,
         block_columns=blocks.columns,
         reading=blocks.reading,
-        around=_neighbours(observations, blocks),
+        around=around,
         trajectory_coefficients=np.zeros((*blocks.reading.shape, TRAJECTORY_DEGREE)),
+        read_motion=None if around is None else _read_motion(observations, blocks, around),
         trust_encoder=np.zeros(blocks.reading.shape[1], dtype=bool),
         T_base_eye_read=None if measured is None else measured[blocks.view, blocks.eye],
         systematic_px=observations.systematic_px,
@@ -152,6 +155,22 @@ def _neighbours(observations: Observations | PoseObservations, blocks: _Blocks) 
     run = observations.timing.run[blocks.view]  # a motion of one eye, not of both
     time_s = observations.timing.time_s[blocks.view]
     return stencil(time_s, np.where(run > 0, 2 * run - blocks.eye, 0))
+
+
+def _read_motion(
+    observations: Observations | PoseObservations, blocks: _Blocks, around: Stencil
+) -> ReadMotion:
+    """Return the motion of the readings of each block, or of the measured poses of its eye."""
+    assert observations.timing is not None
+    poses = observations.T_base_eye
+    return read_motion(
+        observations.timing,
+        observations.eye_angles if poses is None else poses,
+        view=blocks.view,
+        eye=blocks.eye,
+        columns=blocks.columns,
+        around=around,
+    )
 
 
 def _readings(

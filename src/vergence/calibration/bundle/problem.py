@@ -29,6 +29,7 @@ from vergence.calibration.bundle.measured_poses import (
     pose_jacobians,
     whitened,
 )
+from vergence.calibration.bundle.read_motion import ReadMotion
 from vergence.calibration.sequential.lens_prior import lens_prior
 from vergence.data import timing
 from vergence.data.timing import Stencil
@@ -84,6 +85,8 @@ class BundleProblem:
     """The neighbours of each block in time; None: the eyes stood still."""
     trajectory_coefficients: Array
     """(B, n, TRAJECTORY_DEGREE) how the latent unknowns go on in time; see refit_trajectory."""
+    read_motion: ReadMotion | None
+    """The same of the readings, by all rows of the recording; None: the eyes stood still."""
     trust_encoder: NDArray[np.bool_]
     """(n,) of which joints the readings know the trajectory better than the images do."""
     T_base_eye_read: Array | None
@@ -160,20 +163,20 @@ def refit_trajectory(problem: BundleProblem, state: BundleState) -> BundleProble
 
     These know the images: they are nearer to the truth than readings, whose noise would make the
     eyes look faster, and the time offset smaller, than it is. Where the readings are the better
-    ones the trajectory is theirs: fitted to what it determines itself, it might not settle.
+    ones the trajectory is theirs: fitted to what it determines itself, it might not settle. It is
+    theirs too where the board is seldom seen.
     """
-    if problem.around is None:
+    if problem.around is None or problem.read_motion is None:
         return problem
     if problem.T_base_eye_read is None:
         latent = timing.coefficients(problem.around, state.latent)
-        reading = timing.coefficients(problem.around, problem.reading)
     else:
-        read = problem.T_base_eye_read
-        latent = timing.pose_coefficients(problem.around, boxplus(read, state.latent))
-        reading = timing.pose_coefficients(problem.around, read)
+        poses = boxplus(problem.T_base_eye_read, state.latent)
+        latent = timing.pose_coefficients(problem.around, poses)
+    reading, seldom_seen = problem.read_motion
     # Seen from the reading's moment time runs the other way: odd powers keep their sign.
     reading = reading * -((-1.0) ** np.arange(1, timing.TRAJECTORY_DEGREE + 1))
-    chosen = np.where(problem.trust_encoder[:, None], reading, latent)
+    chosen = np.where(problem.trust_encoder[:, None] | seldom_seen[:, None, None], reading, latent)
     return replace(problem, trajectory_coefficients=chosen)
 
 

@@ -293,7 +293,7 @@ def minimise(
                     reached = cost(problem, state, errors, noise)
                 lowest = reached
                 break
-            damping = max(damping, 1e-7) * 10
+            damping *= 10
             if damping > 1e8:
                 return state, False, linear
         if iterations == 0:
