@@ -39,8 +39,9 @@ NAMED = 0.3
 _WORDS = {f"r{axis}": f"rotation about {axis}" for axis in "xyz"}
 _WORDS |= {f"t{axis}": f"translation along {axis}" for axis in "xyz"}
 _UNCONVERGED = (
-    "The estimate did not converge, as where no head of this description fits the data: check the "
-    "description of the joints, the order of their readings, and the size of the board."
+    "The estimate did not converge, as where no head of this description fits the data, or the "
+    "eyes turn too little to tell: check the description of the joints, the order of their "
+    "readings, the lens models (`lens`), and the size of the board; let the eyes turn farther."
 )
 
 
