@@ -92,8 +92,6 @@ class Accuracy:
     """In the order of parameters. Poses change by the increment of `se3.boxplus`."""
     pixel_std_px: Annotated[float, Field(ge=0)] | None = None
     """Noise of one coordinate of a corner, in a typical image."""
-    camera_std_px: dict[str, Annotated[float, Field(ge=0)]] = field(default_factory=dict)
-    """By camera: noise of one coordinate of a corner, rms over its images; empty: pixel_std_px."""
     joint_std: tuple[Annotated[float, Field(ge=0)], ...] = ()
     """Noise of the readings [rad]: of all, or of each kind (`kinematics.reading_kinds`), such as
     pan and tilt; for eyes whose poses are given, rotation [rad] and translation [m]."""
@@ -109,6 +107,8 @@ class Accuracy:
     systematic_px: dict[str, Annotated[float, Field(ge=0)]] = field(default_factory=dict)
     """By camera, where they show: errors of the corners that are smooth over the image and the
     same in all views, since the lens is not as its model; rms of one coordinate."""
+    camera_std_px: dict[str, Annotated[float, Field(ge=0)]] = field(default_factory=dict)
+    """By camera: noise of one coordinate of a corner, rms over its images; empty: pixel_std_px."""
 
     def __post_init__(self) -> None:
         n, C = len(self.parameters), self.covariance
