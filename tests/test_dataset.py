@@ -103,6 +103,23 @@ def test_all_16_bit_images_of_a_camera_are_reduced_alike(tmp_path, bits, brighte
     assert dataset.image("left_wide", 2)[0, 0, 0] == min(255, brightest >> ((bits or 10) - 8))
 
 
+def test_an_image_is_the_same_whichever_is_read_first(tmp_path):
+    table = rows(30)
+    dim = np.full((24, 32), 500, np.uint16)
+    glare = dim.copy()
+    glare[0, 0] = 5000
+    images = {row["left_wide"]: dim for row in table} | {table[7]["left_wide"]: glare}
+    black = np.zeros((24, 32), np.uint8)
+    images |= {row["right_wide"]: black for row in table if row["right_wide"]}
+    write_dataset(tmp_path / "set", table, description(), images)
+    found = []
+    for first in (0, 7):
+        dataset = load_dataset(tmp_path / "set")
+        dataset.image("left_wide", first)
+        found.append(dataset.image("left_wide", 0))
+    np.testing.assert_array_equal(*found)
+
+
 def test_images_of_16_bits_after_one_of_8_are_reduced_by_their_own(tmp_path):
     table = rows(2)
     shallow, deep = np.full((24, 32), 100, np.uint8), np.full((24, 32), 100 * 257, np.uint16)

@@ -340,8 +340,12 @@ def test_a_joint_needs_a_unit_axis_and_a_reading():
         Joint(name="pan", axis=2 * UP, readings={"pan": 1.0})
     with pytest.raises(ValidationError, match="no reading moves joint pan"):
         Joint(name="pan", axis=UP, readings={"pan": 0.0})
-    with pytest.raises(ValidationError, match=r"2 readings, .* found a gain of 1\.02: multiply"):
-        Joint(name="pan", axis=UP, readings={"version": 1.0, "vergence": 0.5}, gain=1.02)
+
+
+def test_a_gain_of_several_readings_is_multiplied_into_their_factors():
+    joint = Joint(name="pan", axis=UP, readings={"version": 1.0, "vergence": 0.5}, gain=1.02)
+    assert joint.gain == 1
+    assert joint.readings == {"version": 1.02, "vergence": 0.51}
 
 
 def test_each_neck_joint_carries_those_after_it():

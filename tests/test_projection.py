@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simulated_head import point_in_camera, skewed_head
+from simulated_head import plain_head, point_in_camera, skewed_head
 from simulated_recording import two_boards
 from vergence.arrays import Array
 from vergence.calibration.bundle.initial_state import initial_state
@@ -65,6 +65,12 @@ def test_a_point_beyond_the_reach_of_a_lens_has_no_pixel():
     poses, _ = camera_poses(head, np.zeros(4), cameras=("left_wide", "right_wide"))
     pixels = project_point(head, "left_wide", np.zeros(4), transform(poses, in_camera))
     np.testing.assert_array_equal(np.isnan(pixels).all(axis=1), [False, True])
+
+
+def test_points_in_the_plane_of_a_camera_have_no_pixel_without_a_warning():
+    head, points = plain_head(0.09, 300.0), np.array([[0.0, 1.0, 0.0], [0.6, 0.0, 0.0]])
+    pixels = project_point(head, "left_wide", np.zeros(4), points)
+    np.testing.assert_array_equal(np.isnan(pixels).all(axis=1), [True, False])
 
 
 def slope(function, n: int, step: float) -> Array:

@@ -186,12 +186,25 @@ def test_a_pose_of_the_hand_that_is_not_finite_is_left_out_and_the_others_are_ke
     for time_s, x in zip(moments, (0.3, 0.4), strict=True):
         T[0, 3] = x  # a driver that uses one array again
         state = step_reach(SETTINGS, state, None, HandReading(time_s, T), time_s)
-    lost = HandReading(moments[1] + 0.1, np.full((4, 4), np.nan))
+    lost = HandReading(moments[1] + 0.1, np.full((4, 4), np.nan), closed=True)
     after = step_reach(SETTINGS, state, None, lost, moments[1] + 0.1)
+    assert after.readings[-1].closed
     assert np.isfinite(after.command.goal).all()
     assert [each.T_body_hand[0, 3] for each in after.readings[-2:]] == [0.3, 0.4]
     with pytest.raises(VergenceError, match=r"pose \(4, 4\); found shape \(3,\)"):
         step_reach(SETTINGS, state, None, HandReading(1e3, np.zeros(3)), 1e3)
+    with pytest.raises(VergenceError, match=r"has a time and a pose .* found None"):
+        step_reach(SETTINGS, state, None, None, 1e3)  # type: ignore[arg-type]
+    with pytest.raises(VergenceError, match="first reading of the hand"):
+        initial_reach_state(SETTINGS, np.zeros(7), lost, 0.0)
+
+
+def test_readings_of_a_hand_whose_clock_stands_still_do_not_pile_up():
+    head = DrawnHeadWithHand(still, home=SETTINGS.home)
+    state, _ = run(head, 0.2)
+    for _ in range(50):
+        state = step_reach(SETTINGS, state, None, HandReading(9.0, np.eye(4)), 9.0)
+    assert len(state.readings) < 10
 
 
 def test_a_detector_of_markers_that_answers_wrongly_is_named():

@@ -26,7 +26,7 @@ from vergence.arrays import Array
 from vergence.calibration.summary import DISTANCES_M
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board
-from vergence.geometry.head import HeadCalibration, pair_names, reading_stds
+from vergence.geometry.head import HeadCalibration, pair_names, pixel_stds, reading_stds
 from vergence.geometry.kinematics import Kinematics
 from vergence.progress import Progress, silent
 
@@ -91,7 +91,7 @@ def plan(
         VergenceError: no covariance is stated, the head has one eye, no board can be seen, or the
             workspace is out of the eyes' reach.
     """
-    accuracy, known = stated(head)
+    _, known = stated(head)
     pair = pair_names(head)
     limits = largest_readings(head.kinematics, limits_rad)
     progress("choosing views", 0, views)  # candidates of a large board take a while
@@ -100,7 +100,8 @@ def plan(
     places, gazes = candidates
     tried = admissible_views(head, board, limits, rng, places=places, gazes=gazes)
     linear = linearised_views(head, board, tried, known.names, known.scale)
-    N = information(linear, accuracy.pixel_std_px or LEAST_PX, reading_stds(head))
+    of_pair = float(np.sqrt(np.mean(pixel_stds(head, None) ** 2)))
+    N = information(linear, of_pair or LEAST_PX, reading_stds(head))
     by_scaled = points.by_parameters * known.scale
     chosen = choose(known.information, N, tried.placement, by_scaled, views, progress)
     chosen = chosen[np.argsort(tried.placement[chosen], kind="stable")]

@@ -39,6 +39,8 @@ MOST_REMARKS = 2
 """Most remarks that a summary repeats; the report has all."""
 DISTANCES_M = (0.3, 0.6, 1.0)
 """Distances of the points whose accuracy is stated: the range of a hand, and beyond."""
+_DIFFER = 1.5
+"""Ratio of the noise of cameras from which it is stated from least to most."""
 _TURNS_RAD = 0.2
 """Angle from straight ahead of the gaze directions over which that accuracy is stated."""
 
@@ -145,7 +147,11 @@ def summary_lines(head: HeadCalibration, observations: Observations) -> list[str
         f"{counted(found + lost, 'image')}.{apart}"
     ]
     if accuracy.pixel_std_px is not None:
-        lines.append(f"Noise: {accuracy.pixel_std_px:.3f} px in corners, {_reading_noise(head)}.")
+        levels = accuracy.camera_std_px.values()
+        noise = f"{accuracy.pixel_std_px:.3f}"
+        if levels and max(levels) > _DIFFER * min(levels):
+            noise = f"{min(levels):.3f} to {max(levels):.3f}"
+        lines.append(f"Noise: {noise} px in corners, {_reading_noise(head)}.")
     checked = accuracy.held_out
     if checked is not None and checked.prediction_px is not None:
         read = "eye poses" if accuracy.eye_motion == "poses" else "joint readings"

@@ -158,7 +158,6 @@ def sources_of(
 ) -> list[Source]:
     """Return white noise, and the errors that a profile is known to make."""
     accuracy = head.accuracy
-    estimated = accuracy is not None and accuracy.method != "paper"
     if pixel_std_px is None:
         pixel_std_px = OBJECT_NOISE_PX if profile else pixel_stds(head, None)
     sources = [Source("pixel noise", pixel_std_px=pixel_std_px)] * bool(np.any(pixel_std_px))
@@ -178,8 +177,12 @@ def sources_of(
     from vergence.twin.calibration_errors import inject_calibration_error
 
     known = _known_of_the_board(head, profile)
-    if not estimated:
-        known |= _known_of_sensors(head, profile)
+    estimated = accuracy.parameters if accuracy else ()
+    gains, delay = _known_of_sensors(head, profile)
+    if not any(map(is_gain, estimated)):
+        known["gains of the joints"] = gains
+    if TIME_OFFSET not in estimated:
+        known["delay"] = delay
     focal = head.camera(pair_names(head)[0]).intrinsics.matrix[0, 0]
     lens: Lens = "4.0mm" if focal > LONG_LENS_PX else "2.8mm"
     of_lens = "focal_percent_40" if lens == "4.0mm" else "focal_percent_28"
@@ -194,8 +197,10 @@ def sources_of(
     return sources + [Source(name, errors=_nonzero(e)) for name, e in known.items() if _nonzero(e)]
 
 
-def _known_of_sensors(head: HeadCalibration, profile: ErrorProfile) -> dict[str, dict[str, float]]:
-    """Return errors that the paper's method does not find, by name and parameter of the head.
+def _known_of_sensors(
+    head: HeadCalibration, profile: ErrorProfile
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Return errors of the gains, and of the time, by parameter of the head.
 
     Offsets of joints are none: calibration takes them for turns of the mountings.
     """
@@ -203,8 +208,8 @@ def _known_of_sensors(head: HeadCalibration, profile: ErrorProfile) -> dict[str,
 
     without = profile.joints.model_copy(update={"offset_deg": (0.0,) * 4})
     gains = boxminus(replace(head, accuracy=None), with_sensors(head, without))
-    known = {"gains of the joints": {n: e for n, e in gains.items() if is_gain(n)}}
-    return known | {"delay": {TIME_OFFSET: -1e-3 * profile.joints.delay_ms}}
+    delay = {TIME_OFFSET: -1e-3 * profile.joints.delay_ms}
+    return {n: e for n, e in gains.items() if is_gain(n)}, delay
 
 
 def _known_of_the_board(

@@ -50,6 +50,7 @@ def as_plain(result: CalibrationResult) -> dict[str, Any]:
         "next": following,
         "method": accuracy.method,
         "pixel_std_px": accuracy.pixel_std_px,
+        "camera_std_px": accuracy.camera_std_px,
         "joint_std": list(accuracy.joint_std),
         "time_offset_ms": 1e3 * result.head.time_offset_s,
         "held_out": None if checked is None else vars(checked),

@@ -124,7 +124,8 @@ def evaluate(head: HeadCalibration, truth: Truth) -> Evaluation:
 def _joints(kinematics: Kinematics, eyes: Collection[Side]) -> str:
     """Return the joints of some eyes in words."""
     return ", ".join(
-        f"{eye} {joint.name} about {' '.join(f'{x:.3g}' for x in joint.axis)} by "
+        f"{eye} {joint.name} about {' '.join(f'{x:.5g}' for x in joint.axis)} through "
+        f"{' '.join(f'{x:.5g}' for x in joint.point_m)} m by "
         + " and ".join(f"{factor:g} {reading}" for reading, factor in joint.readings.items())
         for eye, joints in kinematics.eyes.items()
         if eye in eyes

@@ -7,6 +7,7 @@ dataset.json states; `data.reader` reads a dataset and `data.writer` writes it.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -109,17 +110,20 @@ class Dataset:
         return {}
 
     def _filled_bits(self, camera: str, image: np.ndarray) -> int:
-        """Return how many bits a camera fills, as stated or by images over the whole recording.
+        """Return how many bits a camera fills, as stated or by the brightest of some images.
 
-        By one of 16 bits, and others, of which the first may be dark.
+        These are spread over the recording, of which the first may be dark. The given image counts
+        where none of them has 16 bits.
         """
         stated = self.description.cameras[camera].bits
         if stated is not None:
             return stated
-        rows = [k for k, name in enumerate(self.files[camera]) if name is not None]
-        images = (self._decoded(camera, k) for k in rows[:: 1 + len(rows) // _BRIGHTEST_OF])
-        deep = [each for each in images if each is not None and each.dtype != np.uint8]
-        return max(map(filled_bits, (image, *deep)))
+        rows, deep = [k for k, name in enumerate(self.files[camera]) if name is not None], []
+        for k in rows[:: 1 + len(rows) // _BRIGHTEST_OF]:
+            with suppress(VergenceError):  # whoever reads that row is told
+                deep.append(self._decoded(camera, k))
+        deep = [each for each in deep if each is not None and each.dtype != np.uint8]
+        return max(map(filled_bits, deep or [image]))
 
     def _decoded(self, camera: str, row: int) -> np.ndarray | None:
         path = self.folder / str(self.files[camera][row])

@@ -49,8 +49,11 @@ class Stencil:
     s, s^2, ... of what is to be added to the sample's own value s seconds later; 0 at rest."""
 
 
-def stencil(time_s: Array, run: np.ndarray) -> Stencil:
-    """Return the polynomials around N samples at times (N,) of runs (N,), 0 at rest."""
+def stencil(time_s: Array, run: np.ndarray, wanted: np.ndarray | None = None) -> Stencil:
+    """Return the polynomials around N samples at times (N,) of runs (N,), 0 at rest.
+
+    `wanted` (N,) of bool: around which of them; they are zero around others. None: around all.
+    """
     N = len(time_s)
     found: list[tuple[int, np.ndarray, Array]] = []
     for number in np.unique(run[run > 0]):
@@ -58,6 +61,8 @@ def stencil(time_s: Array, run: np.ndarray) -> Stencil:
         rows = rows[np.argsort(time_s[rows], kind="stable")]
         t = time_s[rows]
         for row, now in zip(rows, t, strict=True):
+            if wanted is not None and not wanted[row]:
+                continue
             # At an end of the motion the neighbours are all on one side, but as many.
             begin = np.clip(now - WINDOW_S, t[0], max(t[0], t[-1] - 2 * WINDOW_S))
             near = np.searchsorted(t, [begin - _SLACK_S, begin + 2 * WINDOW_S + _SLACK_S])

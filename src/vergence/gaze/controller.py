@@ -22,6 +22,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
+from vergence.data.table import MAX_DELAY_S
 from vergence.gaze.commands import (
     EYE_READINGS,
     NECK,
@@ -52,8 +53,9 @@ from vergence.geometry.se3 import inverse, transform
 
 _RATE_STEP_S = 1e-3
 """Time over which the rate of the angles to the object is taken as a difference."""
-_KEPT_S = 0.5
-"""For how long commands are kept: images that are older are of no use."""
+_AT_REST = 0.25
+"""Speed by the readings, relative to that by the commands, below which an object rests. With a
+half, noise of the readings takes an object that moves slowly for one at rest, again and again."""
 _SEARCH_RAD = np.array(
     [(0, 0), (0.5, 0), (-0.5, 0), (-0.5, 0.3), (0.5, 0.3), (0.5, -0.3), (-0.5, -0.3)]
 )
@@ -229,25 +231,29 @@ def _move_eyes(
 
 def _send(state: GazeState, command: HeadCommand, **changes: Any) -> GazeState:
     """Return the state with a new command in force, and with other changed fields."""
-    *older, latest = state.commands
-    kept = [each for each in older if each.time_s > command.time_s - _KEPT_S]
-    return replace(state, commands=(*kept, latest, command), **changes)
+    # Those for images that are as late as can be, and the one that was then in force.
+    first = sum(each.time_s <= command.time_s - MAX_DELAY_S for each in state.commands)
+    commands = (*state.commands[max(first - 1, 0) :], command)
+    return replace(state, commands=commands, **changes)
 
 
 def _is_moving(settings: GazeSettings, state: GazeState) -> bool:
     """Return whether the object moves across the line of sight from frame body's origin.
 
-    By the commands and, where it is tracked by readings, by these too: joints that lag behind their
-    set points make an object at rest seem to move, and to follow it would keep them moving.
+    By the commands, unless it all but rests by the readings: joints that lag behind their set
+    points make an object at rest seem to move, and to follow it would keep them moving.
     """
-    tracks = [track for track in (state.aim, state.track) if track is not None]
-    return bool(tracks) and all(_moves(settings, track) for track in tracks)
+    if state.aim is None:
+        return False
+    speed = _angular_speed(state.aim)
+    by_readings = speed if state.track is None else _angular_speed(state.track)
+    return speed > settings.moving_rad_s and by_readings > _AT_REST * speed
 
 
-def _moves(settings: GazeSettings, track: Track) -> bool:
+def _angular_speed(track: Track) -> float:
+    """Return how fast a tracked point turns about frame body's origin [rad/s]."""
     distance = np.linalg.norm(track.position)
-    across = np.linalg.norm(np.cross(track.position / distance, track.velocity))
-    return bool(across > settings.moving_rad_s * distance)
+    return float(np.linalg.norm(np.cross(track.position / distance, track.velocity)) / distance)
 
 
 def _without_detection(settings: GazeSettings, state: GazeState, now_s: float) -> GazeState:

@@ -31,6 +31,10 @@ _LAGUERRE = np.polynomial.laguerre.laggauss(12)
 """Nodes and weights of the integral of exp(-x) f(x) from 0 to infinity."""
 
 
+_OLDEST_S = 10.0
+"""Age of a frame from which its time stamp is taken for that of another clock."""
+
+
 def check_times(frame: Frame, now_s: float) -> None:
     """Raise VergenceError if time stamps are not finite, or not of the clock that now_s is of."""
     image_s, joint_s = frame.time_s, frame.joint_time_s
@@ -45,10 +49,11 @@ def check_times(frame: Frame, now_s: float) -> None:
             f"{MAX_DELAY_S:g} s; found {image_s:.6f} s of the images and {joint_s:.6f} s of the "
             "readings."
         )
-    if image_s > now_s + MAX_DELAY_S:
+    if not -MAX_DELAY_S <= now_s - image_s <= _OLDEST_S:
         raise VergenceError(
-            f"The frame is stamped {image_s - now_s:.3f} s after now; the driver's clock "
-            "(`now_s`) is the one that stamps its frames."
+            f"The frame is stamped {abs(image_s - now_s):.3f} s "
+            f"{'after' if image_s > now_s else 'before'} now; the driver's clock (`now_s`) is the "
+            "one that stamps its frames."
         )
 
 
@@ -175,11 +180,13 @@ def posture_at_image(settings: GazeSettings, state: GazeState, frame: Frame) -> 
     """
     use_reading = np.isin(settings.joints, state.stuck)
     use_reading[NECK] = True
-    # A lag of the first order: past set points, weighted by exp(-age / lag).
-    sent = sum(
-        weight * commanded(state.commands, frame.time_s - settings.servo_lag_s * age)
-        for age, weight in zip(*_LAGUERRE, strict=True)
-    )
+    sent = commanded(state.commands, frame.time_s)
+    if settings.servo_lag_s > 0:
+        # A lag of the first order: past set points, weighted by exp(-age / lag).
+        sent = sum(
+            weight * commanded(state.commands, frame.time_s - settings.servo_lag_s * age)
+            for age, weight in zip(*_LAGUERRE, strict=True)
+        )
     return np.where(use_reading, readings_at_image(settings, state, frame), sent)
 
 
@@ -271,15 +278,14 @@ def _fused(
 def aim_by_one_eye(
     settings: GazeSettings, state: GazeState, posture: Array, rays: Rays
 ) -> GazeState:
-    """Return the state with an aim at an assumed depth, where only one eye sees the object.
+    """Return the state with an aim at an assumed depth, where the frame gave no measurement.
 
-    It is assumed also where there is no aim yet and the rays of both do not meet, as to a thing
-    that is far away, or to two things. An aim that lies near that eye's ray is kept, because its
-    depth is known better. Once both eyes see the object, the measurement replaces the assumption.
-    On a head that uses one eye the assumption is all there is: its direction is fused over time, so
-    that a motion is followed.
+    Only one eye sees the object, or the rays of both do not meet, as to a thing that is far away,
+    or to two things: then the first eye tells. An aim that lies near its ray is kept, because its
+    depth is known better. A measurement replaces the assumption. On a head that uses one eye the
+    assumption is all there is: its direction is fused over time, so that a motion is followed.
     """
-    if len(rays) > 1 and state.aim is not None:
+    if state.measured is not None or state.by_joints is not None:
         return state
     eye, (centre, ray) = next(iter(rays.items()))
     T_body_eye = T_body_base(settings.calibration, eye, posture)

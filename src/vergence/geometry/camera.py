@@ -166,7 +166,9 @@ def in_reach(camera: Camera, x: Component, y: Component, z: Component) -> Compon
 
     Beyond it a lens model folds over, and shows what no camera would see; see `lens.reach`.
     """
-    return (z > 0) & (x * x + y * y < lens.reach(camera.model, camera.coefficients) * (z * z))
+    limit = lens.reach(camera.model, camera.coefficients)
+    with ignoring_invalid(z):  # infinity times zero
+        return (z > 0) & (x * x + y * y < limit * (z * z))
 
 
 def projection_rows(

@@ -124,7 +124,8 @@ def states_noise(head: HeadCalibration) -> bool:
     accuracy = head.accuracy
     if accuracy is None:
         return False
-    return accuracy.pixel_std_px is not None or bool(accuracy.joint_std) or states_covariance(head)
+    of_pixels = accuracy.pixel_std_px is not None or bool(accuracy.camera_std_px)
+    return of_pixels or bool(accuracy.joint_std) or states_covariance(head)
 
 
 def check_states_covariance(head: HeadCalibration) -> None:

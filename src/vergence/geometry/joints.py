@@ -30,12 +30,14 @@ PARALLEL = 0.1
 class Joint:
     """A revolute joint of an eye: as designed, and how the real one differs.
 
-    angle = gain * (sum of factor * reading) + offset; with several readings the gain is 1, since
-    their factors are calibrated in its place. The common normal of two successive axes is
-    (own axis) x (axis before); along it and about it, one axis may be misplaced relative to the
-    other (Denavit and Hartenberg, 1955). The common normal of parallel axes points from the axis
-    before to the own one; such an axis may also be inclined in the plane of the two, and has its
-    slide in common with the axis before (Hayati, 1983).
+    angle = gain * (sum of factor * reading) + offset. The factors of several readings are
+    calibrated in place of a gain, which is multiplied into them and then 1.
+
+    The common normal of two successive axes is (own axis) x (axis before); along it and about it,
+    one axis may be misplaced relative to the other (Denavit and Hartenberg, 1955). The common
+    normal of parallel axes points from the axis before to the own one; such an axis may also be
+    inclined in the plane of the two, and has its slide in common with the axis before (Hayati,
+    1983).
     """
 
     name: _Name
@@ -68,10 +70,9 @@ class Joint:
         if not any(self.readings.values()):
             raise ValueError(f"no reading moves joint {self.name}")
         if len(self.readings) > 1 and self.gain != 1:
-            raise ValueError(
-                f"joint {self.name} has {len(self.readings)} readings, whose factors take the "
-                f"place of a gain; found a gain of {self.gain:g}: multiply the factors by it"
-            )
+            factors = {name: self.gain * factor for name, factor in self.readings.items()}
+            object.__setattr__(self, "readings", factors)
+            object.__setattr__(self, "gain", 1.0)
 
 
 def _parallel(before: Joint, joint: Joint) -> bool:

@@ -20,7 +20,6 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.errors import VergenceError
 from vergence.gaze.commands import EYE_READINGS, HeadDriver
 from vergence.gaze.controller import step_gaze
 from vergence.gaze.kalman import Track, fuse, predict
@@ -37,14 +36,13 @@ from vergence.reach.state import (
     ReachSettings,
     ReachState,
     target_covariance,
+    with_reading,
 )
 from vergence.stereo.combination import locate_both
 from vergence.vision.detector import Detection
 
 _CLOSING = (ReachPhase.CLOSE, ReachPhase.HELD)
 _ENGAGED = (ReachPhase.REACH, ReachPhase.UNSEEN, ReachPhase.SERVO)
-_KEPT_S = 0.5
-"""For how long readings of the hand are kept: images that are older are of no use."""
 
 
 def run_reach(
@@ -89,10 +87,10 @@ def step_reach(
         now_s: time from which the commands can take effect.
 
     Raises:
-        VergenceError: the hand's pose is not a (4, 4) array; others are those of `step_gaze`.
+        VergenceError: the hand's reading is none; others are those of `step_gaze`.
     """
     before, gaze = state.gaze, step_gaze(settings.gaze, state.gaze, frame, now_s)
-    state = replace(state, gaze=gaze, readings=_with_reading(state.readings, reading))
+    state = replace(state, gaze=gaze, readings=with_reading(state.readings, reading))
     if frame is not None and gaze.frame_s > before.frame_s:
         state = _detect_marker(settings, state, frame)
         if frame.time_s >= before.landing_s:  # the eyes are at their set points
@@ -104,18 +102,6 @@ def step_reach(
     state = replace(state, phase=phase, since_s=since, inside=inside)
     command = _command(settings, state, now_s)
     return replace(state, command=command, cameras=_cameras_to_request(settings, state))
-
-
-def _with_reading(before: tuple[HandReading, ...], reading: HandReading) -> tuple[HandReading, ...]:
-    """Return the readings of the hand with a new one; one that is not finite is left out."""
-    # A copy, since a driver may write the next pose into the same array.
-    T = np.array(reading.T_body_hand, float)
-    if T.shape != (4, 4):
-        raise VergenceError(f"A reading of the hand has a pose (4, 4); found shape {T.shape}.")
-    if not (np.isfinite(T).all() and np.isfinite(reading.time_s)):
-        return before
-    kept = [each for each in before if each.time_s > reading.time_s - _KEPT_S]
-    return (*kept, replace(reading, T_body_hand=T))
 
 
 def _detect_marker(settings: ReachSettings, state: ReachState, frame: Frame) -> ReachState:

@@ -8,7 +8,7 @@ of the arm's mounting; names and docstrings say which one is meant.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Protocol
 
@@ -22,6 +22,9 @@ from vergence.gaze.state import GazeSettings, GazeState, initial_gaze_state
 from vergence.self_calibration.sequence import SeenGeometry
 from vergence.vision.detector import Detection, Detector
 from vergence.vision.sphere import sphere_detector
+
+_KEPT_S = 1.0
+"""For how long readings of the hand are kept: as long as images may be late."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,6 +200,29 @@ def target_covariance(settings: ReachSettings, state: ReachState) -> Array:
     return state.target.covariance[:3, :3] + systematic * np.eye(3)
 
 
+def with_reading(before: tuple[HandReading, ...], reading: HandReading) -> tuple[HandReading, ...]:
+    """Return the readings of the hand with a new one.
+
+    Where its pose is not finite, as when a bus does not answer, the last one stands. VergenceError
+    if it is no reading, or there is no last one.
+    """
+    try:
+        time_s, T = float(reading.time_s), np.array(reading.T_body_hand, float)
+    except (AttributeError, TypeError, ValueError):
+        raise VergenceError(
+            f"A reading of the hand has a time and a pose (4, 4); found {reading!r:.80}."
+        ) from None
+    if T.shape != (4, 4):
+        raise VergenceError(f"A reading of the hand has a pose (4, 4); found shape {T.shape}.")
+    if not (np.isfinite(T).all() and np.isfinite(time_s)):
+        if not before:
+            raise VergenceError("The first reading of the hand has a finite time and pose.")
+        return (*before[:-1], replace(before[-1], closed=reading.closed))
+    # A copy, since a driver may write the next pose into the same array.
+    kept = [each for each in before if time_s - _KEPT_S < each.time_s < time_s]
+    return (*kept, replace(reading, T_body_hand=T))
+
+
 def initial_reach_state(
     settings: ReachSettings,
     posture: Array,
@@ -207,8 +233,10 @@ def initial_reach_state(
 ) -> ReachState:
     """Return the state of head (set points (j,) [rad]) and hand at rest, with nothing seen.
 
-    A geometry is what an earlier run has learned, as of `initial_gaze_state`.
+    A geometry is what an earlier run has learned, as of `initial_gaze_state`. VergenceError if the
+    posture is not one of this head, or the hand's reading is none.
     """
     gaze = initial_gaze_state(settings.gaze, posture, time_s, geometry=geometry)
-    rest = HandCommand(time_s, reading.T_body_hand[:3, 3], np.zeros(3))
-    return ReachState(ReachPhase.SEEK, time_s, gaze, rest, (reading,), gaze.cameras)
+    readings = with_reading((), reading)
+    rest = HandCommand(time_s, readings[-1].T_body_hand[:3, 3], np.zeros(3))
+    return ReachState(ReachPhase.SEEK, time_s, gaze, rest, readings, gaze.cameras)

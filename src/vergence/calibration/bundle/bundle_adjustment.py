@@ -64,7 +64,8 @@ class BundleEstimate:
     pixel_std_px: float
     """Noise of one coordinate of a corner, in a typical image."""
     camera_std_px: Mapping[str, float]
-    """By camera: the same over all its images, rms; empty for measured poses of a target."""
+    """By camera: noise of one coordinate of a corner, rms over all of its images; empty for
+    measured poses of a target."""
     systematic_px: Mapping[str, float]
     """By camera, where they show: systematic errors beyond those assumed of the detector; see
     Accuracy.systematic_px."""

@@ -60,16 +60,17 @@ def read_motion(
     first, last = (end(time_s[around.neighbours], axis=1) for end in (np.min, np.max))
     for e in np.unique(eye):
         mine = np.flatnonzero(eye == e)
+        wanted = np.isin(np.arange(len(readings)), view[mine])
         # Rows that are not known are not neighbours of any that is.
         if readings.ndim > 2:
             known = known_poses(readings[:, e])
-            every = stencil(timing.time_s, np.where(known, timing.run, 0))
+            every = stencil(timing.time_s, np.where(known, timing.run, 0), wanted)
             poses = np.where(known[:, None, None], readings[:, e], np.eye(4))
             go_on = pose_coefficients(every, poses)
         else:
             own = readings[:, columns[mine[0]]]
             known = np.isfinite(own).all(axis=1)
-            every = stencil(timing.time_s, np.where(known, timing.run, 0))
+            every = stencil(timing.time_s, np.where(known, timing.run, 0), wanted)
             go_on = coefficients(every, np.nan_to_num(own))
         found.coefficients[mine] = go_on[view[mine]]
         run = np.where(known, timing.run, 0)
