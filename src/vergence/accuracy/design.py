@@ -65,11 +65,8 @@ def gaze_at(baseline_m: Array, point: Array) -> tuple[Array, Array, Array, Array
     Points are from the middle between the eyes.
     """
     x, y, z = point[..., 0], point[..., 1], point[..., 2]
-    left, right = (
-        pan_tilt_along(np.stack(np.broadcast_arrays(x, y - side * baseline_m, z), axis=-1))
-        for side in (0.5, -0.5)
-    )
-    return left[..., 0], left[..., 1], right[..., 0], right[..., 1]
+    left, right = (pan_tilt_along(x, y - side * baseline_m, z) for side in (0.5, -0.5))
+    return *left, *right
 
 
 def sensitivity(

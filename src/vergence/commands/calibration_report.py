@@ -88,8 +88,9 @@ def write_report(
     """
     progress("writing the report", 0, len(dataset))
     seen = result.observations
-    looking = seen.eye_poses()[..., :3, 0]  # the eyes' own x, which looks ahead
-    angles = dict(zip(EYES, np.moveaxis(pan_tilt_along(looking), 1, 0), strict=True))
+    looking = np.moveaxis(seen.eye_poses()[..., :3, 0], -1, 0)  # the eyes' own x is ahead
+    pan_tilt = np.stack(pan_tilt_along(*looking), axis=-1)
+    angles = dict(zip(EYES, np.moveaxis(pan_tilt, 1, 0), strict=True))
     eyes = {eye: angles[eye] for eye in dataset.description.eyes}
     plots.save_coverage(folder / "coverage.png", seen.corners, seen.sizes, eyes)
     if result.estimate is not None:

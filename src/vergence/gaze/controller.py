@@ -37,7 +37,7 @@ from vergence.gaze.foveation import gaze_angles
 from vergence.gaze.kalman import Track
 from vergence.gaze.observation import (
     Rays,
-    aim_by_one_eye,
+    aim_at_assumed_depth,
     check_times,
     detect_object,
     is_central,
@@ -59,8 +59,7 @@ half, noise of the readings takes an object that moves slowly for one at rest, a
 _SEARCH_RAD = np.array(
     [(0, 0), (0.5, 0), (-0.5, 0), (-0.5, 0.3), (0.5, 0.3), (0.5, -0.3), (-0.5, -0.3)]
 )
-"""Pan and tilt of the goals of a search, in this order; a neck that shares in it pans as far again.
-"""
+"""Pan and tilt of the goals of a search, in this order; a neck that shares in it pans as far."""
 
 
 def run_gaze(
@@ -113,7 +112,7 @@ def step_gaze(
     if not rays:
         return _without_detection(settings, state, now_s)
     state = measure(settings, state, frame, posture)
-    state = replace(aim_by_one_eye(settings, state, posture, rays), seen_s=frame.time_s)
+    state = replace(aim_at_assumed_depth(settings, state, posture, rays), seen_s=frame.time_s)
     return _follow(settings, state, posture, rays, now_s)
 
 
@@ -131,7 +130,7 @@ def _follow(
     object is turned by the aim alone.
     """
     calibration, aim, image_s = settings.calibration, state.aim, state.frame_s
-    assert aim is not None  # `aim_by_one_eye` sets it wherever an eye sees the object
+    assert aim is not None  # `aim_at_assumed_depth` sets it wherever an eye sees the object
     start_now = setpoint(state.command, now_s)
     neck_then = posture[NECK]
     neck_now = neck_then + start_now[NECK] - commanded(state.commands, image_s)[NECK]

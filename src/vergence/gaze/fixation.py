@@ -80,7 +80,7 @@ def _centre(
         here = np.isfinite(p).all(axis=-1) & (p[..., :2] != 0).any(axis=-1)
         usable = usable & here
         points[name] = np.where(here[..., None], p, [1.0, 0, 0])
-        pan, tilt = np.moveaxis(pan_tilt_along(points[name]), -1, 0)
+        pan, tilt = pan_tilt_along(*np.moveaxis(points[name], -1, 0))
         turn = np.stack([0 * pan, tilt, pan], axis=-1)
         cameras[name] = replace(calibration.camera(name), intrinsics=_UNIT_LENS)
         chain = kinematics.chains[cameras[name].eye]

@@ -25,12 +25,8 @@ from vergence.vision.detector import Detection, Detector
 Rays = Mapping[Side, tuple[Array, Array]]
 """By eye that sees the object: origin (3,) [m] and direction (3,) of the ray to it, in the eye's
 base frame."""
-
-
 _LAGUERRE = np.polynomial.laguerre.laggauss(12)
 """Nodes and weights of the integral of exp(-x) f(x) from 0 to infinity."""
-
-
 _OLDEST_S = 10.0
 """Age of a frame from which its time stamp is taken for that of another clock."""
 
@@ -275,7 +271,7 @@ def _fused(
     return track, ratio
 
 
-def aim_by_one_eye(
+def aim_at_assumed_depth(
     settings: GazeSettings, state: GazeState, posture: Array, rays: Rays
 ) -> GazeState:
     """Return the state with an aim at an assumed depth, where the frame gave no measurement.

@@ -215,7 +215,7 @@ def joint_errors(joints: tuple[Joint, ...], names: tuple[str, ...]) -> tuple[Joi
         if name == "gain":
             mixing = joint.readings
         elif name.startswith("factor_"):
-            mixing = {name.removeprefix("factor_"): joint.gain}
+            mixing = {name.removeprefix("factor_"): 1.0}
         elif name == "slide_m":
             direction = joint.axis.tolist()
         elif name == "inclination_rad":

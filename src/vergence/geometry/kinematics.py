@@ -250,10 +250,9 @@ def looking_along(pan_rad: np.ndarray, tilt_rad: np.ndarray) -> Array:
     return np.stack(parts, axis=-1)
 
 
-def pan_tilt_along(directions: Array) -> Array:
-    """Return pan and tilt (..., 2) [rad] with which an eye looks along vectors (..., 3)."""
-    x, y, z = np.moveaxis(directions, -1, 0)
-    return np.stack([np.arctan2(y, x), -np.arctan2(z, np.hypot(x, y))], axis=-1)
+def pan_tilt_along(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
+    """Return pan and tilt (...) [rad] with which an eye looks along vectors."""
+    return np.arctan2(y, x), -np.arctan2(z, np.hypot(x, y))
 
 
 def checked_readings(

@@ -15,6 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.data.table import MAX_DELAY_S
 from vergence.errors import VergenceError
 from vergence.gaze.commands import HOLD_S
 from vergence.gaze.kalman import MotionModel, Track
@@ -22,9 +23,6 @@ from vergence.gaze.state import GazeSettings, GazeState, initial_gaze_state
 from vergence.self_calibration.sequence import SeenGeometry
 from vergence.vision.detector import Detection, Detector
 from vergence.vision.sphere import sphere_detector
-
-_KEPT_S = 1.0
-"""For how long readings of the hand are kept: as long as images may be late."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,7 +217,7 @@ def with_reading(before: tuple[HandReading, ...], reading: HandReading) -> tuple
             raise VergenceError("The first reading of the hand has a finite time and pose.")
         return (*before[:-1], replace(before[-1], closed=reading.closed))
     # A copy, since a driver may write the next pose into the same array.
-    kept = [each for each in before if time_s - _KEPT_S < each.time_s < time_s]
+    kept = [each for each in before if time_s - MAX_DELAY_S < each.time_s < time_s]
     return (*kept, replace(reading, T_body_hand=T))
 
 

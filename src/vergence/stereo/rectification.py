@@ -199,7 +199,7 @@ def _known_posture(head: HeadCalibration, joints: ArrayLike) -> Array:
     VergenceError if they are not those of one posture, one of them is not known, or poses are not
     rigid.
     """
-    at = np.asarray(joints, dtype=float)
+    at = np.array(joints, dtype=float)  # a copy, which the pair keeps
     if at.shape != (2, 4, 4):
         at = checked_readings(head.kinematics, at, one_posture=True)
     if not np.isfinite(at).all():

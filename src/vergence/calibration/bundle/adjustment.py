@@ -50,8 +50,7 @@ give the eyes' trajectory in time. At it they hold the latent angles to a fifth,
 FEW_LEFT = 6
 """Redundancy of the readings at the start, below which it is computed again after a few steps."""
 ROUGH_STEPS = 5
-"""Steps of the minimiser before the redundancy is computed again: they lead away from a poor start.
-"""
+"""Steps of the minimiser before the redundancy is computed again, away from a poor start."""
 ROUNDS = 40
 """Rounds of unknowns, noise and observability in turn, before an estimate has not converged."""
 FAILURES = 6

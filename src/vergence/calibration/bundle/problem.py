@@ -86,7 +86,7 @@ class BundleProblem:
     trajectory_coefficients: Array
     """(B, n, TRAJECTORY_DEGREE) how the latent unknowns go on in time; see refit_trajectory."""
     read_motion: ReadMotion | None
-    """The same of the readings, by all rows of the recording; None: the eyes stood still."""
+    """How the readings go on in time, by all rows of a recording; None: the eyes stood still."""
     trust_encoder: NDArray[np.bool_]
     """(n,) of which joints the readings know the trajectory better than the images do."""
     T_base_eye_read: Array | None

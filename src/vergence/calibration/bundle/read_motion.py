@@ -23,7 +23,7 @@ from vergence.geometry.se3 import known_poses
 
 _LEAST_SEEN = 0.5
 """Share of the rows of a motion in which an eye must see the board, among its neighbours in time,
-so that these tell the trajectory."""
+so that these tell the trajectory. An assumption: 2 and 5 of 30 rows are too few."""
 
 
 class ReadMotion(NamedTuple):
