@@ -265,11 +265,12 @@ def record_replay(
 
         def observe(*, frame: Frame | None, **sample: Any) -> None:
             log_frame(rec, calibration, frame=frame, **sample)
-            if compared is not None:
-                now = compared.learning
-                log_learned(rec, calibration, now.known)
-                if frame is not None and now.latest is not None:
-                    log_matches(rec, calibration, now.latest)
+            if compared is None or frame is None:
+                return
+            now = compared.learning
+            log_learned(rec, calibration, now.known)
+            if now.latest is not None:
+                log_matches(rec, calibration, now.latest)
 
         result = replay(
             twin,

@@ -148,13 +148,14 @@ def _from_matches(
     if float(z @ prior @ z) > chdtri(max(observed, 1.0), gate):
         return replace(unseen, status="contradiction", weights=weights, evidence=evidence)
     information, vector = _beyond_known(state, evidence, joints)
-    covariance = np.asarray(np.linalg.inv(information + prior), float)
-    head, now = _changed(state, joints, covariance @ vector)
+    if information is not evidence.information:
+        posterior = np.linalg.inv(information + prior)
+    head, now = _changed(state, joints, posterior @ vector)
     return replace(
         unseen,
         head=head,
         joints=now,
-        covariance=covariance,
+        covariance=posterior,
         weights=weights,
         status="seen" if observed > _LITTLE else "little seen",
         evidence=evidence,

@@ -13,6 +13,7 @@ Residuals hardly show them; how large they are is known from the calibration.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -164,7 +165,7 @@ def recurrence_inflation(before: Recurrence | None, joints: Array) -> float:
         before: of the frames before, as old as they are now; None: there was none.
         joints: (r,) readings of the frame [rad], times `Kinematics.factors`.
     """
-    return 1.0 if before is None else _inflation(before, _added(before, joints))
+    return 1.0 if before is None else _inflation(before, _added(before, tuple(joints)))
 
 
 def _inflation(before: Recurrence, added: float) -> float:
@@ -173,18 +174,20 @@ def _inflation(before: Recurrence, added: float) -> float:
     return (1 + c * (n - 1)) * (1 + c * (n + added - 1)) / (added * (1 - c))
 
 
-def _added(before: Recurrence, joints: Array) -> float:
+@lru_cache(maxsize=1)  # the estimate, the tracking and the filter ask for one and the same frame
+def _added(before: Recurrence, joints: tuple[float, ...]) -> float:
     """Return how many independent frames a frame adds, whose posture was observed before.
 
     The mean of frames with correlated errors (covariance K) tells as much as 1' K^-1 1 independent
     ones; a frame adds the difference.
     """
-    near = np.argsort(_apart(before.joints, joints))[:_NEAREST]
+    posture = np.array(joints)
+    near = np.argsort(_apart(before.joints, posture))[:_NEAREST]
     at, ages_s = before.joints[near], before.ages_s[near]
     between_s = np.abs(ages_s[:, None] - ages_s)
     K = before.correlation * _kernel(_apart(at[:, None], at), between_s)
     K[np.diag_indices(len(K))] = 1.0
-    k = before.correlation * _kernel(_apart(at, joints), ages_s)
+    k = before.correlation * _kernel(_apart(at, posture), ages_s)
     weights = np.linalg.solve(K, k)
     return float(max(1 - weights.sum(), _LEAST_NEW) ** 2 / (1 - weights @ k))
 
@@ -210,7 +213,7 @@ def with_frame(
     measured = float(near @ (before.blocks @ unit[0])) / max(weight, 1e-9)
     pace = _PACE * weight / (1 + weight)
     c = before.correlation + pace * (measured - before.correlation)
-    added = _added(before, joints)
+    added = _added(before, tuple(joints))
     after = Recurrence(
         joints=np.concatenate([before.joints, joints[None]])[-_REMEMBERED:],
         ages_s=np.append(before.ages_s, 0.0)[-_REMEMBERED:],
