@@ -17,6 +17,8 @@ _TIME_DIVISORS = {
     "divergent": np.array([1.0, 1.5, 2.0, 2.5]),
 }
 """By joint, in the order of EYE_JOINTS: cos(t), cos(t / 1.5) and so on, of Eqs. 22 and 23."""
+SLOWEST_S = {motion: 2 * np.pi * float(each.max()) for motion, each in _TIME_DIVISORS.items()}
+"""Period of the slowest joint, in which every joint goes through its whole range."""
 
 
 def eye_angles(motion: Motion, time_s: Array) -> Array:

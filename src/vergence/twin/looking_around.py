@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from vergence.accuracy.motions import eye_angles
+from vergence.accuracy.motions import SLOWEST_S, eye_angles
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.progress import Progress, silent
@@ -16,6 +16,10 @@ from vergence.twin.head import Twin
 
 LOOK_S, LOOK_STEP_S = 5.0, 0.1
 """How long the twin looks around, and how often it takes images."""
+_FASTER = SLOWEST_S["divergent"] / LOOK_S
+"""By how much faster than in the paper's figures the eyes move, so that each joint goes through its
+whole range once: at most 45 degrees a second. Errors of matches recur where the eyes have been, so
+that it is other postures that teach more, and not more images."""
 _SETTLE_S = 1.0
 
 
@@ -25,14 +29,14 @@ def look_times() -> Array:
 
 
 def look_around(twin: Twin, cameras: Sequence[str], *, run: int) -> Iterator[Frame]:
-    """Yield frames of LOOK_S of divergent motion, in which vergence changes.
+    """Yield frames of LOOK_S of quick divergent motion, in which vergence changes.
 
     The number of the run determines the noise.
     """
     twin.restart(run)
 
     def command(time_s: float) -> Array:
-        return straight_neck(eye_angles("divergent", np.array(time_s - _SETTLE_S)))
+        return straight_neck(eye_angles("divergent", _FASTER * np.array(time_s - _SETTLE_S)))
 
     twin.advance(_SETTLE_S / 2, command(_SETTLE_S))
     for time_s in look_times():
