@@ -1,16 +1,21 @@
 """How true the covariance of a single frame is: the cameras' turn to each other, over many heads.
 
     python benchmarks/single_frames.py [--lens 2.8mm] [--heads 12] [--factors 0.5 0.75 1 1.5]
+    python benchmarks/single_frames.py --method bundle [--lens 2.8mm] [--heads 4]
 
-Every head is built, and calibrated by the paper's method, on rendered images; seven pairs in
-parallel and seven in divergent motion are corrected each by itself. Printed is the mean squared
-Mahalanobis distance of the turn per degree of freedom (1 is right), with the prior of the lenses as
-it is and so many times as uncertain. The prior's factor on what lens fits state was chosen by this.
+Every head is built, and calibrated on rendered images; seven pairs in parallel and seven in
+divergent motion are corrected each by itself. Printed is the mean squared Mahalanobis distance of
+the turn per degree of freedom (1 is right). After the paper's method, with the prior of the lenses
+as it is and so many times as uncertain: the factor on what lens fits state was chosen by this.
+After bundle adjustment, right after the calibration, and with what may have moved since.
 """
 
 from __future__ import annotations
 
+import tempfile
 from dataclasses import replace
+from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -18,9 +23,12 @@ import tyro
 
 from degraded_images import turn_distance
 from vergence.accuracy.motions import eye_angles
+from vergence.calibration.calibrate import calibrate
+from vergence.commands.record import record
+from vergence.data.reader import load_dataset
 from vergence.geometry.head import HeadCalibration
 from vergence.self_calibration.frame import from_matches, self_calibrate_frame
-from vergence.self_calibration.state import initial_self_calibration
+from vergence.self_calibration.state import SelfCalibration, initial_self_calibration
 from vergence.stereo.extrinsics import T_rcam_lcam
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration, straight_neck
@@ -47,9 +55,16 @@ def less_certain(head: HeadCalibration, factor: float) -> HeadCalibration:
     return replace(head, accuracy=replace(head.accuracy, lenses=lenses))
 
 
-def distances(twin: Twin, head: HeadCalibration, factors: tuple[float, ...]) -> np.ndarray:
-    """Return the mean distances (n,) of single frames by factor."""
-    states = [initial_self_calibration(less_certain(head, each), fresh=True) for each in factors]
+def by_bundle_adjustment(seed: int, lens: Lens) -> list[SelfCalibration]:
+    """Return what is known of a head right after its calibration, and some time later."""
+    with tempfile.TemporaryDirectory() as folder:
+        record(Path(folder), profile=load_profile("paper"), seed=seed, lens=lens)
+        head = calibrate(load_dataset(Path(folder))).head
+    return [initial_self_calibration(head, fresh=fresh) for fresh in (True, False)]
+
+
+def distances(twin: Twin, states: list[SelfCalibration]) -> np.ndarray:
+    """Return the mean distances (n,) of single frames by what is known before them."""
     cameras, found, time_s = states[0].cameras, [], 0.0
     twin.restart(0)
     for motion in ("parallel", "divergent"):
@@ -67,24 +82,33 @@ def distances(twin: Twin, head: HeadCalibration, factors: tuple[float, ...]) -> 
 
 
 def main(
-    lens: Lens = "2.8mm", heads: int = 12, factors: tuple[float, ...] = (0.5, 0.75, 1.0, 1.5)
+    lens: Lens = "2.8mm",
+    heads: int = 12,
+    factors: tuple[float, ...] = (0.5, 0.75, 1.0, 1.5),
+    method: Literal["paper", "bundle"] = "paper",
 ) -> None:
     """Print the mean distances of each head, and of all.
 
     Args:
         lens: of the wide cameras.
         heads: seeds from 0.
-        factors: on the standard deviations of the lenses.
+        factors: on the standard deviations of the lenses, after the paper's method.
+        method: by which the heads are calibrated.
     """
     cv2.setNumThreads(1)
     profile, found = load_profile("paper"), []
-    print("factor", *factors)
+    print(*(("factor", *factors) if method == "paper" else ("calibrated just now", "before")))
     for seed in range(heads):
         with Twin(profile, seed=seed, lens=lens) as twin:
-            calibrated = paper_calibration(twin, seed).head
-            head = inject_calibration_error(calibrated, profile.by_hand, lens)
-            found.append(distances(twin, head, factors))
-        print(f"head {seed}:", *np.round(found[-1], 2))
+            if method == "paper":
+                calibrated = paper_calibration(twin, seed).head
+                head = inject_calibration_error(calibrated, profile.by_hand, lens)
+                priors = [less_certain(head, each) for each in factors]
+                states = [initial_self_calibration(each, fresh=True) for each in priors]
+            else:
+                states = by_bundle_adjustment(seed, lens)
+            found.append(distances(twin, states))
+        print(f"head {seed}:", *np.round(found[-1], 2), flush=True)
     error = np.std(found, axis=0) / np.sqrt(heads)
     print("mean:", *np.round(np.mean(found, axis=0), 2), "+-", *np.round(error, 2))
 

@@ -16,7 +16,7 @@ from vergence.twin.head import Twin
 
 LOOK_S, LOOK_STEP_S = 5.0, 0.1
 """How long the twin looks around, and how often it takes images."""
-_FASTER = SLOWEST_S["divergent"] / LOOK_S
+FASTER = SLOWEST_S["divergent"] / LOOK_S
 """By how much faster than in the paper's figures the eyes move, so that each joint goes through its
 whole range once: at most 45 degrees a second. Errors of matches recur where the eyes have been, so
 that it is other postures that teach more, and not more images."""
@@ -36,7 +36,7 @@ def look_around(twin: Twin, cameras: Sequence[str], *, run: int) -> Iterator[Fra
     twin.restart(run)
 
     def command(time_s: float) -> Array:
-        return straight_neck(eye_angles("divergent", _FASTER * np.array(time_s - _SETTLE_S)))
+        return straight_neck(eye_angles("divergent", FASTER * np.array(time_s - _SETTLE_S)))
 
     twin.advance(_SETTLE_S / 2, command(_SETTLE_S))
     for time_s in look_times():
