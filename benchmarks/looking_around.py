@@ -1,9 +1,10 @@
-"""What five seconds of looking around teach, by how fast the eyes move, and if they see late.
+"""What five seconds of looking around teach, by how fast the eyes move, and if something is late.
 
 Simulated matches of a room, divergent motion, ten pairs a second; heads drawn from the prior of a
 calibration without covariance, the noise of the readings not given. In some runs the right eye sees
-later than the left one and the readings. Printed is how wrong the learned head has the turn of the
-cameras to each other, at postures all over the motion, given the true angles there.
+later than the left one and the readings, in others the readings are older than both images. Printed
+is how wrong the learned head has the turn of the cameras to each other, at postures all over the
+motion, given the true angles there.
 
     python benchmarks/looking_around.py [--heads 12]
 """
@@ -26,20 +27,23 @@ from vergence.twin.looking_around import FASTER, LOOK_STEP_S, look_times
 from vergence.twin.model import nominal_head
 
 NOISE_PX, JOINT_DEG, POINTS, POSTURES = 0.08, 0.15, 500, 40
-SPEEDS, LATE_MS = (1.0, 2.0, FASTER), (0.0, 5.0, 15.0)
+SPEEDS = 1.0, 2.0, FASTER
+LATE_MS = (0.0, 0.0), (5.0, 0.0), (15.0, 0.0), (0.0, 5.0), (0.0, 20.0)
+"""By how much the right image is later, and the readings are older."""
 
 
-def learned(seed: int, speed: float, late_s: float) -> tuple[float, float]:
+def learned(seed: int, speed: float, late_s: float, old_s: float) -> tuple[float, float]:
     """Return the error [deg], rms, and the squared Mahalanobis distance by parameter."""
     rng = np.random.default_rng(seed)
     first = initial_self_calibration(nominal_head("2.8mm"), fresh=True)
     state = replace(first, match_scale=1.0)
     truth, points = drawn_head(state, rng), room(POINTS, rng)
     for time_s in look_times():
-        angles, later = eye_angles("divergent", speed * (time_s + np.array([0.0, late_s])))
+        moments = speed * (time_s + np.array([0.0, late_s, -old_s]))
+        angles, later, before = eye_angles("divergent", moments)
         seen_at = np.concatenate([angles[:2], later[2:]])
         found = matches(truth, seen_at, points, noise_px=NOISE_PX, rng=rng)
-        readings = angles + rng.normal(0, np.radians(JOINT_DEG), 4)
+        readings = before + rng.normal(0, np.radians(JOINT_DEG), 4)
         state = drifted(learn(state, from_matches(state, found, readings)), LOOK_STEP_S)
     postures = eye_angles("divergent", rng.uniform(0, PERIOD_S["divergent"], POSTURES))
     errors = [turn_error_deg(state.head, each, truth, each) for each in postures]
@@ -53,12 +57,14 @@ def main(heads: int = 12) -> None:
     Args:
         heads: how many; their seeds are 0, 1, ...
     """
-    for late_ms, speed in product(LATE_MS, SPEEDS):
-        found = np.array([learned(seed, speed, 1e-3 * late_ms) for seed in range(heads)])
+    for (late_ms, old_ms), speed in product(LATE_MS, SPEEDS):
+        late = 1e-3 * late_ms, 1e-3 * old_ms
+        found = np.array([learned(seed, speed, *late) for seed in range(heads)])
         error, distance = found.mean(axis=0)
         print(
-            f"{speed:.1f} times as fast, the right eye {late_ms:.0f} ms late: turn wrong by "
-            f"{error:.3f} deg, squared Mahalanobis distance {distance:.2f} by parameter",
+            f"{speed:.1f} times as fast, the right eye {late_ms:.0f} ms late, readings {old_ms:.0f}"
+            f" ms old: turn wrong by {error:.3f} deg, squared Mahalanobis distance {distance:.2f} "
+            "by parameter",
             flush=True,
         )
 
