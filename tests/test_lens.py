@@ -185,6 +185,13 @@ def test_without_a_constant_a_cubic_has_the_roots_of_a_quadratic(b, c):
     assert [x * x + b * x + c for x in found] == pytest.approx([0.0] * len(found), abs=1e-12)
 
 
+@pytest.mark.parametrize("k", [(0, 1e-121, 0, 0, 1e-171), (1e-110, 1e-121, 0, 0, 1e-201)])
+def test_a_lens_whose_coefficients_are_all_but_zero_sees_as_one_without_distortion(k):
+    pixels = np.array([[10.0, 20.0], [600.0, 470.0]])
+    plain, camera = (pinhole(640, 480, 300.0, each) for each in (None, k))
+    np.testing.assert_array_equal(normalise(camera, pixels), normalise(plain, pixels))
+
+
 def test_a_fisheye_lens_that_folds_has_no_direction_beyond():
     camera = pinhole(640, 480, 300.0, (-0.3, 0.0, 0.0, 0.0), model="fisheye")
     turn = np.sqrt(1 / 0.9)  # where 1 - 0.9 t^2 is zero

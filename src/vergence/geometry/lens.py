@@ -125,7 +125,7 @@ def roots_of_cubic(b: float, c: float, d: float) -> list[float]:
     if discriminant > 0:
         root = math.cbrt(r + math.copysign(math.sqrt(discriminant), r))
         return [root - q / root - b / 3]
-    size = math.sqrt(-q)
+    size = math.sqrt(max(-q, 0.0))  # above zero where its cube has underflown
     third = math.acos(max(-1.0, min(r / size**3, 1.0))) / 3 if size else 0.0
     return [2 * size * math.cos(third + k * math.tau / 3) - b / 3 for k in range(3)]
 
