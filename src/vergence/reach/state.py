@@ -204,7 +204,7 @@ def with_reading(before: tuple[HandReading, ...], reading: HandReading) -> tuple
     Where its pose is not finite, as when a bus does not answer, the last one stands. VergenceError
     if it is no reading, or there is no last one.
     """
-    try:
+    try:  # a copy, since a driver may write the next pose into the same array
         time_s, T = float(reading.time_s), np.array(reading.T_body_hand, float)
     except (AttributeError, TypeError, ValueError):
         raise VergenceError(
@@ -216,7 +216,6 @@ def with_reading(before: tuple[HandReading, ...], reading: HandReading) -> tuple
         if not before:
             raise VergenceError("The first reading of the hand has a finite time and pose.")
         return (*before[:-1], replace(before[-1], closed=reading.closed))
-    # A copy, since a driver may write the next pose into the same array.
     kept = [each for each in before if time_s - MAX_DELAY_S < each.time_s < time_s]
     return (*kept, replace(reading, T_body_hand=T))
 

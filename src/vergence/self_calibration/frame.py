@@ -22,7 +22,7 @@ from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import checked_readings
 from vergence.geometry.parameters import change_named
 from vergence.self_calibration.keyframe import track_keyframe
-from vergence.self_calibration.match_noise import recurrence_inflation
+from vergence.self_calibration.match_noise import Recurrence, recurrence_inflation
 from vergence.self_calibration.motion_evidence import by_each_eye
 from vergence.self_calibration.residuals import epipolar_residuals, pair_coordinates
 from vergence.self_calibration.robust_fit import (
@@ -147,8 +147,9 @@ def _from_matches(
     gate = GATE if evidence.inliers > MOST * len(weights) else _GATE_OF_FEW
     if float(z @ prior @ z) > chdtri(max(observed, 1.0), gate):
         return replace(unseen, status="contradiction", weights=weights, evidence=evidence)
-    information, vector = _beyond_known(state, evidence, joints)
-    if information is not evidence.information:
+    vector = evidence.vector
+    if state.recurrence is not None:
+        information, vector = _beyond_known(state, state.recurrence, evidence, joints)
         posterior = np.linalg.inv(information + prior)
     head, now = _changed(state, joints, posterior @ vector)
     return replace(
@@ -186,7 +187,9 @@ def _fit(
     )
 
 
-def _beyond_known(state: SelfCalibration, says: Evidence, joints: Array) -> tuple[Array, Array]:
+def _beyond_known(
+    state: SelfCalibration, recurrence: Recurrence, says: Evidence, joints: Array
+) -> tuple[Array, Array]:
     """Return what a frame says, (K, K) and (K,), with less of the head where it was seen like this.
 
     Errors of matches that recur were learned with the head: they tell no more of it, as in
@@ -194,10 +197,8 @@ def _beyond_known(state: SelfCalibration, says: Evidence, joints: Array) -> tupl
     tell of the frame's joints what they do.
     """
     N, b = says.information, says.vector
-    if state.recurrence is None:
-        return N, b
     posture = state.head.kinematics.factors * joints
-    inflation, P = recurrence_inflation(state.recurrence, posture), len(state.names)
+    inflation, P = recurrence_inflation(recurrence, posture), len(state.names)
     of_joints = N[P:, P:] + np.diag(state.reading_std_rad**-2.0)
     follows = np.linalg.solve(of_joints, N[P:, :P]).T
     information, vector = N.copy(), b.copy()
