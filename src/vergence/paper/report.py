@@ -185,8 +185,8 @@ def _comparison(replays: Sequence[Replay]) -> list[str]:
     return [
         "## Methods compared",
         "All methods have the same images, readings and object pixels. `single-frame` corrects "
-        "each pair of images by itself; `learned` also keeps what persists, and had seen "
-        f"{LOOK_S:g} s of divergent motion before; `floor` is given the true head.",
+        "each pair of images by itself; `learned` also keeps what persists, and had "
+        f"looked around for {LOOK_S:g} s before; `floor` is given the true head.",
         markdown_table("Fig. | method | depth std | times steadier | depth error", rows),
     ]
 
