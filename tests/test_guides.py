@@ -25,6 +25,7 @@ from vergence.data.dataset import Frame
 from vergence.data.description import Description
 from vergence.data.reader import load_dataset
 from vergence.geometry.head import save_head
+from vergence.geometry.se3 import boxminus
 
 
 def test_the_guide_to_recording_writes_a_dataset(tmp_path, monkeypatch):
@@ -171,6 +172,23 @@ def test_the_program_on_the_first_screen_finds_where_points_are(tmp_path, monkey
     assert (distance < 25).all()  # five standard deviations
     assert np.abs(error).max() < 0.02
     assert (tmp_path / "head.json").exists()
+    assert capsys.readouterr().out.strip()
+
+
+def test_the_guide_to_calibration_runs(tmp_path, monkeypatch, capsys):
+    head = four_cameras()
+    vergence.save_head(head, tmp_path / "calibration.json")
+    monkeypatch.chdir(tmp_path)
+    trackers, corners = (b.text for b in blocks("docs/calibration.md") if b.language == "python")
+    for code in (trackers, corners):
+        names: dict[str, Any] = {}
+        exec(compile(code, "calibration.md", "exec"), names)
+        found = names["found"]
+        mounted = found.head.cameras["left_wide"] if code is trackers else found
+        off = boxminus(mounted.T_eye_cam, head.cameras["left_wide"].T_eye_cam)
+        assert np.linalg.norm(off[:3]) < np.radians(0.05)
+        assert np.linalg.norm(off[3:]) < 1e-3
+        assert found.void == ()
     assert capsys.readouterr().out.strip()
 
 
