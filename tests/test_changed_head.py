@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from bumped_camera import run
 from simulated_frames import (
     JOINT_STD_RAD,
     NOISE_PX,
@@ -49,6 +50,16 @@ def test_a_bumped_camera_is_reported_and_corrected(axis, noise_px, seen_before, 
     assert len(reported) == 1
     assert seen_before <= reported[0] < seen_before + 3
     assert turn_error_deg(found.head, found.joints, truth, angles) < 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [16, 36])
+def test_a_camera_that_turns_about_a_joints_axis_is_reported_though_readings_are_noisy(seed):
+    """Pan (16) and tilt (36): each frame alone might as well have readings that are wrong."""
+    errors, reported, moment = run(seed, 3.4, bump=True)
+    assert len(reported) == 1
+    assert moment <= reported[0] < moment + 3
+    assert errors[moment + 10 :].max() < 0.1
 
 
 def uncalibrated(seed: int) -> tuple[SelfCalibration, HeadCalibration, np.random.Generator]:

@@ -53,6 +53,10 @@ _TESTED = 8
 together: it shows in many, and a test takes 0.9 ms."""
 _CHANGES = (BUMP, UNCALIBRATED)
 """How far a bump, or an uncalibrated head, may be from what was known before a frame."""
+_HARDLY_LESS_LIKELY = 6.0
+"""Logarithm of how much less likely a change may make each frame alone, for the window to be
+examined: a bump costs some 12, and where each frame gains half of that, three of them show it. In
+undisturbed runs one frame in fifty is examined."""
 _CHANGE_MATCHES = 50.0
 """Matches of a frame that fit a change at least, and most of them: a few wrong ones always fit some
 head. Rooms show 370 and more."""
@@ -125,9 +129,9 @@ def _remembered(
 
 
 def _freed(state: SelfCalibration, tolerance: Tolerance) -> SelfCalibration:
-    """Return what is known of a head that may have changed."""
+    """Return what is known of a head that may have changed, by more than what is linear."""
     C = state.covariance + tolerance_covariance(state.head, state.names, tolerance)
-    return replace(state, covariance=C, origin=Origin(state.head, C))
+    return replace(state, covariance=C, origin=Origin(state.head, C), settled=False)
 
 
 def _settling(state: SelfCalibration) -> SelfCalibration:
@@ -162,7 +166,9 @@ def _after_change(past: tuple[Past, ...]) -> SelfCalibration | None:
     """
     best, found = 0.0, None
     for k, tolerance in enumerate(_CHANGES, start=1):
-        if not any(each.likelihoods[k] > each.likelihoods[0] for each in past):
+        if not any(
+            each.likelihoods[k] > each.likelihoods[0] - _HARDLY_LESS_LIKELY for each in past
+        ):
             continue
         for first, frame in enumerate(past):
             changed = replace(frame, state=_freed(frame.state, tolerance))
