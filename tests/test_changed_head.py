@@ -22,7 +22,7 @@ from vergence.geometry.parameters import change_named
 from vergence.self_calibration.frame import from_matches
 from vergence.self_calibration.learning import learn
 from vergence.self_calibration.state import Origin, SelfCalibration
-from vergence.self_calibration.tolerances import UNCALIBRATED, tolerance_covariance
+from vergence.self_calibration.tolerances import DRIFT, UNCALIBRATED, tolerance_covariance
 from vergence.self_calibration.update import drifted, evidence_about
 
 
@@ -197,3 +197,47 @@ def test_a_few_matches_report_no_change_however_well_they_fit_one():
         state = drifted(learn(state, found), 0.3)
         assert not state.bumped
         assert not state.uncalibrated
+
+
+def test_in_a_pause_all_that_is_known_fades():
+    state, pause_s = learned(3, joint_std_deg=0.15, told_deg=0.15), 600.0
+    later = drifted(state, pause_s)
+    drift = tolerance_covariance(state.head, state.names, DRIFT) * pause_s / 60
+    # Of where it was learned from too: else drift would look like a head that was never calibrated.
+    for before, after in ((state, later), (state.origin, later.origin)):
+        np.testing.assert_allclose(after.covariance, before.covariance + drift)
+    assert state.recurrence is not None
+    assert later.recurrence is not None
+    np.testing.assert_allclose(later.recurrence.ages_s, state.recurrence.ages_s + pause_s)
+    assert later.recurrence.independent < 0.5 * state.recurrence.independent
+    assert later.time_s == state.time_s + pause_s
+
+
+def test_gains_that_are_wrong_are_reported_however_late():
+    """Long after the first frames, which are linearised again."""
+    rng, state = np.random.default_rng(0), begin(head_of(0))
+    gains = [k for k, name in enumerate(state.names) if name.endswith("_gain")]
+    C = 0.01 * state.covariance
+    C[np.ix_(gains, gains)] = 1e-3**2 * np.eye(len(gains))
+    state = replace(state, covariance=C, origin=Origin(state.head, C), settled=True)
+    truth = change_named(state.head, [state.names[k] for k in gains], rng.choice([-0.02, 0.02], 4))
+    points, reported = room(300, rng), []
+    for k, angles in enumerate(postures(80, rng)):
+        readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
+        seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
+        state = drifted(learn(state, from_matches(state, seen, readings)), 0.3)
+        reported += [k] * state.uncalibrated
+        if reported:
+            break
+    assert len(reported) == 1
+
+
+def test_time_goes_on_where_frames_are_linearised_again():
+    head, rng, state = head_of(0), np.random.default_rng(0), begin(head_of(0))
+    for k, angles in enumerate(postures(9, rng)):
+        seen = matches(head, angles, room(200, rng), noise_px=NOISE_PX, rng=rng)
+        readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
+        state = learn(state, from_matches(state, seen, readings))
+        assert state.time_s == pytest.approx(0.3 * k)
+        assert state.recurrence.ages_s == pytest.approx(0.3 * np.arange(k, -1, -1))
+        state = drifted(state, 0.3)

@@ -1,6 +1,7 @@
 """Stated accuracies against 100,000 samples at the places of the paper's figures."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.calibration.summary import DISTANCES_M, point_accuracy
 from vergence.geometry.eye_motion import eye_poses
-from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head import HeadCalibration, stated_covariance
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.parameters import parameter_names
@@ -19,10 +20,10 @@ from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import boxplus as moved
 from vergence.geometry.se3 import inverse
 from vergence.paper.figures import FIGURES, Figure
-from vergence.stereo.combination import combination
+from vergence.stereo.combination import combination, locate_both
 from vergence.stereo.depth_error import depth_error, disparity_error, predicted_depth_std
 from vergence.stereo.triangulation import triangulate_at
-from vergence.stereo.uncertainty import locate
+from vergence.stereo.uncertainty import locate, locate_jointly
 
 N = 100_000
 FOCAL_PX = {"2.8mm": 280.0, "4.0mm": 400.0}
@@ -235,3 +236,55 @@ def test_the_accuracy_of_points_that_both_eyes_do_not_see_is_not_stated():
     assert [distance for distance, *_ in near] == list(DISTANCES_M)
     assert [distance for distance, *_ in far] == list(DISTANCES_M[2:])
     assert np.isfinite(far).all()
+
+
+def test_sums_and_differences_are_of_the_points_that_are_located():
+    """By pixels of unequal noise, which do not meet."""
+    rng = np.random.default_rng(0)
+    head = skewed_head(rng)
+    points, joints = rng.uniform([0.4, -0.1, -0.1], [0.8, 0.1, 0.1], (6, 3)), np.zeros(4)
+    left, right = (project_point(head, name, joints, points) for name in WIDE)
+    noise: dict[str, Any] = {"pixel_std_px": [0.1, 0.1, 3.0, 3.0], "joint_std_rad": 1e-3}
+    left, weights = left + rng.normal(0, 1, left.shape), rng.normal(size=6)
+    seen: dict[str, Any] = {"left": left, "right": right, "joints": joints}
+    each = locate(head, **seen, **noise).xyz
+    total, _ = combination(head, weights=weights, **seen, **noise)
+    np.testing.assert_allclose(total, weights @ each)
+    a, b, _ = locate_both(
+        head, left=(left[:3], left[3:]), right=(right[:3], right[3:]), joints=joints, **noise
+    )
+    np.testing.assert_allclose([*a, *b], each)
+
+
+def test_points_that_are_not_seen_do_not_count_with_weight_zero():
+    rng = np.random.default_rng(0)
+    head = stated(skewed_head(rng))
+    _, eyes, left, right = random_samples(head, rng, 3)
+    lost = left.copy()
+    lost[1] = np.nan
+    weights = np.array([0.5, 0.0, 0.5])
+    found, expected = (
+        combination(head, weights=weights, left=each, right=right, joints=eyes)
+        for each in (lost, left)
+    )
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("estimated", [False, True])
+def test_the_part_of_the_calibration_is_that_of_all_its_parameters(estimated):
+    """Whether they were estimated with the readings, or beside them."""
+    rng = np.random.default_rng(0)
+    head = stated(skewed_head(rng))
+    _, eyes, left, right = random_samples(head, rng, 5)
+    seen: dict[str, Any] = {"left": left, "right": right, "joints": eyes[0], "pixel_std_px": 0.1}
+    names = head.accuracy.parameters if estimated else ()
+    _, own = stated_covariance(head, names)
+    C = np.zeros((len(names) + 4,) * 2)
+    C[: len(names), : len(names)] = own
+    jointly = locate_jointly(head, **seen, parameters=names, covariance=C)
+    alone = locate(head, **seen, joint_std_rad=0.0)
+    scale = np.abs(alone.calibration_covariance).max()
+    np.testing.assert_allclose(
+        jointly.calibration_covariance, alone.calibration_covariance, atol=1e-9 * scale
+    )

@@ -111,3 +111,22 @@ def test_no_frame_tells_more_than_one_that_shares_no_errors(seed, n, apart_deg, 
     joints = np.radians(apart_deg) * rng.normal(size=(n + 1, 4))
     before = Recurrence(joints[1:], rng.uniform(0, 1200, n), np.ones((n, 4)), correlation)
     assert recurrence_inflation(aged(before, rng.uniform(0, 10)), joints[0]) >= 1 - 1e-9
+
+
+def test_how_much_matches_err_is_learned():
+    """Their noise, here twice what is told, and what neighbouring ones share of it."""
+    head, rng = head_of(0), np.random.default_rng(0)
+    points, states = room(500, rng), []
+    for shared in (False, True):
+        state = begin(head)
+        for angles in postures(30, rng):
+            seen = matches(head, angles, points, noise_px=2 * NOISE_PX, rng=rng)
+            seen = replace(seen, covariance=seen.covariance / 4)
+            seen = block_errors(seen, rng) if shared else seen
+            readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
+            state = drifted(learn(state, from_matches(state, seen, readings)), 0.3)
+        states.append(state)
+    own, common = states
+    assert own.match_scale == pytest.approx(2.0, rel=0.1)
+    assert own.design_effect < 1.4
+    assert common.design_effect > 1.5

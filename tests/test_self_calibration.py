@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
+from drawn_head import four_cameras
 from head_kinds import KINDS
 from head_kinds import head_of as head_of_kind
 from simulated_frames import (
@@ -367,3 +368,25 @@ def test_a_head_whose_joints_were_not_calibrated_is_refused():
     measured = Accuracy("bundle", joint_std=(1e-3, 1e-4), eye_motion="poses")
     with pytest.raises(VergenceError, match="nothing is known of its joints"):
         initial_self_calibration(replace(head_of(0), accuracy=measured))
+
+
+def test_a_seen_frame_locates_by_the_cameras_that_saw_it():
+    head, cameras = four_cameras(), ("left_narrow", "right_narrow")
+    state = initial_self_calibration(head, cameras=cameras)
+    rng, joints, point = np.random.default_rng(0), np.zeros(4), np.array([[1.0, -0.03, 0.0]])
+    seen = matches(head, joints, room(3000, rng), noise_px=NOISE_PX, rng=rng, cameras=cameras)
+    found = from_matches(state, seen, joints)
+    left, right = (project_point(head, name, joints, point) for name in cameras)
+    where = locate_seen(found, left=left, right=right, pixel_std_px=0.1)
+    np.testing.assert_allclose(where.xyz, point, atol=0.03)
+
+
+def test_little_is_seen_where_nearly_all_is_known():
+    head, rng = head_of(0), np.random.default_rng(0)
+    state, angles = begin(head), postures(1, rng)[0]
+    seen = matches(head, angles, room(300, rng), noise_px=NOISE_PX, rng=rng)
+    exact = replace(state, covariance=1e-12 * state.covariance, joint_std_rad=1e-7)
+    assert [from_matches(each, seen, angles).status for each in (state, exact)] == [
+        "seen",
+        "little seen",
+    ]

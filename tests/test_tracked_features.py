@@ -25,7 +25,7 @@ from vergence.self_calibration.frame import from_matches
 from vergence.self_calibration.keyframe import TURNED_RAD, worth_tracking
 from vergence.self_calibration.learning import learn, learn_tracked
 from vergence.self_calibration.match_noise import Recurrence
-from vergence.self_calibration.motion_evidence import by_each_eye
+from vergence.self_calibration.motion_evidence import by_each_eye, prior_information, with_motion
 from vergence.self_calibration.residuals import motion_coordinates, motion_residuals
 from vergence.self_calibration.state import FrameEstimate, SelfCalibration, TrackedFeatures
 from vergence.self_calibration.update import drifted
@@ -217,19 +217,6 @@ def test_depths_that_are_all_wrong_alike_do_not_move_the_cameras():
     assert max(np.abs(shifts_m)) < 2e-4
 
 
-def test_a_keyframe_stays_until_the_eyes_have_turned():
-    head, rng = head_of(0), np.random.default_rng(0)
-    points, state = room(400, rng), begin(head)
-    kept = []
-    for pan in np.radians([0.0, 3.0, 6.0, 9.0, 12.0]):
-        joints = np.array([pan, 0.0, pan, 0.0])
-        seen = matches(head, joints, points, noise_px=NOISE_PX, rng=rng)
-        state = drifted(learn(state, from_matches(state, seen, joints)), 0.5)
-        assert state.keyframe is not None
-        kept.append(np.degrees(state.keyframe.joints[0]))
-    np.testing.assert_allclose(kept, [0, 0, 0, 9, 9], atol=0.5)
-
-
 def test_an_eye_that_sees_alone_still_tells_how_far_it_has_turned():
     """With the stated covariance, for heads drawn at random; the other eye keeps its readings."""
     nominal, distance, of_seeing_eye = head_of(1), 0.0, []
@@ -306,3 +293,36 @@ def test_the_keyframe_outlives_frames_that_show_nothing():
         seen = matches(head, straight, at, noise_px=NOISE_PX, rng=rng)
         state = drifted(learn(state, from_matches(state, seen, straight)), 0.5)
         assert state.keyframe is not None
+
+
+def told(state, seen, tracked, inflation=1.0):
+    """Return what features tell beside the prior, and the change (K,) that they make."""
+    prior = prior_information(state)
+    N, b = with_motion(state, seen, tracked, inflation, prior, np.zeros(len(prior)))
+    return np.linalg.norm(N - prior), np.linalg.solve(N, b) / np.sqrt(np.diag(np.linalg.inv(prior)))
+
+
+def test_features_tell_as_little_as_the_posture_of_their_frame_is_new():
+    state, seen, tracked = turned_once()
+    (whole, _), (little, change) = (told(state, seen, tracked, each) for each in (1.0, 1e4))
+    assert whole / little == pytest.approx(1e4, rel=0.1)
+    assert np.abs(change).max() < 0.1
+
+
+def test_features_tell_less_by_a_lens_that_departs_from_its_model():
+    state, seen, tracked = turned_once()
+    bent = replace(state, systematic_px=(0.2, 0.2))
+    assert told(bent, seen, tracked)[0] < 0.3 * told(state, seen, tracked)[0]
+
+
+def test_features_of_another_keyframe_and_few_ones_do_not_count():
+    state, seen, tracked = turned_once()
+    other = replace(tracked, readings=tracked.readings + 0.01)
+    few = TrackedFeatures(
+        tracked.readings,
+        tuple(Matches(m.left[:11], m.right[:11], m.covariance[:11]) for m in tracked.matches),
+        tuple(depths[:11] for depths in tracked.depths_m),
+    )
+    without, *others = (learn_tracked(state, seen, each) for each in (None, other, few))
+    for each in others:
+        np.testing.assert_array_equal(each.covariance, without.covariance)

@@ -331,3 +331,24 @@ def test_names_of_cameras_may_come_as_a_list():
     seen = {"left": left, "right": right, "joints": joints, "pixel_std_px": 0.1}
     found = locate(head, **seen, cameras=pair)  # pyright: ignore[reportArgumentType]
     np.testing.assert_allclose(found.xyz, point, atol=1e-9)
+
+
+def test_points_of_one_image_have_its_time_stamp_each():
+    head = replace(plain_head(0.075, 280.0), time_offset_s=0.04)
+    t = np.arange(12) / 30
+    eyes = 0.2 * np.cos(np.pi * t[:, None] + np.arange(4))
+    point = np.array([0.6, -0.03, 0.02])
+    left, right = (project_point(head, f"{eye}_wide", eyes, point) for eye in EYES)
+    one = locate(head, left=left, right=right, joints=eyes, joint_time_s=t)
+    which = np.repeat(np.arange(12), [1, 3, 2] * 4)
+    several = locate(
+        head, left=left[which], right=right[which], joints=eyes[which], joint_time_s=t[which]
+    )
+    np.testing.assert_array_equal(several.xyz, one.xyz[which])
+
+
+def test_time_stamps_that_go_back_are_refused():
+    head, t = plain_head(0.075, 280.0), np.array([0.0, 0.1, 0.05])
+    seen = np.full((3, 2), 200.0)
+    with pytest.raises(VergenceError, match="Time stamps of a motion increase by at most"):
+        locate(head, left=seen, right=seen, joints=np.zeros((3, 4)), joint_time_s=t)
