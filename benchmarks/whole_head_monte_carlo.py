@@ -37,7 +37,7 @@ from vergence.geometry.kinematics import EYES
 from vergence.geometry.parameters import boxminus, without_offsets
 from vergence.geometry.projection import project_point
 from vergence.stereo.triangulation import triangulate_at
-from vergence.stereo.uncertainty import calibration_covariance, locate
+from vergence.stereo.uncertainty import locate
 
 JOINT_DEG = (0.0, 0.02, 0.1, 0.3)
 PIXEL_PX = (0.03, 0.3)
@@ -143,13 +143,12 @@ def judge_point(
         raise AssertionError("no motion keeps the point in view")
     found = locate(head, left=left, right=right, joints=readings)
     by_calibration, predicted = found.xyz - at, found.covariance
-    of_calibration = calibration_covariance(head, left=left, right=right, joints=readings)
     left, right = (uv + rng.normal(0, noise.pixel_px, uv.shape) for uv in (left, right))
     readings = readings + rng.normal(0, noise.joint_rad, readings.shape)
     error = triangulate_at(head, left=left, right=right, joints=readings)[0] - at
     return {
         "point": _mean_square(error, predicted),
-        "point_calibration": _mean_square(by_calibration, of_calibration),
+        "point_calibration": _mean_square(by_calibration, found.calibration_covariance),
         "point_mm": float(1e3 * np.sqrt((error**2).sum(axis=1).mean())),
     }
 

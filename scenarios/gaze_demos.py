@@ -34,7 +34,8 @@ def foveate(
     """
     found, _ = run_foveate(Experiment(load_profile(profile), seed, out=out), trials=trials)
     print(f"distance from the centre: median {found.median_px:.2f} px, 95 % {found.p95_px:.2f} px")
-    print(f"95 % within {SETTLED_PX:.0f} px after {found.settle_s_p95:.2f} s; lost: {found.lost}")
+    slow = "not all" if found.settle_s_p95 is None else f"after {found.settle_s_p95:.2f} s"
+    print(f"95 % within {SETTLED_PX:.0f} px: {slow}; lost: {found.lost}")
 
 
 def track(

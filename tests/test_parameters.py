@@ -23,7 +23,7 @@ from vergence.geometry.parameters import (
 )
 from vergence.geometry.projection import project_point
 from vergence.stereo.triangulation import triangulate_at
-from vergence.stereo.uncertainty import calibration_covariance, locate, locate_with_covariance
+from vergence.stereo.uncertainty import locate, locate_with_covariance
 
 HEAD = plain_head(0.075, 280.0, camera_m=((0.02, 0, 0), (0.02, 0, 0)))
 seeds = st.integers(0, 2**32 - 1)
@@ -155,7 +155,7 @@ def test_a_row_of_the_covariance_moves_points_as_the_covariance_of_points_says()
         np.testing.assert_allclose([off[name] for name in names], change, atol=1e-12)
         moved = (triangulate_at(perturbed, **seen)[0] - triangulate_at(head, **seen)[0]) / 1e-3
         total += moved[:, :, None] * moved[:, None, :]
-    found = calibration_covariance(head, **seen)
+    found = locate(head, **seen).calibration_covariance
     np.testing.assert_allclose(found, total, atol=2e-3 * np.abs(total).max())
 
 
@@ -163,12 +163,7 @@ def test_noise_and_calibration_add_up_to_what_locate_states():
     head = stated(HEAD, np.random.default_rng(3))
     seen = sight(head)
     _, by_noise = locate_with_covariance(head, **seen, pixel_std_px=0.1, joint_std_rad=1e-3)
-    whole = by_noise + calibration_covariance(head, **seen)
+    whole = by_noise + locate(head, **seen).calibration_covariance
     np.testing.assert_allclose(locate(head, **seen).covariance, whole, rtol=1e-12)
     given = locate(head, **seen, pixel_std_px=0.0, joint_std_rad=0.0).covariance
-    np.testing.assert_allclose(given, calibration_covariance(head, **seen), rtol=1e-12)
-
-
-def test_a_calibration_without_covariance_is_refused():
-    with pytest.raises(VergenceError, match="states no covariance"):
-        calibration_covariance(HEAD, **sight(HEAD))
+    np.testing.assert_allclose(given, locate(head, **seen).calibration_covariance, rtol=1e-12)

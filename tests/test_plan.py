@@ -40,7 +40,7 @@ from vergence.geometry.parameters import parameter_names, without_offsets
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, pose, transform
 from vergence.progress import silent
-from vergence.stereo.uncertainty import calibration_covariance
+from vergence.stereo.uncertainty import locate
 from vergence.viewer.plots import plan as picture
 
 PIXEL_PX, JOINT_RAD = 0.1, 2e-3
@@ -147,11 +147,11 @@ def test_the_eyes_fixate_the_workspace_and_its_covariance_is_that_of_located_poi
     for uv, name in ((left, pair[0]), (right, pair[1])):
         centre = calibrated.cameras[name].intrinsics.matrix[:2, 2]
         np.testing.assert_allclose(uv[inside], np.broadcast_to(centre, uv[inside].shape), atol=1e-6)
-    covariance = calibration_covariance(calibrated, left=left, right=right, joints=points.joints)
+    located = locate(calibrated, left=left, right=right, joints=points.joints)
     assert calibrated.accuracy is not None
     found = largest_std(points.by_parameters, calibrated.accuracy.covariance)
     # Only weights between the four equations differ.
-    wanted = np.sqrt(np.linalg.eigvalsh(covariance)[:, -1])
+    wanted = np.sqrt(np.linalg.eigvalsh(located.calibration_covariance)[:, -1])
     np.testing.assert_allclose(found[inside], wanted[inside], rtol=1e-3)
 
 

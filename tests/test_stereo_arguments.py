@@ -16,7 +16,7 @@ from vergence.stereo.combination import locate_both
 from vergence.stereo.extrinsics import T_rcam_lcam, base_extrinsics, stereo_extrinsics
 from vergence.stereo.rectification import rectify
 from vergence.stereo.triangulation import in_body, in_head, triangulate_at
-from vergence.stereo.uncertainty import calibration_covariance, locate, locate_with_covariance
+from vergence.stereo.uncertainty import locate, locate_with_covariance
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def test_a_path_in_place_of_a_head_is_refused():
 @pytest.mark.parametrize(
     "function",
     [
-        *(locate, locate_with_covariance, locate_both, calibration_covariance),
+        *(locate, locate_with_covariance, locate_both),
         *(triangulate_at, base_extrinsics, stereo_extrinsics),
     ],
 )

@@ -11,15 +11,13 @@ from vergence.geometry.head import (
     HeadCalibration,
     T_head_base,
     main_pair,
-    pixel_stds,
-    reading_stds,
 )
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import reading_kinds, readings_to_turn
 from vergence.geometry.parameters import without_offsets
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
-from vergence.stereo.uncertainty import calibration_covariance, locate_with_covariance
+from vergence.stereo.uncertainty import locate
 from vergence.vision.board_pose import seen_corners
 
 POOR_FIT = 1.5
@@ -113,18 +111,11 @@ def point_accuracy(head: HeadCalibration) -> list[tuple[float, float, float]]:
         # Both eyes turn in the same sense; the point stays in the middle of the head.
         point = transform(T_lbase_head, np.array([distance, 0.0, 0.0]))
         left, right = (project_point(plain, name, joints, point) for name in pair)
-        of_head = calibration_covariance(head, left=left, right=right, joints=joints)
-        _, of_reading = locate_with_covariance(
-            head,
-            left=left,
-            right=right,
-            joints=joints,
-            pixel_std_px=pixel_stds(head, pair),
-            joint_std_rad=reading_stds(head),
-        )
+        found = locate(head, left=left, right=right, joints=joints)
+        of_head = found.calibration_covariance
         by_head, by_reading = (
             1e3 * float(np.sqrt(np.trace(each, axis1=1, axis2=2).mean()))
-            for each in (of_head, of_reading)
+            for each in (of_head, found.covariance - of_head)
         )
         if np.isfinite([by_head, by_reading]).all():
             rows.append((distance, by_head, by_reading))

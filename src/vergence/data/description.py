@@ -45,8 +45,8 @@ class DatasetCamera:
     intrinsics: Camera | None = None
     """What is known of the camera, for other programs: calibration does not use it."""
     bits: Annotated[int, Field(ge=8, le=16)] | None = None
-    """How many bits of its 16-bit images the camera fills, such as 10 or 12; None: as many as its
-    first image does."""
+    """How many bits of its 16-bit images the camera fills, such as 10 or 12; None: guessed
+    from the brightest of a dozen of them."""
 
 
 @dataclass(frozen=True, eq=False, config=_STRICT)

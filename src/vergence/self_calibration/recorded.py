@@ -20,7 +20,7 @@ from vergence.self_calibration.learning import learned_head
 from vergence.self_calibration.sequence import MOVED_RAD, initial_seen_geometry, update_geometry
 from vergence.self_calibration.state import FrameEstimate, SelfCalibration
 from vergence.stereo.extrinsics import camera_poses
-from vergence.stereo.uncertainty import calibration_covariance
+from vergence.stereo.uncertainty import locate
 
 OBSERVED, PARTLY = 0.5, 0.9
 """Learned standard deviation over the prior one, up to which a parameter was observed or partly."""
@@ -168,11 +168,11 @@ def _depth_stds(before: SelfCalibration, after: SelfCalibration) -> tuple[float,
     for state in (before, after):
         head, straight = learned_head(state), straight_gaze(state.head.kinematics)
         left, right = (project_point(head, c, straight, _POINT_M)[None] for c in state.cameras)
-        C = calibration_covariance(
-            head, left=left, right=right, joints=straight, cameras=state.cameras
-        )
-        found.append(float(np.sqrt(C[0, 0, 0])))
-    return (found[0], found[1]) if np.isfinite(found).all() else None
+        where = locate(head, left=left, right=right, joints=straight, cameras=state.cameras)
+        if not np.isfinite(where.xyz).all():
+            return None
+        found.append(float(np.sqrt(where.calibration_covariance[0, 0, 0])))
+    return found[0], found[1]
 
 
 def _changes(known: SelfCalibration, time_s: float) -> list[str]:

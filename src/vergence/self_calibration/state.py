@@ -54,9 +54,10 @@ class SelfCalibration:
     origin: Origin
     """From where it was learned."""
     joint_std_rad: float
-    """Noise of the readings, times their factors: of the joints that they turn; rms."""
+    """Noise of the readings in terms of the joints that they turn: the standard deviation of each,
+    times its factor; rms over the readings."""
     noise_ratios: Array
-    """(r,) of each reading's noise to that, as the calibration has them; it does not change."""
+    """(r,) standard deviation of each reading over `joint_std_rad`, as calibrated; constant."""
     match_scale: float
     """Noise of the matches, relative to what their contrast tells."""
     systematic_px: tuple[float, float] = (0.0, 0.0)
@@ -66,7 +67,7 @@ class SelfCalibration:
     recurrence: Recurrence | None = None
     """How far errors recur where the eyes stood before; None: no frame was learned."""
     joint_weight: float = JOINT_WEIGHT
-    """How many readings their noise would be estimated from, to be as well known."""
+    """Number of readings from which an estimate of their noise would be as certain as it is now."""
     frames: int = 0
     """From which it was learned."""
     time_s: float = 0.0

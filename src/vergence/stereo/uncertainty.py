@@ -16,7 +16,6 @@ from vergence.errors import VergenceError
 from vergence.geometry.eye_motion import check_joints, measured
 from vergence.geometry.head import (
     HeadCalibration,
-    check_states_covariance,
     pair_names,
     stated_covariance,
     states_noise,
@@ -225,20 +224,3 @@ def locate_jointly(
         return seen.points.T, whole + of_rest, seen.status, of_head + of_rest
 
     return LocatedPoints(*in_chunks(n, find))
-
-
-def calibration_covariance(
-    head: HeadCalibration,
-    *,
-    left: Array,
-    right: Array,
-    joints: Array,
-    cameras: tuple[str, str] | None = None,
-) -> Array:
-    """Return what the calibration's covariance adds (N, 3, 3) [m^2] to points that are located.
-
-    Arguments and errors are those of `locate`; VergenceError also if the head states no covariance.
-    """
-    check_states_covariance(head)
-    found = locate(head, left=left, right=right, joints=joints, cameras=cameras)
-    return np.where(np.isnan(found.covariance), np.nan, found.calibration_covariance)

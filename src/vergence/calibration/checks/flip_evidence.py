@@ -84,12 +84,12 @@ def costs_of_turns(
     of the rotation that suits it and all others best, less the least of these.
 
     Args:
-        R_a: (L, 3, 3) how a board is turned in camera a, or in the base of its eye.
-        R_b: (L, 3, 3) and in camera b: R_b = Y R_a, with one rotation Y for all.
+        R_a: (L, 3, 3) orientation of the board in camera a, or in the base of its eye.
+        R_b: (L, 3, 3) the same in camera b: R_b = Y R_a, with one unknown rotation Y for all links.
         slack: (L,) how far that may be wrong because the eyes were not straight [rad].
-        weight: (L,) how many views it would take for a link to be wrong.
+        weight: (L,) number of views that would have to be turned for a link to be wrong.
         R: (n, 3, 3) turns of the board.
-        most_rad: angle of Y, as far as it is known; pi: nothing is known of it.
+        most_rad: largest angle of Y that is possible; pi: no limit.
     """
     L, n = len(R_a), len(R)
     between = np.einsum("lab,nbc,ldc->lnad", R_b, R, R_a, optimize=True)
