@@ -17,7 +17,7 @@ from test_kinematics import shared_tilt
 from vergence import cli
 from vergence.accuracy import plan_information
 from vergence.accuracy.plan import Plan, choose, largest_readings, plan
-from vergence.accuracy.plan_information import gained, information, linearised_views, stated
+from vergence.accuracy.plan_information import gained, information, known_of, linearised_views
 from vergence.accuracy.plan_views import (
     MARGIN_PX,
     Views,
@@ -138,7 +138,7 @@ def test_the_information_of_views_is_that_of_bundle_adjustment(truth, kinematics
 
 
 def test_the_eyes_fixate_the_workspace_and_its_covariance_is_that_of_located_points(calibrated):
-    _, known = stated(calibrated)
+    known = known_of(calibrated)
     points = workspace(calibrated, pair_names(calibrated), LIMITS, names=known.names)
     pair = pair_names(calibrated)
     left, right = (project_point(calibrated, k, points.joints, points.points) for k in pair)

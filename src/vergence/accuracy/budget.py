@@ -16,7 +16,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, pair_names, stated_covariance, states_covariance
-from vergence.geometry.parameters import is_gain, parameter_names
+from vergence.geometry.parameters import is_gain, named_columns
 from vergence.geometry.projection import project_point
 from vergence.stereo.calibration_covariance import covariance_factor
 from vergence.stereo.linearised import Linearised, by_head_parameters, linearised, pair_parameters
@@ -123,7 +123,7 @@ def _budget(
 
     def of_errors(source: Source) -> Array:
         """Return the changes (3, T) that known errors make."""
-        _check_names(head, source)
+        named_columns(head, tuple(source.errors))  # VergenceError: an unknown name
         return by_head.swapaxes(1, 2) @ [source.errors.get(name, 0.0) for name in names]
 
     white = {s.name: _white(seen, s) for s in sources if not s.errors}
@@ -175,12 +175,6 @@ def _samples(
     left, right = (uv[kept] for uv in pixels)
     seen = linearised(head, left=left, right=right, joints=joints[kept], cameras=cameras)
     return seen, np.flatnonzero(kept)
-
-
-def _check_names(head: HeadCalibration, source: Source) -> None:
-    unknown = set(source.errors) - set(parameter_names(head))
-    if unknown:
-        raise VergenceError(f"This head has no parameter {min(unknown)!r}.")
 
 
 def _white(seen: Linearised, source: Source) -> Array:

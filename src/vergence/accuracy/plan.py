@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 from vergence.accuracy.plan_information import (
     gained,
     information,
+    known_of,
     linearised_views,
-    stated,
     without_place,
 )
 from vergence.accuracy.plan_views import Views, admissible_views
@@ -91,7 +91,7 @@ def plan(
         VergenceError: no covariance is stated, the head has one eye, no board can be seen, or the
             workspace is out of the eyes' reach.
     """
-    _, known = stated(head)
+    known = known_of(head)
     pair = pair_names(head)
     limits = largest_readings(head.kinematics, limits_rad)
     progress("choosing views", 0, views)  # candidates of a large board take a while

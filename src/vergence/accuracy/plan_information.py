@@ -18,7 +18,6 @@ from vergence.calibration.bundle.problem import head_size, jacobians
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board
 from vergence.geometry.head import HeadCalibration, check_states_covariance
-from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.parameter_names import POSE
 from vergence.geometry.parameters import parameter_names
 
@@ -44,13 +43,8 @@ class Knowledge:
     information: Array
     """(p, p)."""
 
-    @property
-    def covariance(self) -> Array:
-        """(p, p) in px, rad, m, s."""
-        return np.linalg.inv(self.information) * np.outer(self.scale, self.scale)
 
-
-def stated(head: HeadCalibration) -> tuple[Accuracy, Knowledge]:
+def known_of(head: HeadCalibration) -> Knowledge:
     """Return what a calibration states; VergenceError if it states no covariance or no noise."""
     check_states_covariance(head)
     accuracy = head.accuracy
@@ -60,7 +54,7 @@ def stated(head: HeadCalibration) -> tuple[Accuracy, Knowledge]:
     scale = np.sqrt(np.diag(accuracy.covariance))
     correlation = accuracy.covariance / np.outer(scale, scale)
     information: Array = np.linalg.inv(correlation).astype(float)
-    return accuracy, Knowledge(accuracy.parameters, scale, information)
+    return Knowledge(accuracy.parameters, scale, information)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Array
 from vergence.commands.truth import TRUTH, Truth
+from vergence.data.dataset import LEAST_MOVING
 from vergence.data.description import (
     DatasetCamera,
     DatasetJoint,
@@ -22,6 +23,7 @@ from vergence.data.description import (
 )
 from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError
+from vergence.gaze.commands import EYE_READINGS
 from vergence.geometry.board import Board, Charuco
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Side
@@ -64,9 +66,6 @@ LEAST_FRAMES = 12
 MOST_FRAMES = 10_000
 PART_SEEN = 0.4
 """Least visible part of a ChArUco board for which a camera takes an image."""
-
-LEAST_MOVING = 3
-"""Least number of frames of a motion, as docs/dataset.md states it."""
 RATE_HZ = 30.0
 _SPEED_RAD_S = 2.5  # of the phase of pan: with 0.2 rad as fast as eyes that pursue a hand
 _AMPLITUDE_RAD = 0.2
@@ -223,7 +222,7 @@ def _capture(
 
 
 def _frame(twin: Twin, shot: Shot, *, moving: bool) -> tuple[Array, DatasetRow]:
-    true_angles = twin.true_angles()[len(NECK_JOINTS) :]
+    true_angles = twin.true_angles()[EYE_READINGS]
     frame = twin.capture(shot.cameras)
     return true_angles, DatasetRow(frame=frame, placement=shot.placement, moving=moving)
 

@@ -157,22 +157,24 @@ _BRIGHTEST_OF = 12
 """Images over a recording by which it is guessed how many bits a camera fills."""
 MAX_GAP_S = 0.2
 """Longest time between successive rows of one motion."""
+LEAST_MOVING = 3
+"""Rows of a motion at least, so that its velocity can be estimated."""
 
 
 def runs(dataset: Dataset) -> np.ndarray:
     """Return (N,) of int: the number of the motion that each row belongs to, 0 for eyes at rest.
 
     Motions are counted from 1; one ends where the eyes rest or rows are more than MAX_GAP_S apart.
-    VergenceError if one has fewer than three rows, too few to estimate its velocity.
+    VergenceError if one has fewer than LEAST_MOVING rows, too few to estimate its velocity.
     """
     late = np.diff(dataset.joint_time_s, prepend=-np.inf) > MAX_GAP_S
     before = np.concatenate([[False], dataset.moving[:-1]])
     run = np.cumsum(dataset.moving & (late | ~before)) * dataset.moving
     for number in range(1, run.max(initial=0) + 1):
         rows = np.flatnonzero(run == number)
-        if len(rows) < 3:
+        if len(rows) < LEAST_MOVING:
             raise VergenceError(
-                f"{dataset.where(rows[0])}: moving rows come at least 3 in sequence, not more than "
-                f"{MAX_GAP_S} s apart; found {len(rows)}."
+                f"{dataset.where(rows[0])}: moving rows come at least {LEAST_MOVING} in sequence, "
+                f"not more than {MAX_GAP_S} s apart; found {len(rows)}."
             )
     return run

@@ -28,8 +28,8 @@ from vergence.commands.depth import (
 )
 from vergence.demos.depth_errors import DepthTruth, depth_errors, summed
 from vergence.demos.experiment import LOOKING
+from vergence.gaze.commands import EYE_READINGS
 from vergence.geometry.head import HeadCalibration, load_head, pair_names
-from vergence.geometry.neck import NECK_JOINTS
 from vergence.progress import Progress, silent
 from vergence.self_calibration.sequence import Geometry, initial_seen_geometry, update_geometry
 from vergence.twin.calibration_sequence import straight_neck
@@ -123,7 +123,7 @@ def _moments(
     for k in range(pairs):
         posture = straight_neck(eye_angles("divergent", np.array(STEP_S * k)))
         twin.advance(twin.time_s + 0.5, posture)
-        angles = twin.true_angles()[len(NECK_JOINTS) :]
+        angles = twin.true_angles()[EYE_READINGS]
         frame = twin.capture((left, right))
         geometry = None if geometry is None else update_geometry(geometry, frame)
         moment = StereoImages(

@@ -51,10 +51,8 @@ def readings_to(
     Raises:
         VergenceError: the head has no such camera.
     """
-    kinematics, shape = (
-        calibration.kinematics,
-        np.broadcast_shapes(*(points.shape[:-1] for points in targets.values())),
-    )
+    kinematics = calibration.kinematics
+    shape = np.broadcast_shapes(*(points.shape[:-1] for points in targets.values()))
     r = len(kinematics.readings)
     limits = np.full(r, np.inf) if limits_rad is None else limits_rad
     readings = np.full((*shape, r), np.nan)

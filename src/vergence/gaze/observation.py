@@ -286,8 +286,8 @@ def aim_at_assumed_depth(
     eye, (centre, ray) = next(iter(rays.items()))
     T_body_eye = T_body_base(settings.calibration, eye, posture)
     ray = ray / np.linalg.norm(ray)
+    point = transform(T_body_eye, centre + settings.initial_depth_m * ray)
     if len(settings.eyes) == 1:
-        point = transform(T_body_eye, centre + settings.initial_depth_m * ray)
         covariance = _at_assumed_depth(settings, state, eye, T_body_eye[:3, :3] @ ray)
         aim = fuse(state.aim, state.frame_s, point, covariance, motion=settings.motion)
         return replace(state, aim=aim)
@@ -295,7 +295,6 @@ def aim_at_assumed_depth(
         away = transform(inverse(T_body_eye), state.aim.position) - centre
         if ray @ away > np.cos(settings.aim_gate_rad) * np.linalg.norm(away):
             return state
-    point = transform(T_body_eye, centre + settings.initial_depth_m * ray)
     covariance = (settings.initial_depth_m / 3) ** 2 * np.eye(3)
     aim = begin(state.frame_s, point, covariance, settings.motion)
     return replace(state, aim=aim, track=None)

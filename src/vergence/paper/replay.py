@@ -11,8 +11,8 @@ import numpy as np
 
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
+from vergence.gaze.commands import EYE_READINGS
 from vergence.geometry.head import WIDE, HeadCalibration
-from vergence.geometry.neck import NECK_JOINTS
 from vergence.geometry.projection import project_point
 from vergence.paper.comparison import PAPER, Comparison
 from vergence.paper.figures import Figure, default_duration_s
@@ -163,7 +163,7 @@ def replay(
                 exposure = twin.expose(tuple(twin.truth.cameras) if complete else WIDE)
                 if index >= 3:
                     pending[index - 3].result()  # limits images in memory, raises errors early
-                eyes, where = twin.true_angles()[len(NECK_JOINTS) :], twin.true_object()
+                eyes, where = twin.true_angles()[EYE_READINGS], twin.true_object()
                 now = (index, complete, exposure, eyes, where, twin.body_poses())
                 pending.append(worker.submit(measure, *now))
                 progress(task, index + 1, len(times_s))
@@ -176,10 +176,10 @@ def replay(
     result = estimate(calibration, figure, Measurements(times_s, angles, pixels_l, pixels_r))
     if compared is None:
         return result
+    points = {method: np.array(each) for method, each in compared.points.items()}
     others = {
-        method: Estimates(np.array(points), np.array(compared.stds[method]), describe(points))
-        for method, each in compared.points.items()
-        for points in [np.array(each)]
+        method: Estimates(each, np.array(compared.stds[method]), describe(each))
+        for method, each in points.items()
     }
     return replace(result, others=others)
 

@@ -131,12 +131,13 @@ def rectify(
     lenses = left.intrinsics, right.intrinsics
     own_px = FOCAL_SHARE * float(np.mean([lens.matrix[[0, 1], [0, 1]] for lens in lenses]))
     own_size = lenses[0].width, lenses[0].height
+    size = own_size if size is None else size
     looks = axes @ R_rect_lcam.T
     if (looks[:, 2] <= 0).any():
         raise _apart(cameras)
-    matrix = _matrix(looks, focal_px or own_px, own_size if size is None else size)
+    matrix = _matrix(looks, focal_px or own_px, size)
     views = [
-        RectifiedView(lens, R, *rectified_map(lens, R, matrix, own_size if size is None else size))
+        RectifiedView(lens, R, *rectified_map(lens, R, matrix, size))
         for lens, R in zip(lenses, (R_rect_lcam, R_rect_lcam @ R_lcam_rcam), strict=True)
     ]
     if _overlap(*views) < LEAST_OVERLAP:

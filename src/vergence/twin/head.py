@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.errors import check_seed
+from vergence.gaze.commands import EYE_READINGS, NECK
 from vergence.geometry.board import Charuco
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES, Kinematics
@@ -40,7 +41,6 @@ _TICK_STEPS = 5
 _HISTORY = 64
 """Entries kept: 0.32 s, beyond the longest delay that a profile may have."""
 _AWAY = np.array([0.0, 0.0, -10.0])  # below the floor, where no camera looks
-_EYES = slice(len(NECK_JOINTS), None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,8 +192,8 @@ class Twin:
         negatives = tuple(self._renderer.expose(self._seen, name) for name in cameras)
         sensed = self._at(self._sensed, joint_s)
         columns = sensor_columns(self.truth.kinematics)
-        eye_angles = read(sensed[None, _EYES], self.profile.joints, self._rng, columns)[0]
-        neck_angles, now = sensed[: len(NECK_JOINTS)], self.time_s
+        eye_angles = read(sensed[None, EYE_READINGS], self.profile.joints, self._rng, columns)[0]
+        neck_angles, now = sensed[NECK], self.time_s
         return Exposure(Frame(now, now, eye_angles, neck_angles, {}), negatives)
 
     def _passer(self, time_s: float) -> Array:
