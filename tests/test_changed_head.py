@@ -18,12 +18,12 @@ from simulated_matches import drawn_head, matches, room, squared_distance, turn_
 from uncalibrated_head import simulated
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.parameters import change_named
+from vergence.geometry.parameters import change_between, change_named
 from vergence.self_calibration.frame import from_matches
 from vergence.self_calibration.learning import learn
 from vergence.self_calibration.state import Origin, SelfCalibration
 from vergence.self_calibration.tolerances import DRIFT, UNCALIBRATED, tolerance_covariance
-from vergence.self_calibration.update import drifted, evidence_about
+from vergence.self_calibration.update import change_exceeds_prior, drifted, evidence_about
 
 
 @pytest.mark.slow
@@ -153,6 +153,29 @@ def learned(frames: int, *, joint_std_deg: float, told_deg: float) -> SelfCalibr
         assert not state.bumped
         assert not state.uncalibrated
     return state
+
+
+def test_what_few_windows_taught_must_be_farther_from_the_calibration_to_contradict_it():
+    """The noise of their matches is estimated from fewer sums of residuals: an F-test."""
+    state = learned(8, joint_std_deg=0.15, told_deg=0.15)
+    recurrence = state.recurrence
+    assert recurrence is not None
+    filled = np.flatnonzero(recurrence.blocks.any(axis=0))
+    few = np.zeros_like(recurrence.blocks)
+    few[:, filled[:8]] = 1.0
+
+    def exceeds(factor: float, blocks: np.ndarray) -> bool:
+        change = change_between(state.head, state.origin.head, state.names)
+        head = change_named(state.origin.head, state.names, factor * change)
+        known = replace(state, head=head, recurrence=replace(recurrence, blocks=blocks))
+        return change_exceeds_prior(known)
+
+    factors = 1.05 ** np.arange(200)
+    of_all, of_few = (
+        next(f for f in factors if exceeds(f, blocks)) for blocks in (recurrence.blocks, few)
+    )
+    assert of_all > 1
+    assert 1.2 * of_all < of_few < 5 * of_all
 
 
 def test_what_may_drift_in_a_pause_is_expected_in_the_frame_after_it():

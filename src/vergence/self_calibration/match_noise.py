@@ -192,6 +192,17 @@ def _added(before: Recurrence, joints: tuple[float, ...]) -> float:
     return float(max(1 - weights.sum(), _LEAST_NEW) ** 2 / (1 - weights @ k))
 
 
+def noise_degrees(before: Recurrence | None) -> float:
+    """Return the degrees of freedom of the noise of what frames taught: their independent blocks.
+
+    Few where features cover a small part of the images, or frames repeat each other.
+    """
+    if before is None:
+        return 1.0
+    blocks = float(np.count_nonzero(before.blocks, axis=1).mean())
+    return max(before.independent * blocks - _UNKNOWNS, 1.0)
+
+
 def with_frame(
     before: Recurrence | None, joints: Array, blocks: Array, systematic: float = 0.0
 ) -> tuple[Recurrence, float]:

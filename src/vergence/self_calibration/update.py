@@ -11,14 +11,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.special import fdtri
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_between, change_named
 from vergence.self_calibration.keyframe import next_keyframe
-from vergence.self_calibration.match_noise import aged, with_frame
+from vergence.self_calibration.match_noise import aged, noise_degrees, with_frame
 from vergence.self_calibration.motion_evidence import prior_information, with_motion
 from vergence.self_calibration.robust_fit import GATE
 from vergence.self_calibration.state import (
@@ -151,7 +151,9 @@ def change_exceeds_prior(state: SelfCalibration) -> bool:
     learned = values < 1 - _LEARNED
     moved = directions[:, learned].T @ (whiten @ change)
     distance = float((moved**2 / (1 - values[learned])).sum())
-    return distance > chdtri(max(float(learned.sum()), 1.0), GATE)
+    # An F-test, since the noise of matches is estimated too, of a small scene from few of them.
+    degrees = max(float(learned.sum()), 1.0)
+    return distance > degrees * fdtri(degrees, noise_degrees(state.recurrence), 1 - GATE)
 
 
 def log_likelihood(state: SelfCalibration, seen: FrameEstimate) -> float:
