@@ -209,11 +209,18 @@ def test_readings_that_are_noisier_than_was_told_do_not_make_the_head_seem_bette
     assert (variances[1] / variances[0]).min() > 0.7
 
 
-def test_a_few_matches_report_no_change_however_well_they_fit_one():
+def board() -> np.ndarray:
+    """Return points (300, 3) [m] of a board before the eyes, which fills a part of their views."""
+    y, z = np.meshgrid(np.linspace(-0.1, 0.1, 20), np.linspace(-0.08, 0.08, 15))
+    return np.stack([np.full(y.size, 0.7), y.ravel(), z.ravel()], axis=1)
+
+
+@pytest.mark.parametrize("points", [room(40, np.random.default_rng(6)), board()])
+def test_a_few_matches_or_a_small_object_report_no_change_however_well_they_fit_one(points):
     head, rng = head_of(0), np.random.default_rng(6)
-    state, points = learned(9, joint_std_deg=0.15, told_deg=0.15), room(40, rng)
+    state = learned(9, joint_std_deg=0.15, told_deg=0.15)
     truth = change_named(head, ["right_wide.T_eye_cam.rx"], np.radians([2.0]))
-    for angles in postures(4, rng):
+    for angles in 0.5 * postures(4, rng):
         seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
         found = from_matches(state, seen, angles)
         assert found.status == "contradiction"

@@ -60,6 +60,9 @@ undisturbed runs one frame in fifty is examined."""
 _CHANGE_MATCHES = 50.0
 """Matches of a frame that fit a change at least, and most of them: a few wrong ones always fit some
 head. Rooms show 370 and more."""
+_CHANGE_BLOCKS = 20
+"""Blocks of the image that they fill at least: of a board alone, which fills 14 to 19, errors that
+its corners share look like a change. Rooms fill some 40 to 60."""
 _CHANGE_EVIDENCE = 2 * np.log(1e5)
 """Twice the logarithm of how much likelier a change must make the window: it is rare."""
 
@@ -199,7 +202,9 @@ def _estimated_again(
         seen = from_matches(about, each.seen.matches, each.seen.readings, at_head=at is not None)
         if seen.evidence is None or seen.status == "contradiction":
             return state, -np.inf
-        if at is None and seen.evidence.inliers < max(_CHANGE_MATCHES, MOST * len(seen.weights)):
+        few = seen.evidence.inliers < max(_CHANGE_MATCHES, MOST * len(seen.weights))
+        few |= np.count_nonzero(seen.evidence.blocks) < _CHANGE_BLOCKS
+        if at is None and few:
             return state, -np.inf
         evidence = evidence_about(state, seen.evidence, about.head)
         seen = replace(seen, evidence=evidence)
