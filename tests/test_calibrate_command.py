@@ -27,6 +27,7 @@ from vergence.geometry.head import HeadCalibration, load_head, main_pair, save_h
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Side
 from vergence.interchange import kalibr
+from vergence.interchange.formats import export_head
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
@@ -181,6 +182,18 @@ def test_an_exported_head_comes_back(tmp_path, monkeypatch):
     np.testing.assert_array_equal(
         load_head(back).T_rbase_lbase, load_head(tmp_path / "head.json").T_rbase_lbase
     )
+
+
+def test_an_import_names_the_cameras_that_the_file_leaves_as_they_were(
+    tmp_path, monkeypatch, capsys
+):
+    save_head(plain_head(0.07, 300.0), tmp_path / "start.json")
+    export_head(plain_head(0.07, 310.0), tmp_path / "info", "ros")
+    words = ("--format", "ros", "--start", tmp_path / "start.json", "--out", tmp_path / "out.json")
+    run(monkeypatch, "import", tmp_path / "info", *words)
+    assert "leaves" not in capsys.readouterr().out
+    run(monkeypatch, "import", tmp_path / "info" / "left_wide.yaml", *words)
+    assert "leaves the lenses of right_wide as" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("out", ["start.json", "camchain.yaml"])

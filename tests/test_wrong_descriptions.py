@@ -125,7 +125,11 @@ WRONG: list[tuple[str, Change, str]] = [
     (TILT, sign(0), "tilt counts the other way; set readings.tilt.sign"),
     (VERGENCE, sign(1), "vergence counts the other way"),
     (NECK, sign(1), "neck_tilt counts the other way"),
+    (ROLL, sign(0), "left_pan counts the other way"),
+    (ROLL, sign(1), "left_tilt counts the other way"),
     (ROLL, sign(2), "left_roll counts the other way"),
+    (ROLL, sign(3), "right_pan counts the other way"),
+    (ROLL, sign(4), "right_tilt counts the other way"),
     (VERGENCE, exchange(0, 1), "version and vergence are exchanged"),
     (PLAIN, exchange(0, 1), "left_pan and left_tilt are exchanged"),
     (
@@ -156,3 +160,13 @@ def test_a_wrong_description_is_refused_with_its_cause(kind: str, change: Change
     except VergenceError as error:
         said = str(error)
     assert re.search(cause, said), said or "it passes for right"
+
+
+@pytest.mark.parametrize(("seed", "column"), [(8, 0), (13, 3)])
+def test_a_wrong_sign_among_three_axes_is_no_wrong_factor(seed: int, column: int):
+    """A reflection: with the rotation that fits best, some readings seem to turn the eye hardly."""
+    rng = np.random.default_rng(seed)
+    wrong = sign(column)(recording(head_of(ROLL, rng), rng, NOISE))
+    with pytest.raises(VergenceError, match="counts the other way") as refused:
+        calibrate(wrong)
+    assert "times the readings" not in str(refused.value)

@@ -11,7 +11,7 @@ import tyro
 from vergence.cli.progress import progress_bars, say_if_unfinished
 from vergence.cli.tables import print_table
 from vergence.commands.invocation import invocation
-from vergence.errors import VergenceError
+from vergence.errors import VergenceError, listed
 from vergence.writable import check_outputs
 from vergence.writing import results_folder, write_json
 
@@ -191,12 +191,17 @@ def import_(
     """
     from vergence.geometry.head import load_head, save_head
     from vergence.interchange import ros
-    from vergence.interchange.formats import import_head
+    from vergence.interchange.formats import import_head, unchanged_lenses
 
     if format == "opencv" and start is not None:
         raise VergenceError("opencv files hold the whole head; leave --start out.")
     read = ros.files(path) if format == "ros" else [path]
     check_outputs(out, inputs=[*read, start] if start else read)
     template = None if start is None else load_head(start)
-    save_head(import_head(path, format, template=template), out)
+    head = import_head(path, format, template=template)
+    save_head(head, out)
+    if start is not None and template is not None:
+        kept = unchanged_lenses(head, template)
+        if kept:
+            print(f"{path} leaves the lenses of {listed(kept)} as {start} has them.")
     print(f"Wrote {out}.")

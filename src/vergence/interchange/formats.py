@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal, get_args
 
+import numpy as np
+
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
 from vergence.interchange import kalibr, opencv, ros, urdf
@@ -54,6 +56,20 @@ def import_head(
     if format_name == "kalibr":
         return kalibr.update_head(kalibr.load(path), template)
     return with_intrinsics(template, ros.load(path))
+
+
+def unchanged_lenses(head: HeadCalibration, template: HeadCalibration) -> list[str]:
+    """Return the cameras of an imported head whose intrinsics are those of its template."""
+    both = {
+        name: (head.camera(name).intrinsics, template.camera(name).intrinsics)
+        for name in template.cameras
+    }
+    return [
+        name
+        for name, (lens, before) in both.items()
+        if np.array_equal(lens.matrix, before.matrix)
+        and np.array_equal(lens.distortion, before.distortion)
+    ]
 
 
 def _check_format(name: str, known: tuple[str, ...]) -> None:

@@ -210,6 +210,11 @@ def _contradictions(
         look = f"By the readings, {turns.camera} would look backwards or aside out of its eye"
         return [f"{look}: {cause or 'check the axes of its joints and the signs of readings'}."]
     said = []
+    good = GAINS[0] < fit.gains.min() <= fit.gains.max() < GAINS[1]
+    # Of three axes one that counts the other way may look as if it hardly turned the eye.
+    cause = None if good else _what_explains(kinematics, turns, eye, to_left)
+    if cause:
+        return [f"The readings do not turn {turns.camera} as its images do: {cause}."]
     table = "joints" if set(kinematics.readings) <= set(EYE_JOINTS) else "readings"
     for name, gain in zip(fit.names, fit.gains, strict=True):
         why = "check its unit, its gear or factor, and its column"
