@@ -13,7 +13,14 @@ from simulated_matches import matches, room, squared_distance
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.self_calibration.frame import from_matches
 from vergence.self_calibration.learning import learn
-from vergence.self_calibration.match_noise import Recurrence, aged, recurrence_inflation, with_frame
+from vergence.self_calibration.match_noise import (
+    Recurrence,
+    aged,
+    design_effect,
+    recurrence_inflation,
+    share_filled,
+    with_frame,
+)
 from vergence.self_calibration.update import drifted
 from vergence.vision.matching.scene_features import Matches
 
@@ -111,6 +118,17 @@ def test_no_frame_tells_more_than_one_that_shares_no_errors(seed, n, apart_deg, 
     joints = np.radians(apart_deg) * rng.normal(size=(n + 1, 4))
     before = Recurrence(joints[1:], rng.uniform(0, 1200, n), np.ones((n, 4)), correlation)
     assert recurrence_inflation(aged(before, rng.uniform(0, 10)), joints[0]) >= 1 - 1e-9
+
+
+@pytest.mark.parametrize(("width", "height"), [(320, 240), (640, 480), (500, 333), (3000, 2000)])
+def test_features_all_over_an_image_of_any_size_fill_it(width, height):
+    rng = np.random.default_rng(0)
+    pixels = rng.uniform(0, [width, height], (20_000, 2))
+    _, blocks = design_effect(rng.normal(size=len(pixels)), pixels, expected=2.0)
+    assert share_filled(blocks, width, height) == 1
+    few = pixels[:, 0] < 64
+    _, blocks = design_effect(rng.normal(size=few.sum()), pixels[few], expected=2.0)
+    assert share_filled(blocks, width, height) == pytest.approx(1 / min(-(-width // 64), 16))
 
 
 def test_how_much_matches_err_is_learned():

@@ -19,6 +19,7 @@ from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import reading_kinds
 from vergence.self_calibration.frame import from_matches
 from vergence.self_calibration.keyframe import track_keyframe, worth_tracking
+from vergence.self_calibration.match_noise import share_filled
 from vergence.self_calibration.prior import covariance_of_others
 from vergence.self_calibration.robust_fit import MOST
 from vergence.self_calibration.state import (
@@ -60,9 +61,9 @@ undisturbed runs one frame in fifty is examined."""
 _CHANGE_MATCHES = 50.0
 """Matches of a frame that fit a change at least, and most of them: a few wrong ones always fit some
 head. Rooms show 370 and more."""
-_CHANGE_BLOCKS = 20
-"""Blocks of the image that they fill at least: of a board alone, which fills 14 to 19, errors that
-its corners share look like a change. Rooms fill some 40 to 60."""
+_CHANGE_SHARE = 0.25
+"""Share of the left image that they fill at least: of a board alone, which fills 0.24 at most,
+errors that its corners share look like a change. Rooms fill half and more."""
 _CHANGE_EVIDENCE = 2 * np.log(1e5)
 """Twice the logarithm of how much likelier a change must make the window: it is rare."""
 
@@ -203,7 +204,8 @@ def _estimated_again(
         if seen.evidence is None or seen.status == "contradiction":
             return state, -np.inf
         few = seen.evidence.inliers < max(_CHANGE_MATCHES, MOST * len(seen.weights))
-        few |= np.count_nonzero(seen.evidence.blocks) < _CHANGE_BLOCKS
+        lens = state.head.camera(state.cameras[0]).intrinsics
+        few |= share_filled(seen.evidence.blocks, lens.width, lens.height) < _CHANGE_SHARE
         if at is None and few:
             return state, -np.inf
         evidence = evidence_about(state, seen.evidence, about.head)

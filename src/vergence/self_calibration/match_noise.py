@@ -192,6 +192,12 @@ def _added(before: Recurrence, joints: tuple[float, ...]) -> float:
     return float(max(1 - weights.sum(), _LEAST_NEW) ** 2 / (1 - weights @ k))
 
 
+def share_filled(blocks: np.ndarray, width: int, height: int) -> float:
+    """Return the share of an image [px] that features fill, by their sums (B,) over its blocks."""
+    across, down = (min(-(-side // _BLOCK_PX), _BLOCKS) for side in (width, height))
+    return float(np.count_nonzero(blocks)) / (across * down)
+
+
 def noise_degrees(before: Recurrence | None) -> float:
     """Return the degrees of freedom of the noise of what frames taught: their independent blocks.
 
