@@ -51,9 +51,7 @@ def sentences(found: RecordedSelfCalibration) -> list[str]:
         f"{np.degrees(found.joint_std_rad):.3f} degrees{source}."
     ]
     hidden = [each for each in found.parameters if each.verdict == "not observed"]
-    if len(hidden) == len(found.parameters) and not found.warnings:
-        lines.append("Nothing that persists could be observed: every parameter keeps its prior.")
-    elif len(hidden) == len(found.parameters):
+    if len(hidden) == len(found.parameters):
         lines.append("Nothing that persists is known better than before.")
     elif hidden:
         lines.append(f"Not observed, as before: {_named(hidden)}.")

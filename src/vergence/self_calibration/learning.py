@@ -24,6 +24,7 @@ from vergence.self_calibration.prior import covariance_of_others
 from vergence.self_calibration.robust_fit import MOST
 from vergence.self_calibration.state import (
     JOINT_WEIGHT,
+    Evidence,
     FrameEstimate,
     Keyframe,
     Origin,
@@ -62,8 +63,8 @@ _CHANGE_MATCHES = 50.0
 """Matches of a frame that fit a change at least, and most of them: a few wrong ones always fit some
 head. Rooms show 370 and more."""
 _CHANGE_SHARE = 0.25
-"""Share of the left image that they fill at least: of a board alone, which fills 0.24 at most,
-errors that its corners share look like a change. Rooms fill half and more."""
+"""Share of the left image that they fill at least: of a board alone, which fills about a fifth,
+errors that its corners share look like a change. Rooms fill about a half and more."""
 _CHANGE_EVIDENCE = 2 * np.log(1e5)
 """Twice the logarithm of how much likelier a change must make the window: it is rare."""
 
@@ -133,7 +134,7 @@ def _remembered(
 
 
 def _freed(state: SelfCalibration, tolerance: Tolerance) -> SelfCalibration:
-    """Return what is known of a head that may have changed, by more than what is linear."""
+    """Return what is known of a head that may have changed, too far for a linear model."""
     C = state.covariance + tolerance_covariance(state.head, state.names, tolerance)
     return replace(state, covariance=C, origin=Origin(state.head, C), settled=False)
 
@@ -203,10 +204,7 @@ def _estimated_again(
         seen = from_matches(about, each.seen.matches, each.seen.readings, at_head=at is not None)
         if seen.evidence is None or seen.status == "contradiction":
             return state, -np.inf
-        few = seen.evidence.inliers < max(_CHANGE_MATCHES, MOST * len(seen.weights))
-        lens = state.head.camera(state.cameras[0]).intrinsics
-        few |= share_filled(seen.evidence.blocks, lens.width, lens.height) < _CHANGE_SHARE
-        if at is None and few:
+        if at is None and not _may_show_change(state, seen, seen.evidence):
             return state, -np.inf
         evidence = evidence_about(state, seen.evidence, about.head)
         seen = replace(seen, evidence=evidence)
@@ -214,6 +212,13 @@ def _estimated_again(
         likelihood += again[-1].likelihoods[0]
         state = updated(state, seen, evidence, each.tracked, at=at)
     return replace(state, past=tuple(again)), likelihood
+
+
+def _may_show_change(state: SelfCalibration, seen: FrameEstimate, says: Evidence) -> bool:
+    """Return whether so much of a frame fits a change, all over the image, that it may show one."""
+    lens = state.head.camera(state.cameras[0]).intrinsics
+    enough = says.inliers >= max(_CHANGE_MATCHES, MOST * len(seen.weights))
+    return enough and share_filled(says.blocks, lens.width, lens.height) >= _CHANGE_SHARE
 
 
 def _linearised_again(past: tuple[Past, ...], after: SelfCalibration) -> SelfCalibration:

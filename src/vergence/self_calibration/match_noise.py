@@ -199,9 +199,10 @@ def share_filled(blocks: np.ndarray, width: int, height: int) -> float:
 
 
 def noise_degrees(before: Recurrence | None) -> float:
-    """Return the degrees of freedom of the noise of what frames taught: their independent blocks.
+    """Return from how many independent blocks the noise of the matches in past frames is estimated.
 
-    Few where features cover a small part of the images, or frames repeat each other.
+    Less the unknowns, as degrees of freedom: few where features cover a small part of the images,
+    or frames repeat each other.
     """
     if before is None:
         return 1.0
