@@ -180,6 +180,18 @@ def test_angles_that_look_like_another_unit_are_remarked(folder, unit, value, re
     assert "left_pan" in remarks[0]
 
 
+def test_a_motion_that_is_not_said_to_be_one_is_remarked(folder):
+    soon = [
+        row | dict.fromkeys(("time_s", "joint_time_s"), k / 10) for k, row in enumerate(rows(4))
+    ]
+    write_table(folder, soon)
+    (remark,) = load_dataset(folder).remarks
+    assert remark.startswith("In 3 rows the eyes stand elsewhere than at most 0.2 s before")
+    for moving_or_at_one_place in ({"moving": 1}, dict.fromkeys(EYE_JOINTS, 0.1)):
+        write_table(folder, [row | moving_or_at_one_place for row in soon])
+        assert load_dataset(folder).remarks == ()
+
+
 CELLS = st.one_of(
     st.text(max_size=12),
     st.floats().map(repr),

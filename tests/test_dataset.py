@@ -300,14 +300,17 @@ def test_readings_before_a_gear_are_neither_wrapped_nor_limited(folder):
         ({"readings.roll": {"unit": "deg"}}, "readings.roll is in no joint of kinematics"),
         ({"eye_motion": "poses"}, "eye_motion is poses, but kinematics is given"),
         ({"joints.left_pan": {"column": "p", "unit": "deg"}}, "joints.left_pan too"),
-        ({"kinematics.left": [joint("yaw", {"version": 1})]}, "'pan', 'tilt' or 'roll'"),
+        (
+            {"kinematics.left": [joint("yaw", {"version": 1})]},
+            "left.0.axis: expected pan, tilt, roll or a direction",
+        ),
         (
             {
                 "kinematics.left": [
                     joint("pan", {"version": 1, "vergence": 1, "tilt": 1}, axis=[0, 0, 0])
                 ]
             },
-            "is pan, tilt, roll or a direction",
+            "expected pan, tilt, roll or a direction",
         ),
         (
             {"kinematics.left": [joint("pan", {"version": 1}), joint("pan", {"tilt": 1})]},

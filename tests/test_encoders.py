@@ -226,7 +226,15 @@ def test_readings_of_other_moments_are_refused():
     _, seen = recorded()
     angles = np.random.default_rng(0).permutation(seen.eye_angles)
     said = refusal(with_readings(seen, angles))
-    assert "% of the turns that left_wide makes before a board at rest" in said
+    assert "% of the turns that left_wide makes before a board at rest: they are not of" in said
+
+
+@pytest.mark.parametrize(("shift", "when"), [(1, "late"), (-1, "early")])
+def test_readings_of_the_next_row_are_named(shift, when):
+    _, seen = recorded()
+    seen = seen.take(np.random.default_rng(0).permutation(len(seen.placement)))
+    said = refusal(with_readings(seen, np.roll(seen.eye_angles, shift, axis=0)))
+    assert f"they stand one row too {when}" in said
 
 
 def test_joints_of_an_eye_that_both_count_the_other_way_are_doubted_and_of_two_refused():

@@ -73,6 +73,19 @@ def test_rows_of_eyes_that_turn_about_a_point_are_compared_too(shift):
         calibrate(changed(poses, lambda T: np.roll(T, shift, axis=0)))
 
 
+def test_poses_in_millimetres_of_eyes_that_turn_about_a_point_are_refused():
+    poses = as_poses(recorded(1)[1])
+
+    def from_a_base_in_the_neck(T: np.ndarray) -> np.ndarray:
+        T[..., :3, 3] = 1e3 * (T[..., :3, 3] + [0.03, 0.0, 0.12])
+        return T
+
+    with pytest.raises(
+        VergenceError, match=r"about a point 12\d\.\d* m from its base: give poses in m"
+    ):
+        calibrate(changed(poses, from_a_base_in_the_neck))
+
+
 def test_exchanged_rows_are_named_and_left_out(seen):
     rows = np.arange(24)
     rows[[4, 9]] = [9, 4]

@@ -192,6 +192,19 @@ def test_an_image_of_another_size_is_refused_with_both_sizes(shape):
         rectified_image(pair.left, np.zeros(shape, np.uint8))
 
 
+def test_cameras_that_stand_on_their_side_give_a_pair_that_stands_upright():
+    made = head("radial-tangential")
+    on_its_side = pose(rotation([0, 0, np.pi / 2]))
+    cameras = {
+        name: replace(mounted, T_eye_cam=mounted.T_eye_cam @ on_its_side)
+        for name, mounted in made.cameras.items()
+    }
+    pair = rectify(replace(made, cameras=cameras), np.zeros(4))
+    assert pair.left.map_x.shape == (640, 480)
+    assert pair.left.seen.mean() > 0.95
+    assert rectify(made, np.zeros(4)).left.map_x.shape == (480, 640)
+
+
 def test_narrow_cameras_can_be_asked_for():
     pair = rectify(four_cameras(), np.zeros(4), cameras=("left_narrow", "right_narrow"))
     assert pair.matrix[0, 0] == pytest.approx(0.85 * 1200)

@@ -142,7 +142,7 @@ WRONG: list[tuple[str, Change, str]] = [
     (ROLL, copied(0, 3), "right_pan"),
     (PLAIN, other_eyes_images, "exchanged in the images"),
     (PLAIN, left_images_twice, "stand in the same place"),
-    (TILT, as_read(a_row_too_late), "not of these moments"),
+    (TILT, as_read(a_row_too_late), "they stand one row too late"),
     (PLAIN, as_read(stuck), "left_tilt hardly change"),
     (PLAIN, turned_about(1, [1.0, 0, 0]), "axes"),
     (ROLL, without_roll, "a joint that is not described"),

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import field, replace
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import ConfigDict, Field
+from pydantic import BeforeValidator, ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Vector3
@@ -69,12 +69,24 @@ class DatasetReading:
     """-1 where the encoder counts in the opposite direction."""
 
 
+def _direction(axis: Any) -> Any:
+    """Return the direction of an axis that has a name; ValueError if it is none."""
+    if isinstance(axis, str) and axis in AXIS_NAMES:
+        return AXIS_NAMES[axis]
+    numbers = isinstance(axis, list | tuple | np.ndarray) and np.shape(axis) == (3,)
+    if not numbers or not 0.1 < np.linalg.norm(np.array(axis, dtype=float)) < 10:
+        raise ValueError(
+            f"expected {', '.join(AXIS_NAMES)} or a direction such as [0, 0, 1], found {axis!r:.80}"
+        )
+    return axis
+
+
 @dataclass(frozen=True, eq=False, config=_STRICT)
 class EyeJoint:
     """A joint of an eye as designed: angle = sum of factor * reading."""
 
     name: str
-    axis: Literal["pan", "tilt", "roll"] | Vector3
+    axis: Annotated[Vector3, BeforeValidator(_direction)]
     """Axis of a right-handed turn, with every joint at zero: up, to the left, ahead, or a vector in
     the axes of the head (x ahead, y left, z up)."""
     readings: dict[str, float]
@@ -152,8 +164,6 @@ class Description:
             if self.eye_motion == "poses" and name in self.joints:
                 raise ValueError(f"eye_motion is poses, but joints has {name}; give one of the two")
             needed = self.eye_motion == "pan-tilt" and name.partition("_")[0] in self.eyes
-            if self.kinematics is not None and name in self.joints:
-                raise ValueError(f"kinematics is given, and joints.{name} too; give one of the two")
             if needed and self.kinematics is None and name not in self.joints:
                 raise ValueError(f"joints.{name} is missing; that eye has a camera")
 
@@ -176,6 +186,8 @@ class Description:
             return
         if self.eye_motion == "poses":
             raise ValueError("eye_motion is poses, but kinematics is given; give one of the two")
+        if both := [name for name in EYE_JOINTS if name in self.joints]:
+            raise ValueError(f"kinematics is given, and joints.{both[0]} too; give one of the two")
         for eye in self.eyes:
             if eye not in self.kinematics:
                 raise ValueError(f"kinematics.{eye} is missing; that eye has a camera")
@@ -264,17 +276,9 @@ def _pan_and_tilt(joints: Mapping[str, DatasetJoint]) -> Kinematics:
 
 
 def _joint(stated: EyeJoint) -> Joint:
-    axis = stated.axis
-    direction = np.array(AXIS_NAMES[axis] if isinstance(axis, str) else axis)
-    length = np.linalg.norm(direction)
-    if not 0.1 < length < 10:
-        raise ValueError(
-            f"the axis of joint {stated.name} is pan, tilt, roll or a direction such as [0, 0, 1], "
-            f"found {direction.tolist()}"
-        )
     return Joint(
         name=stated.name,
-        axis=direction / length,
+        axis=stated.axis / np.linalg.norm(stated.axis),
         readings=stated.readings,
         point_m=stated.point_m,
     )

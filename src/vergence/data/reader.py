@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.data.dataset import Dataset
+from vergence.data.dataset import LEAST_MOVING, MAX_GAP_S, Dataset
 from vergence.data.description import DESCRIPTION, FRAMES, MOVING, Description
 from vergence.data.table import (
     Table,
@@ -26,11 +26,14 @@ from vergence.data.table import (
     time_stamps,
 )
 from vergence.errors import VergenceError
+from vergence.geometry.kinematics import EYES, Kinematics
 from vergence.geometry.neck import NECK_JOINTS
 from vergence.reading import parse_json, read_parsed, validated
 
 MAX_EYE_RAD = 1.2
 """Larger angles of an eye are implausible: probably degrees that were declared as radians."""
+MOVED_RAD = 0.01
+"""Turn of an eye that is no noise of its readings."""
 MAX_DESCRIPTION_BYTES = 2**20
 
 
@@ -61,7 +64,7 @@ def load_dataset(folder: str | Path) -> Dataset:
     )
     table = read_table(folder / FRAMES)
     check_columns(table, description)
-    poses = description.eye_motion == "poses"
+    poses, moving = description.eye_motion == "poses", table.whole_numbers(MOVING, 1) == 1
     time_s, joint_time_s = time_stamps(table)
     eye_angles = joint_angles(description, description.head_kinematics.readings, table)
     neck_angles = joint_angles(description, NECK_JOINTS, table)
@@ -75,9 +78,14 @@ def load_dataset(folder: str | Path) -> Dataset:
         T_base_eye=eye_poses(description, table) if poses else None,
         neck_angles=neck_angles,
         placement=placements(neck_angles, table),
-        moving=table.whole_numbers(MOVING, 1) == 1,
+        moving=moving,
         files=_image_files(folder, description, table),
-        remarks=() if poses else _remarks(description, eye_angles, table),
+        remarks=()
+        if poses
+        else (
+            *_odd_units(description, eye_angles, table),
+            *_unmarked_motion(description.head_kinematics, eye_angles, joint_time_s, moving),
+        ),
     )
 
 
@@ -119,7 +127,7 @@ def _image_files(
     }
 
 
-def _remarks(description: Description, eye_angles: Array, table: Table) -> tuple[str, ...]:
+def _odd_units(description: Description, eye_angles: Array, table: Table) -> tuple[str, ...]:
     """Return a sentence for each joint whose angles (N, r) look like another unit."""
     remarks, sources = [], description.sources
     for n, name in enumerate(description.head_kinematics.readings):
@@ -136,3 +144,20 @@ def _remarks(description: Description, eye_angles: Array, table: Table) -> tuple
         elif joint.unit == "deg" and 0.05 < abs(float(reading)) < MAX_EYE_RAD:
             remarks.append(f"{name} never exceeds {reading} degrees: are these radians?")
     return tuple(remarks)
+
+
+def _unmarked_motion(
+    kinematics: Kinematics, eye_angles: Array, joint_time_s: Array, moving: np.ndarray
+) -> tuple[str, ...]:
+    """Return a sentence on rows that are said to be at rest, but follow one another in a motion."""
+    mixing = np.concatenate([kinematics.chains[eye].mixing for eye in EYES])
+    turned = np.abs(np.diff(eye_angles @ mixing.T, axis=0)).max(axis=1, initial=0.0)
+    soon = np.diff(joint_time_s) <= MAX_GAP_S
+    odd = int(((turned > MOVED_RAD) & soon & ~(moving[1:] & moving[:-1])).sum())
+    if odd < LEAST_MOVING:
+        return ()
+    return (
+        f"In {odd} rows the eyes stand elsewhere than at most {MAX_GAP_S} s before, and are said "
+        "to be at rest: did they move while the images were taken? Then set `moving` to 1, so that "
+        "the time of a reading counts.",
+    )

@@ -107,7 +107,8 @@ def rectify(
         head: with a camera in each eye.
         joints: readings of one posture [rad], or measured poses (2, 4, 4) of both eyes.
         cameras: names of a camera of the left eye and one of the right; None: the main ones.
-        size: width and height [px] of the rectified images; None: those of the left camera.
+        size: width and height [px] of the rectified images; None: those of the left camera, the one
+            for the other where it stands on its side.
         focal_px: of the rectified cameras; None: FOCAL_SHARE of the real ones' mean.
 
     Raises:
@@ -131,6 +132,8 @@ def rectify(
     lenses = left.intrinsics, right.intrinsics
     own_px = FOCAL_SHARE * float(np.mean([lens.matrix[[0, 1], [0, 1]] for lens in lenses]))
     own_size = lenses[0].width, lenses[0].height
+    if abs(R_rect_lcam[0, 1]) > abs(R_rect_lcam[0, 0]):  # its columns are along the baseline
+        own_size = own_size[::-1]
     size = own_size if size is None else size
     looks = axes @ R_rect_lcam.T
     if (looks[:, 2] <= 0).any():

@@ -193,12 +193,13 @@ def _contradictions(
             "a board at rest: check their column and the sensor."
         ]
     if fit.explained < LOST or (fit.explained < EXPLAINED and fit.left_rad > MOST_NOISE_RAD):
-        idle = _without_part(kinematics, turns, eye)
         why = "they are not of this eye, not of these moments, or the board moved"
         if fit.explained > LOST:
             why = "the eye has a joint that is not described, or a column is of another joint"
-        if idle is not None:
+        if idle := _without_part(kinematics, turns, eye):
             why = f"those of {idle} have no part in it; check its column"
+        if of_row := _of_another_row(kinematics, turns, eye):
+            why = f"they stand one row too {of_row}"
         return [
             f"The readings of {listed(fit.names)} explain {100 * max(fit.explained, 0):.0f} "
             f"% of the turns that {turns.camera} makes before a board at rest: {why}."
@@ -230,15 +231,32 @@ def _contradictions(
 
 
 def _without_part(kinematics: Kinematics, turns: _Turns, eye: Side) -> str | None:
-    """Return the one reading that explains nothing, though it moves; None: there is no such."""
-    idle = []
-    for r in kinematics.used(eye):
+    """Return the one reading that explains nothing, though it moves and the others explain much.
+
+    None: there is no such.
+    """
+    idle, used = [], kinematics.used(eye)
+    if turns.own.explained < IDLE * len(used):
+        return None
+    for r in used:
         readings = turns.readings.copy()
         readings[:, r] = 0.0
         without = fit_readings(kinematics, eye, readings, turns.turn)
         if turns.own.explained - without.explained < IDLE:
             idle.append(kinematics.readings[r])
     return idle[0] if len(idle) == 1 else None
+
+
+def _of_another_row(kinematics: Kinematics, turns: _Turns, eye: Side) -> str | None:
+    """Return whether readings stand one row too late or early; None: they do not."""
+    readings, turn = turns.readings, turns.turn
+    for when, read, turned in (
+        ("late", readings[1:], turn[:-1]),
+        ("early", readings[:-1], turn[1:]),
+    ):
+        if fit_readings(kinematics, eye, read, turned).explained > EXPLAINED:
+            return when
+    return None
 
 
 def _what_explains(
