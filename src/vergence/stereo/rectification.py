@@ -133,7 +133,7 @@ def rectify(
     own_px = FOCAL_SHARE * float(np.mean([lens.matrix[[0, 1], [0, 1]] for lens in lenses]))
     own_size = lenses[0].width, lenses[0].height
     if abs(R_rect_lcam[0, 1]) > abs(R_rect_lcam[0, 0]):  # its columns are along the baseline
-        own_size = own_size[::-1]
+        own_size = own_size[1], own_size[0]
     size = own_size if size is None else size
     looks = axes @ R_rect_lcam.T
     if (looks[:, 2] <= 0).any():
