@@ -143,7 +143,7 @@ def chessboard(truth: HeadCalibration) -> Callable[[Sample], Images]:
 
 def rays_within_pixels(camera: Camera) -> Array:
     """Return rays (N, 3) evenly spread over each pixel, by rows of the finer image."""
-    u, v = ((np.arange(FINER * n) + 0.5) / FINER - 0.5 for n in (camera.width, camera.height))
+    u, v = ((np.arange(FINER * n) + 0.5) / FINER - 0.5 for n in camera.size)
     return unproject(camera, np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
 
 

@@ -89,7 +89,7 @@ def _bounds(
     camera: Camera, T_cam_card: Array, width_m: float, height_m: float
 ) -> tuple[int, int, int, int]:
     """Return the first u and v of the pixels that may show a card, and the ends."""
-    size = np.array([camera.width, camera.height])
+    size = np.array(camera.size)
     side = np.linspace(-0.5, 0.5, 25)
     x, y = np.meshgrid(side * width_m, side * height_m)
     card = transform(T_cam_card, np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3))

@@ -105,7 +105,7 @@ def observe(
         placement=placement,
         eye_angles=readings + rng.normal(0, noise.joint_rad, readings.shape),
         corners=corners,
-        sizes={n: (m.intrinsics.width, m.intrinsics.height) for n, m in head.cameras.items()},
+        sizes={n: m.intrinsics.size for n, m in head.cameras.items()},
         eyes={name: mounted.eye for name, mounted in head.cameras.items()},
         kinematics=as_designed(head.kinematics),
     )
@@ -113,7 +113,7 @@ def observe(
 
 def inside_image(pixels: Array, camera: Camera | None = None) -> np.ndarray:
     """Return (...,) of bool: whether an image, None: 640 x 480, holds pixels (..., 2)."""
-    width, height = (WIDTH, HEIGHT) if camera is None else (camera.width, camera.height)
+    width, height = (WIDTH, HEIGHT) if camera is None else camera.size
     return np.asarray(((pixels > 0) & (pixels < [width - 1, height - 1])).all(axis=-1))
 
 

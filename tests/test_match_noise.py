@@ -122,13 +122,16 @@ def test_no_frame_tells_more_than_one_that_shares_no_errors(seed, n, apart_deg, 
 
 @pytest.mark.parametrize(("width", "height"), [(320, 240), (640, 480), (500, 333), (3000, 2000)])
 def test_features_all_over_an_image_of_any_size_fill_it(width, height):
-    rng = np.random.default_rng(0)
-    pixels = rng.uniform(0, [width, height], (20_000, 2))
-    _, blocks = design_effect(rng.normal(size=len(pixels)), pixels, expected=2.0)
-    assert share_filled(blocks, width, height) == 1
-    few = pixels[:, 0] < 64
-    _, blocks = design_effect(rng.normal(size=few.sum()), pixels[few], expected=2.0)
-    assert share_filled(blocks, width, height) == pytest.approx(1 / min(-(-width // 64), 16))
+    rng, size = np.random.default_rng(0), (width, height)
+    pixels = rng.uniform(0, size, (20_000, 2))
+
+    def filled(seen: np.ndarray) -> float:
+        _, blocks = design_effect(rng.normal(size=seen.sum()), pixels[seen], size, expected=2.0)
+        return share_filled(blocks, size)
+
+    assert filled(pixels[:, 0] < width) == 1
+    assert filled(pixels[:, 0] < width / 20) == pytest.approx(1 / min(-(-width // 64), 16))
+    assert filled((pixels < np.array(size) / 20).all(axis=1)) < 0.06
 
 
 def test_how_much_matches_err_is_learned():

@@ -79,7 +79,7 @@ def test_admissible_views_show_the_whole_board_before_both_main_cameras_within_t
     for name, uv in seen_by(truth, BOARD, views).items():
         lens = truth.cameras[name].intrinsics
         assert (uv > MARGIN_PX).all()
-        assert (uv < np.array([lens.width, lens.height]) - 1 - MARGIN_PX).all()
+        assert (uv < np.array(lens.size) - 1 - MARGIN_PX).all()
     # The board is looked at from its front: z of the target points away from the head.
     T = inverse(eye_poses(truth, views.joints)[:, 0] @ truth.cameras["left_wide"].T_eye_cam)
     T_cam_target = T @ views.T_lbase_target
@@ -104,7 +104,7 @@ def test_a_board_is_held_whole_where_the_image_has_all_its_corners(truth):
     expected = []
     for name, uv in seen_by(truth, board, views).items():
         lens = truth.cameras[name].intrinsics
-        last = np.array([lens.width, lens.height]) - 1 - MARGIN_PX
+        last = np.array(lens.size) - 1 - MARGIN_PX
         expected.append(((uv > MARGIN_PX) & (uv < last)).all(axis=(1, 2)))
     assert 0.1 < np.mean(expected) < 0.9
     np.testing.assert_array_equal(held_whole(truth, board, views), np.stack(expected, axis=1))

@@ -163,7 +163,7 @@ def _samples(
     pixels, kept = [], np.ones(len(joints), dtype=bool)
     for name in pair_names(head, cameras):
         lens, uv = head.camera(name).intrinsics, project_point(head, name, joints, point)
-        size = lens.width, lens.height
+        size = lens.size
         kept &= ((uv > -0.5) & (uv < np.array(size) - 0.5)).all(axis=1)
         pixels.append(uv)
     if kept.sum() < 2:

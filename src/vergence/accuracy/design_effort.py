@@ -58,7 +58,7 @@ def standard_recording(head: HeadCalibration, board: Chessboard) -> Views:
     draw, around = rng.uniform(-1, 1, (STRAIGHT + 1, 6)), rng.uniform(-1, 1, (GAZES, 2))
     draw[-1, 1:3] = 0  # the board at rest stands ahead
     lens, baseline = head.cameras["left_wide"].intrinsics, head.T_rbase_lbase[1, 3]
-    size_px, f = np.array([lens.width, lens.height]), lens.matrix[0, 0]
+    size_px, f = np.array(lens.size), lens.matrix[0, 0]
     corners = corner_points(board)
     radius = np.linalg.norm(np.ptp(corners, axis=0)) / 2
     radius_px = (np.mean(FILLS) + draw[:, 0] * np.ptp(FILLS) / 2) * lens.height / 2

@@ -57,7 +57,7 @@ def held_whole(head: HeadCalibration, board: Board, views: Views) -> np.ndarray:
     for name, T in T_cam_target(head, views).items():
         lens = head.cameras[name].intrinsics
         straight = in_reach(lens, *np.moveaxis(transform(T[:, None], corners), -1, 0))
-        low, high = MARGIN_PX, np.array([lens.width, lens.height]) - 1 - MARGIN_PX
+        low, high = MARGIN_PX, np.array(lens.size) - 1 - MARGIN_PX
         inside = ((pixels[name] > low) & (pixels[name] < high)).all(axis=-1)
         held.append((inside & straight).all(axis=1))
     return np.stack(held, axis=1)
@@ -138,7 +138,7 @@ def _boards(
     depth = size * lens.matrix[0, 0] / (fills * lens.width)
     # Anywhere in the image: whether it holds the whole board is tested with the other eye's.
     aside = rng.uniform(-0.5, 0.5, (count, 2)) * (1 - fills)[:, None]
-    aside *= np.array([lens.width, lens.height]) / lens.matrix[0, 0] * depth[:, None]
+    aside *= np.array(lens.size) / lens.matrix[0, 0] * depth[:, None]
     R = rotation(rng.uniform(-LEAN_RAD, LEAN_RAD, (count, 3)))
     centre = np.concatenate([aside, depth[:, None]], axis=1)
     return T_lbase_left @ pose(R, centre - (R @ corners.mean(axis=0)))
@@ -150,7 +150,7 @@ def as_seen(head: HeadCalibration, board: Board, views: Views) -> Observations:
     for c, (name, uv) in enumerate(seen_by(head, board, views).items()):
         corners[name] = np.where(held[:, c, None, None], uv, np.nan)
         lens = head.cameras[name].intrinsics
-        sizes[name] = (lens.width, lens.height)
+        sizes[name] = lens.size
     return Observations(
         board=board,
         placement=views.placement,

@@ -78,7 +78,7 @@ def fixating(
         axis=1,
     )
     lens = [head.cameras[name].intrinsics for name in pair]
-    size = np.array([extent for each in lens for extent in (each.width, each.height)])
+    size = np.array([extent for each in lens for extent in each.size])
     seen = (np.abs(error) < size / 2).all(axis=1)
     if not seen.all():
         x, y, z = points[seen.argmin()]

@@ -200,7 +200,7 @@ def best_view(
 
 def is_central(camera: Camera, pixel: Array, share: float) -> bool:
     """Return whether a pixel (2,) is in an image's central part: a share of width and height."""
-    size = np.array([camera.width, camera.height])
+    size = np.array(camera.size)
     return bool((np.abs(2 * pixel + 1 - size) / size < share).all())
 
 

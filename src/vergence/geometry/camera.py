@@ -122,6 +122,11 @@ class Camera:
                 f"the matrix has rows (fx, s, cx), (0, fy, cy), (0, 0, 1), found {rows}"
             )
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height [px]."""
+        return self.width, self.height
+
     @cached_property
     def coefficients(self) -> tuple[float, ...]:
         """The distortion, in plain numbers."""
@@ -214,9 +219,7 @@ def displaced_by_distortion(camera: Camera) -> Array:
 
 def pixel_grid(camera: Camera) -> Array:
     """Return pixels (N, 2) evenly spread over an image."""
-    u, v = np.meshgrid(
-        *((np.arange(_GRID) + 0.5) / _GRID * n - 0.5 for n in (camera.width, camera.height))
-    )
+    u, v = np.meshgrid(*((np.arange(_GRID) + 0.5) / _GRID * n - 0.5 for n in camera.size))
     return np.stack([u.ravel(), v.ravel()], axis=1)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -114,6 +114,7 @@ def replay(
         image_every: every Nth sample is rendered by all cameras, and the observer gets its images;
             the others only by the wide cameras, which the estimation uses.
         compared: other methods, which get every sample in its order.
+        progress: is called after each sample.
     """
     start = _LEAD_S
     twin.restart(figure.number)
@@ -121,34 +122,6 @@ def replay(
 
     def command(time_s: float) -> Array:
         return straight_neck(eye_angles(figure.motion, np.array(time_s - start)))
-
-    def measure(
-        index: int,
-        complete: bool,
-        exposure: Exposure,
-        eyes: Array,
-        where: Array,
-        bodies: dict[str, Array],
-    ) -> tuple[Array, dict[str, Array]]:
-        """Return the joint readings (4,), and by camera the object's pixel (2,)."""
-        frame = twin.develop(exposure)
-        detected = {
-            name: find_sphere(image, calibration.camera(name).intrinsics)
-            for name, image in frame.images.items()
-        }
-        if compared is not None:
-            compared.add(frame.images, frame.eye_angles, detected, times_s[index])
-        if observer is not None:
-            shown = {n: project_point(twin.truth, n, eyes, where) for n in frame.images}
-            observer(
-                time_s=times_s[index],
-                index=index,
-                frame=frame if complete else None,
-                body_poses=bodies,
-                detected=detected,
-                truth=shown,
-            )
-        return frame.eye_angles, detected
 
     task = f"figure {figure.number}, {figure.motion}"
     progress(task, 0, len(times_s))
@@ -164,8 +137,10 @@ def replay(
                 if index >= 3:
                     pending[index - 3].result()  # limits images in memory, raises errors early
                 eyes, where = twin.true_angles()[EYE_READINGS], twin.true_object()
-                now = (index, complete, exposure, eyes, where, twin.body_poses())
-                pending.append(worker.submit(measure, *now))
+                sample = _Sample(index, time_s, complete, exposure, eyes, where, twin.body_poses())
+                pending.append(
+                    worker.submit(_measured, twin, calibration, sample, observer, compared)
+                )
                 progress(task, index + 1, len(times_s))
         except BaseException:
             worker.shutdown(cancel_futures=True)
@@ -182,6 +157,52 @@ def replay(
         for method, each in points.items()
     }
     return replace(result, others=others)
+
+
+class _Sample(NamedTuple):
+    """What is exposed at one time, and the truth then, for recordings."""
+
+    number: int
+    time_s: float
+    complete: bool
+    """Whether all cameras are rendered."""
+    exposure: Exposure
+    eyes: Array
+    """(4,) true angles [rad]."""
+    where: Array
+    """(3,) where the object is [m]."""
+    bodies: dict[str, Array]
+
+
+def _measured(
+    twin: Twin,
+    calibration: HeadCalibration,
+    sample: _Sample,
+    observer: Callable[..., None] | None,
+    compared: Comparison | None,
+) -> tuple[Array, dict[str, Array]]:
+    """Return the joint readings (4,), and by camera the object's pixel (2,).
+
+    Observer and other methods get the sample; see `replay`.
+    """
+    frame = twin.develop(sample.exposure)
+    detected = {
+        name: find_sphere(image, calibration.camera(name).intrinsics)
+        for name, image in frame.images.items()
+    }
+    if compared is not None:
+        compared.add(frame.images, frame.eye_angles, detected, sample.time_s)
+    if observer is not None:
+        shown = {n: project_point(twin.truth, n, sample.eyes, sample.where) for n in frame.images}
+        observer(
+            time_s=sample.time_s,
+            index=sample.number,
+            frame=frame if sample.complete else None,
+            body_poses=sample.bodies,
+            detected=detected,
+            truth=shown,
+        )
+    return frame.eye_angles, detected
 
 
 def estimate(calibration: HeadCalibration, figure: Figure, measurements: Measurements) -> Replay:

@@ -181,6 +181,7 @@ def _fit(
         linearised,
         C,
         pixels=matches.left,
+        size=state.head.camera(state.cameras[0]).intrinsics.size,
         expected_design_effect=state.design_effect,
         fixed=P if at_head else 0,
         linear=linear if state.settled else None,

@@ -218,7 +218,7 @@ def _may_show_change(state: SelfCalibration, seen: FrameEstimate, says: Evidence
     """Return whether so much of a frame fits a change, all over the image, that it may show one."""
     lens = state.head.camera(state.cameras[0]).intrinsics
     enough = says.inliers >= max(_CHANGE_MATCHES, MOST * len(seen.weights))
-    return enough and share_filled(says.blocks, lens.width, lens.height) >= _CHANGE_SHARE
+    return enough and share_filled(says.blocks, lens.size) >= _CHANGE_SHARE
 
 
 def _linearised_again(past: tuple[Past, ...], after: SelfCalibration) -> SelfCalibration:

@@ -26,7 +26,7 @@ _PRIOR_MATCHES = 30.0
 _BLOCK_PX = 64
 """Errors of matches farther apart than this are taken as independent."""
 _BLOCKS = 16
-"""Blocks along each axis; in images of more than 1024 px, blocks this far apart count as one."""
+"""Most blocks along each axis; they are larger in images of more than 1024 px."""
 EXPECTED_MATCH_SCALE = 1.3
 """Noise of matches, relative to what their windows tell, before anything is seen: that of windows
 with relief, the worst kind of surface that was measured."""
@@ -113,7 +113,9 @@ def noise_variance(y: Array) -> float:
     return (own + _PRIOR_MATCHES) / (degrees + _PRIOR_MATCHES)
 
 
-def design_effect(y: Array, pixels: Array, expected: float) -> tuple[float, Array]:
+def design_effect(
+    y: Array, pixels: Array, size: tuple[int, int], expected: float
+) -> tuple[float, Array]:
     """Return the variance inflation by errors that neighbours share, and sums (B,) over blocks.
 
     The variance of a mean of matches, relative to what independent errors of unit variance would
@@ -123,9 +125,10 @@ def design_effect(y: Array, pixels: Array, expected: float) -> tuple[float, Arra
     Args:
         y: (N,) residuals [standard deviations].
         pixels: (N, 2) where they are, in one of the images.
+        size: its width and height [px].
         expected: the design effect that is expected; it counts for ten blocks.
     """
-    column, row = ((pixels // _BLOCK_PX) % _BLOCKS).astype(int).T
+    column, row = np.clip(pixels // _block_px(size), 0, _BLOCKS - 1).astype(int).T
     block = row * _BLOCKS + column
     u2 = np.minimum((y / CUT) ** 2, 1.0)
     weights, slopes = (1 - u2) ** 2, (1 - u2) * (1 - 5 * u2)  # psi(y) / y, and psi'(y)
@@ -192,10 +195,15 @@ def _added(before: Recurrence, joints: tuple[float, ...]) -> float:
     return float(max(1 - weights.sum(), _LEAST_NEW) ** 2 / (1 - weights @ k))
 
 
-def share_filled(blocks: np.ndarray, width: int, height: int) -> float:
-    """Return the share of an image [px] that features fill, by their sums (B,) over its blocks."""
-    across, down = (min(-(-side // _BLOCK_PX), _BLOCKS) for side in (width, height))
-    return float(np.count_nonzero(blocks)) / (across * down)
+def share_filled(blocks: np.ndarray, size: tuple[int, int]) -> float:
+    """Return the share of an image that features fill, by their sums (B,) over its blocks."""
+    across, down = np.ceil(np.array(size) / _block_px(size))
+    return float(np.count_nonzero(blocks) / (across * down))
+
+
+def _block_px(size: tuple[int, int]) -> float:
+    """Return the side of a block [px] in an image of a width and a height."""
+    return max(_BLOCK_PX, max(size) / _BLOCKS)
 
 
 def noise_degrees(before: Recurrence | None) -> float:

@@ -151,6 +151,7 @@ def _fit(
         linearised,
         with_depth,
         pixels=np.tile(matches.left, (2, 1)),
+        size=state.head.camera(state.cameras[k]).intrinsics.size,
         expected_design_effect=EXPECTED_DESIGN_EFFECT,
         fixed=fixed,
         linear=linear if state.settled else None,

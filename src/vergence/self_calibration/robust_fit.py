@@ -67,6 +67,7 @@ def robust_fit(
     C: Array,
     *,
     pixels: Array,
+    size: tuple[int, int],
     expected_design_effect: float,
     fixed: int = 0,
     linear: Callable[[Array], bool] | None = None,
@@ -77,6 +78,7 @@ def robust_fit(
         linearised: returns the residuals of some (n,) of the pixels after a change (K,).
         C: (K, K) prior covariance of the change.
         pixels: (N, 2) where the residuals are in the image.
+        size: width and height of the image [px].
         expected_design_effect: before the residuals are seen.
         fixed: how many of the first unknowns stay at zero where residuals are linearised again.
         linear: whether residuals are linear enough up to a change (K,), so that they need not be
@@ -100,7 +102,7 @@ def robust_fit(
     w = S @ _reweighted(y, A, S, M @ first)
     weights, scale2 = tukey_weights(y - A @ w), noise_variance(y - A @ w)
     normal = (y - A @ w) / np.sqrt(scale2)
-    inflation, blocks = design_effect(normal, pixels, expected_design_effect)
+    inflation, blocks = design_effect(normal, pixels, size, expected_design_effect)
     # Residuals do not show what of a smooth error the unknowns have absorbed.
     noise, field = scale2 * inflation, systematic_inflation(weights, found.systematic)
     weighted = A * (weights / (noise + field))[:, None]

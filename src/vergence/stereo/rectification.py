@@ -131,7 +131,7 @@ def rectify(
     R_rect_lcam = _orientation(baseline, axes.mean(axis=0))
     lenses = left.intrinsics, right.intrinsics
     own_px = FOCAL_SHARE * float(np.mean([lens.matrix[[0, 1], [0, 1]] for lens in lenses]))
-    own_size = lenses[0].width, lenses[0].height
+    own_size = lenses[0].size
     if abs(R_rect_lcam[0, 1]) > abs(R_rect_lcam[0, 0]):  # its columns are along the baseline
         own_size = own_size[1], own_size[0]
     size = own_size if size is None else size
@@ -180,12 +180,12 @@ def _share_shown(
     Of points on the rays of a grid of the left image's pixels; 1 where there are none.
     """
     left, right = (view.camera for view in views)
-    u, v = (np.linspace(0, n - 1, _GRID) for n in (left.width, left.height))
+    u, v = (np.linspace(0, n - 1, _GRID) for n in left.size)
     here = np.stack(np.meshgrid(u, v), axis=-1)
     distances = np.linalg.norm(T_rcam_lcam[:3, 3]) * _DISTANCES
     points = unproject(left, here) * distances[:, None, None, None]
     there = pixels_of_rays(right, transform(T_rcam_lcam, points))
-    both = _within(there, (right.width, right.height))
+    both = _within(there, right.size)
     shown = both.copy()
     for view, pixels in zip(views, (here, there), strict=True):
         shown &= _within(_rectified(view, matrix, pixels), size)

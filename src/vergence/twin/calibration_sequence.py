@@ -106,7 +106,7 @@ def visible(head: HeadCalibration, board: Board, name: str, shot: Shot) -> np.nd
     """Return a mask (K,) of the corners that a camera sees well inside its image."""
     camera = head.camera(name).intrinsics
     uv = project_board(head, board, name, shot)
-    size = np.array([camera.width, camera.height])
+    size = np.array(camera.size)
     margin = _MARGIN_RAD * camera.matrix[0, 0]
     return ((uv > margin) & (uv < size - 1 - margin)).all(axis=1)
 
@@ -225,6 +225,6 @@ def observations(
         placement=np.array([shot.placement for shot in shots]),
         eye_angles=eye_angles,
         corners=corners,
-        sizes={n: (m.intrinsics.width, m.intrinsics.height) for n, m in head.cameras.items()},
+        sizes={n: m.intrinsics.size for n, m in head.cameras.items()},
         kinematics=head.kinematics,
     )

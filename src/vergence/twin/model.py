@@ -254,7 +254,7 @@ def compile_head(
         R_eye_mjcam = T[:3, :3] @ R_MJCAM_CAM
         camera.quat = Rotation.from_matrix(R_eye_mjcam).as_quat(scalar_first=True)
         intrinsics, size = mounted.intrinsics, np.array(overscan[name])
-        centre = (np.array([intrinsics.width, intrinsics.height]) - 1) / 2
+        centre = (np.array(intrinsics.size) - 1) / 2
         camera.sensor_size = camera.sensor_size[0] / nominal_width * size
         camera.resolution = size
         camera.focal_pixel = intrinsics.matrix[[0, 1], [0, 1]]

@@ -62,12 +62,12 @@ def overscan_sizes(head: HeadCalibration) -> dict[str, tuple[int, int]]:
     for name, mounted in head.cameras.items():
         camera = mounted.intrinsics
         if not camera.distortion.any():
-            sizes[name] = (camera.width, camera.height)
+            sizes[name] = camera.size
             continue
         last = np.array([camera.width - 1, camera.height - 1])
-        every = np.indices((camera.width, camera.height)).reshape(2, -1).T
+        every = np.indices(camera.size).reshape(2, -1).T
         rim = every[((every == 0) | (every == last)).any(axis=1)]
-        map_px = _in_pinhole(camera, rim.astype(float), (camera.width, camera.height))
+        map_px = _in_pinhole(camera, rim.astype(float), camera.size)
         if not np.isfinite(map_px).all():
             raise VergenceError(f"The distortion of {name} folds over within its image.")
         reach = np.abs(map_px - last / 2).max(axis=0)

@@ -153,30 +153,16 @@ def adjust(
         if failures == FAILURES:
             break
     assert seen is not None
-    systematic_px, systematic = systematic_errors(problem, state, linear, noise, seen.basis)
-    # Levels that are larger by their own uncertainty. For one that is well known the variance grows
-    # by the factor 1 + Var(log sigma^2), which for nu degrees of freedom is nu / (nu - 2) to first
-    # order: Student's t has that variance. For one that is indistinguishable from zero it grows by
-    # the standard deviation of sigma^2.
-    factor = np.sqrt(1 + log_variance / (1 + np.sqrt(log_variance)))
-    certain = observe(problem, state, linear, replace(noise, levels=noise.levels * factor))
-    c = head_size(problem)
-    return Adjusted(
-        state=state,
-        noise=noise,
-        observability=replace(seen, covariance=certain.covariance + systematic[:c, :c]),
-        outliers=problem.seen.sum(axis=1) - linear.weights[0].sum(axis=1),
-        lost_readings=np.where(linear.weights[1] > 0, 0.0, joint_errors(problem, state)),
-        assumed=first.assumed,
-        given=np.full(groups, joint_std is not None),
-        redundancy=first.redundancy,
+    return _adjusted(
+        problem,
+        state,
+        linear,
+        noise,
+        seen,
+        log_variance,
+        first,
+        given=joint_std is not None,
         converged=converged and agreed,
-        camera_px=tuple(
-            noise.pixel_px * float(np.sqrt(np.mean(own**2))) if len(own) else noise.pixel_px
-            for own in (problem.noise_scale[problem.camera == c] for c in range(len(problem.eye)))
-        ),
-        systematic_px=systematic_px,
-        cost=restricted_cost(project_onto(linear, seen.basis), noise),
     )
 
 
@@ -233,6 +219,58 @@ def _first_noise(
     pixel = pixel if pixel_std_px is None else pixel_std_px
     levels = np.array([pixel, *np.where(assumed, USUAL_JOINT / turned, joint)])
     return _FirstNoise(replace(noise, levels=levels), linear, fixed, assumed, left[1:])
+
+
+def _adjusted(
+    problem: BundleProblem,
+    state: BundleState,
+    linear: LinearProblem,
+    noise: NoiseLevels,
+    seen: Observability,
+    log_variance: Array,
+    first: _FirstNoise,
+    *,
+    given: bool,
+    converged: bool,
+) -> Adjusted:
+    """Return the result of an adjustment, with what its covariance has to allow for.
+
+    Args:
+        problem: the data.
+        state: the estimate.
+        linear: the problem linearised there.
+        noise: its levels.
+        seen: what the data determine at these levels.
+        log_variance: (1 + groups,) of the logarithms of the squares of the levels.
+        first: with what the adjustment began.
+        given: whether the joint noise was.
+        converged: whether the estimate is settled.
+    """
+    systematic_px, systematic = systematic_errors(problem, state, linear, noise, seen.basis)
+    # Levels that are larger by their own uncertainty. For one that is well known the variance grows
+    # by the factor 1 + Var(log sigma^2), which for nu degrees of freedom is nu / (nu - 2) to first
+    # order: Student's t has that variance. For one that is indistinguishable from zero it grows by
+    # the standard deviation of sigma^2.
+    factor = np.sqrt(1 + log_variance / (1 + np.sqrt(log_variance)))
+    certain = observe(problem, state, linear, replace(noise, levels=noise.levels * factor))
+    c = head_size(problem)
+    return Adjusted(
+        state=state,
+        noise=noise,
+        observability=replace(seen, covariance=certain.covariance + systematic[:c, :c]),
+        outliers=problem.seen.sum(axis=1) - linear.weights[0].sum(axis=1),
+        lost_readings=np.where(linear.weights[1] > 0, 0.0, joint_errors(problem, state)),
+        assumed=first.assumed,
+        given=np.full(len(first.assumed), given),
+        redundancy=first.redundancy,
+        converged=converged,
+        camera_px=tuple(
+            noise.pixel_px * float(np.sqrt(np.mean(own**2))) if len(own) else noise.pixel_px
+            for own in (problem.noise_scale[problem.camera == c] for c in range(len(problem.eye)))
+        ),
+        systematic_px=systematic_px,
+        cost=restricted_cost(project_onto(linear, seen.basis), noise),
+    )
 
 
 def _turned_by(problem: BundleProblem, start: BundleState, group: np.ndarray) -> Array:

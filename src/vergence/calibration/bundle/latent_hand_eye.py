@@ -171,7 +171,7 @@ def _observations(
         placement=np.zeros(N, dtype=int),
         eye_angles=unknown if angles is None else angles,
         corners={_NAME: pixels},
-        sizes={_NAME: (camera.width, camera.height)},
+        sizes={_NAME: camera.size},
         kinematics=kinematics,
         T_base_eye=np.stack([T_read, T_read], axis=1) if angles is None else None,
     )

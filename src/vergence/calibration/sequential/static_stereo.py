@@ -78,7 +78,7 @@ def calibrate_pair(
             a.distortion.copy(),
             b.matrix.copy(),
             b.distortion.copy(),
-            (a.width, a.height),
+            a.size,
             start[:3, :3],
             start[:3, 3:],
             flags=cv2.CALIB_FIX_INTRINSIC | cv2.CALIB_USE_EXTRINSIC_GUESS,

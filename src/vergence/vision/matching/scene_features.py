@@ -100,7 +100,7 @@ def _half_size(image: np.ndarray, camera: Camera) -> tuple[np.ndarray, Camera]:
     """Return an image whose pixels are the means of 2 x 2, and its camera."""
     small = half_size(camera)
     whole = grey_levels(image)[: 2 * small.height, : 2 * small.width]
-    return cv2.resize(whole, (small.width, small.height), interpolation=cv2.INTER_AREA), small
+    return cv2.resize(whole, small.size, interpolation=cv2.INTER_AREA), small
 
 
 def _information(matches: Matches) -> float:
