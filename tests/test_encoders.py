@@ -93,7 +93,7 @@ def test_exchanged_images_are_noticed_where_the_eyes_moved_alike():
     _, seen = recorded()
     said = refusal(exchanged_images(seen))
     assert said.startswith("left_wide stands to the right of right_wide by the images")
-    assert "exchanged in the images, or images and joint readings" in said
+    assert "exchanged in the images, or in both images and joint readings" in said
 
 
 @pytest.mark.usefixtures("two_folds")

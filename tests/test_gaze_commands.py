@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from recordings import small_dataset
 from vergence.data.reader import load_dataset
+from vergence.errors import VergenceError
 from vergence.gaze.commands import (
     HEAD_JOINTS,
     HeadCommand,
@@ -16,6 +17,7 @@ from vergence.gaze.commands import (
     RecordedHead,
     commanded,
     hold,
+    joint_limits,
     setpoint,
 )
 from vergence.twin.model import load_spec
@@ -39,6 +41,27 @@ def test_set_points_keep_ranges_and_speeds(start, goal, rate, time_s):
     assert (now <= np.maximum(upper, start - reach) + 1e-12).all()
 
 
+def test_set_points_stay_a_quarter_degree_within_the_ranges():
+    """Because servos overshoot a little."""
+    ends = np.stack([setpoint(command(goal=goal), 9.0) for goal in (-10.0, 10.0)], axis=1)
+    beside = np.degrees(ends - LIMITS.range_rad)
+    np.testing.assert_allclose(beside, np.tile([0.25, -0.25], (7, 1)))
+
+
+@pytest.mark.parametrize(
+    ("end_rad", "speed_rad_s"),
+    [((-np.inf, 1.0), 1.0), ((-1.0, np.inf), 1.0), ((-1.0, 1.0), np.inf), ((-1.0, 1.0), np.nan)],
+)
+def test_ranges_and_speeds_are_finite(end_rad: tuple[float, float], speed_rad_s: float):
+    with pytest.raises(VergenceError, match="The range of left_pan goes from"):
+        joint_limits({"left_pan": end_rad}, {"left_pan": speed_rad_s})
+
+
+def test_every_joint_has_a_speed():
+    with pytest.raises(VergenceError, match=r"found \(7, 2\) and \(4,\)"):
+        JointLimits(speed_rad_s=np.ones(4))
+
+
 def test_a_goal_that_moves_too_fast_is_followed_at_the_speed_of_the_joints():
     fast = command(goal=-0.3, rate=100.0)
     now = np.array([setpoint(fast, t) for t in np.linspace(1, 1.15, 301)])
@@ -58,6 +81,7 @@ def test_earlier_set_points_can_be_recovered():
     np.testing.assert_array_equal(commanded(commands, -1.0), 0)
     np.testing.assert_array_equal(commanded(commands, 0.9), 0)
     np.testing.assert_allclose(commanded(commands, 1.5), 0.2)
+    np.testing.assert_array_equal(commanded(commands, 2.0), 1)
 
 
 def test_the_default_limits_are_those_of_the_model():

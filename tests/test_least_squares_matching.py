@@ -1,5 +1,6 @@
 """Windows of drawn textures, displaced as a surface displaces them, are found where they are."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -41,8 +42,12 @@ def views(
     return left, right
 
 
-def match(left: np.ndarray, right: np.ndarray, found: Array, larger: float = 0.0) -> Matched:
+def match(
+    left: np.ndarray, right: np.ndarray, found: Array, larger: float = 0.0, beside_px: float = 0.0
+) -> Matched:
+    """Return matches with a right image that shows its view farther to the right."""
     v, u = (each.astype(np.float32) for each in np.indices(SIZE))
+    u += np.float32(beside_px)
     direction = np.tile(ALONG, (len(AT), 1))
     enlargement = np.full(len(AT), larger)
     return match_windows(
@@ -103,3 +108,43 @@ def test_windows_beyond_the_image_are_not_good():
     left, right = views(np.zeros(2), 0.0, np.random.default_rng(0))
     beyond = match(left, right, AT - [AT[:, 0].max() + 5, 0])
     assert not beyond.good.any()
+
+
+def test_windows_that_the_right_image_shows_in_part_are_not_good():
+    """Those in its last column, which lie half beyond its edge."""
+    left, right = views(np.zeros(2), 0.0, np.random.default_rng(0))
+    beside_px = 25
+    right = np.roll(right, beside_px, axis=1)
+    matched = match(left, right, displaced(AT, np.zeros(2)), beside_px=beside_px)
+    partly = AT[:, 0] + SHIFT[0] + beside_px + 7 > SIZE[1] - 1
+    assert 0 < partly.sum() < len(AT)
+    np.testing.assert_array_equal(matched.good, ~partly)
+
+
+@pytest.mark.parametrize(("beside_px", "good"), [(0.8, True), (1.5, False), (2.5, False)])
+def test_a_match_that_moves_by_more_than_a_pixel_is_of_something_else(beside_px, good):
+    flat, aside = np.zeros(2), np.array([beside_px, 0])
+    matched = match(*views(flat, 0.0, np.random.default_rng(0)), displaced(AT, flat) + aside)
+    assert (matched.good == good).mean() > 0.95
+
+
+def test_noise_that_neighbouring_pixels_share_is_allowed_for():
+    """As interpolation and blur leave it."""
+    rng, flat = np.random.default_rng(3), np.zeros(2)
+    noise = np.stack([cv2.GaussianBlur(each, (0, 0), 1.0) for each in rng.normal(0, 1, (2, *SIZE))])
+    left, right = views(flat, 0.0, rng)
+    left, right = np.round(np.stack([left, right]) + 4 * noise / noise.std())
+    matched = match(left, right, displaced(AT, flat))
+    assert matched.good.all()
+    root = np.linalg.cholesky(matched.covariance)
+    stated = np.linalg.solve(root, (matched.pixels - displaced(AT, flat))[..., None])
+    assert 0.8 < np.sqrt(np.mean(stated**2)) < 1.35
+
+
+def test_no_match_is_said_to_be_better_than_a_hundredth_of_a_pixel():
+    """However strong its texture is: interpolation leaves this much."""
+    flat = np.zeros(2)
+    left, right = (128 + 8 * (each - 128) for each in views(flat, 0.0, np.random.default_rng(0)))
+    matched = match(left, right, displaced(AT, flat))
+    std = np.sqrt(np.linalg.eigvalsh(matched.covariance)[:, 0])
+    assert 0.01 <= std.min() < 0.012

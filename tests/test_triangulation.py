@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import least_squares
 
 from simulated_head import plain_head, point_in_camera, skewed_head
 from vergence.geometry.camera import pinhole, project
@@ -16,7 +17,7 @@ from vergence.geometry.lens import CameraModel
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.extrinsics import T_rcam_lcam, base_extrinsics, stereo_extrinsics
-from vergence.stereo.triangulation import Status, in_body, in_head
+from vergence.stereo.triangulation import CHUNK, Status, in_body, in_head, triangulate_at
 from vergence.stereo.uncertainty import locate
 
 seeds = st.integers(0, 2**32 - 1)
@@ -89,6 +90,52 @@ def test_a_point_alone_is_located_as_it_is_among_others(model: CameraModel, k: t
         assert alone.status[0] == together.status[i]
         np.testing.assert_allclose(alone.xyz[0], together.xyz[i], atol=1e-12)
         np.testing.assert_allclose(alone.covariance[0], together.covariance[i], rtol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_noisy_pixels_give_the_most_likely_point(seed: int):
+    """By the noise of each coordinate, through lenses with skew: the least sum of squares."""
+    rng = np.random.default_rng(seed)
+    head, pixel_std_px = skewed_head(rng), 0.1 * np.array([0.3, 1.0, 0.6, 0.1])
+    points, eyes, *exact = random_samples(head, rng, 3)
+    noisy = [
+        each + rng.normal(0, std, each.shape)
+        for each, std in zip(exact, (pixel_std_px[:2], pixel_std_px[2:]), strict=True)
+    ]
+    left, right = noisy
+    found, _ = triangulate_at(head, left=left, right=right, joints=eyes, pixel_std_px=pixel_std_px)
+
+    def misfit(point: np.ndarray, k: int) -> np.ndarray:
+        seen = [project_point(head, f"{eye}_wide", eyes[k], point) for eye in ("left", "right")]
+        return (np.concatenate(seen) - np.concatenate([left[k], right[k]])) / pixel_std_px
+
+    for k, point in enumerate(found):
+        best = least_squares(misfit, point, args=(k,), xtol=1e-15, ftol=1e-15, x_scale=1e-3).x
+        # Equal to first order: points differ by the square of the noise.
+        assert np.linalg.norm(point - best) < 1e-3 * np.linalg.norm(best - points[k])
+
+
+def test_many_points_are_found_as_few_are():
+    """Whether they have one posture and noise, or each its own."""
+    rng, n = np.random.default_rng(5), CHUNK + 100
+    head = skewed_head(rng)
+    _, eyes, left, right = random_samples(head, rng, n)
+    left, right = left + rng.normal(0, 1, (n, 2)), right + rng.normal(0, 1, (n, 2))
+    stds = rng.uniform(0.1, 2, (n, 4))
+    for joints, std in ((eyes, stds), (eyes[0], stds[0])):
+        halves = [
+            triangulate_at(
+                head,
+                left=left[half],
+                right=right[half],
+                joints=joints if joints.ndim == 1 else joints[half],
+                pixel_std_px=std if std.ndim == 1 else std[half],
+            )
+            for half in (slice(n // 2), slice(n // 2, n))
+        ]
+        found = triangulate_at(head, left=left, right=right, joints=joints, pixel_std_px=std)
+        for whole, parts in zip(found, zip(*halves, strict=True), strict=True):
+            np.testing.assert_allclose(whole, np.concatenate(parts), rtol=1e-12)
 
 
 # The equations one by one, and their misprints
@@ -275,6 +322,48 @@ def test_rays_are_called_by_where_they_meet(left_u: float, status: Status):
     assert located.status[0] == status
     far = 0.09 * 280 / 1e-3 if status == Status.OK else np.nan
     assert located.xyz[0, 0] == pytest.approx(far, rel=1e-6, nan_ok=True)
+
+
+@pytest.mark.parametrize(
+    ("apart_rad", "status"),
+    [
+        (3e-12, Status.OK),
+        (3e-13, Status.PARALLEL),
+        (-3e-13, Status.PARALLEL),
+        (-3e-12, Status.BEHIND),
+    ],
+)
+@pytest.mark.parametrize("u", [319.5, 0.0])
+def test_rays_are_parallel_up_to_the_same_angle_all_over_the_image(apart_rad, status, u: float):
+    """By a very wide lens, so that rays at its edge are 16 times as long as in its middle."""
+    focal_px = 20.0
+    left = u + focal_px * apart_rad * (1 + ((u - 319.5) / focal_px) ** 2)
+    located = locate(
+        plain_head(0.09, focal_px),
+        left=np.array([[left, 239.5]]),
+        right=np.array([[u, 239.5]]),
+        joints=np.zeros(4),
+    )
+    assert located.status.tolist() == [status]
+
+
+def test_rounding_errors_make_no_point_of_parallel_rays(rng):
+    """Eyes without a vergence, wherever they look, that see the same pixel."""
+    eyes, pixels = np.tile(rng.uniform(-0.3, 0.3, (200, 2)), 2), rng.uniform(100, 400, (200, 2))
+    located = locate(plain_head(0.09, 280.0), left=pixels, right=pixels, joints=eyes)
+    assert (located.status == Status.PARALLEL).all()
+
+
+@pytest.mark.parametrize("ahead_m", [(0.0, 0.2), (0.2, 0.0)])
+def test_a_point_behind_one_of_the_cameras_is_behind(ahead_m: tuple[float, float]):
+    """One camera is mounted farther ahead than where the rays meet."""
+    places = np.array([[ahead_m[0], 0.0, 0.0], [ahead_m[1], 0.0, 0.0]])
+    head = plain_head(0.09, 280.0, camera_m=[tuple(place) for place in places])
+    for x, expected in ((0.1, Status.BEHIND), (0.3, Status.OK)):
+        seen = np.array([[x, -0.02, 0.01], [x, 0.07, 0.01]]) - places
+        left, right = [319.5, 239.5] - 280.0 * seen[:, None, 1:] / seen[:, None, :1]
+        located = locate(head, left=left, right=right, joints=np.zeros(4))
+        assert located.status.tolist() == [expected]
 
 
 def test_a_pixel_beyond_the_lens_is_not_seen():

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import combinations_with_replacement
+from itertools import combinations, combinations_with_replacement
 
 import numpy as np
 
@@ -83,7 +83,8 @@ def check_encoders(seen: Observations, T_cam_target: Mapping[str, Array]) -> Non
             found[e] = turns
     between = _between_the_eyes(found, T_cam_target)
     to_left = {e: t / np.linalg.norm(t) for e, t in between.items()}
-    said = _exchanged(found, between)
+    said = _exchanged(seen.kinematics, found, between)
+    said = said or _exchanged_readings(seen.kinematics, found)
     if not said:
         said = [
             sentence
@@ -137,18 +138,27 @@ def _between_the_eyes(found: Mapping[int, _Turns], poses: Mapping[str, Array]) -
     return {0: in_left, 1: in_right}
 
 
-def _exchanged(found: Mapping[int, _Turns], between: Mapping[int, Array]) -> list[str]:
+def _exchanged(
+    kinematics: Kinematics, found: Mapping[int, _Turns], between: Mapping[int, Array]
+) -> list[str]:
     """Return a sentence if left and right are exchanged, and what of them."""
     if len(found) < 2:
         return []
-    follows_own = all(turns.own.explained > EXPLAINED for turns in found.values())
-    follows_other = all(turns.other.explained > EXPLAINED for turns in found.values())
+    left, right = (found[e].camera for e in (0, 1))
+    own, other = [found[e].own for e in (0, 1)], [found[e].other for e in (0, 1)]
+    follows_own, follows_other = (
+        all(f.explained > EXPLAINED for f in fits) for fits in (own, other)
+    )
     if not follows_own and not follows_other:
         return []
-    left, right = (found[e].camera for e in (0, 1))
-    fits = [found[e].own if follows_own else found[e].other for e in (0, 1)]
+    fits = own if follows_own else other
     if not all(fit.possible for fit in fits):
-        return []  # one joint alone counts the other way: of that speaks _contradictions
+        shared = set(kinematics.used("left")) == set(kinematics.used("right"))
+        if not shared or not between or not all(fit.possible for fit in other):
+            return []  # one joint alone counts the other way: of that speaks _contradictions
+        if (between[1] @ other[1].R_cam_eye)[1] > 0:
+            return []  # so does vergence, with cameras that stand where they should
+        follows_own, fits = False, other
     # From the right eye's camera to the left one's, and how far it stands to the left.
     shift = between[1] @ fits[1].R_cam_eye if between else None
     aside = None if shift is None else float(shift[1])
@@ -159,7 +169,7 @@ def _exchanged(found: Mapping[int, _Turns], between: Mapping[int, Array]) -> lis
             return [not_beside(f"By the images {left} stands", right, shift)]
         what = "images and joint readings"
         if follows_other:
-            what = f"images, or {what},"
+            what = f"images, or in both {what}"
         return [
             f"{left} stands to the right of {right} by the images: left and right are exchanged in "
             f"the {what} (or pan and tilt both count the other way)."
@@ -175,6 +185,38 @@ def _exchanged(found: Mapping[int, _Turns], between: Mapping[int, Array]) -> lis
         f"{follow}, and the left camera stands to the {side} of the right one: left and right are "
         f"exchanged in the {what}."
     ]
+
+
+def _exchanged_readings(kinematics: Kinematics, found: Mapping[int, _Turns]) -> list[str]:
+    """Return a sentence if two readings are exchanged, and each eye is explained once they are not.
+
+    They may be of different eyes. Nothing is said where all turns are explained as it is.
+    """
+    lost = [turns for turns in found.values() if turns.own.explained < EXPLAINED]
+    for pair in combinations(range(len(kinematics.readings)), 2) if lost else ():
+        fits = []
+        for e, turns in found.items():
+            readings = turns.readings.copy()
+            readings[:, pair] = readings[:, pair[::-1]]
+            fits.append(fit_readings(kinematics, EYES[e], readings, turns.turn))
+        if all(map(_good, fits)):
+            names = listed([kinematics.readings[r] for r in pair])
+            return [_explain_little(lost[0], f"{names} are exchanged")]
+    return []
+
+
+def _explain_little(turns: _Turns, why: str) -> str:
+    share = max(turns.own.explained, 0.0)
+    return (
+        f"The readings of {listed(turns.own.names)} explain {100 * share:.0f} % of the turns that "
+        f"{turns.camera} makes before a board at rest: {why}."
+    )
+
+
+def _good(fit: ReadingFit) -> bool:
+    """Return whether readings turn a camera as they should."""
+    in_range = GAINS[0] < fit.gains.min() <= fit.gains.max() < GAINS[1]
+    return bool(fit.possible and in_range and fit.explained > EXPLAINED)
 
 
 def _contradictions(
@@ -200,10 +242,7 @@ def _contradictions(
             why = f"those of {idle} have no part in it; check its column"
         if of_row := _of_another_row(kinematics, turns, eye):
             why = f"they stand one row too {of_row}"
-        return [
-            f"The readings of {listed(fit.names)} explain {100 * max(fit.explained, 0):.0f} "
-            f"% of the turns that {turns.camera} makes before a board at rest: {why}."
-        ]
+        return [_explain_little(turns, why)]
     if fit.explained < EXPLAINED:
         return []  # too noisy to say more; the noise is estimated, and warned of
     if not fit.possible:
@@ -211,9 +250,8 @@ def _contradictions(
         look = f"By the readings, {turns.camera} would look backwards or aside out of its eye"
         return [f"{look}: {cause or 'check the axes of its joints and the signs of readings'}."]
     said = []
-    good = GAINS[0] < fit.gains.min() <= fit.gains.max() < GAINS[1]
     # Of three axes one that counts the other way may look as if it hardly turned the eye.
-    cause = None if good else _what_explains(kinematics, turns, eye, to_left)
+    cause = None if _good(fit) else _what_explains(kinematics, turns, eye, to_left)
     if cause:
         return [f"The readings do not turn {turns.camera} as its images do: {cause}."]
     table = "joints" if set(kinematics.readings) <= set(EYE_JOINTS) else "readings"
@@ -284,7 +322,7 @@ def _what_explains(
             readings[:, [a, b]] = readings[:, [b, a]]
             what = f"{names[0]} and {names[1]} are exchanged"
         fit = fit_readings(kinematics, eye, readings, turns.turn)
-        if fit.possible and GAINS[0] < fit.gains.min() <= fit.gains.max() < GAINS[1]:
+        if _good(fit):
             found.append((float(fit.R_cam_eye[:, 1] @ y), what))
     if not found:
         return None

@@ -1,0 +1,101 @@
+"""One frame of self-calibration that shows little: how far it is believed, and what is left."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from simulated_frames import JOINT_STD_RAD, NOISE_PX, begin, head_of, postures
+from simulated_matches import matches, room, turn_error_deg
+from vergence.arrays import Array
+from vergence.geometry.head import HeadCalibration
+from vergence.self_calibration.frame import from_matches
+from vergence.self_calibration.state import FrameEstimate, SelfCalibration
+from vergence.vision.matching.scene_features import Matches
+
+
+def seen_at_random(
+    seed: int, outliers: float = 0.0
+) -> tuple[HeadCalibration, Array, Array, Matches]:
+    """Return a head, its angles and readings (4,), and about 2000 matches."""
+    head, rng = head_of(seed), np.random.default_rng(seed)
+    angles = postures(1, rng)[0]
+    readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
+    seen = matches(head, angles, room(3000, rng), noise_px=NOISE_PX, rng=rng, outliers=outliers)
+    return head, angles, readings, seen
+
+
+def some(seen: Matches, which: slice | np.ndarray) -> Matches:
+    return Matches(seen.left[which], seen.right[which], seen.covariance[which])
+
+
+def left_open(state: SelfCalibration, found: FrameEstimate) -> Array:
+    """Return by how much less uncertain readings (4,) are than they were: 1 is not at all."""
+    return np.sqrt(np.diag(found.covariance))[len(state.names) :] / state.joint_std_rad
+
+
+def test_a_geometry_that_a_seventh_of_the_matches_fits_is_believed():
+    """And is seldom another than the true one."""
+    errors_deg = []
+    for seed in range(6):
+        head, angles, readings, seen = seen_at_random(seed, outliers=0.86)
+        found = from_matches(begin(head), seen, readings)
+        assert found.status == "seen"
+        errors_deg.append(turn_error_deg(found.head, found.joints, head, angles))
+    assert np.median(errors_deg) < 0.04  # by readings alone: 0.27
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_geometry_that_one_of_twenty_matches_fits_is_not_believed(seed: int):
+    """Hundred matches fit, by chance or not; head, readings and their covariance stay."""
+    head, _, readings, seen = seen_at_random(seed, outliers=0.95)
+    state = begin(head)
+    found = from_matches(state, seen, readings)
+    assert (found.status, found.evidence) == ("little seen", None)
+    assert found.head is head
+    np.testing.assert_array_equal(found.joints, readings)
+    np.testing.assert_allclose(left_open(state, found), 1)
+
+
+def test_the_fewer_matches_there_are_the_nearer_are_readings_to_the_prior():
+    """Down to twelve; fewer would fit whatever they show."""
+    head, _, readings, seen = seen_at_random(0)
+    state, open_before = begin(head), np.zeros(4)
+    for count in (1000, 100, 25, 12, 11):
+        found = from_matches(state, some(seen, slice(count)), readings)
+        now_open = left_open(state, found)
+        assert (now_open > open_before).all()
+        assert (found.status == "seen") == (count >= 12)
+        open_before = now_open
+    np.testing.assert_allclose(open_before, 1)
+    np.testing.assert_array_equal(found.joints, readings)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_small_part_of_the_image_tells_of_tilt_but_not_of_vergence(seed: int):
+    """Things at unknown depth are displaced along rows, as by a vergence."""
+    head, _, readings, seen = seen_at_random(seed)
+    state = begin(head)
+    patch = (np.abs(seen.left - [320, 240]) < 25).all(axis=1)
+    whole, part = (from_matches(state, each, readings) for each in (seen, some(seen, patch)))
+    tilts, pans = [1, 3], [0, 2]
+    by_whole, by_part = left_open(state, whole), left_open(state, part)
+    np.testing.assert_allclose(by_part[tilts], by_whole[tilts], rtol=0.03)
+    assert (by_part[pans] > 0.955).all()
+    assert (by_whole[pans] < 0.955).all()
+
+
+def test_a_frame_shows_enough_from_one_and_a_half_degrees_of_freedom_on():
+    """Of the five of the pair: what was known before leaves fewer and fewer to be shown."""
+    head, angles, _, seen = seen_at_random(0)
+    state, shown, statuses = begin(head), [], []
+    state = replace(state, covariance=1e-12 * state.covariance)
+    for std_rad in np.geomspace(1e-5, 1e-3, 25):
+        found = from_matches(replace(state, joint_std_rad=std_rad), some(seen, slice(60)), angles)
+        assert found.evidence is not None
+        shown.append(np.trace(found.covariance @ found.evidence.information))
+        statuses.append(found.status)
+    for degrees, status in zip(shown, statuses, strict=True):
+        assert status == ("seen" if degrees > 1.5 else "little seen")
+    assert any(1.2 < degrees < 1.5 for degrees in shown)
+    assert any(1.5 < degrees < 2 for degrees in shown)
