@@ -87,9 +87,11 @@ def test_a_correction_by_more_than_half_a_fovea_is_a_saccade(turn_deg, phase):
     assert (moved.since_s == settled.since_s) == (phase is GazePhase.FIXATION)
 
 
-def test_a_neck_keeps_its_greatest_speed_and_acceleration():
+@pytest.mark.parametrize("pan_deg", [40.0, 84.0])
+def test_a_neck_keeps_its_greatest_speed_and_acceleration(pan_deg: float):
+    """It brakes before the end of its range, which is at 50 degrees."""
     settings = replace(WITH_NECK, neck_speed_rad_s=0.5, neck_acceleration_rad_s2=2.0)
-    states = looking(settings, at_rest(settings), point_at(40, 0, 1.0), 2.0)
+    states = looking(settings, at_rest(settings), point_at(pan_deg, 0, 1.0), 3.0)
     rates = np.array([state.neck_rate for state in states])
     times = np.array([state.command.time_s for state in states])
     later = np.diff(times) > 0  # no command is sent during a saccade

@@ -121,6 +121,16 @@ def test_windows_that_the_right_image_shows_in_part_are_not_good():
     np.testing.assert_array_equal(matched.good, ~partly)
 
 
+def test_windows_that_lie_beyond_the_right_view_in_part_are_not_good():
+    """Of that view the map says where it lies in the image, and beyond it nothing."""
+    v, u = (each.astype(float) for each in np.indices(SIZE))
+    left, right = (np.round(texture(u - shift, v)) for shift in (0, 25))
+    matched = match(left, right, AT + np.array([25, 0]))
+    beyond = AT[:, 0] + 25 + 7 > SIZE[1] - 1
+    assert 0 < beyond.sum() < len(AT)
+    np.testing.assert_array_equal(matched.good, ~beyond)
+
+
 @pytest.mark.parametrize(("beside_px", "good"), [(0.8, True), (1.5, False), (2.5, False)])
 def test_a_match_that_moves_by_more_than_a_pixel_is_of_something_else(beside_px, good):
     flat, aside = np.zeros(2), np.array([beside_px, 0])

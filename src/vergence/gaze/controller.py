@@ -168,10 +168,13 @@ def _turn_neck(settings: GazeSettings, state: GazeState, eyes: Array, now_s: flo
     turning = bool(np.abs(away).max() > (ends if state.neck_turning else begins))
     top = settings.neck_speed_rad_s
     wanted = np.clip(settings.neck_gain_hz * away, -top, top) if turning else np.zeros(3)
-    change = settings.neck_acceleration_rad_s2 * min(now_s - state.command.time_s, 0.1)
-    rate = state.neck_rate + np.clip(wanted - state.neck_rate, -change, change)
     at = setpoint(state.command, now_s)[NECK]
     lower, upper = settings.limits.setpoint_range_rad[NECK].T
+    # Slow enough to stop at the end of the range, with half the braking in hand between frames.
+    braking = settings.neck_acceleration_rad_s2 * np.maximum([at - lower, upper - at], 0)
+    wanted = np.clip(wanted, -np.sqrt(braking[0]), np.sqrt(braking[1]))
+    change = settings.neck_acceleration_rad_s2 * min(now_s - state.command.time_s, 0.1)
+    rate = state.neck_rate + np.clip(wanted - state.neck_rate, -change, change)
     blocked = np.isin(settings.joints[NECK], state.stuck)
     blocked |= ((at >= upper) & (rate > 0)) | ((at <= lower) & (rate < 0))
     return replace(state, neck_turning=turning, neck_rate=np.where(blocked, 0.0, rate))

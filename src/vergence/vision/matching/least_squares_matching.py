@@ -142,13 +142,16 @@ def _local_maps(
 
     By 1, x, y, x^2, x y and y^2 of the offsets from these: through their middles, where matches are
     taken back, and with differences to the ends of the windows. Inside (N,) are those whose windows
-    are in an image (H, W) as a whole.
+    are in the view, and in an image (H, W), as a whole.
     """
     x, y = (REACH * each for each in _offsets(1))
+    last = np.array(maps[0].shape[::-1]) - 1
+    in_view = np.all((middles >= REACH) & (middles <= last - REACH), axis=1)
     values = [_sampled(each, middles[:, :1] + x, middles[:, 1:] + y) for each in maps]
     lowest, highest = (np.stack([end(each, axis=1) for each in values]) for end in (np.min, np.max))
     inside = (lowest >= 0) & (highest <= np.array(shape[::-1])[:, None] - 1)
-    return np.stack([each @ _DIFFERENCES.T for each in values], axis=1), np.all(inside, axis=0)
+    inside = np.asarray(in_view & inside.all(axis=0))
+    return np.stack([each @ _DIFFERENCES.T for each in values], axis=1), inside
 
 
 def _sampled(image: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
