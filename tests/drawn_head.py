@@ -81,7 +81,7 @@ class DrawnHead:
         """Return the true joint angles (7,) [rad]; NaN in `stuck` means free."""
         angles = commanded(self.commands, time_s)
         if self.servo_lag_s:  # of the first order
-            ages = np.linspace(0, 5, 51)
+            ages = (np.arange(300) + 0.5) / 40
             sent = [commanded(self.commands, time_s - self.servo_lag_s * age) for age in ages]
             angles = np.average(sent, axis=0, weights=np.exp(-ages))
         held = self.stuck(time_s)

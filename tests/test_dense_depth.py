@@ -219,10 +219,12 @@ def test_depth_of_a_real_heads_dataset_needs_no_twin(drawn, tmp_path):
     assert found["doubt"] is None
 
 
-def test_rows_show_that_a_calibration_is_of_another_head(drawn, tmp_path):
+@pytest.mark.parametrize("pan_std_deg", [0.02, 1.0])
+def test_rows_show_that_a_calibration_is_of_another_head(drawn, tmp_path, pan_std_deg: float):
+    """However noisy readings are that do not turn rows apart."""
     write_recording(tmp_path, drawn, JOINTS)
     turned = change_named(HEAD, ["left_wide.T_eye_cam.ry"], np.radians([0.5]))
-    accuracy = Accuracy("bundle", joint_std=(np.radians(0.02),))
+    accuracy = Accuracy("bundle", joint_std=tuple(np.radians([pan_std_deg, 0.02])))
     save_head(replace(turned, accuracy=accuracy), tmp_path / "other.json")
     given = {"dataset": tmp_path / "data", "calibration": tmp_path / "other.json"}
     done = of_dataset(tmp_path / "depth", **given)

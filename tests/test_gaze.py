@@ -123,6 +123,22 @@ def test_readings_that_are_older_than_the_image_are_carried_to_it():
     assert np.median(errors) < 2e-3
 
 
+def test_readings_are_carried_to_the_image_as_the_servos_follow():
+    """After a saccade they still do, by degrees."""
+    target = point_at(25, -12, 0.6)
+    head = DrawnHead(lambda _: target, joint_lag_s=0.03, servo_lag_s=0.05)
+    done = run(head, 1.0, replace(SETTINGS, servo_lag_s=0.05))
+    measured = [state.measured for state in done.states if state.measured is not None]
+    assert len(measured) > 15
+    assert np.linalg.norm(np.array(measured) - target, axis=1).max() < 3e-3
+
+
+@pytest.mark.slow
+def test_a_moving_object_is_followed_though_servos_lag():
+    done = run(DrawnHead(circling(0.2), servo_lag_s=0.05), 2.0, replace(SETTINGS, servo_lag_s=0.05))
+    assert np.sqrt((done.after(1.0) ** 2).mean()) < 3  # 20 px behind by the lag itself
+
+
 @pytest.mark.parametrize("servo_lag_s", [0.005, 0.02, 0.05])
 def test_joints_that_lag_behind_their_set_points_come_to_rest(servo_lag_s: float):
     target = point_at(12, -8, 0.8)

@@ -180,6 +180,15 @@ def test_a_head_that_is_not_as_calibrated_is_learned_anew(recorded):
     )
 
 
+def test_a_camera_that_stands_otherwise_than_calibrated_is_named(recorded):
+    data = load_dataset(recorded / "data")
+    calibrated = self_calibrate_dataset(data, HEAD)
+    turned = change_named(calibrated.head, ["right_wide.T_eye_cam.ry"], np.radians([1.0]))
+    said = "right_wide.T_eye_cam.ry changed by more than 4 of the standard deviations before"
+    assert not any("changed by more than" in each for each in calibrated.warnings)
+    assert any(each.startswith(said) for each in self_calibrate_dataset(data, turned).warnings)
+
+
 def test_little_motion_in_parallel_is_said_to_show_little(tmp_path, slow_setup):
     rows = []
     for k, pan in enumerate(np.radians([0.0, 2.5, 5.0])):

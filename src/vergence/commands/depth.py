@@ -20,7 +20,7 @@ from vergence.errors import VergenceError
 from vergence.geometry.camera import unproject
 from vergence.geometry.eye_motion import measured
 from vergence.geometry.head import HeadCalibration, load_head, reading_stds
-from vergence.geometry.se3 import pose
+from vergence.geometry.se3 import pose, rotvec
 from vergence.progress import Progress, silent
 from vergence.self_calibration.frame import locate_seen
 from vergence.self_calibration.prior import JOINT_STD_RAD
@@ -28,6 +28,7 @@ from vergence.self_calibration.robust_fit import FEWEST
 from vergence.self_calibration.sequence import Geometry, initial_seen_geometry, update_geometry
 from vergence.self_calibration.state import FrameEstimate
 from vergence.stereo.dense_depth import DenseDepth, dense_depth
+from vergence.stereo.extrinsics import stereo_poses
 from vergence.stereo.rectification import RectifiedPair, rectify
 from vergence.stereo.uncertainty import LocatedPoints
 from vergence.viewer.depth import depth_recording, log_depth
@@ -39,9 +40,10 @@ from vergence.writing import markdown_table, results_folder, write_json, write_w
 RANGE_M = (0.5, 1.5)
 """Distances at which accuracy is stated."""
 MOST_PAIRS = 1000
-_DOUBTED = 6.0
-"""Difference of the rows in the median, relative to the noise of readings, from which a calibration
-is doubted. The noise alone makes a difference of about one."""
+_DOUBTED = 4.2
+"""Difference of the rows in the median, relative to what the noise of readings makes of it, from
+which a calibration is doubted. The noise alone makes a difference of 0.7."""
+_STEP_RAD = 1e-4
 _LEAST_DOUBTED_RAD = np.radians(0.1)
 TITLE = "# Dense depth"
 RESULTS = ("depth.rrd", "depth.json", REPORT)
@@ -231,7 +233,7 @@ def write_depth(
     Raises:
         VergenceError: the folder cannot be written.
     """
-    shares, stds, rows = [], [], []
+    shares, stds, rows, noises = [], [], [], []
     progress("dense depth, pairs", 0, count)
     with depth_recording(out / "depth.rrd", head) as rec:
         for k, (moment, (pair, dense)) in enumerate(found):
@@ -239,6 +241,7 @@ def write_depth(
             stds.append(dense.std_m[near] / dense.depth_m[near])
             shares.append((np.isfinite(dense.depth_m).mean(), dense.textured.mean()))
             rows.append(_row_difference_rad(moment, pair))
+            noises.append(_row_noise_rad(pair))
             log_depth(
                 rec,
                 head if moment.seen is None else moment.seen.head,
@@ -260,7 +263,7 @@ def write_depth(
             textured=float(textured),
             median_relative_std=float(np.median(relative)) if relative.size else np.nan,
             row_difference_deg=float(np.degrees(apart_rad)),
-            doubt=_doubt(head, apart_rad),
+            doubt=_doubt(apart_rad, float(np.median(noises))),
             **errors(),
         )
         report = as_markdown(done)
@@ -296,10 +299,29 @@ def _row_difference_rad(moment: StereoImages, pair: RectifiedPair) -> float:
     return float(np.nanmedian(np.abs(above[1] - above[0])))
 
 
-def _doubt(head: HeadCalibration, apart_rad: float) -> str | None:
-    """Return why a calibration is doubted whose rows are so far apart in the median; None: not."""
-    stated = reading_stds(head) * head.kinematics.factors
-    noise_rad = np.sqrt(np.mean(stated**2)) if stated.any() else JOINT_STD_RAD
+def _row_noise_rad(pair: RectifiedPair) -> float:
+    """Return by how much the noise of readings turns the rows of a pair apart [rad].
+
+    Readings that both eyes share hardly do.
+    """
+    if measured(pair.joints):
+        return JOINT_STD_RAD
+    head, factors = pair.head, pair.head.kinematics.factors
+    stds = reading_stds(head)
+    stds = stds if stds.any() else JOINT_STD_RAD / factors
+    R_rect_rcam = pair.right.R_rect_cam
+    steps = _STEP_RAD / factors
+    nearby = stereo_poses(head, pair.joints + np.diag(steps), cameras=pair.cameras)[1]
+    here = stereo_poses(head, pair.joints, cameras=pair.cameras)[1]
+    turned = rotvec(nearby[:, :3, :3] @ here[:3, :3].T) @ R_rect_rcam.T
+    return float(np.linalg.norm(turned[:, 0] / steps * stds))
+
+
+def _doubt(apart_rad: float, noise_rad: float) -> str | None:
+    """Return why a calibration is doubted whose rows are so far apart in the median; None: not.
+
+    Both are medians over the pairs: of what is seen, and of what readings explain.
+    """
     if not apart_rad > max(_DOUBTED * noise_rad, _LEAST_DOUBTED_RAD):
         return None
     return (

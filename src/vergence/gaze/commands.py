@@ -117,23 +117,52 @@ class HeadCommand:
     limits: JointLimits
 
 
-def setpoint(command: HeadCommand, time_s: float) -> Array:
-    """Return the set points (j,) [rad] of a command at a time, within ranges and speeds.
+def setpoint(command: HeadCommand, time_s: float | Array) -> Array:
+    """Return the set points (..., j) [rad] of a command at times (...), within ranges and speeds.
 
     A joint that starts beyond its range comes back to it at its speed.
     """
-    elapsed = max(time_s - command.time_s, 0.0)
+    elapsed = np.maximum(np.asarray(time_s) - command.time_s, 0.0)[..., None]
     speed = command.limits.speed_rad_s
-    goal = command.goal + np.clip(command.rate, -speed, speed) * min(elapsed, HOLD_S)
+    goal = command.goal + np.clip(command.rate, -speed, speed) * np.minimum(elapsed, HOLD_S)
     goal = np.clip(goal, *command.limits.setpoint_range_rad.T)
     reach = speed * elapsed
     return command.start + np.clip(goal - command.start, -reach, reach)
 
 
 def commanded(commands: Sequence[HeadCommand], time_s: float) -> Array:
-    """Return the set points (j,) [rad] in force at a time; the first hold for earlier ones too."""
-    valid = [command for command in commands if command.time_s <= time_s]
-    return setpoint(valid[-1] if valid else commands[0], time_s)
+    """Return the set points (j,) [rad] in force at a time; the first hold for earlier ones too.
+
+    The commands are in the order of their times.
+    """
+    return setpoint(commands[_in_force(commands, np.array(time_s)).item()], time_s)
+
+
+def followed(commands: Sequence[HeadCommand], time_s: float, lag_s: float) -> Array:
+    """Return the angles (j,) [rad] at a time of servos that lag behind set points by a first order.
+
+    Their time constant is lag_s [s]; it is 0 for servos that do not lag.
+    """
+    if lag_s == 0:
+        return commanded(commands, time_s)
+    times_s = np.asarray(time_s - lag_s * _AGES, float)
+    which = _in_force(commands, times_s)
+    parts = [
+        _WEIGHTS[which == k] @ setpoint(commands[k], times_s[which == k]) for k in np.unique(which)
+    ]
+    return np.sum(parts, axis=0)
+
+
+def _in_force(commands: Sequence[HeadCommand], times_s: Array) -> np.ndarray:
+    """Return which command is in force at times (...)."""
+    since_s = [command.time_s for command in commands]
+    return np.maximum(np.searchsorted(since_s, times_s, side="right") - 1, 0)
+
+
+_AGES = (np.arange(100) + 0.5) * 0.08
+"""Ages of set points [time constants] that the angles of a lagging servo are the mean of: after a
+step to 25 degrees, to some hundredths of a degree."""
+_WEIGHTS = np.exp(-_AGES) / np.exp(-_AGES).sum()
 
 
 def hold(posture: Array, limits: JointLimits, time_s: float) -> HeadCommand:

@@ -140,7 +140,9 @@ def _follow(
         state = _turn_neck(settings, state, eyes_now, now_s)
     moments = np.array([image_s, now_s, now_s + _RATE_STEP_S])
     velocity = aim.velocity * _is_moving(settings, state)
-    points = aim.position + (moments - image_s)[:, None] * velocity
+    # Where the object will be once the servos have followed.
+    ahead_s = moments - image_s + np.array([0.0, 1.0, 1.0]) * settings.servo_lag_s
+    points = aim.position + ahead_s[:, None] * velocity
     necks = np.stack([neck_then, neck_now, neck_now + _RATE_STEP_S * state.neck_rate])
     left = _in_left_base(settings, points, necks)
     points_base = {"left": left, "right": transform(calibration.T_rbase_lbase, left)}

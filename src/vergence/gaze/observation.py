@@ -11,7 +11,7 @@ from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.data.table import MAX_DELAY_S
 from vergence.errors import VergenceError
-from vergence.gaze.commands import EYE_READINGS, NECK, commanded
+from vergence.gaze.commands import EYE_READINGS, NECK, commanded, followed
 from vergence.gaze.kalman import InnovationRatio, Track, begin, fuse, predict, update_ratio
 from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.camera import Camera, check_image_fits, unproject
@@ -25,8 +25,6 @@ from vergence.vision.detector import Detection, Detector
 Rays = Mapping[Side, tuple[Array, Array]]
 """By eye that sees the object: origin (3,) [m] and direction (3,) of the ray to it, in the eye's
 base frame."""
-_LAGUERRE = np.polynomial.laguerre.laggauss(12)
-"""Nodes and weights of the integral of exp(-x) f(x) from 0 to infinity."""
 _OLDEST_S = 10.0
 """Age of a frame from which its time stamp is taken for that of another clock."""
 
@@ -163,8 +161,9 @@ def readings_at_image(settings: GazeSettings, state: GazeState, frame: Frame) ->
     earlier_s = settings.calibration.time_offset_s or frame.time_s - frame.joint_time_s
     if earlier_s == 0:
         return read
-    sent = [commanded(state.commands, t) for t in (frame.time_s - earlier_s, frame.time_s)]
-    return read + sent[1] - sent[0]
+    moments, lag_s = (frame.time_s - earlier_s, frame.time_s), settings.servo_lag_s
+    before, then = (followed(state.commands, time_s, lag_s) for time_s in moments)
+    return read + then - before
 
 
 def posture_at_image(settings: GazeSettings, state: GazeState, frame: Frame) -> Array:
@@ -176,14 +175,8 @@ def posture_at_image(settings: GazeSettings, state: GazeState, frame: Frame) -> 
     """
     use_reading = np.isin(settings.joints, state.stuck)
     use_reading[NECK] = True
-    sent = commanded(state.commands, frame.time_s)
-    if settings.servo_lag_s > 0:
-        # A lag of the first order: past set points, weighted by exp(-age / lag).
-        sent = sum(
-            weight * commanded(state.commands, frame.time_s - settings.servo_lag_s * age)
-            for age, weight in zip(*_LAGUERRE, strict=True)
-        )
-    return np.where(use_reading, readings_at_image(settings, state, frame), sent)
+    by_set_points = followed(state.commands, frame.time_s, settings.servo_lag_s)
+    return np.where(use_reading, readings_at_image(settings, state, frame), by_set_points)
 
 
 def best_view(

@@ -9,7 +9,7 @@ import numpy as np
 
 from vergence.data.dataset import Dataset
 from vergence.data.stereo_rows import stereo_rows
-from vergence.errors import VergenceError, counted
+from vergence.errors import VergenceError, counted, listed
 from vergence.geometry.head import HeadCalibration, states_covariance
 from vergence.geometry.kinematics import straight_gaze
 from vergence.geometry.parameters import change_between
@@ -24,6 +24,9 @@ from vergence.stereo.uncertainty import locate
 
 OBSERVED, PARTLY = 0.5, 0.9
 """Learned standard deviation over the prior one, up to which a parameter was observed or partly."""
+FAR = 4.0
+"""Change of a parameter in standard deviations from which something other than chance made it: one
+of fifty parameters reaches this in one of three hundred recordings."""
 LEAST_VERGENCE_RAD = float(np.radians(3))
 """Change of vergence below which focal lengths and gains hardly show between the eyes."""
 _MOST_UNSEEN = 0.3
@@ -132,9 +135,16 @@ def self_calibrate_dataset(
             f"{np.degrees(LEAST_VERGENCE_RAD):.0f} degrees or an eye turns by "
             f"{np.degrees(TURNED_RAD):.0f}."
         )
+    parameters = _parameters(before, known)
+    far = [each for each in parameters if abs(each.change) > FAR * each.prior_std]
+    if far and not changes:
+        warnings.append(
+            f"{listed([each.name for each in far])} changed by more than {FAR:g} of the standard "
+            "deviations before: something was moved, exchanged or adjusted since the calibration."
+        )
     return RecordedSelfCalibration(
         head=learned_head(known) if known.frames else head,
-        parameters=_parameters(before, known),
+        parameters=parameters,
         frames=len(chosen),
         seen=seen,
         learned=known.frames,
