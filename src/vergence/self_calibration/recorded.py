@@ -122,7 +122,8 @@ def self_calibrate_dataset(
     if not known.frames:
         moved = np.abs(joints - joints[0]).max() >= MOVED_RAD
         reason = (
-            "No frame after the first showed enough of the scene to both eyes"
+            "No frame after the first showed enough of the scene to both eyes, as the calibration "
+            "has them stand"
             if moved
             else "The eyes did not move, so that nothing that persists can be told from errors of "
             "the readings"
