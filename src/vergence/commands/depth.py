@@ -18,9 +18,10 @@ from vergence.data.reader import load_dataset
 from vergence.data.stereo_rows import stereo_rows
 from vergence.errors import VergenceError
 from vergence.geometry.camera import unproject
-from vergence.geometry.eye_motion import measured
+from vergence.geometry.components import stacked
+from vergence.geometry.eye_motion import eye_motions, measured
 from vergence.geometry.head import HeadCalibration, load_head, reading_stds
-from vergence.geometry.se3 import pose, rotvec
+from vergence.geometry.se3 import pose
 from vergence.progress import Progress, silent
 from vergence.self_calibration.frame import locate_seen
 from vergence.self_calibration.prior import JOINT_STD_RAD
@@ -28,7 +29,6 @@ from vergence.self_calibration.robust_fit import FEWEST
 from vergence.self_calibration.sequence import Geometry, initial_seen_geometry, update_geometry
 from vergence.self_calibration.state import FrameEstimate
 from vergence.stereo.dense_depth import DenseDepth, dense_depth
-from vergence.stereo.extrinsics import stereo_poses
 from vergence.stereo.rectification import RectifiedPair, rectify
 from vergence.stereo.uncertainty import LocatedPoints
 from vergence.viewer.depth import depth_recording, log_depth
@@ -43,7 +43,6 @@ MOST_PAIRS = 1000
 _DOUBTED = 4.2
 """Difference of the rows in the median, relative to what the noise of readings makes of it, from
 which a calibration is doubted. The noise alone makes a difference of 0.7."""
-_STEP_RAD = 1e-4
 _LEAST_DOUBTED_RAD = np.radians(0.1)
 TITLE = "# Dense depth"
 RESULTS = ("depth.rrd", "depth.json", REPORT)
@@ -302,19 +301,21 @@ def _row_difference_rad(moment: StereoImages, pair: RectifiedPair) -> float:
 def _row_noise_rad(pair: RectifiedPair) -> float:
     """Return by how much the noise of readings turns the rows of a pair apart [rad].
 
-    Readings that both eyes share hardly do.
+    Where both eyes share a tilt its readings turn them alike.
     """
     if measured(pair.joints):
         return JOINT_STD_RAD
     head, factors = pair.head, pair.head.kinematics.factors
     stds = reading_stds(head)
     stds = stds if stds.any() else JOINT_STD_RAD / factors
-    R_rect_rcam = pair.right.R_rect_cam
-    steps = _STEP_RAD / factors
-    nearby = stereo_poses(head, pair.joints + np.diag(steps), cameras=pair.cameras)[1]
-    here = stereo_poses(head, pair.joints, cameras=pair.cameras)[1]
-    turned = rotvec(nearby[:, :3, :3] @ here[:3, :3].T) @ R_rect_rcam.T
-    return float(np.linalg.norm(turned[:, 0] / steps * stds))
+    along = pair.T_lbase_rect[:3, 0]
+    axes = along, head.T_rbase_lbase[:3, :3] @ along
+    by_readings = np.zeros(len(factors))
+    for sign, axis, eye in zip((1, -1), axes, eye_motions(head, pair.joints[None]), strict=True):
+        for joint, reading, slope in eye.angle_by_readings:
+            turn = stacked(eye.by_angles[joint][:3], (1,))[:, 0]
+            by_readings[reading] += sign * slope * float(axis @ turn)
+    return float(np.linalg.norm(by_readings * stds))
 
 
 def _doubt(apart_rad: float, noise_rad: float) -> str | None:

@@ -156,8 +156,10 @@ def _exchanged(
         shared = set(kinematics.used("left")) == set(kinematics.used("right"))
         if not shared or not between or not all(fit.possible for fit in other):
             return []  # one joint alone counts the other way: of that speaks _contradictions
+        # The images are exchanged, or vergence counts the other way: then each camera stands on its
+        # own side, and of that speaks _contradictions too.
         if (between[1] @ other[1].R_cam_eye)[1] > 0:
-            return []  # so does vergence, with cameras that stand where they should
+            return []
         follows_own, fits = False, other
     # From the right eye's camera to the left one's, and how far it stands to the left.
     shift = between[1] @ fits[1].R_cam_eye if between else None
@@ -188,9 +190,9 @@ def _exchanged(
 
 
 def _exchanged_readings(kinematics: Kinematics, found: Mapping[int, _Turns]) -> list[str]:
-    """Return a sentence if two readings are exchanged, and each eye is explained once they are not.
+    """Return a sentence if the turns of an eye are explained only once two readings are exchanged.
 
-    They may be of different eyes. Nothing is said where all turns are explained as it is.
+    They may be of different eyes, and then explain the turns of both.
     """
     lost = [turns for turns in found.values() if turns.own.explained < EXPLAINED]
     for pair in combinations(range(len(kinematics.readings)), 2) if lost else ():
@@ -206,6 +208,7 @@ def _exchanged_readings(kinematics: Kinematics, found: Mapping[int, _Turns]) -> 
 
 
 def _explain_little(turns: _Turns, why: str) -> str:
+    """Return the sentence on readings that explain little of a camera's turns, and why."""
     share = max(turns.own.explained, 0.0)
     return (
         f"The readings of {listed(turns.own.names)} explain {100 * share:.0f} % of the turns that "
@@ -292,7 +295,7 @@ def _of_another_row(kinematics: Kinematics, turns: _Turns, eye: Side) -> str | N
         ("late", readings[1:], turn[:-1]),
         ("early", readings[:-1], turn[1:]),
     ):
-        if fit_readings(kinematics, eye, read, turned).explained > EXPLAINED:
+        if _good(fit_readings(kinematics, eye, read, turned)):
             return when
     return None
 

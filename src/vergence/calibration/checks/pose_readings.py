@@ -38,7 +38,7 @@ UNIT_WITHIN = 0.1
 LENGTH = (0.8, 1.25)
 """Lengths of the poses relative to those of the images; others are no error of a board's size."""
 FARTHEST_M = 10.0
-"""Distance of an eye from its base that no head has."""
+"""Distance of an eye from its base that no head is assumed to have; millimetres look farther."""
 LEAST_SHIFT_M = 0.01
 """Median motion, by the images, from which lengths can be compared."""
 
@@ -192,17 +192,15 @@ def _wrong_unit(name: str, eye: str, T_eye: Array, T_cam: Array) -> str:
     A, B = _motions(T_eye)[i, j], _motions(inverse(T_cam))[i, j]
     # (R_A - 1) t_X + scale t_A = R_X t_B, linear in t_X and in the length of a pose's metre.
     rows = np.concatenate([A[:, :3, :3] - np.eye(3), A[:, :3, 3:]], axis=2).reshape(-1, 4)
-    lengths = np.maximum(np.linalg.norm(rows, axis=0), 1e-6)
+    lengths = np.maximum(np.linalg.norm(rows, axis=0), 1e-6)  # shorter is rounding alone
     if np.linalg.cond(rows / lengths) > 1e4:
         # The eye turns about a point: its poses say nothing of lengths, but where the point is.
         far = float(np.median(np.linalg.norm(T_eye[:, :3, 3], axis=1)))
+        if far < FARTHEST_M:
+            return ""
         return (
-            ""
-            if far < FARTHEST_M
-            else (
-                f"By its poses the {eye} eye turns about a point {far:.4g} m from its base: give "
-                "poses in metres, from a base in the head."
-            )
+            f"By its poses the {eye} eye turns about a point {far:.4g} m from its base: give poses "
+            "in metres, from a base in the head."
         )
     if np.median(np.linalg.norm(B[:, :3, 3], axis=1)) < LEAST_SHIFT_M:
         return ""
