@@ -186,7 +186,7 @@ def test_a_motion_that_is_not_said_to_be_one_is_remarked(folder):
     ]
     write_table(folder, soon)
     (remark,) = load_dataset(folder).remarks
-    assert remark.startswith("In 3 rows the eyes stand elsewhere than at most 0.2 s before")
+    assert remark.startswith("3 rows have other joint angles than the row before")
     for moving_or_at_one_place in ({"moving": 1}, dict.fromkeys(EYE_JOINTS, 0.1)):
         write_table(folder, [row | moving_or_at_one_place for row in soon])
         assert load_dataset(folder).remarks == ()

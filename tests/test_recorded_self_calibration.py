@@ -184,7 +184,7 @@ def test_a_camera_that_stands_otherwise_than_calibrated_is_named(recorded):
     data = load_dataset(recorded / "data")
     calibrated = self_calibrate_dataset(data, HEAD)
     turned = change_named(calibrated.head, ["right_wide.T_eye_cam.ry"], np.radians([1.0]))
-    said = "right_wide.T_eye_cam.ry changed by more than 4 of the standard deviations before"
+    said = "right_wide.T_eye_cam.ry changed by more than 4 prior standard deviations"
     assert not any("changed by more than" in each for each in calibrated.warnings)
     assert any(each.startswith(said) for each in self_calibrate_dataset(data, turned).warnings)
 

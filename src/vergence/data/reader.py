@@ -68,6 +68,10 @@ def load_dataset(folder: str | Path) -> Dataset:
     time_s, joint_time_s = time_stamps(table)
     eye_angles = joint_angles(description, description.head_kinematics.readings, table)
     neck_angles = joint_angles(description, NECK_JOINTS, table)
+    remarks: tuple[str, ...] = ()
+    if not poses:
+        motion = _unmarked_motion(description.head_kinematics, eye_angles, joint_time_s, moving)
+        remarks = (*_odd_units(description, eye_angles, table), *motion)
     return Dataset(
         folder=folder,
         description=description,
@@ -80,12 +84,7 @@ def load_dataset(folder: str | Path) -> Dataset:
         placement=placements(neck_angles, table),
         moving=moving,
         files=_image_files(folder, description, table),
-        remarks=()
-        if poses
-        else (
-            *_odd_units(description, eye_angles, table),
-            *_unmarked_motion(description.head_kinematics, eye_angles, joint_time_s, moving),
-        ),
+        remarks=remarks,
     )
 
 
@@ -157,7 +156,7 @@ def _unmarked_motion(
     if odd < LEAST_MOVING:
         return ()
     return (
-        f"In {odd} rows the eyes stand elsewhere than at most {MAX_GAP_S} s before, and are said "
-        "to be at rest: did they move while the images were taken? Then set `moving` to 1, so that "
-        "the time of a reading counts.",
+        f"{odd} rows have other joint angles than the row before, which is at most {MAX_GAP_S} s "
+        "older, and `moving` is not 1: if the eyes moved while the images were taken, set it to 1, "
+        "so that the time of a reading counts.",
     )

@@ -28,6 +28,11 @@ NECK, EYE_READINGS = slice(0, len(NECK_JOINTS)), slice(len(NECK_JOINTS), None)
 """Columns of the neck and of both eyes in a posture (..., j)."""
 HOLD_S = 0.1
 """Time after which a moving goal stops if no further command arrives: extrapolation degrades."""
+_AGES = (np.arange(100) + 0.5) * 0.08
+"""Ages of set points [time constants], of which the angles of a lagging servo are the mean: after a
+turn by 25 degrees to 0.04 degrees, if it takes half a time constant, and nearer if it takes
+longer."""
+_WEIGHTS = np.exp(-_AGES) / np.exp(-_AGES).sum()
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,12 +162,6 @@ def _in_force(commands: Sequence[HeadCommand], times_s: Array) -> np.ndarray:
     """Return which command is in force at times (...)."""
     since_s = [command.time_s for command in commands]
     return np.maximum(np.searchsorted(since_s, times_s, side="right") - 1, 0)
-
-
-_AGES = (np.arange(100) + 0.5) * 0.08
-"""Ages of set points [time constants] that the angles of a lagging servo are the mean of: after a
-step to 25 degrees, to some hundredths of a degree."""
-_WEIGHTS = np.exp(-_AGES) / np.exp(-_AGES).sum()
 
 
 def hold(posture: Array, limits: JointLimits, time_s: float) -> HeadCommand:

@@ -153,9 +153,9 @@ def _readings(settings: GazeSettings, frame: Frame) -> Array:
 def readings_at_image(settings: GazeSettings, state: GazeState, frame: Frame) -> Array:
     """Return the joint readings (j,) [rad], moved from their own time to that of the image.
 
-    By as much as the commands moved the joints meanwhile. How much earlier a reading shows the
-    joints than the image does is the calibrated time offset or, without one, what the time stamps
-    say.
+    By as much as the servos have followed the commands meanwhile. How much earlier a reading shows
+    the joints than the image does is the calibrated time offset or, without one, what the time
+    stamps say.
     """
     read = _readings(settings, frame)
     earlier_s = settings.calibration.time_offset_s or frame.time_s - frame.joint_time_s

@@ -61,7 +61,7 @@ class GazeSettings:
     joint_std_rad: float = 1e-3
     """Standard deviation of a joint reading, with all errors that the two eyes do not share."""
     servo_lag_s: float = 0.0
-    """Time constant with which the eyes follow their set points; up to 3 ms it may be left at 0."""
+    """Time constant with which joints follow their set points; up to 3 ms it may be left at 0."""
     command_std_rad: float = 2e-4
     """Standard deviation of a joint angle about its set point."""
     motion: MotionModel = field(default_factory=MotionModel)

@@ -25,8 +25,8 @@ from vergence.stereo.uncertainty import locate
 OBSERVED, PARTLY = 0.5, 0.9
 """Learned standard deviation over the prior one, up to which a parameter was observed or partly."""
 FAR = 4.0
-"""Change of a parameter in standard deviations from which something other than chance made it: one
-of fifty parameters reaches this in one of three hundred recordings."""
+"""Change of a parameter, in prior standard deviations, beyond which it is named: by chance one of
+fifty reaches this in one of three hundred recordings at most."""
 LEAST_VERGENCE_RAD = float(np.radians(3))
 """Change of vergence below which focal lengths and gains hardly show between the eyes."""
 _MOST_UNSEEN = 0.3
@@ -122,8 +122,8 @@ def self_calibrate_dataset(
     if not known.frames:
         moved = np.abs(joints - joints[0]).max() >= MOVED_RAD
         reason = (
-            "No frame after the first showed enough of the scene to both eyes, as the calibration "
-            "has them stand"
+            "No frame after the first showed enough of the scene to both eyes where the "
+            "calibration expects it"
             if moved
             else "The eyes did not move, so that nothing that persists can be told from errors of "
             "the readings"
@@ -140,8 +140,8 @@ def self_calibrate_dataset(
     far = [each for each in parameters if abs(each.change) > FAR * each.prior_std]
     if far and not changes:
         warnings.append(
-            f"{listed([each.name for each in far])} changed by more than {FAR:g} of the standard "
-            "deviations before: something was moved, exchanged or adjusted since the calibration."
+            f"{listed([each.name for each in far])} changed by more than {FAR:g} prior standard "
+            "deviations: something was moved, exchanged or adjusted since the calibration."
         )
     return RecordedSelfCalibration(
         head=learned_head(known) if known.frames else head,
