@@ -62,9 +62,16 @@ def matches(
 
 
 def drawn_head(state: SelfCalibration, rng: np.random.Generator) -> HeadCalibration:
-    """Return a true head, drawn from what a state believes."""
-    change = rng.multivariate_normal(np.zeros(len(state.names)), state.covariance)
-    return change_named(state.head, state.names, change)
+    """Return a true head, drawn from what a state believes.
+
+    The root of the covariance is the symmetric one: another would hang on the signs of eigenvectors
+    and so on the machine, and a Cholesky factor asks for more than a covariance that may be singular.
+    """
+    std = np.sqrt(np.diag(state.covariance))
+    unit = np.where(std > 0, std, 1.0)
+    values, vectors = np.linalg.eigh(state.covariance / unit / unit[:, None])
+    root = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+    return change_named(state.head, state.names, unit * (root @ rng.normal(size=len(unit))))
 
 
 def turn_error_deg(

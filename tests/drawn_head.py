@@ -7,7 +7,15 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.gaze.commands import EYE_READINGS, NECK, HeadCommand, JointLimits, commanded, hold
+from vergence.gaze.commands import (
+    EYE_READINGS,
+    NECK,
+    HeadCommand,
+    JointLimits,
+    commanded,
+    hold,
+    setpoint,
+)
 from vergence.gaze.foveation import gaze_angles
 from vergence.geometry.camera import pinhole, project
 from vergence.geometry.head import HeadCalibration, MountedCamera, T_base_cam, T_body_base
@@ -82,7 +90,11 @@ class DrawnHead:
         angles = commanded(self.commands, time_s)
         if self.servo_lag_s:  # of the first order
             ages = (np.arange(300) + 0.5) / 40
-            sent = [commanded(self.commands, time_s - self.servo_lag_s * age) for age in ages]
+            times_s = time_s - self.servo_lag_s * ages
+            sent = np.empty((len(ages), len(angles)))
+            for command in self.commands:  # the last one before a time stays in force
+                rows = (times_s >= command.time_s) | (command is self.commands[0])
+                sent[rows] = setpoint(command, times_s[rows])
             angles = np.average(sent, axis=0, weights=np.exp(-ages))
         held = self.stuck(time_s)
         return angles if held is None else np.where(np.isnan(held), angles, held)

@@ -127,7 +127,7 @@ def test_the_covariance_of_a_calibration_is_split_into_its_groups():
     assert names == [*groups, "correlation of the calibration's errors"]
     rng = np.random.default_rng(1)
     drawn = rng.multivariate_normal(
-        np.zeros(len(accuracy.parameters)), 1e-4 * accuracy.covariance, 400
+        np.zeros(len(accuracy.parameters)), 1e-4 * accuracy.covariance, 400, method="cholesky"
     )
     everything, spreads = parameter_names(head), []
     rows = [everything.index(name) for name in accuracy.parameters]

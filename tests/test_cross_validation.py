@@ -112,7 +112,7 @@ def test_parts_that_differ_as_stated_have_a_jackknife_ratio_of_one(information: 
 
     weights, squares = np.array(information), []
     for _ in range(30):
-        views = rng.multivariate_normal(np.zeros(len(names)), unit, len(weights))
+        views = rng.multivariate_normal(np.zeros(len(names)), unit, len(weights), method="cholesky")
         views /= np.sqrt(weights)[:, None]
         others = [np.delete(np.arange(len(weights)), k) for k in range(len(weights))]
         parts = [weighted_mean(views[rows], weights[rows]) for rows in others]

@@ -127,7 +127,7 @@ def moving(times: np.ndarray) -> np.ndarray:
 def test_the_innovation_ratio_is_estimated_while_the_object_moves(ratio: float):
     rng = np.random.default_rng(1)
     times = np.cumsum(rng.choice([STEP_S, 2 * STEP_S], 400, p=[0.8, 0.2]))  # with missing frames
-    noise = rng.multivariate_normal(np.zeros(3), ratio * LEANING_R, len(times))
+    noise = rng.multivariate_normal(np.zeros(3), ratio * LEANING_R, len(times), method="cholesky")
     shared = np.array([0.01, -0.004, 0.002])  # a systematic error
     found = ratio_after(moving(times) + shared + noise, times).value
     assert found == pytest.approx(ratio, rel=0.35)
@@ -146,7 +146,11 @@ def test_a_filter_with_the_innovation_ratio_beats_single_frames_that_share_an_er
     times = STEP_S * np.arange(900)
     truth = moving(times)
     shared = np.array([5e-4, 2e-4, -1e-4]) * (1 + 3 * (truth[:, 1:2] + truth[:, 2:3]))
-    points = truth + shared + rng.multivariate_normal(np.zeros(3), 0.005 * LEANING_R, len(times))
+    points = (
+        truth
+        + shared
+        + rng.multivariate_normal(np.zeros(3), 0.002 * LEANING_R, len(times), method="cholesky")
+    )
     squared: dict[bool, float] = {}
     for weighs in (False, True):
         ratio, track, fused = InnovationRatio(), None, []

@@ -107,7 +107,7 @@ def with_wrong_calibration(
     accuracy = head.accuracy
     assert accuracy is not None
     names = accuracy.parameters
-    drawn = rng.multivariate_normal(np.zeros(len(names)), accuracy.covariance, N)
+    drawn = rng.multivariate_normal(np.zeros(len(names)), accuracy.covariance, N, method="cholesky")
     error = {name: drawn[:, k] for k, name in enumerate(names)}
     gains = [error[f"{e}.{j}_gain"] for e in ("left", "right") for j in ("pan", "tilt")]
     joints = seen["joints"] + rng.normal(0, 4e-4, (N, 4))

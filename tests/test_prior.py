@@ -36,7 +36,7 @@ def test_lenses_without_a_stated_covariance_err_by_a_tenth_of_a_pixel(kind):
     rays = np.column_stack([xy, np.ones(len(xy))])
     C = state.covariance[np.ix_(lens, lens)]
     squares = []
-    for change in rng.multivariate_normal(np.zeros(len(lens)), C, 100):
+    for change in rng.multivariate_normal(np.zeros(len(lens)), C, 100, method="cholesky"):
         changed = replace(camera, distortion=camera.distortion + change)
         squares.append(((project(changed, rays) - project(camera, rays)) ** 2).sum(axis=1).mean())
     assert 0.05 < np.sqrt(np.mean(squares)) < 0.12
@@ -135,7 +135,9 @@ def test_epipolar_lines_of_a_calibration_without_covariance_fit_to_a_third_of_a_
     assert inside.sum() > 100
     left, right = (pixels[inside] for pixels in seen)
     squares = []
-    for change in rng.multivariate_normal(np.zeros(len(state.names)), state.covariance, 100):
+    for change in rng.multivariate_normal(
+        np.zeros(len(state.names)), state.covariance, 100, method="cholesky"
+    ):
         changed = change_named(head, state.names, change)
         lenses = tuple(changed.camera(name).intrinsics for name in state.cameras)
         T = T_rcam_lcam(changed, straight, cameras=state.cameras)
