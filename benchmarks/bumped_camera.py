@@ -88,7 +88,7 @@ def rendered_bumps(seed: int) -> None:
         with Twin(profile, seed=seed, lens=lens) as twin:
             found = paper_calibration(twin, seed)
             head = inject_calibration_error(found.head, profile.by_hand, lens)
-            first = initial_self_calibration(head, fresh=True)
+            first = initial_self_calibration(head, changed="nothing")
             pair = first.cameras
             frames = [
                 (f, twin.true_angles()[3:])

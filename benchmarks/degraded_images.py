@@ -172,7 +172,7 @@ def report(
     for name in chosen or ways:
         change = ways[name]
         single, after, share, distance = compare(
-            samples, initial_self_calibration(head, fresh=True), learned, change, step_s
+            samples, initial_self_calibration(head, changed="nothing"), learned, change, step_s
         )
         worse = " WORSE" if max(single, after) > 1.05 else ""
         print(

@@ -35,7 +35,7 @@ LATE_MS = (0.0, 0.0), (5.0, 0.0), (15.0, 0.0), (0.0, 5.0), (0.0, 20.0)
 def learned(seed: int, speed: float, late_s: float, old_s: float) -> tuple[float, float]:
     """Return the error [deg], rms, and the squared Mahalanobis distance by parameter."""
     rng = np.random.default_rng(seed)
-    first = initial_self_calibration(nominal_head("2.8mm"), fresh=True)
+    first = initial_self_calibration(nominal_head("2.8mm"), changed="nothing")
     state = replace(first, match_scale=1.0)
     truth, points = drawn_head(state, rng), room(POINTS, rng)
     for time_s in look_times():

@@ -64,8 +64,8 @@ def matches(
 def drawn_head(state: SelfCalibration, rng: np.random.Generator) -> HeadCalibration:
     """Return a true head, drawn from what a state believes.
 
-    The root of the covariance is the symmetric one: another would hang on the signs of eigenvectors
-    and so on the machine, and a Cholesky factor asks for more than a covariance that may be singular.
+    By the symmetric root of the covariance: other roots hang on the signs of eigenvectors, which
+    differ between machines, and Cholesky's asks for more than a covariance that may be singular.
     """
     std = np.sqrt(np.diag(state.covariance))
     unit = np.where(std > 0, std, 1.0)

@@ -65,7 +65,7 @@ def fitted(*focal: float, centre_px: float = 0.1, distortion_px: float = 0.05) -
         for name, each in zip(CAMERAS, focal, strict=False)
     }
     head = replace(head_of(0), accuracy=Accuracy(method="paper", lenses=lenses))
-    state = initial_self_calibration(head, fresh=True)
+    state = initial_self_calibration(head, changed="nothing")
     assert np.linalg.eigvalsh(state.covariance)[0] > 0
     return state
 
@@ -121,7 +121,7 @@ def test_epipolar_lines_of_a_calibration_without_covariance_fit_to_a_third_of_a_
     the four errors that are counted.
     """
     head = head_of_kind(kind, np.random.default_rng(0))
-    state, rng = initial_self_calibration(head, fresh=True), np.random.default_rng(1)
+    state, rng = initial_self_calibration(head, changed="nothing"), np.random.default_rng(1)
     straight = straight_gaze(head.kinematics)
     T_left, T_right = camera_poses(head, straight, cameras=state.cameras)
     baseline = np.linalg.norm(T_right[:3, 3] - T_left[:3, 3])

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any, cast, get_args
 
 import numpy as np
 import pytest
@@ -21,11 +21,13 @@ from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard
 from vergence.geometry.head import HeadCalibration, load_head, save_head
+from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side, pan_tilt
 from vergence.geometry.parameters import change_named
 from vergence.geometry.se3 import pose, rotation
 from vergence.self_calibration import recorded as recorded_self_calibration
+from vergence.self_calibration.prior import Changed
 from vergence.self_calibration.recorded import self_calibrate_dataset
 from vergence.self_calibration.state import initial_self_calibration
 from vergence.self_calibration.tolerances import MOVED, USUAL
@@ -88,17 +90,42 @@ def test_a_recording_says_what_it_shows_and_claims_no_more(recorded, monkeypatch
 
 def test_a_head_that_was_just_calibrated_is_better_known_before(recorded, monkeypatch, capsys):
     stds = {}
-    for flags in ((), ("--fresh",)):
+    for changed in ("nothing", "little"):
         out, figures = recorded / "again.json", recorded / "again_figures.json"
         words = recorded / "data", "--calibration", recorded / "head.json", "--out", out
-        command(monkeypatch, *words, "--json", figures, *flags)
+        command(monkeypatch, *words, "--json", figures, "--changed", changed)
         found, said = json.loads(figures.read_text()), capsys.readouterr().out
-        stds[flags] = {name: each["prior_std"] for name, each in found["parameters"].items()}
-        assert ("what may have moved since" in said) == (not flags)
-    assert all(stds[("--fresh",)][name] <= std for name, std in stds[()].items())
-    assert stds[("--fresh",)]["left_wide.cx"] == pytest.approx(USUAL.centre_px, rel=1e-3)
+        stds[changed] = {name: each["prior_std"] for name, each in found["parameters"].items()}
+        assert ("what may have moved since" in said) == (changed == "little")
+    assert all(stds["nothing"][name] <= std for name, std in stds["little"].items())
+    assert stds["nothing"]["left_wide.cx"] == pytest.approx(USUAL.centre_px, rel=1e-3)
     both = np.hypot(USUAL.centre_px, MOVED.centre_px)
-    assert stds[()]["left_wide.cx"] == pytest.approx(both, rel=1e-3)
+    assert stds["little"]["left_wide.cx"] == pytest.approx(both, rel=1e-3)
+
+
+def test_a_repaired_head_is_learned_whatever_its_calibration_states(recorded):
+    """Its gains are stated to 0.05 %, and have become wrong by 3 %."""
+    plain = initial_self_calibration(HEAD)
+    certain = 2.5e-4 * np.diag(np.diag(plain.covariance))
+    head = replace(HEAD, accuracy=Accuracy("bundle", plain.names, certain, joint_std=(2e-3,)))
+    found = {
+        changed: self_calibrate_dataset(load_dataset(recorded / "data"), head, changed=changed)
+        for changed in get_args(Changed)
+    }
+    gains = {
+        changed: [each for each in one.parameters if each.name.endswith("gain")]
+        for changed, one in found.items()
+    }
+    for each in gains["anything"]:
+        assert abs(each.change - (1 / GAIN - 1)) < 3 * each.std < 0.06
+    for changed in ("nothing", "little"):
+        assert max(abs(each.change) for each in gains[changed]) < 0.01
+    assert not found["anything"].warnings
+    said = " ".join(sentences(found["anything"]))
+    assert "mm by usual tolerances, " in said
+    # The noise of the readings is that of the encoders, whatever became of the head.
+    state = initial_self_calibration(head, changed="anything")
+    assert state.joint_std_rad == pytest.approx(2e-3)
 
 
 def test_eyes_that_do_not_move_show_nothing_that_persists(tmp_path, moving):

@@ -331,7 +331,7 @@ def test_a_head_that_is_known_better_than_it_drifts_stays_where_it_is_known():
     rng, head = np.random.default_rng(2), head_of(2)
     stated = begin(head)
     tight = Accuracy("bundle", parameters=stated.names, covariance=1e-4 * stated.covariance)
-    fresh = initial_self_calibration(replace(head, accuracy=tight), fresh=True)
+    fresh = initial_self_calibration(replace(head, accuracy=tight), changed="nothing")
     state = replace(fresh, match_scale=1.0)
     truth, points = drawn_head(state, rng), room(300, rng)
     for angles in postures(16, rng):

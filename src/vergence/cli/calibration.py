@@ -81,7 +81,7 @@ def self_calibrate(
     calibration: Path,
     out: Path,
     json: Path | None = None,
-    fresh: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    changed: Literal["nothing", "little", "anything"] = "little",
 ) -> None:
     """Correct a calibration by what both eyes see of the scene, without a board.
 
@@ -91,7 +91,9 @@ def self_calibrate(
         calibration: JSON file that `vergence calibrate` wrote, of the same head.
         out: JSON file of the learned calibration.
         json: JSON file of what was observed of each parameter.
-        fresh: The images were taken right after the calibration: nothing has moved since.
+        changed: What may have changed since the calibration: nothing, if the images were taken
+            right after it; little, as by transport or warmth; anything, as by a repair, so that the
+            accuracy that it states no longer holds.
     """
     from vergence.commands.self_calibration import HEADING, as_plain, sentences, table
     from vergence.data.description import DESCRIPTION, FRAMES
@@ -103,7 +105,7 @@ def self_calibrate(
     check_outputs(out, json, inputs=read)
     head, data = load_head(calibration), load_dataset(dataset)
     with progress_bars() as progress:
-        found = self_calibrate_dataset(data, head, fresh=fresh, progress=progress)
+        found = self_calibrate_dataset(data, head, changed=changed, progress=progress)
     save_head(found.head, out)
     if json is not None:
         write_json(as_plain(found), json)

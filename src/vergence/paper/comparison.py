@@ -88,4 +88,4 @@ def comparison(
 
 def before_looking(head: HeadCalibration) -> SeenGeometry:
     """Return what is known of a head before its first frame."""
-    return initial_seen_geometry(head, fresh=True)  # the twin was calibrated for this
+    return initial_seen_geometry(head, changed="nothing")  # the twin was calibrated for this

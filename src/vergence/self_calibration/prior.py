@@ -13,6 +13,7 @@ head has just been calibrated.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
@@ -32,6 +33,9 @@ from vergence.geometry.parameters import (
 from vergence.self_calibration.residuals import epipolar_residuals, pair_coordinates
 from vergence.self_calibration.tolerances import MOVED, USUAL, tolerance_covariance
 
+Changed = Literal["nothing", "little", "anything"]
+"""What may have changed since a calibration: nothing right after it; little by transport, warmth or
+a screw; anything by a repair, and then all that it states of its accuracy is void."""
 _COMMON = 0.5
 """Share of the usual variance which both eyes have in common: their lenses and encoders are of one
 make, and one board is shown to both. With a half, neither eyes that have nothing in common nor such
@@ -84,13 +88,17 @@ def learned_names(head: HeadCalibration, cameras: tuple[str, str]) -> tuple[str,
 
 
 def prior_covariance(
-    head: HeadCalibration, names: tuple[str, ...], cameras: tuple[str, str], *, fresh: bool = False
+    head: HeadCalibration,
+    names: tuple[str, ...],
+    cameras: tuple[str, str],
+    *,
+    changed: Changed = "little",
 ) -> Array:
     """Return the covariance (P, P) of the parameters before anything is seen.
 
-    Of a head that is fresh from its calibration, nothing has moved since.
+    What the head states of its accuracy holds, but for what may have changed since.
     """
-    moved = tolerance_covariance(head, names, MOVED) * (_LEFT if fresh else 1.0)
+    moved = tolerance_covariance(head, names, MOVED) * (_LEFT if changed == "nothing" else 1.0)
     if not states_covariance(head):
         return moved + _of_procedure(head, names, cameras)
     stated, C = stated_covariance(head, names)

@@ -17,6 +17,7 @@ from vergence.geometry.projection import project_point
 from vergence.progress import Progress, silent
 from vergence.self_calibration.keyframe import TURNED_RAD
 from vergence.self_calibration.learning import learned_head
+from vergence.self_calibration.prior import Changed
 from vergence.self_calibration.sequence import MOVED_RAD, initial_seen_geometry, update_geometry
 from vergence.self_calibration.state import FrameEstimate, SelfCalibration
 from vergence.stereo.extrinsics import camera_poses
@@ -43,7 +44,7 @@ class LearnedParameter:
     change: float
     """Since the calibration: px, rad, m, or a plain number."""
     prior_std: float
-    """Before: by the calibration's covariance, and what may have moved since if it is not fresh."""
+    """Before: by the calibration's covariance and what may have changed since."""
     std: float
     """After."""
 
@@ -72,13 +73,17 @@ class RecordedSelfCalibration:
     before and after; None: it is not in front of both cameras."""
     joint_std_rad: float
     """Noise of a reading, times its factor, as estimated; as assumed if nothing was learned."""
-    fresh: bool
-    """Whether nothing was taken to have moved since the calibration."""
+    changed: Changed
+    """What was taken to have changed since the calibration."""
     warnings: tuple[str, ...]
 
 
 def self_calibrate_dataset(
-    dataset: Dataset, head: HeadCalibration, *, fresh: bool = False, progress: Progress = silent
+    dataset: Dataset,
+    head: HeadCalibration,
+    *,
+    changed: Changed = "little",
+    progress: Progress = silent,
 ) -> RecordedSelfCalibration:
     """Return what the images of both eyes show of a head that was calibrated before.
 
@@ -87,7 +92,8 @@ def self_calibrate_dataset(
     Args:
         dataset: images and joint readings.
         head: its calibration.
-        fresh: whether it was recorded right after the calibration: nothing has moved since.
+        changed: what may have changed since the calibration: nothing, if the images were taken
+            right after it; little; or anything, so that its covariance no longer holds.
         progress: is called after each frame.
 
     Raises:
@@ -101,7 +107,7 @@ def self_calibrate_dataset(
     both = stereo_rows(dataset, head)
     moving = dataset.moving[both.rows]
     chosen = np.flatnonzero(moving) if moving.any() else np.arange(len(both))
-    geometry = initial_seen_geometry(head, cameras=both.cameras, fresh=fresh)
+    geometry = initial_seen_geometry(head, cameras=both.cameras, changed=changed)
     before, seen, changes = geometry.known, 0, []
     task, vergence = "self-calibration, frames", []
     progress(task, 0, len(chosen))
@@ -141,7 +147,8 @@ def self_calibrate_dataset(
     if far and not changes:
         warnings.append(
             f"{listed([each.name for each in far])} changed by more than {FAR:g} prior standard "
-            "deviations: something was moved, exchanged or adjusted since the calibration."
+            "deviations: something was moved, exchanged or adjusted since the calibration. If it "
+            "was repaired, `--changed anything` drops the accuracy that the calibration states."
         )
     return RecordedSelfCalibration(
         head=learned_head(known) if known.frames else head,
@@ -151,7 +158,7 @@ def self_calibrate_dataset(
         learned=known.frames,
         depth_std_m=_depth_stds(before, known),
         joint_std_rad=known.joint_std_rad,
-        fresh=fresh,
+        changed=changed,
         warnings=tuple(warnings),
     )
 

@@ -20,6 +20,7 @@ from vergence.geometry.head import HeadCalibration
 from vergence.geometry.neck import checked_neck_angles
 from vergence.self_calibration.frame import self_calibrate_frame
 from vergence.self_calibration.learning import learn, without_reports
+from vergence.self_calibration.prior import Changed
 from vergence.self_calibration.state import (
     FrameEstimate,
     SelfCalibration,
@@ -62,13 +63,16 @@ class SeenGeometry:
 
 
 def initial_seen_geometry(
-    head: HeadCalibration, *, cameras: tuple[str, str] | None = None, fresh: bool = False
+    head: HeadCalibration,
+    *,
+    cameras: tuple[str, str] | None = None,
+    changed: Changed = "little",
 ) -> SeenGeometry:
     """Return what is known of a head before its first frame.
 
     Arguments and errors are those of `state.initial_self_calibration`.
     """
-    return SeenGeometry(initial_self_calibration(head, cameras=cameras, fresh=fresh))
+    return SeenGeometry(initial_self_calibration(head, cameras=cameras, changed=changed))
 
 
 def update_geometry(

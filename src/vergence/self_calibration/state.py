@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -18,6 +18,7 @@ from vergence.self_calibration.match_noise import (
 from vergence.self_calibration.prior import (
     JOINT_STD_RAD,
     LEAST_JOINT_STD_RAD,
+    Changed,
     learned_names,
     prior_covariance,
 )
@@ -192,14 +193,18 @@ class FrameEstimate:
 
 
 def initial_self_calibration(
-    head: HeadCalibration, *, cameras: tuple[str, str] | None = None, fresh: bool = False
+    head: HeadCalibration,
+    *,
+    cameras: tuple[str, str] | None = None,
+    changed: Changed = "little",
 ) -> SelfCalibration:
     """Return what is known of a head before its eyes have seen anything.
 
     Args:
         head: with a camera in each eye.
         cameras: names of the left and the right camera that see the scene; None: the main ones.
-        fresh: whether it has just been calibrated, so that nothing has moved since.
+        changed: what may have changed since the calibration: nothing, little or anything. In the
+            last case usual tolerances take the place of its covariance; noise is kept.
 
     Raises:
         VergenceError: the head has one eye, no joint readings, or was calibrated with measured eye
@@ -216,6 +221,9 @@ def initial_self_calibration(
         raise VergenceError(
             "Self-calibration follows eyes that move by their joint readings; this head has none."
         )
+    if accuracy is not None and changed == "anything":
+        unknown = replace(accuracy, parameters=(), covariance=np.empty((0, 0)), lenses={})
+        head = replace(head, accuracy=unknown)
     names = learned_names(head, pair)
     factors = head.kinematics.factors
     stds = reading_stds(head) * factors
@@ -225,7 +233,7 @@ def initial_self_calibration(
     ratios = np.maximum(stds / std, _LEAST_RATIO) / factors
     systematic = accuracy.systematic_px if accuracy else {}
     left, right = (systematic.get(name, 0.0) for name in pair)
-    C = prior_covariance(head, names, pair, fresh=fresh)
+    C = prior_covariance(head, names, pair, changed=changed)
     return SelfCalibration(
         head=head,
         cameras=pair,
