@@ -9,49 +9,28 @@ import sys
 import time
 from collections.abc import Iterator
 from functools import partial
-from pathlib import Path
 
-import cv2
 import pytest
 
+from tasks import count_up, end, fail, opencv_threads, wait_for_ever, write
 from vergence.errors import VergenceError
-from vergence.processes import process_count, processes
-from vergence.progress import Progress, silent
-from vergence.writing import finished_files, write_whole
+from vergence.processes import Run, process_count, processes
+from vergence.progress import silent
+from vergence.writing import finished_files
 
 
-def count_up(name: str, steps: int, progress: Progress) -> Iterator[tuple[str, int, int]]:
-    for step in range(steps):
-        progress(name, step, steps)
-        yield name, step, os.getpid()
-
-
-def write(path: Path, progress: Progress) -> Iterator[Path]:
-    write_whole(path, "whole")
-    yield path
-
-
-def fail(error: Exception, progress: Progress) -> Iterator[None]:
-    raise error
-
-
-def end(progress: Progress) -> Iterator[None]:
-    os._exit(1)
-
-
-def wait_for_ever(path: Path, progress: Progress) -> Iterator[None]:
-    try:
-        progress("waiting", 0, 1)
-        time.sleep(60)
-        yield
-    finally:
-        path.write_text("cleaned up")
+@pytest.fixture(scope="module")
+def two() -> Iterator[Run]:
+    """Run tasks in two processes, for tests that leave these running."""
+    with processes(2) as run:
+        yield run
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_every_result_and_step_arrives_in_its_tasks_order(jobs):
+def test_every_result_and_step_arrives_in_its_tasks_order(jobs, two):
     told = []
-    with processes(jobs) as run:
+    with processes(1) as one:
+        run = {1: one, 2: two}[jobs]
         tasks = [partial(count_up, name, steps) for name, steps in (("a", 3), ("b", 1), ("c", 2))]
         found = list(run(tasks, lambda *step: told.append(step)))
         again = list(run(tasks[:2], silent))
@@ -65,10 +44,9 @@ def test_every_result_and_step_arrives_in_its_tasks_order(jobs):
     assert {process for _, _, process in again} <= workers  # each is started once
 
 
-def test_files_that_a_task_writes_count_as_written(tmp_path):
+def test_files_that_a_task_writes_count_as_written(tmp_path, two):
     paths = [tmp_path / "a", tmp_path / "b"]
-    with processes(2) as run:
-        assert set(run([partial(write, path) for path in paths], silent)) == set(paths)
+    assert set(two([partial(write, path) for path in paths], silent)) == set(paths)
     assert set(paths) <= set(finished_files())
 
 
@@ -165,11 +143,6 @@ def test_no_process_at_all_is_refused():
     assert process_count(-1) >= 1
 
 
-def opencv_threads(progress: Progress) -> Iterator[int]:
-    yield cv2.getNumThreads()
-
-
-def test_processes_share_the_cores_among_threads_of_opencv():
-    with processes(2) as run:
-        counts = list(run([opencv_threads, opencv_threads], silent))
+def test_processes_share_the_cores_among_threads_of_opencv(two):
+    counts = list(two([opencv_threads, opencv_threads], silent))
     assert counts == 2 * [max(1, process_count(-1) // 2)]
