@@ -232,8 +232,8 @@ def depth(
         if value is not None and not twin:
             raise VergenceError(f"--{name} is of the twin; found it with a dataset.")
     # The twin, and with it OpenGL, only where it is asked for.
-    from vergence.commands.depth import as_markdown
     from vergence.commands.depth import depth as of_dataset
+    from vergence.commands.depth_report import as_markdown
 
     say_if_unfinished(out)
     with progress_bars() as progress:

@@ -1,4 +1,4 @@
-"""`vergence depth`: the depth of every pixel of rectified pairs, and its report.
+"""`vergence depth`: the depth of every pixel of rectified pairs.
 
 The geometry is a head and its joint readings, or these as corrected by what both eyes see. Pairs
 are of a dataset here; `demos.depth` takes them from the twin, and compares them with the truth.
@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.commands.depth_report import RANGE_M, TITLE, DepthErrors, Summary, as_markdown
 from vergence.data.reader import load_dataset
 from vergence.data.stereo_rows import stereo_rows
 from vergence.errors import VergenceError
@@ -35,16 +36,13 @@ from vergence.viewer.depth import depth_recording, log_depth
 from vergence.viewer.opening import log_report
 from vergence.vision.matching.scene_features import match_scene
 from vergence.writable import REPORT, check_outputs
-from vergence.writing import markdown_table, results_folder, write_json, write_whole
+from vergence.writing import results_folder, write_json, write_whole
 
-RANGE_M = (0.5, 1.5)
-"""Distances at which accuracy is stated."""
 MOST_PAIRS = 1000
 _DOUBTED = 4.2
 """Difference of the rows in the median, relative to what the noise of readings makes of it, from
 which a calibration is doubted. The noise alone makes a difference of 0.7."""
 _LEAST_DOUBTED_RAD = np.radians(0.1)
-TITLE = "# Dense depth"
 RESULTS = ("depth.rrd", "depth.json", REPORT)
 """Files in the folder of the results."""
 
@@ -64,46 +62,6 @@ class StereoImages:
 
 PairDepth = tuple[RectifiedPair, DenseDepth]
 """How the images of a pair were rectified, and the depth of its pixels."""
-
-
-@dataclass(frozen=True)
-class DepthErrors:
-    """Errors of depth at RANGE_M where there is texture, over all pairs."""
-
-    median_relative: float
-    wrong: float
-    """Share of the pixels that are wrong by more than a fifth."""
-    within_two_std: float
-    """Share of the others whose error is within two standard deviations."""
-    pixels: int
-    vertical_rms_px: float
-    """Difference of the rows of a point in the two rectified images."""
-
-
-@dataclass(frozen=True)
-class Summary:
-    """What dense depth came to; written as JSON."""
-
-    pairs: int
-    left_out: int
-    """Rows that were chosen too, but at whose postures the views cannot be rectified."""
-    matched: float
-    """Share of the rectified pixels that have a depth."""
-    textured: float
-    """Share that has one which texture determines well."""
-    median_relative_std: float
-    """Stated standard deviation over depth, of textured pixels at RANGE_M."""
-    row_difference_deg: float
-    """By how much the rows of a matched feature differ in the rectified images, in the median of
-    the features and of the pairs; NaN: none showed enough of them."""
-    doubt: str | None
-    """Why the calibration is doubted; None: it is not."""
-    joints: DepthErrors | None = None
-    """By the calibration and the joint readings; None: the truth is not known."""
-    seen: DepthErrors | None = None
-    """By the geometry that both eyes see; None: it was not asked for, or the truth is not known."""
-    true_geometry: DepthErrors | None = None
-    """By the true head and the true angles: what the matching itself leaves."""
 
 
 def depth(
@@ -330,56 +288,3 @@ def _doubt(apart_rad: float, noise_rad: float) -> str | None:
         "of another head, a camera has turned since, or images and readings are not of the same "
         "moments. The depths are wrong by far more than is stated."
     )
-
-
-def as_markdown(done: Summary) -> str:
-    """Return the report."""
-    where = f"{RANGE_M[0]} to {RANGE_M[1]} m"
-    left_out, stated = "", f"None of these is at {where}."
-    if done.left_out:
-        left_out = (
-            f" {done.left_out} more cannot be rectified: the two views do not overlap, or an eye "
-            "looks along the line from one camera to the other."
-        )
-    if np.isfinite(done.median_relative_std):
-        stated = (
-            f"At {where} the stated standard deviation of these is "
-            f"{100 * done.median_relative_std:.1f} % in the median."
-        )
-    lines = [
-        TITLE,
-        "",
-        f"{done.pairs} {'pair' if done.pairs == 1 else 'pairs'}.{left_out} "
-        f"{100 * done.matched:.0f} % of the rectified pixels have a depth, "
-        f"{100 * done.textured:.0f} % one that texture determines well. {stated}",
-        "",
-        f"A feature is {done.row_difference_deg:.2g} degrees beside its row in the median."
-        if np.isfinite(done.row_difference_deg)
-        else "Too few features are matched to compare the rows of the two images.",
-        "",
-    ]
-    if done.doubt is not None:
-        lines += [f"Warning: {done.doubt}", ""]
-    rows = [
-        (
-            name,
-            f"{100 * e.median_relative:.2f}",
-            f"{100 * e.wrong:.1f}",
-            f"{100 * e.within_two_std:.0f}",
-            f"{e.vertical_rms_px:.2f}",
-        )
-        for name, e in (
-            ("calibration and joints", done.joints),
-            ("seen by both eyes", done.seen),
-            ("true geometry", done.true_geometry),
-        )
-        if e is not None
-    ]
-    if rows:
-        heading = (
-            "geometry | median error [%] | wrong by a fifth [%] | others within two std [%] | "
-            "rows, rms [px]"
-        )
-        lines += [f"Errors at {where} where there is texture:", ""]
-        lines += [markdown_table(heading, rows), ""]
-    return "\n".join(lines)

@@ -17,15 +17,14 @@ from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.commands.depth import (
     RESULTS,
-    TITLE,
     PairDepth,
     StereoImages,
-    Summary,
     check_pairs,
     depth_by,
     depth_of,
     write_depth,
 )
+from vergence.commands.depth_report import TITLE, Summary
 from vergence.demos.depth_errors import DepthTruth, depth_errors, summed
 from vergence.demos.experiment import LOOKING
 from vergence.gaze.commands import EYE_READINGS

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.commands.depth import RANGE_M, DepthErrors
+from vergence.commands.depth_report import RANGE_M, DepthErrors
 from vergence.geometry.camera import project, unproject
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.se3 import transform
