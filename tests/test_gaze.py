@@ -135,16 +135,16 @@ def test_readings_are_carried_to_the_image_as_the_servos_follow():
 
 @pytest.mark.slow
 def test_a_moving_object_is_followed_though_servos_lag():
-    done = run(DrawnHead(circling(0.2), servo_lag_s=0.05), 2.0, replace(SETTINGS, servo_lag_s=0.05))
-    assert np.sqrt((done.after(1.0) ** 2).mean()) < 3  # 20 px behind by the lag itself
+    done = run(DrawnHead(circling(0.2), servo_lag_s=0.05), 1.5, replace(SETTINGS, servo_lag_s=0.05))
+    assert np.sqrt((done.after(0.8) ** 2).mean()) < 3  # 20 px behind by the lag itself
 
 
-@pytest.mark.parametrize("servo_lag_s", [0.005, 0.02, 0.05])
+@pytest.mark.parametrize("servo_lag_s", [0.005, 0.05])
 def test_joints_that_lag_behind_their_set_points_come_to_rest(servo_lag_s: float):
     target = point_at(12, -8, 0.8)
     head = DrawnHead(lambda _: target, latency_s=0.06, servo_lag_s=servo_lag_s)
-    done = run(head, 1.5, replace(SETTINGS, servo_lag_s=servo_lag_s))
-    assert done.after(1.0).max() < 0.5
+    done = run(head, 1.1, replace(SETTINGS, servo_lag_s=servo_lag_s))
+    assert done.after(0.7).max() < 0.5
 
 
 def test_a_lag_of_which_the_controller_knows_nothing_makes_no_object_move():
@@ -156,7 +156,7 @@ def test_a_lag_of_which_the_controller_knows_nothing_makes_no_object_move():
 def test_frames_that_come_fast_and_late_are_used_at_their_time():
     """Commands of a second are kept, however many they are."""
     target = point_at(12, -8, 0.8)
-    for latency_s, period_s, seconds in ((0.15, 1 / 150, 1.2), (0.6, 0.1, 5.0)):
+    for latency_s, period_s, seconds in ((0.15, 1 / 150, 0.8), (0.6, 0.1, 3.0)):
         head = DrawnHead(lambda _: target, latency_s=latency_s, period_s=period_s)
         done = run(head, seconds, replace(SETTINGS, lost_s=2.0))
         assert done.after(seconds - latency_s - 0.4).max() < 0.5
