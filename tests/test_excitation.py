@@ -10,6 +10,7 @@ from simulated_recording import POINTS, Noise, Recording, record
 from test_other_heads import recorded
 from vergence.calibration.calibrate import Method, calibrate
 from vergence.calibration.observations import Observations
+from vergence.calibration.sequential.intrinsics import lenses_of_the_paper
 from vergence.errors import VergenceError
 from vergence.geometry.camera import project
 from vergence.geometry.se3 import pose, rotation, transform
@@ -28,7 +29,8 @@ def sentences(given: Observations | Recording, method: Method) -> str:
     """Return the refusal, or else the warnings: a recording that is not in order must get some."""
     observations = recorded(0, how=given)[1] if isinstance(given, Recording) else given
     try:
-        return " ".join(calibrate(observations, method=method).warnings)
+        lens = lenses_of_the_paper(observations)
+        return " ".join(calibrate(observations, method=method, lens=lens).warnings)
     except VergenceError as refusal:
         return str(refusal)
 

@@ -10,6 +10,7 @@ from lens_monte_carlo import GRID, lens_head, recording, tried
 from simulated_recording import EXACT
 from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
 from vergence.calibration.calibrate import CalibrationResult, calibrate
+from vergence.calibration.checks import cross_validation
 from vergence.calibration.checks.lens_map import (
     COLUMNS,
     ROWS,
@@ -25,7 +26,9 @@ from vergence.geometry.parameters import boxminus, parameter_names
 def fisheye() -> tuple[HeadCalibration, CalibrationResult]:
     rng = np.random.default_rng(1)
     head = lens_head("fisheye", rng)
-    return head, calibrate(recording(head, rng))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cross_validation, "FOLDS", 2)
+        return head, calibrate(recording(head, rng))
 
 
 def test_a_calibration_chooses_the_lens_and_its_regions_reach_the_corners(fisheye):
@@ -59,9 +62,9 @@ def test_no_covariance_is_stated_without_an_accuracy(fisheye):
 
 @pytest.mark.usefixtures("two_folds")  # a lens that does not fit converges slowly
 def test_a_lens_that_is_too_simple_is_named_with_its_camera(monkeypatch):
-    monkeypatch.setattr(lens_monte_carlo, "STRAIGHT", 24)
-    monkeypatch.setattr(lens_monte_carlo, "ORIENTATIONS", 12)
-    rng = np.random.default_rng(2)
+    monkeypatch.setattr(lens_monte_carlo, "STRAIGHT", 16)
+    monkeypatch.setattr(lens_monte_carlo, "ORIENTATIONS", 8)
+    rng = np.random.default_rng(3)
     head = lens_head("k3", rng)
     seen = recording(head, rng)
     simple = calibrate(seen, lens="radial-tangential")

@@ -68,7 +68,7 @@ def first_recording(truth: HeadCalibration) -> Observations:
 
 @pytest.fixture(scope="module")
 def planned(calibrated: HeadCalibration) -> Plan:
-    return plan(calibrated, BOARD, limits_rad=LIMITS)
+    return plan(calibrated, BOARD, limits_rad=LIMITS, candidates=(30, 6))
 
 
 def test_admissible_views_show_the_whole_board_before_both_main_cameras_within_the_limits(truth):

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from simulated_recording import BOARD, POINTS, as_poses
-from test_other_heads import assert_near, on_an_arm, recorded
+from test_other_heads import LENS, assert_near, on_an_arm, recorded
 from vergence.calibration.calibrate import calibrate
 from vergence.calibration.checks.pose_readings import check_pose_readings
 from vergence.calibration.observations import Observations
@@ -63,14 +63,14 @@ def quaternions(T: np.ndarray, shift: int) -> np.ndarray:
 )
 def test_poses_that_are_something_else_are_refused_with_what_they_are(seen, change, says):
     with pytest.raises(VergenceError, match=says):
-        calibrate(changed(seen, change))
+        calibrate(changed(seen, change), lens=LENS)
 
 
 @pytest.mark.parametrize("shift", [1, -1])
 def test_rows_of_eyes_that_turn_about_a_point_are_compared_too(shift):
     poses = as_poses(recorded(1)[1])
     with pytest.raises(VergenceError, match=r"one row too|not of this eye"):
-        calibrate(changed(poses, lambda T: np.roll(T, shift, axis=0)))
+        calibrate(changed(poses, lambda T: np.roll(T, shift, axis=0)), lens=LENS)
 
 
 def test_poses_in_millimetres_of_eyes_that_turn_about_a_point_are_refused():
@@ -83,13 +83,13 @@ def test_poses_in_millimetres_of_eyes_that_turn_about_a_point_are_refused():
     with pytest.raises(
         VergenceError, match=r"about a point 12\d\.\d* m from its base: give poses in m"
     ):
-        calibrate(changed(poses, from_a_base_in_the_neck))
+        calibrate(changed(poses, from_a_base_in_the_neck), lens=LENS)
 
 
 def test_exchanged_rows_are_named_and_left_out(seen):
     rows = np.arange(24)
     rows[[4, 9]] = [9, 4]
-    found = calibrate(changed(seen, lambda T: T[rows]))
+    found = calibrate(changed(seen, lambda T: T[rows]), lens=LENS)
     for view in (4, 9):
         assert any(said.startswith(f"View {view}: the pose of the left") for said in found.warnings)
         assert np.isnan(found.observations.corners["left_wide"][view]).all()
@@ -154,8 +154,8 @@ def test_tilt_before_pan_is_refused_with_the_order_that_the_images_show(shared):
         sizes=dict.fromkeys(corners, (640, 480)),
     )
     with pytest.raises(VergenceError, match="fit tilt before pan"):
-        calibrate(seen)
-    found = calibrate(replace(seen, T_base_eye=T_base_eye))
+        calibrate(seen, lens=LENS)
+    found = calibrate(replace(seen, T_base_eye=T_base_eye), lens=LENS)
     assert_near(found, truth)
 
 

@@ -93,7 +93,7 @@ def test_eyes_may_see_a_target_at_rest_one_after_the_other():
     poses, readings = measured(truth, rng)
     poses["left_wide"][::2] = np.nan
     poses["right_wide"][1::2] = np.nan
-    assert np.abs(off(estimate(truth, poses, readings), truth)).max() < 1e-5
+    assert np.abs(off(estimate(truth, poses, readings, NOISE), truth)).max() < 1e-5
 
 
 def test_a_camera_of_the_start_that_measured_nothing_keeps_its_place():
@@ -256,12 +256,18 @@ def test_wrong_arguments_are_refused():
 
 
 def test_eye_poses_that_are_one_row_late_are_void_and_no_traceback():
-    """Hardly a residual of the eyes' poses is left, and the information on their noise is nil."""
+    """Hardly a residual of the eyes' poses is left, and the information on their noise is nil.
+
+    So it is with translations of little weight, which are tried where the noise is not given.
+    """
     rng = np.random.default_rng(0)
     head = head_of("pan, tilt", rng)
-    poses, readings = measured(head, rng, pose_std=(0.003, 0.0006), joint_std=0.002, views=40)
+    poses, readings = measured(head, rng, pose_std=(0.003, 0.0006), joint_std=0.002)
     eyes = np.stack([T_base_eye(head.kinematics, each, readings) for each in EYES], axis=1)
-    found = adjust_target_poses(poses, np.roll(eyes, 1, axis=0), eyes=EYES_OF)
+    covariance = dict.fromkeys(poses, np.diag(np.repeat([1e-3, 3.65e-3], 3) ** 2))
+    found = adjust_target_poses(
+        poses, np.roll(eyes, 1, axis=0), eyes=EYES_OF, covariance=covariance
+    )
     assert found.void
 
 

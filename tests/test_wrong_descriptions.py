@@ -160,7 +160,7 @@ def test_a_wrong_description_is_refused_with_its_cause(kind: str, change: Change
     head = head_of(kind, rng)
     wrong = change(recording(head, rng, NOISE))
     try:
-        said = " ".join(calibrate(wrong).accuracy.void)
+        said = " ".join(calibrate(wrong, lens="radial-tangential").accuracy.void)
     except VergenceError as error:
         said = str(error)
     assert re.search(cause, said), said or "it passes for right"
@@ -172,5 +172,5 @@ def test_a_wrong_sign_among_three_axes_is_no_wrong_factor(seed: int, column: int
     rng = np.random.default_rng(seed)
     wrong = sign(column)(recording(head_of(ROLL, rng), rng, NOISE))
     with pytest.raises(VergenceError, match="counts the other way") as refused:
-        calibrate(wrong)
+        calibrate(wrong, lens="radial-tangential")
     assert "times the readings" not in str(refused.value)
