@@ -36,6 +36,7 @@ def wait_for_ever(path: Path, progress: Progress) -> Iterator[None]:
         time.sleep(60)
         yield
     finally:
+        time.sleep(0.1)  # it takes its time
         path.write_text("cleaned up")
 
 

@@ -143,7 +143,7 @@ def _start(workers: list[tuple[SpawnProcess, Connection]], count: int) -> None:
 def _work(link: Connection, threads: int) -> None:
     """Do tasks until the other end of the link is closed; OpenCV uses a number of threads."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever started this process ends it
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
+    signal.signal(signal.SIGTERM, _leave)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _STOP)
     cv2.setNumThreads(threads)  # more than there are cores would wait for each other
     try:
@@ -162,6 +162,12 @@ def _work(link: Connection, threads: int) -> None:
                 link.send(("end", finished_files()[before:]))
     except (EOFError, OSError):
         return
+
+
+def _leave(*_: object) -> None:
+    """End this process, once: a task that cleans up after itself is not stopped in this again."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    sys.exit()
 
 
 def _tell(link: Connection, *progress: Any) -> None:
