@@ -281,8 +281,8 @@ def test_depth_by_what_both_eyes_see_is_better_than_by_wrong_joints(tmp_path, mo
     """The head is known, but the readings have gains and noise."""
     calibration, profile = tmp_path / "true.json", load_profile("paper")
     save_head(as_built_head(nominal_head("2.8mm"), profile, 0), calibration)
-    monkeypatch.setattr(looking_around, "LOOK_S", 3.0)
-    monkeypatch.setattr(looking_around, "LOOK_STEP_S", 0.15)
+    monkeypatch.setattr(looking_around, "LOOK_S", 2.0)
+    monkeypatch.setattr(looking_around, "LOOK_STEP_S", 0.2)
     out = tmp_path / "depth"
     depth(
         monkeypatch, "--twin", "--calibration", str(calibration), "--geometry", "seen",

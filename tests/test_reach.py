@@ -113,11 +113,11 @@ def test_a_hand_waits_until_its_marker_is_seen():
     apart_m: list[float] = []
 
     def keep(state: ReachState) -> None:
-        if head.now_s() < 2.0:
+        if head.now_s() < 1.2:
             assert state.phase is not ReachPhase.CLOSE
             apart_m.append(float(np.linalg.norm(head.hand.position - OBJECT)))
 
-    head = DrawnHeadWithHand(still, home=SETTINGS.home, shown=lambda t: t > 2.0)
+    head = DrawnHeadWithHand(still, home=SETTINGS.home, shown=lambda t: t > 1.2)
     state, phases = run(head, 5.0, watch=keep)
     assert min(apart_m) > 0.1
     assert ReachPhase.UNSEEN in phases
@@ -135,14 +135,14 @@ def test_the_hand_stays_at_home_while_the_object_is_out_of_reach():
 @pytest.mark.parametrize(
     ("path", "ends"),
     [
-        (lambda t: OBJECT + np.array([0.3 * np.clip(t - 1, 0, 2), 0.0, 0.0]), ReachPhase.TRACK),
-        (lambda t: OBJECT if t < 1.0 else None, ReachPhase.SEEK),
+        (lambda t: OBJECT + np.array([0.6 * np.clip(t - 0.7, 0, 1), 0.0, 0.0]), ReachPhase.TRACK),
+        (lambda t: OBJECT if t < 0.7 else None, ReachPhase.SEEK),
     ],
     ids=["moves away", "hidden"],
 )
 def test_the_hand_goes_home_when_the_object_is_gone(path, ends: ReachPhase):
     head = DrawnHeadWithHand(path, home=SETTINGS.home)
-    state, phases = run(head, 3.5)
+    state, phases = run(head, 2.5)
     assert ReachPhase.REACH in phases
     assert ReachPhase.CLOSE not in phases
     assert state.phase is ends
@@ -154,7 +154,7 @@ def test_the_hand_does_not_close_on_an_uncertain_position():
     gaze = replace(SETTINGS.gaze, objects={"sphere": sphere_detector(std_px=3.0)})
     unsure = replace(SETTINGS, gaze=gaze)
     head = DrawnHeadWithHand(still, home=SETTINGS.home)
-    state, phases = run(head, 1.8, settings=unsure)
+    state, phases = run(head, 1.5, settings=unsure)
     assert state.phase is ReachPhase.SERVO
     assert ReachPhase.CLOSE not in phases
 

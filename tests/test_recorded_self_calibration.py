@@ -88,11 +88,16 @@ def test_a_recording_says_what_it_shows_and_claims_no_more(recorded, monkeypatch
     assert found["parameters"]["left.pan_gain"]["verdict"] == "observed"
 
 
-def test_a_head_that_was_just_calibrated_is_better_known_before(recorded, monkeypatch, capsys):
+def test_a_head_that_was_just_calibrated_is_better_known_before(
+    moving, tmp_path, monkeypatch, capsys
+):
+    rows = [DatasetRow(each, k, False) for k, (_, each) in enumerate(moving[:3])]
+    write_dataset(tmp_path / "data", DESCRIPTION, rows)
+    save_head(HEAD, tmp_path / "head.json")
     stds = {}
     for changed in ("nothing", "little"):
-        out, figures = recorded / "again.json", recorded / "again_figures.json"
-        words = recorded / "data", "--calibration", recorded / "head.json", "--out", out
+        out, figures = tmp_path / f"{changed}.json", tmp_path / f"{changed}_figures.json"
+        words = tmp_path / "data", "--calibration", tmp_path / "head.json", "--out", out
         command(monkeypatch, *words, "--json", figures, "--changed", changed)
         found, said = json.loads(figures.read_text()), capsys.readouterr().out
         stds[changed] = {name: each["prior_std"] for name, each in found["parameters"].items()}

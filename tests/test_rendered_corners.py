@@ -10,8 +10,9 @@ from vergence.calibration.observations import Observations
 from vergence.calibration.sequential.intrinsics import calibrate_camera
 from vergence.geometry.board import corner_points
 from vergence.geometry.head import HeadCalibration
-from vergence.twin.calibration_sequence import BOARD, capture_views, plan
+from vergence.twin.calibration_sequence import BOARD, Shot, capture_views, plan
 from vergence.twin.head import Twin
+from vergence.twin.model import nominal_head
 from vergence.twin.profile import ErrorProfile, Mounting, Optics
 from vergence.twin.renderer import FINE
 
@@ -22,22 +23,27 @@ Rendered = tuple[HeadCalibration, Observations, Observations]
 
 
 @pytest.fixture(scope="module")
-def rendered(opengl: None) -> Rendered:
-    """The true head, corners found in some clean renders of the sequence, and the true ones."""
-    return renders()
+def shots() -> list[Shot]:
+    """Some shots of the sequence; the last ones are those of the board at rest."""
+    every = plan(nominal_head("2.8mm"), 0)
+    straight = [shot for shot in every if not shot.eye_angles.any()]
+    chosen = [shot for shot in straight if not any("narrow" in c for c in shot.cameras)][:8]
+    for eye in ("left", "right"):
+        chosen += [shot for shot in straight if f"{eye}_narrow" in shot.cameras][:4]
+    return chosen + [shot for shot in every if shot.eye_angles.any()][::8]
 
 
-def renders(oversampling: float | None = None) -> Rendered:
+@pytest.fixture(scope="module")
+def rendered(shots: list[Shot], opengl: None) -> Rendered:
+    """The true head, corners found in clean renders, and the true ones."""
+    return renders(shots)
+
+
+def renders(shots: list[Shot], oversampling: float | None = None) -> Rendered:
     with Twin(AS_BUILT, seed=0, oversampling=oversampling) as twin:
-        shots = plan(twin.nominal, 0)
-        straight = [shot for shot in shots if not shot.eye_angles.any()]
-        chosen = [shot for shot in straight if not any("narrow" in c for c in shot.cameras)][:8]
-        for eye in ("left", "right"):
-            chosen += [shot for shot in straight if f"{eye}_narrow" in shot.cameras][:4]
-        chosen += [shot for shot in shots if shot.eye_angles.any()][::8]
-        found = capture_views(twin, chosen)
+        found = capture_views(twin, shots)
         # The servos sag by thousandths of a degree; without sensor errors the readings show it.
-        both = zip(chosen, found.eye_angles, strict=True)
+        both = zip(shots, found.eye_angles, strict=True)
         stood = [replace(shot, eye_angles=angles) for shot, angles in both]
         rng = np.random.default_rng(0)
         true = simulate_views(twin.truth, ErrorProfile(), stood, pixel_noise=0.0, rng=rng)
@@ -54,7 +60,9 @@ def test_corners_of_clean_renders_have_no_bias(rendered: Rendered):
         assert np.sqrt(np.nanmean(error**2)) < 0.05
 
 
-def test_corners_of_recorded_pictures_err_by_hundredths_of_a_pixel_no_more(rendered: Rendered):
+def test_corners_of_recorded_pictures_err_by_hundredths_of_a_pixel_no_more(
+    shots: list[Shot], rendered: Rendered
+):
     """Where the eyes look at a board at rest; the sampling of other pictures shows there."""
 
     def rms(renders: Rendered) -> float:
@@ -63,7 +71,8 @@ def test_corners_of_recorded_pictures_err_by_hundredths_of_a_pixel_no_more(rende
         errors = [(found.corners[name] - true.corners[name])[fixed] for name in names]
         return float(np.sqrt(np.nanmean(np.square(errors))))
 
-    coarse, fine = rms(rendered), rms(renders(FINE))
+    at_rest = [shot for shot in shots if shot.eye_angles.any()]
+    coarse, fine = rms(rendered), rms(renders(at_rest, FINE))
     assert fine < 0.008
     assert fine < coarse / 2
 

@@ -10,7 +10,7 @@ import pytest
 
 pytestmark = pytest.mark.render
 ROOT = Path(__file__).parents[1]
-SHORT = ("--duration", "2", "--rate", "2", "--profile", "ideal")
+SHORT = ("--duration", "1", "--rate", "2", "--profile", "ideal")
 SCENARIOS = {
     ("figure_pair.py", "near"): (SHORT, r"divergent / parallel std of depth: \d"),
     ("figure_pair.py", "longer-lens"): (SHORT, r"Fig\. 11: std \d+ mm in depth"),

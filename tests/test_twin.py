@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import fields
-from itertools import chain, product
+from itertools import chain
 
 import mujoco
 import numpy as np
@@ -251,16 +251,18 @@ def test_pictures_of_several_sizes_are_those_of_mujoco_s_renderer(make: Make):
     twin = make(EVERYTHING)
     sizes = [(320, 240), (200, 300)]
     offscreen = Offscreen(twin.model, [Format(*size, samples=4) for size in sizes])
-    for (width, height), name in product(sizes, ("left_wide", "right_narrow")):
-        offscreen.show(twin._seen, name)
+    for width, height in sizes:
+        form = Format(width, height, samples=4)
         with mujoco.Renderer(twin.model, height, width) as renderer:
             hide_what_lies_outside_the_room(renderer)
-            renderer.update_scene(twin._seen, camera=name)
-            form = Format(width, height, samples=4)
-            np.testing.assert_array_equal(offscreen.colours(form), renderer.render())
-            renderer.enable_depth_rendering()
-            depths = offscreen.depths(form)
-            np.testing.assert_allclose(depths, renderer.render(), rtol=1e-6)
+            for name in ("left_wide", "right_narrow"):
+                offscreen.show(twin._seen, name)
+                renderer.update_scene(twin._seen, camera=name)
+                np.testing.assert_array_equal(offscreen.colours(form), renderer.render())
+                renderer.enable_depth_rendering()
+                depths = offscreen.depths(form)
+                np.testing.assert_allclose(depths, renderer.render(), rtol=1e-6)
+                renderer.disable_depth_rendering()
     offscreen.close()
 
 
@@ -275,7 +277,7 @@ def test_the_object_is_multisampled_where_the_rest_is_not(make: Make):
         with mujoco.Renderer(twin.model, height, width) as renderer:
             buffer.offwidth, buffer.offheight = before
             hide_what_lies_outside_the_room(renderer)
-            for place in ((0.43, -0.02, -0.08), (0.3, 0.25, 0.1), (1.1, 0.0, 0.0)):
+            for place in ((0.3, 0.25, 0.1), (1.1, 0.0, 0.0)):
                 twin.place_object(np.array(place))
                 image = twin.expose((name,)).negatives[0].rendered.astype(int)
                 renderer.update_scene(twin._seen, camera=name)
