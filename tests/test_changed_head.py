@@ -29,7 +29,7 @@ from vergence.self_calibration.update import change_exceeds_prior, drifted, evid
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("axis", "noise_px", "seen_before", "features"),
-    [("rx", 0.08, 40, 500), ("ry", 0.08, 40, 500), ("rz", 0.08, 40, 500), ("rz", 0.05, 80, 1500)],
+    [("rx", 0.08, 20, 500), ("ry", 0.08, 20, 500), ("rz", 0.08, 20, 500), ("rz", 0.05, 80, 1500)],
 )
 def test_a_bumped_camera_is_reported_and_corrected(axis, noise_px, seen_before, features):
     """Also of a head that is known so well that a linear model of the bump would be too coarse."""
@@ -91,7 +91,7 @@ def test_a_head_that_is_not_as_calibrated_is_reported_and_learned(seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("seed", "settled"), [(0, False), (1, False), (2, False), (0, True)])
+@pytest.mark.parametrize(("seed", "settled"), [(0, False), (2, False), (0, True)])
 def test_gains_beyond_what_is_stated_are_reported_and_learned(seed, settled):
     """By a tenth of a degree in a posture: few frames show no more than noise of the readings.
 
