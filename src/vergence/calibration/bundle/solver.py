@@ -208,7 +208,8 @@ def cholesky(matrix: Array) -> tuple[Array, bool]:
         except (np.linalg.LinAlgError, ValueError):  # the latter: not finite
             continue
     raise VergenceError(
-        "The equations of the bundle adjustment are not finite: look for wild corners or readings."
+        "The equations of the bundle adjustment cannot be solved: look for wild corners, poses or "
+        "readings, and for rows whose images and readings are of different moments."
     )
 
 
