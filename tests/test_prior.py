@@ -70,6 +70,28 @@ def fitted(*focal: float, centre_px: float = 0.1, distortion_px: float = 0.05) -
     return state
 
 
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "one eye"])
+def test_of_a_head_that_may_have_changed_no_stated_accuracy_holds(kind):
+    """It starts as one that states none, but for the noise of its readings and pixels."""
+    head = head_of_kind(kind, np.random.default_rng(0))
+    none = initial_self_calibration(replace(head, accuracy=None))
+    stated = Accuracy(
+        method="bundle",
+        parameters=none.names[:-1],
+        covariance=1e-4 * none.covariance[:-1, :-1],
+        joint_std=(1e-3,),
+        void=("for a reason.",),
+    )
+    changed = initial_self_calibration(replace(head, accuracy=stated), changed="anything")
+    assert changed.names == none.names
+    np.testing.assert_array_equal(changed.covariance, none.covariance)
+    accuracy = changed.head.accuracy
+    assert accuracy is not None
+    assert (accuracy.void, accuracy.joint_std) == (stated.void, stated.joint_std)
+    little = initial_self_calibration(replace(head, accuracy=stated))
+    assert little.covariance[0, 0] < none.covariance[0, 0]
+
+
 def test_the_ratio_of_focal_lengths_errs_by_twice_what_their_fits_state():
     def ratio_std(*focal: float) -> float:
         state = fitted(*focal)
