@@ -92,8 +92,8 @@ def self_calibrate(
         out: JSON file of the learned calibration.
         json: JSON file of what was observed of each parameter.
         changed: What may have changed since the calibration: nothing, if the images were taken
-            right after it; little, as by transport or warmth; anything, as by a repair, so that the
-            accuracy that it states no longer holds.
+            right after it; little, as by transport or temperature; anything, as by a repair, so
+            that the accuracy that it states no longer holds.
     """
     from vergence.commands.self_calibration import HEADING, as_plain, sentences, table
     from vergence.data.description import DESCRIPTION, FRAMES

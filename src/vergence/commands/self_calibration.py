@@ -57,13 +57,13 @@ def sentences(found: RecordedSelfCalibration) -> list[str]:
         lines.append(f"Not observed, as before: {_named(hidden)}.")
     if found.depth_std_m is not None:
         before, after = (1e3 * std for std in found.depth_std_m)
-        moved = {
+        by = {
             "nothing": "by the calibration",
             "little": "by the calibration and what may have moved since",
             "anything": "by usual tolerances",
         }[found.changed]
         learned = f", {after:.3g} mm by what was learned" if found.learned else ""
-        lines.append(f"Depth of a point 1 m straight ahead: std {before:.3g} mm {moved}{learned}.")
+        lines.append(f"Depth of a point 1 m straight ahead: std {before:.3g} mm {by}{learned}.")
     return [*lines, *(f"Warning: {each}" for each in found.warnings)]
 
 

@@ -34,8 +34,8 @@ from vergence.self_calibration.residuals import epipolar_residuals, pair_coordin
 from vergence.self_calibration.tolerances import MOVED, USUAL, tolerance_covariance
 
 Changed = Literal["nothing", "little", "anything"]
-"""What may have changed since a calibration: nothing right after it; little by transport, warmth or
-a screw; anything by a repair, and then all that it states of its accuracy is void."""
+"""What may have changed since a calibration: nothing right after it; little by transport,
+temperature or a screw; anything by a repair, and then its covariance no longer holds."""
 _COMMON = 0.5
 """Share of the usual variance which both eyes have in common: their lenses and encoders are of one
 make, and one board is shown to both. With a half, neither eyes that have nothing in common nor such
