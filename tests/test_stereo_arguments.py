@@ -48,6 +48,20 @@ def test_arguments_that_could_be_exchanged_must_be_named(function):
         function(plain_head(0.09, 280.0), pixels, pixels, np.zeros((1, 4)), np.eye(4))
 
 
+def test_what_are_no_numbers_is_refused_by_name(head: HeadCalibration):
+    pixels, joints = np.zeros((1, 2)), np.zeros(4)
+    for name, given in (
+        ("left", {"left": "a", "right": pixels, "joints": joints}),
+        ("right", {"left": pixels, "right": [[1, 2], [3]], "joints": joints}),
+        ("joints", {"left": pixels, "right": pixels, "joints": {"left_pan": 0.1}}),
+        ("pixel_std_px", {"left": pixels, "right": pixels, "joints": joints, "pixel_std_px": "x"}),
+    ):
+        with pytest.raises(VergenceError, match=f"^{name} takes numbers, as many in each row"):
+            locate(head, **given)
+    with pytest.raises(VergenceError, match="points takes numbers"):
+        in_head(head, [[1.0, 2.0, 3.0], "far"])  # pyright: ignore
+
+
 def test_exchanged_cameras_and_a_head_of_one_eye_are_refused():
     head, nothing = plain_head(0.09, 280.0), {"left": np.zeros((1, 2)), "right": np.zeros((1, 2))}
     for cameras in (("right_wide", "left_wide"), ("left_wide", "left_wide")):

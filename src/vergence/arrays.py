@@ -8,8 +8,10 @@ from functools import cache
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import PlainSerializer, PlainValidator
+
+from vergence.errors import VergenceError
 
 Array = NDArray[np.float64]
 _Instance = TypeVar("_Instance")
@@ -89,6 +91,16 @@ Transform = Annotated[
     _serialise,
 ]
 """A (4, 4) rigid transform."""
+
+
+def floats(name: str, value: ArrayLike) -> Array:
+    """Return an argument as an array of numbers; VergenceError, with its name, if it is none."""
+    try:
+        return np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise VergenceError(
+            f"{name} takes numbers, as many in each row; found {value!r:.60}."
+        ) from None
 
 
 def replace_unchecked(instance: _Instance, **changes: Any) -> _Instance:

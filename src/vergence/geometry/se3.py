@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from vergence.arrays import Array
+from vergence.arrays import Array, floats
 from vergence.errors import VergenceError
 
 
@@ -131,7 +131,7 @@ def checked_points(points: ArrayLike, postures: tuple[int, ...] = ()) -> Array:
 
     VergenceError if they are others, or cannot be broadcast with postures of a leading shape.
     """
-    found = np.asarray(points, dtype=float)
+    found = floats("points", points)
     if found.shape[-1:] != (3,):
         raise VergenceError(f"Points have the shape (..., 3); found an array of {found.shape}.")
     try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence.arrays import Array
+from vergence.arrays import Array, floats
 from vergence.errors import VergenceError, counted
 from vergence.geometry.head import HeadCalibration
 from vergence.stereo.calibration_covariance import pair_factor
@@ -36,7 +36,7 @@ def combination(
     """
     left, right, joints = checked_arguments(left, right, joints, head.kinematics)
     factor, n = pair_factor(head, cameras), len(left)
-    weights = np.asarray(weights, dtype=float)
+    weights = floats("weights", weights)
     if weights.shape != (n,):
         raise VergenceError(
             f"A combination of {counted(n, 'point')} has a weight for each; found an array of "
@@ -96,7 +96,7 @@ def locate_both(
     errors are those of `locate`. Returns points a and b (N, 3) [m], and covariances (N, 3, 3) [m^2]
     of a - b, in the left eye's base frame; NaN where a point cannot be located.
     """
-    joints, n = np.asarray(joints, dtype=float), len(left[0])
+    joints, n = floats("joints", joints), len(left[0])
     noise, points, changes = measurement_noise(head, joints, n, pixel_std_px, joint_std_rad), [], []
     for own in zip(left, right, strict=True):
         u_l, u_r, readings = checked_arguments(*own, joints, head.kinematics)

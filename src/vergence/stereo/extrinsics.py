@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence.arrays import Array
+from vergence.arrays import Array, floats
 from vergence.geometry.eye_motion import check_joints, eye_poses
 from vergence.geometry.head import HeadCalibration, MountedCamera, pair_names
 from vergence.geometry.kinematics import T_base_eye
@@ -90,7 +90,7 @@ def T_rcam_lcam(
             or the joints are not as many as the head has, not in radians, or poses that are not
             rigid.
     """
-    joints = np.asarray(joints, dtype=float)
+    joints = floats("joints", joints)
     T = stereo_poses(head, joints, cameras=cameras)[1]
     check_joints(head.kinematics, joints)
     return T

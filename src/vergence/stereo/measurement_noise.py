@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence.arrays import Array
+from vergence.arrays import Array, floats
 from vergence.errors import VergenceError
 from vergence.geometry.eye_motion import measured
 from vergence.geometry.head import HeadCalibration, pixel_stds, reading_stds
@@ -55,7 +55,7 @@ def noise_rows(std: ArrayLike, count: int, n: int, name: str) -> Array:
 
     From a number, (count,) or (n, count); VergenceError if they are neither, or one is negative.
     """
-    stds = np.asarray(std, dtype=float)
+    stds = floats(name, std)
     if stds.shape not in ((), (count,), (n, count)):
         raise VergenceError(
             f"{name} is a number or an array of shape ({count},) or ({n}, {count}); found one of "

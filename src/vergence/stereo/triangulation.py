@@ -11,7 +11,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence.arrays import Array
+from vergence.arrays import Array, floats
 from vergence.errors import VergenceError, counted
 from vergence.geometry.camera import Camera, normalised_rows
 from vergence.geometry.components import (
@@ -224,7 +224,7 @@ def checked_arguments(
     These are angles (r,) or (N, r) in radians, or measured eye poses (2, 4, 4) or (N, 2, 4, 4),
     which are rigid.
     """
-    left, right, joints = (np.asarray(each, dtype=float) for each in (left, right, joints))
+    left, right, joints = floats("left", left), floats("right", right), floats("joints", joints)
     if left.ndim != 2:
         raise VergenceError(f"Locating points needs left of shape (N, 2), found {left.shape}.")
     n, r = len(left), len(kinematics.readings)
@@ -259,7 +259,7 @@ def in_body(head: HeadCalibration, points_lbase: Array, neck_angles: Array) -> A
         VergenceError: the angles are not as many as the neck has joints, or not in radians, or the
             shapes do not fit; a neck without joints takes `np.empty(0)`.
     """
-    angles = np.asarray(neck_angles, dtype=float)
+    angles = floats("neck_angles", neck_angles)
     joints = len(head.neck.axes)
     if angles.shape[-1:] != (joints,):
         raise VergenceError(

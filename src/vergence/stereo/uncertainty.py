@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence.arrays import Array
+from vergence.arrays import Array, floats
 from vergence.data.dataset import MAX_GAP_S
 from vergence.data.timing import Timing, moved_readings
 from vergence.errors import VergenceError
@@ -126,7 +126,7 @@ def locate(
 
 def _at_the_images(head: HeadCalibration, joints: ArrayLike, joint_time_s: ArrayLike) -> Array:
     """Return readings, or poses, at the moments of the images; VergenceError: see `locate`."""
-    joints, joint_time_s = (np.asarray(each, dtype=float) for each in (joints, joint_time_s))
+    joints, joint_time_s = floats("joints", joints), floats("joint_time_s", joint_time_s)
     shape = (2, 4, 4) if measured(joints) else (len(head.kinematics.readings),)
     if joint_time_s.ndim != 1 or joints.shape != (len(joint_time_s), *shape):
         raise VergenceError(
