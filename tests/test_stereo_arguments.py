@@ -58,6 +58,12 @@ def test_what_are_no_numbers_is_refused_by_name(head: HeadCalibration):
     ):
         with pytest.raises(VergenceError, match=f"^{name} takes numbers, as many in each row"):
             locate(head, **given)
+    for use in (
+        lambda: rectify(head, "x"),  # pyright: ignore
+        lambda: project_point(head, "left_wide", "x", np.ones(3)),  # pyright: ignore
+    ):
+        with pytest.raises(VergenceError, match="joints takes numbers"):
+            use()
     with pytest.raises(VergenceError, match="points takes numbers"):
         in_head(head, [[1.0, 2.0, 3.0], "far"])  # pyright: ignore
 

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass
 
-from vergence.arrays import Array
+from vergence.arrays import Array, floats
 from vergence.errors import VergenceError
 from vergence.geometry.chain import Chain, chain_pose
 from vergence.geometry.joints import (
@@ -263,7 +263,7 @@ def checked_readings(
     VergenceError if they are not the head's r, or where one posture is needed if they are of more
     than one or not in radians.
     """
-    found, names = np.asarray(readings, dtype=float), kinematics.readings
+    found, names = floats("joints", readings), kinematics.readings
     if found.shape[-1:] != (len(names),) or (one_posture and found.ndim > 1):
         where = "where those of one posture are needed" if one_posture else "in their place"
         raise VergenceError(

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence.arrays import Array
+from vergence.arrays import Array, floats
 from vergence.errors import VergenceError
 from vergence.geometry.camera import (
     MAX_IMAGE_AREA_PX,
@@ -203,7 +203,7 @@ def _known_posture(head: HeadCalibration, joints: ArrayLike) -> Array:
     VergenceError if they are not those of one posture, one of them is not known, or poses are not
     rigid.
     """
-    at = np.array(joints, dtype=float)  # a copy, which the pair keeps
+    at = floats("joints", joints).copy()  # which the pair keeps
     if at.shape != (2, 4, 4):
         at = checked_readings(head.kinematics, at, one_posture=True)
     if not np.isfinite(at).all():
