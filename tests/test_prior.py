@@ -8,6 +8,7 @@ import pytest
 from head_kinds import KINDS
 from head_kinds import head_of as head_of_kind
 from simulated_frames import CAMERAS, begin, head_of
+from vergence.errors import VergenceError
 from vergence.geometry.camera import normalise, project
 from vergence.geometry.head_accuracy import Accuracy, LensAccuracy
 from vergence.geometry.kinematics import EYES, straight_gaze
@@ -90,6 +91,11 @@ def test_of_a_head_that_may_have_changed_no_stated_accuracy_holds(kind):
     assert (accuracy.void, accuracy.joint_std) == (stated.void, stated.joint_std)
     little = initial_self_calibration(replace(head, accuracy=stated))
     assert little.covariance[0, 0] < none.covariance[0, 0]
+
+
+def test_another_word_for_what_may_have_changed_is_refused():
+    with pytest.raises(VergenceError, match="nothing or little or anything, found 'much'"):
+        initial_self_calibration(head_of(0), changed="much")  # pyright: ignore
 
 
 def test_the_ratio_of_focal_lengths_errs_by_twice_what_their_fits_state():

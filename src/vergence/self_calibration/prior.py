@@ -92,18 +92,19 @@ def prior_covariance(
     names: tuple[str, ...],
     cameras: tuple[str, str],
     *,
-    changed: Changed = "little",
+    moved: bool = True,
 ) -> Array:
     """Return the covariance (P, P) of the parameters before anything is seen.
 
-    What the head states of its accuracy holds, but for what may have changed since.
+    That which the head states or, if it states none, usual tolerances; and what may have moved
+    since, unless nothing has.
     """
-    moved = tolerance_covariance(head, names, MOVED) * (_LEFT if changed == "nothing" else 1.0)
+    since = tolerance_covariance(head, names, MOVED) * (1.0 if moved else _LEFT)
     if not states_covariance(head):
-        return moved + _of_procedure(head, names, cameras)
+        return since + _of_procedure(head, names, cameras)
     stated, C = stated_covariance(head, names)
-    moved[np.ix_(stated, stated)] += C
-    return moved
+    since[np.ix_(stated, stated)] += C
+    return since
 
 
 def covariance_of_others(

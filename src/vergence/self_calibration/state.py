@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -208,8 +208,10 @@ def initial_self_calibration(
 
     Raises:
         VergenceError: the head has one eye, no joint readings, or was calibrated with measured eye
-            poses.
+            poses; or `changed` is another word.
     """
+    if changed not in get_args(Changed):
+        raise VergenceError(f"changed is {' or '.join(get_args(Changed))}, found {changed!r}.")
     pair = pair_names(head, cameras)
     accuracy = head.accuracy
     if accuracy is not None and accuracy.eye_motion == "poses":
@@ -233,7 +235,7 @@ def initial_self_calibration(
     ratios = np.maximum(stds / std, _LEAST_RATIO) / factors
     systematic = accuracy.systematic_px if accuracy else {}
     left, right = (systematic.get(name, 0.0) for name in pair)
-    C = prior_covariance(head, names, pair, changed=changed)
+    C = prior_covariance(head, names, pair, moved=changed != "nothing")
     return SelfCalibration(
         head=head,
         cameras=pair,
