@@ -258,7 +258,8 @@ def test_wrong_arguments_are_refused():
 def test_eye_poses_that_are_one_row_late_are_void_and_no_traceback():
     """Hardly a residual of the eyes' poses is left, and the information on their noise is nil.
 
-    So it is with translations of little weight, which are tried where the noise is not given.
+    So it is where translations have little weight. An estimate of the noise ends there; here it is
+    given, which saves the search.
     """
     rng = np.random.default_rng(0)
     head = head_of("pan, tilt", rng)
