@@ -156,6 +156,12 @@ def test_units_signs_and_columns_are_those_of_the_head(folder):
     np.testing.assert_allclose(dataset.neck_angles, [[0, 0, -0.3]] * 2)
 
 
+def test_an_unknown_camera_of_a_dataset_is_named(folder):
+    dataset = load_dataset(folder)
+    with pytest.raises(VergenceError, match=r"No camera is called 'middle'; the dataset has left"):
+        dataset.image("middle", 0)
+
+
 def test_an_eye_without_a_camera_needs_no_joints(folder):
     gone = ("right_wide", "right_pan", "right_tilt")
     change_about(folder, dict.fromkeys(("cameras.right_wide", *(f"joints.{n}" for n in gone[1:]))))

@@ -159,6 +159,14 @@ def test_a_sweep_that_was_stopped_goes_on_without_doing_finished_work_again(
     assert len(computed) == 5 + 2  # those of the new baseline
 
 
+def test_parts_that_other_code_has_computed_are_computed_again(monkeypatch):
+    first = next(chunks(SMALL))
+    before = command.digest(first)
+    assert command.digest(first) == before
+    monkeypatch.setattr(command, "_code", lambda: "another formula")
+    assert command.digest(first) != before
+
+
 @pytest.mark.parametrize("kind", ["text", "complex", "too long", "pipe", "archive"])
 def test_finished_work_that_is_no_array_of_floats_is_computed_again(kind: str, tmp_path: Path):
     file, numbers = tmp_path / "chunk.npy", np.arange(6.0).reshape(2, 3)

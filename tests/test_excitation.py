@@ -63,6 +63,18 @@ def test_motion_that_leaves_a_direction_open_is_refused(reach, hidden, cause, ad
     assert advice in said
 
 
+def test_readings_of_an_eye_without_a_camera_change_no_sentence(method: Method):
+    """They may be missing."""
+    reach = Recording(reach_rad=(0, 0.25), noise=Noise(0.1, np.radians(0.3)))
+    seen = recorded(0, how=reach)[1]
+    one = {name: each for name, each in seen.corners.items() if name.startswith("left")}
+    sizes = {name: seen.sizes[name] for name in one}
+    angles = seen.eye_angles.copy()
+    angles[:, 2:] = np.nan
+    said = sentences(replace(seen, corners=one, sizes=sizes, eye_angles=angles), method)
+    assert "pan of the left eye moves by 0.00" in said
+
+
 def test_pan_and_tilt_that_move_together_are_refused(method: Method):
     said = sentences(Recording(together=True), method)
     assert "rotation and translation along one axis: not observable; pan and tilt of" in said

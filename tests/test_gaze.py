@@ -16,11 +16,13 @@ from vergence.gaze.commands import (
     NECK,
     HeadCommand,
     JointLimits,
+    hold,
     setpoint,
 )
 from vergence.gaze.controller import run_gaze, step_gaze
 from vergence.gaze.observation import posture_at_image
 from vergence.gaze.state import GazePhase, GazeSettings, GazeState, initial_gaze_state
+from vergence.geometry.neck import Neck
 from vergence.geometry.se3 import pose, rotation
 
 SETTINGS = GazeSettings(calibration=four_cameras())
@@ -343,6 +345,33 @@ def test_a_head_without_a_calibrated_neck_works_in_frame_head():
     assert done.states[-1].track is not None
     in_body = done.states[-1].track.position + four_cameras().neck.head_m
     assert np.linalg.norm(in_body - target) < 3e-3
+
+
+@pytest.mark.parametrize("use_neck", [False, True])
+def test_a_neck_with_other_joints_in_another_order_is_told_by_their_names(use_neck: bool):
+    """It yaws, then pitches, and does not roll."""
+    axes, points_m = np.array([[0.0, 0, 1], [0, 1, 0]]), np.array([[0, 0, 0.05], [0, 0, 0.1]])
+    neck = Neck(axes, points_m, np.array([0.06, 0, 0.2]), joints=("neck_yaw", "neck_pitch"))
+    target = np.array([0.55, 0.35, 0.1])
+    head = DrawnHead(lambda _: target)
+    head.calibration = replace(four_cameras(), neck=neck)
+    settings = replace(SETTINGS, calibration=head.calibration, use_neck=use_neck)
+    begin = np.array([0.1, 0.0, 0.3, 0, 0, 0, 0])
+    head.commands = [hold(begin, JointLimits(), -1.0)]
+    state = run_gaze(head, settings, initial_gaze_state(settings, begin, 0.0), 2.5)
+    assert state.track is not None
+    assert np.linalg.norm(state.track.position - target) < 3e-3
+    assert head.errors_px(2.4).max() < 3
+    turned = head.posture(2.4)[NECK] - begin[NECK]
+    assert turned[1] == 0
+    assert (turned[2] > 0.05) == use_neck
+
+
+def test_a_neck_whose_joints_are_not_named_is_refused():
+    neck = Neck(np.array([[0.0, 0, 1]]), np.zeros((1, 3)), np.zeros(3))
+    said = "has 1 joint without names, and a frame has the angles neck_pitch"
+    with pytest.raises(VergenceError, match=said):
+        GazeSettings(calibration=replace(four_cameras(), neck=neck))
 
 
 @pytest.mark.parametrize("offset_s", [0.04, -0.03])

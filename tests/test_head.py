@@ -23,7 +23,7 @@ from vergence.geometry.head import (
     states_covariance,
 )
 from vergence.geometry.head_accuracy import Accuracy
-from vergence.geometry.neck import Neck
+from vergence.geometry.neck import Neck, NeckJoint
 from vergence.geometry.parameters import parameter_names
 from vergence.geometry.se3 import inverse, transform
 from vergence.writing import write_whole
@@ -97,7 +97,8 @@ def test_the_head_frame_lies_midway_between_the_eyes_with_the_left_eyes_axes(hea
 def test_a_camera_moves_with_pan_then_with_the_neck():
     """A camera 20 mm ahead of the left eye's axes, a baseline of 90 mm, and a yaw of the neck."""
     ahead = (0.02, 0.0, 0.0)
-    neck = Neck(axes=np.array([[0.0, 0, 1]]), points_m=np.zeros((1, 3)), head_m=np.array([0, 0, 1]))
+    up, middle = np.array([[0.0, 0, 1]]), np.zeros((1, 3))
+    neck = Neck(axes=up, points_m=middle, head_m=up[0], joints=("neck_yaw",))
     head = replace(plain_head(0.09, 280.0, camera_m=(ahead, ahead)), neck=neck)
     quarter = np.pi / 2
     for pan, yaw, where, towards in (
@@ -107,9 +108,15 @@ def test_a_camera_moves_with_pan_then_with_the_neck():
         (quarter, quarter, (-0.065, 0.0, 1.0), (-1, 0, 0)),
     ):
         T_lbase_cam = T_base_cam(head, "left_wide", np.array([pan, 0.0, 0.0, 0.0]))
-        T_body_cam = T_body_base(head, "left", np.array([yaw])) @ T_lbase_cam
+        T_body_cam = T_body_base(head, "left", np.array([0.3, -0.2, yaw])) @ T_lbase_cam
         np.testing.assert_allclose(T_body_cam[:3, 3], where, atol=1e-15)
         np.testing.assert_allclose(T_body_cam[:3, 2], towards, atol=1e-15)
+
+
+@pytest.mark.parametrize("joints", [("neck_yaw",), ("neck_yaw", "neck_yaw")])
+def test_each_joint_of_a_neck_has_a_name_of_its_own(joints: tuple[NeckJoint, ...]):
+    with pytest.raises(ValueError, match="2 joints have a name each, found neck_yaw"):
+        Neck(axes=np.eye(3)[:2], points_m=np.zeros((2, 3)), joints=joints)
 
 
 def test_the_pose_of_the_wide_camera_in_the_narrow_one_maps_wide_to_narrow(head: HeadCalibration):

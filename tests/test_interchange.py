@@ -205,6 +205,15 @@ def test_a_missing_file_is_named(tmp_path, format_name):
         import_head(tmp_path / "none.yml", format_name, template=unskewed_head(18))
 
 
+@pytest.mark.parametrize("suffix", [".yml", ".xml", ".json"])
+def test_names_of_a_neck_travel_through_opencv(tmp_path, suffix):
+    axes, points_m = np.array([[0.0, 0, 1], [0, 1, 0]]), np.zeros((2, 3))
+    neck = Neck(axes, points_m, np.zeros(3), joints=("neck_yaw", "neck_pitch"))
+    file = tmp_path / f"head{suffix}"
+    opencv.save(replace(unskewed_head(3), neck=neck), file)
+    assert opencv.load(file).neck.joints == neck.joints
+
+
 def test_opencv_says_which_endings_it_knows(tmp_path):
     with pytest.raises(VergenceError, match=r"\.yml, \.yaml, \.xml, \.json"):
         opencv.save(unskewed_head(19), tmp_path / "head.txt")

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -14,7 +15,7 @@ from vergence.calibration.sequential.lens_fit import (
     held_out_squares,
     jackknife_covariance,
 )
-from vergence.calibration.sequential.lens_models import fit_model, free_intrinsics
+from vergence.calibration.sequential.lens_models import fit_model, free_intrinsics, repeatable
 from vergence.calibration.sequential.lens_prior import EQUIDISTANT, lens_prior
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard, corner_points
@@ -359,3 +360,17 @@ def test_a_board_before_a_fisheye_lens_is_found_exactly():
     T = boards(10, rng)
     found = board_poses(LENSES["fisheye"], views(LENSES["fisheye"], T), POINTS)
     np.testing.assert_allclose(found, T, atol=1e-9)
+
+
+def test_opencv_has_its_threads_again_when_the_last_of_two_calibrations_has_ended():
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(2)
+    try:
+        first, second = repeatable(), repeatable()
+        with first:
+            second.__enter__()
+        assert cv2.getNumThreads() == 1
+        second.__exit__(None, None, None)
+        assert cv2.getNumThreads() == 2
+    finally:
+        cv2.setNumThreads(before)

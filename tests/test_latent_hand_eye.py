@@ -14,6 +14,7 @@ from vergence.calibration.bundle.latent_hand_eye import EyeCamera, refine_eye_ca
 from vergence.errors import VergenceError
 from vergence.geometry.camera import pinhole
 from vergence.geometry.head import MountedCamera
+from vergence.geometry.kinematics import Kinematics, T_base_eye, pan_tilt
 from vergence.geometry.projection import project_at
 from vergence.geometry.se3 import boxminus, boxplus, pose, rotation, transform
 
@@ -322,3 +323,24 @@ def test_lists_serve_as_arrays_do():
     lists = (each.tolist() for each in (recording.readings, recording.pixels, POINTS))
     found = refine_eye_camera(*lists, camera=LENS)  # pyright: ignore
     np.testing.assert_allclose(found.T_eye_cam, recording.T_eye_cam, atol=1e-6)
+
+
+def test_readings_of_three_kinds_keep_their_noise_where_intrinsics_are_uncertain():
+    """Angles of a pan, of a tilt, and of the motor of a roll."""
+    pan, tilt = pan_tilt("left")
+    roll = replace(pan, name="roll", axis=np.array([1.0, 0, 0]), readings={"motor": 0.01})
+    joints = (pan, replace(tilt, readings={"left_tilt": 0.1}), roll)
+    rng = np.random.default_rng(3)
+    readings = rng.uniform(-0.25, 0.25, (25, 3)) * [1, 10, 100]
+    kinematics = Kinematics({"left": joints, "right": ()}, ("left_pan", "left_tilt", "motor"))
+    truth = record(3).T_eye_cam
+    pixels = see(truth, T_base_eye(kinematics, "left", readings), rng)
+    seen = readings + rng.normal(0, 1e-3, readings.shape) * [1, 10, 100]
+    noisy = pixels + rng.normal(0, 0.1, pixels.shape)
+    uncertain = np.diag([0.5, 0.5, 0.3, 0.3, *[1e-8] * 5])
+    found = refine_eye_camera(
+        seen, noisy, POINTS, LENS, joints=joints, intrinsics_covariance=uncertain
+    )
+    assert len(found.joint_std) == 3
+    assert np.array(found.joint_std) * [1, 0.1, 0.01] == pytest.approx(1e-3, rel=0.5)
+    assert probability(boxminus(found.T_eye_cam, truth), found.covariance) < 0.9999

@@ -373,6 +373,24 @@ def test_a_board_of_unknown_size_has_squares_of_1(tmp_path: Path):
     assert board == Chessboard(columns=9, rows=6, square_m=1.0)
 
 
+@pytest.mark.parametrize("views", [0, 19])
+def test_as_many_views_are_planned_as_there_are_candidates_at_most(calibrated, views):
+    with pytest.raises(VergenceError, match=f"of the 6 places .* x 3 directions .* found {views}"):
+        plan(calibrated, BOARD, views=views, limits_rad=LIMITS, candidates=(6, 3))
+
+
+def test_what_a_calibration_holds_fixed_is_known_before_the_planned_views(calibrated):
+    accuracy = calibrated.accuracy
+    C = accuracy.covariance.copy()
+    fx, fy = (accuracy.parameters.index(f"left_wide.{name}") for name in ("fx", "fy"))
+    C[fy], C[:, fy] = C[fx], C[:, fx]  # a lens with one focal length
+    C[fy, fy] = C[fx, fx]
+    known = known_of(replace(calibrated, accuracy=replace(accuracy, covariance=C)))
+    back = np.linalg.inv(known.information) * np.outer(known.scale, known.scale)
+    stds = np.sqrt(np.diag(C))
+    np.testing.assert_allclose(back / np.outer(stds, stds), C / np.outer(stds, stds), atol=1e-3)
+
+
 def test_a_head_that_states_no_covariance_or_has_one_eye_is_refused():
     head = plain_head(0.08, 400)
     with pytest.raises(VergenceError, match="states no covariance"):

@@ -155,6 +155,11 @@ def test_tilt_before_pan_is_refused_with_the_order_that_the_images_show(shared):
     )
     with pytest.raises(VergenceError, match="fit tilt before pan"):
         calibrate(seen, lens=LENS)
+    left = {name: each for name, each in corners.items() if name.startswith("left")}
+    missing = np.where([True, True, False, False], seen.eye_angles, np.nan)
+    alone = replace(seen, corners=left, sizes=dict.fromkeys(left, (640, 480)), eye_angles=missing)
+    with pytest.raises(VergenceError, match="fit tilt before pan"):
+        calibrate(alone, lens=LENS)
     found = calibrate(replace(seen, T_base_eye=T_base_eye), lens=LENS)
     assert_near(found, truth)
 

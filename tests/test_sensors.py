@@ -1,10 +1,13 @@
 """What the joint sensors read."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from other_heads import KINDS, other_head
-from vergence.geometry.kinematics import EYES, T_base_eye
+from vergence.geometry.joints import Joint
+from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye
 from vergence.twin.profile import Joints
 from vergence.twin.sensors import play, read, with_sensor_errors
 
@@ -52,6 +55,25 @@ def test_joints_that_undo_the_sensors_give_the_true_poses(kind: str, rng: np.ran
     for eye in EYES:
         expected = T_base_eye(kinematics, eye, angles)
         np.testing.assert_allclose(T_base_eye(known, eye, gain * angles + offset), expected)
+
+
+def test_errors_of_readings_before_a_gear_are_those_of_the_joints_behind_it():
+    """Noise, steps, offset and gain; and the play."""
+    eyes: dict[Side, tuple[Joint, ...]] = {
+        eye: tuple(replace(joint, readings={f"{eye}_{joint.name}": 0.01}) for joint in own)
+        for eye, own in Kinematics().eyes.items()
+    }
+    joints = Joints(
+        noise_deg=0.1, counts_per_turn=4096, gain_percent=(1, 0, -2, 0), offset_deg=(0, 0.5, 0, -1)
+    )
+    direct = read(ANGLES, joints, np.random.default_rng(0))
+    motors = read(100 * ANGLES, joints, np.random.default_rng(0), Kinematics(eyes))
+    np.testing.assert_allclose(motors, 100 * direct, rtol=1e-9)
+    widths = np.array([0.01, 1.0])
+    turned = np.cumsum(np.random.default_rng(1).normal(0, 0.01, (50, 2)), axis=0) * [1, 100]
+    one, other = play(turned, widths).T
+    np.testing.assert_allclose(one, play(turned[:, :1], 0.01)[:, 0])
+    np.testing.assert_allclose(other, play(turned[:, 1:], 1.0)[:, 0])
 
 
 def test_the_same_seed_gives_the_same_readings():

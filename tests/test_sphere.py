@@ -242,6 +242,18 @@ def test_whatever_is_red_gives_a_pixel_or_none_without_a_warning():
         assert not np.isinf(find_sphere(image, camera)).any()
 
 
+@pytest.mark.parametrize("width_px", [1, 2, 3])
+def test_a_large_thin_red_shape_is_no_sphere(width_px: int):
+    """A line, and a ring: where large windows are averaged nothing of them is left."""
+    centre, far = (320, 240), (480, 300)
+    for colour in (RED, (150, 90, 90)):
+        ring, line = np.full((2, 480, 640, 3), 110, np.uint8)
+        cv2.circle(ring, centre, 150, colour, width_px)
+        cv2.line(line, (100, 80), far, colour, width_px)
+        for image in (ring, line):
+            assert not np.isinf(find_sphere(image, WIDE)).any()
+
+
 def test_a_blue_sphere_is_found_beside_a_red_one_and_neither_for_the_other():
     red = picture(WIDE, at(WIDE, (300.2, 200.4), 0.5))
     blue = picture(WIDE, at(WIDE, (330.7, 280.1), 0.5))[..., ::-1]

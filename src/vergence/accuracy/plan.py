@@ -30,8 +30,8 @@ from vergence.geometry.head import HeadCalibration, pair_names, pixel_stds, read
 from vergence.geometry.kinematics import Kinematics
 from vergence.progress import Progress, silent
 
-LIMIT_RAD = 0.35
-"""Largest turn of a joint: 20 degrees. Many heads can do more; boards are then hard to hold."""
+LIMIT_RAD = float(np.radians(20.0))
+"""Largest turn of a joint. Many heads can do more; boards are then hard to hold."""
 PLACES, GAZES = 40, 12
 """Candidates: places of the board, and directions of gaze at each."""
 LEAST_PX = 1e-3
@@ -88,17 +88,27 @@ def plan(
         progress: see vergence.progress.
 
     Raises:
-        VergenceError: no covariance is stated, the head has one eye, no board can be seen, or the
-            workspace is out of the eyes' reach.
+        VergenceError: no covariance is stated, the head has one eye, no board can be seen, the
+            workspace is out of the eyes' reach, or fewer views than wanted are candidates.
     """
+    places, gazes = candidates
+    if not 1 <= views <= places * gazes:
+        raise VergenceError(
+            f"A plan has one view or more, of the {places} places of the board x {gazes} "
+            f"directions of gaze that are tried; found {views}."
+        )
     known = known_of(head)
     pair = pair_names(head)
     limits = largest_readings(head.kinematics, limits_rad)
     progress("choosing views", 0, views)  # candidates of a large board take a while
     points = workspace(head, pair, limits, names=known.names, distances_m=distances_m)
     rng = np.random.default_rng(seed)
-    places, gazes = candidates
     tried = admissible_views(head, board, limits, rng, places=places, gazes=gazes)
+    if len(tried.placement) < views:
+        raise VergenceError(
+            f"In {len(tried.placement)} of the candidates the board is seen, fewer than the "
+            f"{views} views to plan: try more candidates."
+        )
     linear = linearised_views(head, board, tried, known.names, known.scale)
     of_pair = float(np.sqrt(np.mean(pixel_stds(head, None) ** 2)))
     N = information(linear, of_pair or LEAST_PX, reading_stds(head))

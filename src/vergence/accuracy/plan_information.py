@@ -29,6 +29,9 @@ where all views of a board of 10,000 corners would take gigabytes."""
 
 OF_READINGS = "A plan says which joint readings to take;"
 
+_FIXED = 1e-12
+"""Variance of a combination, relative to its parameters', below which it does not change."""
+
 
 @dataclass(frozen=True, eq=False)
 class Knowledge:
@@ -52,8 +55,9 @@ def known_of(head: HeadCalibration) -> Knowledge:
     if accuracy.eye_motion == "poses":
         raise VergenceError(f"{OF_READINGS} this head was calibrated with measured eye poses.")
     scale = np.sqrt(np.diag(accuracy.covariance))
-    correlation = accuracy.covariance / np.outer(scale, scale)
-    information: Array = np.linalg.inv(correlation).astype(float)
+    # A covariance may hold combinations of parameters fixed.
+    values, directions = np.linalg.eigh(accuracy.covariance / np.outer(scale, scale))
+    information: Array = (directions / np.maximum(values, _FIXED)) @ directions.T
     return Knowledge(accuracy.parameters, scale, information)
 
 

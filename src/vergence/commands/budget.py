@@ -171,7 +171,7 @@ def sources_of(
         ("steps of the encoders", step / np.sqrt(12)),
         ("backlash", np.radians(joints.backlash_deg) / 2),  # the sensor lags by half of it
     ):
-        if std:  # of a joint; readings may be those before a gear
+        if std:  # of a joint, as the twin's are; readings may be those before a gear
             sources.append(Source(name, joint_std_rad=std / head.kinematics.factors))
     # The twin needs OpenGL, which a real head's budget can do without.
     from vergence.twin.calibration_errors import inject_calibration_error

@@ -23,6 +23,7 @@ from typing import cast
 import joblib
 import numpy as np
 
+import vergence
 from vergence import __version__
 from vergence.accuracy.design_settings import DesignSettings, chunks
 from vergence.accuracy.design_sweep import Sweep, assemble, chunk_shape, compute_chunk
@@ -68,9 +69,18 @@ def sweep(
 
 
 def digest(chunk: DesignSettings) -> str:
-    """Return a name for all that a chunk depends on; prices do not matter."""
-    text = f"{__version__} {chunk.designs.model_dump_json()} {chunk.workspace.model_dump_json()}"
+    """Return a name for all that a chunk depends on, the code included; prices do not matter."""
+    text = f"{_code()} {chunk.designs.model_dump_json()} {chunk.workspace.model_dump_json()}"
     return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
+
+
+@cache
+def _code() -> str:
+    """Return a digest of this package: what other code has computed is computed again."""
+    found = hashlib.blake2b(__version__.encode(), digest_size=12)
+    for file in sorted(Path(vergence.__file__).parent.rglob("*.py")):
+        found.update(file.read_bytes())
+    return found.hexdigest()
 
 
 def read_chunk(file: Path, shape: tuple[int, ...]) -> Array | None:

@@ -192,8 +192,8 @@ def _verging(head: HeadCalibration, shots: list[Shot]) -> list[Shot]:
     for k, shot in enumerate(shots):
         readings = shot.eye_angles.copy()
         by = _VERGENCE_RAD * np.sin(2.4 * k + np.arange(max(len(left), len(right))))
-        readings[left] += by[: len(left)]
-        readings[right] -= by[: len(right)]
+        readings[left] += by[: len(left)] / head.kinematics.factors[left]
+        readings[right] -= by[: len(right)] / head.kinematics.factors[right]
         moved.append(replace(shot, eye_angles=readings))
     return moved
 
@@ -212,12 +212,12 @@ def _capture(
     for shot in carry_out(twin, shots, interval_s=0.1):  # each row has its own time stamp
         yield _frame(twin, shot, moving=False)
     if moving:
-        fixed, begin, n = shots[-1], twin.time_s + 0.6, len(shots[-1].eye_angles)
-        twin.settle(straight_neck(_sweep(0.0, n)))
+        fixed, begin, factors = shots[-1], twin.time_s + 0.6, twin.nominal.kinematics.factors
+        twin.settle(straight_neck(_sweep(0.0, factors)))
         for k in range(moving):
             time_s = k / RATE_HZ
-            twin.advance(begin + time_s, lambda now: straight_neck(_sweep(now - begin, n)))
-            shot = replace(fixed, eye_angles=_sweep(time_s, n))
+            twin.advance(begin + time_s, lambda now: straight_neck(_sweep(now - begin, factors)))
+            shot = replace(fixed, eye_angles=_sweep(time_s, factors))
             yield _frame(twin, replace(shot, cameras=_seeing(twin, board, shot)), moving=True)
 
 
@@ -227,10 +227,14 @@ def _frame(twin: Twin, shot: Shot, *, moving: bool) -> tuple[Array, DatasetRow]:
     return true_angles, DatasetRow(frame=frame, placement=shot.placement, moving=moving)
 
 
-def _sweep(time_s: float, n: int) -> Array:
-    """Return (n,) readings [rad] of a smooth motion: as Eqs. 22-23, but faster."""
+def _sweep(time_s: float, factors: Array) -> Array:
+    """Return (r,) readings [rad] of a smooth motion: as Eqs. 22-23, but faster.
+
+    `factors` (r,) are those of the head's kinematics.
+    """
+    n = len(factors)
     periods = np.concatenate([[1.0, 1.5, 1.2, 1.8], 2.0 + 0.2 * np.arange(max(0, n - 4))])
-    return _AMPLITUDE_RAD * np.cos(_SPEED_RAD_S * time_s / periods[:n])
+    return _AMPLITUDE_RAD * np.cos(_SPEED_RAD_S * time_s / periods[:n]) / factors
 
 
 def _description(lens: Lens, board: Board, note: str, kinematics: Path | None) -> Description:

@@ -6,7 +6,7 @@ dataset.json states; `data.reader` reads a dataset and `data.writer` writes it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -84,7 +84,7 @@ class Dataset:
 
         VergenceError if the file cannot be read, or its size differs from dataset.json.
         """
-        image, name = self.readable_image(camera, row), self.files[camera][row]
+        image, name = self.readable_image(camera, row), self._files_of(camera)[row]
         if image is None and name is not None:
             raise VergenceError(f"{self.where(row)}: {camera}: {name} {UNREADABLE}.")
         return image
@@ -95,7 +95,7 @@ class Dataset:
         VergenceError if the file cannot be opened, or if by its header its size differs from
         dataset.json.
         """
-        if self.files[camera][row] is None:
+        if self._files_of(camera)[row] is None:
             return None
         image = self._decoded(camera, row)
         if image is None or image.dtype == np.uint8:
@@ -103,6 +103,13 @@ class Dataset:
         if camera not in self._bits:
             self._bits[camera] = self._filled_bits(camera, image)
         return eight_bits(image, self._bits[camera])
+
+    def _files_of(self, camera: str) -> Sequence[str | None]:
+        if camera not in self.files:
+            raise VergenceError(
+                f"No camera is called {camera!r}; the dataset has {', '.join(self.files)}."
+            )
+        return self.files[camera]
 
     @cached_property
     def _bits(self) -> dict[str, int]:

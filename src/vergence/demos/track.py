@@ -168,11 +168,16 @@ def _statistics(table: Array, seconds: float, hidden_s: float | None) -> Summary
         frames=len(time),
         in_both=float(seen.mean()),
         rms_px=float(np.sqrt((table[seen, 2:4] ** 2).mean())),
-        position_rms_m=float(np.sqrt(fused.mean())),
-        single_frame_rms_m=float(np.sqrt(single.mean())),
-        wide_rms_m=float(np.sqrt(wide.mean())),
+        position_rms_m=_root_mean(fused),
+        single_frame_rms_m=_root_mean(single),
+        wide_rms_m=_root_mean(wide),
         found_again=hidden_s is None or bool(back.any()),
     )
+
+
+def _root_mean(squares: Array) -> float:
+    """Return the root of the mean of squares (n,); infinite if there are none."""
+    return float(np.sqrt(squares.mean())) if len(squares) else np.inf
 
 
 def by_wide_images(settings: GazeSettings, frame: Frame) -> Array:

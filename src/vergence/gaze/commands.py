@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
 from vergence.data.dataset import Dataset, Frame
@@ -58,6 +59,11 @@ class JointLimits:
             raise VergenceError(
                 f"Limits are given for the joints {', '.join(self.joints)}: ranges ({j}, 2) and "
                 f"speeds ({j},), found {shapes[0]} and {shapes[1]}; see `joint_limits`."
+            )
+        if not 0 <= self.margin_rad < np.inf:
+            raise VergenceError(
+                "margin_rad is a distance from the ends of the ranges, 0 rad or more; found "
+                f"{self.margin_rad:g} rad."
             )
         for name, (lower, upper), speed in zip(
             self.joints, self.range_rad, self.speed_rad_s, strict=True
@@ -164,8 +170,18 @@ def _in_force(commands: Sequence[HeadCommand], times_s: Array) -> np.ndarray:
     return np.maximum(np.searchsorted(since_s, times_s, side="right") - 1, 0)
 
 
-def hold(posture: Array, limits: JointLimits, time_s: float) -> HeadCommand:
-    """Return the command that holds a posture (j,) [rad]."""
+def hold(posture: ArrayLike, limits: JointLimits, time_s: float) -> HeadCommand:
+    """Return the command that holds a posture (j,) [rad].
+
+    VergenceError if it is not one finite angle for each joint of the limits.
+    """
+    posture = np.array(posture, float)  # a copy, since a driver may write into its array
+    if posture.shape != (len(limits.joints),) or not np.isfinite(posture).all():
+        raise VergenceError(
+            f"A posture has the {len(limits.joints)} angles {', '.join(limits.joints)} [rad], all "
+            f"finite; found an array of shape {posture.shape}: {posture.tolist()}. Joints that the "
+            "head does not have are at zero."
+        )
     return HeadCommand(time_s, posture, posture, np.zeros(len(posture)), limits)
 
 

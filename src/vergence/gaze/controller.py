@@ -49,6 +49,7 @@ from vergence.gaze.seen_position import see_position
 from vergence.gaze.state import GazePhase, GazeSettings, GazeState
 from vergence.geometry.head import T_body_base
 from vergence.geometry.kinematics import eye_turn, readings_to_turn
+from vergence.geometry.neck import NECK_JOINTS
 from vergence.geometry.se3 import inverse, transform
 
 _RATE_STEP_S = 1e-3
@@ -165,7 +166,7 @@ def _turn_neck(settings: GazeSettings, state: GazeState, eyes: Array, now_s: flo
     if not np.isfinite(turns).all():
         return state
     _, tilt, pan = np.mean(turns, axis=0)
-    away = np.array([tilt, 0.0, pan])  # pitch, roll, yaw
+    away = np.where(_has_joint(settings), [tilt, 0.0, pan], 0.0)  # pitch, roll, yaw
     begins, ends = settings.comfort_rad
     turning = bool(np.abs(away).max() > (ends if state.neck_turning else begins))
     top = settings.neck_speed_rad_s
@@ -180,6 +181,11 @@ def _turn_neck(settings: GazeSettings, state: GazeState, eyes: Array, now_s: flo
     blocked = np.isin(settings.joints[NECK], state.stuck)
     blocked |= ((at >= upper) & (rate > 0)) | ((at <= lower) & (rate < 0))
     return replace(state, neck_turning=turning, neck_rate=np.where(blocked, 0.0, rate))
+
+
+def _has_joint(settings: GazeSettings) -> np.ndarray:
+    """Return which of the NECK_JOINTS (3,) the calibrated neck has."""
+    return np.isin(NECK_JOINTS, settings.calibration.neck.names)
 
 
 def _move_eyes(
@@ -283,7 +289,8 @@ def _without_detection(settings: GazeSettings, state: GazeState, now_s: float) -
         return state
     pan, tilt = _SEARCH_RAD[state.searched % len(_SEARCH_RAD)]
     at = setpoint(state.command, now_s)
-    neck = np.array([0.0, 0.0, pan]) if settings.use_neck else at[NECK]
+    turns = settings.use_neck & _has_joint(settings)
+    neck = np.where(turns, [0.0, 0.0, pan], at[NECK])
     eyes = readings_to_turn(settings.calibration.kinematics, np.array([0.0, tilt, pan]))
     goal = np.concatenate([neck, eyes])
     command = HeadCommand(now_s, at, goal, np.zeros(len(goal)), settings.limits)

@@ -18,7 +18,7 @@ from vergence.gaze.kalman import InnovationRatio, MotionModel, Track
 from vergence.gaze.roles import EyeCameras, check_roles, default_roles
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES, Side
-from vergence.geometry.neck import NECK_JOINTS
+from vergence.geometry.neck import NECK_JOINTS, check_named
 from vergence.self_calibration.sequence import Geometry, SeenGeometry, initial_seen_geometry
 from vergence.vision.detector import Detection, Detector, pixel_or_nan
 from vergence.vision.sphere import sphere_detector
@@ -129,11 +129,12 @@ class GazeSettings:
                 f"A geometry that both eyes see needs both; the gaze uses the "
                 f"{', '.join(self.eyes)} eye only."
             )
-        joints = len(self.calibration.neck.axes)
-        if self.use_neck and joints != len(NECK_JOINTS):
+        check_named(self.calibration.neck)
+        if self.use_neck and not self.calibration.neck.names:
             raise VergenceError(
-                f"A neck that shares in gaze shifts has the joints {', '.join(NECK_JOINTS)}, "
-                f"and the calibration must describe them; it has {joints} neck joints."
+                f"A neck that shares in gaze shifts has one or more of the joints "
+                f"{', '.join(NECK_JOINTS)}, and the calibration must describe them; it has 0 neck "
+                "joints."
             )
 
     @property
@@ -222,7 +223,7 @@ class GazeState:
 
 def initial_gaze_state(
     settings: GazeSettings,
-    posture: Array,
+    posture: ArrayLike,
     time_s: float,
     *,
     geometry: SeenGeometry | None = None,
@@ -231,14 +232,8 @@ def initial_gaze_state(
 
     It will look at the first object of the settings; see `look_at`. A geometry is what an earlier
     run has learned, where the settings ask for the geometry that is seen; None: nothing.
-    VergenceError if the posture is not one of this head.
+    VergenceError if the posture is not one of this head, or not finite.
     """
-    if np.shape(posture) != (len(settings.joints),):
-        raise VergenceError(
-            f"A posture has the {len(settings.joints)} angles {', '.join(settings.joints)}; found "
-            f"an array of shape {np.shape(posture)}. Joints that the head does not have are at "
-            "zero."
-        )
     command = hold(posture, settings.limits, time_s)
     target = next(iter(settings.objects))
     if settings.geometry == "seen" and geometry is None:

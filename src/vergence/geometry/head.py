@@ -23,7 +23,7 @@ from vergence.geometry.camera import Camera
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye, pan_tilt, reading_kinds
-from vergence.geometry.neck import Neck, T_body_head
+from vergence.geometry.neck import Neck, T_body_head, chain_angles
 from vergence.geometry.parameter_names import names_of
 from vergence.geometry.se3 import inverse, pose
 from vergence.reading import read_json
@@ -243,11 +243,10 @@ def T_base_cam(head: HeadCalibration, camera: str, joints: Array) -> Array:
 def T_body_base(head: HeadCalibration, eye: Side, neck_angles: Array) -> Array:
     """Return poses (..., 4, 4) of an eye's base frame in frame body: T_be(neck) of Eq. 12.
 
-    Of the angles [rad] the first n are used, n being the number of the chain's neck joints; those
-    that follow, such as the eyes' in a posture (..., 7), are ignored.
+    The angles (..., 3) [rad] are those of a frame; `neck.chain_angles` has what else they may be,
+    and its error.
     """
-    chain_angles = neck_angles[..., : len(head.neck.axes)]
-    return T_body_head(head.neck, chain_angles) @ T_head_base(head, eye)
+    return T_body_head(head.neck, chain_angles(head.neck, neck_angles)) @ T_head_base(head, eye)
 
 
 def T_narrow_wide(head: HeadCalibration, eye: Side) -> Array:

@@ -234,8 +234,16 @@ def least_readings(by_reading: Array, turn: Array) -> Array:
 
 def eye_turn(kinematics: Kinematics, eye: Side, readings: Array) -> Array:
     """Return the turn (..., 3) [rad] of an eye at readings (..., r), to first order in it."""
-    chain, used = kinematics.chains[eye], kinematics.used(eye)  # others may be NaN
-    return (readings[..., used] @ chain.mixing[:, used].T + chain.offset_rad) @ chain.axes
+    return eye_joint_angles(kinematics, eye, readings) @ kinematics.chains[eye].axes
+
+
+def eye_joint_angles(kinematics: Kinematics, eye: Side, readings: Array) -> Array:
+    """Return the angles (..., n) [rad] of an eye's joints at readings (..., r).
+
+    Readings that do not move the eye may be NaN.
+    """
+    chain, used = kinematics.chains[eye], kinematics.used(eye)
+    return readings[..., used] @ chain.mixing[:, used].T + chain.offset_rad
 
 
 def straight_gaze(kinematics: Kinematics) -> Array:

@@ -48,11 +48,11 @@ def distort(
     if model == "fisheye":
         return _distort_fisheye(k, x, y)
     k1, k2, p1, p2, k3 = k[:5]
-    x2, xy, y2 = x * x, x * y, y * y
-    r2 = x2 + y2
-    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    slope = 2 * (k1 + r2 * (2 * k2 + 3 * k3 * r2))  # d radial / d x = slope * x
     with ignoring_invalid(x):
+        x2, xy, y2 = x * x, x * y, y * y
+        r2 = x2 + y2
+        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        slope = 2 * (k1 + r2 * (2 * k2 + 3 * k3 * r2))  # d radial / d x = slope * x
         if model == "rational":  # at a pole the result is NaN
             k4, k5, k6 = k[5:]
             below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import field
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,8 +15,10 @@ from vergence.errors import VergenceError, counted
 from vergence.geometry.chain import Chain, chain_pose
 from vergence.geometry.kinematics import MAX_JOINTS
 
-NECK_JOINTS = ("neck_pitch", "neck_roll", "neck_yaw")
-"""The joints of the neck of this project's head, from the body outwards."""
+NeckJoint = Literal["neck_pitch", "neck_roll", "neck_yaw"]
+NECK_JOINTS: tuple[NeckJoint, ...] = get_args(NeckJoint)
+"""The joints of a neck in the order of frames and postures; that of this project's head, from the
+body outwards."""
 
 
 @dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
@@ -32,6 +35,14 @@ class Neck:
     """(n, 3) a point on each axis."""
     head_m: Vector3 = field(default_factory=lambda: np.zeros(3))
     """Origin of frame head."""
+    joints: tuple[NeckJoint, ...] = ()
+    """Which joint turns about each axis (n,). Without names three axes are those of NECK_JOINTS; a
+    frame does not tell the angles of others."""
+
+    @property
+    def names(self) -> tuple[NeckJoint, ...]:
+        """Names of the joints, from the body outwards; empty: they have none."""
+        return self.joints or (NECK_JOINTS if len(self.axes) == len(NECK_JOINTS) else ())
 
     def __post_init__(self) -> None:
         if len(self.axes) != len(self.points_m):
@@ -42,6 +53,11 @@ class Neck:
             )
         if len(self.axes) > MAX_JOINTS:
             raise ValueError(f"a neck has at most {MAX_JOINTS} joints, found {len(self.axes)}")
+        if self.joints and not len(set(self.joints)) == len(self.joints) == len(self.axes):
+            raise ValueError(
+                f"a neck's {counted(len(self.axes), 'joint')} have a name each, found "
+                f"{', '.join(self.joints)}"
+            )
         largest = max(np.abs(self.points_m).max(initial=0.0), np.abs(self.head_m).max())
         if largest > MAX_M:
             raise ValueError(f"points are in metres, found {largest:g}")
@@ -60,6 +76,31 @@ def checked_neck_angles(angles: ArrayLike) -> Array:
             "head does not have read zero."
         )
     return angles
+
+
+def chain_angles(neck: Neck, neck_angles: Array) -> Array:
+    """Return the angles (..., n) [rad] of a neck's own joints, from the body outwards.
+
+    Args:
+        neck: the neck.
+        neck_angles: (..., 3) [rad] in the order of NECK_JOINTS, as of a frame; those that follow,
+            such as the eyes' in a posture, are ignored.
+
+    Raises:
+        VergenceError: the neck has joints that are not named, and are not three.
+    """
+    check_named(neck)
+    return neck_angles[..., [NECK_JOINTS.index(name) for name in neck.names]]
+
+
+def check_named(neck: Neck) -> None:
+    """Refuse a neck of whose joints a frame does not tell the angles, with a VergenceError."""
+    if len(neck.names) != len(neck.axes):
+        raise VergenceError(
+            f"The neck of this calibration has {counted(len(neck.axes), 'joint')} without names, "
+            f"and a frame has the angles {', '.join(NECK_JOINTS)}: name the joints by these, "
+            "`joints` under `neck` in the calibration file."
+        )
 
 
 def T_body_head(neck: Neck, angles: Array) -> Array:

@@ -6,7 +6,7 @@ cameras:  by name  eye, image_width, image_height, camera_matrix (3x3),
                    distortion_coefficients (1xn), T_eye_cam (4x4)
 T_rbase_lbase (4x4)
 kinematics: readings, and for left and right by joint the fields of joints.Joint
-neck:     axes (nx3), points_m (nx3), head_m (1x3)
+neck:     axes (nx3), points_m (nx3), head_m (1x3), joints: their names, where they have any
 time_offset_s
 """
 
@@ -15,7 +15,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import fields
 from inspect import signature
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -75,13 +75,18 @@ def save(head: HeadCalibration, path: Path) -> None:
                 for eye, joints in head.kinematics.eyes.items()
             },
         },
-        "neck": asdict(head.neck) | {"head_m": head.neck.head_m[None]},
+        "neck": _neck_fields(head.neck),
         "time_offset_s": head.time_offset_s,
     }
     flags = cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY
     storage = cv2.FileStorage(f"head{path.suffix}", flags)  # the suffix chooses the format
     _write(storage, content)
     write_whole(path, storage.releaseAndGetString())
+
+
+def _neck_fields(neck: Neck) -> dict[str, Any]:
+    named = {"joints": ",".join(neck.joints)} if neck.joints else {}
+    return {"axes": neck.axes, "points_m": neck.points_m, "head_m": neck.head_m[None], **named}
 
 
 def _joint_fields(joint: Joint, kinematics: Kinematics) -> dict[str, Any]:
@@ -140,6 +145,8 @@ class _Neck(BaseModel):
     axes: Matrix
     points_m: Matrix
     head_m: Matrix
+    joints: str = ""
+    """Separated by commas."""
 
 
 class _Head(BaseModel):
@@ -175,9 +182,14 @@ def _head(content: Any) -> HeadCalibration:
         },
         T_rbase_lbase=found.T_rbase_lbase,
         kinematics=_kinematics(found),
-        neck=Neck(**vars(found.neck) | {"head_m": found.neck.head_m.ravel()}),
+        neck=_neck(found.neck),
         time_offset_s=found.time_offset_s,
     )
+
+
+def _neck(found: _Neck) -> Neck:
+    joints = tuple(found.joints.split(",")) if found.joints else ()
+    return Neck(**vars(found) | {"head_m": found.head_m.ravel(), "joints": joints})
 
 
 def _kinematics(found: _Head) -> Kinematics:

@@ -22,7 +22,6 @@ from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.head import R_EYE_CAM, HeadCalibration, T_head_base
 from vergence.geometry.kinematics import EYES, Kinematics, Side
-from vergence.geometry.neck import NECK_JOINTS
 from vergence.geometry.se3 import inverse, pose
 from vergence.interchange.serialization import check_names
 from vergence.writing import write_whole
@@ -48,7 +47,7 @@ def save(head: HeadCalibration, path: Path) -> None:
     ElementTree.SubElement(robot, "link", name="body")
     neck = head.neck
     n = len(neck.axes)
-    names = NECK_JOINTS if n == len(NECK_JOINTS) else [f"neck_{k + 1}" for k in range(n)]
+    names = neck.names or [f"neck_{k + 1}" for k in range(n)]
     links = ["body", *names]
     for k, step in enumerate(np.diff(neck.points_m, axis=0, prepend=np.zeros((1, 3)))):
         _add_joint(robot, names[k], links[k], names[k], pose(t=step), neck.axes[k])

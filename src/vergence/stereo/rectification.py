@@ -237,7 +237,7 @@ def _apart(cameras: tuple[str, str] | None) -> VergenceError:
 
 
 def rectified_image(view: RectifiedView, image: np.ndarray) -> np.ndarray:
-    """Return the rectified image (H, W, ...) uint8 of a real one; 0 where it shows nothing.
+    """Return the rectified image (H, W, ...) of a real one, of its type; 0: it shows nothing.
 
     VergenceError if the image is not (height, width) or (height, width, channels) of the view's
     camera, or of a type that OpenCV does not map.

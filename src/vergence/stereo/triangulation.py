@@ -29,8 +29,9 @@ from vergence.geometry.components import (
     transposed,
 )
 from vergence.geometry.eye_motion import EyeMotion, check_joints, eye_motions
-from vergence.geometry.head import HeadCalibration, MountedCamera, T_body_base, T_head_base
+from vergence.geometry.head import HeadCalibration, MountedCamera, T_head_base
 from vergence.geometry.kinematics import Kinematics, check_radians
+from vergence.geometry.neck import T_body_head
 from vergence.geometry.projection import camera_pose
 from vergence.geometry.se3 import checked_points, transform
 from vergence.stereo.extrinsics import stereo_cameras
@@ -268,4 +269,4 @@ def in_body(head: HeadCalibration, points_lbase: Array, neck_angles: Array) -> A
         )
     check_radians(angles, "Angles of the neck")
     points = checked_points(points_lbase, angles.shape[:-1])
-    return transform(T_body_base(head, "left", angles), points)
+    return transform(T_body_head(head.neck, angles), transform(T_head_base(head, "left"), points))

@@ -34,7 +34,7 @@ from vergence.twin.profile import ErrorProfile, Lens
 from vergence.twin.renderer import Negative, Renderer, overscan_sizes
 from vergence.twin.scene.card import Card
 from vergence.twin.scene.room import FINENESS, PASSER, Scene, passer_position
-from vergence.twin.sensors import play, read, sensor_columns
+from vergence.twin.sensors import play, read
 
 _TICK_STEPS = 5
 """Physics steps of 1 ms between two commands and two entries of the joints' history."""
@@ -132,7 +132,8 @@ class Twin:
         clock of its own, so that the motion does not depend on where it stops; in between goes a
         line, which is servoed at 1 kHz.
         """
-        width = np.radians(self.profile.joints.backlash_deg)
+        backlash = np.radians(self.profile.joints.backlash_deg)
+        width = backlash / np.append(np.ones(len(NECK_JOINTS)), self.truth.kinematics.factors)
         wanted_at = command if callable(command) else lambda _: command
         last: Array | None = None
         model, data, ctrl, driven = self.model, self._data, self._data.ctrl, self._actuators
@@ -147,7 +148,7 @@ class Twin:
                 ctrl[driven] = controls
                 mujoco.mj_step(model, data)
             angles = self._posture()
-            sensed = play(angles[None], width, self._sensed[-1])[0] if width else angles
+            sensed = play(angles[None], width, self._sensed[-1])[0] if backlash else angles
             latest = (self._times, self._data.time), (self._true, angles), (self._sensed, sensed)
             for history, now in latest:
                 history[:-1] = history[1:]
@@ -191,8 +192,8 @@ class Twin:
         mujoco.mj_camlight(self.model, self._seen)
         negatives = tuple(self._renderer.expose(self._seen, name) for name in cameras)
         sensed = self._at(self._sensed, joint_s)
-        columns = sensor_columns(self.truth.kinematics)
-        eye_angles = read(sensed[None, EYE_READINGS], self.profile.joints, self._rng, columns)[0]
+        sensors, kinematics = self.profile.joints, self.truth.kinematics
+        eye_angles = read(sensed[None, EYE_READINGS], sensors, self._rng, kinematics)[0]
         neck_angles, now = sensed[NECK], self.time_s
         return Exposure(Frame(now, now, eye_angles, neck_angles, {}), negatives)
 

@@ -83,6 +83,9 @@ class Image(_Section):
 class Joints(_Section):
     """The joint sensors: reading = gain * (angle a delay ago, plus backlash) + offset + noise.
 
+    All of it is in terms of the joint: where motors are read before a gear, their readings have
+    errors that are as much larger as the motor turns farther.
+
     Four numbers are those of left pan, left tilt, right pan, right tilt.
     """
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side
 from vergence.twin.profile import Joints
 
 
-def play(angles: Array, width: float, start: Array | None = None) -> Array:
+def play(angles: Array, width: float | Array, start: Array | None = None) -> Array:
     """Return the angles (T, J) [rad] on the sensor's side of a mechanical play (backlash).
 
     The sensor follows when the eye reaches either end of the play; after a reversal the eye crosses
@@ -22,7 +22,7 @@ def play(angles: Array, width: float, start: Array | None = None) -> Array:
 
     Args:
         angles: (T, J) true angles of the eye in order of time [rad].
-        width: full width of the play [rad].
+        width: full width of the play [rad], of all or of each (J,).
         start: (J,) angle on the sensor's side before the first; None: the middle of the play.
     """
     sensed = np.empty_like(angles)
@@ -70,26 +70,30 @@ def _scaled(joint: Joint, gains: Mapping[str, float]) -> Joint:
     return replace(joint, readings={name: f * gains[name] for name, f in joint.readings.items()})
 
 
-def gains_and_offsets(joints: Joints, columns: Sequence[int]) -> tuple[Array, Array]:
+def gains_and_offsets(joints: Joints, kinematics: Kinematics) -> tuple[Array, Array]:
     """Return gains (r,) and offsets (r,) [rad] of sensors, which read gain * angle + offset.
 
-    `columns` are those of `sensor_columns`.
+    Angles are what readings without errors would be: those of a motor before a gear, where the
+    profile's offsets are those of the joint behind it.
     """
-    return 1 + np.array(joints.gain_percent)[columns] / 100, np.radians(joints.offset_deg)[columns]
+    columns = sensor_columns(kinematics)
+    offset = np.radians(joints.offset_deg)[columns] / kinematics.factors
+    return 1 + np.array(joints.gain_percent)[columns] / 100, offset
 
 
 def read(
-    sensed: Array, joints: Joints, rng: np.random.Generator, columns: Sequence[int] = range(4)
+    sensed: Array, joints: Joints, rng: np.random.Generator, kinematics: Kinematics | None = None
 ) -> Array:
     """Return readings (N, r) [rad] of angles (N, r) [rad] on the sensors' side.
 
-    `columns` are those of `sensor_columns`.
+    Without kinematics they are those of two eyes that pan and tilt.
     """
-    noise = rng.normal(0.0, np.radians(joints.noise_deg), sensed.shape)
-    gain, offset = gains_and_offsets(joints, columns)
+    kinematics = kinematics or Kinematics()
+    noise = rng.normal(0.0, np.radians(joints.noise_deg), sensed.shape) / kinematics.factors
+    gain, offset = gains_and_offsets(joints, kinematics)
     reading = gain * sensed + offset + noise
     if joints.counts_per_turn:
-        step = 2 * np.pi / joints.counts_per_turn
+        step = 2 * np.pi / joints.counts_per_turn / kinematics.factors
         reading = np.round(reading / step) * step
     return reading
 
@@ -99,6 +103,6 @@ def with_sensors(head: HeadCalibration, joints: Joints) -> HeadCalibration:
 
     A sensor reads gain * angle + offset; a calibration states angle = gain * reading + offset.
     """
-    gain, offset = gains_and_offsets(joints, sensor_columns(head.kinematics))
+    gain, offset = gains_and_offsets(joints, head.kinematics)
     undone = with_sensor_errors(head.kinematics, 1 / gain, -offset / gain)
     return replace(head, kinematics=undone)

@@ -64,14 +64,19 @@ def calibrate_twin(twin: Twin, seed: int, progress: Progress = silent) -> GazeSe
 
 
 def twin_limits(kinematics: Kinematics) -> JointLimits:
-    """Return the limits of the twin's joints: a reading has those of the hinge that it turns."""
+    """Return the limits of the twin's joints: a reading has those of the hinge that it turns.
+
+    Of a motor before a gear they are as much larger as the motor turns farther.
+    """
     model = JointLimits()
     rows = [model.joints.index(EYE_JOINTS[k]) for k in sensor_columns(kinematics)]
     names = [*NECK_JOINTS, *kinematics.readings]
     order = [*range(len(NECK_JOINTS)), *rows]
+    farther = 1 / np.append(np.ones(len(NECK_JOINTS)), kinematics.factors)
+    ranges = model.range_rad[order] * farther[:, None]
     return joint_limits(
-        dict(zip(names, map(tuple, model.range_rad[order].tolist()), strict=True)),
-        dict(zip(names, model.speed_rad_s[order].tolist(), strict=True)),
+        dict(zip(names, map(tuple, ranges.tolist()), strict=True)),
+        dict(zip(names, (model.speed_rad_s[order] * farther).tolist(), strict=True)),
         joints=names,
     )
 
@@ -117,8 +122,7 @@ class SimulatedHead:
         self._limits = twin_limits(kinematics)
         self._command = hold(np.zeros(len(self._limits.joints)), self._limits, twin.time_s)
         self._next_s, self._number = twin.time_s, 0
-        columns = sensor_columns(kinematics)
-        self._gain, self._offset = gains_and_offsets(twin.profile.joints, columns)
+        self._gain, self._offset = gains_and_offsets(twin.profile.joints, kinematics)
 
     def now_s(self) -> float:
         """Return the simulated time [s]."""

@@ -180,7 +180,10 @@ def _centre(
     window = cv2.resize(whole, (len(by_u), len(by_v)), interpolation=cv2.INTER_AREA)
     window = window.astype(np.float32)
     contrast = window @ CONTRAST
-    usual = float(np.median(contrast[contrast > _THRESHOLD]))
+    red = contrast > _THRESHOLD
+    if not red.any():  # in no block: it is thinner than one
+        return np.full(2, np.nan), 0.0
+    usual = float(np.median(contrast[red]))
     cover = (contrast > 0.5 * usual).astype(float)
     blur_px, outline = EDGE_PX, _surface(rays, *cone(cover))
     for _ in range(_ROUNDS):

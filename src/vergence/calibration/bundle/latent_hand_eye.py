@@ -52,7 +52,7 @@ class EyeCamera:
     pixel_std_px: float
     """Noise of one coordinate of a corner."""
     joint_std: tuple[float, ...]
-    """Noise of the readings: (angles [rad],), or of eye poses (rotation [rad], translation [m])."""
+    """Noise of each kind of readings [rad], or of eye poses (rotation [rad], translation [m])."""
     void: tuple[str, ...]
     """Why the result must not be used; empty: it may be."""
     warnings: tuple[str, ...]
@@ -140,7 +140,7 @@ def refine_eye_camera(
     if intrinsics_covariance is None:
         warnings += ("The covariance leaves out that of the intrinsics, taken as exact.",)
     else:
-        levels = {"pixel_std_px": found.pixel_std_px, "joint_std": _given_again(found)}
+        levels = {"pixel_std_px": found.pixel_std_px, "joint_std": found.joint_std}
         again = partial(adjust, **levels)
         covariance = covariance + _of_intrinsics(found.head, intrinsics_covariance, again)
     T_found = found.T_base_eye[:, 0]
@@ -175,11 +175,6 @@ def _observations(
         kinematics=kinematics,
         T_base_eye=np.stack([T_read, T_read], axis=1) if angles is None else None,
     )
-
-
-def _given_again(found: BundleEstimate) -> float | tuple[float, float]:
-    rotation_std, *translation_std = found.joint_std
-    return (rotation_std, translation_std[0]) if translation_std else rotation_std
 
 
 def _of_intrinsics(

@@ -16,7 +16,7 @@ from vergence.calibration.bundle.eye_motion_diagnostics import ADVISED
 from vergence.calibration.observations import Observations, camera_eyes, most_seen
 from vergence.errors import VergenceError, listed
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYES
+from vergence.geometry.kinematics import EYES, eye_joint_angles
 from vergence.geometry.se3 import known_poses, rotvec
 
 LEAST_MOTION_RAD = 0.01
@@ -64,9 +64,10 @@ def _lacking(seen: Observations, name: str, e: int, spread: Array, rows: np.ndar
     """Return a sentence if the motion of an eye is too poor to place its camera."""
     whose, everything = f"the {EYES[e]} eye", "rotation and translation"
     only = f"by {spread[1]:.2g} rad only before a board at rest"
-    joints, mixing = seen.kinematics.eyes[EYES[e]], seen.kinematics.chains[EYES[e]].mixing
+    joints = seen.kinematics.eyes[EYES[e]]
     all_joints = listed([joint.name for joint in joints])
-    motion = (seen.eye_angles[rows] @ mixing.T).std(axis=0) if len(rows) else np.ones(len(joints))
+    angles = eye_joint_angles(seen.kinematics, EYES[e], seen.eye_angles[rows])
+    motion = angles.std(axis=0) if len(rows) else np.ones(len(joints))
     if seen.T_base_eye is None and not joints:
         what, why = everything, f"{whose} has no joint by `kinematics`"
         advice = "describe the joints of what carries it, or leave the camera out"

@@ -21,7 +21,7 @@ from vergence.calibration.checks.reading_fit import OUTLIER, OUTLIER_RAD, OUTLIE
 from vergence.calibration.observations import Observations, camera_eyes, most_seen
 from vergence.calibration.sequential.hand_eye import robust_park_martin
 from vergence.errors import VergenceError
-from vergence.geometry.kinematics import EYES, Side
+from vergence.geometry.kinematics import EYES, Side, eye_joint_angles
 from vergence.geometry.se3 import angle, inverse, known_poses, pose, rotation
 
 LEAST_TURN_RAD = 0.03
@@ -118,7 +118,7 @@ def check_axis_order(seen: Observations, T_cam_target: Mapping[str, Array]) -> N
     for name, eye in camera_eyes(seen).items():
         rows = most_seen(seen.placement, known_poses(T_cam_target[name]))
         joints, chain = seen.kinematics.eyes[eye], seen.kinematics.chains[eye]
-        angles = seen.eye_angles[rows] @ chain.mixing.T
+        angles = eye_joint_angles(seen.kinematics, eye, seen.eye_angles[rows])
         if len(rows) < LEAST_VIEWS_AT_REST or not np.isfinite(angles).all():
             continue
         T_cam = T_cam_target[name][rows]

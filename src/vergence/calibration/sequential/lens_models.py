@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from threading import Lock
 from typing import Literal
 
 import cv2
@@ -60,15 +61,28 @@ FISHEYE_DEG = (100.0, 140.0, 175.0)
 CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-14)
 
 
+_lock = Lock()
+_threads_before: list[int] = []
+"""How many threads OpenCV had when each calibration began that is still fitting."""
+
+
 @contextmanager
 def repeatable() -> Iterator[None]:
-    """Let OpenCV use one thread: with several its sums differ in their last digits every time."""
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
+    """Let OpenCV use one thread: with several its sums differ in their last digits every time.
+
+    It is a setting of the whole process, which comes back when the last of the calibrations that
+    run at the same time leaves.
+    """
+    with _lock:
+        _threads_before.append(cv2.getNumThreads())
+        cv2.setNumThreads(1)
     try:
         yield
     finally:
-        cv2.setNumThreads(threads)
+        with _lock:
+            if len(_threads_before) == 1:
+                cv2.setNumThreads(_threads_before[0])
+            _threads_before.pop()  # the first is that of the process and stays until the end
 
 
 Start = tuple[Camera, Array]
