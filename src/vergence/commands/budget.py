@@ -14,7 +14,7 @@ from vergence.accuracy.budget import TIME_OFFSET, Budget, Part, Source, budget
 from vergence.accuracy.motions import PERIOD_S, eye_angles
 from vergence.arrays import MAX_M, Array
 from vergence.data.reader import load_dataset
-from vergence.data.stereo_rows import check_readings
+from vergence.data.stereo_rows import check_readings_match
 from vergence.errors import VergenceError, counted
 from vergence.geometry.head import (
     HeadCalibration,
@@ -147,7 +147,7 @@ def motion_of(name: str, head: HeadCalibration) -> tuple[Array, Array]:
             + counted(len(data.eye_angles), "row")
             + (" of measured eye poses." if data.T_base_eye is not None else ".")
         )
-    check_readings(data, head)
+    check_readings_match(data, head)
     rates = np.gradient(data.eye_angles, data.joint_time_s, axis=0)
     every = -(-len(rates) // (4 * SAMPLES))
     return data.eye_angles[::every], np.where(data.moving[:, None], rates, 0.0)[::every]

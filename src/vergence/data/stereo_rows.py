@@ -62,7 +62,7 @@ def stereo_rows(dataset: Dataset, head: HeadCalibration) -> StereoRows:
         shape = stated[name].height, stated[name].width
         check_image_fits(name, head.camera(name).intrinsics, shape, whose=f"those of {folder}")
     if dataset.T_base_eye is None:
-        check_readings(dataset, head)
+        check_readings_match(dataset, head)
     both = [
         k
         for k in range(len(dataset))
@@ -74,7 +74,7 @@ def stereo_rows(dataset: Dataset, head: HeadCalibration) -> StereoRows:
     return StereoRows(dataset, cameras, rows, _at_the_images(dataset, head)[rows])
 
 
-def check_readings(dataset: Dataset, head: HeadCalibration) -> None:
+def check_readings_match(dataset: Dataset, head: HeadCalibration) -> None:
     """Raise VergenceError if a dataset has other joint readings than a head."""
     read, known = dataset.description.head_kinematics.readings, head.kinematics.readings
     if read != known:

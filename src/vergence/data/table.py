@@ -235,7 +235,7 @@ def placements(neck_angles: Array, table: Table) -> np.ndarray:
     return placement
 
 
-def eye_poses(description: Description, table: Table) -> Array:
+def measured_eye_poses(description: Description, table: Table) -> Array:
     """Return T_base_eye (N, 2, 4, 4); the identity for an eye without cameras."""
     adapter = TypeAdapter(Transform)
     T = np.tile(np.eye(4), (len(table.lines), len(EYES), 1, 1))

@@ -26,7 +26,7 @@ from vergence.data.description import (
     TIME,
     Description,
 )
-from vergence.data.table import Table, eye_poses, joint_angles, placements, time_stamps
+from vergence.data.table import Table, joint_angles, measured_eye_poses, placements, time_stamps
 from vergence.errors import VergenceError
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.neck import NECK_JOINTS
@@ -178,7 +178,7 @@ def _check_lines(description: Description, lines: dict[int, _Cells]) -> None:
     joint_angles(description, description.head_kinematics.readings, table)
     placements(joint_angles(description, NECK_JOINTS, table), table)
     if description.eye_motion == "poses":
-        eye_poses(description, table)
+        measured_eye_poses(description, table)
 
 
 def _check_images(description: Description, frame: Frame) -> None:

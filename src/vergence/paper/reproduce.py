@@ -38,7 +38,7 @@ from vergence.viewer.seen import log_learned, log_matches
 from vergence.writable import REPORT, check_outputs
 from vergence.writing import results_folder, write_json, write_whole
 
-Method = Literal["paper", "self-calibrated"]
+ReplayMethod = Literal["paper", "self-calibrated"]
 RESULTS = (
     "figures.png",
     "statistics.json",
@@ -63,7 +63,7 @@ class _Settings:
     scene: Scene
     duration_s: float | None
     rate_hz: float | None
-    method: Method
+    method: ReplayMethod
     compare: bool
     floor: bool
 
@@ -86,7 +86,7 @@ def reproduce(
     scene: Scene = "room",
     duration_s: float | None = None,
     rate_hz: float | None = None,
-    method: Method = "paper",
+    method: ReplayMethod = "paper",
     compare: bool = False,
     floor: bool = False,
     jobs: int = 1,

@@ -28,7 +28,7 @@ JOINT_WEIGHT = 5.0
 """How many readings what is assumed of their noise counts for."""
 _LEAST_RATIO = 0.1
 """Noise of a reading, relative to the others', that is assumed at least: none is exact."""
-Status = Literal["seen", "little seen", "contradiction"]
+FrameStatus = Literal["seen", "little seen", "contradiction"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +185,7 @@ class FrameEstimate:
     matches: Matches
     weights: Array
     """(N,) from 0, a match that does not fit, to 1."""
-    status: Status
+    status: FrameStatus
     evidence: Evidence | None
     """None: too few matches fit."""
     images: tuple[np.ndarray, np.ndarray] | None = None

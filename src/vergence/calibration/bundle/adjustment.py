@@ -14,7 +14,7 @@ from vergence.calibration.bundle.problem import (
     BundleState,
     corner_errors,
     head_size,
-    joint_errors,
+    reading_residuals,
     refit_trajectory,
 )
 from vergence.calibration.bundle.solver import (
@@ -259,7 +259,7 @@ def _adjusted(
         noise=noise,
         observability=replace(seen, covariance=certain.covariance + systematic[:c, :c]),
         outliers=problem.seen.sum(axis=1) - linear.weights[0].sum(axis=1),
-        lost_readings=np.where(linear.weights[1] > 0, 0.0, joint_errors(problem, state)),
+        lost_readings=np.where(linear.weights[1] > 0, 0.0, reading_residuals(problem, state)),
         assumed=first.assumed,
         given=np.full(len(first.assumed), given),
         redundancy=first.redundancy,

@@ -25,8 +25,8 @@ from vergence.calibration.bundle.problem import (
     BundleProblem,
     BundleState,
     corner_errors,
+    detection_eye_poses,
     detection_eyes,
-    eye_poses,
 )
 from vergence.calibration.bundle.solver import OUTLIER
 from vergence.calibration.observations import Observations
@@ -168,7 +168,7 @@ def bundle_adjust(
     )
     T_base_eye = np.full((len(observations.placement), 2, 4, 4), np.nan)
     views = problem.block_view[problem.block]
-    T_base_eye[views, detection_eyes(problem)] = eye_poses(problem, found.state)
+    T_base_eye[views, detection_eyes(problem)] = detection_eye_poses(problem, found.state)
     return BundleEstimate(
         head=replace(found.state.head, neck=start.neck),
         parameters=problem.parameters,

@@ -10,8 +10,8 @@ from vergence.calibration.bundle.eye_motion_diagnostics import doubtful_senses, 
 from vergence.calibration.bundle.problem import (
     BundleProblem,
     detection_eyes,
-    joint_errors,
     joint_rates,
+    reading_residuals,
     refit_trajectory,
 )
 from vergence.errors import counted, listed
@@ -173,7 +173,7 @@ def _apart_in_time(problem: BundleProblem, found: Adjusted) -> list[str]:
     moving = refit_trajectory(problem, found.state)
     weight = (found.lost_readings == 0) / found.noise.joint**2
     rate = joint_rates(moving, found.state)
-    errors = joint_errors(moving, found.state)
+    errors = reading_residuals(moving, found.state)
     information, late = (
         np.bincount(e, (weight * rate * each).sum(axis=1)) for each in (rate, errors)
     )

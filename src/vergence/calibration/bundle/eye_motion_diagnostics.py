@@ -8,8 +8,8 @@ from vergence.arrays import Array
 from vergence.calibration.bundle.adjustment import Adjusted
 from vergence.calibration.bundle.problem import (
     BundleProblem,
+    detection_eye_poses,
     detection_eyes,
-    eye_poses,
     latent_readings,
 )
 from vergence.errors import listed
@@ -46,7 +46,7 @@ def _motion(problem: BundleProblem, found: Adjusted, eye: int) -> list[str]:
     if np.bincount(which).max() < 2:
         return [f"{whose} sees each board in one view only; let it move before a board at rest"]
     if problem.T_base_eye_read is not None:
-        R = eye_poses(problem, found.state)[detections, :3, :3]
+        R = detection_eye_poses(problem, found.state)[detections, :3, :3]
         first = np.unique(which, return_index=True)[1]
         turns = rotvec(np.swapaxes(R[first][which], 1, 2) @ R)
         reach = np.linalg.svd(turns, compute_uv=False) / np.sqrt(len(turns))

@@ -10,7 +10,12 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.bundle.measured_poses import PAIRS, MeasuredPoses, PoseObservations
-from vergence.calibration.bundle.problem import BundleProblem, BundleState, corner_errors, eye_poses
+from vergence.calibration.bundle.problem import (
+    BundleProblem,
+    BundleState,
+    corner_errors,
+    detection_eye_poses,
+)
 from vergence.calibration.bundle.read_motion import ReadMotion, read_motion
 from vergence.calibration.observations import Observations, missing_reading
 from vergence.calibration.sequential.lens_prior import lens_prior
@@ -291,7 +296,7 @@ def _place_boards(
     mounts = np.stack([mounted.T_eye_cam for mounted in state.head.cameras.values()])
     right = problem.eye[problem.camera] == 1
     T_base_lbase = np.where(right[:, None, None], state.head.T_rbase_lbase, np.eye(4))
-    T_base_cam = eye_poses(problem, state) @ mounts[problem.camera]
+    T_base_cam = detection_eye_poses(problem, state) @ mounts[problem.camera]
     found = inverse(T_base_lbase) @ T_base_cam @ T_cam_target
     known = known_poses(found)
     offers = [np.flatnonzero(known & (problem.placement == p)) for p in range(placements)]

@@ -132,7 +132,7 @@ def retract(
     )
 
 
-def joint_errors(problem: BundleProblem, state: BundleState) -> Array:
+def reading_residuals(problem: BundleProblem, state: BundleState) -> Array:
     """Return (B, n): by how much the noise-free readings differ from the readings.
 
     The latent angles are those of the image's moment, which is time_offset_s after the reading's.
@@ -185,7 +185,7 @@ def detection_eyes(problem: BundleProblem) -> Index:
     return problem.eye[problem.camera]
 
 
-def eye_poses(problem: BundleProblem, state: BundleState) -> Array:
+def detection_eye_poses(problem: BundleProblem, state: BundleState) -> Array:
     """Return T_base_eye (M, 4, 4) of each detection at the latent angles (the paper's T_er)."""
     if problem.T_base_eye_read is not None:
         return boxplus(problem.T_base_eye_read, state.latent)[problem.block]
@@ -248,7 +248,7 @@ def corner_errors(problem: BundleProblem, state: BundleState) -> Array:
 
     Of measured poses (M, 3, 2), expected minus measured, in standard deviations.
     """
-    T = eye_poses(problem, state)
+    T = detection_eye_poses(problem, state)
     if problem.measured is not None:
         errors = pose_errors(problem.measured, _target_poses(problem, state, T))
         return np.where(problem.seen[..., None], errors, 0.0)
@@ -270,7 +270,10 @@ def _pose_rows(
     """
     assert problem.measured is not None
     mounted = state.head.cameras[problem.cameras[problem.camera[own][0]]]
-    T, boards = eye_poses(problem, state)[own], state.T_lbase_target[problem.placement[own]]
+    T, boards = (
+        detection_eye_poses(problem, state)[own],
+        state.T_lbase_target[problem.placement[own]],
+    )
     placed = mounted, state.head.T_rbase_lbase, T, boards
     by_camera, by_eye, between, by_board = pose_jacobians(*placed)
     by_lens = np.zeros((len(T), 6, len(parameters.lens_vector(mounted.intrinsics))))
@@ -292,7 +295,7 @@ def jacobians(problem: BundleProblem, state: BundleState) -> tuple[Array, Index,
     M, K = problem.seen.shape
     columns = [camera_columns(state.head, name) for name in problem.cameras]
     s = max(map(len, columns)) + 7
-    T, (turned, points) = eye_poses(problem, state), _on_boards(problem, state)
+    T, (turned, points) = detection_eye_poses(problem, state), _on_boards(problem, state)
     by_axes, by_latent = _eye_jacobians(problem, state)
     shared, latent = np.zeros((M, K, 2, s)), np.empty((M, K, 2, by_latent.shape[-1]))
     index = np.zeros((M, s), dtype=np.intp)

@@ -24,9 +24,9 @@ from vergence.calibration.bundle.problem import (
     corner_errors,
     head_size,
     jacobians,
-    joint_errors,
     joint_rates,
     prior,
+    reading_residuals,
     refit_trajectory,
     retract,
 )
@@ -82,7 +82,7 @@ class LinearProblem:
     """Weighted squares of the corner errors [px^2], in units of the images' noise scale."""
     count: float
     """Number of corner coordinates that have a weight."""
-    joint_errors: Array
+    reading_residuals: Array
     """(B, n)."""
     weights: Weights
     rate: Array
@@ -113,12 +113,12 @@ class Errors(NamedTuple):
     corner: Array
     """(M, K, 2) [px], of `corner_errors`."""
     joint: Array
-    """(B, n), of `joint_errors`."""
+    """(B, n), of `reading_residuals`."""
 
 
 def errors_of(problem: BundleProblem, state: BundleState) -> Errors:
     """Return the errors of a state."""
-    return Errors(corner_errors(problem, state), joint_errors(problem, state))
+    return Errors(corner_errors(problem, state), reading_residuals(problem, state))
 
 
 def linearise(
@@ -145,7 +145,7 @@ def linearise(
         gg, gl, ll, g, right,
         sum_squares=float((r**2).sum()),
         count=2.0 * np.count_nonzero(weights[0]),
-        joint_errors=errors.joint,
+        reading_residuals=errors.joint,
         weights=weights,
         rate=joint_rates(problem, state),
         time=np.eye(1, G, head_size(problem) - 1)[0],
@@ -181,8 +181,8 @@ def factorise(linear: LinearProblem, noise: NoiseLevels, damping: float = 0.0) -
     gl = pixel * linear.gl - row[:, None] * timing[:, None, :]
     gg = pixel * linear.gg + np.outer(row, row) * (linear.rate * timing).sum() + linear.prior[0]
     gg[np.diag_indices_from(gg)] *= 1 + damping
-    right_g = pixel * linear.g + row * (timing * linear.joint_errors).sum() + linear.prior[1]
-    right_l = pixel * linear.latent - joint * linear.joint_errors
+    right_g = pixel * linear.g + row * (timing * linear.reading_residuals).sum() + linear.prior[1]
+    right_l = pixel * linear.latent - joint * linear.reading_residuals
     ll_inverse: Array = np.linalg.inv(ll).astype(float, copy=False)
     coupling = ll_inverse @ np.swapaxes(gl, 1, 2)
     G = len(gg)

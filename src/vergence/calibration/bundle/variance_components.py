@@ -146,7 +146,7 @@ def _evaluate(
     factors = factorise(linear, noise)
     free, latent = step(factors)
     used = linear.weights[1] > 0
-    error = linear.joint_errors + latent - linear.rate * (linear.time @ free)
+    error = linear.reading_residuals + latent - linear.rate * (linear.time @ free)
     group = np.broadcast_to(noise.group, error.shape)
     inverse_variance = used * noise.joint**-2
     squares = np.bincount(group.ravel(), (inverse_variance * error**2).ravel())
