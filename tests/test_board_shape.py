@@ -8,9 +8,9 @@ import pytest
 
 import simulated_recording
 from simulated_head import random_head
-from simulated_recording import POINTS, Noise, Recording, record
+from simulated_recording import POINTS, Noise, Recording, moving_recording, record
 from vergence.calibration.calibrate import calibrate
-from vergence.calibration.checks.board_shape import stretch, warnings
+from vergence.calibration.checks.board_shape import contradictions, stretch, warnings
 from vergence.calibration.observations import Observations
 from vergence.calibration.sequential.intrinsics import calibrate_intrinsics, lenses_of_the_paper
 from vergence.geometry.board import corner_points
@@ -46,6 +46,7 @@ def test_a_stretched_board_is_found_out_and_by_how_much(high: float, seed: int, 
         (said,) = warnings(*views)
         assert re.search(r"are 0\.\d\d % (higher|lower) than wide", said)
         assert ("higher" in said) == (high > 1)
+        assert contradictions(*views)
 
 
 def test_corners_without_noise_show_the_stretch_exactly(monkeypatch):
@@ -57,6 +58,7 @@ def test_a_good_board_is_not_doubted(monkeypatch):
     for seed in range(4, 10):  # the others have the same noise as the stretched ones
         views = checked(seen(seed, monkeypatch, 1.0))
         assert warnings(*views) == ()
+        assert contradictions(*views) == ()
 
 
 def test_few_views_tell_nothing_of_the_board(monkeypatch):
@@ -64,6 +66,36 @@ def test_few_views_tell_nothing_of_the_board(monkeypatch):
     views = checked(seen(2, monkeypatch, 1.003, few))
     assert stretch(*views) == (0.0, np.inf)
     assert warnings(*views) == ()
+
+
+def test_a_stretched_board_whose_two_sides_are_stated_is_not_doubted(monkeypatch):
+    views = seen(3, monkeypatch, 1.003)
+    board = replace(views.board, square_y_m=1.003 * views.board.square_m)
+    np.testing.assert_allclose(corner_points(board), POINTS * [1, 1.003, 1], rtol=1e-12)
+    stated = checked(replace(views, board=board))
+    assert warnings(*stated) == ()
+    value, std = stretch(*stated)
+    assert abs(value) < 4 * std
+
+
+@pytest.mark.usefixtures("two_folds")
+def test_rows_of_moving_eyes_are_not_used_with_a_stretched_board():
+    rng = np.random.default_rng(6)
+    head = random_head(rng, lenses=("wide",))
+    views = moving_recording(
+        head,
+        rng,
+        USUAL.noise,
+        record(head, rng, USUAL),
+        times_s=np.arange(30) / 15,
+        gaze=lambda t: 0.15 * np.sin(t[:, None] * [2.0, 1.4, 2.0, 1.4]),
+        time_offset_s=0.01,
+    )
+    assert not calibrate(views, lens="radial-tangential-k3").accuracy.void
+    square = views.board.square_m
+    wrong = replace(views, board=replace(views.board, square_y_m=0.996 * square))
+    void = calibrate(wrong, lens="radial-tangential-k3").accuracy.void
+    assert any("with which rows of moving eyes make gains and axes wrong" in said for said in void)
 
 
 @pytest.mark.usefixtures("two_folds")

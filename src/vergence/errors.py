@@ -45,6 +45,9 @@ def explain(error: Exception, kind: Any = None) -> str:
             said = "expected one value or more, found none"
         elif is_key:
             said = f"there is no field {first['input']!r:.80} here"
+        elif first["type"] == "union_tag_invalid":
+            of = first.get("ctx", {})
+            said = f"{of['discriminator']} is one of {of['expected_tags']}; found {of['tag']!r:.80}"
         elif first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
             said = "there is no such field" + _suggestion(str(steps[-1]), _fields(kind, steps[:-1]))
         elif first["type"] in ("tuple_type", "list_type"):

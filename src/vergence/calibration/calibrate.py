@@ -102,10 +102,12 @@ def calibrate(
     whole = replace(found.head, accuracy=found.accuracy)
     validated = cross_validated(observations, whole, partial(_calibrate_part, views, estimate))
     progress("calibrating", 3, 3)
-    exchanged, unknown = (), ()
+    exchanged, unknown, stretched = (), (), ()
+    if estimate is not None and not observations.at_rest.all():
+        stretched = board_shape.contradictions(*views.at_rest, views.intrinsics)
     if estimate is not None:
         exchanged, unknown = exchanged_readings(observations, found.head, estimate.T_base_eye)
-    void = (*exchanged, *found.accuracy.void, *validated.contradictions)
+    void = (*exchanged, *stretched, *found.accuracy.void, *validated.contradictions)
     accuracy = replace(
         found.accuracy,
         eye_motion="pan-tilt" if observations.T_base_eye is None else "poses",

@@ -105,6 +105,7 @@ def _other_chessboards(
             squares_x=board.columns + 1,
             squares_y=board.rows + 1,
             square_m=board.square_m,
+            square_y_m=board.square_y_m,
             marker_m=0.75 * board.square_m,  # as most are; it matters for few markers only
             dictionary="DICT_4X4_1000",
         )
@@ -141,7 +142,7 @@ def _other_charucos(images: Sequence[np.ndarray], board: Charuco) -> Iterator[tu
     for other in _charucos(images, boards.values()):
         if other != board:
             yield other, _advice(board, other)
-    plain = Chessboard(board.columns, board.rows, board.square_m)
+    plain = Chessboard(board.columns, board.rows, board.square_m, board.square_y_m)
     for other in (plain, *_chessboards(images, plain)):
         yield (
             other,

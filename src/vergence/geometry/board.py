@@ -1,7 +1,7 @@
 """Planar calibration boards, and their corners in frame target.
 
 Frame `target`: origin at the first inner corner, x along a row, y along a column, z into the
-board; corner (i, j) is at (i, j, 0) times the size of a square.
+board; corner (i, j) is at (i, j, 0) times the sides of a square.
 """
 
 from __future__ import annotations
@@ -32,7 +32,12 @@ class Chessboard:
     """Inner corners in a column."""
     square_m: PositiveFloat
     """Side of a square [m]; 1 for a board of unknown size, so that lengths are in squares."""
+    square_y_m: PositiveFloat | None = None
+    """Its side along a column [m], where the printer has stretched the board; None: the same."""
     kind: Literal["chessboard"] = "chessboard"
+
+    def __post_init__(self) -> None:
+        _check_stretch(self)
 
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid", allow_inf_nan=False))
@@ -54,9 +59,13 @@ class Charuco:
     legacy: bool = False
     """Whether the board was made by OpenCV before 4.6, in which boards with an even number of rows
     begin with a white square."""
+    square_y_m: PositiveFloat | None = None
+    """Side of a square along a column [m], where the printer has stretched the board; None: the
+    same."""
     kind: Literal["charuco"] = "charuco"
 
     def __post_init__(self) -> None:
+        _check_stretch(self)
         if min(self.squares_x, self.squares_y) < 3 or max(self.squares_x, self.squares_y) > 100:
             found = f"{self.squares_x} x {self.squares_y}"
             raise ValueError(f"a ChArUco board has 3 to 100 squares each way, found {found}")
@@ -84,6 +93,17 @@ class Charuco:
 
 
 Board = Chessboard | Charuco
+_MOST_STRETCH = 0.1
+"""Largest relative difference of the sides of a square that a printer may have made."""
+
+
+def _check_stretch(board: Board) -> None:
+    """Refuse squares that no printer makes of square ones, with a ValueError."""
+    x, y = board.square_m, board.square_y_m or board.square_m
+    if abs(y / x - 1) > _MOST_STRETCH:
+        raise ValueError(
+            f"square_y_m is the other side of nearly square squares of {x} m, found {y}"
+        )
 
 
 def marker_family(dictionary: str, marker_id: int = 0) -> cv2.aruco.Dictionary:
@@ -120,4 +140,5 @@ def opencv_board(board: Charuco) -> cv2.aruco.CharucoBoard:
 def corner_points(board: Board) -> Array:
     """Return the inner corners (rows * columns, 3) [m] in frame target, row by row."""
     j, i = np.mgrid[: board.rows, : board.columns]
-    return np.stack([i, j, np.zeros_like(i)], axis=-1).reshape(-1, 3) * board.square_m
+    sides = np.array([board.square_m, board.square_y_m or board.square_m, 0.0])
+    return np.stack([i, j, np.zeros_like(i)], axis=-1).reshape(-1, 3) * sides

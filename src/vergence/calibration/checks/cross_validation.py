@@ -169,7 +169,9 @@ def jackknife_ratio(whole: HeadCalibration, parts: Sequence[HeadCalibration]) ->
 
 
 def _rms(errors: list[Array], unit: float = 1.0) -> float | None:
-    return unit * float(np.sqrt((np.concatenate(errors) ** 2).mean())) if errors else None
+    """Return the root mean square of errors; None: there are none, or one is not known."""
+    found = unit * float(np.sqrt((np.concatenate(errors) ** 2).mean())) if errors else np.nan
+    return found if np.isfinite(found) else None
 
 
 def _transferred(

@@ -242,7 +242,10 @@ def _contradictions(
         if fit.explained > LOST:
             why = "the eye has a joint that is not described, or a column is of another joint"
         if idle := _without_part(kinematics, turns, eye):
-            why = f"those of {idle} have no part in it; check its column"
+            why = (
+                f"those of {idle} have no part in it; check its column, and that the board stood "
+                "still in the views of each placement"
+            )
         if of_row := _of_another_row(kinematics, turns, eye):
             why = f"they stand one row too {of_row}"
         return [_explain_little(turns, why)]
