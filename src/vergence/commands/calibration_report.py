@@ -179,7 +179,7 @@ def _points(result: CalibrationResult) -> list[str]:
 
 
 def _next_views(result: CalibrationResult) -> list[str]:
-    """Return a short plan, for eyes that move as far as they have in this recording."""
+    """Return a short plan, for eyes that move as far as in this recording, or LEAST_LIMIT_RAD."""
     reached = np.nan_to_num(np.abs(result.observations.eye_angles)).max(axis=0)
     least = LEAST_LIMIT_RAD / result.head.kinematics.factors
     try:
