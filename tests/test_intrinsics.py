@@ -32,6 +32,7 @@ from vergence.vision.board_pose import (
 
 POINTS = corner_points(Chessboard(9, 6, 0.03))
 SIZE = (640, 480)
+FISHEYE = (-0.02, 0.01, -0.004, 0.001)
 SINGLE_PRECISION_PX = 3e-5
 """OpenCV calibrates from corners in single precision, which steps by 6e-5 px beyond 512 px: root
 mean square residuals of exact corners stay below this, and what follows errs accordingly."""
@@ -235,6 +236,48 @@ def test_the_prior_of_a_rational_lens_is_largest_at_the_equidistant_one_and_forb
     _, half_gradient, information = lens_prior(there)
     assert half_gradient[9] == pytest.approx((ends[0][0] - ends[1][0]) / 4e-6, rel=1e-6)
     assert information[9] == pytest.approx((ends[0][1][9] - ends[1][1][9]) / 2e-6, rel=1e-6)
+
+
+def test_the_prior_of_a_fisheye_lens_has_the_derivatives_that_it_states():
+    step, there = 1e-6 * np.eye(4)[2], pinhole(640, 480, 300.0, FISHEYE, model="fisheye")
+    ends = [lens_prior(replace(there, distortion=there.distortion + s * step)) for s in (1, -1)]
+    _, half_gradient, information = lens_prior(there)
+    assert half_gradient[6] == pytest.approx((ends[0][0] - ends[1][0]) / 4e-6, rel=1e-5)
+    assert information[6] == pytest.approx((ends[0][1][6] - ends[1][1][6]) / 2e-6, rel=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_fisheye_lens_of_which_boards_show_the_middle_is_none_that_nobody_builds(seed: int):
+    """The last coefficients are open: without a prior they were up to 90."""
+    rng = np.random.default_rng(seed)
+    T = boards(8, rng)
+    T[:, :2, 3] *= 0.3
+    T[:, 2, 3] += 0.3
+    corners = project(
+        pinhole(640, 480, 300.0, FISHEYE, model="fisheye"), transform(T[:, None], POINTS)
+    )
+    corners += rng.normal(0, 0.3, corners.shape)
+    found = calibrate_camera(corners, POINTS, size=SIZE, lens_model="fisheye").camera
+    assert np.abs(found.distortion).max() < 1
+
+
+@pytest.mark.parametrize("seed", [10, 22, 49])
+def test_a_narrow_camera_is_calibrated_from_views_that_show_parts_of_the_board(seed: int):
+    """Zhang's closed form has its focal length short by a factor of two to four."""
+    rng, narrow = np.random.default_rng(seed), pinhole(640, 480, 1200.0)
+    found: list[np.ndarray] = []
+    while len(found) < 25:
+        turn, where = (
+            rng.uniform(-0.5, 0.5, 3),
+            rng.uniform([-0.22, -0.22, 0.35], [0.22, 0.22, 0.9]),
+        )
+        T = pose(rotation(turn), where) @ pose(t=-POINTS.mean(axis=0))
+        pixels = project(narrow, transform(T, POINTS)) + rng.normal(0, 0.5, (len(POINTS), 2))
+        pixels[((pixels < 0) | (pixels > [639, 479])).any(axis=1)] = np.nan
+        if np.isfinite(pixels[:, 0]).sum() >= 6:
+            found.append(pixels)
+    lens = calibrate_camera(np.array(found), POINTS, size=SIZE, lens_model="none")
+    assert abs(lens.camera.matrix[0, 0] - 1200) < 4 * lens.focal_std_px[0]
 
 
 def test_the_denominator_that_is_assumed_is_an_equidistant_lens():

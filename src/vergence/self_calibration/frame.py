@@ -72,12 +72,7 @@ def self_calibrate_frame(
     for name, lens, image in zip(state.cameras, cameras, (left, right), strict=True):
         check_image_fits(name, lens, image.shape, whose="the frame's")
     # A copy, since a driver may write its next readings into the same array.
-    joints = checked_readings(state.head.kinematics, joints, one_posture=True).copy()
-    if not np.isfinite(joints).all():
-        raise VergenceError(
-            "Self-calibration corrects the readings of the moment of the images; found "
-            f"{joints.tolist()}: leave out frames without readings."
-        )
+    joints = _finite_readings(state, joints).copy()
     left, right = grey_levels(left), grey_levels(right)
     matches = match_scene(
         left,
@@ -87,6 +82,32 @@ def self_calibrate_frame(
         T_rcam_lcam=T_rcam_lcam(state.head, joints, cameras=state.cameras),
     )
     return from_matches(state, matches, joints, images=(left, right))
+
+
+def _finite_readings(state: SelfCalibration, joints: ArrayLike) -> Array:
+    joints = checked_readings(state.head.kinematics, joints, one_posture=True)
+    if not np.isfinite(joints).all():
+        raise VergenceError(
+            "Self-calibration corrects the readings of the moment of the images; found "
+            f"{joints.tolist()}: leave out frames without readings."
+        )
+    return joints
+
+
+def _check_matches(matches: Matches) -> None:
+    parts = matches.left, matches.right, matches.covariance
+    shapes, N = [np.shape(each) for each in parts], len(matches.left)
+    if shapes != [(N, 2), (N, 2), (N, 2, 2)]:
+        raise VergenceError(
+            "Matches are N pixels (N, 2) in the left and in the right image, and covariances "
+            f"(N, 2, 2); found arrays of shapes {', '.join(map(str, shapes))}."
+        )
+    variances = np.diagonal(matches.covariance, axis1=1, axis2=2)
+    if not all(np.isfinite(each).all() for each in parts) or not (variances > 0).all():
+        raise VergenceError(
+            "Pixels of matches and their covariances are finite, and variances above 0; leave out "
+            "points that one of the images does not show."
+        )
 
 
 def from_matches(
@@ -106,7 +127,13 @@ def from_matches(
         images: in which they were found; None: features are not tracked to here or from here.
         at_head: whether residuals are linearised at the head as it is, which must be nearly right,
             and not where the pair alone would have it.
+
+    Raises:
+        VergenceError: the matches are not N finite pixels in each image with their covariances, or
+            the readings are not as many as the head has, not finite, or not in radians.
     """
+    joints = _finite_readings(state, joints)
+    _check_matches(matches)
     seen = replace(_from_matches(state, matches, joints, at_head), images=images)
     found = track_keyframe(state, seen) if seen.evidence is None else None
     return seen if found is None else by_each_eye(state, seen, found)

@@ -29,6 +29,8 @@ from vergence.geometry.parameters import parameter_names
 from vergence.geometry.se3 import angle, inverse, known_poses
 from vergence.vision.board_pose import LEAST_CORNERS, board_poses, determines_pose, seen_corners
 
+_LAST_ASSUMED = {"rational": "k6", "fisheye": "k4"}
+"""The last coefficient of the lenses of which `lens_prior` assumes something."""
 CANDIDATES = 12
 """Views from which the start of a board's place is chosen."""
 FAR_PX = 50.0
@@ -102,7 +104,8 @@ def initial_state(
         free=np.array(free + [True] * (len(POSE) * len(numbers)) + [sized]),
         assumed=np.array(
             [
-                f"{name}.k6" not in fixed and bool(np.isfinite(lens_prior(mounted.intrinsics)[0]))
+                f"{name}.{_LAST_ASSUMED.get(mounted.intrinsics.model)}" not in fixed
+                and bool(np.isfinite(lens_prior(mounted.intrinsics)[0]))
                 for name, mounted in start.cameras.items()
             ]
         ),

@@ -61,6 +61,8 @@ FISHEYE_DEG = (100.0, 140.0, 175.0)
 CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-14)
 
 
+_FACTORS = 1.0, 2.0, 4.0, 0.5
+"""On the focal lengths of Zhang's closed form, of what a fit is started from."""
 _lock = Lock()
 _threads_before: list[int] = []
 """How many threads OpenCV had when each calibration began that is still fitting."""
@@ -130,7 +132,12 @@ def fit_model(
 
 
 def pinhole_start(corners: Array, points: Array, size: tuple[int, int]) -> Start | None:
-    """Return a camera without distortion and the boards before it (Zhang's closed form)."""
+    """Return a camera without distortion and the boards before it (Zhang's closed form).
+
+    Where it has corners behind the camera, other focal lengths are tried: noise makes the closed
+    form short by a factor of up to four where views show a few corners each. If there are such
+    views for every one of them, the camera is fitted to the others first.
+    """
     seen = seen_corners(corners)
     try:
         with repeatable():
@@ -139,11 +146,31 @@ def pinhole_start(corners: Array, points: Array, size: tuple[int, int]) -> Start
                 [view[each].astype(np.float32) for view, each in zip(corners, seen, strict=True)],
                 size,
             )
-        camera = Camera(*size, np.asarray(matrix, float))
+        matrix = np.asarray(matrix, float)
+        cameras = [Camera(*size, matrix * [[f, 1, 1], [1, f, 1], [1, 1, 1]]) for f in _FACTORS]
     except (cv2.error, ValueError):
         return None
-    poses = board_poses(camera, corners, points)
-    return (camera, poses) if np.isfinite(poses).all() else None
+    best: tuple[Camera, Array, np.ndarray] | None = None
+    for camera in cameras:
+        poses, before = _before_camera(camera, corners, points)
+        if before.all():
+            return camera, poses
+        if best is None or before.sum() > best[2].sum():
+            best = camera, poses, before
+    assert best is not None
+    camera, poses, before = best
+    if before.sum() < 3:
+        return None
+    fit = fit_lens(camera, free_intrinsics("none"), poses[before], corners[before], points)
+    poses, before = _before_camera(fit.camera, corners, points)
+    return (fit.camera, poses) if before.all() else None
+
+
+def _before_camera(camera: Camera, corners: Array, points: Array) -> tuple[Array, np.ndarray]:
+    """Return poses (V, 4, 4) of boards, and which (V,) have all their seen corners in front."""
+    poses, seen = board_poses(camera, corners, points), seen_corners(corners)
+    in_front = transform(poses[:, None], points)[..., 2] > 0
+    return poses, np.asarray((in_front | ~seen).all(axis=1))
 
 
 def free_intrinsics(lens_model: LensModel) -> np.ndarray:
