@@ -8,7 +8,8 @@ import pytest
 from lens_monte_carlo import lens_head, recording
 from simulated_head import random_head
 from simulated_recording import Noise, Recording, record
-from vergence.calibration.checks.stray_corners import without_strays
+from vergence.calibration.calibrate import calibrate
+from vergence.calibration.checks.stray_corners import without_outliers, without_strays
 from vergence.calibration.observations import Observations
 from vergence.calibration.sequential.intrinsics import calibrate_intrinsics
 from vergence.calibration.sequential.lens_choice import choose_lenses
@@ -54,3 +55,34 @@ def test_stray_corners_are_left_out_before_they_spoil_the_lens():
     assert {each.model for each in choose_lenses(found).values()} == {"radial-tangential"}
     lenses = calibrate_intrinsics(found)
     assert all(each.rms_px < 1 for each in lenses.values())
+
+
+def test_single_outliers_of_an_estimate_are_left_out_and_wrong_images_stay():
+    seen = recorded()
+    off = {name: np.where(np.isfinite(c), 0.1, np.nan) for name, c in seen.corners.items()}
+    whole = np.flatnonzero(np.isfinite(off["left_wide"][..., 0]).all(axis=1))
+    off["left_wide"][whole[0], 3] = 3.0
+    off["left_wide"][whole[1]] = 3.0
+    off["left_wide"][whole[2]] = np.nan
+    found = without_outliers(seen, off, dict.fromkeys(off, 0.1)).corners["left_wide"]
+    expected = seen.corners["left_wide"].copy()
+    expected[whole[0], 3] = np.nan
+    expected[whole[2]] = np.nan
+    np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.usefixtures("two_folds")
+def test_outliers_that_are_no_strays_do_not_make_held_out_points_wrong():
+    """They are nearer to where their neighbours say than a third of a square."""
+    seen, rng = recorded(), np.random.default_rng(1)
+    spoilt = {name: corners.copy() for name, corners in seen.corners.items()}
+    for corners in spoilt.values():
+        wrong = rng.random(corners.shape[:2]) < SHARE
+        corners[wrong] += rng.choice([-6, 6], (wrong.sum(), 2))
+    found = calibrate(replace(seen, corners=spoilt), lens="radial-tangential")
+    held_out = found.accuracy.held_out
+    assert held_out is not None
+    assert held_out.point_mm is not None
+    assert held_out.expected_mm is not None
+    assert not found.accuracy.void
+    assert held_out.point_mm < 1.5 * held_out.expected_mm

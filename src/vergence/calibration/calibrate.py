@@ -19,7 +19,7 @@ from vergence.calibration.checks.part_calibration import (
     placed_boards,
     predicting_better,
 )
-from vergence.calibration.checks.stray_corners import without_strays
+from vergence.calibration.checks.stray_corners import without_outliers, without_strays
 from vergence.calibration.detection import detect_target
 from vergence.calibration.observations import Observations
 from vergence.calibration.sequential.lens_choice import LensChoice, LensOption
@@ -100,7 +100,9 @@ def calibrate(
     progress("calibrating", 2, 3)
     found = start if estimate is None else estimate
     whole = replace(found.head, accuracy=found.accuracy)
-    validated = cross_validated(observations, whole, partial(_calibrate_part, views, estimate))
+    validated = cross_validated(
+        _to_be_predicted(observations, estimate), whole, partial(_calibrate_part, views, estimate)
+    )
     progress("calibrating", 3, 3)
     exchanged, unknown, stretched = (), (), ()
     if estimate is not None and not observations.at_rest.all():
@@ -147,6 +149,13 @@ def _observed(data: Dataset | Observations, method: Method, progress: Progress) 
             "the eyes stand still."
         )
     return detect_target(data, progress=progress)
+
+
+def _to_be_predicted(observations: Observations, estimate: BundleEstimate | None) -> Observations:
+    """Return the observations without outliers, which the estimate did not follow either."""
+    if estimate is None or not estimate.camera_std_px:
+        return observations
+    return without_outliers(observations, estimate.residuals_px, estimate.camera_std_px)
 
 
 def _calibrate_part(

@@ -7,6 +7,7 @@ known, so that such corners are left out before they spoil its fit, which is lea
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -25,6 +26,11 @@ CLEAR = 3.0
 """Least distance of a stray corner from there, in units of how far neighbours disagree: where a
 lens bends most, they do."""
 
+OUTLIER_STDS = 6.0
+"""Standard deviations of a coordinate from which a corner is an outlier of an estimate."""
+MOST_OUTLIERS = 0.15
+"""Part of an image's corners that may be."""
+
 
 def without_strays(observations: Observations) -> Observations:
     """Return the observations without stray corners, and with a remark where there were any."""
@@ -40,6 +46,30 @@ def without_strays(observations: Observations) -> Observations:
         return observations
     remark = f"Corners not where their neighbours say, and left out: {'; '.join(said)}."
     return replace(observations, corners=corners, remarks=(*observations.remarks, remark))
+
+
+def without_outliers(
+    observations: Observations, residuals_px: Mapping[str, Array], std_px: Mapping[str, float]
+) -> Observations:
+    """Return the observations without corners that an estimate contradicts or has left out.
+
+    Single ones only: where many of an image are off, the image or its readings are wrong, and all
+    stay.
+
+    Args:
+        observations: of V views.
+        residuals_px: by camera (V, K, 2), NaN where not seen or left out.
+        std_px: by camera the noise of one coordinate.
+    """
+    corners = dict(observations.corners)
+    for name in corners.keys() & residuals_px.keys() & std_px.keys():
+        off = np.linalg.norm(residuals_px[name], axis=-1)
+        outliers = off > OUTLIER_STDS * std_px[name]
+        seen = np.isfinite(off).sum(axis=1, keepdims=True)
+        single = outliers & (outliers.sum(axis=1, keepdims=True) <= MOST_OUTLIERS * seen)
+        gone = single | ~np.isfinite(off)
+        corners[name] = np.where(gone[..., None], np.nan, corners[name])
+    return replace(observations, corners=corners)
 
 
 def strays(grid: Array) -> np.ndarray:
