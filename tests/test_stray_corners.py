@@ -78,11 +78,11 @@ def test_outliers_that_are_no_strays_do_not_make_held_out_points_wrong():
     spoilt = {name: corners.copy() for name, corners in seen.corners.items()}
     for corners in spoilt.values():
         wrong = rng.random(corners.shape[:2]) < SHARE
-        corners[wrong] += rng.choice([-6, 6], (wrong.sum(), 2))
+        corners[wrong] += rng.choice([-4, 4], (wrong.sum(), 2))
     found = calibrate(replace(seen, corners=spoilt), lens="radial-tangential")
     held_out = found.accuracy.held_out
     assert held_out is not None
     assert held_out.point_mm is not None
     assert held_out.expected_mm is not None
     assert not found.accuracy.void
-    assert held_out.point_mm < 1.5 * held_out.expected_mm
+    assert held_out.point_mm < 1.2 * held_out.expected_mm
