@@ -132,7 +132,7 @@ class GazeSettings:
         check_named(self.calibration.neck)
         if self.use_neck and not self.calibration.neck.names:
             raise VergenceError(
-                f"A neck that shares in gaze shifts has one or more of the joints "
+                "A neck that shares in gaze shifts has one or more of the joints "
                 f"{', '.join(NECK_JOINTS)}, and the calibration must describe them; it has 0 neck "
                 "joints."
             )

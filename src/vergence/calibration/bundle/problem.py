@@ -270,10 +270,8 @@ def _pose_rows(
     """
     assert problem.measured is not None
     mounted = state.head.cameras[problem.cameras[problem.camera[own][0]]]
-    T, boards = (
-        detection_eye_poses(problem, state)[own],
-        state.T_lbase_target[problem.placement[own]],
-    )
+    T = detection_eye_poses(problem, state)[own]
+    boards = state.T_lbase_target[problem.placement[own]]
     placed = mounted, state.head.T_rbase_lbase, T, boards
     by_camera, by_eye, between, by_board = pose_jacobians(*placed)
     by_lens = np.zeros((len(T), 6, len(parameters.lens_vector(mounted.intrinsics))))

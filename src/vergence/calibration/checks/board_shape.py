@@ -72,8 +72,8 @@ def warnings(
     height_m = (1 + value) * (board.square_y_m or board.square_m)
     return (
         f"The squares of the board are {100 * abs(value):.2f} % {_size(value)} than wide by the "
-        "images "
-        f"(one standard deviation: {100 * std:.2f} %), which makes focal lengths wrong by as much: "
+        f"images (one standard deviation: {100 * std:.2f} %), which makes focal lengths wrong by "
+        "as much: "
         "measure the board along its rows and its columns, state both sides in dataset.json (by "
         f"the images board.square_y_m is {height_m:.6g} if board.square_m is right), and check "
         "that it is flat.",
