@@ -208,7 +208,7 @@ def contradicting_views(problem: BundleProblem) -> tuple[str, ...]:
             said.append(
                 f"Views {', '.join(map(str, np.sort(lost)))}{_of_camera(problem, c)} were left "
                 "out: they show the board turned against its other views, as when it is numbered "
-                "from the wrong end."
+                "from the wrong end, or one of few corners is wrong."
             )
     return tuple(said)
 
