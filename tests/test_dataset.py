@@ -19,8 +19,9 @@ from recordings import (
 )  # fmt: skip
 from vergence.data import table
 from vergence.data.dataset import runs
-from vergence.data.reader import load_dataset
+from vergence.data.reader import _unmarked_motion, load_dataset
 from vergence.errors import VergenceError
+from vergence.geometry.kinematics import Kinematics
 
 
 @pytest.fixture
@@ -334,3 +335,12 @@ def test_joints_that_contradict_themselves_are_refused(folder, change: dict, sai
     change_about(folder, change)
     with pytest.raises(VergenceError, match=said):
         load_dataset(folder)
+
+
+def test_unmarked_motion_is_named_also_where_readings_of_an_unused_eye_are_missing():
+    time_s = np.arange(30) / 30
+    angles = 0.3 * np.sin(6 * time_s[:, None] * [1.0, 1.3, 1.0, 1.3])
+    angles[:, 2:] = np.nan
+    at_rest = np.zeros(30, bool)
+    (said,) = _unmarked_motion(Kinematics(), angles, time_s, at_rest)
+    assert "rows have other joint angles than the row before" in said

@@ -243,7 +243,7 @@ def test_whatever_is_red_gives_a_pixel_or_none_without_a_warning():
 
 
 @pytest.mark.parametrize("width_px", [1, 2, 3])
-def test_a_large_thin_red_shape_is_no_sphere(width_px: int):
+def test_a_large_thin_red_shape_gives_a_pixel_or_none_without_a_warning(width_px: int):
     """A line, and a ring: where large windows are averaged nothing of them is left."""
     centre, far = (320, 240), (480, 300)
     for colour in (RED, (150, 90, 90)):

@@ -105,10 +105,10 @@ def calibrate(
     )
     progress("calibrating", 3, 3)
     exchanged, unknown, stretched = (), (), ()
-    if estimate is not None and not observations.at_rest.all():
-        stretched = board_shape.contradictions(*views.at_rest, views.intrinsics)
     if estimate is not None:
         exchanged, unknown = exchanged_readings(observations, found.head, estimate.T_base_eye)
+        if not observations.at_rest.all():
+            stretched = board_shape.contradictions(*views.at_rest, views.intrinsics)
     void = (*exchanged, *stretched, *found.accuracy.void, *validated.contradictions)
     accuracy = replace(
         found.accuracy,

@@ -23,7 +23,6 @@ from typing import cast
 import joblib
 import numpy as np
 
-import vergence
 from vergence import __version__
 from vergence.accuracy.design_settings import DesignSettings, chunks
 from vergence.accuracy.design_sweep import Sweep, assemble, chunk_shape, compute_chunk
@@ -78,7 +77,7 @@ def digest(chunk: DesignSettings) -> str:
 def _code() -> str:
     """Return a digest of this package: what other code has computed is computed again."""
     found = hashlib.blake2b(__version__.encode(), digest_size=12)
-    for file in sorted(Path(vergence.__file__).parent.rglob("*.py")):
+    for file in sorted(Path(__file__).parents[1].rglob("*.py")):
         found.update(file.read_bytes())
     return found.hexdigest()
 

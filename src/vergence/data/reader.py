@@ -26,7 +26,7 @@ from vergence.data.table import (
     time_stamps,
 )
 from vergence.errors import VergenceError
-from vergence.geometry.kinematics import EYES, Kinematics
+from vergence.geometry.kinematics import EYES, Kinematics, eye_joint_angles
 from vergence.geometry.neck import NECK_JOINTS
 from vergence.reading import parse_json, read_parsed, validated
 
@@ -149,8 +149,9 @@ def _unmarked_motion(
     kinematics: Kinematics, eye_angles: Array, joint_time_s: Array, moving: np.ndarray
 ) -> tuple[str, ...]:
     """Return a sentence on rows that are said to be at rest, but follow one another in a motion."""
-    mixing = np.concatenate([kinematics.chains[eye].mixing for eye in EYES])
-    turned = np.abs(np.diff(eye_angles @ mixing.T, axis=0)).max(axis=1, initial=0.0)
+    angles = [eye_joint_angles(kinematics, eye, eye_angles) for eye in EYES]
+    turned = np.nan_to_num(np.abs(np.diff(np.concatenate(angles, axis=1), axis=0)))
+    turned = turned.max(axis=1, initial=0.0)  # readings of an eye without a camera may be missing
     soon = np.diff(joint_time_s) <= MAX_GAP_S
     odd = int(((turned > MOVED_RAD) & soon & ~(moving[1:] & moving[:-1])).sum())
     if odd < LEAST_MOVING:

@@ -73,10 +73,9 @@ def warnings(
     return (
         f"The squares of the board are {100 * abs(value):.2f} % {_size(value)} than wide by the "
         f"images (one standard deviation: {100 * std:.2f} %), which makes focal lengths wrong by "
-        "as much: "
-        "measure the board along its rows and its columns, state both sides in dataset.json (by "
-        f"the images board.square_y_m is {height_m:.6g} if board.square_m is right), and check "
-        "that it is flat.",
+        "as much: measure the board along its rows and its columns, state both sides in "
+        f"dataset.json (by the images board.square_y_m is {height_m:.6g} if board.square_m is "
+        "right), and check that it is flat.",
     )
 
 

@@ -27,9 +27,10 @@ CLEAR = 3.0
 lens bends most, they do."""
 
 OUTLIER_STDS = 6.0
-"""Standard deviations of a coordinate from which a corner is an outlier of an estimate."""
+"""Standard deviations of a coordinate from which a corner is an outlier of an estimate: noise makes
+one of 70 million."""
 MOST_OUTLIERS = 0.15
-"""Part of an image's corners that may be."""
+"""Part of an image's corners that may be: one of seven; of a wrong image or reading most are."""
 
 
 def without_strays(observations: Observations) -> Observations:

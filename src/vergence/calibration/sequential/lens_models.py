@@ -159,7 +159,7 @@ def pinhole_start(corners: Array, points: Array, size: tuple[int, int]) -> Start
             best = camera, poses, before
     assert best is not None
     camera, poses, before = best
-    if before.sum() < 3:
+    if before.sum() < 3:  # Zhang's method needs three views
         return None
     fit = fit_lens(camera, free_intrinsics("none"), poses[before], corners[before], points)
     poses, before = _before_camera(fit.camera, corners, points)
