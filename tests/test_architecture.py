@@ -37,6 +37,7 @@ CALIBRATION = (
 
 CORE_LIBRARIES = ("numpy", "scipy", "cv2", "PIL", "pydantic", "yaml")
 OUTER_LIBRARIES = {
+    "threadpoolctl": ("arrays",),
     "mujoco": ("twin",),
     "rerun": ("viewer", "paper.recording"),
     "matplotlib": ("viewer", "paper.plots"),

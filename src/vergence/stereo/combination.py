@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence.arrays import Array, floats
+from vergence.arrays import Array, floats, single_blas_thread
 from vergence.errors import VergenceError, counted
 from vergence.geometry.head import HeadCalibration
 from vergence.stereo.calibration_covariance import pair_factor
@@ -14,6 +14,7 @@ from vergence.stereo.measurement_noise import given_or_stated, measurement_noise
 from vergence.stereo.triangulation import checked_arguments, chunks
 
 
+@single_blas_thread()
 def combination(
     head: HeadCalibration,
     *,

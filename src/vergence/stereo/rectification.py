@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence.arrays import Array, floats
+from vergence.arrays import Array, floats, single_blas_thread
 from vergence.errors import VergenceError
 from vergence.geometry.camera import (
     MAX_IMAGE_AREA_PX,
@@ -93,6 +93,7 @@ class RectifiedPair:
         )
 
 
+@single_blas_thread()
 def rectify(
     head: HeadCalibration,
     joints: ArrayLike,

@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence.arrays import Array, floats
+from vergence.arrays import Array, floats, single_blas_thread
 from vergence.data.dataset import MAX_GAP_S
 from vergence.data.timing import Timing, moved_readings
 from vergence.errors import VergenceError
@@ -59,6 +59,7 @@ class LocatedPoints:
     calibration states none."""
 
 
+@single_blas_thread()
 def locate(
     head: HeadCalibration,
     *,
@@ -184,6 +185,7 @@ def _exact(head: HeadCalibration) -> HeadCalibration:
     return replace(head, accuracy=None)
 
 
+@single_blas_thread()
 def locate_jointly(
     head: HeadCalibration,
     *,
