@@ -6,7 +6,6 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from vergence.arrays import Array
-from vergence.geometry.components import cross, dot, transposed
 
 _NEIGHBOURS = 8
 _NEIGHBOUR_PX = 40.0
@@ -48,14 +47,15 @@ def relief_around(at: Array, displaced: Array) -> Array:
 
 
 def _planes(x: Array, y: Array, weights: Array, values: Array) -> tuple[Array, Array]:
-    """Return planes fitted to values (k, N): at their k places (k, N), and in the middle (N,)."""
-    wx, wy = weights * x, weights * y
-    one, to_x, to_y = weights.sum(axis=0), wx.sum(axis=0), wy.sum(axis=0)
-    xx, xy, yy = ((a * b).sum(axis=0) for a, b in ((wx, x), (wx, y), (wy, y)))
-    right = [(each * values).sum(axis=0) for each in (weights, wx, wy)]
-    # Of neighbours on one line, the flattest.
-    a, b, c = (one + 1e-3, to_x, to_y), (to_x, xx + 1e-3, xy), (to_y, xy, yy + 1e-3)
-    columns = transposed((cross(b, c), cross(c, a), cross(a, b)))
-    det = dot(a, [column[0] for column in columns])
-    here, by_x, by_y = (dot(column, right) / det for column in columns)
+    """Fit planes to values (k, N); return them at their k places (k, N) and in the middle (N,)."""
+    terms = np.ones_like(x), x, y
+    H = np.empty((x.shape[1], 3, 3))
+    right = np.empty((x.shape[1], 3, 1))
+    for i, first in enumerate(terms):
+        weighted = weights * first
+        right[:, i, 0] = (weighted * values).sum(axis=0)
+        for j, second in enumerate(terms[: i + 1]):
+            H[:, i, j] = H[:, j, i] = (weighted * second).sum(axis=0)
+    H += 1e-3 * np.eye(3)  # the flattest plane through neighbours on one line
+    here, by_x, by_y = np.linalg.solve(H, right)[..., 0].T
     return here + by_x * x + by_y * y, here

@@ -12,8 +12,7 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.geometry.camera import Camera, pixel_rows
-from vergence.geometry.components import times
+from vergence.geometry.camera import Camera, project
 from vergence.geometry.se3 import nearest_rotation
 from vergence.vision.exposure import grey_levels
 from vergence.vision.matching.least_squares_matching import WINDOW_PX
@@ -96,7 +95,8 @@ def _map(
         ((each + 0.5) * _MAP_STEP_PX - 0.5 - centre) / focal
         for each, centre in zip(squares, middle, strict=True)
     )
-    coarse = pixel_rows(camera, times(R_cam_common.tolist(), (x, y[:, None], 1.0)))
+    rays = np.stack(np.broadcast_arrays(x, y[:, None], 1.0), axis=-1)
+    coarse = project(camera, rays @ R_cam_common.T)
     columns, rows = (slice(_MAP_STEP_PX, _MAP_STEP_PX + n) for n in size)
     u, v = (
         cv2.resize(
@@ -105,7 +105,7 @@ def _map(
             fx=_MAP_STEP_PX,
             fy=_MAP_STEP_PX,
         )
-        for each in coarse
+        for each in np.moveaxis(coarse, -1, 0)
     )
     return u[rows, columns], v[rows, columns]
 
