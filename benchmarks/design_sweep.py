@@ -6,7 +6,7 @@ Speed: the default sweep, in combinations of a design, a point and a posture, by
 one for each core, with processes started, chunks written and results read; and its processor time
 alone. Set OPENBLAS_NUM_THREADS=1, as the command does.
 
-Effort: for designs drawn at random, recordings as docs/dataset.md advises them are simulated
+Effort: for designs drawn at random, recordings as docs/calibrate.md advises them are simulated
 (the board held at straight gaze, then at rest before eyes that move) and calibrated by bundle
 adjustment. Printed is the root mean square of what their calibrations add to points of the
 workspace, relative to what the sweep says of as many views.

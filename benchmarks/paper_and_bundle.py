@@ -2,7 +2,7 @@
 
     python benchmarks/paper_and_bundle.py --seed 3
 
-Prints the table of docs/calibration.md: three datasets from the twin, each calibrated both ways.
+Prints the table of docs/evidence.md: three datasets from the twin, each calibrated both ways.
 Errors of cameras are root mean squares over the four; regions are those of bundle adjustment, as
 the paper's method states no accuracy. Takes some five minutes.
 """

@@ -1,6 +1,6 @@
 """What simulated heads would record of boards: corners and readings, without images.
 
-`still_recording` and `moving_recording` are what docs/dataset.md advises; `record` makes good
+`still_recording` and `moving_recording` are what docs/calibrate.md advises; `record` makes good
 and poor ones, and `two_boards` is what bundle adjustment is tested on.
 """
 

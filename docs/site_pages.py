@@ -34,14 +34,12 @@ REFERENCE = {
 """Pages of the site, and the packages whose public names they list."""
 CONTENTS = {
     "Guides": (
-        *("using_a_calibration", "depth", "dataset", "other_joints", "calibration"),
-        *("self_calibration", "self_calibration_accuracy", "gaze", "gaze_accuracy"),
-        *("own_detector", "own_driver", "reproduction"),
-        *("accuracy", "error_study", "design_and_plan"),
+        *("calibrate", "locate", "other_joints", "gaze", "own_driver", "own_detector"),
+        *("reproduction", "error_study", "design_and_plan"),
     ),
     "Reference": (
         *(name.removesuffix(".md") for name in REFERENCE),
-        *("calibration_file", "conventions", "equations"),
+        *("dataset", "calibration_file", "conventions", "equations", "method", "evidence"),
     ),
     "Project": ("architecture", "security", "model", "benchmarks", "contributing", "changelog"),
 }

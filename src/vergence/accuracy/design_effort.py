@@ -1,6 +1,6 @@
 """What the calibration of a designed head adds to the error of a point, by the effort it takes.
 
-A standard recording, in the proportions that docs/dataset.md advises for wide cameras: boards
+A standard recording, in the proportions that docs/calibrate.md advises for wide cameras: boards
 at eight places near the head, seen by both eyes at straight gaze, and one board at rest that they
 see from 16 directions of gaze. They fill half to three quarters of the images' height whatever the
 lens. Its information is bundle adjustment's own, with joint readings as noisy as the head's and

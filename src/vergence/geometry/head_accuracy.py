@@ -79,7 +79,7 @@ class LensAccuracy:
 
 @dataclass(frozen=True, eq=False, config=_FINITE)
 class Accuracy:
-    """How well a calibration is known; see docs/calibration.md."""
+    """How well a calibration is known; see docs/method.md."""
 
     method: Annotated[
         Literal["bundle", "paper", "self-calibration"], BeforeValidator(_method_of_version_0_1)
