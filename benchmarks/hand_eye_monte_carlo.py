@@ -121,7 +121,7 @@ def run(config: Config, joint_std_deg: float, number: int) -> Trial | str:
     sizes = np.linalg.norm(off.reshape(-1, 2, 3), axis=-1) * [np.degrees(1), 1e3]
     largest = np.abs(off[2] / np.sqrt(np.diag(latent.covariance))).max()
     stated = probability(off[2], latent.covariance)
-    return Trial(sizes, stated, float(largest), bool(latent.warnings))
+    return Trial(sizes, stated, float(largest), bool(latent.findings))
 
 
 def main(config: Config) -> int:

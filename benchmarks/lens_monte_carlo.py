@@ -29,6 +29,7 @@ from vergence.calibration.checks.lens_map import (
 )
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
+from vergence.findings import Finding
 from vergence.geometry.camera import Camera, project
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYE_JOINTS, T_base_eye, straight_gaze
@@ -60,7 +61,7 @@ class Tried:
     models: tuple[str, ...]
     ratio: float | None
     """Held-out error of points over the stated one."""
-    warnings: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
 
 def random_lens(kind: str, rng: np.random.Generator) -> Camera:
@@ -173,7 +174,7 @@ def tried(result: CalibrationResult, truth: HeadCalibration) -> Tried:
     if checked is not None and checked.point_mm and checked.expected_mm:
         ratio = checked.point_mm / checked.expected_mm
     models = tuple(choice.model for choice in result.lenses.values())
-    return Tried(np.array(inside), np.array(size), models, ratio, result.warnings)
+    return Tried(np.array(inside), np.array(size), models, ratio, result.findings)
 
 
 def main() -> None:
@@ -197,10 +198,10 @@ def main() -> None:
         print(
             f"seed {seed}: {one.models}, inside {one.inside.mean():.2f}, corners "
             f"{one.inside[:, CORNERS].mean():.2f}, off {one.error_px.max():.2f} px, held out "
-            f"{one.ratio or np.nan:.2f}, {len(one.warnings)} warnings",
+            f"{one.ratio or np.nan:.2f}, {len(one.findings)} warnings",
             flush=True,
         )
-        for line in one.warnings:
+        for line in one.findings:
             print("   ", line[:200])
     inside = np.concatenate([one.inside for one in results])
     error = np.concatenate([one.error_px for one in results])

@@ -54,7 +54,7 @@ def one(seed: int, frames: int) -> dict[str, Any]:
         record(place, profile=load_profile(profile), seed=seed, frames=frames, **kind)
         found = calibrate(load_dataset(place))
         compared = evaluate(found.head, truth.load(place / truth.TRUTH))
-    about = {"seed": seed, "profile": profile, "warnings": found.warnings}
+    about = {"seed": seed, "profile": profile, "warnings": [str(each) for each in found.findings]}
     return about | kind | asdict(compared)
 
 

@@ -90,7 +90,7 @@ def run(config: Config, joint_deg: float, offset_ms: float, number: int) -> Tria
     return Trial(
         np.array([off["time_offset_s"] - offset_s, stated["time_offset_s"]]),
         np.array([[each[name] for name in GAINS] for each in (off, stated)]),
-        estimate.warnings,
+        tuple(map(str, estimate.findings)),
     )
 
 

@@ -112,7 +112,7 @@ def run(seed: int, number: int) -> Trial:
         pixel_px,
         probability=probabilities(names, covariance, error),
         largest=float(np.abs(error / np.sqrt(np.diag(covariance))).max()),
-        warnings=len(accuracy.warnings),
+        warnings=len(accuracy.findings),
         **judge_point(head, truth, noise, rng),
     )
 

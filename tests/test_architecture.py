@@ -18,9 +18,9 @@ import pytest
 SRC = Path(__file__).parents[1] / "src"
 
 ROOMS = (
-    "errors", "arrays", "reading", "writable", "writing", "progress", "geometry", "data", "vision",
-    "stereo", "calibration", "self_calibration", "gaze", "reach", "accuracy", "interchange",
-    "vergence", "processes", "twin", "viewer",
+    "errors", "findings", "arrays", "reading", "writable", "writing", "progress", "geometry",
+    "data", "vision", "stereo", "calibration", "self_calibration", "gaze", "reach", "accuracy",
+    "interchange", "vergence", "processes", "twin", "viewer",
     "commands", "paper", "demos", "cli", "__main__",
 )  # fmt: skip
 """Folders and single modules, from the ground up: each may import itself and those before it.

@@ -17,6 +17,7 @@ from recordings import (
     without,
     write_table,
 )  # fmt: skip
+from texts import texts
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.kinematics import EYE_JOINTS
@@ -179,7 +180,7 @@ def test_a_neck_that_moves_while_the_board_is_said_to_rest_is_noticed(folder):
 def test_angles_that_look_like_another_unit_are_remarked(folder, unit, value, remark):
     change_about(folder, {"joints.left_pan.unit": unit})
     change_cell(folder, 2, "left_pan", str(value))
-    remarks = load_dataset(folder).remarks
+    remarks = texts(load_dataset(folder).findings, "note")
     assert len(remarks) == 1
     assert remark in remarks[0]
     assert "left_pan" in remarks[0]
@@ -190,11 +191,11 @@ def test_a_motion_that_is_not_said_to_be_one_is_remarked(folder):
         row | dict.fromkeys(("time_s", "joint_time_s"), k / 10) for k, row in enumerate(rows(4))
     ]
     write_table(folder, soon)
-    (remark,) = load_dataset(folder).remarks
+    (remark,) = texts(load_dataset(folder).findings, "note")
     assert remark.startswith("3 rows have other joint angles than the row before")
     for moving_or_at_one_place in ({"moving": 1}, dict.fromkeys(EYE_JOINTS, 0.1)):
         write_table(folder, [row | moving_or_at_one_place for row in soon])
-        assert load_dataset(folder).remarks == ()
+        assert load_dataset(folder).findings == ()
 
 
 CELLS = st.one_of(

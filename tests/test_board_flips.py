@@ -10,13 +10,13 @@ import pytest
 from board_flips import count, flips, rolled, squared
 from simulated_head import random_head
 from simulated_recording import Noise, Recording, as_poses, record
+from texts import texts
 from vergence.arrays import Array
 from vergence.calibration.checks.board_flips import (
     CLEAR,
+    findings,
     number_alike,
-    remarks,
     turn_boards,
-    warnings,
 )
 from vergence.calibration.checks.flip_evidence import agreed_shifts
 from vergence.calibration.observations import Observations
@@ -74,7 +74,7 @@ def test_good_boards_are_left_alone():
     truth, views = seen(10)
     found = number_alike(views, rough_poses(truth, views))
     assert not any(each.any() for each in found.turns.values())
-    assert remarks(found) == warnings(found) == ()
+    assert findings(found) == []
 
 
 def test_square_boards_are_turned_by_quarters():
@@ -106,7 +106,7 @@ def test_boards_that_one_view_leaves_open_are_named():
     views = replace(views, corners=both)
     found = number_alike(views, rough_poses(truth, views))
     assert not any(each.any() for each in found.turns.values())
-    (said,) = warnings(found)
+    (said,) = texts(findings(found))
     assert "is not clear" in said
     assert "view 0 of left_wide; view 0 of right_wide" in said
 
@@ -122,7 +122,7 @@ def test_a_board_at_one_place_is_not_doubted(recording: Recording):
         truth, views = seen(seed, recording)
         found = number_alike(views, rough_poses(truth, views))
         assert not any(each.any() for each in found.turns.values())
-        assert warnings(found) == ()
+        assert texts(findings(found)) == []
 
 
 @pytest.mark.parametrize("recording", ONE_PLACEMENT, ids=lambda each: each.orientations)
@@ -135,14 +135,15 @@ def test_a_board_at_one_place_that_one_camera_numbers_from_the_other_end_is_turn
         bad = turn_boards(views, upside_down)
         found = number_alike(bad, rough_poses(truth, bad))
         shared = [each.astype(bool) for each in found.turns.values() if each.any()]
-        assert warnings(found) == ()
+        assert texts(findings(found)) == []
         np.testing.assert_array_equal(shared, [np.ones(len(views.placement), bool)])
 
 
 def test_bases_of_measured_poses_tell_nothing_of_a_board_at_one_place():
     truth, views = seen(20, ONE_PLACEMENT[-1])
     views = as_poses(views)
-    (said,) = warnings(number_alike(views, rough_poses(truth, views)))
+    found = number_alike(views, rough_poses(truth, views))
+    (said,) = texts(findings(found))
     assert "is not clear" in said
 
 

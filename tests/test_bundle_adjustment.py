@@ -15,6 +15,7 @@ from simulated_recording import (
     still_recording,
     two_boards,
 )
+from texts import texts
 from vergence.arrays import Array
 from vergence.calibration.bundle import adjustment
 from vergence.calibration.bundle.bundle_adjustment import (
@@ -70,7 +71,7 @@ def test_an_exact_recording_gives_the_head_exactly(given: tuple[str, ...]):
     }
     found = bundle_adjust(start, observed, T_cam_target=poses)
     assert np.abs(errors(found, head)).max() < 1e-7  # the largest are of pixels
-    assert not found.warnings
+    assert not texts(found.findings)
 
 
 def test_measured_eye_poses_calibrate_a_whole_head_exactly():
@@ -95,7 +96,7 @@ def test_every_parameter_of_a_head_is_found_within_its_stated_accuracy(noisy_hea
     for head, found in noisy_heads:
         assert_within_stated(found, head)
         assert np.count_nonzero(stated_std(found)) >= 60
-        assert not found.warnings
+        assert not texts(found.findings)
 
 
 def test_regions_of_the_parts_of_a_head_hold_the_truth(noisy_heads):
@@ -146,7 +147,7 @@ def test_a_camera_that_sees_no_board_is_named_and_left_alone():
     nothing = np.full_like(observed.corners["left_narrow"], np.nan)
     blind = replace(observed, corners={**observed.corners, "left_narrow": nothing})
     found = bundle_adjust(start, blind)
-    assert "left_narrow sees no board, and keeps its start." in found.warnings
+    assert "left_narrow sees no board, and keeps its start." in texts(found.findings)
     kept, was = (h.cameras["left_narrow"] for h in (found.head, start))
     np.testing.assert_array_equal(kept.intrinsics.matrix, was.intrinsics.matrix)
     np.testing.assert_array_equal(kept.T_eye_cam, was.T_eye_cam)
@@ -163,7 +164,7 @@ def test_eyes_that_never_see_the_same_board_leave_their_pose_open():
         for name, pixels in observed.corners.items()
     }
     apart = replace(observed, corners=corners, placement=observed.placement + 100 * ~left)
-    text = " ".join(bundle_adjust(start, apart).warnings)
+    text = " ".join(texts(bundle_adjust(start, apart).findings))
     assert "T_rbase_lbase rotation about x" in text
     assert "no board stands where both eyes see it" in text
 
@@ -172,7 +173,7 @@ def test_one_eye_that_sees_each_board_once_leaves_its_mountings_open():
     _, observed, start = simulated(25, NOISY)
     left = {name: pixels for name, pixels in observed.corners.items() if name.startswith("left")}
     observed = replace(observed, corners=left, placement=np.arange(40))
-    text = " ".join(bundle_adjust(start, observed).warnings)
+    text = " ".join(texts(bundle_adjust(start, observed).findings))
     assert "left_wide.T_eye_cam" in text
     assert "left_narrow.T_eye_cam" in text
     assert "not observable" in text
@@ -190,7 +191,9 @@ def test_one_eye_is_not_told_to_look_with_both():
         # Of eyes that stand still, which leaves the time offset open.
         timing=Timing(np.arange(40) / 30, (np.arange(40) < 12).astype(int)),
     )
-    (said,) = [each for each in bundle_adjust(start, observed).warnings if "time_offset_s" in each]
+    (said,) = [
+        each for each in texts(bundle_adjust(start, observed).findings) if "time_offset_s" in each
+    ]
     assert "observable" in said
     assert "both" not in said
 
@@ -198,7 +201,7 @@ def test_one_eye_is_not_told_to_look_with_both():
 def test_two_eyes_that_see_the_same_boards_need_no_board_at_rest():
     head, observed, start = simulated(26, NOISY)
     found = bundle_adjust(start, replace(observed, placement=np.arange(40)))
-    assert not found.warnings
+    assert not texts(found.findings)
     assert_within_stated(found, head)
 
 
@@ -213,7 +216,7 @@ def test_images_that_show_too_little_of_a_board_or_number_it_otherwise_are_left_
     found = bundle_adjust(start, observed)
     assert_within_stated(found, head)
     assert np.isnan(found.T_base_eye[5]).all()
-    first, second = found.warnings
+    first, second = texts(found.findings)
     assert first.startswith("Views 5 were left out")
     assert second.startswith(f"Views {view} of left_wide were left out")
 
@@ -231,7 +234,7 @@ def test_a_reading_that_contradicts_its_image_is_named_with_by_how_much():
     head, observed, start = simulated(31, NOISY)
     observed.eye_angles[20, 2] += np.radians(4)
     found = bundle_adjust(start, observed)
-    (said,) = found.warnings
+    (said,) = texts(found.findings)
     assert re.match(r"View 20: right_pan is off by (3\.9|4(\.[01])?) degrees, and lost its", said)
     assert_within_stated(found, head)
 
@@ -242,7 +245,7 @@ def test_a_view_in_which_the_board_moved_is_named():
     for corners in observed.corners.values():
         middle = corners[20].mean(axis=0)
         corners[20] = (corners[20] - middle) @ turned + middle + [5, -8]
-    said, *_ = bundle_adjust(start, observed, pixel_std_px=0.1, joint_std=1e-3).warnings
+    said, *_ = texts(bundle_adjust(start, observed, pixel_std_px=0.1, joint_std=1e-3).findings)
     assert re.search(r"lost their weight: \d+ of them are in view 20: the board may have", said)
 
 
@@ -252,7 +255,7 @@ def test_noise_that_is_given_may_be_far_below_the_errors_of_the_start():
     head, observed, start = simulated(34, noise)
     observed = observed.take(np.arange(12, 40))  # two boards, each in many views
     found = bundle_adjust(start, observed, pixel_std_px=0.01, joint_std=0.01)
-    assert not found.void
+    assert not texts(found.findings, "void")
     assert_within_stated(found, head)
 
 
@@ -307,7 +310,7 @@ def test_images_of_both_eyes_that_are_not_of_one_moment_are_noticed(apart_s: flo
     seen = replace(observed, corners={name: each.corners[name] for name, each in pair.items()})
     fixed = set(parameter_names(head)) - {"time_offset_s"}
     found = bundle_adjust(replace(head, time_offset_s=0.0), seen, fixed=fixed)
-    said = [each for each in found.warnings if each.startswith("Images of the")]
+    said = [each for each in texts(found.findings) if each.startswith("Images of the")]
     assert len(said) == (late != "")
     for sentence in said:
         match = re.match(rf"Images of the {late} eye lag .* by about ([\d.]+) ms more", sentence)
@@ -325,6 +328,6 @@ def test_an_estimate_without_a_minimum_ends_after_some_rounds_and_says_so(monkey
 
     monkeypatch.setattr(adjustment, "minimise", lost)
     _, observed, start = simulated(33, NOISY)
-    (said,) = bundle_adjust(start, observed).void
+    (said,) = texts(bundle_adjust(start, observed).findings, "void")
     assert len(rounds) == adjustment.FAILURES
     assert said.startswith("The estimate did not converge, as where no head of this description")

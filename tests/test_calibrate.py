@@ -16,6 +16,7 @@ import vergence.calibration.validation as validation
 from recordings import JOINTS, description, picture, write_dataset
 from simulated_head import plain_head, random_head
 from simulated_recording import BOARD, EXACT, POINTS, Noise, Recording, record
+from texts import texts
 from vergence.arrays import Array
 from vergence.calibration.calibrate import CalibrationResult, Method, calibrate
 from vergence.calibration.checks.board_flips import turn_boards
@@ -51,7 +52,7 @@ def test_the_result_is_the_truth_within_what_it_states(recorded, found: Calibrat
     off, accuracy = boxminus(found.head, recorded[0]), found.accuracy
     errors = np.array([off[name] for name in accuracy.parameters])
     assert (np.abs(errors) < 4.5 * np.sqrt(np.diag(accuracy.covariance))).all()
-    assert found.warnings == ()
+    assert texts(found.findings) == []
 
 
 def test_a_result_holds_all_that_led_to_it(recorded, found: CalibrationResult):
@@ -74,7 +75,9 @@ def test_stray_corners_are_left_out_and_counted(recorded):
     corners = {name: each.copy() for name, each in seen.corners.items()}
     corners["left_wide"][::3, 20] += 40.0
     found = calibrate(replace(seen, corners=corners), method="paper")
-    assert any("left out: 12 in 12 images of left_wide." in s for s in found.observations.remarks)
+    assert any(
+        "left out: 12 in 12 images of left_wide." in s for s in texts(found.findings, "note")
+    )
     assert found.start.intrinsics["left_wide"].rms_px < 0.2
 
 
@@ -123,7 +126,7 @@ def test_a_calibration_that_predicts_held_out_points_far_too_badly_is_void(recor
     monkeypatch.setattr(validation, "held_out", lambda *_: wrong)
     found = calibrate(recorded[1], lens="radial-tangential")
     assert found.summary().startswith("VOID")
-    assert "6.0 times as wrong as the noise explains" in found.accuracy.void[0]
+    assert "6.0 times as wrong as the noise explains" in texts(found.findings, "void")[0]
 
 
 @pytest.mark.parametrize(("expected_mm", "checks"), [(40.0, True), (60.0, False), (5000.0, False)])
@@ -131,7 +134,7 @@ def test_held_out_points_check_nothing_where_noise_explains_a_tenth_of_the_dista
     found, expected_mm, checks
 ):
     held = HeldOut(12, 12, 0.1, 12, point_mm=4.0, expected_mm=expected_mm, distance_m=0.5)
-    word, following = verdict(replace(found.accuracy, warnings=(), held_out=held), found.head)
+    word, following = verdict(replace(found.accuracy, findings=(), held_out=held), found.head)
     assert (f"noise explains errors of {expected_mm:.0f} mm at 0.50 m" in following) != checks
     assert checks or word == "DOUBTFUL"
 
@@ -155,8 +158,8 @@ def test_parts_of_the_views_that_differ_are_doubted_or_void(recorded, monkeypatc
     differing = HeldOut(12, 12, 0.1, 0, None, None, None, jackknife_ratio=ratio)
     monkeypatch.setattr(validation, "held_out", lambda *_: differing)
     found = calibrate(recorded[1], lens="radial-tangential")
-    (said,) = (each for each in found.warnings if f"differ {ratio} times as much" in each)
-    assert (said in found.accuracy.void) == (ratio > 10)
+    (said,) = (each for each in texts(found.findings) if f"differ {ratio} times as much" in each)
+    assert (said in texts(found.findings, "void")) == (ratio > 10)
 
 
 @pytest.mark.usefixtures("two_folds")
@@ -166,7 +169,7 @@ def test_boards_numbered_from_the_wrong_end_are_renumbered_and_named(recorded, f
     turns = {"left_wide": np.isin(np.arange(36), [3, 20]).astype(int)}
     again = calibrate(turn_boards(observed, turns))
     remark = "Numbered from the wrong end, and turned: views 3, 20 of left_wide."
-    assert again.observations.remarks[0] == remark
+    assert texts(again.findings, "note")[0] == remark
     for name, corners in observed.corners.items():
         np.testing.assert_array_equal(again.observations.corners[name], corners)
     off = boxminus(again.head, found.head)

@@ -23,11 +23,14 @@ from vergence.calibration.observations import Observations
 from vergence.data.dataset import Dataset
 from vergence.data.description import pose_columns
 from vergence.data.reader import load_dataset
+from vergence.findings import void
 from vergence.geometry.head import HeadCalibration, load_head, main_pair, save_head
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Side
 from vergence.interchange import kalibr
 from vergence.interchange.formats import export_head
+
+NOT_CONVERGED = void("not-converged", "The estimate did not converge.")
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
@@ -104,8 +107,8 @@ def test_a_recorded_head_is_calibrated_and_evaluated(recorded, tmp_path, monkeyp
 )
 def test_a_void_calibration_is_not_used(words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    void = Accuracy("bundle", void=("The estimate did not converge.",))
-    save_head(replace(plain_head(0.07, 300.0), accuracy=void), "void.json")
+    accuracy = Accuracy("bundle", findings=(NOT_CONVERGED,))
+    save_head(replace(plain_head(0.07, 300.0), accuracy=accuracy), "void.json")
     with pytest.raises(SystemExit, match="2"):
         run(monkeypatch, *words)
     said = capsys.readouterr().err
@@ -118,9 +121,10 @@ def voided(tmp_path, monkeypatch) -> HeadCalibration:
     """Calibrations of the dataset `set` in the current folder come out void, for two reasons."""
     monkeypatch.chdir(tmp_path)
     small_dataset(tmp_path / "set")
-    accuracy = Accuracy("bundle", void=("The estimate did not converge.", "And another reason."))
+    findings = (NOT_CONVERGED, void("another", "And another reason."))
+    accuracy = Accuracy("bundle", findings=findings)
     head = replace(plain_head(0.08, 310.0), accuracy=accuracy)
-    said = {"accuracy": accuracy, "warnings": accuracy.void, "summary": lambda: "VOID: of a test"}
+    said = {"accuracy": accuracy, "findings": findings, "summary": lambda: "VOID: of a test"}
     result = SimpleNamespace(head=head, **said)
     monkeypatch.setattr(calibrate_module, "calibrate", lambda *_, **__: result)
     return head

@@ -43,7 +43,7 @@ def test_a_dataset_is_read_as_it_was_written(folder):
     right = [None if k == 1 else f"images/right_{k}.png" for k in range(4)]
     assert list(dataset.files["right_wide"]) == right
     assert not dataset.moving.any()
-    assert dataset.remarks == ()
+    assert dataset.findings == ()
     assert dataset.T_base_eye is None
 
 
@@ -291,7 +291,7 @@ def test_readings_before_a_gear_are_neither_wrapped_nor_limited(folder):
     dataset = load_dataset(folder)
     np.testing.assert_allclose(np.degrees(dataset.eye_angles[:, 0]), [170, 190, 730])
     np.testing.assert_allclose(np.degrees(dataset.eye_angles[:, 1]), -1)
-    assert dataset.remarks == ()
+    assert dataset.findings == ()
     gear["version"] = 1
     change_about(folder, described)
     with pytest.raises(VergenceError, match="a turn; if it is of a motor before a gear, give its"):
@@ -343,4 +343,4 @@ def test_unmarked_motion_is_named_also_where_readings_of_an_unused_eye_are_missi
     angles[:, 2:] = np.nan
     at_rest = np.zeros(30, bool)
     (said,) = _unmarked_motion(Kinematics(), angles, time_s, at_rest)
-    assert "rows have other joint angles than the row before" in said
+    assert "rows have other joint angles than the row before" in str(said)

@@ -21,6 +21,7 @@ from recordings import (
     small_dataset,
     write_dataset,
 )
+from texts import texts
 from vergence.calibration import detection
 from vergence.calibration.detection import detect_or_explain, detect_target
 from vergence.data.images import UNREADABLE
@@ -37,7 +38,7 @@ def test_corners_of_every_image_stand_at_its_row_and_camera(tmp_path, board):
     calls = []
     found = detect_target(dataset, progress=lambda *call: calls.append(call))
     assert calls == [("finding the board", done, 5) for done in range(6)]
-    assert found.failures == ()
+    assert found.findings == ()
     assert found.board == board
     assert found.sizes == {"left_wide": (280, 240), "right_wide": (280, 240)}
     for camera, files in dataset.files.items():
@@ -145,16 +146,18 @@ def test_an_unreadable_image_fails_alone_and_is_named_in_a_remark(folder, kept, 
     assert capfd.readouterr().err == ""  # nothing of libpng's own
     where = f"{folder / 'frames.csv'}, line 4: left_wide: images/left_2.png"
     said = f"{where} {UNREADABLE}; leave the cell empty where there is no image."
-    assert found.remarks[0] == said
-    assert [(f.row, f.line, f.camera) for f in found.failures] == [(2, 4, "left_wide")]
-    assert str(found.failures[0]) == f"line 4, images/left_2.png: the file {UNREADABLE}"
+    unreadable, no_corners = found.findings
+    assert unreadable.sentence == said
+    assert unreadable.where == no_corners.where == "line 4, left_wide"
+    assert no_corners.sentence == f"Line 4, images/left_2.png: the file {UNREADABLE}."
     assert np.isfinite(found.corners["right_wide"][2]).all()
 
 
 def test_a_camera_that_stands_still_is_noticed(folder):
     shutil.copy(folder / "images" / "left_1.png", folder / "images" / "left_2.png")
     found = detect_target(load_dataset(folder))
-    assert [f.reason for f in found.failures] == ["the same picture as in line 3"]
+    (said,) = texts(found.findings, "note")
+    assert said.endswith(": the same picture as in line 3.")
 
 
 def test_one_picture_from_two_cameras_is_refused(folder):
@@ -168,8 +171,8 @@ def test_blank_pictures_of_two_cameras_are_no_repetition(folder):
     for name in ("left_1", "right_2"):
         cv2.imwrite(str(folder / "images" / f"{name}.png"), blank)
     found = detect_target(load_dataset(folder))
-    assert {f.reason for f in found.failures} == {"the image is too dark"}
-    assert len(found.failures) == 2
+    assert len(found.findings) == 2
+    assert all(str(each).endswith(": the image is too dark.") for each in found.findings)
 
 
 def test_motions_of_too_few_rows_are_refused_before_images_are_searched(folder):
@@ -351,8 +354,8 @@ def test_a_camera_that_sees_no_board_is_remarked(tmp_path):
     images = {table[0]["left_wide"]: image, table[0]["right_wide"]: noise}
     write_dataset(tmp_path / "set", table, description(CHARUCO, (280, 240)), images)
     found = detect_target(load_dataset(tmp_path / "set"))
-    assert found.remarks == ("right_wide never sees the board.",)
-    assert len(found.failures) == 1
+    blind, _ = found.findings
+    assert blind.sentence == "right_wide never sees the board."
 
 
 def test_detection_does_not_depend_on_the_number_of_threads(folder, monkeypatch):

@@ -155,7 +155,7 @@ def test_the_reader_of_datasets_that_the_document_prints_reads_the_dataset_that_
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes(b"")
     dataset = load_dataset(tmp_path)
-    assert dataset.remarks == ()
+    assert dataset.findings == ()
     monkeypatch.chdir(tmp_path)
     code = next(text.values[1] for text in PYTHON if "csv.DictReader" in str(text.values[1]))
     exec(compile(str(code), "dataset.md", "exec"), {})

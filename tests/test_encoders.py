@@ -13,8 +13,9 @@ from simulated_head import plain_head
 from simulated_recording import POINTS, Noise, Recording, record
 from test_other_heads import LENS
 from test_other_heads import recorded as recorded_of
+from texts import texts
 from vergence.calibration.calibrate import calibrate
-from vergence.calibration.checks.axes_and_eyes import doubts, odd_baseline
+from vergence.calibration.checks.axes_and_eyes import impossible_geometry, odd_baseline
 from vergence.calibration.checks.board_flips import turn_boards
 from vergence.calibration.checks.encoders import check_encoders
 from vergence.calibration.observations import Observations
@@ -103,8 +104,8 @@ def test_exchanged_readings_of_eyes_that_moved_nearly_alike_void_the_result():
     _, seen = recorded(apart_rad=0.01)
     right = calibrate(seen, lens=LENS)
     assert right.accuracy.void == ()
-    assert not [said for said in right.observations.remarks if "exchanged" in said]
-    said = calibrate(exchanged_readings(seen), lens=LENS).accuracy.void[0]
+    assert not [said for said in texts(right.findings, "note") if "exchanged" in said]
+    said = texts(calibrate(exchanged_readings(seen), lens=LENS).findings, "void")[0]
     assert "left and right are exchanged in the columns of the joint readings" in said
 
 
@@ -114,8 +115,8 @@ def test_eyes_that_moved_alike_do_not_tell_whether_their_readings_are_exchanged(
     for each in (seen, exchanged_readings(seen)):
         found = calibrate(each, lens=LENS)
         assert found.accuracy.void == ()
-        assert "let the eyes verge in some of the views" in found.observations.remarks[-1]
-        assert f"Note: {found.observations.remarks[-1]}" in found.summary().splitlines()
+        assert "let the eyes verge in some of the views" in texts(found.findings, "note")[-1]
+        assert f"Note: {texts(found.findings, 'note')[-1]}" in found.summary().splitlines()
 
 
 def test_boards_that_one_eye_numbers_from_the_other_end_are_no_exchanged_eyes():
@@ -241,7 +242,7 @@ def test_readings_of_the_next_row_are_named(shift, when):
 def test_joints_of_an_eye_that_both_count_the_other_way_are_doubted_and_of_two_refused():
     _, seen = recorded()
     one_eye = with_readings(seen, seen.eye_angles * [-1, -1, 1, 1])
-    text = " ".join(calibrate(one_eye, method="paper", lens=LENS).warnings)
+    text = " ".join(texts(calibrate(one_eye, method="paper", lens=LENS).findings))
     assert "the bases of the eyes are turned by 180 degrees against each other" in text
     both_eyes = with_readings(seen, -seen.eye_angles)
     assert "or pan and tilt both count the other way" in refusal(both_eyes)
@@ -250,9 +251,9 @@ def test_joints_of_an_eye_that_both_count_the_other_way_are_doubted_and_of_two_r
 def test_a_head_whose_eyes_are_not_side_by_side_is_doubted():
     truth, _ = recorded()
     above = replace(truth, T_rbase_lbase=pose(t=[0, 0.01, 0.07]))
-    (said,) = doubts(above)
+    (said,) = texts(impossible_geometry(above))
     assert said.startswith("T_rbase_lbase puts the left eye 10 mm to the left of the right one,")
-    assert doubts(truth) == []
+    assert impossible_geometry(truth) == []
 
 
 def test_an_eye_that_only_the_neck_moves_is_not_doubted_for_where_its_joints_are():
@@ -263,11 +264,11 @@ def test_an_eye_that_only_the_neck_moves_is_not_doubted_for_where_its_joints_are
     right = replace(right, T_eye_cam=pose(t=-neck[-1].point_m) @ right.T_eye_cam)
     cameras = {**head.cameras, "right_wide": right}
     head = replace(head, kinematics=replace(kinematics, eyes=eyes), cameras=cameras)
-    assert doubts(head) == []
+    assert impossible_geometry(head) == []
 
 
 def test_eyes_that_are_a_metre_apart_are_said_to_be_in_plain_numbers():
-    (said,) = odd_baseline(plain_head(1.0, 300.0))
+    (said,) = texts(odd_baseline(plain_head(1.0, 300.0)))
     assert said.startswith("The eyes came out 1000.0 mm apart")
 
 
@@ -277,11 +278,12 @@ def test_parallel_axes_on_the_wrong_side_of_each_other_are_doubted():
     neck, tilt, _ = head.kinematics.eyes["left"]
     apart_m = parallel_distance_m(neck, tilt)
     assert apart_m is not None
-    said, *_ = doubts(change_named(head, ["left.tilt_axis_distance_m"], np.array([-2 * apart_m])))
+    exchanged = change_named(head, ["left.tilt_axis_distance_m"], np.array([-2 * apart_m]))
+    said, *_ = texts(impossible_geometry(exchanged))
     assert re.match(
         "The tilt axis of the left eye stands .* mm on the other side of its neck_tilt axis", said
     )
-    assert doubts(head) == []
+    assert impossible_geometry(head) == []
 
 
 def test_readings_that_were_lost_do_not_pass_for_a_wrong_description():
@@ -334,7 +336,7 @@ def test_spoilt_readings_end_in_words_or_in_the_truth(seed: int, how: str, image
         found = calibrate(seen, lens=LENS)
     except VergenceError:
         return
-    if not found.warnings:
+    if not texts(found.findings):
         off = boxminus(found.head, truth)
         for part, most in (("T_eye_cam.r", np.radians(1)), ("T_rbase_lbase.t", 0.005)):
             assert max(abs(value) for name, value in off.items() if part in name) < most

@@ -45,7 +45,7 @@ def head() -> HeadCalibration:
 
 
 def stating(head: HeadCalibration, change: np.ndarray) -> HeadCalibration:
-    accuracy = Accuracy(method="refined", parameters=NAMES, covariance=np.diag(STD**2))
+    accuracy = Accuracy(method="bundle", parameters=NAMES, covariance=np.diag(STD**2))
     return replace(change_named(head, NAMES, change), accuracy=accuracy, time_offset_s=0.01)
 
 

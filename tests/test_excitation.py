@@ -8,6 +8,7 @@ import pytest
 from simulated_head import random_head
 from simulated_recording import POINTS, Noise, Recording, record
 from test_other_heads import recorded
+from texts import texts
 from vergence.calibration.calibrate import Method, calibrate
 from vergence.calibration.observations import Observations
 from vergence.calibration.sequential.intrinsics import lenses_of_the_paper
@@ -30,7 +31,7 @@ def sentences(given: Observations | Recording, method: Method) -> str:
     observations = recorded(0, how=given)[1] if isinstance(given, Recording) else given
     try:
         lens = lenses_of_the_paper(observations)
-        return " ".join(calibrate(observations, method=method, lens=lens).warnings)
+        return " ".join(texts(calibrate(observations, method=method, lens=lens).findings))
     except VergenceError as refusal:
         return str(refusal)
 

@@ -20,6 +20,7 @@ from documents import (
 )
 from drawn_card import smooth_picture
 from drawn_head import DrawnHead, four_cameras, point_at
+from texts import texts
 from vergence import cli
 from vergence.data.dataset import Frame
 from vergence.data.description import Description
@@ -44,7 +45,7 @@ def test_the_guide_to_recording_writes_a_dataset(tmp_path, monkeypatch):
     head = SimpleNamespace(read=read)
     exec(code, {"head": head, "postures": postures, "move_to": angles.append})
     dataset = load_dataset("my_recording")
-    assert dataset.remarks == ()
+    assert dataset.findings == ()
     assert len(set(dataset.placement[:15])) == 15
     assert list(dataset.placement[15:]) == [0, 0]
     np.testing.assert_allclose(dataset.eye_angles[15:], postures)
@@ -179,7 +180,7 @@ def test_the_guide_to_calibration_runs(tmp_path, monkeypatch, capsys):
         off = boxminus(mounted.T_eye_cam, head.cameras["left_wide"].T_eye_cam)
         assert np.linalg.norm(off[:3]) < np.radians(0.05)
         assert np.linalg.norm(off[3:]) < 1e-3
-        assert found.void == ()
+        assert texts(found.findings, "void") == []
     assert capsys.readouterr().out.strip()
 
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from simulated_head import R_EYE_CAM, pan_tilt_pose, probability, random_pose
 from simulated_recording import POINTS, facing
+from texts import texts
 from vergence.arrays import Array
 from vergence.calibration.bundle.latent_hand_eye import EyeCamera, refine_eye_camera
 from vergence.errors import VergenceError
@@ -87,7 +88,7 @@ def test_an_exact_recording_gives_the_mounting_exactly(seed: int):
     np.testing.assert_allclose(found.T_eye_cam, recording.T_eye_cam, atol=1e-9)
     np.testing.assert_allclose(found.T_base_eye, pan_tilt_pose(recording.readings), atol=1e-9)
     assert np.abs(found.residuals_px).max() < 1e-8
-    assert not found.warnings
+    assert not texts(found.findings)
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +114,7 @@ def test_stated_regions_hold_the_truth(trials):
 
 
 def test_both_levels_of_noise_are_found_without_a_warning(trials):
-    assert not any(found.warnings for _, found, _ in trials)
+    assert not any(texts(found.findings) for _, found, _ in trials)
     pixel = np.mean([found.pixel_std_px for _, found, _ in trials])
     joint = np.mean([found.joint_std[0] for _, found, _ in trials])
     assert pixel == pytest.approx(0.1, rel=0.02)
@@ -142,7 +143,7 @@ def test_wild_corners_and_a_wild_reading_do_little_harm():
     found = solve(recording)
     assert_within_stated(found, recording)
     assert found.joint_std[0] < 0.002
-    assert any("corners lie beyond 4 standard deviations" in text for text in found.warnings)
+    assert any("corners lie beyond 4 standard deviations" in text for text in texts(found.findings))
 
 
 def test_corners_may_be_missing():
@@ -161,8 +162,8 @@ def test_boards_numbered_from_the_wrong_end_are_left_out_and_named(flips: int):
     found = solve(recording)
     assert_within_stated(found, recording)
     numbers = ", ".join(map(str, range(flips)))
-    assert found.warnings[0].startswith(f"Views {numbers} were left out")
-    assert len(found.warnings) == 1
+    assert texts(found.findings)[0].startswith(f"Views {numbers} were left out")
+    assert len(texts(found.findings)) == 1
 
 
 # Eye poses that are no pan and tilt.
@@ -218,8 +219,8 @@ def test_noise_of_rotation_and_translation_may_be_given_for_poses_of_pan_and_til
 
 def test_a_motion_below_its_noise_voids_the_result():
     found = solve(record(7, joint_std=0.005, pixel_std_px=0.1, reach=(0.25, 0.002)))
-    assert "the sense of the motion is uncertain" in found.void[0]
-    assert solve(record(7, joint_std=0.001, pixel_std_px=0.1)).void == ()
+    assert "the sense of the motion is uncertain" in texts(found.findings, "void")[0]
+    assert texts(solve(record(7, joint_std=0.001, pixel_std_px=0.1)).findings, "void") == []
 
 
 @pytest.mark.parametrize(
@@ -233,7 +234,7 @@ def test_a_motion_below_its_noise_voids_the_result():
 def test_an_axis_that_does_not_move_is_named_with_what_it_hides(reach, words):
     recording = record(6, joint_std=0.002, pixel_std_px=0.1, reach=reach)
     found = solve(recording, start=recording.T_eye_cam)
-    text = " ".join(found.warnings)
+    text = " ".join(texts(found.findings))
     assert "not observable" in text
     assert "is no larger than its noise (0.00" in text
     assert all(word in text for word in words)
@@ -253,19 +254,19 @@ def test_a_motion_that_is_small_but_seen_leaves_a_large_stated_error():
     recording = record(7, joint_std=0.001, pixel_std_px=0.1, reach=(0.25, 0.005))
     found = solve(recording)
     assert stated_probability(found, recording) < 0.99
-    assert any("tilt of the eye moves by 0.0" in text for text in found.warnings)
+    assert any("tilt of the eye moves by 0.0" in text for text in texts(found.findings))
 
 
 def test_pan_and_tilt_that_move_together_are_named():
     together = record(8, joint_std=0.002, pixel_std_px=0.1, views=12, together=True)
-    text = " ".join(solve(together, start=together.T_eye_cam).warnings)
+    text = " ".join(texts(solve(together, start=together.T_eye_cam).findings))
     assert "observable" in text
     assert "pan and tilt of the eye move together" in text
 
 
 def test_two_views_are_too_few_and_said_so():
     recording = record(9, joint_std=0.002, pixel_std_px=0.1, views=2)
-    text = " ".join(solve(recording, start=recording.T_eye_cam).warnings)
+    text = " ".join(texts(solve(recording, start=recording.T_eye_cam).findings))
     assert "not observable" in text
     assert "noise of the joint readings cannot be estimated" in text
     assert "0.002 rad was assumed" in text
@@ -274,7 +275,7 @@ def test_two_views_are_too_few_and_said_so():
 def test_general_poses_about_one_axis_are_named():
     recording = record_poses(10, (0.0, 0.0), 0.0, axes=(1, 0, 0))
     found = solve(recording, start=recording.T_eye_cam)
-    text = " ".join(found.warnings)
+    text = " ".join(texts(found.findings))
     assert "rotation about x and translation along x: not observable" in text
     assert "share one axis" in text
 

@@ -14,6 +14,7 @@ from simulated_frames import (
     postures,
 )
 from simulated_matches import matches, room
+from vergence.findings import void
 from vergence.geometry.head import T_narrow_wide, load_head, save_head
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.parameter_names import PINHOLE
@@ -118,7 +119,8 @@ def test_cameras_that_do_not_see_the_scene_stay_as_uncertain_as_they_were(stated
 
 
 def test_what_is_learned_from_a_void_calibration_is_void():
-    void = replace(head_of(0), accuracy=Accuracy("bundle", void=("Readings contradict.",)))
-    learned = learned_head(begin(void))
+    reason = void("views-contradict", "Readings contradict.")
+    start = replace(head_of(0), accuracy=Accuracy("bundle", findings=(reason,)))
+    learned = learned_head(begin(start))
     assert learned.accuracy is not None
-    assert learned.accuracy.void == ("Readings contradict.",)
+    assert learned.accuracy.void == (reason,)

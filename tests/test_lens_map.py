@@ -8,6 +8,7 @@ import pytest
 import lens_monte_carlo
 from lens_monte_carlo import GRID, lens_head, recording, tried
 from simulated_recording import EXACT
+from texts import texts
 from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
 from vergence.calibration.calibrate import CalibrationResult, calibrate
 from vergence.calibration.checks import cross_validation
@@ -35,7 +36,7 @@ def test_a_calibration_chooses_the_lens_and_its_regions_reach_the_corners(fishey
     head, result = fisheye
     assert {choice.model for choice in result.lenses.values()} == {"fisheye"}
     assert {m.intrinsics.model for m in result.head.cameras.values()} == {"fisheye"}
-    assert not [line for line in result.warnings if "edge" in line]
+    assert not [line for line in texts(result.findings) if "edge" in line]
     assert tried(result, head).inside.mean() > 0.7  # the pixels of a camera err together
     assert "left_wide.k4" in result.accuracy.parameters
     assert "left_wide.p1" not in parameter_names(result.head)
@@ -69,10 +70,10 @@ def test_a_lens_that_is_too_simple_is_named_with_its_camera(monkeypatch):
     seen = recording(head, rng)
     simple = calibrate(seen, lens="radial-tangential")
     right = calibrate(seen, lens="radial-tangential-k3")
-    said = [each for each in simple.warnings if "the lens departs from its model" in each]
+    said = [each for each in texts(simple.findings) if "the lens departs from its model" in each]
     assert len(said) == 1
     assert "_wide have a systematic error" in said[0]
-    assert not any("departs from its model" in each for each in right.warnings)
+    assert not any("departs from its model" in each for each in texts(right.findings))
 
 
 @pytest.mark.parametrize("kind", ["k3", "fisheye"])

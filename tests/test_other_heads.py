@@ -15,6 +15,7 @@ from other_heads import KINDS, other_head
 from simulated_head import as_designed, random_head
 from simulated_recording import BOARD, POINTS, Noise, Recording, as_poses, facing, observe, record
 from test_sequential import only, some_cameras
+from texts import texts
 from vergence.calibration import validation
 from vergence.calibration.bundle.bundle_adjustment import BundleEstimate, bundle_adjust
 from vergence.calibration.calibrate import CalibrationResult, calibrate
@@ -83,7 +84,7 @@ def test_eyes_that_give_poses_are_calibrated():
     found = calibrate(as_poses(seen), lens=LENS)
     assert_near(found, truth)
     assert found.accuracy.eye_motion == "poses"
-    assert found.warnings == ()
+    assert texts(found.findings) == []
 
 
 def on_an_arm(
@@ -120,9 +121,9 @@ def test_poses_that_know_lengths_show_the_size_of_the_board(size: float):
     found = calibrate(seen, lens=LENS)
     assert found.estimate is not None
     assert found.estimate.board_scale == pytest.approx(size, abs=1e-3)
-    assert any("a square of the board measures" in said for said in found.observations.remarks) == (
-        size > 1
-    )
+    assert any(
+        "a square of the board measures" in said for said in texts(found.findings, "note")
+    ) == (size > 1)
     assert_near(found, truth)
     checked = found.accuracy.held_out
     assert checked is not None
@@ -172,7 +173,7 @@ def test_a_head_of_one_eye_is_calibrated(side: str):
     cameras = {name: truth.cameras[name] for name in names}
     assert_near(found, replace(truth, cameras=cameras, T_rbase_lbase=np.eye(4)))
     assert main_pair(found.head) is None
-    assert found.warnings == ()
+    assert texts(found.findings) == []
     assert not any("T_rbase" in name for name in found.accuracy.parameters)
 
 
@@ -207,7 +208,9 @@ def test_eyes_may_see_one_board_at_rest_one_after_the_other():
     found = calibrate(seen, lens=LENS)
     assert_within_stated(found, truth)
     assert found.accuracy.void == ()
-    assert found.warnings[-1].startswith("There is no held-out error of points: no view shows")
+    assert texts(found.findings)[-1].startswith(
+        "There is no held-out error of points: no view shows"
+    )
     apart = 2 * seen.placement + np.arange(len(seen.placement)) % 2
     with pytest.raises(VergenceError, match="no placement of the board is seen by both"):
         calibrate(replace(seen, placement=apart), lens=LENS)
@@ -279,7 +282,7 @@ def test_joints_that_are_described_in_another_order_are_doubted():
     otherwise = Kinematics(eyes, seen.kinematics.readings)
     for each, doubted in ((replace(seen, kinematics=otherwise), True), (seen, False)):
         found = calibrate(each, lens=LENS)
-        assert any("the order of the joints" in said for said in found.warnings) == doubted
+        assert any("the order of the joints" in said for said in texts(found.findings)) == doubted
 
 
 @pytest.mark.usefixtures("no_held_out_error")
@@ -303,7 +306,7 @@ def test_a_joint_that_never_moved_is_not_called_wrong(kind: str, still: int):
         joints=angles,
     )
     found = calibrate(seen, lens=LENS)
-    said = " ".join((*found.accuracy.void, *found.warnings))
+    said = " ".join(texts(found.findings))
     assert "not observable" in said
 
 

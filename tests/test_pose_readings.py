@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from simulated_recording import BOARD, POINTS, as_poses
 from test_other_heads import LENS, assert_near, on_an_arm, recorded
+from texts import texts
 from vergence.calibration.calibrate import calibrate
 from vergence.calibration.checks.pose_readings import check_pose_readings
 from vergence.calibration.observations import Observations
@@ -91,7 +92,9 @@ def test_exchanged_rows_are_named_and_left_out(seen):
     rows[[4, 9]] = [9, 4]
     found = calibrate(changed(seen, lambda T: T[rows]), lens=LENS)
     for view in (4, 9):
-        assert any(said.startswith(f"View {view}: the pose of the left") for said in found.warnings)
+        assert any(
+            said.startswith(f"View {view}: the pose of the left") for said in texts(found.findings)
+        )
         assert np.isnan(found.observations.corners["left_wide"][view]).all()
     checked = found.accuracy.held_out
     assert checked is not None
@@ -120,7 +123,7 @@ def test_a_time_offset_of_moving_eyes_is_not_taken_for_another_row(seen):
     )
     T_base_target = pose(rotation([0.3, 0.2, 0.0]), [-0.12, -0.08, 0.5])
     found = check_pose_readings(moving, {"left_wide": inverse(true) @ T_base_target})
-    (said,) = found.warnings
+    (said,) = texts(found.findings)
     assert said.startswith("View 70: the pose of the left eye")
     lost = np.isnan(found.observations.corners["left_wide"]).all(axis=(1, 2))
     assert np.flatnonzero(lost).tolist() == [70]

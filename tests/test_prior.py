@@ -9,6 +9,7 @@ from head_kinds import KINDS
 from head_kinds import head_of as head_of_kind
 from simulated_frames import CAMERAS, begin, head_of
 from vergence.errors import VergenceError
+from vergence.findings import void
 from vergence.geometry.camera import normalise, project
 from vergence.geometry.head_accuracy import Accuracy, LensAccuracy
 from vergence.geometry.kinematics import EYES, straight_gaze
@@ -81,7 +82,7 @@ def test_of_a_head_that_may_have_changed_no_stated_accuracy_holds(kind):
         parameters=none.names[:-1],
         covariance=1e-4 * none.covariance[:-1, :-1],
         joint_std=(1e-3,),
-        void=("for a reason.",),
+        findings=(void("not-converged", "For a reason."),),
     )
     changed = initial_self_calibration(replace(head, accuracy=stated), changed="anything")
     assert changed.names == none.names

@@ -138,7 +138,7 @@ def test_a_recorded_dataset_has_dense_depth_and_no_stated_error(recorded, tmp_pa
 def test_nearly_every_image_shows_the_board(recorded):
     dataset, found, _ = recorded
     images = sum(name is not None for files in dataset.files.values() for name in files)
-    assert len(found.failures) <= 0.05 * images
+    assert len(found.findings) <= 0.05 * images
 
 
 def test_corners_lie_where_the_truth_says(recorded):

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from moving_frames import GAIN, HEAD, WIDE, frame, frames, one_eyed, turn_error
+from texts import texts
 from vergence import cli
 from vergence.arrays import Array
 from vergence.commands.self_calibration import sentences
@@ -125,7 +126,7 @@ def test_a_repaired_head_is_learned_whatever_its_calibration_states(recorded):
         assert abs(each.change - (1 / GAIN - 1)) < 3 * each.std < 0.06
     for changed in ("nothing", "little"):
         assert max(abs(each.change) for each in gains[changed]) < 0.01
-    assert not found["anything"].warnings
+    assert not texts(found["anything"].findings)
     said = " ".join(sentences(found["anything"]))
     assert "mm by usual tolerances, " in said
     # The noise of the readings is that of the encoders, whatever became of the head.
@@ -142,7 +143,7 @@ def test_eyes_that_do_not_move_show_nothing_that_persists(tmp_path, moving):
     found = self_calibrate_dataset(load_dataset(tmp_path / "still"), HEAD)
     assert found.head is HEAD
     assert {each.verdict for each in found.parameters} == {"not observed"}
-    assert any("did not move" in each for each in found.warnings)
+    assert any("did not move" in each for each in texts(found.findings))
     said = " ".join(sentences(found))
     assert "(assumed)" in said
     assert "by what was learned" not in said
@@ -158,7 +159,7 @@ def test_a_recording_in_which_one_eye_was_covered_returns_the_calibration(tmp_pa
     found = self_calibrate_dataset(load_dataset(tmp_path / "covered"), HEAD)
     assert found.head is HEAD
     assert found.learned == 0
-    assert any("showed enough of the scene" in each for each in found.warnings)
+    assert any("showed enough of the scene" in each for each in texts(found.findings))
 
 
 @pytest.mark.parametrize("roll_deg", [(90, 90), (10, -170)])
@@ -208,7 +209,8 @@ def test_a_head_that_is_not_as_calibrated_is_learned_anew(recorded):
     straight = np.zeros(4)
     assert turn_error(found.head, straight, straight) < 0.1 * turn_error(drawn, straight, straight)
     assert any(
-        "farther from its calibration than the stated covariance" in each for each in found.warnings
+        "farther from its calibration than the stated covariance" in each
+        for each in texts(found.findings)
     )
 
 
@@ -217,8 +219,10 @@ def test_a_camera_that_stands_otherwise_than_calibrated_is_named(recorded):
     calibrated = self_calibrate_dataset(data, HEAD)
     turned = change_named(calibrated.head, ["right_wide.T_eye_cam.ry"], np.radians([1.0]))
     said = "right_wide.T_eye_cam.ry changed by more than 4 prior standard deviations"
-    assert not any("changed by more than" in each for each in calibrated.warnings)
-    assert any(each.startswith(said) for each in self_calibrate_dataset(data, turned).warnings)
+    assert not any("changed by more than" in each for each in texts(calibrated.findings))
+    assert any(
+        each.startswith(said) for each in texts(self_calibrate_dataset(data, turned).findings)
+    )
 
 
 def test_little_motion_in_parallel_is_said_to_show_little(tmp_path, slow_setup):
@@ -228,7 +232,7 @@ def test_little_motion_in_parallel_is_said_to_show_little(tmp_path, slow_setup):
         rows.append(DatasetRow(frame(float(k), angles, angles), k, False))
     write_dataset(tmp_path / "little", DESCRIPTION, rows)
     found = self_calibrate_dataset(load_dataset(tmp_path / "little"), HEAD)
-    assert any("moved in parallel, by 5.0 degrees" in each for each in found.warnings)
+    assert any("moved in parallel, by 5.0 degrees" in each for each in texts(found.findings))
 
 
 def other_names() -> HeadCalibration:

@@ -8,6 +8,7 @@ import pytest
 from lens_monte_carlo import lens_head, recording
 from simulated_head import random_head
 from simulated_recording import Noise, Recording, record
+from texts import texts
 from vergence.calibration.calibrate import calibrate
 from vergence.calibration.checks.stray_corners import without_outliers, without_strays
 from vergence.calibration.observations import Observations
@@ -50,7 +51,7 @@ def test_stray_corners_are_left_out_before_they_spoil_the_lens():
     for name, corners in seen.corners.items():
         good = (spoilt[name] == corners).all(axis=-1)
         assert np.isfinite(found.corners[name][good]).all()
-    (said,) = found.remarks
+    (said,) = texts(found.findings, "note")
     assert said.startswith("Corners not where their neighbours say, and left out: ")
     assert {each.model for each in choose_lenses(found).values()} == {"radial-tangential"}
     lenses = calibrate_intrinsics(found)

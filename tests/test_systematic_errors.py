@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from test_other_heads import recorded
+from texts import texts
 from vergence.calibration.bundle.bundle_adjustment import BundleEstimate as Estimate
 from vergence.calibration.bundle.bundle_adjustment import bundle_adjust, covariance_of
 from vergence.calibration.bundle.systematic_errors import likeliest_std
@@ -42,8 +43,8 @@ def std_of(estimate: Estimate, name: str) -> float:
 
 def test_systematic_errors_are_named_by_camera_and_independent_ones_are_not(heads):
     _, plain, spoilt, _ = heads
-    assert not any("systematic error" in warning for warning in plain.warnings)
-    (said,) = (warning for warning in spoilt.warnings if "systematic error" in warning)
+    assert not any("systematic error" in warning for warning in texts(plain.findings))
+    (said,) = (warning for warning in texts(spoilt.findings) if "systematic error" in warning)
     assert said.startswith("All images of left_wide have a systematic error of ")
     assert "the lens departs from its model" in said
     assert plain.systematic_px == {}

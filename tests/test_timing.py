@@ -6,6 +6,7 @@ import pytest
 import time_offset
 from simulated_head import plain_head
 from simulated_recording import BOARD, POINTS, facing, inside_image
+from texts import texts
 from vergence.arrays import Array
 from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
 from vergence.calibration.observations import Observations
@@ -84,7 +85,7 @@ def test_offsets_are_found_to_half_a_millisecond_and_gains_to_a_thousandth(offse
     assert abs(found.offset[0]) < 4 * found.offset[1]
     assert (np.abs(found.gains[0]) < 4 * found.gains[1]).all()
     # Nor are the readings at the ends of the motion held against a course through readings.
-    assert not any("lost its weight" in said for said in found.warnings)
+    assert not any("lost its weight" in said for said in texts(found.findings))
 
 
 def turning(t: Array) -> Array:

@@ -160,7 +160,8 @@ def test_a_wrong_description_is_refused_with_its_cause(kind: str, change: Change
     head = head_of(kind, rng)
     wrong = change(recording(head, rng, NOISE))
     try:
-        said = " ".join(calibrate(wrong, lens="radial-tangential").accuracy.void)
+        found = calibrate(wrong, lens="radial-tangential")
+        said = " ".join(map(str, found.accuracy.void))
     except VergenceError as error:
         said = str(error)
     assert re.search(cause, said), said or "it passes for right"

@@ -28,6 +28,7 @@ from vergence.calibration.summary import summary_lines
 from vergence.calibration.validation import cross_validated
 from vergence.data.dataset import Dataset
 from vergence.errors import VergenceError
+from vergence.findings import Finding, by_severity
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.progress import Progress, silent
@@ -38,7 +39,7 @@ class CalibrationResult:
     """A calibrated head, and all that is known of how good it is."""
 
     head: HeadCalibration
-    """With its accuracy and its warnings."""
+    """With its accuracy and the findings."""
     observations: Observations
     """As they were used: with boards that were numbered from the wrong end renumbered."""
     start: SequentialCalibration
@@ -55,9 +56,9 @@ class CalibrationResult:
         return self.head.accuracy
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """What the data could not determine, and what to record instead; first what voids it."""
-        return (*self.accuracy.void, *self.accuracy.warnings)
+    def findings(self) -> tuple[Finding, ...]:
+        """Everything that was noticed about the data and the result, the most severe first."""
+        return self.accuracy.findings
 
     def summary(self) -> str:
         """Return at most ten lines: good or not, how good, what to do next."""
@@ -104,32 +105,21 @@ def calibrate(
         _to_be_predicted(observations, estimate), whole, partial(_calibrate_part, views, estimate)
     )
     progress("calibrating", 3, 3)
-    exchanged, unknown, stretched = (), (), ()
+    findings = [*observations.findings, *views.pose_findings]
+    findings += [*board_flips.findings(views.renumbered), *preferred]
     if estimate is not None:
-        exchanged, unknown = exchanged_readings(observations, found.head, estimate.T_base_eye)
+        findings += exchanged_readings(observations, found.head, estimate.T_base_eye)
         if not observations.at_rest.all():
-            stretched = board_shape.contradictions(*views.at_rest, views.intrinsics)
-    void = (*exchanged, *stretched, *found.accuracy.void, *validated.contradictions)
+            findings += board_shape.stretched_in_motion(*views.at_rest, views.intrinsics)
+    findings += [*_about_result(views, found), *validated.findings]
     accuracy = replace(
         found.accuracy,
         eye_motion="pan-tilt" if observations.T_base_eye is None else "poses",
         held_out=validated.held_out,
-        void=(*void, *_impossible_geometry(views, found)),
-        warnings=(*_warnings(views, found), *validated.doubts),
+        findings=by_severity((*findings, *_impossible_geometry(views, found))),
     )
-    remarks = (
-        *observations.remarks,
-        *board_flips.remarks(views.renumbered),
-        *preferred,
-        *unknown,
-    )
-    return CalibrationResult(
-        replace(found.head, accuracy=accuracy),
-        replace(observations, remarks=remarks),
-        start,
-        estimate,
-        views.lenses,
-    )
+    head = replace(found.head, accuracy=accuracy)
+    return CalibrationResult(head, observations, start, estimate, views.lenses)
 
 
 def _observed(data: Dataset | Observations, method: Method, progress: Progress) -> Observations:
@@ -171,19 +161,19 @@ def _calibrate_part(
 
 def _impossible_geometry(
     views: CheckedViews, found: SequentialCalibration | BundleEstimate
-) -> list[str]:
-    """Return sentences on axes and eyes that the calibration puts where none can be.
+) -> list[Finding]:
+    """Return findings on axes and eyes that the calibration puts where none can be.
 
     Bases of measured poses may stand anywhere, as those of two arms do.
     """
     if views.observations.T_base_eye is not None:
         return []
-    return axes_and_eyes.doubts(found.head, _stds(found))
+    return axes_and_eyes.impossible_geometry(found.head, _stds(found))
 
 
-def _warnings(
+def _about_result(
     views: CheckedViews, found: SequentialCalibration | BundleEstimate
-) -> tuple[str, ...]:
+) -> tuple[Finding, ...]:
     """Return what the data could not determine, and what is odd in the result."""
     observations, head = views.observations, found.head
     odd_baseline = []
@@ -194,12 +184,10 @@ def _warnings(
         std = _stds(found)
         focal_std = {name: (std[f"{name}.fx"], std[f"{name}.fy"]) for name in head.cameras}
     return (
-        *views.pose_warnings,
         *odd_baseline,
-        *board_flips.warnings(views.renumbered),
-        *board_shape.warnings(*views.at_rest, views.intrinsics),
-        *excitation.doubts(observations, views.T_cam_target, head, focal_std),
-        *found.accuracy.warnings,
+        *board_shape.stretched_board(*views.at_rest, views.intrinsics),
+        *excitation.doubtful_focal_lengths(observations, views.T_cam_target, head, focal_std),
+        *found.accuracy.findings,
     )
 
 

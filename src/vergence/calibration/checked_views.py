@@ -26,6 +26,7 @@ from vergence.calibration.sequential.lens_choice import (
 )
 from vergence.calibration.sequential.lens_models import LensModel
 from vergence.errors import VergenceError
+from vergence.findings import Finding
 from vergence.geometry.board import corner_points
 from vergence.vision.board_pose import LEAST_CORNERS, board_poses, seen_corners
 
@@ -42,7 +43,7 @@ class CheckedViews:
     """By camera."""
     intrinsics: Mapping[str, Intrinsics]
     """By camera, from the views at rest."""
-    pose_warnings: tuple[str, ...]
+    pose_findings: tuple[Finding, ...]
     """On measured eye poses that were left out."""
 
     @property
@@ -88,7 +89,7 @@ def checked_views(
     }
     posed = check_pose_readings(data, T_cam_target)
     renumbered = board_flips.number_alike(posed.observations, T_cam_target)
-    views = CheckedViews(renumbered, lenses, intrinsics, posed.warnings)
+    views = CheckedViews(renumbered, lenses, intrinsics, posed.findings)
     # Of boards that one eye numbers from the other end the cameras seem to stand elsewhere.
     encoders.check_encoders(*views.at_rest)
     check_axis_order(*views.at_rest)

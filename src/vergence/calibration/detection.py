@@ -11,12 +11,13 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.observations import DetectionFailure, Observations
+from vergence.calibration.observations import NO_CORNERS, Observations
 from vergence.calibration.other_boards import ANOTHER, mirrored, other_board, why_not_found
 from vergence.data.dataset import Dataset, runs
 from vergence.data.images import UNREADABLE
 from vergence.data.timing import Timing
 from vergence.errors import VergenceError, counted
+from vergence.findings import Finding, note
 from vergence.geometry.board import Board
 from vergence.progress import Progress, silent
 from vergence.vision.board_detection import detect_board
@@ -95,16 +96,16 @@ def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observati
     board, cameras = dataset.description.board, dataset.description.cameras
     shape = (len(dataset), board.columns * board.rows, 2)
     corners = {name: np.full(shape, np.nan) for name in dataset.files}
-    failures = []
+    findings = [*_unreadable(dataset, found), *dataset.findings]
     for each in found:
         if each.corners is not None:
             corners[each.camera][each.row] = each.corners
-        else:
-            line, file = int(dataset.lines[each.row]), str(dataset.files[each.camera][each.row])
-            failures.append(DetectionFailure(each.row, line, each.camera, file, each.reason))
-    blind = [
-        f"{name} never sees the board." for name, c in corners.items() if not np.isfinite(c).any()
+    findings += [
+        note("blind-camera", f"{name} never sees the board.", name)
+        for name, c in corners.items()
+        if not np.isfinite(c).any()
     ]
+    findings += [_without_corners(dataset, each) for each in found if each.corners is None]
     return Observations(
         board=board,
         placement=dataset.placement,
@@ -116,13 +117,20 @@ def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observati
         timing=timing,
         T_base_eye=dataset.T_base_eye,
         systematic_px=SYSTEMATIC_PX,
-        failures=tuple(failures),
-        remarks=(*_unreadable(dataset, found), *dataset.remarks, *blind),
+        findings=tuple(findings),
     )
 
 
-def _unreadable(dataset: Dataset, found: list[_Detection]) -> list[str]:
-    """Return a sentence on files that are no images; one of them does not spoil a long recording.
+def _without_corners(dataset: Dataset, missed: _Detection) -> Finding:
+    """Name an image without corners, and say why it has none."""
+    line, file = dataset.lines[missed.row], dataset.files[missed.camera][missed.row]
+    return note(
+        NO_CORNERS, f"Line {line}, {file}: {missed.reason}.", f"line {line}, {missed.camera}"
+    )
+
+
+def _unreadable(dataset: Dataset, found: list[_Detection]) -> list[Finding]:
+    """Return a note on files that are no images; one of them does not spoil a long recording.
 
     Those that are missing or of another size have been refused.
     """
@@ -131,10 +139,11 @@ def _unreadable(dataset: Dataset, found: list[_Detection]) -> list[str]:
         return []
     first = bad[0]
     others = f", and so are {len(bad) - 1} more of its images" if len(bad) > 1 else ""
-    return [
+    sentence = (
         f"{dataset.where(first.row)}: {first.camera}: {dataset.files[first.camera][first.row]} "
         f"{UNREADABLE}{others}; leave the cell empty where there is no image."
-    ]
+    )
+    return [note("unreadable-image", sentence, f"line {dataset.lines[first.row]}, {first.camera}")]
 
 
 def _detect(dataset: Dataset, camera: str, row: int) -> _Detection:

@@ -13,27 +13,15 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.data.timing import Timing, moved_readings
 from vergence.errors import VergenceError, counted
+from vergence.findings import Finding
 from vergence.geometry.board import Board
 from vergence.geometry.camera import is_image_size
 from vergence.geometry.head import HeadCalibration, check_camera_name
 from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye
 from vergence.geometry.se3 import check_rigid, inverse, known_poses, mean_pose
 
-
-@dataclass(frozen=True)
-class DetectionFailure:
-    """An image that gave no corners."""
-
-    row: int
-    """Row of the dataset, from 0."""
-    line: int
-    """Line of frames.csv."""
-    camera: str
-    file: str
-    reason: str
-
-    def __str__(self) -> str:
-        return f"line {self.line}, {self.file}: {self.reason}"
+NO_CORNERS = "no-corners"
+"""Code of the note on an image that gave no corners."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,10 +56,9 @@ class Observations:
     systematic_px: float = 0.0
     """Smooth errors over the image [px] that the corners of all images of a camera are assumed to
     share at least: what is known of how they were found."""
-    failures: tuple[DetectionFailure, ...] = ()
-    """Images without corners."""
-    remarks: tuple[str, ...] = ()
-    """What is odd in the data, though it may be right, and what was repaired."""
+    findings: tuple[Finding, ...] = ()
+    """Notes on what looks unusual in the data, on what was repaired, and on images without corners.
+    """
 
     def __post_init__(self) -> None:
         arrays = {

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from vergence.calibration.checks.axes_and_eyes import eye_shift
-from vergence.calibration.observations import Observations
+from vergence.calibration.observations import NO_CORNERS, Observations
 from vergence.errors import counted, listed
+from vergence.findings import select
 from vergence.geometry.head import (
     HeadCalibration,
     T_head_base,
@@ -33,8 +34,8 @@ PART = 1 / 3
 are then a twentieth larger than the noise alone."""
 SMALL = 0.002
 """Error of a point, relative to its distance, that is small whatever the noise of a reading."""
-MOST_REMARKS = 2
-"""Most remarks that a summary repeats; the report has all."""
+MOST_NOTES = 2
+"""Most notes that a summary repeats; the report has all."""
 DISTANCES_M = (0.3, 0.6, 1.0)
 """Distances of the points whose accuracy is stated: the range of a hand, and beyond."""
 _DIFFER = 1.5
@@ -50,9 +51,9 @@ def verdict(accuracy: Accuracy, head: HeadCalibration) -> tuple[str, str]:
     the calibration must not be used. DOUBTFUL: something is amiss, unknown, or not accurate yet.
     """
     if accuracy.void:
-        return "VOID", accuracy.void[0]
-    if accuracy.warnings:
-        return "DOUBTFUL", f"Next: {accuracy.warnings[0]}"
+        return "VOID", accuracy.void[0].sentence
+    if warnings := select(accuracy.findings, "warning"):
+        return "DOUBTFUL", f"Next: {warnings[0]}"
     if accuracy.method == "paper":
         return (
             "DOUBTFUL",
@@ -127,7 +128,7 @@ def summary_lines(head: HeadCalibration, observations: Observations) -> list[str
     accuracy = head.accuracy
     assert accuracy is not None
     word, following = verdict(accuracy, head)
-    corners, lost = observations.corners, len(observations.failures)
+    corners, lost = observations.corners, select(accuracy.findings, "note", code=NO_CORNERS)
     apart = ""
     if main_pair(head) is not None and accuracy.eye_motion == "pan-tilt":
         apart = f" The eyes are {1e3 * np.linalg.norm(eye_shift(head)):.1f} mm apart."
@@ -135,7 +136,7 @@ def summary_lines(head: HeadCalibration, observations: Observations) -> list[str
     lines = [
         f"{word}: {counted(len(corners), 'camera')}, "
         f"{counted(len(observations.placement), 'view')}, the board found in {found} of "
-        f"{counted(found + lost, 'image')}.{apart}"
+        f"{counted(found + len(lost), 'image')}.{apart}"
     ]
     if accuracy.pixel_std_px is not None:
         levels = accuracy.camera_std_px.values()
@@ -170,10 +171,11 @@ def summary_lines(head: HeadCalibration, observations: Observations) -> list[str
         unseen = " or ".join(f"{distance:g}" for distance in DISTANCES_M if distance not in shown)
         beyond = f"; not both eyes see a point at {unseen} m" if unseen else ""
         lines.append(f"Error of a point by the calibration alone (1 std): {parts}{beyond}.")
-    said = len(accuracy.void) + len(accuracy.warnings)
-    if said > 1:
-        lines.append(f"{said} warnings; the first is below, the report lists all.")
-    lines += [f"Note: {remark}" for remark in observations.remarks[:MOST_REMARKS]]
+    serious = select(accuracy.findings, "void", "warning")
+    if len(serious) > 1:
+        lines.append(f"{len(serious)} warnings; the first is below, the report lists all.")
+    notes = [each for each in select(accuracy.findings, "note") if each not in lost]
+    lines += [f"Note: {each}" for each in notes[:MOST_NOTES]]
     lines.append(following)
     return lines
 

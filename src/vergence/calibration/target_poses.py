@@ -30,6 +30,7 @@ from vergence.calibration.checks import axes_and_eyes
 from vergence.calibration.observations import base_by_boards, mean_placed, most_seen
 from vergence.calibration.sequential.hand_eye import robust_park_martin
 from vergence.errors import VergenceError
+from vergence.findings import Finding, by_severity
 from vergence.geometry.camera import pinhole
 from vergence.geometry.head import HeadCalibration, MountedCamera, main_pair
 from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye
@@ -69,10 +70,8 @@ class TargetPoseEstimate:
     errors: Mapping[str, Array]
     """By camera (V, 6): expected minus measured poses, in stated or estimated standard deviations,
     whitened; NaN where none was measured."""
-    void: tuple[str, ...]
-    """Why the result must not be used; empty: it may be."""
-    warnings: tuple[str, ...]
-    """What the data cannot determine, and why."""
+    findings: tuple[Finding, ...]
+    """What the data cannot determine, and why; the most severe first."""
 
 
 def adjust_target_poses(
@@ -201,7 +200,9 @@ def _result(
     found: BundleEstimate, pose_std: tuple[float, float] | None, factor: float
 ) -> TargetPoseEstimate:
     stds = np.sqrt(np.diag(found.covariance)).tolist()
-    doubts = axes_and_eyes.doubts(found.head, dict(zip(found.parameters, stds, strict=True)))
+    impossible = axes_and_eyes.impossible_geometry(
+        found.head, dict(zip(found.parameters, stds, strict=True))
+    )
     return TargetPoseEstimate(
         head=found.head,
         parameters=found.parameters,
@@ -215,8 +216,7 @@ def _result(
             name: each.reshape(-1, 6) / (found.pixel_std_px if pose_std else 1.0)
             for name, each in found.residuals_px.items()
         },
-        void=(*found.void, *doubts),
-        warnings=found.warnings,
+        findings=by_severity((*found.findings, *impossible)),
     )
 
 

@@ -15,6 +15,7 @@ from vergence.calibration.checks.cross_validation import (
 from vergence.calibration.observations import Observations, camera_eyes
 from vergence.calibration.summary import MISFIT_CAUSES
 from vergence.errors import VergenceError
+from vergence.findings import Finding, void, warning
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.head_accuracy import HeldOut
 
@@ -31,10 +32,8 @@ class Validation(NamedTuple):
     """What cross-validation found."""
 
     held_out: HeldOut | None
-    doubts: tuple[str, ...] = ()
-    """What is doubtful, among it why there is no held-out error."""
-    contradictions: tuple[str, ...] = ()
-    """Why the result must not be used."""
+    findings: tuple[Finding, ...] = ()
+    """Among them why there is no held-out error."""
 
 
 def cross_validated(
@@ -46,27 +45,27 @@ def cross_validated(
     try:
         found = held_out(observations, calibrate_folds(observations, of_part), whole)
     except VergenceError as error:
-        return Validation(None, (f"There is no held-out error: {error}",))
+        said = f"There is no held-out error: {error}"
+        return Validation(None, (warning("no-held-out-error", said),))
     if not found.transfer_views and len(set(camera_eyes(observations).values())) > 1:
-        return Validation(
-            found, ("There is no held-out error of points: no view shows the board to both eyes.",)
-        )
-    contradictions = _misfit(found)
+        said = "There is no held-out error of points: no view shows the board to both eyes."
+        return Validation(found, (warning("no-held-out-points", said),))
+    misfit = _misfit(found)
     ratio = found.jackknife_ratio
     if ratio is None or ratio <= LARGEST_JACKKNIFE_RATIO:
-        return Validation(found, contradictions=contradictions)
+        return Validation(found, misfit)
     said = f"Calibrations from parts of the views differ {ratio:.1f} times as much as stated: "
     if ratio > VOID_RATIO:
         said += "they contradict each other; look for views with wrong readings."
-        return Validation(found, contradictions=(said, *contradictions))
+        return Validation(found, (void("views-contradict", said), *misfit))
     said += (
         "true errors are larger than the stated ones by as much at least; look for errors that "
         "corners share (a board that bends, blur)."
     )
-    return Validation(found, (said,), contradictions)
+    return Validation(found, (warning("stated-too-small", said), *misfit))
 
 
-def _misfit(checked: HeldOut) -> tuple[str, ...]:
+def _misfit(checked: HeldOut) -> tuple[Finding, ...]:
     """Return a sentence if held-out points are too wrong for the calibration to be used."""
     if checked.point_mm is None or checked.expected_mm is None:
         return ()
@@ -74,4 +73,4 @@ def _misfit(checked: HeldOut) -> tuple[str, ...]:
     if ratio < VOID_MISFIT:
         return ()
     said = f"Held-out points are {ratio:.1f} times as wrong as the noise explains; {MISFIT_CAUSES}."
-    return (said,)
+    return (void("held-out-misfit", said),)

@@ -12,6 +12,7 @@ from vergence.cli.progress import progress_bars, say_if_unfinished
 from vergence.cli.tables import print_table
 from vergence.commands.invocation import invocation
 from vergence.errors import VergenceError, listed
+from vergence.findings import select
 from vergence.writable import check_outputs
 from vergence.writing import results_folder, write_json
 
@@ -68,8 +69,9 @@ def calibrate(
             write_report(result, data, report, progress=progress)
     kept = f"; {out} is as it was" if written != out else ""
     print(f"{result.summary()}\nWrote {written}{kept}.")
-    if report is None and len(result.warnings) > 1:
-        print(f"To read all {len(result.warnings)} warnings, add --report FOLDER.")
+    serious = select(result.findings, "void", "warning")
+    if report is None and len(serious) > 1:
+        print(f"To read all {len(serious)} warnings, add --report FOLDER.")
     if report is not None:
         print(f"To view the images: {invocation('rerun', report / 'dataset.rrd')}")
 

@@ -11,10 +11,12 @@ from vergence.accuracy.plan import plan
 from vergence.arrays import Array
 from vergence.calibration.calibrate import CalibrationResult
 from vergence.calibration.checks.lens_map import lens_maps
+from vergence.calibration.observations import NO_CORNERS
 from vergence.calibration.summary import point_accuracy, verdict
 from vergence.commands.plan import as_text
 from vergence.data.dataset import Dataset
 from vergence.errors import VergenceError, counted
+from vergence.findings import select
 from vergence.geometry.head import main_pair
 from vergence.geometry.kinematics import EYES, pan_tilt_along
 from vergence.geometry.parameters import parameter_values
@@ -33,6 +35,7 @@ SYSTEMATIC = 4.0
 """Standard errors of a mean residual from which it is marked; of a hundred cells one is beyond
 three by chance."""
 WORST_SHOWN, WORST_LISTED = 4, 10
+_MARKS = {"void": "VOID: ", "warning": "Warning: ", "note": ""}
 NEXT_VIEWS, NEXT_CANDIDATES = 4, (12, 6)
 """Planned in a report: few, from few candidates, since the report should not take long."""
 LEAST_LIMIT_RAD = 0.17
@@ -46,7 +49,6 @@ def as_plain(result: CalibrationResult) -> dict[str, Any]:
     checked = accuracy.held_out
     return {
         "verdict": word,
-        "void": list(accuracy.void),
         "next": following,
         "method": accuracy.method,
         "pixel_std_px": accuracy.pixel_std_px,
@@ -67,9 +69,7 @@ def as_plain(result: CalibrationResult) -> dict[str, Any]:
             for name, choice in result.lenses.items()
         },
         "std": _stds(result),
-        "warnings": list(accuracy.warnings),
-        "remarks": list(result.observations.remarks),
-        "failures": [str(failure) for failure in result.observations.failures],
+        "findings": [vars(each) for each in result.findings],
     }
 
 
@@ -125,7 +125,8 @@ def worst(result: CalibrationResult) -> list[tuple[float, str, int]]:
 
 def as_markdown(result: CalibrationResult, dataset: Dataset) -> str:
     """Return the report."""
-    said = (*result.warnings, *result.observations.remarks)
+    failures = select(result.findings, "note", code=NO_CORNERS)
+    said = [each for each in result.findings if each not in failures]
     images = ["All of them, with corners and residuals: `rerun dataset.rrd`", ""]
     images += ["![coverage](coverage.png)", ""]
     if result.estimate is not None:
@@ -135,7 +136,6 @@ def as_markdown(result: CalibrationResult, dataset: Dataset) -> str:
             for size, name, row in worst(result)[:WORST_LISTED]
         ]
         images += [markdown_table("worst views | camera | residual [px]", rows), ""]
-    failures = result.observations.failures
     if failures:
         images += [f"{counted(len(failures), 'image')} gave no corners:", ""]
         images += [f"- {failure}" for failure in failures[:FAILURES_NAMED]]
@@ -143,7 +143,7 @@ def as_markdown(result: CalibrationResult, dataset: Dataset) -> str:
             images.append(f"- and {len(failures) - FAILURES_NAMED} more, all in the JSON file")
     lines = [TITLE, "", *(f"{line}  " for line in result.summary().splitlines())]
     for heading, section in (
-        ("Warnings", [f"- {line}" for line in said] or ["None."]),
+        ("Findings", [f"- {_MARKS[each.severity]}{each}" for each in said] or ["None."]),
         ("Accuracy of points", _points(result)),
         ("Views to record next", _next_views(result)),
         ("Lenses", _lenses(result)),

@@ -64,7 +64,7 @@ def sentences(found: RecordedSelfCalibration) -> list[str]:
         }[found.changed]
         learned = f", {after:.3g} mm by what was learned" if found.learned else ""
         lines.append(f"Depth of a point 1 m straight ahead: std {before:.3g} mm {by}{learned}.")
-    return [*lines, *(f"Warning: {each}" for each in found.warnings)]
+    return [*lines, *(f"Warning: {each}" for each in found.findings)]
 
 
 def _named(parameters: list[LearnedParameter]) -> str:
@@ -91,5 +91,5 @@ def as_plain(found: RecordedSelfCalibration) -> dict[str, Any]:
             }
             for each in found.parameters
         },
-        "warnings": list(found.warnings),
+        "findings": [vars(each) for each in found.findings],
     }

@@ -25,6 +25,7 @@ from vergence.data.images import (
     image_size,
 )
 from vergence.errors import VergenceError, counted
+from vergence.findings import Finding
 from vergence.reading import read_bytes
 
 
@@ -70,7 +71,7 @@ class Dataset:
     """(N,) of bool: whether the eyes were moving, so that the time of the reading matters."""
     files: Mapping[str, tuple[str | None, ...]]
     """By camera name: N image files, relative to the folder; None where there is no image."""
-    remarks: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     """What looks unusual but may be right, one sentence each, for the report."""
 
     def __len__(self) -> int:

@@ -26,6 +26,7 @@ from vergence.data.table import (
     time_stamps,
 )
 from vergence.errors import VergenceError
+from vergence.findings import Finding, note
 from vergence.geometry.kinematics import EYES, Kinematics, eye_joint_angles
 from vergence.geometry.neck import NECK_JOINTS
 from vergence.reading import parse_json, read_parsed, validated
@@ -68,10 +69,10 @@ def load_dataset(folder: str | Path) -> Dataset:
     time_s, joint_time_s = time_stamps(table)
     eye_angles = joint_angles(description, description.head_kinematics.readings, table)
     neck_angles = joint_angles(description, NECK_JOINTS, table)
-    remarks: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     if not poses:
         motion = _unmarked_motion(description.head_kinematics, eye_angles, joint_time_s, moving)
-        remarks = (*_odd_units(description, eye_angles, table), *motion)
+        findings = (*_odd_units(description, eye_angles, table), *motion)
     return Dataset(
         folder=folder,
         description=description,
@@ -84,7 +85,7 @@ def load_dataset(folder: str | Path) -> Dataset:
         placement=placements(neck_angles, table),
         moving=moving,
         files=_image_files(folder, description, table),
-        remarks=remarks,
+        findings=findings,
     )
 
 
@@ -126,9 +127,9 @@ def _image_files(
     }
 
 
-def _odd_units(description: Description, eye_angles: Array, table: Table) -> tuple[str, ...]:
-    """Return a sentence for each joint whose angles (N, r) look like another unit."""
-    remarks, sources = [], description.sources
+def _odd_units(description: Description, eye_angles: Array, table: Table) -> tuple[Finding, ...]:
+    """Return a note for each joint whose angles (N, r) look like another unit."""
+    findings, sources = [], description.sources
     for n, name in enumerate(description.head_kinematics.readings):
         joint = sources.get(name)
         if joint is None or not is_angle(description, name):
@@ -136,19 +137,21 @@ def _odd_units(description: Description, eye_angles: Array, table: Table) -> tup
         k = np.abs(eye_angles[:, n]).argmax()
         reading = table.columns[joint.column][k]
         if abs(eye_angles[k, n]) > MAX_EYE_RAD:
-            remarks.append(
+            sentence = (
                 f"{name} reaches {reading} {joint.unit} in line {table.lines[k]}, further than "
                 f"eyes turn: is its unit {'deg' if joint.unit == 'rad' else 'right'}?"
             )
+            findings.append(note("odd-unit", sentence, name))
         elif joint.unit == "deg" and 0.05 < abs(float(reading)) < MAX_EYE_RAD:
-            remarks.append(f"{name} never exceeds {reading} degrees: are these radians?")
-    return tuple(remarks)
+            sentence = f"{name} never exceeds {reading} degrees: are these radians?"
+            findings.append(note("odd-unit", sentence, name))
+    return tuple(findings)
 
 
 def _unmarked_motion(
     kinematics: Kinematics, eye_angles: Array, joint_time_s: Array, moving: np.ndarray
-) -> tuple[str, ...]:
-    """Return a sentence on rows that are said to be at rest, but follow one another in a motion."""
+) -> tuple[Finding, ...]:
+    """Return a note on rows that are said to be at rest, but follow one another in a motion."""
     angles = [eye_joint_angles(kinematics, eye, eye_angles) for eye in EYES]
     turned = np.nan_to_num(np.abs(np.diff(np.concatenate(angles, axis=1), axis=0)))
     turned = turned.max(axis=1, initial=0.0)  # readings of an eye without a camera may be missing
@@ -156,8 +159,9 @@ def _unmarked_motion(
     odd = int(((turned > MOVED_RAD) & soon & ~(moving[1:] & moving[:-1])).sum())
     if odd < LEAST_MOVING:
         return ()
-    return (
+    sentence = (
         f"{odd} rows have other joint angles than the row before, which is at most {MAX_GAP_S} s "
         "older, and `moving` is not 1: if the eyes moved while the images were taken, set it to 1, "
-        "so that the time of a reading counts.",
+        "so that the time of a reading counts."
     )
+    return (note("unmarked-motion", sentence),)

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import field
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import AliasChoices, BeforeValidator, ConfigDict, Field
+from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Matrix
 from vergence.errors import counted
-from vergence.geometry.kinematics import EYES
+from vergence.findings import Finding, select
 
 _FINITE = ConfigDict(extra="forbid", allow_inf_nan=False)
 SMALLEST_VARIANCE = 1e-60
@@ -39,26 +39,12 @@ class HeldOut:
     """What point_mm should be by the stated noise and covariance; None: these are not stated."""
     distance_m: float | None
     """Mean distance of these corners from the left eye."""
-    jackknife_ratio: Annotated[
-        float | None, Field(validation_alias=AliasChoices("jackknife_ratio", "scatter"))
-    ] = None
-    """By how much the calibrations of the folds differ from that of all views, relative to what is
-    stated; 1 where the noise model is right. Files of version 0.1 call it scatter."""
+    jackknife_ratio: float | None = None
+    """Differences between the calibrations of the folds and that of all views, relative to what is
+    stated; 1 where the noise model is right."""
     prediction_px: float | None = None
     """Root mean square distance of corners from where the view's reading, the calibration and the
     board, as other views of its placement show it, put them; None: there is no such view."""
-
-
-def _method_of_version_0_1(name: str) -> str:
-    return "bundle" if name == "refined" else name
-
-
-def _names_of_version_0_1(names: Any) -> Any:
-    """Return the names with those of the axes' geometry as the joint's that they belong to."""
-    if not isinstance(names, (list, tuple)):
-        return names
-    old = {f"{eye}.{name}" for eye in EYES for name in ("nonorthogonality_rad", "axis_distance_m")}
-    return tuple(name.replace(".", ".tilt_") if name in old else name for name in names)
 
 
 @dataclass(frozen=True, config=_FINITE)
@@ -81,11 +67,9 @@ class LensAccuracy:
 class Accuracy:
     """How well a calibration is known; see docs/method.md."""
 
-    method: Annotated[
-        Literal["bundle", "paper", "self-calibration"], BeforeValidator(_method_of_version_0_1)
-    ]
+    method: Literal["bundle", "paper", "self-calibration"]
     """Bundle adjustment, the paper's steps alone, or either as corrected by what the eyes saw."""
-    parameters: Annotated[tuple[str, ...], BeforeValidator(_names_of_version_0_1)] = ()
+    parameters: tuple[str, ...] = ()
     """Names of what was estimated, such as left_wide.fx, left_wide.T_eye_cam.rx, left.pan_gain;
     px, rad, m, s. Empty for the paper's method, which states no covariance."""
     covariance: Matrix = field(default_factory=lambda: np.empty((0, 0)))
@@ -98,10 +82,9 @@ class Accuracy:
     eye_motion: Literal["pan-tilt", "poses"] = "pan-tilt"
     """Whether the eyes were read as angles or as poses."""
     held_out: HeldOut | None = None
-    void: tuple[str, ...] = ()
-    """Why the calibration must not be used; empty: it may be."""
-    warnings: tuple[str, ...] = ()
-    """What the data could not determine, and what to record instead."""
+    findings: tuple[Finding, ...] = ()
+    """What was noticed about the data and the result, the most severe first. A calibration with a
+    finding of severity void must not be used."""
     lenses: dict[str, LensAccuracy] = field(default_factory=dict)
     """By camera, where there is no covariance: how well the views of the board determined it."""
     systematic_px: dict[str, Annotated[float, Field(ge=0)]] = field(default_factory=dict)
@@ -109,6 +92,11 @@ class Accuracy:
     same in all views, since the lens is not as its model; rms of one coordinate."""
     camera_std_px: dict[str, Annotated[float, Field(ge=0)]] = field(default_factory=dict)
     """By camera: noise of one coordinate of a corner, rms over its images; empty: pixel_std_px."""
+
+    @property
+    def void(self) -> tuple[Finding, ...]:
+        """The findings that forbid the use of the calibration."""
+        return select(self.findings, "void")
 
     def __post_init__(self) -> None:
         n, C = len(self.parameters), self.covariance

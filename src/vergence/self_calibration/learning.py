@@ -260,7 +260,7 @@ def learned_head(state: SelfCalibration) -> HeadCalibration:
         pixel_std_px=before.pixel_std_px if before else None,
         camera_std_px=before.camera_std_px if before else {},
         joint_std=_stds_by_kind(state),
-        void=before.void if before else (),
+        findings=before.void if before else (),
         systematic_px=before.systematic_px if before else {},
     )
     return replace(state.head, accuracy=accuracy)

@@ -10,6 +10,7 @@ import numpy as np
 from vergence.data.dataset import Dataset
 from vergence.data.stereo_rows import stereo_rows
 from vergence.errors import VergenceError, counted, listed
+from vergence.findings import Finding, warning
 from vergence.geometry.head import HeadCalibration, states_covariance
 from vergence.geometry.kinematics import straight_gaze
 from vergence.geometry.parameters import change_between
@@ -75,7 +76,7 @@ class RecordedSelfCalibration:
     """Noise of a reading, times its factor, as estimated; as assumed if nothing was learned."""
     changed: Changed
     """What was taken to have changed since the calibration."""
-    warnings: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
 
 def self_calibrate_dataset(
@@ -124,7 +125,7 @@ def self_calibrate_dataset(
     joints = both.joints[chosen] * head.kinematics.factors
     turned_rad = float(np.ptp(joints, axis=0).max())
     known = geometry.known
-    warnings = list(_warnings(head, len(chosen), seen)) + changes
+    findings = _about_frames(head, len(chosen), seen) + changes
     if not known.frames:
         moved = np.abs(joints - joints[0]).max() >= MOVED_RAD
         reason = (
@@ -134,22 +135,26 @@ def self_calibrate_dataset(
             else "The eyes did not move, so that nothing that persists can be told from errors of "
             "the readings"
         )
-        warnings.append(f"{reason}: the calibration is returned as it was.")
+        sentence = f"{reason}: the calibration is returned as it was."
+        findings.append(warning("nothing-learned", sentence))
     elif np.ptp(vergence) < LEAST_VERGENCE_RAD and turned_rad < TURNED_RAD:
-        warnings.append(
+        sentence = (
             f"The eyes moved in parallel, by {np.degrees(turned_rad):.1f} degrees: focal lengths "
             "and gains hardly show, unless vergence changes by "
             f"{np.degrees(LEAST_VERGENCE_RAD):.0f} degrees or an eye turns by "
             f"{np.degrees(TURNED_RAD):.0f}."
         )
+        findings.append(warning("parallel-motion", sentence))
     parameters = _parameters(before, known)
     far = [each for each in parameters if abs(each.change) > FAR * each.prior_std]
     if far and not changes:
-        warnings.append(
+        sentence = (
             f"{listed([each.name for each in far])} changed by more than {FAR:g} prior standard "
             "deviations: something was moved, exchanged or adjusted since the calibration. If it "
             "was repaired, `--changed anything` drops the accuracy that the calibration states."
         )
+        where = ", ".join(each.name for each in far)
+        findings.append(warning("parameters-changed", sentence, where))
     return RecordedSelfCalibration(
         head=learned_head(known) if known.frames else head,
         parameters=parameters,
@@ -159,7 +164,7 @@ def self_calibrate_dataset(
         depth_std_m=_depth_stds(before, known),
         joint_std_rad=known.joint_std_rad,
         changed=changed,
-        warnings=tuple(warnings),
+        findings=tuple(findings),
     )
 
 
@@ -193,35 +198,42 @@ def _depth_stds(before: SelfCalibration, after: SelfCalibration) -> tuple[float,
     return found[0], found[1]
 
 
-def _changes(known: SelfCalibration, time_s: float) -> list[str]:
+def _changes(known: SelfCalibration, time_s: float) -> list[Finding]:
     """Return warnings of what the last frame, at a time since the first, showed to have changed."""
     when = f"{time_s:.1f} s after the first row"
     if known.bumped:
-        return [f"A camera turned, at the latest {when}; the images do not tell which of the two."]
+        sentence = (
+            f"A camera turned, at the latest {when}; the images do not tell which of the two."
+        )
+        return [warning("camera-turned", sentence, when)]
     if known.uncalibrated:
-        return [
+        sentence = (
             "The head is farther from its calibration than the stated covariance allows, as the "
             f"images showed {when}: it was learned anew, from the tolerances of a head that is "
             "known from its drawing only."
-        ]
+        )
+        return [warning("not-as-calibrated", sentence, when)]
     return []
 
 
-def _warnings(head: HeadCalibration, frames: int, seen: int) -> list[str]:
+def _about_frames(head: HeadCalibration, frames: int, seen: int) -> list[Finding]:
     found = []
     if not states_covariance(head):
-        found.append(
+        sentence = (
             "The calibration states no covariance: the usual errors of such a procedure are "
             "assumed in its place."
         )
+        found.append(warning("no-covariance", sentence))
     if seen == 0:
-        found.append(
+        sentence = (
             "No frame agrees with the calibration: it may be of another head, or images and "
             "readings are not of the same moments. In all of them the prior stands."
         )
+        found.append(warning("no-frame-agrees", sentence))
     elif seen < (1 - _MOST_UNSEEN) * frames:
-        found.append(
+        sentence = (
             f"Only {seen} of {counted(frames, 'frame')} determined the relative pose of the "
             "cameras; in the others it comes from the prior, in part or wholly."
         )
+        found.append(warning("few-frames-agree", sentence))
     return found

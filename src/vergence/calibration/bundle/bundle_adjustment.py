@@ -31,6 +31,7 @@ from vergence.calibration.bundle.problem import (
 from vergence.calibration.bundle.solver import OUTLIER
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
+from vergence.findings import Finding, by_severity, warning
 from vergence.geometry.head import HeadCalibration, main_pair
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import EYES, GEARED, Kinematics, reading_kinds
@@ -80,10 +81,8 @@ class BundleEstimate:
     """(V, 2, 4, 4) the true poses of the left and the right eye; NaN where it saw no board."""
     residuals_px: Mapping[str, Array]
     """By camera that sees boards: (V, K, 2) projected minus seen; NaN where not seen."""
-    void: tuple[str, ...]
-    """Why the result must not be used; empty: it may be."""
-    warnings: tuple[str, ...]
-    """What the data cannot determine, and why."""
+    findings: tuple[Finding, ...]
+    """What the data cannot determine, and why; the most severe first."""
     cost: float
     """-2 log of the restricted likelihood at these noise levels, but for a constant."""
 
@@ -99,8 +98,7 @@ class BundleEstimate:
             pixel_std_px=self.pixel_std_px,
             camera_std_px=dict(self.camera_std_px),
             joint_std=self.joint_std,
-            void=self.void,
-            warnings=self.warnings,
+            findings=self.findings,
             systematic_px=dict(self.systematic_px),
         )
 
@@ -187,11 +185,12 @@ def bundle_adjust(
         board_scale=found.state.board_scale,
         T_base_eye=T_base_eye,
         residuals_px=_residuals(problem, found.state, len(T_base_eye)),
-        void=diagnostics.void(problem, found),
-        warnings=(
-            *_left_out(problem, observations),
-            *diagnostics.contradicting_views(problem),
-            *diagnostics.warnings(problem, found),
+        findings=by_severity(
+            (
+                *_left_out(problem, observations),
+                *diagnostics.contradicting_views(problem),
+                *diagnostics.findings(problem, found),
+            )
         ),
         cost=found.cost,
     )
@@ -242,24 +241,25 @@ def _noise_groups(
     return np.unique(kinds, return_inverse=True)[1]
 
 
-def _left_out(problem: BundleProblem, observations: Observations | PoseObservations) -> list[str]:
-    """Return sentences on cameras without boards, and on views that are of no use."""
+def _left_out(
+    problem: BundleProblem, observations: Observations | PoseObservations
+) -> list[Finding]:
+    """Return warnings of cameras without boards, and on views that are of no use."""
     if isinstance(observations, PoseObservations):
         detections = observations.T_cam_target
     else:
         detections = observations.corners
     said = [
-        f"{name} sees no board, and keeps its start."
+        warning("blind-camera-kept", f"{name} sees no board, and keeps its start.", name)
         for c, name in enumerate(problem.cameras)
         if c not in problem.camera
     ]
     seen = np.any([np.isfinite(d).any(axis=(1, 2)) for d in detections.values()], axis=0)
     lost = np.setdiff1d(np.flatnonzero(seen), problem.block_view)
     if len(lost):
-        said.append(
-            f"Views {', '.join(map(str, lost))} were left out: no image of these boards shows "
-            "enough corners."
-        )
+        views = ", ".join(map(str, lost))
+        sentence = f"Views {views} were left out: no image of these boards shows enough corners."
+        said.append(warning("few-corners", sentence, f"views {views}"))
     return said
 
 

@@ -15,6 +15,7 @@ from vergence.calibration.bundle.problem import (
     refit_trajectory,
 )
 from vergence.errors import counted, listed
+from vergence.findings import Finding, void, warning
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.lens import COEFFICIENTS
 
@@ -45,21 +46,31 @@ _UNCONVERGED = (
 )
 
 
-def warnings(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
-    """Return a sentence for everything that the reader of a result must know."""
+def findings(problem: BundleProblem, found: Adjusted) -> tuple[Finding, ...]:
+    """Return everything that the reader of a result must know."""
     noise = found.noise
-    said = _noisy_readings(problem, found) + _unobservable(problem, found)
+    said = [] if found.converged else [void("not-converged", _UNCONVERGED)]
+    for e in np.unique(detection_eyes(problem)):
+        said += doubtful_senses(problem, found, int(e))
+    said += _noisy_readings(problem, found) + _unobservable(problem, found)
     said += [
-        f"The noise of {what} cannot be estimated from these views; {level:g} {unit} was assumed: "
-        "let the eyes look at each board from several angles."
+        warning(
+            "noise-assumed",
+            f"The noise of {what} cannot be estimated from these views; {level:g} {unit} was "
+            "assumed: let the eyes look at each board from several angles.",
+            what,
+        )
         for level, (what, unit), assumed in zip(
             noise.levels[1:], _kinds_of_noise(problem, found), found.assumed, strict=True
         )
         if assumed
     ]
     said += [
-        f"The noise of the joint readings rests on {redundancy:.0f} readings more than it takes to "
-        "fit them: the stated accuracy is rough; record more views."
+        warning(
+            "noise-roughly-known",
+            f"The noise of the joint readings rests on {redundancy:.0f} readings more than it "
+            "takes to fit them: the stated accuracy is rough; record more views.",
+        )
         for redundancy in found.redundancy[~found.assumed & ~found.given & (found.redundancy < FEW)]
     ]
     corners, lost = int(np.count_nonzero(problem.seen)), int(found.outliers.sum())
@@ -75,22 +86,25 @@ def warnings(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
         what, unit = "corners", f"{noise.pixel_px:.2g} px"
         if problem.measured is not None:
             what, unit = "pairs of numbers of measured poses", f"{noise.pixel_px:.2g} stated ones"
-        said.append(
+        sentence = (
             f"{lost} of {corners} {what} lie beyond {noise.outlier:g} standard deviations of "
             f"{unit} and lost their weight: {look}."
         )
+        where = f"view {by_view.argmax()}" if in_one_view else ""
+        said.append(warning("outlying-corners", sentence, where))
     said += _lost_readings(problem, found)
     said += _apart_in_time(problem, found)
     systematic = max(found.systematic_px)
     if systematic > noise.pixel_px:  # the boards' poses may pass it on: the worst camera is named
         worst = found.systematic_px.index(systematic)
         whose = _of_camera(problem, worst)
-        said.append(
+        sentence = (
             f"All images{whose} have a systematic error of {systematic:.2g} px, more than the "
             f"noise of single corners ({noise.pixel_px:.2g} px): the lens departs from its "
             "model, which a richer one may follow (--lens), or the board is not flat; look at the "
             "residuals over the image."
         )
+        said.append(warning("lens-misfit", sentence, problem.cameras[worst]))
     return tuple(dict.fromkeys(said))  # pan and tilt may share one
 
 
@@ -101,8 +115,8 @@ def _kinds_of_noise(problem: BundleProblem, found: Adjusted) -> list[tuple[str, 
     return [("the joint readings", "rad")] * len(found.assumed)
 
 
-def _noisy_readings(problem: BundleProblem, found: Adjusted) -> list[str]:
-    """Return a sentence on readings that are far noisier than all others, relative to their joints.
+def _noisy_readings(problem: BundleProblem, found: Adjusted) -> list[Finding]:
+    """Return a warning of readings that are far noisier than all others, relative to their joints.
 
     Joints in another order than described turn like noise: by the square of the angles.
     """
@@ -119,15 +133,16 @@ def _noisy_readings(problem: BundleProblem, found: Adjusted) -> list[str]:
     if turned[worst] < max(NOISY * others, NOISY_RAD):
         return []
     names = listed([kinematics.readings[r] for r in np.unique(kinds[worst])])
-    return [
+    sentence = (
         f"The noise of {names} is {np.degrees(turned[worst]):.2g} degrees of a joint, that of "
         f"other readings {np.degrees(others):.2g} at most: check the encoder, and in `kinematics` "
         "the order of the joints of each eye and their axes."
-    ]
+    )
+    return [warning("noisy-readings", sentence, names)]
 
 
-def _lost_readings(problem: BundleProblem, found: Adjusted) -> list[str]:
-    """Return a sentence on each of the readings that lost their weight, the worst ones first."""
+def _lost_readings(problem: BundleProblem, found: Adjusted) -> list[Finding]:
+    """Return a warning of each of the readings that lost their weight, the worst ones first."""
     off = found.lost_readings
     if problem.T_base_eye_read is not None:
         turn, shift = (np.linalg.norm(off[:, k], axis=1) for k in (slice(0, 3), slice(3, 6)))
@@ -154,15 +169,22 @@ def _lost_readings(problem: BundleProblem, found: Adjusted) -> list[str]:
             for b, k in places
             if off[b, k]
         ]
-    said = [f"View {problem.block_view[b]}: {what}, and lost its weight." for b, what in lost]
-    if len(said) > MOST_NAMED:
-        rest = f"{counted(len(said) - MOST_NAMED, 'more reading')} lost their weight."
-        said = [*said[:MOST_NAMED], rest]
+    said = [
+        warning(
+            "outlying-reading",
+            f"View {problem.block_view[b]}: {what}, and lost its weight.",
+            f"view {problem.block_view[b]}",
+        )
+        for b, what in lost[:MOST_NAMED]
+    ]
+    if len(lost) > MOST_NAMED:
+        rest = f"{counted(len(lost) - MOST_NAMED, 'more reading')} lost their weight."
+        said.append(warning("outlying-reading", rest))
     return said
 
 
-def _apart_in_time(problem: BundleProblem, found: Adjusted) -> list[str]:
-    """Return a sentence if one time offset does not fit the images of both eyes.
+def _apart_in_time(problem: BundleProblem, found: Adjusted) -> list[Finding]:
+    """Return a warning if one time offset does not fit the images of both eyes.
 
     The errors of the readings are then proportional to the eye's velocity. The factor, by weighted
     least squares, is by how much later than the offset the images of that eye are.
@@ -183,33 +205,26 @@ def _apart_in_time(problem: BundleProblem, found: Adjusted) -> list[str]:
     if abs(apart) < max(SURE * np.sqrt((1 / information).sum()), LEAST_APART_S):
         return []
     late_eye, other = EYES[::-1] if apart > 0 else EYES
-    return [
+    sentence = (
         f"Images of the {late_eye} eye lag behind its joint readings by about "
         f"{1e3 * abs(apart):.2g} ms more than those of the {other} eye, but one time offset stands "
-        "for both: "
-        "trigger all cameras and read all joints at one moment, or leave moving rows out."
-    ]
+        "for both: trigger all cameras and read all joints at one moment, or leave moving rows out."
+    )
+    return [warning("eyes-apart-in-time", sentence)]
 
 
-def void(problem: BundleProblem, found: Adjusted) -> tuple[str, ...]:
-    """Return a sentence for every reason not to use a result."""
-    said = [] if found.converged else [_UNCONVERGED]
-    for e in np.unique(detection_eyes(problem)):
-        said += doubtful_senses(problem, found, int(e))
-    return tuple(said)
-
-
-def contradicting_views(problem: BundleProblem) -> tuple[str, ...]:
-    """Return a sentence for each camera some views of which contradict the others."""
+def contradicting_views(problem: BundleProblem) -> tuple[Finding, ...]:
+    """Return a warning for each camera some views of which contradict the others."""
     said = []
     for c in range(len(problem.cameras)):
         lost = problem.block_view[problem.block[(problem.camera == c) & ~problem.seen.any(axis=1)]]
         if len(lost):
-            said.append(
-                f"Views {', '.join(map(str, np.sort(lost)))}{_of_camera(problem, c)} were left "
-                "out: they show the board turned against its other views, as when it is numbered "
-                "from the wrong end, or one of few corners is wrong."
+            where = f"{', '.join(map(str, np.sort(lost)))}{_of_camera(problem, c)}"
+            sentence = (
+                f"Views {where} were left out: they show the board turned against its other "
+                "views, as when it is numbered from the wrong end, or one of few corners is wrong."
             )
+            said.append(warning("turned-views", sentence, f"views {where}"))
     return tuple(said)
 
 
@@ -217,8 +232,8 @@ def _of_camera(problem: BundleProblem, c: int) -> str:
     return "" if len(problem.cameras) == 1 else f" of {problem.cameras[c]}"
 
 
-def _unobservable(problem: BundleProblem, found: Adjusted) -> list[str]:
-    """Return a sentence for each set of owners whose parameters the data hardly determine."""
+def _unobservable(problem: BundleProblem, found: Adjusted) -> list[Finding]:
+    """Return a warning for each set of owners whose parameters the data hardly determine."""
     names = [n.removeprefix("camera.").rpartition(".") for n in problem.parameters]
     owner = [before or after for before, _, after in names]
     word = [_WORDS.get(after, after) if before else "" for before, _, after in names]
@@ -245,7 +260,8 @@ def _unobservable(problem: BundleProblem, found: Adjusted) -> list[str]:
             parts = {o: [word[i] for i in sorted(large) if owner[i] == o] for o in owners}
             subject = " together with ".join(f"{o} {listed(parts[o])}".strip() for o in owners)
             eyes = sorted({eye for o in owners for eye in _eyes_of(problem, o)})
-            said.append(f"{subject}: {what}; {missing_motion(problem, found, eyes)}.")
+            sentence = f"{subject}: {what}; {missing_motion(problem, found, eyes)}."
+            said.append(warning("unobservable", sentence, ", ".join(owners)))
     return said
 
 

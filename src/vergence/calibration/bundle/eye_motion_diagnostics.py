@@ -13,6 +13,7 @@ from vergence.calibration.bundle.problem import (
     latent_readings,
 )
 from vergence.errors import listed
+from vergence.findings import Finding, void
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.se3 import rotvec
 
@@ -78,16 +79,20 @@ def _motion(problem: BundleProblem, found: Adjusted, eye: int) -> list[str]:
     return causes
 
 
-def doubtful_senses(problem: BundleProblem, found: Adjusted, eye: int) -> list[str]:
-    """Return a sentence for each joint whose motion is so small that its sense is uncertain."""
+def doubtful_senses(problem: BundleProblem, found: Adjusted, eye: int) -> list[Finding]:
+    """Return a finding for each joint whose motion is so small that its sense is uncertain."""
     detections, which = _views(problem, eye)
     if problem.T_base_eye_read is not None or np.bincount(which).max() < 2:
         return []
     joints, angles, levels = _angles(problem, found, eye)
     length = np.linalg.norm(_away(angles[problem.block[detections]], which), axis=0)
     return [
-        f"Readings of {joint} of {_whose(problem, eye)} hardly follow its motion: the noise is "
-        f"{level:.2g} rad, and even the sense of the motion is uncertain."
+        void(
+            "doubtful-sense",
+            f"Readings of {joint} of {_whose(problem, eye)} hardly follow its motion: the noise is "
+            f"{level:.2g} rad, and even the sense of the motion is uncertain.",
+            f"{joint} of {_whose(problem, eye)}",
+        )
         for joint, size, level in zip(joints, length, levels, strict=True)
         if size < SENSE * level
     ]

@@ -20,6 +20,7 @@ from vergence.calibration.bundle.solver import OUTLIER
 from vergence.calibration.observations import Observations
 from vergence.calibration.sequential.hand_eye import robust_park_martin
 from vergence.errors import VergenceError, counted
+from vergence.findings import Finding, warning
 from vergence.geometry.board import Chessboard
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, MountedCamera
@@ -53,10 +54,8 @@ class EyeCamera:
     """Noise of one coordinate of a corner."""
     joint_std: tuple[float, ...]
     """Noise of each kind of readings [rad], or of eye poses (rotation [rad], translation [m])."""
-    void: tuple[str, ...]
-    """Why the result must not be used; empty: it may be."""
-    warnings: tuple[str, ...]
-    """What the data cannot determine, and why."""
+    findings: tuple[Finding, ...]
+    """What the data cannot determine, and why; the most severe first."""
 
 
 def refine_eye_camera(
@@ -136,9 +135,10 @@ def refine_eye_camera(
         joint_std=joint_std,
     )
     covariance = covariance_of(found, f"{_NAME}.T_eye_cam")
-    warnings = found.warnings
+    findings = found.findings
     if intrinsics_covariance is None:
-        warnings += ("The covariance leaves out that of the intrinsics, taken as exact.",)
+        sentence = "The covariance leaves out that of the intrinsics, taken as exact."
+        findings += (warning("exact-intrinsics", sentence),)
     else:
         levels = {"pixel_std_px": found.pixel_std_px, "joint_std": found.joint_std}
         again = partial(adjust, **levels)
@@ -152,8 +152,7 @@ def refine_eye_camera(
         residuals_px=found.residuals_px[_NAME],
         pixel_std_px=found.pixel_std_px,
         joint_std=found.joint_std,
-        void=found.void,
-        warnings=warnings,
+        findings=findings,
     )
 
 

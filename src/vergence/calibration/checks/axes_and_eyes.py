@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.findings import Finding, void, warning
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.joints import parallel_distance_m
@@ -27,8 +28,10 @@ USUAL_BASELINE_M = 0.02, 0.5
 """Between which the baseline of a head is not doubted."""
 
 
-def doubts(head: HeadCalibration, std: Mapping[str, float] | None = None) -> list[str]:
-    """Return sentences on axes and eyes that a calibration puts where none can be.
+def impossible_geometry(
+    head: HeadCalibration, std: Mapping[str, float] | None = None
+) -> list[Finding]:
+    """Return findings on axes and eyes that a calibration puts where none can be.
 
     Args:
         head: the calibration.
@@ -39,14 +42,16 @@ def doubts(head: HeadCalibration, std: Mapping[str, float] | None = None) -> lis
         return said
     across = np.degrees(angle(head.T_rbase_lbase[:3, :3]))
     if across > MOST_TURNED_DEG:
-        said.append(
+        sentence = (
             f"T_rbase_lbase: the bases of the eyes are turned by {across:.0f} degrees against each "
             "other, though the joints of both turn about the head's axes: check the signs of one "
             "eye's readings, which is of which joint, and that they are zero at straight gaze."
         )
+        said.append(void("bases-turned", sentence, "T_rbase_lbase"))
     t = eye_shift(head)
     if t[1] < ASIDE * np.linalg.norm(t):
-        said.append(not_beside("T_rbase_lbase puts the left eye", "the right one", t))
+        sentence = not_beside("T_rbase_lbase puts the left eye", "the right one", t)
+        said.append(void("eyes-not-beside", sentence, "T_rbase_lbase"))
     return said
 
 
@@ -89,21 +94,22 @@ def eye_shift(head: HeadCalibration) -> Array:
     return (head.T_rbase_lbase @ T_lbase_leye)[:3, 3] - T_rbase_reye[:3, 3]
 
 
-def odd_baseline(head: HeadCalibration) -> list[str]:
-    """Return a sentence if the eyes are nearer to each other, or farther, than those of a head."""
+def odd_baseline(head: HeadCalibration) -> list[Finding]:
+    """Return a warning if the eyes are nearer to each other, or farther, than those of a head."""
     if len({mounted.eye for mounted in head.cameras.values()}) < 2:
         return []
     baseline, (least, most) = float(np.linalg.norm(eye_shift(head))), USUAL_BASELINE_M
     if least <= baseline <= most:
         return []
-    return [
+    sentence = (
         f"The eyes came out {1e3 * baseline:.1f} mm apart: if they are not, the board's squares "
         "have another size than the dataset says."
-    ]
+    )
+    return [warning("odd-baseline", sentence)]
 
 
-def _exchanged_axes(head: HeadCalibration, std: Mapping[str, float]) -> list[str]:
-    """Return sentences on parallel axes that stand on the other side of the axis before."""
+def _exchanged_axes(head: HeadCalibration, std: Mapping[str, float]) -> list[Finding]:
+    """Return findings on parallel axes that stand on the other side of the axis before."""
     said, used = [], {mounted.eye for mounted in head.cameras.values()}
     for eye in EYES:
         for before, joint in pairwise(head.kinematics.eyes[eye] if eye in used else ()):
@@ -112,10 +118,11 @@ def _exchanged_axes(head: HeadCalibration, std: Mapping[str, float]) -> list[str
                 continue
             beyond = -(apart + joint.axis_distance_m)
             if beyond > max(apart / 2, SURE * std.get(f"{eye}.{joint.name}_axis_distance_m", 0.0)):
-                said.append(
+                sentence = (
                     f"The {joint.name} axis of the {eye} eye stands {1e3 * beyond:.0f} mm on the "
                     f"other side of its {before.name} axis than `kinematics` says "
                     f"({1e3 * apart:.0f} mm): check whether their readings are exchanged, and "
                     "`point_m`."
                 )
+                said.append(void("axes-exchanged", sentence, f"{eye} eye"))
     return said

@@ -38,6 +38,7 @@ from vergence.calibration.checks.flip_evidence import (
 from vergence.calibration.observations import Observations, camera_eyes
 from vergence.calibration.sequential.hand_eye import robust_park_martin
 from vergence.errors import VergenceError
+from vergence.findings import Finding, note, warning
 from vergence.geometry.board import Board, Charuco, corner_points
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.se3 import angle, known_poses, nearest_rotation, pose, rotation, rotvec
@@ -145,29 +146,31 @@ def nearest(R_cam_target: Array, board: Board) -> Array:
     return R_cam_target @ R[synchronised(off * SPREAD_RAD)[0]]
 
 
-def remarks(found: Renumbered) -> tuple[str, ...]:
-    """Return a sentence that names the views that were turned, if there are any."""
-    return _about(found.turns, "Numbered from the wrong end, and turned: {}.")
+def findings(found: Renumbered) -> list[Finding]:
+    """Name the views that were turned, and those that could not be decided."""
+    said = []
+    if where := _views(found.turns):
+        said.append(
+            note("boards-turned", f"Numbered from the wrong end, and turned: {where}.", where)
+        )
+    if where := _views(found.unclear):
+        sentence = (
+            "Whether these boards are numbered from the wrong end is not clear, and they were left "
+            f"as they are: {where}; the joint readings and the other cameras do not agree on them."
+        )
+        said.append(warning("boards-unclear", sentence, where))
+    return said
 
 
-def warnings(found: Renumbered) -> tuple[str, ...]:
-    """Return a sentence that names the views that could not be decided, if there are any."""
-    return _about(
-        found.unclear,
-        "Whether these boards are numbered from the wrong end is not clear, and they were left as "
-        "they are: {}; the joint readings and the other cameras do not agree on them.",
-    )
-
-
-def _about(chosen: Mapping[str, np.ndarray], sentence: str) -> tuple[str, ...]:
-    """Return the sentence about the views that are not zero, by camera (V,), if there are any."""
+def _views(chosen: Mapping[str, np.ndarray]) -> str:
+    """Name the views that are not zero, by camera (V,); empty: there are none."""
     parts = []
     for name, mask in chosen.items():
         rows = np.flatnonzero(mask)
         if len(rows):
             views = "view" if len(rows) == 1 else "views"
             parts.append(f"{views} {', '.join(map(str, rows))} of {name}")
-    return (sentence.format("; ".join(parts)),) if parts else ()
+    return "; ".join(parts)
 
 
 def _turns(board: Board) -> Array:

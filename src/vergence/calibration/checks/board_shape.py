@@ -19,6 +19,7 @@ from vergence.calibration.sequential.lens_fit import (
     noise_covariance,
     without_poses,
 )
+from vergence.findings import Finding, void, warning
 from vergence.geometry.board import corner_points
 from vergence.geometry.se3 import known_poses
 from vergence.vision.board_pose import board_errors, determines_pose, seen_corners
@@ -59,43 +60,45 @@ def stretch(
     return float((values / stds**2).sum() / information), float(1 / np.sqrt(information))
 
 
-def warnings(
+def stretched_board(
     observations: Observations,
     T_cam_target: Mapping[str, Array],
     intrinsics: Mapping[str, Intrinsics],
-) -> tuple[str, ...]:
-    """Return a sentence if the board's squares are not square; the arguments are stretch's."""
+) -> tuple[Finding, ...]:
+    """Return a warning if the board's squares are not square; the arguments are stretch's."""
     value, std = stretch(observations, T_cam_target, intrinsics)
     if not abs(value) > max(SURE * std, LEAST_STRETCH):
         return ()
     board = observations.board
     height_m = (1 + value) * (board.square_y_m or board.square_m)
-    return (
+    sentence = (
         f"The squares of the board are {100 * abs(value):.2f} % {_size(value)} than wide by the "
         f"images (one standard deviation: {100 * std:.2f} %), which makes focal lengths wrong by "
         "as much: measure the board along its rows and its columns, state both sides in "
         f"dataset.json (by the images board.square_y_m is {height_m:.6g} if board.square_m is "
-        "right), and check that it is flat.",
+        "right), and check that it is flat."
     )
+    return (warning("stretched-board", sentence),)
 
 
-def contradictions(
+def stretched_in_motion(
     observations: Observations,
     T_cam_target: Mapping[str, Array],
     intrinsics: Mapping[str, Intrinsics],
-) -> tuple[str, ...]:
-    """Return a sentence if rows of moving eyes were used with a board that is stretched too far.
+) -> tuple[Finding, ...]:
+    """Return a finding if rows of moving eyes were used with a board that is stretched too far.
 
     The arguments are stretch's, of the rows at rest.
     """
     value, std = stretch(observations, T_cam_target, intrinsics)
     if not abs(value) > max(SURE * std, LEAST_STRETCH_IN_MOTION):
         return ()
-    return (
+    sentence = (
         f"The squares of the board are {100 * abs(value):.2f} % {_size(value)} than wide by the "
         "images, with which rows of moving eyes make gains and axes wrong: state both sides of the "
-        "squares, or calibrate without these rows.",
+        "squares, or calibrate without these rows."
     )
+    return (void("stretched-board-in-motion", sentence),)
 
 
 def _size(value: float) -> str:

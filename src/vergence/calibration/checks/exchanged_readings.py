@@ -11,6 +11,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.observations import Observations
+from vergence.findings import Finding, note, void
 from vergence.geometry.eye_motion import eye_linearised
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES
@@ -22,10 +23,10 @@ SURE = 4.0
 
 def exchanged_readings(
     observations: Observations, head: HeadCalibration, T_base_eye: Array
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return a sentence if left and right are exchanged; and one if that cannot be told.
+) -> list[Finding]:
+    """Return a finding if left and right are exchanged, or if that cannot be told.
 
-    Both are empty for heads with readings that move both eyes, and where poses are measured.
+    None for heads with readings that move both eyes, and where poses are measured.
 
     Args:
         observations: with V views.
@@ -34,9 +35,9 @@ def exchanged_readings(
     """
     used = [head.kinematics.used(eye) for eye in EYES]
     if observations.T_base_eye is not None or set(used[0]) & set(used[1]):
-        return (), ()
+        return []
     if len(used[0]) != len(used[1]) or not np.isfinite(T_base_eye).all((2, 3)).any(0).all():
-        return (), ()
+        return []
     readings = observations.at_image_times(head).eye_angles
     swapped = readings.copy()
     complete = np.isfinite(readings[:, [*used[0], *used[1]]]).all(axis=1)
@@ -65,13 +66,15 @@ def exchanged_readings(
     squares = ((error - slope * difference) ** 2).sum()
     std = np.sqrt(squares / max(len(error) - unknowns, 1) / max(square, 1e-30))
     if slope - 0.5 > SURE * std:
-        return (
+        sentence = (
             "The images of each eye follow the joint readings of the other: left and right are "
-            "exchanged in the columns of the joint readings.",
-        ), ()
-    if slope - 0.5 > -SURE * std:
-        return (), (
-            "Both eyes moved so much alike that joint readings of left and right, if they were "
-            "exchanged, would not show; let the eyes verge in some of the views.",
+            "exchanged in the columns of the joint readings."
         )
-    return (), ()
+        return [void("eyes-exchanged", sentence)]
+    if slope - 0.5 > -SURE * std:
+        sentence = (
+            "Both eyes moved so much alike that joint readings of left and right, if they were "
+            "exchanged, would not show; let the eyes verge in some of the views."
+        )
+        return [note("eyes-alike", sentence)]
+    return []

@@ -15,6 +15,7 @@ from vergence.arrays import Array
 from vergence.calibration.bundle.eye_motion_diagnostics import ADVISED
 from vergence.calibration.observations import Observations, camera_eyes, most_seen
 from vergence.errors import VergenceError, listed
+from vergence.findings import Finding, warning
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES, eye_joint_angles
 from vergence.geometry.se3 import known_poses, rotvec
@@ -110,13 +111,13 @@ def _axis_name(axis: Array) -> str:
     return f"({', '.join(f'{x:.2f}' for x in axis)})"
 
 
-def doubts(
+def doubtful_focal_lengths(
     seen: Observations,
     T_cam_target: Mapping[str, Array],
     head: HeadCalibration,
     focal_std_px: Mapping[str, tuple[float, float]],
-) -> list[str]:
-    """Return sentences for focal lengths that the boards do not determine.
+) -> list[Finding]:
+    """Return warnings of focal lengths that the boards do not determine.
 
     By camera T_cam_target are the board's poses (V, 4, 4), NaN where not known, and focal_std_px
     the standard deviations of fx and fy.
@@ -126,10 +127,11 @@ def doubts(
         K = head.cameras[name].intrinsics.matrix
         part = max(fx / K[0, 0], fy / K[1, 1])
         if part > FOCAL_PART:
-            said.append(
+            sentence = (
                 f"{name}.fx and fy: hardly observable, known to {100 * part:.1f} %; record more "
                 f"views, and {SLANT}."
             )
+            said.append(warning("focal-length", sentence, name))
     alike = []
     for name, mounted in head.cameras.items():
         K = mounted.intrinsics.matrix
@@ -142,10 +144,12 @@ def doubts(
         numbers = np.unique(seen.placement[known])
         means = [normals[known & (seen.placement == p)].mean(axis=0) for p in numbers]
         if means and _spread(np.array(means))[0][0] < ONE_ANGLE_RAD:
-            alike.append(f"{name}.fx and fy")
+            alike.append(name)
     if alike:
-        said.append(
-            f"{', '.join(alike)}: hardly observable, all boards stand at one angle, and only the "
+        focal_lengths = ", ".join(f"{name}.fx and fy" for name in alike)
+        sentence = (
+            f"{focal_lengths}: hardly observable, all boards stand at one angle, and only the "
             f"turns of the eyes determine them; {SLANT}."
         )
+        said.append(warning("boards-at-one-angle", sentence, ", ".join(alike)))
     return said

@@ -17,6 +17,7 @@ from vergence.calibration.checks.cross_validation import (
 )
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
+from vergence.findings import Finding, note
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.projection import T_lbase_cam
@@ -33,8 +34,8 @@ def predicting_better(
     observations: Observations,
     T_cam_target: Mapping[str, Array],
     estimate: BundleEstimate,
-) -> tuple[BundleEstimate, tuple[str, ...]]:
-    """Return the estimate that predicts unseen views better, and what there is to say of it.
+) -> tuple[BundleEstimate, tuple[Finding, ...]]:
+    """Return the estimate that predicts unseen views better, and notes on it.
 
     Errors of measured eye poses need not be independent and of one size, as an estimate of their
     noise assumes; where poses that are taken as exact predict better, beyond chance, they are.
@@ -45,11 +46,12 @@ def predicting_better(
     change = estimate.board_scale - 1
     if abs(change) > BOARD_SIZE_REMARK:
         square_mm = 1e3 * observations.board.square_m
-        said.append(
+        sentence = (
             f"By the eye poses a square of the board measures {square_mm * (1 + change):.3f} mm, "
             f"not {square_mm:.3f} mm ({100 * change:+.2f} %): measure it; lengths are those of the "
             "poses."
         )
+        said.append(note("board-size", sentence))
     exact = bundle_adjust(start, observations, T_cam_target=T_cam_target, joint_std=0.0)
     try:
         found = []
@@ -64,10 +66,11 @@ def predicting_better(
     rms = np.sqrt(squares.sum(axis=1) / np.maximum(counts.sum(axis=1), 1))
     if gain.sum() <= BEYOND_CHANCE * np.sqrt((gain**2).sum()):
         return estimate, tuple(said)
-    said.append(
+    sentence = (
         f"Eye poses are taken as exact: they then predict unseen views to {rms[1]:.2f} px, and to "
         f"{rms[0]:.2f} px if their noise is estimated."
     )
+    said.append(note("exact-poses", sentence))
     return exact, tuple(said)
 
 

@@ -21,6 +21,7 @@ from vergence.calibration.checks.reading_fit import OUTLIER, OUTLIER_RAD, OUTLIE
 from vergence.calibration.observations import Observations, camera_eyes, most_seen
 from vergence.calibration.sequential.hand_eye import robust_park_martin
 from vergence.errors import VergenceError
+from vergence.findings import Finding, warning
 from vergence.geometry.kinematics import EYES, Side, eye_joint_angles
 from vergence.geometry.se3 import angle, inverse, known_poses, pose, rotation
 
@@ -49,8 +50,8 @@ class CheckedPoses:
 
     observations: Observations
     """Without the corners of views whose pose contradicts the others."""
-    warnings: tuple[str, ...]
-    """Which these are, and by how much."""
+    findings: tuple[Finding, ...]
+    """Which these are, and how far they are off."""
 
 
 def check_pose_readings(seen: Observations, T_cam_target: Mapping[str, Array]) -> CheckedPoses:
@@ -62,7 +63,7 @@ def check_pose_readings(seen: Observations, T_cam_target: Mapping[str, Array]) -
     """
     if seen.T_base_eye is None:
         return CheckedPoses(seen, ())
-    eyes, warnings = camera_eyes(seen), []
+    eyes, findings = camera_eyes(seen), []
     left_out: set[tuple[Side, int]] = set()
     for name, eye in eyes.items():
         at_rest = np.where(seen.at_rest[:, None, None], T_cam_target[name], np.nan)
@@ -93,18 +94,19 @@ def check_pose_readings(seen: Observations, T_cam_target: Mapping[str, Array]) -
         if said:
             raise VergenceError(said)
         for row, off in zip(rows[bad].tolist(), by_view[bad], strict=True):
-            warnings.append(
+            sentence = (
                 f"View {row}: the pose of the {eye} eye differs by {np.degrees(off):.1f} degrees "
                 f"from what {name} shows beside the other views; it was left out: are two rows "
                 "exchanged?"
             )
+            findings.append(warning("odd-pose", sentence, f"view {row}, {eye} eye"))
             left_out.add((eye, row))
     corners = {name: c.copy() for name, c in seen.corners.items()} if left_out else seen.corners
     for eye, row in left_out:
         for name, own in eyes.items():
             if own == eye:
                 corners[name][row] = np.nan
-    return CheckedPoses(replace(seen, corners=corners), tuple(warnings))
+    return CheckedPoses(replace(seen, corners=corners), tuple(findings))
 
 
 def check_axis_order(seen: Observations, T_cam_target: Mapping[str, Array]) -> None:

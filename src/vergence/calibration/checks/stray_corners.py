@@ -15,6 +15,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.observations import Observations
 from vergence.errors import counted
+from vergence.findings import note
 
 LEAST = 0.35
 """Distance from where the neighbours say, in sides of a square in the image, below which no corner
@@ -34,7 +35,7 @@ MOST_OUTLIERS = 0.15
 
 
 def without_strays(observations: Observations) -> Observations:
-    """Return the observations without stray corners, and with a remark where there were any."""
+    """Return the observations without stray corners, and with a note where there were any."""
     board, corners, said = observations.board, {}, []
     for name, found in observations.corners.items():
         stray = strays(found.reshape(len(found), board.rows, board.columns, 2))
@@ -45,8 +46,9 @@ def without_strays(observations: Observations) -> Observations:
             said.append(f"{stray.sum()} in {counted(images, 'image')} of {name}")
     if not said:
         return observations
-    remark = f"Corners not where their neighbours say, and left out: {'; '.join(said)}."
-    return replace(observations, corners=corners, remarks=(*observations.remarks, remark))
+    where = "; ".join(said)
+    found = note("stray-corners", f"Corners not where their neighbours say, and left out: {where}.")
+    return replace(observations, corners=corners, findings=(*observations.findings, found))
 
 
 def without_outliers(
