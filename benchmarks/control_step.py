@@ -24,10 +24,9 @@ from vergence.arrays import Array
 from vergence.demos.grasp import LONGEST_S, hand_held
 from vergence.gaze.commands import HEAD_JOINTS
 from vergence.gaze.controller import step_gaze
-from vergence.gaze.seen_position import see_position
+from vergence.gaze.observation import update_track
+from vergence.gaze.reaching import ReachPhase, ReachSettings, initial_reach_state, step_reach
 from vergence.gaze.state import GazeSettings, initial_gaze_state
-from vergence.reach.controller import step_reach
-from vergence.reach.state import ReachPhase, ReachSettings, initial_reach_state
 from vergence.twin.hand import SimulatedHand, arm_mounting_error
 from vergence.twin.head import Twin
 from vergence.twin.profile import load_profile
@@ -91,7 +90,7 @@ def seen_steps(twin: Twin, frames: int) -> dict[str, list[float]]:
         state = step_gaze(settings, state, frame, head.now_s())
         sent = time.thread_time()
         head.command(state.command)
-        state = see_position(settings, state, frame)
+        state = update_track(settings, state, frame)
         if k >= WARM_UP:
             seconds["gaze by what both eyes see, until the command"].append(sent - began)
             seconds["gaze by what both eyes see, after it"].append(time.thread_time() - sent)

@@ -6,8 +6,8 @@ import numpy as np
 
 from drawn_head import DrawnHead
 from vergence.arrays import Array
+from vergence.gaze.hand import HandCommand, HandReading, hand_goal
 from vergence.geometry.se3 import pose, transform
-from vergence.reach.state import HandCommand, HandReading, hand_goal
 
 MARKER_HAND = np.array([-0.026, 0.0, -0.052])
 _RADIUS_M, _SPEED_M_S, _CLOSING_S, _TICK_S = 0.010, 0.5, 0.1, 0.005

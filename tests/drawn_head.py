@@ -12,9 +12,9 @@ from vergence.gaze.commands import (
     NECK,
     HeadCommand,
     JointLimits,
-    commanded,
     hold,
     setpoint,
+    setpoints_at,
 )
 from vergence.gaze.foveation import gaze_angles
 from vergence.geometry.camera import pinhole, project
@@ -87,7 +87,7 @@ class DrawnHead:
 
     def posture(self, time_s: float) -> Array:
         """Return the true joint angles (7,) [rad]; NaN in `stuck` means free."""
-        angles = commanded(self.commands, time_s)
+        angles = setpoints_at(self.commands, time_s)
         if self.servo_lag_s:  # of the first order
             ages = (np.arange(300) + 0.5) / 40
             times_s = time_s - self.servo_lag_s * ages

@@ -19,7 +19,7 @@ SRC = Path(__file__).parents[1] / "src"
 
 ROOMS = (
     "errors", "findings", "arrays", "reading", "writable", "writing", "progress", "geometry",
-    "data", "vision", "stereo", "calibration", "self_calibration", "gaze", "reach", "accuracy",
+    "data", "vision", "stereo", "calibration", "self_calibration", "gaze", "accuracy",
     "interchange", "vergence", "processes", "twin", "viewer",
     "commands", "paper", "demos", "cli", "__main__",
 )  # fmt: skip

@@ -7,7 +7,7 @@ import pytest
 
 from simulated_head import plain_head, point_in_camera, skewed_head
 from vergence.errors import VergenceError
-from vergence.gaze.fixation import readings_to
+from vergence.gaze.fixation import solve_fixation
 from vergence.gaze.foveation import (
     foveal_miss,
     gaze_angles,
@@ -172,7 +172,7 @@ def test_a_point_is_centred_though_the_error_before_the_last_step_was_not_small_
     mounted = {"camera_m": ((0.02, 0.01, 0.01),) * 2, "mounting_deg": ((2.0, 1.0, -3.0),) * 2}
     made = plain_head(0.1, 300.0, **mounted)
     for point in ([0.108, 0.031, 0.041], [0.103, 0.022, 0.018], [0.1, -0.002, 0.011]):
-        angles = readings_to(made, {"left_wide": np.array(point)})
+        angles = solve_fixation(made, {"left_wide": np.array(point)})
         assert np.isfinite(angles[:2]).all()
 
 
@@ -192,16 +192,16 @@ def test_motors_before_a_gear_turn_as_often_as_the_gear_asks():
 
 def test_points_that_no_gaze_centres_are_nan_and_leave_the_others_alone():
     points = np.array([[np.nan, 0, 1], [0, 0, 1], [0.001, 0, 0], [0.5, 0, 0], [0, 0, 0]])
-    angles = readings_to(head(0), {"left_narrow": points})[..., :2]
+    angles = solve_fixation(head(0), {"left_narrow": points})[..., :2]
     np.testing.assert_array_equal(np.isfinite(angles).all(axis=1), [False] * 3 + [True, False])
-    alone = readings_to(head(0), {"left_narrow": points[3]})[..., :2]
+    alone = solve_fixation(head(0), {"left_narrow": points[3]})[..., :2]
     np.testing.assert_allclose(alone, angles[3], atol=1e-14)
 
 
 def test_eyes_within_limits_look_as_near_to_a_point_as_these_allow():
     points, limits = np.array([[0.5, 0.1, 0.02], [0.5, 0.4, 0.02]]), np.full(4, 0.4)
-    free = readings_to(head(0), {"left_wide": points})
-    held = readings_to(head(0), {"left_wide": points}, limits_rad=limits)
+    free = solve_fixation(head(0), {"left_wide": points})
+    held = solve_fixation(head(0), {"left_wide": points}, limits_rad=limits)
     np.testing.assert_allclose(held[0], free[0], atol=1e-12)
     assert held[1, 0] == 0.4 < free[1, 0]
     # The tilt is what is best at that pan.

@@ -196,10 +196,10 @@ def test_an_object_that_moves_slowly_is_pursued_though_readings_are_noisy(speed_
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
-        ({"time_s": np.nan}, "Time stamps are finite; found nan s of the images"),
-        ({"joint_time_s": -1000.0}, "by one clock, .* found 0.0+ s of the images and -1000.0+ s"),
-        ({"time_s": 1000.0, "joint_time_s": 1000.0}, "stamped 1000.000 s after now"),
-        ({"time_s": -1000.0, "joint_time_s": -1000.0}, "stamped 1000.000 s before now"),
+        ({"time_s": np.nan}, "of one clock .* found nan s of the images"),
+        ({"joint_time_s": -1000.0}, "of one clock .* found 0.0+ s of the images and -1000.0+ s"),
+        ({"time_s": 1000.0, "joint_time_s": 1000.0}, "one clock .* 1000.0+ s of the images"),
+        ({"time_s": -1000.0, "joint_time_s": -1000.0}, "one clock .* -1000.0+ s of the images"),
         ({"images": {"left_wide": None}}, "image of left_wide is None"),
     ],
 )

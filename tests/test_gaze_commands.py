@@ -15,10 +15,10 @@ from vergence.gaze.commands import (
     HeadCommand,
     JointLimits,
     RecordedHead,
-    commanded,
     hold,
     joint_limits,
     setpoint,
+    setpoints_at,
 )
 from vergence.twin.model import load_spec
 
@@ -59,7 +59,7 @@ def test_ranges_and_speeds_are_finite(end_rad: tuple[float, float], speed_rad_s:
 
 @pytest.mark.parametrize("margin_rad", [-0.5, np.nan, np.inf])
 def test_the_margin_at_the_ends_of_the_ranges_is_a_distance(margin_rad: float):
-    with pytest.raises(VergenceError, match="margin_rad is a distance"):
+    with pytest.raises(VergenceError, match="margin_rad is 0 rad or more"):
         JointLimits(margin_rad=margin_rad)
 
 
@@ -97,10 +97,10 @@ def test_a_goal_is_reached_and_followed_until_no_further_command_comes():
 
 def test_earlier_set_points_can_be_recovered():
     commands = [hold(np.zeros(7), LIMITS, 0.0), command(goal=0.2), hold(np.ones(7), LIMITS, 2.0)]
-    np.testing.assert_array_equal(commanded(commands, -1.0), 0)
-    np.testing.assert_array_equal(commanded(commands, 0.9), 0)
-    np.testing.assert_allclose(commanded(commands, 1.5), 0.2)
-    np.testing.assert_array_equal(commanded(commands, 2.0), 1)
+    np.testing.assert_array_equal(setpoints_at(commands, -1.0), 0)
+    np.testing.assert_array_equal(setpoints_at(commands, 0.9), 0)
+    np.testing.assert_allclose(setpoints_at(commands, 1.5), 0.2)
+    np.testing.assert_array_equal(setpoints_at(commands, 2.0), 1)
 
 
 def test_the_default_limits_are_those_of_the_model():

@@ -12,11 +12,13 @@ from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
 from vergence.gaze.commands import EYE_READINGS, HEAD_JOINTS, NECK, JointLimits, hold, joint_limits
 from vergence.gaze.controller import run_gaze, step_gaze
-from vergence.gaze.roles import EyeCameras, default_roles
+from vergence.gaze.reaching import ReachSettings
 from vergence.gaze.state import (
+    EyeCameras,
     GazePhase,
     GazeSettings,
     GazeState,
+    default_roles,
     initial_gaze_state,
     look_at,
 )  # fmt: skip
@@ -24,7 +26,6 @@ from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.neck import Neck
-from vergence.reach.state import ReachSettings
 from vergence.vision.detector import Detection
 from vergence.vision.sphere import sphere_detector
 
@@ -186,7 +187,7 @@ def test_objects_are_chosen_by_name_and_points_in_between():
         ({"left": EyeCameras("left_wide", "left_tele")}, "narrow .* left eye .* 'left_tele'.* has"),
         ({"left": EyeCameras("right_wide", "left_narrow")}, "'right_wide', but this eye has left"),
         ({"middle": EyeCameras("left_wide", "left_narrow")}, "left, right; found 'middle'"),
-        ({}, "found none"),
+        ({}, "found no eye"),
     ],
 )
 def test_roles_that_the_head_cannot_fill_are_refused_by_name(roles, words: str):
@@ -211,7 +212,7 @@ def test_settings_without_something_to_look_at_are_refused():
 
 
 def test_a_neck_that_the_calibration_does_not_describe_cannot_share():
-    with pytest.raises(VergenceError, match=r"neck_pitch.*it has 0 neck joints"):
+    with pytest.raises(VergenceError, match=r"neck_pitch.*has 0 neck joints"):
         GazeSettings(calibration=replace(HEAD, neck=Neck()), use_neck=True)
 
 

@@ -21,10 +21,11 @@ from vergence.demos.experiment import Experiment
 from vergence.demos.grasp import FAR_M, NEAR_M, WITHIN_M, grasp, hand_held, summary
 from vergence.errors import VergenceError
 from vergence.gaze.foveation import gaze_angles
+from vergence.gaze.hand import HandCommand
+from vergence.gaze.reaching import ReachPhase
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, pose, rotvec, transform
 from vergence.progress import Progress
-from vergence.reach.state import HandCommand, ReachPhase
 from vergence.stereo.triangulation import triangulate_at
 from vergence.twin.hand import (
     ACCELERATION_M_S2,

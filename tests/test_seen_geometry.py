@@ -14,8 +14,7 @@ from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
 from vergence.gaze.controller import run_gaze
-from vergence.gaze.roles import EyeCameras
-from vergence.gaze.state import GazeSettings, GazeState, initial_gaze_state
+from vergence.gaze.state import EyeCameras, GazeSettings, GazeState, initial_gaze_state
 from vergence.geometry.kinematics import EYES, Side
 from vergence.paper.figures import FIGURES
 from vergence.paper.recording import figure_recording
@@ -159,7 +158,7 @@ def test_the_gaze_locates_better_by_what_it_sees_and_steers_as_before():
 
 
 def test_one_eye_cannot_see_the_geometry():
-    with pytest.raises(VergenceError, match="needs both; the gaze uses the left eye only"):
+    with pytest.raises(VergenceError, match="images of both eyes; the gaze uses the left eye"):
         GazeSettings(calibration=one_eyed(), geometry="seen")
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.summary import DISTANCES_M
 from vergence.errors import VergenceError
-from vergence.gaze.fixation import readings_to
+from vergence.gaze.fixation import solve_fixation
 from vergence.geometry.head import HeadCalibration, T_head_base
 from vergence.geometry.kinematics import looking_along
 from vergence.geometry.parameters import named_columns, parameter_names
@@ -68,7 +68,7 @@ def fixating(
     is not in both images then.
     """
     in_bases = points, transform(head.T_rbase_lbase, points)
-    joints = readings_to(head, dict(zip(pair, in_bases, strict=True)), limits_rad=limits_rad)
+    joints = solve_fixation(head, dict(zip(pair, in_bases, strict=True)), limits_rad=limits_rad)
     joints = np.nan_to_num(joints)  # of points that cannot be fixated, and other readings
     error = np.concatenate(
         [

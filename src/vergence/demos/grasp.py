@@ -1,8 +1,8 @@
 """Grasp an object that a person holds out (the paper's Fig. 12).
 
 The object is brought from a distance and held out, not quite still. The eyes keep it on both
-foveas, and `vergence.reach` moves the simulated hand, by frames, readings and the hand's encoders.
-The truth is used only to measure where the hand closed, and the eyes' depth errors by range.
+foveas, and `vergence.gaze.reaching` moves the simulated hand, by frames, readings and the hand's
+encoders. The truth is used only to measure where the hand closed, and the eyes' depth errors.
 """
 
 from __future__ import annotations
@@ -25,9 +25,14 @@ from vergence.demos.experiment import (
 )
 from vergence.demos.recording import recorded
 from vergence.errors import counted
+from vergence.gaze.reaching import (
+    ReachPhase,
+    ReachSettings,
+    ReachState,
+    initial_reach_state,
+    run_reach,
+)
 from vergence.progress import Progress, silent
-from vergence.reach.controller import run_reach
-from vergence.reach.state import ReachPhase, ReachSettings, ReachState, initial_reach_state
 from vergence.self_calibration.sequence import SeenGeometry
 from vergence.twin.hand import SimulatedHand, arm_mounting_error
 from vergence.twin.head import Twin

@@ -1,12 +1,11 @@
-"""Commands to the joints of a head, their limits, and the protocol of a head's driver.
+"""Joint commands and limits, and the interface between a controller and a head's driver.
 
-A command describes the whole motion until the next command arrives. A driver that renews its set
-points every millisecond therefore needs nothing more from a controller that runs at the frame
-rate, and the controller can compute the set points that were in force at the time of any frame,
-however late the frame arrives.
+A command describes the motion until the next command arrives. A driver can therefore renew its set
+points every millisecond while the controller runs at the frame rate, and the controller can compute
+the set points at the time of any frame, however late the frame arrives.
 
-The j joints of a posture are the three of the neck, then the readings of the eyes in the order of
-the head's kinematics: HEAD_JOINTS, where both eyes pan and tilt.
+A posture has j joints: the three of the neck, then the readings of the eyes in the order of the
+head's kinematics. HEAD_JOINTS is the order for eyes that pan and tilt.
 """
 
 from __future__ import annotations
@@ -28,11 +27,12 @@ HEAD_JOINTS = (*NECK_JOINTS, *EYE_JOINTS)
 NECK, EYE_READINGS = slice(0, len(NECK_JOINTS)), slice(len(NECK_JOINTS), None)
 """Columns of the neck and of both eyes in a posture (..., j)."""
 HOLD_S = 0.1
-"""Time after which a moving goal stops if no further command arrives: extrapolation degrades."""
+"""Time after which a moving goal stops if no further command arrives [s]; three frames."""
+_TIMEOUT_S = 0.1
+"""Time that a recorded head waits for a frame after its last one [s]."""
 _AGES = (np.arange(100) + 0.5) * 0.08
-"""Ages of set points [time constants], of which the angles of a lagging servo are the mean: after a
-turn by 25 degrees to 0.04 degrees, if it takes half a time constant, and nearer if it takes
-longer."""
+"""Ages of the set points that are averaged to simulate a lag [time constants]. The error after a
+turn by 25 degrees is below 0.04 degrees."""
 _WEIGHTS = np.exp(-_AGES) / np.exp(-_AGES).sum()
 
 
@@ -47,9 +47,9 @@ class JointLimits:
     )
     """(j, 2) lower and upper end of each joint's range."""
     speed_rad_s: Array = field(default_factory=lambda: np.array([3.0] * 3 + [10.0] * 4))
-    """(j,) greatest speed of the set points."""
+    """(j,) maximum speed of the set points."""
     margin_rad: float = float(np.radians(0.25))
-    """Distance of the set points from the ends of the ranges, because servos overshoot a little."""
+    """Distance of the set points from the ends of the ranges: servos overshoot a little."""
     joints: tuple[str, ...] = HEAD_JOINTS
     """Names of the joints."""
 
@@ -57,14 +57,11 @@ class JointLimits:
         shapes, j = (np.shape(self.range_rad), np.shape(self.speed_rad_s)), len(self.joints)
         if shapes != ((j, 2), (j,)):
             raise VergenceError(
-                f"Limits are given for the joints {', '.join(self.joints)}: ranges ({j}, 2) and "
-                f"speeds ({j},), found {shapes[0]} and {shapes[1]}; see `joint_limits`."
+                f"The joints {', '.join(self.joints)} need ranges ({j}, 2) and speeds ({j},), "
+                f"found {shapes[0]} and {shapes[1]}; see `joint_limits`."
             )
         if not 0 <= self.margin_rad < np.inf:
-            raise VergenceError(
-                "margin_rad is a distance from the ends of the ranges, 0 rad or more; found "
-                f"{self.margin_rad:g} rad."
-            )
+            raise VergenceError(f"margin_rad is 0 rad or more, found {self.margin_rad:g} rad.")
         for name, (lower, upper), speed in zip(
             self.joints, self.range_rad, self.speed_rad_s, strict=True
         ):
@@ -77,9 +74,8 @@ class JointLimits:
     @property
     def setpoint_range_rad(self) -> Array:
         """(j, 2) lowest and highest set point of each joint."""
-        half = np.ptp(self.range_rad, axis=1) / 2  # the margin of a joint that hardly moves
-        margin = np.minimum(self.margin_rad, half)[:, None]
-        return self.range_rad + margin * np.array([1.0, -1.0])
+        margin = np.minimum(self.margin_rad, np.ptp(self.range_rad, axis=1) / 2)
+        return self.range_rad + margin[:, None] * np.array([1.0, -1.0])
 
 
 def joint_limits(
@@ -88,17 +84,15 @@ def joint_limits(
     *,
     joints: Sequence[str] = HEAD_JOINTS,
 ) -> JointLimits:
-    """Return limits by the names of joints; those that are not named stay at zero.
+    """Make limits from ranges and maximum speeds by joint; joints without them stay at zero.
 
     Args:
-        range_rad: lower and upper end of the range of each joint that the head has, by its name
-            among the joints.
-        speed_rad_s: greatest speed of the same joints.
+        range_rad: lower and upper end by the name of the joint.
+        speed_rad_s: maximum speed of the same joints.
         joints: all joints of a posture: the neck's, then the readings of the eyes.
 
     Raises:
-        VergenceError: a joint is unknown, or has only one of range and speed, or these are not
-            possible.
+        VergenceError: a joint is unknown, lacks its range or speed, or has an invalid one.
     """
     for name in {**range_rad, **speed_rad_s}:
         if name not in joints:
@@ -129,9 +123,9 @@ class HeadCommand:
 
 
 def setpoint(command: HeadCommand, time_s: float | Array) -> Array:
-    """Return the set points (..., j) [rad] of a command at times (...), within ranges and speeds.
+    """Compute the set points (..., j) [rad] of a command at times (...), within ranges and speeds.
 
-    A joint that starts beyond its range comes back to it at its speed.
+    A joint that starts outside its range returns to it at its maximum speed.
     """
     elapsed = np.maximum(np.asarray(time_s) - command.time_s, 0.0)[..., None]
     speed = command.limits.speed_rad_s
@@ -141,39 +135,27 @@ def setpoint(command: HeadCommand, time_s: float | Array) -> Array:
     return command.start + np.clip(goal - command.start, -reach, reach)
 
 
-def commanded(commands: Sequence[HeadCommand], time_s: float) -> Array:
-    """Return the set points (j,) [rad] in force at a time; the first hold for earlier ones too.
+def setpoints_at(commands: Sequence[HeadCommand], time_s: float, lag_s: float = 0.0) -> Array:
+    """Compute the set points (j,) [rad] at a time from commands in the order of their times.
 
-    The commands are in the order of their times.
+    With a lag the result is the response of servos of first order with this time constant. The
+    first command also holds for earlier times.
     """
-    return setpoint(commands[_in_force(commands, np.array(time_s)).item()], time_s)
-
-
-def followed(commands: Sequence[HeadCommand], time_s: float, lag_s: float) -> Array:
-    """Return the angles (j,) [rad] at a time of servos that lag behind set points by a first order.
-
-    Their time constant is lag_s [s]; it is 0 for servos that do not lag.
-    """
-    if lag_s == 0:
-        return commanded(commands, time_s)
-    times_s = np.asarray(time_s - lag_s * _AGES, float)
-    which = _in_force(commands, times_s)
+    since_s = [command.time_s for command in commands]
+    times_s = np.atleast_1d(time_s - lag_s * _AGES if lag_s else time_s)
+    weights = _WEIGHTS if lag_s else np.ones(1)
+    current = np.maximum(np.searchsorted(since_s, times_s, side="right") - 1, 0)
     parts = [
-        _WEIGHTS[which == k] @ setpoint(commands[k], times_s[which == k]) for k in np.unique(which)
+        weights[current == k] @ setpoint(commands[k], times_s[current == k])
+        for k in np.unique(current)
     ]
     return np.sum(parts, axis=0)
 
 
-def _in_force(commands: Sequence[HeadCommand], times_s: Array) -> np.ndarray:
-    """Return which command is in force at times (...)."""
-    since_s = [command.time_s for command in commands]
-    return np.maximum(np.searchsorted(since_s, times_s, side="right") - 1, 0)
-
-
 def hold(posture: ArrayLike, limits: JointLimits, time_s: float) -> HeadCommand:
-    """Return the command that holds a posture (j,) [rad].
+    """Make the command that holds a posture (j,) [rad].
 
-    VergenceError if it is not one finite angle for each joint of the limits.
+    Raises VergenceError unless there is one finite angle for each joint of the limits.
     """
     posture = np.array(posture, float)  # a copy, since a driver may write into its array
     if posture.shape != (len(limits.joints),) or not np.isfinite(posture).all():
@@ -186,10 +168,10 @@ def hold(posture: ArrayLike, limits: JointLimits, time_s: float) -> HeadCommand:
 
 
 class HeadDriver(Protocol):
-    """The interface of a head to the controller; the simulated head and recordings have it too."""
+    """The driver of a head. The simulated head and recordings implement it too."""
 
     def now_s(self) -> float:
-        """Return the time of the clock that stamps the frames [s]."""
+        """Read the clock that stamps the frames [s]."""
         ...
 
     def read(self, cameras: Sequence[str]) -> Frame | None:
@@ -201,29 +183,25 @@ class HeadDriver(Protocol):
         ...
 
 
-_TIMEOUT_S = 0.1
-"""For how long a recorded head waits for a frame after its last one."""
-
-
 class RecordedHead:
-    """A dataset that is replayed as a head, in open loop: commands have no effect."""
+    """A driver that replays a dataset in open loop: commands have no effect."""
 
     def __init__(self, dataset: Dataset):
-        """Begin before the first row of the dataset."""
+        """Start before the first row of the dataset."""
         self._dataset, self._reads = dataset, 0
 
     def now_s(self) -> float:
-        """Return the time of the row that was read last [s]; after the last one it goes on."""
+        """Return the time of the latest row [s]; it increases after the last row."""
         rows = len(self._dataset)
         last = float(self._dataset.time_s[max(min(self._reads, rows) - 1, 0)])
         return last + _TIMEOUT_S * max(self._reads - rows, 0)
 
     def read(self, cameras: Sequence[str]) -> Frame | None:
-        """Return the next row with all its images; None at the end of the dataset."""
+        """Read the next row with all its images; None after the last row."""
         self._reads += 1
         if self._reads > len(self._dataset):
             return None
         return self._dataset.frame(self._reads - 1)
 
     def command(self, command: HeadCommand) -> None:
-        """Ignore the command: a recording cannot move."""
+        """Ignore the command."""

@@ -1,15 +1,15 @@
 """Closed-loop gaze control: find an object, turn the eyes to it, and keep it on both foveas.
 
-Pure functions: `step_gaze` takes the state, a frame and the time, and returns the next state, which
-holds the command for the joints. Its inputs are frames and its own earlier commands, nothing else.
+`step_gaze` is a pure function of settings, state, frame and time. The state holds the command for
+the joints. The only inputs are frames and earlier commands.
 
-One law serves all phases. The object's pixel in an eye's image, together with that eye's set points
-at the time of the image, gives the direction to the object, and the track gives the depth; the goal
-is the angles that centre this point. With the narrow image the loop is closed: once the error is
-zero the goal is the present posture, whatever the gains of the joints. With the wide image it
-follows Eqs. 18-19. The goal moves as the angles to the tracked point change, by the velocity of the
-point and by the motion of the neck: the feed-forward of smooth pursuit, and the vestibulo-ocular
-reflex.
+One control law serves all phases. The object's pixel in an eye's image, with that eye's set points
+at the time of the image, gives the direction to the object, and the track gives its depth. The goal
+is the posture that centres this point. In the narrow image this closes the loop: once the error is
+zero, the goal is the present posture, whatever the gains of the joints. In the wide image it
+implements Eqs. 18-19. The goal moves at the rate at which the angles to the tracked point change,
+by the velocity of the point and by the motion of the neck: the feed-forward of smooth pursuit, and
+the vestibulo-ocular reflex.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from vergence.gaze.commands import (
     NECK,
     HeadCommand,
     HeadDriver,
-    commanded,
     hold,
     setpoint,
+    setpoints_at,
 )
-from vergence.gaze.fixation import readings_to
+from vergence.gaze.fixation import solve_fixation
 from vergence.gaze.foveation import gaze_angles
 from vergence.gaze.kalman import Track
 from vergence.gaze.observation import (
@@ -41,11 +41,11 @@ from vergence.gaze.observation import (
     check_times,
     detect_object,
     is_central,
-    measure,
+    measure_object,
+    object_rays,
     posture_at_image,
-    rays_to,
+    update_track,
 )
-from vergence.gaze.seen_position import see_position
 from vergence.gaze.state import GazePhase, GazeSettings, GazeState
 from vergence.geometry.head import T_body_base
 from vergence.geometry.kinematics import eye_turn, readings_to_turn
@@ -53,14 +53,14 @@ from vergence.geometry.neck import NECK_JOINTS
 from vergence.geometry.se3 import inverse, transform
 
 _RATE_STEP_S = 1e-3
-"""Time over which the rate of the angles to the object is taken as a difference."""
+"""Time step of the finite difference for the rate of the angles to the object [s]."""
 _AT_REST = 0.25
-"""Speed by the readings, relative to that by the commands, below which an object rests. With a
-half, noise of the readings takes an object that moves slowly for one at rest, again and again."""
+"""Speed by the readings, relative to that by the commands, below which an object rests. At 0.5 the
+noise of readings would often stop the pursuit of a slow object."""
 _SEARCH_RAD = np.array(
     [(0, 0), (0.5, 0), (-0.5, 0), (-0.5, 0.3), (0.5, 0.3), (0.5, -0.3), (-0.5, -0.3)]
 )
-"""Pan and tilt of the goals of a search, in this order; a neck that shares in it pans as far."""
+"""Pan and tilt of the directions of a search, in this order. A neck that takes part pans as far."""
 
 
 def run_gaze(
@@ -71,12 +71,12 @@ def run_gaze(
     *,
     watch: Callable[[GazeState, Frame | None], None] = lambda state, frame: None,
 ) -> GazeState:
-    """Run the loop until a time of the head's clock; `watch` gets every state and its frame."""
+    """Run the control loop until a time of the head's clock; `watch` gets each state and frame."""
     while head.now_s() < until_s:
         frame = head.read(state.cameras)
         state = step_gaze(settings, state, frame, head.now_s())
         head.command(state.command)
-        state = see_position(settings, state, frame)  # steering does not wait for it
+        state = update_track(settings, state, frame)  # steering does not wait for it
         watch(state, frame)
     return state
 
@@ -84,7 +84,20 @@ def run_gaze(
 def step_gaze(
     settings: GazeSettings, state: GazeState, frame: Frame | None, now_s: float
 ) -> GazeState:
-    """Return the next state: detect, estimate, decide, command.
+    """Run one step of the gaze controller: detect, estimate, decide, command.
+
+    Example: keep the eyes of a head on a red sphere for ten seconds; `run_gaze` is this loop.
+
+        head = vg.load_head("calibration.json")
+        settings = vg.GazeSettings(head)  # the object is a red sphere by default
+        driver = ...  # has now_s, read and command: see docs/own_driver.md
+        state = vg.initial_gaze_state(settings, np.zeros(len(settings.joints)), driver.now_s())
+        while driver.now_s() < 10.0:
+            frame = driver.read(state.cameras)
+            state = vg.step_gaze(settings, state, frame, driver.now_s())
+            driver.command(state.command)
+            if state.track is not None:
+                print(state.phase, state.track.position)  # [m] in frame body
 
     Args:
         settings: of the head and its controller.
@@ -93,13 +106,13 @@ def step_gaze(
         now_s: time from which the command can take effect, not before the frame's time stamp.
 
     Raises:
-        VergenceError: what the frame has is not of this head, as `observation.detect_object` says;
-            or its time stamps are not finite, of different clocks, or of another one than now_s.
+        VergenceError: the frame is not one of this head, as `observation.detect_object` states, or
+            its time stamps are not finite or not of the clock of now_s.
     """
     if frame is None or frame.time_s <= state.frame_s:
         if not isinstance(state.target, str):
-            return state  # images do not tell where a given point is
-        return _without_detection(settings, state, now_s)
+            return state  # a given point needs no images
+        return _wait_or_search(settings, state, now_s)
     check_times(frame, now_s)
     state = detect_object(settings, state, frame)
     if frame.time_s < state.landing_s:
@@ -109,10 +122,10 @@ def step_gaze(
         aim = Track(frame.time_s, np.concatenate([state.target, np.zeros(6)]), np.zeros((9, 9)))
         state = replace(state, aim=aim, seen_s=frame.time_s)
         return _follow(settings, state, posture, {}, now_s)
-    rays = rays_to(settings, state, posture)
+    rays = object_rays(settings, state, posture)
     if not rays:
-        return _without_detection(settings, state, now_s)
-    state = measure(settings, state, frame, posture)
+        return _wait_or_search(settings, state, now_s)
+    state = measure_object(settings, state, frame, posture)
     state = replace(aim_at_assumed_depth(settings, state, posture, rays), seen_s=frame.time_s)
     return _follow(settings, state, posture, rays, now_s)
 
@@ -125,23 +138,23 @@ def _in_left_base(settings: GazeSettings, points_body: Array, neck: Array) -> Ar
 def _follow(
     settings: GazeSettings, state: GazeState, posture: Array, rays: Rays, now_s: float
 ) -> GazeState:
-    """Return the state with the command that keeps the aim on both foveas.
+    """Command the posture that keeps the aim on both foveas.
 
     Aim, posture (j,) [rad] and rays are those at the time of the image. An eye without a ray to the
     object is turned by the aim alone.
     """
     calibration, aim, image_s = settings.calibration, state.aim, state.frame_s
-    assert aim is not None  # `aim_at_assumed_depth` sets it wherever an eye sees the object
-    start_now = setpoint(state.command, now_s)
+    assert aim is not None  # `aim_at_assumed_depth` sets it if there is no measurement
     neck_then = posture[NECK]
-    neck_now = neck_then + start_now[NECK] - commanded(state.commands, image_s)[NECK]
+    moved = setpoint(state.command, now_s) - setpoints_at(state.commands, image_s)
+    neck_now = neck_then + moved[NECK]
     if settings.use_neck:
         aim_now = _in_left_base(settings, aim.position, neck_now)
         eyes_now = gaze_angles(calibration, aim_now, cameras=settings.narrow)
         state = _turn_neck(settings, state, eyes_now, now_s)
     moments = np.array([image_s, now_s, now_s + _RATE_STEP_S])
     velocity = aim.velocity * _is_moving(settings, state)
-    # Where the object will be once the servos have followed.
+    # Set points lead the object by the lag of the servos.
     ahead_s = moments - image_s + np.array([0.0, 1.0, 1.0]) * settings.servo_lag_s
     points = aim.position + ahead_s[:, None] * velocity
     necks = np.stack([neck_then, neck_now, neck_now + _RATE_STEP_S * state.neck_rate])
@@ -149,31 +162,31 @@ def _follow(
     points_base = {"left": left, "right": transform(calibration.T_rbase_lbase, left)}
     targets = {}
     for eye, cameras in settings.eyes.items():
-        seen = points_base[eye][0]
+        sighted = points_base[eye][0]
         if eye in rays:
             centre, ray = rays[eye]
-            seen = centre + np.linalg.norm(seen - centre) / np.linalg.norm(ray) * ray
-        targets[cameras.narrow] = np.vstack([points_base[eye], seen])
-    then, now, soon, to_seen = readings_to(calibration, targets)
-    goal = now + to_seen - then
+            sighted = centre + np.linalg.norm(sighted - centre) / np.linalg.norm(ray) * ray
+        targets[cameras.narrow] = np.vstack([points_base[eye], sighted])
+    then, now, soon, to_sighted = solve_fixation(calibration, targets)
+    goal = now + to_sighted - then
     return _move_eyes(settings, state, goal, (soon - now) / _RATE_STEP_S, now_s)
 
 
 def _turn_neck(settings: GazeSettings, state: GazeState, eyes: Array, now_s: float) -> GazeState:
-    """Return the state with the neck's velocity, by the eyes' readings (r,) [rad] to the object."""
+    """Compute the neck's velocity from the eyes' readings (r,) [rad] that centre the object."""
     kinematics = settings.calibration.kinematics
     turns = [eye_turn(kinematics, eye, eyes) for eye in settings.eyes]
     if not np.isfinite(turns).all():
         return state
     _, tilt, pan = np.mean(turns, axis=0)
     away = np.where(_has_joint(settings), [tilt, 0.0, pan], 0.0)  # pitch, roll, yaw
-    begins, ends = settings.comfort_rad
-    turning = bool(np.abs(away).max() > (ends if state.neck_turning else begins))
+    start_rad, stop_rad = settings.comfort_rad
+    turning = bool(np.abs(away).max() > (stop_rad if state.neck_turning else start_rad))
     top = settings.neck_speed_rad_s
     wanted = np.clip(settings.neck_gain_hz * away, -top, top) if turning else np.zeros(3)
     at = setpoint(state.command, now_s)[NECK]
     lower, upper = settings.limits.setpoint_range_rad[NECK].T
-    # Slow enough to stop at the end of the range, with half the braking in hand between frames.
+    # Slow enough to stop at the end of the range with half the braking, which covers a frame.
     braking = settings.neck_acceleration_rad_s2 * np.maximum([at - lower, upper - at], 0)
     wanted = np.clip(wanted, -np.sqrt(braking[0]), np.sqrt(braking[1]))
     change = settings.neck_acceleration_rad_s2 * min(now_s - state.command.time_s, 0.1)
@@ -184,14 +197,14 @@ def _turn_neck(settings: GazeSettings, state: GazeState, eyes: Array, now_s: flo
 
 
 def _has_joint(settings: GazeSettings) -> np.ndarray:
-    """Return which of the NECK_JOINTS (3,) the calibrated neck has."""
+    """Test which of the NECK_JOINTS (3,) the calibrated neck has."""
     return np.isin(NECK_JOINTS, settings.calibration.neck.names)
 
 
 def _move_eyes(
     settings: GazeSettings, state: GazeState, goal: Array, rate: Array, now_s: float
 ) -> GazeState:
-    """Return the state with the command for eyes and neck, and the phase that it implies.
+    """Command eyes and neck, and set the phase.
 
     The eyes' target readings (r,) [rad] now, NaN: stay, move at a rate (r,) [rad/s], NaN: zero.
     """
@@ -200,19 +213,17 @@ def _move_eyes(
     rate = np.where(np.isfinite(rate), rate, 0.0)
     lower, upper = settings.limits.setpoint_range_rad[EYE_READINGS].T
     distance = np.abs(np.clip(goal, lower, upper) - at[EYE_READINGS])
-    sighted = isinstance(state.target, str)  # otherwise no image shows how far the gaze is off
-    foveal = not sighted or all(state.detections.get(name) is not None for name in settings.narrow)
+    on_point = not isinstance(state.target, str)  # images do not show the error of the gaze
+    foveal = on_point or all(state.detections.get(name) is not None for name in settings.narrow)
     landing = state.landing_s
     if distance.max() > settings.saccade_rad or state.phase is GazePhase.LOST:
         phase = GazePhase.SACCADE
-        landing = (
-            now_s + (distance / settings.limits.speed_rad_s[EYE_READINGS]).max() + settings.settle_s
-        )
+        takes_s = (distance / settings.limits.speed_rad_s[EYE_READINGS]).max()
+        landing = now_s + takes_s + settings.settle_s
     elif not foveal or (goal < lower).any() or (goal > upper).any():  # until the neck follows
         phase = GazePhase.SACCADE
     else:
-        moving = _is_moving(settings, state)
-        phase = GazePhase.PURSUIT if moving else GazePhase.FIXATION
+        phase = GazePhase.PURSUIT if _is_moving(settings, state) else GazePhase.FIXATION
     command = HeadCommand(
         now_s,
         at,
@@ -220,12 +231,16 @@ def _move_eyes(
         np.concatenate([state.neck_rate, rate]),
         settings.limits,
     )
-    cameras, pixels = settings.calibration.cameras, state.pixels
-    central = (
-        sighted
+    narrow_suffices = (
+        not on_point
         and phase is not GazePhase.SACCADE
+        and state.geometry is None
         and all(
-            is_central(cameras[name].intrinsics, pixels[name], settings.central_share)
+            is_central(
+                settings.calibration.camera(name).intrinsics,
+                state.pixels[name],
+                settings.central_share,
+            )
             for name in settings.narrow
         )
     )
@@ -235,23 +250,25 @@ def _move_eyes(
         phase=phase,
         since_s=state.since_s if phase is state.phase else now_s,
         landing_s=landing,
-        cameras=settings.narrow if central and state.geometry is None else settings.cameras,
+        cameras=settings.narrow if narrow_suffices else settings.cameras,
     )
 
 
 def _send(state: GazeState, command: HeadCommand, **changes: Any) -> GazeState:
-    """Return the state with a new command in force, and with other changed fields."""
-    # Those for images that are as late as can be, and the one that was then in force.
+    """Put a command in force, and change other fields of the state.
+
+    Earlier commands are kept as long as an image may be late.
+    """
     first = sum(each.time_s <= command.time_s - MAX_DELAY_S for each in state.commands)
     commands = (*state.commands[max(first - 1, 0) :], command)
     return replace(state, commands=commands, **changes)
 
 
 def _is_moving(settings: GazeSettings, state: GazeState) -> bool:
-    """Return whether the object moves across the line of sight from frame body's origin.
+    """Test whether the object moves across the line of sight from frame body's origin.
 
-    By the commands, unless it all but rests by the readings: joints that lag behind their set
-    points make an object at rest seem to move, and to follow it would keep them moving.
+    The commands decide, unless the object nearly rests by the readings. Joints that lag behind
+    their set points make an object at rest seem to move, and following it would keep them moving.
     """
     if state.aim is None:
         return False
@@ -261,21 +278,21 @@ def _is_moving(settings: GazeSettings, state: GazeState) -> bool:
 
 
 def _angular_speed(track: Track) -> float:
-    """Return how fast a tracked point turns about frame body's origin [rad/s]."""
+    """Compute the angular speed of a tracked point about frame body's origin [rad/s]."""
     distance = np.linalg.norm(track.position)
     return float(np.linalg.norm(np.cross(track.position / distance, track.velocity)) / distance)
 
 
-def _without_detection(settings: GazeSettings, state: GazeState, now_s: float) -> GazeState:
-    """Return the next state without a new frame that shows the object: wait, then search."""
+def _wait_or_search(settings: GazeSettings, state: GazeState, now_s: float) -> GazeState:
+    """Continue without an image of the object: wait, then stop and forget it, then search."""
     state = replace(state, cameras=settings.cameras)
+    at = setpoint(state.command, now_s)
     if state.phase is not GazePhase.LOST:
         if now_s - max(state.seen_s, state.landing_s) < settings.lost_s:
             return state  # the command in force continues, and stops after its hold time
-        still = hold(setpoint(state.command, now_s), settings.limits, now_s)
         return _send(
             state,
-            still,
+            hold(at, settings.limits, now_s),
             phase=GazePhase.LOST,
             searched=0,
             since_s=now_s,
@@ -288,7 +305,6 @@ def _without_detection(settings: GazeSettings, state: GazeState, now_s: float) -
     if now_s < state.since_s + settings.search_s or now_s < state.landing_s + settings.dwell_s:
         return state
     pan, tilt = _SEARCH_RAD[state.searched % len(_SEARCH_RAD)]
-    at = setpoint(state.command, now_s)
     turns = settings.use_neck & _has_joint(settings)
     neck = np.where(turns, [0.0, 0.0, pan], at[NECK])
     eyes = readings_to_turn(settings.calibration.kinematics, np.array([0.0, tilt, pan]))

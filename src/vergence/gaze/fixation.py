@@ -27,7 +27,7 @@ _LARGEST_STEP_RAD = 0.5  # of a joint
 _COMPROMISE = 0.1  # of x/z and y/z, where eyes that share a joint cannot both be centred
 
 
-def readings_to(
+def solve_fixation(
     calibration: HeadCalibration, targets: Mapping[str, Array], *, limits_rad: Array | None = None
 ) -> Array:
     """Return the readings (..., r) [rad] that centre a point in each of some cameras.

@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.gaze.fixation import readings_to
-from vergence.gaze.roles import EyeCameras, default_roles
+from vergence.gaze.fixation import solve_fixation
+from vergence.gaze.state import EyeCameras, default_roles
 from vergence.geometry.camera import project, unproject
 from vergence.geometry.head import HeadCalibration, T_narrow_wide
 from vergence.geometry.kinematics import Side
@@ -112,7 +112,7 @@ def gaze_angles(
             the narrow ones, or for an eye without such a camera its main one.
 
     Returns:
-        Joint readings, as those of `readings_to`.
+        Joint readings, as those of `solve_fixation`.
 
     Raises:
         VergenceError: the head has no such camera, or points are not (..., 3).
@@ -131,4 +131,4 @@ def gaze_angles(
         targets[name] = (
             transform(calibration.T_rbase_lbase, points_lbase) if right else points_lbase
         )
-    return readings_to(calibration, targets)
+    return solve_fixation(calibration, targets)

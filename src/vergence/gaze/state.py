@@ -15,8 +15,7 @@ from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.gaze.commands import HeadCommand, JointLimits, hold
 from vergence.gaze.kalman import InnovationRatio, MotionModel, Track
-from vergence.gaze.roles import EyeCameras, check_roles, default_roles
-from vergence.geometry.head import HeadCalibration
+from vergence.geometry.head import HeadCalibration, cameras_of, main_camera
 from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.neck import NECK_JOINTS, check_named
 from vergence.self_calibration.sequence import Geometry, SeenGeometry, initial_seen_geometry
@@ -25,90 +24,109 @@ from vergence.vision.sphere import sphere_detector
 
 
 class GazePhase(StrEnum):
-    """What the gaze is doing."""
+    """What the eyes are doing."""
 
     SACCADE = "saccade"
-    """The eyes are on their way to where the object was seen; images on the way are not used."""
+    """They turn to the object ballistically; images taken on the way are not used."""
     PURSUIT = "pursuit"
-    """The eyes follow a moving object."""
+    """They follow a moving object."""
     FIXATION = "fixation"
-    """The eyes rest on an object that does not move."""
+    """They rest on an object that does not move."""
     LOST = "lost"
-    """The object has not been seen for a while: the eyes wait where it went, then search."""
+    """No image has shown the object for a while: the eyes wait where it went, then search."""
+
+
+@dataclass(frozen=True)
+class EyeCameras:
+    """The cameras of one eye by role; an eye with one camera has it in both roles."""
+
+    wide: str
+    """Name of the camera in which an object is searched for."""
+    narrow: str
+    """Name of the camera that is turned until the object is at its principal point."""
+
+
+def default_roles(calibration: HeadCalibration) -> dict[Side, EyeCameras]:
+    """Assign roles to a head's cameras, for each eye that has a camera.
+
+    The wide role goes to the eye's main camera, the narrow role to `<eye>_narrow` if there is one.
+    """
+    roles: dict[Side, EyeCameras] = {}
+    for eye in EYES:
+        cameras = cameras_of(calibration, eye)
+        if cameras:
+            wide, narrow = main_camera(cameras, eye), f"{eye}_narrow"
+            roles[eye] = EyeCameras(wide=wide, narrow=narrow if narrow in cameras else wide)
+    return roles
 
 
 @dataclass(frozen=True, eq=False)
 class GazeSettings:
     """The head, what it looks at, and the parameters of its gaze controller.
 
-    VergenceError where the head does not have what the settings ask for.
+    Raises VergenceError if the head lacks what the settings ask for.
     """
 
     calibration: HeadCalibration
     objects: Mapping[str, Detector] = field(default_factory=lambda: {"sphere": sphere_detector()})
-    """By name, what finds each object that can be looked at; the first one is looked at until
-    `look_at` chooses otherwise."""
+    """Detectors of the objects to look at, by name. The first is the target until `look_at` sets
+    another one."""
     roles: Mapping[Side, EyeCameras] | None = None
-    """By eye, the cameras to use; None: `default_roles` of the calibration. An eye without an entry
-    is not moved, and not used."""
+    """Cameras to use, by eye; None: `default_roles`. An eye without an entry does not move."""
     geometry: Geometry = "joints"
-    """What tells how the eyes stand when the object is located: the joint readings, or these and
-    the calibration as corrected by what both wide images show. Steering is the same, but for when
-    an object counts as moving."""
+    """How the object is located: from the joint readings, or from a head geometry that is corrected
+    by what both wide images show. The eyes are steered by the images either way."""
     limits: JointLimits = field(default_factory=JointLimits)
     use_neck: bool = False
-    """Whether the neck shares in a gaze shift."""
+    """Whether the neck takes part in gaze shifts."""
     joint_std_rad: float = 1e-3
-    """Standard deviation of a joint reading, with all errors that the two eyes do not share."""
+    """Standard deviation of a joint reading, with all errors that the eyes do not share."""
     servo_lag_s: float = 0.0
-    """Time constant with which joints follow their set points; up to 3 ms it may be left at 0."""
+    """Time constant with which joints follow their set points; below 3 ms, 0 is good enough."""
     command_std_rad: float = 2e-4
     """Standard deviation of a joint angle about its set point."""
     motion: MotionModel = field(default_factory=MotionModel)
-    """How the object is expected to move."""
+    """Motion model of the object."""
     saccade_rad: float = 0.12
-    """Error from which a correction is a saccade: half the way to the edge of the fovea."""
+    """Error above which a correction is a saccade: half the way to the edge of the fovea."""
     settle_s: float = 0.02
     """Time from the end of a saccade's set points until the eye rests."""
     moving_rad_s: float = 0.02
-    """Angular speed from which an object is pursued, not fixated: a pixel of the fovea a frame."""
+    """Angular speed above which an object is pursued: one pixel of the fovea a frame."""
     lost_s: float = 0.2
-    """Time without a measurement after which the object counts as lost."""
+    """Time without a measurement after which the object is lost."""
     search_s: float = 0.6
     """Time from the loss to the search: objects reappear near where they went."""
     dwell_s: float = 0.3
     """Time at each direction of a search, once the eyes rest there."""
     initial_depth_m: float = 1.0
-    """Assumed depth of an object that only one eye sees."""
+    """Assumed depth of an object that one eye sees."""
     aim_gate_rad: float = 0.1
-    """Angle between the ray of a single eye and the aim from which the aim is given up."""
+    """Angle between the ray of one eye and the aim above which the aim is reset."""
     central_share: float = 0.6
-    """Central part of the narrow images, as a share of width and height, within which they alone
-    are requested; an object beyond it makes the controller request the wide images too."""
+    """Central part of the narrow images, as a share of width and height. While the object is inside
+    it, only the narrow images are requested."""
     stuck_rad: float = 0.06
-    """Difference between reading and command from which a resting joint counts as stuck; gains
-    that are wrong by a tenth cause less."""
+    """Difference between reading and command above which a resting joint is stuck. A gain error of
+    a tenth causes less."""
     comfort_rad: tuple[float, float] = (0.20, 0.04)
-    """Hysteresis of the neck: mean eye angles at which it begins and stops to follow."""
+    """Hysteresis of the neck: mean eye angles at which it starts and stops to follow."""
     neck_gain_hz: float = 3.0
     """Neck speed per mean eye angle."""
     neck_speed_rad_s: float = 1.5
-    """Greatest speed of a neck joint."""
+    """Maximum speed of a neck joint."""
     neck_acceleration_rad_s2: float = 6.0
-    """Greatest acceleration of a neck joint."""
+    """Maximum acceleration of a neck joint."""
 
     def __post_init__(self) -> None:
-        if self.roles is not None:
-            check_roles(self.calibration, self.roles)
+        _check_roles(self.calibration, self.roles)
         if not self.objects:
-            raise VergenceError(
-                "There is no object to look at: `objects` needs a detector by name."
-            )
-        for name, detect in self.objects.items():
-            if not callable(detect):
+            raise VergenceError("`objects` needs a detector by name, found no object to look at.")
+        for name, detector in self.objects.items():
+            if not callable(detector):
                 raise VergenceError(
                     f"The detector of {name!r} must be a function of image, camera and pixel, "
-                    f"found {type(detect).__name__}."
+                    f"found {type(detector).__name__}."
                 )
         if self.limits.joints != self.joints:
             raise VergenceError(
@@ -116,25 +134,20 @@ class GazeSettings:
                 f"head are {', '.join(self.joints)}: give `joint_limits(..., joints=...)`."
             )
         if not 0 <= self.servo_lag_s < np.inf:
-            raise VergenceError(
-                f"servo_lag_s is a time of 0 s or more, found {self.servo_lag_s:g} s."
-            )
+            raise VergenceError(f"servo_lag_s is 0 s or more, found {self.servo_lag_s:g} s.")
         if self.geometry not in get_args(Geometry):
-            raise VergenceError(
-                f"The geometry is {' or '.join(map(repr, get_args(Geometry)))}, found "
-                f"{self.geometry!r}."
-            )
+            known = " or ".join(map(repr, get_args(Geometry)))
+            raise VergenceError(f"The geometry is {known}, found {self.geometry!r}.")
         if self.geometry == "seen" and len(self.eyes) < len(EYES):
             raise VergenceError(
-                f"A geometry that both eyes see needs both; the gaze uses the "
+                f"Geometry {self.geometry!r} needs images of both eyes; the gaze uses the "
                 f"{', '.join(self.eyes)} eye only."
             )
         check_named(self.calibration.neck)
         if self.use_neck and not self.calibration.neck.names:
             raise VergenceError(
-                "A neck that shares in gaze shifts has one or more of the joints "
-                f"{', '.join(NECK_JOINTS)}, and the calibration must describe them; it has 0 neck "
-                "joints."
+                "use_neck needs a calibrated neck with one or more of the joints "
+                f"{', '.join(NECK_JOINTS)}; this calibration has 0 neck joints."
             )
 
     @property
@@ -150,18 +163,38 @@ class GazeSettings:
 
     @cached_property
     def wide(self) -> tuple[str, ...]:
-        """Names of the cameras that look around, one of each eye."""
+        """Names of the cameras that search, one of each eye."""
         return tuple(cameras.wide for cameras in self.eyes.values())
 
     @cached_property
     def narrow(self) -> tuple[str, ...]:
-        """Names of the cameras in which the object is to be centred, one of each eye."""
+        """Names of the cameras in which the object is centred, one of each eye."""
         return tuple(cameras.narrow for cameras in self.eyes.values())
 
     @cached_property
     def cameras(self) -> tuple[str, ...]:
         """Names of all cameras that are used, each once: the wide ones, then the narrow ones."""
         return tuple(dict.fromkeys((*self.wide, *self.narrow)))
+
+
+def _check_roles(calibration: HeadCalibration, roles: Mapping[Side, EyeCameras] | None) -> None:
+    """Raise VergenceError unless the eyes have the cameras that are given roles."""
+    if roles is None:
+        return
+    if not roles or not set(roles) <= set(EYES):
+        raise VergenceError(
+            f"Roles of cameras are given by eye, for one or both of {', '.join(EYES)}; found "
+            f"{', '.join(map(repr, roles)) or 'no eye'}."
+        )
+    for eye, cameras in roles.items():
+        there = cameras_of(calibration, eye)
+        for role, name in vars(cameras).items():
+            if name not in there:
+                raise VergenceError(
+                    f"The {role} camera of the {eye} eye should be {name!r}, but this eye has "
+                    f"{', '.join(there) or 'no camera'}; this head's cameras are "
+                    f"{', '.join(calibration.cameras)}."
+                )
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,27 +213,27 @@ class GazeState:
     frame_s: float = -np.inf
     """Time stamp of the latest new frame."""
     seen_s: float = -np.inf
-    """Time stamp of the latest frame in which an eye saw the object."""
+    """Time stamp of the latest frame that shows the object."""
     landing_s: float = -np.inf
-    """Time at which the latest saccade is over; earlier images are not used."""
+    """Time at which the latest saccade ends; earlier images are not used."""
     detections: Mapping[str, Detection | None] = field(default_factory=dict)
     """The object by camera searched in the latest frame; None: not found."""
     measured: Array | None = None
-    """(3,) [m] stereo estimate of the latest frame alone, in frame body."""
+    """(3,) [m] stereo estimate from the latest frame alone, in frame body."""
     by_joints: Array | None = None
-    """(3,) [m] the same by the joint readings, where the geometry is seen; None: no estimate."""
+    """(3,) [m] the same from the joint readings, if geometry is "seen"; None: no estimate."""
     track: Track | None = None
-    """Estimate over time from joint readings, corrected where the geometry is seen; in frame body
-    (frame head without a neck)."""
+    """Estimate over time from joint readings or from the seen geometry, in frame body (frame head
+    without a neck): the position to report."""
     aim: Track | None = None
-    """Estimate over time from commands instead of readings, for control: without the readings'
-    noise, which would make the eyes tremble, but subject to the errors of the joints' gains."""
+    """Estimate over time from commands, for control. It has the errors of the joints' gains, but
+    not the noise of readings, which would make the eyes tremble."""
     innovation_ratio: InnovationRatio = field(default_factory=InnovationRatio)
     """Observed over stated variance of the measurements of `track`."""
     aim_innovation_ratio: InnovationRatio = field(default_factory=InnovationRatio)
     """Observed over stated variance of the measurements of `aim`."""
     geometry: SeenGeometry | None = None
-    """By what both eyes see, after the latest frame; None: `geometry` of the settings is joints."""
+    """Head geometry after the latest frame, if the settings' geometry is "seen"."""
     stuck: tuple[str, ...] = ()
     """Names of the joints that do not follow their commands."""
     searched: int = 0
@@ -228,32 +261,30 @@ def initial_gaze_state(
     *,
     geometry: SeenGeometry | None = None,
 ) -> GazeState:
-    """Return the state of a head that rests at set points (j,) [rad] and has not seen anything.
+    """Start at rest at set points (j,) [rad], with the first object of the settings as target.
 
-    It will look at the first object of the settings; see `look_at`. A geometry is what an earlier
-    run has learned, where the settings ask for the geometry that is seen; None: nothing.
-    VergenceError if the posture is not one of this head, or not finite.
+    `geometry` is what an earlier run has learned; it is used if the settings' geometry is "seen".
+    Raises VergenceError if the posture is not one finite angle for each joint.
     """
-    command = hold(posture, settings.limits, time_s)
-    target = next(iter(settings.objects))
-    if settings.geometry == "seen" and geometry is None:
+    if settings.geometry != "seen":
+        geometry = None
+    elif geometry is None:
         left, right = settings.wide
         geometry = initial_seen_geometry(settings.calibration, cameras=(left, right))
     return GazeState(
         GazePhase.LOST,
         time_s,
-        (command,),
+        (hold(posture, settings.limits, time_s),),
         settings.cameras,
-        target,
-        geometry=geometry if settings.geometry == "seen" else None,
+        next(iter(settings.objects)),
+        geometry=geometry,
     )
 
 
 def look_at(settings: GazeSettings, state: GazeState, target: str | ArrayLike) -> GazeState:
-    """Return the state that looks at another object, or at a point, from the next step on.
+    """Set another target from the next step on, and discard the estimates of the previous one.
 
-    A point is looked at by the calibration and the joints' set points alone: images do not matter,
-    and nothing is searched for. What was estimated of the object before is forgotten.
+    A point is looked at by the calibration and the set points alone, without images.
 
     Args:
         settings: with the objects that can be looked at.
@@ -261,8 +292,8 @@ def look_at(settings: GazeSettings, state: GazeState, target: str | ArrayLike) -
         target: the name of an object, or a point (3,) [m] in frame body.
 
     Raises:
-        VergenceError: there is no object of this name, or the point is not three finite numbers, or
-            is the origin of frame body.
+        VergenceError: no object has this name, or the point is not three finite numbers, or it is
+            the origin of frame body.
     """
     if isinstance(target, str):
         if target not in settings.objects:

@@ -11,9 +11,9 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.gaze.commands import NECK
+from vergence.gaze.hand import HandCommand, HandReading, hand_goal
 from vergence.geometry.head import T_body_base
 from vergence.geometry.se3 import inverse, pose, rotation, transform
-from vergence.reach.state import HandCommand, HandReading, hand_goal
 from vergence.twin.head import Twin
 
 OPEN_M, CLOSED_M = 0.068, 0.040

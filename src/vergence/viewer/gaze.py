@@ -26,7 +26,7 @@ import rerun as rr
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.gaze.commands import EYE_READINGS, HEAD_JOINTS, NECK, commanded
+from vergence.gaze.commands import EYE_READINGS, HEAD_JOINTS, NECK, setpoints_at
 from vergence.gaze.foveation import ideal_wide_pixel
 from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base
@@ -89,7 +89,7 @@ def moment(
         time_s=time_s,
         lanes={"gaze": state.phase.value, **lanes},
         readings=readings,
-        commanded=commanded(state.commands, frame.time_s),
+        commanded=setpoints_at(state.commands, frame.time_s),
         axes=_axes(settings, readings, state),
         fused=nowhere if state.track is None else state.track.position,
         one_frame=nowhere if state.measured is None else state.measured,
