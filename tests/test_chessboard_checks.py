@@ -8,7 +8,7 @@ from recordings import held, picture
 from vergence.geometry.board import Charuco, Chessboard
 from vergence.vision import board_detection
 from vergence.vision.board_detection import detect_board
-from vergence.vision.chessboard_checks import ends_inside, goes_on, is_chequered, is_grid
+from vergence.vision.chessboard_checks import ends_inside, goes_on, is_chequered
 
 BOARD = Chessboard(columns=8, rows=6, square_m=0.03)
 SIZE = 300, 240
@@ -23,7 +23,6 @@ PARTS = {
 
 
 def test_the_whole_board_is_one():
-    assert is_grid(GRID)
     assert is_chequered(IMAGE, GRID)
     assert not goes_on(IMAGE, GRID)
     assert ends_inside(GRID, IMAGE.shape)
@@ -52,20 +51,10 @@ def test_a_board_that_an_image_cuts_off_does_not_end_inside():
     assert not ends_inside(GRID[:, :5], IMAGE[:, : int(GRID[:, 4, 0].max()) + 10].shape)
 
 
-def test_corners_in_disorder_are_no_grid():
-    mixed = GRID.copy()
-    mixed[2, 3], mixed[3, 3] = GRID[3, 3], GRID[2, 3]
-    assert not is_grid(mixed)
-    unknown = GRID.copy()
-    unknown[2, 3] = np.nan
-    assert is_grid(unknown)
-
-
 def test_every_second_corner_is_no_chessboard():
     """They lie evenly, along the diagonals of the squares."""
     j, i = np.indices((3, 3))
     diagonal = GRID[j + i, 2 + i - j]
-    assert is_grid(diagonal)
     assert not is_chequered(IMAGE, diagonal)
 
 

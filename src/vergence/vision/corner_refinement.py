@@ -1,11 +1,10 @@
-"""Subpixel refinement of chessboard corners: saddle points of the grey levels.
+"""Refine chessboard corners to subpixel accuracy: saddle points of the grey levels.
 
-Around a corner the slightly blurred image has a saddle point. A quadratic is fitted to the grey
-levels, and its stationary point taken (after Lucchese and Mitra, 2002). Two crossing edges have a
-half-turn symmetry from every viewpoint, so any sampled neighbourhood with the same symmetry is
-unbiased. Here it consists of two strips, one along each edge: they contain the grey levels that
-determine the edges, while pixels further off add only noise, or a marker. Lens distortion bends the
-edges, so the strips are bent by the curvature of the grid of corners around them.
+The slightly blurred image has a saddle point at a corner. A quadratic fitted to the grey levels
+gives its stationary point (after Lucchese and Mitra, 2002). Two crossing edges have a half-turn
+symmetry from every viewpoint, so a sampled neighbourhood with the same symmetry gives no bias. Here
+it consists of two strips along the edges; pixels further away would add noise, or a marker. The
+strips are bent by the curvature of the grid of corners around them, for lens distortion.
 """
 
 from __future__ import annotations
@@ -17,38 +16,41 @@ from scipy.ndimage import map_coordinates, spline_filter
 from vergence.arrays import Array
 
 LENGTHS_PX = 2, 10
-"""Smallest and largest length of the strips to either side of a corner."""
+"""Smallest and largest length of the strips to either side of a corner [px]."""
 HALF_WIDTH_PX = 2.0
-"""Half width of the strips. On drawn boards under blur of 0.5 to 3 px, with and without noise, it
-errs less than 3 and 5, and about as 1, which is more sensitive to noise under strong blur."""
-_ALONG, _ASIDE = np.linspace(-1, 1, 15), np.linspace(-1, 1, 5)  # samples of a strip
+"""Half width of the strips [px]. On drawn boards with blur of 0.5 to 3 px it errs less than 3 and
+5, and about as 1, which is more sensitive to noise."""
+_ALONG, _ASIDE = np.linspace(-1, 1, 15), np.linspace(-1, 1, 5)
+"""Samples along and across a strip, over its length and its half width."""
 ITERATIONS = 5
+"""Newton steps to a saddle point; corners start within a pixel."""
 MAX_SHIFT_PX = 1.5
-"""Largest distance of a saddle point from the initial corner, and largest step."""
+"""Largest distance of a saddle point from the initial corner, and largest step [px]."""
 CONVERGED_PX = 0.05
-"""A corner whose last step is longer is not a clear saddle point."""
+"""Largest last step at a clear saddle point [px]."""
 MAX_ASYMMETRY = 0.1
-"""Largest mean difference between the grey levels and their half-turned copy, relative to the
-contrast. A corner that exceeds it, and its neighbours' noise, is partly occluded."""
-_STEP = 0.25  # squares, for finite differences of the board's map
-_SPLINE_SUPPORT_PX = 12  # distance over which a border affects the spline, and the blur
+"""Mean difference between the grey levels and their half-turned copy over the contrast, above which
+a corner is partly occluded if it also exceeds its neighbours' fourfold."""
+_STEP = 0.25
+"""Step of the finite differences of the board's map [squares]."""
+_SPLINE_SUPPORT_PX = 12
+"""Distance over which a border affects the spline and the blur [px]."""
 
 
 def refine_corners(
     grey: np.ndarray, grid: Array, lengths_px: Array, half_widths_px: Array | float = HALF_WIDTH_PX
 ) -> Array:
-    """Move the corners of a board to the saddle points of the grey levels around them.
+    """Move the corners of a board to the nearby saddle points of the grey levels.
 
     Args:
         grey: (H, W) uint8.
-        grid: (rows, columns, 2) the board's inner corners [px], right to about a pixel; NaN where
-            one is not known.
+        grid: (rows, columns, 2) the board's inner corners [px], within about a pixel; NaN: unknown.
         lengths_px: (rows, columns) lengths of the strips along the edges; clipped to LENGTHS_PX.
         half_widths_px: (rows, columns) half widths of the strips, or one for all.
 
     Returns:
-        (rows, columns, 2) px; NaN for a corner that is no clear saddle point, too near the image's
-        border, or without neighbours in its row and its column.
+        (rows, columns, 2) [px]; NaN for a corner without a clear saddle point, near the image's
+        border, or without a neighbour in its row or its column.
     """
     shape = grid.shape
     lengths = np.clip(np.nan_to_num(lengths_px), *LENGTHS_PX).ravel()
@@ -62,7 +64,7 @@ def refine_corners(
 
 
 def edge_distances(grid: Array) -> Array:
-    """Return the distance (rows, columns) of corners (rows, columns, 2) to the next other edge."""
+    """Return the distance (rows, columns) of each corner of a grid to the nearest other edge."""
     heights = []
     for along, across in adjacent_sides(grid):
         area = np.abs(along[..., 0] * across[..., 1] - along[..., 1] * across[..., 0])
@@ -72,24 +74,24 @@ def edge_distances(grid: Array) -> Array:
 
 
 def adjacent_sides(grid: Array) -> list[tuple[Array, Array]]:
-    """Return the sides at each corner of the four squares around it, as vectors from it.
+    """Return the sides of the four squares around each corner, as vectors from it.
 
-    Four pairs of (rows, columns, 2), along the row and the column; NaN: no neighbour there.
+    Four pairs (rows, columns, 2), along the row and the column; NaN without a neighbour.
     """
     padded = np.pad(grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
     centre = padded[1:-1, 1:-1]
-    beside = (padded[1:-1, :-2] - centre, padded[1:-1, 2:] - centre)
-    below = (padded[:-2, 1:-1] - centre, padded[2:, 1:-1] - centre)
-    return [(along, across) for along in beside for across in below]
+    horizontal = (padded[1:-1, :-2] - centre, padded[1:-1, 2:] - centre)
+    vertical = (padded[:-2, 1:-1] - centre, padded[2:, 1:-1] - centre)
+    return [(along, across) for along in horizontal for across in vertical]
 
 
 def curvatures(grid: Array) -> Array:
-    """Return the second-order terms (rows, columns, 2, 3) by which a board's lines are bent.
+    """Return the second-order terms (rows, columns, 2, 3) of the bend of a board's lines.
 
     Coefficients of u^2, u v and v^2 in the deviation of x and y [px] from straight lines, at an
-    offset (u, v) [px] from a corner; how squares grow or shrink along a line is not in it. They are
-    finite differences of a smooth map of the whole board, so that corners on its border and corners
-    that were not found (NaN) have them like all others; zero where too few were found.
+    offset (u, v) [px] from a corner, without the change of the squares' size along a line. They are
+    finite differences of a smooth map of the whole board, which extends to its border and to
+    unknown corners (NaN); zero with too few corners.
     """
     offsets = np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), axis=-1) * _STEP
     j, i = np.indices(grid.shape[:2])
@@ -104,8 +106,8 @@ def curvatures(grid: Array) -> Array:
     J = np.stack([right - left, below - above], axis=-1) / 2
     H = np.stack([left + right - 2 * here, cross / 4, cross / 4, above + below - 2 * here], axis=-1)
     M = np.linalg.pinv(J)
-    # In the board's directions, of each line only what leads off it: the blur of an edge is the
-    # same to both of its sides, also where the squares there differ in size.
+    # Only the components across each line: an edge is blurred alike to both sides, also where the
+    # squares there differ in size.
     bent = M @ H
     bent[..., 0, :3], bent[..., 1, 1:] = 0.0, 0.0
     H = J @ bent
@@ -116,11 +118,10 @@ def curvatures(grid: Array) -> Array:
 def _smooth_map(grid: Array, places: Array) -> Array:
     """Map places (N, 2) on the board, in squares from its first corner, to pixels (N, 2).
 
-    A homography plus a polynomial for lens distortion, of the largest degree, up to five, for which
-    there are half as many corners again as coefficients. The second derivatives on the board's rim
-    need the odd degrees of a distortion: with four, they are biased, and corners on the rim of
-    drawn boards lay 0.001 px too far out, which moved focal lengths of fisheye lenses by four
-    standard deviations. Six is as right as five, and noisier. NaN if there are too few corners.
+    A homography and a polynomial for lens distortion, of the largest degree up to five with 1.5
+    corners a coefficient. Degree four biases corners on the rim of drawn boards by 0.001 px, which
+    moves focal lengths of fisheye lenses by four standard deviations; degree six is noisier than
+    five. NaN with too few corners.
     """
     valid = np.isfinite(grid[..., 0])
     j, i = np.nonzero(valid)
@@ -144,10 +145,10 @@ def _smooth_map(grid: Array, places: Array) -> Array:
 
 
 def _strips(grid: Array, lengths_px: Array, half_widths_px: Array) -> Array:
-    """Return the offsets (K, 2 P, 2) [px] from each corner of a grid at which grey is sampled.
+    """Return the offsets (K, 2 P, 2) [px] of the samples of two strips along each corner's edges.
 
-    They form two strips of P samples along its edges; a half-turn maps the first sample of a strip
-    to its last, and so on. NaN for a corner without a neighbour in its row or its column.
+    A half-turn maps the first of the P samples of a strip to its last, and so on. NaN for a corner
+    without a neighbour in its row or its column.
     """
     (left, above), _, _, (right, below) = adjacent_sides(grid)
     strips = []
@@ -162,7 +163,7 @@ def _strips(grid: Array, lengths_px: Array, half_widths_px: Array) -> Array:
 
 
 def _saddle_points(grey: np.ndarray, corners: Array, strips: Array, curvature: Array) -> Array:
-    """Return saddle points (K, 2) [px] near corners (K, 2), by strips (K, P, 2); NaN: none."""
+    """Find saddle points (K, 2) [px] near corners (K, 2) in strips (K, P, 2); NaN: not found."""
     refined, asymmetry = np.full(corners.shape, np.nan), np.full(len(corners), np.nan)
     margin = np.abs(strips).max(axis=1) + 2  # NaN is not inside
     size = np.array(grey.shape[::-1])
@@ -173,7 +174,7 @@ def _saddle_points(grey: np.ndarray, corners: Array, strips: Array, curvature: A
     low = np.maximum(np.floor(corners[inside].min(axis=0)).astype(int) - reach, 0)
     high = np.ceil(corners[inside].max(axis=0)).astype(int) + reach + 1
     part = grey[low[1] : high[1], low[0] : high[0]].astype(np.float32)
-    # A spline, because cv2.remap's cubic interpolation errs by 0.03 px even on a linear ramp.
+    # cv2.remap's cubic interpolation errs by 0.03 px, even on a linear ramp.
     spline = spline_filter(cv2.GaussianBlur(part, (0, 0), 0.7), order=3, mode="mirror")
     found, asymmetry[inside] = _fit_saddle_points(
         spline, corners[inside] - low, strips[inside], curvature[inside]
@@ -186,7 +187,7 @@ def _saddle_points(grey: np.ndarray, corners: Array, strips: Array, curvature: A
 def _fit_saddle_points(
     spline: Array, corners: Array, strips: Array, curvature: Array
 ) -> tuple[Array, Array]:
-    """Return a spline's saddle points (K, 2) or NaN, and the asymmetry (K,) around them."""
+    """Fit saddle points (K, 2), or NaN, to a spline; return the asymmetry (K,) around them, too."""
     u, v = strips[..., 0], strips[..., 1]
     squares = np.stack([u * u, u * v, v * v], axis=-1)
     fit = np.linalg.pinv(np.concatenate([squares, strips, np.ones_like(strips[..., :1])], axis=-1))

@@ -1,9 +1,8 @@
-"""Two images of one scene made alike in brightness and contrast, for trackers and stereo matchers.
+"""Equalise brightness and contrast of two images of a scene, for trackers and stereo matchers.
 
-These compare grey levels as they are, and two cameras seldom expose alike, nor does one camera at
-two times. The local mean is subtracted from both images, so that offsets and most of the vignetting
-do not matter. The ratio of contrasts is one number for the whole image: the median of the ratios of
-its parts, weighted by contrast, since each image also shows things that the other does not.
+These compare grey levels, and cameras seldom expose alike. Subtracting the local mean removes
+offsets and most of the vignetting. The ratio of contrasts is one number for the whole image: the
+weighted median over its parts, since each image also shows things that the other does not.
 """
 
 from __future__ import annotations
@@ -15,17 +14,19 @@ from vergence.arrays import Array
 from vergence.errors import VergenceError
 
 NEARBY_PX = 31
-"""Side of the square of which the mean is taken: twice that of a window that is matched."""
+"""Side of the square of the local mean [px]: twice that of a window that is matched."""
 _LEAST_STD = 1.0
-"""Root mean square of grey levels below which a part shows noise and rounding alone."""
+"""RMS contrast below which a part shows only noise and rounding [grey levels]."""
 _PARTS = 10
-"""Along the width of an image."""
+"""Parts along the width of an image, for the ratio of contrasts."""
 _SMALLEST_PART_PX = 8
+"""Smallest side of such a part [px]."""
 _MIDDLE = 128
+"""Grey level of no contrast."""
 
 
 def checked_image(image: np.ndarray, what: str) -> np.ndarray:
-    """Return an image (H, W), (H, W, 1) or (H, W, 3) uint8; VergenceError if it is none."""
+    """Return an image (H, W), (H, W, 1) or (H, W, 3) uint8; VergenceError for anything else."""
     if image is None:  # as cv2.imread answers
         raise VergenceError(f"{what} is of two images; one of them is None: it was not read.")
     image = np.asarray(image)
@@ -38,7 +39,7 @@ def checked_image(image: np.ndarray, what: str) -> np.ndarray:
 
 
 def grey_levels(image: np.ndarray) -> np.ndarray:
-    """Return the grey levels (H, W) uint8 of an image (H, W, 3) in RGB, or of a grey one."""
+    """Convert an image (H, W, 3) RGB or a grey one to grey levels (H, W) uint8."""
     if image.ndim == 3 and image.shape[2] == 1:
         return image[..., 0]
     return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
@@ -47,15 +48,15 @@ def grey_levels(image: np.ndarray) -> np.ndarray:
 def of_equal_contrast(
     first: np.ndarray, second: np.ndarray, both: np.ndarray, nearby_px: int = NEARBY_PX
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return two images (H, W) without their local means, the second with the first's contrast.
+    """Subtract local means of two images and scale the second to the first's contrast.
 
-    Grey levels are uint8 about 128. Where no part has contrast in both images, each keeps its own.
+    Returns (H, W) uint8 about 128. If no part has contrast in both images, each keeps its own.
 
     Args:
         first: (H, W) uint8.
-        second: (H, W) uint8; a point of the scene is displaced by a part of the image at most.
-        both: (H / 2, W / 2) bool: of every second pixel, whether both images show it.
-        nearby_px: side of the square of which the mean is taken.
+        second: (H, W) uint8, with points of the scene displaced by less than a part.
+        both: (H / 2, W / 2) bool, for every second pixel: both images show it.
+        nearby_px: side of the square of the local mean.
     """
     first, second = (_without_mean(each, nearby_px) for each in (first, second))
     ratio = _contrast_ratio(first[::2, ::2], second[::2, ::2], both)
@@ -69,7 +70,7 @@ def _without_mean(image: np.ndarray, nearby_px: int) -> np.ndarray:
 
 
 def _contrast_ratio(first: np.ndarray, second: np.ndarray, both: np.ndarray) -> float:
-    """Return the contrast of the first image over that of the second."""
+    """Estimate the contrast of the first image over that of the second."""
     part = max(first.shape[1] // _PARTS, _SMALLEST_PART_PX)
     whole = _means(both, part) > 0.999
     squares = [
@@ -86,7 +87,7 @@ def _contrast_ratio(first: np.ndarray, second: np.ndarray, both: np.ndarray) -> 
 
 
 def _means(image: np.ndarray, part: int) -> Array:
-    """Return the means (h, w) of the square parts of an image (H, W)."""
+    """Average an image (H, W) over square parts (h, w)."""
     rows, columns = (n // part for n in image.shape)
     parts = image[: rows * part, : columns * part].reshape(rows, part, columns, part)
     return parts.mean(axis=1, dtype=np.float32).mean(axis=-1)  # numpy is slow with both at once

@@ -1,8 +1,7 @@
-"""Detection of a square marker of the ArUco or AprilTag families.
+"""Detect a square marker of the ArUco or AprilTag families.
 
-The centre of a square is where its diagonals intersect, in every perspective image too: unlike the
-mean of the four corners it does not depend on the marker's slant. Lenses bend the diagonals, so
-that they are intersected in undistorted coordinates.
+The centre of a square is the intersection of its diagonals, in every perspective image too; the
+mean of its corners depends on the slant. The diagonals are intersected in undistorted coordinates.
 """
 
 from __future__ import annotations
@@ -17,20 +16,17 @@ from vergence.vision.detector import Detection, Detector, windows
 from vergence.vision.exposure import grey_levels
 
 _LEAST_STD_PX, _STD_MODULES = 0.05, 0.6
-"""Standard deviation of a marker's centre: at least the first, and the second divided by the width
-of a module [px], because the corners of a small marker are refined by fewer pixels. Simulated
-images with a noise of three grey levels give less, see tests/test_marker.py."""
+"""Standard deviation of a marker's centre [px]: a floor, and a part in inverse proportion to the
+width of a module [px]. Errors at a noise of 3 grey levels are smaller (tests/test_marker.py)."""
 _REFINED_WINDOW = 0.5
-"""Half the side of the window in which a corner is refined, in modules of the marker: it must not
-reach the next edge."""
+"""Half the side of the window that refines a corner, in modules: it excludes the next edge."""
 
 
 def marker_detector(dictionary: str, marker_id: int) -> Detector:
-    """Return a detector of one marker, which finds its centre.
+    """Make a detector of the centre of one marker.
 
-    The marker is black on white with a margin, at least as wide as one of its modules, and a module
-    must be about three pixels wide in the image. If the marker is seen several times, the largest
-    one counts.
+    The marker is black on white with a margin of at least one module; a module is at least about
+    three pixels wide in the image. Of several copies the largest counts.
 
     Args:
         dictionary: OpenCV's name of the family, such as DICT_4X4_50 or DICT_APRILTAG_36H11.
@@ -49,10 +45,14 @@ def marker_detector(dictionary: str, marker_id: int) -> Detector:
     def detect(image: np.ndarray, camera: Camera, near: Array | None) -> Detection | None:
         grey = grey_levels(image)
         for rows, columns in windows(grey, near):
-            corners = _largest(finder, np.ascontiguousarray(grey[rows, columns]), marker_id)
-            if corners is not None:
-                centre = _centre(corners + np.array([columns.start, rows.start]), camera)
-                module_px = np.sqrt(_area(corners)) / modules
+            quads, ids, _ = finder.detectMarkers(np.ascontiguousarray(grey[rows, columns]))
+            numbers = () if ids is None else ids.ravel()
+            copies = [q for q, number in zip(quads, numbers, strict=False) if number == marker_id]
+            if copies:
+                largest = max(copies, key=cv2.contourArea)
+                corners = largest.reshape(4, 2) + np.array([columns.start, rows.start], float)
+                module_px = np.sqrt(cv2.contourArea(largest)) / modules
+                centre = _centre(corners, camera)
                 std_px = float(np.hypot(_LEAST_STD_PX, _STD_MODULES / module_px))
                 return None if centre is None else Detection(centre, std_px)
         return None
@@ -60,28 +60,10 @@ def marker_detector(dictionary: str, marker_id: int) -> Detector:
     return detect
 
 
-def _largest(finder: cv2.aruco.ArucoDetector, grey: np.ndarray, marker_id: int) -> Array | None:
-    """Return the corners (4, 2) [px] of the largest marker with a number; None: there is none."""
-    found, ids, _ = finder.detectMarkers(grey)
-    if ids is None:
-        return None
-    own: list[Array] = [
-        corners.reshape(4, 2).astype(float)
-        for corners, number in zip(found, ids.ravel(), strict=True)
-        if number == marker_id
-    ]
-    return max(own, key=_area, default=None)
-
-
-def _area(corners: Array) -> float:
-    """Return the area [px^2] of a quadrangle with corners (4, 2) [px]."""
-    return float(cv2.contourArea(corners.astype(np.float32)))
-
-
 def _centre(corners: Array, camera: Camera) -> Array | None:
-    """Return the pixel (2,) where the diagonals of a square with corners (4, 2) [px] intersect.
+    """Return the pixel (2,) of the centre of a square with corners (4, 2) [px].
 
-    None where a corner lies beyond the reach of the lens model.
+    None where a corner lies beyond the lens model.
     """
     xy = normalise(camera, corners)
     a, b, c, d = np.concatenate([xy, np.ones((4, 1))], axis=1)

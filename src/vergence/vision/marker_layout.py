@@ -1,9 +1,9 @@
-"""Whether the markers in an image stand to each other as on a ChArUco board that is described.
+"""Compare the layout of the markers in an image with that of a ChArUco board.
 
-OpenCV numbers corners by the markers beside them. If a board has other counts, or begins with the
-other colour, some markers still agree with its description, and corners get the numbers of others
-without a word. So all pairs of neighbours are compared with the description. Next to each other,
-markers need no lens: their own sides measure the distance.
+OpenCV numbers corners by the markers beside them. If the description of a board has wrong counts or
+the wrong first colour, some markers still agree with it, and OpenCV returns wrongly numbered
+corners. So all pairs of neighbours are compared with the description. Their distance is measured by
+their own sides, so that the lens need not be known.
 """
 
 from __future__ import annotations
@@ -19,25 +19,27 @@ from scipy.spatial import KDTree
 from vergence.geometry.board import Charuco, marker_family
 
 _NEAREST = 9
-"""Markers that are looked at for each: itself, its four neighbours, and some that are none."""
+"""Number of nearest markers to consider: itself, its four neighbours, and the next ones."""
 _TOLERANCE = 0.35
-"""Of a neighbour's place, in squares: perspective and small markers make 0.2 of it."""
+"""Largest deviation of a neighbour from its place [squares]; perspective makes 0.2."""
 _MOST_SIDES = 2.1
-"""Sides of a marker in that of a square, at most: two squares are more."""
+"""Largest side of a square over that of its marker; above, the nearest is two squares away."""
 _AS_NEAR = 1.5
-"""Distance of a neighbour over that of the nearest one: the next but one is twice as far."""
+"""Largest distance of a neighbour over that of the nearest one; the next is twice as far."""
 _FAR_TOLERANCE = 0.35
-"""Of the place of one that is farther away, as a part of the distance."""
+"""Largest deviation of a farther marker from its place, over its distance."""
 _MOST_SQUARES = 100
+"""Largest number of squares in a row, as of `Charuco`."""
 _LEAST_PAIRS = 6
+"""Number of pairs from which a board is identified."""
 _CLEAR_SHARE = 0.8
-"""Of the pairs that are as described where the description is right: a misread marker in the middle
-of a small board spoils a tenth. Of a board with one square more in a row half are."""
+"""Least share of pairs that agree with a right description: a misread marker in the middle of a
+small board spoils a tenth; with one square too many in a row half of them agree."""
 
 
 @dataclass(frozen=True, eq=False)
 class MarkerPairs:
-    """Pairs of markers whose squares touch at a corner, or of the nearest ones that were read."""
+    """Pairs of neighbouring markers: their squares touch at a corner, or they are the nearest."""
 
     ids: np.ndarray
     """(P, 2) of int: numbers of the first and the second marker."""
@@ -45,41 +47,12 @@ class MarkerPairs:
     """(P, 2) squares along x and y from the first to the second, about 1 or -1 if they touch."""
 
 
-def marker_pairs(quads: Sequence[np.ndarray], ids: np.ndarray, board: Charuco) -> MarkerPairs:
-    """Return the neighbours among markers, of their corners (4, 2) [px] and numbers (N,)."""
-    if len(quads) < 2:
-        return MarkerPairs(np.empty((0, 2), int), np.empty((0, 2), int))
-    corners = np.reshape(quads, (-1, 4, 2)).astype(float)
-    centres = corners.mean(axis=1)
-    # Sides of each marker along its own x and y: the axes of the board, wherever it is turned.
-    sides = (
-        np.stack([corners[:, 1] + corners[:, 2], corners[:, 3] + corners[:, 2]], axis=-1) / 2
-        - np.stack([corners[:, 0] + corners[:, 3], corners[:, 0] + corners[:, 1]], axis=-1) / 2
-    )
-    near = np.asarray(KDTree(centres).query(centres, k=min(_NEAREST, len(corners)))[1])
-    first, second = np.repeat(np.arange(len(near)), near.shape[1] - 1), near[:, 1:].ravel()
-    offsets = np.einsum(
-        "pij,pj->pi", np.linalg.pinv(sides)[first], (centres[second] - centres[first])
-    )
-    by_marker = np.abs(offsets).max(axis=1).reshape(near.shape[0], -1)
-    nearest = by_marker.min(axis=1)
-    # The nearest is a square away, whatever part of it a marker fills, unless many were not read.
-    square = float(np.median(nearest))
-    square = square if square < _MOST_SIDES else board.square_m / board.marker_m
-    steps, length = offsets / square, by_marker.ravel() / square
-    beside = length < _AS_NEAR * nearest[first] / square
-    # What is a neighbour's distance away but not in the place of one is not on the board.
-    off = np.abs(steps - np.sign(steps)).max(axis=1)
-    beside &= (off < _TOLERANCE) | (length > _AS_NEAR)
-    return MarkerPairs(np.stack([ids[first], ids[second]], axis=1)[beside], steps[beside])
-
-
 def read_markers(
     grey: np.ndarray, dictionary: str, most: int | None = None
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """Return corners (4, 2) [px] and numbers (N,) of the markers of a family in an image (H, W).
+    """Read the markers of a family in an image (H, W): corners (4, 2) [px] and numbers (N,).
 
-    Of its first ones, which boards have, where `most` limits the time that large families take.
+    `most` restricts the family to its first markers, to save time.
     """
     family = marker_family(dictionary)
     first = cv2.aruco.Dictionary(
@@ -90,13 +63,39 @@ def read_markers(
     return [np.reshape(quad, (4, 2)) for quad in quads], numbers
 
 
+def marker_pairs(quads: Sequence[np.ndarray], ids: np.ndarray, board: Charuco) -> MarkerPairs:
+    """Find the neighbours among markers with corners (4, 2) [px] and numbers (N,)."""
+    if len(quads) < 2:
+        return MarkerPairs(np.empty((0, 2), int), np.empty((0, 2), int))
+    corners = np.reshape(quads, (-1, 4, 2)).astype(float)
+    centres = corners.mean(axis=1)
+    # The sides of each marker along its own x and y, which are the axes of the board.
+    a, b, c, d = corners.swapaxes(0, 1)
+    sides = np.stack([b + c - a - d, d + c - a - b], axis=-1) / 2
+    near = np.asarray(KDTree(centres).query(centres, k=min(_NEAREST, len(corners)))[1])
+    first, second = np.repeat(np.arange(len(near)), near.shape[1] - 1), near[:, 1:].ravel()
+    offsets = np.einsum(
+        "pij,pj->pi", np.linalg.pinv(sides)[first], centres[second] - centres[first]
+    )
+    by_marker = np.abs(offsets).max(axis=1).reshape(len(near), -1)
+    nearest = by_marker.min(axis=1)
+    # The nearest marker is a square away, unless many were not read.
+    square = float(np.median(nearest))
+    square = square if square < _MOST_SIDES else board.square_m / board.marker_m
+    steps, length = offsets / square, by_marker.ravel() / square
+    neighbours = length < _AS_NEAR * nearest[first] / square
+    # A marker at a neighbour's distance but not in its place is not on the board.
+    deviation = np.abs(steps - np.sign(steps)).max(axis=1)
+    neighbours &= (deviation < _TOLERANCE) | (length > _AS_NEAR)
+    return MarkerPairs(np.stack([ids[first], ids[second]], axis=1)[neighbours], steps[neighbours])
+
+
 def contradicts(pairs: MarkerPairs, board: Charuco) -> bool:
-    """Return whether neighbours in an image are none, or other ones, on a board."""
-    agree, counted = _agreement(pairs, marker_squares(board))
-    # With an odd number in a row the other pattern is the same one but for its ends, and shifted.
-    other = replace(board, legacy=not board.legacy)
-    best, _ = _agreement(pairs, marker_squares(other))
-    return agree < max(_CLEAR_SHARE * counted, best)
+    """Check whether too many pairs of markers disagree with the layout of a board."""
+    agree, compared = _agreement(pairs, marker_squares(board))
+    # With an odd number of squares in a row the other pattern differs only at the ends.
+    other, _ = _agreement(pairs, marker_squares(replace(board, legacy=not board.legacy)))
+    return agree < max(_CLEAR_SHARE * compared, other)
 
 
 def marker_squares(board: Charuco) -> np.ndarray:
@@ -105,36 +104,31 @@ def marker_squares(board: Charuco) -> np.ndarray:
     return _squares(board.squares_x, _begins_white(board), last)
 
 
-def _begins_white(board: Charuco) -> bool:
-    return board.legacy and board.squares_y % 2 == 0
-
-
 def board_of(pairs: MarkerPairs, board: Charuco) -> Charuco | None:
-    """Return the board on which neighbours are as in an image that is nearest to the one described.
+    """Find the board nearest to the described one that has these pairs of markers.
 
-    Its rows are those of the described board, or more if markers of more are seen. None where no
-    board has these neighbours.
+    It has as many rows as the described board, or more if their markers are seen. None if too few
+    pairs agree with any board.
     """
     if len(pairs.ids) < _LEAST_PAIRS:
         return None
-    best, fitting = 0.0, None
+    last = int(pairs.ids.max())
     described = board.squares_x, _begins_white(board)
-    candidates = [
-        described,
-        *((x, white) for white in (False, True) for x in range(3, _MOST_SQUARES + 1)),
-    ]
-    for squares_x, begins_white in candidates:
-        agree, counted = _agreement(pairs, _squares(squares_x, begins_white, int(pairs.ids.max())))
-        if counted and agree / counted > best:
-            best, fitting = agree / counted, (squares_x, begins_white)
-    if fitting is None or best < _CLEAR_SHARE:
+    others = [(x, white) for white in (False, True) for x in range(3, _MOST_SQUARES + 1)]
+
+    def share(layout: tuple[int, bool]) -> float:
+        agree, compared = _agreement(pairs, _squares(*layout, last))
+        return agree / max(compared, 1)
+
+    best = max((described, *others), key=share)  # the first of equals
+    if share(best) < _CLEAR_SHARE:
         return None
-    rows = 1 + int(_squares(*fitting, int(pairs.ids.max()))[pairs.ids.max()][1])
-    return _nearest_to(board, *fitting, rows)
+    rows = 1 + int(_squares(*best, last)[last][1])
+    return _nearest_to(board, *best, rows)
 
 
 def _nearest_to(board: Charuco, squares_x: int, begins_white: bool, rows: int) -> Charuco | None:
-    """Return the board with these squares that differs least from the one described."""
+    """Return the board with this layout that differs least from the described one."""
     likely = [board.squares_y] * (squares_x == board.squares_x)
     exchanged = squares_x == board.squares_y and rows >= board.squares_x - 1
     likely += [board.squares_x] * exchanged  # the last row may be out of sight
@@ -147,18 +141,22 @@ def _nearest_to(board: Charuco, squares_x: int, begins_white: bool, rows: int) -
     return None
 
 
+def _begins_white(board: Charuco) -> bool:
+    return board.legacy and board.squares_y % 2 == 0
+
+
 def _squares(squares_x: int, begins_white: bool, last: int) -> np.ndarray:
-    """Return as x and y the squares (last + 1, 2) of markers 0 to last: the white ones, by rows."""
+    """Return x and y of the squares (last + 1, 2) of markers 0 to last: the white ones, by rows."""
     y, x = np.indices((2 * (last + 1) // squares_x + 2, squares_x))
     white = (x + y) % 2 == (0 if begins_white else 1)
     return np.stack([x[white], y[white]], axis=1)[: last + 1]
 
 
 def _agreement(pairs: MarkerPairs, squares: np.ndarray) -> tuple[int, int]:
-    """Return how many pairs agree with the squares (M, 2) of markers, and how many are compared."""
+    """Count the pairs that agree with the squares (M, 2) of markers, and those compared."""
     known = (pairs.ids < len(squares)).all(axis=1)
     first, second = pairs.ids[known].T
     steps = pairs.steps[known]
-    off = np.abs(squares[second] - squares[first] - steps).max(axis=1)
-    agree = off < np.maximum(1, _FAR_TOLERANCE * np.abs(steps).max(axis=1))
+    deviation = np.abs(squares[second] - squares[first] - steps).max(axis=1)
+    agree = deviation < np.maximum(1, _FAR_TOLERANCE * np.abs(steps).max(axis=1))
     return int(agree.sum()), int(known.sum())
