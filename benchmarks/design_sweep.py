@@ -25,8 +25,7 @@ import tyro
 
 from simulated_head import rough_start
 from simulated_recording import BOARD, Noise, Recording, record
-from vergence.accuracy.design import gaze_at
-from vergence.accuracy.design_effort import calibration_mean_square, designed_head
+from vergence.accuracy.design import designed_head, fixating_joints, sensitivity
 from vergence.accuracy.design_settings import DesignSettings, chunks
 from vergence.accuracy.design_sweep import compute_chunk, costs, located_points
 from vergence.accuracy.plan_workspace import point_by_parameters
@@ -84,20 +83,21 @@ def effort_ratio(rng: np.random.Generator) -> float:
     recorded = record(head, rng, how)
     found = bundle_adjust(rough_start(head, rng), recorded)
     points, off = located_points(DesignSettings())
-    joints = np.stack(gaze_at(np.array(baseline_m), points), axis=-1) + np.tile(off, 2)
-    points_m = (points - [0.0, baseline_m / 2, 0.0]).reshape(-1, 3)
-    joints = joints.reshape(-1, 4)
+    points_m = points - [0.0, baseline_m / 2, 0.0]
+    joints = (fixating_joints(baseline_m, points_m) + np.tile(off, 2)).reshape(-1, 4)
+    points_m = points_m.reshape(-1, 3)
     columns = [parameter_names(head).index(name) for name in found.accuracy.parameters]
     moved = point_by_parameters(found.head, PAIR, points_m, joints)[..., columns]
     stated = np.einsum("nip,pq,niq->n", moved, found.accuracy.covariance, moved, optimize=True)
-    said = calibration_mean_square(
+    predicted = sensitivity(
         head,
         replace(BOARD),
-        points_m=points_m,
+        points=points_m,
         joints=joints,
         corner_std_px=0.1,
         joint_std_rad=np.array([joint_rad]),
-    )[0] / len(recorded.placement)
+    )
+    said = predicted.calibration[0] / len(recorded.placement)
     return float(np.sqrt(np.mean(stated / said)))
 
 

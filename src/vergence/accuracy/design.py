@@ -1,23 +1,20 @@
-"""How accurate a point is by the design of a head: baseline, lens, encoders, delay; closed form.
+"""Accuracy of located points by the design of a head: baseline, lens, encoders, delay, calibration.
 
-The head is symmetric: eyes a baseline b apart that pan about z, then tilt about y, and pinhole
-cameras of focal length f that sit a little ahead of their rotation centres, on the optical axis.
-Both eyes turn towards a point, and by the same angles off it. For an eye at e with forward axis F,
-left axis L and upward axis U, its camera c = e + a F, a point P at depth d = F (P - c) and image
-coordinates x, y in units of f, one pixel's errors and those of its readings obey
+The head is symmetric. Its eyes pan about z, then tilt about y; pinhole cameras sit on the optical
+axes a little ahead of the rotation centres. The mean square distance of a located point from the
+true one is a sum over sources,
 
-    -(L + x F) dP = d (dx - x_pan dpan - x_tilt dtilt)   and likewise U, y        (a)
-
-where x_pan is how x changes when the eye turns about its pan axis. The four equations of both eyes
-are solved by least squares as in Eqs. 3-4 of the paper: dP = G r. With white noise, the mean
-square distance of the located point from the true one is a sum over sources,
-
-    E|dP|^2 = (s / f)^2 S_pixel + j^2 S_joint + (w t)^2 (S_joint + rho S_between)  (b)
+    E|dP|^2 = s^2 S_pixel + j^2 S_joint + (w t)^2 (S_joint + rho S_common) + S_calibration / V   (a)
 
 for pixel noise s [px], joint noise j [rad], eyes that turn with rms speed w [rad/s] in each joint
-and readings a time t late; rho is the correlation of the two eyes' speeds: 1 when they turn
-together, -1 when one does the opposite of the other. The S depend on the geometry alone, not on f.
-What the calibration adds stands in design_effort.
+and readings a time t late. rho is the correlation of the two eyes' speeds: 1 if they turn together,
+-1 if one does the opposite of the other. V is the number of views that the head is calibrated with.
+
+S_calibration is that of a standard recording, in the proportions that docs/calibrate.md advises:
+boards at eight places near the head, which both eyes see at straight gaze, and one board at rest
+that they see from 16 directions of gaze. They fill half to three quarters of the images' height
+whatever the lens. Its information is that of bundle adjustment. Focal lengths, image centres,
+mountings, gains and axes are estimated, distortion is taken as known.
 """
 
 from __future__ import annotations
@@ -27,128 +24,156 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from vergence.accuracy.plan_information import gained, information, linearised_views
+from vergence.accuracy.plan_views import MARGIN_PX, Views
+from vergence.accuracy.plan_workspace import point_by_parameters
 from vergence.arrays import Array
-from vergence.geometry.components import dot, plus
-from vergence.geometry.kinematics import pan_tilt_along
+from vergence.calibration.bundle.bundle_adjustment import fixed_by_default
+from vergence.geometry.board import Chessboard, corner_points
+from vergence.geometry.camera import pinhole
+from vergence.geometry.head import R_EYE_CAM, WIDE, HeadCalibration, MountedCamera
+from vergence.geometry.kinematics import EYES, looking_along, pan_tilt_along
+from vergence.geometry.parameters import named_columns, parameter_names
+from vergence.geometry.projection import project_point
+from vergence.geometry.se3 import pose, rotation
+from vergence.stereo.linearised import linearised
 
-Vec = tuple[Array, Array, Array]
-"""x, y, z; in three arrays, since most of the time goes into memory."""
+STRAIGHT, GAZES = 8, 16
+"""Views of the standard recording: boards at straight gaze, and gazes to a board at rest."""
+VIEWS = STRAIGHT + GAZES
+FILLS = (0.5, 0.75)
+"""Shares of an image's height that the circle about a board fills, at any slant."""
+LEAN_RAD = (0.6, 0.6, 0.4)
+"""Maximum slants of a board about its axes, and turn in its plane [rad]."""
+USED = 0.85
+"""Part of the room beside a board in an image in which it moves."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """What a unit of variance of each source adds to a point's mean square error; see Eq. b."""
+    """Mean square error of N points per unit variance of each source; see Eq. a."""
 
     pixel: Array
-    """(...) [m^2] by errors of 1 rad in each image coordinate: pixels over focal length."""
+    """(N,) [m^2 / px^2]."""
     joint: Array
-    """(...) [m^2 / rad^2] by independent errors in all four readings."""
-    between: Array
-    """(...) [m^2 / rad^2] twice the covariance by errors of the same joint in both eyes."""
-    image_x: Array
-    """(...) distance of the point from the middle of an image, the larger of both, sideways, in
-    focal lengths."""
-    image_y: Array
-    """(...) the same upwards or downwards."""
+    """(N,) [m^2 / rad^2] by independent errors of all four readings."""
+    common: Array
+    """(N,) [m^2 / rad^2] twice the covariance by errors of the same joint of both eyes."""
+    calibration: Array
+    """(J, N) [m^2] by one view of the standard recording, for each level of joint noise."""
+    offset_px: Array
+    """(N, 2) largest distance of the point from the middle of an image, sideways and upwards."""
 
 
 def joint_std_rad(counts_per_turn: ArrayLike, noise_deg: ArrayLike) -> Array:
-    """Return the standard deviation [rad] of readings with steps and noise; 0 counts: no steps."""
+    """Compute the standard deviation [rad] of readings with steps and noise; 0 counts: no steps."""
     counts = np.asarray(counts_per_turn, float)
     step = np.where(counts > 0, 2 * np.pi / np.maximum(counts, 1), 0.0)
     return np.hypot(step / np.sqrt(12), np.radians(noise_deg))  # errors of rounding are uniform
 
 
-def gaze_at(baseline_m: Array, point: Array) -> tuple[Array, Array, Array, Array]:
-    """Return left pan, left tilt, right pan, right tilt [rad] of eyes that fixate points (..., 3).
+def designed_head(
+    baseline_m: float, focal_px: float, camera_ahead_m: float, image_px: tuple[int, int]
+) -> HeadCalibration:
+    """Build the symmetric head: two pinhole cameras ahead of the rotation centres."""
+    mounted = pose(R_EYE_CAM, [camera_ahead_m, 0.0, 0.0])
+    return HeadCalibration(
+        cameras={
+            name: MountedCamera(eye, pinhole(*image_px, focal_px), mounted)
+            for eye, name in zip(EYES, WIDE, strict=True)
+        },
+        T_rbase_lbase=pose(t=[0.0, baseline_m, 0.0]),
+    )
 
-    Points are from the middle between the eyes.
-    """
-    x, y, z = point[..., 0], point[..., 1], point[..., 2]
-    left, right = (pan_tilt_along(x, y - side * baseline_m, z) for side in (0.5, -0.5))
-    return *left, *right
+
+def fixating_joints(baseline_m: float, points: Array) -> Array:
+    """Compute the readings (..., 4) [rad] that fixate points (..., 3) from the left eye."""
+    x, y, z = np.moveaxis(points, -1, 0)
+    angles = [pan_tilt_along(x, y + shift, z) for shift in (0.0, baseline_m)]
+    return np.stack([angle for pan_tilt in angles for angle in pan_tilt], axis=-1)
+
+
+def standard_recording(head: HeadCalibration, board: Chessboard) -> Views:
+    """Make the VIEWS views of a board by a designed head, the same for all heads to their scale."""
+    rng = np.random.default_rng(0)
+    draw, around = rng.uniform(-1, 1, (STRAIGHT + 1, 6)), rng.uniform(-1, 1, (GAZES, 2))
+    draw[-1, 1:3] = 0  # the board at rest stands ahead
+    lens, baseline = head.cameras[WIDE[0]].intrinsics, head.T_rbase_lbase[1, 3]
+    size_px, f = np.array(lens.size), lens.matrix[0, 0]
+    corners = corner_points(board)
+    radius = np.linalg.norm(np.ptp(corners, axis=0)) / 2
+    radius_px = (np.mean(FILLS) + draw[:, 0] * np.ptp(FILLS) / 2) * lens.height / 2
+    distance = radius * (f / radius_px + np.sin(np.linalg.norm(LEAN_RAD[:2])))
+    # The board stands wherever both images hold it whole; angles add up.
+    edge = np.arctan((size_px / 2 - MARGIN_PX) / f)
+    room = USED * np.maximum(edge - np.arctan(radius_px / f)[:, None], 0.0)
+    apart = np.arctan(baseline / 2 / distance)
+    pan = draw[:, 1] * np.maximum(room[:, 0] - apart, 0.0)
+    tilt = draw[:, 2] * room[:, 1]
+    centre = distance[:, None] * looking_along(pan, tilt) - [0.0, baseline / 2, 0.0]
+    R = R_EYE_CAM @ rotation(draw[:, 3:] * LEAN_RAD)
+    T = pose(R, centre - R @ corners.mean(axis=0))
+    moving = fixating_joints(baseline, centre[-1]) + np.tile(around * room[-1], 2)
+    place = np.append(np.arange(STRAIGHT), np.full(GAZES, STRAIGHT))
+    return Views(T[place], np.concatenate([np.zeros((STRAIGHT, 4)), moving]), place)
 
 
 def sensitivity(
-    baseline_m: ArrayLike, point: Array, *, camera_ahead_m: float, off_rad: Array | None = None
+    head: HeadCalibration,
+    board: Chessboard,
+    *,
+    points: Array,
+    joints: Array,
+    corner_std_px: float,
+    joint_std_rad: Array,
 ) -> Sensitivity:
-    """Return what each source does to points (..., 3) [m], from the middle between the eyes.
+    """Compute what each source adds to the errors of points that a designed head locates.
 
-    The eyes fixate each point, and then turn off it together by off_rad (..., 2), pan and tilt;
-    None: not at all. All arguments broadcast.
+    Args:
+        head: that of `designed_head`.
+        board: that it is calibrated with.
+        points: (N, 3) [m] in the left eye's base frame.
+        joints: (N, 4) readings [rad] at which they are located.
+        corner_std_px: noise of one coordinate of a corner of the board.
+        joint_std_rad: (J,) levels of the noise of readings in the calibration.
     """
-    baseline = np.asarray(baseline_m, float)
-    left_pan, left_tilt, right_pan, right_tilt = gaze_at(baseline, point)
-    pan_off, tilt_off = (0.0, 0.0) if off_rad is None else (off_rad[..., 0], off_rad[..., 1])
-    P = point[..., 0], point[..., 1], point[..., 2]
-    rows: list[Vec] = []
-    errors = []  # by row: depth, and depth times the change by pan and by tilt
-    image = [np.zeros(()), np.zeros(())]
-    for side, pan, tilt in ((0.5, left_pan, left_tilt), (-0.5, right_pan, right_tilt)):
-        pan, tilt = pan + pan_off, tilt + tilt_off
-        cp, sp, ct, st = np.cos(pan), np.sin(pan), np.cos(tilt), np.sin(tilt)
-        F, L, U = (ct * cp, ct * sp, -st), (-sp, cp, np.zeros_like(cp)), (st * cp, st * sp, ct)
-        q = P[0], P[1] - side * baseline, P[2]
-        r = q[0] - camera_ahead_m * F[0], q[1] - camera_ahead_m * F[1], q[2] - camera_ahead_m * F[2]
-        depth = dot(F, r)
-        for k, axis in enumerate((L, U)):
-            at = -dot(axis, r) / depth
-            row = axis[0] + at * F[0], axis[1] + at * F[1], axis[2] + at * F[2]
-            # A turn of the eye moves the point, as the eye sees it, by -axis x q.
-            by_pan = row[1] * q[0] - row[0] * q[1]
-            by_tilt = dot(row, (L[1] * q[2], -L[0] * q[2], L[0] * q[1] - L[1] * q[0]))
-            rows.append(row)
-            errors.append((depth, by_pan, by_tilt))
-            image[k] = np.maximum(image[k], np.abs(at))
-    inverse = _inverse_of_squares(rows)
-    columns = [_times(inverse, row) for row in rows]
-    pixel = sum(dot(c, c) * e[0] ** 2 for c, e in zip(columns, errors, strict=True))
-    joint, between = np.zeros(()), np.zeros(())
-    for k in (1, 2):
-        left, right = (
-            plus(_scaled(columns[i], errors[i][k]), _scaled(columns[i + 1], errors[i + 1][k]))
-            for i in (0, 2)
-        )
-        joint = joint + dot(left, left) + dot(right, right)
-        between = between + 2 * dot(left, right)
-    return Sensitivity(np.asarray(pixel), joint, between, *image)
+    left, right = (project_point(head, name, joints, points) for name in WIDE)
+    seen = linearised(head, left=left, right=right, joints=joints, cameras=WIDE)
+    by_readings = np.moveaxis(seen.by_readings, -1, 0)
+    fixed = fixed_by_default(head, timed=False)
+    names = tuple(name for name in parameter_names(head) if name not in fixed)
+    by_names = point_by_parameters(head, WIDE, points, joints)[..., named_columns(head, names)]
+    views = standard_recording(head, board)
+    linear = linearised_views(head, board, views, names, np.ones(len(names)))
+    calibration = []
+    for std in joint_std_rad:
+        total = gained(information(linear, corner_std_px, np.full(4, std)), views.placement)
+        scale = 1 / np.sqrt(np.diag(total))
+        L = np.linalg.cholesky(np.linalg.inv(total * np.outer(scale, scale)))
+        calibration.append(VIEWS * ((by_names @ (scale[:, None] * L)) ** 2).sum(axis=(1, 2)))
+    middle = head.cameras[WIDE[0]].intrinsics.matrix[:2, 2]
+    return Sensitivity(
+        pixel=(seen.by_pixels**2).sum(axis=(0, 1)),
+        joint=(by_readings**2).sum(axis=(1, 2)),
+        common=2 * (by_readings[..., :2] * by_readings[..., 2:]).sum(axis=(1, 2)),
+        calibration=np.array(calibration),
+        offset_px=np.maximum(np.abs(left - middle), np.abs(right - middle)),
+    )
 
 
-def mean_square(
+def noise_mean_square(
     seen: Sensitivity,
     *,
-    focal_px: ArrayLike,
     pixel_std_px: ArrayLike,
     joint_std_rad: ArrayLike,
     late_rad: ArrayLike = 0.0,
     correlation: float = 0.0,
 ) -> Array:
-    """Return Eq. b [m^2]: the mean square error of points by noise; all arguments broadcast.
+    """Compute Eq. a [m^2] without the calibration; all arguments broadcast.
 
-    late_rad is by how much a joint turns, rms, while its reading is late.
+    late_rad is the rms turn of a joint while its reading is late.
     """
     late = np.asarray(late_rad, float) ** 2
     joint = np.asarray(joint_std_rad, float) ** 2 + late
-    by_pixels = (np.asarray(pixel_std_px, float) / np.asarray(focal_px, float)) ** 2 * seen.pixel
-    return by_pixels + joint * seen.joint + correlation * late * seen.between
-
-
-def _scaled(a: Vec, by: Array) -> Vec:
-    return a[0] * by, a[1] * by, a[2] * by
-
-
-def _inverse_of_squares(rows: list[Vec]) -> tuple[Array, ...]:
-    """Return xx, xy, xz, yy, yz, zz of the inverse of the sum of row row^T."""
-    xx, xy, xz, yy, yz, zz = (
-        np.sum([row[a] * row[b] for row in rows], axis=0)
-        for a, b in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-    )
-    first = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
-    det = xx * first[0] + xy * first[1] + xz * first[2]
-    second = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
-    return tuple(each / det for each in (*first, *second))
-
-
-def _times(symmetric: tuple[Array, ...], v: Vec) -> Vec:
-    xx, xy, xz, yy, yz, zz = symmetric
-    return dot((xx, xy, xz), v), dot((xy, yy, yz), v), dot((xz, yz, zz), v)
+    by_pixels = np.asarray(pixel_std_px, float) ** 2 * seen.pixel
+    return by_pixels + joint * seen.joint + correlation * late * seen.common

@@ -1,6 +1,6 @@
-"""The points for which a recording is planned, and how an error of the head moves them.
+"""Points of the workspace for which views are planned, and their derivatives by the head.
 
-Points stand before the head, near to far, ahead and to the sides; both eyes fixate each, as nearly
+Points stand before the head, near to far, ahead and to the sides. Both eyes fixate each as nearly
 as the limits of their joints allow.
 """
 
@@ -22,7 +22,8 @@ from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.linearised import by_head_parameters, linearised, pair_parameters
 
 ASIDE_RAD, ABOVE_RAD = 0.25, 0.2
-"""To the side and upwards, from the middle of the head."""
+"""Directions of the points to the side and upwards, from the middle of the head [rad]: those of
+most objects that a head looks at."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +35,7 @@ class WorkspacePoints:
     joints: Array
     """(W, r) readings [rad]."""
     by_parameters: Array
-    """(W, 3, p) how the located points change with the parameters of the head."""
+    """(W, 3, p) derivatives of the located points by parameters of the head."""
 
 
 def workspace(
@@ -45,67 +46,49 @@ def workspace(
     names: tuple[str, ...],
     distances_m: tuple[float, ...] = DISTANCES_M,
 ) -> WorkspacePoints:
-    """Return points before the head, with their derivatives by named parameters.
+    """Make the points at some distances, with their derivatives by named parameters.
 
-    VergenceError if the eyes cannot both see one of them.
+    The eyes fixate with readings up to limits (r,) to either side. Raises VergenceError if a point
+    is not in the images of both cameras of the pair then.
     """
     a, b = np.meshgrid(ASIDE_RAD * np.arange(-1, 2), ABOVE_RAD * np.arange(-1, 2))
     in_head = np.multiply.outer(np.array(distances_m), looking_along(a, -b)).reshape(-1, 3)
     points = transform(inverse(T_head_base(head, "left")), in_head)
-    joints = fixating(head, pair, points, limits_rad)
-    columns = named_columns(head, names)
-    return WorkspacePoints(
-        points, joints, point_by_parameters(head, pair, points, joints)[..., columns]
-    )
-
-
-def fixating(
-    head: HeadCalibration, pair: tuple[str, str], points: Array, limits_rad: Array
-) -> Array:
-    """Return readings (N, r) [rad] at which both cameras have points (N, 3) at their centres.
-
-    Or as near as limits (r,), the largest readings of the joints, allow. VergenceError if a point
-    is not in both images then.
-    """
     in_bases = points, transform(head.T_rbase_lbase, points)
     joints = solve_fixation(head, dict(zip(pair, in_bases, strict=True)), limits_rad=limits_rad)
-    joints = np.nan_to_num(joints)  # of points that cannot be fixated, and other readings
-    error = np.concatenate(
-        [
-            project_point(head, name, joints, points) - head.cameras[name].intrinsics.matrix[:2, 2]
-            for name in pair
-        ],
-        axis=1,
-    )
-    lens = [head.cameras[name].intrinsics for name in pair]
-    size = np.array([extent for each in lens for extent in each.size])
-    seen = (np.abs(error) < size / 2).all(axis=1)
+    joints = np.nan_to_num(joints)  # readings that move no camera of the pair, points out of reach
+    seen = np.ones(len(points), bool)
+    for name in pair:
+        lens = head.cameras[name].intrinsics
+        offset = project_point(head, name, joints, points) - lens.matrix[:2, 2]
+        seen &= (np.abs(offset) < np.array(lens.size) / 2).all(axis=1)
     if not seen.all():
         x, y, z = points[seen.argmin()]
         raise VergenceError(
             f"The eyes cannot both see the point ({x:z.2f}, {y:z.2f}, {z:z.2f}) m from the left "
             "eye within the limits of their joints; allow them more, or name larger distances."
         )
-    return joints
+    by_parameters = point_by_parameters(head, pair, points, joints)
+    return WorkspacePoints(points, joints, by_parameters[..., named_columns(head, names)])
 
 
 def point_by_parameters(
     head: HeadCalibration, pair: tuple[str, str], points: Array, joints: Array
 ) -> Array:
-    """Return (N, 3, c) how points that are located in two images move with the head.
+    """Compute derivatives (N, 3, c) of points that two cameras locate by `parameter_names`.
 
-    In the order of parameter_names; the pixels and the readings (N, r) stay what they are.
+    The pixels of the points (N, 3) [m] and the readings (N, r) [rad] stay what they are.
     """
     left, right = (project_point(head, name, joints, points) for name in pair)
-    seen = linearised(head, left=left, right=right, joints=joints, cameras=pair)
+    located = linearised(head, left=left, right=right, joints=joints, cameras=pair)
     rows = np.zeros((len(points), 3, len(parameter_names(head))))
     columns = named_columns(head, pair_parameters(head, pair))
-    rows[..., columns] = by_head_parameters(head, pair, seen).transpose(2, 0, 1)
+    rows[..., columns] = np.moveaxis(by_head_parameters(head, pair, located), -1, 0)
     return rows
 
 
 def largest_std(by_parameters: Array, covariance: Array) -> Array:
-    """Return (..., W) [m] the standard deviation of each point in its worst direction.
+    """Compute the standard deviation (..., W) [m] of each point in its worst direction.
 
     By derivatives (W, 3, p) and covariances (..., p, p) of the parameters.
     """
