@@ -34,13 +34,13 @@ from scipy.stats import kurtosis
 from vergence.accuracy.budget import Source, budget
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
-from vergence.commands.budget import sources_of
 from vergence.geometry.head import WIDE, HeadCalibration, load_head, save_head
 from vergence.geometry.parameters import boxminus
 from vergence.paper.figures import FIGURES, Figure, default_duration_s
 from vergence.paper.replay import describe, replay
 from vergence.stereo.triangulation import triangulate_at
 from vergence.stereo.uncertainty import locate
+from vergence.twin.budget_sources import profile_sources
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration
 from vergence.twin.head import Twin
@@ -183,7 +183,7 @@ def found(folder: Path, profile: ErrorProfile, figure: Figure) -> tuple[str, Arr
 
     predicted_m = spread_m(errors, white)
     with_truth = predicted_m / observed.std_m
-    depth = spread_m(*sources_of(used, profile, None))[0] / observed.std_m[0]
+    depth = spread_m(*profile_sources(used, profile))[0] / observed.std_m[0]
     apart = ""
     if not profile.joints.noise_deg:
         by_calibration, by_pixels = depth_errors(used, seen)

@@ -26,11 +26,11 @@ import tyro
 from simulated_head import rough_start
 from simulated_recording import BOARD, Noise, Recording, record
 from vergence.accuracy.design import designed_head, fixating_joints, sensitivity
+from vergence.accuracy.design_chunks import sweep
 from vergence.accuracy.design_settings import DesignSettings, chunks
 from vergence.accuracy.design_sweep import compute_chunk, costs, located_points
 from vergence.accuracy.plan_workspace import point_by_parameters
 from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
-from vergence.commands.design_chunks import sweep
 from vergence.geometry.parameters import parameter_names
 
 BAR = 1e6

@@ -31,8 +31,6 @@ import numpy as np
 import tyro
 
 from simulated_head import random_head
-from vergence.commands.evaluate import evaluate
-from vergence.commands.truth import Truth, load
 from vergence.data.dataset import Frame
 from vergence.data.description import DatasetCamera, DatasetJoint, Description
 from vergence.data.reader import load_dataset
@@ -45,8 +43,10 @@ from vergence.geometry.kinematics import EYE_JOINTS
 from vergence.geometry.parameters import parameter_values
 from vergence.interchange.formats import ExportFormat, export_head, import_head
 from vergence.stereo.triangulation import triangulate_at
+from vergence.twin.evaluation import evaluate
 from vergence.twin.model import as_built_head, nominal_head
 from vergence.twin.profile import ErrorProfile, load_profile
+from vergence.twin.truth import Truth, load
 from vergence.writing import write_json
 
 EXPORTS: dict[ExportFormat, str] = {

@@ -17,11 +17,11 @@ import numpy as np
 import tyro
 
 from vergence.calibration.calibrate import Method, calibrate
-from vergence.commands import truth
-from vergence.commands.evaluate import evaluate
-from vergence.commands.record import record
 from vergence.data.reader import load_dataset
+from vergence.twin import truth
+from vergence.twin.evaluation import evaluate
 from vergence.twin.profile import load_profile
+from vergence.twin.record import record
 
 DATASETS: dict[str, tuple[str, dict[str, Any]]] = {
     "60 views, chessboard, 2.8 mm, profile `noise-only`": ("noise-only", {"frames": 60}),

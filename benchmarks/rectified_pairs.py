@@ -23,7 +23,8 @@ import tyro
 
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
-from vergence.demos.depth import STEP_S, depth
+from vergence.cli import depth
+from vergence.demos.depth import STEP_S
 from vergence.demos.experiment import LOOKING
 from vergence.geometry.head import HeadCalibration
 from vergence.self_calibration.sequence import initial_seen_geometry, update_geometry
@@ -94,14 +95,16 @@ def main(
         print(f"{name}: {len(rows)} matches, rows rms {rms:.3f} px, by the median {typical:.3f} px")
         print(f"  left out: {100 * mismatched.mean():.1f} %")
     with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder)
         done = depth(
-            Path(folder),
-            profile=load_profile(profile),
+            out=out,
+            twin=True,
+            profile=profile,
             scene=scene,
             seed=seed,
             pairs=pairs,
             geometry="seen",
-        )
+        ).data
     every = ("joints", done.joints), ("seen", done.seen), ("truth", done.true_geometry)
     for name, found in every:
         assert found is not None

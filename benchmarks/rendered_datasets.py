@@ -23,11 +23,11 @@ from rich.console import Console
 from rich.progress import track
 
 from vergence.calibration.calibrate import calibrate
-from vergence.commands import truth
-from vergence.commands.evaluate import evaluate
-from vergence.commands.record import record
 from vergence.data.reader import load_dataset
+from vergence.twin import truth
+from vergence.twin.evaluation import evaluate
 from vergence.twin.profile import load_profile
+from vergence.twin.record import record
 
 LENSES = ("2.8mm", "4.0mm")
 TARGETS = ("chessboard", "charuco")

@@ -24,7 +24,6 @@ import tyro
 from degraded_images import turn_distance
 from vergence.accuracy.motions import eye_angles
 from vergence.calibration.calibrate import calibrate
-from vergence.commands.record import record
 from vergence.data.reader import load_dataset
 from vergence.geometry.head import HeadCalibration
 from vergence.self_calibration.frame import from_matches, self_calibrate_frame
@@ -34,6 +33,7 @@ from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration, straight_neck
 from vergence.twin.head import Twin
 from vergence.twin.profile import Lens, load_profile
+from vergence.twin.record import record
 
 PAIRS = 7
 POSTURE_S, STEP_S = 2.3, 1.7

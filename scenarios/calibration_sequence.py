@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import tyro
 
-from vergence.cli.endings import plain_ending
+from vergence.cli.terminal import plain_ending
 from vergence.geometry.head import save_head
 from vergence.geometry.se3 import angle, inverse
 from vergence.twin.calibration_sequence import carry_out, paper_calibration, plan

@@ -19,7 +19,7 @@ import tyro
 from scipy.optimize import least_squares
 
 from vergence.arrays import Array
-from vergence.cli.endings import plain_ending
+from vergence.cli.terminal import plain_ending
 from vergence.errors import check_seed
 from vergence.paper.error_model import (
     PAPER_MM,

@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from vergence.cli.endings import plain_ending
+from vergence.cli.terminal import plain_ending
 from vergence.paper.reproduce import reproduce
 from vergence.twin.profile import load_profile
 

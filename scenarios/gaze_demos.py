@@ -9,7 +9,7 @@ from pathlib import Path
 
 import tyro
 
-from vergence.cli.endings import plain_ending
+from vergence.cli.terminal import plain_ending
 from vergence.demos.experiment import Experiment
 from vergence.demos.foveate import SETTLED_PX
 from vergence.demos.foveate import foveate as run_foveate

@@ -6,7 +6,7 @@ python scenarios/own_experiment.py
 import numpy as np
 
 import vergence as vg
-from vergence.cli.endings import plain_ending
+from vergence.cli.terminal import plain_ending
 from vergence.twin.calibration_sequence import paper_calibration
 from vergence.twin.head import Twin
 from vergence.twin.profile import load_profile

@@ -68,7 +68,7 @@ def coarsely() -> Callable[[pytest.MonkeyPatch], None]:
         compile_head = head.compile_head
         patch.setattr(head, "compile_head", coarse)
         patch.setattr(renderer, "OVERSAMPLING", 1)
-        patch.setattr("vergence.commands.record.FINE", 1)
+        patch.setattr("vergence.twin.record.FINE", 1)
 
     return patched
 

@@ -21,7 +21,7 @@ ROOMS = (
     "errors", "findings", "arrays", "reading", "writable", "writing", "progress", "geometry",
     "data", "vision", "stereo", "calibration", "self_calibration", "gaze", "accuracy",
     "interchange", "vergence", "processes", "twin", "viewer",
-    "commands", "paper", "demos", "cli", "__main__",
+    "paper", "demos", "cli", "__main__",
 )  # fmt: skip
 """Folders and single modules, from the ground up: each may import itself and those before it.
 
@@ -41,8 +41,8 @@ OUTER_LIBRARIES = {
     "mujoco": ("twin",),
     "rerun": ("viewer", "paper.recording"),
     "matplotlib": ("viewer", "paper.plots"),
-    "joblib": ("commands.design_chunks", "processes"),
-    "distributed": ("commands.design_chunks",),
+    "joblib": ("accuracy.design_chunks", "processes"),
+    "distributed": ("accuracy.design_chunks",),
     "tyro": ("cli",),
     "rich": ("cli",),
 }

@@ -14,9 +14,10 @@ from simulated_head import plain_head
 from test_location_accuracy import stated
 from vergence import cli
 from vergence.accuracy.budget import CALIBRATION, Source, budget, group_of
+from vergence.accuracy.motion_budget import MotionBudgets, motion_budgets, motion_of, stated_sources
 from vergence.accuracy.motions import PERIOD_S, eye_angles
 from vergence.arrays import Array
-from vergence.commands.budget import Budgets, advice, as_plain, motion_of, run, sources_of, table
+from vergence.cli.accuracy_reports import advice, budget_report, budget_rows, check_budget
 from vergence.errors import VergenceError
 from vergence.geometry.camera import pinhole
 from vergence.geometry.head import HeadCalibration, save_head
@@ -25,6 +26,7 @@ from vergence.geometry.kinematics import Kinematics, Side
 from vergence.geometry.parameters import boxplus, change_named, is_gain, parameter_names
 from vergence.geometry.projection import project_point
 from vergence.stereo.triangulation import triangulate_at
+from vergence.twin.budget_sources import profile_sources
 from vergence.twin.profile import ByHand, CalibrationProcedure, ErrorProfile, Joints, load_profile
 from without_mujoco import without_mujoco
 
@@ -37,6 +39,21 @@ def motion(name: str) -> dict[str, Array]:
     time_s = np.arange(T) * PERIOD_S[name] / T
     joints = eye_angles("parallel" if name == "parallel" else "divergent", time_s)
     return {"joints": joints, "rates": np.gradient(joints, time_s, axis=0)}
+
+
+def run(
+    head: HeadCalibration,
+    *,
+    points: Array,
+    motion: str,
+    profile: ErrorProfile | None = None,
+    pixel_std_px: float | None = None,
+) -> MotionBudgets:
+    check_budget(points, pixel_std_px)
+    sources = stated_sources(head, pixel_std_px)
+    if profile is not None:
+        sources = profile_sources(head, profile, pixel_std_px)
+    return motion_budgets(head, points, motion=motion, sources=sources)
 
 
 def located(believed: HeadCalibration, joints: Array, readings: Array) -> Array:
@@ -184,7 +201,7 @@ def test_a_head_calibrated_with_measured_eye_poses_has_no_budget():
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_profiles_errors_are_sources_for_heads_with_any_joints(kind: str):
     head = other_head(kind, np.random.default_rng(0))
-    sources = {source.name: source for source in sources_of(head, load_profile("paper"), None)}
+    sources = {source.name: source for source in profile_sources(head, load_profile("paper"))}
     assert list(sources)[-1] == "shift of the mountings, by hand"
     gains = {name for name in parameter_names(head) if is_gain(name)}
     assert set(sources["gains of the joints"].errors) == gains
@@ -217,12 +234,12 @@ def test_a_head_with_other_joints_has_no_parallel_motion():
     joints = np.random.default_rng(1).uniform(-0.1, 0.1, (5, len(head.kinematics.readings)))
     source = [Source("pixels", pixel_std_px=0.2)]
     budgets = budget(head, POINT[None], joints=joints, rates=0 * joints, sources=source)
-    found = Budgets("data", budgets, None)
-    assert [row[4] for row in table(found, 0)] == ["", ""]
-    assert as_plain(found)["in_parallel_motion"] is None
+    found = MotionBudgets("data", budgets, None)
+    assert [row[4] for row in budget_rows(found, 0)] == ["", ""]
+    assert budget_report(found).data["in_parallel_motion"] is None
     same = run(HEAD, points=POINT[None], motion="parallel", profile=None, pixel_std_px=0.2)
-    assert [row[4] for row in table(same, 0)] == [row[1] for row in table(same, 0)]
-    assert as_plain(same)["in_parallel_motion"] == as_plain(same)["points"]
+    assert [row[4] for row in budget_rows(same, 0)] == [row[1] for row in budget_rows(same, 0)]
+    assert budget_report(same).data["in_parallel_motion"] == budget_report(same).data["points"]
 
 
 def test_the_motion_of_a_dataset_of_other_joints_is_refused(tmp_path):
@@ -242,8 +259,8 @@ def test_the_table_of_a_budget_names_its_unit(monkeypatch, capsys):
 def test_a_budget_beyond_first_order_says_so():
     noise = {"motion": "parallel", "profile": None, "pixel_std_px": 0.5}
     near, far = (run(HEAD, points=scale * POINT[None], **noise) for scale in (1, 20))
-    assert "may be larger or smaller" not in advice(near, 0)
-    assert "may be larger or smaller" in advice(far, 0)
+    assert "may be larger or smaller" not in advice(near.budgets[0])
+    assert "may be larger or smaller" in advice(far.budgets[0])
 
 
 def test_a_point_that_cannot_be_told_apart_from_infinity_is_refused_with_the_limit():
@@ -274,7 +291,7 @@ def test_a_part_that_rounds_to_zero_has_no_sign():
     points, profile = np.array([[0.5, -0.04, 0.0]]), load_profile("paper")
     found = run(HEAD, points=points, motion="divergent", profile=profile, pixel_std_px=None)
     assert any((part.shared_m < 0).any() for part in found.budgets[0].parts)
-    assert "-0.00" not in " ".join(" ".join(row) for row in table(found, 0))
+    assert "-0.00" not in " ".join(" ".join(row) for row in budget_rows(found, 0))
 
 
 def test_a_profile_gives_sources_that_the_papers_method_does_not_find():
@@ -285,12 +302,12 @@ def test_a_profile_gives_sources_that_the_papers_method_does_not_find():
         profile=load_profile("paper"),
         pixel_std_px=None,
     )
-    names = [row[0] for row in table(found, 0)]
+    names = [row[0] for row in budget_rows(found, 0)]
     assert names[:3] == ["pixel noise", "joint noise", "gains of the joints"]
     assert names[-1] == "total"
-    assert "half of" in advice(found, 0)
+    assert "half of" in advice(found.budgets[0])
     both = ErrorProfile(by_hand=ByHand(focal_percent_28=1.0, focal_percent_40=2.0))
-    of_lens = [source for source in sources_of(HEAD, both, None) if "focal" in source.name]
+    of_lens = [source for source in profile_sources(HEAD, both) if "focal" in source.name]
     assert [source.errors["left_wide.fx"] for source in of_lens] == [pytest.approx(2.8)]
     bundle = replace(HEAD, accuracy=replace(stated(HEAD).accuracy, method="bundle"))
     sensors = ErrorProfile(
@@ -320,7 +337,7 @@ def test_the_command_writes_a_table_json_and_a_figure(tmp_path, monkeypatch, cap
     found = run(
         stated(HEAD), points=POINT[None], motion="divergent", profile=None, pixel_std_px=None
     )
-    assert written == json.loads(json.dumps(as_plain(found)))
+    assert written == json.loads(json.dumps(budget_report(found).data))
     assert (tmp_path / "b.png").stat().st_size > 1000
 
 

@@ -13,7 +13,7 @@ import pytest
 from drawn_head import four_cameras
 from vergence import cli
 from vergence.arrays import Array
-from vergence.commands.depth import depth as of_dataset
+from vergence.cli import depth as of_dataset
 from vergence.data.dataset import Frame
 from vergence.data.description import DatasetCamera, DatasetJoint, Description
 from vergence.data.writer import DatasetRow, write_dataset
@@ -226,8 +226,8 @@ def test_rows_show_that_a_calibration_is_of_another_head(drawn, tmp_path, pan_st
     turned = change_named(HEAD, ["left_wide.T_eye_cam.ry"], np.radians([0.5]))
     accuracy = Accuracy("bundle", joint_std=tuple(np.radians([pan_std_deg, 0.02])))
     save_head(replace(turned, accuracy=accuracy), tmp_path / "other.json")
-    given = {"dataset": tmp_path / "data", "calibration": tmp_path / "other.json"}
-    done = of_dataset(tmp_path / "depth", **given)
+    head = tmp_path / "other.json"
+    done = of_dataset(tmp_path / "data", calibration=head, out=tmp_path / "depth").data
     assert done.doubt is not None
     assert done.doubt.startswith("Features are 0.51 degrees beside their rows")
     assert "Warning: Features are" in (tmp_path / "depth" / "report.md").read_text()
@@ -239,8 +239,8 @@ APART = np.array([1.2, 0.0, -1.2, 0.0])
 def test_postures_that_cannot_be_rectified_are_left_out_of_the_depth_of_a_dataset(tmp_path):
     dark = np.zeros((2, 480, 640, 3), np.uint8)
     write_recording(tmp_path, dark, JOINTS, APART)
-    given = {"dataset": tmp_path / "data", "calibration": tmp_path / "head.json"}
-    done = of_dataset(tmp_path / "depth", **given)
+    head = tmp_path / "head.json"
+    done = of_dataset(tmp_path / "data", calibration=head, out=tmp_path / "depth").data
     assert (done.pairs, done.left_out) == (1, 1)
     report = (tmp_path / "depth" / "report.md").read_text()
     assert "1 more cannot be rectified" in report
@@ -249,9 +249,9 @@ def test_postures_that_cannot_be_rectified_are_left_out_of_the_depth_of_a_datase
 
 def test_a_dataset_in_which_no_pair_can_be_rectified_is_refused(tmp_path):
     write_recording(tmp_path, np.zeros((2, 480, 640, 3), np.uint8), APART)
-    given = {"dataset": tmp_path / "data", "calibration": tmp_path / "head.json"}
+    head = tmp_path / "head.json"
     with pytest.raises(VergenceError, match="do not overlap"):
-        of_dataset(tmp_path / "depth", **given)
+        of_dataset(tmp_path / "data", calibration=head, out=tmp_path / "depth")
     assert not (tmp_path / "depth").exists()
 
 

@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from vergence.accuracy import design_chunks as command
+from vergence.accuracy.design_chunks import sweep
 from vergence.accuracy.design_settings import (
     AXES,
     Designs,
@@ -25,8 +27,6 @@ from vergence.accuracy.design_sweep import (
     values_of,
 )
 from vergence.arrays import Array
-from vergence.commands import design_chunks as command
-from vergence.commands.design_chunks import sweep
 from vergence.errors import VergenceError
 from vergence.viewer.plots import design as picture
 
@@ -186,7 +186,7 @@ def test_finished_work_that_is_no_array_of_floats_is_computed_again(kind: str, t
 
 
 def test_processes_that_compute_do_not_wait_for_what_draws():
-    code = "import sys, vergence.commands.design_chunks; print(*sys.modules)"
+    code = "import sys, vergence.accuracy.design_chunks; print(*sys.modules)"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = run.stdout.split()
     assert "joblib" in loaded

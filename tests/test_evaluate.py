@@ -10,8 +10,7 @@ import pytest
 from other_heads import other_head
 from simulated_head import skewed_head
 from vergence import cli
-from vergence.commands.evaluate import as_text, evaluate
-from vergence.commands.truth import Truth
+from vergence.cli.evaluation_reports import evaluation_report
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard
 from vergence.geometry.head import HeadCalibration, save_head
@@ -19,7 +18,9 @@ from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side
 from vergence.geometry.parameters import change_named, parameter_names, without_offsets
+from vergence.twin.evaluation import Evaluation, evaluate
 from vergence.twin.profile import ErrorProfile
+from vergence.twin.truth import Truth
 from vergence.writing import write_json
 
 NAMES = ("left_wide.fx", "left_wide.fy", "left_wide.T_eye_cam.tx", "T_rbase_lbase.rz")
@@ -37,6 +38,10 @@ def truth_of(head: HeadCalibration) -> Truth:
         lens="2.8mm",
         profile=ErrorProfile(),
     )
+
+
+def text_of(found: Evaluation) -> str:
+    return evaluation_report(found).summary()
 
 
 @pytest.fixture
@@ -67,14 +72,14 @@ def test_errors_are_counted_in_their_standard_deviations(head):
     assert not found.regions["left_wide"].holds_truth
     assert found.regions["T_rbase_lbase"].holds_truth
     assert found.cameras["left_wide"].translation_mm == pytest.approx(0.5)
-    assert "outside: left_wide\n" in as_text(found)
+    assert "outside: left_wide\n" in text_of(found)
 
 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
         (("head.json", "--truth", "ds"), "and ds is a folder: give ds/truth.json."),
-        (("truth.json", "--truth", "head.json"), "truth.json is a truth, not a calibration; were"),
+        (("truth.json", "--truth", "head.json"), "truth.json is not a valid head calibration"),
         (("ds", "--truth", "truth.json"), "Cannot read ds: it is a folder, and a file is to be"),
     ],
 )
@@ -99,7 +104,7 @@ def test_a_truth_of_another_head_is_refused(head):
 
 def test_an_evaluation_without_accuracy_says_so(head, tmp_path: Path):
     found = evaluate(head, truth_of(head))
-    assert "states no accuracy" in as_text(found)
+    assert "states no accuracy" in text_of(found)
     write_json(found, tmp_path / "errors.json")
     assert '"focal_percent"' in (tmp_path / "errors.json").read_text()
 
@@ -133,6 +138,6 @@ def test_the_table_stays_in_line_under_long_names_of_cameras(head):
         cameras = {f"{name}_that_was_bought_later": c for name, c in head.cameras.items()}
         return replace(head, cameras=cameras, accuracy=None)
 
-    text = as_text(evaluate(renamed(head), truth_of(renamed(head))))
+    text = text_of(evaluate(renamed(head), truth_of(renamed(head))))
     title, *rows = text.splitlines()[: 1 + len(head.cameras)]
     assert {len(row) for row in rows} == {len(title)}

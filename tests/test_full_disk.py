@@ -14,13 +14,13 @@ from recordings import CHESSBOARD, seen_dataset
 from vergence import cli
 from vergence.calibration import calibrate as calibrate_module
 from vergence.calibration.calibrate import CalibrationResult
-from vergence.commands.record import record
 from vergence.data.reader import load_dataset
 from vergence.demos import foveate, grasp, track
 from vergence.geometry.head import save_head
 from vergence.interchange.formats import export_head
 from vergence.twin.calibration_sequence import plan
 from vergence.twin.profile import load_profile
+from vergence.twin.record import record
 from vergence.writable import UNFINISHED
 from vergence.writing import write_json
 

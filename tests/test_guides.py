@@ -141,7 +141,7 @@ def test_the_guide_to_self_calibration_runs(tmp_path, monkeypatch):
 @pytest.mark.usefixtures("coarse_images", "two_folds")
 @pytest.mark.render
 def test_the_program_on_the_first_screen_finds_where_points_are(tmp_path, monkeypatch, capsys):
-    from vergence.commands.truth import TRUTH, load
+    from vergence.twin.truth import TRUTH, load
 
     monkeypatch.chdir(tmp_path)
     record = ["vergence", "record", "--out", "my_head", "--frames", "20"]

@@ -28,8 +28,8 @@ from vergence.accuracy.plan_views import (
 from vergence.accuracy.plan_workspace import largest_std, workspace
 from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
 from vergence.calibration.observations import Observations
-from vergence.commands import plan as command
-from vergence.commands.plan import head_and_board
+from vergence.cli import accuracy_reports as command
+from vergence.cli.accuracy_reports import head_and_board, plan_report
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.camera import project
@@ -275,7 +275,7 @@ def plan_of_one_view(head: HeadCalibration) -> Plan:
 
 
 def test_an_angle_that_rounds_to_zero_has_no_sign(truth):
-    assert "| 0.0 0.0 0.0 0.0 |" in command.as_text(plan_of_one_view(truth))
+    assert "| 0.0 0.0 0.0 0.0 " in plan_report(plan_of_one_view(truth)).summary()
 
 
 def test_the_legend_of_the_picture_stands_beside_the_maps(truth, tmp_path, monkeypatch):
@@ -367,7 +367,7 @@ def test_wrong_options_end_in_a_sentence(
 
 def test_a_board_of_unknown_size_has_squares_of_1(tmp_path: Path):
     save_head(plain_head(0.08, 400), tmp_path / "head.json")
-    _, board = head_and_board(tmp_path / "head.json", (9, 6, 1.0), silent)
+    _, board = head_and_board(tmp_path / "head.json", (9, 6, 1.0), 0.3, silent)
     assert board == Chessboard(columns=9, rows=6, square_m=1.0)
 
 

@@ -9,10 +9,7 @@ import pytest
 
 from vergence.calibration.detection import detect_target
 from vergence.calibration.observations import Observations
-from vergence.commands import truth as truth_file
-from vergence.commands.depth import depth
-from vergence.commands.record import CHARUCO, record
-from vergence.commands.truth import Truth
+from vergence.cli import depth
 from vergence.data.dataset import Dataset
 from vergence.data.reader import load_dataset
 from vergence.data.timing import moved_readings
@@ -22,6 +19,7 @@ from vergence.geometry.head import T_base_cam, save_head
 from vergence.geometry.kinematics import EYES, Kinematics, T_base_eye
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import transform
+from vergence.twin import truth as truth_file
 from vergence.twin.calibration_sequence import BOARD
 from vergence.twin.model import nominal_head
 from vergence.twin.profile import (
@@ -31,6 +29,8 @@ from vergence.twin.profile import (
     Joints,
     Mounting,
 )
+from vergence.twin.record import CHARUCO, record
+from vergence.twin.truth import Truth
 
 PROFILE = ErrorProfile(
     name="test",
@@ -123,12 +123,8 @@ def test_joints_that_the_twin_cannot_have_are_refused(tmp_path, joints, missing,
 def test_a_recorded_dataset_has_dense_depth_and_no_stated_error(recorded, tmp_path):
     dataset, _, truth = recorded
     save_head(truth.head, tmp_path / "head.json")
-    done = depth(
-        tmp_path / "depth",
-        dataset=dataset.folder,
-        calibration=tmp_path / "head.json",
-        pairs=2,
-    )
+    head, out = tmp_path / "head.json", tmp_path / "depth"
+    done = depth(dataset.folder, out=out, calibration=head, pairs=2).data
     assert done.pairs == 2
     assert done.joints is None
     assert 0.05 < done.textured < done.matched < 1

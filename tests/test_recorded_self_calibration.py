@@ -14,7 +14,7 @@ from moving_frames import GAIN, HEAD, WIDE, frame, frames, one_eyed, turn_error
 from texts import texts
 from vergence import cli
 from vergence.arrays import Array
-from vergence.commands.self_calibration import sentences
+from vergence.cli.evaluation_reports import sentences
 from vergence.data.dataset import Frame
 from vergence.data.description import DatasetCamera, DatasetJoint, Description
 from vergence.data.reader import load_dataset

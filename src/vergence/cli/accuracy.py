@@ -1,31 +1,34 @@
-"""Commands that predict the accuracy of a head, and what to do for a better one."""
+"""Commands that predict the accuracy of a head, and how to improve it."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
-import tyro
-
-from vergence.cli.numbers import Board
-from vergence.cli.progress import progress_bars
-from vergence.cli.tables import print_table
-from vergence.writable import check_outputs
-from vergence.writing import write_json
+from vergence.cli.options import (
+    OptionalBoard,
+    OptionalFloat,
+    OptionalFloats,
+    OptionalPath,
+    OptionalText,
+    Points,
+    Positional,
+)
+from vergence.cli.report import Report
+from vergence.cli.terminal import progress_bars
 
 
 def plan(
-    source: Annotated[Path, tyro.conf.Positional],
+    source: Positional[Path],
     /,
     *,
     views: int = 10,
-    board: Board = None,
+    board: OptionalBoard = None,
     limits_deg: tuple[float, ...] = (20.0,),
     distances: tuple[float, ...] = (0.3, 0.6, 1.0),
     seed: int = 0,
-    figure: Path | None = None,
-    json: Path | None = None,
-) -> None:
+    figure: OptionalPath = None,
+    json: OptionalPath = None,
+) -> Report:
     """Say which views of the board to record next, and what accuracy they will bring.
 
     Args:
@@ -40,46 +43,53 @@ def plan(
         figure: PNG file of the board's places and of the accuracy after each view.
         json: JSON file of the plan.
     """
-    from vergence.commands.plan import as_plain, as_text, run
+    import numpy as np
+
+    from vergence.accuracy.plan import plan as plan_views
+    from vergence.cli.accuracy_reports import check_plan, head_and_board, plan_report
     from vergence.data.description import DESCRIPTION, FRAMES
     from vergence.viewer.plots.plan import save_plan
+    from vergence.writable import check_outputs
 
     check_outputs(json, figure=figure, inputs=[source, source / DESCRIPTION, source / FRAMES])
+    check_plan(views, limits_deg, distances, seed)
+    limits_rad = np.radians(limits_deg[0] if len(limits_deg) == 1 else limits_deg)
     with progress_bars() as progress:
-        found = run(
-            source,
-            board=board,
+        head, shown = head_and_board(source, board, limits_rad, progress)
+        found = plan_views(
+            head,
+            shown,
             views=views,
-            limits_deg=limits_deg,
+            limits_rad=limits_rad,
             distances_m=distances,
             seed=seed,
             progress=progress,
         )
-    print(as_text(found))
-    if json is not None:
-        write_json(as_plain(found), json)
+    report = plan_report(found)
+    report.write_json(json)
     if figure is not None:
         save_plan(figure, found)
+    return report
 
 
 def design(
-    settings: Annotated[Path | None, tyro.conf.Positional] = None,
+    settings: Positional[OptionalPath] = None,
     /,
     *,
     out: Path = Path("runs/design"),
     accuracy_mm: float = 5.0,
     at_m: float = 0.5,
-    baseline_mm: tuple[float, ...] | None = None,
-    focal_px: tuple[float, ...] | None = None,
-    square_mm: tuple[float, ...] | None = None,
-    views: tuple[float, ...] | None = None,
-    counts_per_turn: tuple[float, ...] | None = None,
-    joint_noise_deg: tuple[float, ...] | None = None,
-    pixel_noise_px: tuple[float, ...] | None = None,
-    delay_ms: tuple[float, ...] | None = None,
+    baseline_mm: OptionalFloats = None,
+    focal_px: OptionalFloats = None,
+    square_mm: OptionalFloats = None,
+    views: OptionalFloats = None,
+    counts_per_turn: OptionalFloats = None,
+    joint_noise_deg: OptionalFloats = None,
+    pixel_noise_px: OptionalFloats = None,
+    delay_ms: OptionalFloats = None,
     jobs: int = -1,
-    cluster: str | None = None,
-) -> None:
+    cluster: OptionalText = None,
+) -> Report:
     """Compare designs of a head, and find the cheapest that is as accurate as wanted.
 
     Args:
@@ -100,9 +110,13 @@ def design(
         jobs: Processes on this machine; -1: one for each core.
         cluster: Address of a Dask scheduler, which then does the work: tcp://HOST:PORT.
     """
-    from vergence.commands.design import RESULTS, TITLE, chosen_settings, run, sentences
+    from vergence.accuracy.design_chunks import sweep
+    from vergence.cli.design_report import RESULTS, TITLE, chosen_settings, write_design
+    from vergence.processes import process_count
+    from vergence.writable import check_outputs
+    from vergence.writing import results_folder
 
-    given = {
+    axes = {
         "baseline_mm": baseline_mm,
         "focal_px": focal_px,
         "square_mm": square_mm,
@@ -112,36 +126,29 @@ def design(
         "pixel_noise_px": pixel_noise_px,
         "delay_ms": delay_ms,
     }
-    check_outputs(folder=out, names=RESULTS, title=TITLE, inputs=[settings] if settings else [])
-    swept = chosen_settings(settings, given, accuracy_mm=accuracy_mm, at_m=at_m, jobs=jobs)
-    with progress_bars() as progress:
-        found = run(
-            swept,
-            out,
-            accuracy_m=1e-3 * accuracy_mm,
-            distance_m=at_m,
-            jobs=jobs,
-            cluster=cluster,
-            progress=progress,
-        )
-    print("\n".join(sentences(found)))
-    print(f"Wrote report.md, design.json, sweep.npz and two pictures to {out}.")
+    inputs = [settings] if settings else []
+    check_outputs(folder=out, names=RESULTS, title=f"# {TITLE}", inputs=inputs)
+    process_count(jobs)
+    chosen = chosen_settings(settings, axes, accuracy_mm=accuracy_mm, at_m=at_m)
+    with progress_bars() as progress, results_folder(out):
+        swept = sweep(chosen, out / "chunks", jobs=jobs, cluster=cluster, progress=progress)
+        return write_design(out, swept, accuracy_m=1e-3 * accuracy_mm, distance_m=at_m)
 
 
 AHEAD = ((0.5, -0.04, 0.0), (1.0, -0.04, 0.0))
-"""Points [m] in front of the twin's eyes."""
+"""Points [m] in front of the twin's eyes, at 0.5 m and 1 m."""
 
 
 def budget(
     *,
-    calibration: Path | None = None,
-    profile: str | None = None,
-    at: Annotated[tuple[tuple[float, float, float], ...], tyro.conf.UseAppendAction] = (),
+    calibration: OptionalPath = None,
+    profile: OptionalText = None,
+    at: Points = (),
     motion: str = "divergent",
-    noise: float | None = None,
-    json: Path | None = None,
-    figure: Path | None = None,
-) -> None:
+    noise: OptionalFloat = None,
+    json: OptionalPath = None,
+    figure: OptionalPath = None,
+) -> Report:
     """State what each source of errors adds to the error of a located point.
 
     Args:
@@ -156,36 +163,39 @@ def budget(
         json: JSON file of all numbers.
         figure: PNG file of the bars.
     """
-    from vergence.commands.budget import HEADING, advice, as_plain, table
-    from vergence.commands.budget import run as run_budget
+    import numpy as np
+
+    from vergence.accuracy.motion_budget import motion_budgets, stated_sources
+    from vergence.cli.accuracy_reports import budget_report, check_budget
     from vergence.data.description import DESCRIPTION, FRAMES
     from vergence.geometry.head import load_head
+    from vergence.writable import check_outputs
 
-    read = [Path(motion) / DESCRIPTION, Path(motion) / FRAMES]
-    read += [calibration] if calibration else []
-    read += [Path(profile)] if profile else []
-    check_outputs(json, figure=figure, inputs=read)
-    # The twin, and with it OpenGL, only where it is asked for.
-    chosen = None
-    if profile is not None:
-        from vergence.twin.profile import load_profile
-
-        chosen = load_profile(profile)
+    inputs = [Path(motion) / DESCRIPTION, Path(motion) / FRAMES]
+    inputs += [calibration] if calibration else []
+    inputs += [Path(profile)] if profile else []
+    check_outputs(json, figure=figure, inputs=inputs)
+    points = np.array(at or AHEAD)
+    check_budget(points, noise)
+    # The twin needs OpenGL, and a real head does not.
     if calibration is None:
         from vergence.twin.model import nominal_head
 
         head = nominal_head("2.8mm")
     else:
         head = load_head(calibration)
-    found = run_budget(head, points=at or AHEAD, motion=motion, profile=chosen, pixel_std_px=noise)
-    if json is not None:
-        write_json(as_plain(found), json)
+    if profile is None:
+        sources = stated_sources(head, noise)
+    else:
+        from vergence.twin.budget_sources import profile_sources
+        from vergence.twin.profile import load_profile
+
+        sources = profile_sources(head, load_profile(profile), noise)
+    found = motion_budgets(head, points, motion=motion, sources=sources)
+    report = budget_report(found)
+    report.write_json(json)
     if figure is not None:
         from vergence.viewer.plots.budget import save_budget
 
         save_budget(figure, found.budgets, f"{motion} motion")
-    for k, own in enumerate(found.budgets):
-        x, y, z = own.point_m
-        title = f"({x:g}, {y:g}, {z:g}) m, {motion} motion: 1 std [mm]"
-        print_table(title, HEADING, table(found, k))
-        print(advice(found, k))
+    return report

@@ -3,26 +3,22 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
-import tyro
-
-from vergence.cli.progress import progress_bars, say_if_unfinished
-from vergence.cli.tables import print_table
-from vergence.commands.invocation import invocation
+from vergence.cli.options import OptionalPath, Positional
+from vergence.cli.report import Report
+from vergence.cli.terminal import invocation, progress_bars
 from vergence.errors import VergenceError, listed
-from vergence.findings import select
-from vergence.writable import check_outputs
-from vergence.writing import results_folder, write_json
 
 
 def calibrate(
-    dataset: Annotated[Path, tyro.conf.Positional],
+    dataset: Positional[Path],
     /,
     *,
     out: Path,
-    report: Path | None = None,
+    report: OptionalPath = None,
     method: Literal["bundle", "paper"] = "bundle",
     lens: Literal[
         "auto",
@@ -34,8 +30,8 @@ def calibrate(
         "rational",
         "fisheye",
     ] = "auto",
-    json: Path | None = None,
-) -> None:
+    json: OptionalPath = None,
+) -> Report:
     """Calibrate a head from a dataset, and state the accuracy.
 
     Args:
@@ -48,43 +44,50 @@ def calibrate(
             its views or, with the paper's method, radial-tangential, and none for narrow cameras.
         json: JSON file of the accuracy alone.
     """
-    from vergence.calibration.calibrate import calibrate as run
-    from vergence.commands.calibration_report import RESULTS, TITLE, as_plain, write_report
+    from vergence.calibration.calibrate import calibrate as calibrate_dataset
+    from vergence.cli.calibration_report import (
+        RESULTS,
+        TITLE,
+        calibration_report,
+        write_calibration_report,
+    )
     from vergence.data.description import DESCRIPTION, FRAMES
     from vergence.data.reader import load_dataset
+    from vergence.findings import select
     from vergence.geometry.head import save_head
+    from vergence.writable import check_outputs
+    from vergence.writing import results_folder
 
-    read = [dataset / DESCRIPTION, dataset / FRAMES]
-    beside = out.with_name(f"{out.stem}.void{out.suffix}")
-    check_outputs(out, beside, json, folder=report, names=RESULTS, title=TITLE, inputs=read)
+    inputs = [dataset / DESCRIPTION, dataset / FRAMES]
+    void_out = out.with_name(f"{out.stem}.void{out.suffix}")
+    title = f"# {TITLE}"
+    check_outputs(out, void_out, json, folder=report, names=RESULTS, title=title, inputs=inputs)
     data = load_dataset(dataset)
-    say_if_unfinished(report)
-    with progress_bars() as progress, results_folder(report):
-        result = run(data, method=method, lens=lens, progress=progress)
-        written = beside if result.accuracy.void and out.exists() else out
+    with progress_bars(report) as progress, results_folder(report):
+        result = calibrate_dataset(data, method=method, lens=lens, progress=progress)
+        written = void_out if result.accuracy.void and out.exists() else out
         save_head(result.head, written)
-        if json is not None:
-            write_json(as_plain(result), json)
+        found = calibration_report(result)
+        found.write_json(json)
         if report is not None:
-            write_report(result, data, report, progress=progress)
-    kept = f"; {out} is as it was" if written != out else ""
-    print(f"{result.summary()}\nWrote {written}{kept}.")
-    serious = select(result.findings, "void", "warning")
-    if report is None and len(serious) > 1:
-        print(f"To read all {len(serious)} warnings, add --report FOLDER.")
+            write_calibration_report(report, found, result, data, progress=progress)
+    files = f"Wrote {written}" + (f"; {out} is as it was." if written != out else ".")
     if report is not None:
-        print(f"To view the images: {invocation('rerun', report / 'dataset.rrd')}")
+        files += f"\nTo view the images: {invocation('rerun', report / 'dataset.rrd')}"
+    elif (count := len(select(result.findings, "void", "warning"))) > 1:
+        files += f"\nTo read all {count} warnings, add --report FOLDER."
+    return replace(found, files=files)
 
 
 def self_calibrate(
-    dataset: Annotated[Path, tyro.conf.Positional],
+    dataset: Positional[Path],
     /,
     *,
     calibration: Path,
     out: Path,
-    json: Path | None = None,
+    json: OptionalPath = None,
     changed: Literal["nothing", "little", "anything"] = "little",
-) -> None:
+) -> Report:
     """Correct a calibration by what both eyes see of the scene, without a board.
 
     Args:
@@ -97,30 +100,24 @@ def self_calibrate(
             right after it; little, as by transport or temperature; anything, as by a repair, so
             that the accuracy that it states no longer holds.
     """
-    from vergence.commands.self_calibration import HEADING, as_plain, sentences, table
+    from vergence.cli.evaluation_reports import self_calibration_report
     from vergence.data.description import DESCRIPTION, FRAMES
     from vergence.data.reader import load_dataset
     from vergence.geometry.head import load_head, save_head
     from vergence.self_calibration.recorded import self_calibrate_dataset
+    from vergence.writable import check_outputs
 
-    read = [dataset / DESCRIPTION, dataset / FRAMES, calibration]
-    check_outputs(out, json, inputs=read)
+    check_outputs(out, json, inputs=[dataset / DESCRIPTION, dataset / FRAMES, calibration])
     head, data = load_head(calibration), load_dataset(dataset)
     with progress_bars() as progress:
         found = self_calibrate_dataset(data, head, changed=changed, progress=progress)
     save_head(found.head, out)
-    if json is not None:
-        write_json(as_plain(found), json)
-    rows = table(found)
-    if rows:
-        print_table("What was observed since the calibration", HEADING, rows)
-    print("\n".join(sentences(found)))
-    print(f"Wrote {out}.")
+    report = self_calibration_report(found)
+    report.write_json(json)
+    return replace(report, files=f"Wrote {out}.")
 
 
-def evaluate(
-    calibration: Annotated[Path, tyro.conf.Positional], /, *, truth: Path, json: Path | None = None
-) -> None:
+def evaluate(calibration: Positional[Path], /, *, truth: Path, json: OptionalPath = None) -> Report:
     """Compare a calibration with the ground truth of a dataset from the twin.
 
     Args:
@@ -128,10 +125,11 @@ def evaluate(
         truth: truth.json of the dataset.
         json: JSON file of all errors.
     """
-    from vergence.commands.evaluate import as_text
-    from vergence.commands.evaluate import evaluate as run
-    from vergence.commands.truth import is_truth, load
+    from vergence.cli.evaluation_reports import evaluation_report
     from vergence.geometry.head import load_head
+    from vergence.twin.evaluation import evaluate as compare
+    from vergence.twin.truth import load
+    from vergence.writable import check_outputs
 
     check_outputs(json, inputs=[calibration, truth])
     if os.path.isdir(truth):
@@ -139,24 +137,18 @@ def evaluate(
             f"--truth is a file that `vergence record` writes into a dataset, and {truth} is a "
             f"folder: give {truth / 'truth.json'}."
         )
-    if is_truth(calibration):
-        raise VergenceError(
-            f"{calibration} is a truth, not a calibration; were the two exchanged? Give the file "
-            "of the calibration first, and that of the truth after --truth."
-        )
-    found = run(load_head(calibration, allow_void=True), load(truth))
-    if json is not None:
-        write_json(found, json)
-    print(as_text(found))
+    report = evaluation_report(compare(load_head(calibration, allow_void=True), load(truth)))
+    report.write_json(json)
+    return report
 
 
 def export(
-    calibration: Annotated[Path, tyro.conf.Positional],
+    calibration: Positional[Path],
     /,
     *,
     format: Literal["kalibr", "ros", "opencv", "urdf"],
     out: Path,
-) -> None:
+) -> Report:
     """Write a calibration in another program's format.
 
     Args:
@@ -167,6 +159,7 @@ def export(
     from vergence.geometry.head import load_head
     from vergence.interchange import ros
     from vergence.interchange.formats import export_head
+    from vergence.writable import check_outputs
 
     head = load_head(calibration)
     if format == "ros":
@@ -174,17 +167,17 @@ def export(
     else:
         check_outputs(out, inputs=[calibration])
     export_head(head, out, format)
-    print(f"Wrote {out}.")
+    return Report("Export", (), None, files=f"Wrote {out}.")
 
 
 def import_(
-    path: Annotated[Path, tyro.conf.Positional],
+    path: Positional[Path],
     /,
     *,
     format: Literal["kalibr", "ros", "opencv"],
     out: Path,
-    start: Path | None = None,
-) -> None:
+    start: OptionalPath = None,
+) -> Report:
     """Make a calibration from another program's files.
 
     Args:
@@ -196,6 +189,7 @@ def import_(
     from vergence.geometry.head import load_head, save_head
     from vergence.interchange import ros
     from vergence.interchange.formats import import_head, unchanged_lenses
+    from vergence.writable import check_outputs
 
     if format == "opencv" and start is not None:
         raise VergenceError("opencv files hold the whole head; leave --start out.")
@@ -204,8 +198,6 @@ def import_(
     template = None if start is None else load_head(start)
     head = import_head(path, format, template=template)
     save_head(head, out)
-    if start is not None and template is not None:
-        kept = unchanged_lenses(head, template)
-        if kept:
-            print(f"{path} leaves the lenses of {listed(kept)} as {start} has them.")
-    print(f"Wrote {out}.")
+    kept = unchanged_lenses(head, template) if template is not None else ()
+    text = (f"{path} leaves the lenses of {listed(kept)} as {start} has them.",) if kept else ()
+    return Report("Import", text, None, files=f"Wrote {out}.")

@@ -1,31 +1,33 @@
-"""Commands that run the twin, or depth images of the twin or of a dataset."""
+"""Commands that run the twin, and dense depth of the twin or of a dataset."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from vergence.cli.progress import progress_bars, say_if_unfinished
-from vergence.commands.invocation import invocation
+from vergence.cli.options import (
+    Flag,
+    Geometry,
+    OptionalFloat,
+    OptionalInt,
+    OptionalPath,
+    OptionalScene,
+    OptionalText,
+    Positional,
+    Scene,
+)
+from vergence.cli.report import Report
+from vergence.cli.terminal import invocation, progress_bars
 from vergence.errors import VergenceError
-from vergence.writable import check_outputs
-from vergence.writing import as_json, write_json
 
 if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
-
     from vergence.demos.experiment import Experiment
     from vergence.progress import Progress
-
-Scene = Literal["room", "sparse", "moving"]
-"""As `twin.scene.room` has it, which is imported only where OpenGL is needed."""
-Geometry = Literal["joints", "seen"]
-"""As `self_calibration.sequence` has it, which imports numpy."""
 
 
 def reproduce(
@@ -35,13 +37,13 @@ def reproduce(
     profile: str = "paper",
     scene: Scene = "room",
     seed: int = 0,
-    duration: float | None = None,
-    rate: float | None = None,
+    duration: OptionalFloat = None,
+    rate: OptionalFloat = None,
     method: Literal["paper", "self-calibrated"] = "paper",
-    compare: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
-    floor: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    compare: Flag = False,
+    floor: Flag = False,
     jobs: int = -1,
-) -> None:
+) -> Report:
     """Replay the paper's Figs. 6-11 on rendered images.
 
     Args:
@@ -58,18 +60,16 @@ def reproduce(
         floor: Compare also with self-calibration that is given the true head.
         jobs: Processes on this machine; -1: one for each core.
     """
-    # Imported here, so that help and wrong arguments do not wait for OpenGL.
     from vergence.paper.reproduce import check
-    from vergence.paper.reproduce import reproduce as run
+    from vergence.paper.reproduce import reproduce as replay_figures
     from vergence.twin.profile import load_profile
 
     chosen = load_profile(profile)
     check(out, figures=figures, seed=seed, duration_s=duration, rate_hz=rate, jobs=jobs)
     if (out / "statistics.json").exists():
         print(f"Replacing the results of an earlier run in {out}.")
-    say_if_unfinished(out)
-    with progress_bars() as progress:
-        done = run(
+    with progress_bars(out) as progress:
+        done = replay_figures(
             out,
             figures=figures,
             profile=chosen,
@@ -84,12 +84,13 @@ def reproduce(
             progress=progress,
         )
     recordings = [f"fig{number:02d}.rrd" for number in sorted(done.replays)]
-    if older := {path.name for path in out.glob("fig??.rrd")} - set(recordings):
-        print(f"Of an earlier run: {' '.join(sorted(older))}.")
-    print(f"Wrote {' '.join(recordings)}, figures.png, report.md and statistics.json to {out}.")
+    lines = [f"Wrote {' '.join(recordings)}, figures.png, report.md and statistics.json to {out}."]
+    if older := sorted({path.name for path in out.glob("fig??.rrd")} - set(recordings)):
+        lines.insert(0, f"Of an earlier run: {' '.join(older)}.")
+    make = out == Path("runs/paper") and 6 in done.replays and Path("Makefile").is_file()
     typed = invocation("rerun", out / recordings[0])
-    made = out == Path("runs/paper") and 6 in done.replays and Path("Makefile").is_file()
-    print(f"To view a recording: {typed}" + (", or make view" if made else ""))
+    lines.append(f"To view a recording: {typed}" + (", or make view" if make else ""))
+    return Report("Figures", (), None, files="\n".join(lines))
 
 
 def record(
@@ -102,8 +103,8 @@ def record(
     lens: Literal["2.8mm", "4.0mm"] = "2.8mm",
     target: Literal["chessboard", "charuco"] = "chessboard",
     moving: int = 0,
-    kinematics: Path | None = None,
-) -> None:
+    kinematics: OptionalPath = None,
+) -> Report:
     """Record a dataset on the twin, with the ground truth beside it in truth.json.
 
     Args:
@@ -119,11 +120,11 @@ def record(
         kinematics: JSON file with the eyes' joints, `kinematics` and `readings` as in dataset.json;
             default: pan, then tilt.
     """
-    from vergence.commands.record import record as run
     from vergence.twin.profile import load_profile
+    from vergence.twin.record import record as record_dataset
 
     with progress_bars() as progress:
-        images = run(
+        images = record_dataset(
             out,
             profile=load_profile(profile),
             scene=scene,
@@ -135,8 +136,12 @@ def record(
             kinematics=kinematics,
             progress=progress,
         )
-    print(f"Wrote {images} images, dataset.json, frames.csv and truth.json to {out}.")
-    print(f"To calibrate: {invocation('vergence', 'calibrate', out, '--out', 'calibration.json')}")
+    typed = invocation("vergence", "calibrate", out, "--out", "calibration.json")
+    files = (
+        f"Wrote {images} images, dataset.json, frames.csv and truth.json to {out}.\n"
+        f"To calibrate: {typed}"
+    )
+    return Report("Dataset", (), None, files=files)
 
 
 @dataclass(frozen=True)
@@ -151,19 +156,19 @@ class ExperimentOptions:
     """What the head looks at."""
     geometry: Geometry = "joints"
     """Locate objects by the joint readings, or by these as corrected by what both eyes see."""
-    out: Path | None = None
+    out: OptionalPath = None
     """Folder for the summary as JSON and a recording; left out: the summary is only printed."""
-    json: Path | None = None
+    json: OptionalPath = None
     """JSON file of the summary."""
 
 
 Options = Annotated[ExperimentOptions, tyro.conf.arg(name="")]
 DEFAULT = ExperimentOptions()
 PRINTED_DIGITS = 4
-"""Significant digits of a printed summary: trials leave less. The files have all digits."""
+"""Significant digits of a printed summary; files have all digits."""
 
 
-def foveate(*, trials: int = 100, options: Options = DEFAULT) -> None:
+def foveate(*, trials: int = 100, options: Options = DEFAULT) -> Report:
     """Show objects, and turn both eyes until the narrow images are centred on them.
 
     Args:
@@ -172,10 +177,10 @@ def foveate(*, trials: int = 100, options: Options = DEFAULT) -> None:
     """
     from vergence.demos.foveate import foveate as run
 
-    _experiment("foveate", lambda *given: run(*given, trials=trials)[0], options, "depth.png")
+    return _experiment("foveate", lambda *of: run(*of, trials=trials)[0], options, "depth.png")
 
 
-def track(*, seconds: float = 60.0, options: Options = DEFAULT) -> None:
+def track(*, seconds: float = 60.0, options: Options = DEFAULT) -> Report:
     """Track a moving object, which is hidden once, with both narrow cameras.
 
     Args:
@@ -184,10 +189,10 @@ def track(*, seconds: float = 60.0, options: Options = DEFAULT) -> None:
     """
     from vergence.demos.track import track as run
 
-    _experiment("track", lambda *given: run(*given, seconds=seconds), options)
+    return _experiment("track", lambda *of: run(*of, seconds=seconds), options)
 
 
-def grasp(*, trials: int = 10, options: Options = DEFAULT) -> None:
+def grasp(*, trials: int = 10, options: Options = DEFAULT) -> Report:
     """Grasp objects that are held out to the robot, guided by what the eyes see of the hand.
 
     Args:
@@ -196,22 +201,25 @@ def grasp(*, trials: int = 10, options: Options = DEFAULT) -> None:
     """
     from vergence.demos.grasp import grasp as run
 
-    _experiment("grasp", lambda *given: run(*given, trials=trials)[0], options)
+    return _experiment("grasp", lambda *of: run(*of, trials=trials)[0], options)
+
+
+MOST_PAIRS = 1000
 
 
 def depth(
-    dataset: Annotated[Path | None, tyro.conf.Positional] = None,
+    dataset: Positional[OptionalPath] = None,
     /,
     *,
     out: Path,
-    twin: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
-    calibration: Path | None = None,
-    profile: str | None = None,
-    scene: Scene | None = None,
-    seed: int | None = None,
+    twin: Flag = False,
+    calibration: OptionalPath = None,
+    profile: OptionalText = None,
+    scene: OptionalScene = None,
+    seed: OptionalInt = None,
     pairs: int = 20,
     geometry: Geometry = "joints",
-) -> None:
+) -> Report:
     """Compute the depth of every pixel from rectified pairs, of the twin or of a dataset.
 
     Args:
@@ -231,68 +239,75 @@ def depth(
     for name, value in (("profile", profile), ("scene", scene), ("seed", seed)):
         if value is not None and not twin:
             raise VergenceError(f"--{name} is of the twin; found it with a dataset.")
-    # The twin, and with it OpenGL, only where it is asked for.
-    from vergence.commands.depth import depth as of_dataset
-    from vergence.commands.depth_report import as_markdown
+    if dataset is not None and calibration is None:
+        raise VergenceError(
+            "Depth of a dataset needs --calibration FILE, which `vergence calibrate` makes of it."
+        )
+    if not 1 <= pairs <= MOST_PAIRS:
+        raise VergenceError(f"Asked for {pairs} pairs; from 1 to {MOST_PAIRS} can be made.")
+    from vergence.cli.depth_report import RESULTS, TITLE, write_depth
+    from vergence.data.reader import load_dataset
+    from vergence.geometry.head import load_head
+    from vergence.self_calibration.dense_pairs import dataset_pairs, depth_of
+    from vergence.writable import check_outputs
+    from vergence.writing import results_folder
 
-    say_if_unfinished(out)
-    with progress_bars() as progress:
-        if dataset is None:
-            from vergence.demos.depth import depth as of_twin
+    inputs = [calibration] if calibration else []
+    check_outputs(folder=out, names=RESULTS, title=f"# {TITLE}", inputs=inputs)
+    head = load_head(calibration) if calibration else None
+    with progress_bars(out) as progress:
+        if dataset is not None and head is not None:
+            of = dataset_pairs(load_dataset(dataset), head, pairs, geometry)
+            found = ((moment, depth_of(moment, head)) for moment in of.moments)
+            with results_folder(out):
+                report = write_depth(
+                    out, head, found, of.count, left_out=of.left_out, progress=progress
+                )
+        else:
+            from vergence.demos.depth import twin_depth
             from vergence.twin.profile import load_profile
 
-            done = of_twin(
-                out,
-                calibration=calibration,
-                profile=load_profile(profile or "paper"),
-                scene=scene or "room",
-                seed=seed or 0,
-                pairs=pairs,
-                geometry=geometry,
-                progress=progress,
-            )
-        elif calibration is None:
-            raise VergenceError(
-                "Depth of a dataset needs --calibration FILE, which `vergence calibrate` makes of "
-                "it."
-            )
-        else:
-            done = of_dataset(
-                out,
-                dataset=dataset,
-                calibration=calibration,
-                pairs=pairs,
-                geometry=geometry,
-                progress=progress,
-            )
-    print(as_markdown(done), end="")
-    print(f"To view the recording: {invocation('rerun', out / 'depth.rrd')}")
+            with (
+                results_folder(out),
+                twin_depth(
+                    head,
+                    profile=load_profile(profile or "paper"),
+                    scene=scene or "room",
+                    seed=seed or 0,
+                    pairs=pairs,
+                    geometry=geometry,
+                    progress=progress,
+                ) as of,
+            ):
+                report = write_depth(
+                    out, of.head, of.found, pairs, errors=of.errors, progress=progress
+                )
+    files = f"To view the recording: {invocation('rerun', out / 'depth.rrd')}"
+    return replace(report, files=files)
 
 
 def _experiment(
     name: str,
-    run: Callable[[Experiment, Progress], DataclassInstance],
+    run: Callable[[Experiment, Progress], Any],
     options: ExperimentOptions,
     *figures: str,
-) -> None:
-    """Run an experiment, print and write its summary, and say how to view its recording.
-
-    Its folder gets a summary and a recording of its name, and figures.
-    """
+) -> Report:
+    """Run an experiment, and write its summary, recording and figures into its folder."""
     from vergence.demos.experiment import Experiment
     from vergence.twin.profile import load_profile
+    from vergence.writable import check_outputs
+    from vergence.writing import as_json
 
     profile = load_profile(options.profile)
     results = f"{name}.json", f"{name}.rrd", *figures
     read = [Path(options.profile)]
     check_outputs(options.json, folder=options.out, names=results, inputs=read)
-    say_if_unfinished(options.out)
-    with progress_bars() as progress:
-        settings = Experiment(profile, options.seed, options.scene, options.geometry, options.out)
+    settings = Experiment(profile, options.seed, options.scene, options.geometry, options.out)
+    with progress_bars(options.out) as progress:
         found = run(settings, progress)
-    if options.json is not None:
-        write_json(found, options.json)
-    print(as_json(found, PRINTED_DIGITS), end="")
+    report = Report(name, (as_json(found, PRINTED_DIGITS).rstrip(),), found)
+    report.write_json(options.json)
     if options.out is not None:
         typed = invocation("rerun", options.out / f"{name}.rrd")
-        print(f"To view the recording: {typed}", file=sys.stderr)
+        print(f"To view the recording: {typed}", file=sys.stderr)  # the output is JSON
+    return report

@@ -9,27 +9,18 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
-from vergence.commands.depth import (
-    RESULTS,
-    PairDepth,
-    StereoImages,
-    check_pairs,
-    depth_by,
-    depth_of,
-    write_depth,
-)
-from vergence.commands.depth_report import TITLE, Summary
-from vergence.demos.depth_errors import DepthTruth, depth_errors, summed
+from vergence.demos.depth_errors import DepthErrors, DepthTruth, depth_errors, summed
 from vergence.demos.experiment import LOOKING
 from vergence.gaze.commands import EYE_READINGS
-from vergence.geometry.head import HeadCalibration, load_head, pair_names
-from vergence.progress import Progress, silent
+from vergence.geometry.head import HeadCalibration, pair_names
+from vergence.progress import Progress
+from vergence.self_calibration.dense_pairs import PairDepth, StereoImages, depth_by, depth_of
 from vergence.self_calibration.sequence import Geometry, initial_seen_geometry, update_geometry
 from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Twin
@@ -38,59 +29,58 @@ from vergence.twin.model import check_calibration_of
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.scene.room import Scene
 from vergence.twin.simulated_robot import calibrate_twin
-from vergence.writable import check_outputs
-from vergence.writing import results_folder
 
 STEP_S = 9.0
 """Time between two pairs of the divergent motion: no divisor of its periods."""
 
 
-def depth(
-    out: Path,
+Errors = dict[str, list[tuple[Array, Array, float]]]
+"""What `depth_errors` returns for each pair, by geometry."""
+
+
+@dataclass(frozen=True, eq=False)
+class TwinDepth:
+    """Dense depth of pairs of the twin, and its errors."""
+
+    head: HeadCalibration
+    found: Iterator[tuple[StereoImages, PairDepth]]
+    """Pairs with their depths, computed as they are taken."""
+    errors_of_pairs: Errors
+
+    def errors(self) -> dict[str, DepthErrors]:
+        """Return the errors of the pairs so far: "joints", "true_geometry" and "seen"."""
+        return {name: summed(pairs) for name, pairs in self.errors_of_pairs.items()}
+
+
+@contextmanager
+def twin_depth(
+    calibration: HeadCalibration | None,
     *,
-    calibration: Path | None = None,
     profile: ErrorProfile,
-    scene: Scene = "room",
-    seed: int = 0,
-    pairs: int = 20,
-    geometry: Geometry = "joints",
-    progress: Progress = silent,
-) -> Summary:
-    """Compute dense depth over the divergent motion; write depth.rrd, depth.json and report.md.
+    scene: Scene,
+    seed: int,
+    pairs: int,
+    geometry: Geometry,
+    progress: Progress,
+) -> Iterator[TwinDepth]:
+    """Give a `with` block the dense depth of pairs over the divergent motion of a twin.
 
     Args:
-        out: the folder for these.
-        calibration: file of the head; None: the twin is calibrated first, by the paper's method.
+        calibration: of the head; None: the twin is calibrated first, by the paper's method.
         profile: of the twin.
-        scene: that it looks at.
+        scene: that the twin looks at.
         seed: of everything random.
         pairs: number of pairs.
         geometry: by which the pairs are rectified; for "seen" the twin looks around first.
-        progress: is called after each view of a calibration and each pair.
+        progress: is called after each view of a calibration.
 
     Raises:
-        VergenceError: an argument is out of range, the calibration cannot be read or is of another
-            head, or the folder cannot be written.
+        VergenceError: the calibration is of another head.
     """
-    check_pairs(pairs)
-    check_outputs(
-        folder=out, names=RESULTS, title=TITLE, inputs=[calibration] if calibration else []
-    )
-    given = None if calibration is None else load_head(calibration)
-    errors: dict[str, list[tuple[Array, Array, float]]] = defaultdict(list)
-    with (
-        results_folder(out),
-        _twin(profile, scene, seed, given, progress) as (twin, head, joint_std),
-    ):
+    with _twin(profile, scene, seed, calibration, progress) as (twin, head, joint_std):
         moments = _moments(twin, pairs, head if geometry == "seen" else None)
-        return write_depth(
-            out,
-            head,
-            _compared(moments, head, joint_std, errors),
-            pairs,
-            errors=lambda: {name: summed(found) for name, found in errors.items()},
-            progress=progress,
-        )
+        errors: Errors = defaultdict(list)
+        yield TwinDepth(head, _compared(moments, head, joint_std, errors), errors)
 
 
 @contextmanager
@@ -139,7 +129,7 @@ def _compared(
     moments: Iterator[tuple[StereoImages, DepthTruth]],
     head: HeadCalibration,
     joint_std_rad: float | None,
-    errors: dict[str, list[tuple[Array, Array, float]]],
+    errors: Errors,
 ) -> Iterator[tuple[StereoImages, PairDepth]]:
     """Yield pairs with their depths, whose errors are added by geometry, as in Summary."""
     for moment, truth in moments:

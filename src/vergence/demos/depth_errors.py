@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.commands.depth_report import RANGE_M, DepthErrors
 from vergence.geometry.camera import project, unproject
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.se3 import transform
@@ -16,8 +15,24 @@ from vergence.stereo.dense_depth import DenseDepth
 from vergence.stereo.extrinsics import stereo_cameras, stereo_poses
 from vergence.stereo.rectification import RectifiedPair, rectified_pixels, rectified_points
 
+RANGE_M = (0.5, 1.5)
+"""Distances at which accuracy is stated."""
 _GRID_PX = 16  # between the points whose rows are compared
 _WRONG = 0.2  # relative error of depth beyond which a pixel counts as wrong, not as inexact
+
+
+@dataclass(frozen=True)
+class DepthErrors:
+    """Errors of depth at RANGE_M where there is texture, over all pairs."""
+
+    median_relative: float
+    wrong: float
+    """Share of the pixels that are wrong by more than a fifth."""
+    within_two_std: float
+    """Share of the others whose error is within two standard deviations."""
+    pixels: int
+    vertical_rms_px: float
+    """Difference of the rows of a point in the two rectified images."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,8 +9,12 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from vergence.arrays import Array
+from vergence.calibration.checks.lens_map import LensMap
 from vergence.errors import counted
 from vergence.viewer.plots.canvas import BLUE, GREEN, RED, image_frame, panels, save
+
+SIGNIFICANT = 4.0
+"""Standard errors from which a mean residual is marked: among 108 cells noise alone reaches 3."""
 
 
 def save_coverage(
@@ -103,3 +107,41 @@ def _arrows(axes: Axes, points: Array, arrows: Array, *, width: float, color: st
     """Draw arrows (N, 2) [px] that begin at points (N, 2) [px]."""
     to_scale = {"angles": "xy", "scale_units": "xy", "scale": 1}
     axes.quiver(*points.T, *arrows.T, width=width, color=color, **to_scale)
+
+
+def save_lenses(
+    path: Path, maps: Mapping[str, LensMap], sizes: Mapping[str, tuple[int, int]]
+) -> None:
+    """Draw for each camera, by part of its image, how well its lens is known and fits.
+
+    Args:
+        path: of the PNG file.
+        maps: by camera.
+        sizes: by camera, width and height [px].
+
+    Raises:
+        VergenceError: the file cannot be written.
+    """
+    canvas, grid = panels(3 * len(maps), "Lenses by part of the image", columns=3)
+    for k, (name, own) in enumerate(maps.items()):
+        width, height = sizes[name]
+        mean_px = np.linalg.norm(own.residual_px, axis=-1)
+        for axes, values, title in (
+            (grid[3 * k], own.std_px, "standard deviation of the lens [px]"),
+            (
+                grid[3 * k + 1],
+                np.where(own.corners > 0, own.corners, np.nan),
+                f"corners, in {100 * own.covered:.0f} % of the image",
+            ),
+            (grid[3 * k + 2], mean_px, "mean residual [px], x: significant"),
+        ):
+            extent = (-0.5, width - 0.5, height - 0.5, -0.5)
+            shown = axes.imshow(values, extent=extent, cmap="viridis", vmin=0)
+            canvas.colorbar(shown, ax=axes, shrink=0.8)
+            axes.set_title(f"{name}: {title}", fontsize=10, loc="left")
+            axes.set_facecolor("0.85")  # no corner was seen, or the lens reaches no direction
+        beyond = mean_px > SIGNIFICANT * np.sqrt(2) * own.residual_std_px
+        rows, columns = np.nonzero(beyond)
+        u, v = (columns + 0.5) * width / mean_px.shape[1], (rows + 0.5) * height / mean_px.shape[0]
+        grid[3 * k + 2].plot(u, v, "x", color="white", markersize=5)
+    save(canvas, path)

@@ -1,4 +1,4 @@
-"""Record a dataset on the twin: the calibration sequence, then frames of moving eyes."""
+"""Record a dataset on the twin: the calibration sequence, then frames with moving eyes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Array
-from vergence.commands.truth import TRUTH, Truth
 from vergence.data.dataset import LEAST_MOVING
 from vergence.data.description import (
     DatasetCamera,
@@ -48,6 +47,7 @@ from vergence.twin.profile import ErrorProfile, Lens
 from vergence.twin.renderer import FINE
 from vergence.twin.scene.room import Scene
 from vergence.twin.sensors import with_sensors
+from vergence.twin.truth import TRUTH, Truth
 from vergence.writable import check_new
 from vergence.writing import as_json
 

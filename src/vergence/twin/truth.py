@@ -1,6 +1,6 @@
-"""The ground truth of a dataset recorded on the twin: truth.json, beside the dataset.
+"""Ground truth of a dataset recorded on the twin: truth.json in the dataset's folder.
 
-Only evaluation reads it (`vergence evaluate`); calibration never does.
+Only evaluation reads it; calibration never does.
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Matrix, Transform
-from vergence.errors import VergenceError
 from vergence.geometry.board import Charuco, Chessboard
 from vergence.geometry.head import HeadCalibration
 from vergence.reading import read_json
 from vergence.twin.profile import ErrorProfile
 
 TRUTH = "truth.json"
+"""Name of the file in the folder of the dataset."""
 
 
 @dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
 class Truth:
-    """The ground truth of a dataset."""
+    """Ground truth of a dataset."""
 
     head: HeadCalibration
     """The head as built, with gains and offsets that turn joint readings into true angles."""
@@ -32,7 +32,7 @@ class Truth:
     eye_angles: Matrix
     """(N, r) true angles [rad] at the moment of each row's images, in the order of the readings."""
     T_lbase_target: dict[int, Transform]
-    """By number of the placement: the true pose of the board."""
+    """True pose of the board, by the number of its placement."""
     board: Chessboard | Charuco
     """The board as printed; dataset.json may state wrong dimensions."""
     seed: int
@@ -42,14 +42,5 @@ class Truth:
 
 
 def load(path: Path) -> Truth:
-    """Read a truth.json; errors are those of `read_json`."""
+    """Read a truth.json. Raises VergenceError as `read_json` does."""
     return read_json(path, Truth, TRUTH)
-
-
-def is_truth(path: Path) -> bool:
-    """Return whether a file can be read as a truth.json."""
-    try:
-        load(path)
-    except VergenceError:
-        return False
-    return True

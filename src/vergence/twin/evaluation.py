@@ -1,4 +1,4 @@
-"""Compare a calibration with the truth: its errors, and whether its stated accuracy holds."""
+"""Compare a calibration with the ground truth: errors, and coverage of the stated accuracy."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from pydantic.dataclasses import dataclass
 from scipy.stats import chi2
 
 from vergence.arrays import Array
-from vergence.commands.truth import Truth
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYES, Kinematics, Side, same_design
 from vergence.geometry.parameters import boxminus, without_offsets
 from vergence.geometry.se3 import angle, inverse
+from vergence.twin.truth import Truth
 
 REGION = 0.95
 
@@ -163,28 +163,3 @@ def _regions(
         limit = chi2.ppf(REGION, len(rows))
         regions[group] = Region(len(rows), float(np.sqrt(squared)), bool(squared <= limit))
     return regions
-
-
-def as_text(evaluation: Evaluation) -> str:
-    """Return a short table of the errors, and how many confidence regions contain the truth."""
-    width = max(map(len, ("T_rbase_lbase  ", *evaluation.cameras))) + 1
-    lines = [f"{'':<{width}}{'rotation [deg]':>15}{'translation [mm]':>18}{'focal [%]':>11}"]
-    for name, error in evaluation.cameras.items():
-        lines.append(
-            f"{name:<{width}}{error.rotation_deg:15.4f}{error.translation_mm:18.3f}"
-            f"{error.focal_percent:11.3f}"
-        )
-    lines.append(
-        f"{'T_rbase_lbase':<{width}}{evaluation.base_rotation_deg:15.4f}"
-        f"{evaluation.base_translation_mm:18.3f}"
-    )
-    if evaluation.regions:
-        lost = [name for name, region in evaluation.regions.items() if not region.holds_truth]
-        held = len(evaluation.regions) - len(lost)
-        lines.append(f"95 % regions that hold the truth: {held} of {len(evaluation.regions)}")
-        if lost:
-            lines.append(f"outside: {', '.join(lost)}")
-        lines.append(f"error of the time offset: {evaluation.time_offset_ms:z.3f} ms")
-    else:
-        lines.append("This calibration states no accuracy of its own.")
-    return "\n".join(lines)

@@ -1,0 +1,121 @@
+"""Reports of the commands evaluate and self-calibrate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from vergence.cli.report import Report, Table
+from vergence.errors import counted
+from vergence.self_calibration.recorded import (
+    OBSERVED,
+    LearnedParameter,
+    RecordedSelfCalibration,
+)
+from vergence.twin.evaluation import Evaluation
+
+MOST_NAMED = 6
+"""Largest number of unobserved parameters that a sentence names."""
+UNITS = {
+    "px": (1.0, (".fx", ".fy", ".cx", ".cy")),
+    "deg": (float(np.degrees(1.0)), (".rx", ".ry", ".rz", "_rad")),
+    "mm": (1e3, (".tx", ".ty", ".tz", "_m")),
+    "%": (100.0, ("gain",)),
+}
+"""Printed unit of a parameter, the factor to it, and the ends of the parameters' names."""
+DEPTH_BY = {
+    "nothing": "by the calibration",
+    "little": "by the calibration and what may have moved since",
+    "anything": "by usual tolerances",
+}
+
+
+def evaluation_report(found: Evaluation) -> Report:
+    """Report errors of a calibration, and how many confidence regions contain the truth."""
+    rows = [
+        (name, f"{e.rotation_deg:.4f}", f"{e.translation_mm:.3f}", f"{e.focal_percent:.3f}")
+        for name, e in found.cameras.items()
+    ]
+    base = f"{found.base_rotation_deg:.4f}", f"{found.base_translation_mm:.3f}"
+    heading = ("error", "rotation [deg]", "translation [mm]", "focal [%]")
+    parts: list[str | Table] = [Table(heading, [*rows, ("T_rbase_lbase", *base, "")])]
+    if found.regions:
+        outside = [name for name, region in found.regions.items() if not region.holds_truth]
+        inside = len(found.regions) - len(outside)
+        parts.append(f"95 % regions that hold the truth: {inside} of {len(found.regions)}")
+        if outside:
+            parts.append(f"outside: {', '.join(outside)}")
+        parts.append(f"error of the time offset: {found.time_offset_ms:z.3f} ms")
+    else:
+        parts.append("This calibration states no accuracy of its own.")
+    return Report("Errors of a calibration", parts, found)
+
+
+def self_calibration_report(found: RecordedSelfCalibration) -> Report:
+    """Report what a recording showed of each parameter, and of the depth of a point."""
+    rows = []
+    for each in found.parameters:
+        if each.verdict != "not observed":
+            unit, scale = _unit(each.name)
+            change = f"{scale * each.change:+.3g} {unit}".rstrip()
+            stds = (f"{scale * each.prior_std:.3g}", f"{scale * each.std:.3g}")
+            rows.append((each.name, change, *stds, each.verdict))
+    heading = ("parameter", "change", "std before", "std after", "")
+    table = (Table(heading, rows),) if rows else ()
+    data = {
+        "frames": found.frames,
+        "seen": found.seen,
+        "learned": found.learned,
+        "joint_std_deg": float(np.degrees(found.joint_std_rad)),
+        "depth_std_m": found.depth_std_m,
+        "observed_up_to": OBSERVED,
+        "parameters": {
+            each.name: {
+                "change": each.change,
+                "prior_std": each.prior_std,
+                "std": each.std,
+                "verdict": each.verdict,
+            }
+            for each in found.parameters
+        },
+        "findings": [vars(each) for each in found.findings],
+    }
+    return Report("Change since the calibration", (*table, *sentences(found)), data)
+
+
+def _unit(name: str) -> tuple[str, float]:
+    """Return the printed unit of a parameter, and the factor to it from the parameter's own."""
+    for unit, (factor, ends) in UNITS.items():
+        if name.endswith(ends):
+            return unit, factor
+    return "", 1.0
+
+
+def sentences(found: RecordedSelfCalibration) -> list[str]:
+    """Return sentences about the whole recording, warnings last."""
+    source = "" if found.learned else " (assumed)"
+    lines = [
+        f"{counted(found.frames, 'frame')}: {found.seen} determined the relative pose of the "
+        f"cameras, and {found.learned} updated the parameters; noise of the readings "
+        f"{np.degrees(found.joint_std_rad):.3f} degrees{source}."
+    ]
+    hidden = [each for each in found.parameters if each.verdict == "not observed"]
+    if len(hidden) == len(found.parameters):
+        lines.append("Nothing that persists is known better than before.")
+    elif hidden:
+        lines.append(f"Not observed, as before: {_named(hidden)}.")
+    if found.depth_std_m is not None:
+        before, after = (1e3 * std for std in found.depth_std_m)
+        learned = f", {after:.3g} mm by what was learned" if found.learned else ""
+        lines.append(
+            f"Depth of a point 1 m straight ahead: std {before:.3g} mm "
+            f"{DEPTH_BY[found.changed]}{learned}."
+        )
+    return [*lines, *(f"Warning: {each}" for each in found.findings)]
+
+
+def _named(parameters: Sequence[LearnedParameter]) -> str:
+    names = [each.name for each in parameters[:MOST_NAMED]]
+    more = len(parameters) - MOST_NAMED
+    return ", ".join(names) + (f" and {more} more" if more > 0 else "")

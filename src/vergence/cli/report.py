@@ -1,0 +1,67 @@
+"""Result of a command: a summary for the terminal, markdown for a file, plain values for JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of cells under a heading."""
+
+    heading: Sequence[str]
+    rows: Iterable[Sequence[str]]
+
+    def __str__(self) -> str:
+        rows = [self.heading, *self.rows]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = [
+            "| " + " | ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)) + " |"
+            for row in rows
+        ]
+        lines.insert(1, "|" + "|".join("-" * (width + 2) for width in widths) + "|")
+        return "\n".join(lines)
+
+
+Part = str | Table
+"""A line or paragraph, or a table."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """Result of a command."""
+
+    title: str
+    parts: Sequence[Part]
+    """What the terminal and the file show first."""
+    data: Any
+    """A dataclass, or plain values, for JSON."""
+    details: Sequence[Part] = ()
+    """What only the file shows."""
+    files: str = ""
+    """Sentences about written files, which only the terminal shows."""
+
+    def summary(self) -> str:
+        """Return the text for the terminal."""
+        parts = [f"\n{part}\n" if isinstance(part, Table) else part for part in self.parts]
+        return "\n".join(filter(None, [*parts, self.files])).strip("\n")
+
+    def markdown(self) -> str:
+        """Return the text of a report.md."""
+        return "\n\n".join([f"# {self.title}", *map(str, (*self.parts, *self.details))]) + "\n"
+
+    def json(self) -> str:
+        """Return the values as JSON."""
+        from vergence.writing import as_json
+
+        return as_json(self.data)
+
+    def write_json(self, path: Path | None) -> None:
+        """Write the values into a file; None: no file was asked for."""
+        from vergence.writing import write_whole
+
+        if path is not None:
+            write_whole(path, self.json())

@@ -1,0 +1,119 @@
+"""The terminal: progress bars, commands to type, and programs that end without a traceback."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shlex
+import shutil
+import signal
+import sys
+import sysconfig
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from vergence.errors import VergenceError
+
+if TYPE_CHECKING:
+    from vergence.progress import Progress
+
+FILES_NAMED = 10
+"""Largest number of finished files that a stopped command names."""
+
+
+@contextmanager
+def plain_ending(program: str) -> Iterator[None]:
+    """End a program named `program` in one sentence and an exit code.
+
+    VergenceError exits with 2. Ctrl-C and SIGTERM name the files that were finished before, or
+    print the note of the interrupt in their place.
+    """
+    try:
+        signal.signal(signal.SIGINT, _stop)
+        signal.signal(signal.SIGTERM, _stop)
+        try:
+            yield
+        finally:
+            sys.stdout.flush()
+    except VergenceError as error:
+        print(f"{program}: {error}", file=sys.stderr)
+        raise SystemExit(2) from None
+    except BrokenPipeError:  # the reader of the output, such as `head`, has ended
+        _discard_output()
+        raise SystemExit(128 + signal.SIGPIPE) from None
+    except OSError as error:
+        if error.errno != errno.ENOSPC or error.filename is not None:
+            raise
+        _discard_output()
+        print(f"{program}: Cannot write to standard output: {error.strerror}.", file=sys.stderr)
+        raise SystemExit(2) from None
+    except KeyboardInterrupt as stop:
+        note = next(iter(getattr(stop, "__notes__", ())), None) or _finished()
+        print(f"{program}: stopped; {note}.", file=sys.stderr)
+        raise SystemExit(128 + (stop.args[0] if stop.args else signal.SIGINT)) from None
+
+
+def _stop(number: int, frame: object) -> None:
+    raise KeyboardInterrupt(number)
+
+
+def _discard_output() -> None:
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _finished() -> str:
+    from vergence.writing import finished_files
+
+    done = [str(path) for path in finished_files()]
+    if not done:
+        return "nothing was written"
+    more = f" and {len(done) - FILES_NAMED} more" if len(done) > FILES_NAMED else ""
+    return f"finished before: {' '.join(done[-FILES_NAMED:])}{more}"
+
+
+def invocation(program: str, *arguments: str | Path) -> str:
+    """Return a command line that runs a program of this Python environment in the current folder.
+
+    The program is named with its folder unless the shell finds the same one without it.
+    """
+    here = shutil.which(program, path=sysconfig.get_path("scripts"))
+    on_path = shutil.which(program)
+    if here is not None and (on_path is None or not os.path.samefile(on_path, here)):
+        below = Path.cwd() in Path(here).parent.parents
+        program = str(Path(here).relative_to(Path.cwd())) if below else here
+    return shlex.join([program, *map(str, arguments)])
+
+
+@contextmanager
+def progress_bars(folder: Path | None = None) -> Iterator[Progress]:
+    """Show each task as a bar on standard error.
+
+    Warn first if an earlier run into `folder` was stopped before its end.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from vergence.writing import unfinished
+
+    if folder is not None and unfinished(folder):
+        print(
+            f"An earlier run into {folder} was stopped before its end: until this one has ended, "
+            "files there may be of different runs.",
+            file=sys.stderr,
+        )
+    columns = TextColumn("{task.description:<28}"), BarColumn(), MofNCompleteColumn()
+    bars, tasks = Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True)), {}
+
+    def show(task: str, done: int, total: int) -> None:
+        bars.start()  # refused arguments show no bar
+        if task not in tasks:
+            tasks[task] = bars.add_task(task, total=total)
+        bars.update(tasks[task], completed=done, total=total)
+
+    try:
+        yield show
+    finally:
+        if tasks:
+            bars.stop()

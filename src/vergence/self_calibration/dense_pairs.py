@@ -1,0 +1,179 @@
+"""Dense depth of stereo pairs, by the joint readings or by the geometry that both eyes see."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.data.dataset import Dataset
+from vergence.data.stereo_rows import stereo_rows
+from vergence.errors import VergenceError
+from vergence.geometry.camera import unproject
+from vergence.geometry.components import stacked
+from vergence.geometry.eye_motion import eye_motions, measured
+from vergence.geometry.head import HeadCalibration, reading_stds
+from vergence.geometry.se3 import pose
+from vergence.self_calibration.frame import locate_seen
+from vergence.self_calibration.prior import JOINT_STD_RAD
+from vergence.self_calibration.robust_fit import FEWEST
+from vergence.self_calibration.sequence import Geometry, initial_seen_geometry, update_geometry
+from vergence.self_calibration.state import FrameEstimate
+from vergence.stereo.dense_depth import DenseDepth, dense_depth
+from vergence.stereo.rectification import RectifiedPair, rectify
+from vergence.stereo.uncertainty import LocatedPoints
+from vergence.vision.matching.scene_features import match_scene
+
+MISALIGNED = 4.2
+"""Median angle between the rows of features, over that by the noise of readings, from which a
+calibration is doubted; noise alone makes 0.7."""
+LEAST_MISALIGNED_RAD = float(np.radians(0.1))
+"""Smallest such angle [rad]: well above the noise of matched features."""
+
+
+@dataclass(frozen=True, eq=False)
+class StereoImages:
+    """Images of a pair, and the posture of the eyes."""
+
+    time_s: float
+    joints: Array
+    """Readings [rad], or measured poses (2, 4, 4)."""
+    left: np.ndarray
+    right: np.ndarray
+    seen: FrameEstimate | None = None
+    """Geometry that both eyes see; None: the joint readings are used."""
+
+
+@dataclass(frozen=True, eq=False)
+class StereoSequence:
+    """Pairs that can be rectified, in order of time."""
+
+    moments: Iterator[StereoImages]
+    count: int
+    left_out: int
+    """Further pairs at whose postures the views cannot be rectified."""
+
+
+PairDepth = tuple[RectifiedPair, DenseDepth]
+"""A rectified pair, and the depth of its pixels."""
+
+
+def dataset_pairs(
+    dataset: Dataset, head: HeadCalibration, pairs: int, geometry: Geometry
+) -> StereoSequence:
+    """Read at most `pairs` evenly spaced pairs of a dataset.
+
+    "seen" learns the geometry from all rows up to each pair. VergenceError if the dataset has no
+    pair that can be rectified, or has measured poses, which "seen" cannot correct.
+    """
+    both = stereo_rows(dataset, head)
+    if geometry == "seen" and measured(both.joints):
+        raise VergenceError(f"--geometry seen corrects joint readings; {dataset.folder} has poses.")
+    left, right = both.cameras
+    wanted = np.unique(np.linspace(0, len(both) - 1, pairs).round().astype(int))
+    errors = [_rectification_error(head, both.joints[k]) for k in wanted]
+    chosen = [int(k) for k, error in zip(wanted, errors, strict=True) if error is None]
+    if errors[0] is not None and not chosen:
+        raise errors[0]
+    before = initial_seen_geometry(head) if geometry == "seen" else None
+
+    def read() -> Iterator[StereoImages]:
+        known = before
+        for k in chosen if known is None else range(chosen[-1] + 1):
+            frame = both.frame(k)
+            known = None if known is None else update_geometry(known, frame)
+            if k in chosen:
+                time_s = frame.time_s - float(dataset.time_s[0])
+                images = frame.images[left], frame.images[right]
+                seen = None if known is None else known.latest
+                yield StereoImages(time_s, both.joints[k], *images, seen=seen)
+
+    return StereoSequence(read(), len(chosen), len(wanted) - len(chosen))
+
+
+def _rectification_error(head: HeadCalibration, joints: Array) -> VergenceError | None:
+    try:
+        rectify(head, joints)
+    except VergenceError as error:
+        return error
+    return None
+
+
+def depth_of(moment: StereoImages, head: HeadCalibration) -> PairDepth:
+    """Compute the depth of a pair by the geometry that is seen or, without one, by the joints."""
+    seen = moment.seen
+    if seen is None:
+        return depth_by(moment, head, moment.joints)
+    located = partial(locate_seen, seen, pixel_std_px=0.0)
+    return depth_by(moment, seen.head, seen.joints, located=located)
+
+
+def depth_by(
+    moment: StereoImages,
+    head: HeadCalibration,
+    joints: Array,
+    *,
+    joint_std_rad: float | None = None,
+    located: Callable[..., LocatedPoints] | None = None,
+) -> PairDepth:
+    """Compute the depth of a pair by a head and joints; options are those of `dense_depth`."""
+    pair, images = rectify(head, joints), (moment.left, moment.right)
+    found = dense_depth(pair, *images, joint_std_rad=joint_std_rad, located=located)
+    return pair, found
+
+
+def misaligned(angle_rad: float, noise_rad: float) -> bool:
+    """Decide whether rows are further apart than the noise of readings explains.
+
+    Both arguments are medians over pairs: of `row_difference_rad` and of `row_noise_rad`.
+    """
+    return angle_rad > max(MISALIGNED * noise_rad, LEAST_MISALIGNED_RAD)
+
+
+def row_difference_rad(moment: StereoImages, pair: RectifiedPair) -> float:
+    """Measure the angle between the rows of matched features, in the median [rad].
+
+    NaN if too few features are matched. The search allows for a geometry wrong by some degrees.
+    """
+    views = pair.left, pair.right
+    R_lrect_lcam, R_rrect_rcam = (view.R_rect_cam for view in views)
+    matches = match_scene(
+        moment.left,
+        moment.right,
+        left_camera=pair.left.camera,
+        right_camera=pair.right.camera,
+        T_rcam_lcam=pose(
+            R_rrect_rcam.T @ R_lrect_lcam, -R_rrect_rcam.T @ np.array([pair.baseline_m, 0, 0])
+        ),
+    )
+    if len(matches.left) < FEWEST:
+        return np.nan
+    rays = [
+        unproject(view.camera, pixels) @ view.R_rect_cam.T
+        for view, pixels in zip(views, (matches.left, matches.right), strict=True)
+    ]
+    above = [np.arctan2(each[:, 1], each[:, 2]) for each in rays]
+    return float(np.nanmedian(np.abs(above[1] - above[0])))
+
+
+def row_noise_rad(pair: RectifiedPair) -> float:
+    """Compute the standard deviation [rad] of that angle by the noise of readings.
+
+    A tilt that both eyes share turns the rows of both alike.
+    """
+    if measured(pair.joints):
+        return JOINT_STD_RAD
+    head, factors = pair.head, pair.head.kinematics.factors
+    stds = reading_stds(head)
+    stds = stds if stds.any() else JOINT_STD_RAD / factors
+    along = pair.T_lbase_rect[:3, 0]
+    axes = along, head.T_rbase_lbase[:3, :3] @ along
+    by_readings = np.zeros(len(factors))
+    for sign, axis, eye in zip((1, -1), axes, eye_motions(head, pair.joints[None]), strict=True):
+        for joint, reading, slope in eye.angle_by_readings:
+            turn = stacked(eye.by_angles[joint][:3], (1,))[:, 0]
+            by_readings[reading] += sign * slope * float(axis @ turn)
+    return float(np.linalg.norm(by_readings * stds))
