@@ -79,7 +79,7 @@ def test_errors_are_counted_in_their_standard_deviations(head):
     ("words", "said"),
     [
         (("head.json", "--truth", "ds"), "and ds is a folder: give ds/truth.json."),
-        (("truth.json", "--truth", "head.json"), "truth.json is not a valid head calibration"),
+        (("truth.json", "--truth", "head.json"), "truth.json is not a head calibration"),
         (("ds", "--truth", "truth.json"), "Cannot read ds: it is a folder, and a file is to be"),
     ],
 )
