@@ -1,9 +1,9 @@
-"""The error budget: what each source of error adds to located points, while the eyes move.
+"""The error budget: how much each source of error adds to located points while the eyes move.
 
-White sources are new in every sample. What the samples share - errors of the calibration, known
-errors - moves the points along with the eyes: its mean over the motion shifts all points alike, and
-the rest spreads them. In parallel motion the latter all but vanishes in depth, since the eyes stand
-to each other as they do at rest.
+White noise is new in every sample. All samples share the errors of the calibration and known ones,
+which displace the points as the eyes move. Their mean over the motion shifts all points alike; the
+difference from it spreads them. In parallel motion this spread is small in depth, since the eyes
+keep their pose relative to each other.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ GROUPS = (
     ("base", tuple(f"T_rbase_lbase.{axis}" for axis in ("rx", "ry", "rz", "tx", "ty", "tz"))),
     ("time offset", (TIME_OFFSET,)),
 )
-"""Groups of a calibration's parameters, by how their names end; others are the axes of the eyes."""
+"""Groups of a calibration's parameters, by the ends of their names; others are axes of the eyes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """One source of errors: white noise of pixels or joints, or a known error of the head."""
+    """A source of errors: white noise of pixels or joints, or known errors of the head."""
 
     name: str
     pixel_std_px: float | Array = 0.0
@@ -45,39 +45,39 @@ class Source:
     joint_std_rad: float | Array = 0.0
     """Noise of each reading, or of all (r,)."""
     errors: Mapping[str, float] = field(default_factory=dict)
-    """By parameter of the head: calibration minus truth."""
+    """Calibration minus truth, by parameter of the head."""
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """What a source adds to a point's standard deviation, x forward, y left, z up."""
+    """Standard deviations of a point by one source, x forward, y left, z up."""
 
     name: str
     spread_m: Array
-    """(3,) what differs from sample to sample. What correlated parts have in common (see Budget)
-    may have a negative variance v: sign(v) sqrt(|v|)."""
+    """(3,) of the errors that differ between samples. The common part of correlated sources (see
+    Budget) may have a negative variance v, given as sign(v) sqrt(|v|)."""
     shared_m: Array
-    """(3,) what all samples of the motion have in common; zero for white noise."""
+    """(3,) of the errors that all samples of the motion have in common; zero for white noise."""
 
     @property
     def std_m(self) -> Array:
-        """Return the standard deviation of one sample (3,)."""
+        """(3,) standard deviation of one sample."""
         return np.hypot(self.spread_m, self.shared_m)
 
 
 @dataclass(frozen=True, eq=False)
 class Budget:
-    """The parts of the error of one point."""
+    """The error of one point by source."""
 
     point_m: Array
     """(3,) in the left eye's base frame."""
     parts: tuple[Part, ...]
-    """By source. Known errors, and the groups of a calibration, are correlated: what that adds or
-    takes away is a part of its own, so that the squares add up to the total."""
+    """By source. Known errors, and the groups of a calibration, are correlated: a part of its own
+    holds their correlation, so that the squares add up to the total."""
     total: Part
     halved_m: dict[str, float]
-    """Standard deviation of a point, x, y and z together, if a source were half as large; the
-    groups of a calibration only get better together."""
+    """Standard deviation of the point, x, y and z together, if a source were half as large. The
+    groups of a calibration improve together."""
     samples: int
     """Samples of the motion in which both cameras see the point."""
 
@@ -91,19 +91,18 @@ def budget(
     sources: Sequence[Source],
     cameras: tuple[str, str] | None = None,
 ) -> list[Budget]:
-    """Return the budget of each of K points, over a motion of the eyes.
+    """Compute the budget of each of K points over a motion of the eyes.
 
     Args:
-        head: whose covariance is a source too, if it states one.
+        head: if it states a covariance, this is a source too.
         points: (K, 3) [m] in the left eye's base frame.
         joints: (T, r) readings [rad] of the motion.
-        rates: (T, r) how fast these change [rad/s], for errors of the time offset.
+        rates: (T, r) velocities of the readings [rad/s], for errors of the time offset.
         sources: white noise and known errors.
         cameras: names of a camera of the left eye and one of the right; None: the main ones.
 
     Raises:
-        VergenceError: an unknown camera or parameter, or a point that is not seen during the
-            motion.
+        VergenceError: a camera or parameter is unknown, or a point is not seen during the motion.
     """
     return [_budget(head, point, joints, rates, sources, cameras) for point in points]
 
@@ -120,65 +119,61 @@ def _budget(
     names = (*pair_parameters(head, cameras), TIME_OFFSET)
     by_time = np.einsum("irt,tr->it", seen.by_readings, rates[kept])
     by_head = np.concatenate([by_head_parameters(head, cameras, seen), by_time[:, None]], axis=1)
-
-    def of_errors(source: Source) -> Array:
-        """Return the changes (3, T) that known errors make."""
-        named_columns(head, tuple(source.errors))  # VergenceError: an unknown name
-        return by_head.swapaxes(1, 2) @ [source.errors.get(name, 0.0) for name in names]
-
-    white = {s.name: _white(seen, s) for s in sources if not s.errors}
-    known = {s.name: of_errors(s) for s in sources if s.errors}
-    parts = [Part(name, np.sqrt(variance), np.zeros(3)) for name, variance in white.items()]
+    white = {each.name: _white(seen, each) for each in sources if not each.errors}
+    known: dict[str, Array] = {}
+    for each in sources:
+        if each.errors:
+            named_columns(head, tuple(each.errors))  # VergenceError: an unknown name
+            sizes = np.array([each.errors.get(name, 0.0) for name in names])
+            known[each.name] = (by_head.swapaxes(1, 2) @ sizes)[:, None]
     zero = np.zeros((3, 1, len(kept)))
-    groups = _of_calibration(head, names, by_head)
-    calibration = groups.pop(CALIBRATION, zero)
-    together = sum(known.values(), zero[:, 0])[:, None]
-    for title, own, whole in (
+    groups = _by_group(head, names, by_head)
+    calibration, together = groups.pop(CALIBRATION, zero), sum(known.values(), zero)
+    parts = [Part(name, np.sqrt(variance), np.zeros(3)) for name, variance in white.items()]
+    for title, changes, joint_changes in (
         ("correlation of the calibration's errors", groups, calibration),
-        ("correlation of the known errors", {n: e[:, None] for n, e in known.items()}, together),
+        ("correlation of the known errors", known, together),
     ):
-        moments = [_moments(each) for each in own.values()]
-        parts += [Part(n, *np.sqrt(m)) for n, m in zip(own, moments, strict=True)]
-        if len(own) > 1:
-            rest = _moments(whole) - sum(moments)
-            parts.append(Part(title, *np.sign(rest) * np.sqrt(np.abs(rest))))
+        moments = [_moments(each) for each in changes.values()]
+        parts += [Part(name, *np.sqrt(m)) for name, m in zip(changes, moments, strict=True)]
+        if len(changes) > 1:
+            remaining = _moments(joint_changes) - sum(moments)
+            parts.append(Part(title, *np.sign(remaining) * np.sqrt(np.abs(remaining))))
     spread, shared = _moments(calibration) + _moments(together)
     spread = spread + sum(white.values(), np.zeros(3))
-    total = Part("total", np.sqrt(spread), np.sqrt(shared))
-    variance = float((spread + shared).sum())
-    less = {name: 0.75 * float(own.sum()) for name, own in white.items()}
+    # Half of a standard deviation is a quarter of its variance.
+    less = {name: 0.75 * variance.sum() for name, variance in white.items()}
     if groups:
-        less[CALIBRATION] = 0.75 * float(_moments(calibration).sum())
-    for name, own in known.items():
-        half = _moments(together - own[:, None] / 2)
-        less[name] = float((_moments(together) - half).sum())
+        less[CALIBRATION] = 0.75 * _moments(calibration).sum()
+    for name, changes in known.items():
+        less[name] = (_moments(together) - _moments(together - changes / 2)).sum()
+    variance = (spread + shared).sum()
     halved = {name: float(np.sqrt(variance - change)) for name, change in less.items()}
+    total = Part("total", np.sqrt(spread), np.sqrt(shared))
     return Budget(point, tuple(parts), total, halved, len(kept))
 
 
 def _samples(
     head: HeadCalibration, point: Array, joints: Array, cameras: tuple[str, str] | None
 ) -> tuple[Linearised, np.ndarray]:
-    """Return the point as it is located, and which samples (t,) of the motion see it."""
-    pixels, kept = [], np.ones(len(joints), dtype=bool)
-    for name in pair_names(head, cameras):
-        lens, uv = head.camera(name).intrinsics, project_point(head, name, joints, point)
-        size = lens.size
-        kept &= ((uv > -0.5) & (uv < np.array(size) - 0.5)).all(axis=1)
-        pixels.append(uv)
-    if kept.sum() < 2:
+    """Locate the point in the samples (t,) of the motion that show it to both cameras."""
+    pair = pair_names(head, cameras)
+    pixels = [project_point(head, name, joints, point) for name in pair]
+    sizes = [np.array(head.camera(name).intrinsics.size) for name in pair]
+    inside = [((uv > -0.5) & (uv < size - 0.5)) for uv, size in zip(pixels, sizes, strict=True)]
+    kept = np.flatnonzero(np.concatenate(inside, axis=1).all(axis=1))
+    if len(kept) < 2:
         raise VergenceError(
             f"A budget needs a point that both cameras see while the eyes move; ({point[0]:g}, "
-            f"{point[1]:g}, {point[2]:g}) m is in both images in {kept.sum()} of {len(kept)} "
+            f"{point[1]:g}, {point[2]:g}) m is in both images in {len(kept)} of {len(joints)} "
             "samples. Points are in metres from the left eye, x forward, y left, z up."
         )
     left, right = (uv[kept] for uv in pixels)
-    seen = linearised(head, left=left, right=right, joints=joints[kept], cameras=cameras)
-    return seen, np.flatnonzero(kept)
+    return linearised(head, left=left, right=right, joints=joints[kept], cameras=cameras), kept
 
 
 def _white(seen: Linearised, source: Source) -> Array:
-    """Return the variance (3,) [m^2] that white noise makes, in the mean over the motion."""
+    """Compute the variance (3,) [m^2] by white noise, in the mean over the motion."""
     _, r, n = seen.by_readings.shape
     stds = noise_of_readings(source.joint_std_rad, r, n)
     pixels = (seen.by_pixels * pixel_noise(source.pixel_std_px, n)) ** 2
@@ -186,12 +181,10 @@ def _white(seen: Linearised, source: Source) -> Array:
     return pixels.sum(axis=1).mean(axis=1) + readings.sum(axis=1).mean(axis=1)
 
 
-def _of_calibration(
-    head: HeadCalibration, names: tuple[str, ...], by_head: Array
-) -> dict[str, Array]:
-    """Return by group of parameters changes (3, q, T) of the point by q independent unit errors.
+def _by_group(head: HeadCalibration, names: tuple[str, ...], by_head: Array) -> dict[str, Array]:
+    """Compute changes (3, q, T) of the point by q independent unit errors of each group.
 
-    All parameters together are the group CALIBRATION. Empty where no covariance is stated.
+    All parameters together are the group CALIBRATION. Empty if no covariance is stated.
     """
     if not states_covariance(head):
         return {}
@@ -199,20 +192,20 @@ def _of_calibration(
     groups = [group_of(names[k]) for k in rows]
     found = {}
     for group in (*dict.fromkeys(groups), CALIBRATION):
-        own = np.flatnonzero([group in (each, CALIBRATION) for each in groups])
-        factor = covariance_factor(C[np.ix_(own, own)])
-        found[group] = factor.T @ by_head[:, rows[own]]
+        members = np.flatnonzero([group in (each, CALIBRATION) for each in groups])
+        factor = covariance_factor(C[np.ix_(members, members)])
+        found[group] = factor.T @ by_head[:, rows[members]]
     return found
 
 
 def group_of(parameter: str) -> str:
-    """Return the group of sources that a parameter of a head belongs to."""
+    """Find the group of sources that a parameter of a head belongs to."""
     if is_gain(parameter):
         return "gains"
     return next((group for group, ends in GROUPS if parameter.endswith(ends)), "axes of the eyes")
 
 
 def _moments(changes: Array) -> Array:
-    """Return the variance over the motion, and the square of its mean (2, 3), of (3, q, T)."""
+    """Compute the variance over the motion, and the square of its mean (2, 3), of (3, q, T)."""
     mean = changes.mean(axis=2)
     return np.stack([changes.var(axis=2).sum(axis=1), (mean**2).sum(axis=1)])

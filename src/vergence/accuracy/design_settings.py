@@ -1,6 +1,6 @@
-"""What a sweep over designs of a head varies, where it looks, and what the parts cost.
+"""Settings of a sweep over designs of a head: values to try, the workspace, and prices.
 
-From the command line, or from a TOML or JSON file; docs/design_and_plan.md describes both.
+They come from options of the command, or from a TOML or JSON file: docs/design_and_plan.md.
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ from vergence.geometry.camera import ImageSide
 from vergence.reading import parse_json, parse_toml, read_parsed, validated
 
 MAX_BYTES = 2**16
+"""Maximum size of a file of settings [bytes]."""
 MAX_DESIGNS = 50_000_000
+"""Maximum number of designs of a sweep: their errors take 400 MB for each distance."""
 
 
 class _Section(BaseModel):
@@ -32,7 +34,7 @@ class _Range(_Section):
 
 
 def _values(value: Any) -> Any:
-    """Return the values that a number, a list or a range {first, last, steps} stands for."""
+    """Expand a number or a range {first, last, steps} into values."""
     if isinstance(value, dict):
         each = _Range.model_validate(value)
         return tuple(np.linspace(each.first, each.last, each.steps).tolist())
@@ -42,7 +44,7 @@ def _values(value: Any) -> Any:
 
 
 def _within(least: float, most: float) -> AfterValidator:
-    """Return a check of values; ValueError if one of them is not between two bounds."""
+    """Make a validator that raises ValueError for values that repeat or are out of bounds."""
 
     def check(values: tuple[float, ...]) -> tuple[float, ...]:
         if len(set(values)) < len(values):
@@ -70,7 +72,7 @@ Values = Annotated[
 
 
 class Designs(_Section):
-    """The values of each property of a head that are tried, in all combinations."""
+    """Values of each property of a head; all combinations are tried."""
 
     baseline_mm: Annotated[Values, _within(10, 1000)] = (60.0, 70.0, 80.0, 90.0, 100.0)
     """Distance of the eyes."""
@@ -83,27 +85,27 @@ class Designs(_Section):
     counts_per_turn: Annotated[Values, _within(0, 2**32)] = (4096.0, 16384.0, 65536.0)
     """Resolution of the encoders; 0: no steps."""
     joint_noise_deg: Annotated[Values, _within(0, 5)] = (0.01, 0.03, 0.1)
-    """Noise of a joint reading, besides its steps."""
+    """Noise of a joint reading, in addition to its steps."""
     pixel_noise_px: Annotated[Values, _within(0.001, 20)] = (0.1, 0.25, 0.5)
     """Noise of one coordinate of a point in an image."""
     delay_ms: Annotated[Values, _within(0, 1000)] = (0.0, 1.0, 5.0)
-    """What is not known of the time between an image and its joint reading."""
+    """Error of the time between an image and its joint reading."""
 
 
 AXES = tuple(Designs.model_fields)
-"""Names of what is varied, in the order of arrays of designs."""
+"""Names of the properties, in the order of arrays of designs."""
 CHUNK_AXES = AXES[:3]
-"""Those whose combinations are computed one by one; all others at once."""
+"""Properties whose combinations are chunks of a sweep; others are computed at once."""
 
 
 _Off = Annotated[float, Field(ge=-90, le=90)]
 
 
 class Workspace(_Section):
-    """Where points are located, and how the eyes look at them."""
+    """Points that are located, and how the eyes look at them."""
 
     distances_m: Annotated[Values, _within(0.05, 100)] = (0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0)
-    """From the middle between the eyes."""
+    """Distances of points from the middle between the eyes."""
     pan_deg: Annotated[Values, _within(-60, 60)] = (-20.0, -10.0, 0.0, 10.0, 20.0)
     """Directions of points to the side."""
     tilt_deg: Annotated[Values, _within(-60, 60)] = (-15.0, 0.0, 15.0)
@@ -115,19 +117,19 @@ class Workspace(_Section):
         (0.0, 6.0),
         (0.0, -6.0),
     )
-    """Postures: by how much both eyes look past a point, in pan and tilt; none: they fixate it."""
+    """Postures: pan and tilt by which both eyes look past a point."""
     eye_speed_deg_s: Annotated[float, Field(ge=0, le=5000)] = 30.0
-    """How fast each joint turns, root mean square, which makes a delay matter."""
+    """Root mean square speed of each joint, for the delay."""
     eye_correlation: Annotated[float, Field(ge=-1, le=1)] = 0.0
     """Correlation of the two eyes' speeds: 1 when they turn together, -1 when opposite."""
     camera_ahead_mm: Annotated[float, Field(ge=-200, le=200)] = 20.0
-    """By how much a camera sits ahead of its eye's rotation centre."""
+    """Distance of a camera ahead of its eye's rotation centre."""
     image_px: tuple[ImageSide, ImageSide] = (640, 480)
     """Width and height of the images."""
     board: tuple[Annotated[int, Field(ge=3, le=100)], Annotated[int, Field(ge=3, le=100)]] = (9, 6)
     """Inner corners of the board in a row and in a column."""
     corner_noise_px: Annotated[float, Field(gt=0, le=10)] = 0.1
-    """Noise of one coordinate of a corner of the board: corners are found better than objects."""
+    """Noise of one coordinate of a corner of the board, smaller than that of an object."""
 
 
 def _pairs(value: Any) -> Any:
@@ -140,14 +142,13 @@ def _pairs(value: Any) -> Any:
 
 
 Price = Annotated[tuple[tuple[float, float], ...], BeforeValidator(_pairs), Field(min_length=1)]
-"""Pairs of a value and its price; between values the price is interpolated, beyond the ends it
-stays."""
+"""Pairs of a value and its price, interpolated in between and constant beyond the ends."""
 
 
 class Prices(_Section):
-    """What a value of each property costs, in units of the user's choice; a head costs the sum.
+    """Prices of a value of each property, in any unit; a head costs the sum.
 
-    The defaults are rough, and in units of a hundredth of a plain machine-vision camera.
+    The defaults are rough estimates, in hundredths of a plain machine-vision camera.
     """
 
     baseline_mm: Price = ((60, 0), (120, 60))
@@ -169,7 +170,7 @@ class Prices(_Section):
 
 
 class DesignSettings(_Section):
-    """All that a sweep depends on."""
+    """Settings of a sweep."""
 
     designs: Designs = Designs()
     workspace: Workspace = Workspace()
@@ -185,12 +186,12 @@ class DesignSettings(_Section):
 
 
 def count(settings: DesignSettings) -> int:
-    """Return how many designs a sweep tries."""
+    """Count the designs of a sweep."""
     return int(np.prod([len(getattr(settings.designs, name)) for name in AXES]))
 
 
 def costs(settings: DesignSettings) -> Array:
-    """Return the cost of each design, one dimension for each of AXES."""
+    """Compute the cost of each design, with one dimension for each of AXES."""
     total = np.zeros(())
     for k, name in enumerate(AXES):
         values, prices = np.array(getattr(settings.prices, name), float).T
@@ -200,7 +201,7 @@ def costs(settings: DesignSettings) -> Array:
 
 
 def chunks(settings: DesignSettings) -> Iterator[DesignSettings]:
-    """Yield the settings of each chunk of a sweep, in the order of CHUNK_AXES; prices left out."""
+    """Yield the settings of each chunk of a sweep, in the order of CHUNK_AXES, without prices."""
     designs = settings.designs
     for values in itertools.product(*(getattr(designs, name) for name in CHUNK_AXES)):
         own = {name: (value,) for name, value in zip(CHUNK_AXES, values, strict=True)}
@@ -208,9 +209,9 @@ def chunks(settings: DesignSettings) -> Iterator[DesignSettings]:
 
 
 def load_settings(path: Path) -> DesignSettings:
-    """Read settings from a JSON file, which ends in .json, or from a TOML file.
+    """Read settings from a .json file, or else a TOML file.
 
-    VergenceError if it is not valid.
+    Raises VergenceError if it is invalid.
     """
     parse = parse_json if path.suffix.lower() == ".json" else parse_toml
     what = "a description of designs (see docs/design_and_plan.md)"

@@ -1,9 +1,8 @@
-"""The next best views: which places of the board and which eye angles to record next.
+"""Plan the next best views: places of the board and readings of the eyes to record next.
 
-From what a calibration knows already, views are chosen one by one, each so that the points of the
-workspace become as accurate as one more view can make them; then each is exchanged for a better
-one, as long as there is any (Fedorov's exchange). What is to become small is the largest standard
-deviation of a point, over the workspace and over directions.
+Views are added one by one to the information of a calibration, each the one that makes the points
+of the workspace most accurate. Then each is exchanged for a better one (Fedorov 1972). The design
+is nearly G-optimal: it minimises the largest standard deviation of a point over the workspace.
 """
 
 from __future__ import annotations
@@ -31,33 +30,33 @@ from vergence.geometry.kinematics import Kinematics
 from vergence.progress import Progress, silent
 
 LIMIT_RAD = float(np.radians(20.0))
-"""Largest turn of a joint. Many heads can do more; boards are then hard to hold."""
-PLACES, GAZES = 40, 12
-"""Candidates: places of the board, and directions of gaze at each."""
+"""Maximum turn of a joint [rad]; beyond, a board is hard to hold."""
+CANDIDATES = (40, 12)
+"""Places of the board that are tried, and directions of gaze at each."""
 LEAST_PX = 1e-3
-"""Noise of corners [px] where a calibration states none."""
+"""Noise of corners [px] for a calibration that states none."""
 POWER = 8
-"""Views are chosen by a mean of this power over the points' standard deviations, which their
-largest dominates; of the largest alone most views would seem to be of no use."""
+"""Power of the mean over the points' standard deviations that views minimise. Their maximum would
+rate most views as useless."""
 EXCHANGES = 2
-"""Rounds of exchanges; more have changed nothing worth the time."""
+"""Rounds of exchanges; benchmarks/next_views.py gains nothing by more."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Views to record next, and what they bring."""
+    """Views to record next, and the accuracy that they are predicted to bring."""
 
     head: HeadCalibration
-    """The calibration that they are to improve."""
+    """The calibration to improve."""
     board: Board
     views: Views
-    """N of them, ordered by their place."""
+    """N views, ordered by their place."""
     before_m: Array
     """(W,) standard deviation of each point in its worst direction, by the calibration alone."""
     after_m: Array
-    """(W,) the same once the views are recorded: what is predicted."""
+    """(W,) the same after the views."""
     steps_m: Array
-    """(N,) the largest of these after the first, first two, ... of the views."""
+    """(N,) the largest standard deviation after the first, first two, ... of the views."""
     workspace: WorkspacePoints
     covariance: Array
     """(p, p) of the head's estimated parameters after the views."""
@@ -70,26 +69,26 @@ def plan(
     views: int = 10,
     limits_rad: ArrayLike = LIMIT_RAD,
     distances_m: tuple[float, ...] = DISTANCES_M,
-    candidates: tuple[int, int] = (PLACES, GAZES),
+    candidates: tuple[int, int] = CANDIDATES,
     seed: int = 0,
     progress: Progress = silent,
 ) -> Plan:
-    """Return the views that make points of the workspace most accurate.
+    """Choose the views that make points of the workspace most accurate.
 
     Args:
         head: a calibration that states its covariance.
-        board: that will be shown.
-        views: how many to plan.
-        limits_rad: to either side, one number: how far each reading may turn its joint; or (r,) the
-            largest value of each reading, which differs before a gear.
+        board: to show.
+        views: number of views to plan.
+        limits_rad: to either side, one number: the maximum turn of each joint; or (r,) the largest
+            value of each reading, which differs before a gear.
         distances_m: of the points from the middle of the head.
-        candidates: how many places of the board are tried, and directions of gaze at each.
-        seed: of the candidates, which are random.
+        candidates: numbers of places of the board that are tried, and directions of gaze at each.
+        seed: of the random candidates.
         progress: see vergence.progress.
 
     Raises:
         VergenceError: no covariance is stated, the head has one eye, no board can be seen, the
-            workspace is out of the eyes' reach, or fewer views than wanted are candidates.
+            workspace is out of the eyes' reach, or there are fewer candidates than views.
     """
     places, gazes = candidates
     if not 1 <= views <= places * gazes:
@@ -110,8 +109,8 @@ def plan(
             f"{views} views to plan: try more candidates."
         )
     linear = linearised_views(head, board, tried, known.names, known.scale)
-    of_pair = float(np.sqrt(np.mean(pixel_stds(head, None) ** 2)))
-    N = information(linear, of_pair or LEAST_PX, reading_stds(head))
+    pixel_px = float(np.sqrt(np.mean(pixel_stds(head, None) ** 2)))
+    N = information(linear, pixel_px or LEAST_PX, reading_stds(head))
     by_scaled = points.by_parameters * known.scale
     chosen = choose(known.information, N, tried.placement, by_scaled, views, progress)
     chosen = chosen[np.argsort(tried.placement[chosen], kind="stable")]
@@ -129,9 +128,9 @@ def plan(
 
 
 def largest_readings(kinematics: Kinematics, limits_rad: ArrayLike) -> Array:
-    """Return the largest readings (r,) [rad] within limits, which are those of `plan`.
+    """Convert the limits of `plan` to the largest readings (r,) [rad].
 
-    VergenceError if these are not one for each of the readings, or for all.
+    Raises VergenceError unless there is one limit for each reading, or one for all.
     """
     names, limits = kinematics.readings, np.asarray(limits_rad, dtype=float)
     if limits.ndim == 0:
@@ -151,14 +150,14 @@ def choose(
     count: int,
     progress: Progress = silent,
 ) -> np.ndarray:
-    """Return which views (count,) to take: one by one, then exchanged for better ones.
+    """Select views (count,) one by one, then exchange each for a better one.
 
     Args:
-        before: (p, p) information on the head that there is.
+        before: (p, p) information on the head without them.
         of_views: (V, p + 6, p + 6) information of the candidates.
-        place: (V,) of the board.
-        by_parameters: (W, 3, p) of the points, in the same units.
-        count: how many views to take, each once.
+        place: (V,) number of the board's place.
+        by_parameters: (W, 3, p) derivatives of the points, in the same units.
+        count: number of views to select.
         progress: see vergence.progress.
     """
     task, total = "choosing views", count * (1 + EXCHANGES)
@@ -178,7 +177,7 @@ def choose(
 def _costs(
     before: Array, of_views: Array, place: np.ndarray, by_parameters: Array, chosen: list[int]
 ) -> Array:
-    """Return (V,) how inaccurate points are once each candidate is added to the chosen views."""
+    """Compute the cost (V,) of the chosen views with each candidate added."""
     at_place = np.zeros((place.max() + 1, *of_views.shape[1:]))
     np.add.at(at_place, place[chosen], of_views[chosen])
     used = np.unique(place[chosen])
