@@ -36,6 +36,7 @@ from vergence.data.description import DatasetCamera, DatasetJoint, Description
 from vergence.data.reader import load_dataset
 from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError
+from vergence.files import write_json
 from vergence.geometry.board import Chessboard
 from vergence.geometry.head import HeadCalibration, load_head, save_head
 from vergence.geometry.head_accuracy import Accuracy
@@ -47,7 +48,6 @@ from vergence.twin.evaluation import evaluate
 from vergence.twin.model import as_built_head, nominal_head
 from vergence.twin.profile import ErrorProfile, load_profile
 from vergence.twin.truth import Truth, load
-from vergence.writing import write_json
 
 EXPORTS: dict[ExportFormat, str] = {
     "opencv": "a.yml", "kalibr": "b.yaml", "ros": "c", "urdf": "d.urdf"

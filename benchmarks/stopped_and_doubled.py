@@ -31,10 +31,9 @@ from rerun.chunk import RrdReader
 
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
+from vergence.files import UNFINISHED, unfinished
 from vergence.geometry.head import load_head
 from vergence.interchange.formats import import_head
-from vergence.writable import UNFINISHED
-from vergence.writing import unfinished
 
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 VERGENCE = (sys.executable, "-m", "vergence")

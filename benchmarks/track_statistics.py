@@ -14,8 +14,8 @@ import tyro
 
 from vergence.demos.experiment import Experiment
 from vergence.demos.track import track
+from vergence.files import write_json
 from vergence.twin.profile import load_profile
-from vergence.writing import write_json
 
 OUT = Path("runs/track_statistics")
 IN_BOTH, RMS_PX = 0.99, 32.0

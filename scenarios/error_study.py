@@ -21,6 +21,7 @@ from scipy.optimize import least_squares
 from vergence.arrays import Array
 from vergence.cli.terminal import plain_ending
 from vergence.errors import check_seed
+from vergence.files import markdown_table, read_parsed, results_folder, write_whole
 from vergence.paper.error_model import (
     PAPER_MM,
     TABLE_CAMERA_MM,
@@ -33,9 +34,7 @@ from vergence.paper.error_model import (
 )
 from vergence.paper.figures import FIGURES
 from vergence.progress import Progress, silent
-from vergence.reading import read_parsed
 from vergence.viewer.plots.canvas import BLUE, GREEN, RED, panels, save
-from vergence.writing import markdown_table, results_folder, write_whole
 
 SOURCES = {
     "white noise 0.1° on all joints": Errors(joint_noise_deg=0.1),

@@ -18,10 +18,9 @@ import pytest
 SRC = Path(__file__).parents[1] / "src"
 
 ROOMS = (
-    "errors", "findings", "arrays", "reading", "writable", "writing", "progress", "geometry",
-    "data", "vision", "stereo", "calibration", "self_calibration", "gaze", "accuracy",
-    "interchange", "vergence", "processes", "twin", "viewer",
-    "paper", "demos", "cli", "__main__",
+    "errors", "findings", "arrays", "files", "progress", "parallel", "geometry", "data",
+    "vision", "stereo", "calibration", "self_calibration", "gaze", "accuracy",
+    "interchange", "vergence", "twin", "viewer", "paper", "demos", "cli", "__main__",
 )  # fmt: skip
 """Folders and single modules, from the ground up: each may import itself and those before it.
 
@@ -41,7 +40,7 @@ OUTER_LIBRARIES = {
     "mujoco": ("twin",),
     "rerun": ("viewer", "paper.recording"),
     "matplotlib": ("viewer", "paper.plots"),
-    "joblib": ("accuracy.design_chunks", "processes"),
+    "joblib": ("accuracy.design_chunks", "parallel"),
     "distributed": ("accuracy.design_chunks",),
     "tyro": ("cli",),
     "rich": ("cli",),

@@ -146,7 +146,7 @@ def test_a_folder_in_the_place_of_a_figures_result_is_refused_before_the_work(
 ):
     (tmp_path / name).mkdir()
     said = refused(["reproduce", "--out", str(tmp_path)], capsys, monkeypatch)
-    assert f"{name}: it is a folder, and a file is to be written" in said
+    assert f"{name}: it is a folder, not a file" in said
 
 
 @pytest.mark.parametrize(

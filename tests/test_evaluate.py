@@ -12,6 +12,7 @@ from simulated_head import skewed_head
 from vergence import cli
 from vergence.cli.evaluation_reports import evaluation_report
 from vergence.errors import VergenceError
+from vergence.files import write_json
 from vergence.geometry.board import Chessboard
 from vergence.geometry.head import HeadCalibration, save_head
 from vergence.geometry.head_accuracy import Accuracy
@@ -21,7 +22,6 @@ from vergence.geometry.parameters import change_named, parameter_names, without_
 from vergence.twin.evaluation import Evaluation, evaluate
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.truth import Truth
-from vergence.writing import write_json
 
 NAMES = ("left_wide.fx", "left_wide.fy", "left_wide.T_eye_cam.tx", "T_rbase_lbase.rz")
 STD = np.array([0.2, 0.2, 1e-3, 1e-3])

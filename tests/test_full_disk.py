@@ -16,13 +16,12 @@ from vergence.calibration import calibrate as calibrate_module
 from vergence.calibration.calibrate import CalibrationResult
 from vergence.data.reader import load_dataset
 from vergence.demos import foveate, grasp, track
+from vergence.files import UNFINISHED, write_json
 from vergence.geometry.head import save_head
 from vergence.interchange.formats import export_head
 from vergence.twin.calibration_sequence import plan
 from vergence.twin.profile import load_profile
 from vergence.twin.record import record
-from vergence.writable import UNFINISHED
-from vergence.writing import write_json
 
 OLD = "what was there before\n"
 

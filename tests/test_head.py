@@ -9,6 +9,7 @@ import pytest
 
 from simulated_head import plain_head, skewed_head
 from vergence.errors import VergenceError
+from vergence.files import write_whole
 from vergence.findings import void
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import (
@@ -27,7 +28,6 @@ from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.neck import Neck, NeckJoint
 from vergence.geometry.parameters import parameter_names
 from vergence.geometry.se3 import inverse, transform
-from vergence.writing import write_whole
 
 NOT_CONVERGED = void("not-converged", "The estimate did not converge.")
 

@@ -1,141 +1,137 @@
-"""Tasks in processes of their own."""
-
-from __future__ import annotations
+"""Tasks run side by side, and errors and interrupts end all of them."""
 
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from functools import partial
+from pathlib import Path
 
 import pytest
 
-from tasks import count_up, end, fail, opencv_threads, wait_for_ever, write
+from tasks import count_up, end, fail, opencv_threads, write, write_for_ever
 from vergence.errors import VergenceError
-from vergence.processes import Run, process_count, processes
-from vergence.progress import silent
-from vergence.writing import finished_files
+from vergence.files import finished_files, results_folder
+from vergence.parallel import process_count, run_tasks
 
 
-@pytest.fixture(scope="module")
-def two() -> Iterator[Run]:
-    """Run tasks in two processes, for tests that leave these running."""
-    with processes(2) as run:
-        yield run
+def alive(process: int) -> bool:
+    try:
+        status = Path(f"/proc/{process}/status").read_text()
+    except FileNotFoundError:
+        return False
+    return "State:\tZ" not in status
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_every_result_and_step_arrives_in_its_tasks_order(jobs, two):
-    told = []
-    with processes(1) as one:
-        run = {1: one, 2: two}[jobs]
-        tasks = [partial(count_up, name, steps) for name, steps in (("a", 3), ("b", 1), ("c", 2))]
-        found = list(run(tasks, lambda *step: told.append(step)))
-        again = list(run(tasks[:2], silent))
-    for name, steps in (("a", 3), ("b", 1), ("c", 2)):
-        assert [step for task, step, _ in found if task == name] == list(range(steps))
-        assert [step for step in told if step[0] == name] == [
-            (name, k, steps) for k in range(steps)
+def test_every_result_and_step_arrives(jobs):
+    steps, results = [], {}
+    tasks = [partial(count_up, name, count) for name, count in (("a", 3), ("b", 1), ("c", 2))]
+    run_tasks(
+        tasks,
+        lambda result: results.update([result]),
+        jobs=jobs,
+        progress=lambda *step: steps.append(step),
+    )
+    assert set(results) == set("abc")
+    for name, count in (("a", 3), ("b", 1), ("c", 2)):
+        assert [step for step in steps if step[0] == name] == [
+            (name, k, count) for k in range(count)
         ]
-    workers = {process for _, _, process in found}
-    assert (workers == {os.getpid()}) == (jobs == 1)
-    assert {process for _, _, process in again} <= workers  # each is started once
+    assert (set(results.values()) == {os.getpid()}) == (jobs == 1)
 
 
-def test_files_that_a_task_writes_count_as_written(tmp_path, two):
-    paths = [tmp_path / "a", tmp_path / "b"]
-    assert set(two([partial(write, path) for path in paths], silent)) == set(paths)
-    assert set(paths) <= set(finished_files())
-
-
-def test_a_process_that_ended_between_tasks_is_reported():
-    with processes(2) as run:
-        found = run([partial(count_up, name, 1) for name in "ab"], silent)
-        for process in {process for _, _, process in found}:
-            os.kill(process, signal.SIGKILL)
-        time.sleep(0.5)
-        with pytest.raises(VergenceError, match="ended before its work was done"):
-            list(run([partial(count_up, name, 1) for name in "cd"], silent))
+def test_files_that_a_task_writes_count_as_written(tmp_path):
+    paths, results = [tmp_path / "a", tmp_path / "b"], []
+    run_tasks([partial(write, path) for path in paths], results.append, jobs=2)
+    assert set(results) == set(paths)
+    assert set(paths) <= set(finished_files)
 
 
 @pytest.mark.parametrize("error", [VergenceError("One sentence."), ValueError("A slip.")])
 def test_an_error_of_a_task_is_raised_and_ends_the_others(error, tmp_path):
-    left = tmp_path / "left"
-    with pytest.raises(type(error), match=str(error)), processes(2) as run:
-        for _ in run([partial(wait_for_ever, left), partial(fail, error)], silent):
-            pass
-    assert not left.exists() or left.read_text() == "cleaned up"
-
-
-def test_an_interrupted_run_lets_its_tasks_clean_up(tmp_path):
-    def interrupt(*step: object) -> None:
-        raise KeyboardInterrupt
-
-    lefts = [tmp_path / "a", tmp_path / "b"]
+    tasks = [partial(write_for_ever, tmp_path / "a.txt"), partial(fail, error)]
     begin = time.monotonic()
-    with pytest.raises(KeyboardInterrupt), processes(2) as run:
-        list(run([partial(wait_for_ever, left) for left in lefts], interrupt))
+    with pytest.raises(type(error), match=str(error)), results_folder(tmp_path):
+        run_tasks(tasks, print, jobs=2)
     assert time.monotonic() - begin < 30
-    assert any(left.exists() for left in lefts)
+    assert list(tmp_path.iterdir()) == []
 
 
-STOPPED_AS_A_PROCESS_STARTS = """
-import os, signal, time
+def test_a_process_that_vanishes_is_reported():
+    with pytest.raises(VergenceError, match="ended before its work was done"):
+        run_tasks([end, partial(count_up, "a", 2)], print, jobs=2)
+
+
+SCRIPT = """
+import os, signal, sys
 from functools import partial
-from multiprocessing import resource_tracker, util
-from vergence.processes import processes
-from vergence.progress import silent
+from pathlib import Path
+sys.path.insert(0, {tests!r})
+from tasks import write_for_ever
+from vergence.files import results_folder
+from vergence.parallel import run_tasks
 
-started = util.spawnv_passfds
-
-def stop(*arguments):
-    number = started(*arguments)
-    time.sleep(0.1)
-    {stop}
-    return number
-
-def interrupt(*_):
+def stop(*_):
     raise KeyboardInterrupt
 
+def tell(*_):
+    children = Path(f"/proc/{{os.getpid()}}/task/{{os.getpid()}}/children").read_text()
+    print(children, flush=True)
+
 if __name__ == "__main__":
-    resource_tracker.ensure_running()  # a process of its own, with its own guard
-    util.spawnv_passfds = stop
-    signal.signal(signal.SIGINT, interrupt)
-    signal.signal(signal.SIGTERM, interrupt)
+    signal.signal(signal.SIGINT, stop)
+    signal.signal(signal.SIGTERM, stop)
+    folder = Path(sys.argv[1])
     try:
-        with processes(2) as run:
-            list(run([partial(print, "ran")] * 2, silent))
+        with results_folder(folder):
+            run_tasks(
+                [partial(write_for_ever, folder / name) for name in "ab"],
+                print, jobs=2, progress=tell,
+            )
     except KeyboardInterrupt:
         print("stopped")
 """
 
 
-@pytest.mark.parametrize(
-    "stop",
-    [
-        "os.kill(os.getpid(), signal.SIGTERM)",
-        "os.killpg(0, signal.SIGTERM)",
-        "os.killpg(0, signal.SIGINT)",  # as Ctrl-C in a terminal
-    ],
-)
-def test_a_process_that_is_stopped_as_it_starts_says_nothing(stop, tmp_path):
-    script = tmp_path / "stopped.py"
-    script.write_text(STOPPED_AS_A_PROCESS_STARTS.format(stop=stop))
-    command = [sys.executable, str(script)]
-    done = subprocess.run(
-        command, capture_output=True, text=True, start_new_session=True, check=False, timeout=60
+@pytest.mark.parametrize("delay_s", [0.0, None])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_stopped_run_ends_its_processes_without_a_word(number, delay_s, tmp_path):
+    """Signals to the whole group, as Ctrl-C: once tasks work, and while processes start."""
+    script, out = tmp_path / "script.py", tmp_path / "out"
+    script.write_text(SCRIPT.format(tests=str(Path(__file__).parent)))
+    run = subprocess.Popen(
+        [sys.executable, str(script), str(out)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
     )
-    assert (done.returncode, done.stdout, done.stderr) == (0, "stopped\n", "")
+    assert run.stdout is not None
+    children: list[str] = []
+    if delay_s is None:
+        children = [run.stdout.readline().split() for _ in "ab"][-1]
+        assert len(children) >= 2
+    else:
+        while not out.exists():
+            time.sleep(0.01)
+    if number == signal.SIGKILL:
+        run.kill()
+    else:
+        os.killpg(run.pid, number)
+    printed, errors = run.communicate(timeout=30)
+    if number != signal.SIGKILL:
+        assert (run.returncode, errors) == (0, "")
+        assert printed.splitlines()[-1] == "stopped"
+        assert not out.exists()
+    end_s = time.monotonic() + 20
+    while any(alive(int(child)) for child in children) and time.monotonic() < end_s:
+        time.sleep(0.1)
+    assert not any(alive(int(child)) for child in children)
 
 
-def test_a_process_that_vanishes_is_reported():
-    with pytest.raises(VergenceError, match="ended before its work was done"), processes(2) as run:
-        list(run([end, partial(count_up, "a", 2)], silent))
-
-
-def test_no_process_at_all_is_refused():
+def test_zero_processes_are_refused():
     for jobs in (0, -2):
         with pytest.raises(VergenceError, match=f"-1 for all cores, found {jobs}"):
             process_count(jobs)
@@ -143,6 +139,7 @@ def test_no_process_at_all_is_refused():
     assert process_count(-1) >= 1
 
 
-def test_processes_share_the_cores_among_threads_of_opencv(two):
-    counts = list(two([opencv_threads, opencv_threads], silent))
+def test_processes_share_the_cores_among_threads_of_opencv():
+    counts = []
+    run_tasks([opencv_threads, opencv_threads], counts.append, jobs=2)
     assert counts == 2 * [max(1, process_count(-1) // 2)]

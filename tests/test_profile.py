@@ -96,9 +96,7 @@ def test_an_unknown_or_impossible_value_is_refused_by_name(write, text: str):
 
 @pytest.mark.parametrize("text", ["[joints", "noise = ", "a = 1\na = 2", b"\xff\xfe\x00"])
 def test_what_is_not_toml_is_refused(write, text: str | bytes):
-    with pytest.raises(
-        VergenceError, match=r"mine\.toml.* not an error profile: .*(valid TOML|UTF-8)"
-    ):
+    with pytest.raises(VergenceError, match=r"mine\.toml.* not an error profile: .*(at |UTF-8)"):
         load_profile(write(text))
 
 

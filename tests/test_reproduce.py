@@ -13,6 +13,7 @@ from simulated_twin import observe_points, simulate_views
 from vergence import cli
 from vergence.accuracy.motions import PERIOD_S
 from vergence.calibration.sequential.sequential import calibrate_sequentially
+from vergence.files import UNFINISHED
 from vergence.geometry.head import load_head
 from vergence.paper import reproduce as main_job
 from vergence.paper.figures import FIGURES
@@ -24,7 +25,6 @@ from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import Shot, plan
 from vergence.twin.model import FOCAL_MM, as_built_head, nominal_head
 from vergence.twin.profile import Lens, load_profile
-from vergence.writable import UNFINISHED
 
 PAPER_STD = np.array([figure.std_m for figure in FIGURES.values()])
 

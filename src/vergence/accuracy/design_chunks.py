@@ -9,12 +9,11 @@ from __future__ import annotations
 import hashlib
 import math
 import zipfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, partial
 from io import BytesIO
 from pathlib import Path
-from typing import cast
 
 import joblib
 import numpy as np
@@ -23,9 +22,9 @@ from vergence.accuracy.design_settings import DesignSettings, chunks
 from vergence.accuracy.design_sweep import Sweep, assemble, chunk_shape, compute_chunk
 from vergence.arrays import Array
 from vergence.errors import VergenceError
+from vergence.files import read_bytes, whole_file
+from vergence.parallel import run_tasks
 from vergence.progress import Progress, silent
-from vergence.reading import read_bytes
-from vergence.writing import whole_file
 
 TIMEOUT_S = 10
 """Time [s] within which the scheduler of a cluster must answer."""
@@ -48,12 +47,17 @@ def sweep(
     found = {k: values for k, values in enumerate(kept) if values is not None}
     missing = [(k, each[k]) for k in range(len(each)) if k not in found]
     progress("sweeping designs", len(found), len(each))
+
+    def keep(result: tuple[int, Array]) -> None:
+        k, values = result
+        with whole_file(files[k]) as part, part.open("wb") as file:
+            np.save(file, values)
+        found[k] = values
+        progress("sweeping designs", len(found), len(each))
+
     try:
-        for k, values in _computed(missing, jobs, cluster) if missing else ():
-            with whole_file(files[k]) as part, part.open("wb") as file:
-                np.save(file, values)
-            found[k] = values
-            progress("sweeping designs", len(found), len(each))
+        with _backend(cluster):
+            run_tasks([partial(_numbered, k, chunk) for k, chunk in missing], keep, jobs=jobs)
     except KeyboardInterrupt as stop:
         stop.add_note(
             f"{len(found)} of {len(each)} parts finished; the same command goes on from there"
@@ -88,17 +92,7 @@ def read_chunk(file: Path, shape: tuple[int, ...]) -> Array | None:
     return values if right else None
 
 
-def _computed(
-    missing: list[tuple[int, DesignSettings]], jobs: int, cluster: str | None
-) -> Iterable[tuple[int, Array]]:
-    """Yield the numbers and values of chunks as they are finished."""
-    tasks = [joblib.delayed(_numbered)(k, chunk) for k, chunk in missing]
-    with _backend(cluster):
-        parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
-        yield from cast(Iterable[tuple[int, Array]], parallel(tasks))
-
-
-def _numbered(k: int, chunk: DesignSettings) -> tuple[int, Array]:
+def _numbered(k: int, chunk: DesignSettings, progress: Progress) -> tuple[int, Array]:
     return k, compute_chunk(chunk)
 
 

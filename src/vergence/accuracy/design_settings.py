@@ -6,6 +6,7 @@ They come from options of the command, or from a TOML or JSON file: docs/design_
 from __future__ import annotations
 
 import itertools
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,8 +15,8 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from vergence.arrays import Array
+from vergence.files import parse_json, read_parsed, validated
 from vergence.geometry.camera import ImageSide
-from vergence.reading import parse_json, parse_toml, read_parsed, validated
 
 MAX_BYTES = 2**16
 """Maximum size of a file of settings [bytes]."""
@@ -213,7 +214,7 @@ def load_settings(path: Path) -> DesignSettings:
 
     Raises VergenceError if it is invalid.
     """
-    parse = parse_json if path.suffix.lower() == ".json" else parse_toml
+    parse = parse_json if path.suffix.lower() == ".json" else tomllib.loads
     what = "a description of designs (see docs/design_and_plan.md)"
     return read_parsed(
         path,

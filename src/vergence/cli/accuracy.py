@@ -47,9 +47,9 @@ def plan(
 
     from vergence.accuracy.plan import plan as plan_views
     from vergence.cli.accuracy_reports import check_plan, head_and_board, plan_report
+    from vergence.cli.outputs import check_outputs
     from vergence.data.description import DESCRIPTION, FRAMES
     from vergence.viewer.plots.plan import save_plan
-    from vergence.writable import check_outputs
 
     check_outputs(json, figure=figure, inputs=[source, source / DESCRIPTION, source / FRAMES])
     check_plan(views, limits_deg, distances, seed)
@@ -112,9 +112,9 @@ def design(
     """
     from vergence.accuracy.design_chunks import sweep
     from vergence.cli.design_report import RESULTS, TITLE, chosen_settings, write_design
-    from vergence.processes import process_count
-    from vergence.writable import check_outputs
-    from vergence.writing import results_folder
+    from vergence.cli.outputs import check_outputs
+    from vergence.files import results_folder
+    from vergence.parallel import process_count
 
     axes = {
         "baseline_mm": baseline_mm,
@@ -167,9 +167,9 @@ def budget(
 
     from vergence.accuracy.motion_budget import motion_budgets, stated_sources
     from vergence.cli.accuracy_reports import budget_report, check_budget
+    from vergence.cli.outputs import check_outputs
     from vergence.data.description import DESCRIPTION, FRAMES
     from vergence.geometry.head import load_head
-    from vergence.writable import check_outputs
 
     inputs = [Path(motion) / DESCRIPTION, Path(motion) / FRAMES]
     inputs += [calibration] if calibration else []

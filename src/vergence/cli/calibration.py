@@ -51,12 +51,12 @@ def calibrate(
         calibration_report,
         write_calibration_report,
     )
+    from vergence.cli.outputs import check_outputs
     from vergence.data.description import DESCRIPTION, FRAMES
     from vergence.data.reader import load_dataset
+    from vergence.files import results_folder
     from vergence.findings import select
     from vergence.geometry.head import save_head
-    from vergence.writable import check_outputs
-    from vergence.writing import results_folder
 
     inputs = [dataset / DESCRIPTION, dataset / FRAMES]
     void_out = out.with_name(f"{out.stem}.void{out.suffix}")
@@ -101,11 +101,11 @@ def self_calibrate(
             that the accuracy that it states no longer holds.
     """
     from vergence.cli.evaluation_reports import self_calibration_report
+    from vergence.cli.outputs import check_outputs
     from vergence.data.description import DESCRIPTION, FRAMES
     from vergence.data.reader import load_dataset
     from vergence.geometry.head import load_head, save_head
     from vergence.self_calibration.recorded import self_calibrate_dataset
-    from vergence.writable import check_outputs
 
     check_outputs(out, json, inputs=[dataset / DESCRIPTION, dataset / FRAMES, calibration])
     head, data = load_head(calibration), load_dataset(dataset)
@@ -126,10 +126,10 @@ def evaluate(calibration: Positional[Path], /, *, truth: Path, json: OptionalPat
         json: JSON file of all errors.
     """
     from vergence.cli.evaluation_reports import evaluation_report
+    from vergence.cli.outputs import check_outputs
     from vergence.geometry.head import load_head
     from vergence.twin.evaluation import evaluate as compare
     from vergence.twin.truth import load
-    from vergence.writable import check_outputs
 
     check_outputs(json, inputs=[calibration, truth])
     if os.path.isdir(truth):
@@ -156,10 +156,10 @@ def export(
         format: Format; ros writes a folder, the others a file.
         out: File or folder to write.
     """
+    from vergence.cli.outputs import check_outputs
     from vergence.geometry.head import load_head
     from vergence.interchange import ros
     from vergence.interchange.formats import export_head
-    from vergence.writable import check_outputs
 
     head = load_head(calibration)
     if format == "ros":
@@ -186,10 +186,10 @@ def import_(
         out: JSON file of the calibration.
         start: Calibration that supplies what kalibr and ros files do not contain.
     """
+    from vergence.cli.outputs import check_outputs
     from vergence.geometry.head import load_head, save_head
     from vergence.interchange import ros
     from vergence.interchange.formats import import_head, unchanged_lenses
-    from vergence.writable import check_outputs
 
     if format == "opencv" and start is not None:
         raise VergenceError("opencv files hold the whole head; leave --start out.")

@@ -16,6 +16,7 @@ from vergence.cli.accuracy_reports import plan_report
 from vergence.cli.report import Part, Report, Table
 from vergence.data.dataset import Dataset
 from vergence.errors import VergenceError, counted
+from vergence.files import REPORT, write_whole
 from vergence.findings import select
 from vergence.geometry.head import main_pair
 from vergence.geometry.kinematics import EYES, pan_tilt_along
@@ -24,8 +25,6 @@ from vergence.geometry.se3 import rotvec
 from vergence.progress import Progress, silent
 from vergence.viewer.dataset import record_dataset, rms_by_view
 from vergence.viewer.plots import calibration as plots
-from vergence.writable import REPORT
-from vergence.writing import write_whole
 
 TITLE = "Calibration"
 RESULTS = (

@@ -11,6 +11,7 @@ import numpy as np
 from vergence.cli.report import Part, Report, Table
 from vergence.demos.depth_errors import RANGE_M, DepthErrors
 from vergence.errors import counted
+from vergence.files import REPORT, write_whole
 from vergence.geometry.head import HeadCalibration
 from vergence.progress import Progress, silent
 from vergence.self_calibration.dense_pairs import (
@@ -22,8 +23,6 @@ from vergence.self_calibration.dense_pairs import (
 )
 from vergence.viewer.depth import depth_recording, log_depth
 from vergence.viewer.opening import log_report
-from vergence.writable import REPORT
-from vergence.writing import write_whole
 
 TITLE = "Dense depth"
 RESULTS = ("depth.rrd", "depth.json", REPORT)

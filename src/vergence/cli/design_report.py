@@ -20,9 +20,8 @@ from vergence.accuracy.design_sweep import (
 )
 from vergence.cli.report import Report, Table
 from vergence.errors import VergenceError, explain
+from vergence.files import REPORT, whole_file, write_whole
 from vergence.viewer.plots.design import save_design, save_properties
-from vergence.writable import REPORT
-from vergence.writing import whole_file, write_whole
 
 MOST_WANTED = 1_000_000
 """Limit of the accuracy [mm] and of the distance [m] that may be wanted."""

@@ -65,7 +65,8 @@ def reproduce(
     from vergence.twin.profile import load_profile
 
     chosen = load_profile(profile)
-    check(out, figures=figures, seed=seed, duration_s=duration, rate_hz=rate, jobs=jobs)
+    check(figures=figures, seed=seed, duration_s=duration, rate_hz=rate, jobs=jobs)
+    check_outputs(folder=out, names=RESULTS, title=TITLE)
     if (out / "statistics.json").exists():
         print(f"Replacing the results of an earlier run in {out}.")
     with progress_bars(out) as progress:
@@ -246,11 +247,11 @@ def depth(
     if not 1 <= pairs <= MOST_PAIRS:
         raise VergenceError(f"Asked for {pairs} pairs; from 1 to {MOST_PAIRS} can be made.")
     from vergence.cli.depth_report import RESULTS, TITLE, write_depth
+    from vergence.cli.outputs import check_outputs
     from vergence.data.reader import load_dataset
+    from vergence.files import results_folder
     from vergence.geometry.head import load_head
     from vergence.self_calibration.dense_pairs import dataset_pairs, depth_of
-    from vergence.writable import check_outputs
-    from vergence.writing import results_folder
 
     inputs = [calibration] if calibration else []
     check_outputs(folder=out, names=RESULTS, title=f"# {TITLE}", inputs=inputs)
@@ -293,10 +294,10 @@ def _experiment(
     *figures: str,
 ) -> Report:
     """Run an experiment, and write its summary, recording and figures into its folder."""
+    from vergence.cli.outputs import check_outputs
     from vergence.demos.experiment import Experiment
+    from vergence.files import as_json
     from vergence.twin.profile import load_profile
-    from vergence.writable import check_outputs
-    from vergence.writing import as_json
 
     profile = load_profile(options.profile)
     results = f"{name}.json", f"{name}.rrd", *figures

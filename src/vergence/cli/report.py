@@ -55,13 +55,13 @@ class Report:
 
     def json(self) -> str:
         """Return the values as JSON."""
-        from vergence.writing import as_json
+        from vergence.files import as_json
 
         return as_json(self.data)
 
     def write_json(self, path: Path | None) -> None:
         """Write the values into a file; None: no file was asked for."""
-        from vergence.writing import write_whole
+        from vergence.files import write_whole
 
         if path is not None:
             write_whole(path, self.json())

@@ -64,9 +64,9 @@ def _discard_output() -> None:
 
 
 def _finished() -> str:
-    from vergence.writing import finished_files
+    from vergence.files import finished_files
 
-    done = [str(path) for path in finished_files()]
+    done = [str(path) for path in finished_files]
     if not done:
         return "nothing was written"
     more = f" and {len(done) - FILES_NAMED} more" if len(done) > FILES_NAMED else ""
@@ -95,7 +95,7 @@ def progress_bars(folder: Path | None = None) -> Iterator[Progress]:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from vergence.writing import unfinished
+    from vergence.files import unfinished
 
     if folder is not None and unfinished(folder):
         print(

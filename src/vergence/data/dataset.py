@@ -25,8 +25,8 @@ from vergence.data.images import (
     image_size,
 )
 from vergence.errors import VergenceError, counted
+from vergence.files import read_bytes
 from vergence.findings import Finding
-from vergence.reading import read_bytes
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,10 +26,10 @@ from vergence.data.table import (
     time_stamps,
 )
 from vergence.errors import VergenceError
+from vergence.files import parse_json, read_parsed, validated
 from vergence.findings import Finding, note
 from vergence.geometry.kinematics import EYES, Kinematics, eye_joint_angles
 from vergence.geometry.neck import NECK_JOINTS
-from vergence.reading import parse_json, read_parsed, validated
 
 MAX_EYE_RAD = 1.2
 """Larger angles of an eye are implausible: probably degrees that were declared as radians."""

@@ -26,9 +26,9 @@ from vergence.data.description import (
     pose_columns,
 )
 from vergence.errors import VergenceError, counted, explain
+from vergence.files import MAX_DIGITS, read_bytes
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.neck import NECK_JOINTS
-from vergence.reading import MAX_DIGITS, read_bytes
 
 MAX_DELAY_S = 1.0
 """Largest time between an image and its joint reading; more means that the clocks differ."""

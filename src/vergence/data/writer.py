@@ -28,10 +28,9 @@ from vergence.data.description import (
 )
 from vergence.data.table import Table, joint_angles, measured_eye_poses, placements, time_stamps
 from vergence.errors import VergenceError
+from vergence.files import check_new, whole_folder
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.neck import NECK_JOINTS
-from vergence.writable import check_new
-from vergence.writing import whole_folder
 
 _Cells = dict[str, object]
 """A row of frames.csv by column, without its images."""

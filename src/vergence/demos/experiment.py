@@ -12,6 +12,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError, check_seed
+from vergence.files import results_folder, write_json
 from vergence.gaze.state import GazeSettings
 from vergence.progress import Progress
 from vergence.self_calibration.sequence import (
@@ -24,7 +25,6 @@ from vergence.twin.looking_around import learn_by_looking
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.scene.room import Scene
 from vergence.twin.simulated_robot import calibrate_twin
-from vergence.writing import results_folder, write_json
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

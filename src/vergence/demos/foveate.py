@@ -25,6 +25,7 @@ from vergence.demos.experiment import (
 )
 from vergence.demos.recording import recorded
 from vergence.errors import counted
+from vergence.files import markdown_table
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.state import GazePhase, GazeSettings, GazeState, initial_gaze_state
 from vergence.progress import Progress, silent
@@ -32,7 +33,6 @@ from vergence.self_calibration.sequence import SeenGeometry
 from vergence.twin.head import Twin
 from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors, unoccluded
 from vergence.viewer.plots.foveation import save_foveation
-from vergence.writing import markdown_table
 
 WITHIN_S = 0.5
 """Length of a trial."""

@@ -25,6 +25,7 @@ from vergence.demos.experiment import (
 )
 from vergence.demos.recording import recorded
 from vergence.errors import counted
+from vergence.files import markdown_table
 from vergence.gaze.reaching import (
     ReachPhase,
     ReachSettings,
@@ -37,7 +38,6 @@ from vergence.self_calibration.sequence import SeenGeometry
 from vergence.twin.hand import SimulatedHand, arm_mounting_error
 from vergence.twin.head import Twin
 from vergence.twin.simulated_robot import SimulatedHead
-from vergence.writing import markdown_table
 
 WITHIN_M = 0.010
 """Distance from the object's centre within which the hand should close."""

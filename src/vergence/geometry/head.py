@@ -19,6 +19,7 @@ from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Array, Transform
 from vergence.errors import VergenceError
+from vergence.files import read_json, write_json
 from vergence.geometry.camera import Camera
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.joints import Joint
@@ -26,8 +27,6 @@ from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye, pan
 from vergence.geometry.neck import Neck, T_body_head, chain_angles
 from vergence.geometry.parameter_names import names_of
 from vergence.geometry.se3 import inverse, pose
-from vergence.reading import read_json
-from vergence.writing import write_json
 
 R_EYE_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Rotation of a camera that looks straight ahead, and of a board that faces it: z along the eye's

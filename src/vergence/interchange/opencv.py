@@ -26,6 +26,7 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, Field, FiniteFloat
 
 from vergence.errors import VergenceError
+from vergence.files import parse_json, unique_keys, write_whole
 from vergence.geometry.head import HeadCalibration, MountedCamera
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYES, Kinematics, Side, pan_tilt
@@ -39,8 +40,6 @@ from vergence.interchange.serialization import (
     parse_yaml,
     read,
 )
-from vergence.reading import parse_json, unique_keys
-from vergence.writing import write_whole
 
 SUFFIXES = (".yml", ".yaml", ".xml", ".json")
 FORMAT = "vergence-head-opencv-2"

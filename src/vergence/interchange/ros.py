@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from vergence.errors import VergenceError
+from vergence.files import UNFINISHED, results_folder, unfinished
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import MAX_CAMERAS, HeadCalibration
 from vergence.geometry.lens import CameraModel
@@ -23,8 +24,6 @@ from vergence.interchange.serialization import (
     read,
     write_yaml,
 )
-from vergence.writable import UNFINISHED
-from vergence.writing import results_folder, unfinished
 
 _NAMES: dict[CameraModel, str] = {
     "radial-tangential": "plumb_bob",

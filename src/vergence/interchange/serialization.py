@@ -14,11 +14,10 @@ from pydantic import BaseModel, PlainValidator, PositiveInt
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
+from vergence.files import read_parsed, unique_keys, write_whole
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.lens import COEFFICIENTS, CameraModel
-from vergence.reading import read_parsed, unique_keys
-from vergence.writing import write_whole
 
 T = TypeVar("T")
 

@@ -20,11 +20,11 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
+from vergence.files import write_whole
 from vergence.geometry.head import R_EYE_CAM, HeadCalibration, T_head_base
 from vergence.geometry.kinematics import EYES, Kinematics, Side
 from vergence.geometry.se3 import inverse, pose
 from vergence.interchange.serialization import check_names
-from vergence.writing import write_whole
 
 LIMIT_RAD = 1.5708
 """A quarter turn each way, of a joint of an eye and so of what a reading adds to it. URDF requires

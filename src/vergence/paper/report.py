@@ -10,6 +10,7 @@ import numpy as np
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.calibration.sequential.sequential import SequentialCalibration
+from vergence.files import markdown_table
 from vergence.geometry.head import WIDE, HeadCalibration
 from vergence.geometry.kinematics import straight_gaze
 from vergence.paper.comparison import PAPER
@@ -19,7 +20,6 @@ from vergence.stereo.extrinsics import stereo_poses
 from vergence.twin.looking_around import LOOK_S
 from vergence.twin.profile import ErrorProfile, Joints
 from vergence.twin.sensors import read
-from vergence.writing import markdown_table
 
 TITLE = "# Figs. 6-11"
 

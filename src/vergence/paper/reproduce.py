@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -14,14 +14,15 @@ from vergence.arrays import Array
 from vergence.calibration.sequential.sequential import SequentialCalibration
 from vergence.data.dataset import Frame
 from vergence.errors import VergenceError, check_seed
+from vergence.files import REPORT, results_folder, write_json, write_whole
 from vergence.geometry.head import HeadCalibration, save_head
 from vergence.paper.comparison import LEARNED, PAPER, Comparison, before_looking, comparison
 from vergence.paper.figures import FIGURES, Figure
 from vergence.paper.plots import save_figures
 from vergence.paper.recording import figure_recording, log_results
 from vergence.paper.replay import Replay, as_plain, chosen, replay, sample_times, summaries
-from vergence.paper.report import TITLE, Reproduction, figure_report, report
-from vergence.processes import process_count, processes
+from vergence.paper.report import Reproduction, figure_report, report
+from vergence.parallel import process_count, run_tasks
 from vergence.progress import Progress, silent
 from vergence.self_calibration.learning import learned_head
 from vergence.self_calibration.sequence import SeenGeometry
@@ -35,8 +36,6 @@ from vergence.twin.scene.room import Scene
 from vergence.viewer.frame import log_frame
 from vergence.viewer.opening import log_report
 from vergence.viewer.seen import log_learned, log_matches
-from vergence.writable import REPORT, check_outputs
-from vergence.writing import results_folder, write_json, write_whole
 
 ReplayMethod = Literal["paper", "self-calibrated"]
 RESULTS = (
@@ -109,22 +108,20 @@ def reproduce(
             the geometry that is learned from the same images.
         compare: also state the results of the other methods.
         floor: also those of self-calibration that is given the true head, for evaluation.
-        jobs: processes, as `processes.processes` has them; -1: one for each core.
+        jobs: processes, as of `parallel.run_tasks`; -1: one for each core.
         progress: is called after each view of a calibration and each sample of a figure.
 
     Raises:
         VergenceError: an argument cannot be met, or the folder cannot be written.
     """
-    wanted = check(
-        out, figures=figures, seed=seed, duration_s=duration_s, rate_hz=rate_hz, jobs=jobs
-    )
+    wanted = check(figures=figures, seed=seed, duration_s=duration_s, rate_hz=rate_hz, jobs=jobs)
     settings = _Settings(
         out, profile, seed, scene, duration_s, rate_hz, method, compare=compare, floor=floor
     )
     done = Reproduction(profile, seed, {}, {}, {})
     with results_folder(out):
         try:
-            _replay_all(settings, wanted, done, process_count(jobs), progress)
+            _replay_all(settings, wanted, done, jobs, progress)
         finally:
             if done.replays:
                 save_figures(out / "figures.png", list(done.replays.values()))
@@ -140,25 +137,30 @@ def _replay_all(
 ) -> None:
     """Replay figures, and add each to what is done when its files are written."""
     lenses: list[Lens] = list(dict.fromkeys(figure.lens for figure in figures))
-    with processes(jobs) as run:
-        prepared = {}
-        for lens, found, head, learning in run(
-            [partial(_prepare, settings, lens) for lens in lenses], progress
-        ):
-            done.calibrations[lens], done.heads[lens] = found, head
-            prepared[lens] = head, learning
-        tasks = [partial(_replay, settings, *prepared[each.lens], each) for each in figures]
-        for replayed in run(tasks, progress):
-            done.replays[replayed.figure.number] = replayed
-            _write(settings.out, done)
+    prepared: dict[Lens, tuple[HeadCalibration, SeenGeometry | None]] = {}
+
+    def calibrated(
+        found: tuple[Lens, SequentialCalibration, HeadCalibration, SeenGeometry | None],
+    ) -> None:
+        lens, done.calibrations[lens], done.heads[lens], learning = found
+        prepared[lens] = done.heads[lens], learning
+
+    def replayed(found: Replay) -> None:
+        done.replays[found.figure.number] = found
+        _write(settings.out, done)
+
+    tasks = [partial(_prepare, settings, lens) for lens in lenses]
+    run_tasks(tasks, calibrated, jobs=jobs, progress=progress)
+    replays = [partial(_replay, settings, *prepared[each.lens], each) for each in figures]
+    run_tasks(replays, replayed, jobs=jobs, progress=progress)
 
 
 def _prepare(
     settings: _Settings, lens: Lens, progress: Progress
-) -> Iterator[tuple[Lens, SequentialCalibration, HeadCalibration, SeenGeometry | None]]:
+) -> tuple[Lens, SequentialCalibration, HeadCalibration, SeenGeometry | None]:
     """Calibrate the head with wide cameras of a lens, as the paper does, and write the result.
 
-    The head is yielded as the replays use it, with what its eyes have learned in looking around,
+    The head is returned as the replays use it, with what its eyes have learned in looking around,
     with which every figure begins; None: there is no self-calibration.
     """
     task = f"calibrating, {lens} lens"
@@ -176,7 +178,7 @@ def _prepare(
                 progress=lambda task, *done: progress(f"{task}, {lens} lens", *done),
             )
     save_head(found.head, settings.out / f"calibration-{lens}.json")
-    yield lens, found, head, learning
+    return lens, found, head, learning
 
 
 def _replay(
@@ -185,13 +187,13 @@ def _replay(
     learning: SeenGeometry | None,
     figure: Figure,
     progress: Progress,
-) -> Iterator[Replay]:
+) -> Replay:
     """Replay a figure and record it."""
     with settings.twin(figure.lens) as twin:
         compared = None
         if learning is not None:
             compared = comparison(head, twin, learning, floor=settings.floor)
-        yield record_replay(
+        done = record_replay(
             twin,
             head,
             figure,
@@ -204,10 +206,10 @@ def _replay(
     if compared is not None:
         learned = learned_head(compared.learning.known)
         save_head(learned, settings.out / f"fig{figure.number:02d}-learned.json")
+    return done
 
 
 def check(
-    out: Path,
     *,
     figures: Sequence[int],
     seed: int,
@@ -217,7 +219,7 @@ def check(
 ) -> list[Figure]:
     """Check the arguments of `reproduce` before any work is done, and return the figures.
 
-    VergenceError if an argument cannot be met, or the folder cannot be written.
+    VergenceError if an argument cannot be met.
     """
     unknown = [number for number in figures if number not in FIGURES]
     if unknown or not figures:
@@ -241,7 +243,6 @@ def check(
                 "less than 1 ms apart, or fewer than two; ask for a longer or slower run."
             )
     process_count(jobs)
-    check_outputs(folder=out, names=RESULTS, title=TITLE)
     return chosen
 
 

@@ -8,6 +8,7 @@ drawn with the seed of the run.
 
 from __future__ import annotations
 
+import tomllib
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal
@@ -16,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from vergence.calibration.sequential.lens_models import LensModel
 from vergence.errors import VergenceError
-from vergence.reading import parse_toml, read_parsed, validated
+from vergence.files import read_parsed, validated
 
 Lens = Literal["2.8mm", "4.0mm"]
 """Focal length of the wide cameras."""
@@ -163,7 +164,7 @@ def load_profile(name_or_file: str) -> ErrorProfile:
     """Read a shipped profile by its name, or a TOML file; VergenceError if it is not a profile."""
     if name_or_file in shipped():
         shipped_file = resources.files("vergence.twin") / "profiles" / f"{name_or_file}.toml"
-        return ErrorProfile.model_validate(parse_toml(shipped_file.read_text(encoding="utf-8")))
+        return ErrorProfile.model_validate(tomllib.loads(shipped_file.read_text(encoding="utf-8")))
     if not name_or_file.endswith(".toml"):
         raise VergenceError(
             f"No error profile is called {name_or_file!r}; there are {', '.join(shipped())}, "
@@ -173,6 +174,6 @@ def load_profile(name_or_file: str) -> ErrorProfile:
         Path(name_or_file),
         "an error profile",
         lambda content: validated(content, ErrorProfile),
-        parse_toml,
+        tomllib.loads,
         most_bytes=MAX_BYTES,
     )

@@ -22,13 +22,13 @@ from vergence.data.description import (
 )
 from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError
+from vergence.files import as_json, check_new, parse_json, read_parsed, validated
 from vergence.gaze.commands import EYE_READINGS
 from vergence.geometry.board import Board, Charuco
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Side
 from vergence.geometry.neck import NECK_JOINTS
 from vergence.progress import Progress, silent
-from vergence.reading import parse_json, read_parsed, validated
 from vergence.twin.calibration_sequence import (
     BOARD,
     NARROW_VIEWS,
@@ -48,8 +48,6 @@ from vergence.twin.renderer import FINE
 from vergence.twin.scene.room import Scene
 from vergence.twin.sensors import with_sensors
 from vergence.twin.truth import TRUTH, Truth
-from vergence.writable import check_new
-from vergence.writing import as_json
 
 Target = Literal["chessboard", "charuco"]
 

@@ -12,9 +12,9 @@ from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Matrix, Transform
+from vergence.files import read_json
 from vergence.geometry.board import Charuco, Chessboard
 from vergence.geometry.head import HeadCalibration
-from vergence.reading import read_json
 from vergence.twin.profile import ErrorProfile
 
 TRUTH = "truth.json"

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 import rerun as rr
 import rerun.blueprint as rrb
 
+from vergence.files import whole_file
 from vergence.geometry.head import HeadCalibration
 from vergence.viewer import style
 from vergence.viewer.shapes import log_cameras, log_geoms
-from vergence.writing import whole_file
 
 if TYPE_CHECKING:  # the twin, and with it mujoco, is not needed to record a real head
     from vergence.twin.appearance import VisualGeom

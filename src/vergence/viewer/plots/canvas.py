@@ -10,8 +10,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from vergence.files import whole_file
 from vergence.viewer.style import AXIS_COLOURS, html
-from vergence.writing import whole_file
 
 DPI = 100
 BLUE, GREEN, RED = map(html, AXIS_COLOURS.values())
