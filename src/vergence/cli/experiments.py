@@ -60,7 +60,9 @@ def reproduce(
         floor: Compare also with self-calibration that is given the true head.
         jobs: Processes on this machine; -1: one for each core.
     """
-    from vergence.paper.reproduce import check
+    from vergence.cli.outputs import check_outputs
+    from vergence.paper.report import TITLE
+    from vergence.paper.reproduce import RESULTS, check
     from vergence.paper.reproduce import reproduce as replay_figures
     from vergence.twin.profile import load_profile
 
