@@ -29,8 +29,8 @@ from rich.progress import track
 from simulated_head import random_head
 from simulated_recording import BOARD, Noise, joined, still_recording
 from vergence.calibration.checks.board_flips import Renumbered, number_alike, turn_boards
+from vergence.calibration.intrinsics import calibrate_intrinsics
 from vergence.calibration.observations import Observations
-from vergence.calibration.sequential.intrinsics import calibrate_intrinsics
 from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.se3 import pose, rotation

@@ -30,7 +30,7 @@ from vergence.accuracy.design_chunks import sweep
 from vergence.accuracy.design_settings import DesignSettings, chunks
 from vergence.accuracy.design_sweep import compute_chunk, costs, located_points
 from vergence.accuracy.plan_workspace import point_by_parameters
-from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
+from vergence.calibration.bundle_adjustment import bundle_adjust
 from vergence.geometry.parameters import parameter_names
 
 BAR = 1e6

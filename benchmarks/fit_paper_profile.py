@@ -20,7 +20,7 @@ from scipy.optimize import least_squares
 
 from simulated_twin import observe_points, simulate_views
 from vergence.arrays import Array
-from vergence.calibration.sequential.sequential import calibrate_sequentially
+from vergence.calibration.initial import calibrate_sequentially
 from vergence.geometry.head import HeadCalibration
 from vergence.paper.figures import FIGURES, default_duration_s
 from vergence.paper.replay import SAMPLES, estimate, sample_times

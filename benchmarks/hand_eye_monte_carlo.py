@@ -29,8 +29,8 @@ import tyro
 from simulated_head import R_EYE_CAM, pan_tilt_pose, probability
 from simulated_recording import inside_image
 from vergence.arrays import Array
-from vergence.calibration.bundle.latent_hand_eye import refine_eye_camera
-from vergence.calibration.sequential.hand_eye import park_martin
+from vergence.calibration.eye_camera import refine_eye_camera
+from vergence.calibration.hand_eye import park_martin
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.camera import pinhole

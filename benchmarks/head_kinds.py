@@ -31,8 +31,8 @@ from simulated_head import probability
 from simulated_recording import inside_image, observe
 from vergence.calibration.calibrate import CalibrationResult, calibrate
 from vergence.calibration.detection import SYSTEMATIC_PX
+from vergence.calibration.lens_choice import LensOption
 from vergence.calibration.observations import Observations
-from vergence.calibration.sequential.lens_choice import LensOption
 from vergence.calibration.summary import verdict
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera

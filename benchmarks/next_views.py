@@ -28,7 +28,7 @@ from simulated_recording import BOARD, Noise, Recording, joined, observe, record
 from vergence.accuracy.plan import Plan, plan
 from vergence.accuracy.plan_views import Views, admissible_views
 from vergence.accuracy.plan_workspace import largest_std, point_by_parameters
-from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
+from vergence.calibration.bundle_adjustment import bundle_adjust
 from vergence.calibration.observations import Observations
 from vergence.geometry.head import HeadCalibration, pair_names
 from vergence.geometry.parameters import parameter_names, without_offsets

@@ -24,8 +24,8 @@ import numpy as np
 import tyro
 
 from vergence.arrays import Array
-from vergence.calibration.sequential.intrinsics import calibrate_camera
-from vergence.calibration.sequential.static_stereo import calibrate_pair
+from vergence.calibration.intrinsics import calibrate_camera
+from vergence.calibration.static_stereo import calibrate_pair
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.camera import Camera, displaced_by_distortion, undistort

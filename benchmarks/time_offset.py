@@ -23,8 +23,8 @@ from rich.progress import track
 from simulated_head import random_head
 from simulated_recording import Noise, moving_recording, still_recording
 from vergence.arrays import Array
-from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
-from vergence.calibration.sequential.sequential import calibrate_sequentially
+from vergence.calibration.bundle_adjustment import bundle_adjust
+from vergence.calibration.initial import calibrate_sequentially
 from vergence.geometry.parameters import boxminus
 
 OFFSETS_MS = (-40, -20, 0, 20, 40)

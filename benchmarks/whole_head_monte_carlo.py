@@ -29,8 +29,8 @@ from rich.progress import track
 from simulated_head import probability, random_head
 from simulated_recording import Noise, inside_image, still_recording
 from vergence.arrays import Array
-from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
-from vergence.calibration.sequential.sequential import calibrate_sequentially
+from vergence.calibration.bundle_adjustment import bundle_adjust
+from vergence.calibration.initial import calibrate_sequentially
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES

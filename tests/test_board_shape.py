@@ -16,8 +16,8 @@ from vergence.calibration.checks.board_shape import (
     stretched_board,
     stretched_in_motion,
 )
+from vergence.calibration.intrinsics import calibrate_intrinsics, lenses_of_the_paper
 from vergence.calibration.observations import Observations
-from vergence.calibration.sequential.intrinsics import calibrate_intrinsics, lenses_of_the_paper
 from vergence.geometry.board import corner_points
 from vergence.vision.board_pose import board_poses
 

@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 import pytest
 
-import vergence.calibration.bundle.initial_state as initial_state
+import vergence.calibration.bundle_start as bundle_start
 import vergence.calibration.calibrate as calibrate_module
 import vergence.calibration.checked_views as checked_views
 import vergence.calibration.checks.cross_validation as cross_validation
-import vergence.calibration.sequential.sequential as sequential
+import vergence.calibration.initial as initial
 import vergence.calibration.validation as validation
 from recordings import JOINTS, description, picture, write_dataset
 from simulated_head import plain_head, random_head
@@ -106,7 +106,7 @@ def test_the_board_s_pose_is_found_once_in_each_image(recorded, method: Method, 
             solved.update(image.tobytes() for image in corners if np.isfinite(image).any())
         return board_poses(camera, corners, points)  # type: ignore[arg-type]
 
-    for module in (checked_views, cross_validation, initial_state, sequential):
+    for module in (checked_views, cross_validation, bundle_start, initial):
         monkeypatch.setattr(module, "board_poses", counted)
     monkeypatch.setattr(validation, "calibrate_folds", lambda *_: ended.append(True) or _nothing())
     calibrate(recorded[1], method=method)

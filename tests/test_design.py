@@ -22,7 +22,7 @@ from vergence.accuracy.design_sweep import (
 )
 from vergence.accuracy.plan_views import as_seen, shows_whole_board
 from vergence.arrays import Array
-from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
+from vergence.calibration.bundle_adjustment import bundle_adjust
 from vergence.geometry.board import Chessboard
 from vergence.geometry.projection import project_point
 from vergence.stereo.depth_error import predicted_depth_std

@@ -10,8 +10,8 @@ from simulated_recording import POINTS, Noise, Recording, record
 from test_other_heads import recorded
 from texts import texts
 from vergence.calibration.calibrate import Method, calibrate
+from vergence.calibration.intrinsics import lenses_of_the_paper
 from vergence.calibration.observations import Observations
-from vergence.calibration.sequential.intrinsics import lenses_of_the_paper
 from vergence.errors import VergenceError
 from vergence.geometry.camera import project
 from vergence.geometry.se3 import pose, rotation, transform

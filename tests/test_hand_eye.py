@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hand_eye_monte_carlo import Config, simulate
 from simulated_head import R_EYE_CAM, pan_tilt_pose, random_pose
 from simulated_recording import POINTS
-from vergence.calibration.sequential.hand_eye import motion_pairs, park_martin, solve_rotation
+from vergence.calibration.hand_eye import motion_pairs, park_martin, solve_rotation
 from vergence.errors import VergenceError
 from vergence.geometry.camera import pinhole
 from vergence.geometry.se3 import angle, boxminus, hat, inverse, pose, rotation, rotvec

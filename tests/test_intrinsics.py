@@ -6,16 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
+from vergence.calibration.intrinsics import calibrate_camera
+from vergence.calibration.lens_choice import best_lens, choose_lenses
+from vergence.calibration.lens_statistics import FOLDS, held_out_squares, jackknife_covariance
+from vergence.calibration.lenses import fit_lens, fit_model, free_intrinsics, repeatable
 from vergence.calibration.observations import Observations
-from vergence.calibration.sequential.intrinsics import calibrate_camera
-from vergence.calibration.sequential.lens_choice import best_lens, choose_lenses
-from vergence.calibration.sequential.lens_fit import (
-    FOLDS,
-    fit_lens,
-    held_out_squares,
-    jackknife_covariance,
-)
-from vergence.calibration.sequential.lens_models import fit_model, free_intrinsics, repeatable
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.camera import Camera, normalise, pinhole, pixel_grid, project, unproject

@@ -11,7 +11,7 @@ from simulated_head import R_EYE_CAM, pan_tilt_pose, probability, random_pose
 from simulated_recording import POINTS, facing
 from texts import texts
 from vergence.arrays import Array
-from vergence.calibration.bundle.latent_hand_eye import EyeCamera, refine_eye_camera
+from vergence.calibration.eye_camera import EyeCamera, refine_eye_camera
 from vergence.errors import VergenceError
 from vergence.geometry.camera import pinhole
 from vergence.geometry.head import MountedCamera

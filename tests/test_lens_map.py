@@ -9,7 +9,7 @@ import lens_monte_carlo
 from lens_monte_carlo import GRID, lens_head, recording, tried
 from simulated_recording import EXACT
 from texts import texts
-from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
+from vergence.calibration.bundle_adjustment import bundle_adjust
 from vergence.calibration.calibrate import CalibrationResult, calibrate
 from vergence.calibration.checks import cross_validation
 from vergence.calibration.checks.lens_map import (

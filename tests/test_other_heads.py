@@ -17,7 +17,7 @@ from simulated_recording import BOARD, POINTS, Noise, Recording, as_poses, facin
 from test_sequential import only, some_cameras
 from texts import texts
 from vergence.calibration import validation
-from vergence.calibration.bundle.bundle_adjustment import BundleEstimate, bundle_adjust
+from vergence.calibration.bundle_adjustment import BundleEstimate, bundle_adjust
 from vergence.calibration.calibrate import CalibrationResult, calibrate
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError

@@ -26,7 +26,7 @@ from vergence.accuracy.plan_views import (
     shows_whole_board,
 )
 from vergence.accuracy.plan_workspace import largest_std, workspace
-from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
+from vergence.calibration.bundle_adjustment import bundle_adjust
 from vergence.calibration.observations import Observations
 from vergence.cli import accuracy_reports as command
 from vergence.cli.accuracy_reports import head_and_board, plan_report

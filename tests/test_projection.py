@@ -9,10 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from simulated_head import plain_head, point_in_camera, skewed_head
-from simulated_recording import two_boards
 from vergence.arrays import Array
-from vergence.calibration.bundle.initial_state import initial_state
-from vergence.calibration.bundle.problem import corner_errors, jacobians, retract
 from vergence.geometry.camera import pinhole, project
 from vergence.geometry.head import MountedCamera
 from vergence.geometry.kinematics import T_base_eye
@@ -106,38 +103,3 @@ def test_every_derivative_of_the_projection_agrees_with_differences(seed: int, n
     )
     for what, exact in expected.items():
         np.testing.assert_allclose(getattr(found, what), exact, rtol=1e-6, atol=2e-5, err_msg=what)
-
-
-# Bundle adjustment composes these derivatives into those of all of its unknowns.
-
-
-@pytest.mark.parametrize("general", [False, True])
-def test_the_derivatives_of_bundle_adjustment_agree_with_differences(general: bool):
-    rng = np.random.default_rng(30)
-    head = skewed_head(rng)
-    few = two_boards(head, rng).take(np.array([0, 1, 12, 13, 14, 15]))
-    if general:
-        noisy = boxplus(few.eye_poses(), rng.normal(0, 0.01, (6, 2, 6)))
-        few = replace(few, T_base_eye=noisy)
-    problem, state, _ = initial_state(head, few, fixed=())
-    # Away from the optimum, where the errors of general poses are not small.
-    state = retract(
-        problem,
-        state,
-        rng.normal(0, 1e-3, len(problem.free)),
-        rng.normal(0, 0.05, problem.reading.shape),
-    )
-
-    def errors(change: Array, latent: Array) -> Array:
-        return corner_errors(problem, retract(problem, state, change, latent))
-
-    G, (B, n) = len(problem.free), problem.reading.shape
-    expected_shared = slope(lambda d: errors(d, np.zeros((B, n))), G, 1e-6)
-    expected_latent = slope(lambda d: errors(np.zeros(G), np.tile(d, (B, 1))), n, 1e-6)
-    shared, index, latent = jacobians(problem, state)
-    dense = np.zeros_like(expected_shared)
-    for m, columns in enumerate(index):
-        dense[m][..., columns] = shared[m]
-    scale = np.abs(expected_shared).max(axis=(0, 1, 2)) + 1.0
-    np.testing.assert_allclose(dense / scale, expected_shared / scale, atol=1e-6)
-    np.testing.assert_allclose(latent, expected_latent, atol=1e-4, rtol=1e-6)

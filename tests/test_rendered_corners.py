@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from simulated_twin import simulate_views
+from vergence.calibration.intrinsics import calibrate_camera
 from vergence.calibration.observations import Observations
-from vergence.calibration.sequential.intrinsics import calibrate_camera
 from vergence.geometry.board import corner_points
 from vergence.geometry.head import HeadCalibration
 from vergence.twin.calibration_sequence import BOARD, Shot, capture_views, plan

@@ -12,7 +12,7 @@ from rrd import assert_valid, read_series
 from simulated_twin import observe_points, simulate_views
 from vergence import cli
 from vergence.accuracy.motions import PERIOD_S
-from vergence.calibration.sequential.sequential import calibrate_sequentially
+from vergence.calibration.initial import calibrate_sequentially
 from vergence.files import UNFINISHED
 from vergence.geometry.head import load_head
 from vergence.paper import reproduce as main_job

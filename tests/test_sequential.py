@@ -8,9 +8,9 @@ import pytest
 from simulated_head import random_head
 from simulated_recording import BOARD, EXACT, Noise, Recording, as_poses, record, still_recording
 from test_intrinsics import SINGLE_PRECISION_LENS, SINGLE_PRECISION_POSE, SINGLE_PRECISION_PX
+from vergence.calibration.initial import calibrate_sequentially
+from vergence.calibration.intrinsics import lenses_of_the_paper
 from vergence.calibration.observations import Observations
-from vergence.calibration.sequential.intrinsics import lenses_of_the_paper
-from vergence.calibration.sequential.sequential import calibrate_sequentially
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard
 from vergence.geometry.head import HeadCalibration

@@ -7,10 +7,10 @@ import pytest
 
 from test_other_heads import recorded
 from texts import texts
-from vergence.calibration.bundle.bundle_adjustment import BundleEstimate as Estimate
-from vergence.calibration.bundle.bundle_adjustment import bundle_adjust, covariance_of
-from vergence.calibration.bundle.systematic_errors import likeliest_std
-from vergence.calibration.sequential.sequential import calibrate_sequentially
+from vergence.calibration.bundle_adjustment import BundleEstimate as Estimate
+from vergence.calibration.bundle_adjustment import bundle_adjust, covariance_of
+from vergence.calibration.initial import calibrate_sequentially
+from vergence.calibration.systematic_errors import likeliest_std
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES
 

@@ -10,13 +10,6 @@ from simulated_head import as_designed, probability
 from simulated_recording import facing
 from texts import texts
 from vergence.arrays import Array
-from vergence.calibration.bundle.measured_poses import (
-    MeasuredPoses,
-    expected_poses,
-    pose_errors,
-    pose_jacobians,
-    whitened,
-)
 from vergence.calibration.target_poses import TargetPoseEstimate, adjust_target_poses
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, T_base_cam
@@ -194,34 +187,6 @@ def test_a_stated_covariance_is_used_and_its_factor_found():
     found = estimate(head, poses, readings, stated)
     assert found.noise_factor == pytest.approx(2, rel=0.15)
     assert found.pose_std is None
-
-
-def test_derivatives_of_poses_are_those_of_differences():
-    rng = np.random.default_rng(0)
-    head = head_of("tilt, pan", rng)
-    mounted = head.cameras["right_wide"]
-    E = T_base_eye(head.kinematics, "right", rng.uniform(-0.3, 0.3, (2, 4)))
-    target = facing(np.array([0.5, 0, 0]) + rng.normal(0, 0.05, (2, 3)), rng.normal(0, 0.3, (2, 3)))
-    at = (mounted.T_eye_cam, E, head.T_rbase_lbase, target)
-    seen = boxplus(expected_poses(mounted, at[2], E, target), rng.normal(0, 0.05, (2, 6)))
-    given = MeasuredPoses(seen, rng.normal(size=(2, 6, 6)))
-
-    def errors(T: tuple[Array, ...]) -> Array:
-        moved = replace(mounted, T_eye_cam=T[0])
-        return pose_errors(given, expected_poses(moved, T[2], T[1], T[3]))
-
-    analytic = pose_jacobians(mounted, at[2], E, target)
-    expected = expected_poses(mounted, at[2], E, target)
-    for k in range(4):
-        rows = whitened(given, expected, analytic[k])
-        for j in range(6):
-            d = 1e-6 * np.eye(6)[j]
-            ends = [
-                errors(tuple(boxplus(T, s * d) if i == k else T for i, T in enumerate(at)))
-                for s in (1, -1)
-            ]
-            numeric = (ends[0] - ends[1]) / 2e-6
-            np.testing.assert_allclose(rows[..., j], numeric, atol=2e-6)
 
 
 def test_wrong_arguments_are_refused():

@@ -8,7 +8,7 @@ from simulated_head import plain_head
 from simulated_recording import BOARD, POINTS, facing, inside_image
 from texts import texts
 from vergence.arrays import Array
-from vergence.calibration.bundle.bundle_adjustment import bundle_adjust
+from vergence.calibration.bundle_adjustment import bundle_adjust
 from vergence.calibration.observations import Observations
 from vergence.data.timing import Timing, change, coefficients, moved_readings, rate, stencil
 from vergence.geometry.projection import project_at

@@ -4,7 +4,11 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vergence.calibration.bundle.variance_components import image_noise_scales
+from vergence.estimation.noise import row_noise_scales
+
+
+def image_noise_scales(squares: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    return row_noise_scales(squares, counts, 1e-3)
 
 
 def residual_squares(std: np.ndarray, count: int, seed: int) -> np.ndarray:

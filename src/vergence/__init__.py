@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.2.0"
 
 if TYPE_CHECKING:
-    from vergence.calibration.bundle.latent_hand_eye import refine_eye_camera
     from vergence.calibration.calibrate import CalibrationResult, calibrate
     from vergence.calibration.detection import detect_target
+    from vergence.calibration.eye_camera import refine_eye_camera
     from vergence.calibration.observations import Observations
     from vergence.calibration.target_poses import adjust_target_poses
     from vergence.data.dataset import Dataset, Frame
@@ -84,7 +84,7 @@ __all__ = [
 bytes(31 << 20)
 
 _HOMES = {
-    "calibration.bundle.latent_hand_eye": ("refine_eye_camera",),
+    "calibration.eye_camera": ("refine_eye_camera",),
     "calibration.target_poses": ("adjust_target_poses",),
     "calibration.calibrate": ("CalibrationResult", "calibrate"),
     "calibration.detection": ("detect_target",),

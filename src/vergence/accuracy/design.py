@@ -28,7 +28,7 @@ from vergence.accuracy.plan_information import gained, information, linearised_v
 from vergence.accuracy.plan_views import MARGIN_PX, Views
 from vergence.accuracy.plan_workspace import point_by_parameters
 from vergence.arrays import Array
-from vergence.calibration.bundle.bundle_adjustment import fixed_by_default
+from vergence.calibration.bundle_adjustment import fixed_by_default
 from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.camera import pinhole
 from vergence.geometry.head import R_EYE_CAM, WIDE, HeadCalibration, MountedCamera

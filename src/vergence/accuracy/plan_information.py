@@ -13,8 +13,7 @@ import numpy as np
 
 from vergence.accuracy.plan_views import T_cam_target, Views, as_seen
 from vergence.arrays import Array, scatter_add
-from vergence.calibration.bundle.initial_state import initial_state
-from vergence.calibration.bundle.problem import head_size, jacobians
+from vergence.calibration.bundle_start import bundle_problem
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board
 from vergence.geometry.head import HeadCalibration, check_states_covariance
@@ -63,7 +62,7 @@ def known_of(head: HeadCalibration) -> Knowledge:
 
 @dataclass(frozen=True, eq=False)
 class LinearViews:
-    """V views linearised: J^T J of their corners in pixels, with the B blocks of BundleProblem.
+    """V views linearised: J^T J of their corners in pixels, and the B postures of their eyes.
 
     The unknowns of a view are p parameters of the head, in given units, and the 6 of the board's
     place [rad, m]; and n latent readings of each block.
@@ -107,31 +106,31 @@ def _linearised_part(
 ) -> LinearViews:
     apart = Views(views.T_lbase_target, views.joints, np.arange(len(views.placement)))
     fixed = set(parameter_names(head)) - set(names)
-    problem, state, _ = initial_state(
+    problem = bundle_problem(
         head, as_seen(head, board, apart), fixed=fixed, T_cam_target=T_cam_target(head, apart)
     )
-    shared, index, by_latent = jacobians(problem, state)
-    c, (B, n), V = head_size(problem), problem.reading.shape, len(views.placement)
+    rows, postures = problem.measured.rows(problem.start), problem.readings.postures
+    assert rows.by_latent is not None
+    J, L, index = rows.by_shared, rows.by_latent, rows.columns
+    c, (B, n), V = len(parameter_names(head)), postures.reading.shape, len(views.placement)
     # Each view's place has the same six columns after those of the head; the board's size is known.
-    of_size = index == len(problem.free) - 1
+    of_size = index == problem.start.size - 1
     index = np.where(of_size, 0, np.where(index < c, index, c + (index - c) % len(POSE)))
-    shared = np.where(of_size[:, None, None], 0.0, shared)
-    J = shared.reshape(len(index), -1, index.shape[1])
-    L = by_latent.reshape(len(index), -1, n)
+    J = np.where(of_size[:, None], 0.0, J)
     J_T = np.swapaxes(J, 1, 2)
-    block, angle = problem.block[:, None, None], np.arange(n)
-    view = problem.block_view[block]
+    block, angle = problem.measured.detections.posture[:, None, None], np.arange(n)
+    view = postures.view[block]
     row, column = index[:, :, None], index[:, None, :]
     size = c + len(POSE)
     whole = scatter_add(J_T @ J, (view, row, column), (V, size, size))
     across = scatter_add(J_T @ L, (block, row, angle), (B, size, n))
     latent = scatter_add(np.swapaxes(L, 1, 2) @ L, (block, angle[:, None], angle), (B, n, n))
-    known = {name: k for k, name in enumerate(problem.parameters)}
+    known = {name: k for k, name in enumerate(parameter_names(head))}
     kept = np.array([known[name] for name in names] + [*range(c, c + len(POSE))])
     unit = np.append(scale, np.ones(len(POSE)))
     whole = whole[:, kept[:, None], kept] * np.outer(unit, unit)
     across = across[:, kept] * unit[:, None]
-    return LinearViews(whole, across, latent, problem.block_columns, problem.block_view)
+    return LinearViews(whole, across, latent, postures.columns, postures.view)
 
 
 def information(linear: LinearViews, pixel_std_px: float, joint_std_rad: Array) -> Array:

@@ -9,7 +9,7 @@ from typing import get_args
 
 import numpy as np
 
-from vergence.calibration.bundle.bundle_adjustment import BundleEstimate, bundle_adjust
+from vergence.calibration.bundle_adjustment import BundleEstimate, bundle_adjust
 from vergence.calibration.checked_views import CheckedViews, Method, checked_views
 from vergence.calibration.checks import axes_and_eyes, board_flips, board_shape, excitation
 from vergence.calibration.checks.cross_validation import PartCalibration
@@ -21,9 +21,9 @@ from vergence.calibration.checks.part_calibration import (
 )
 from vergence.calibration.checks.stray_corners import without_outliers, without_strays
 from vergence.calibration.detection import detect_target
+from vergence.calibration.initial import SequentialCalibration, calibrate_sequentially
+from vergence.calibration.lens_choice import LensChoice, LensOption
 from vergence.calibration.observations import Observations
-from vergence.calibration.sequential.lens_choice import LensChoice, LensOption
-from vergence.calibration.sequential.sequential import SequentialCalibration, calibrate_sequentially
 from vergence.calibration.summary import summary_lines
 from vergence.calibration.validation import cross_validated
 from vergence.data.dataset import Dataset

@@ -11,20 +11,20 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.checks import board_flips, encoders, excitation
 from vergence.calibration.checks.pose_readings import check_axis_order, check_pose_readings
-from vergence.calibration.observations import Observations, camera_eyes, check_readings
-from vergence.calibration.sequential.intrinsics import (
+from vergence.calibration.intrinsics import (
     LEAST_VIEWS,
     Intrinsics,
     calibrate_intrinsics,
     lenses_of_the_paper,
 )
-from vergence.calibration.sequential.lens_choice import (
+from vergence.calibration.lens_choice import (
     LensChoice,
     LensOption,
     by_camera,
     choose_lenses,
 )
-from vergence.calibration.sequential.lens_models import LensModel
+from vergence.calibration.lenses import LensModel
+from vergence.calibration.observations import Observations, camera_eyes, check_readings
 from vergence.errors import VergenceError
 from vergence.findings import Finding
 from vergence.geometry.board import corner_points

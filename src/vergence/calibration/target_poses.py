@@ -8,37 +8,45 @@ camera, T_rbase_lbase, the errors of the joints, the target's places, and the le
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from vergence.arrays import Array
-from vergence.calibration.bundle.bundle_adjustment import (
+from vergence.calibration.bundle_adjustment import (
     BundleEstimate,
     bundle_adjust,
     check_noise,
     fixed_by_default,
 )
-from vergence.calibration.bundle.measured_poses import PoseObservations, whitening
-from vergence.calibration.bundle.target_pose_checks import (
-    check_not_stuck,
-    check_start,
-    check_target_poses,
-)
+from vergence.calibration.bundle_start import PoseObservations
 from vergence.calibration.checks import axes_and_eyes
+from vergence.calibration.hand_eye import robust_park_martin
 from vergence.calibration.observations import base_by_boards, mean_placed, most_seen
-from vergence.calibration.sequential.hand_eye import robust_park_martin
-from vergence.errors import VergenceError
+from vergence.errors import VergenceError, counted
 from vergence.findings import Finding, by_severity
 from vergence.geometry.camera import pinhole
 from vergence.geometry.head import HeadCalibration, MountedCamera, main_pair
-from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye
+from vergence.geometry.kinematics import (
+    EYES,
+    Kinematics,
+    Side,
+    T_base_eye,
+    check_turns,
+    same_design,
+)
 from vergence.geometry.parameter_names import intrinsics_names
-from vergence.geometry.se3 import known_poses
+from vergence.geometry.se3 import angle, check_rigid, inverse, known_poses, mean_pose
 
 LEAST_POSES = 3
 """Fewest poses of a target at rest, from which a camera's place in its eye follows."""
+_STUCK = 0.1
+"""Least turn of a target at rest, relative to the turn of the eye: of true poses it is about one,
+and this small only where the measurement does not follow."""
+_AT_REST_RAD = 1e-6
+"""Turn of an eye at rest [rad]: rounding of stored numbers."""
 _UNIT_RAD = 1e-3
 """Unit of rotation in which errors of poses are counted where no covariance is given."""
 _LEVERS_M = 1e-2, 1e1
@@ -112,16 +120,16 @@ def adjust_target_poses(
     eye = np.asarray(eye, dtype=float)
     check_noise(joint_std, noise_factor=noise_factor)
     if start is not None:
-        check_start(start, T_cam_target, eyes, kinematics)
+        _check_start(start, T_cam_target, eyes, kinematics)
         kinematics = start.kinematics
     kinematics = Kinematics() if kinematics is None else kinematics
     views = len(eye) if eye.ndim else 0
     placement = np.zeros(views, dtype=int) if placement is None else np.asarray(placement)
-    check_target_poses(T_cam_target, eye, eyes, kinematics, placement)
+    _check_target_poses(T_cam_target, eye, eyes, kinematics, placement)
     measured_eyes, read = eye.ndim == 4, eye
     if not measured_eyes:
         read = np.stack([T_base_eye(kinematics, side, eye) for side in EYES], axis=1)
-    check_not_stuck(T_cam_target, read, eyes)
+    _check_not_stuck(T_cam_target, read, eyes)
     if start is None:
         start = _start(T_cam_target, read, placement, eyes, kinematics)
     kept = {
@@ -183,17 +191,24 @@ def _with_noise(
 
 
 def _whitening(covariance: Mapping[str, Array], name: str, T_cam_target: Array) -> Array:
+    """Return (V, 6, 6) or (6, 6) that whiten the errors of poses by one camera."""
     if name not in covariance:
         raise VergenceError(f"covariance has none for the poses of {name}.")
-    given = np.asarray(covariance[name], dtype=float)
-    if given.shape not in ((6, 6), (len(T_cam_target), 6, 6)):
+    stated = np.asarray(covariance[name], dtype=float)
+    if stated.shape not in ((6, 6), (len(T_cam_target), 6, 6)):
         raise VergenceError(
             f"The covariance of poses of {name} is (6, 6) or ({len(T_cam_target)}, 6, 6), found "
-            f"{given.shape}."
+            f"{stated.shape}."
         )
-    if given.ndim == 3:
-        given = np.where(known_poses(T_cam_target)[:, None, None], given, np.eye(6))
-    return whitening(given)
+    if stated.ndim == 3:
+        stated = np.where(known_poses(T_cam_target)[:, None, None], stated, np.eye(6))
+    with suppress(np.linalg.LinAlgError):
+        if np.isfinite(stated).all():
+            return np.asarray(np.linalg.inv(np.linalg.cholesky(stated)), dtype=float)
+    raise VergenceError(
+        "The covariance of a measured pose is symmetric and positive definite, rotation [rad] "
+        "first and then translation [m]; found one that is not."
+    )
 
 
 def _result(
@@ -213,7 +228,7 @@ def _result(
         T_lbase_target=found.T_lbase_target,
         T_base_eye=found.T_base_eye,
         errors={
-            name: each.reshape(-1, 6) / (found.pixel_std_px if pose_std else 1.0)
+            name: each / (found.pixel_std_px if pose_std else 1.0)
             for name, each in found.residuals_px.items()
         },
         findings=by_severity((*found.findings, *impossible)),
@@ -254,3 +269,87 @@ def _start(
             f"T_rbase_lbase is not observable: no placement has poses by both {left} and {right}."
         )
     return replace(head, T_rbase_lbase=T_rbase_lbase)
+
+
+def _check_target_poses(
+    T_cam_target: Mapping[str, Array],
+    eye: Array,
+    eyes: Mapping[str, Side],
+    kinematics: Kinematics,
+    placement: np.ndarray,
+) -> None:
+    views, r = len(eye) if eye.ndim else 0, len(kinematics.readings)
+    if not T_cam_target:
+        raise VergenceError("There are no poses of a target: T_cam_target names no camera.")
+    if eye.shape not in ((views, r), (views, 2, 4, 4)):
+        raise VergenceError(
+            f"eye is ({views}, {r}) readings, or ({views}, 2, 4, 4) poses of both eyes, found "
+            f"{eye.shape}."
+        )
+    if placement.shape != (views,):
+        raise VergenceError(
+            f"placement has a number for each of {counted(views, 'view')}, found shape "
+            f"{placement.shape}."
+        )
+    if eye.ndim == 4:
+        check_rigid("eye", eye)
+    else:
+        check_turns(kinematics, eye)
+    for name, T in T_cam_target.items():
+        if T.shape != (views, 4, 4):
+            raise VergenceError(
+                f"Poses of a target in {counted(views, 'view')} are ({views}, 4, 4) for each "
+                f"camera, found {T.shape} for {name}."
+            )
+        if eyes.get(name) not in EYES:
+            raise VergenceError(f"eyes does not say in which eye {name} sits, left or right.")
+        check_rigid(f"T_cam_target of {name}", T)
+
+
+def _check_not_stuck(
+    T_cam_target: Mapping[str, Array], eye_poses: Array, eyes: Mapping[str, Side]
+) -> None:
+    """Raise a VergenceError if poses of a target hardly turn where the eye does."""
+    for name, T in T_cam_target.items():
+        own = eye_poses[:, EYES.index(eyes[name])]
+        known = known_poses(T) & known_poses(own)
+        if not known.any():
+            continue
+        turned, by_eye = (_median_turn(each[known]) for each in (T, own))
+        if by_eye > _AT_REST_RAD and turned < _STUCK * by_eye:
+            raise VergenceError(
+                f"The poses of the target by {name} turn by {np.degrees(turned):.2g} degrees in "
+                f"the median, its eye by {np.degrees(by_eye):.2g}: is the measurement stuck, or "
+                "does the target move with the eye?"
+            )
+
+
+def _median_turn(T: Array) -> float:
+    """Return the median angle [rad] between poses (N, 4, 4) and their mean."""
+    return float(np.median(angle((inverse(mean_pose(T)) @ T)[:, :3, :3])))
+
+
+def _check_start(
+    start: HeadCalibration,
+    T_cam_target: Mapping[str, Array],
+    eyes: Mapping[str, Side],
+    kinematics: Kinematics | None,
+) -> None:
+    """Raise a VergenceError if a start is of another head than what was measured."""
+    for name in T_cam_target:
+        if name not in start.cameras:
+            raise VergenceError(
+                f"There are poses of a target by {name}; start has the cameras "
+                f"{', '.join(start.cameras)}."
+            )
+        own = start.cameras[name].eye
+        if eyes.get(name, own) != own:
+            raise VergenceError(f"{name} sits in the {own} eye of start, not in the {eyes[name]}.")
+    if kinematics is not None and not (
+        kinematics.readings == start.kinematics.readings
+        and same_design(kinematics, start.kinematics)
+    ):
+        raise VergenceError(
+            "kinematics and start.kinematics describe different joints or readings; leave "
+            "kinematics out."
+        )

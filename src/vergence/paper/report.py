@@ -9,7 +9,7 @@ import numpy as np
 
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
-from vergence.calibration.sequential.sequential import SequentialCalibration
+from vergence.calibration.initial import SequentialCalibration
 from vergence.files import markdown_table
 from vergence.geometry.head import WIDE, HeadCalibration
 from vergence.geometry.kinematics import straight_gaze

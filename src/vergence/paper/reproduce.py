@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.sequential.sequential import SequentialCalibration
+from vergence.calibration.initial import SequentialCalibration
 from vergence.data.dataset import Frame
 from vergence.errors import VergenceError, check_seed
 from vergence.files import REPORT, results_folder, write_json, write_whole

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.calibration.initial import SequentialCalibration, calibrate_sequentially
+from vergence.calibration.intrinsics import lenses_of_the_paper
 from vergence.calibration.observations import Observations
-from vergence.calibration.sequential.intrinsics import lenses_of_the_paper
-from vergence.calibration.sequential.sequential import SequentialCalibration, calibrate_sequentially
 from vergence.geometry.board import Board, Chessboard, corner_points
 from vergence.geometry.head import R_EYE_CAM, WIDE, HeadCalibration
 from vergence.geometry.kinematics import EYES, readings_to_turn, straight_gaze

@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from vergence.calibration.sequential.lens_models import LensModel
+from vergence.calibration.lenses import LensModel
 from vergence.errors import VergenceError
 from vergence.files import read_parsed, validated
 

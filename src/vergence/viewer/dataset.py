@@ -22,7 +22,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from vergence.arrays import Array
-from vergence.calibration.bundle.bundle_adjustment import BundleEstimate
+from vergence.calibration.bundle_adjustment import BundleEstimate
 from vergence.calibration.calibrate import CalibrationResult
 from vergence.data.dataset import Dataset
 from vergence.geometry.board import Board, corner_points

@@ -1,19 +1,25 @@
-"""Where a board stands before a camera of known intrinsics, by its corners in one image."""
+"""Where a board stands before a camera, by its corners in one image."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.geometry.camera import Camera, normalise, project_jacobians
+from vergence.estimation.least_squares import least_squares
+from vergence.estimation.residual import Residual, Rows
+from vergence.estimation.variables import Block, Latent, Variables
+from vergence.geometry.camera import Camera, normalise, project, project_jacobians
 from vergence.geometry.projection import by_pose_of_points
 from vergence.geometry.se3 import boxplus, known_poses, pose, rotation
 
 LEAST_CORNERS = 6
-"""Fewer do not say where a board is."""
-_REFINEMENTS = 20
-_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-14)
+"""Fewest corners that determine a board's pose reliably."""
+POSE_LEVEL_PX = 1e-2
+"""Unit of the errors of board poses [px]: far below any corner's noise, so that fits converge to
+1e-9 rad."""
 
 
 def seen_corners(corners: Array) -> np.ndarray:
@@ -34,6 +40,72 @@ def determines_pose(points: Array, seen: np.ndarray) -> np.ndarray:
     return (count >= LEAST_CORNERS) & (spread[..., 1] > 1e-3 * np.maximum(spread[..., 2], 1e-30))
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BoardViews(Residual):
+    """Corners of a board in V views of one camera; the board's poses T_cam_target are latent.
+
+    The camera is given or, where it is None, the shared block "lens". With the shared block
+    "T_cam_reference" the latent poses are those in another, rigidly connected camera.
+    """
+
+    corners: Array
+    """(V, K, 2) pixels; NaN where not seen."""
+    points: Array
+    """(K, 3) the corners in frame target [m]."""
+    camera: Camera | None = None
+    relative: bool = False
+    """Whether the camera is placed by the block "T_cam_reference"."""
+    level: str = "corners"
+    together: int = 2
+    seen: np.ndarray = field(init=False)
+    element: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        vars(self).update(seen=seen_corners(self.corners), element=np.arange(len(self.corners)))
+
+    def in_camera(self, x: Variables) -> tuple[Array, Array, Array]:
+        """Return corners (V, K, 3): turned and placed in the reference, and in the camera."""
+        T = x.latent.value
+        turned = self.points @ np.swapaxes(T[:, :3, :3], 1, 2)
+        placed = turned + T[:, None, :3, 3]
+        if not self.relative:
+            return turned, placed, placed
+        T_cam_reference = x["T_cam_reference"]
+        in_camera = placed @ T_cam_reference[:3, :3].T + T_cam_reference[:3, 3]
+        return turned, placed, in_camera
+
+    def lens(self, x: Variables) -> Camera:
+        """Return the camera at the unknowns."""
+        return x["lens"] if self.camera is None else self.camera
+
+    def error(self, x: Variables) -> Array:
+        """Return (V, 2 K) projected minus seen [px]; NaN for corners behind the camera."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            off = project(self.lens(x), self.in_camera(x)[2]) - self.corners
+        return np.where(self.seen[..., None], off, 0.0).reshape(len(off), -1)
+
+    def rows(self, x: Variables) -> Rows:
+        """Return the derivatives by the lens or the camera's place, and by the boards' poses."""
+        (turned, placed, in_camera), V = self.in_camera(x), len(self.corners)
+        with np.errstate(over="ignore", invalid="ignore"):
+            _, by_point, by_lens = project_jacobians(self.lens(x), in_camera)
+        by_shared, columns = np.zeros((V, len(self.points), 2, 0)), np.zeros(0, dtype=np.intp)
+        if self.camera is None:
+            by_shared, columns = by_lens, x.columns("lens")
+        if self.relative:
+            R = x["T_cam_reference"][:3, :3]
+            by_shared, columns = by_pose_of_points(by_point, placed @ R.T), x.columns(_RELATIVE)
+            by_point = by_point @ R
+        by_shared, by_pose = (
+            np.where(self.seen[..., None, None], J, 0.0).reshape(V, J.shape[1] * 2, J.shape[-1])
+            for J in (by_shared, by_pose_of_points(by_point, turned))
+        )
+        return Rows(by_shared, np.tile(columns, (V, 1)), by_pose)
+
+
+_RELATIVE = "T_cam_reference"
+
+
 def board_poses(camera: Camera, corners: Array, points: Array) -> Array:
     """Return T_cam_target (V, 4, 4) of each view, by least squares; NaN where it is not determined.
 
@@ -46,10 +118,12 @@ def board_poses(camera: Camera, corners: Array, points: Array) -> Array:
     for v in np.flatnonzero(determines_pose(points, seen)):
         view = points[seen[v]], corners[v, seen[v]], camera.matrix, camera.distortion
         found, rvec, tvec = cv2.solvePnP(*view, flags=cv2.SOLVEPNP_ITERATIVE)
+        if found and (points[seen[v]] @ rotation(rvec.ravel())[2] + tvec[2] <= 0).any():
+            # With few corners it may end behind the camera, from where this leads out again.
+            rvec, tvec = cv2.solvePnPRefineLM(*view, rvec, tvec)
         if found:
-            rvec, tvec = cv2.solvePnPRefineLM(*view, rvec, tvec, _CRITERIA)
             poses[v] = pose(rotation(rvec.ravel()), tvec.ravel())
-    return poses
+    return refined_poses(camera, corners, points, poses)[0]
 
 
 def _poses_by_directions(camera: Camera, corners: Array, points: Array) -> Array:
@@ -60,11 +134,12 @@ def _poses_by_directions(camera: Camera, corners: Array, points: Array) -> Array
     xy = normalise(camera, corners)
     plain = Camera(camera.width, camera.height, np.eye(3))
     poses = board_poses(plain, xy, points)
-    known = known_poses(poses)
-    if known.any():
-        reached = np.where(np.isfinite(xy), corners, np.nan)
-        poses[known], _ = refined_poses(camera, reached[known], points, poses[known])
-    return poses
+    return refined_poses(camera, np.where(np.isfinite(xy), corners, np.nan), points, poses)[0]
+
+
+def board_latent(T_cam_target: Array) -> Latent:
+    """Return poses (V, 4, 4) of boards as latent unknowns."""
+    return Latent(T_cam_target, 6, boxplus)
 
 
 def seen_from_the_other_side(T_cam_target: Array, points: Array) -> Array:
@@ -84,58 +159,39 @@ def seen_from_the_other_side(T_cam_target: Array, points: Array) -> Array:
 def board_errors(
     camera: Camera, T_cam_target: Array, corners: Array, points: Array
 ) -> tuple[Array, Array, Array]:
-    """Return what V views of a board are off, and how that depends on the poses and on the lens.
+    """Compute the errors of V views of a board, and their derivatives.
 
     Args:
         camera: that saw the board.
         T_cam_target: (V, 4, 4) poses of the board.
         corners: (V, K, 2) pixels; NaN where a corner was not seen, whose rows are zero.
-        points: (K, 3) the corners in frame target [m].
+        points: (K, 3) the board's corners in frame target.
 
     Returns:
         Predicted minus seen pixels (V, 2 K), and their derivatives by increments of the poses
         (V, 2 K, 6) and by the n intrinsics (V, 2 K, n), in the order of `project_jacobians`.
     """
-    V, seen = len(T_cam_target), seen_corners(corners)[..., None]
-    turned = points @ np.swapaxes(T_cam_target[:, :3, :3], 1, 2)
-    at = turned + T_cam_target[:, None, :3, 3]
-    pixels, by_point, by_lens = project_jacobians(camera, at)
-    errors = np.where(seen, pixels - np.where(seen, corners, 0.0), 0.0).reshape(V, -1)
-    by_pose, by_lens = (
-        np.where(seen[..., None], J, 0.0).reshape(V, -1, J.shape[-1])
-        for J in (by_pose_of_points(by_point, turned), by_lens)
-    )
-    return errors, by_pose, by_lens
+    views = BoardViews(corners=corners, points=points)
+    n = len(camera.distortion) + 4
+    x = Variables({"lens": Block(camera, np.ones(n))}, board_latent(T_cam_target))
+    rows = views.rows(x)
+    assert rows.by_latent is not None
+    return views.error(x), rows.by_latent, rows.by_shared
 
 
 def refined_poses(camera: Camera, corners: Array, points: Array, T: Array) -> tuple[Array, Array]:
-    """Return poses (V, 4, 4) of least reprojection error near T, and the sums of squares [px^2].
+    """Refine poses (V, 4, 4) of boards by least squares, all views at once.
 
-    All views at once, by Levenberg and Marquardt's method; each has four corners or more.
+    Each view has four corners or more. Also returns the sums of squares (V,) [px^2], infinite where
+    a pose is NaN or has a corner behind the camera.
     """
-    damping: Array = np.full(len(T), 1e-6)
-    lowest: Array = np.full(len(T), np.inf)
-    best, step = T, np.zeros((len(T), 6))
-    kept: tuple[Array, Array] | None = None
-    for _ in range(_REFINEMENTS):
-        trial = boxplus(best, step)
-        errors, J, _ = board_errors(camera, trial, corners, points)
-        cost = np.nan_to_num((errors**2).sum(axis=1), nan=np.inf)
-        better = (cost <= lowest) & np.isfinite(cost)
-        J_T = np.swapaxes(J, 1, 2)
-        H: Array = J_T @ J
-        g: Array = (J_T @ errors[..., None])[..., 0]
-        if kept is not None:
-            H = np.where(better[:, None, None], H, kept[0])
-            g = np.where(better[:, None], g, kept[1])
-        kept = H, g
-        best = np.where(better[:, None, None], trial, best)
-        fall = lowest - np.where(better, cost, 0.0)
-        settled = better & (fall < 1e-14 * np.where(better, cost, 0.0) + 1e-20)
-        lowest = np.minimum(cost, lowest)
-        if settled.all():
-            break
-        damping = np.where(better, np.maximum(damping / 10, 1e-12), damping * 100)
-        damped = H + damping[:, None, None] * H * np.eye(6)
-        step = np.asarray(-np.linalg.solve(damped, g[..., None])[..., 0], dtype=float)
-    return best, lowest
+    T, squares = T.copy(), np.full(len(T), np.inf)
+    views = BoardViews(corners=corners, points=points, camera=camera)
+    at = Variables({}, board_latent(np.where(known_poses(T)[:, None, None], T, np.eye(4))))
+    known = known_poses(T) & np.isfinite(views.error(at)).all(axis=1)
+    if known.any():
+        views = BoardViews(corners=corners[known], points=points, camera=camera)
+        start = Variables({}, board_latent(T[known]))
+        found = least_squares([views], start, levels={"corners": POSE_LEVEL_PX})
+        T[known], squares[known] = found.x.latent.value, (found.errors[0] ** 2).sum(axis=1)
+    return T, squares

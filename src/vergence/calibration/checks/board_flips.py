@@ -35,8 +35,8 @@ from vergence.calibration.checks.flip_evidence import (
     costs_of_turns,
     synchronised,
 )
+from vergence.calibration.hand_eye import robust_park_martin
 from vergence.calibration.observations import Observations, camera_eyes
-from vergence.calibration.sequential.hand_eye import robust_park_martin
 from vergence.errors import VergenceError
 from vergence.findings import Finding, note, warning
 from vergence.geometry.board import Board, Charuco, corner_points

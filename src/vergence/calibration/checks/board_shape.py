@@ -12,13 +12,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.calibration.intrinsics import Intrinsics
+from vergence.calibration.lens_statistics import jackknife_covariance, noise_covariance
+from vergence.calibration.lenses import without_poses
 from vergence.calibration.observations import Observations
-from vergence.calibration.sequential.intrinsics import Intrinsics
-from vergence.calibration.sequential.lens_fit import (
-    jackknife_covariance,
-    noise_covariance,
-    without_poses,
-)
 from vergence.findings import Finding, void, warning
 from vergence.geometry.board import corner_points
 from vergence.geometry.se3 import known_poses

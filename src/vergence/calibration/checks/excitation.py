@@ -12,7 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.bundle.eye_motion_diagnostics import ADVISED
+from vergence.calibration.bundle_findings import ADVISED
 from vergence.calibration.observations import Observations, camera_eyes, most_seen
 from vergence.errors import VergenceError, listed
 from vergence.findings import Finding, warning

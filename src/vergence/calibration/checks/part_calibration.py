@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.bundle.bundle_adjustment import BundleEstimate, bundle_adjust
+from vergence.calibration.bundle_adjustment import BundleEstimate, bundle_adjust
 from vergence.calibration.checks.cross_validation import (
     PartCalibration,
     calibrate_folds,

@@ -18,8 +18,8 @@ from vergence.arrays import Array
 from vergence.calibration.checks import board_flips
 from vergence.calibration.checks.encoders import LEAST_VIEWS_AT_REST
 from vergence.calibration.checks.reading_fit import OUTLIER, OUTLIER_RAD, OUTLIERS
+from vergence.calibration.hand_eye import robust_park_martin
 from vergence.calibration.observations import Observations, camera_eyes, most_seen
-from vergence.calibration.sequential.hand_eye import robust_park_martin
 from vergence.errors import VergenceError
 from vergence.findings import Finding, warning
 from vergence.geometry.kinematics import EYES, Side, eye_joint_angles

@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
-from vergence.calibration.bundle.bundle_adjustment import (
+from vergence.calibration.bundle_adjustment import (
     BundleEstimate,
     bundle_adjust,
     check_noise,
     covariance_of,
 )
-from vergence.calibration.bundle.solver import OUTLIER
+from vergence.calibration.hand_eye import robust_park_martin
 from vergence.calibration.observations import Observations
-from vergence.calibration.sequential.hand_eye import robust_park_martin
 from vergence.errors import VergenceError, counted
+from vergence.estimation.residual import OUTLIER
 from vergence.findings import Finding, warning
 from vergence.geometry.board import Chessboard
 from vergence.geometry.camera import Camera

@@ -1,12 +1,11 @@
-"""One estimate of everything, with an accuracy that can be believed.
+"""One estimate of a whole head, with a covariance that can be believed.
 
 The paper solves step after step and takes joint readings as exact. Here the true joint angles of
 every view are unknowns of their own, tied to their readings by the joint noise while the corners
 are tied by the pixel noise; both levels of noise are estimated from the same data. The result is
-the maximum a posteriori, its covariance, and words for what the data cannot determine.
+the maximum a posteriori, its covariance, and findings on what the data cannot determine.
 
-See `problem` for the unknowns, `solver` for the steps, `variance_components` for the noise levels,
-`observability` for what stays fixed, and `diagnostics` for the words.
+`residuals` has the measurements, `bundle_start` the start, `estimation` the solver.
 """
 
 from __future__ import annotations
@@ -17,24 +16,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.bundle import diagnostics
-from vergence.calibration.bundle.adjustment import adjust
-from vergence.calibration.bundle.initial_state import initial_state
-from vergence.calibration.bundle.measured_poses import PoseObservations
-from vergence.calibration.bundle.problem import (
-    BundleProblem,
-    BundleState,
-    corner_errors,
-    detection_eye_poses,
-    detection_eyes,
-)
-from vergence.calibration.bundle.solver import OUTLIER
+from vergence.calibration.bundle_findings import BundleFindings
+from vergence.calibration.bundle_start import BundleProblem, PoseObservations, bundle_problem
 from vergence.calibration.observations import Observations
+from vergence.calibration.residuals import Reprojection
+from vergence.calibration.systematic_errors import systematic_errors
 from vergence.errors import VergenceError
-from vergence.findings import Finding, by_severity, warning
+from vergence.estimation.adjustment import Adjustment, adjust
+from vergence.estimation.noise import Level
+from vergence.estimation.residual import OUTLIER, Residual
+from vergence.findings import Finding
 from vergence.geometry.head import HeadCalibration, main_pair
 from vergence.geometry.head_accuracy import Accuracy
-from vergence.geometry.kinematics import EYES, GEARED, Kinematics, reading_kinds
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.parameter_names import POSE
 from vergence.geometry.parameters import parameter_names, redundant_offsets
@@ -49,6 +42,15 @@ OWN_LEVELS = 24
 with 14 views, whose pan was read to 0.02 degrees and whose tilt to 0.3, depth then erred by 1.02
 times what is stated, and with one level for both by 0.38 times; where both were read alike nothing
 changed."""
+FIRST_PX = 0.1
+"""Least first noise of a corner [px], or of a measured pose [stated ones]."""
+FLOOR_PX = 1e-3
+"""No corner is found better than that; keeps exact data from dividing by zero."""
+GENEROUS_JOINT = 0.01
+"""First joint noise [rad or m]: large, so that good readings do not pass for outliers before the
+level is known."""
+USUAL_JOINT = 0.002
+"""Assumed where the data do not determine the joint noise [rad or m]: 0.1 degrees."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +65,8 @@ class BundleEstimate:
     covariance: Array
     """(c, c) in the order of parameters; zero for what was fixed by choice."""
     pixel_std_px: float
-    """Noise of one coordinate of a corner, in a typical image."""
+    """Noise of one coordinate of a corner, in a typical image; of measured poses of a target, the
+    factor on their stated deviations."""
     camera_std_px: Mapping[str, float]
     """By camera: noise of one coordinate of a corner, rms over all of its images; empty for
     measured poses of a target."""
@@ -75,20 +78,21 @@ class BundleEstimate:
     T_lbase_target: Mapping[int, Array]
     """By number of the placement: where the board stood."""
     board_scale: float
-    """Size of the board relative to the stated one: estimated where measured poses of the eyes know
-    lengths, else 1."""
+    """Size of the board relative to the stated one: estimated where measured poses of the eyes
+    determine lengths, else 1."""
     T_base_eye: Array
     """(V, 2, 4, 4) the true poses of the left and the right eye; NaN where it saw no board."""
     residuals_px: Mapping[str, Array]
-    """By camera that sees boards: (V, K, 2) projected minus seen; NaN where not seen."""
+    """By camera that sees boards: (V, K, 2) projected minus seen, or (V, 6) of measured poses;
+    NaN where not seen."""
     findings: tuple[Finding, ...]
     """What the data cannot determine, and why; the most severe first."""
     cost: float
-    """-2 log of the restricted likelihood at these noise levels, but for a constant."""
+    """-2 log of the restricted likelihood at these noise levels, up to a constant."""
 
     @property
     def accuracy(self) -> Accuracy:
-        """What is known of the head's accuracy, for its file."""
+        """The head's accuracy, for its file."""
         estimated = np.flatnonzero(np.diag(self.covariance) > 0)
         covariance = self.covariance[np.ix_(estimated, estimated)]
         return Accuracy(
@@ -114,6 +118,7 @@ def bundle_adjust(
     joint_std: float | Sequence[float] | None = None,
     own_levels_from: float = OWN_LEVELS,
     outlier: float = OUTLIER,
+    priors: Sequence[Residual] = (),
 ) -> BundleEstimate:
     """Estimate a whole head at once: lenses, mountings, the pose between the eyes, axes, time.
 
@@ -131,6 +136,7 @@ def bundle_adjust(
             readings are exact.
         own_levels_from: eyes times views from which each kind of reading has a noise of its own.
         outlier: standard deviations beyond which a corner or a reading loses weight.
+        priors: other measurements of the head, such as `residuals.EyeDistance`.
 
     Raises:
         VergenceError: an unknown parameter is named, joint_std is that of other readings, a reading
@@ -144,68 +150,108 @@ def bundle_adjust(
             f"There is no parameter {min(unknown)!r} to fix; there are, for example, "
             "left_wide.fx, left_wide.T_eye_cam.rx, left.pan_gain and time_offset_s."
         )
-    problem, state, numbers = initial_state(
+    given = None if joint_std is None else np.maximum(np.atleast_1d(joint_std), EXACT)
+    problem = bundle_problem(
         start,
         observations,
         fixed=fixed,
         points=points,
         T_cam_target=T_cam_target,
+        least_blocks=own_levels_from if given is None else np.inf if len(given) == 1 else 0,
     )
-    given = None if joint_std is None else np.maximum(np.atleast_1d(joint_std), EXACT)
-    least_blocks = own_levels_from if given is None else np.inf if len(given) == 1 else 0
-    group = _noise_groups(problem, start.kinematics, least_blocks)
-    groups = int(group.max()) + 1
-    if given is not None and len(given) not in (1, groups):
+    levels = _levels(problem, pixel_std_px, given)
+    residuals = (*problem.residuals, *priors)
+    found = adjust(residuals, problem.start, levels, outlier=outlier)
+    return _estimate(problem, start, observations, found, levels)
+
+
+def _levels(
+    problem: BundleProblem, pixel_std_px: float | None, joint_std: Array | None
+) -> list[Level]:
+    """Return the noise levels: that of the cameras, and those of the readings."""
+    names = list(dict.fromkeys(problem.readings.level))
+    if joint_std is not None and len(joint_std) not in (1, len(names)):
         raise VergenceError(
-            f"joint_std is one number, or {groups}, as many as these readings have kinds; found "
-            f"{joint_std}."
+            f"joint_std is one number, or {len(names)}, as many as these readings have kinds; "
+            f"found {tuple(joint_std.tolist())}."
         )
-    levels = None if given is None else np.broadcast_to(given, groups)
-    found = adjust(
-        problem, state, group, pixel_std_px=pixel_std_px, joint_std=levels, outlier=outlier
-    )
+    pixel = FIRST_PX if pixel_std_px is None else pixel_std_px
+    of_corners = Level(str(problem.measured.level), pixel, pixel_std_px is not None, floor=FLOOR_PX)
+    levels, postures = [of_corners], problem.readings.postures
+    for k, name in enumerate(names):
+        latent = tuple(i for i, each in enumerate(problem.readings.level) if each == name)
+        turned = 1.0  # angle of a joint by one radian of its reading: see `factors`
+        if postures.T_base_eye_read is None:
+            kinematics = problem.start["head"].kinematics
+            turned = float(kinematics.factors[postures.columns[0, list(latent)]].max())
+        first = GENEROUS_JOINT / turned
+        if joint_std is not None:
+            first = float(np.broadcast_to(joint_std, len(names))[k])
+        levels.append(
+            Level(name, first, joint_std is not None, usual=USUAL_JOINT / turned, latent=latent)
+        )
+    return levels
+
+
+def _estimate(
+    problem: BundleProblem,
+    start: HeadCalibration,
+    observations: Observations | PoseObservations,
+    found: Adjustment,
+    levels: Sequence[Level],
+) -> BundleEstimate:
+    x, measured, names = found.x, found.residuals[0], tuple(start.cameras)
+    detections = problem.measured.detections
     T_base_eye = np.full((len(observations.placement), 2, 4, 4), np.nan)
-    views = problem.block_view[problem.block]
-    T_base_eye[views, detection_eyes(problem)] = detection_eye_poses(problem, found.state)
+    T_base_eye[detections.views, detections.eyes] = detections.eye_poses(x)
+    covariance, camera_px = found.observability.covariance, {}
+    systematic: dict[str, float] = {}
+    pixel_px = found.levels[levels[0].name]
+    if isinstance(measured, Reprojection):
+        systematic, added = systematic_errors(found)
+        c = len(covariance)
+        covariance = covariance + added[:c, :c]
+        for k, name in enumerate(names):
+            scales = measured.noise_scale[detections.camera == k]
+            rms = np.sqrt(np.mean(scales**2)) if len(scales) else 1.0
+            camera_px[name] = pixel_px * float(rms)
+    findings = BundleFindings(problem, found, levels, systematic)
+    assumed_px = measured.systematic_px if isinstance(measured, Reprojection) else 0.0
     return BundleEstimate(
-        head=replace(found.state.head, neck=start.neck),
-        parameters=problem.parameters,
-        covariance=found.observability.covariance,
-        pixel_std_px=found.noise.pixel_px,
-        camera_std_px={}
-        if isinstance(observations, PoseObservations)
-        else dict(zip(problem.cameras, found.camera_px, strict=True)),
+        head=replace(x["head"], neck=start.neck),
+        parameters=parameter_names(start),
+        covariance=covariance,
+        pixel_std_px=pixel_px,
+        camera_std_px=camera_px,
         systematic_px={
-            name: float(np.sqrt(px**2 - problem.systematic_px**2))
-            for name, px in zip(problem.cameras, found.systematic_px, strict=True)
-            if px > max(SHOWN_SYSTEMATIC * found.noise.pixel_px, problem.systematic_px)
+            name: float(np.sqrt(px**2 - assumed_px**2))
+            for name, px in systematic.items()
+            if px > max(SHOWN_SYSTEMATIC * pixel_px, assumed_px)
         },
-        joint_std=tuple(map(float, found.noise.levels[1:])),
-        T_lbase_target=dict(zip(numbers.tolist(), found.state.T_lbase_target, strict=True)),
-        board_scale=found.state.board_scale,
+        joint_std=tuple(found.levels[level.name] for level in levels[1:]),
+        T_lbase_target=dict(zip(problem.placements.tolist(), x["boards"], strict=True)),
+        board_scale=x["board_scale"],
         T_base_eye=T_base_eye,
-        residuals_px=_residuals(problem, found.state, len(T_base_eye)),
-        findings=by_severity(
-            (
-                *_left_out(problem, observations),
-                *diagnostics.contradicting_views(problem),
-                *diagnostics.findings(problem, found),
-            )
-        ),
+        residuals_px=_residuals(problem, found, len(T_base_eye)),
+        findings=findings.all(observations),
         cost=found.cost,
     )
 
 
-def _residuals(problem: BundleProblem, state: BundleState, views: int) -> dict[str, Array]:
-    """Return by camera the errors (V, K, 2) of its corners; NaN where not seen."""
-    errors = np.where(problem.seen[..., None], corner_errors(problem, state), np.nan)
-    found = {}
-    for c, name in enumerate(problem.cameras):
-        mine = problem.camera == c
+def _residuals(problem: BundleProblem, found: Adjustment, views: int) -> dict[str, Array]:
+    """Return by camera the errors (V, K, 2) of its corners, or (V, 6); NaN where not seen."""
+    measured, detections = problem.measured, problem.measured.detections
+    seen = np.repeat(measured.seen, measured.together, axis=1)
+    errors = np.where(seen, found.errors[0], np.nan)
+    if isinstance(measured, Reprojection):
+        errors = errors.reshape(*measured.pixels.shape)
+    residuals = {}
+    for c, name in enumerate(detections.cameras):
+        mine = detections.camera == c
         if mine.any():
-            found[name] = np.full((views, *errors.shape[1:]), np.nan)
-            found[name][problem.block_view[problem.block[mine]]] = errors[mine]
-    return found
+            residuals[name] = np.full((views, *errors.shape[1:]), np.nan)
+            residuals[name][detections.views[mine]] = errors[mine]
+    return residuals
 
 
 def check_noise(joint_std: float | tuple[float, float] | None, **above_zero: float | None) -> None:
@@ -216,51 +262,6 @@ def check_noise(joint_std: float | tuple[float, float] | None, **above_zero: flo
     levels = np.array([] if joint_std is None else joint_std)
     if levels.size and not ((levels >= 0) & np.isfinite(levels)).all():
         raise VergenceError(f"joint_std is a standard deviation, 0 or more; found {joint_std}.")
-
-
-def _noise_groups(
-    problem: BundleProblem, kinematics: Kinematics, least_blocks: float
-) -> np.ndarray:
-    """Return (n,) the group of each latent unknown, whose readings have noise of one level.
-
-    From some number of blocks on each kind of reading is a group, below it all are one, unless some
-    stand before a gear, or another one, than others. Where a reading moves both eyes, such as their
-    vergence, one eye shows a sum of readings only: such blocks do not count. Of measured poses
-    rotations are one, and translations another.
-    """
-    if problem.T_base_eye_read is not None:
-        return np.array([0, 0, 0, 1, 1, 1])
-    blocks = len(problem.reading)
-    if set(kinematics.used("left")) & set(kinematics.used("right")):
-        left, right = (problem.block[problem.eye[problem.camera] == e] for e in range(len(EYES)))
-        blocks = len(np.intersect1d(left, right))
-    few = blocks < least_blocks
-    if few and kinematics.factors.max() < GEARED * kinematics.factors.min():
-        return np.zeros(problem.reading.shape[1], dtype=int)
-    kinds = np.array(reading_kinds(kinematics))[problem.block_columns[0]]
-    return np.unique(kinds, return_inverse=True)[1]
-
-
-def _left_out(
-    problem: BundleProblem, observations: Observations | PoseObservations
-) -> list[Finding]:
-    """Return warnings of cameras without boards, and on views that are of no use."""
-    if isinstance(observations, PoseObservations):
-        detections = observations.T_cam_target
-    else:
-        detections = observations.corners
-    said = [
-        warning("blind-camera-kept", f"{name} sees no board, and keeps its start.", name)
-        for c, name in enumerate(problem.cameras)
-        if c not in problem.camera
-    ]
-    seen = np.any([np.isfinite(d).any(axis=(1, 2)) for d in detections.values()], axis=0)
-    lost = np.setdiff1d(np.flatnonzero(seen), problem.block_view)
-    if len(lost):
-        views = ", ".join(map(str, lost))
-        sentence = f"Views {views} were left out: no image of these boards shows enough corners."
-        said.append(warning("few-corners", sentence, f"views {views}"))
-    return said
 
 
 def fixed_by_default(start: HeadCalibration, *, timed: bool) -> set[str]:

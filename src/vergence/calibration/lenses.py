@@ -1,14 +1,15 @@
-"""The lens models that can be fitted to views of a board, and their fits.
+"""Fit lens models to views of a flat board.
 
-`fit_model` fits them in double precision, from a start that is near the truth or from one that it
-seeks.
+The boards' poses are latent. `fit_model` starts near the truth, or seeks a start of its own. What
+is left of the intrinsics' derivatives after the poses have been projected out also gives, to first
+order, how well a view would have been predicted without it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from threading import Lock
 from typing import Literal
 
@@ -16,13 +17,18 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.sequential.lens_fit import NEGLIGIBLE_GAIN, ROUGH, LensFit, fit_lens
-from vergence.calibration.sequential.lens_prior import EQUIDISTANT
+from vergence.calibration.lens_prior import EQUIDISTANT, lens_priors
+from vergence.calibration.unknowns import lens_block
+from vergence.estimation.least_squares import TOLERANCE, least_squares
+from vergence.estimation.variables import Variables
 from vergence.geometry.camera import Camera, pinhole
 from vergence.geometry.lens import distort
 from vergence.geometry.parameter_names import PINHOLE
 from vergence.geometry.se3 import transform
 from vergence.vision.board_pose import (
+    BoardViews,
+    board_errors,
+    board_latent,
     board_poses,
     refined_poses,
     seen_corners,
@@ -51,18 +57,18 @@ FREE_COEFFICIENTS: dict[LensModel, int] = {
     "fisheye": 4,
 }
 """How many coefficients are fitted: the first ones of geometry.lens."""
+ROUGH = 1e-2
+"""Predicted decrease of the cost at which a fit stops that is only compared with others: a tenth of
+a standard deviation."""
 SLANT_DOUBTED = 4.0
 """Mean square of a view's errors, relative to that of the typical view, from which the board's
 slant is doubted."""
 FISHEYE_DEG = (100.0, 140.0, 175.0)
-"""Fields of view with which the fit of a fisheye lens is started, beside OpenCV's pinhole fit."""
+"""Fields of view [degrees] with which the fit of a fisheye lens is started."""
+FOCAL_FACTORS = 1.0, 2.0, 4.0, 0.5
+"""On the focal lengths of Zhang's closed form: noise makes these short by a factor of up to four
+where views show a few corners each."""
 
-# OpenCV's default of 30 iterations stops short of the optimum where distortion is strong.
-CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-14)
-
-
-_FACTORS = 1.0, 2.0, 4.0, 0.5
-"""On the focal lengths of Zhang's closed form, of what a fit is started from."""
 _lock = Lock()
 _threads_before: list[int] = []
 """How many threads OpenCV had when each calibration began that is still fitting."""
@@ -91,6 +97,67 @@ Start = tuple[Camera, Array]
 """A camera and the poses (V, 4, 4) of the boards before it."""
 
 
+@dataclass(frozen=True, eq=False)
+class LensFit:
+    """A lens with the boards before it, at the least sum of squares."""
+
+    camera: Camera
+    T_cam_target: Array
+    """(V, 4, 4)."""
+    errors: Array
+    """(V, 2 K) [px] projected minus seen; zero where not seen."""
+    rest: Array
+    """(V, 2 K, n) derivatives of the errors by the n free intrinsics, poses projected out."""
+
+    @property
+    def sum_squares(self) -> float:
+        """Return the sum of squares of the errors [px^2]."""
+        return float((self.errors**2).sum())
+
+
+def fit_lens(
+    camera: Camera,
+    free: np.ndarray,
+    T_cam_target: Array,
+    corners: Array,
+    points: Array,
+    *,
+    iterations: int = 60,
+    tolerance: float = TOLERANCE,
+) -> LensFit:
+    """Fit a lens to views of a board, by the likelihood of the noise level that makes it largest.
+
+    Args:
+        camera: to start from.
+        free: (n,) indices of the intrinsics that may change, in the order of intrinsics_names.
+        T_cam_target: (V, 4, 4) to start from.
+        corners: (V, K, 2) pixels; NaN where not seen.
+        points: (K, 3) in frame target.
+        iterations: at most.
+        tolerance: see least_squares.
+
+    Raises:
+        ValueError: a corner has no place in the image at the start.
+    """
+    views = BoardViews(corners=corners, points=points)
+    last = len(PINHOLE) + len(camera.distortion) - 1
+    found = least_squares(
+        [views, *lens_priors(camera, last in free)],
+        Variables({"lens": lens_block(camera, free)}, board_latent(T_cam_target)),
+        iterations=iterations,
+        tolerance=tolerance,
+    )
+    camera, T = found.x["lens"], found.x.latent.value
+    errors, by_pose, by_lens = board_errors(camera, T, corners, points)
+    return LensFit(camera, T, errors, without_poses(by_pose, by_lens[..., free]))
+
+
+def without_poses(by_pose: Array, by_lens: Array) -> Array:
+    """Project derivatives by poses (V, 2 K, 6) out of those (V, 2 K, n) by the lens."""
+    by_pose_T = np.swapaxes(by_pose, 1, 2)
+    return by_lens - by_pose @ np.linalg.solve(by_pose_T @ by_pose, by_pose_T @ by_lens)
+
+
 def fit_model(
     lens_model: LensModel,
     start: Start | None,
@@ -98,9 +165,9 @@ def fit_model(
     points: Array,
     size: tuple[int, int],
     *,
-    tolerance: float = NEGLIGIBLE_GAIN,
+    tolerance: float = TOLERANCE,
 ) -> LensFit:
-    """Return the fit of a lens model in double precision.
+    """Fit a lens model to views of a board.
 
     Args:
         lens_model: which coefficients are free.
@@ -109,12 +176,11 @@ def fit_model(
         corners: (V, K, 2) pixels, NaN where not seen; each view has four or more.
         points: (K, 3) the board's corners in frame target.
         size: width and height of the images [px].
-        tolerance: see fit_lens.
+        tolerance: see least_squares.
 
     Raises:
         cv2.error or ValueError or numpy.linalg.LinAlgError: the fit leads to no camera.
     """
-    free = free_intrinsics(lens_model)
     fit = _fit_from(lens_model, start, corners, points, size, tolerance)
     # A board that is small in the image may have been found slanted the other way.
     squares = (fit.errors**2).sum(axis=1) / np.count_nonzero(seen_corners(corners), axis=1)
@@ -128,15 +194,20 @@ def fit_model(
     T[doubtful[better]] = found[better]
     if not better.any():
         return fit
+    free = free_intrinsics(lens_model)
     return fit_lens(fit.camera, free, T, corners, points, tolerance=tolerance)
+
+
+def free_intrinsics(lens_model: LensModel) -> np.ndarray:
+    """Return which intrinsics a lens model leaves free, as indices of intrinsics_names."""
+    return np.arange(len(PINHOLE) + FREE_COEFFICIENTS[lens_model])
 
 
 def pinhole_start(corners: Array, points: Array, size: tuple[int, int]) -> Start | None:
     """Return a camera without distortion and the boards before it (Zhang's closed form).
 
-    Where it has corners behind the camera, other focal lengths are tried: noise makes the closed
-    form short by a factor of up to four where views show a few corners each. If there are such
-    views for every one of them, the camera is fitted to the others first.
+    Where it has corners behind the camera, other focal lengths are tried. If each has such views,
+    the camera is fitted to the others first. None: no camera has all boards in front.
     """
     seen = seen_corners(corners)
     try:
@@ -147,35 +218,28 @@ def pinhole_start(corners: Array, points: Array, size: tuple[int, int]) -> Start
                 size,
             )
         matrix = np.asarray(matrix, float)
-        cameras = [Camera(*size, matrix * [[f, 1, 1], [1, f, 1], [1, 1, 1]]) for f in _FACTORS]
+        cameras = [Camera(*size, matrix * [[f, 1, 1], [1, f, 1], [1, 1, 1]]) for f in FOCAL_FACTORS]
     except (cv2.error, ValueError):
         return None
-    best: tuple[Camera, Array, np.ndarray] | None = None
+    starts = []
     for camera in cameras:
-        poses, before = _before_camera(camera, corners, points)
-        if before.all():
+        poses, in_front = _in_front(camera, corners, points)
+        if in_front.all():
             return camera, poses
-        if best is None or before.sum() > best[2].sum():
-            best = camera, poses, before
-    assert best is not None
-    camera, poses, before = best
-    if before.sum() < 3:  # Zhang's method needs three views
+        starts.append((camera, poses, in_front))
+    camera, poses, in_front = max(starts, key=lambda start: start[2].sum())
+    if in_front.sum() < 3:  # Zhang's method needs three views
         return None
-    fit = fit_lens(camera, free_intrinsics("none"), poses[before], corners[before], points)
-    poses, before = _before_camera(fit.camera, corners, points)
-    return (fit.camera, poses) if before.all() else None
+    fit = fit_lens(camera, free_intrinsics("none"), poses[in_front], corners[in_front], points)
+    poses, in_front = _in_front(fit.camera, corners, points)
+    return (fit.camera, poses) if in_front.all() else None
 
 
-def _before_camera(camera: Camera, corners: Array, points: Array) -> tuple[Array, np.ndarray]:
+def _in_front(camera: Camera, corners: Array, points: Array) -> tuple[Array, np.ndarray]:
     """Return poses (V, 4, 4) of boards, and which (V,) have all their seen corners in front."""
     poses, seen = board_poses(camera, corners, points), seen_corners(corners)
     in_front = transform(poses[:, None], points)[..., 2] > 0
     return poses, np.asarray((in_front | ~seen).all(axis=1))
-
-
-def free_intrinsics(lens_model: LensModel) -> np.ndarray:
-    """Return which intrinsics a lens model leaves free, as indices of intrinsics_names."""
-    return np.arange(len(PINHOLE) + FREE_COEFFICIENTS[lens_model])
 
 
 def _fit_from(

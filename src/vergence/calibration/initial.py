@@ -17,6 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.calibration.hand_eye import robust_park_martin
+from vergence.calibration.intrinsics import Intrinsics, calibrate_intrinsics
+from vergence.calibration.lenses import LensModel
 from vergence.calibration.observations import (
     Observations,
     base_by_boards,
@@ -26,10 +29,7 @@ from vergence.calibration.observations import (
     most_seen,
     readable,
 )
-from vergence.calibration.sequential.hand_eye import robust_park_martin
-from vergence.calibration.sequential.intrinsics import Intrinsics, calibrate_intrinsics
-from vergence.calibration.sequential.lens_models import LensModel
-from vergence.calibration.sequential.static_stereo import calibrate_pair
+from vergence.calibration.static_stereo import calibrate_pair
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
 from vergence.geometry.camera import Camera

@@ -18,15 +18,17 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.observations import Observations
-from vergence.calibration.sequential.intrinsics import lenses_of_the_paper
-from vergence.calibration.sequential.lens_fit import ROUGH, LensFit, held_out_squares
-from vergence.calibration.sequential.lens_models import (
+from vergence.calibration.intrinsics import lenses_of_the_paper
+from vergence.calibration.lens_statistics import held_out_squares
+from vergence.calibration.lenses import (
     FREE_COEFFICIENTS,
+    ROUGH,
+    LensFit,
     LensModel,
     fit_model,
     pinhole_start,
 )
+from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
 from vergence.vision.board_pose import determines_pose, seen_corners

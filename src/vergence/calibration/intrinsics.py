@@ -9,17 +9,9 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.calibration.lens_statistics import jackknife_covariance, noise_covariance
+from vergence.calibration.lenses import LensModel, fit_model, free_intrinsics, without_poses
 from vergence.calibration.observations import Observations
-from vergence.calibration.sequential.lens_fit import (
-    jackknife_covariance,
-    noise_covariance,
-    without_poses,
-)
-from vergence.calibration.sequential.lens_models import (
-    LensModel,
-    fit_model,
-    free_intrinsics,
-)
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
 from vergence.geometry.camera import Camera, displaced_by_distortion

@@ -1,1 +1,0 @@
-"""Bundle adjustment: one estimate of a whole head, its covariance and its noise levels."""

@@ -1,0 +1,372 @@
+"""What the data of a bundle adjustment cannot determine, and what in them does not fit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.calibration.bundle_start import BundleProblem, PoseObservations
+from vergence.calibration.observations import Observations
+from vergence.calibration.residuals import Readings, Reprojection
+from vergence.errors import counted, listed
+from vergence.estimation.adjustment import Adjustment
+from vergence.estimation.noise import Level
+from vergence.findings import Finding, by_severity, void, warning
+from vergence.geometry.kinematics import EYES
+from vergence.geometry.lens import COEFFICIENTS
+from vergence.geometry.parameters import parameter_names
+from vergence.geometry.se3 import rotvec
+
+FEW = 6
+"""Degrees of freedom below which an estimated noise level is heavy-tailed, and the covariance
+optimistic."""
+SURE = 5.0
+"""Standard deviations from which the images of one eye are later than those of the other: far more
+than noise makes in any recording."""
+LEAST_APART_S = 0.001
+"""Least such time that is worth a warning: 0.06 degrees at a rad/s."""
+LOST = 0.02
+"""Share of corners without weight that is reported; good ones lose it once in 3000."""
+MOST_NAMED = 3
+"""Most readings that lost their weight and are named one by one; the rest are counted."""
+NAMED = 0.3
+"""A direction's components of this size, relative to the largest, are named."""
+SMALL_RAD = 0.05
+"""Motion below this is small beside the +-0.25 rad of a good recording."""
+ADVISED = "by at least 0.1 rad, better 0.25"
+"""Median stated deviation of the worst axis, 20 views at 0.1 px and 0.1 degrees, board at 0.4 m:
+0.92 degrees and 2.6 mm for motion within 0.03 rad, 0.27 and 0.8 within 0.1, 0.10 and 0.3 within
+0.25."""
+SENSE = 6.0
+"""Motion, as a multiple of the noise of its mean, from which its sense is certain."""
+
+_WORDS = {f"r{axis}": f"rotation about {axis}" for axis in "xyz"}
+_WORDS |= {f"t{axis}": f"translation along {axis}" for axis in "xyz"}
+_UNCONVERGED = (
+    "The estimate did not converge, as where no head of this description fits the data, or the "
+    "eyes turn too little to tell: check the description of the joints, the order of their "
+    "readings, the lens models (`lens`), and the size of the board; let the eyes turn farther."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class BundleFindings:
+    """A bundle adjustment, as findings look at it."""
+
+    problem: BundleProblem
+    found: Adjustment
+    levels: Sequence[Level]
+    systematic_px: Mapping[str, float]
+
+    def all(self, observations: Observations | PoseObservations) -> tuple[Finding, ...]:
+        """Return everything that the reader of a result must know, the most severe first."""
+        parts = (
+            _doubtful(self),
+            _left_out(self, observations),
+            _unobservable(self),
+            _noise(self),
+            _lost_corners(self),
+            _lost_readings(self),
+            _apart_in_time(self),
+            _systematic(self),
+        )
+        return by_severity(each for part in parts for each in part)
+
+    @property
+    def eyes(self) -> np.ndarray:
+        """(M,) the eye of each detection."""
+        return self.problem.measured.detections.eyes
+
+    @property
+    def poses_read(self) -> bool:
+        """Whether poses of the eyes were measured instead of angles."""
+        return self.problem.readings.postures.T_base_eye_read is not None
+
+    def name_of_eye(self, eye: int) -> str:
+        """Return how a sentence calls an eye."""
+        alone = len(self.problem.measured.detections.cameras) == 1
+        return "the eye" if alone else f"the {EYES[eye]} eye"
+
+    def of_camera(self, name: str) -> str:
+        """Return whose images a sentence is about."""
+        alone = len(self.problem.measured.detections.cameras) == 1
+        return "" if alone else f" of {name}"
+
+
+def _doubtful(of: BundleFindings) -> Iterator[Finding]:
+    """Report an estimate that must not be used."""
+    if not of.found.converged:
+        yield void("not-converged", _UNCONVERGED)
+    for eye in np.unique(of.eyes).tolist():
+        yield from _doubtful_senses(of, eye)
+
+
+def _doubtful_senses(of: BundleFindings, eye: int) -> Iterator[Finding]:
+    """Name joints whose motion is so small that its sense is uncertain."""
+    rows, board = _seen_boards(of, eye)
+    if of.poses_read or np.bincount(board).max() < 2:
+        return
+    kinematics, postures = of.found.x["head"].kinematics, of.problem.readings.postures
+    mixing = kinematics.chains[EYES[eye]].mixing
+    detections = of.problem.measured.detections
+    std = np.zeros(len(kinematics.readings))
+    levels = [of.found.levels[name] for name in of.problem.readings.level]
+    std[postures.columns[detections.posture[rows[0]]]] = levels
+    angles = (postures.head_readings(of.found.x) @ mixing.T)[detections.posture[rows]]
+    counts = np.bincount(board)
+    means = np.stack([np.bincount(board, column) / counts for column in angles.T], axis=-1)
+    length = np.linalg.norm(angles - means[board], axis=0)
+    noise = np.sqrt(mixing**2 @ std**2)
+    for joint, size, level in zip(kinematics.eyes[EYES[eye]], length, noise, strict=True):
+        if size < SENSE * level:
+            whose = f"{joint.name} of {of.name_of_eye(eye)}"
+            sentence = (
+                f"The noise of the readings of {whose} is {level:.2g} rad, and even the sense of "
+                f"the motion is uncertain: let it turn {ADVISED}."
+            )
+            yield void("doubtful-sense", sentence, whose)
+
+
+def _left_out(
+    of: BundleFindings, observations: Observations | PoseObservations
+) -> Iterator[Finding]:
+    """Name cameras without boards, and views that are of no use or contradict the others."""
+    detections = of.problem.measured.detections
+    if isinstance(observations, PoseObservations):
+        images = observations.T_cam_target
+    else:
+        images = observations.corners
+    for c, name in enumerate(detections.cameras):
+        if c not in detections.camera:
+            yield warning("blind-camera-kept", f"{name} sees no board, and keeps its start.", name)
+    seen = np.any([np.isfinite(each).any(axis=(1, 2)) for each in images.values()], axis=0)
+    lost = np.setdiff1d(np.flatnonzero(seen), detections.views)
+    if len(lost):
+        views = ", ".join(map(str, lost))
+        sentence = f"Views {views} were left out: no image of these boards shows enough corners."
+        yield warning("few-corners", sentence, f"views {views}")
+    for c, name in enumerate(detections.cameras):
+        lost = detections.views[of.problem.contradicting & (detections.camera == c)]
+        if len(lost):
+            where = f"{', '.join(map(str, np.sort(lost)))}{of.of_camera(name)}"
+            sentence = (
+                f"Views {where} were left out: they show the board turned against its other "
+                "views, as when it is numbered from the wrong end, or one of few corners is wrong."
+            )
+            yield warning("turned-views", sentence, f"views {where}")
+
+
+def _unobservable(of: BundleFindings) -> Iterator[Finding]:
+    """Name the parameters that the data do not determine, and the motion that is missing."""
+    parameters = parameter_names(of.found.x["head"])
+    cameras = of.problem.measured.detections.cameras
+    names = [n.removeprefix("camera.").rpartition(".") for n in parameters]
+    owner = [before or after for before, _, after in names]
+    word = [_WORDS.get(after, after) if before else "" for before, _, after in names]
+    # Numerator and denominator of a rational lens nearly cancel; what that leaves open is in the
+    # covariance, and in the map of the lens.
+    cancelling = {
+        f"{camera}.{name}"
+        for camera in cameras
+        if f"{camera}.k6" in parameters
+        for name in COEFFICIENTS["rational"]
+    }
+    for what, rows in (
+        ("not observable, and left at the start", of.found.observability.fixed),
+        ("poorly observable", of.found.observability.weak),
+    ):
+        merged: dict[tuple[str, ...], set[int]] = {}
+        for row in _sparse(rows):
+            large = np.flatnonzero(np.abs(row) > NAMED * np.abs(row).max()).tolist()
+            if all(parameters[i] in cancelling for i in large):
+                continue
+            merged.setdefault(tuple(dict.fromkeys(owner[i] for i in large)), set()).update(large)
+        for owners, large in merged.items():
+            parts = {o: [word[i] for i in sorted(large) if owner[i] == o] for o in owners}
+            subject = " together with ".join(f"{o} {listed(parts[o])}".strip() for o in owners)
+            eyes = sorted({eye for o in owners for eye in _eyes_of(of, o)})
+            sentence = f"{subject}: {what}; {_missing_motion(of, eyes)}."
+            yield warning("unobservable", sentence, ", ".join(owners))
+
+
+def _eyes_of(of: BundleFindings, owner: str) -> list[int]:
+    detections, camera = of.problem.measured.detections, owner.removesuffix(".T_eye_cam")
+    if camera in detections.cameras:
+        return [int(detections.eye[detections.cameras.index(camera)])]
+    return [EYES.index(owner)] if owner in EYES else np.unique(detections.eye).tolist()
+
+
+def _sparse(rows: Array) -> Array:
+    """Return a basis of the same space with the zeros that pivoted elimination gives."""
+    rows = rows.copy()
+    for k in range(len(rows)):
+        i, j = np.unravel_index(np.abs(rows[k:]).argmax(), rows[k:].shape)
+        rows[[k, k + i]] = rows[[k + i, k]]
+        rows[k] /= rows[k, j]
+        others = np.arange(len(rows)) != k
+        rows[others] -= np.outer(rows[others, j], rows[k])
+    return rows
+
+
+def _missing_motion(of: BundleFindings, eyes: list[int]) -> str:
+    """Return what the motion of the eyes lacks."""
+    board = of.problem.measured.detections.board
+    if len(eyes) == 2 and not set(board[of.eyes == 0]) & set(board[of.eyes == 1]):
+        return "no board stands where both eyes see it; show the same board to both"
+    causes = [cause for eye in eyes if (of.eyes == eye).any() for cause in _motion(of, eye)]
+    return ", ".join(causes) or (
+        "the views do not distinguish it from other unknowns; record more of them, with all joints "
+        "moved by 0.25 rad and boards at several distances and slants"
+    )
+
+
+def _motion(of: BundleFindings, eye: int) -> Iterator[str]:
+    """Describe what is wrong with the motion of one eye before boards at rest."""
+    rows, board = _seen_boards(of, eye)
+    who = of.name_of_eye(eye)
+    if np.bincount(board).max() < 2:
+        yield f"{who} sees each board in one view only; let it move before a board at rest"
+        return
+    R = of.problem.measured.detections.eye_poses(of.found.x)[rows, :3, :3]
+    first = np.unique(board, return_index=True)[1]
+    turns = rotvec(np.swapaxes(R[first][board], 1, 2) @ R)
+    reach = np.linalg.svd(turns, compute_uv=False) / np.sqrt(len(turns))
+    if reach[0] < SMALL_RAD:
+        yield f"{who} turns by {reach[0]:.2g} rad only; turn it about two axes {ADVISED}"
+    elif reach[1] < SMALL_RAD:
+        yield (
+            f"all turns of {who} share one axis to within {reach[1]:.2g} rad; turn it about "
+            f"another axis as well, {ADVISED}"
+        )
+
+
+def _seen_boards(of: BundleFindings, eye: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return a detection of each board by an eye in each view, and which board it shows."""
+    detections = of.problem.measured.detections
+    mine = np.flatnonzero(of.eyes == eye)
+    pairs = np.stack([detections.posture[mine], detections.board[mine]])
+    (_, board), first = np.unique(pairs, axis=1, return_index=True)
+    return mine[first], np.unique(board, return_inverse=True)[1]
+
+
+def _noise(of: BundleFindings) -> Iterator[Finding]:
+    """Name noise levels that were assumed, or rest on few readings."""
+    names = {"rotations": ("the eyes' measured rotations", "rad")}
+    names["translations"] = ("the eyes' measured places", "m")
+    for level in of.levels[1:]:
+        what, unit = names.get(level.name, ("the joint readings", "rad"))
+        left = of.found.redundancy[level.name]
+        if of.found.assumed[level.name]:
+            sentence = (
+                f"The noise of {what} cannot be estimated from these views; "
+                f"{of.found.levels[level.name]:g} {unit} was assumed: let the eyes look at each "
+                "board from several angles."
+            )
+            yield warning("noise-assumed", sentence, what)
+        elif not level.given and left < FEW:
+            sentence = (
+                f"The noise of {what} rests on {left:.0f} readings more than it takes to fit them: "
+                "the stated accuracy is rough; record more views."
+            )
+            yield warning("noise-roughly-known", sentence, what)
+
+
+def _lost_corners(of: BundleFindings) -> Iterator[Finding]:
+    """Report corners that lost their weight, and the view with the most of them."""
+    measured, found = of.problem.measured, of.found
+    lost = (measured.seen & (found.linear.weights[0] < 1)).sum(axis=1)
+    views = measured.detections.views
+    by_view, seen = np.bincount(views, lost), np.bincount(views, measured.seen.sum(axis=1))
+    worst = int(by_view.argmax())
+    if lost.sum() <= LOST * seen.sum() and by_view[worst] <= seen[worst] / 2:
+        return
+    level = found.levels[str(measured.level)]
+    what, unit = "corners", f"{level:.2g} px"
+    if not isinstance(measured, Reprojection):
+        what, unit = "numbers of measured poses", f"{level:.2g} stated ones"
+    sentence = (
+        f"{lost.sum()} of {int(seen.sum())} {what} lie beyond 4 standard deviations of {unit} and "
+        f"lost their weight, {by_view[worst]:.0f} of them in view {worst}: the board may have "
+        "moved, or the image may be blurred."
+    )
+    yield warning("outlying-corners", sentence, f"view {worst}")
+
+
+def _lost_readings(of: BundleFindings) -> Iterator[Finding]:
+    """Name readings that lost their weight, the worst ones first."""
+    readings = of.found.residuals[1]
+    assert isinstance(readings, Readings)
+    off = np.where(of.found.linear.weights[1] < 1, of.found.errors[1], 0.0)
+    size = np.abs(off) / [of.found.levels[name] for name in readings.level]
+    rows = np.argsort(-size.max(axis=1, initial=0), kind="stable")
+    rows = rows[size[rows].max(axis=1, initial=0) > 0].tolist()
+    names, postures = of.found.x["head"].kinematics.readings, readings.postures
+    for b in rows[:MOST_NAMED]:
+        if of.poses_read:
+            turn, shift = np.linalg.norm(off[b, :3]), np.linalg.norm(off[b, 3:])
+            what = (
+                f"the pose of an eye is off by {np.degrees(turn):.2g} degrees and "
+                f"{1e3 * shift:.2g} mm"
+            )
+        else:
+            what = listed([
+                f"{names[postures.columns[b, k]]} is off by {np.degrees(abs(off[b, k])):.2g} "
+                "degrees"
+                for k in np.flatnonzero(off[b])
+            ])  # fmt: skip
+        view = f"view {postures.view[b]}"
+        yield warning("outlying-reading", f"V{view[1:]}: {what}, and lost its weight.", view)
+    if len(rows) > MOST_NAMED:
+        rest = f"Readings of {counted(len(rows) - MOST_NAMED, 'more posture')} lost their weight."
+        yield warning("outlying-reading", rest)
+
+
+def _apart_in_time(of: BundleFindings) -> Iterator[Finding]:
+    """Report that one time offset does not fit the images of both eyes.
+
+    The errors of the readings are then proportional to the eye's velocity. The factor, by weighted
+    least squares, is how much later than the offset the images of that eye are.
+    """
+    readings, x = of.found.residuals[1], of.found.x
+    assert isinstance(readings, Readings)
+    posture = of.problem.measured.detections.posture
+    owner, eye = np.unique(np.stack([posture, of.eyes]), axis=1)
+    if readings.around is None or (np.diff(owner) == 0).any() or len(np.unique(eye)) < 2:
+        return  # at rest, one eye, or readings that move both
+    rate, errors = readings.rate(x), of.found.errors[1]
+    precision = np.array([of.found.levels[name] for name in readings.level]) ** -2
+    weight = (of.found.linear.weights[1] == 1) * precision
+    information, late = (
+        np.bincount(eye, (weight * rate * each).sum(axis=1)) for each in (rate, errors)
+    )
+    if not (information > 0).all():
+        return
+    apart = float(np.diff(late / information)[0])
+    if abs(apart) < max(SURE * np.sqrt((1 / information).sum()), LEAST_APART_S):
+        return
+    late_eye, other = EYES[::-1] if apart > 0 else EYES
+    sentence = (
+        f"Images of the {late_eye} eye lag behind its joint readings by about "
+        f"{1e3 * abs(apart):.2g} ms more than those of the {other} eye, but one time offset stands "
+        "for both: trigger all cameras and read all joints at one moment, or leave moving rows out."
+    )
+    yield warning("eyes-apart-in-time", sentence)
+
+
+def _systematic(of: BundleFindings) -> Iterator[Finding]:
+    """Report the camera with the largest systematic error; the boards' poses may pass it on."""
+    if not isinstance(of.problem.measured, Reprojection):
+        return
+    worst = max(of.systematic_px, key=lambda name: of.systematic_px[name])
+    size, noise = of.systematic_px[worst], of.found.levels[of.problem.measured.level]
+    if size > noise:
+        sentence = (
+            f"All images{of.of_camera(worst)} have a systematic error of {size:.2g} px, more than "
+            f"the noise of single corners ({noise:.2g} px): the lens departs from its model, which "
+            "a richer one may follow (--lens), or the board is not flat; look at the residuals "
+            "over the image."
+        )
+        yield warning("lens-misfit", sentence, worst)

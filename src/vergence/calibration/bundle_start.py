@@ -1,0 +1,374 @@
+"""From corners and readings to the residuals and unknowns of a bundle adjustment."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.calibration.lens_prior import LAST_ASSUMED, lens_priors
+from vergence.calibration.observations import Observations, missing_reading
+from vergence.calibration.read_motion import ReadMotion, read_motion
+from vergence.calibration.residuals import (
+    Detections,
+    Index,
+    Postures,
+    Readings,
+    Reprojection,
+    TargetPoses,
+)
+from vergence.calibration.unknowns import board_scale_block, boards_block, head_block
+from vergence.data.timing import Stencil, stencil
+from vergence.errors import VergenceError
+from vergence.estimation.residual import Residual
+from vergence.estimation.variables import Latent, Variables
+from vergence.geometry.board import corner_points
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import EYES, GEARED, Kinematics, reading_kinds
+from vergence.geometry.parameter_names import joint_names
+from vergence.geometry.parameters import parameter_names
+from vergence.geometry.se3 import angle, inverse, known_poses
+from vergence.vision.board_pose import LEAST_CORNERS, board_poses, determines_pose, seen_corners
+
+CANDIDATES = 12
+"""Views from which the start of a board's place is chosen."""
+FAR = 50.0
+"""Largest error with which a corner [px], or a number of a measured pose [standard deviations],
+votes on a board's place; far beyond the errors of a good start."""
+MEASURING_M = 0.02
+"""Standard deviation of an eye's place from which measured poses, good to a fraction of a
+millimetre, determine lengths better than a printed board does."""
+TURNED_RAD = 0.5
+"""Turn of a board against the other views of its placement from which a view is left out; the start
+is better than that, and a board numbered from the wrong end is turned by pi."""
+
+
+@dataclass(frozen=True, eq=False)
+class PoseObservations:
+    """Poses of a target that cameras measured in V views: `Observations` for devices that do so."""
+
+    T_cam_target: Mapping[str, Array]
+    """By camera: (V, 4, 4); NaN where none was measured."""
+    whitening: Mapping[str, Array]
+    """By camera: (V, 6, 6), see residuals.TargetPoses."""
+    placement: np.ndarray
+    """As the two that follow, see Observations."""
+    eye_angles: Array
+    T_base_eye: Array | None
+    timing: ClassVar[None] = None
+
+
+@dataclass(frozen=True, eq=False)
+class BundleProblem:
+    """What a bundle adjustment estimates, and from what."""
+
+    measured: Reprojection | TargetPoses
+    """What the cameras saw."""
+    readings: Readings
+    priors: tuple[Residual, ...]
+    start: Variables
+    placements: np.ndarray
+    """(P,) the numbers of the boards' placements."""
+    contradicting: np.ndarray
+    """(M,) of bool: detections that show the board turned against the other views."""
+
+    @property
+    def residuals(self) -> tuple[Residual, ...]:
+        """All residuals, those of the cameras first."""
+        return self.measured, self.readings, *self.priors
+
+
+def bundle_problem(
+    start: HeadCalibration,
+    observations: Observations | PoseObservations,
+    *,
+    fixed: Collection[str],
+    points: Array | None = None,
+    T_cam_target: Mapping[str, Array] | None = None,
+    least_blocks: float = np.inf,
+) -> BundleProblem:
+    """Set up the bundle adjustment of a head.
+
+    The best board pose of each placement is its start; parameters of cameras that see no board keep
+    theirs. `least_blocks` is that of reading_levels; other arguments and errors are those of
+    `bundle_adjust`.
+    """
+    names = tuple(start.cameras)
+    if isinstance(observations, PoseObservations):
+        found = _target_poses(start, observations)
+    else:
+        found = _corners(start, observations, points, T_cam_target)
+    if not found.seen.any():
+        raise VergenceError(f"None of {', '.join(names)} sees a board.")
+    # A placement without one view that determines the board's pose is of no use.
+    useful = found.placed.any(axis=0)
+    numbers = np.unique(observations.placement[useful])
+    camera, view = np.nonzero(found.seen.any(axis=2) & np.isin(observations.placement, numbers))
+    eye = np.array([EYES.index(each.eye) for each in start.cameras.values()], dtype=np.intp)
+    posture, postures = _postures(start.kinematics, observations, view, eye[camera])
+    board = np.searchsorted(numbers, observations.placement[view])
+    detections = Detections(names, eye, camera, board, posture, postures)
+    around = _neighbours(observations, postures)
+    level = reading_levels(detections, start.kinematics, least_blocks)
+    motion = None if around is None else _read_motion(observations, postures, around)
+    readings = Readings(postures=postures, level=level, around=around, read_motion=motion)
+    free = _free(start, fixed, detections)
+    offset_s = start.time_offset_s if "time_offset_s" in fixed else 0.0
+    sized = found.whitening is None and _measures_lengths(observations.T_base_eye)
+    x = Variables(
+        {
+            "head": head_block(replace(start, time_offset_s=offset_s, accuracy=None), free),
+            "boards": boards_block(np.tile(np.eye(4), (len(numbers), 1, 1))),
+            "board_scale": board_scale_block(free=sized),
+        },
+        Latent(postures.reading, postures.reading.shape[1]),
+    )
+    if found.whitening is not None:
+        measured = TargetPoses(
+            detections=detections,
+            T_cam_target=found.T_cam_target[camera, view],
+            whitening=found.whitening[camera, view],
+            seen=np.ones((len(camera), 6), bool),
+        )
+    else:
+        assert isinstance(observations, Observations)
+        seen = found.seen[camera, view]
+        measured = Reprojection(
+            detections=detections,
+            pixels=np.where(seen[..., None], found.pixels[camera, view], 0.0),
+            seen=seen,
+            points=found.points,
+            noise_scale=np.ones(len(camera)),
+            systematic_px=observations.systematic_px,
+        )
+    priors = []
+    for name, mounted in start.cameras.items():
+        last = LAST_ASSUMED.get(mounted.intrinsics.model)
+        priors += lens_priors(mounted.intrinsics, f"{name}.{last}" not in fixed, name)
+    measured, x, turned = _place_boards(measured, x, found.T_cam_target[camera, view])
+    return BundleProblem(measured, readings, tuple(priors), x, numbers, turned)
+
+
+class _Seen(NamedTuple):
+    """What C cameras found in V views: K corners of a board, or a pose."""
+
+    pixels: Array
+    """(C, V, K, 2)."""
+    seen: np.ndarray
+    """(C, V, K)."""
+    placed: np.ndarray
+    """(C, V) where that is enough to determine T_cam_target."""
+    T_cam_target: Array
+    """(C, V, 4, 4); NaN where it is not."""
+    points: Array
+    """(K, 3) corners in frame target [m]."""
+    whitening: Array | None = None
+    """(C, V, 6, 6) of measured poses; None: corners."""
+
+
+def _corners(
+    start: HeadCalibration,
+    observations: Observations,
+    points: Array | None,
+    T_cam_target: Mapping[str, Array] | None,
+) -> _Seen:
+    board, given = observations.board, T_cam_target or {}
+    nothing = np.full((len(observations.placement), board.columns * board.rows, 2), np.nan)
+    corners = np.stack([observations.corners.get(name, nothing) for name in start.cameras])
+    seen = seen_corners(corners)
+    points = corner_points(board) if points is None else points
+    poses = [
+        given[name] if name in given else board_poses(mounted.intrinsics, corners[c], points)
+        for c, (name, mounted) in enumerate(start.cameras.items())
+    ]
+    return _Seen(corners, seen, determines_pose(points, seen), np.stack(poses), points)
+
+
+def _target_poses(start: HeadCalibration, observations: PoseObservations) -> _Seen:
+    V = len(observations.placement)
+    nothing = np.full((V, 4, 4), np.nan), np.full((V, 6, 6), np.nan)
+    poses, whitening = (
+        np.stack([each.get(name, none) for name in start.cameras])
+        for each, none in zip(
+            (observations.T_cam_target, observations.whitening), nothing, strict=True
+        )
+    )
+    placed = known_poses(poses)
+    return _Seen(np.zeros(0), placed[..., None], placed, poses, np.zeros((0, 3)), whitening)
+
+
+def _postures(
+    kinematics: Kinematics,
+    observations: Observations | PoseObservations,
+    view: np.ndarray,
+    eye: np.ndarray,
+) -> tuple[Index, Postures]:
+    """Return the posture of each of M detections, in views (M,) and by eyes (M,), and all of them.
+
+    VergenceError if a reading that is needed is not finite.
+    """
+    columns = _latent_columns(kinematics, sorted(set(eye.tolist())))
+    poses = observations.T_base_eye
+    alone = poses is not None or len(columns) == len(EYES)
+    whose = eye if alone else np.zeros(len(eye), dtype=np.intp)
+    pairs, posture = np.unique(np.stack([view, whose], axis=1), axis=0, return_inverse=True)
+    view, whose = pairs.T
+    if poses is not None:
+        read, reading = poses[view, whose], np.zeros((len(view), 6))
+        finite = known_poses(read)
+        columns_of = reading.astype(np.intp)
+    else:
+        columns_of, read = np.array(columns, dtype=np.intp)[whose], None
+        reading = observations.eye_angles[view[:, None], columns_of]
+        finite = np.isfinite(reading).all(axis=1)
+    if not finite.all():
+        v, e = pairs[~finite][0]
+        raise missing_reading(EYES[e] if alone else None, int(v))
+    return posture.ravel(), Postures(view, whose, columns_of, reading, read)
+
+
+def _latent_columns(kinematics: Kinematics, eyes: list[int]) -> list[list[int]]:
+    """Return which readings are latent in the postures of the left eye and of the right one.
+
+    In the order of their kinds, so that those of the two eyes have noise of the same levels. One
+    list, for postures of both eyes, where some reading moves both or their kinds differ.
+    """
+    kinds = reading_kinds(kinematics)
+    by_eye = [sorted(kinematics.used(eye), key=kinds.__getitem__) for eye in EYES]
+    if len(eyes) == 1:
+        return [by_eye[eyes[0]]] * 2
+    left, right = by_eye
+    if not set(left) & set(right) and [kinds[k] for k in left] == [kinds[k] for k in right]:
+        return by_eye
+    return [sorted({*left, *right})]
+
+
+def reading_levels(
+    detections: Detections, kinematics: Kinematics, least_blocks: float
+) -> tuple[str, ...]:
+    """Return (n,) the noise level of each latent unknown, by name.
+
+    From some number of postures on each kind of reading has a level, below it all share one, unless
+    some are read before a gear, or another one, than others. Where a reading moves both eyes, such
+    as their vergence, one eye shows a sum of readings only: postures of one eye do not count. Of
+    measured poses rotations have one level, and translations another.
+    """
+    postures = detections.postures
+    if postures.T_base_eye_read is not None:
+        return ("rotations",) * 3 + ("translations",) * 3
+    blocks = len(postures.reading)
+    if set(kinematics.used("left")) & set(kinematics.used("right")):
+        left, right = (detections.posture[detections.eyes == e] for e in range(len(EYES)))
+        blocks = len(np.intersect1d(left, right))
+    few = blocks < least_blocks
+    if few and kinematics.factors.max() < GEARED * kinematics.factors.min():
+        return ("readings",) * postures.reading.shape[1]
+    kinds = np.array(reading_kinds(kinematics))[postures.columns[0]]
+    numbers = np.unique(kinds, return_inverse=True)[1]
+    return tuple(f"readings {k}" for k in numbers.tolist())
+
+
+def _neighbours(
+    observations: Observations | PoseObservations, postures: Postures
+) -> Stencil | None:
+    """Return the neighbours of each posture in time; None: the eyes stood still in all views."""
+    if observations.timing is None:
+        return None
+    run = observations.timing.run[postures.view]  # a motion of one eye, not of both
+    time_s = observations.timing.time_s[postures.view]
+    return stencil(time_s, np.where(run > 0, 2 * run - postures.eye, 0))
+
+
+def _read_motion(
+    observations: Observations | PoseObservations, postures: Postures, around: Stencil
+) -> ReadMotion:
+    """Return the motion of the readings of each posture, or of the measured poses of its eye."""
+    assert observations.timing is not None
+    poses = observations.T_base_eye
+    return read_motion(
+        observations.timing,
+        observations.eye_angles if poses is None else poses,
+        view=postures.view,
+        eye=postures.eye,
+        columns=postures.columns,
+        around=around,
+    )
+
+
+def _free(start: HeadCalibration, fixed: Collection[str], detections: Detections) -> np.ndarray:
+    """Return (c,) which parameters of a head may change.
+
+    Fixed are those fixed by choice, those of a camera or eye that saw no board, and the joints
+    where poses were measured in place of their angles.
+    """
+    blind = {name for c, name in enumerate(detections.cameras) if c not in detections.camera}
+    blind |= {side for e, side in enumerate(EYES) if e not in detections.eyes}
+    joints: set[str] = set()
+    if detections.postures.T_base_eye_read is not None:
+        joints = {name for eye in EYES for name in joint_names(start.kinematics, eye)}
+    return np.array([
+        name not in fixed and name.partition(".")[0] not in blind and name not in joints
+        for name in parameter_names(start)
+    ])  # fmt: skip
+
+
+def _measures_lengths(T_base_eye: Array | None) -> bool:
+    """Return whether measured eye poses determine lengths, and with them the size of the board.
+
+    Angles do not, nor poses of eyes that turn about a point: the stated board then sets the scale.
+    """
+    if T_base_eye is None:
+        return False
+    spread = np.nanstd(T_base_eye[..., :3, 3], axis=0)
+    return bool(np.linalg.norm(spread, axis=-1).max() > MEASURING_M)
+
+
+def _place_boards(
+    measured: Reprojection | TargetPoses, x: Variables, T_cam_target: Array
+) -> tuple[Reprojection | TargetPoses, Variables, np.ndarray]:
+    """Start each board where its best view puts it.
+
+    Views that put it elsewhere lose their corners: also return (M,) which these are.
+    """
+    detections, head, P = measured.detections, x["head"], len(x["boards"])
+    mounts = np.stack([mounted.T_eye_cam for mounted in head.cameras.values()])
+    right = detections.eyes == 1
+    T_base_lbase = np.where(right[:, None, None], head.T_rbase_lbase, np.eye(4))
+    T_base_cam = detections.eye_poses(x) @ mounts[detections.camera]
+    found = inverse(T_base_lbase) @ T_base_cam @ T_cam_target
+    known = known_poses(found)
+    offers = [np.flatnonzero(known & (detections.board == p)) for p in range(P)]
+    if not P or not all(len(offer) for offer in offers):
+        raise VergenceError(
+            f"A board whose place is to be found needs {LEAST_CORNERS} corners in one image, not "
+            "all on one line."
+        )
+    best, lowest = x["boards"], np.full(P, np.inf)
+    for k in range(CANDIDATES):
+        # Spread over the views, so that one bad stretch cannot be all there is to choose from.
+        offered = found[[offer[k * len(offer) // CANDIDATES] for offer in offers]]
+        errors = measured.error(_with_boards(x, offered))
+        lengths = np.linalg.norm(errors.reshape(len(errors), -1, measured.together), axis=-1)
+        votes = np.minimum(np.nan_to_num(lengths, nan=np.inf), FAR).sum(axis=1)
+        total = np.bincount(detections.board, votes, P)
+        better = total < lowest
+        best = np.where(better[:, None, None], offered, best)
+        lowest = np.minimum(lowest, total)
+    x = _with_boards(x, best)
+    turn = np.swapaxes(best[detections.board][:, :3, :3], 1, 2) @ found[:, :3, :3]
+    kept = np.ones(len(known), bool)
+    kept[known] = angle(turn[known]) < TURNED_RAD
+    # The pose by a few corners may put the others behind the camera.
+    kept &= np.isfinite(measured.error(x)).all(axis=1)
+    seen = measured.seen & kept[:, None]
+    if isinstance(measured, Reprojection):
+        pixels = np.where(seen[..., None], measured.pixels, 0.0)
+        return replace(measured, seen=seen, pixels=pixels), x, ~kept
+    return replace(measured, seen=seen), x, ~kept
+
+
+def _with_boards(x: Variables, T: Array) -> Variables:
+    return replace(x, shared={**x.shared, "boards": replace(x.shared["boards"], value=T)})

@@ -1,1 +1,0 @@
-"""The paper's calibration, step by step: intrinsics, static stereo, hand-eye."""
