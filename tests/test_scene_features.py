@@ -10,12 +10,8 @@ from vergence.arrays import Array
 from vergence.geometry.camera import normalise, pinhole, project
 from vergence.geometry.se3 import pose, rotation
 from vergence.vision.matching import scene_features
-from vergence.vision.matching.scene_features import (
-    Matches,
-    match_scene,
-    relief_around,
-    track_features,
-)
+from vergence.vision.matching.feature_selection import relief_around
+from vergence.vision.matching.scene_features import Matches, match_scene, track_features
 
 CAMERA = pinhole(640, 480, 280.0, (-0.12, 0.01, 0.0, 0.0, 0.0))
 T_RCAM_LCAM = pose(rotation([0.01, -0.15, 0.02]), [-0.075, 0.002, 0.01])

@@ -1,49 +1,53 @@
-"""Which features of an image are matched: one in each cell, where a window determines it best."""
+"""Select the features to match, one in each cell, and judge the relief of the scene around them."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
+from scipy.spatial import KDTree
 
 from vergence.arrays import Array
 from vergence.vision.matching.least_squares_matching import WINDOW_PX
 from vergence.vision.matching.turned_views import whole_windows
 
 _FEATURES = 1000
-"""About how many are sought, however large the part is that both eyes see and that has texture; in
-images of more than 0.6 megapixels the largest cells are more. Of neighbouring cells many lie within
-4 px of each other. Without the weaker ones, a third of all, single frames are as good within 9 % in
-12 % less time, but what is learned in 5 s is up to a fifth worse in Fig. 6.
-They are spread evenly: taking more where contrast is high, or where features tell most of the turn
-between the eyes, would let a near thing with a repeated pattern outvote the rest."""
+"""Number of features to select in the textured part that both eyes see. With a third fewer, what is
+learned in 5 s is up to a fifth worse in Fig. 6, in 12 % less time."""
 _ABOVE_NOISE, _BELOW_TEXTURE = 10.0, 0.03
-"""Cells have no texture whose squared gradients are below both: so many times those of the weakest
-twentieth, which show noise alone if any do, and this share of those of the strongest."""
-_SMALLEST_CELL_PX, _LARGEST_CELL_PX = 6, 24
-"""Smaller ones would hold windows that are all but the same; larger ones would leave too few
-neighbours by which the relief around a feature is judged (`relief`)."""
+"""A cell without texture has squared gradients below both: this multiple of those of the weakest
+twentieth of the cells, and this share of those of the strongest."""
+_CELL_LIMITS_PX = 6, 24
+"""Limits of a cell's side [px]: below, windows are nearly the same; above, features have too few
+neighbours for `relief_around`."""
+_NEIGHBOURS = 8
+"""Number of neighbours that show the surface around a match; twelve give the same depth."""
+_NEIGHBOUR_PX = 40.0
+"""Largest distance of a neighbour [px]."""
+_SURFACE_PX = 15.0
+"""Distance at which a neighbour has half the weight [px]: a window's width."""
 
 
 def best_of_cells(view: np.ndarray, inside: np.ndarray) -> Array:
-    """Return pixels (N, 2), one of each cell: where a window determines both directions best.
+    """Select pixels (N, 2), in each cell the one that a window determines best in both directions.
 
-    By the smaller eigenvalue of its structure tensor (Shi and Tomasi). Of every second pixel,
-    `inside` says whether both eyes see it. Plain walls have no features, and leave theirs to the
-    rest, whose cells are the smaller.
+    The measure is the smaller eigenvalue of the structure tensor (Shi and Tomasi, 1994). Features
+    are evenly spread, so that a near thing with a repeated pattern does not outvote the rest.
+    `inside` tells for every second pixel whether both eyes see it. Cells are smaller where parts of
+    the image have no texture.
     """
-    half = cv2.pyrDown(view)  # near enough, and much faster
+    half = cv2.pyrDown(view)  # accurate enough, and much faster
     smaller = cv2.cornerMinEigenVal(half, WINDOW_PX // 2, ksize=3)
     whole = whole_windows(inside)
     smaller[~whole] = 0
-    wanted_px = np.sqrt(np.count_nonzero(whole) / _FEATURES)
-    best = _cells(smaller, wanted_px).max(axis=1).max(axis=-1)
+    side_px = np.sqrt(np.count_nonzero(whole) / _FEATURES)
+    best = _cells(smaller, side_px).max(axis=1).max(axis=-1)
     best = np.sort(best[best > 0])
     if not len(best):
         return np.empty((0, 2))
     weak, strong = best[[len(best) // 20, -1 - len(best) // 20]]
     least = min(_ABOVE_NOISE * weak, _BELOW_TEXTURE * strong)
     textured = np.count_nonzero(best > least) / len(best)
-    cells = _cells(smaller, wanted_px * np.sqrt(textured))
+    cells = _cells(smaller, side_px * np.sqrt(textured))
     rows, height, columns, width = cells.shape
     cells = cells.swapaxes(1, 2).reshape(rows, columns, -1)
     largest = cells.argmax(axis=-1)
@@ -54,11 +58,55 @@ def best_of_cells(view: np.ndarray, inside: np.ndarray) -> Array:
 
 
 def _cells(values: np.ndarray, side_px: float) -> np.ndarray:
-    """Return values (H, W) by cells of about a side: (rows, height, columns, width)."""
-    side = min(max(float(side_px), _SMALLEST_CELL_PX / 2), _LARGEST_CELL_PX / 2)
-    # Whole pixels, and about as many as wanted: squares may be a third too large or too small.
+    """Divide values (H, W) into cells of about this side: (rows, height, columns, width)."""
+    side = float(np.clip(side_px, *(limit / 2 for limit in _CELL_LIMITS_PX)))
+    # Height and width are whole pixels with about the wanted area.
     height = round(side)
     width = round(side**2 / height)
     rows, columns = values.shape[0] // height, values.shape[1] // width
-    whole = values[: rows * height, : columns * width]
-    return whole.reshape(rows, height, columns, width)
+    return values[: rows * height, : columns * width].reshape(rows, height, columns, width)
+
+
+def relief_around(at: Array, displaced: Array) -> Array:
+    """Estimate the relief of the scene around windows (N,) [px]: its RMS deviation from a plane.
+
+    At a depth discontinuity, edges of the nearer and the farther surface form T-junctions. They are
+    no points of the scene and appear displaced across the epipolar line, and relief within a window
+    has the same effect. A plane is fitted to the displacements of the neighbours; the worst of them
+    is left out, since it may be a mismatch.
+
+    Args:
+        at: (N, 2) middles of the windows [px].
+        displaced: (N,) their displacements along the epipolar line [px].
+    """
+    if len(at) <= _NEIGHBOURS:
+        return np.zeros(len(at))
+    tree = KDTree(at, balanced_tree=False, compact_nodes=False)  # fast to build
+    distance, which = tree.query(at, k=_NEIGHBOURS + 1, distance_upper_bound=_NEIGHBOUR_PX)
+    # Neighbours lead, so that sums over them are of long rows.
+    distance, which = (np.ascontiguousarray(np.asarray(a).T[1:]) for a in (distance, which))
+    near = np.isfinite(distance)
+    which = np.where(near, which, 0)
+    x, y = ((a[which] - a) / _SURFACE_PX for a in at.T)
+    weights = np.where(near, 1 / (1 + (distance / _SURFACE_PX) ** 2), 0.0)
+    values = displaced[which] - displaced
+    deviation = values - _planes(x, y, weights, values)[0]
+    weights[(np.abs(deviation) * near).argmax(axis=0), np.arange(len(at))] = 0
+    plane, middle = _planes(x, y, weights, values)
+    square = (weights * (values - plane) ** 2).sum(axis=0) + middle**2
+    return np.sqrt(square / (weights.sum(axis=0) + 1))
+
+
+def _planes(x: Array, y: Array, weights: Array, values: Array) -> tuple[Array, Array]:
+    """Fit planes to values (k, N); return them at their k places (k, N) and in the middle (N,)."""
+    terms = np.ones_like(x), x, y
+    H = np.empty((x.shape[1], 3, 3))
+    right = np.empty((x.shape[1], 3, 1))
+    for i, first in enumerate(terms):
+        weighted = weights * first
+        right[:, i, 0] = (weighted * values).sum(axis=0)
+        for j, second in enumerate(terms[: i + 1]):
+            H[:, i, j] = H[:, j, i] = (weighted * second).sum(axis=0)
+    H += 1e-3 * np.eye(3)  # the flattest plane through neighbours on one line
+    middle, by_x, by_y = np.linalg.solve(H, right)[..., 0].T
+    return middle + by_x * x + by_y * y, middle

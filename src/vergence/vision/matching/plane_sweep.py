@@ -1,10 +1,10 @@
-"""About how far away the scene is, anywhere in an image: where a tracker begins to search.
+"""Estimate coarse depths over an image, from which a tracker starts its search.
 
-Both images are pinhole images of one orientation, so that a plane that faces them is displaced by
-an affine map. The second image is displaced as planes at many distances would be, and each place of
-the first takes the one of which its surroundings differ least (plane sweep: Collins, "A space-sweep
-approach to true multi-image matching", 1996). In small images this is fast, and it covers far more
-than a tracker's pyramid reaches.
+Both images are pinhole images of one orientation, so that an affine map displaces a plane that
+faces them. The second image is displaced as planes at many distances would be, and each place of
+the first takes the plane at which its surroundings differ least (Collins, "A space-sweep approach
+to true multi-image matching", 1996). In small images this is fast, and it covers larger
+displacements than a tracker's pyramid.
 """
 
 from __future__ import annotations
@@ -15,33 +15,29 @@ import numpy as np
 from vergence.arrays import Array
 
 _WIDTH_PX = 80
-"""About that of the small images."""
+"""Approximate width of the small images [px]; for speed."""
 _NEAREST, _BEYOND = 1 / 3, 1 / 32
-"""Shares of the width: the largest displacement, and the largest in the other direction, which
-predictions that are wrong by degrees may give the farthest things."""
+"""Largest displacement over the image's width, and the largest in the other direction, which far
+things have if the prediction is wrong by degrees."""
 _SIDE_PX = 5
-"""Of the squares that are compared, in the small images."""
+"""Side of the squares that are compared [px of the small images]."""
 _MEDIAN_PX = 5
+"""Side of the median filter of the depths [px of the small images]."""
 _CLEAR = 0.5
-"""Share of the mean difference of all planes, below which the least one tells something; 0.5
-and 0.7 give about the same matches."""
+"""Largest difference at a clear plane over the mean of all planes; 0.7 gives the same matches."""
 _OUTSIDE = 1e4
-"""Difference from what the second image does not show: more than any between grey levels, even in
-the mean of a square."""
+"""Difference from places outside the second image [grey levels]: above any real one."""
 
 
 def step_px(width: int) -> int:
-    """Return the displacement between neighbouring planes, which is a pixel of the small images."""
+    """Return the displacement between neighbouring planes: a pixel of the small images."""
     return max(width // _WIDTH_PX, 1)
 
 
 def inverse_depths(
     first: np.ndarray, second: np.ndarray, at: Array, *, focal: float, middle: Array, shift: Array
 ) -> Array:
-    """Return inverse depths (N,) [1/m] of the scene.
-
-    The depths are those in the second image, NaN where no plane fits clearly better than the
-    others.
+    """Estimate inverse depths (N,) [1/m] in the second image; NaN where no plane is clearly best.
 
     Args:
         first: (H, W) grey, uint8, with contrast in the means over `step_px` pixels.
@@ -57,17 +53,17 @@ def inverse_depths(
         return np.full(len(at), np.nan)
     size = first.shape[1] // step, first.shape[0] // step
     a, b = (
-        cv2.resize(each, size, interpolation=cv2.INTER_AREA).astype(np.float32)
-        for each in (first, second)
+        cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+        for image in (first, second)
     )
     planes = np.arange(-round(_BEYOND * size[0]), round(_NEAREST * size[0]) + 1)
     planes = planes * (step / by_inverse_depth)
-    corner = (middle + 0.5) / step - 0.5  # the principal point, in pixels of the small images
-    apart = np.empty((len(planes), *a.shape), np.float32)
+    centre = (middle + 0.5) / step - 0.5  # the principal point in the small images
+    difference = np.empty((len(planes), *a.shape), np.float32)
     for k, inverse_depth in enumerate(planes):
         scale = 1 - inverse_depth * shift[2]
-        moved = inverse_depth * focal / step * shift[:2] + (1 - scale) * corner
-        there = cv2.warpAffine(
+        moved = inverse_depth * focal / step * shift[:2] + (1 - scale) * centre
+        displaced = cv2.warpAffine(
             b,
             np.array([[scale, 0, moved[0]], [0, scale, moved[1]]]),
             size,
@@ -75,13 +71,13 @@ def inverse_depths(
             borderMode=cv2.BORDER_CONSTANT,
             borderValue=_OUTSIDE,
         )
-        cv2.boxFilter(cv2.absdiff(a, there), -1, 2 * (_SIDE_PX,), dst=apart[k])
-    shown = apart < 256
-    usual = np.einsum("kij,kij->ij", apart, shown) / np.maximum(shown.sum(axis=0), 1)
-    least = apart.min(axis=0)
-    clear = least < _CLEAR * usual
-    # As argmin, which takes five times as long along the first axis.
+        cv2.boxFilter(cv2.absdiff(a, displaced), -1, 2 * (_SIDE_PX,), dst=difference[k])
+    visible = difference < 256
+    mean = np.einsum("kij,kij->ij", difference, visible) / np.maximum(visible.sum(axis=0), 1)
+    least = difference.min(axis=0)
+    clear = least < _CLEAR * mean
+    # argmin takes five times as long along the first axis.
     numbers = np.arange(len(planes), dtype=np.uint8)[:, None, None]
-    best = cv2.medianBlur((numbers * (apart == least)).max(axis=0), _MEDIAN_PX)
+    best = cv2.medianBlur((numbers * (difference == least)).max(axis=0), _MEDIAN_PX)
     column, row = np.clip(((at + 0.5) // step).astype(int), 0, np.array(size) - 1).T
     return np.where(clear[row, column], planes[best[row, column]], np.nan)

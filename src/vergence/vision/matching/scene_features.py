@@ -1,11 +1,10 @@
-"""What two images show of the same scene: features matched between two eyes, or over time in one.
+"""Match features of a scene between two eyes, or over time in one.
 
-The predicted geometry brings both images into one orientation, in which a point of the scene
-differs by little more than its disparity. Features are tracked from the first to the second image
-and back (Lucas and Kanade), then matched by least squares, and returned as pixels of the images as
-they are. Between two eyes they are the places of the part that both see, one in each cell, that a
-window determines best; over time they are given. The search covers predictions that are wrong by a
-few degrees.
+The predicted geometry turns both images into one orientation, where points of the scene are
+displaced by little more than their disparity. Features are tracked from the first to the second
+image and back (Lucas and Kanade), refined by least squares, and returned as pixels of the original
+images. Between two eyes they are selected cell by cell in the part that both see; over time they
+are given. The search covers predictions that are wrong by a few degrees.
 """
 
 from __future__ import annotations
@@ -18,36 +17,36 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.geometry.camera import Camera, half_size, normalise
 from vergence.vision.exposure import NEARBY_PX, grey_levels, of_equal_contrast
-from vergence.vision.matching.feature_selection import best_of_cells
+from vergence.vision.matching.feature_selection import best_of_cells, relief_around
 from vergence.vision.matching.least_squares_matching import REACH, WINDOW_PX, match_windows
 from vergence.vision.matching.plane_sweep import inverse_depths, step_px
-from vergence.vision.matching.relief import relief_around
 from vergence.vision.matching.turned_views import TurnedViews, on_map, turned_views, whole_windows
 
 _FEW = 150
-"""Matches below which images of half the size are tried. Rooms give 370 and more, also with plain
-walls."""
+"""Number of matches below which images of half the size are tried; rooms give 370 and more."""
 _WINDOW_PX = 9
-"""OpenCV's tracker takes eight columns at a time: 11 px take half as long again, for 4 % more."""
+"""Side of the tracker's windows [px]; 11 take half as long again, for 4 % more matches."""
 _LEVELS = 3
+"""Pyramid levels of the tracker; it reaches 50 px at best."""
 _EXPECTED_DEPTH_M = 1.5
-"""Where tracking starts to search; from there its pyramid reaches 50 px at best."""
+"""Depth at which tracking starts without other knowledge [m]: within a room."""
 _FAR_PX = 12.0
-"""Distance from this start to what the plane sweep predicts, from which that is tried too. Of
-features that are 20 px from the start, trackers without it lose two fifths."""
+"""Distance of the start to the plane sweep's prediction, from which that is tried too [px]. At
+20 px, trackers lose two fifths of the features."""
 _SWEPT_MEAN = 4
-"""Side of the square of which the mean is taken for the sweep, in pixels of its small images: as in
-images of 640 px, where it is the same as for tracking."""
+"""Side of the local mean for the plane sweep [px of its small images]: that of tracking in images
+of 640 px."""
 _ROUND_TRIP_PX = 0.3
+"""Largest distance between a feature and where tracking forth and back ends [px]."""
 _LEAST_FORWARD = 0.1
-"""Least component of a ray along the optical axis: others are beside any view."""
+"""Least component of a ray along the optical axis; others leave any view."""
 _LARGEST_STD_PX = 0.7
-"""Largest standard deviation of a match that is kept: others are not worth their time."""
+"""Largest standard deviation of a match [px]; others carry little information for their time."""
 _LARGEST_RELIEF_PX = 0.4
+"""Largest relief around a match [px]."""
 _ACROSS = 0.2
-"""Share of the relief that windows take for a displacement across the epipolar line; fitted by eye
-to rendered images of one head at known postures, where 0.1 to 0.3 tell about as much; with relief
-that was judged after least squares, by twelve neighbours."""
+"""Displacement across the epipolar line over the relief; fitted to rendered images of one head at
+known postures, where 0.1 to 0.3 are about as good."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +58,7 @@ class Matches:
     right: Array
     """(N, 2) pixels in the right image, or in the later one."""
     covariance: Array
-    """(N, 2, 2) [px^2] of the right pixels, the left ones taken as exact: by the contrast of the
-    window, and by how far the two windows differ."""
+    """(N, 2, 2) [px^2] of the right pixels, with the left ones taken as exact."""
 
 
 def match_scene(
@@ -71,9 +69,9 @@ def match_scene(
     right_camera: Camera,
     T_rcam_lcam: Array,
 ) -> Matches:
-    """Return features that both images show, by about where the cameras stand to each other.
+    """Match features that both images show, by the predicted relative pose of the cameras.
 
-    Where noise leaves few, images of half the size are matched too, whose windows show more of the
+    If noise leaves few matches, images of half the size are tried, whose windows show more of the
     scene; the matches with more information are returned.
 
     Images are (H, W) grey or (H, W, 3) RGB, uint8; T_rcam_lcam (4, 4) may be wrong by a few
@@ -91,20 +89,20 @@ def match_scene(
 def _between_eyes(
     left: tuple[np.ndarray, Camera], right: tuple[np.ndarray, Camera], T_rcam_lcam: Array
 ) -> Matches:
-    """Return what images with their cameras show alike, at their own scale."""
+    """Match images, given with their cameras, at their own scale."""
     views = turned_views((left[0], right[0]), (left[1], right[1]), T_rcam_lcam)
     return _matched(views, best_of_cells(views.first, views.inside), None)[0]
 
 
 def _half_size(image: np.ndarray, camera: Camera) -> tuple[np.ndarray, Camera]:
-    """Return an image whose pixels are the means of 2 x 2, and its camera."""
+    """Average an image over 2 x 2 pixels; return it with its camera."""
     small = half_size(camera)
-    whole = grey_levels(image)[: 2 * small.height, : 2 * small.width]
-    return cv2.resize(whole, small.size, interpolation=cv2.INTER_AREA), small
+    even = grey_levels(image)[: 2 * small.height, : 2 * small.width]
+    return cv2.resize(even, small.size, interpolation=cv2.INTER_AREA), small
 
 
 def _information(matches: Matches) -> float:
-    """Return the information of matches: the sum of their inverse variances [1/px^2]."""
+    """Return the sum of the inverse variances of matches [1/px^2]."""
     return float((1 / np.trace(matches.covariance, axis1=1, axis2=2)).sum())
 
 
@@ -117,19 +115,19 @@ def track_features(
     pixels: Array,
     depths_m: Array,
 ) -> tuple[Matches, np.ndarray]:
-    """Return where features of an earlier image are in a later one of the same camera.
+    """Track features of an earlier image into a later one of the same camera.
 
     Args:
         before: (H, W) grey or (H, W, 3) RGB, uint8.
         now: the later one.
         camera: that took both.
-        T_now_before: (4, 4) about how it moved; its turn may be wrong by a few degrees.
+        T_now_before: (4, 4) its predicted motion; the rotation may be wrong by a few degrees.
         pixels: (M, 2) of the features in the earlier image.
-        depths_m: (M,) about how far they were along its optical axis.
+        depths_m: (M,) their approximate depths.
 
     Returns:
-        N matches, and which (N,) of the features they are. Windows lie on whole pixels of a turned
-        image, so that a match is up to a pixel beside its feature.
+        N matches, and the indices (N,) of their features. Windows lie on whole pixels of a turned
+        image, so that a match is up to a pixel away from its feature.
     """
     views = turned_views((before, now), (camera, camera), T_now_before)
     rays = np.column_stack([normalise(camera, pixels), np.ones(len(pixels))])
@@ -146,29 +144,29 @@ def track_features(
 
 
 def _matched(views: TurnedViews, at: Array, depths_m: Array | None) -> tuple[Matches, np.ndarray]:
-    """Return matches of whole pixels (M, 2) of the first view, and which of these they are (N,).
+    """Match whole pixels (M, 2) of the first view; return their indices (N,), too.
 
-    Depths (M,) tell where to search, and how much larger a window became; None: unknown.
+    Depths (M,), if they are known, give the start of the search and the growth of the windows.
     """
     by_depth = views.focal * views.shift[:2] - (at - views.middle) * views.shift[2]
-    nearness = 1 / (np.full(len(at), _EXPECTED_DEPTH_M) if depths_m is None else depths_m)
-    alike = of_equal_contrast(views.first, views.second, views.inside)
-    starts = at + by_depth * nearness[:, None]
+    inverse_depth = 1 / (np.full(len(at), _EXPECTED_DEPTH_M) if depths_m is None else depths_m)
+    images = of_equal_contrast(views.first, views.second, views.inside)
+    starts = at + by_depth * inverse_depth[:, None]
     if depths_m is None:
-        found, sure = _track_far(views, alike, at, starts, by_depth)
+        found, sure = _track_far(views, images, at, starts, by_depth)
     else:
-        found, sure = _track(*alike, at, starts)
-    # Displaced by by_depth / (depth + shift[2]), of which the last is due to the change of scale.
+        found, sure = _track(*images, at, starts)
+    # The displacement is by_depth / (depth + shift[2]), where shift[2] changes the scale.
     square = np.maximum((by_depth**2).sum(axis=1), 1e-12)
-    # A camera that only turns displaces nothing by depth: any direction will do.
+    # If the camera only turns, depth displaces nothing and any direction will do.
     along = np.where(square[:, None] > 1e-12, by_depth / np.sqrt(square)[:, None], [1.0, 0.0])
     kept = np.flatnonzero(sure)
     relief = relief_around(at[kept], ((found - at) * along)[kept].sum(axis=1))
     flat = relief < _LARGEST_RELIEF_PX
     kept, relief = kept[flat], relief[flat]
-    at, found, along, nearness = at[kept], found[kept], along[kept], nearness[kept]
+    at, found, along, inverse_depth = at[kept], found[kept], along[kept], inverse_depth[kept]
     if depths_m is None:
-        nearness = ((found - at) * by_depth[kept]).sum(axis=1) / square[kept]
+        inverse_depth = ((found - at) * by_depth[kept]).sum(axis=1) / square[kept]
     matched = match_windows(
         views.first,
         views.second_image,
@@ -176,81 +174,63 @@ def _matched(views: TurnedViews, at: Array, depths_m: Array | None) -> tuple[Mat
         at=at,
         found=found,
         direction=along,
-        enlargement=-views.shift[2] * nearness,
+        enlargement=-views.shift[2] * inverse_depth,
     )
-    # In the second image itself, whose scale is another.
     pixels, by_view = on_map(views.maps[1], matched.pixels)
     covariance = by_view @ matched.covariance @ np.swapaxes(by_view, 1, 2)
     good = matched.good & (np.linalg.eigvalsh(covariance)[:, 1] < _LARGEST_STD_PX**2)
     covariance += ((_ACROSS * relief) ** 2)[:, None, None] * np.eye(2)
     column, row = at[good].astype(int).T
-    left = np.stack([each[row, column] for each in views.maps[0]], axis=-1).astype(float)
-    matches = Matches(left, pixels[good], covariance[good])
-    return matches, kept[good]
+    left = np.stack([plane[row, column] for plane in views.maps[0]], axis=-1).astype(float)
+    return Matches(left, pixels[good], covariance[good]), kept[good]
 
 
 def _track_far(
     views: TurnedViews,
-    alike: tuple[np.ndarray, np.ndarray],
+    images: tuple[np.ndarray, np.ndarray],
     at: Array,
     starts: Array,
     by_depth: Array,
 ) -> tuple[Array, np.ndarray]:
-    """Return where pixels (N, 2) are found in another view, and which are sure, near and far.
+    """Track pixels (N, 2) into another view over small and large displacements.
 
-    Each is tracked from its start (N, 2). Those that a plane sweep has far from there are tracked
-    from where it has them too, which counts if they are found: repeated patterns look the same
-    some periods away.
-    """
-    swept = inverse_depths(
-        *_of_wide_contrast(views, alike),
-        at,
-        focal=views.focal,
-        middle=views.middle,
-        shift=views.shift,
-    )
-    others = at + by_depth * swept[:, None]
-    far = np.flatnonzero(np.linalg.norm(others - starts, axis=1) > _FAR_PX)
-    both = np.concatenate([np.arange(len(at)), far])
-    found, sure = _track(*alike, at[both], np.concatenate([starts, others[far]]))
-    (found, there), (sure, again) = (np.split(each, [len(at)]) for each in (found, sure))
-    found[far[again]], sure[far[again]] = there[again], True
-    return found, sure
-
-
-def _of_wide_contrast(
-    views: TurnedViews, alike: tuple[np.ndarray, np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return views for the plane sweep, which makes large ones small: less means over more pixels.
-
-    Without those over a few pixels of its small images, nothing of many scenes is left in these.
+    Each is tracked from its start (N, 2). Those that a plane sweep predicts far from there are
+    tracked from that prediction too, which takes precedence: repeated patterns look the same some
+    periods away. Returns positions (N, 2), and which are sure.
     """
     nearby_px = _SWEPT_MEAN * step_px(views.first.shape[1]) - 1
-    if nearby_px <= NEARBY_PX:
-        return alike
-    return of_equal_contrast(views.first, views.second, views.inside, nearby_px)
+    swept = images
+    if nearby_px > NEARBY_PX:  # the sweep's small images of large ones need contrast, too
+        swept = of_equal_contrast(views.first, views.second, views.inside, nearby_px)
+    inverse_depth = inverse_depths(
+        *swept, at, focal=views.focal, middle=views.middle, shift=views.shift
+    )
+    others = at + by_depth * inverse_depth[:, None]
+    far = np.flatnonzero(np.linalg.norm(others - starts, axis=1) > _FAR_PX)
+    both = np.concatenate([np.arange(len(at)), far])
+    found, sure = _track(*images, at[both], np.concatenate([starts, others[far]]))
+    (found, found_far), (sure, sure_far) = (np.split(a, [len(at)]) for a in (found, sure))
+    found[far[sure_far]], sure[far[sure_far]] = found_far[sure_far], True
+    return found, sure
 
 
 def _track(
     view: np.ndarray, other: np.ndarray, at: Array, start: Array
 ) -> tuple[Array, np.ndarray]:
-    """Return where pixels (N, 2) are found in another view, and which are sure.
-
-    Sure are those that are found again where they came from.
-    """
+    """Track pixels (N, 2) into another view; sure (N,) are those that are tracked back, too."""
     if not len(at):
         return at, np.zeros(0, bool)
     options = {
         "winSize": (_WINDOW_PX, _WINDOW_PX),
         "flags": cv2.OPTFLOW_USE_INITIAL_FLOW,
-        # Near enough for least squares.
+        # Least squares needs no better start.
         "criteria": (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 5, 0.1),
     }
     points = at.astype(np.float32)
     found, good, _ = cv2.calcOpticalFlowPyrLK(
         view, other, points, start.astype(np.float32), maxLevel=_LEVELS, **options
     )
-    # The way back begins at its end: no pyramid is needed.
+    # The way back starts at its end and needs no pyramid.
     back, again, _ = cv2.calcOpticalFlowPyrLK(
         other, view, found, points.copy(), maxLevel=0, **options
     )

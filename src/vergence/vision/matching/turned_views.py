@@ -1,7 +1,7 @@
-"""Two images of a scene as pinhole images of one orientation, and back.
+"""Turn two images of a scene into pinhole images of one orientation, and pixels back.
 
-Each is turned half of the way to the other by the predicted geometry, so that what both show
-differs by little more than the disparity.
+Each is turned half of the way to the other by the predicted geometry, so that points of the scene
+are displaced by little more than the disparity.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from vergence.vision.exposure import grey_levels
 from vergence.vision.matching.least_squares_matching import WINDOW_PX
 
 _MAP_STEP_PX = 8
+"""Step of the grid on which the lens is evaluated [px]; matches return by the same map."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,27 +30,27 @@ class TurnedViews:
     second: np.ndarray
     """(H, W) grey."""
     second_image: np.ndarray
-    """(H, W) grey, not turned."""
+    """(H, W) grey, as it was taken."""
     maps: tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
-    """Where the pixels of each view lie in its image: u and v (H, W)."""
+    """For each view, u and v (H, W) of its pixels in its image."""
     inside: np.ndarray
-    """(H / 2, W / 2) bool: of every second pixel, whether both images show it."""
+    """(H / 2, W / 2) bool, for every second pixel: both images show it."""
     focal: float
     middle: Array
-    """(2,) the principal point of the views."""
+    """(2,) principal point of the views [px]."""
     R_view_first: Array
     """(3, 3)"""
     shift: Array
-    """(3,) [m] of a point, from the first view to the second."""
+    """(3,) displacement of a point from the first view to the second [m]."""
 
 
 def turned_views(
     images: tuple[np.ndarray, np.ndarray], cameras: tuple[Camera, Camera], T_second_first: Array
 ) -> TurnedViews:
-    """Return two images (H, W) or (H, W, 3) uint8 as pinhole images of one orientation.
+    """Turn two images (H, W) or (H, W, 3) uint8 into pinhole images of one orientation.
 
-    T_second_first (4, 4) is about how the cameras stand to each other. The views are as large as
-    the first camera's image, and have the mean of both focal lengths.
+    T_second_first (4, 4) is the predicted relative pose of the cameras. The views have the size of
+    the first camera's image and the mean of both focal lengths.
     """
     # Each camera turns half of the way.
     R_second_view = nearest_rotation(np.eye(3) + T_second_first[:3, :3])
@@ -63,7 +64,7 @@ def turned_views(
         u, v = _map(camera, R_cam_view, focal, middle, size)
         grey = grey_levels(image)
         greys.append(grey)
-        # Outside of the image its edge, which has no contrast of its own.
+        # Replicated borders have no contrast.
         views.append(cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
         maps.append((u, v))
         u, v = u[::2, ::2], v[::2, ::2]
@@ -84,12 +85,11 @@ def turned_views(
 def _map(
     camera: Camera, R_cam_common: Array, focal: float, middle: Array, size: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return u and v (H, W) where in a camera's image the pixels of the common image lie.
+    """Map the pixels of the common image to u and v (H, W) in a camera's image.
 
-    Lines between every eighth pixel. Matches are taken back by the same lines, so that these need
-    not be exact.
+    Interpolated linearly between the middles of squares, where resizing leaves them.
     """
-    # The middles of squares, where enlarging leaves them; one row of squares around the image.
+    # One row of squares more around the image.
     squares = [np.arange(-1, -(-n // _MAP_STEP_PX) + 1) for n in size]
     x, y = (
         ((each + 0.5) * _MAP_STEP_PX - 0.5 - centre) / focal
@@ -111,7 +111,7 @@ def _map(
 
 
 def on_map(where: tuple[np.ndarray, np.ndarray], pixels: Array) -> tuple[Array, Array]:
-    """Return where pixels (N, 2) of the common image lie (N, 2), and derivatives (N, 2, 2)."""
+    """Map pixels (N, 2) of the common image to an image (N, 2), with derivatives (N, 2, 2)."""
     limits = np.array(where[0].shape[::-1]) - 2
     corner = np.clip(np.floor(pixels), 0, limits).astype(int)
     u, v = (pixels - corner).T[..., None]
@@ -125,7 +125,7 @@ def on_map(where: tuple[np.ndarray, np.ndarray], pixels: Array) -> tuple[Array, 
 
 
 def whole_windows(inside: np.ndarray) -> np.ndarray:
-    """Return of every second pixel whether both images show the whole window around it."""
+    """Return for every second pixel whether both images show the whole window around it."""
     reach = WINDOW_PX // 4 + 1
     margin = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
     whole = cv2.erode(
