@@ -7,10 +7,10 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from board_flips import count, flips, rolled, squared
 from simulated_head import random_head
 from simulated_recording import Noise, Recording, as_poses, record
 from texts import texts
+from turned_boards import count, flips, rolled, squared
 from vergence.arrays import Array
 from vergence.calibration.checks.board_flips import (
     CLEAR,

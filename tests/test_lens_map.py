@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import lens_monte_carlo
-from lens_monte_carlo import GRID, lens_head, recording, tried
+import head_kinds
+from head_kinds import GRID, lens_head, recording, tried
 from simulated_recording import EXACT
 from texts import texts
 from vergence.calibration.bundle_adjustment import bundle_adjust
@@ -63,8 +63,8 @@ def test_no_covariance_is_stated_without_an_accuracy(fisheye):
 
 @pytest.mark.usefixtures("two_folds")  # a lens that does not fit converges slowly
 def test_a_lens_that_is_too_simple_is_named_with_its_camera(monkeypatch):
-    monkeypatch.setattr(lens_monte_carlo, "STRAIGHT", 16)
-    monkeypatch.setattr(lens_monte_carlo, "ORIENTATIONS", 8)
+    monkeypatch.setattr(head_kinds, "STRAIGHT", 16)
+    monkeypatch.setattr(head_kinds, "ORIENTATIONS", 8)
     rng = np.random.default_rng(3)
     head = lens_head("k3", rng)
     seen = recording(head, rng)

@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import lens_monte_carlo
-from head_kinds import points
-from lens_monte_carlo import recording
+import head_kinds
+from head_kinds import points, recording
 from other_heads import KINDS, other_head
 from simulated_head import as_designed, random_head
 from simulated_recording import BOARD, POINTS, Noise, Recording, as_poses, facing, observe, record
@@ -52,9 +51,9 @@ def no_held_out_error(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def few_boards(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Shorten recordings of lens_monte_carlo, where a test does not depend on their accuracy."""
-    monkeypatch.setattr(lens_monte_carlo, "STRAIGHT", 12)
-    monkeypatch.setattr(lens_monte_carlo, "ORIENTATIONS", 16)
+    """Shorten recordings of head_kinds, where a test does not depend on their accuracy."""
+    monkeypatch.setattr(head_kinds, "STRAIGHT", 12)
+    monkeypatch.setattr(head_kinds, "ORIENTATIONS", 16)
 
 
 def recorded(

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lens_monte_carlo import STRAIGHT, lens_head, recording
+from head_kinds import STRAIGHT, lens_head, recording
 from simulated_head import random_camera, random_pose
 from simulated_recording import EXACT
 from test_intrinsics import POINTS, SINGLE_PRECISION_POSE, SINGLE_PRECISION_PX, boards, views

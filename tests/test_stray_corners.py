@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lens_monte_carlo import lens_head, recording
+from head_kinds import lens_head, recording
 from simulated_head import random_head
 from simulated_recording import Noise, Recording, record
 from texts import texts

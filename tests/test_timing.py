@@ -1,24 +1,60 @@
 """Readings are moved in time along what their neighbours say, and offsets are found to a part."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-import time_offset
-from simulated_head import plain_head
-from simulated_recording import BOARD, POINTS, facing, inside_image
+from simulated_head import plain_head, random_head
+from simulated_recording import (
+    BOARD,
+    POINTS,
+    Noise,
+    facing,
+    inside_image,
+    moving_recording,
+    still_recording,
+)
 from texts import texts
 from vergence.arrays import Array
-from vergence.calibration.bundle_adjustment import bundle_adjust
+from vergence.calibration.bundle_adjustment import BundleEstimate, bundle_adjust
+from vergence.calibration.initial import calibrate_sequentially
 from vergence.calibration.observations import Observations
 from vergence.data.timing import Timing, change, coefficients, moved_readings, rate, stencil
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.parameters import boxminus as head_difference
 from vergence.geometry.projection import project_at
 from vergence.geometry.se3 import boxminus, boxplus, pose, rotation, transform
 
 SWING = 2 * np.pi  # 1 Hz
+GAINS = [f"{eye}.{joint}_gain" for eye in ("left", "right") for joint in ("pan", "tilt")]
 
 
 def swing(t: Array) -> Array:
     return 0.25 * np.cos(SWING * t[:, None] + np.arange(2))
+
+
+def calibrated_motion(
+    seed: int, noise: Noise, offset_s: float
+) -> tuple[HeadCalibration, BundleEstimate]:
+    """Return a random head and its calibration from eyes at rest and in motion for 3 s."""
+    rng = np.random.default_rng([0, seed])
+    truth = random_head(rng)
+    how = {"wide_views": 10, "narrow_views": 8, "orientations": 20, "spread_rad": 0.25}
+    still = still_recording(truth, rng, noise, **how)
+    amplitude, frequency = rng.uniform(0.15, 0.25, 4), 2 * np.pi * rng.uniform(0.3, 1.0, 4)
+    phase = rng.uniform(0, 2 * np.pi, 4)
+    observed = moving_recording(
+        truth,
+        rng,
+        noise,
+        still,
+        times_s=np.arange(90) / 30,
+        gaze=lambda t: amplitude * np.cos(frequency * t[:, None] + phase),
+        time_offset_s=offset_s,
+    )
+    start = calibrate_sequentially(observed.take(observed.at_rest)).head
+    return replace(truth, time_offset_s=offset_s), bundle_adjust(start, observed)
 
 
 @pytest.mark.parametrize("late_s", [-0.04, 0.04])
@@ -32,10 +68,10 @@ def test_motion_of_1_hz_at_30_hz_is_moved_by_40_ms_to_a_few_hundred_thousandths(
 @pytest.mark.slow
 def test_what_is_left_of_an_offset_does_not_pass_for_a_gain():
     """With exact readings, where nothing but the interpolation is wrong."""
-    config = time_offset.Config(orientations=20, frames=90, pixel_std_px=0.01)
-    found = time_offset.run(config, 0.0, 40, number=1)
-    assert abs(found.offset[0]) < 2e-6
-    assert np.abs(found.gains[0]).max() < 2e-4
+    truth, found = calibrated_motion(1, Noise(pixel_px=0.01), 0.04)
+    error = head_difference(found.head, truth)
+    assert abs(error["time_offset_s"]) < 2e-6
+    assert max(abs(error[name]) for name in GAINS) < 2e-4
 
 
 @pytest.mark.parametrize("seconds", [-0.1, 0.0, 0.03])
@@ -78,12 +114,13 @@ def test_three_views_give_a_straight_line():
 @pytest.mark.slow
 @pytest.mark.parametrize("offset_ms", [-40, 40])
 def test_offsets_are_found_to_half_a_millisecond_and_gains_to_a_thousandth(offset_ms: int):
-    config = time_offset.Config(orientations=20, frames=90, pixel_std_px=0.05)
-    found = time_offset.run(config, 0.02, offset_ms, number=0)
-    assert abs(found.offset[0]) < 0.5e-3
-    assert np.abs(found.gains[0]).max() < 1e-3
-    assert abs(found.offset[0]) < 4 * found.offset[1]
-    assert (np.abs(found.gains[0]) < 4 * found.gains[1]).all()
+    noise = Noise(pixel_px=0.05, joint_rad=np.radians(0.02))
+    truth, found = calibrated_motion(0, noise, 1e-3 * offset_ms)
+    error = head_difference(found.head, truth)
+    stated = dict(zip(found.parameters, np.sqrt(np.diag(found.covariance)), strict=True))
+    assert abs(error["time_offset_s"]) < 0.5e-3
+    assert max(abs(error[name]) for name in GAINS) < 1e-3
+    assert all(abs(error[name]) < 4 * stated[name] for name in ("time_offset_s", *GAINS))
     # Nor are the readings at the ends of the motion held against a course through readings.
     assert not any("lost its weight" in said for said in texts(found.findings))
 

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from head_kinds import head_of
-from lens_monte_carlo import NOISE, recording
+from head_kinds import NOISE, head_of, recording
 from vergence.calibration.calibrate import calibrate
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
