@@ -110,25 +110,18 @@ def design(
         jobs: Processes on this machine; -1: one for each core.
         cluster: Address of a Dask scheduler, which then does the work: tcp://HOST:PORT.
     """
+    options = dict(locals())
     from vergence.accuracy.design_chunks import sweep
+    from vergence.accuracy.design_settings import AXES
     from vergence.cli.design_report import RESULTS, TITLE, chosen_settings, write_design
     from vergence.cli.outputs import check_outputs
     from vergence.files import results_folder
     from vergence.parallel import process_count
 
-    axes = {
-        "baseline_mm": baseline_mm,
-        "focal_px": focal_px,
-        "square_mm": square_mm,
-        "views": views,
-        "counts_per_turn": counts_per_turn,
-        "joint_noise_deg": joint_noise_deg,
-        "pixel_noise_px": pixel_noise_px,
-        "delay_ms": delay_ms,
-    }
     inputs = [settings] if settings else []
     check_outputs(folder=out, names=RESULTS, title=f"# {TITLE}", inputs=inputs)
     process_count(jobs)
+    axes = {name: options[name] for name in AXES if options[name] is not None}
     chosen = chosen_settings(settings, axes, accuracy_mm=accuracy_mm, at_m=at_m)
     with progress_bars() as progress, results_folder(out):
         swept = sweep(chosen, out / "chunks", jobs=jobs, cluster=cluster, progress=progress)

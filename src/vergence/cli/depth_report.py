@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,11 +11,9 @@ from vergence.cli.report import Part, Report, Table
 from vergence.demos.depth_errors import RANGE_M, DepthErrors
 from vergence.errors import counted
 from vergence.files import REPORT, write_whole
-from vergence.geometry.head import HeadCalibration
-from vergence.progress import Progress, silent
+from vergence.progress import Progress
 from vergence.self_calibration.dense_pairs import (
-    PairDepth,
-    StereoImages,
+    DepthSequence,
     misaligned,
     row_difference_rad,
     row_noise_rad,
@@ -27,6 +24,15 @@ from vergence.viewer.opening import log_report
 TITLE = "Dense depth"
 RESULTS = ("depth.rrd", "depth.json", REPORT)
 """Files in the folder of the results."""
+HEADING = (
+    "geometry", "median error [%]", "wrong by a fifth [%]", "others within two std [%]",
+    "rows, rms [px]",
+)  # fmt: skip
+DOUBT = (
+    "Features are {:.2g} degrees beside their rows: the calibration is of another head, a camera "
+    "has turned since, or images and readings are not of the same moments. The depths are wrong by "
+    "far more than is stated."
+)
 
 
 @dataclass(frozen=True)
@@ -55,34 +61,13 @@ class Summary:
     """By the true head and angles: the error of the matching itself."""
 
 
-def write_depth(
-    out: Path,
-    head: HeadCalibration,
-    found: Iterable[tuple[StereoImages, PairDepth]],
-    count: int,
-    *,
-    left_out: int = 0,
-    errors: Callable[[], dict[str, DepthErrors]] = dict,
-    progress: Progress = silent,
-) -> Report:
-    """Write depth.rrd, depth.json and report.md into a `results_folder`.
-
-    Args:
-        out: the folder.
-        head: the calibration.
-        found: pairs with their depths, which are computed as they are taken.
-        count: number of pairs.
-        left_out: number of further pairs that cannot be rectified.
-        errors: returns the errors by geometry after the last pair, as in Summary.
-        progress: is called after each pair.
-
-    Raises:
-        VergenceError: a file cannot be written, or the pairs raise it.
-    """
+def write_depth(out: Path, sequence: DepthSequence, progress: Progress) -> Report:
+    """Write depth.rrd, depth.json and report.md of a sequence into a `results_folder`."""
+    head, count = sequence.head, sequence.count
     progress("dense depth, pairs", 0, count)
     relative_stds, shares, rows_rad, noises_rad = [], [], [], []
     with depth_recording(out / "depth.rrd", head) as rec:
-        for k, (moment, (pair, dense)) in enumerate(found):
+        for k, (moment, (pair, dense)) in enumerate(sequence.found):
             near = dense.textured & (dense.depth_m > RANGE_M[0]) & (dense.depth_m < RANGE_M[1])
             relative_stds.append(dense.std_m[near] / dense.depth_m[near])
             shares.append((np.isfinite(dense.depth_m).mean(), dense.textured.mean()))
@@ -107,13 +92,13 @@ def write_depth(
         report = depth_report(
             Summary(
                 pairs=count,
-                left_out=left_out,
+                left_out=sequence.left_out,
                 matched=float(matched),
                 textured=float(textured),
                 median_relative_std=float(np.median(stds)) if stds.size else np.nan,
                 row_difference_deg=float(np.degrees(angle_rad)),
-                doubt=_doubt(angle_rad) if doubtful else None,
-                **errors(),
+                doubt=DOUBT.format(np.degrees(angle_rad)) if doubtful else None,
+                **sequence.errors(),
             )
         )
         log_report(rec, report.markdown())
@@ -122,36 +107,25 @@ def write_depth(
     return report
 
 
-def _doubt(angle_rad: float) -> str:
-    return (
-        f"Features are {np.degrees(angle_rad):.2g} degrees beside their rows: the calibration is "
-        "of another head, a camera has turned since, or images and readings are not of the same "
-        "moments. The depths are wrong by far more than is stated."
-    )
-
-
 def depth_report(done: Summary) -> Report:
     """Report the statistics of dense depth and, where the truth is known, its errors."""
     where = f"{RANGE_M[0]} to {RANGE_M[1]} m"
-    left_out, stated = "", f"None of these is at {where}."
-    if done.left_out:
-        left_out = (
-            f" {done.left_out} more cannot be rectified: the two views do not overlap, or an eye "
-            "looks along the line from one camera to the other."
-        )
+    stated = f"None of these is at {where}."
     if np.isfinite(done.median_relative_std):
-        stated = (
-            f"At {where} the stated standard deviation of these is "
-            f"{100 * done.median_relative_std:.1f} % in the median."
-        )
+        percent = 100 * done.median_relative_std
+        stated = f"At {where} their stated standard deviation is {percent:.1f} % in the median."
     parts: list[Part] = [
-        f"{counted(done.pairs, 'pair')}.{left_out} "
-        f"{100 * done.matched:.0f} % of the rectified pixels have a depth, "
-        f"{100 * done.textured:.0f} % one that texture determines well. {stated}",
+        f"{counted(done.pairs, 'pair')}: {100 * done.matched:.0f} % of the rectified pixels have a "
+        f"depth, {100 * done.textured:.0f} % one that texture determines well. {stated}",
         f"A feature is {done.row_difference_deg:.2g} degrees beside its row in the median."
         if np.isfinite(done.row_difference_deg)
         else "Too few features are matched to compare the rows of the two images.",
     ]
+    if done.left_out:
+        parts.append(
+            f"{done.left_out} more cannot be rectified: the two views do not overlap, or an eye "
+            "looks along the line from one camera to the other."
+        )
     if done.doubt is not None:
         parts.append(f"Warning: {done.doubt}")
     rows = [
@@ -169,13 +143,6 @@ def depth_report(done: Summary) -> Report:
         )
         if e is not None
     ]
-    heading = (
-        "geometry",
-        "median error [%]",
-        "wrong by a fifth [%]",
-        "others within two std [%]",
-        "rows, rms [px]",
-    )
     if rows:
-        parts += [f"Errors at {where} where there is texture:", Table(heading, rows)]
+        parts += [f"Errors at {where} where there is texture:", Table(HEADING, rows)]
     return Report(TITLE, parts, done)

@@ -32,7 +32,7 @@ RESULTS = ("sweep.npz", "design.png", "properties.png", "design.json", REPORT)
 
 def chosen_settings(
     path: Path | None,
-    axes: dict[str, tuple[float, ...] | None],
+    axes: dict[str, tuple[float, ...]],
     *,
     accuracy_mm: float,
     at_m: float,
@@ -48,7 +48,7 @@ def chosen_settings(
             )
     settings = DesignSettings() if path is None else load_settings(path)
     chosen = settings.model_dump()
-    chosen["designs"] |= {name: values for name, values in axes.items() if values is not None}
+    chosen["designs"] |= axes
     distances = settings.workspace.distances_m
     if at_m not in distances:
         chosen["workspace"]["distances_m"] = (*distances, at_m)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -87,13 +88,11 @@ def reproduce(
             progress=progress,
         )
     recordings = [f"fig{number:02d}.rrd" for number in sorted(done.replays)]
-    lines = [f"Wrote {' '.join(recordings)}, figures.png, report.md and statistics.json to {out}."]
-    if older := sorted({path.name for path in out.glob("fig??.rrd")} - set(recordings)):
-        lines.insert(0, f"Of an earlier run: {' '.join(older)}.")
-    make = out == Path("runs/paper") and 6 in done.replays and Path("Makefile").is_file()
-    typed = invocation("rerun", out / recordings[0])
-    lines.append(f"To view a recording: {typed}" + (", or make view" if make else ""))
-    return Report("Figures", (), None, files="\n".join(lines))
+    files = (
+        f"Wrote {' '.join(recordings)}, figures.png, report.md and statistics.json to {out}.\n"
+        f"To view a recording: {invocation('rerun', out / recordings[0])}"
+    )
+    return Report("Figures", (), None, files=files)
 
 
 def record(
@@ -253,38 +252,30 @@ def depth(
     from vergence.data.reader import load_dataset
     from vergence.files import results_folder
     from vergence.geometry.head import load_head
-    from vergence.self_calibration.dense_pairs import dataset_pairs, depth_of
 
     inputs = [calibration] if calibration else []
     check_outputs(folder=out, names=RESULTS, title=f"# {TITLE}", inputs=inputs)
     head = load_head(calibration) if calibration else None
-    with progress_bars(out) as progress:
+    with progress_bars(out) as progress, results_folder(out):
         if dataset is not None and head is not None:
-            of = dataset_pairs(load_dataset(dataset), head, pairs, geometry)
-            found = ((moment, depth_of(moment, head)) for moment in of.moments)
-            with results_folder(out):
-                report = write_depth(
-                    out, head, found, of.count, left_out=of.left_out, progress=progress
-                )
+            from vergence.self_calibration.dense_pairs import dataset_depth
+
+            source = nullcontext(dataset_depth(load_dataset(dataset), head, pairs, geometry))
         else:
             from vergence.demos.depth import twin_depth
             from vergence.twin.profile import load_profile
 
-            with (
-                results_folder(out),
-                twin_depth(
-                    head,
-                    profile=load_profile(profile or "paper"),
-                    scene=scene or "room",
-                    seed=seed or 0,
-                    pairs=pairs,
-                    geometry=geometry,
-                    progress=progress,
-                ) as of,
-            ):
-                report = write_depth(
-                    out, of.head, of.found, pairs, errors=of.errors, progress=progress
-                )
+            source = twin_depth(
+                head,
+                profile=load_profile(profile or "paper"),
+                scene=scene or "room",
+                seed=seed or 0,
+                pairs=pairs,
+                geometry=geometry,
+                progress=progress,
+            )
+        with source as sequence:
+            report = write_depth(out, sequence, progress)
     files = f"To view the recording: {invocation('rerun', out / 'depth.rrd')}"
     return replace(report, files=files)
 

@@ -9,18 +9,23 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 
 import numpy as np
 
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
-from vergence.demos.depth_errors import DepthErrors, DepthTruth, depth_errors, summed
+from vergence.demos.depth_errors import DepthTruth, depth_errors, summed
 from vergence.demos.experiment import LOOKING
 from vergence.gaze.commands import EYE_READINGS
 from vergence.geometry.head import HeadCalibration, pair_names
 from vergence.progress import Progress
-from vergence.self_calibration.dense_pairs import PairDepth, StereoImages, depth_by, depth_of
+from vergence.self_calibration.dense_pairs import (
+    DepthSequence,
+    PairDepth,
+    StereoImages,
+    depth_by,
+    depth_of,
+)
 from vergence.self_calibration.sequence import Geometry, initial_seen_geometry, update_geometry
 from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Twin
@@ -38,20 +43,6 @@ Errors = dict[str, list[tuple[Array, Array, float]]]
 """What `depth_errors` returns for each pair, by geometry."""
 
 
-@dataclass(frozen=True, eq=False)
-class TwinDepth:
-    """Dense depth of pairs of the twin, and its errors."""
-
-    head: HeadCalibration
-    found: Iterator[tuple[StereoImages, PairDepth]]
-    """Pairs with their depths, computed as they are taken."""
-    errors_of_pairs: Errors
-
-    def errors(self) -> dict[str, DepthErrors]:
-        """Return the errors of the pairs so far: "joints", "true_geometry" and "seen"."""
-        return {name: summed(pairs) for name, pairs in self.errors_of_pairs.items()}
-
-
 @contextmanager
 def twin_depth(
     calibration: HeadCalibration | None,
@@ -62,7 +53,7 @@ def twin_depth(
     pairs: int,
     geometry: Geometry,
     progress: Progress,
-) -> Iterator[TwinDepth]:
+) -> Iterator[DepthSequence]:
     """Give a `with` block the dense depth of pairs over the divergent motion of a twin.
 
     Args:
@@ -80,7 +71,10 @@ def twin_depth(
     with _twin(profile, scene, seed, calibration, progress) as (twin, head, joint_std):
         moments = _moments(twin, pairs, head if geometry == "seen" else None)
         errors: Errors = defaultdict(list)
-        yield TwinDepth(head, _compared(moments, head, joint_std, errors), errors)
+        found = _compared(moments, head, joint_std, errors)
+        yield DepthSequence(
+            head, found, pairs, errors=lambda: {name: summed(each) for name, each in errors.items()}
+        )
 
 
 @contextmanager

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -47,24 +48,28 @@ class StereoImages:
     """Geometry that both eyes see; None: the joint readings are used."""
 
 
-@dataclass(frozen=True, eq=False)
-class StereoSequence:
-    """Pairs that can be rectified, in order of time."""
-
-    moments: Iterator[StereoImages]
-    count: int
-    left_out: int
-    """Further pairs at whose postures the views cannot be rectified."""
-
-
 PairDepth = tuple[RectifiedPair, DenseDepth]
 """A rectified pair, and the depth of its pixels."""
 
 
-def dataset_pairs(
+@dataclass(frozen=True, eq=False)
+class DepthSequence:
+    """Dense depth of pairs in order of time."""
+
+    head: HeadCalibration
+    found: Iterator[tuple[StereoImages, PairDepth]]
+    """Pairs with their depths, computed as they are taken."""
+    count: int
+    left_out: int = 0
+    """Further pairs at whose postures the views cannot be rectified."""
+    errors: Callable[[], dict[str, Any]] = dict
+    """Returns the errors of the pairs so far by geometry, where the truth is known."""
+
+
+def dataset_depth(
     dataset: Dataset, head: HeadCalibration, pairs: int, geometry: Geometry
-) -> StereoSequence:
-    """Read at most `pairs` evenly spaced pairs of a dataset.
+) -> DepthSequence:
+    """Compute the depth of at most `pairs` evenly spaced pairs of a dataset.
 
     "seen" learns the geometry from all rows up to each pair. VergenceError if the dataset has no
     pair that can be rectified, or has measured poses, which "seen" cannot correct.
@@ -80,7 +85,7 @@ def dataset_pairs(
         raise errors[0]
     before = initial_seen_geometry(head) if geometry == "seen" else None
 
-    def read() -> Iterator[StereoImages]:
+    def read() -> Iterator[tuple[StereoImages, PairDepth]]:
         known = before
         for k in chosen if known is None else range(chosen[-1] + 1):
             frame = both.frame(k)
@@ -89,9 +94,10 @@ def dataset_pairs(
                 time_s = frame.time_s - float(dataset.time_s[0])
                 images = frame.images[left], frame.images[right]
                 seen = None if known is None else known.latest
-                yield StereoImages(time_s, both.joints[k], *images, seen=seen)
+                moment = StereoImages(time_s, both.joints[k], *images, seen=seen)
+                yield moment, depth_of(moment, head)
 
-    return StereoSequence(read(), len(chosen), len(wanted) - len(chosen))
+    return DepthSequence(head, read(), len(chosen), len(wanted) - len(chosen))
 
 
 def _rectification_error(head: HeadCalibration, joints: Array) -> VergenceError | None:
