@@ -14,10 +14,16 @@ from simulated_head import plain_head
 from test_location_accuracy import stated
 from vergence import cli
 from vergence.accuracy.budget import CALIBRATION, Source, budget, group_of
-from vergence.accuracy.motion_budget import MotionBudgets, motion_budgets, motion_of, stated_sources
+from vergence.accuracy.motion_budget import (
+    MotionBudgets,
+    check_budget,
+    motion_budgets,
+    motion_of,
+    stated_sources,
+)
 from vergence.accuracy.motions import PERIOD_S, eye_angles
 from vergence.arrays import Array
-from vergence.cli.accuracy_reports import advice, budget_report, budget_rows, check_budget
+from vergence.cli.accuracy_reports import advice, budget_report, budget_rows
 from vergence.errors import VergenceError
 from vergence.geometry.camera import pinhole
 from vergence.geometry.head import HeadCalibration, save_head

@@ -310,7 +310,7 @@ def test_help_describes_every_option(name: str, capsys, monkeypatch):
 def test_help_loads_no_library_of_numbers_images_or_drawing():
     code = "import sys, vergence.cli; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    heavy = {"numpy", "scipy", "cv2", "matplotlib", "rerun", "rich", "mujoco"}
+    heavy = {"numpy", "scipy", "cv2", "pydantic", "matplotlib", "rerun", "rich", "mujoco"}
     assert not heavy & set(done.stdout.split())
 
 

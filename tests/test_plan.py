@@ -16,8 +16,10 @@ from simulated_recording import BOARD, EXACT, Recording, joined, record
 from test_kinematics import shared_tilt
 from vergence import cli
 from vergence.accuracy import plan_information
+from vergence.accuracy import plan_source as command
 from vergence.accuracy.plan import Plan, choose, largest_readings, plan
 from vergence.accuracy.plan_information import gained, information, known_of, linearised_views
+from vergence.accuracy.plan_source import head_and_board
 from vergence.accuracy.plan_views import (
     MARGIN_PX,
     Views,
@@ -28,8 +30,7 @@ from vergence.accuracy.plan_views import (
 from vergence.accuracy.plan_workspace import largest_std, workspace
 from vergence.calibration.bundle_adjustment import bundle_adjust
 from vergence.calibration.observations import Observations
-from vergence.cli import accuracy_reports as command
-from vergence.cli.accuracy_reports import head_and_board, plan_report
+from vergence.cli.accuracy_reports import plan_report
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.camera import project

@@ -6,8 +6,6 @@ import difflib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pydantic import TypeAdapter, ValidationError
-
 MOST_CHARACTERS = 1000
 """Longest message about a file that is passed on: a parser may cite the whole line."""
 MOST_NAMES = 10
@@ -28,6 +26,8 @@ def explain(error: Exception, kind: Any = None) -> str:
     `joints.left_pan.unit: ...`. `kind` is the type that was to be read, whose fields are suggested
     in place of an unknown one; None: none are.
     """
+    from pydantic import ValidationError  # takes 0.1 s, which `vergence --help` does not need
+
     text = "it is nested too deeply" if isinstance(error, RecursionError) else str(error)
     if isinstance(error, UnicodeDecodeError):
         text = f"it is not text in UTF-8, see byte {error.start}"
@@ -70,6 +70,8 @@ def _fields(kind: Any, steps: Sequence[int | str]) -> list[str]:
     """Return the fields of the objects to which a path of steps leads in a type, by its schema."""
     if kind is None:
         return []
+    from pydantic import TypeAdapter
+
     whole = TypeAdapter(kind).json_schema()
     here = _alternatives(whole, whole)
     for step in steps:

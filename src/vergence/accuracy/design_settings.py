@@ -12,12 +12,23 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
 
 from vergence.arrays import Array
+from vergence.errors import VergenceError, explain
 from vergence.files import parse_json, read_parsed, validated
 from vergence.geometry.camera import ImageSide
 
+MOST_WANTED = 1_000_000
+"""Limit of the accuracy [mm] and of the distance [m] that may be wanted."""
 MAX_BYTES = 2**16
 """Maximum size of a file of settings [bytes]."""
 MAX_DESIGNS = 50_000_000
@@ -223,3 +234,26 @@ def load_settings(path: Path) -> DesignSettings:
         parse,
         most_bytes=MAX_BYTES,
     )
+
+
+def merged_settings(
+    path: Path | None, axes: dict[str, tuple[float, ...]], *, accuracy_mm: float, at_m: float
+) -> DesignSettings:
+    """Replace axes of the settings in a file, or of the default ones; add a distance `at_m`.
+
+    VergenceError for a file or a value that is not possible.
+    """
+    for name, value in (("--accuracy-mm", accuracy_mm), ("--at-m", at_m)):
+        if not 0 < value < MOST_WANTED:
+            raise VergenceError(
+                f"{name} takes a number above 0 and below {MOST_WANTED:,}, found {value:g}."
+            )
+    chosen = (DesignSettings() if path is None else load_settings(path)).model_dump()
+    chosen["designs"] |= axes
+    distances = chosen["workspace"]["distances_m"]
+    if at_m not in distances:
+        chosen["workspace"]["distances_m"] = (*distances, at_m)
+    try:
+        return DesignSettings.model_validate(chosen)
+    except ValidationError as error:
+        raise VergenceError(f"These designs cannot be compared: {explain(error)}.") from None

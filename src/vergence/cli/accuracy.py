@@ -46,7 +46,8 @@ def plan(
     import numpy as np
 
     from vergence.accuracy.plan import plan as plan_views
-    from vergence.cli.accuracy_reports import check_plan, head_and_board, plan_report
+    from vergence.accuracy.plan_source import check_plan, head_and_board
+    from vergence.cli.accuracy_reports import plan_report
     from vergence.cli.outputs import check_outputs
     from vergence.data.description import DESCRIPTION, FRAMES
     from vergence.viewer.plots.plan import save_plan
@@ -112,8 +113,8 @@ def design(
     """
     options = dict(locals())
     from vergence.accuracy.design_chunks import sweep
-    from vergence.accuracy.design_settings import AXES
-    from vergence.cli.design_report import RESULTS, TITLE, chosen_settings, write_design
+    from vergence.accuracy.design_settings import AXES, merged_settings
+    from vergence.cli.design_report import RESULTS, TITLE, write_design
     from vergence.cli.outputs import check_outputs
     from vergence.files import results_folder
     from vergence.parallel import process_count
@@ -122,7 +123,7 @@ def design(
     check_outputs(folder=out, names=RESULTS, title=f"# {TITLE}", inputs=inputs)
     process_count(jobs)
     axes = {name: options[name] for name in AXES if options[name] is not None}
-    chosen = chosen_settings(settings, axes, accuracy_mm=accuracy_mm, at_m=at_m)
+    chosen = merged_settings(settings, axes, accuracy_mm=accuracy_mm, at_m=at_m)
     with progress_bars() as progress, results_folder(out):
         swept = sweep(chosen, out / "chunks", jobs=jobs, cluster=cluster, progress=progress)
         return write_design(out, swept, accuracy_m=1e-3 * accuracy_mm, distance_m=at_m)
@@ -158,8 +159,8 @@ def budget(
     """
     import numpy as np
 
-    from vergence.accuracy.motion_budget import motion_budgets, stated_sources
-    from vergence.cli.accuracy_reports import budget_report, check_budget
+    from vergence.accuracy.motion_budget import check_budget, motion_budgets, stated_sources
+    from vergence.cli.accuracy_reports import budget_report
     from vergence.cli.outputs import check_outputs
     from vergence.data.description import DESCRIPTION, FRAMES
     from vergence.geometry.head import load_head

@@ -1,105 +1,21 @@
-"""Reports of the commands plan and budget, and the checks of their options."""
+"""Reports of the commands plan and budget."""
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from vergence.accuracy.budget import Budget
 from vergence.accuracy.motion_budget import MotionBudgets
-from vergence.accuracy.plan import Plan, largest_readings
-from vergence.accuracy.plan_information import OF_READINGS
-from vergence.arrays import MAX_M, Array
-from vergence.calibration.calibrate import calibrate
+from vergence.accuracy.plan import Plan
 from vergence.cli.report import Report, Table
-from vergence.data.dataset import Dataset
-from vergence.data.description import MAX_SQUARE_M
-from vergence.data.reader import load_dataset
-from vergence.errors import VergenceError, check_seed
-from vergence.geometry.board import Board, Chessboard, corner_points
-from vergence.geometry.head import HeadCalibration, T_head_base, load_head
-from vergence.geometry.kinematics import EYES
+from vergence.geometry.board import corner_points
+from vergence.geometry.head import T_head_base
 from vergence.geometry.se3 import transform
-from vergence.progress import Progress
 
-MOST_VIEWS = 100
-"""Largest number of planned views; each takes about a second."""
-MOST_DEG = 1_000_000
-"""Largest limit of a single reading [deg]: motors before a gear turn far."""
-MOST_NOISE_PX = 100.0
-"""Largest noise of a pixel coordinate [px]."""
 FIRST_ORDER = 0.08
 """Std of a point, relative to its distance, up to which sampled points spread within 2 % of it."""
-
-
-def check_plan(
-    views: int, limits_deg: tuple[float, ...], distances_m: tuple[float, ...], seed: int
-) -> None:
-    """Raise VergenceError for options of `vergence plan` that are out of range."""
-    check_seed(seed)
-    if not 1 <= views <= MOST_VIEWS:
-        raise VergenceError(f"A plan has 1 to {MOST_VIEWS} views, found --views {views}.")
-    for name, values, most, unit in (
-        ("--limits-deg", limits_deg, 90 if len(limits_deg) == 1 else MOST_DEG, "degrees"),
-        ("--distances", distances_m, 100, "m"),
-    ):
-        if not values or not all(0 < value <= most for value in values):
-            found = " ".join(f"{value:g}" for value in values) or "none"
-            raise VergenceError(
-                f"{name} takes numbers above 0 and up to {most:,} {unit}, found {found}."
-            )
-
-
-def head_and_board(
-    source: Path,
-    board: tuple[int, int, float] | None,
-    limits_rad: ArrayLike,
-    progress: Progress,
-) -> tuple[HeadCalibration, Board]:
-    """Load the calibration of a file, or calibrate a dataset, and find the board to show.
-
-    VergenceError if the source is neither, its calibration is void, or nothing can be planned.
-    """
-    if os.path.isdir(source):
-        data = load_dataset(source)
-        _check_dataset(data, limits_rad)
-        shown = data.description.board if board is None else _chessboard(*board)
-        found = calibrate(data, progress=progress)
-        if found.accuracy.void:
-            raise VergenceError(f"The calibration from {source} is VOID: {found.accuracy.void[0]}")
-        return found.head, shown
-    head = load_head(source)
-    if board is None:
-        raise VergenceError(
-            f"{source} does not say which board will be shown; say it with --board COLUMNS ROWS "
-            "SQUARE_M, such as --board 9 6 0.03, or name the folder of the dataset."
-        )
-    return head, _chessboard(*board)
-
-
-def _check_dataset(data: Dataset, limits_rad: ArrayLike) -> None:
-    """Raise VergenceError, before the calibration, if a plan for a dataset is impossible."""
-    if data.T_base_eye is not None:
-        raise VergenceError(f"{OF_READINGS} {data.folder} has measured eye poses.")
-    cameras = data.description.cameras
-    if len({camera.eye for camera in cameras.values()}) < len(EYES):
-        raise VergenceError(
-            f"A plan is for points that both eyes see; {data.folder} has {', '.join(cameras)}."
-        )
-    largest_readings(data.description.head_kinematics, limits_rad)
-
-
-def _chessboard(columns: int, rows: int, square_m: float) -> Chessboard:
-    if min(columns, rows) < 3 or max(columns, rows) > 100 or not 0 < square_m <= MAX_SQUARE_M:
-        raise VergenceError(
-            "--board takes 3 to 100 inner corners each way and the side of a square up to 1 m, "
-            f"found {columns} {rows} {square_m:g}."
-        )
-    return Chessboard(columns, rows, square_m)
 
 
 def plan_report(found: Plan) -> Report:
@@ -152,17 +68,6 @@ def plan_report(found: Plan) -> Report:
         "std_after_m": found.after_m.tolist(),
     }
     return Report("Views to record next", (Table(heading, rows), sentences), data)
-
-
-def check_budget(points: Array, noise_px: float | None) -> None:
-    """Raise VergenceError for points or a noise that are out of range."""
-    if noise_px is not None and not 0 <= noise_px <= MOST_NOISE_PX:
-        raise VergenceError(
-            f"--noise is a standard deviation from 0 to {MOST_NOISE_PX:g} px; found {noise_px:g}."
-        )
-    if not np.abs(points).max() <= MAX_M:
-        found = ", ".join(" ".join(f"{x:g}" for x in point) for point in points)
-        raise VergenceError(f"--at takes coordinates up to {MAX_M:g} m; found {found}.")
 
 
 BUDGET_HEADING = ("source", "x", "y", "z", "x, parallel", "shared")

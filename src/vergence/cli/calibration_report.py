@@ -7,15 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from vergence.accuracy.plan import plan
 from vergence.calibration.calibrate import CalibrationResult
 from vergence.calibration.checks.lens_map import lens_maps
 from vergence.calibration.observations import NO_CORNERS
 from vergence.calibration.summary import point_accuracy, verdict
-from vergence.cli.accuracy_reports import plan_report
 from vergence.cli.report import Part, Report, Table
 from vergence.data.dataset import Dataset
-from vergence.errors import VergenceError, counted
+from vergence.errors import counted
 from vergence.files import REPORT, write_whole
 from vergence.findings import select
 from vergence.geometry.head import main_pair
@@ -34,17 +32,12 @@ RESULTS = (
 FAILURES_NAMED = 20
 MARKS = {"void": "VOID: ", "warning": "Warning: ", "note": ""}
 WORST_SHOWN, WORST_LISTED = 4, 10
-NEXT_VIEWS, NEXT_CANDIDATES = 4, (12, 6)
-"""Size of the plan in a report: computed within a second or two."""
-LEAST_LIMIT_RAD = 0.17
-"""Angle [rad] to which eyes may turn in that plan, though they have not in the recording."""
 
 
 def calibration_report(result: CalibrationResult) -> Report:
     """Report a calibration: its summary, and its accuracy as plain values."""
     accuracy = result.accuracy
     word, following = verdict(accuracy, result.head)
-    checked = accuracy.held_out
     data = {
         "verdict": word,
         "next": following,
@@ -53,10 +46,10 @@ def calibration_report(result: CalibrationResult) -> Report:
         "camera_std_px": accuracy.camera_std_px,
         "joint_std": list(accuracy.joint_std),
         "time_offset_ms": 1e3 * result.head.time_offset_s,
-        "held_out": None if checked is None else vars(checked),
+        "held_out": accuracy.held_out,
         "point_std": [
-            {"distance_m": d, "calibration_mm": a, "reading_mm": b}
-            for d, a, b in point_accuracy(result.head)
+            dict(zip(("distance_m", "calibration_mm", "reading_mm"), row, strict=True))
+            for row in point_accuracy(result.head)
         ],
         "lenses": {
             name: {
@@ -67,7 +60,7 @@ def calibration_report(result: CalibrationResult) -> Report:
             for name, choice in result.lenses.items()
         },
         "std": _stds(result),
-        "findings": [vars(each) for each in result.findings],
+        "findings": result.findings,
     }
     return Report(TITLE, (result.summary(),), data)
 
@@ -153,8 +146,6 @@ def _details(result: CalibrationResult, dataset: Dataset, pictures: list[str]) -
         "\n".join(f"- {MARKS[each.severity]}{each}" for each in findings) or "None.",
         "## Accuracy of points",
         *_points(result),
-        "## Views to record next",
-        *_next_views(result),
         "## Lenses",
         *_lenses(result),
         "## Parameters",
@@ -184,24 +175,6 @@ def _points(result: CalibrationResult) -> list[Part]:
         ratio = f"{checked.jackknife_ratio:.2f} times as much as stated"
         parts.append(f"Calibrations from parts of the views differ {ratio}.")
     return parts
-
-
-def _next_views(result: CalibrationResult) -> list[Part]:
-    """Plan a few views for eyes that move as far as in this recording, or LEAST_LIMIT_RAD."""
-    reached = np.nan_to_num(np.abs(result.observations.eye_angles)).max(axis=0)
-    least = LEAST_LIMIT_RAD / result.head.kinematics.factors
-    try:
-        found = plan(
-            result.head,
-            result.observations.board,
-            views=NEXT_VIEWS,
-            limits_rad=np.maximum(reached, least),
-            candidates=NEXT_CANDIDATES,
-        )
-    except VergenceError as error:
-        return [f"No plan: {error}"]
-    more = "`vergence plan` plans more views, for other distances or limits."
-    return [*plan_report(found).parts, more]
 
 
 def _lenses(result: CalibrationResult) -> list[Part]:

@@ -1,4 +1,4 @@
-"""Report of the command design, and the merging of its options with a file."""
+"""Results of the command design."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
-from vergence.accuracy.design_settings import AXES, DesignSettings, load_settings
+from vergence.accuracy.design_settings import AXES
 from vergence.accuracy.design_sweep import (
     SOURCES,
     Sweep,
@@ -19,43 +18,12 @@ from vergence.accuracy.design_sweep import (
     values_of,
 )
 from vergence.cli.report import Report, Table
-from vergence.errors import VergenceError, explain
 from vergence.files import REPORT, whole_file, write_whole
 from vergence.viewer.plots.design import save_design, save_properties
 
-MOST_WANTED = 1_000_000
-"""Limit of the accuracy [mm] and of the distance [m] that may be wanted."""
 TITLE = "Design of a head"
 RESULTS = ("sweep.npz", "design.png", "properties.png", "design.json", REPORT)
 """Files in the folder of the results, besides the chunks."""
-
-
-def chosen_settings(
-    path: Path | None,
-    axes: dict[str, tuple[float, ...]],
-    *,
-    accuracy_mm: float,
-    at_m: float,
-) -> DesignSettings:
-    """Merge the settings of a file, or the default ones, with the axes of the command line.
-
-    `at_m` is added to their distances. VergenceError for a file or a value that is not possible.
-    """
-    for name, value in (("--accuracy-mm", accuracy_mm), ("--at-m", at_m)):
-        if not 0 < value < MOST_WANTED:
-            raise VergenceError(
-                f"{name} takes a number above 0 and below {MOST_WANTED:,}, found {value:g}."
-            )
-    settings = DesignSettings() if path is None else load_settings(path)
-    chosen = settings.model_dump()
-    chosen["designs"] |= axes
-    distances = settings.workspace.distances_m
-    if at_m not in distances:
-        chosen["workspace"]["distances_m"] = (*distances, at_m)
-    try:
-        return DesignSettings.model_validate(chosen)
-    except ValidationError as error:
-        raise VergenceError(f"These designs cannot be compared: {explain(error)}.") from None
 
 
 def write_design(out: Path, swept: Sweep, *, accuracy_m: float, distance_m: float) -> Report:

@@ -1,0 +1,85 @@
+"""Calibration and board for which views are planned: of a file, or of a dataset."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from numpy.typing import ArrayLike
+
+from vergence.accuracy.plan import largest_readings
+from vergence.accuracy.plan_information import OF_READINGS
+from vergence.calibration.calibrate import calibrate
+from vergence.data.description import MAX_SQUARE_M
+from vergence.data.reader import load_dataset
+from vergence.errors import VergenceError, check_seed
+from vergence.geometry.board import Board, Chessboard
+from vergence.geometry.head import HeadCalibration, load_head
+from vergence.geometry.kinematics import EYES
+from vergence.progress import Progress
+
+MOST_VIEWS = 100
+"""Largest number of planned views; each takes about a second."""
+MOST_DEG = 1_000_000
+"""Largest limit of a single reading [deg]: motors before a gear turn far."""
+
+
+def check_plan(
+    views: int, limits_deg: tuple[float, ...], distances_m: tuple[float, ...], seed: int
+) -> None:
+    """Raise VergenceError for options of a plan that are out of range."""
+    check_seed(seed)
+    if not 1 <= views <= MOST_VIEWS:
+        raise VergenceError(f"A plan has 1 to {MOST_VIEWS} views, found --views {views}.")
+    for name, values, most, unit in (
+        ("--limits-deg", limits_deg, 90 if len(limits_deg) == 1 else MOST_DEG, "degrees"),
+        ("--distances", distances_m, 100, "m"),
+    ):
+        if not values or not all(0 < value <= most for value in values):
+            found = " ".join(f"{value:g}" for value in values) or "none"
+            raise VergenceError(
+                f"{name} takes numbers above 0 and up to {most:,} {unit}, found {found}."
+            )
+
+
+def head_and_board(
+    source: Path,
+    board: tuple[int, int, float] | None,
+    limits_rad: ArrayLike,
+    progress: Progress,
+) -> tuple[HeadCalibration, Board]:
+    """Load the calibration of a file, or calibrate a dataset, and find the board to show.
+
+    VergenceError if the source is neither, its calibration is void, or nothing can be planned.
+    """
+    shown = None if board is None else _chessboard(*board)
+    if os.path.isdir(source):
+        data = load_dataset(source)
+        cameras = data.description.cameras
+        if data.T_base_eye is not None:
+            raise VergenceError(f"{OF_READINGS} {data.folder} has measured eye poses.")
+        if len({camera.eye for camera in cameras.values()}) < len(EYES):
+            raise VergenceError(
+                f"A plan is for points that both eyes see; {data.folder} has {', '.join(cameras)}."
+            )
+        largest_readings(data.description.head_kinematics, limits_rad)
+        found = calibrate(data, progress=progress)
+        if found.accuracy.void:
+            raise VergenceError(f"The calibration from {source} is VOID: {found.accuracy.void[0]}")
+        return found.head, shown or data.description.board
+    head = load_head(source)
+    if shown is None:
+        raise VergenceError(
+            f"{source} does not say which board will be shown; say it with --board COLUMNS ROWS "
+            "SQUARE_M, such as --board 9 6 0.03, or name the folder of the dataset."
+        )
+    return head, shown
+
+
+def _chessboard(columns: int, rows: int, square_m: float) -> Chessboard:
+    if min(columns, rows) < 3 or max(columns, rows) > 100 or not 0 < square_m <= MAX_SQUARE_M:
+        raise VergenceError(
+            "--board takes 3 to 100 inner corners each way and the side of a square up to 1 m, "
+            f"found {columns} {rows} {square_m:g}."
+        )
+    return Chessboard(columns, rows, square_m)
