@@ -117,8 +117,9 @@ def _budget(
 ) -> Budget:
     seen, kept = _samples(head, point, joints, cameras)
     names = (*pair_parameters(head, cameras), TIME_OFFSET)
-    by_time = np.einsum("irt,tr->it", seen.by_readings, rates[kept])
-    by_head = np.concatenate([by_head_parameters(head, cameras, seen), by_time[:, None]], axis=1)
+    by_time = seen.by_readings @ rates[kept][..., None]
+    by_head = np.concatenate([by_head_parameters(head, cameras, seen), by_time], axis=2)
+    by_head = np.moveaxis(by_head, 0, -1)
     white = {each.name: _white(seen, each) for each in sources if not each.errors}
     known: dict[str, Array] = {}
     for each in sources:
@@ -174,11 +175,10 @@ def _samples(
 
 def _white(seen: Linearised, source: Source) -> Array:
     """Compute the variance (3,) [m^2] by white noise, in the mean over the motion."""
-    _, r, n = seen.by_readings.shape
-    stds = noise_of_readings(source.joint_std_rad, r, n)
-    pixels = (seen.by_pixels * pixel_noise(source.pixel_std_px, n)) ** 2
-    readings = (seen.by_readings * stds) ** 2
-    return pixels.sum(axis=1).mean(axis=1) + readings.sum(axis=1).mean(axis=1)
+    n, _, r = seen.by_readings.shape
+    readings = seen.by_readings * noise_of_readings(source.joint_std_rad, r, n)[:, None]
+    pixels = seen.by_pixels * pixel_noise(source.pixel_std_px, n)[:, None]
+    return (readings**2).sum(axis=2).mean(axis=0) + (pixels**2).sum(axis=2).mean(axis=0)
 
 
 def _by_group(head: HeadCalibration, names: tuple[str, ...], by_head: Array) -> dict[str, Array]:

@@ -139,7 +139,7 @@ def sensitivity(
     """
     left, right = (project_point(head, name, joints, points) for name in WIDE)
     seen = linearised(head, left=left, right=right, joints=joints, cameras=WIDE)
-    by_readings = np.moveaxis(seen.by_readings, -1, 0)
+    by_readings = seen.by_readings
     fixed = fixed_by_default(head, timed=False)
     names = tuple(name for name in parameter_names(head) if name not in fixed)
     by_names = point_by_parameters(head, WIDE, points, joints)[..., named_columns(head, names)]
@@ -153,7 +153,7 @@ def sensitivity(
         calibration.append(VIEWS * ((by_names @ (scale[:, None] * L)) ** 2).sum(axis=(1, 2)))
     middle = head.cameras[WIDE[0]].intrinsics.matrix[:2, 2]
     return Sensitivity(
-        pixel=(seen.by_pixels**2).sum(axis=(0, 1)),
+        pixel=(seen.by_pixels**2).sum(axis=(1, 2)),
         joint=(by_readings**2).sum(axis=(1, 2)),
         common=2 * (by_readings[..., :2] * by_readings[..., 2:]).sum(axis=(1, 2)),
         calibration=np.array(calibration),

@@ -83,7 +83,7 @@ def point_by_parameters(
     located = linearised(head, left=left, right=right, joints=joints, cameras=pair)
     rows = np.zeros((len(points), 3, len(parameter_names(head))))
     columns = named_columns(head, pair_parameters(head, pair))
-    rows[..., columns] = np.moveaxis(by_head_parameters(head, pair, located), -1, 0)
+    rows[..., columns] = by_head_parameters(head, pair, located)
     return rows
 
 

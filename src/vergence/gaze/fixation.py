@@ -9,7 +9,6 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry.camera import pinhole
-from vergence.geometry.components import components, pose_components, stacked
 from vergence.geometry.eye_motion import eye_linearised
 from vergence.geometry.head import HeadCalibration, MountedCamera
 from vergence.geometry.kinematics import (
@@ -124,12 +123,9 @@ def _off_centre(
     camera has _UNIT_LENS, and the points are in the base of its eye.
     """
     T, _, by_reading = eye_linearised(kinematics, mounted.eye, readings)
-    shape = np.broadcast_shapes(p.shape[:-1], T.shape[:-2])
-    pose, point = pose_components(T), components(np.moveaxis(p, -1, 0))
     # The identity in place of T_rbase_lbase: the points are in this base already.
-    found = projected(mounted, np.eye(4), *pose, point, parameters=False)
-    error = np.moveaxis(stacked(found.pixel, shape), 0, -1)
-    by_pose = np.moveaxis(stacked(found.by_T_base_eye, shape, 2), (0, 1), (-2, -1))
+    found = projected(mounted, np.eye(4), T, p, parameters=False)
+    error, by_pose = found.pixels, found.by_T_base_eye
     front = np.asarray(np.isfinite(error).all(axis=-1, keepdims=True))
     J = np.where(front[..., None], by_pose @ by_reading, 0.0)
     return np.where(front, error, 0.0), J, front

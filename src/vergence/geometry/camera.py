@@ -21,17 +21,7 @@ from pydantic.dataclasses import dataclass
 from vergence.arrays import Array, Matrix3, VectorN
 from vergence.errors import VergenceError
 from vergence.geometry import lens
-from vergence.geometry.components import (
-    Component,
-    Rows,
-    anywhere,
-    components,
-    ignoring_invalid,
-    positive,
-    quotient,
-    stacked,
-    where,
-)
+from vergence.geometry.batches import batch_first, batch_last, ignoring_invalid, vector
 from vergence.geometry.lens import COEFFICIENTS, CameraModel
 
 MAX_IMAGE_PX = 20_000
@@ -133,76 +123,68 @@ class Camera:
         return tuple(self.distortion.tolist())
 
 
-def _distortion(camera: Camera, x: Array, y: Array) -> tuple[Array, ...]:
-    """Return distorted x', y', and dx'/dx, dx'/dy (which is dy'/dx), dy'/dy, each shaped as x."""
-    return lens.distort(camera.model, camera.coefficients, x, y)
+def _pinhole(camera: Camera) -> tuple[float, float, float, float, float]:
+    """Return fx, skew, cx, fy, cy."""
+    (fx, skew, cx), (_, fy, cy), _ = camera.matrix.tolist()
+    return fx, skew, cx, fy, cy
 
 
+def _in_front(points_cam: Array) -> tuple[Array, Array, Array]:
+    """Return x/z, y/z and 1/z (...) of points in frame cam; NaN where z is not above zero."""
+    x, y, z = batch_last(points_cam)
+    inv_z = 1 / np.where(z > 0, z, np.nan)[()]
+    return x * inv_z, y * inv_z, inv_z
+
+
+@ignoring_invalid
 def project(camera: Camera, points_cam: Array) -> Array:
-    """Return the pixels (..., 2) of points (..., 3) in frame cam (Eq. 1, with distortion).
+    """Compute the pixels (..., 2) of points (..., 3) in frame cam (Eq. 1, with distortion).
 
     Points that are not in front of the camera, and NaN, give NaN.
     """
-    pixel = pixel_rows(camera, components(np.moveaxis(points_cam, -1, 0)))
-    return np.moveaxis(stacked(pixel, points_cam.shape[:-1]), 0, -1)
+    fx, skew, cx, fy, cy = _pinhole(camera)
+    x, y, _ = _in_front(points_cam)
+    x, y, *_ = lens.distort(camera.model, camera.coefficients, x, y)
+    return vector(fx * x + skew * y + cx, fy * y + cy)
 
 
-def pixel_rows(camera: Camera, point: Sequence[Component]) -> Sequence[Component]:
-    """Return the pixel of a point in frame cam, by components."""
-    (fx, skew, cx), (_, fy, cy), _ = camera.matrix.tolist()
-    inv_z = 1 / positive(point[2])
-    x, y, *_ = _distortion(camera, point[0] * inv_z, point[1] * inv_z)
-    return fx * x + skew * y + cx, fy * y + cy
+@ignoring_invalid
+def project_jacobians(
+    camera: Camera, points_cam: Array, *, intrinsics: bool = True
+) -> tuple[Array, Array, Array]:
+    """Compute pixels (..., 2), their Jacobians by point (..., 2, 3) and by intrinsics (..., 2, n).
 
-
-def project_jacobians(camera: Camera, points_cam: Array) -> tuple[Array, Array, Array]:
-    """Return pixels (..., 2), their Jacobians by point (..., 2, 3) and by intrinsics (..., 2, n).
-
-    The intrinsics are fx, fy, cx, cy and the coefficients of the lens model.
+    The intrinsics are fx, fy, cx, cy and the coefficients of the lens model; n is 0 where their
+    derivatives are not wanted.
     """
-    shape = points_cam.shape[:-1]
-    pixels, *rows = projection_rows(camera, components(np.moveaxis(points_cam, -1, 0)))
-    by_point, by_lens = (np.moveaxis(stacked(each, shape, 2), (0, 1), (-2, -1)) for each in rows)
-    return np.moveaxis(stacked(pixels, shape), 0, -1), by_point, by_lens
+    fx, skew, cx, fy, cy = _pinhole(camera)
+    x, y, inv_z = _in_front(points_cam)
+    x_lens, y_lens, xx, xy, yy = lens.distort(camera.model, camera.coefficients, x, y)
+    pixels = vector(fx * x_lens + skew * y_lens + cx, fy * y_lens + cy)
+    batch = points_cam.shape[:-1]
+    by_point = np.empty((2, 3, *batch))
+    by_point[0, 0], by_point[0, 1] = (fx * xx + skew * xy) * inv_z, (fx * xy + skew * yy) * inv_z
+    by_point[1, 0], by_point[1, 1] = fy * xy * inv_z, fy * yy * inv_z
+    by_point[:, 2] = -x * by_point[:, 0] - y * by_point[:, 1]
+    of_lens = len(COEFFICIENTS[camera.model]) if intrinsics else -4
+    by_intrinsics = np.zeros((2, 4 + of_lens, *batch))
+    if intrinsics:
+        by_intrinsics[0, 0], by_intrinsics[1, 1] = x_lens, y_lens
+        by_intrinsics[0, 2] = by_intrinsics[1, 3] = 1.0
+        of_x, of_y = lens.by_coefficients(camera.model, camera.coefficients, x, y)
+        for k, (a, b) in enumerate(zip(of_x, of_y, strict=True), 4):
+            by_intrinsics[0, k], by_intrinsics[1, k] = fx * a + skew * b, fy * b
+    return pixels, batch_first(by_point, 2), batch_first(by_intrinsics, 2)
 
 
-def in_reach(camera: Camera, x: Component, y: Component, z: Component) -> Component:
-    """Return whether points (x, y, z) in frame cam are in front of a camera and before its reach.
+@ignoring_invalid  # infinity times zero
+def in_reach(camera: Camera, x: Array, y: Array, z: Array) -> np.ndarray:
+    """Check whether points (x, y, z) in frame cam are in front of a camera and before its reach.
 
     Beyond it a lens model folds over, and shows what no camera would see; see `lens.reach`.
     """
     limit = lens.reach(camera.model, camera.coefficients)
-    with ignoring_invalid(z):  # infinity times zero
-        return (z > 0) & (x * x + y * y < limit * (z * z))
-
-
-def projection_rows(
-    camera: Camera, point: Sequence[Component], *, intrinsics: bool = True
-) -> tuple[Sequence[Component], Rows, Rows]:
-    """Return what project_jacobians does, by components: (2), (2, 3) and (2, n).
-
-    Where the derivatives by the intrinsics are not wanted, n is 0.
-    """
-    (fx, skew, cx), (_, fy, cy), _ = camera.matrix.tolist()
-    inv_z = 1 / positive(point[2])
-    x, y = point[0] * inv_z, point[1] * inv_z
-    distorted_x, distorted_y, xx, cross, yy = _distortion(camera, x, y)
-    by_point = []
-    for along_x, along_y in (
-        (fx * xx + skew * cross, fx * cross + skew * yy),
-        (fy * cross, fy * yy),
-    ):
-        along_x, along_y = along_x * inv_z, along_y * inv_z
-        by_point.append((along_x, along_y, -x * along_x - y * along_y))
-    pixel = fx * distorted_x + skew * distorted_y + cx, fy * distorted_y + cy
-    if not intrinsics:
-        return pixel, by_point, ((), ())
-    of_x, of_y = lens.by_coefficients(camera.model, camera.coefficients, x, y)
-    by_intrinsics = (
-        [distorted_x, 0.0, 1.0, 0.0, *(fx * a + skew * b for a, b in zip(of_x, of_y, strict=True))],
-        [0.0, distorted_y, 0.0, 1.0, *(fy * b for b in of_y)],
-    )
-    return pixel, by_point, by_intrinsics
+    return (z > 0) & (x * x + y * y < limit * (z * z))
 
 
 def displaced_by_distortion(camera: Camera) -> Array:
@@ -224,17 +206,16 @@ def pixel_grid(camera: Camera) -> Array:
 
 
 def normalise(camera: Camera, pixels: Array) -> Array:
-    """Return undistorted normalised coordinates (x/z, y/z) (..., 2) of pixels (..., 2).
+    """Undistort pixels (..., 2) to normalised coordinates (x/z, y/z) (..., 2).
 
     Newton's method to machine precision. Pixels beyond the reach of the lens model (where it folds
     over, or 90 degrees from the axis) give NaN.
     """
-    xy, _ = normalised_rows(camera, *components(np.moveaxis(pixels, -1, 0)))
-    return np.ascontiguousarray(np.moveaxis(stacked(xy, pixels.shape[:-1]), 0, -1))
+    return np.ascontiguousarray(normalise_jacobian(camera, pixels)[0])
 
 
 def unproject(camera: Camera, pixels: Array) -> Array:
-    """Return the points (..., 3) in frame cam that pixels (..., 2) show at depth 1.
+    """Compute the points (..., 3) in frame cam that pixels (..., 2) show at depth 1.
 
     NaN where `normalise` gives NaN.
     """
@@ -242,38 +223,44 @@ def unproject(camera: Camera, pixels: Array) -> Array:
     return np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
 
 
-def normalised_rows(camera: Camera, u: Component, v: Component) -> tuple[Sequence[Component], Rows]:
-    """Return normalised coordinates (x/z, y/z) of pixels, and their slopes (2, 2), by components.
+@ignoring_invalid
+def normalise_jacobian(camera: Camera, pixels: Array) -> tuple[Array, Array]:
+    """Compute normalised coordinates (..., 2) of pixels (..., 2), and derivatives (..., 2, 2).
 
-    The slopes are the derivatives of the pixels by the normalised coordinates. They are taken
-    before the last step of Newton's method, where the coordinates are known to 1e-9.
+    The derivatives are taken before the last step of Newton's method, where the coordinates are
+    known to 1e-9.
     """
-    (fx, skew, cx), (_, fy, cy), _ = camera.matrix.tolist()
+    fx, skew, cx, fy, cy = _pinhole(camera)
+    u, v = batch_last(pixels)
     wanted_y = (v - cy) / fy
     wanted_x = (u - cx - skew * wanted_y) / fx
     if camera.model != "fisheye" and not camera.distortion.any():
-        return (wanted_x, wanted_y), ((fx, skew), (0.0, fy))
+        by_pixels = np.array([[1 / fx, -skew / (fx * fy)], [0.0, 1 / fy]])
+        return vector(wanted_x, wanted_y), by_pixels
     k = camera.coefficients
-    with ignoring_invalid(wanted_x):
-        x, y = lens.first_guess(camera.model, k, wanted_x, wanted_y)
-        xx = cross = yy = det = squared = x
-        for _ in range(20):
-            distorted_x, distorted_y, xx, cross, yy = _distortion(camera, x, y)
-            error_x, error_y = distorted_x - wanted_x, distorted_y - wanted_y
-            squared, det = error_x * error_x + error_y * error_y, xx * yy - cross * cross
-            x = x - quotient(yy * error_x - cross * error_y, det)
-            y = y - quotient(xx * error_y - cross * error_x, det)
-            if not anywhere(squared > 1e-18):  # NaN is none; this step has squared the error
-                break
-        good = (squared < 1e-18) & (det > 0)
-        good = good & (x * x + y * y < lens.reach(camera.model, k))  # another sheet may reach back
-    x, y = where(good, x), where(good, y)
-    return (x, y), ((fx * xx + skew * cross, fx * cross + skew * yy), (fy * cross, fy * yy))
+    x, y = lens.first_guess(camera.model, k, wanted_x, wanted_y)
+    for _ in range(20):
+        x_lens, y_lens, xx, xy, yy = lens.distort(camera.model, k, x, y)
+        error_x, error_y = x_lens - wanted_x, y_lens - wanted_y
+        squared, det = error_x * error_x + error_y * error_y, xx * yy - xy * xy
+        by_x, by_xy, by_y = yy / det, -xy / det, xx / det  # the inverse of the lens's derivatives
+        x, y = x - by_x * error_x - by_xy * error_y, y - by_xy * error_x - by_y * error_y
+        if not (squared > 1e-18).any():  # NaN is none; this step has squared the error
+            break
+    good = (squared < 1e-18) & (det > 0)
+    good &= x * x + y * y < lens.reach(camera.model, k)  # another sheet may reach back
+    if not good.all():
+        x, y = np.where(good, x, np.nan)[()], np.where(good, y, np.nan)[()]
+    by_pixels = np.empty((2, 2, *x.shape))
+    by_pixels[0, 0], by_pixels[1, 0] = by_x / fx, by_xy / fx
+    by_pixels[0, 1] = (by_xy - skew * by_pixels[0, 0]) / fy
+    by_pixels[1, 1] = (by_y - skew * by_pixels[1, 0]) / fy
+    return vector(x, y), batch_first(by_pixels, 2)
 
 
 def pixel_area(camera: Camera, xy: Array) -> Array:
     """Return the area (...,) in the plane z = 1 of one pixel at undistorted xy (..., 2)."""
-    _, _, xx, cross, yy = _distortion(camera, xy[..., 0], xy[..., 1])
+    *_, xx, cross, yy = lens.distort(camera.model, camera.coefficients, xy[..., 0], xy[..., 1])
     return 1 / (camera.matrix[0, 0] * camera.matrix[1, 1] * (xx * yy - cross * cross))
 
 

@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.geometry.components import (
-    Component,
-    Rows,
-    Vector,
-    components,
-    plus,
+from vergence.geometry.batches import (
+    batch_first,
+    batch_last,
+    ignoring_invalid,
     product,
-    sine_cosine,
-    stacked,
     times,
 )
+from vergence.geometry.se3 import cross, hat
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,92 +37,71 @@ class Chain:
     """(n,)."""
 
     @cached_property
-    def turns(self) -> tuple[_Turn, ...]:
-        """The joints, from the base outwards."""
-        ends = [*self.points_m, self.end_m]
-        return tuple(
-            _Turn(
-                axis=axis,
-                step=(ends[k + 1] - ends[k]).tolist(),
-                entries=_rodrigues(axis),
-                mixing=[(r, f) for r, f in enumerate(self.mixing[k].tolist()) if f],
-                offset_rad=float(self.offset_rad[k]),
-            )
-            for k, axis in enumerate(self.axes.tolist())
-        )
+    def steps_m(self) -> Array:
+        """(n, 3) from each joint to the next one, or to the end."""
+        return np.diff(np.vstack([self.points_m, self.end_m]), axis=0)
 
     @cached_property
-    def nonzero(self) -> list[tuple[int, int, float]]:
-        """The entries of the mixing that are not zero: (joint, reading, factor)."""
-        return [(k, *each) for k, turn in enumerate(self.turns) for each in turn.mixing]
+    def moving(self) -> list[list[tuple[int, float]]]:
+        """By joint the readings that move it, and their factors."""
+        return [
+            [(r, factor) for r, factor in enumerate(row) if factor] for row in self.mixing.tolist()
+        ]
+
+    @cached_property
+    def rodrigues(self) -> Array:
+        """(n, 9, 3) by which cosine, sine and 1 - cosine of an angle make the turn of its joint."""
+        outer = self.axes[:, :, None] * self.axes[:, None]
+        unit = np.broadcast_to(np.eye(3), outer.shape)
+        return np.stack([unit, hat(self.axes), outer], axis=-1).reshape(-1, 9, 3)
 
 
-class _Turn(NamedTuple):
-    """A joint of a chain, in plain numbers."""
+@ignoring_invalid
+def joint_frames(chain: Chain, readings: Array) -> tuple[list[Array], list[Array]]:
+    """Compute rotation and origin of each joint before it turns, and then of the chain's end.
 
-    axis: list[float]
-    step: list[float]
-    """From this joint to the next one, or to the end."""
-    entries: list[tuple[int, int, float, float]]
-    """Terms of Rodrigues' formula that are not zero: row, column, and the entries of the turn's
-    generator and of its square, which the sine and one minus the cosine are multiplied by."""
-    mixing: list[tuple[int, float]]
-    """Readings that move it, and their factors."""
-    offset_rad: float
-
-
-_ONE = np.eye(4).tolist()
-
-
-def _rodrigues(axis: list[float]) -> list[tuple[int, int, float, float]]:
-    """Return the `entries` of a turn about an axis: G = hat(axis), and G^2 = a a^T - a^T a I."""
-    x, y, z = axis
-    generator, square = ((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)), x * x + y * y + z * z
-    found = [
-        (i, j, generator[i][j], axis[i] * axis[j] - (square if i == j else 0.0))
-        for i in range(3)
-        for j in range(3)
-    ]
-    return [entry for entry in found if entry[2] or entry[3]]
+    They are n + 1 rotations (..., 3, 3) and as many origins (..., 3) at readings (..., r) [rad].
+    """
+    parts, batch = batch_last(readings), readings.shape[:-1]
+    R, t = [np.eye(3)], [chain.points_m[0] if len(chain.axes) else chain.end_m]
+    for k, (basis, step) in enumerate(zip(chain.rodrigues, chain.steps_m, strict=True)):
+        angle = chain.offset_rad[k] + sum(factor * parts[r] for r, factor in chain.moving[k])
+        cosine, sine = np.cos(angle), np.sin(angle)
+        terms = np.array([cosine, sine, 1 - cosine]).reshape(3, -1)
+        turn = batch_first((basis @ terms).reshape(3, 3, *batch), 2)
+        R.append(product(R[-1], turn) if k else turn)
+        t.append(t[-1] + times(R[-1], step) if step.any() else t[-1])
+    return R, t
 
 
 def chain_pose(chain: Chain, readings: Array) -> Array:
-    """Return the pose (..., 4, 4) of the chain's end in its base at readings (..., r) [rad]."""
-    R, t = joint_frames(chain, by_reading(readings))
+    """Compute the pose (..., 4, 4) of a chain's end in its base at readings (..., r) [rad]."""
+    R, t = joint_frames(chain, readings)
     return pose_of(R[-1], t[-1], readings.shape[:-1])
 
 
-def by_reading(readings: Array) -> list[Component]:
-    """Return readings (..., r) by components."""
-    return components(readings.transpose(-1, *range(readings.ndim - 1)))
+def pose_of(R: Array, t: Array, batch: tuple[int, ...]) -> Array:
+    """Join rotations and translations, which broadcast, to poses (*batch, 4, 4)."""
+    T = batch_first(np.zeros((4, 4, *batch)), 2)
+    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, t, 1.0
+    return T
 
 
-def pose_of(R: Rows, t: Vector, shape: tuple[int, ...]) -> Array:
-    """Return poses (*shape, 4, 4)."""
-    rows = [[*row, each] for row, each in zip(R, t, strict=True)]
-    return batch_first(stacked([*rows, _ONE[3]], shape, ndim=2))
+def angle_twists(R: list[Array], t: list[Array], axes: Array) -> list[Array]:
+    """Compute increments (..., 6) of a chain's end by the angle of each joint.
+
+    Each joint turns the end about its axis; R and t are those of `joint_frames`.
+    """
+    found = []
+    for R_joint, origin, axis in zip(R, t, axes, strict=False):
+        along = times(R_joint, axis)
+        found.append(twist(along, t[-1] - origin))
+    return found
 
 
-def batch_first(array: Array) -> Array:
-    """Return an array (a, b, ...) as (..., a, b)."""
-    return array.transpose(*range(2, array.ndim), 0, 1) if array.ndim > 2 else array
-
-
-def joint_frames(chain: Chain, readings: Sequence[Component]) -> tuple[list[Rows], list[Vector]]:
-    """Return n + 1 rotations and origins: of each joint before it turns, and of the chain's end."""
-    R: list[Rows] = [[row[:3] for row in _ONE[:3]]]
-    t: list[Vector] = [(chain.points_m[0] if len(chain.axes) else chain.end_m).tolist()]
-    for joint in chain.turns:
-        angle = joint.offset_rad
-        for reading, factor in joint.mixing:
-            angle = angle + factor * readings[reading]
-        sine, cosine = sine_cosine(angle)
-        versine, turn = 1 - cosine, [list(row) for row in R[0]]
-        for i, j, of_sine, of_versine in joint.entries:
-            if of_sine:
-                turn[i][j] = turn[i][j] + of_sine * sine
-            if of_versine:
-                turn[i][j] = turn[i][j] + of_versine * versine
-        R.append(product(R[-1], turn) if len(R) > 1 else turn)
-        t.append(plus(t[-1], times(R[-1], joint.step)) if any(joint.step) else t[-1])
-    return R, t
+def twist(turn: Array, arm: Array) -> Array:
+    """Compute the increment (..., 6) of a frame by a turn (..., 3); its origin is at an arm."""
+    shift = cross(turn, arm)
+    moved = batch_first(np.empty((6, *shift.shape[:-1])))
+    moved[..., :3], moved[..., 3:] = turn, shift
+    return moved

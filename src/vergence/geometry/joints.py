@@ -202,7 +202,7 @@ class JointError(NamedTuple):
     """(reading, factor) pairs of an error of an angle, whose derivative by the error is
     constant + sum of factor * reading."""
     constant: float
-    direction: list[float] | None
+    direction: Array | None
     """Direction that an axis is turned about or shifted along."""
     tilts: bool
 
@@ -217,11 +217,11 @@ def joint_errors(joints: tuple[Joint, ...], names: tuple[str, ...]) -> tuple[Joi
         elif name.startswith("factor_"):
             mixing = {name.removeprefix("factor_"): 1.0}
         elif name == "slide_m":
-            direction = joint.axis.tolist()
+            direction = joint.axis
         elif name == "inclination_rad":
-            direction = _inclines_about(joints[k - 1], joint).tolist()
+            direction = _inclines_about(joints[k - 1], joint)
         elif name != "offset_rad":
-            direction = _normal(joints[k - 1], joint).tolist()
+            direction = _normal(joints[k - 1], joint)
         terms = [(names.index(one), float(factor)) for one, factor in mixing.items()]
         constant = float(name == "offset_rad")
         tilts = name in ("nonorthogonality_rad", "inclination_rad")

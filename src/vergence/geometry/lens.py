@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.geometry.components import Component, ignoring_invalid, quotient
+from vergence.geometry.batches import ignoring_invalid
 
 CameraModel = Literal["radial-tangential", "rational", "fisheye"]
 COEFFICIENTS: dict[CameraModel, tuple[str, ...]] = {
@@ -38,9 +38,8 @@ _LARGEST_TANGENT = 100.0
 """Tangent of the angle from the axis up to which a rational lens is inverted: 89.4 degrees."""
 
 
-def distort(
-    model: CameraModel, k: Coefficients, x: Component, y: Component
-) -> tuple[Component, ...]:
+@ignoring_invalid
+def distort(model: CameraModel, k: Coefficients, x: Array, y: Array) -> tuple[Array, ...]:
     """Return distorted x', y', and dx'/dx, dx'/dy (which is dy'/dx), dy'/dy, each shaped as x.
 
     x and y are x/z and y/z; k are the coefficients of the model.
@@ -48,24 +47,23 @@ def distort(
     if model == "fisheye":
         return _distort_fisheye(k, x, y)
     k1, k2, p1, p2, k3 = k[:5]
-    with ignoring_invalid(x):
-        x2, xy, y2 = x * x, x * y, y * y
-        r2 = x2 + y2
-        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        slope = 2 * (k1 + r2 * (2 * k2 + 3 * k3 * r2))  # d radial / d x = slope * x
-        if model == "rational":  # at a pole the result is NaN
-            k4, k5, k6 = k[5:]
-            below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
-            slope_below = 2 * (k4 + r2 * (2 * k5 + 3 * k6 * r2))
-            radial = quotient(radial, below)
-            slope = quotient(slope - radial * slope_below, below)
-        return (
-            x * radial + 2 * p1 * xy + p2 * (r2 + 2 * x2),
-            y * radial + p1 * (r2 + 2 * y2) + 2 * p2 * xy,
-            radial + slope * x2 + 2 * p1 * y + 6 * p2 * x,
-            slope * xy + 2 * p1 * x + 2 * p2 * y,
-            radial + slope * y2 + 6 * p1 * y + 2 * p2 * x,
-        )
+    x2, xy, y2 = x * x, x * y, y * y
+    r2 = x2 + y2
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = 2 * (k1 + r2 * (2 * k2 + 3 * k3 * r2))  # d radial / d x = slope * x
+    if model == "rational":  # at a pole the result is NaN
+        k4, k5, k6 = k[5:]
+        below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+        slope_below = 2 * (k4 + r2 * (2 * k5 + 3 * k6 * r2))
+        radial = radial / below
+        slope = (slope - radial * slope_below) / below
+    return (
+        x * radial + 2 * p1 * xy + p2 * (r2 + 2 * x2),
+        y * radial + p1 * (r2 + 2 * y2) + 2 * p2 * xy,
+        radial + slope * x2 + 2 * p1 * y + 6 * p2 * x,
+        slope * xy + 2 * p1 * x + 2 * p2 * y,
+        radial + slope * y2 + 6 * p1 * y + 2 * p2 * x,
+    )
 
 
 def _distort_fisheye(k: Coefficients, x: Array, y: Array) -> tuple[Array, ...]:
@@ -89,8 +87,8 @@ def _radius_slope(k: Coefficients, theta: Array) -> Array:
 
 
 def by_coefficients(
-    model: CameraModel, k: Coefficients, x: Component, y: Component
-) -> tuple[list[Component], list[Component]]:
+    model: CameraModel, k: Coefficients, x: Array, y: Array
+) -> tuple[list[Array], list[Array]]:
     """Return the derivatives of distorted x' and of y' by the n coefficients of the model."""
     r2 = x * x + y * y
     if model == "fisheye":
@@ -102,8 +100,8 @@ def by_coefficients(
     if model == "rational":
         k1, k2, _, _, k3, k4, k5, k6 = k
         below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
-        factor = quotient(1 + r2 * (k1 + r2 * (k2 + r2 * k3)), below)
-        radial = [quotient(power, below) for power in radial]
+        factor = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / below
+        radial = [power / below for power in radial]
         radial += [-factor * power for power in radial]
     rows = []
     for own, tangential in ((x, (twice_xy, r2 + 2 * x * x)), (y, (r2 + 2 * y * y, twice_xy))):
@@ -177,6 +175,7 @@ def _table(model: CameraModel, k: Coefficients) -> tuple[Array, Array]:
     return distort(model, rational, r, np.zeros_like(r))[0], r
 
 
+@ignoring_invalid
 def first_guess(model: CameraModel, k: Coefficients, x: Array, y: Array) -> tuple[Array, Array]:
     """Return undistorted coordinates of distorted x, y, near enough for Newton's method to start.
 
@@ -187,22 +186,21 @@ def first_guess(model: CameraModel, k: Coefficients, x: Array, y: Array) -> tupl
         # The radius alone: from x and y themselves Newton's method misses places near a fold.
         k1, k2, _, _, k3 = k
         r2 = x * x + y * y
-        scale = quotient(1.0, 1 + r2 * (k1 + r2 * (k2 + r2 * k3)))
+        scale = 1.0 / (1 + r2 * (k1 + r2 * (k2 + r2 * k3)))
         for _ in range(2):
             inside = r2 * (scale * scale)
             radial = 1 + inside * (k1 + inside * (k2 + inside * k3))
             slope = radial + inside * (2 * k1 + inside * (4 * k2 + inside * 6 * k3))
-            scale = scale - quotient(scale * radial - 1, slope)
+            scale = scale - (scale * radial - 1) / slope
         return x * scale, y * scale
     radius = np.hypot(x, y)
     in_image, out = _table(model, k)
     found = np.interp(radius, in_image, out)
     if model == "fisheye":
         theta = found
-        with np.errstate(divide="ignore", invalid="ignore"):
-            for _ in range(6):  # of a table this dense, three are enough but at a fold
-                theta = theta - (_radius(k, theta) - radius) / _radius_slope(k, theta)
-            inside = (radius < in_image[-1]) & (theta < np.pi / 2) & (theta >= 0)
-            found = np.where(inside, np.tan(theta), np.nan)
+        for _ in range(6):  # of a table this dense, three are enough but at a fold
+            theta = theta - (_radius(k, theta) - radius) / _radius_slope(k, theta)
+        inside = (radius < in_image[-1]) & (theta < np.pi / 2) & (theta >= 0)
+        found = np.where(inside, np.tan(theta), np.nan)
     scale = np.where(radius > 0, found / np.where(radius > 0, radius, 1.0), 1.0)
     return x * scale, y * scale

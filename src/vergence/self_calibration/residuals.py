@@ -23,25 +23,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.geometry.camera import Camera, normalised_rows, projection_rows
-from vergence.geometry.camera_motion import RelativeMotion, camera_motion, relative_motion
-from vergence.geometry.components import (
-    Rows,
-    Vector,
-    components,
-    cross,
+from vergence.geometry.batches import (
+    batch_last,
     dot,
-    minus,
-    plus,
-    pose_components,
-    quotient,
-    stacked,
+    ignoring_invalid,
+    joined,
+    product,
     times,
-    transposed,
+    times_transposed,
+    vector,
 )
+from vergence.geometry.camera import Camera, normalise_jacobian, project_jacobians
+from vergence.geometry.camera_motion import RelativeMotion, camera_motion, relative_motion
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameter_names import intrinsics_names
 from vergence.geometry.parameters import camera_columns, named_columns
+from vergence.geometry.se3 import cross
 
 _FARTHEST_M = 50.0
 """Noise makes far points infinitely far, or puts them behind the head; they are taken as here."""
@@ -131,32 +128,32 @@ def _coordinates(
 def epipolar_residuals(
     lenses: Sequence[Camera], T_rcam_lcam: Array, left: Array, right: Array
 ) -> EpipolarResiduals:
-    """Return the residuals of matches: pixels (N, 2) in two cameras at T_rcam_lcam (4, 4)."""
-    (R, t), n = pose_components(T_rcam_lcam), len(left)
-    seen = components(left.T), components(right.T)
-    point = _points(lenses, (R, t), seen)
+    """Compute the residuals of matches: pixels (N, 2) in two cameras at T_rcam_lcam (4, 4)."""
+    R, t = T_rcam_lcam[:3, :3], T_rcam_lcam[:3, 3]
+    point = _points(lenses, T_rcam_lcam, left, right)
     turned = times(R, point)
     first, second = (
-        projection_rows(lens, each)
-        for lens, each in zip(lenses, (point, plus(turned, t)), strict=True)
+        project_jacobians(lens, each)
+        for lens, each in zip(lenses, (point, turned + t), strict=True)
     )
-    back = transposed(R)
-    normals = _normals(first[1], [times(back, row) for row in second[1]])
-    residuals, columns = np.zeros(n), []
-    for k, (pixel, _, by_lens) in enumerate((first, second)):
-        a, b = normals[2 * k : 2 * k + 2]
-        residuals += a * (seen[k][0] - pixel[0]) + b * (seen[k][1] - pixel[1])
-        columns += [a * u + b * v for u, v in zip(*by_lens, strict=True)]
-    a, b = normals[2:]
-    by_point = [a * u + b * v for u, v in zip(*second[1], strict=True)]
-    columns += [*cross(turned, by_point), *by_point]
-    return EpipolarResiduals(residuals, stacked(normals, (n,)).T, stacked(columns, (n,)).T)
+    normals = _normals(first[1], product(second[1], R))
+    residuals, columns = np.zeros(len(left)), []
+    for k, (seen, (pixels, _, by_lens)) in enumerate(
+        zip((left, right), (first, second), strict=True)
+    ):
+        normal = normals[:, 2 * k : 2 * k + 2]
+        residuals += dot(normal, seen - pixels)
+        columns.append(times_transposed(by_lens, normal))
+    by_point = times_transposed(second[1], normals[:, 2:])
+    columns += [cross(turned, by_point), by_point]
+    return EpipolarResiduals(residuals, normals, np.concatenate(columns, axis=1))
 
 
+@ignoring_invalid
 def motion_residuals(
     lens: Camera, T_now_before: Array, *, earlier: Array, later: Array, depths_m: Array
 ) -> MotionResiduals:
-    """Return the residuals of points that a camera saw before and sees now.
+    """Compute the residuals of points that a camera saw before and sees now.
 
     Args:
         lens: of the camera.
@@ -165,72 +162,62 @@ def motion_residuals(
         later: (N, 2) pixels now.
         depths_m: (N,) of the points along the optical axis, then.
     """
-    (R, t), shape = pose_components(T_now_before), (len(earlier),)
-    (x, y), ((a, b), (c, d)) = normalised_rows(lens, *components(earlier.T))
-    (depth,) = components(depths_m[None])
-    point = depth * x, depth * y, depth
+    R, t = T_now_before[:3, :3], T_now_before[:3, 3]
+    xy, by_earlier = normalise_jacobian(lens, earlier)
+    point = vector(*batch_last(depths_m[:, None] * xy), depths_m)
     turned = times(R, point)
-    _, _, by_lens_then = projection_rows(lens, point)
-    pixel, by_point, by_lens = projection_rows(lens, plus(turned, t))
+    _, _, by_lens_then = project_jacobians(lens, point)
+    pixels, by_point, by_lens = project_jacobians(lens, turned + t)
     # The point follows what the earlier pixel demands, at its depth.
-    det = a * d - b * c
-    along_x, along_y, _ = transposed(R)
-    columns = []
-    for row, own in zip(by_point, by_lens, strict=True):
-        by_x, by_y = (quotient(depth * dot(row, axis), det) for axis in (along_x, along_y))
-        by_u, by_v = by_x * d - by_y * c, by_y * a - by_x * b
-        of_lens = [now - by_u * u - by_v * v for now, u, v in zip(own, *by_lens_then, strict=True)]
-        columns.append([*of_lens, *cross(turned, row), *row])
+    by_pixels = product(product(by_point, R[:, :2]), by_earlier) * depths_m[:, None, None]
+    by_turn = cross(turned[:, None], by_point)
     return MotionResiduals(
-        residuals=later - stacked(pixel, shape).T,
-        by_coordinates=stacked(columns, shape, 2).transpose(2, 0, 1),
-        by_depth=stacked([dot(row, turned) for row in by_point], shape).T,
+        residuals=later - pixels,
+        by_coordinates=joined(by_lens - product(by_pixels, by_lens_then), by_turn, by_point),
+        by_depth=times(by_point, turned),
     )
 
 
 def depths_of_matches(
     lenses: Sequence[Camera], T_rcam_lcam: Array, left: Array, right: Array
 ) -> tuple[Array, Array]:
-    """Return how far the points of matches are along the optical axes of both cameras, (N,) [m]."""
-    R, t = pose_components(T_rcam_lcam)
-    point = _points(lenses, (R, t), (components(left.T), components(right.T)))
-    depths = [np.maximum(p[2], _NEAREST_M) for p in (point, plus(times(R, point), t))]
-    first, second = stacked(depths, (len(left),))
-    return first, second
+    """Compute the depths (N,) [m] of matches along the optical axes of both cameras."""
+    point = _points(lenses, T_rcam_lcam, left, right)
+    depth_right = times(T_rcam_lcam[:3, :3], point)[:, 2] + T_rcam_lcam[2, 3]
+    return np.maximum(point[:, 2], _NEAREST_M), np.maximum(depth_right, _NEAREST_M)
 
 
-def _points(
-    lenses: Sequence[Camera], T_rcam_lcam: tuple[Rows, Vector], seen: tuple[Vector, Vector]
-) -> Vector:
-    """Return the point midway between the rays of both pixels where they are nearest.
+def _points(lenses: Sequence[Camera], T_rcam_lcam: Array, left: Array, right: Array) -> Array:
+    """Compute the points (N, 3) midway between the rays of both pixels where they are nearest.
 
-    In the left camera, by components.
+    In the left camera.
     """
-    back = transposed(T_rcam_lcam[0])
-    (x, y), (x_right, y_right) = (
-        normalised_rows(lens, *pixel)[0] for lens, pixel in zip(lenses, seen, strict=True)
+    back = T_rcam_lcam[:3, :3].T
+    xy, xy_right = (
+        normalise_jacobian(lens, pixels)[0]
+        for lens, pixels in zip(lenses, (left, right), strict=True)
     )
-    left, right = (x, y, 1.0), times(back, (x_right, y_right, 1.0))
-    other = minus((0.0, 0.0, 0.0), times(back, T_rcam_lcam[1]))
-    ll, lr, rr = dot(left, left), dot(left, right), dot(right, right)
-    lb, rb = dot(left, other), dot(right, other)
+    ray = vector(xy[:, 0], xy[:, 1], 1.0)
+    ray_right = times(back[:, :2], xy_right) + back[:, 2]
+    other = -back @ T_rcam_lcam[:3, 3]
+    ll, lr, rr = dot(ray, ray), dot(ray, ray_right), dot(ray_right, ray_right)
+    lb, rb = dot(ray, other), dot(ray_right, other)
     sine2 = np.maximum(ll * rr - lr * lr, 1e-12)
     depths = (rr * lb - lr * rb) / sine2, (lr * lb - ll * rb) / sine2
-    near, far = (np.where(z > 0, np.clip(z, _NEAREST_M, _FARTHEST_M), _FARTHEST_M) for z in depths)
-    return [(near * a + d + far * b) / 2 for d, a, b in zip(other, left, right, strict=True)]
-
-
-def _normals(left: Rows, right: Rows) -> Vector:
-    """Return the unit vector (4) normal to the three columns of (2, 3) over (2, 3): the cofactors.
-
-    By components.
-    """
-    ray_l, ray_r = cross(*left), cross(*right)
-    normal = (
-        dot(left[1], ray_r),
-        -dot(left[0], ray_r),
-        dot(right[1], ray_l),
-        -dot(right[0], ray_l),
+    near, far = (
+        np.where(z > 0, np.clip(z, _NEAREST_M, _FARTHEST_M), _FARTHEST_M)[:, None] for z in depths
     )
-    length = np.sqrt(sum(each * each for each in normal))
-    return [each / length for each in normal]
+    return (near * ray + other + far * ray_right) / 2
+
+
+def _normals(left: Array, right: Array) -> Array:
+    """Compute the unit vectors (N, 4) normal to the three columns of (2, 3) over (2, 3).
+
+    They are the cofactors.
+    """
+    ray_l, ray_r = (cross(rows[:, 0], rows[:, 1]) for rows in (left, right))
+    (lu, lv), (ru, rv) = (
+        batch_last(times(rows, ray)) for rows, ray in ((left, ray_r), (right, ray_l))
+    )
+    length = np.sqrt(lu * lu + lv * lv + ru * ru + rv * rv)
+    return vector(lv, -lu, rv, -ru) / length[:, None]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.geometry.components import stacked
+from vergence.geometry.batches import batch_first, batch_last, product
 from vergence.geometry.head import HeadCalibration, stated_covariance, states_covariance
 from vergence.stereo.extrinsics import per_pair
 from vergence.stereo.linearised import Linearised, pair_columns, pair_parameters
@@ -46,13 +46,14 @@ def pair_covariance(
 
 
 def covariance_of_calibration(seen: Linearised, known: PairCovariance) -> Array:
-    """Return what a calibration adds to the covariances (n, 3, 3) of points.
+    """Compute what a calibration adds to the covariances (..., 3, 3) of points.
 
     By way of the covariance of the four pixel coordinates, which takes half the time.
     """
+    batch = seen.status.shape
     left, right = (
-        stacked([[pairs[k][i] for k in own] for i in (0, 1)], seen.status.shape, 2)
-        for pairs, own in zip(seen.pixels_by_head, known.own, strict=True)
+        batch_last(pixels, 2).reshape(2, pixels.shape[-1], -1)[:, own]
+        for pixels, own in zip(seen.pixels_by_head, known.own, strict=True)
     )
     by_left, by_right = known.by_left @ left, known.by_right @ right
     split = left.shape[1]
@@ -61,8 +62,8 @@ def covariance_of_calibration(seen: Linearised, known: PairCovariance) -> Array:
     pixels[2:, 2:] = np.einsum("ipn,jpn->ijn", right, by_right)
     pixels[:2, 2:] = np.einsum("ipn,jpn->ijn", by_left[:, split:], right)
     pixels[2:, :2] = pixels[:2, 2:].swapaxes(0, 1)
-    half = np.einsum("ikn,kln->iln", seen.by_pixels, pixels)
-    return np.einsum("iln,jln->nij", half, seen.by_pixels)
+    whole = batch_first(pixels.reshape(4, 4, *batch), 2)
+    return product(product(seen.by_pixels, whole), seen.by_pixels.swapaxes(-1, -2))
 
 
 @per_pair

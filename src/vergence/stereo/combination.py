@@ -55,24 +55,20 @@ def combination(
     one = joints.ndim in (1, 3)
     given = head, (left, right), joints, cameras, pixel_variances(pixel_std_px, n)
     total, covariance = np.zeros(3), np.zeros((3, 3))
-    by_readings, by_head = np.zeros((3, len(noise[1]))), np.zeros((3, len(factor)))
+    by_readings, by_head = np.zeros((3, noise[1].shape[1])), np.zeros((3, len(factor)))
     for part in chunks(n):
         seen = linearised_part(*given, part=part)
-        own = weights[part]
-        points, by_pixels, by_reading, by_parameter = (
-            np.where(own == 0, 0.0, each) * own
-            for each in (
-                seen.points,
-                *by_noise(seen, noise, part),
-                by_head_parameters(head, cameras, seen),
-            )
+        own, counts = weights[part][:, None, None], weights[part] != 0
+        by_pixels, by_reading, by_parameter = (
+            (each * own)[counts]
+            for each in (*by_noise(seen, noise, part), by_head_parameters(head, cameras, seen))
         )
-        total += points.sum(axis=-1)
+        total += weights[part][counts] @ seen.points[counts]
         covariance += covariances_of(by_pixels).sum(axis=0)
         if not one:
             covariance += covariances_of(by_reading).sum(axis=0)
-        by_readings = by_readings + one * by_reading.sum(axis=-1)
-        by_head = by_head + by_parameter.sum(axis=-1)
+        by_readings = by_readings + one * by_reading.sum(axis=0)
+        by_head = by_head + by_parameter.sum(axis=0)
     for shared in (by_readings, by_head @ factor):
         covariance += shared @ shared.T
     return total, covariance
@@ -103,7 +99,7 @@ def locate_both(
         u_l, u_r, readings = checked_arguments(*own, joints, head.kinematics)
         given = head, (u_l, u_r), readings, cameras, pixel_variances(pixel_std_px, n)
         seen = linearised_part(*given, parameters=False)
-        points.append(seen.points.T)
+        points.append(seen.points)
         changes.append(by_noise(seen, noise))
     (a_px, a_rad), (b_px, b_rad) = changes
     return *points, covariances_of(a_px) + covariances_of(b_px) + covariances_of(a_rad - b_rad)

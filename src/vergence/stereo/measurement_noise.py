@@ -1,6 +1,6 @@
 """Noise of what points are located from: pixels, readings and measured poses, checked by shape.
 
-Standard deviations stand in rows, (count, n) for n points or (count, 1) for all of them alike.
+Standard deviations are (n, count) for n points or (1, count) for all of them alike.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from vergence.geometry.head import HeadCalibration, pixel_stds, reading_stds
 def measurement_noise(
     head: HeadCalibration, joints: Array, n: int, pixel_std_px: ArrayLike, joint_std_rad: ArrayLike
 ) -> tuple[Array, Array]:
-    """Return standard deviations (4, n or 1) of pixels and (r, n or 1) of readings or poses."""
+    """Check standard deviations: (n or 1, 4) of pixels and (n or 1, r) of readings or poses."""
     count = 12 if measured(joints) else len(head.kinematics.readings)
     return pixel_noise(pixel_std_px, n), noise_of_readings(joint_std_rad, count, n)
 
@@ -51,7 +51,7 @@ _reading_stds = lru_cache(maxsize=64)(reading_stds)
 
 
 def noise_rows(std: ArrayLike, count: int, n: int, name: str) -> Array:
-    """Return standard deviations (count, n or 1) of n measurements of `count` numbers each.
+    """Check standard deviations (n or 1, count) of n measurements of `count` numbers each.
 
     From a number, (count,) or (n, count); VergenceError if they are neither, or one is negative.
     """
@@ -67,31 +67,31 @@ def noise_rows(std: ArrayLike, count: int, n: int, name: str) -> Array:
         raise VergenceError(
             f"{name} is a standard deviation, 0 or more; found {stds[wrong].flat[0]:g}."
         )
-    return np.atleast_2d(stds).T if stds.ndim else stds.repeat(count)[:, None]
+    return np.atleast_2d(stds) if stds.ndim else stds.repeat(count)[None]
 
 
 def pixel_noise(pixel_std_px: ArrayLike, n: int) -> Array:
-    """Return standard deviations (4, n or 1) of pixels; arguments and errors: `noise_rows`."""
+    """Check standard deviations (n or 1, 4) of pixels; arguments and errors: `noise_rows`."""
     return noise_rows(pixel_std_px, 4, n, "pixel_std_px")
 
 
 def pixel_variances(pixel_std_px: ArrayLike, n: int) -> Array:
-    """Return variances (4, n or 1) of pixels, as weights of a triangulation.
+    """Compute variances (n or 1, 4) of pixels, as weights of a triangulation.
 
     In the order left u, left v, right u, right v. Ones for points some of whose noise is zero or
     unknown: with an exact pixel there are no ratios. Errors are those of `noise_rows`.
     """
     std = pixel_noise(pixel_std_px, n)
-    return np.where((std > 0).all(axis=0), std * std, 1.0)
+    return np.where((std > 0).all(axis=1, keepdims=True), std * std, 1.0)
 
 
-def noise_of_part(noise: Array, part: slice) -> Array:
-    """Return the noise (..., n) of a chunk; (..., 1) is that of all points."""
-    return noise if noise.shape[-1] == 1 else noise[..., part]
+def noise_of_part(noise: Array, part: slice | int) -> Array:
+    """Return the noise (..., count) of a chunk; that of all points is (count,)."""
+    return noise[0] if len(noise) == 1 else noise[part]
 
 
 def noise_of_readings(joint_std: ArrayLike, count: int, n: int) -> Array:
-    """Return standard deviations (r, n or 1) of readings; of poses from rotation, translation.
+    """Check standard deviations (n or 1, r) of readings; of poses from rotation, translation.
 
     From a number, (r,) or (n, r), or for measured poses (count 12) the two numbers of `locate`.
     Errors are those of `noise_rows`.

@@ -38,7 +38,7 @@ from vergence.stereo.measurement_noise import (
     pixel_noise,
     pixel_variances,
 )
-from vergence.stereo.triangulation import checked_arguments, in_chunks, triangulate_at
+from vergence.stereo.triangulation import Part, checked_arguments, in_chunks, triangulate_at
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,14 +113,14 @@ def locate(
     noise = measurement_noise(head, joints, n, pixel_std_px, joint_std_rad)
     given = head, (left, right), joints, cameras, pixel_variances(pixel_std_px, n)
 
-    def find(part: slice) -> tuple[Array, ...]:
+    def find(part: Part) -> tuple[Array, ...]:
         seen = linearised_part(*given, part=part, parameters=known is not None)
         by_pixels, by_readings = by_noise(seen, noise, part)
         covariance = covariances_of(by_pixels) + covariances_of(by_readings)
         if known is None:
-            return seen.points.T, covariance, seen.status, np.zeros_like(covariance)
+            return seen.points, covariance, seen.status, np.zeros_like(covariance)
         shared = covariance_of_calibration(seen, known)
-        return seen.points.T, covariance + shared, seen.status, shared
+        return seen.points, covariance + shared, seen.status, shared
 
     return LocatedPoints(*in_chunks(n, find))
 
@@ -213,16 +213,15 @@ def locate_jointly(
     stated, C = stated_covariance(head, [names[k] for k in others])
     beside = [others[k] for k in stated]
 
-    def find(part: slice) -> tuple[Array, ...]:
+    def find(part: Part) -> tuple[Array, ...]:
         seen = linearised_part(head, (left, right), joints, cameras, variances, part=part)
         by_head = by_head_parameters(head, cameras, seen)
-        own = np.zeros((3, len(covariance), len(seen.status)))
-        own[:, mine], own[:, P:] = by_head[:, theirs], seen.by_readings
-        own, rest = own.transpose(2, 0, 1), by_head[:, beside].transpose(2, 0, 1)
-        of_rest = rest @ C @ rest.swapaxes(1, 2)
-        of_head = own[..., :P] @ covariance[:P, :P] @ own[..., :P].swapaxes(1, 2)
-        whole = covariances_of(seen.by_pixels * noise_of_part(noise, part))
-        whole += own @ covariance @ own.swapaxes(1, 2)
-        return seen.points.T, whole + of_rest, seen.status, of_head + of_rest
+        own, rest = np.zeros((*seen.status.shape, 3, len(covariance))), by_head[..., beside]
+        own[..., mine], own[..., P:] = by_head[..., theirs], seen.by_readings
+        of_rest = rest @ C @ rest.swapaxes(-1, -2)
+        of_head = own[..., :P] @ covariance[:P, :P] @ own[..., :P].swapaxes(-1, -2)
+        whole = covariances_of(seen.by_pixels * noise_of_part(noise, part)[..., None, :])
+        whole += own @ covariance @ own.swapaxes(-1, -2)
+        return seen.points, whole + of_rest, seen.status, of_head + of_rest
 
     return LocatedPoints(*in_chunks(n, find))
